@@ -1,0 +1,10 @@
+//! A simulated quadrotor and its autopilot: physics, effects, sensors, and a vehicle that behaves
+//! on the MAVLink wire as PX4 does. It knows nothing of the daemon.
+
+#![warn(missing_docs)]
+
+pub mod effects;
+pub mod frame;
+pub mod rigid_body;
+pub mod scalar;
+pub mod vehicle;

@@ -1,0 +1,9 @@
+//! downwash: an offboard controller for MAVLink quadrotors that learns, plans, tracks, and
+//! diagnoses the sim-to-real gap.
+
+#![warn(missing_docs)]
+
+pub mod clock;
+pub mod setpoint;
+
+pub mod link;

@@ -1,0 +1,164 @@
+//! What the link hears, in the units and frames of the project. The dialect's types stop here.
+
+use sitl::frame::{Attitude, Frd, Ned};
+
+use crate::clock::{HostTime, VehicleTime};
+
+/// A message from the vehicle and when it came.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Received {
+    /// Host time of arrival.
+    pub host: HostTime,
+    /// Vehicle time of the sample, where the message has one.
+    pub vehicle: Option<VehicleTime>,
+    /// The content.
+    pub message: Inbound,
+}
+
+/// The vehicle's messages that the daemon understands.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Inbound {
+    /// HEARTBEAT of the vehicle's autopilot.
+    Heartbeat {
+        /// MAV_AUTOPILOT.
+        autopilot: u8,
+        /// MAV_TYPE.
+        vehicle_type: u8,
+        /// Whether the motors are armed.
+        armed: bool,
+        /// Autopilot-specific mode.
+        custom_mode: u32,
+    },
+    /// CURRENT_MODE.
+    CurrentMode {
+        /// The mode in force.
+        custom_mode: u32,
+        /// The mode that was asked for last.
+        intended_custom_mode: u32,
+    },
+    /// ATTITUDE_QUATERNION or ATTITUDE.
+    Attitude {
+        /// Which of the two: their estimates are never mixed.
+        source: AttitudeSource,
+        /// Body to world.
+        attitude: Attitude,
+        /// Body rate, rad/s.
+        body_rate: Frd,
+    },
+    /// LOCAL_POSITION_NED.
+    LocalPosition {
+        /// Position, m.
+        position: Ned,
+        /// Velocity, m/s.
+        velocity: Ned,
+    },
+    /// ODOMETRY, with pose and velocity in world NED whatever its child frame was.
+    Odometry {
+        /// Position, m.
+        position: Ned,
+        /// Velocity in world axes, m/s.
+        velocity: Ned,
+        /// Body to world.
+        attitude: Attitude,
+        /// Body rate, rad/s.
+        body_rate: Frd,
+        /// Counts jumps of the estimate.
+        reset_counter: u8,
+    },
+    /// HIGHRES_IMU, accelerometer and gyro.
+    Imu {
+        /// Specific force, m/s^2; (0, 0, -g) at hover.
+        specific_force: Frd,
+        /// Body rate, rad/s.
+        body_rate: Frd,
+    },
+    /// ACTUATOR_OUTPUT_STATUS or SERVO_OUTPUT_RAW, as sent.
+    MotorOutputs {
+        /// The first outputs of the message.
+        outputs: [f32; 4],
+    },
+    /// BATTERY_STATUS.
+    Battery {
+        /// Pack voltage in V, where known.
+        voltage: Option<f64>,
+        /// Current in A, where known.
+        current: Option<f64>,
+        /// Remaining charge in 0..1, where known.
+        remaining: Option<f64>,
+    },
+    /// ATTITUDE_TARGET: the vehicle's echo of the setpoint in force.
+    AttitudeTarget {
+        /// Desired body to world, where valid.
+        attitude: Option<Attitude>,
+        /// Desired body rate, rad/s.
+        body_rate: Frd,
+        /// Normalised collective thrust.
+        thrust: f64,
+        /// Type mask.
+        type_mask: u8,
+    },
+    /// SYS_STATUS.
+    SysStatus {
+        /// Sensors that are present and enabled but not healthy, MAV_SYS_STATUS_SENSOR bits.
+        unhealthy: u32,
+        /// Health bits.
+        health: u32,
+    },
+    /// EXTENDED_SYS_STATE.
+    LandedState(LandedState),
+    /// STATUSTEXT, chunks joined.
+    StatusText {
+        /// MAV_SEVERITY: 0 emergency to 7 debug.
+        severity: u8,
+        /// The text.
+        text: String,
+    },
+    /// AUTOPILOT_VERSION.
+    AutopilotVersion {
+        /// Vendor of the board.
+        vendor_id: u16,
+        /// Product of the vendor.
+        product_id: u16,
+        /// Firmware version as major, minor, patch, type from the highest byte.
+        flight_sw_version: u32,
+    },
+    /// COMMAND_ACK.
+    CommandAck {
+        /// MAV_CMD.
+        command: u16,
+        /// MAV_RESULT.
+        result: u8,
+    },
+    /// PARAM_VALUE, undone from PX4's byte cast where the type says integer.
+    Parameter {
+        /// Name.
+        name: String,
+        /// Value.
+        value: f64,
+    },
+}
+
+/// Where an attitude came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AttitudeSource {
+    /// ATTITUDE_QUATERNION.
+    Quaternion,
+    /// ATTITUDE (Euler angles).
+    Euler,
+}
+
+/// EXTENDED_SYS_STATE.landed_state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LandedState {
+    /// Not known.
+    Undefined,
+    /// On the ground.
+    OnGround,
+    /// In the air.
+    InAir,
+    /// Taking off.
+    TakingOff,
+    /// Landing.
+    Landing,
+}

@@ -1,0 +1,3 @@
+//! The link to a vehicle: codec, session, time synchronisation, counters.
+
+pub mod message;

@@ -1,0 +1,3 @@
+//! The `downwash` command.
+
+fn main() {}

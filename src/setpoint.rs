@@ -1,0 +1,40 @@
+//! What the controller asks of the vehicle, and what it tracks.
+
+use sitl::frame::{Euler, Frd, Ned};
+
+pub use sitl::rigid_body::State;
+
+/// The commanded input `u_hat = (u1, zeta_des, omega_des)` of the PD-augmented vehicle, in R^7.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Setpoint {
+    /// Collective thrust along -z body in N; hover is m g.
+    pub thrust_n: f64,
+    /// Desired roll, pitch and yaw, rad.
+    pub attitude: Euler,
+    /// Desired body rate, rad/s.
+    pub body_rate: Frd,
+}
+
+impl Setpoint {
+    /// Whether every component is finite.
+    pub fn is_finite(&self) -> bool {
+        let Euler { roll, pitch, yaw } = self.attitude;
+        self.body_rate.is_finite()
+            && [self.thrust_n, roll, pitch, yaw].iter().all(|c| c.is_finite())
+    }
+}
+
+/// A point of the reference: the state `s*` and the input `u_hat*` that goes with it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reference {
+    /// Position in world axes, m.
+    pub position: Ned,
+    /// Velocity in world axes, m/s.
+    pub velocity: Ned,
+    /// Roll, pitch and yaw, rad.
+    pub attitude: Euler,
+    /// Body rate, rad/s.
+    pub body_rate: Frd,
+    /// Feed-forward input.
+    pub feedforward: Setpoint,
+}

@@ -1,0 +1,264 @@
+//! Incremental MAVLink framing without I/O: bytes are pushed in, checked frames come out.
+
+use std::cell::Cell;
+use std::collections::VecDeque;
+use std::io::{self, Read};
+
+use mavlink::error::{EncoderError, ParserError};
+use mavlink::{
+    Dialect, MAVLinkMessageRaw, MAVLinkV1MessageRaw, MAVLinkV2MessageRaw, MavHeader, MavlinkReader,
+    MavlinkVersion, Message,
+};
+
+use crate::dialect::MavMessage;
+
+/// Longest MAVLink frame: a signed MAVLink 2 frame with a 32-bit system id.
+const FRAME_LEN_MAX: usize = 283;
+
+/// One frame whose checksum is right.
+pub struct Frame {
+    raw: MAVLinkMessageRaw,
+}
+
+impl Frame {
+    /// MAVLink message id.
+    pub fn id(&self) -> u32 {
+        self.raw.message_id()
+    }
+
+    /// Sender's system id.
+    pub fn system(&self) -> u32 {
+        self.raw.system_id()
+    }
+
+    /// Sender's component id.
+    pub fn component(&self) -> u8 {
+        self.raw.component_id()
+    }
+
+    /// Sender's sequence number, wrapping at 256.
+    pub fn sequence(&self) -> u8 {
+        self.raw.sequence()
+    }
+
+    /// Protocol version of the frame.
+    pub fn version(&self) -> MavlinkVersion {
+        self.raw.version()
+    }
+
+    /// The whole frame as it was on the wire, signature included.
+    pub fn bytes(&self) -> &[u8] {
+        match &self.raw {
+            MAVLinkMessageRaw::V1(raw) => raw.raw_bytes(),
+            MAVLinkMessageRaw::V2(raw) => raw.raw_bytes(),
+        }
+    }
+
+    /// Payload bytes, trailing zeros of MAVLink 2 cut off as on the wire.
+    pub fn payload(&self) -> &[u8] {
+        self.raw.payload()
+    }
+
+    /// Decodes the payload.
+    ///
+    /// # Errors
+    /// [`ParserError`] if the payload does not fit the message, such as an enum value that the
+    /// dialect does not have. The frame itself was intact.
+    pub fn message(&self) -> Result<MavMessage, ParserError> {
+        MavMessage::parse(self.version(), self.id(), self.payload())
+    }
+}
+
+/// What a [`Decoder`] has seen since it was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DecoderStats {
+    /// Bytes pushed in.
+    pub bytes: u64,
+    /// Frames whose checksum was right.
+    pub frames: u64,
+    /// Candidates of a known message id whose checksum was wrong.
+    pub crc_errors: u64,
+    /// Candidates of a message id that the dialect does not have; they cannot be checked.
+    pub unknown: u64,
+    /// Bytes that belong to no frame, or to one that is not complete yet.
+    pub unframed_bytes: u64,
+}
+
+/// Finds frames of MAVLink 1 and 2 in a stream of bytes that may hold anything.
+///
+/// Garbage is skipped: every false start is retried from its second byte, so it cannot hide a
+/// frame that follows it. Memory is bounded; no input makes it fail.
+pub struct Decoder {
+    reader: MavlinkReader<ByteQueue>,
+    dialect: CountingDialect,
+    frames: u64,
+    frame_bytes: u64,
+    pushed: u64,
+    /// `unframed()` when the last datagram ended.
+    settled: u64,
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Decoder {
+    /// A decoder with nothing in it.
+    pub fn new() -> Self {
+        Self {
+            reader: MavlinkReader::new(ByteQueue::default()),
+            dialect: CountingDialect::default(),
+            frames: 0,
+            frame_bytes: 0,
+            pushed: 0,
+            settled: 0,
+        }
+    }
+
+    /// Takes bytes of a stream (TCP, serial), where a frame may span two calls.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.pushed += bytes.len() as u64;
+        self.reader.get_mut().bytes.extend(bytes);
+    }
+
+    /// The next frame, or `None` until more bytes are pushed.
+    pub fn next_frame(&mut self) -> Option<Frame> {
+        // The only error a byte queue can give is "empty for now".
+        let raw = self.reader.read_any_raw_message_with_dialect(&self.dialect).ok()?;
+        let frame = Frame { raw };
+        self.frames += 1;
+        self.frame_bytes += frame.bytes().len() as u64;
+        self.dialect.known.set(self.dialect.known.get() - 1);
+        Some(frame)
+    }
+
+    /// Ends a datagram, since a frame never spans two: what is left is searched for frames once
+    /// more and then dropped, so that a truncated frame cannot swallow the next datagram's start.
+    pub fn end_datagram(&mut self, mut on_frame: impl FnMut(Frame)) {
+        if self.unframed() == self.settled {
+            return;
+        }
+        // Zeros hold no frame marker: they only bring a pending candidate to its (failing) end.
+        self.reader.get_mut().bytes.extend([0; FRAME_LEN_MAX]);
+        while let Some(frame) = self.next_frame() {
+            on_frame(frame);
+        }
+        self.reader = MavlinkReader::new(ByteQueue::default());
+        self.settled = self.unframed();
+    }
+
+    fn unframed(&self) -> u64 {
+        self.pushed.saturating_sub(self.frame_bytes)
+    }
+
+    /// Counters since the decoder was made.
+    pub fn stats(&self) -> DecoderStats {
+        DecoderStats {
+            bytes: self.pushed,
+            frames: self.frames,
+            crc_errors: self.dialect.known.get(),
+            unknown: self.dialect.unknown.get(),
+            unframed_bytes: self.unframed(),
+        }
+    }
+}
+
+/// Writes messages as frames of one sender, counting its sequence.
+#[derive(Clone, Debug)]
+pub struct Encoder {
+    header: MavHeader,
+    version: MavlinkVersion,
+}
+
+impl Encoder {
+    /// A sender of MAVLink 2 frames.
+    pub fn new(system: u8, component: u8) -> Self {
+        Self {
+            header: MavHeader { system_id: system.into(), component_id: component, sequence: 0 },
+            version: MavlinkVersion::V2,
+        }
+    }
+
+    /// Speaks another protocol version from the next frame on.
+    pub fn set_version(&mut self, version: MavlinkVersion) {
+        self.version = version;
+    }
+
+    /// Appends `message` to `out` as one frame.
+    pub fn encode(&mut self, message: &MavMessage, out: &mut Vec<u8>) {
+        match self.version {
+            MavlinkVersion::V2 => {
+                let mut raw = MAVLinkV2MessageRaw::new();
+                raw.serialize_message(self.header, message);
+                out.extend_from_slice(raw.raw_bytes());
+            }
+            MavlinkVersion::V1 => {
+                let mut raw = MAVLinkV1MessageRaw::new();
+                raw.serialize_message(self.header, message);
+                out.extend_from_slice(raw.raw_bytes());
+            }
+        }
+        self.header.sequence = self.header.sequence.wrapping_add(1);
+    }
+}
+
+/// Bytes pushed and not yet taken; "would block" when there are none.
+#[derive(Default)]
+struct ByteQueue {
+    bytes: VecDeque<u8>,
+}
+
+impl Read for ByteQueue {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match self.bytes.read(buffer)? {
+            0 => Err(io::ErrorKind::WouldBlock.into()),
+            count => Ok(count),
+        }
+    }
+}
+
+/// The dialect, counting the candidates that the reader asks it about: a candidate that is asked
+/// about and does not come out as a frame had a wrong checksum.
+#[derive(Default)]
+struct CountingDialect {
+    known: Cell<u64>,
+    unknown: Cell<u64>,
+}
+
+impl Dialect for CountingDialect {
+    type Message = MavMessage;
+    type EncodeError = EncoderError;
+
+    fn message_id(&self, message: &MavMessage) -> u32 {
+        message.message_id()
+    }
+
+    fn extra_crc(&self, message_id: u32) -> Option<u8> {
+        let extra_crc = MavMessage::extra_crc(message_id);
+        // Zero is what an unknown id gives, and what a few known ids have.
+        let known = extra_crc != 0 || MavMessage::default_message_from_id(message_id).is_some();
+        let counter = if known { &self.known } else { &self.unknown };
+        counter.set(counter.get() + 1);
+        known.then_some(extra_crc)
+    }
+
+    fn decode(
+        &self,
+        version: MavlinkVersion,
+        id: u32,
+        payload: &[u8],
+    ) -> Result<MavMessage, ParserError> {
+        MavMessage::parse(version, id, payload)
+    }
+
+    fn encode(
+        &self,
+        version: MavlinkVersion,
+        message: &MavMessage,
+        payload: &mut [u8],
+    ) -> Result<usize, EncoderError> {
+        Ok(message.ser(version, payload))
+    }
+}

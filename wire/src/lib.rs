@@ -1,0 +1,12 @@
+//! The MAVLink wire, shared by both of its ends: the daemon and the simulated vehicle.
+//!
+//! [`framing`] turns bytes into checked frames and messages into bytes, sans I/O. [`tlog`] is the
+//! ground-station log of such frames. [`endpoint`] names where bytes come from, and `transport`
+//! (feature `transport`) opens it.
+
+pub mod framing;
+
+pub use framing::{Decoder, DecoderStats, Encoder, Frame};
+/// The MAVLink dialect that every message of this workspace is typed by: `ardupilotmega` contains
+/// `common`, so it also serves PX4.
+pub use mavlink::dialects::ardupilotmega as dialect;
