@@ -4,6 +4,7 @@
 #![warn(missing_docs)]
 
 pub mod clock;
+pub mod config;
 pub mod setpoint;
 
 pub mod link;
