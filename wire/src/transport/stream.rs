@@ -150,6 +150,8 @@ fn closed() -> io::Error {
 pub(super) struct Listener {
     socket: TcpListener,
     connections: Vec<StreamPeer>,
+    /// Connections that the runtime has not looked at yet: they count as full.
+    opening: Vec<TcpStream>,
     /// Where the next search for bytes starts, so that no connection starves another.
     turn: usize,
     next_id: u32,
@@ -158,7 +160,7 @@ pub(super) struct Listener {
 impl Listener {
     pub(super) async fn bind(address: &Address) -> io::Result<Self> {
         let socket = TcpListener::bind(resolve(address).await?.as_slice()).await?;
-        Ok(Self { socket, connections: Vec::new(), turn: 0, next_id: 0 })
+        Ok(Self { socket, connections: Vec::new(), opening: Vec::new(), turn: 0, next_id: 0 })
     }
 
     pub(super) fn local_addr(&self) -> Option<SocketAddr> {
@@ -182,17 +184,22 @@ impl Listener {
     ) -> Poll<io::Result<Incoming>> {
         while let Poll::Ready(accepted) = self.socket.poll_accept(cx) {
             match accepted {
-                Ok(_) if self.connections.len() >= PEERS_MAX => stats.turned_away += 1,
-                Ok((stream, _)) => {
-                    let peer = Peer(self.next_id);
-                    self.next_id = self.next_id.wrapping_add(1);
-                    self.connections.push(StreamPeer::new(peer, Stream::tcp(stream)));
-                    return Poll::Ready(Ok(Incoming::Opened(peer)));
+                Ok(_) if self.connections.len() + self.opening.len() >= PEERS_MAX => {
+                    stats.turned_away += 1;
                 }
+                Ok((stream, _)) => self.opening.push(stream),
                 // The connection ended before it was accepted.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => {}
                 Err(error) => return Poll::Ready(Err(error)),
             }
+        }
+        let ready = self.opening.iter().position(|stream| stream.poll_write_ready(cx).is_ready());
+        if let Some(index) = ready {
+            let stream = Stream::tcp(self.opening.swap_remove(index));
+            let peer = Peer(self.next_id);
+            self.next_id = self.next_id.wrapping_add(1);
+            self.connections.push(StreamPeer::new(peer, stream));
+            return Poll::Ready(Ok(Incoming::Opened(peer)));
         }
         let count = self.connections.len();
         for offset in 0..count {

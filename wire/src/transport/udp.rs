@@ -32,6 +32,8 @@ struct Sender {
 impl UdpListener {
     pub(super) async fn bind(address: &Address) -> io::Result<Self> {
         let socket = UdpSocket::bind(resolve(address).await?.as_slice()).await?;
+        // A socket counts as full until the runtime has looked at it once.
+        socket.writable().await?;
         Ok(Self { socket, senders: Vec::new(), heard: 0, next_id: 0, evicted: VecDeque::new() })
     }
 
@@ -118,7 +120,11 @@ impl UdpRemote {
             };
             let socket = UdpSocket::bind(local).await?;
             match socket.connect(remote).await {
-                Ok(()) => return Ok(Self { socket }),
+                Ok(()) => {
+                    // A socket counts as full until the runtime has looked at it once.
+                    socket.writable().await?;
+                    return Ok(Self { socket });
+                }
                 Err(error) => failure = Some(error),
             }
         }
