@@ -7,3 +7,5 @@ pub mod clock;
 pub mod setpoint;
 
 pub mod link;
+pub mod log;
+pub mod report;
