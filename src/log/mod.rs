@@ -25,6 +25,7 @@ pub mod sink;
 mod viewer;
 pub mod writer;
 
+pub use reader::LogReader;
 pub use record::Record;
 pub use sink::LogSink;
 pub use writer::{LogWriter, RunInfo};
