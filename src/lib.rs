@@ -9,3 +9,5 @@ pub mod setpoint;
 
 pub mod link;
 pub mod plan;
+pub mod log;
+pub mod report;
