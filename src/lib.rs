@@ -4,10 +4,13 @@
 #![warn(missing_docs)]
 
 pub mod clock;
-pub mod config;
 pub mod setpoint;
 
 pub mod link;
-pub mod plan;
 pub mod log;
+pub mod plan;
 pub mod report;
+
+pub mod cli;
+pub mod command;
+pub mod config;
