@@ -155,8 +155,7 @@ impl Chart<'_> {
         for (number, band) in self.bands.iter().enumerate() {
             let (from, to) = (x.at(band.from.max(x.low)), x.at(band.to.min(x.high)));
             let width = to - from;
-            // Also false for NaN.
-            if !(width > 0.0) {
+            if width.is_nan() || width <= 0.0 {
                 continue;
             }
             if number % 2 == 0 {
