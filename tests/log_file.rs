@@ -7,6 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use downwash::log::descriptor::Layout;
 use downwash::log::export::{ExportError, Format, export_all, export_topic};
 use downwash::log::info::LogInfo;
 use downwash::log::reader::{LogReader, ReadError};
@@ -318,4 +319,41 @@ proptest! {
             let _ = LogInfo::read(&mut reader);
         }
     }
+}
+
+/// Every signal that the shipped viewer layouts show exists in the log.
+#[test]
+fn viewer_layouts_name_fields_of_the_log() {
+    let path = write(&directory("layouts"), &records(1.0));
+    let mut reader = LogReader::open(&path).unwrap();
+    let mut signals = BTreeMap::new();
+    while let Some(message) = reader.next_message().unwrap() {
+        let channel = &message.channel;
+        signals.entry(channel.topic.clone()).or_insert_with(|| {
+            Layout::parse(&channel.schema, &channel.schema_data).unwrap().columns().to_vec()
+        });
+    }
+    let exists = |topic: &str, field: &str| {
+        signals.get(topic).is_some_and(|fields| fields.iter().any(|f| f == field))
+    };
+    let foxglove = include_str!("../config/layouts/foxglove-layout.json");
+    let foxglove: serde_json::Value = serde_json::from_str(foxglove).unwrap();
+    let mut checked = 0;
+    for panel in foxglove["configById"].as_object().unwrap().values() {
+        for path in panel["paths"].as_array().into_iter().flatten() {
+            let (topic, field) = path["value"].as_str().unwrap().rsplit_once('.').unwrap();
+            assert!(exists(topic, field), "{topic}.{field}");
+            checked += 1;
+        }
+        for topic in panel["topics"].as_object().into_iter().flat_map(|t| t.keys()) {
+            assert!(signals.contains_key(topic), "{topic}");
+        }
+    }
+    let plotjuggler = include_str!("../config/layouts/plotjuggler-layout.xml");
+    for curve in plotjuggler.split("<curve name=\"").skip(1) {
+        let (topic, field) = curve.split_once('"').unwrap().0.rsplit_once('/').unwrap();
+        assert!(exists(topic, field), "{topic}/{field}");
+        checked += 1;
+    }
+    assert!(checked > 30);
 }

@@ -8,6 +8,8 @@ const WIDTH: f64 = 900.0;
 const LEFT: f64 = 56.0;
 const RIGHT: f64 = 10.0;
 const TOP: f64 = 20.0;
+/// Room above the first panel for the names of the bands.
+const NAMES: f64 = 17.0;
 const BOTTOM: f64 = 22.0;
 const LABELLED_BOTTOM: f64 = 40.0;
 /// Columns of a chart within which only the smallest and the largest value are drawn.
@@ -80,7 +82,8 @@ pub struct Panel {
 }
 
 impl Chart<'_> {
-    /// The legend and the panels. Curves of one name and look share a line of the legend.
+    /// The legend and the panels. Curves of one name and look share a line of the legend; a curve
+    /// that is alone in its panel needs none.
     pub fn to_html(&self) -> String {
         let mut html = self.legend();
         let last = self.panels.len().saturating_sub(1);
@@ -92,7 +95,8 @@ impl Chart<'_> {
 
     fn legend(&self) -> String {
         let mut seen: Vec<(&str, Style)> = Vec::new();
-        for curve in self.panels.iter().flat_map(|p| &p.curves) {
+        let crowded = self.panels.iter().filter(|p| p.curves.len() > 1);
+        for curve in crowded.flat_map(|p| &p.curves) {
             if !seen.contains(&(&curve.name, curve.style)) {
                 seen.push((&curve.name, curve.style));
             }
@@ -112,18 +116,19 @@ impl Chart<'_> {
 
     fn panel(&self, panel: &Panel, first: bool, last: bool, html: &mut String) {
         let bottom = if last { LABELLED_BOTTOM } else { BOTTOM };
-        let height = TOP + self.height + bottom;
+        let top = if first && !self.bands.is_empty() { TOP + NAMES } else { TOP };
+        let height = top + self.height + bottom;
         let x = Axis::exact(range(self.x), LEFT, WIDTH - RIGHT);
         let values = panel.curves.iter().flat_map(|c| &c.y).copied();
-        let y = Axis::padded(range_of(values), TOP + self.height, TOP);
+        let y = Axis::padded(range_of(values), top + self.height, top);
         let name = escape(&panel.name);
         let _ = write!(
             html,
             "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{name}\">"
         );
-        self.background(&x, first, html);
-        grid(&x, &y, self.height, html);
-        let _ = write!(html, "<text class=\"name\" x=\"{LEFT}\" y=\"{}\">{name}</text>", TOP - 7.0);
+        self.background(&x, top, first, html);
+        grid(&x, &y, html);
+        let _ = write!(html, "<text class=\"name\" x=\"{LEFT}\" y=\"{}\">{name}</text>", top - 7.0);
         if last {
             let label = escape(self.x_label);
             let (at, below) = ((LEFT + WIDTH - RIGHT) / 2.0, height - 5.0);
@@ -141,41 +146,38 @@ impl Chart<'_> {
                 escape(&curve.name)
             );
         }
-        self.hovers(panel, &x, html);
+        self.hovers(panel, &x, top, html);
         html.push_str("</svg>");
     }
 
     /// Every second band is shaded; names stand above the first panel, where they fit.
-    fn background(&self, x: &Axis, named: bool, html: &mut String) {
+    fn background(&self, x: &Axis, top: f64, named: bool, html: &mut String) {
         for (number, band) in self.bands.iter().enumerate() {
             let (from, to) = (x.at(band.from.max(x.low)), x.at(band.to.min(x.high)));
             let width = to - from;
-            // Also false for NaN.
-            if !(width > 0.0) {
+            if width.is_nan() || width <= 0.0 {
                 continue;
             }
             if number % 2 == 0 {
                 let _ = write!(
                     html,
-                    "<rect class=\"band\" x=\"{from:.1}\" y=\"{TOP}\" width=\"{width:.1}\" height=\"{}\"/>",
+                    "<rect class=\"band\" x=\"{from:.1}\" y=\"{top}\" width=\"{width:.1}\" height=\"{}\"/>",
                     self.height
                 );
             }
-            let needed = 7.0 * band.name.chars().count() as f64;
-            // The panel's own name stands at the left.
-            if named && width > needed + 8.0 && (from + to - needed) / 2.0 > LEFT + 150.0 {
+            if named && width > 7.0 * band.name.chars().count() as f64 {
                 let _ = write!(
                     html,
                     "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
                     (from + to) / 2.0,
-                    TOP - 7.0,
+                    top - NAMES - 6.0,
                     escape(&band.name)
                 );
             }
         }
     }
 
-    fn hovers(&self, panel: &Panel, x: &Axis, html: &mut String) {
+    fn hovers(&self, panel: &Panel, x: &Axis, top: f64, html: &mut String) {
         let step = (WIDTH - RIGHT - LEFT) / HOVERS as f64;
         for slot in 0..HOVERS {
             let left = LEFT + slot as f64 * step;
@@ -184,7 +186,7 @@ impl Chart<'_> {
             let Some(at) = self.x.get(index) else { continue };
             let _ = write!(
                 html,
-                "<rect class=\"hover\" x=\"{left:.1}\" y=\"{TOP}\" width=\"{step:.1}\" height=\"{}\"><title>{at:.2}",
+                "<rect class=\"hover\" x=\"{left:.1}\" y=\"{top}\" width=\"{step:.1}\" height=\"{}\"><title>{at:.2}",
                 self.height
             );
             for curve in &panel.curves {
@@ -219,7 +221,9 @@ impl Histogram<'_> {
         let (Some(low), Some(high)) = (sorted.first(), quantile(&sorted, 0.995)) else {
             return String::from("<p class=\"note\">No data.</p>");
         };
-        let x = Axis::padded(Some((*low, high)), LEFT, WIDTH - RIGHT);
+        // Equal values make one bar in the middle, not a picture of rounding errors.
+        let spread = (0.02 * high.abs() - (high - low)).max(0.0) / 2.0;
+        let x = Axis::padded(Some((low - spread, high + spread)), LEFT, WIDTH - RIGHT);
         let mut counts = vec![0usize; self.bars.max(1)];
         let last = counts.len() - 1;
         for value in &sorted {
@@ -232,7 +236,7 @@ impl Histogram<'_> {
         let mut html = format!(
             "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{name}\">"
         );
-        grid(&x, &y, HEIGHT, &mut html);
+        grid(&x, &y, &mut html);
         let width = (WIDTH - RIGHT - LEFT) / counts.len() as f64;
         for (bar, count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
             let (left, top) = (LEFT + bar as f64 * width, y.at(*count as f64));
@@ -340,9 +344,9 @@ impl Axis {
     }
 }
 
-fn grid(x: &Axis, y: &Axis, height: f64, html: &mut String) {
-    let (bottom, right) = (TOP + height, WIDTH - RIGHT);
-    for (value, text) in y.ticks(34.0) {
+fn grid(x: &Axis, y: &Axis, html: &mut String) {
+    let (top, bottom, right) = (y.to, y.from, WIDTH - RIGHT);
+    for (value, text) in y.ticks(26.0) {
         let at = y.at(value);
         let _ = write!(
             html,
@@ -356,12 +360,12 @@ fn grid(x: &Axis, y: &Axis, height: f64, html: &mut String) {
         let at = x.at(value);
         let _ = write!(
             html,
-            "<path class=\"grid\" d=\"M{at:.1} {TOP}V{bottom}\"/>\
+            "<path class=\"grid\" d=\"M{at:.1} {top}V{bottom}\"/>\
              <text x=\"{at:.1}\" y=\"{}\" text-anchor=\"middle\">{text}</text>",
             bottom + 15.0
         );
     }
-    let _ = write!(html, "<path class=\"axis\" d=\"M{LEFT} {TOP}V{bottom}H{right}\"/>");
+    let _ = write!(html, "<path class=\"axis\" d=\"M{LEFT} {top}V{bottom}H{right}\"/>");
 }
 
 /// The curve as path data: within each bucket only its extremes, in their order.
@@ -370,26 +374,30 @@ fn path(xs: &[f64], ys: &[f64], x: &Axis, y: &Axis) -> String {
     let mut pen_down = false;
     let points = xs.len().min(ys.len());
     let per_bucket = points.div_ceil(BUCKETS).max(1);
-    let mut draw = |index: Option<usize>| match index {
-        Some(i) if xs[i].is_finite() => {
-            let command = if pen_down { 'L' } else { 'M' };
-            let _ = write!(data, "{command}{:.1} {:.1}", x.at(xs[i]), y.at(ys[i]));
-            pen_down = true;
-        }
-        _ => pen_down = false,
-    };
     for start in (0..points).step_by(per_bucket) {
         let bucket = start..(start + per_bucket).min(points);
-        let finite = || bucket.clone().filter(|i| ys[*i].is_finite());
-        let least = finite().min_by(|a, b| ys[*a].total_cmp(&ys[*b]));
-        let most = finite().max_by(|a, b| ys[*a].total_cmp(&ys[*b]));
-        let (Some(least), Some(most)) = (least, most) else {
-            draw(None);
-            continue;
-        };
-        draw(Some(least.min(most)));
-        if least != most {
-            draw(Some(least.max(most)));
+        let mut extremes: Option<(usize, usize)> = None;
+        for i in bucket.clone() {
+            if xs[i].is_finite() && ys[i].is_finite() {
+                let (least, most) = extremes.unwrap_or((i, i));
+                extremes = Some((
+                    if ys[i] < ys[least] { i } else { least },
+                    if ys[i] > ys[most] { i } else { most },
+                ));
+                if i + 1 < bucket.end {
+                    continue;
+                }
+            }
+            // The bucket's end, or a gap in it.
+            if let Some((least, most)) = extremes.take() {
+                let (first, second) = (least.min(most), least.max(most));
+                for i in (first..=second).step_by((second - first).max(1)) {
+                    let command = if pen_down { 'L' } else { 'M' };
+                    let _ = write!(data, "{command}{:.1} {:.1}", x.at(xs[i]), y.at(ys[i]));
+                    pen_down = true;
+                }
+            }
+            pen_down &= xs[i].is_finite() && ys[i].is_finite();
         }
     }
     data

@@ -53,15 +53,19 @@ fn verdict(report: &FlightReport, page: &mut Page) {
     let count = |level: &str| summary.events.get(level).copied().unwrap_or(0);
     let severe = count("error") + count("fatal");
     let mut reasons = Vec::new();
-    let mut note = |amount: u64, text: &str| {
-        if amount > 0 {
-            reasons.push(format!("{amount} {text}"));
-        }
+    let mut note = |amount: u64, one: &str, several: &str| match amount {
+        0 => {}
+        1 => reasons.push(format!("1 {one}")),
+        _ => reasons.push(format!("{amount} {several}")),
     };
-    note(severe, "events of level error or worse");
-    note(count("warning"), "warnings");
-    note(summary.control.missed_ticks, "missed control ticks");
-    note(summary.log_damaged, "damaged parts of the log were left out");
+    note(severe, "event of level error or worse", "events of level error or worse");
+    note(count("warning"), "warning", "warnings");
+    note(summary.control.missed_ticks, "missed control tick", "missed control ticks");
+    note(
+        summary.log_damaged,
+        "damaged part of the log left out",
+        "damaged parts of the log left out",
+    );
     if !summary.log_finished {
         reasons.push(format!("the log is unfinished: {} messages", report.info.messages));
     }

@@ -136,7 +136,7 @@ svg text{fill:var(--soft)}svg .name{fill:var(--ink);font-weight:600}
 .curve{fill:none;stroke-width:1.5;stroke-linejoin:round}
 .c1{stroke:var(--c1)}.c2{stroke:var(--c2)}.c3{stroke:var(--c3)}.c4{stroke:var(--c4)}
 .ref{stroke:var(--ref);stroke-dasharray:5 4;stroke-width:1.3}
-.shadow{fill:none;stroke:var(--line);stroke-width:1.2}
+.shadow{fill:none;stroke:var(--soft);stroke-opacity:.5;stroke-width:1.2}
 .bar{fill:var(--c1)}.mark{fill:var(--bg);stroke:var(--ink);stroke-width:1.5}
 .hover{fill:transparent}.hover:hover{fill:var(--soft);fill-opacity:.16}
 .scroll{overflow-x:auto}
