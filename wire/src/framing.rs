@@ -2,6 +2,7 @@
 
 use std::cell::Cell;
 use std::collections::VecDeque;
+use std::fmt;
 use std::io::{self, Read};
 
 use mavlink::consts::v2;
@@ -97,6 +98,12 @@ pub struct Decoder {
     pushed: u64,
     /// `unframed()` when the last datagram ended.
     settled: u64,
+}
+
+impl fmt::Debug for Decoder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Decoder").field("stats", &self.stats()).finish_non_exhaustive()
+    }
 }
 
 impl Default for Decoder {
