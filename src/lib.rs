@@ -6,5 +6,6 @@
 pub mod clock;
 pub mod setpoint;
 
+pub mod control;
 pub mod link;
 pub mod plan;
