@@ -4,8 +4,11 @@
 #![warn(missing_docs)]
 
 pub mod clock;
+pub mod config;
 pub mod setpoint;
 
 pub mod control;
 pub mod link;
 pub mod plan;
+pub mod log;
+pub mod report;

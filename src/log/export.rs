@@ -1,0 +1,226 @@
+//! Exports topics as CSV or JSON Lines.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::ser::{SerializeMap, Serializer};
+
+use super::descriptor::{DescriptorError, Layout, Value, hex};
+use super::name::sanitised;
+use super::reader::{Channel, LogReader, Message, ReadError};
+
+/// Output format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Comma-separated values with a header line; NaN is written `NaN`, a missing value is empty.
+    Csv,
+    /// One JSON object a line; NaN and infinities are `null`.
+    JsonLines,
+}
+
+impl Format {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::JsonLines => "jsonl",
+        }
+    }
+}
+
+/// Why an export failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// The log could not be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The output could not be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Create {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The output could not be written.
+    #[error("cannot write the export: {0}")]
+    Write(#[from] io::Error),
+    /// The log has no such topic.
+    #[error("no topic {topic} in the log; it has {}", known.join(", "))]
+    NoTopic {
+        /// What was asked for.
+        topic: String,
+        /// What there is.
+        known: Vec<String>,
+    },
+    /// The topic's messages are not protobuf.
+    #[error("topic {topic} is encoded as {encoding:?}; only protobuf can be exported")]
+    Encoding {
+        /// The topic.
+        topic: String,
+        /// Its message encoding.
+        encoding: String,
+    },
+    /// The topic's schema or one of its messages is broken.
+    #[error("topic {topic}: {source}")]
+    Descriptor {
+        /// The topic.
+        topic: String,
+        /// Why.
+        source: DescriptorError,
+    },
+}
+
+/// Writes every message of `topic` to `out`; returns their number.
+///
+/// # Errors
+/// [`ExportError`]; a log that merely ends early is no error.
+pub fn export_topic<R: Read>(
+    reader: &mut LogReader<R>,
+    topic: &str,
+    format: Format,
+    out: &mut impl Write,
+) -> Result<u64, ExportError> {
+    let mut known = BTreeMap::new();
+    let mut table = None;
+    let mut rows = 0;
+    while let Some(message) = reader.next_message()? {
+        if message.channel.topic != topic {
+            if !known.contains_key(&message.channel.topic) {
+                known.insert(message.channel.topic.clone(), ());
+            }
+            continue;
+        }
+        let table = match &mut table {
+            Some(table) => table,
+            None => table.insert(Table::new(&message.channel, format, out)?),
+        };
+        table.write(&message, out)?;
+        rows += 1;
+    }
+    out.flush()?;
+    if table.is_none() {
+        let known = known.into_keys().collect();
+        return Err(ExportError::NoTopic { topic: topic.into(), known });
+    }
+    Ok(rows)
+}
+
+/// Writes one file a protobuf topic into `directory`, named after the topic; returns each file
+/// with its number of rows. Topics in other encodings are left out.
+///
+/// # Errors
+/// [`ExportError`].
+pub fn export_all<R: Read>(
+    reader: &mut LogReader<R>,
+    directory: &Path,
+    format: Format,
+) -> Result<Vec<(PathBuf, u64)>, ExportError> {
+    fs::create_dir_all(directory)
+        .map_err(|source| ExportError::Create { path: directory.into(), source })?;
+    let mut tables: BTreeMap<String, (PathBuf, BufWriter<File>, Table, u64)> = BTreeMap::new();
+    while let Some(message) = reader.next_message()? {
+        let channel = &message.channel;
+        if channel.message_encoding != "protobuf" {
+            continue;
+        }
+        if !tables.contains_key(&channel.topic) {
+            let stem = sanitised(&channel.topic);
+            let path = directory.join(format!("{stem}.{}", format.extension()));
+            let file = File::create(&path)
+                .map_err(|source| ExportError::Create { path: path.clone(), source })?;
+            let mut out = BufWriter::new(file);
+            let table = Table::new(channel, format, &mut out)?;
+            tables.insert(channel.topic.clone(), (path, out, table, 0));
+        }
+        if let Some((_, out, table, rows)) = tables.get_mut(&channel.topic) {
+            table.write(&message, out)?;
+            *rows += 1;
+        }
+    }
+    let mut written = Vec::new();
+    for (path, mut out, _, rows) in tables.into_values() {
+        out.flush()?;
+        written.push((path, rows));
+    }
+    Ok(written)
+}
+
+/// The rows of one topic.
+struct Table {
+    topic: String,
+    format: Format,
+    layout: Layout,
+    row: Vec<Value>,
+}
+
+impl Table {
+    /// Starts the table, with its header line.
+    fn new(
+        channel: &Arc<Channel>,
+        format: Format,
+        out: &mut impl Write,
+    ) -> Result<Self, ExportError> {
+        let topic = channel.topic.clone();
+        if channel.message_encoding != "protobuf" {
+            let encoding = channel.message_encoding.clone();
+            return Err(ExportError::Encoding { topic, encoding });
+        }
+        let layout = match Layout::parse(&channel.schema, &channel.schema_data) {
+            Ok(layout) => layout,
+            Err(source) => return Err(ExportError::Descriptor { topic, source }),
+        };
+        if format == Format::Csv {
+            write!(out, "log_time_ns,publish_time_ns")?;
+            for column in layout.columns() {
+                write!(out, ",{column}")?;
+            }
+            writeln!(out)?;
+        }
+        Ok(Self { topic, format, layout, row: Vec::new() })
+    }
+
+    fn write(&mut self, message: &Message<'_>, out: &mut impl Write) -> Result<(), ExportError> {
+        self.layout
+            .decode(message.data, &mut self.row)
+            .map_err(|source| ExportError::Descriptor { topic: self.topic.clone(), source })?;
+        match self.format {
+            Format::Csv => self.write_csv(message, out)?,
+            Format::JsonLines => self.write_json(message, out)?,
+        }
+        Ok(())
+    }
+
+    fn write_csv(&self, message: &Message<'_>, out: &mut impl Write) -> io::Result<()> {
+        write!(out, "{},{}", message.log_time.as_ns(), message.publish_time.as_ns())?;
+        for value in &self.row {
+            match value {
+                Value::Missing => write!(out, ",")?,
+                Value::Float(x) => write!(out, ",{x}")?,
+                Value::Signed(x) => write!(out, ",{x}")?,
+                Value::Unsigned(x) => write!(out, ",{x}")?,
+                Value::Bool(x) => write!(out, ",{x}")?,
+                Value::Bytes(x) => write!(out, ",{}", hex(x))?,
+                Value::Text(x) if x.contains([',', '"', '\n', '\r']) => {
+                    write!(out, ",\"{}\"", x.replace('"', "\"\""))?;
+                }
+                Value::Text(x) => write!(out, ",{x}")?,
+            }
+        }
+        writeln!(out)
+    }
+
+    fn write_json(&self, message: &Message<'_>, out: &mut impl Write) -> io::Result<()> {
+        let mut serializer = serde_json::Serializer::new(&mut *out);
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("log_time_ns", &message.log_time.as_ns())?;
+        map.serialize_entry("publish_time_ns", &message.publish_time.as_ns())?;
+        for (column, value) in self.layout.columns().iter().zip(&self.row) {
+            map.serialize_entry(column, value)?;
+        }
+        map.end()?;
+        writeln!(out)
+    }
+}

@@ -1,0 +1,31 @@
+//! The flight log: what may be logged, the MCAP file, and reading it back.
+//!
+//! | Topic | Schema | Rate | Frame |
+//! |---|---|---|---|
+//! | `/mavlink/rx`, `/mavlink/tx` | `downwash.MavlinkFrame` | every frame | as on the wire |
+//! | `/state`, `/reference`, `/setpoint`, `/control` | `downwash.*` | every control tick | NED, FRD |
+//! | `/imu`, `/actuators`, `/battery` | `downwash.*` | as received | FRD |
+//! | `/link/stats`, `/timesync` | `downwash.*` | as reported | |
+//! | `/sim/truth` | `downwash.Truth` | as reported by the simulator | NED, FRD |
+//! | `/tf`, `/vehicle/pose`, `/reference/pose` | `foxglove.*` | at most 55 Hz | ENU `map`, FLU `base_link` |
+//! | `/scene` | `foxglove.SceneUpdate` | once | FLU |
+//! | `/log` | `foxglove.Log` | every event | |
+//!
+//! `log_time` is the host time of a record, `publish_time` the vehicle's time of the sample mapped
+//! to the host clock. A component that is not known is NaN.
+
+pub mod descriptor;
+pub mod export;
+pub mod info;
+mod name;
+pub mod reader;
+pub mod record;
+pub mod schema;
+pub mod sink;
+mod viewer;
+pub mod writer;
+
+pub use reader::LogReader;
+pub use record::Record;
+pub use sink::LogSink;
+pub use writer::{LogWriter, RunInfo};

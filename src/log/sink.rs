@@ -1,0 +1,198 @@
+//! Where records go: to a writer's thread in flight, straight to the file in lockstep.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use super::record::{Record, Severity, Source, Tick};
+use super::writer::{LogError, LogSummary, LogWriter};
+use crate::clock::HostTime;
+
+/// Records that wait for the writer's thread: two seconds' worth at the busiest, as a slow card
+/// may take to sync.
+const QUEUE: usize = 8192;
+/// How often the writer's thread empties the queue. It sleeps in between rather than wait on the
+/// channel, so that sending a record never has to wake a thread.
+const DRAIN_PERIOD: Duration = Duration::from_millis(20);
+/// In lockstep the wall clock is read once in this many records.
+const RECORDS_PER_CLOCK_READ: u32 = 32;
+
+/// Takes records and never fails: after an error of the file, which is reported once, records are
+/// discarded and flying goes on.
+pub struct LogSink {
+    mode: Mode,
+}
+
+enum Mode {
+    Discard,
+    Direct(Box<Direct>),
+    Threaded(Threaded),
+}
+
+/// Holds the file, until it fails.
+struct Direct {
+    writer: Option<LogWriter>,
+    error: Option<LogError>,
+    records: u32,
+}
+
+struct Threaded {
+    queue: SyncSender<Record>,
+    /// Counted here, read by the writer's thread.
+    dropped: Arc<AtomicU64>,
+    thread: JoinHandle<Result<LogSummary, LogError>>,
+}
+
+impl LogSink {
+    /// Keeps nothing.
+    pub fn discard() -> Self {
+        Self { mode: Mode::Discard }
+    }
+
+    /// Writes in the caller's thread: nothing is dropped, and the file's messages are those of the
+    /// records in their order. For lockstep.
+    pub fn direct(writer: LogWriter) -> Self {
+        let direct = Direct { writer: Some(writer), error: None, records: 0 };
+        Self { mode: Mode::Direct(Box::new(direct)) }
+    }
+
+    /// Writes in a thread of its own; [`LogSink::log`] then takes less than a microsecond and
+    /// never blocks. A record that finds the queue full is dropped, counted, and the log says so.
+    ///
+    /// # Errors
+    /// [`LogError::Create`] if the system gives no thread.
+    pub fn threaded(writer: LogWriter) -> Result<Self, LogError> {
+        let (queue, records) = sync_channel(QUEUE);
+        let dropped = Arc::new(AtomicU64::new(0));
+        let path = writer.path().to_owned();
+        let counter = Arc::clone(&dropped);
+        let thread = thread::Builder::new()
+            .name("log".into())
+            .spawn(move || drain(writer, &records, &counter))
+            .map_err(|source| LogError::Create { path, source })?;
+        Ok(Self { mode: Mode::Threaded(Threaded { queue, dropped, thread }) })
+    }
+
+    /// Hands over `record`.
+    pub fn log(&mut self, record: Record) {
+        match &mut self.mode {
+            Mode::Discard => {}
+            Mode::Direct(direct) => direct.log(&record),
+            Mode::Threaded(threaded) => match threaded.queue.try_send(record) {
+                // The thread ends early only after an error that it has reported.
+                Ok(()) | Err(TrySendError::Disconnected(_)) => {}
+                Err(TrySendError::Full(_)) => {
+                    threaded.dropped.fetch_add(1, Ordering::Relaxed);
+                }
+            },
+        }
+    }
+
+    /// Writes what is left and closes the file; `None` if this sink keeps nothing.
+    ///
+    /// # Errors
+    /// The error that ended the log, now or earlier.
+    pub fn finish(self) -> Result<Option<LogSummary>, LogError> {
+        match self.mode {
+            Mode::Discard => Ok(None),
+            Mode::Direct(direct) => match (direct.error, direct.writer) {
+                (Some(error), _) => Err(error),
+                (None, Some(writer)) => writer.finish().map(Some),
+                (None, None) => Ok(None),
+            },
+            Mode::Threaded(Threaded { queue, dropped, thread }) => {
+                drop(queue);
+                match thread.join() {
+                    Ok(result) => result.map(|s| {
+                        Some(LogSummary { dropped: dropped.load(Ordering::Relaxed), ..s })
+                    }),
+                    Err(panic) => std::panic::resume_unwind(panic),
+                }
+            }
+        }
+    }
+}
+
+impl Direct {
+    fn log(&mut self, record: &Record) {
+        let Some(writer) = &mut self.writer else { return };
+        self.records = self.records.wrapping_add(1);
+        let mut result = writer.write(record);
+        if result.is_ok() && self.records.is_multiple_of(RECORDS_PER_CLOCK_READ) {
+            result = writer.sync_if_due(Instant::now());
+        }
+        if let Err(error) = result {
+            report(&error);
+            self.writer = None;
+            self.error = Some(error);
+        }
+    }
+}
+
+fn report(error: &LogError) {
+    tracing::error!("{error}; flying goes on without a log");
+}
+
+/// The writer's thread: until the sink is gone, or the file fails.
+fn drain(
+    mut writer: LogWriter,
+    records: &Receiver<Record>,
+    dropped: &AtomicU64,
+) -> Result<LogSummary, LogError> {
+    let mut reported = 0;
+    let mut latest = HostTime::default();
+    let mut step = || -> Result<bool, LogError> {
+        let open = loop {
+            match records.try_recv() {
+                Ok(record) => {
+                    latest = host_time(&record).unwrap_or(latest);
+                    writer.write(&record)?;
+                }
+                Err(TryRecvError::Empty) => break true,
+                Err(TryRecvError::Disconnected) => break false,
+            }
+        };
+        let total = dropped.load(Ordering::Relaxed);
+        if total > reported {
+            let text = format!("log: {} records dropped, the disk is too slow", total - reported);
+            tracing::warn!("{text}");
+            reported = total;
+            writer.write(&Record::Event {
+                host: latest,
+                severity: Severity::Warning,
+                source: Source::Daemon,
+                text,
+            })?;
+        }
+        writer.sync_if_due(Instant::now())?;
+        Ok(open)
+    };
+    loop {
+        match step() {
+            Ok(true) => thread::sleep(DRAIN_PERIOD),
+            Ok(false) => break,
+            Err(error) => {
+                report(&error);
+                return Err(error);
+            }
+        }
+    }
+    writer.finish()
+}
+
+fn host_time(record: &Record) -> Option<HostTime> {
+    match record {
+        Record::Frame(frame) => Some(frame.host),
+        Record::Tick(Tick { stamp, .. })
+        | Record::Imu { stamp, .. }
+        | Record::Motors { stamp, .. }
+        | Record::Battery { stamp, .. }
+        | Record::Truth { stamp, .. } => Some(stamp.host),
+        Record::Link { host, .. } | Record::Timesync { host, .. } | Record::Event { host, .. } => {
+            Some(*host)
+        }
+        Record::Facts(_) => None,
+    }
+}

@@ -1,0 +1,470 @@
+//! Writes one flight's MCAP file.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use foxglove::Encode;
+use foxglove::messages::{FrameTransform, Log, PoseInFrame, SceneUpdate};
+use mcap::records::MessageHeader;
+use mcap::write::{Metadata, NoSeek};
+use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
+use prost::Message;
+use sitl::frame::Frd;
+
+use super::name;
+use super::record::{Direction, FrameRecord, Record, Tick};
+use super::schema::{self, *};
+use super::viewer::{self, ViewerPose};
+use crate::clock::HostTime;
+
+/// Version of topics, schemas and units, in the metadata record `run`.
+pub const LOG_VERSION: &str = "1";
+
+/// What the log says about the run it belongs to.
+#[derive(Clone, Debug, Default)]
+pub struct RunInfo {
+    /// Name of the vehicle; part of the file's name.
+    pub vehicle: String,
+    /// Name of the run, such as the trajectory's; part of the file's name.
+    pub run: String,
+    /// This program's version.
+    pub tool_version: String,
+    /// Revision of its source, where known.
+    pub git_revision: Option<String>,
+    /// Whether the vehicle is simulated.
+    pub simulated: bool,
+    /// Seed of the simulation.
+    pub seed: Option<u64>,
+    /// What the vehicle says it runs.
+    pub autopilot: Option<String>,
+    /// MAVLink dialect of the frames.
+    pub dialect: String,
+    /// The resolved configuration, as TOML.
+    pub config: String,
+    /// The vehicle file's name and text.
+    pub vehicle_file: Option<(String, String)>,
+    /// Rotor positions in body axes, m, for the 3D view; none: no shape is drawn.
+    pub rotors: Vec<Frd>,
+    /// Anything else worth knowing.
+    pub extra: BTreeMap<String, String>,
+}
+
+impl RunInfo {
+    fn metadata(&self) -> BTreeMap<String, String> {
+        let mut entries = self.extra.clone();
+        let mut put = |key: &str, value: &str| entries.insert(key.into(), value.into());
+        put("log_version", LOG_VERSION);
+        put("frames", "world NED, body FRD; foxglove.* topics: map ENU, base_link FLU");
+        put("units", "SI, radians");
+        put("tool", "downwash");
+        put("tool_version", &self.tool_version);
+        put("vehicle", &self.vehicle);
+        put("run", &self.run);
+        put("source", if self.simulated { "sim" } else { "real" });
+        put("dialect", &self.dialect);
+        if let Some(revision) = &self.git_revision {
+            put("git_revision", revision);
+        }
+        if let Some(seed) = self.seed {
+            put("seed", &seed.to_string());
+        }
+        if let Some(autopilot) = &self.autopilot {
+            put("autopilot", autopilot);
+        }
+        entries
+    }
+}
+
+/// Why a log could not be opened or written.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The directory or the file could not be made.
+    #[error("cannot create the log {}: {source}; choose another --log-dir", path.display())]
+    Create {
+        /// The file or directory.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A write failed, as on a full disk. Nothing more is written to this log.
+    #[error("cannot write the log {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: McapError,
+    },
+}
+
+/// What a finished log holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogSummary {
+    /// The file.
+    pub path: PathBuf,
+    /// Messages written, over all topics.
+    pub messages: u64,
+    /// Records that were dropped because the writer did not keep up.
+    pub dropped: u64,
+}
+
+/// Channels of the file, in the order of their numbers.
+#[derive(Clone, Copy)]
+enum Topic {
+    Rx,
+    Tx,
+    State,
+    Reference,
+    Setpoint,
+    Control,
+    Imu,
+    Actuators,
+    Battery,
+    LinkStats,
+    Timesync,
+    Truth,
+    Tf,
+    VehiclePose,
+    ReferencePose,
+    Scene,
+    Log,
+}
+
+const TOPICS: usize = Topic::Log as usize + 1;
+
+/// 3D topics are written at most this often: enough for the eye, and half the size.
+const VIEWER_PERIOD: Duration = Duration::from_millis(18);
+/// A crash loses at most this much wall time.
+const SYNC_PERIOD: Duration = Duration::from_secs(1);
+const CHUNK_BYTES: u64 = 256 * 1024;
+
+type Output = NoSeek<BufWriter<File>>;
+
+/// Writes records to one MCAP file.
+///
+/// The file carries its final name from the start and only ever grows at its end, so that a crash
+/// leaves whole chunks, and everything up to the last [`LogWriter::sync_if_due`] is on disk. What
+/// is in a message depends on the records alone, never on the wall clock.
+pub struct LogWriter {
+    path: PathBuf,
+    mcap: Writer<Output>,
+    file: File,
+    channels: [u16; TOPICS],
+    sequences: [u32; TOPICS],
+    messages: u64,
+    synced: Instant,
+    unsynced: bool,
+    rotors: Vec<Frd>,
+    scene_written: bool,
+    viewer_next: HostTime,
+    // Reused from record to record.
+    buffer: Vec<u8>,
+    frame: MavlinkFrameMessage,
+    control: ControlMessage,
+    transforms: [FrameTransform; 2],
+    pose: PoseInFrame,
+}
+
+impl LogWriter {
+    /// Opens `<directory>/YYYY-MM-DDTHH-MM-SSZ_<vehicle>_<run>.mcap`, making the directory where
+    /// it is missing and never overwriting: where the name is taken, `-2`, `-3` ... is added.
+    ///
+    /// `start` is the run's beginning on the host's clock, `wall` the wall clock now.
+    ///
+    /// # Errors
+    /// [`LogError`] if the file cannot be created or its header not be written.
+    pub fn create(
+        directory: &Path,
+        info: &RunInfo,
+        start: HostTime,
+        wall: Instant,
+    ) -> Result<Self, LogError> {
+        let (file, path) = create_file(directory, &name::stem(start, &info.vehicle, &info.run))?;
+        let fail = |source| LogError::Write { path: path.clone(), source };
+        let sync_handle =
+            file.try_clone().map_err(|source| LogError::Create { path: path.clone(), source })?;
+        let mut mcap = WriteOptions::new()
+            .profile("")
+            .library(format!("downwash {}", info.tool_version))
+            .chunk_size(Some(CHUNK_BYTES))
+            .compression(Some(Compression::Zstd))
+            .compression_level(1)
+            .compression_threads(0)
+            .disable_seeking(true)
+            .create(NoSeek::new(BufWriter::new(file)))
+            .map_err(fail)?;
+        let channels = write_preamble(&mut mcap, info, start).map_err(fail)?;
+        let transform = |child: &str| FrameTransform {
+            parent_frame_id: viewer::MAP.into(),
+            child_frame_id: child.into(),
+            ..Default::default()
+        };
+        Ok(Self {
+            path,
+            mcap,
+            file: sync_handle,
+            channels,
+            sequences: [0; TOPICS],
+            messages: 0,
+            synced: wall,
+            unsynced: true,
+            rotors: info.rotors.clone(),
+            scene_written: false,
+            viewer_next: HostTime::default(),
+            buffer: Vec::with_capacity(1024),
+            frame: MavlinkFrameMessage::default(),
+            control: ControlMessage::default(),
+            transforms: [transform(viewer::BASE_LINK), transform(viewer::BASE_LINK_REF)],
+            pose: PoseInFrame { frame_id: viewer::MAP.into(), ..Default::default() },
+        })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Adds `record`.
+    ///
+    /// # Errors
+    /// [`LogError::Write`]; every later call fails as well.
+    pub fn write(&mut self, record: &Record) -> Result<(), LogError> {
+        self.unsynced = true;
+        self.put_record(record).map_err(|source| self.failed(source))
+    }
+
+    /// Once per second of wall time closes the chunk, flushes and syncs the file to the disk.
+    ///
+    /// # Errors
+    /// [`LogError::Write`].
+    pub fn sync_if_due(&mut self, wall: Instant) -> Result<(), LogError> {
+        if !self.unsynced || wall.saturating_duration_since(self.synced) < SYNC_PERIOD {
+            return Ok(());
+        }
+        self.synced = wall;
+        self.unsynced = false;
+        self.mcap.flush().map_err(|source| self.failed(source))?;
+        self.file.sync_data().map_err(|source| self.failed(source.into()))
+    }
+
+    /// Writes the index and closes the file.
+    ///
+    /// # Errors
+    /// [`LogError::Write`]; what was written before can still be read.
+    pub fn finish(mut self) -> Result<LogSummary, LogError> {
+        self.mcap.finish().map_err(|source| self.failed(source))?;
+        self.file.sync_all().map_err(|source| self.failed(source.into()))?;
+        Ok(LogSummary { path: self.path.clone(), messages: self.messages, dropped: 0 })
+    }
+
+    fn failed(&self, source: McapError) -> LogError {
+        LogError::Write { path: self.path.clone(), source }
+    }
+
+    fn put_record(&mut self, record: &Record) -> Result<(), McapError> {
+        match record {
+            Record::Frame(frame) => self.put_frame(frame),
+            Record::Tick(tick) => self.put_tick(tick),
+            Record::Imu { stamp, specific_force, body_rate } => {
+                let message = ImuMessage::new(*stamp, *specific_force, *body_rate);
+                self.put(Topic::Imu, stamp.host, stamp.sampled, &message)
+            }
+            Record::Motors { stamp, outputs } => {
+                let message = ActuatorsMessage::new(*stamp, *outputs);
+                self.put(Topic::Actuators, stamp.host, stamp.sampled, &message)
+            }
+            Record::Battery { stamp, voltage, current, remaining } => {
+                let message = BatteryMessage {
+                    voltage_v: voltage.unwrap_or(f64::NAN),
+                    current_a: current.unwrap_or(f64::NAN),
+                    remaining_ratio: remaining.unwrap_or(f64::NAN),
+                };
+                self.put(Topic::Battery, stamp.host, stamp.sampled, &message)
+            }
+            Record::Link { host, stats } => {
+                self.put(Topic::LinkStats, *host, *host, &LinkStatsMessage::from(stats))
+            }
+            Record::Timesync { host, sample } => {
+                self.put(Topic::Timesync, *host, *host, &TimesyncMessage::from(sample))
+            }
+            Record::Event { host, severity, source, text } => {
+                let message = viewer::log_message(*host, *severity, *source, text);
+                self.put(Topic::Log, *host, *host, &message)
+            }
+            Record::Truth { stamp, truth } => {
+                let message = TruthMessage::new(*stamp, truth);
+                self.put(Topic::Truth, stamp.host, stamp.sampled, &message)
+            }
+            Record::Facts(entries) => self.mcap.write_metadata(&Metadata {
+                name: "run".into(),
+                metadata: entries.as_ref().clone(),
+            }),
+        }
+    }
+
+    fn put_frame(&mut self, record: &FrameRecord) -> Result<(), McapError> {
+        let mut message = std::mem::take(&mut self.frame);
+        message.assign(record);
+        let topic = match record.direction {
+            Direction::Rx => Topic::Rx,
+            Direction::Tx => Topic::Tx,
+        };
+        let result = self.put(topic, record.host, record.host, &message);
+        self.frame = message;
+        result
+    }
+
+    fn put_tick(&mut self, tick: &Tick) -> Result<(), McapError> {
+        let (log, publish) = (tick.stamp.host, tick.stamp.sampled);
+        self.put(Topic::State, log, publish, &StateMessage::new(tick.stamp, &tick.state))?;
+        if let Some(reference) = &tick.reference {
+            let message = ReferenceMessage::new(tick.trajectory_time, reference);
+            self.put(Topic::Reference, log, publish, &message)?;
+        }
+        if let Some(setpoint) = &tick.setpoint {
+            self.put(Topic::Setpoint, log, publish, &SetpointMessage::from(setpoint))?;
+        }
+        let mut control = std::mem::take(&mut self.control);
+        control.assign(tick);
+        let result = self.put(Topic::Control, log, publish, &control);
+        self.control = control;
+        result?;
+        if log >= self.viewer_next {
+            self.viewer_next = log + VIEWER_PERIOD;
+            self.put_viewer(tick)?;
+        }
+        Ok(())
+    }
+
+    fn put_viewer(&mut self, tick: &Tick) -> Result<(), McapError> {
+        let (log, publish) = (tick.stamp.host, tick.stamp.sampled);
+        if !self.scene_written && !self.rotors.is_empty() {
+            self.scene_written = true;
+            let scene = viewer::scene(log, &self.rotors);
+            self.put(Topic::Scene, log, log, &scene)?;
+        }
+        let vehicle = ViewerPose::new(tick.state.position, tick.state.attitude);
+        let reference =
+            tick.reference.as_ref().map(|r| ViewerPose::new(r.position, r.attitude.attitude()));
+        let poses = [(Topic::VehiclePose, Some(vehicle)), (Topic::ReferencePose, reference)];
+        for (child, (topic, pose)) in poses.into_iter().enumerate() {
+            let Some(pose) = pose else { continue };
+            let mut transform = std::mem::take(&mut self.transforms[child]);
+            pose.to_transform(publish, &mut transform);
+            let result = self.put(Topic::Tf, log, publish, &transform);
+            self.transforms[child] = transform;
+            result?;
+            let mut message = std::mem::take(&mut self.pose);
+            pose.to_pose(publish, &mut message);
+            let result = self.put(topic, log, publish, &message);
+            self.pose = message;
+            result?;
+        }
+        Ok(())
+    }
+
+    /// Adds one message to its channel.
+    fn put(
+        &mut self,
+        topic: Topic,
+        log: HostTime,
+        publish: HostTime,
+        message: &impl Message,
+    ) -> Result<(), McapError> {
+        self.buffer.clear();
+        message.encode_raw(&mut self.buffer);
+        let sequence = &mut self.sequences[topic as usize];
+        let header = MessageHeader {
+            channel_id: self.channels[topic as usize],
+            sequence: *sequence,
+            log_time: log.as_ns(),
+            publish_time: publish.as_ns(),
+        };
+        self.mcap.write_to_known_channel(&header, &self.buffer)?;
+        *sequence = sequence.wrapping_add(1);
+        self.messages += 1;
+        Ok(())
+    }
+}
+
+/// The first free name of `stem`, `stem-2`, `stem-3` ... in `directory`.
+fn create_file(directory: &Path, stem: &str) -> Result<(File, PathBuf), LogError> {
+    fs::create_dir_all(directory)
+        .map_err(|source| LogError::Create { path: directory.to_owned(), source })?;
+    let mut number = 1u32;
+    loop {
+        let name = match number {
+            1 => format!("{stem}.mcap"),
+            n => format!("{stem}-{n}.mcap"),
+        };
+        let path = directory.join(name);
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Ok(file) => return Ok((file, path)),
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists && number < 10_000 => number += 1,
+            Err(source) => return Err(LogError::Create { path, source }),
+        }
+    }
+}
+
+/// Metadata, attachments and every channel, in a first chunk of their own.
+fn write_preamble(
+    mcap: &mut Writer<Output>,
+    info: &RunInfo,
+    start: HostTime,
+) -> Result<[u16; TOPICS], McapError> {
+    mcap.write_metadata(&Metadata { name: "run".into(), metadata: info.metadata() })?;
+    let config = ("config.toml", info.config.as_str());
+    let vehicle = info.vehicle_file.as_ref().map(|(name, text)| (name.as_str(), text.as_str()));
+    for (name, text) in [Some(config), vehicle].into_iter().flatten() {
+        let media_type =
+            if name.ends_with(".json") { "application/json" } else { "application/toml" };
+        mcap.attach(&Attachment {
+            log_time: start.as_ns(),
+            create_time: start.as_ns(),
+            name: name.into(),
+            media_type: media_type.into(),
+            data: Cow::Borrowed(text.as_bytes()),
+        })?;
+    }
+    let mut add = |topic: &str, name: &str, data: &[u8]| {
+        let schema = mcap.add_schema(name, "protobuf", data)?;
+        mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new())
+    };
+    macro_rules! own {
+        ($topic:literal, $message:ty) => {
+            add($topic, <$message>::NAME, &schema::descriptor::<$message>())?
+        };
+    }
+    macro_rules! foxglove {
+        ($topic:literal, $message:ty) => {{
+            let schema = <$message>::get_schema();
+            let data = schema.as_ref().map_or(&[][..], |s| &s.data);
+            add($topic, concat!("foxglove.", stringify!($message)), data)?
+        }};
+    }
+    // In the order of `Topic`.
+    let channels = [
+        own!("/mavlink/rx", MavlinkFrameMessage),
+        own!("/mavlink/tx", MavlinkFrameMessage),
+        own!("/state", StateMessage),
+        own!("/reference", ReferenceMessage),
+        own!("/setpoint", SetpointMessage),
+        own!("/control", ControlMessage),
+        own!("/imu", ImuMessage),
+        own!("/actuators", ActuatorsMessage),
+        own!("/battery", BatteryMessage),
+        own!("/link/stats", LinkStatsMessage),
+        own!("/timesync", TimesyncMessage),
+        own!("/sim/truth", TruthMessage),
+        foxglove!("/tf", FrameTransform),
+        foxglove!("/vehicle/pose", PoseInFrame),
+        foxglove!("/reference/pose", PoseInFrame),
+        foxglove!("/scene", SceneUpdate),
+        foxglove!("/log", Log),
+    ];
+    mcap.flush()?;
+    Ok(channels)
+}
