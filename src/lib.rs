@@ -6,6 +6,7 @@
 pub mod clock;
 pub mod setpoint;
 
+pub mod control;
 pub mod link;
 pub mod log;
 pub mod plan;
