@@ -6,6 +6,12 @@
 pub mod clock;
 pub mod setpoint;
 
+pub mod control;
 pub mod link;
 pub mod log;
+pub mod plan;
 pub mod report;
+
+pub mod cli;
+pub mod command;
+pub mod config;

@@ -2,12 +2,14 @@
 
 use std::cell::Cell;
 use std::collections::VecDeque;
+use std::fmt;
 use std::io::{self, Read};
 
+use mavlink::consts::v2;
 use mavlink::error::{EncoderError, ParserError};
 use mavlink::{
-    Dialect, MAVLinkMessageRaw, MAVLinkV1MessageRaw, MAVLinkV2MessageRaw, MavHeader, MavlinkReader,
-    MavlinkVersion, Message,
+    Dialect, MAV_STX, MAV_STX_V2, MAVLinkMessageRaw, MAVLinkV1MessageRaw, MAVLinkV2MessageRaw,
+    MavHeader, MavlinkReader, MavlinkVersion, Message,
 };
 
 use crate::dialect::MavMessage;
@@ -98,6 +100,12 @@ pub struct Decoder {
     settled: u64,
 }
 
+impl fmt::Debug for Decoder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Decoder").field("stats", &self.stats()).finish_non_exhaustive()
+    }
+}
+
 impl Default for Decoder {
     fn default() -> Self {
         Self::new()
@@ -186,14 +194,16 @@ impl Encoder {
         self.version = version;
     }
 
-    /// Appends `message` to `out` as one frame.
-    pub fn encode(&mut self, message: &MavMessage, out: &mut Vec<u8>) {
+    /// Appends `message` to `out` as one frame. Returns whether it could: MAVLink 1 has no room
+    /// for message ids above 255.
+    pub fn encode(&mut self, message: &MavMessage, out: &mut Vec<u8>) -> bool {
         match self.version {
             MavlinkVersion::V2 => {
                 let mut raw = MAVLinkV2MessageRaw::new();
                 raw.serialize_message(self.header, message);
                 out.extend_from_slice(raw.raw_bytes());
             }
+            MavlinkVersion::V1 if message.message_id() > u8::MAX.into() => return false,
             MavlinkVersion::V1 => {
                 let mut raw = MAVLinkV1MessageRaw::new();
                 raw.serialize_message(self.header, message);
@@ -201,7 +211,66 @@ impl Encoder {
             }
         }
         self.header.sequence = self.header.sequence.wrapping_add(1);
+        true
     }
+}
+
+/// What the first bytes of a slice are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Front {
+    /// A frame of this length, its checksum right.
+    Frame(usize),
+    /// What would be a frame of this length, of a message id that the dialect does not have.
+    Unknown(usize),
+    /// The start of a frame, perhaps: more bytes are needed to tell.
+    Incomplete,
+    /// No frame.
+    Other,
+}
+
+/// Looks for a frame at the front of `bytes`.
+pub(crate) fn front(bytes: &[u8]) -> Front {
+    const V1_OVERHEAD: usize = 8;
+    const V2_OVERHEAD: usize = 12;
+    let (version, len) = match *bytes {
+        [] | [MAV_STX | MAV_STX_V2] | [MAV_STX_V2, _] => return Front::Incomplete,
+        [MAV_STX, payload, ..] => (MavlinkVersion::V1, V1_OVERHEAD + usize::from(payload)),
+        [MAV_STX_V2, payload, flags, ..] if flags & !v2::SUPPORTED_IFLAGS == 0 => {
+            let system =
+                if flags & v2::IFLAG_SYSID32 == 0 { 0 } else { v2::SYSID32_EXTRA_HEADER_SIZE };
+            let signature = if flags & v2::IFLAG_SIGNED == 0 { 0 } else { v2::SIGNATURE_SIZE };
+            (MavlinkVersion::V2, V2_OVERHEAD + usize::from(payload) + system + signature)
+        }
+        _ => return Front::Other,
+    };
+    let Some(bytes) = bytes.get(..len) else {
+        return Front::Incomplete;
+    };
+    let (id, valid) = match version {
+        MavlinkVersion::V1 => {
+            let mut raw = MAVLinkV1MessageRaw::new();
+            raw.as_mut_slice()[..len].copy_from_slice(bytes);
+            (raw.message_id().into(), raw.has_valid_crc::<MavMessage>())
+        }
+        MavlinkVersion::V2 => {
+            let mut raw = MAVLinkV2MessageRaw::new();
+            raw.as_mut_slice()[..len].copy_from_slice(bytes);
+            (raw.message_id(), raw.has_valid_crc::<MavMessage>())
+        }
+    };
+    match (known_extra_crc(id), valid) {
+        (Some(_), true) => Front::Frame(len),
+        (Some(_), false) => Front::Other,
+        (None, _) => Front::Unknown(len),
+    }
+}
+
+/// The checksum seed of a message id that the dialect has.
+fn known_extra_crc(id: u32) -> Option<u8> {
+    let extra_crc = MavMessage::extra_crc(id);
+    // Zero is what an unknown id gives, and what a few known ids have.
+    let known = extra_crc != 0 || MavMessage::default_message_from_id(id).is_some();
+    known.then_some(extra_crc)
 }
 
 /// Bytes pushed and not yet taken; "would block" when there are none.
@@ -236,12 +305,10 @@ impl Dialect for CountingDialect {
     }
 
     fn extra_crc(&self, message_id: u32) -> Option<u8> {
-        let extra_crc = MavMessage::extra_crc(message_id);
-        // Zero is what an unknown id gives, and what a few known ids have.
-        let known = extra_crc != 0 || MavMessage::default_message_from_id(message_id).is_some();
-        let counter = if known { &self.known } else { &self.unknown };
+        let extra_crc = known_extra_crc(message_id);
+        let counter = if extra_crc.is_some() { &self.known } else { &self.unknown };
         counter.set(counter.get() + 1);
-        known.then_some(extra_crc)
+        extra_crc
     }
 
     fn decode(

@@ -4,8 +4,15 @@
 //! ground-station log of such frames. [`endpoint`] names where bytes come from, and `transport`
 //! (feature `transport`) opens it.
 
-pub mod framing;
+#![warn(missing_docs)]
 
+pub mod endpoint;
+pub mod framing;
+pub mod tlog;
+#[cfg(feature = "transport")]
+pub mod transport;
+
+pub use endpoint::Endpoint;
 pub use framing::{Decoder, DecoderStats, Encoder, Frame};
 /// The MAVLink dialect that every message of this workspace is typed by: `ardupilotmega` contains
 /// `common`, so it also serves PX4.

@@ -1,0 +1,298 @@
+//! The configuration: TOML layers merged into each module's own settings, and where each value
+//! came from.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use crate::plan::FlightEnvelope;
+
+/// Version of the configuration's schema.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// Everything that can be set. Each section is the settings of the module that it is named after.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Version of this schema.
+    pub schema_version: u32,
+    /// Vehicle file.
+    pub vehicle: Option<PathBuf>,
+    /// Trajectory file that the daemon flies.
+    pub trajectory: Option<PathBuf>,
+    /// Endpoint of the vehicle, such as `udpin://0.0.0.0:14540`.
+    pub connect: Option<String>,
+    /// Folder of the flight logs.
+    pub log_dir: Option<PathBuf>,
+    /// What a trajectory may ask for.
+    pub envelope: FlightEnvelope,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            schema_version: SCHEMA_VERSION,
+            vehicle: None,
+            trajectory: None,
+            connect: None,
+            log_dir: None,
+            envelope: FlightEnvelope::default(),
+        }
+    }
+}
+
+/// Where a value came from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// Built in.
+    Default,
+    /// A file.
+    File(PathBuf),
+    /// An environment variable.
+    Environment(String),
+    /// A flag of the command line.
+    Flag(&'static str),
+}
+
+impl fmt::Display for Origin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Default => write!(f, "default"),
+            Self::File(path) => write!(f, "{}", path.display()),
+            Self::Environment(name) => write!(f, "${name}"),
+            Self::Flag(name) => write!(f, "{name}"),
+        }
+    }
+}
+
+/// Why a configuration is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// A file that was asked for cannot be read.
+    #[error("configuration {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A layer does not follow the schema.
+    #[error("configuration from {origin}: {message}")]
+    Schema {
+        /// The layer.
+        origin: Origin,
+        /// What was found and where.
+        message: String,
+    },
+    /// The file is of another schema.
+    #[error(
+        "configuration from {origin}: schema_version: expected {SCHEMA_VERSION}, found {found}"
+    )]
+    Version {
+        /// The layer.
+        origin: Origin,
+        /// The version there.
+        found: u32,
+    },
+}
+
+/// Settings and the origin of every value, by its dotted path.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The merged values.
+    pub settings: Settings,
+    merged: Table,
+    origins: BTreeMap<String, Origin>,
+}
+
+/// Prefix of the environment variables: `DOWNWASH_CONTROL__RATE_HZ` sets `control.rate_hz`.
+const ENVIRONMENT_PREFIX: &str = "DOWNWASH_";
+
+/// Variables of that prefix that are not configuration.
+const NOT_SETTINGS: [&str; 3] = ["DOWNWASH_PRACTICE", "DOWNWASH_BIN", "DOWNWASH_SITL_BIN"];
+
+impl Config {
+    /// Merges, later over earlier: defaults, the system's file, the user's file, `file`, the
+    /// environment, and the flags, given as dotted paths with values.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the layer that is wrong. The system's and the user's file may be
+    /// missing, `file` may not.
+    pub fn load(
+        file: Option<&Path>,
+        environment: impl Iterator<Item = (String, String)>,
+        flags: Vec<(&'static str, &'static str, Value)>,
+    ) -> Result<Self, ConfigError> {
+        let mut config = Self::defaults();
+        let home = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
+        let user =
+            home("XDG_CONFIG_HOME").or_else(|| home("HOME").map(|home| home.join(".config")));
+        let standing = [Some(PathBuf::from("/etc")), user];
+        for folder in standing.into_iter().flatten() {
+            let path = folder.join("downwash/config.toml");
+            if path.is_file() {
+                config.merge_file(&path)?;
+            }
+        }
+        if let Some(path) = file {
+            config.merge_file(path)?;
+        }
+        for (name, text) in environment {
+            let Some(path) = name.strip_prefix(ENVIRONMENT_PREFIX) else { continue };
+            if NOT_SETTINGS.contains(&name.as_str()) {
+                continue;
+            }
+            let path = path.to_lowercase().replace("__", ".");
+            // A number or boolean where it reads as one, else a string.
+            let value = text.parse::<Value>().unwrap_or_else(|_| Value::String(text.clone()));
+            config.merge(nested(&path, value), &Origin::Environment(name))?;
+        }
+        for (flag, path, value) in flags {
+            config.merge(nested(path, value), &Origin::Flag(flag))?;
+        }
+        Ok(config)
+    }
+
+    /// The built-in values.
+    pub fn defaults() -> Self {
+        let settings = Settings::default();
+        // A struct of plain values always is a table.
+        let merged = Table::try_from(&settings).unwrap_or_default();
+        let mut origins = BTreeMap::new();
+        for (path, _) in leaves("", &merged) {
+            origins.insert(path, Origin::Default);
+        }
+        Self { settings, merged, origins }
+    }
+
+    /// Every value with its dotted path and origin, in order of path.
+    pub fn rows(&self) -> impl Iterator<Item = (String, &Value, &Origin)> {
+        leaves("", &self.merged).into_iter().filter_map(|(path, value)| {
+            let origin = self.origins.get(&path)?;
+            Some((path, value, origin))
+        })
+    }
+
+    /// The merged values as TOML, as attached to flight logs.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(&self.merged).unwrap_or_default()
+    }
+
+    fn merge_file(&mut self, path: &Path) -> Result<(), ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.into(), source })?;
+        let origin = Origin::File(path.into());
+        // Read as settings first: its errors show the place in the text.
+        let schema = |message: String| ConfigError::Schema { origin: origin.clone(), message };
+        let alone: Settings = toml::from_str(&text).map_err(|error| schema(error.to_string()))?;
+        if alone.schema_version != SCHEMA_VERSION {
+            return Err(ConfigError::Version { origin, found: alone.schema_version });
+        }
+        let mut table: Table =
+            text.parse().map_err(|error: toml::de::Error| schema(error.to_string()))?;
+        // Paths in a file are relative to it.
+        for key in ["vehicle", "trajectory", "log_dir"] {
+            if let Some(Value::String(value)) = table.get_mut(key) {
+                let folder = path.parent().unwrap_or(Path::new(""));
+                *value = folder.join(&*value).to_string_lossy().into_owned();
+            }
+        }
+        self.merge(table, &origin)
+    }
+
+    fn merge(&mut self, layer: Table, origin: &Origin) -> Result<(), ConfigError> {
+        for (path, _) in leaves("", &layer) {
+            self.origins.insert(path, origin.clone());
+        }
+        overlay(&mut self.merged, layer);
+        self.settings = self.merged.clone().try_into().map_err(|error: toml::de::Error| {
+            ConfigError::Schema { origin: origin.clone(), message: error.to_string() }
+        })?;
+        Ok(())
+    }
+}
+
+fn nested(path: &str, value: Value) -> Table {
+    let mut parts = path.rsplit('.');
+    let last = parts.next().unwrap_or_default();
+    let mut table = Table::from_iter([(last.to_owned(), value)]);
+    for part in parts {
+        table = Table::from_iter([(part.to_owned(), Value::Table(table))]);
+    }
+    table
+}
+
+fn overlay(base: &mut Table, layer: Table) {
+    for (key, value) in layer {
+        match (base.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(value)) => overlay(inner, value),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+fn leaves<'a>(prefix: &str, table: &'a Table) -> Vec<(String, &'a Value)> {
+    let mut found = Vec::new();
+    for (key, value) in table {
+        let path = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        match value {
+            Value::Table(inner) => found.extend(leaves(&path, inner)),
+            value => found.push((path, value)),
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn load(file: Option<&Path>, environment: &[(&str, &str)]) -> Result<Config, ConfigError> {
+        let environment = environment.iter().map(|(k, v)| (k.to_string(), v.to_string()));
+        Config::load(file, environment, vec![])
+    }
+
+    fn origin_of(config: &Config, wanted: &str) -> String {
+        config
+            .rows()
+            .find(|(path, ..)| path == wanted)
+            .map(|(_, _, origin)| origin.to_string())
+            .unwrap_or_default()
+    }
+
+    #[test]
+    fn later_layers_win_and_the_origin_is_known() {
+        let folder = std::env::temp_dir().join(format!("downwash-config-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        let path = folder.join("c.toml");
+        std::fs::write(
+            &path,
+            "vehicle = 'v.toml'\n[envelope]\ntilt_max_deg = 20\nspeed_max_m_s = 1.5\n",
+        )
+        .expect("written");
+        let environment = [("DOWNWASH_ENVELOPE__TILT_MAX_DEG", "25.5"), ("OTHER", "1")];
+        let config = load(Some(&path), &environment).expect("a configuration");
+        assert_eq!(config.settings.envelope.tilt_max_deg, 25.5);
+        assert_eq!(config.settings.envelope.speed_max_m_s, 1.5);
+        assert_eq!(config.settings.vehicle, Some(folder.join("v.toml")));
+        assert_eq!(origin_of(&config, "envelope.tilt_max_deg"), "$DOWNWASH_ENVELOPE__TILT_MAX_DEG");
+        assert_eq!(origin_of(&config, "envelope.speed_max_m_s"), path.display().to_string());
+        assert_eq!(origin_of(&config, "envelope.radius_max_m"), "default");
+        std::fs::remove_dir_all(folder).expect("removed");
+    }
+
+    #[test]
+    fn unknown_keys_are_refused_with_the_layer() {
+        let error = load(None, &[("DOWNWASH_ENVELOPE__TILD", "1")]).expect_err("refused");
+        let message = error.to_string();
+        assert!(
+            message.contains("$DOWNWASH_ENVELOPE__TILD") && message.contains("tild"),
+            "{message}"
+        );
+    }
+}

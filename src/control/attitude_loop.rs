@@ -1,0 +1,137 @@
+//! The attitude loop between the setpoint and the vehicle's angular acceleration.
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::{Euler, Frd, wrap_angle};
+use sitl::rigid_body::State;
+use sitl::scalar::Scalar;
+use sitl::vehicle::AttitudePd;
+
+use crate::setpoint::Setpoint;
+
+/// Which loop tracks the attitude, and what of the setpoint it listens to. The LQR's model has the
+/// loop that is really there; each triple is roll, pitch, yaw.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum AttitudeLoop {
+    /// On board, honouring attitude, rates and thrust together:
+    /// `M = kp (zeta_des - zeta) + kd (omega_des - omega)` (Bansal et al., eq. 15).
+    Pd {
+        /// N m/rad.
+        kp: [f64; 3],
+        /// N m s/rad.
+        kd: [f64; 3],
+    },
+    /// On board, honouring attitude and thrust only; its response is second order:
+    /// `d omega/dt = wn^2 (zeta_des - zeta) - 2 damping wn omega`.
+    Attitude {
+        /// `wn`, rad/s.
+        natural_frequency: [f64; 3],
+        /// Damping ratio.
+        damping: [f64; 3],
+    },
+    /// Closed by the daemon over a vehicle that honours rates and thrust:
+    /// `omega_cmd = omega_des + gain (zeta_des - zeta)`, `d omega/dt = (omega_cmd - omega) / tau`.
+    Rates {
+        /// rad/s per rad.
+        gain: [f64; 3],
+        /// Time constant tau of the on-board rate loop, s.
+        time_constant_s: [f64; 3],
+    },
+}
+
+impl From<AttitudePd> for AttitudeLoop {
+    fn from(pd: AttitudePd) -> Self {
+        Self::Pd { kp: pd.kp, kd: pd.kd }
+    }
+}
+
+impl AttitudeLoop {
+    /// PX4's own attitude loop. An 8 degree step reached 63 % after 281 ms, as a critically damped
+    /// response of wn = 2.146 / 0.281 s does. Yaw is slower: PX4 weighs it by MC_YAW_WEIGHT 0.4.
+    pub const PX4: Self =
+        Self::Attitude { natural_frequency: [7.6, 7.6, 3.1], damping: [1.0, 1.0, 1.0] };
+
+    /// ArduCopter's own attitude loop: 63 % after 209 ms, see [`AttitudeLoop::PX4`].
+    pub const ARDUCOPTER: Self =
+        Self::Attitude { natural_frequency: [10.3, 10.3, 4.1], damping: [1.0, 1.0, 1.0] };
+
+    /// Angular acceleration in body axes near hover, rad/s^2, of a body with principal moments
+    /// `inertia` [kg m^2], from attitude error `zeta_des - zeta`, the desired body rate and the
+    /// body rate.
+    pub(super) fn angular_acceleration<T: Scalar>(
+        &self,
+        inertia: [f64; 3],
+        attitude_error: [T; 3],
+        rate_desired: [T; 3],
+        rate: [T; 3],
+    ) -> [T; 3] {
+        std::array::from_fn(|i| {
+            let (error, desired, rate) = (attitude_error[i], rate_desired[i], rate[i]);
+            match self {
+                Self::Pd { kp, kd } => {
+                    (error * kp[i] + (desired - rate) * kd[i]) * (1.0 / inertia[i])
+                }
+                Self::Attitude { natural_frequency, damping } => {
+                    let wn = natural_frequency[i];
+                    error * (wn * wn) - rate * (2.0 * damping[i] * wn)
+                }
+                Self::Rates { gain, time_constant_s } => {
+                    (desired + error * gain[i] - rate) * (1.0 / time_constant_s[i])
+                }
+            }
+        })
+    }
+
+    /// The setpoint as the vehicle must be sent it: with the daemon's attitude loop closed into
+    /// the body rate where the daemon closes it, else unchanged.
+    ///
+    /// The error is that of the Euler angles, yaw wrapped, turned into a body rate; away from
+    /// level this is what turns the angles at `gain` times their error.
+    pub fn close(&self, setpoint: Setpoint, state: &State) -> Setpoint {
+        let Self::Rates { gain, .. } = self else { return setpoint };
+        let attitude = state.attitude.euler();
+        let error = angle_error(setpoint.attitude, attitude);
+        let rates = std::array::from_fn(|i| gain[i] * error[i]);
+        let correction: Frd = attitude.body_rate(rates);
+        Setpoint { body_rate: setpoint.body_rate + correction, ..setpoint }
+    }
+}
+
+/// `desired - actual` of roll, pitch and yaw, each wrapped to [-pi, pi).
+pub(super) fn angle_error(desired: Euler, actual: Euler) -> [f64; 3] {
+    [
+        wrap_angle(desired.roll - actual.roll),
+        wrap_angle(desired.pitch - actual.pitch),
+        wrap_angle(desired.yaw - actual.yaw),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATES: AttitudeLoop =
+        AttitudeLoop::Rates { gain: [6.0, 6.0, 2.0], time_constant_s: [0.05, 0.05, 0.1] };
+
+    #[test]
+    fn closed_loop_turns_towards_the_setpoint_by_the_shorter_way() {
+        let state = State { attitude: Euler::new(0.1, 0.0, 3.1).attitude(), ..State::default() };
+        let setpoint = Setpoint {
+            thrust_n: 1.0,
+            attitude: Euler::new(0.2, -0.1, -3.1),
+            body_rate: Frd::new(0.0, 0.0, 0.5),
+        };
+        let closed = RATES.close(setpoint, &state);
+        assert!((closed.body_rate.front() - 0.6).abs() < 1e-9);
+        assert!(closed.body_rate.right() < -0.5);
+        assert!(closed.body_rate.down() > 0.5);
+        assert_eq!(closed.attitude, setpoint.attitude);
+    }
+
+    #[test]
+    fn loops_on_board_get_the_setpoint_as_it_is() {
+        let setpoint = Setpoint { thrust_n: 1.0, ..Setpoint::default() };
+        let state = State { attitude: Euler::new(0.3, 0.2, 1.0).attitude(), ..State::default() };
+        assert_eq!(AttitudeLoop::PX4.close(setpoint, &state), setpoint);
+    }
+}

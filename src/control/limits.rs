@@ -1,0 +1,185 @@
+//! The last bounds on a setpoint before the supervisor.
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::{Euler, Frd, wrap_angle};
+
+use crate::setpoint::Setpoint;
+
+/// What the vehicle may be asked at most.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Least collective thrust, as a fraction of the rotors' maximum. Above 0, because a rotor that
+    /// stands still steers nothing.
+    pub thrust_min: f64,
+    /// Largest collective thrust, as a fraction of the rotors' maximum. Below 1, so that the mixer
+    /// keeps room to steer.
+    pub thrust_max: f64,
+    /// Largest desired tilt, rad.
+    pub tilt_max_rad: f64,
+    /// Largest desired body rate about each axis, rad/s.
+    pub body_rate_max_rad_s: f64,
+    /// Largest distance of the desired from the present yaw, rad.
+    pub yaw_error_max_rad: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            thrust_min: 0.05,
+            thrust_max: 0.9,
+            tilt_max_rad: 0.61,
+            body_rate_max_rad_s: 6.0,
+            yaw_error_max_rad: 0.8,
+        }
+    }
+}
+
+/// Which limits a setpoint ran into.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Saturation {
+    /// The position error that the feedback sees was cut.
+    pub position_error: bool,
+    /// Collective thrust.
+    pub thrust: bool,
+    /// Tilt.
+    pub tilt: bool,
+    /// Body rate.
+    pub body_rate: bool,
+    /// Yaw's distance from the present one.
+    pub yaw_error: bool,
+}
+
+impl Saturation {
+    /// Whether any limit was met.
+    pub fn any(&self) -> bool {
+        self.position_error || self.thrust || self.tilt || self.body_rate || self.yaw_error
+    }
+}
+
+impl Limits {
+    /// `setpoint` within the limits, for a vehicle whose rotors give `thrust_full_n` together and
+    /// whose yaw is `yaw` rad; `None` if a component of the setpoint, or the yaw, is not finite.
+    ///
+    /// Tilt is cut towards level in the direction it has, and yaw is kept by that.
+    pub fn apply(
+        &self,
+        setpoint: Setpoint,
+        thrust_full_n: f64,
+        yaw: f64,
+    ) -> Option<(Setpoint, Saturation)> {
+        if !setpoint.is_finite() || !yaw.is_finite() {
+            return None;
+        }
+        let mut met = Saturation::default();
+        let clamp = |value: f64, low: f64, high: f64, met: &mut bool| {
+            *met |= value < low || value > high;
+            value.max(low).min(high)
+        };
+        let thrust_n = clamp(
+            setpoint.thrust_n,
+            self.thrust_min * thrust_full_n,
+            self.thrust_max * thrust_full_n,
+            &mut met.thrust,
+        );
+        let rate_max = self.body_rate_max_rad_s;
+        let body_rate: Frd =
+            setpoint.body_rate.map(|rate| clamp(rate, -rate_max, rate_max, &mut met.body_rate));
+        let yaw_max = self.yaw_error_max_rad;
+        let yaw_error = wrap_angle(setpoint.attitude.yaw - yaw);
+        let yaw = wrap_angle(yaw + clamp(yaw_error, -yaw_max, yaw_max, &mut met.yaw_error));
+        let (roll, pitch) = self.within_tilt(setpoint.attitude, &mut met.tilt);
+        let attitude = Euler::new(roll, pitch, yaw);
+        Some((Setpoint { thrust_n, attitude, body_rate }, met))
+    }
+
+    /// Roll and pitch with the body's down axis at most the tilt limit off the world's.
+    ///
+    /// Down in axes turned by yaw is (sin pitch cos roll, -sin roll, cos pitch cos roll).
+    fn within_tilt(&self, Euler { roll, pitch, .. }: Euler, met: &mut bool) -> (f64, f64) {
+        let (sin_roll, cos_roll) = roll.sin_cos();
+        let (sin_pitch, cos_pitch) = pitch.sin_cos();
+        let (x, y, z) = (sin_pitch * cos_roll, -sin_roll, cos_pitch * cos_roll);
+        let horizontal = x.hypot(y);
+        if horizontal.atan2(z) <= self.tilt_max_rad {
+            return (roll, pitch);
+        }
+        *met = true;
+        if horizontal < 1e-9 {
+            return (0.0, 0.0); // upside down: no direction to keep
+        }
+        let (sin_max, cos_max) = self.tilt_max_rad.sin_cos();
+        let scale = sin_max / horizontal;
+        ((-y * scale).asin(), (x * scale).atan2(cos_max))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn any_component() -> impl Strategy<Value = f64> {
+        prop_oneof![-10.0..10.0f64, prop::num::f64::ANY]
+    }
+
+    #[test]
+    fn setpoint_within_the_limits_is_left_alone() {
+        let setpoint = Setpoint {
+            thrust_n: 3.0,
+            attitude: Euler::new(0.1, -0.2, 1.0),
+            body_rate: Frd::new(0.5, 0.0, -0.5),
+        };
+        let (limited, met) = Limits::default().apply(setpoint, 10.0, 0.9).expect("finite");
+        assert!((limited.attitude.yaw - 1.0).abs() < 1e-12);
+        assert_eq!((limited.thrust_n, limited.body_rate), (3.0, setpoint.body_rate));
+        assert!(!met.any());
+    }
+
+    #[test]
+    fn yaw_is_approached_by_the_shorter_way() {
+        let setpoint =
+            Setpoint { thrust_n: 3.0, attitude: Euler::new(0.0, 0.0, -3.0), ..Setpoint::default() };
+        let (limited, met) = Limits::default().apply(setpoint, 10.0, 2.0).expect("finite");
+        assert!(met.yaw_error && (limited.attitude.yaw - 2.8).abs() < 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_comes_in_leaves_finite_and_within_limits(
+            thrust in any_component(), roll in any_component(), pitch in any_component(),
+            yaw in any_component(), p in any_component(), q in any_component(), now in -3.0..3.0f64,
+        ) {
+            let limits = Limits::default();
+            let setpoint = Setpoint {
+                thrust_n: thrust,
+                attitude: Euler::new(roll, pitch, yaw),
+                body_rate: Frd::new(p, q, 0.0),
+            };
+            match limits.apply(setpoint, 10.0, now) {
+                None => prop_assert!(!setpoint.is_finite()),
+                Some((limited, _)) => {
+                    prop_assert!(limited.is_finite());
+                    prop_assert!((0.5..=9.0).contains(&limited.thrust_n));
+                    prop_assert!(limited.attitude.attitude().tilt() <= limits.tilt_max_rad + 1e-6);
+                    prop_assert!(limited.body_rate.to_array().iter().all(|r| r.abs() <= 6.0));
+                    let off = wrap_angle(limited.attitude.yaw - now);
+                    prop_assert!(off.abs() <= limits.yaw_error_max_rad + 1e-9);
+                }
+            }
+        }
+
+        #[test]
+        fn tilt_keeps_its_direction(roll in -1.2..1.2f64, pitch in -1.2..1.2f64) {
+            let setpoint = Setpoint {
+                thrust_n: 3.0, attitude: Euler::new(roll, pitch, 0.0), body_rate: Frd::zero(),
+            };
+            let (limited, _) = Limits::default().apply(setpoint, 10.0, 0.0).expect("finite");
+            let down = |e: Euler| e.attitude().to_world(Frd::new(0.0, 0.0, 1.0));
+            let (before, after) = (down(setpoint.attitude), down(limited.attitude));
+            let cross = before.north() * after.east() - before.east() * after.north();
+            prop_assert!(cross.abs() < 1e-9);
+            prop_assert!(before.north() * after.north() + before.east() * after.east() >= 0.0);
+        }
+    }
+}

@@ -1,0 +1,303 @@
+//! The yaw-rotated linear quadratic regulator.
+
+use nalgebra::{SMatrix, SVector};
+use serde::{Deserialize, Serialize};
+use sitl::frame::{Euler, Frd, Ned};
+use sitl::rigid_body::State;
+
+use super::attitude_loop::{AttitudeLoop, angle_error};
+use super::hover_model::{HoverModel, HoverVehicle, INPUTS, STATES};
+use super::limits::Saturation;
+use super::riccati::{RiccatiError, solve_dare};
+use crate::setpoint::{Reference, Setpoint};
+
+/// The LQR's weights by Bryson's rule: each is 1 / (acceptable deviation)^2. Thrust counts in
+/// units of hover thrust and everything else is kinematic, so that one set flies a 30 g nano and
+/// a 1.2 kg quadrotor.
+///
+/// The defaults ask little of attitude and body rate: the attitude loop holds those, and feedback
+/// across the link that competed with it would lose to delay and motor lag, which the model lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LqrSettings {
+    /// Rate of the feedback, Hz.
+    pub rate_hz: f64,
+    /// Acceptable position error north, east, down in axes turned by yaw, m.
+    pub position_m: [f64; 3],
+    /// Acceptable velocity error, likewise, m/s.
+    pub velocity_m_s: [f64; 3],
+    /// Acceptable error of roll, pitch and yaw, rad.
+    pub attitude_rad: [f64; 3],
+    /// Acceptable error of the body rate, rad/s.
+    pub body_rate_rad_s: [f64; 3],
+    /// Acceptable thrust correction, as a fraction of hover thrust.
+    pub thrust: f64,
+    /// Acceptable correction of the desired roll, pitch and yaw, rad.
+    pub attitude_command_rad: [f64; 3],
+    /// Acceptable correction of the desired body rate, rad/s.
+    pub body_rate_command_rad_s: [f64; 3],
+    /// The feedback sees at most this horizontal position error, so that a reference far away is
+    /// approached at a bounded speed, m.
+    pub horizontal_error_max_m: f64,
+    /// The same for height, m.
+    pub vertical_error_max_m: f64,
+}
+
+impl Default for LqrSettings {
+    fn default() -> Self {
+        Self {
+            rate_hz: 100.0,
+            position_m: [0.4, 0.4, 0.3],
+            velocity_m_s: [1.0, 1.0, 1.0],
+            attitude_rad: [0.6, 0.6, 0.6],
+            body_rate_rad_s: [6.0, 6.0, 6.0],
+            thrust: 0.25,
+            attitude_command_rad: [0.25, 0.25, 0.3],
+            body_rate_command_rad_s: [0.6, 0.6, 0.6],
+            horizontal_error_max_m: 1.0,
+            vertical_error_max_m: 0.6,
+        }
+    }
+}
+
+/// Why a controller cannot be designed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum DesignError {
+    /// A number that must be positive is not.
+    #[error("controller design: {quantity} is {found}, expected a positive finite number")]
+    NotPositive {
+        /// Which.
+        quantity: &'static str,
+        /// Its value.
+        found: f64,
+    },
+    /// The Riccati equation has no usable solution.
+    #[error("controller design: {0}; check the vehicle's inertia and attitude gains")]
+    Riccati(#[from] RiccatiError),
+}
+
+/// The feedback law `u_hat = u_hat* + K T_R (s - s*)`.
+#[derive(Clone, Debug)]
+pub struct Lqr {
+    gain: SMatrix<f64, INPUTS, STATES>,
+    spectral_radius: f64,
+    horizontal_error_max_m: f64,
+    vertical_error_max_m: f64,
+}
+
+impl Lqr {
+    /// Designs the gain on the near-hover model of `vehicle` with `attitude_loop` inside.
+    ///
+    /// # Errors
+    /// [`DesignError`] where a number of the vehicle or the settings is not positive, or no
+    /// stabilising gain exists.
+    pub fn design(
+        vehicle: &HoverVehicle,
+        attitude_loop: &AttitudeLoop,
+        settings: &LqrSettings,
+    ) -> Result<Self, DesignError> {
+        check(vehicle, attitude_loop, settings)?;
+        let model =
+            HoverModel::continuous(vehicle, attitude_loop).discretised(1.0 / settings.rate_hz);
+        let (q, r) = settings.weights(vehicle.hover_thrust_n());
+        let solution = solve_dare(&model.state, &model.input, &q, &r)?;
+        Ok(Self {
+            gain: -solution.gain,
+            spectral_radius: solution.spectral_radius,
+            horizontal_error_max_m: settings.horizontal_error_max_m,
+            vertical_error_max_m: settings.vertical_error_max_m,
+        })
+    }
+
+    /// `K`, minus what SciPy or MATLAB return: rows thrust, (roll, pitch, yaw), body rate; columns
+    /// position, velocity, (roll, pitch, yaw), body rate.
+    pub fn gain(&self) -> &SMatrix<f64, INPUTS, STATES> {
+        &self.gain
+    }
+
+    /// Spectral radius of the linear closed loop.
+    pub fn spectral_radius(&self) -> f64 {
+        self.spectral_radius
+    }
+
+    /// The correction `K T_R (s - s*)` to the reference's input, and whether its position error
+    /// was cut. `T_R` turns the horizontal errors of position and velocity by the present yaw
+    /// (Bansal et al., eq. 12-14); the yaw error is wrapped.
+    pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, Saturation) {
+        let attitude = state.attitude.euler();
+        let (error, cut) = self.bounded(state.position - reference.position);
+        let [pn, pe, pd] = turned_by_yaw(error, attitude.yaw);
+        let [vn, ve, vd] = turned_by_yaw(state.velocity - reference.velocity, attitude.yaw);
+        let [roll, pitch, yaw] = angle_error(attitude, reference.attitude);
+        let [p, q, r] = (state.body_rate - reference.body_rate).to_array();
+        let error = SVector::from([pn, pe, pd, vn, ve, vd, roll, pitch, yaw, p, q, r]);
+        let [thrust_n, roll, pitch, yaw, p, q, r] = (self.gain * error).into();
+        let correction = Setpoint {
+            thrust_n,
+            attitude: Euler::new(roll, pitch, yaw),
+            body_rate: Frd::new(p, q, r),
+        };
+        (correction, Saturation { position_error: cut, ..Saturation::default() })
+    }
+
+    /// The position error with its horizontal part and its height within bounds.
+    fn bounded(&self, error: Ned) -> (Ned, bool) {
+        let horizontal = error.north().hypot(error.east());
+        let scale = (self.horizontal_error_max_m / horizontal).min(1.0);
+        let down = error.down().clamp(-self.vertical_error_max_m, self.vertical_error_max_m);
+        let bounded = if scale < 1.0 {
+            Ned::new(error.north() * scale, error.east() * scale, down)
+        } else {
+            Ned::new(error.north(), error.east(), down)
+        };
+        (bounded, scale < 1.0 || down != error.down())
+    }
+}
+
+impl LqrSettings {
+    /// The diagonal `Q` and `R`, in SI, for a vehicle whose hover thrust is `hover_thrust_n`.
+    pub fn weights(
+        &self,
+        hover_thrust_n: f64,
+    ) -> (SMatrix<f64, STATES, STATES>, SMatrix<f64, INPUTS, INPUTS>) {
+        let weight = |deviation: f64| 1.0 / (deviation * deviation);
+        let states = [self.position_m, self.velocity_m_s, self.attitude_rad, self.body_rate_rad_s];
+        let q = SVector::<f64, STATES>::from_iterator(states.into_iter().flatten().map(weight));
+        let thrust = [self.thrust * hover_thrust_n];
+        let commands = self.attitude_command_rad.into_iter().chain(self.body_rate_command_rad_s);
+        let r =
+            SVector::<f64, INPUTS>::from_iterator(thrust.into_iter().chain(commands).map(weight));
+        (SMatrix::from_diagonal(&q), SMatrix::from_diagonal(&r))
+    }
+}
+
+/// `T_R`: north and east of the world in axes turned by `yaw` about down.
+fn turned_by_yaw(v: Ned, yaw: f64) -> [f64; 3] {
+    let (sin, cos) = yaw.sin_cos();
+    [cos * v.north() + sin * v.east(), cos * v.east() - sin * v.north(), v.down()]
+}
+
+fn check(
+    vehicle: &HoverVehicle,
+    attitude_loop: &AttitudeLoop,
+    settings: &LqrSettings,
+) -> Result<(), DesignError> {
+    let loop_numbers = match attitude_loop {
+        AttitudeLoop::Pd { kp, kd } => [("attitude gain kp", kp), ("attitude gain kd", kd)],
+        AttitudeLoop::Attitude { natural_frequency, damping } => {
+            [("natural frequency", natural_frequency), ("damping", damping)]
+        }
+        AttitudeLoop::Rates { gain, time_constant_s } => {
+            [("attitude gain", gain), ("rate loop time constant", time_constant_s)]
+        }
+    };
+    let triples = [
+        ("inertia", &vehicle.inertia),
+        ("acceptable position error", &settings.position_m),
+        ("acceptable velocity error", &settings.velocity_m_s),
+        ("acceptable attitude error", &settings.attitude_rad),
+        ("acceptable body rate error", &settings.body_rate_rad_s),
+        ("acceptable attitude command", &settings.attitude_command_rad),
+        ("acceptable body rate command", &settings.body_rate_command_rad_s),
+    ];
+    let singles = [
+        ("mass", vehicle.mass_kg),
+        ("gravity", vehicle.gravity),
+        ("feedback rate", settings.rate_hz),
+        ("acceptable thrust correction", settings.thrust),
+        ("largest horizontal error", settings.horizontal_error_max_m),
+        ("largest vertical error", settings.vertical_error_max_m),
+    ];
+    let flattened = triples
+        .into_iter()
+        .chain(loop_numbers)
+        .flat_map(|(quantity, values)| values.iter().map(move |&found| (quantity, found)));
+    for (quantity, found) in singles.into_iter().chain(flattened) {
+        if !(found > 0.0 && found.is_finite()) {
+            return Err(DesignError::NotPositive { quantity, found });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    const QUAD: HoverVehicle =
+        HoverVehicle { mass_kg: 1.2, inertia: [0.0112, 0.0123, 0.0206], gravity: 9.81 };
+    const PD: AttitudeLoop = AttitudeLoop::Pd { kp: [1.46, 1.6, 0.355], kd: [0.19, 0.22, 0.163] };
+
+    fn lqr() -> Lqr {
+        Lqr::design(&QUAD, &PD, &LqrSettings::default()).expect("a stabilising gain")
+    }
+
+    fn at_origin(yaw: f64) -> State {
+        State { attitude: Euler::new(0.0, 0.0, yaw).attitude(), ..State::default() }
+    }
+
+    fn reference(north: f64, east: f64, down: f64, yaw: f64) -> Reference {
+        Reference {
+            position: Ned::new(north, east, down),
+            attitude: Euler::new(0.0, 0.0, yaw),
+            ..Reference::default()
+        }
+    }
+
+    #[test]
+    fn target_ahead_lowers_the_nose_and_target_to_the_right_rolls_right() {
+        let (ahead, _) = lqr().feedback(&at_origin(0.0), &reference(0.5, 0.0, 0.0, 0.0));
+        assert!(ahead.attitude.pitch < -0.1 && ahead.attitude.roll.abs() < 1e-12);
+        let (right, _) = lqr().feedback(&at_origin(0.0), &reference(0.0, 0.5, 0.0, 0.0));
+        assert!(right.attitude.roll > 0.1 && right.attitude.pitch.abs() < 1e-12);
+    }
+
+    #[test]
+    fn facing_east_a_target_in_the_north_is_to_the_left() {
+        let state = at_origin(FRAC_PI_2);
+        let (north, _) = lqr().feedback(&state, &reference(0.5, 0.0, 0.0, FRAC_PI_2));
+        assert!(north.attitude.roll < -0.1 && north.attitude.pitch.abs() < 1e-12);
+        let (east, _) = lqr().feedback(&state, &reference(0.0, 0.5, 0.0, FRAC_PI_2));
+        assert!(east.attitude.pitch < -0.1 && east.attitude.roll.abs() < 1e-12);
+    }
+
+    #[test]
+    fn target_above_asks_for_thrust_and_upward_speed_for_less() {
+        let (above, _) = lqr().feedback(&at_origin(0.0), &reference(0.0, 0.0, -0.2, 0.0));
+        assert!(above.thrust_n > 0.5);
+        let climbing = State { velocity: Ned::new(0.0, 0.0, -1.0), ..at_origin(0.0) };
+        let (climbing, _) = lqr().feedback(&climbing, &reference(0.0, 0.0, 0.0, 0.0));
+        assert!(climbing.thrust_n < -0.5);
+    }
+
+    #[test]
+    fn yaw_error_is_taken_by_the_shorter_way() {
+        let (correction, _) =
+            lqr().feedback(&at_origin(PI - 0.1), &reference(0.0, 0.0, 0.0, 0.1 - PI));
+        assert!(correction.attitude.yaw > 0.0 && correction.attitude.yaw < 0.3);
+    }
+
+    #[test]
+    fn far_reference_asks_no_more_than_one_at_the_bound_and_says_so() {
+        let (far, saturation) = lqr().feedback(&at_origin(0.0), &reference(100.0, 0.0, 0.0, 0.0));
+        let (bound, _) = lqr().feedback(&at_origin(0.0), &reference(1.0, 0.0, 0.0, 0.0));
+        assert!(saturation.position_error);
+        assert!((far.attitude.pitch - bound.attitude.pitch).abs() < 1e-12);
+    }
+
+    #[test]
+    fn feedback_of_no_error_is_zero() {
+        let (none, saturation) = lqr().feedback(&at_origin(1.0), &reference(0.0, 0.0, 0.0, 1.0));
+        assert!(none.thrust_n == 0.0 && none.attitude.yaw.abs() < 1e-12 && !saturation.any());
+    }
+
+    #[test]
+    fn impossible_numbers_are_named() {
+        let vehicle = HoverVehicle { mass_kg: -1.0, ..QUAD };
+        let refused = Lqr::design(&vehicle, &PD, &LqrSettings::default());
+        assert!(refused.expect_err("refused").to_string().contains("mass is -1"));
+        let settings = LqrSettings { rate_hz: f64::NAN, ..LqrSettings::default() };
+        assert!(Lqr::design(&QUAD, &PD, &settings).is_err());
+    }
+}

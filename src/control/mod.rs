@@ -1,0 +1,13 @@
+//! State feedback: the near-hover model, its LQR, and the limits of what is asked of the vehicle.
+
+mod attitude_loop;
+mod hover_model;
+mod limits;
+mod lqr;
+mod riccati;
+
+pub use attitude_loop::AttitudeLoop;
+pub use hover_model::{HoverModel, HoverVehicle};
+pub use limits::{Limits, Saturation};
+pub use lqr::{DesignError, Lqr, LqrSettings};
+pub use riccati::{RiccatiError, RiccatiSolution, solve_dare};

@@ -1,0 +1,142 @@
+//! Harmonic curves: the sinusoid, figure-8 and yaw families, in one form.
+
+use std::f64::consts::TAU;
+
+use sitl::frame::Ned;
+
+use super::trajectory::DesiredPoint;
+
+/// offset + amplitude (sin(2 pi tau / period + phase) - sin(phase)) + rate tau, over phase time tau.
+/// At tau = 0 it is at `offset`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Harmonic {
+    pub offset: f64,
+    pub amplitude: f64,
+    /// s; any positive value where the amplitude is 0.
+    pub period_s: f64,
+    /// rad
+    pub phase: f64,
+    /// 1/s
+    pub rate: f64,
+}
+
+impl Harmonic {
+    /// A constant.
+    pub fn constant(offset: f64) -> Self {
+        Self { offset, period_s: 1.0, ..Self::default() }
+    }
+
+    /// Value, first and second derivative with respect to tau.
+    fn at(&self, tau: f64) -> [f64; 3] {
+        let omega = TAU / self.period_s;
+        let (sin, cos) = (omega * tau + self.phase).sin_cos();
+        [
+            self.offset + self.amplitude * (sin - self.phase.sin()) + self.rate * tau,
+            self.amplitude * omega * cos + self.rate,
+            -self.amplitude * omega * omega * sin,
+        ]
+    }
+}
+
+/// A harmonic in each of north, east, down and yaw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Lissajous {
+    pub position: [Harmonic; 3],
+    pub yaw: Harmonic,
+}
+
+impl Lissajous {
+    /// The point at phase time tau, whose value, rate and acceleration over real time are given.
+    pub fn sample(&self, [tau, rate, acceleration]: [f64; 3]) -> DesiredPoint {
+        let axes = self.position.map(|axis| axis.at(tau));
+        let [yaw, yaw_slope, _] = self.yaw.at(tau);
+        DesiredPoint {
+            position: Ned::from(axes.map(|[value, ..]| value)),
+            velocity: Ned::from(axes.map(|[_, slope, _]| slope * rate)),
+            acceleration: Ned::from(
+                axes.map(|[_, slope, curvature]| curvature * rate * rate + slope * acceleration),
+            ),
+            yaw,
+            yaw_rate: yaw_slope * rate,
+        }
+    }
+}
+
+/// Phase time over real time: its rate rises from 0 to 1 within `ramp_s`, and falls to 0 at the
+/// end, so that a vehicle at rest can follow from the first sample. The rate follows
+/// 10 x^3 - 15 x^4 + 6 x^5, whose first two derivatives vanish at both ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Envelope {
+    ramp_s: f64,
+    /// Phase time at the end.
+    phase_s: f64,
+}
+
+impl Envelope {
+    /// Runs through `phase_s` seconds of a curve; `ramp_s` is cut to what fits.
+    pub fn new(phase_s: f64, ramp_s: f64) -> Self {
+        Self { ramp_s: ramp_s.min(phase_s), phase_s }
+    }
+
+    /// Real time from rest to rest: each ramp covers half of its time in phase.
+    pub fn duration(&self) -> f64 {
+        self.phase_s + self.ramp_s
+    }
+
+    /// Phase time, its rate and its acceleration at real time `t` within the duration.
+    pub fn phase(&self, t: f64) -> [f64; 3] {
+        let from_end = self.duration() - t;
+        if t < self.ramp_s {
+            self.ramp(t)
+        } else if from_end < self.ramp_s {
+            let [phase, rate, acceleration] = self.ramp(from_end);
+            [self.phase_s - phase, rate, -acceleration]
+        } else {
+            [t - 0.5 * self.ramp_s, 1.0, 0.0]
+        }
+    }
+
+    fn ramp(&self, t: f64) -> [f64; 3] {
+        let x = t / self.ramp_s;
+        let (x2, x3) = (x * x, x * x * x);
+        [
+            self.ramp_s * x2 * x2 * (2.5 - 3.0 * x + x2),
+            x3 * (10.0 - 15.0 * x + 6.0 * x2),
+            30.0 * x2 * (1.0 - x) * (1.0 - x) / self.ramp_s,
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn envelope_starts_and_ends_at_rest_and_covers_the_phase() {
+        let envelope = Envelope::new(10.0, 2.0);
+        assert_eq!(envelope.duration(), 12.0);
+        assert_eq!(envelope.phase(0.0), [0.0, 0.0, 0.0]);
+        let [phase, rate, acceleration] = envelope.phase(12.0);
+        assert!((phase - 10.0).abs() < 1e-12 && rate == 0.0 && acceleration == 0.0);
+        assert_eq!(envelope.phase(6.0), [5.0, 1.0, 0.0]);
+    }
+
+    proptest! {
+        #[test]
+        fn velocity_and_acceleration_are_the_derivatives(t in 0.01..11.9f64, amplitude in -2.0..2.0f64, phase in 0.0..6.0f64, rate in -1.0..1.0f64) {
+            let axis = Harmonic { offset: 0.3, amplitude, period_s: 3.0, phase, rate };
+            let curve = Lissajous { position: [axis; 3], yaw: axis };
+            let envelope = Envelope::new(10.0, 2.0);
+            let at = |t| curve.sample(envelope.phase(t));
+            let h = 1e-5;
+            let (before, here, after) = (at(t - h), at(t), at(t + h));
+            let velocity = (after.position.north() - before.position.north()) / (2.0 * h);
+            let acceleration = (after.velocity.north() - before.velocity.north()) / (2.0 * h);
+            prop_assert!((velocity - here.velocity.north()).abs() < 1e-4);
+            prop_assert!((acceleration - here.acceleration.north()).abs() < 1e-3);
+            let yaw_rate = (after.yaw - before.yaw) / (2.0 * h);
+            prop_assert!((yaw_rate - here.yaw_rate).abs() < 1e-4);
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! Whether a trajectory asks for more than the vehicle may be asked, before it is armed.
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::Ned;
+
+use super::trajectory::Trajectory;
+
+/// What a trajectory may ask for at most.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FlightEnvelope {
+    /// Speed, m/s.
+    pub speed_max_m_s: f64,
+    /// Tilt that the acceleration needs, degrees.
+    pub tilt_max_deg: f64,
+    /// Specific thrust that the acceleration needs, in units of gravity.
+    pub thrust_max_g: f64,
+    /// Yaw rate, degrees/s.
+    pub yaw_rate_max_deg_s: f64,
+    /// Horizontal distance from the take-off point, m.
+    pub radius_max_m: f64,
+    /// Height above the take-off floor, m.
+    pub height_max_m: f64,
+    /// Lowest height above the take-off floor, m.
+    pub height_min_m: f64,
+}
+
+impl Default for FlightEnvelope {
+    fn default() -> Self {
+        Self {
+            speed_max_m_s: 5.0,
+            tilt_max_deg: 35.0,
+            thrust_max_g: 1.6,
+            yaw_rate_max_deg_s: 180.0,
+            radius_max_m: 20.0,
+            height_max_m: 20.0,
+            height_min_m: 0.2,
+        }
+    }
+}
+
+/// A limit that a trajectory breaks, and where it is broken the most.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "trajectory {trajectory} cannot be flown: {quantity} reaches {found:.2} {unit} at {at_s:.2} s, \
+     the limit is {limit:.2} {unit}; change the trajectory or [envelope] in the configuration"
+)]
+pub struct InfeasibleTrajectory {
+    trajectory: String,
+    quantity: &'static str,
+    unit: &'static str,
+    found: f64,
+    limit: f64,
+    at_s: f64,
+}
+
+/// The largest demands of a trajectory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Feasibility {
+    /// Speed, m/s.
+    pub speed_m_s: f64,
+    /// Tilt, degrees.
+    pub tilt_deg: f64,
+    /// Yaw rate, degrees/s.
+    pub yaw_rate_deg_s: f64,
+    /// Horizontal distance from the take-off point, m.
+    pub radius_m: f64,
+    /// Height, m.
+    pub height_m: f64,
+}
+
+/// Times at which a trajectory is looked at are this far apart, s.
+const SPACING_S: f64 = 0.01;
+
+impl FlightEnvelope {
+    /// The trajectory's largest demands, if none breaks a limit.
+    ///
+    /// The thrust direction that an acceleration `a` needs is that of `a - g`, so tilt is
+    /// atan2(|a_horizontal|, g - a_down), without drag.
+    ///
+    /// # Errors
+    /// [`InfeasibleTrajectory`] for the limit that is broken by the largest factor.
+    pub fn check(
+        &self,
+        trajectory: &Trajectory,
+        gravity: f64,
+    ) -> Result<Feasibility, InfeasibleTrajectory> {
+        let mut demands = Feasibility::default();
+        let mut worst: Option<(f64, InfeasibleTrajectory)> = None;
+        let steps = (trajectory.duration() / SPACING_S).ceil() as usize;
+        for step in 0..=steps {
+            let at_s = (step as f64 * SPACING_S).min(trajectory.duration());
+            let point = trajectory.sample(at_s);
+            let specific = point.acceleration - Ned::new(0.0, 0.0, gravity);
+            let horizontal = specific.north().hypot(specific.east());
+            let tilt_deg = horizontal.atan2(-specific.down()).to_degrees();
+            let thrust_g = specific.norm() / gravity;
+            let radius_m = point.position.north().hypot(point.position.east());
+            let height_m = -point.position.down();
+            let speed_m_s = point.velocity.norm();
+            let yaw_rate_deg_s = point.yaw_rate.abs().to_degrees();
+            demands.speed_m_s = demands.speed_m_s.max(speed_m_s);
+            demands.tilt_deg = demands.tilt_deg.max(tilt_deg);
+            demands.yaw_rate_deg_s = demands.yaw_rate_deg_s.max(yaw_rate_deg_s);
+            demands.radius_m = demands.radius_m.max(radius_m);
+            demands.height_m = demands.height_m.max(height_m);
+            let rows = [
+                ("speed", "m/s", speed_m_s, self.speed_max_m_s),
+                ("tilt", "deg", tilt_deg, self.tilt_max_deg),
+                ("specific thrust", "g", thrust_g, self.thrust_max_g),
+                ("yaw rate", "deg/s", yaw_rate_deg_s, self.yaw_rate_max_deg_s),
+                ("distance from the take-off point", "m", radius_m, self.radius_max_m),
+                ("height", "m", height_m, self.height_max_m),
+            ];
+            let name = trajectory.name();
+            let broken = |quantity, unit, found, limit| InfeasibleTrajectory {
+                trajectory: name.to_owned(),
+                quantity,
+                unit,
+                found,
+                limit,
+                at_s,
+            };
+            for (quantity, unit, found, limit) in rows {
+                let excess = found / limit;
+                let broken_here = excess > 1.0 || excess.is_nan();
+                if broken_here && worst.as_ref().is_none_or(|(most, _)| excess > *most) {
+                    worst = Some((excess, broken(quantity, unit, found, limit)));
+                }
+            }
+            if height_m < self.height_min_m && worst.is_none() {
+                worst = Some((1.0, broken("lowest height", "m", height_m, self.height_min_m)));
+            }
+        }
+        worst.map_or(Ok(demands), |(_, error)| Err(error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    fn check(text: &str) -> Result<Feasibility, InfeasibleTrajectory> {
+        let trajectory = Trajectory::parse(text, Path::new("t.toml")).expect("a trajectory");
+        FlightEnvelope::default().check(&trajectory, 9.81)
+    }
+
+    #[test]
+    fn tilt_of_a_circle_is_the_centripetal_one() {
+        let demands = check(
+            "family='sinusoid-yaw'\naltitude_m=1\nduration_s=10\namplitude_m=1\nperiod_s=5\nyaw_period_s=10",
+        );
+        let omega = std::f64::consts::TAU / 5.0;
+        let tilt = (omega * omega / 9.81).atan().to_degrees();
+        assert!((demands.expect("flyable").tilt_deg - tilt).abs() < 0.2);
+    }
+
+    #[test]
+    fn fifty_g_turns_and_flights_through_the_floor_are_refused_with_the_quantity() {
+        let fast = "family='sinusoid-yaw'\naltitude_m=1\nduration_s=10\namplitude_m=5\nperiod_s=0.6\nyaw_period_s=10";
+        let message = check(fast).expect_err("refused").to_string();
+        assert!(message.contains("specific thrust") || message.contains("speed"), "{message}");
+        let low = "family='sinusoid-xz'\naltitude_m=1\nduration_s=10\namplitude_m=[0.1,1.2]\nperiod_s=[5,8]";
+        assert!(check(low).expect_err("refused").to_string().contains("lowest height"));
+    }
+}

@@ -1,0 +1,42 @@
+//! The reference that knows no dynamics.
+
+use sitl::frame::{Euler, Frd, wrap_angle};
+
+use super::reference::ReferenceSource;
+use super::trajectory::Trajectory;
+use crate::setpoint::{Reference, Setpoint};
+
+/// The desired position, velocity, yaw and yaw rate as the reference state, and hover thrust, level,
+/// at the desired yaw and yaw rate as the feed-forward: all that leads the vehicle along the
+/// trajectory is feedback. This is what planned references are compared with.
+#[derive(Clone, Debug)]
+pub struct ModelFreeReference {
+    trajectory: Trajectory,
+    hover_thrust_n: f64,
+}
+
+impl ModelFreeReference {
+    /// `hover_thrust_n` is the vehicle's effective weight m g in N.
+    pub fn new(trajectory: Trajectory, hover_thrust_n: f64) -> Self {
+        Self { trajectory, hover_thrust_n }
+    }
+}
+
+impl ReferenceSource for ModelFreeReference {
+    fn duration(&self) -> f64 {
+        self.trajectory.duration()
+    }
+
+    fn sample(&self, t: f64) -> Reference {
+        let point = self.trajectory.sample(t);
+        let attitude = Euler::new(0.0, 0.0, wrap_angle(point.yaw));
+        let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
+        Reference {
+            position: point.position,
+            velocity: point.velocity,
+            attitude,
+            body_rate,
+            feedforward: Setpoint { thrust_n: self.hover_thrust_n, attitude, body_rate },
+        }
+    }
+}

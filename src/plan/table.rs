@@ -1,0 +1,156 @@
+//! A trajectory given as rows of a CSV file.
+
+use sitl::frame::Ned;
+
+use super::trajectory::DesiredPoint;
+
+/// Rows at increasing times, joined by cubic Hermite splines (position) and straight lines (yaw).
+#[derive(Clone, Debug)]
+pub(super) struct Table {
+    /// At least two, times strictly increasing from 0.
+    rows: Vec<Row>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    t: f64,
+    position: Ned,
+    velocity: Ned,
+    yaw: f64,
+}
+
+/// A column a CSV trajectory may have; `t_s` and the position must be there.
+const COLUMNS: [&str; 8] = ["t_s", "n_m", "e_m", "d_m", "yaw_rad", "v_n_mps", "v_e_mps", "v_d_mps"];
+
+impl Table {
+    /// Parses CSV with a header of the names in [`COLUMNS`], in any order. Without velocity columns
+    /// the velocity is the slope of the neighbouring rows, and zero at both ends. The error is a
+    /// text that names the line.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+        let (_, header) = lines.next().ok_or("expected a header line, found an empty file")?;
+        let mut order = Vec::new();
+        for name in header.split(',').map(str::trim) {
+            let column = COLUMNS.iter().position(|known| *known == name).ok_or_else(|| {
+                format!("unknown column {name:?}: expected some of {}", COLUMNS.join(", "))
+            })?;
+            order.push(column);
+        }
+        let has = |column: usize| order.contains(&column);
+        if let Some(missing) = (0..4).find(|column| !has(*column)) {
+            return Err(format!("column {} is missing", COLUMNS[missing]));
+        }
+        let with_velocity = (5..8).all(has);
+        let mut rows: Vec<Row> = Vec::new();
+        for (index, line) in lines {
+            let mut cells = [0.0; COLUMNS.len()];
+            let mut fields = line.split(',');
+            for column in &order {
+                let field = fields.next().unwrap_or("").trim();
+                let value: f64 =
+                    field.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| {
+                        let name = COLUMNS[*column];
+                        format!(
+                            "line {}: {name}: expected a finite number, found {field:?}",
+                            index + 1
+                        )
+                    })?;
+                cells[*column] = value;
+            }
+            if fields.next().is_some() {
+                return Err(format!(
+                    "line {}: expected {} fields, found more",
+                    index + 1,
+                    order.len()
+                ));
+            }
+            let [t, n, e, d, yaw, vn, ve, vd] = cells;
+            if rows.last().is_some_and(|last| t <= last.t) {
+                return Err(format!(
+                    "line {}: t_s: expected more than before, found {t}",
+                    index + 1
+                ));
+            }
+            let (position, velocity) = (Ned::new(n, e, d), Ned::new(vn, ve, vd));
+            rows.push(Row { t, position, velocity, yaw });
+        }
+        let start = match rows.as_slice() {
+            [first, _, ..] => first.t,
+            _ => return Err(format!("expected at least two rows, found {}", rows.len())),
+        };
+        rows.iter_mut().for_each(|row| row.t -= start);
+        if !with_velocity {
+            let slopes: Vec<Ned> = rows
+                .windows(3)
+                .map(|w| (w[2].position - w[0].position) * (1.0 / (w[2].t - w[0].t)))
+                .collect();
+            for (row, slope) in rows.iter_mut().skip(1).zip(slopes) {
+                row.velocity = slope;
+            }
+        }
+        Ok(Self { rows })
+    }
+
+    /// Length in s.
+    pub fn duration(&self) -> f64 {
+        self.rows.last().map_or(0.0, |row| row.t)
+    }
+
+    /// The point at `t` within the duration.
+    pub fn sample(&self, t: f64) -> DesiredPoint {
+        let next = self.rows.partition_point(|row| row.t <= t).clamp(1, self.rows.len() - 1);
+        let (a, b) = (&self.rows[next - 1], &self.rows[next]);
+        let length = b.t - a.t;
+        let x = (t - a.t) / length;
+        let (x2, x3) = (x * x, x * x * x);
+        let chord = b.position - a.position;
+        let tangent_a = a.velocity * length;
+        let tangent_b = b.velocity * length;
+        let yaw_step = b.yaw - a.yaw;
+        DesiredPoint {
+            position: a.position
+                + chord * (3.0 * x2 - 2.0 * x3)
+                + tangent_a * (x3 - 2.0 * x2 + x)
+                + tangent_b * (x3 - x2),
+            velocity: (chord * (6.0 * x - 6.0 * x2)
+                + tangent_a * (3.0 * x2 - 4.0 * x + 1.0)
+                + tangent_b * (3.0 * x2 - 2.0 * x))
+                * (1.0 / length),
+            acceleration: (chord * (6.0 - 12.0 * x)
+                + tangent_a * (6.0 * x - 4.0)
+                + tangent_b * (6.0 * x - 2.0))
+                * (1.0 / (length * length)),
+            yaw: a.yaw + yaw_step * x,
+            yaw_rate: yaw_step / length,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_met_and_joined_smoothly() {
+        let text = "t_s,n_m,e_m,d_m,yaw_rad\n1,0,0,-1,0\n2,1,0,-1,1\n4,1,2,-1,1\n";
+        let table = Table::parse(text).expect("a table");
+        assert_eq!(table.duration(), 3.0);
+        assert!((table.sample(1.0).position - Ned::new(1.0, 0.0, -1.0)).norm() < 1e-12);
+        let h = 1e-6;
+        let slope = (table.sample(1.0).position - table.sample(1.0 - h).position) * (1.0 / h);
+        assert!((slope - table.sample(1.0).velocity).norm() < 1e-4);
+        assert_eq!(table.sample(0.5).yaw_rate, 1.0);
+    }
+
+    #[test]
+    fn bad_rows_are_refused_by_line() {
+        let error = |text| Table::parse(text).expect_err("refused");
+        assert!(error("").contains("header"));
+        assert!(error("t_s,n_m,e_m\n").contains("d_m is missing"));
+        assert!(error("t_s,n_m,e_m,d_m,up\n").contains("\"up\""));
+        assert!(error("t_s,n_m,e_m,d_m\n0,0,0,0\n").contains("two rows"));
+        assert!(error("t_s,n_m,e_m,d_m\n0,0,0,0\n0,0,0,0\n").contains("line 3"));
+        assert!(error("t_s,n_m,e_m,d_m\n0,0,0,NaN\n").contains("line 2: d_m"));
+        assert!(error("t_s,n_m,e_m,d_m\n0,0,0,0,9\n").contains("more"));
+    }
+}

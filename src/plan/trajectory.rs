@@ -1,0 +1,97 @@
+//! A desired trajectory: position and yaw over time, relative to where it is anchored.
+
+use std::path::Path;
+
+use sitl::frame::Ned;
+
+use super::curve::{Envelope, Lissajous};
+use super::file::{self, TrajectoryError};
+use super::path::MinimumJerkPath;
+use super::table::Table;
+
+/// What is wanted at one instant. World axes, SI, radians. The origin is the trajectory's anchor:
+/// the take-off point on the floor; its axes are the world's.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DesiredPoint {
+    /// Position, m.
+    pub position: Ned,
+    /// Velocity, m/s.
+    pub velocity: Ned,
+    /// Acceleration, m/s^2.
+    pub acceleration: Ned,
+    /// Yaw, rad, continuous (not wrapped).
+    pub yaw: f64,
+    /// Yaw rate, rad/s.
+    pub yaw_rate: f64,
+}
+
+/// A desired trajectory from time 0 to [`Trajectory::duration`].
+#[derive(Clone, Debug)]
+pub struct Trajectory {
+    name: String,
+    shape: Shape,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum Shape {
+    /// Harmonics in each axis, run through an envelope so that they start and end at rest.
+    Harmonic { curve: Lissajous, envelope: Envelope },
+    /// Rest-to-rest segments between waypoints.
+    Path(MinimumJerkPath),
+    /// Position jumps, for step responses.
+    Steps { points: Vec<DesiredPoint>, dwell_s: f64 },
+    /// Rows of a file.
+    Table(Table),
+}
+
+impl Trajectory {
+    pub(super) fn new(name: impl Into<String>, shape: Shape) -> Self {
+        Self { name: name.into(), shape }
+    }
+
+    /// Reads a trajectory file: TOML by its schema, or CSV with a header.
+    ///
+    /// # Errors
+    /// [`TrajectoryError`] names the file, the field, what was expected and what was found.
+    pub fn load(path: &Path) -> Result<Self, TrajectoryError> {
+        file::load(path)
+    }
+
+    /// Parses the text of a TOML trajectory file; `origin` names it in errors.
+    ///
+    /// # Errors
+    /// As [`Trajectory::load`]. A file that refers to another file by a relative path is looked up
+    /// beside `origin`.
+    pub fn parse(text: &str, origin: &Path) -> Result<Self, TrajectoryError> {
+        file::parse(text, origin)
+    }
+
+    /// What it is called in logs and reports.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Length in s.
+    pub fn duration(&self) -> f64 {
+        match &self.shape {
+            Shape::Harmonic { envelope, .. } => envelope.duration(),
+            Shape::Path(path) => path.duration(),
+            Shape::Steps { points, dwell_s } => points.len() as f64 * dwell_s,
+            Shape::Table(table) => table.duration(),
+        }
+    }
+
+    /// The desired point at `t` seconds, held at the ends outside of 0..duration.
+    pub fn sample(&self, t: f64) -> DesiredPoint {
+        let t = t.clamp(0.0, self.duration());
+        match &self.shape {
+            Shape::Harmonic { curve, envelope } => curve.sample(envelope.phase(t)),
+            Shape::Path(path) => path.sample(t),
+            Shape::Steps { points, dwell_s } => {
+                let index = ((t / dwell_s) as usize).min(points.len() - 1);
+                points[index]
+            }
+            Shape::Table(table) => table.sample(t),
+        }
+    }
+}

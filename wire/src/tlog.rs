@@ -1,0 +1,425 @@
+//! Telemetry logs (.tlog) as ground stations write them: eight bytes of time, then one frame.
+//!
+//! The time is big-endian microseconds since the Unix epoch. Nothing that was on the wire is left
+//! out: bytes that belong to no frame are an entry of their own, stamped like the others, which
+//! readers skip as garbage. Frames of unknown message ids are entries like any other.
+
+use std::io::{self, Read, Write};
+
+use mavlink::{MAV_STX, MAV_STX_V2};
+
+use crate::framing::{Front, front};
+
+const STAMP_LEN: usize = 8;
+
+/// 2000-01-01 and 2100-01-01: a stamp outside is none.
+const STAMP_RANGE_US: std::ops::Range<u64> = 946_684_800_000_000..4_102_444_800_000_000;
+
+/// Longest run of bytes without a frame that is kept as one entry.
+const RUN_MAX: usize = 4096;
+
+/// Writes entries.
+#[derive(Debug)]
+pub struct Writer<W> {
+    out: W,
+}
+
+impl<W: Write> Writer<W> {
+    /// A writer onto `out`, which should be buffered.
+    pub fn new(out: W) -> Self {
+        Self { out }
+    }
+
+    /// Writes one entry: a frame, or a run of bytes that belong to no frame.
+    ///
+    /// # Errors
+    /// Those of the underlying writer.
+    pub fn write(&mut self, time_us: u64, bytes: &[u8]) -> io::Result<()> {
+        self.out.write_all(&time_us.to_be_bytes())?;
+        self.out.write_all(bytes)
+    }
+
+    /// Flushes the underlying writer.
+    ///
+    /// # Errors
+    /// Those of the underlying writer.
+    pub fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+
+    /// The underlying writer.
+    pub fn into_inner(self) -> W {
+        self.out
+    }
+}
+
+/// Cuts the bytes of one stream into entries, so that every frame gets its own stamp.
+///
+/// All bytes come out, in order. A frame is told by its checksum; one of an unknown message id
+/// by its length and by what follows it (nothing, or another frame's marker).
+#[derive(Debug, Default)]
+pub struct Splitter {
+    pending: Vec<u8>,
+}
+
+impl Splitter {
+    /// Takes bytes of a stream and gives the entries that they complete.
+    ///
+    /// # Errors
+    /// The first error of `entry`; the bytes after that entry are kept.
+    pub fn push<E>(
+        &mut self,
+        bytes: &[u8],
+        entry: impl FnMut(&[u8]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.pending.extend_from_slice(bytes);
+        self.split(false, entry)
+    }
+
+    /// Gives what is left as entries: at the end of a datagram or of the stream.
+    ///
+    /// # Errors
+    /// The first error of `entry`; the bytes after that entry are kept.
+    pub fn finish<E>(&mut self, entry: impl FnMut(&[u8]) -> Result<(), E>) -> Result<(), E> {
+        self.split(true, entry)
+    }
+
+    fn split<E>(
+        &mut self,
+        is_end: bool,
+        mut entry: impl FnMut(&[u8]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut done = 0;
+        let mut result = Ok(());
+        while result.is_ok() && done < self.pending.len() {
+            let rest = &self.pending[done..];
+            let Some(len) = entry_len(rest, is_end) else { break };
+            result = entry(&rest[..len]);
+            done += len;
+        }
+        self.pending.drain(..done);
+        result
+    }
+}
+
+/// Length of the entry that `bytes` starts with; none while more bytes must tell.
+fn entry_len(bytes: &[u8], is_end: bool) -> Option<usize> {
+    match frame_len(bytes, is_end) {
+        Found::Frame(len) => return Some(len),
+        Found::Incomplete => return None,
+        Found::Nothing => {}
+    }
+    // A run up to the next frame, or as far as it is sure that there is none.
+    let limit = bytes.len().min(RUN_MAX);
+    for start in 1..limit {
+        if is_marker(bytes[start]) && frame_len(&bytes[start..], is_end) != Found::Nothing {
+            return Some(start);
+        }
+    }
+    Some(limit)
+}
+
+#[derive(PartialEq)]
+enum Found {
+    Frame(usize),
+    Incomplete,
+    Nothing,
+}
+
+fn frame_len(bytes: &[u8], is_end: bool) -> Found {
+    match front(bytes) {
+        Front::Frame(len) => Found::Frame(len),
+        Front::Unknown(len) if bytes.get(len).is_none_or(|&next| is_marker(next)) => {
+            Found::Frame(len)
+        }
+        Front::Incomplete if !is_end => Found::Incomplete,
+        Front::Incomplete | Front::Unknown(_) | Front::Other => Found::Nothing,
+    }
+}
+
+fn is_marker(byte: u8) -> bool {
+    matches!(byte, MAV_STX | MAV_STX_V2)
+}
+
+/// An entry of a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Microseconds since the Unix epoch. None if no plausible stamp stands before the frame.
+    pub time_us: Option<u64>,
+    /// The whole frame as it was on the wire.
+    pub frame: Vec<u8>,
+}
+
+/// Reads the frames of a log one by one, whatever else is between them.
+///
+/// A frame is told by its checksum; one of an unknown message id by its stamp and by what follows
+/// it (a stamp and a marker, or the end). Memory is bounded, and the end of a truncated log is
+/// just its end.
+#[derive(Debug)]
+pub struct Reader<R> {
+    source: R,
+    buffer: Vec<u8>,
+    /// End of the last frame in `buffer`: a stamp cannot start before it.
+    last_end: usize,
+    /// Where the search for the next marker goes on.
+    position: usize,
+    at_end: bool,
+    skipped: u64,
+}
+
+impl<R: Read> Reader<R> {
+    /// A reader of `source`, which need not be buffered.
+    pub fn new(source: R) -> Self {
+        Self { source, buffer: Vec::new(), last_end: 0, position: 0, at_end: false, skipped: 0 }
+    }
+
+    /// Bytes passed over that were neither frame nor stamp.
+    pub fn skipped_bytes(&self) -> u64 {
+        self.skipped
+    }
+
+    /// The next frame, `None` at the end of the log.
+    ///
+    /// # Errors
+    /// Those of the underlying reader.
+    pub fn read(&mut self) -> io::Result<Option<Entry>> {
+        loop {
+            let Some(&byte) = self.buffer.get(self.position) else {
+                if self.at_end {
+                    self.skip_to(self.buffer.len());
+                    return Ok(None);
+                }
+                self.fill()?;
+                continue;
+            };
+            let stamp = self.stamp();
+            let len = match if is_marker(byte) {
+                front(&self.buffer[self.position..])
+            } else {
+                Front::Other
+            } {
+                Front::Frame(len) => len,
+                Front::Incomplete if !self.at_end => {
+                    self.fill()?;
+                    continue;
+                }
+                Front::Unknown(len) if stamp.is_some() => {
+                    let next = &self.buffer[self.position + len..];
+                    if next.len() <= STAMP_LEN && !self.at_end {
+                        self.fill()?;
+                        continue;
+                    }
+                    if !next.is_empty() && !starts_entry(next) {
+                        self.position += 1;
+                        continue;
+                    }
+                    len
+                }
+                Front::Incomplete | Front::Unknown(_) | Front::Other => {
+                    self.position += 1;
+                    continue;
+                }
+            };
+            let end = self.position + len;
+            let frame = self.buffer[self.position..end].to_vec();
+            self.skip_to(self.position - if stamp.is_some() { STAMP_LEN } else { 0 });
+            self.position = end;
+            self.last_end = end;
+            return Ok(Some(Entry { time_us: stamp, frame }));
+        }
+    }
+
+    /// The stamp right before the position.
+    fn stamp(&self) -> Option<u64> {
+        let start = self.position.checked_sub(STAMP_LEN).filter(|&start| start >= self.last_end)?;
+        plausible_stamp(self.buffer.get(start..)?)
+    }
+
+    fn skip_to(&mut self, end: usize) {
+        self.skipped += end.saturating_sub(self.last_end) as u64;
+        self.last_end = end;
+    }
+
+    fn fill(&mut self) -> io::Result<()> {
+        const CHUNK: usize = 64 * 1024;
+        // What was searched is dropped, but for the stamp that may stand before the position.
+        let keep = self.position.saturating_sub(STAMP_LEN).max(self.last_end);
+        self.skip_to(keep);
+        self.buffer.drain(..keep);
+        self.position -= keep;
+        self.last_end = 0;
+        let filled = self.buffer.len();
+        self.buffer.resize(filled + CHUNK, 0);
+        let result = loop {
+            match self.source.read(&mut self.buffer[filled..]) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                result => break result,
+            }
+        };
+        let count = *result.as_ref().unwrap_or(&0);
+        self.buffer.truncate(filled + count);
+        self.at_end = result? == 0;
+        Ok(())
+    }
+}
+
+impl<R: Read> Iterator for Reader<R> {
+    type Item = io::Result<Entry>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.read().transpose()
+    }
+}
+
+fn plausible_stamp(bytes: &[u8]) -> Option<u64> {
+    let stamp = u64::from_be_bytes(*bytes.first_chunk::<STAMP_LEN>()?);
+    STAMP_RANGE_US.contains(&stamp).then_some(stamp)
+}
+
+fn starts_entry(bytes: &[u8]) -> bool {
+    plausible_stamp(bytes).is_some() && bytes.get(STAMP_LEN).is_some_and(|&byte| is_marker(byte))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::convert::Infallible;
+
+    use mavlink::MavlinkVersion;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::Encoder;
+    use crate::dialect::{ATTITUDE_DATA, MavMessage};
+
+    const START_US: u64 = 1_700_000_000_000_000;
+
+    fn frame(sequence: u32, version: MavlinkVersion) -> Vec<u8> {
+        let mut encoder = Encoder::new(1, 1);
+        encoder.set_version(version);
+        let data = ATTITUDE_DATA { time_boot_ms: sequence, roll: 0.1, ..Default::default() };
+        let mut bytes = Vec::new();
+        encoder.encode(&MavMessage::ATTITUDE(data), &mut bytes);
+        bytes
+    }
+
+    /// A frame whose message id no dialect has.
+    fn unknown_frame() -> Vec<u8> {
+        vec![MAV_STX_V2, 2, 0, 0, 7, 1, 1, 0xFF, 0xFF, 0x70, 1, 2, 0xAA, 0xBB]
+    }
+
+    fn read_all(bytes: &[u8]) -> (Vec<Entry>, u64) {
+        let mut reader = Reader::new(bytes);
+        let entries = reader.by_ref().map(Result::unwrap).collect();
+        (entries, reader.skipped_bytes())
+    }
+
+    fn split_all(chunks: &[&[u8]]) -> Vec<Vec<u8>> {
+        let mut splitter = Splitter::default();
+        let mut entries = Vec::new();
+        let mut keep = |entry: &[u8]| {
+            entries.push(entry.to_vec());
+            Ok::<_, Infallible>(())
+        };
+        for chunk in chunks {
+            let Ok(()) = splitter.push(chunk, &mut keep);
+        }
+        let Ok(()) = splitter.finish(keep);
+        entries
+    }
+
+    #[test]
+    fn unknown_frames_are_kept() {
+        let mut writer = Writer::new(Vec::new());
+        let frames = [frame(1, MavlinkVersion::V2), unknown_frame(), frame(2, MavlinkVersion::V1)];
+        for (index, frame) in frames.iter().enumerate() {
+            writer.write(START_US + index as u64, frame).unwrap();
+        }
+        let (entries, skipped) = read_all(&writer.into_inner());
+        assert_eq!(skipped, 0);
+        assert_eq!(entries.len(), 3);
+        for (index, (entry, frame)) in entries.iter().zip(&frames).enumerate() {
+            assert_eq!(entry.time_us, Some(START_US + index as u64));
+            assert_eq!(&entry.frame, frame);
+        }
+    }
+
+    #[test]
+    fn splitter_gives_each_frame_its_own_entry() {
+        let (a, b) = (frame(1, MavlinkVersion::V2), frame(2, MavlinkVersion::V1));
+        let garbage = [1, 2, MAV_STX_V2, 3];
+        let wire = [&garbage[..], &a, &unknown_frame(), &b, &[MAV_STX]].concat();
+        let expected = vec![garbage.to_vec(), a.clone(), unknown_frame(), b.clone(), vec![MAV_STX]];
+        assert_eq!(split_all(&[&wire]), expected);
+        let bytewise: Vec<&[u8]> = wire.chunks(1).collect();
+        assert_eq!(split_all(&bytewise).concat(), wire);
+        assert!(split_all(&bytewise).contains(&a));
+        assert!(split_all(&bytewise).contains(&b));
+    }
+
+    #[test]
+    fn frames_without_stamps_are_read() {
+        let (a, b) = (frame(1, MavlinkVersion::V2), frame(2, MavlinkVersion::V2));
+        let mut writer = Writer::new(Vec::new());
+        writer.write(START_US, &[a.clone(), b.clone()].concat()).unwrap();
+        let (entries, skipped) = read_all(&writer.into_inner());
+        assert_eq!(skipped, 0);
+        assert_eq!(entries[0], Entry { time_us: Some(START_US), frame: a });
+        assert_eq!(entries[1], Entry { time_us: None, frame: b });
+    }
+
+    fn any_chunk() -> impl Strategy<Value = Vec<u8>> {
+        prop_oneof![
+            any::<u32>().prop_map(|n| frame(n, MavlinkVersion::V2)),
+            any::<u32>().prop_map(|n| frame(n, MavlinkVersion::V1)),
+            // Garbage without markers, so that it cannot hide a frame by chance.
+            prop::collection::vec(0u8..0xFD, 1..40),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn no_byte_is_lost_by_the_splitter(
+            wire in prop::collection::vec(any::<u8>(), 0..2000),
+            cut in 1usize..50,
+        ) {
+            let chunks: Vec<&[u8]> = wire.chunks(cut).collect();
+            prop_assert_eq!(split_all(&chunks).concat(), wire);
+        }
+
+        #[test]
+        fn every_frame_survives_garbage_and_truncation(
+            chunks in prop::collection::vec(any_chunk(), 0..30),
+            cut in 0usize..200,
+        ) {
+            let mut writer = Writer::new(Vec::new());
+            let mut ends = Vec::new();
+            let mut len = 0;
+            for chunk in &chunks {
+                writer.write(START_US, chunk).unwrap();
+                len += STAMP_LEN + chunk.len();
+                if is_marker(chunk[0]) {
+                    ends.push((len, chunk.clone()));
+                }
+            }
+            let log = writer.into_inner();
+            let whole = log.len().saturating_sub(cut);
+            let (entries, _) = read_all(&log[..whole]);
+            let expected: Vec<_> = ends.iter().filter(|(end, _)| *end <= whole).collect();
+            prop_assert_eq!(entries.len(), expected.len());
+            for (entry, (_, frame)) in entries.iter().zip(expected) {
+                prop_assert_eq!(&entry.frame, frame);
+                prop_assert_eq!(entry.time_us, Some(START_US));
+            }
+        }
+
+        #[test]
+        fn no_log_makes_the_reader_fail(log in prop::collection::vec(any::<u8>(), 0..3000)) {
+            let (entries, skipped) = read_all(&log);
+            let kept: usize = entries
+                .iter()
+                .map(|e| e.frame.len() + if e.time_us.is_some() { STAMP_LEN } else { 0 })
+                .sum();
+            prop_assert_eq!(kept as u64 + skipped, log.len() as u64);
+        }
+    }
+}
