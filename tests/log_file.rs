@@ -86,13 +86,11 @@ fn same_records_give_the_same_messages_whenever_the_file_is_synced() {
 
 #[test]
 fn nan_stays_nan_and_unknown_becomes_nan() {
-    let mut tick = match &records(1.0)[..] {
-        all => all.iter().find_map(|r| match r {
-            Record::Tick(tick) => Some(*tick),
-            _ => None,
-        }),
-    }
-    .expect("a tick");
+    let tick = records(0.1).into_iter().find_map(|r| match r {
+        Record::Tick(tick) => Some(tick),
+        _ => None,
+    });
+    let mut tick = tick.expect("a tick");
     tick.reference = None;
     tick.setpoint = None;
     tick.state.velocity = Ned::new(f64::NAN, 0.0, -0.0);

@@ -90,6 +90,23 @@ impl LogSink {
         }
     }
 
+    /// Records dropped so far because the queue was full.
+    pub fn dropped(&self) -> u64 {
+        match &self.mode {
+            Mode::Discard | Mode::Direct(_) => 0,
+            Mode::Threaded(threaded) => threaded.dropped.load(Ordering::Relaxed),
+        }
+    }
+
+    /// Whether an error has ended the log; [`LogSink::finish`] tells which.
+    pub fn has_failed(&self) -> bool {
+        match &self.mode {
+            Mode::Discard => false,
+            Mode::Direct(direct) => direct.error.is_some(),
+            Mode::Threaded(threaded) => threaded.thread.is_finished(),
+        }
+    }
+
     /// Writes what is left and closes the file; `None` if this sink keeps nothing.
     ///
     /// # Errors
@@ -226,6 +243,7 @@ mod tests {
     fn direct_sink_keeps_the_first_error_and_takes_more() {
         let mut sink = LogSink::direct(failing_writer());
         (0..3).for_each(|_| sink.log(record()));
+        assert!(sink.has_failed());
         let error = sink.finish().expect_err("the pipe is broken");
         assert!(error.to_string().contains("pipe"), "{error}");
     }
