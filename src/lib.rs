@@ -9,6 +9,9 @@ pub mod setpoint;
 
 pub mod control;
 pub mod link;
-pub mod plan;
 pub mod log;
+pub mod pilot;
+pub mod plan;
 pub mod report;
+pub mod supervisor;
+pub mod telemetry;
