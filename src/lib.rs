@@ -9,8 +9,15 @@ pub mod setpoint;
 pub mod control;
 pub mod link;
 pub mod log;
+pub mod pilot;
 pub mod plan;
 pub mod report;
+pub mod station;
+pub mod supervisor;
+pub mod telemetry;
+
+pub mod daemon;
+pub mod lockstep;
 
 pub mod cli;
 pub mod command;

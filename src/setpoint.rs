@@ -16,6 +16,16 @@ pub struct Setpoint {
 }
 
 impl Setpoint {
+    /// The sum of two, component by component: feed-forward and feedback.
+    pub fn plus(self, other: Self) -> Self {
+        let (a, b) = (self.attitude, other.attitude);
+        Self {
+            thrust_n: self.thrust_n + other.thrust_n,
+            attitude: Euler::new(a.roll + b.roll, a.pitch + b.pitch, a.yaw + b.yaw),
+            body_rate: self.body_rate + other.body_rate,
+        }
+    }
+
     /// Whether every component is finite.
     pub fn is_finite(&self) -> bool {
         let Euler { roll, pitch, yaw } = self.attitude;

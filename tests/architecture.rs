@@ -14,10 +14,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("control", &["clock", "setpoint"]),
         ("plan", &["setpoint"]),
         ("supervisor", &["clock", "setpoint", "link", "telemetry"]),
-        (
-            "pilot",
-            &["clock", "setpoint", "link", "telemetry", "control", "plan", "supervisor"],
-        ),
+        ("pilot", &["clock", "setpoint", "link", "telemetry", "control", "plan", "supervisor"]),
         ("log", &["clock", "setpoint"]),
         ("report", &["clock", "setpoint", "log"]),
         ("station", &["clock", "setpoint", "link", "log", "pilot", "supervisor", "telemetry"]),
@@ -28,8 +25,13 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
 }
 
 /// Only here may the asynchronous runtime be named.
-const TOKIO: [&str; 5] =
-    ["src/link/connection.rs", "src/daemon.rs", "src/main.rs", "src/command/", "sitl/src/server.rs"];
+const TOKIO: [&str; 5] = [
+    "src/link/connection.rs",
+    "src/daemon.rs",
+    "src/main.rs",
+    "src/command/",
+    "sitl/src/server.rs",
+];
 
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();

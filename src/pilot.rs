@@ -1,0 +1,347 @@
+//! The line from a message to a setpoint: state -> reference -> feedback -> limits -> supervisor.
+//! Pure: time comes with the messages, requests and setpoints are handed out.
+
+mod guidance;
+
+use serde::{Deserialize, Serialize};
+
+use self::guidance::Guidance;
+pub use self::guidance::GuidanceSettings;
+use sitl::frame::Ned;
+
+use crate::clock::{HostTime, VehicleTime};
+use crate::control::{AttitudeLoop, HoverVehicle, Limits, Lqr, Saturation};
+use crate::link::message::{Inbound, LandedState, Received};
+use crate::plan::reference::ReferenceSource;
+use crate::setpoint::{Reference, Setpoint, State};
+use crate::supervisor::{
+    Action, EngagePolicy, Event, FlightCondition, FlightState, ModeMap, Observation,
+    PreflightCheck, PreflightSettings, SafetySettings, Severity, Supervisor, SupervisorSettings,
+    Trigger, preflight,
+};
+use crate::telemetry::{Sample, Telemetry, TelemetryFault, TelemetrySettings};
+
+/// The settings of the line's parts.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PilotSettings {
+    /// Ticks and what of telemetry is believed.
+    pub telemetry: TelemetrySettings,
+    /// Times of the flight's states.
+    pub supervisor: SupervisorSettings,
+    /// Faults and reactions.
+    pub safety: SafetySettings,
+    /// Checks before a flight.
+    pub preflight: PreflightSettings,
+    /// Take-off and approach.
+    pub guidance: GuidanceSettings,
+    /// Bounds on the setpoint.
+    pub limits: Limits,
+}
+
+/// What the pilot must know of the vehicle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Airframe {
+    /// Effective mass, inertia and gravity.
+    pub hover: HoverVehicle,
+    /// Thrust of all rotors at full output, N.
+    pub thrust_full_n: f64,
+    /// The loop that tracks the setpoint.
+    pub attitude_loop: AttitudeLoop,
+    /// The autopilot's modes.
+    pub modes: ModeMap,
+}
+
+/// What the link tells beside the vehicle's messages.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LinkEvent {
+    /// The connection broke.
+    Lost,
+    /// The vehicle refused a request.
+    Refused {
+        /// Which.
+        action: Action,
+        /// Result and reason in words.
+        text: String,
+    },
+    /// Share of frames lost lately, 0..1.
+    Quality {
+        /// 0..1
+        loss: f64,
+    },
+}
+
+/// All that one tick saw and decided; what the log records.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tick {
+    /// Host time of the message that fired it.
+    pub host: HostTime,
+    /// Vehicle time of the state.
+    pub vehicle: VehicleTime,
+    /// The state.
+    pub state: State,
+    /// What it is to be.
+    pub reference: Reference,
+    /// The reference's input.
+    pub feedforward: Setpoint,
+    /// The correction `K T_R (s - s*)`, zero on the ground.
+    pub feedback: Setpoint,
+    /// Their sum within limits; `None` where nothing may be sent.
+    pub setpoint: Option<Setpoint>,
+    /// Limits that were met.
+    pub saturation: Saturation,
+    /// Where the flight stands.
+    pub phase: FlightState,
+    /// Seconds into the trajectory, while it is tracked.
+    pub trajectory_time: Option<f64>,
+    /// Distance from the reference, m.
+    pub tracking_error: f64,
+    /// How much later than the quickest messages the state came, s.
+    pub sample_age: f64,
+}
+
+/// Flies one vehicle along one trajectory, or holds until it is asked to.
+pub struct Pilot {
+    settings: PilotSettings,
+    airframe: Airframe,
+    lqr: Lqr,
+    telemetry: Telemetry,
+    supervisor: Supervisor,
+    guidance: Guidance,
+    standing_checks: Vec<PreflightCheck>,
+    link_loss: Option<f64>,
+    tracking_error: f64,
+    jumped: bool,
+}
+
+impl Pilot {
+    /// A pilot at `now`, before the first message. `standing_checks` are preflight checks that
+    /// failed already, such as a trajectory outside of the flight envelope.
+    pub fn new(
+        settings: PilotSettings,
+        policy: EngagePolicy,
+        airframe: Airframe,
+        lqr: Lqr,
+        trajectory: Box<dyn ReferenceSource + Send>,
+        standing_checks: Vec<PreflightCheck>,
+        now: HostTime,
+    ) -> Self {
+        let supervisor =
+            Supervisor::new(policy, airframe.modes, settings.supervisor, settings.safety, now);
+        let hover_thrust_n = airframe.hover.hover_thrust_n();
+        Self {
+            telemetry: Telemetry::new(settings.telemetry),
+            supervisor,
+            guidance: Guidance::new(settings.guidance, hover_thrust_n, trajectory),
+            settings,
+            airframe,
+            lqr,
+            standing_checks,
+            link_loss: None,
+            tracking_error: 0.0,
+            jumped: false,
+        }
+    }
+
+    /// Takes a message of the vehicle. Where it fires a control tick, that comes back, with the
+    /// setpoint to send if one may be sent.
+    pub fn handle(&mut self, received: &Received) -> Option<Tick> {
+        let now = received.host;
+        let sample = self.take(received);
+        if sample.is_none() && !concerns_supervisor(&received.message) {
+            return None;
+        }
+        self.observe(now);
+        let sample = sample?;
+
+        let phase = self.supervisor.state();
+        let guided = self.guidance.guide(phase, &sample, self.airborne());
+        let reference = guided.reference;
+        let (feedback, cut) = if guided.feedback {
+            self.lqr.feedback(&sample.state, &reference)
+        } else {
+            Default::default()
+        };
+        let sum =
+            self.airframe.attitude_loop.close(reference.feedforward.plus(feedback), &sample.state);
+        let yaw = sample.state.attitude.euler().yaw;
+        let limited = self.settings.limits.apply(sum, self.airframe.thrust_full_n, yaw);
+        let permitted = self.supervisor.permits(now, self.telemetry.status());
+
+        self.tracking_error = (sample.state.position - reference.position).norm();
+        if let Some((trigger, why)) = guided.reached {
+            self.supervisor.fire(now, trigger, why);
+        }
+        Some(Tick {
+            host: now,
+            vehicle: sample.vehicle,
+            state: sample.state,
+            reference,
+            feedforward: reference.feedforward,
+            feedback,
+            setpoint: limited.filter(|_| permitted).map(|(setpoint, _)| setpoint),
+            saturation: limited
+                .map_or(cut, |(_, met)| Saturation { position_error: cut.position_error, ..met }),
+            phase,
+            trajectory_time: guided.trajectory_time,
+            tracking_error: self.tracking_error,
+            sample_age: sample.excess_delay_s,
+        })
+    }
+
+    /// Looks at the clock in silence: time-outs and stale telemetry. Never makes a setpoint.
+    pub fn poll(&mut self, now: HostTime) {
+        self.observe(now);
+    }
+
+    /// Takes what the link tells.
+    pub fn link_event(&mut self, now: HostTime, event: LinkEvent) {
+        match event {
+            LinkEvent::Lost => self.lose_link(now, "the link is lost"),
+            LinkEvent::Refused { action, text } => self.supervisor.refused(now, action, &text),
+            LinkEvent::Quality { loss } => self.link_loss = Some(loss),
+        }
+    }
+
+    /// Asks for a flight, or for another after the last is over.
+    pub fn engage(&mut self, now: HostTime) {
+        self.supervisor.engage(now);
+    }
+
+    /// Ends the flight: the vehicle is asked to land itself.
+    pub fn land(&mut self, now: HostTime) {
+        self.supervisor.fire(now, Trigger::LandNow, "landing is asked for");
+    }
+
+    /// Where the flight stands.
+    pub fn flight_state(&self) -> FlightState {
+        self.supervisor.state()
+    }
+
+    /// State, rates and slow messages of the vehicle.
+    pub fn telemetry(&self) -> &Telemetry {
+        &self.telemetry
+    }
+
+    /// Requests to the vehicle since the last call.
+    pub fn take_actions(&mut self) -> Vec<Action> {
+        self.supervisor.take_actions()
+    }
+
+    /// Events since the last call.
+    pub fn take_events(&mut self) -> Vec<Event> {
+        self.supervisor.take_events()
+    }
+
+    fn take(&mut self, received: &Received) -> Option<Sample> {
+        match self.telemetry.update(received) {
+            Ok(sample) => sample,
+            Err(fault @ (TelemetryFault::Reboot { .. } | TelemetryFault::ClockJump { .. })) => {
+                self.lose_link(received.host, &fault.to_string());
+                None
+            }
+            Err(fault) if fault.is_jump() => {
+                self.jumped = true;
+                self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
+                None
+            }
+            Err(_) => None,
+        }
+    }
+
+    fn lose_link(&mut self, now: HostTime, why: &str) {
+        self.supervisor.fire(now, Trigger::LinkLost, why);
+        self.telemetry.forget();
+    }
+
+    fn observe(&mut self, now: HostTime) {
+        let before = self.supervisor.state();
+        let age_s = self.telemetry.age_s(now);
+        let rate_hz = self.settings.telemetry.rate_hz;
+        let here = self.telemetry.last_sample().map(|sample| sample.state);
+        let failed = if before == FlightState::Preflight {
+            let distance = here.map_or(f64::NAN, |s| self.guidance.start_distance_m(s.position));
+            let mut failed = self.standing_checks.clone();
+            let settings = &self.settings.preflight;
+            failed.extend(preflight(
+                settings,
+                rate_hz,
+                &self.telemetry,
+                self.link_loss,
+                distance,
+                now,
+            ));
+            failed
+        } else {
+            self.standing_checks.clone()
+        };
+        let from_anchor = match (here, self.guidance.anchor()) {
+            (Some(here), Some(anchor)) => here.position - anchor,
+            _ => Ned::zero(),
+        };
+        let jumped = std::mem::take(&mut self.jumped);
+        let status = self.telemetry.status();
+        let stale_after_s = self.settings.safety.stale_after_s;
+        let observation = Observation {
+            status,
+            airborne: self.airborne(),
+            telemetry_ready: age_s < stale_after_s
+                && self.telemetry.tick_rate_hz() >= self.settings.preflight.tick_rate_min * rate_hz,
+            preflight: &failed,
+            condition: FlightCondition {
+                sample_age_s: age_s,
+                jumped,
+                tracking_error_m: self.tracking_error,
+                tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
+                radius_m: from_anchor.north().hypot(from_anchor.east()),
+                height_m: -from_anchor.down(),
+                battery: status.battery.remaining,
+            },
+        };
+        self.supervisor.observe(now, &observation);
+        let after = self.supervisor.state();
+        if after != before {
+            self.tracking_error = 0.0;
+        }
+        // What led here was a reaction: stay where the vehicle is, not where it should be.
+        let stopped = after != before && before != FlightState::Hold;
+        if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {
+            self.guidance.hold_here();
+        }
+        if self.telemetry.status().heard.is_some_and(|heard| {
+            now.since(heard).as_secs_f64() > self.settings.supervisor.link_lost_after_s
+        }) {
+            self.telemetry.forget();
+        }
+    }
+
+    /// Off the ground, by the vehicle's own word, or by height where it has none.
+    fn airborne(&self) -> bool {
+        let status = self.telemetry.status();
+        match status.landed {
+            LandedState::OnGround => false,
+            LandedState::InAir | LandedState::TakingOff | LandedState::Landing => true,
+            LandedState::Undefined => {
+                let height = self.telemetry.last_sample().map_or(0.0, |sample| {
+                    let ground = self.guidance.ground().map_or(0.0, |ground| ground.down());
+                    ground - sample.state.position.down()
+                });
+                status.armed == Some(true) && height > AIRBORNE_HEIGHT_M
+            }
+        }
+    }
+}
+
+/// Height above the ground that counts as flight where the vehicle does not say, m.
+const AIRBORNE_HEIGHT_M: f64 = 0.3;
+
+/// Messages that the supervisor must see at once; the rest waits for the next tick or poll.
+fn concerns_supervisor(message: &Inbound) -> bool {
+    matches!(
+        message,
+        Inbound::Heartbeat { .. }
+            | Inbound::CurrentMode { .. }
+            | Inbound::LandedState(_)
+            | Inbound::Battery { .. }
+    )
+}

@@ -1,0 +1,359 @@
+//! What the vehicle is to do in each state of the flight: the reference of the moment.
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::{Euler, Frd, Ned, wrap_angle};
+use sitl::rigid_body::State;
+
+use crate::clock::VehicleTime;
+use crate::plan::reference::ReferenceSource;
+use crate::setpoint::{Reference, Setpoint};
+use crate::supervisor::{FlightState, Trigger};
+use crate::telemetry::Sample;
+
+/// Take-off, and the way to the trajectory's start.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GuidanceSettings {
+    /// Thrust on the ground before take-off, as a fraction of hover thrust.
+    pub idle_thrust: f64,
+    /// Time over which thrust rises before the climb, s.
+    pub spool_s: f64,
+    /// Thrust at the end of that, as a fraction of hover thrust: not enough to lift off, even if
+    /// the rotors give a third more than is believed.
+    pub spool_thrust: f64,
+    /// Fastest climb, m/s.
+    pub climb_speed_m_s: f64,
+    /// Fastest way to the start, m/s.
+    pub approach_speed_m_s: f64,
+    /// Fastest turn on that way, rad/s.
+    pub approach_yaw_rate_rad_s: f64,
+    /// Height over which horizontal feedback comes in, m: on the ground it would only tip over.
+    pub feedback_height_m: f64,
+    /// The start is reached within this distance, m.
+    pub settle_radius_m: f64,
+    /// And below this speed, m/s.
+    pub settle_speed_m_s: f64,
+    /// For this time, s.
+    pub settle_s: f64,
+    /// A steady offset is accepted after this time, s: without it, a vehicle that is heavier than
+    /// believed would never start.
+    pub settle_timeout_s: f64,
+}
+
+impl Default for GuidanceSettings {
+    fn default() -> Self {
+        Self {
+            idle_thrust: 0.1,
+            spool_s: 1.0,
+            spool_thrust: 0.6,
+            climb_speed_m_s: 0.7,
+            approach_speed_m_s: 1.0,
+            approach_yaw_rate_rad_s: 1.0,
+            feedback_height_m: 0.15,
+            settle_radius_m: 0.3,
+            settle_speed_m_s: 0.25,
+            settle_s: 0.5,
+            settle_timeout_s: 5.0,
+        }
+    }
+}
+
+/// The reference of one tick.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Guided {
+    pub reference: Reference,
+    /// Whether feedback acts; on the ground only the feed-forward does.
+    pub feedback: bool,
+    /// Seconds into the trajectory, while it is tracked.
+    pub trajectory_time: Option<f64>,
+    /// What the state was waiting for.
+    pub reached: Option<(Trigger, &'static str)>,
+}
+
+/// Chooses the reference. The trajectory's origin is the anchor: the place where the vehicle took
+/// off, or last stood, or else the floor of the local frame below it; its axes are the world's.
+pub(super) struct Guidance {
+    settings: GuidanceSettings,
+    hover_thrust_n: f64,
+    trajectory: Box<dyn ReferenceSource + Send>,
+    /// Of the present flight.
+    anchor: Option<Ned>,
+    /// Where the vehicle was last seen on the ground.
+    ground: Option<Ned>,
+    state: FlightState,
+    entered: VehicleTime,
+    segment: Segment,
+    held: Option<Reference>,
+    /// Whether the next sample is to be held.
+    latch: bool,
+    last: Option<Reference>,
+    settled_since: Option<VehicleTime>,
+}
+
+impl Guidance {
+    pub fn new(
+        settings: GuidanceSettings,
+        hover_thrust_n: f64,
+        trajectory: Box<dyn ReferenceSource + Send>,
+    ) -> Self {
+        Self {
+            settings,
+            hover_thrust_n,
+            trajectory,
+            anchor: None,
+            ground: None,
+            state: FlightState::Connect,
+            entered: VehicleTime::default(),
+            segment: Segment::default(),
+            held: None,
+            latch: false,
+            last: None,
+            settled_since: None,
+        }
+    }
+
+    /// Where the trajectory's origin is, once the flight has begun.
+    pub fn anchor(&self) -> Option<Ned> {
+        self.anchor
+    }
+
+    /// Where the vehicle was last seen on the ground.
+    pub fn ground(&self) -> Option<Ned> {
+        self.ground
+    }
+
+    /// Horizontal distance from a vehicle at `position` to the trajectory's start, if the flight
+    /// began there, m.
+    pub fn start_distance_m(&self, position: Ned) -> f64 {
+        let start = self.trajectory.sample(0.0).position + self.anchor_below(position);
+        (start.north() - position.north()).hypot(start.east() - position.east())
+    }
+
+    /// The reference of this tick.
+    pub fn guide(&mut self, state: FlightState, sample: &Sample, airborne: bool) -> Guided {
+        if !airborne {
+            self.ground = Some(sample.state.position);
+        }
+        if state != self.state {
+            self.enter(state, sample);
+        }
+        let t = sample.vehicle.seconds_since(self.entered);
+        let here = &sample.state;
+        let mut guided = match state {
+            FlightState::TakeOff => self.take_off(t, here),
+            FlightState::Approach => self.approach(t, sample),
+            FlightState::Track => self.track(t),
+            FlightState::Hold | FlightState::Land => Guided::fly(self.hold(here)),
+            _ if airborne => Guided::fly(self.stay(here)),
+            _ => self.idle(self.settings.idle_thrust, here),
+        };
+        guided.reference.attitude.yaw = wrap_angle(guided.reference.attitude.yaw);
+        guided.reference.feedforward.attitude.yaw =
+            wrap_angle(guided.reference.feedforward.attitude.yaw);
+        self.last = Some(guided.reference);
+        guided
+    }
+
+    /// From the next sample on, hold where that shows the vehicle: the flight is to stop, or the
+    /// estimate jumped and the old place is no longer where it was.
+    pub fn hold_here(&mut self) {
+        self.latch = true;
+    }
+
+    fn enter(&mut self, state: FlightState, sample: &Sample) {
+        let here = &sample.state;
+        let position = here.position;
+        match state {
+            FlightState::TakeOff => {
+                self.anchor = Some(position);
+                let start = self.trajectory.sample(0.0).position + position;
+                let top = Ned::new(position.north(), position.east(), start.down());
+                let yaw = here.attitude.euler().yaw;
+                self.segment = Segment::between(
+                    (position, yaw),
+                    (top, yaw),
+                    self.settings.climb_speed_m_s,
+                    self.settings.approach_yaw_rate_rad_s,
+                );
+            }
+            FlightState::Approach => {
+                let from = match self.last {
+                    Some(last) if self.state == FlightState::TakeOff => last,
+                    _ => self.stay(here),
+                };
+                let below = self.anchor_below(position);
+                let anchor = *self.anchor.get_or_insert(below);
+                let start = self.trajectory.sample(0.0);
+                self.segment = Segment::between(
+                    (from.position, from.attitude.yaw),
+                    (start.position + anchor, start.attitude.yaw),
+                    self.settings.approach_speed_m_s,
+                    self.settings.approach_yaw_rate_rad_s,
+                );
+            }
+            FlightState::Hold if !self.latch => {
+                self.held = self.last.map(|end| self.level(end.position, end.attitude.yaw));
+            }
+            FlightState::Standby => (self.anchor, self.held, self.latch) = (None, None, false),
+            _ => {}
+        }
+        (self.state, self.entered, self.settled_since) = (state, sample.vehicle, None);
+    }
+
+    fn hold(&mut self, here: &State) -> Reference {
+        if std::mem::take(&mut self.latch) {
+            self.held = None;
+        }
+        let stay = self.stay(here);
+        *self.held.get_or_insert(stay)
+    }
+
+    fn anchor_below(&self, position: Ned) -> Ned {
+        self.ground.unwrap_or(Ned::new(position.north(), position.east(), 0.0))
+    }
+
+    /// Thrust rises on the ground without feedback, then a minimum-jerk climb.
+    fn take_off(&mut self, t: f64, here: &State) -> Guided {
+        let s = self.settings;
+        let spooled = (t / s.spool_s).min(1.0);
+        if spooled < 1.0 {
+            return self.idle(s.idle_thrust + (s.spool_thrust - s.idle_thrust) * spooled, here);
+        }
+        let climbing = t - s.spool_s;
+        let mut reference = self.along(climbing);
+        let height = self.segment.from.down() - here.position.down();
+        let share = (height / s.feedback_height_m).clamp(0.0, 1.0);
+        let (p, r, v) = (here.position, reference.position, here.velocity);
+        reference.position = Ned::new(
+            p.north() + share * (r.north() - p.north()),
+            p.east() + share * (r.east() - p.east()),
+            r.down(),
+        );
+        reference.velocity = Ned::new(
+            (1.0 - share) * v.north(),
+            (1.0 - share) * v.east(),
+            reference.velocity.down(),
+        );
+        let thrust = s.spool_thrust + (1.0 - s.spool_thrust) * (climbing / s.spool_s).min(1.0);
+        reference.feedforward.thrust_n = thrust * self.hover_thrust_n;
+        let off = self.segment.to.down() - here.position.down();
+        let there = climbing >= self.segment.duration_s
+            && off.abs() < s.settle_radius_m.max(0.25 * self.segment.step().norm())
+            && here.velocity.norm() < 2.0 * s.settle_speed_m_s;
+        let reached = there.then_some((Trigger::TakenOff, "at the start height"));
+        Guided { reached, ..Guided::fly(reference) }
+    }
+
+    fn approach(&mut self, t: f64, sample: &Sample) -> Guided {
+        let s = self.settings;
+        let reference = self.along(t);
+        let over = t - self.segment.duration_s;
+        let still = over >= 0.0 && sample.state.velocity.norm() < s.settle_speed_m_s;
+        let near = (sample.state.position - reference.position).norm() < s.settle_radius_m;
+        if still && (near || over > s.settle_timeout_s) {
+            self.settled_since.get_or_insert(sample.vehicle);
+        } else {
+            self.settled_since = None;
+        }
+        let settled = self
+            .settled_since
+            .is_some_and(|since| sample.vehicle.seconds_since(since) >= s.settle_s);
+        let why = if near { "at the start" } else { "at rest beside the start" };
+        Guided {
+            reached: settled.then_some((Trigger::StartReached, why)),
+            ..Guided::fly(reference)
+        }
+    }
+
+    fn track(&self, t: f64) -> Guided {
+        let mut reference = self.trajectory.sample(t);
+        reference.position += self.anchor.unwrap_or_default();
+        let over = t >= self.trajectory.duration();
+        Guided {
+            trajectory_time: Some(t),
+            reached: over.then_some((Trigger::TrajectoryDone, "the trajectory is done")),
+            ..Guided::fly(reference)
+        }
+    }
+
+    fn along(&self, t: f64) -> Reference {
+        let (position, velocity, yaw, yaw_rate) = self.segment.sample(t);
+        let mut reference = self.level(position, yaw);
+        reference.velocity = velocity;
+        reference.body_rate = Frd::new(0.0, 0.0, yaw_rate);
+        reference.feedforward.body_rate = reference.body_rate;
+        reference
+    }
+
+    fn stay(&self, here: &State) -> Reference {
+        self.level(here.position, here.attitude.euler().yaw)
+    }
+
+    fn level(&self, position: Ned, yaw: f64) -> Reference {
+        let attitude = Euler::new(0.0, 0.0, yaw);
+        Reference {
+            position,
+            attitude,
+            feedforward: Setpoint {
+                thrust_n: self.hover_thrust_n,
+                attitude,
+                body_rate: Frd::zero(),
+            },
+            ..Reference::default()
+        }
+    }
+
+    fn idle(&self, thrust: f64, here: &State) -> Guided {
+        let mut reference = self.stay(here);
+        reference.feedforward.thrust_n = thrust * self.hover_thrust_n;
+        Guided { feedback: false, ..Guided::fly(reference) }
+    }
+}
+
+impl Guided {
+    fn fly(reference: Reference) -> Self {
+        Self { reference, feedback: true, trajectory_time: None, reached: None }
+    }
+}
+
+/// A straight way from rest to rest, minimum jerk, yaw by the shorter way.
+#[derive(Clone, Copy, Debug, Default)]
+struct Segment {
+    from: Ned,
+    to: Ned,
+    yaw_from: f64,
+    yaw_step: f64,
+    duration_s: f64,
+}
+
+/// Shortest way, s.
+const SEGMENT_MIN_S: f64 = 1.0;
+/// Peak of the minimum-jerk profile's slope.
+const PEAK_SLOPE: f64 = 15.0 / 8.0;
+
+impl Segment {
+    fn between(from: (Ned, f64), to: (Ned, f64), speed: f64, yaw_rate: f64) -> Self {
+        let yaw_step = wrap_angle(to.1 - from.1);
+        let by_speed = PEAK_SLOPE * (to.0 - from.0).norm() / speed;
+        let by_yaw = PEAK_SLOPE * yaw_step.abs() / yaw_rate;
+        let duration_s = by_speed.max(by_yaw).max(SEGMENT_MIN_S);
+        Self { from: from.0, to: to.0, yaw_from: from.1, yaw_step, duration_s }
+    }
+
+    fn step(&self) -> Ned {
+        self.to - self.from
+    }
+
+    /// Position, velocity, yaw and yaw rate at `t`; at rest at the end.
+    fn sample(&self, t: f64) -> (Ned, Ned, f64, f64) {
+        let x = (t / self.duration_s).clamp(0.0, 1.0);
+        let value = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x);
+        let slope = 30.0 * (x * (1.0 - x)).powi(2) / self.duration_s;
+        (
+            self.from + self.step() * value,
+            self.step() * slope,
+            self.yaw_from + self.yaw_step * value,
+            self.yaw_step * slope,
+        )
+    }
+}

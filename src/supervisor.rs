@@ -1,0 +1,485 @@
+//! The flight's state machine, and the last word before the output.
+//!
+//! ```text
+//! Connect -> AwaitRelease -> AwaitTelemetry -> Preflight -> Standby -> [Engage] -> Arm -> TakeOff
+//!   -> Approach -> Track -> Hold -> Land -> Disarm -> Done
+//! ```
+//!
+//! Every transition is a row of `table.rs`. Setpoints leave in Standby, Engage, Arm to Hold, and in
+//! Land until the vehicle has taken over; never in another state, and never without a fresh sample.
+//! A pilot's mode change leads to PilotControl from everywhere. Every way to the stream passes
+//! AwaitRelease: mode and intended mode must have read something other than OFFBOARD for a while,
+//! because PX4 re-enters OFFBOARD by itself as soon as a stream resumes.
+
+mod preflight;
+mod safety;
+mod table;
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+pub use self::preflight::{PreflightCheck, PreflightSettings, RequiredParameter, preflight};
+use self::safety::FAULTS;
+pub use self::safety::{Fault, FlightCondition, Reaction, SafetySettings};
+pub use self::table::{FlightState, STATES, TRIGGERS, Trigger};
+use crate::clock::HostTime;
+use crate::telemetry::VehicleStatus;
+
+/// Who decides that the daemon takes control.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EngagePolicy {
+    /// A command did: the daemon asks for OFFBOARD and arms, once.
+    Command,
+    /// The pilot does, each time, by switching to OFFBOARD while the daemon streams, and arms.
+    PilotSwitch,
+}
+
+/// Custom modes of the vehicle's autopilot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModeMap {
+    /// Obeys setpoints.
+    pub offboard: u32,
+    /// Lands where it is.
+    pub land: u32,
+    /// Whether CURRENT_MODE tells the intended mode, so that it must be known before streaming.
+    pub reports_intended: bool,
+}
+
+impl ModeMap {
+    /// PX4: OFFBOARD is main mode 6, Land is main 4, sub 6.
+    pub const PX4: Self = Self { offboard: 0x0006_0000, land: 0x0604_0000, reports_intended: true };
+    /// ArduCopter: GUIDED and LAND.
+    pub const ARDUCOPTER: Self = Self { offboard: 4, land: 9, reports_intended: false };
+}
+
+/// Times of the flight's states.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SupervisorSettings {
+    /// Silence of the link that is a loss, s.
+    pub link_lost_after_s: f64,
+    /// Time for which another mode must have been seen before streaming, s.
+    pub release_s: f64,
+    /// Time to be ready for a flight when one was commanded, s.
+    pub ready_timeout_s: f64,
+    /// Hold streamed before OFFBOARD is asked for, s.
+    pub stream_before_engage_s: f64,
+    /// Time for the mode to read OFFBOARD, s.
+    pub engage_timeout_s: f64,
+    /// Time for the motors to be armed when the daemon arms, s.
+    pub arm_timeout_s: f64,
+    /// Time for take-off, and for the approach, s.
+    pub take_off_timeout_s: f64,
+    /// Time for landing, s.
+    pub land_timeout_s: f64,
+    /// Time that control goes on after asking for landing, until the vehicle has taken over, s.
+    pub land_handover_s: f64,
+    /// Hold after the trajectory or after a fault, s.
+    pub hold_s: f64,
+    /// Time on the ground after which disarming is asked for, s.
+    pub disarm_after_s: f64,
+    /// Requests without effect are repeated this often, s.
+    pub retry_s: f64,
+}
+
+impl Default for SupervisorSettings {
+    fn default() -> Self {
+        Self {
+            link_lost_after_s: 2.5,
+            release_s: 1.0,
+            ready_timeout_s: 60.0,
+            stream_before_engage_s: 0.5,
+            engage_timeout_s: 5.0,
+            arm_timeout_s: 5.0,
+            take_off_timeout_s: 30.0,
+            land_timeout_s: 60.0,
+            land_handover_s: 2.0,
+            hold_s: 2.0,
+            disarm_after_s: 4.0,
+            retry_s: 1.0,
+        }
+    }
+}
+
+/// A request to the vehicle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Action {
+    /// Mode in which setpoints are obeyed.
+    SetModeOffboard,
+    /// Mode in which the vehicle lands itself.
+    SetModeLand,
+    /// Start the motors.
+    Arm,
+    /// Stop the motors, on the ground.
+    Disarm,
+}
+
+/// How much an event matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// As planned.
+    Info,
+    /// Not as planned, flight goes on.
+    Warning,
+    /// Flight ends or does not begin.
+    Error,
+}
+
+/// Something that happened, in words.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Event {
+    /// When.
+    #[serde(skip)]
+    pub host: HostTime,
+    /// How much it matters.
+    pub severity: Severity,
+    /// State after it.
+    pub state: FlightState,
+    /// What happened.
+    pub text: String,
+}
+
+/// What the supervisor looks at, beside time.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation<'a> {
+    /// The slow messages.
+    pub status: &'a VehicleStatus,
+    /// Whether the vehicle is off the ground.
+    pub airborne: bool,
+    /// Whether samples are fresh and quick enough.
+    pub telemetry_ready: bool,
+    /// The preflight checks that fail, in words; empty when all pass.
+    pub preflight: &'a [PreflightCheck],
+    /// What faults are judged by.
+    pub condition: FlightCondition,
+}
+
+/// The flight's state machine. Time comes with each call.
+#[derive(Clone, Debug)]
+pub struct Supervisor {
+    policy: EngagePolicy,
+    modes: ModeMap,
+    settings: SupervisorSettings,
+    safety: SafetySettings,
+    state: FlightState,
+    since: HostTime,
+    /// A command to fly that was not used up yet.
+    engaged: bool,
+    streamed: bool,
+    mode_at_entry: Option<u32>,
+    other_mode_since: Option<HostTime>,
+    asked: Option<HostTime>,
+    refusal: Option<String>,
+    /// Since when each fault's condition has held, and whether it was reacted to.
+    faults: BTreeMap<Fault, (HostTime, bool)>,
+    actions: Vec<Action>,
+    events: Vec<Event>,
+}
+
+impl Supervisor {
+    /// Connecting, at `now`. Under [`EngagePolicy::Command`] one flight is wanted.
+    pub fn new(
+        policy: EngagePolicy,
+        modes: ModeMap,
+        settings: SupervisorSettings,
+        safety: SafetySettings,
+        now: HostTime,
+    ) -> Self {
+        Self {
+            policy,
+            modes,
+            settings,
+            safety,
+            state: FlightState::Connect,
+            since: now,
+            engaged: policy == EngagePolicy::Command,
+            streamed: false,
+            mode_at_entry: None,
+            other_mode_since: None,
+            asked: None,
+            refusal: None,
+            faults: BTreeMap::new(),
+            actions: Vec::new(),
+            events: Vec::new(),
+        }
+    }
+
+    /// Where the flight stands.
+    pub fn state(&self) -> FlightState {
+        self.state
+    }
+
+    /// Seconds in the present state.
+    pub fn seconds_in_state(&self, now: HostTime) -> f64 {
+        now.since(self.since).as_secs_f64()
+    }
+
+    /// Asks for a flight, or another after the last is over.
+    pub fn engage(&mut self, now: HostTime) {
+        self.engaged = true;
+        self.fire(now, Trigger::EngageAsked, "a flight is asked for");
+    }
+
+    /// The vehicle refused a request; `text` says why, where it is known.
+    pub fn refused(&mut self, now: HostTime, action: Action, text: &str) {
+        let text = format!("the vehicle refuses {action:?}: {text}");
+        self.tell(now, Severity::Warning, text.clone());
+        self.refusal = Some(text);
+    }
+
+    /// Requests since the last call, oldest first.
+    pub fn take_actions(&mut self) -> Vec<Action> {
+        std::mem::take(&mut self.actions)
+    }
+
+    /// Events since the last call, oldest first.
+    pub fn take_events(&mut self) -> Vec<Event> {
+        std::mem::take(&mut self.events)
+    }
+
+    /// Moves along the table's row for `trigger`, if there is one.
+    pub fn fire(&mut self, now: HostTime, trigger: Trigger, why: &str) -> bool {
+        let Some(next) = self.state.next(trigger) else { return false };
+        let severity = match next {
+            FlightState::Abort => Severity::Error,
+            FlightState::PilotControl => Severity::Warning,
+            _ => Severity::Info,
+        };
+        let refusal = self.refusal.take().filter(|_| next == FlightState::Abort);
+        (self.state, self.since) = (next, now);
+        self.asked = None;
+        self.mode_at_entry = None;
+        self.streamed = false;
+        self.faults.clear();
+        if next.is_over() {
+            self.engaged = false;
+        }
+        self.tell(now, severity, refusal.unwrap_or_else(|| why.to_owned()));
+        true
+    }
+
+    /// Adds an event.
+    pub fn tell(&mut self, now: HostTime, severity: Severity, text: impl Into<String>) {
+        self.events.push(Event { host: now, severity, state: self.state, text: text.into() });
+    }
+
+    /// Looks at the vehicle and the clock, and moves on as far as the table leads.
+    pub fn observe(&mut self, now: HostTime, seen: &Observation) {
+        // The longest chain of rows within one look is shorter than the number of states.
+        for _ in 0..STATES.len() {
+            let Some((trigger, why)) = self.trigger(now, seen) else { break };
+            if !self.fire(now, trigger, &why) {
+                break;
+            }
+        }
+        self.mode_at_entry = self.mode_at_entry.or(seen.status.mode);
+        self.react(now, &seen.condition);
+        self.request(now, seen.status);
+    }
+
+    /// Whether a setpoint may leave now: the last word.
+    pub fn permits(&mut self, now: HostTime, status: &VehicleStatus) -> bool {
+        let offboard = status.mode == Some(self.modes.offboard);
+        let permitted = match self.state {
+            FlightState::Standby | FlightState::Engage => true,
+            FlightState::Land => {
+                offboard && self.seconds_in_state(now) < self.settings.land_handover_s
+            }
+            state => state.is_in_control() && offboard,
+        };
+        self.streamed |= permitted;
+        permitted
+    }
+
+    /// The first trigger that holds and that the present state listens to.
+    fn trigger(&mut self, now: HostTime, seen: &Observation) -> Option<(Trigger, String)> {
+        let silence_s =
+            seen.status.heard.map_or(f64::INFINITY, |heard| now.since(heard).as_secs_f64());
+        let linked = silence_s < self.settings.link_lost_after_s;
+        let (mode, intended) = (seen.status.mode, seen.status.intended_mode);
+        let offboard = mode == Some(self.modes.offboard);
+        let released = mode.is_some()
+            && !offboard
+            && intended != Some(self.modes.offboard)
+            && (intended.is_some() || !self.modes.reports_intended);
+        if released && linked {
+            self.other_mode_since.get_or_insert(now);
+        } else {
+            self.other_mode_since = None;
+        }
+        let released_s = self
+            .other_mode_since
+            .map_or(0.0, |since| now.since(since.max(self.since)).as_secs_f64());
+        let in_state_s = self.seconds_in_state(now);
+        let armed = seen.status.armed;
+        let by_command = self.policy == EngagePolicy::Command;
+        // In the order in which they are listened to.
+        let rows = [
+            (Trigger::LinkLost, !linked),
+            (Trigger::VehicleHeard, linked && mode.is_some()),
+            (Trigger::EngageAsked, linked && !by_command),
+            (Trigger::ModeChanged, self.mode_changed(mode)),
+            (Trigger::Disarmed, armed == Some(false)),
+            (Trigger::OffboardFound, linked && !released),
+            (Trigger::Released, released_s >= self.settings.release_s),
+            (Trigger::TelemetryLost, !seen.telemetry_ready),
+            (Trigger::TelemetryReady, seen.telemetry_ready),
+            (Trigger::PreflightPassed, seen.preflight.is_empty() && (self.engaged || !by_command)),
+            (Trigger::OffboardRead, offboard && self.streamed),
+            (
+                Trigger::StreamEstablished,
+                self.engaged
+                    && by_command
+                    && self.streamed
+                    && in_state_s >= self.settings.stream_before_engage_s,
+            ),
+            (Trigger::ArmedInAir, armed == Some(true) && seen.airborne),
+            (Trigger::Armed, armed == Some(true) && !seen.airborne),
+            (Trigger::HoldDone, in_state_s >= self.settings.hold_s),
+            (Trigger::Landed, !seen.airborne && mode == Some(self.modes.land)),
+            (Trigger::TimedOut, self.time_limit_s().is_some_and(|limit| in_state_s > limit)),
+        ];
+        let (trigger, _) = rows
+            .into_iter()
+            .find(|(trigger, holds)| *holds && self.state.next(*trigger).is_some())?;
+        Some((trigger, self.describe(trigger, seen)))
+    }
+
+    fn describe(&self, trigger: Trigger, seen: &Observation) -> String {
+        let mode = seen.status.mode.unwrap_or_default();
+        let text = match trigger {
+            Trigger::ModeChanged => return format!("the pilot has control, in mode {mode:#010x}"),
+            Trigger::OffboardFound => {
+                return format!("the mode is {mode:#010x}; waiting until it is not OFFBOARD");
+            }
+            Trigger::TimedOut => return self.timed_out(seen),
+            Trigger::LinkLost => "the link is silent",
+            Trigger::VehicleHeard => "the vehicle is heard",
+            Trigger::EngageAsked => "ready for the pilot's next switch",
+            Trigger::Disarmed if self.state.is_flying() => "the motors were stopped in flight",
+            Trigger::Disarmed => "disarmed",
+            Trigger::Released => "free to stream",
+            Trigger::TelemetryLost => "telemetry is not fresh",
+            Trigger::TelemetryReady => "telemetry is fresh",
+            Trigger::PreflightPassed => "preflight checks passed",
+            Trigger::OffboardRead => "the mode is OFFBOARD",
+            Trigger::StreamEstablished => "asking for OFFBOARD",
+            Trigger::ArmedInAir => "in the air",
+            Trigger::Armed => "armed",
+            Trigger::HoldDone => "landing",
+            Trigger::Landed => "on the ground",
+            Trigger::TakenOff
+            | Trigger::StartReached
+            | Trigger::TrajectoryDone
+            | Trigger::HoldNow
+            | Trigger::LandNow
+            | Trigger::StopNow => "as asked",
+        };
+        text.to_owned()
+    }
+
+    /// Whether the mode reads what neither the daemon asked for nor was there before.
+    fn mode_changed(&self, mode: Option<u32>) -> bool {
+        let Some(mode) = mode else { return false };
+        let offboard = mode == self.modes.offboard;
+        match self.state {
+            FlightState::Engage => !offboard && self.mode_at_entry.is_some_and(|at| at != mode),
+            FlightState::Land => !offboard && mode != self.modes.land,
+            _ => !offboard,
+        }
+    }
+
+    fn time_limit_s(&self) -> Option<f64> {
+        let s = &self.settings;
+        let commanded =
+            |limit| (self.policy == EngagePolicy::Command && self.engaged).then_some(limit);
+        match self.state {
+            FlightState::AwaitRelease | FlightState::AwaitTelemetry | FlightState::Preflight => {
+                commanded(s.ready_timeout_s)
+            }
+            FlightState::Engage => Some(s.engage_timeout_s),
+            FlightState::Arm => commanded(s.arm_timeout_s),
+            FlightState::TakeOff | FlightState::Approach => Some(s.take_off_timeout_s),
+            FlightState::Land => Some(s.land_timeout_s),
+            FlightState::Disarm => Some(s.disarm_after_s + s.land_timeout_s),
+            _ => None,
+        }
+    }
+
+    fn timed_out(&self, seen: &Observation) -> String {
+        let what = match self.state {
+            FlightState::AwaitRelease => "the vehicle is in OFFBOARD, or its mode is not known; \
+                 switch it to another mode first"
+                .to_owned(),
+            FlightState::AwaitTelemetry => "no fresh attitude and position".to_owned(),
+            FlightState::Preflight => {
+                let failed: Vec<_> = seen.preflight.iter().map(ToString::to_string).collect();
+                format!("preflight: {}", failed.join("; "))
+            }
+            FlightState::Engage => "the mode did not become OFFBOARD".to_owned(),
+            FlightState::Arm => "arming had no effect".to_owned(),
+            FlightState::TakeOff => "the take-off did not reach its height".to_owned(),
+            FlightState::Approach => "the trajectory's start was not reached".to_owned(),
+            FlightState::Land => "the vehicle did not report that it landed".to_owned(),
+            _ => "the motors did not stop".to_owned(),
+        };
+        match &seen.status.warning {
+            Some((host, text)) if *host >= self.since => format!("{what}; vehicle: {text}"),
+            _ => what,
+        }
+    }
+
+    /// Reacts to each fault once, as soon as its condition has held for its time.
+    fn react(&mut self, now: HostTime, condition: &FlightCondition) {
+        if !self.state.is_in_control() {
+            return;
+        }
+        for fault in FAULTS {
+            let grounded = self.state == FlightState::Arm
+                && !matches!(fault, Fault::StaleTelemetry | Fault::TelemetryJump | Fault::Battery);
+            if grounded || !self.safety.holds(fault, condition) {
+                self.faults.remove(&fault);
+                continue;
+            }
+            let (since, reacted) = self.faults.entry(fault).or_insert((now, false));
+            if *reacted || now.since(*since).as_secs_f64() < self.safety.dwell_s(fault) {
+                continue;
+            }
+            *reacted = true;
+            let why = self.safety.describe(fault, condition);
+            let reaction = self.safety.reaction(fault);
+            let moved = reaction.trigger().is_some_and(|trigger| {
+                self.state.next(trigger).is_some() && self.fire(now, trigger, &why)
+            });
+            if moved {
+                return;
+            }
+            self.tell(now, Severity::Warning, why);
+        }
+    }
+
+    /// What the present state asks of the vehicle, repeated while it has no effect.
+    fn request(&mut self, now: HostTime, status: &VehicleStatus) {
+        let arms = self.policy == EngagePolicy::Command;
+        let action = match self.state {
+            FlightState::Engage => Action::SetModeOffboard,
+            FlightState::Arm if arms && status.armed != Some(true) => Action::Arm,
+            FlightState::Land if status.mode == Some(self.modes.offboard) => Action::SetModeLand,
+            FlightState::Disarm if self.seconds_in_state(now) >= self.settings.disarm_after_s => {
+                Action::Disarm
+            }
+            _ => return,
+        };
+        let retry = Duration::from_secs_f64(self.settings.retry_s);
+        if self.asked.is_none_or(|asked| now >= asked + retry) {
+            self.asked = Some(now);
+            self.actions.push(action);
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! Faults in flight and what is done about them.
+
+use serde::{Deserialize, Serialize};
+
+use super::table::Trigger;
+
+/// What a fault leads to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reaction {
+    /// It is told, and the flight goes on.
+    Warn,
+    /// Control stays and holds the present place, then lands.
+    Hold,
+    /// The vehicle is asked to land itself.
+    Land,
+    /// The stream stops at once, and the vehicle's own offboard-loss failsafe acts.
+    Stop,
+}
+
+impl Reaction {
+    pub(super) fn trigger(self) -> Option<Trigger> {
+        match self {
+            Self::Warn => None,
+            Self::Hold => Some(Trigger::HoldNow),
+            Self::Land => Some(Trigger::LandNow),
+            Self::Stop => Some(Trigger::StopNow),
+        }
+    }
+}
+
+/// A fault in flight.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fault {
+    /// No sample for too long.
+    StaleTelemetry,
+    /// The estimate jumped.
+    TelemetryJump,
+    /// Too far from the reference for too long.
+    TrackingError,
+    /// Tilted too far for too long.
+    Tilt,
+    /// Outside of the fence.
+    Geofence,
+    /// The battery is low.
+    Battery,
+}
+
+/// Every fault.
+pub(super) const FAULTS: [Fault; 6] = [
+    Fault::StaleTelemetry,
+    Fault::TelemetryJump,
+    Fault::TrackingError,
+    Fault::Tilt,
+    Fault::Geofence,
+    Fault::Battery,
+];
+
+/// When a fault is one, and the reaction to each. Link loss has no setting: the stream stops.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SafetySettings {
+    /// Silence of the state that is a fault, s. No setpoint leaves without a fresh sample anyway.
+    pub stale_after_s: f64,
+    /// Reaction: the vehicle lands itself, because nothing here knows where it is.
+    pub on_stale: Reaction,
+    /// Reaction to a jump of the estimate: the place it is at now is held.
+    pub on_jump: Reaction,
+    /// Distance from the reference, m.
+    pub tracking_error_max_m: f64,
+    /// Time beyond that distance, s.
+    pub tracking_error_for_s: f64,
+    /// Reaction.
+    pub on_tracking_error: Reaction,
+    /// Tilt, rad.
+    pub tilt_max_rad: f64,
+    /// Time beyond that tilt, s.
+    pub tilt_for_s: f64,
+    /// Reaction.
+    pub on_tilt: Reaction,
+    /// Horizontal distance from the anchor, m.
+    pub fence_radius_m: f64,
+    /// Height above the anchor, m.
+    pub fence_height_m: f64,
+    /// Reaction.
+    pub on_geofence: Reaction,
+    /// Remaining charge, 0..1.
+    pub battery_min: f64,
+    /// Time below that charge, s: a report can be wrong for a moment.
+    pub battery_for_s: f64,
+    /// Reaction.
+    pub on_battery: Reaction,
+}
+
+impl Default for SafetySettings {
+    fn default() -> Self {
+        Self {
+            stale_after_s: 0.5,
+            on_stale: Reaction::Land,
+            on_jump: Reaction::Hold,
+            tracking_error_max_m: 2.0,
+            tracking_error_for_s: 0.5,
+            on_tracking_error: Reaction::Land,
+            tilt_max_rad: 1.05,
+            tilt_for_s: 0.15,
+            on_tilt: Reaction::Land,
+            fence_radius_m: 30.0,
+            fence_height_m: 30.0,
+            on_geofence: Reaction::Land,
+            battery_min: 0.15,
+            battery_for_s: 3.0,
+            on_battery: Reaction::Land,
+        }
+    }
+}
+
+/// What the faults are judged by; NaN counts as beyond every limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FlightCondition {
+    /// Age of the newest sample, s.
+    pub sample_age_s: f64,
+    /// Whether the estimate jumped since the last look.
+    pub jumped: bool,
+    /// Distance from the reference, m.
+    pub tracking_error_m: f64,
+    /// rad
+    pub tilt_rad: f64,
+    /// Horizontal distance from the anchor, m.
+    pub radius_m: f64,
+    /// Height above the anchor, m.
+    pub height_m: f64,
+    /// Remaining charge, where known.
+    pub battery: Option<f64>,
+}
+
+impl SafetySettings {
+    /// Whether the fault's condition holds now.
+    pub(super) fn holds(&self, fault: Fault, c: &FlightCondition) -> bool {
+        let beyond = |value: f64, limit: f64| value > limit || value.is_nan();
+        match fault {
+            Fault::StaleTelemetry => beyond(c.sample_age_s, self.stale_after_s),
+            Fault::TelemetryJump => c.jumped,
+            Fault::TrackingError => beyond(c.tracking_error_m, self.tracking_error_max_m),
+            Fault::Tilt => beyond(c.tilt_rad, self.tilt_max_rad),
+            Fault::Geofence => {
+                beyond(c.radius_m, self.fence_radius_m) || beyond(c.height_m, self.fence_height_m)
+            }
+            Fault::Battery => c.battery.is_some_and(|left| left < self.battery_min),
+        }
+    }
+
+    /// Seconds for which the condition must hold.
+    pub(super) fn dwell_s(&self, fault: Fault) -> f64 {
+        match fault {
+            Fault::TrackingError => self.tracking_error_for_s,
+            Fault::Tilt => self.tilt_for_s,
+            Fault::Battery => self.battery_for_s,
+            Fault::StaleTelemetry | Fault::TelemetryJump | Fault::Geofence => 0.0,
+        }
+    }
+
+    /// The reaction to the fault.
+    pub fn reaction(&self, fault: Fault) -> Reaction {
+        match fault {
+            Fault::StaleTelemetry => self.on_stale,
+            Fault::TelemetryJump => self.on_jump,
+            Fault::TrackingError => self.on_tracking_error,
+            Fault::Tilt => self.on_tilt,
+            Fault::Geofence => self.on_geofence,
+            Fault::Battery => self.on_battery,
+        }
+    }
+
+    pub(super) fn describe(&self, fault: Fault, c: &FlightCondition) -> String {
+        match fault {
+            Fault::StaleTelemetry => format!("no state for {:.2} s", c.sample_age_s),
+            Fault::TelemetryJump => "the state estimate jumped".to_owned(),
+            Fault::TrackingError => format!(
+                "{:.2} m from the reference, limit {:.2} m",
+                c.tracking_error_m, self.tracking_error_max_m
+            ),
+            Fault::Tilt => format!(
+                "tilted {:.0} deg, limit {:.0} deg",
+                c.tilt_rad.to_degrees(),
+                self.tilt_max_rad.to_degrees()
+            ),
+            Fault::Geofence => format!(
+                "outside the fence: {:.1} m away of {:.1} m, {:.1} m high of {:.1} m",
+                c.radius_m, self.fence_radius_m, c.height_m, self.fence_height_m
+            ),
+            Fault::Battery => format!(
+                "battery at {:.0} %, limit {:.0} %",
+                c.battery.unwrap_or(f64::NAN) * 100.0,
+                self.battery_min * 100.0
+            ),
+        }
+    }
+}

@@ -1,0 +1,493 @@
+//! The vehicle's state from its messages: which message fires a control tick, what of it is
+//! believed, and what else is known about the vehicle.
+
+mod rate;
+mod status;
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::{Attitude, Frd, Ned};
+use sitl::rigid_body::State;
+
+use self::rate::RateMeter;
+pub use self::status::{Battery, VehicleStatus};
+use crate::clock::{HostTime, VehicleTime};
+use crate::link::message::{AttitudeSource, Inbound, Received};
+
+/// When a control tick fires, and what telemetry is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TelemetrySettings {
+    /// Control rate, Hz; ticks are thinned to it.
+    pub rate_hz: f64,
+    /// A message that came this much later than the quickest ones is not acted upon, s.
+    pub late_after_s: f64,
+    /// A position this far from where velocity leads is a jump, m.
+    pub position_jump_m: f64,
+    /// A change of velocity by this much at once is a jump, m/s.
+    pub velocity_jump_m_s: f64,
+    /// An attitude this far from where the body rate leads is a jump, rad.
+    pub attitude_jump_rad: f64,
+    /// A step of the vehicle's clock against the host's by more than this is a jump, s.
+    pub clock_jump_s: f64,
+}
+
+impl Default for TelemetrySettings {
+    fn default() -> Self {
+        Self {
+            rate_hz: 100.0,
+            late_after_s: 0.2,
+            position_jump_m: 0.4,
+            velocity_jump_m_s: 2.0,
+            attitude_jump_rad: 0.4,
+            clock_jump_s: 1.0,
+        }
+    }
+}
+
+/// Largest acceleration that a jump is not, m/s^2, and angular acceleration, rad/s^2.
+const ACCELERATION_MAX: f64 = 40.0;
+const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
+/// The least delay seen grows by this much per second, so that a skew of the clocks is followed.
+const DELAY_LEAK: f64 = 5e-4;
+/// ODOMETRY drives the ticks while it comes at this share of the control rate.
+const ODOMETRY_SHARE: f64 = 0.9;
+/// Silence of a source, s, after which another takes its place.
+const SOURCE_SILENT_S: f64 = 0.2;
+/// Longest tolerated distance of a pair's stamps while a rate is not measured yet, s.
+const PAIR_GAP_MAX_S: f64 = 0.05;
+
+/// A state to act upon.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// The state at `vehicle`.
+    pub state: State,
+    /// Vehicle time of the state.
+    pub vehicle: VehicleTime,
+    /// Host time at which its last message came.
+    pub host: HostTime,
+    /// The messages it was made of.
+    pub source: SampleSource,
+    /// How much later than the quickest messages it came, s: its age without the least delay.
+    pub excess_delay_s: f64,
+}
+
+/// What a sample was made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SampleSource {
+    /// ODOMETRY.
+    Odometry,
+    /// LOCAL_POSITION_NED and one of the attitude messages.
+    Pair(AttitudeSource),
+}
+
+/// Telemetry that was not acted upon, and why.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum TelemetryFault {
+    /// NaN, infinite, or a quaternion that is not a rotation.
+    #[error("telemetry with a value that is not finite")]
+    NotFinite,
+    /// A stamp that is not after the one before.
+    #[error("telemetry out of order or twice")]
+    OutOfOrder,
+    /// It waited somewhere on its way.
+    #[error("telemetry {seconds:.3} s late")]
+    Late {
+        /// Beyond the least delay.
+        seconds: f64,
+    },
+    /// The position or velocity is not where it was heading.
+    #[error("position estimate jumped by {metres:.2} m or its velocity by {metres_per_s:.2} m/s")]
+    PositionJump {
+        /// Step beyond what velocity explains.
+        metres: f64,
+        /// Step of the velocity.
+        metres_per_s: f64,
+    },
+    /// The attitude is not where it was turning to.
+    #[error("attitude estimate jumped by {radians:.2} rad")]
+    AttitudeJump {
+        /// Step beyond what the body rate explains.
+        radians: f64,
+    },
+    /// ODOMETRY.reset_counter changed.
+    #[error("the vehicle reset its estimate")]
+    EstimateReset,
+    /// The vehicle's clock stepped forward.
+    #[error("the vehicle's clock jumped by {seconds:.1} s")]
+    ClockJump {
+        /// Beyond the host's time passed.
+        seconds: f64,
+    },
+    /// The vehicle's clock went back: it restarted.
+    #[error("the vehicle restarted: its clock went back by {seconds:.1} s")]
+    Reboot {
+        /// By how much.
+        seconds: f64,
+    },
+}
+
+impl TelemetryFault {
+    /// Whether the estimate is no longer the one that control was relying on, rather than one
+    /// message being of no use.
+    pub fn is_jump(&self) -> bool {
+        !matches!(self, Self::NotFinite | Self::OutOfOrder | Self::Late { .. })
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Pose {
+    stamp: VehicleTime,
+    position: Ned,
+    velocity: Ned,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Turn {
+    stamp: VehicleTime,
+    attitude: Attitude,
+    body_rate: Frd,
+}
+
+/// One kind of message: its newest value, whether that was used, its rate.
+#[derive(Clone, Debug)]
+struct Stream<T> {
+    newest: Option<T>,
+    unused: bool,
+    rate: RateMeter,
+}
+
+impl<T> Default for Stream<T> {
+    fn default() -> Self {
+        Self { newest: None, unused: false, rate: RateMeter::default() }
+    }
+}
+
+/// Messages in, samples out. Deterministic; time comes with the messages.
+#[derive(Clone, Debug)]
+pub struct Telemetry {
+    settings: TelemetrySettings,
+    status: VehicleStatus,
+    position: Stream<Pose>,
+    quaternion: Stream<Turn>,
+    euler: Stream<Turn>,
+    attitude_source: Option<AttitudeSource>,
+    odometry: Stream<(Pose, Turn)>,
+    reset_counter: Option<u8>,
+    clock: Option<(HostTime, VehicleTime)>,
+    /// Least host minus vehicle time, s, against `clock`'s first pair.
+    origin: Option<(HostTime, VehicleTime)>,
+    least_delay_s: f64,
+    due: Option<VehicleTime>,
+    last: Option<Sample>,
+}
+
+impl Telemetry {
+    /// Nothing heard yet.
+    pub fn new(settings: TelemetrySettings) -> Self {
+        Self {
+            settings,
+            status: VehicleStatus::default(),
+            position: Stream::default(),
+            quaternion: Stream::default(),
+            euler: Stream::default(),
+            attitude_source: None,
+            odometry: Stream::default(),
+            reset_counter: None,
+            clock: None,
+            origin: None,
+            least_delay_s: 0.0,
+            due: None,
+            last: None,
+        }
+    }
+
+    /// What is known about the vehicle beside its state.
+    pub fn status(&self) -> &VehicleStatus {
+        &self.status
+    }
+
+    /// The newest sample that fired a tick.
+    pub fn last_sample(&self) -> Option<&Sample> {
+        self.last.as_ref()
+    }
+
+    /// Seconds since the newest sample came, infinite before the first.
+    pub fn age_s(&self, now: HostTime) -> f64 {
+        self.last.map_or(f64::INFINITY, |sample| now.since(sample.host).as_secs_f64())
+    }
+
+    /// Measured rates in Hz of ODOMETRY, of the attitude source in use, and of position.
+    pub fn rates_hz(&self) -> [f64; 3] {
+        let attitude = match self.attitude_source {
+            Some(AttitudeSource::Euler) => &self.euler.rate,
+            _ => &self.quaternion.rate,
+        };
+        [self.odometry.rate.hz(), attitude.hz(), self.position.rate.hz()]
+    }
+
+    /// Rate in Hz at which the messages can fire ticks: the control rate or what limits it.
+    pub fn tick_rate_hz(&self) -> f64 {
+        let [odometry, attitude, position] = self.rates_hz();
+        odometry.max(attitude.min(position)).min(self.settings.rate_hz)
+    }
+
+    /// Forgets the state, the mode and the clocks, after the link was lost or the vehicle restarted.
+    pub fn forget(&mut self) {
+        let mut status = std::mem::take(&mut self.status);
+        status.forget_mode();
+        *self = Self { status, ..Self::new(self.settings) };
+    }
+
+    /// Takes a message; a sample comes back if the message fires a tick.
+    ///
+    /// # Errors
+    /// [`TelemetryFault`] says why a message of the state was not acted upon; the next one is
+    /// judged against it, so that a jump is told once.
+    pub fn update(&mut self, received: &Received) -> Result<Option<Sample>, TelemetryFault> {
+        self.status.update(received);
+        let Some(stamp) = received.vehicle else { return Ok(None) };
+        match received.message {
+            Inbound::Attitude { source, attitude, body_rate } => {
+                let turn = Turn { stamp, attitude, body_rate };
+                finite(Ned::zero(), Ned::zero(), attitude, body_rate)?;
+                let delay = self.advance_clock(received.host, stamp)?;
+                let limit = self.settings.attitude_jump_rad;
+                let stream = match source {
+                    AttitudeSource::Quaternion => &mut self.quaternion,
+                    AttitudeSource::Euler => &mut self.euler,
+                };
+                stream.accept(
+                    turn,
+                    stamp,
+                    |t| t.stamp,
+                    |before| turn_jump(before, &turn, limit),
+                )?;
+                self.choose_attitude(source, stamp);
+                self.not_late(delay)?;
+                Ok(self.pair(received.host, delay))
+            }
+            Inbound::LocalPosition { position, velocity } => {
+                let pose = Pose { stamp, position, velocity };
+                finite(position, velocity, Attitude::default(), Frd::zero())?;
+                let delay = self.advance_clock(received.host, stamp)?;
+                let settings = self.settings;
+                self.position.accept(
+                    pose,
+                    stamp,
+                    |p| p.stamp,
+                    |p| pose_jump(p, &pose, &settings),
+                )?;
+                self.not_late(delay)?;
+                Ok(self.pair(received.host, delay))
+            }
+            Inbound::Odometry { position, velocity, attitude, body_rate, reset_counter } => {
+                let both =
+                    (Pose { stamp, position, velocity }, Turn { stamp, attitude, body_rate });
+                finite(position, velocity, attitude, body_rate)?;
+                let delay = self.advance_clock(received.host, stamp)?;
+                let reset = self.reset_counter.replace(reset_counter);
+                let settings = self.settings;
+                self.odometry.accept(
+                    both,
+                    stamp,
+                    |(p, _)| p.stamp,
+                    |(pose, turn)| {
+                        if reset.is_some_and(|before| before != reset_counter) {
+                            return Err(TelemetryFault::EstimateReset);
+                        }
+                        pose_jump(pose, &both.0, &settings)?;
+                        turn_jump(turn, &both.1, settings.attitude_jump_rad)
+                    },
+                )?;
+                self.not_late(delay)?;
+                if !self.odometry_drives(stamp) {
+                    return Ok(None);
+                }
+                let state = State { position, velocity, attitude, body_rate };
+                Ok(self.fire(state, stamp, received.host, SampleSource::Odometry, delay))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Checks the vehicle's clock against the host's; the message's excess delay in s.
+    fn advance_clock(&mut self, host: HostTime, stamp: VehicleTime) -> Result<f64, TelemetryFault> {
+        let limit = self.settings.clock_jump_s;
+        let (host_before, before) = self.clock.unwrap_or((host, stamp));
+        let passed = stamp.seconds_since(before);
+        let beyond = passed - host.since(host_before).as_secs_f64();
+        if passed < -limit || beyond > limit {
+            self.forget();
+            self.clock = Some((host, stamp));
+            return Err(if passed < 0.0 {
+                TelemetryFault::Reboot { seconds: -passed }
+            } else {
+                TelemetryFault::ClockJump { seconds: beyond }
+            });
+        }
+        if passed >= 0.0 {
+            self.clock = Some((host, stamp));
+        }
+        let (host_origin, origin) = *self.origin.get_or_insert((host, stamp));
+        let delay = host.since(host_origin).as_secs_f64() - stamp.seconds_since(origin);
+        self.least_delay_s = (self.least_delay_s + DELAY_LEAK * passed.max(0.0)).min(delay);
+        Ok(delay - self.least_delay_s)
+    }
+
+    fn not_late(&self, seconds: f64) -> Result<(), TelemetryFault> {
+        if seconds > self.settings.late_after_s {
+            return Err(TelemetryFault::Late { seconds });
+        }
+        Ok(())
+    }
+
+    /// Two attitude estimates are never mixed: the first heard stays in use until it is silent, or
+    /// until the other keeps to the control rate and it does not.
+    fn choose_attitude(&mut self, heard: AttitudeSource, stamp: VehicleTime) {
+        let Some(used) = self.attitude_source else {
+            self.attitude_source = Some(heard);
+            return;
+        };
+        if used == heard {
+            return;
+        }
+        let (mine, other) = match used {
+            AttitudeSource::Quaternion => (&self.quaternion, &self.euler),
+            AttitudeSource::Euler => (&self.euler, &self.quaternion),
+        };
+        let silent =
+            mine.newest.is_none_or(|turn| stamp.seconds_since(turn.stamp) > SOURCE_SILENT_S);
+        let wanted = ODOMETRY_SHARE * self.settings.rate_hz;
+        if silent || (mine.rate.hz() < wanted && other.rate.hz() >= wanted) {
+            self.attitude_source = Some(heard);
+        }
+    }
+
+    fn odometry_drives(&self, stamp: VehicleTime) -> bool {
+        let live = self
+            .odometry
+            .newest
+            .is_some_and(|(pose, _)| stamp.seconds_since(pose.stamp) < SOURCE_SILENT_S);
+        live && self.odometry.rate.hz() >= ODOMETRY_SHARE * self.settings.rate_hz
+    }
+
+    /// The newest attitude and position, if neither was used, their stamps are at most one period
+    /// of the slower apart, and nothing better drives the ticks; carried to the newer stamp.
+    fn pair(&mut self, host: HostTime, delay: f64) -> Option<Sample> {
+        let source = self.attitude_source?;
+        let attitude = match source {
+            AttitudeSource::Quaternion => &mut self.quaternion,
+            AttitudeSource::Euler => &mut self.euler,
+        };
+        if !(attitude.unused && self.position.unused) {
+            return None;
+        }
+        let (turn, pose) = (attitude.newest?, self.position.newest?);
+        let gap = turn.stamp.seconds_since(pose.stamp);
+        let slower = attitude.rate.hz().min(self.position.rate.hz());
+        // Stamps are often whole milliseconds.
+        let gap_max = if slower > 0.0 { 1.0 / slower + 1e-3 } else { PAIR_GAP_MAX_S };
+        if gap.abs() > gap_max {
+            return None;
+        }
+        (attitude.unused, self.position.unused) = (false, false);
+        let stamp = turn.stamp.max(pose.stamp);
+        if self.odometry_drives(stamp) {
+            return None;
+        }
+        let state = State {
+            position: pose.position + pose.velocity * gap.max(0.0),
+            velocity: pose.velocity,
+            attitude: carried(turn.attitude, turn.body_rate, (-gap).max(0.0)),
+            body_rate: turn.body_rate,
+        };
+        self.fire(state, stamp, host, SampleSource::Pair(source), delay)
+    }
+
+    /// Thins to the control rate. The due time moves on by whole periods, so that the mean rate
+    /// has no drift, and a source that is slower than asked loses no tick to it.
+    fn fire(
+        &mut self,
+        state: State,
+        vehicle: VehicleTime,
+        host: HostTime,
+        source: SampleSource,
+        excess_delay_s: f64,
+    ) -> Option<Sample> {
+        if self.last.is_some_and(|last| vehicle <= last.vehicle) {
+            return None;
+        }
+        let period_us = (1e6 / self.settings.rate_hz).round() as u64;
+        let due = self.due.unwrap_or(vehicle);
+        if vehicle.as_us() + period_us / 4 < due.as_us() {
+            return None;
+        }
+        let behind = vehicle.as_us() > due.as_us() + period_us;
+        let from = if behind { vehicle } else { due };
+        self.due = Some(VehicleTime::from_us(from.as_us() + period_us));
+        let sample = Sample { state, vehicle, host, source, excess_delay_s };
+        self.last = Some(sample);
+        Some(sample)
+    }
+}
+
+impl<T: Copy> Stream<T> {
+    /// Takes `value` as the newest unless its stamp is old; `check` judges it by the one before.
+    fn accept(
+        &mut self,
+        value: T,
+        stamp: VehicleTime,
+        stamp_of: impl Fn(&T) -> VehicleTime,
+        check: impl Fn(&T) -> Result<(), TelemetryFault>,
+    ) -> Result<(), TelemetryFault> {
+        let before = self.newest;
+        if before.is_some_and(|before| stamp <= stamp_of(&before)) {
+            return Err(TelemetryFault::OutOfOrder);
+        }
+        self.newest = Some(value);
+        self.rate.count(stamp);
+        let judged = before.map_or(Ok(()), |before| check(&before));
+        self.unused = judged.is_ok();
+        judged
+    }
+}
+
+fn finite(p: Ned, v: Ned, q: Attitude, rate: Frd) -> Result<(), TelemetryFault> {
+    let norm = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
+    let sound = p.is_finite() && v.is_finite() && rate.is_finite() && (norm - 1.0).abs() < 0.02;
+    if sound { Ok(()) } else { Err(TelemetryFault::NotFinite) }
+}
+
+fn pose_jump(before: &Pose, now: &Pose, limits: &TelemetrySettings) -> Result<(), TelemetryFault> {
+    let dt = now.stamp.seconds_since(before.stamp);
+    let mean = (before.velocity + now.velocity) * 0.5;
+    let metres = (now.position - before.position - mean * dt).norm();
+    let metres_per_s = (now.velocity - before.velocity).norm();
+    if metres > limits.position_jump_m + 0.5 * ACCELERATION_MAX * dt * dt
+        || metres_per_s > limits.velocity_jump_m_s + ACCELERATION_MAX * dt
+    {
+        return Err(TelemetryFault::PositionJump { metres, metres_per_s });
+    }
+    Ok(())
+}
+
+fn turn_jump(before: &Turn, now: &Turn, limit: f64) -> Result<(), TelemetryFault> {
+    let dt = now.stamp.seconds_since(before.stamp);
+    let mean = (before.body_rate + now.body_rate) * 0.5;
+    let radians = carried(before.attitude, mean, dt).angle_to(now.attitude);
+    if radians > limit + 0.5 * ANGULAR_ACCELERATION_MAX * dt * dt {
+        return Err(TelemetryFault::AttitudeJump { radians });
+    }
+    Ok(())
+}
+
+/// `attitude` after turning at a constant `body_rate` for `dt` seconds.
+fn carried(attitude: Attitude, body_rate: Frd, dt: f64) -> Attitude {
+    let angle = body_rate.norm() * dt;
+    if angle == 0.0 {
+        return attitude;
+    }
+    let (sin, cos) = (0.5 * angle).sin_cos();
+    let [x, y, z] = (body_rate * (dt * sin / angle)).to_array();
+    attitude.compose(Attitude { w: cos, x, y, z }).normalized()
+}
