@@ -239,7 +239,7 @@ impl Station {
     /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins.
     pub fn land(&mut self, now: HostTime) {
         match &mut self.pilot {
-            Some(pilot) if pilot.flight_state().is_in_control() => pilot.land(now),
+            Some(pilot) if pilot.flight_state().is_flying() => pilot.land(now),
             _ => {
                 self.end.get_or_insert(End::Aborted("stopped before the flight".to_owned()));
             }
@@ -311,7 +311,7 @@ impl Station {
             if severity <= Severity::Warning {
                 self.last_trouble = Some(event.text.clone());
             }
-            self.tell(now, severity, format!("{}: {}", state_name(event.state), event.text));
+            self.tell(now, severity, format!("{}: {}", event.state.name(), event.text));
         }
         self.watch(now, state);
     }
@@ -606,7 +606,7 @@ fn tick_record(tick: &Tick, sampled: HostTime) -> record::Tick {
         feedback: tick.feedback,
         setpoint: tick.setpoint,
         saturation: tick.saturation.bits(),
-        phase: state_name(tick.phase),
+        phase: tick.phase.name(),
         trajectory_time: tick.trajectory_time,
         sample_age: tick.sample_age,
     }
