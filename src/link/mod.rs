@@ -2,6 +2,7 @@
 
 pub mod attitude_target;
 pub mod codec;
+pub mod connection;
 pub mod counters;
 pub mod intervals;
 pub mod message;
@@ -9,5 +10,6 @@ pub mod parameter;
 pub mod profile;
 pub mod request;
 pub mod session;
+pub mod tee;
 mod text;
 pub mod timesync;
