@@ -369,7 +369,7 @@ fn provenance(report: &FlightReport) -> String {
         ),
     ];
     let run = report.info.run.iter().map(|(key, value)| (key.as_str(), value.as_str()));
-    definitions(text.into_iter().chain(run))
+    format!("{}<h3>The run, as the log says</h3>{}", definitions(text), definitions(run))
 }
 
 /// Seconds since the log's start.
