@@ -12,7 +12,7 @@ use tokio::time::sleep_until;
 
 use crate::clock::HostTime;
 use crate::link::connection::{Connection, Input};
-use crate::link::tee::Tee;
+use crate::link::tee::TeeThread;
 use crate::log::LogSink;
 use crate::station::{End, Station, Status};
 
@@ -86,7 +86,7 @@ pub fn start(
     mut station: Station,
     clock: HostClock,
     connection: Connection,
-    tee: Option<Tee>,
+    tee: Option<TeeThread>,
     sink: LogSink,
 ) -> io::Result<Running> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -132,7 +132,7 @@ impl Running {
 struct Control<'a> {
     clock: HostClock,
     connection: Connection,
-    tee: Option<Tee>,
+    tee: Option<TeeThread>,
     sink: LogSink,
     shared: &'a Shared,
 }
@@ -195,7 +195,7 @@ impl Control<'_> {
                 station.receive(now, peer, bytes, self.connection.is_datagram());
                 self.send(station, now);
                 if let Some(tee) = &mut self.tee {
-                    tee.received(now, peer, bytes);
+                    tee.received(now, peer, bytes, self.connection.is_datagram());
                 }
             }
             Input::Opened => station.opened(now),

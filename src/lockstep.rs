@@ -18,7 +18,7 @@ pub const EPOCH: HostTime = HostTime::from_ns(1_767_225_600_000_000_000);
 const TRUTH_PERIOD_US: u64 = 10_000;
 
 /// The only peers: each end's number for the other.
-const VEHICLE: Peer = Peer::SOLE;
+const VEHICLE: Peer = Peer::new(0);
 const STATION: autopilot::Peer = autopilot::Peer(0);
 
 /// Why a lockstep flight did not end.

@@ -3,6 +3,7 @@
 //! An ACK proves nothing (PX4 accepts what it will never send) and another ground station may
 //! lower a rate at any time, so only arrivals count.
 
+use std::fmt;
 use std::time::Duration;
 
 use mavlink::Message;
@@ -58,6 +59,25 @@ pub enum IntervalEvent {
         /// The next rate to ask for, Hz.
         next_hz: Option<f64>,
     },
+}
+
+impl fmt::Display for IntervalEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Short { id, asked_hz, found_hz } => {
+                write!(f, "message {id} comes at {found_hz:.0} Hz, asked for {asked_hz:.0} Hz again")
+            }
+            Self::Served { id, found_hz } => {
+                write!(f, "message {id} comes at {found_hz:.0} Hz, as asked")
+            }
+            Self::Refused { id, refused_hz, next_hz: Some(next) } => {
+                write!(f, "message {id} refused at {refused_hz:.0} Hz, asking for {next:.0} Hz")
+            }
+            Self::Refused { id, refused_hz, next_hz: None } => {
+                write!(f, "message {id} refused at {refused_hz:.0} Hz and below, gave up")
+            }
+        }
+    }
 }
 
 #[derive(Clone, Debug)]

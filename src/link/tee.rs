@@ -4,6 +4,8 @@
 //! channel and not on the control line.
 
 use std::io::{self, Write};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
 
 use wire::tlog::{Splitter, Writer};
 use wire::transport::Peer;
@@ -86,6 +88,80 @@ impl<W: Write> Tee<W> {
     /// The writer, for what is not flushed yet.
     pub fn into_inner(self) -> W {
         self.writer.into_inner()
+    }
+}
+
+/// Entries that wait for the disk.
+const QUEUE: usize = 4096;
+
+/// A [`Tee`] in a thread of its own: handing it bytes never waits. Entries that find the queue full
+/// are dropped and counted.
+#[derive(Debug)]
+pub struct TeeThread {
+    queue: SyncSender<Entry>,
+    dropped: u64,
+    thread: JoinHandle<io::Result<()>>,
+}
+
+#[derive(Debug)]
+enum Entry {
+    Received { now: HostTime, peer: Peer, bytes: Vec<u8>, is_datagram: bool },
+    Sent { now: HostTime, frame: Vec<u8> },
+}
+
+impl TeeThread {
+    /// Starts writing to `out`.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn start(out: impl Write + Send + 'static) -> io::Result<Self> {
+        let (queue, entries) = sync_channel::<Entry>(QUEUE);
+        let thread = thread::Builder::new().name("tlog".into()).spawn(move || {
+            let mut tee = Tee::new(out);
+            let mut last = HostTime::default();
+            for entry in entries {
+                match entry {
+                    Entry::Received { now, peer, bytes, is_datagram } => {
+                        last = now;
+                        tee.received(now, peer, &bytes, is_datagram)?;
+                    }
+                    Entry::Sent { now, frame } => {
+                        last = now;
+                        tee.sent(now, &frame)?;
+                    }
+                }
+            }
+            tee.finish(last)
+        })?;
+        Ok(Self { queue, dropped: 0, thread })
+    }
+
+    /// Bytes that arrived.
+    pub fn received(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
+        self.put(Entry::Received { now, peer, bytes: bytes.to_vec(), is_datagram });
+    }
+
+    /// A frame that was sent.
+    pub fn sent(&mut self, now: HostTime, frame: &[u8]) {
+        self.put(Entry::Sent { now, frame: frame.to_vec() });
+    }
+
+    fn put(&mut self, entry: Entry) {
+        if self.queue.try_send(entry).is_err() {
+            self.dropped += 1;
+        }
+    }
+
+    /// Writes what is left and returns the number of entries that were dropped.
+    ///
+    /// # Errors
+    /// The error that ended the file, now or earlier.
+    pub fn finish(self) -> io::Result<u64> {
+        drop(self.queue);
+        match self.thread.join() {
+            Ok(result) => result.map(|()| self.dropped),
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
     }
 }
 

@@ -16,6 +16,7 @@
 
 pub mod descriptor;
 pub mod export;
+mod flights;
 pub mod info;
 mod name;
 pub mod reader;

@@ -1,11 +1,13 @@
 //! Where records go: to a writer's thread in flight, straight to the file in lockstep.
 
+use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use super::flights::{FlightLogs, OpenLog};
 use super::record::{Record, Severity, Source, Tick};
 use super::writer::{LogError, LogSummary, LogWriter};
 use crate::clock::HostTime;
@@ -42,7 +44,13 @@ struct Threaded {
     queue: SyncSender<Record>,
     /// Counted here, read by the writer's thread.
     dropped: Arc<AtomicU64>,
-    thread: JoinHandle<Result<LogSummary, LogError>>,
+    thread: JoinHandle<Result<Option<LogSummary>, LogError>>,
+}
+
+/// What the writer's thread writes to.
+enum Target {
+    One(Box<LogWriter>),
+    PerFlight(FlightLogs),
 }
 
 impl LogSink {
@@ -64,14 +72,27 @@ impl LogSink {
     /// # Errors
     /// [`LogError::Create`] if the system gives no thread.
     pub fn threaded(writer: LogWriter) -> Result<Self, LogError> {
+        let path = writer.path().to_owned();
+        Self::spawn(Target::One(Box::new(writer)))
+            .map_err(|source| LogError::Create { path, source })
+    }
+
+    /// As [`LogSink::threaded`], with one log for each flight between [`Record::FlightBegins`] and
+    /// [`Record::FlightEnds`], opened by `open` in the writer's thread.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn per_flight(open: OpenLog) -> io::Result<Self> {
+        Self::spawn(Target::PerFlight(FlightLogs::new(open)))
+    }
+
+    fn spawn(target: Target) -> io::Result<Self> {
         let (queue, records) = sync_channel(QUEUE);
         let dropped = Arc::new(AtomicU64::new(0));
-        let path = writer.path().to_owned();
         let counter = Arc::clone(&dropped);
         let thread = thread::Builder::new()
             .name("log".into())
-            .spawn(move || drain(writer, &records, &counter))
-            .map_err(|source| LogError::Create { path, source })?;
+            .spawn(move || drain(target, &records, &counter))?;
         Ok(Self { mode: Mode::Threaded(Threaded { queue, dropped, thread }) })
     }
 
@@ -122,8 +143,9 @@ impl LogSink {
             Mode::Threaded(Threaded { queue, dropped, thread }) => {
                 drop(queue);
                 match thread.join() {
-                    Ok(result) => result.map(|s| {
-                        Some(LogSummary { dropped: dropped.load(Ordering::Relaxed), ..s })
+                    Ok(result) => result.map(|summary| {
+                        let dropped = dropped.load(Ordering::Relaxed);
+                        summary.map(|summary| LogSummary { dropped, ..summary })
                     }),
                     Err(panic) => std::panic::resume_unwind(panic),
                 }
@@ -152,12 +174,48 @@ fn report(error: &LogError) {
     tracing::error!("{error}; flying goes on without a log");
 }
 
+impl Target {
+    /// An error ends a single log for good; the next flight gets a new one.
+    fn write(&mut self, record: Record) -> Result<(), LogError> {
+        match self {
+            Self::One(writer) => writer.write(&record),
+            Self::PerFlight(logs) => {
+                if let Err(error) = logs.write(record) {
+                    report(&error);
+                    logs.abandon();
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn sync_if_due(&mut self, wall: Instant) -> Result<(), LogError> {
+        match self {
+            Self::One(writer) => writer.sync_if_due(wall),
+            Self::PerFlight(logs) => {
+                if let Err(error) = logs.sync_if_due(wall) {
+                    report(&error);
+                    logs.abandon();
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn finish(self) -> Result<Option<LogSummary>, LogError> {
+        match self {
+            Self::One(writer) => writer.finish().map(Some),
+            Self::PerFlight(logs) => logs.finish(),
+        }
+    }
+}
+
 /// The writer's thread: until the sink is gone, or the file fails.
 fn drain(
-    mut writer: LogWriter,
+    mut target: Target,
     records: &Receiver<Record>,
     dropped: &AtomicU64,
-) -> Result<LogSummary, LogError> {
+) -> Result<Option<LogSummary>, LogError> {
     let mut reported = 0;
     let mut latest = HostTime::default();
     let mut step = || -> Result<bool, LogError> {
@@ -165,7 +223,7 @@ fn drain(
             match records.try_recv() {
                 Ok(record) => {
                     latest = host_time(&record).unwrap_or(latest);
-                    writer.write(&record)?;
+                    target.write(record)?;
                 }
                 Err(TryRecvError::Empty) => break true,
                 Err(TryRecvError::Disconnected) => break false,
@@ -176,14 +234,14 @@ fn drain(
             let text = format!("log: {} records dropped, the disk is too slow", total - reported);
             tracing::warn!("{text}");
             reported = total;
-            writer.write(&Record::Event {
+            target.write(Record::Event {
                 host: latest,
                 severity: Severity::Warning,
                 source: Source::Daemon,
                 text,
             })?;
         }
-        writer.sync_if_due(Instant::now())?;
+        target.sync_if_due(Instant::now())?;
         Ok(open)
     };
     loop {
@@ -196,7 +254,7 @@ fn drain(
             }
         }
     }
-    writer.finish()
+    target.finish()
 }
 
 fn host_time(record: &Record) -> Option<HostTime> {
@@ -210,7 +268,8 @@ fn host_time(record: &Record) -> Option<HostTime> {
         Record::Link { host, .. } | Record::Timesync { host, .. } | Record::Event { host, .. } => {
             Some(*host)
         }
-        Record::Facts(_) => None,
+        Record::FlightBegins(host) => Some(*host),
+        Record::Facts(_) | Record::FlightEnds => None,
     }
 }
 

@@ -309,6 +309,8 @@ impl LogWriter {
                 let message = TruthMessage::new(*stamp, truth);
                 self.put(Topic::Truth, stamp.host, stamp.sampled, &message)
             }
+            // Marks for sinks, not for files.
+            Record::FlightBegins(_) | Record::FlightEnds => Ok(()),
             Record::Facts(entries) => self.mcap.write_metadata(&Metadata {
                 name: "run".into(),
                 metadata: entries.as_ref().clone(),
