@@ -118,8 +118,12 @@ pub enum Event {
         /// Share of the line, 0.7 being the limit.
         share: f64,
     },
-    /// The vehicle's clock jumped: it has probably rebooted.
-    ClockJump,
+    /// The vehicle's clock jumped. If it went back by more than a second the vehicle was started
+    /// anew, and is identified again before it gets setpoints.
+    ClockJump {
+        /// By how much, ns.
+        by_ns: i64,
+    },
 }
 
 /// Who the vehicle is.
