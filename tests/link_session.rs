@@ -349,6 +349,9 @@ fn silence_is_stale_then_lost_and_the_vehicle_is_found_again_elsewhere() {
     use LinkState::{Connected, Lost, Stale};
     assert_eq!(world.states(), [Connected, Stale, Lost]);
     assert_eq!(world.outcomes(), [Outcome::NoAnswer]);
+    world.session.request(world.now, Request::Arm);
+    world.silence(STEP);
+    assert_eq!(world.outcomes(), [Outcome::NoAnswer, Outcome::NotConnected]);
     assert_eq!(
         world.session.send_setpoint(world.now, &Setpoint::default()),
         Err(SetpointError::NotConnected)

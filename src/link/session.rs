@@ -257,6 +257,11 @@ impl Session {
     /// Asks something of the vehicle. [`Event::Request`] tells how it ended.
     pub fn request(&mut self, now: HostTime, request: Request) -> RequestId {
         let core = &mut self.core;
+        if matches!(core.state, LinkState::Searching | LinkState::Lost) {
+            let id = core.requests.refuse(request, Outcome::NotConnected);
+            core.collect_ended();
+            return id;
+        }
         let codec = &core.codec;
         let is_known = |name: &str| codec.parameter_type(name).is_some();
         let id = core.requests.submit(now, request, core.profile.as_ref(), is_known);

@@ -430,7 +430,7 @@ impl Core {
         self.collect_ended();
     }
 
-    fn collect_ended(&mut self) {
+    pub(super) fn collect_ended(&mut self) {
         let ended = self.requests.take_ended();
         self.events.extend(ended.map(|(id, request, outcome)| Event::Request {
             id,
