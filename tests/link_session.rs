@@ -34,6 +34,7 @@ fn settings() -> Settings {
 
 /// A vehicle that answers as PX4 does, in as far as the session asks.
 struct Vehicle {
+    booted: HostTime,
     encoder: Encoder,
     decoder: Decoder,
     version: Option<(u16, u16)>,
@@ -55,6 +56,7 @@ struct Vehicle {
 impl Vehicle {
     fn new(system: u8) -> Self {
         Self {
+            booted: START - Duration::from_secs(30),
             encoder: Encoder::new(system, 1),
             decoder: Decoder::new(),
             version: Some(PD_VEHICLE),
@@ -71,9 +73,9 @@ impl Vehicle {
         }
     }
 
-    /// Vehicle time: booted 30 s before START.
-    fn boot(now: HostTime) -> Duration {
-        now.since(START) + Duration::from_secs(30)
+    /// Time since its boot, 30 s before START if it was not booted since.
+    fn boot(&self, now: HostTime) -> Duration {
+        now.since(self.booted)
     }
 
     fn heartbeat(&self) -> MavMessage {
@@ -97,7 +99,7 @@ impl Vehicle {
                 MavMessage::TIMESYNC(data) if data.tc1 == 0 => {
                     let delay = (self.reply_delay)(self.replies);
                     self.replies += 1;
-                    let tc1 = Self::boot(now).as_nanos() as i64;
+                    let tc1 = self.boot(now).as_nanos() as i64;
                     let reply = TIMESYNC_DATA { tc1, ts1: data.ts1, ..Default::default() };
                     self.delayed.push_back((now + delay, MavMessage::TIMESYNC(reply)));
                 }
@@ -164,7 +166,7 @@ impl Vehicle {
         }
         if self.periods.get(&ATTITUDE_QUATERNION).is_some_and(|&period| every(period)) {
             due.push(MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
-                time_boot_ms: Self::boot(now).as_millis() as u32,
+                time_boot_ms: self.boot(now).as_millis() as u32,
                 q1: 1.0,
                 ..Default::default()
             }));
@@ -347,6 +349,9 @@ fn silence_is_stale_then_lost_and_the_vehicle_is_found_again_elsewhere() {
     use LinkState::{Connected, Lost, Stale};
     assert_eq!(world.states(), [Connected, Stale, Lost]);
     assert_eq!(world.outcomes(), [Outcome::NoAnswer]);
+    world.session.request(world.now, Request::Arm);
+    world.silence(STEP);
+    assert_eq!(world.outcomes(), [Outcome::NoAnswer, Outcome::NotConnected]);
     assert_eq!(
         world.session.send_setpoint(world.now, &Setpoint::default()),
         Err(SetpointError::NotConnected)
@@ -390,6 +395,38 @@ fn the_clock_converges_through_lopsided_jitter() {
     let error = (clock.offset_ns - truth).unsigned_abs();
     // The virtual clock steps by a millisecond, so an answer "at once" takes one.
     assert!(error <= 1_000_000, "{error} ns");
+}
+
+#[test]
+fn a_vehicle_that_was_started_anew_is_identified_anew() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(3.0));
+    assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
+    // Another one with the same ids, at once: it must not get setpoints of the old one's form.
+    vehicle.booted = world.now;
+    vehicle.version = None;
+    world.run(&mut vehicle, seconds(0.6));
+    assert_eq!(world.session.profile(), None);
+    world.run(&mut vehicle, seconds(3.0));
+    assert_eq!(world.session.profile(), Some(&Profile::PX4));
+    assert!(world.events.iter().any(|e| matches!(e, Event::ClockJump { by_ns } if *by_ns < 0)));
+}
+
+#[test]
+fn a_ground_station_is_no_vehicle_whatever_it_calls_its_autopilot() {
+    let mut world = World::new(settings());
+    for mavtype in [MavType::MAV_TYPE_GCS, MavType::MAV_TYPE_ONBOARD_CONTROLLER] {
+        let data = HEARTBEAT_DATA {
+            mavtype,
+            autopilot: MavAutopilot::MAV_AUTOPILOT_GENERIC,
+            ..Default::default()
+        };
+        let mut bytes = Vec::new();
+        Encoder::new(255, 190).encode(&MavMessage::HEARTBEAT(data), &mut bytes);
+        world.deliver(STRANGER, &bytes);
+    }
+    assert_eq!(world.session.vehicle(), None);
+    assert_eq!(world.session.stats().foreign, 2);
 }
 
 #[test]

@@ -1,4 +1,39 @@
-//! The link to a vehicle: codec, session, time synchronisation, counters.
+//! The link to a vehicle: connection, codec, session, time synchronisation, counters.
+//!
+//! A [`connection::Connection`] keeps an endpoint open and moves bytes; a [`session::Session`] is
+//! the protocol, sans I/O. Their driver is one loop:
+//!
+//! ```no_run
+//! # use downwash::clock::HostTime;
+//! # use downwash::link::connection::{Connection, Input};
+//! # use downwash::link::session::{Heard, Session};
+//! # use std::time::Duration;
+//! # async fn drive(mut connection: Connection, mut session: Session, clock: fn() -> HostTime) {
+//! let mut buffer = vec![0; wire::transport::RECEIVE_LEN];
+//! loop {
+//!     let wait = session.next_deadline().since(clock());
+//!     let input = tokio::time::timeout(wait, connection.recv(&mut buffer)).await;
+//!     let now = clock();
+//!     match input {
+//!         Ok(Input::Bytes { peer, len }) => {
+//!             let is_datagram = connection.is_datagram();
+//!             session.receive(now, peer, &buffer[..len], is_datagram, &mut |heard| match heard {
+//!                 Heard::Frame { .. } => {} // to the log
+//!                 Heard::Message(_) => {} // kept for the pilot, whose setpoint goes out below
+//!             });
+//!         }
+//!         Ok(Input::PeerClosed(peer)) => session.peer_closed(peer),
+//!         Ok(Input::Lost(_)) => session.transport_closed(),
+//!         Ok(Input::Opened | Input::Failed { .. } | Input::PeerOpened(_)) | Err(_) => {}
+//!     }
+//!     session.poll(now);
+//!     session.transmit(|to, frame| {
+//!         connection.send(to, frame);
+//!     });
+//!     while let Some(_event) = session.next_event() {} // to the log and the supervisor
+//! }
+//! # }
+//! ```
 
 pub mod attitude_target;
 pub mod codec;

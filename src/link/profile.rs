@@ -195,8 +195,8 @@ const PX4_TELEMETRY: &[MessageRate] = &[
     rate(375, 100.0), // ACTUATOR_OUTPUT_STATUS
     rate(83, 50.0),   // ATTITUDE_TARGET
     rate(147, 5.0),   // BATTERY_STATUS
-    rate(436, 5.0),   // CURRENT_MODE
-    rate(245, 5.0),   // EXTENDED_SYS_STATE
+    rate(436, 2.0),   // CURRENT_MODE: never faster, but at once on a change
+    rate(245, 2.0),   // EXTENDED_SYS_STATE
 ];
 
 /// ArduCopter has no ODOMETRY and honours at most 0.8 of its loop rate, in whole milliseconds.
@@ -207,7 +207,7 @@ const COPTER_TELEMETRY: &[MessageRate] = &[
     rate(83, 50.0),  // ATTITUDE_TARGET
     rate(1, 2.0),    // SYS_STATUS
     rate(147, 5.0),  // BATTERY_STATUS
-    rate(245, 5.0),  // EXTENDED_SYS_STATE
+    rate(245, 2.0),  // EXTENDED_SYS_STATE
 ];
 
 const SAFE_TELEMETRY: &[MessageRate] = &[rate(31, 100.0), rate(32, 100.0), rate(147, 2.0)];

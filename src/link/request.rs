@@ -80,8 +80,12 @@ pub enum Outcome {
     NotInForce,
     /// No answer to any repetition.
     NoAnswer,
-    /// The autopilot's profile has no such thing.
+    /// The autopilot's profile has no such thing, or the value is not a number.
     Unsupported,
+    /// The vehicle is not identified yet, so how to ask is not known.
+    NotIdentified,
+    /// No vehicle is connected.
+    NotConnected,
     /// A newer request of the same kind took its place.
     Superseded,
 }
@@ -141,16 +145,28 @@ impl Requests {
         profile: Option<&Profile>,
         is_type_known: impl Fn(&str) -> bool,
     ) -> RequestId {
-        let id = RequestId(self.next_id);
-        self.next_id = self.next_id.wrapping_add(1);
-        let Some(task) = task_of(&request, profile, is_type_known) else {
-            self.ended.push((id, request, Outcome::Unsupported));
-            return id;
+        let task = match task_of(&request, profile, is_type_known) {
+            Ok(task) => task,
+            Err(outcome) => return self.refuse(request, outcome),
         };
+        let id = self.next_id();
         if let Some(command) = task.command() {
             self.end_where(Outcome::Superseded, |pending| pending.task.command() == Some(command));
         }
         self.pending.push(Pending { id, request, task, attempts: 0, next: now, accepted: false });
+        id
+    }
+
+    /// Ends a request before it began.
+    pub(super) fn refuse(&mut self, request: Request, outcome: Outcome) -> RequestId {
+        let id = self.next_id();
+        self.ended.push((id, request, outcome));
+        id
+    }
+
+    fn next_id(&mut self) -> RequestId {
+        let id = RequestId(self.next_id);
+        self.next_id = self.next_id.wrapping_add(1);
         id
     }
 
@@ -277,14 +293,15 @@ impl Requests {
     }
 }
 
-/// What a request takes; `None` if the profile has no such thing.
+/// What a request takes, or how it ends at once.
 fn task_of(
     request: &Request,
     profile: Option<&Profile>,
     is_type_known: impl Fn(&str) -> bool,
-) -> Option<Task> {
+) -> Result<Task, Outcome> {
+    let profile = profile.ok_or(Outcome::NotIdentified);
     let command = |command, params| Task::Command { command, params, mode: None };
-    Some(match request {
+    Ok(match request {
         Request::SetMode(mode) => {
             let modes = profile?.modes;
             let mode = match mode {
@@ -292,7 +309,8 @@ fn task_of(
                 FlightMode::Hold => modes.hold,
                 FlightMode::Land => modes.land,
                 FlightMode::Takeoff => modes.takeoff,
-            }?;
+            };
+            let mode = mode.ok_or(Outcome::Unsupported)?;
             // Param 1: MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
             let params = [1.0, mode.main.into(), mode.sub.into(), 0.0, 0.0, 0.0, 0.0];
             Task::Command { command: DO_SET_MODE, params, mode: Some(mode) }
@@ -301,14 +319,14 @@ fn task_of(
         Request::Disarm => command(ARM_DISARM, [0.0; 7]),
         Request::Takeoff { altitude_m } => {
             if profile?.takeoff != TakeoffWay::Command || !altitude_m.is_finite() {
-                return None;
+                return Err(Outcome::Unsupported);
             }
             command(NAV_TAKEOFF, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *altitude_m as f32])
         }
         Request::ReadParameter(_) => Task::Read,
         Request::SetParameter { name, value } => {
             if !value.is_finite() {
-                return None;
+                return Err(Outcome::Unsupported);
             }
             Task::Set { value: *value, is_type_known: is_type_known(name), was_sent: false }
         }
@@ -418,5 +436,7 @@ mod tests {
         let hold = Request::SetMode(FlightMode::Hold);
         requests.submit(START, hold, Some(&Profile::UNKNOWN), |_| false);
         assert_eq!(outcomes(&mut requests), [Outcome::Unsupported, Outcome::Unsupported]);
+        requests.submit(START, Request::SetMode(FlightMode::Hold), None, |_| false);
+        assert_eq!(outcomes(&mut requests), [Outcome::NotIdentified]);
     }
 }

@@ -118,8 +118,12 @@ pub enum Event {
         /// Share of the line, 0.7 being the limit.
         share: f64,
     },
-    /// The vehicle's clock jumped: it has probably rebooted.
-    ClockJump,
+    /// The vehicle's clock jumped. If it went back by more than a second the vehicle was started
+    /// anew, and is identified again before it gets setpoints.
+    ClockJump {
+        /// By how much, ns.
+        by_ns: i64,
+    },
 }
 
 /// Who the vehicle is.
@@ -253,6 +257,11 @@ impl Session {
     /// Asks something of the vehicle. [`Event::Request`] tells how it ended.
     pub fn request(&mut self, now: HostTime, request: Request) -> RequestId {
         let core = &mut self.core;
+        if matches!(core.state, LinkState::Searching | LinkState::Lost) {
+            let id = core.requests.refuse(request, Outcome::NotConnected);
+            core.collect_ended();
+            return id;
+        }
         let codec = &core.codec;
         let is_known = |name: &str| codec.parameter_type(name).is_some();
         let id = core.requests.submit(now, request, core.profile.as_ref(), is_known);

@@ -84,7 +84,10 @@ pub enum Answer {
     /// Taken in.
     Sample,
     /// The vehicle's clock has jumped: everything known before was dropped.
-    Jump,
+    Jump {
+        /// By how much, negative where it went back, as after a reboot.
+        by_ns: i64,
+    },
 }
 
 impl TimeSync {
@@ -110,6 +113,7 @@ impl TimeSync {
         let sample = Sample { at: now, offset_ns: tc1.saturating_sub(middle), round_trip_ns };
         self.round_trip = Some(Duration::from_nanos(round_trip_ns));
 
+        let old = self.samples.back().map_or(sample.offset_ns, |newest| newest.offset_ns);
         let jumped = self.is_contradicted_by(now, &sample);
         if jumped {
             self.samples.clear();
@@ -128,7 +132,11 @@ impl TimeSync {
             error_ns: Some(best.error_ns(now) as u64),
             source: ClockSource::Timesync,
         });
-        if jumped { Answer::Jump } else { Answer::Sample }
+        if jumped {
+            Answer::Jump { by_ns: sample.offset_ns.saturating_sub(old) }
+        } else {
+            Answer::Sample
+        }
     }
 
     /// Counts contradictions; true once there are enough of them.
@@ -242,7 +250,8 @@ mod tests {
         };
         assert_eq!(rebooted(1), Answer::Sample);
         assert_eq!(rebooted(2), Answer::Sample);
-        assert_eq!(rebooted(3), Answer::Jump);
+        let Answer::Jump { by_ns } = rebooted(3) else { panic!("no jump") };
+        assert!(by_ns < -19_000_000_000, "{by_ns}");
         assert_ne!(sync.estimate(), before);
     }
 

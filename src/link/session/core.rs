@@ -31,6 +31,11 @@ const VERSION_ATTEMPTS: u8 = 5;
 const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
 /// Share of a serial line above which rates fall short.
 const BANDWIDTH_LIMIT: f64 = 0.7;
+/// A clock that went back by more than this belongs to a vehicle that was started anew.
+const RESTART_NS: i64 = 1_000_000_000;
+/// MAV_TYPEs that fly nothing, whatever autopilot they name: antenna tracker, ground station,
+/// onboard controller, gimbal, ADS-B receiver, camera.
+const NO_VEHICLE: [u8; 6] = [5, 6, 18, 26, 27, 30];
 /// MAV_AUTOPILOT_INVALID: a component that is no autopilot.
 const NO_AUTOPILOT: u8 = 8;
 
@@ -139,7 +144,8 @@ impl Core {
         };
         let Ok(system) = u8::try_from(frame.system()) else { return };
         let is_wanted = self.settings.vehicle_system.is_none_or(|wanted| wanted == system);
-        if autopilot == NO_AUTOPILOT || system == 0 || !is_wanted {
+        let is_vehicle = autopilot != NO_AUTOPILOT && !NO_VEHICLE.contains(&vehicle_type);
+        if !is_vehicle || system == 0 || !is_wanted {
             return;
         }
         let id = VehicleId { system, component: frame.component(), autopilot, vehicle_type, peer };
@@ -256,8 +262,16 @@ impl Core {
         let (system, component) = (self.settings.system, self.settings.component);
         let is_for_us = [0, system].contains(&data.target_system)
             && [0, component].contains(&data.target_component);
-        if is_for_us && self.clock.answer(now, data.tc1, data.ts1) == Answer::Jump {
-            self.events.push_back(Event::ClockJump);
+        if !is_for_us {
+            return;
+        }
+        if let Answer::Jump { by_ns } = self.clock.answer(now, data.tc1, data.ts1) {
+            self.events.push_back(Event::ClockJump { by_ns });
+            if by_ns < -RESTART_NS {
+                // It may be another vehicle, which takes other setpoints.
+                self.profile = None;
+                self.version_due = Some((now, 0));
+            }
         }
     }
 
@@ -277,7 +291,7 @@ impl Core {
         let silence = now.since(vehicle.last_heard);
         if silence >= self.settings.lost_after {
             if self.state != LinkState::Lost {
-                self.lose();
+                self.lose(now);
             }
             return;
         }
@@ -313,8 +327,9 @@ impl Core {
         self.send_requests(now);
     }
 
-    fn lose(&mut self) {
+    fn lose(&mut self, now: HostTime) {
         self.set_state(LinkState::Lost);
+        self.counters.restart(now);
         if let Some(vehicle) = &mut self.vehicle {
             vehicle.peer = None;
         }
@@ -415,7 +430,7 @@ impl Core {
         self.collect_ended();
     }
 
-    fn collect_ended(&mut self) {
+    pub(super) fn collect_ended(&mut self) {
         let ended = self.requests.take_ended();
         self.events.extend(ended.map(|(id, request, outcome)| Event::Request {
             id,

@@ -1,0 +1,76 @@
+//! Cost of the link in the control line: a telemetry datagram in, a setpoint frame out.
+
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use downwash::clock::HostTime;
+use downwash::link::attitude_target::ThrustMap;
+use downwash::link::session::{Session, Settings};
+use downwash::setpoint::Setpoint;
+use wire::Encoder;
+use wire::dialect::*;
+use wire::transport::Peer;
+
+const NOW: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
+const VEHICLE: Peer = Peer::new(0);
+
+fn frame(encoder: &mut Encoder, message: MavMessage) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    encoder.encode(&message, &mut bytes);
+    bytes
+}
+
+/// A session with an identified vehicle.
+fn session(encoder: &mut Encoder) -> Session {
+    let thrust = ThrustMap::linear(20.0).expect("a positive thrust");
+    let mut session = Session::new(Settings::new(thrust), NOW);
+    let heartbeat = HEARTBEAT_DATA {
+        mavtype: MavType::MAV_TYPE_QUADROTOR,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+        ..Default::default()
+    };
+    for message in [
+        MavMessage::HEARTBEAT(heartbeat),
+        MavMessage::AUTOPILOT_VERSION(AUTOPILOT_VERSION_DATA::default()),
+    ] {
+        session.receive(NOW, VEHICLE, &frame(encoder, message), true, &mut |_| {});
+    }
+    session.transmit(|_, _| {});
+    session
+}
+
+fn link(criterion: &mut Criterion) {
+    let mut encoder = Encoder::new(1, 1);
+    let mut session = session(&mut encoder);
+    let odometry = MavMessage::ODOMETRY(ODOMETRY_DATA {
+        time_usec: 1_000_000,
+        q: [1.0, 0.0, 0.0, 0.0],
+        // As long as the frame gets.
+        pose_covariance: [0.1; 21],
+        velocity_covariance: [0.1; 21],
+        frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
+        child_frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
+        quality: 100,
+        ..Default::default()
+    });
+    let datagram = frame(&mut encoder, odometry);
+    let setpoint = Setpoint { thrust_n: 9.81, ..Default::default() };
+    criterion.bench_function("odometry datagram to message", |bencher| {
+        bencher.iter(|| {
+            session.receive(NOW, VEHICLE, black_box(&datagram), true, &mut |heard| {
+                black_box(&heard);
+            });
+        });
+    });
+    criterion.bench_function("setpoint to frame", |bencher| {
+        bencher.iter(|| {
+            session.send_setpoint(NOW, black_box(&setpoint)).expect("the vehicle is identified");
+            session.transmit(|_, bytes| {
+                black_box(bytes);
+            });
+        });
+    });
+}
+
+criterion_group!(benches, link);
+criterion_main!(benches);

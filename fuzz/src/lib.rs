@@ -1,0 +1,71 @@
+//! What the fuzz targets do with their bytes. The root package's tests run the same functions on
+//! random bytes, so that they are exercised without a fuzzer too.
+
+use std::time::Duration;
+
+use downwash::clock::HostTime;
+use downwash::link::attitude_target::ThrustMap;
+use downwash::link::request::{FlightMode, Request};
+use downwash::link::session::{Heard, Session, Settings};
+use downwash::link::tee::Tee;
+use downwash::setpoint::Setpoint;
+use wire::Endpoint;
+use wire::tlog::Reader;
+use wire::transport::Peer;
+
+/// A session that hears anything, in any chunks, from several peers, as time goes by.
+pub fn link(data: &[u8]) {
+    let thrust = ThrustMap::linear(20.0).expect("a positive thrust");
+    let mut now = HostTime::from_ns(1_700_000_000_000_000_000);
+    let mut session = Session::new(Settings::new(thrust), now);
+    session.request(now, Request::SetMode(FlightMode::Offboard));
+    session.request(now, Request::SetParameter { name: "COM_OF_LOSS_T".to_owned(), value: 0.2 });
+    let mut tee = Tee::new(Vec::new());
+    let mut rest = data;
+    let mut total = 0;
+    while let [control, len, bytes @ ..] = rest {
+        let (chunk, tail) = bytes.split_at(bytes.len().min(usize::from(*len)));
+        rest = tail;
+        total += chunk.len() as u64;
+        let peer = Peer::new(u32::from(control & 3));
+        let is_datagram = control & 4 != 0;
+        session.receive(now, peer, chunk, is_datagram, &mut |heard| {
+            if let Heard::Message(received) = heard {
+                assert!(received.host == now);
+            }
+        });
+        tee.received(now, peer, chunk, is_datagram).expect("memory takes everything");
+        if control & 8 != 0 {
+            session.peer_closed(peer);
+        }
+        // From nothing to 8 s: past every time-out.
+        now = now + Duration::from_millis(u64::from(control >> 4).pow(3) * 2);
+        session.poll(now);
+        assert!(session.next_deadline() > now, "a poll does all that is due");
+        // May be refused; must not panic.
+        let _ = session.send_setpoint(now, &Setpoint::default());
+        session.transmit(|_, frame| assert!(!frame.is_empty()));
+        while session.next_event().is_some() {}
+    }
+    assert_eq!(session.stats().received.bytes, total);
+    tee.finish(now).expect("memory takes everything");
+    tlog(&tee.into_inner());
+}
+
+/// A telemetry log of anything: every byte is in an entry or skipped.
+pub fn tlog(data: &[u8]) {
+    let mut reader = Reader::new(data);
+    let mut kept = 0;
+    while let Some(entry) = reader.read().expect("memory gives everything") {
+        kept += entry.frame.len() + if entry.time_us.is_some() { 8 } else { 0 };
+    }
+    assert_eq!(kept as u64 + reader.skipped_bytes(), data.len() as u64);
+}
+
+/// A connection string of anything: what is accepted is written and read back the same.
+pub fn endpoint(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    if let Ok(endpoint) = text.parse::<Endpoint>() {
+        assert_eq!(endpoint.to_string().parse(), Ok(endpoint));
+    }
+}

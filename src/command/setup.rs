@@ -1,0 +1,204 @@
+//! From files and settings to what a station needs.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow};
+use sitl::effects::{EffectSet, PdGain, ThrustCurve};
+use sitl::frame::Frd;
+use sitl::physics::Physics;
+use sitl::vehicle::{AttitudePd, VehicleParams};
+
+use super::{Exit, ExitContext};
+use crate::config::{Config, FormSetting};
+use crate::control::HoverVehicle;
+use crate::link::attitude_target::ThrustMap;
+use crate::link::profile::FormChoice;
+use crate::link::session;
+use crate::log::RunInfo;
+use crate::plan::reference::ReferenceSource;
+use crate::plan::{Feasibility, ModelFreeReference, Trajectory};
+use crate::station::StationSettings;
+use crate::supervisor::EngagePolicy;
+
+/// A vehicle file with its text, as the log keeps it.
+pub(super) struct VehicleFile {
+    pub name: String,
+    pub text: String,
+    pub params: VehicleParams,
+}
+
+impl VehicleFile {
+    /// Reads and checks a vehicle file.
+    pub fn load(path: &Path) -> anyhow::Result<Self> {
+        let params = VehicleParams::load(path).or_exit(Exit::Usage)?;
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("vehicle file {}", path.display()))
+            .or_exit(Exit::Usage)?;
+        Ok(Self { name: path.display().to_string(), text, params })
+    }
+
+    /// The nano quadrotor that is built in.
+    pub fn built_in() -> anyhow::Result<Self> {
+        let text = include_str!("../../config/vehicles/crazyflie.toml").to_owned();
+        let params = VehicleParams::from_toml_str(&text)?;
+        Ok(Self { name: "crazyflie.toml (built in)".to_owned(), text, params })
+    }
+}
+
+/// The built-in trajectory: the paper's.
+pub(super) fn built_in_trajectory() -> anyhow::Result<Trajectory> {
+    let text = include_str!("../../config/trajectories/sinusoid-yaw.toml");
+    Ok(Trajectory::parse(text, Path::new("sinusoid-yaw.toml (built in)"))?)
+}
+
+/// What the vehicle file says the vehicle is, its modelled effects applied: what feedback, limits
+/// and feed-forward are made with.
+pub(super) struct EffectiveVehicle {
+    pub hover: HoverVehicle,
+    /// Thrust of all rotors at full output, N.
+    pub thrust_full_n: f64,
+    pub thrust: ThrustMap,
+    pub attitude_pd: Option<AttitudePd>,
+}
+
+impl EffectiveVehicle {
+    pub fn new(params: &VehicleParams) -> anyhow::Result<Self> {
+        let physics = Physics::new(params, &EffectSet::new()).or_exit(Exit::Usage)?;
+        let constants = physics.constants();
+        let thrust_full_n = constants.rotors.iter().map(|rotor| rotor.thrust_max).sum();
+        let gain = params.modelled_effects.get::<PdGain>();
+        let attitude_pd = params.attitude_pd.map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
+        // A mixer that is known is linear, and bends with the motors. An autopilot's own loop is
+        // taken to linearise them.
+        let bend = params.modelled_effects.get::<ThrustCurve>().filter(|_| attitude_pd.is_some());
+        let thrust = ThrustMap::curve(thrust_full_n, bend.map_or(0.0, |curve| curve.a));
+        Ok(Self {
+            hover: HoverVehicle {
+                mass_kg: constants.mass,
+                inertia: constants.inertia,
+                gravity: params.gravity,
+            },
+            thrust_full_n,
+            thrust: thrust.or_exit(Exit::Usage)?,
+            attitude_pd,
+        })
+    }
+}
+
+/// A trajectory within the envelope, with the most that it asks for.
+pub(super) fn checked_trajectory(
+    trajectory: Trajectory,
+    params: &VehicleParams,
+    config: &Config,
+) -> anyhow::Result<(Trajectory, Feasibility)> {
+    let feasibility =
+        config.settings.envelope.check(&trajectory, params.gravity).or_exit(Exit::Refused)?;
+    Ok((trajectory, feasibility))
+}
+
+/// A station's settings.
+pub(super) fn station_settings(
+    config: &Config,
+    vehicle: &VehicleFile,
+    trajectory: Trajectory,
+    policy: EngagePolicy,
+    baud: Option<u32>,
+) -> anyhow::Result<StationSettings> {
+    let settings = &config.settings;
+    let effective = EffectiveVehicle::new(&vehicle.params)?;
+    let link = &settings.link;
+    let session = session::Settings {
+        system: link.system,
+        component: link.component,
+        vehicle_system: link.vehicle_system,
+        vehicle_has_attitude_pd: effective.attitude_pd.is_some(),
+        form: form_choice(link.attitude_target, effective.attitude_pd),
+        answer_timesync: link.answer_timesync,
+        stale_after: seconds("link.stale_after_s", link.stale_after_s)?,
+        lost_after: seconds("link.lost_after_s", link.lost_after_s)?,
+        baud,
+        ..session::Settings::new(effective.thrust)
+    };
+    let reference: Arc<dyn ReferenceSource + Send + Sync> =
+        Arc::new(ModelFreeReference::new(trajectory, effective.hover.hover_thrust_n()));
+    let mut pilot = settings.pilot.clone();
+    pilot.telemetry.rate_hz = settings.control.rate_hz;
+    Ok(StationSettings {
+        session,
+        pilot,
+        lqr: settings.control,
+        policy,
+        hover: effective.hover,
+        thrust_full_n: effective.thrust_full_n,
+        attitude_pd: effective.attitude_pd,
+        reference,
+        search_timeout_s: (policy == EngagePolicy::Command).then_some(link.search_timeout_s),
+    })
+}
+
+/// Without an on-board PD in the vehicle file, the daemon's attitude loop has this gain, 1/s.
+const RATE_GAIN: f64 = 6.0;
+
+fn form_choice(setting: FormSetting, pd: Option<AttitudePd>) -> FormChoice {
+    match setting {
+        FormSetting::Profile => FormChoice::Profile,
+        FormSetting::ForceAttitudeRatesThrust => FormChoice::ForceAttitudeRatesThrust,
+        FormSetting::ArducopterRates => FormChoice::ArduCopterRates,
+        FormSetting::RatesThrust => {
+            let gain = pd.map_or([RATE_GAIN; 3], |pd| std::array::from_fn(|i| pd.kp[i] / pd.kd[i]));
+            FormChoice::RatesThrust { gain }
+        }
+    }
+}
+
+fn seconds(name: &str, value: f64) -> anyhow::Result<Duration> {
+    Duration::try_from_secs_f64(value)
+        .map_err(|_| anyhow!("{name}: expected seconds of at least 0, found {value}"))
+        .or_exit(Exit::Usage)
+}
+
+/// What the log says about the run.
+pub(super) fn run_info(
+    config: &Config,
+    vehicle: &VehicleFile,
+    run: &str,
+    simulated: bool,
+    seed: Option<u64>,
+) -> RunInfo {
+    let rotors = vehicle.params.rotors.map(|rotor| Frd::from(rotor.position_m));
+    RunInfo {
+        vehicle: vehicle.params.name.clone(),
+        run: run.to_owned(),
+        tool_version: env!("CARGO_PKG_VERSION").to_owned(),
+        git_revision: option_env!("DOWNWASH_GIT_REVISION").map(str::to_owned),
+        simulated,
+        seed,
+        autopilot: None,
+        dialect: "ardupilotmega".to_owned(),
+        config: config.to_toml(),
+        vehicle_file: Some((vehicle.name.clone(), vehicle.text.clone())),
+        rotors: rotors.to_vec(),
+        extra: BTreeMap::new(),
+    }
+}
+
+/// A setting that must be there, from a flag or the configuration.
+pub(super) fn required<T: Clone>(value: &Option<T>, flag: &str, key: &str) -> anyhow::Result<T> {
+    value
+        .clone()
+        .ok_or_else(|| anyhow!("{flag} is missing: give the flag, or {key} in the configuration"))
+        .or_exit(Exit::Usage)
+}
+
+/// A flag's value as a configuration layer.
+pub(super) fn path_flag(
+    flag: &'static str,
+    key: &'static str,
+    value: &Option<PathBuf>,
+) -> Option<(&'static str, &'static str, toml::Value)> {
+    let path = value.as_ref()?.to_string_lossy().into_owned();
+    Some((flag, key, toml::Value::String(path)))
+}

@@ -1,0 +1,63 @@
+//! The fuzz targets' functions on random bytes, among them frames that are nearly right.
+
+use proptest::prelude::*;
+use wire::Encoder;
+use wire::dialect::MavMessage;
+
+#[path = "../fuzz/src/lib.rs"]
+mod fuzz;
+
+/// The messages that the link reads, and some that it does not.
+const IDS: &[u32] =
+    &[0, 1, 22, 24, 30, 31, 32, 36, 77, 83, 105, 111, 147, 148, 245, 253, 331, 375, 436];
+
+/// A frame with any payload: the values are as wild as the bytes.
+fn any_frame() -> impl Strategy<Value = Vec<u8>> {
+    let payload = prop_oneof![
+        prop::collection::vec(any::<u8>(), 0..255),
+        prop::collection::vec(prop::sample::select(vec![0u8, 1, 2, 3, 12, 0x7F, 0xFF]), 0..255),
+    ];
+    (prop::sample::select(IDS), payload).prop_filter_map("no such value", |(id, payload)| {
+        let message: MavMessage =
+            mavlink::Message::parse(mavlink::MavlinkVersion::V2, id, &payload).ok()?;
+        let mut bytes = Vec::new();
+        Encoder::new(1, 1).encode(&message, &mut bytes);
+        Some(bytes)
+    })
+}
+
+/// Chunks with their control bytes, as the link's target reads them.
+fn any_input() -> impl Strategy<Value = Vec<u8>> {
+    let chunk = prop_oneof![
+        4 => any_frame(),
+        1 => prop::collection::vec(any::<u8>(), 0..255),
+    ];
+    let calm = prop_oneof![3 => Just(4u8), 1 => any::<u8>()];
+    prop::collection::vec((calm, chunk), 0..40).prop_map(|chunks| {
+        let mut input = Vec::new();
+        for (control, chunk) in chunks {
+            let chunk = &chunk[..chunk.len().min(255)];
+            input.push(control);
+            input.push(chunk.len() as u8);
+            input.extend_from_slice(chunk);
+        }
+        input
+    })
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_break_the_link(input in any_input()) {
+        fuzz::link(&input);
+    }
+
+    #[test]
+    fn no_bytes_break_the_log_reader(input in any_input()) {
+        fuzz::tlog(&input);
+    }
+
+    #[test]
+    fn no_bytes_break_the_endpoint(input in "(udpin|tcp|serial|udp)?:?(//)?[ -~]{0,20}") {
+        fuzz::endpoint(input.as_bytes());
+    }
+}
