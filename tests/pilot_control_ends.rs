@@ -179,3 +179,26 @@ fn not_a_number_is_never_flown_on() {
     let sent: Vec<_> = flight.ticks.iter().filter_map(|tick| tick.setpoint).collect();
     assert!(sent.iter().all(|setpoint| setpoint.is_finite()));
 }
+
+#[test]
+fn low_battery_and_a_left_fence_land_the_vehicle() {
+    let mut low = flight(EngagePolicy::Command);
+    low.until(FlightState::Track, 30.0);
+    let message = Inbound::Battery { voltage: None, current: None, remaining: Some(0.1) };
+    let host = low.vehicle.now();
+    low.pilot.handle(&downwash::link::message::Received { host, vehicle: None, message });
+    low.run(2.9);
+    assert_eq!(low.pilot.flight_state(), FlightState::Track);
+    low.run(0.3);
+    assert_eq!(low.pilot.flight_state(), FlightState::Land);
+
+    let mut settings = PilotSettings::default();
+    settings.safety.fence_radius_m = 1.0;
+    let path = |t: f64| (Ned::new(0.5 * t, 0.0, -1.0), Ned::new(0.5, 0.0, 0.0), 0.0, 0.0);
+    let source = Hovering(Curve(30.0, path), weight(&QUAD));
+    let vehicle = Vehicle::new(QUAD, 0.04, 10);
+    let mut away = Flight::new(vehicle, EngagePolicy::Command, source, settings);
+    away.until(FlightState::Land, 30.0);
+    assert!((away.vehicle.state.position.north() - 1.0).abs() < 0.1);
+    assert!(away.events.iter().any(|event| event.text.contains("outside the fence")));
+}
