@@ -4,7 +4,6 @@
 #![warn(missing_docs)]
 
 pub mod clock;
-pub mod config;
 pub mod setpoint;
 
 pub mod control;
@@ -13,5 +12,13 @@ pub mod log;
 pub mod pilot;
 pub mod plan;
 pub mod report;
+pub mod station;
 pub mod supervisor;
 pub mod telemetry;
+
+pub mod daemon;
+pub mod lockstep;
+
+pub mod cli;
+pub mod command;
+pub mod config;

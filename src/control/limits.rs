@@ -51,6 +51,17 @@ pub struct Saturation {
 }
 
 impl Saturation {
+    /// One bit for each component of `u_hat` that a limit cut: thrust, roll, pitch, yaw, roll rate,
+    /// pitch rate, yaw rate from bit 0; bit 7 is the position error.
+    pub fn bits(&self) -> u32 {
+        let bit = |met: bool, mask: u32| if met { mask } else { 0 };
+        bit(self.thrust, 0x01)
+            | bit(self.tilt, 0x06)
+            | bit(self.yaw_error, 0x08)
+            | bit(self.body_rate, 0x70)
+            | bit(self.position_error, 0x80)
+    }
+
     /// Whether any limit was met.
     pub fn any(&self) -> bool {
         self.position_error || self.thrust || self.tilt || self.body_rate || self.yaw_error

@@ -130,9 +130,21 @@ impl LogInfo {
     /// # Errors
     /// [`ReadError::Io`]; a damaged or unfinished log is no error.
     pub fn read<R: Read>(reader: &mut LogReader<R>) -> Result<Self, ReadError> {
+        Self::read_with(reader, |_| {})
+    }
+
+    /// Reads the rest of `reader` and shows each message to `visit` on the way.
+    ///
+    /// # Errors
+    /// [`ReadError::Io`].
+    pub fn read_with<R: Read>(
+        reader: &mut LogReader<R>,
+        mut visit: impl FnMut(&Message<'_>),
+    ) -> Result<Self, ReadError> {
         let mut scan = Scan::default();
         while let Some(message) = reader.next_message()? {
             scan.add(&message);
+            visit(&message);
         }
         let ending = reader.ending();
         let start = scan.start_ns.unwrap_or(0);
@@ -167,7 +179,7 @@ impl LogInfo {
 
 /// Sums of squares that become a [`TrackingInfo`].
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct TrackingSums {
+struct TrackingSums {
     ticks: u64,
     squares: [f64; 3],
     max: f64,
@@ -175,7 +187,7 @@ pub(crate) struct TrackingSums {
 
 impl TrackingSums {
     /// Counts a tick, if a trajectory was flown and the error is known.
-    pub(crate) fn add(&mut self, control: &ControlMessage) {
+    fn add(&mut self, control: &ControlMessage) {
         let error = [control.error_n_m, control.error_e_m, control.error_d_m];
         if control.trajectory_time_s.is_nan() || error.iter().any(|e| !e.is_finite()) {
             return;
@@ -188,7 +200,7 @@ impl TrackingSums {
     }
 
     /// The root mean squares; `None` without a tick.
-    pub(crate) fn info(&self) -> Option<TrackingInfo> {
+    fn info(&self) -> Option<TrackingInfo> {
         let n = self.ticks as f64;
         let [rmse_n_m, rmse_e_m, rmse_d_m] = self.squares.map(|s| (s / n).sqrt());
         (self.ticks > 0).then(|| TrackingInfo {
@@ -208,7 +220,7 @@ fn seconds(start: u64, time: u64) -> f64 {
 }
 
 /// A line of `/log`, if `message` is one; times count from `start_ns`.
-pub(crate) fn event(message: &Message<'_>, start_ns: u64) -> Option<EventInfo> {
+fn event(message: &Message<'_>, start_ns: u64) -> Option<EventInfo> {
     if message.channel.schema != "foxglove.Log" {
         return None;
     }

@@ -283,6 +283,7 @@ impl<R: Read> LogReader<R> {
                 self.finish()?;
                 Ok(None)
             }
+            _ if !wanted => Ok(None),
             _ => {
                 let record = std::mem::take(&mut self.record);
                 let head = self.accept(opcode, &record[RECORD_HEAD..], offset);

@@ -81,6 +81,10 @@ pub enum Record {
     /// Facts about the run that were learned after the log was opened, such as the firmware's
     /// version. They add to the metadata record `run`.
     Facts(Box<BTreeMap<String, String>>),
+    /// A flight begins, at this time: a sink that keeps one log a flight opens one.
+    FlightBegins(HostTime),
+    /// The flight is over.
+    FlightEnds,
 }
 
 /// When a sample was taken and when it was logged.
@@ -120,7 +124,7 @@ pub struct Tick {
     /// What was sent, after limits; `None` if the tick sent nothing.
     pub setpoint: Option<Setpoint>,
     /// Which components of the setpoint a limit cut, one bit each in the order thrust, roll,
-    /// pitch, yaw, roll rate, pitch rate, yaw rate.
+    /// pitch, yaw, roll rate, pitch rate, yaw rate; bit 7 says that the position error was cut.
     pub saturation: u32,
     /// Name of the flight state.
     pub phase: &'static str,

@@ -90,6 +90,23 @@ impl LogSink {
         }
     }
 
+    /// Records dropped so far because the queue was full.
+    pub fn dropped(&self) -> u64 {
+        match &self.mode {
+            Mode::Discard | Mode::Direct(_) => 0,
+            Mode::Threaded(threaded) => threaded.dropped.load(Ordering::Relaxed),
+        }
+    }
+
+    /// Whether an error has ended the log; [`LogSink::finish`] tells which.
+    pub fn has_failed(&self) -> bool {
+        match &self.mode {
+            Mode::Discard => false,
+            Mode::Direct(direct) => direct.error.is_some(),
+            Mode::Threaded(threaded) => threaded.thread.is_finished(),
+        }
+    }
+
     /// Writes what is left and closes the file; `None` if this sink keeps nothing.
     ///
     /// # Errors
@@ -194,5 +211,47 @@ fn host_time(record: &Record) -> Option<HostTime> {
             Some(*host)
         }
         Record::Facts(_) => None,
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use crate::log::RunInfo;
+    use std::collections::BTreeMap;
+    use std::fs::File;
+    use std::io::pipe;
+    use std::os::fd::OwnedFd;
+
+    /// A log on a pipe that breaks after the preamble, as a disk does when it is full.
+    fn failing_writer() -> LogWriter {
+        let (reader, writer) = pipe().expect("a pipe");
+        let file = File::from(OwnedFd::from(writer));
+        let (start, wall) = (HostTime::default(), Instant::now());
+        let writer = LogWriter::on_file(file, "pipe".into(), &RunInfo::default(), start, wall)
+            .expect("the pipe holds the preamble");
+        drop(reader);
+        writer
+    }
+
+    /// Metadata, which goes to the file at once, and is larger than the file's buffer.
+    fn record() -> Record {
+        Record::Facts(Box::new(BTreeMap::from([("key".into(), "x".repeat(20_000))])))
+    }
+
+    #[test]
+    fn direct_sink_keeps_the_first_error_and_takes_more() {
+        let mut sink = LogSink::direct(failing_writer());
+        (0..3).for_each(|_| sink.log(record()));
+        assert!(sink.has_failed());
+        let error = sink.finish().expect_err("the pipe is broken");
+        assert!(error.to_string().contains("pipe"), "{error}");
+    }
+
+    #[test]
+    fn threaded_sink_keeps_the_first_error_and_takes_more() {
+        let mut sink = LogSink::threaded(failing_writer()).expect("a thread");
+        (0..3).for_each(|_| sink.log(record()));
+        assert!(matches!(sink.finish(), Err(LogError::Write { .. })));
     }
 }

@@ -183,6 +183,17 @@ impl LogWriter {
         wall: Instant,
     ) -> Result<Self, LogError> {
         let (file, path) = create_file(directory, &name::stem(start, &info.vehicle, &info.run))?;
+        Self::on_file(file, path, info, start, wall)
+    }
+
+    /// Starts a log on an empty file.
+    pub(super) fn on_file(
+        file: File,
+        path: PathBuf,
+        info: &RunInfo,
+        start: HostTime,
+        wall: Instant,
+    ) -> Result<Self, LogError> {
         let fail = |source| LogError::Write { path: path.clone(), source };
         let sync_handle =
             file.try_clone().map_err(|source| LogError::Create { path: path.clone(), source })?;

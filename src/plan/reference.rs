@@ -1,5 +1,7 @@
 //! What the pilot follows: a state and the input that goes with it, over time.
 
+use std::sync::Arc;
+
 use crate::setpoint::Reference;
 
 /// A reference from time 0 to its duration, held at both ends.
@@ -9,4 +11,14 @@ pub trait ReferenceSource {
 
     /// The reference at `t` seconds.
     fn sample(&self, t: f64) -> Reference;
+}
+
+impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
+    fn duration(&self) -> f64 {
+        self.as_ref().duration()
+    }
+
+    fn sample(&self, t: f64) -> Reference {
+        self.as_ref().sample(t)
+    }
 }

@@ -1,1 +1,10 @@
-//! Self-contained HTML reports with inline SVG.
+//! Self-contained HTML reports: inline SVG and CSS, nothing fetched, no script.
+
+pub mod chart;
+pub mod flight;
+mod flight_page;
+pub mod page;
+pub mod scene;
+pub mod table;
+
+pub use flight::FlightReport;

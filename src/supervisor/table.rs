@@ -200,6 +200,28 @@ impl FlightState {
             .map(|(_, _, to)| *to)
     }
 
+    /// The name in logs and on screens.
+    pub fn name(self) -> &'static str {
+        match self {
+            Connect => "connect",
+            AwaitRelease => "await_release",
+            AwaitTelemetry => "await_telemetry",
+            Preflight => "preflight",
+            Standby => "standby",
+            Engage => "engage",
+            Arm => "arm",
+            TakeOff => "take_off",
+            Approach => "approach",
+            Track => "track",
+            Hold => "hold",
+            Land => "land",
+            Disarm => "disarm",
+            Done => "done",
+            Abort => "abort",
+            PilotControl => "pilot_control",
+        }
+    }
+
     /// Whether setpoints may be streamed: a hold before control, control, and landing while the
     /// vehicle has not taken over yet.
     pub fn may_stream(self) -> bool {

@@ -2,6 +2,7 @@
 
 use std::cell::Cell;
 use std::collections::VecDeque;
+use std::fmt;
 use std::io::{self, Read};
 
 use mavlink::consts::v2;
@@ -97,6 +98,12 @@ pub struct Decoder {
     pushed: u64,
     /// `unframed()` when the last datagram ended.
     settled: u64,
+}
+
+impl fmt::Debug for Decoder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Decoder").field("stats", &self.stats()).finish_non_exhaustive()
+    }
 }
 
 impl Default for Decoder {
@@ -320,5 +327,184 @@ impl Dialect for CountingDialect {
         payload: &mut [u8],
     ) -> Result<usize, EncoderError> {
         Ok(message.ser(version, payload))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::dialect::*;
+
+    fn attitude(number: u32) -> MavMessage {
+        let data = ATTITUDE_DATA { time_boot_ms: number, yaw: 1.5, ..Default::default() };
+        MavMessage::ATTITUDE(data)
+    }
+
+    fn encoded(number: u32, version: MavlinkVersion) -> Vec<u8> {
+        let mut encoder = Encoder::new(1, 2);
+        encoder.set_version(version);
+        let mut bytes = Vec::new();
+        assert!(encoder.encode(&attitude(number), &mut bytes));
+        bytes
+    }
+
+    fn drain(decoder: &mut Decoder) -> Vec<Frame> {
+        std::iter::from_fn(|| decoder.next_frame()).collect()
+    }
+
+    #[test]
+    fn both_versions_come_back_as_they_went() {
+        let mut decoder = Decoder::new();
+        for version in [MavlinkVersion::V1, MavlinkVersion::V2] {
+            let bytes = encoded(7, version);
+            decoder.push(&bytes);
+            let frame = decoder.next_frame().unwrap();
+            assert_eq!(frame.bytes(), bytes);
+            assert_eq!((frame.system(), frame.component(), frame.sequence()), (1, 2, 0));
+            assert_eq!(frame.message().unwrap(), attitude(7));
+        }
+        assert_eq!(decoder.stats().frames, 2);
+        assert_eq!(decoder.stats().unframed_bytes, 0);
+    }
+
+    #[test]
+    fn a_signed_frame_is_read() {
+        let mut bytes = encoded(1, MavlinkVersion::V2);
+        let crc_start = bytes.len() - 2;
+        bytes[2] |= v2::IFLAG_SIGNED;
+        let extra_crc = MavMessage::extra_crc(30);
+        let crc = mavlink::calculate_crc(&bytes[1..crc_start], extra_crc).to_le_bytes();
+        bytes[crc_start..].copy_from_slice(&crc);
+        bytes.extend([7; v2::SIGNATURE_SIZE]);
+        let mut decoder = Decoder::new();
+        decoder.push(&bytes);
+        assert_eq!(decoder.next_frame().unwrap().bytes(), bytes);
+        assert_eq!(front(&bytes), Front::Frame(bytes.len()));
+    }
+
+    #[test]
+    fn message_ids_that_mavlink_1_has_no_room_for_are_not_sent() {
+        let mut encoder = Encoder::new(1, 1);
+        encoder.set_version(MavlinkVersion::V1);
+        let mut bytes = Vec::new();
+        assert!(!encoder.encode(&MavMessage::ODOMETRY(Default::default()), &mut bytes));
+        assert!(bytes.is_empty());
+    }
+
+    #[test]
+    fn sequence_wraps() {
+        let mut encoder = Encoder::new(1, 1);
+        let mut decoder = Decoder::new();
+        for k in 0..300u32 {
+            let mut bytes = Vec::new();
+            encoder.encode(&attitude(k), &mut bytes);
+            decoder.push(&bytes);
+            assert_eq!(u32::from(decoder.next_frame().unwrap().sequence()), k % 256);
+        }
+    }
+
+    #[test]
+    fn wrong_checksums_and_unknown_ids_are_counted_apart() {
+        let mut broken = encoded(1, MavlinkVersion::V2);
+        *broken.last_mut().unwrap() ^= 1;
+        let unknown = [MAV_STX_V2, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0x70, 9, 0, 0];
+        let good = encoded(2, MavlinkVersion::V2);
+        let mut decoder = Decoder::new();
+        decoder.push(&[&broken[..], &unknown, &good].concat());
+        assert_eq!(drain(&mut decoder).len(), 1);
+        let stats = decoder.stats();
+        assert_eq!((stats.frames, stats.crc_errors, stats.unknown), (1, 1, 1));
+        assert_eq!(stats.unframed_bytes as usize, broken.len() + unknown.len());
+    }
+
+    #[test]
+    fn a_cut_datagram_does_not_swallow_the_next() {
+        let whole = encoded(1, MavlinkVersion::V2);
+        let mut decoder = Decoder::new();
+        for cut in 0..whole.len() {
+            decoder.push(&whole[..cut]);
+            assert!(drain(&mut decoder).is_empty());
+            decoder.end_datagram(|_| panic!("there was no whole frame"));
+            decoder.push(&whole);
+            assert_eq!(drain(&mut decoder).len(), 1, "after a cut at {cut}");
+            decoder.end_datagram(|_| panic!("the frame is out"));
+        }
+    }
+
+    #[test]
+    fn a_frame_behind_a_false_start_in_a_datagram_is_found_at_its_end() {
+        // The marker and length byte claim more than the datagram has.
+        let mut datagram = vec![MAV_STX_V2, 255, 0];
+        datagram.extend(encoded(3, MavlinkVersion::V2));
+        let mut decoder = Decoder::new();
+        decoder.push(&datagram);
+        let mut frames = drain(&mut decoder);
+        decoder.end_datagram(|frame| frames.push(frame));
+        assert_eq!(frames.len(), 1);
+    }
+
+    #[derive(Clone, Debug)]
+    enum Piece {
+        Frame(Vec<u8>),
+        Garbage(Vec<u8>),
+    }
+
+    fn any_piece() -> impl Strategy<Value = Piece> {
+        prop_oneof![
+            any::<u32>().prop_map(|n| Piece::Frame(encoded(n, MavlinkVersion::V1))),
+            any::<u32>().prop_map(|n| Piece::Frame(encoded(n, MavlinkVersion::V2))),
+            prop::collection::vec(any::<u8>(), 0..300).prop_map(Piece::Garbage),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn every_frame_is_found_in_any_garbage_and_any_chunks(
+            pieces in prop::collection::vec(any_piece(), 0..20),
+            chunk in 1usize..400,
+        ) {
+            let wire: Vec<u8> = pieces
+                .iter()
+                .flat_map(|piece| match piece {
+                    Piece::Frame(bytes) | Piece::Garbage(bytes) => bytes.iter().copied(),
+                })
+                .collect();
+            let mut decoder = Decoder::new();
+            let mut frames = Vec::new();
+            for chunk in wire.chunks(chunk) {
+                decoder.push(chunk);
+                frames.extend(drain(&mut decoder));
+            }
+            decoder.end_datagram(|frame| frames.push(frame));
+            let sent: Vec<_> = pieces
+                .iter()
+                .filter_map(|piece| match piece {
+                    Piece::Frame(bytes) => Some(bytes.clone()),
+                    Piece::Garbage(_) => None,
+                })
+                .collect();
+            let found: Vec<_> = frames.iter().map(|frame| frame.bytes().to_vec()).collect();
+            prop_assert_eq!(found, sent);
+            let stats = decoder.stats();
+            let framed: usize = frames.iter().map(|frame| frame.bytes().len()).sum();
+            prop_assert_eq!(stats.bytes as usize, wire.len());
+            prop_assert_eq!(stats.unframed_bytes as usize, wire.len() - framed);
+        }
+
+        #[test]
+        fn the_front_agrees_with_the_decoder(
+            bytes in prop::collection::vec(any::<u8>(), 0..300),
+            number in any::<u32>(),
+        ) {
+            let frame = encoded(number, MavlinkVersion::V2);
+            let with_tail = [&frame[..], &bytes].concat();
+            prop_assert_eq!(front(&with_tail), Front::Frame(frame.len()));
+            for cut in 0..frame.len() {
+                prop_assert_eq!(front(&frame[..cut]), Front::Incomplete);
+            }
+            let _ = front(&bytes);
+        }
     }
 }

@@ -1,0 +1,104 @@
+//! `downwash log`: what is in flight logs.
+
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::Path;
+
+use anyhow::Context;
+
+use super::{Exit, ExitContext, print_json};
+use crate::cli::{ExportFormat, LogCommand};
+use crate::log::LogReader;
+use crate::log::export::{Format, export_all, export_topic};
+use crate::log::info::LogInfo;
+
+pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
+    match command {
+        LogCommand::Info { files, json } => {
+            for file in &files {
+                let mut reader = LogReader::open(file).or_exit(Exit::Usage)?;
+                let info = LogInfo::read(&mut reader)?;
+                if json { print_json(&info)? } else { print_info(file, &info) }
+            }
+            Ok(Exit::Ok)
+        }
+        LogCommand::Export { file, topic, format, out } => {
+            let mut reader = LogReader::open(&file).or_exit(Exit::Usage)?;
+            let format = match format {
+                ExportFormat::Csv => Format::Csv,
+                ExportFormat::Jsonl => Format::JsonLines,
+            };
+            match (topic, out) {
+                (Some(topic), None) => {
+                    let mut stdout = BufWriter::new(io::stdout().lock());
+                    export_topic(&mut reader, &topic, format, &mut stdout).or_exit(Exit::Usage)?;
+                }
+                (Some(topic), Some(path)) => {
+                    let created = File::create(&path);
+                    let mut sink = BufWriter::new(
+                        created.with_context(|| format!("cannot create {}", path.display()))?,
+                    );
+                    export_topic(&mut reader, &topic, format, &mut sink).or_exit(Exit::Usage)?;
+                }
+                (None, Some(folder)) => {
+                    for (path, rows) in export_all(&mut reader, &folder, format)? {
+                        eprintln!("{}: {rows} rows", path.display());
+                    }
+                }
+                (None, None) => {
+                    let choice = "name one --topic, or a folder for all of them with --out";
+                    return Err(anyhow::anyhow!("nothing to export: {choice}")).or_exit(Exit::Usage);
+                }
+            }
+            if !reader.ending().finished {
+                eprintln!("{}: unfinished log, exported what is whole", file.display());
+            }
+            Ok(Exit::Ok)
+        }
+    }
+}
+
+fn print_info(file: &Path, info: &LogInfo) {
+    let state = if info.finished { "finished" } else { "unfinished log" };
+    let (messages, duration) = (info.messages, info.duration_s);
+    println!("{}: {state}, {messages} messages over {duration:.2} s", file.display());
+    for damage in &info.damages {
+        println!("  damaged: {damage}");
+    }
+    for (key, value) in &info.run {
+        println!("  {key}: {value}");
+    }
+    for (name, bytes) in &info.attachments {
+        println!("  attachment {name}: {bytes} bytes");
+    }
+    println!("  {:<18} {:>9} {:>9} {:>9}  {}", "topic", "messages", "rate/Hz", "gap/s", "schema");
+    for topic in &info.topics {
+        let rate = topic.rate_hz.map_or("-".to_owned(), |rate| format!("{rate:.1}"));
+        let (name, count, gap) = (&topic.topic, topic.messages, topic.longest_gap_s);
+        println!("  {name:<18} {count:>9} {rate:>9} {gap:>9.3}  {}", topic.schema);
+    }
+    for phase in &info.phases {
+        println!("  {:8.2} s  {:<18} {:.2} s", phase.start_s, phase.name, phase.duration_s);
+    }
+    if let Some(t) = &info.tracking {
+        println!(
+            "  tracking over {} ticks: RMSE north {:.3}, east {:.3}, down {:.3}, 3D {:.3} m; most {:.3} m",
+            t.ticks, t.rmse_n_m, t.rmse_e_m, t.rmse_d_m, t.rmse_3d_m, t.max_3d_m
+        );
+    }
+    if let Some(battery) = &info.battery {
+        let volts = |v: Option<f64>| v.map_or("unknown".to_owned(), |v| format!("{v:.2} V"));
+        println!(
+            "  battery: {} to {}",
+            volts(battery.voltage_min_v),
+            volts(battery.voltage_max_v)
+        );
+    }
+    for event in &info.events {
+        println!("  {:8.2} s  {} ({}): {}", event.time_s, event.level, event.source, event.text);
+    }
+    let more = info.events_total.saturating_sub(info.events.len() as u64);
+    if more > 0 {
+        println!("  and {more} more events");
+    }
+}

@@ -1,0 +1,56 @@
+//! The commands: validated options, then work, then an exit code.
+
+mod config;
+mod exit;
+mod log;
+
+use std::io::{self, Write};
+
+use anyhow::Context;
+use serde::Serialize;
+
+use crate::cli::{Cli, Command};
+pub use exit::Exit;
+
+/// Runs the command.
+///
+/// # Errors
+/// What failed, with context; [`exit_of`] finds the exit code in it.
+pub fn run(cli: Cli) -> anyhow::Result<Exit> {
+    match cli.command {
+        Command::Log(command) => log::run(command),
+        Command::Config(args) => config::run(&args),
+    }
+}
+
+/// An error that ends the command with a certain exit code.
+#[derive(Debug, thiserror::Error)]
+#[error("{error:#}")]
+struct Failed {
+    exit: Exit,
+    error: anyhow::Error,
+}
+
+/// Attaches an exit code to an error.
+trait ExitContext<T> {
+    /// Ends the command with `exit` on an error.
+    fn or_exit(self, exit: Exit) -> anyhow::Result<T>;
+}
+
+impl<T, E: Into<anyhow::Error>> ExitContext<T> for Result<T, E> {
+    fn or_exit(self, exit: Exit) -> anyhow::Result<T> {
+        self.map_err(|error| Failed { exit, error: error.into() }.into())
+    }
+}
+
+/// The exit code that goes with an error: the one attached to it, else [`Exit::Failure`].
+pub fn exit_of(error: &anyhow::Error) -> Exit {
+    error.downcast_ref::<Failed>().map_or(Exit::Failure, |failed| failed.exit)
+}
+
+/// Prints one JSON object on stdout.
+fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
+    let mut out = io::stdout().lock();
+    serde_json::to_writer(&mut out, value).context("standard output")?;
+    writeln!(out).context("standard output")
+}

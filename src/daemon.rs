@@ -1,0 +1,220 @@
+//! Drives a station in real time: one thread with its own runtime, from socket to socket.
+
+use std::io;
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use sd_notify::NotifyState;
+use tokio::sync::Notify;
+use tokio::time::sleep_until;
+
+use crate::clock::HostTime;
+use crate::link::connection::{Connection, Input};
+use crate::link::tee::Tee;
+use crate::log::LogSink;
+use crate::station::{End, Station, Status};
+
+/// The status is refreshed this often.
+const STATUS_PERIOD: Duration = Duration::from_millis(100);
+/// The watchdog of systemd is fed this often, by the control loop.
+const WATCHDOG_PERIOD: Duration = Duration::from_millis(500);
+/// After a request to stop, the flight has this long to end by itself.
+const STOP_LIMIT: Duration = Duration::from_secs(90);
+/// Longest datagram, and most bytes taken from a stream at once.
+const BUFFER_LEN: usize = 65_536;
+
+/// The monotonic clock, offset once so that it starts as the wall clock: it never steps.
+#[derive(Clone, Copy, Debug)]
+pub struct HostClock {
+    started: Instant,
+    epoch: HostTime,
+}
+
+impl HostClock {
+    /// A clock that reads the wall clock's time now.
+    pub fn start() -> Self {
+        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let epoch = HostTime::from_ns(since_epoch.as_nanos() as u64);
+        Self { started: Instant::now(), epoch }
+    }
+
+    /// Host time now.
+    pub fn now(&self) -> HostTime {
+        self.epoch + self.started.elapsed()
+    }
+
+    /// The instant at which the clock reads `time`.
+    fn instant(&self, time: HostTime) -> Instant {
+        self.started + time.since(self.epoch)
+    }
+}
+
+/// What the thread that controls shares with the one that watches it. The controlling thread
+/// never waits for it.
+#[derive(Debug, Default)]
+struct Shared {
+    /// Written by the control thread, which skips a turn while it is being read.
+    status: Mutex<Status>,
+    /// Requests to stop so far.
+    stops: AtomicU8,
+    wake: Notify,
+    done: AtomicBool,
+}
+
+/// A station that runs in a thread of its own.
+pub struct Running {
+    shared: Arc<Shared>,
+    thread: JoinHandle<(Station, Finished)>,
+}
+
+/// How a run ended.
+pub struct Finished {
+    /// The station's own verdict; `None` if it was stopped.
+    pub end: Option<End>,
+    /// What the log says of itself.
+    pub log: Result<Option<crate::log::writer::LogSummary>, crate::log::writer::LogError>,
+}
+
+/// Starts the control thread. It ends when the station's flight has ended, or after
+/// [`Running::stop`].
+///
+/// # Errors
+/// If the system gives no thread or no runtime.
+pub fn start(
+    mut station: Station,
+    clock: HostClock,
+    connection: Connection,
+    tee: Option<Tee>,
+    sink: LogSink,
+) -> io::Result<Running> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let shared = Arc::new(Shared::default());
+    let seen = Arc::clone(&shared);
+    let thread = thread::Builder::new().name("control".into()).spawn(move || {
+        let mut control = Control { clock, connection, tee, sink, shared: &seen };
+        let end = runtime.block_on(control.run(&mut station));
+        let log = control.sink.finish();
+        seen.done.store(true, Ordering::Release);
+        (station, Finished { end, log })
+    })?;
+    Ok(Running { shared, thread })
+}
+
+impl Running {
+    /// Asks the flight to end: the vehicle lands. A second request drops the stream at once.
+    pub fn stop(&self) {
+        self.shared.stops.fetch_add(1, Ordering::AcqRel);
+        self.shared.wake.notify_one();
+    }
+
+    /// Whether the thread has ended.
+    pub fn is_done(&self) -> bool {
+        self.shared.done.load(Ordering::Acquire)
+    }
+
+    /// The latest status.
+    pub fn status(&self) -> Status {
+        self.shared.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Waits for the end.
+    pub fn join(self) -> Finished {
+        match self.thread.join() {
+            Ok((_, finished)) => finished,
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+    }
+}
+
+/// The control thread.
+struct Control<'a> {
+    clock: HostClock,
+    connection: Connection,
+    tee: Option<Tee>,
+    sink: LogSink,
+    shared: &'a Shared,
+}
+
+impl Control<'_> {
+    /// Bytes in, at most one setpoint out, and only then the log: until the flight is over.
+    async fn run(&mut self, station: &mut Station) -> Option<End> {
+        let mut buffer = vec![0; BUFFER_LEN];
+        let mut status_due = self.clock.now();
+        let mut watchdog_due = status_due;
+        let mut stops = 0;
+        let mut stop_limit: Option<HostTime> = None;
+        let _ = sd_notify::notify(&[NotifyState::Ready]);
+        loop {
+            let deadline = self.clock.instant(station.next_deadline(self.clock.now()));
+            tokio::select! {
+                biased;
+                input = self.connection.recv(&mut buffer) => {
+                    let now = self.clock.now();
+                    self.take(station, now, input, &buffer);
+                }
+                () = self.shared.wake.notified() => {}
+                () = sleep_until(deadline.into()) => station.poll(self.clock.now()),
+            }
+            let now = self.clock.now();
+            self.send(station, now);
+            station.take_records(|record| self.sink.log(record));
+            if now >= status_due {
+                status_due = now + STATUS_PERIOD;
+                if let Ok(mut status) = self.shared.status.try_lock() {
+                    *status = station.status();
+                }
+            }
+            if now >= watchdog_due {
+                watchdog_due = now + WATCHDOG_PERIOD;
+                let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+            }
+            let asked = self.shared.stops.load(Ordering::Acquire);
+            if asked > stops {
+                stops = asked;
+                if stops == 1 {
+                    stop_limit = Some(now + STOP_LIMIT);
+                    station.land(now);
+                    self.send(station, now);
+                }
+            }
+            let out_of_time = stop_limit.is_some_and(|limit| now >= limit);
+            if station.end().is_some() || stops > 1 || out_of_time {
+                station.take_records(|record| self.sink.log(record));
+                let _ = sd_notify::notify(&[NotifyState::Stopping]);
+                return station.end().cloned();
+            }
+        }
+    }
+
+    fn take(&mut self, station: &mut Station, now: HostTime, input: Input, buffer: &[u8]) {
+        match input {
+            Input::Bytes { peer, len } => {
+                let bytes = &buffer[..len];
+                station.receive(now, peer, bytes, self.connection.is_datagram());
+                self.send(station, now);
+                if let Some(tee) = &mut self.tee {
+                    tee.received(now, peer, bytes);
+                }
+            }
+            Input::Opened => station.opened(now),
+            Input::Failed { error, retry_in } => {
+                tracing::warn!("{error}; trying again in {:.1} s", retry_in.as_secs_f64());
+            }
+            Input::Lost(error) => station.closed(now, &error.to_string()),
+            Input::PeerOpened(_) => {}
+            Input::PeerClosed(peer) => station.peer_closed(peer),
+        }
+    }
+
+    fn send(&mut self, station: &mut Station, now: HostTime) {
+        let Self { connection, tee, .. } = self;
+        station.transmit(now, |peer, frame| {
+            connection.send(peer, frame);
+            if let Some(tee) = tee {
+                tee.sent(now, frame);
+            }
+        });
+    }
+}

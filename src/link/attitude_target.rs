@@ -1,0 +1,239 @@
+//! Setpoint to SET_ATTITUDE_TARGET: intent in, the profile's message out.
+
+use sitl::frame::{Attitude, Frd};
+use wire::dialect::{AttitudeTargetTypemask, SET_ATTITUDE_TARGET_DATA};
+
+use super::profile::{AttitudeTargetForm, Profile, RateFrame};
+use crate::setpoint::Setpoint;
+
+/// Collective thrust in newtons to the thrust field, 0..1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ThrustMap {
+    full_scale_n: f64,
+    square_share: f64,
+}
+
+/// Why a thrust map was refused.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ThrustMapError {
+    /// The thrust at full output is not a positive number.
+    #[error("full-scale thrust must be a positive number of newtons, not {0}")]
+    FullScale(f64),
+    /// The share is outside 0..1.
+    #[error("share of the square in the thrust curve must be within 0..1, not {0}")]
+    SquareShare(f64),
+}
+
+impl ThrustMap {
+    /// Thrust proportional to the field: `T = full_scale_n * u`.
+    ///
+    /// # Errors
+    /// [`ThrustMapError`] unless `full_scale_n`, the sum over the rotors, is finite and positive.
+    pub fn linear(full_scale_n: f64) -> Result<Self, ThrustMapError> {
+        Self::curve(full_scale_n, 0.0)
+    }
+
+    /// A vehicle that does not linearise its motors: `T = full_scale_n * ((1 - s) u + s u^2)`,
+    /// s being `square_share` (what PX4 calls THR_MDL_FAC, left at 0 on board).
+    ///
+    /// # Errors
+    /// [`ThrustMapError`] unless the full scale is finite and positive, and the share in 0..1.
+    pub fn curve(full_scale_n: f64, square_share: f64) -> Result<Self, ThrustMapError> {
+        if !(full_scale_n.is_finite() && full_scale_n > 0.0) {
+            return Err(ThrustMapError::FullScale(full_scale_n));
+        }
+        if !(0.0..=1.0).contains(&square_share) {
+            return Err(ThrustMapError::SquareShare(square_share));
+        }
+        Ok(Self { full_scale_n, square_share })
+    }
+
+    /// The thrust field for a thrust, limited to 0..1.
+    pub fn fraction(&self, thrust_n: f64) -> f64 {
+        let thrust = (thrust_n / self.full_scale_n).clamp(0.0, 1.0);
+        let s = self.square_share;
+        // The root of s u^2 + (1 - s) u = thrust, in the form that holds at s = 0.
+        let linear = 1.0 - s;
+        let denominator = linear + (linear * linear + 4.0 * s * thrust).sqrt();
+        if denominator > 0.0 { 2.0 * thrust / denominator } else { 0.0 }
+    }
+
+    /// The thrust in N that a field asks for.
+    pub fn thrust_n(&self, fraction: f64) -> f64 {
+        self.full_scale_n * fraction * (1.0 - self.square_share + self.square_share * fraction)
+    }
+}
+
+/// Why a setpoint has no message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EncodeError {
+    /// A component is NaN or infinite.
+    #[error("setpoint is not finite")]
+    NotFinite,
+    /// Rates are to be sent, which needs the vehicle's attitude, and none is fresh.
+    #[error("no fresh attitude to close the attitude loop with")]
+    NoAttitude,
+}
+
+/// The message for a setpoint. `attitude` is the vehicle's, for the form that closes the loop
+/// here. Header fields (time, target) are left to the sender. The quaternion is always unit.
+///
+/// # Errors
+/// [`EncodeError`]: a message that is not finite is never made.
+pub fn encode(
+    setpoint: &Setpoint,
+    attitude: Option<Attitude>,
+    profile: &Profile,
+    thrust: &ThrustMap,
+) -> Result<SET_ATTITUDE_TARGET_DATA, EncodeError> {
+    if !setpoint.is_finite() {
+        return Err(EncodeError::NotFinite);
+    }
+    let desired = setpoint.attitude.attitude().normalized();
+    let rate = match (profile.attitude_target, profile.rate_frame) {
+        (AttitudeTargetForm::AttitudeThrust, _) => Frd::zero(),
+        (AttitudeTargetForm::AttitudeRatesThrust, RateFrame::Body) => setpoint.body_rate,
+        (AttitudeTargetForm::AttitudeRatesThrust, RateFrame::RotatedByCommand) => {
+            // The vehicle will turn these by the command again, so that the body's come out.
+            let [x, y, z] = setpoint.body_rate.to_array();
+            Frd::from(desired.to_body([x, y, z].into()).to_array())
+        }
+        (AttitudeTargetForm::RatesThrust { gain }, _) => {
+            let attitude = attitude.ok_or(EncodeError::NoAttitude)?;
+            setpoint.body_rate + rotation_vector(attitude, desired).scale_by(gain)
+        }
+    };
+    let q = desired.to_wire();
+    let [roll_rate, pitch_rate, yaw_rate] = rate.to_array().map(|rate| rate as f32);
+    if ![roll_rate, pitch_rate, yaw_rate, q[0], q[1], q[2], q[3]].iter().all(|v| v.is_finite()) {
+        return Err(EncodeError::NotFinite);
+    }
+    Ok(SET_ATTITUDE_TARGET_DATA {
+        q,
+        body_roll_rate: roll_rate,
+        body_pitch_rate: pitch_rate,
+        body_yaw_rate: yaw_rate,
+        thrust: thrust.fraction(setpoint.thrust_n) as f32,
+        type_mask: AttitudeTargetTypemask::from_bits_retain(profile.attitude_target.type_mask()),
+        ..Default::default()
+    })
+}
+
+/// The rotation from one attitude to another as angle times axis, in body axes of the first, the
+/// short way round.
+fn rotation_vector(from: Attitude, to: Attitude) -> Frd {
+    let d = from.inverse().compose(to).canonical();
+    let sine = (d.x * d.x + d.y * d.y + d.z * d.z).sqrt();
+    // angle / sin(angle / 2), 2 in the limit.
+    let scale = if sine < 1e-9 { 2.0 } else { 2.0 * sine.atan2(d.w) / sine };
+    Frd::new(d.x, d.y, d.z) * scale
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use sitl::frame::Euler;
+
+    use super::*;
+    use crate::link::profile::FormChoice;
+
+    fn setpoint() -> Setpoint {
+        Setpoint {
+            thrust_n: 9.81,
+            attitude: Euler::new(0.1, -0.2, 1.5),
+            body_rate: Frd::new(0.3, -0.4, 0.5),
+        }
+    }
+
+    fn map() -> ThrustMap {
+        ThrustMap::linear(20.0).unwrap()
+    }
+
+    #[test]
+    fn bundled_gets_attitude_rates_and_thrust() {
+        let data = encode(&setpoint(), None, &Profile::BUNDLED, &map()).unwrap();
+        assert_eq!(data.type_mask.bits(), 0);
+        assert_eq!(
+            [data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate],
+            [0.3, -0.4, 0.5]
+        );
+        assert!((data.thrust - 0.4905).abs() < 1e-6);
+        let sent = Attitude::from_wire(data.q).unwrap();
+        assert!(sent.angle_to(setpoint().attitude.attitude()) < 1e-6);
+    }
+
+    #[test]
+    fn px4_never_gets_rates_with_an_attitude() {
+        let data = encode(&setpoint(), None, &Profile::PX4, &map()).unwrap();
+        assert_eq!(data.type_mask.bits(), 0x07);
+        assert_eq!([data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate], [0.0; 3]);
+    }
+
+    #[test]
+    fn rates_close_the_attitude_loop() {
+        let gain = [6.0, 6.0, 3.0];
+        let profile = Profile::identify(12, 2, None, false, FormChoice::RatesThrust { gain });
+        let at_rest = Setpoint { body_rate: Frd::zero(), ..setpoint() };
+        assert_eq!(encode(&at_rest, None, &profile, &map()), Err(EncodeError::NoAttitude));
+        let level = Euler::new(0.0, 0.0, 1.5).attitude();
+        let rolled = Setpoint { attitude: Euler::new(0.1, 0.0, 1.5), ..at_rest };
+        let data = encode(&rolled, Some(level), &profile, &map()).unwrap();
+        assert_eq!(data.type_mask.bits(), 0x80);
+        assert!((data.body_roll_rate - 0.6).abs() < 1e-6, "{}", data.body_roll_rate);
+        assert!(data.body_pitch_rate.abs() < 1e-6 && data.body_yaw_rate.abs() < 1e-6);
+    }
+
+    #[test]
+    fn arducopter_turns_the_sent_rates_into_body_rates() {
+        let profile = Profile::identify(3, 2, None, false, FormChoice::ArduCopterRates);
+        let data = encode(&setpoint(), None, &profile, &map()).unwrap();
+        let command = Attitude::from_wire(data.q).unwrap();
+        let sent = [data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate].map(f64::from);
+        let flown = command.to_world(sent.into());
+        for (flown, wanted) in flown.to_array().iter().zip(setpoint().body_rate.to_array()) {
+            assert!((flown - wanted).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn what_is_not_finite_is_never_sent() {
+        for broken in [
+            Setpoint { thrust_n: f64::NAN, ..setpoint() },
+            Setpoint { attitude: Euler::new(f64::INFINITY, 0.0, 0.0), ..setpoint() },
+            Setpoint { body_rate: Frd::new(0.0, f64::NAN, 0.0), ..setpoint() },
+            Setpoint { body_rate: Frd::new(1e300, 0.0, 0.0), ..setpoint() },
+        ] {
+            assert_eq!(
+                encode(&broken, None, &Profile::BUNDLED, &map()),
+                Err(EncodeError::NotFinite)
+            );
+        }
+        assert!(ThrustMap::linear(0.0).is_err() && ThrustMap::linear(f64::NAN).is_err());
+        assert!(ThrustMap::curve(20.0, 1.1).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn thrust_maps_back(full in 1f64..100.0, share in 0f64..=1.0, part in 0f64..=1.0) {
+            let map = ThrustMap::curve(full, share).unwrap();
+            let fraction = map.fraction(part * full);
+            prop_assert!((0.0..=1.0).contains(&fraction));
+            prop_assert!((map.thrust_n(fraction) - part * full).abs() < 1e-9 * full);
+        }
+
+        #[test]
+        fn quaternions_are_always_unit(
+            roll in -1e3f64..1e3, pitch in -1e3f64..1e3, yaw in -1e3f64..1e3, thrust in -1e9f64..1e9,
+        ) {
+            let wild = Setpoint {
+                thrust_n: thrust,
+                attitude: Euler::new(roll, pitch, yaw),
+                body_rate: Frd::zero(),
+            };
+            let data = encode(&wild, None, &Profile::PX4, &map()).unwrap();
+            let norm: f32 = data.q.iter().map(|c| c * c).sum();
+            prop_assert!((norm - 1.0).abs() < 1e-5);
+            prop_assert!((0.0..=1.0).contains(&data.thrust));
+        }
+    }
+}

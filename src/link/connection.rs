@@ -1,0 +1,198 @@
+//! The connection: an endpoint that is opened, and opened again whenever it is lost.
+
+use std::fmt;
+use std::future::{Future, poll_fn};
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use tokio::time::{Sleep, sleep, timeout};
+use wire::Endpoint;
+use wire::transport::{Incoming, OpenError, Peer, Transport, TransportStats};
+
+/// The first pause before opening again; each further one is twice as long.
+const PAUSE_MIN: Duration = Duration::from_millis(100);
+/// The longest pause.
+const PAUSE_MAX: Duration = Duration::from_secs(3);
+/// Time that opening may take: a TCP connection to a host that is off would take minutes.
+const OPEN_LIMIT: Duration = Duration::from_secs(5);
+
+/// What [`Connection::recv`] brings.
+#[derive(Debug)]
+pub enum Input {
+    /// Bytes from a peer, at the start of the buffer.
+    Bytes {
+        /// Who sent them.
+        peer: Peer,
+        /// How many.
+        len: usize,
+    },
+    /// The endpoint is open. Peer numbers start anew.
+    Opened,
+    /// The endpoint could not be opened; it will be tried again.
+    Failed {
+        /// Why.
+        error: OpenFailure,
+        /// When it is tried again.
+        retry_in: Duration,
+    },
+    /// The endpoint was open and is lost; it will be opened again.
+    Lost(io::Error),
+    /// A peer connected.
+    PeerOpened(Peer),
+    /// A peer is gone.
+    PeerClosed(Peer),
+}
+
+/// Why an endpoint could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenFailure {
+    /// The system refused.
+    #[error(transparent)]
+    Refused(#[from] OpenError),
+    /// Nothing happened for too long.
+    #[error("cannot open {endpoint}: no answer within {} s; is the host up?", OPEN_LIMIT.as_secs())]
+    TimedOut {
+        /// The endpoint.
+        endpoint: Endpoint,
+    },
+}
+
+type Opening = Pin<Box<dyn Future<Output = Result<Transport, OpenFailure>> + Send>>;
+
+enum State {
+    Opening(Opening),
+    Open(Transport),
+    Waiting(Pin<Box<Sleep>>),
+}
+
+/// An endpoint that is kept open.
+pub struct Connection {
+    endpoint: Endpoint,
+    state: State,
+    pause: Duration,
+    peers: Vec<Peer>,
+}
+
+impl Connection {
+    /// A connection that starts to open with the first [`recv`](Self::recv).
+    pub fn new(endpoint: Endpoint) -> Self {
+        let state = State::Opening(open(endpoint.clone()));
+        Self { endpoint, state, pause: PAUSE_MIN, peers: Vec::new() }
+    }
+
+    /// Waits for bytes or for a change. Cancel-safe: a dropped future loses nothing, and an
+    /// attempt to open goes on. It never fails: what is lost is opened again, after a pause that
+    /// grows with every attempt and is short again once bytes have come.
+    pub async fn recv(&mut self, buffer: &mut [u8]) -> Input {
+        poll_fn(|cx| self.poll_recv(cx, buffer)).await
+    }
+
+    fn poll_recv(&mut self, cx: &mut Context<'_>, buffer: &mut [u8]) -> Poll<Input> {
+        loop {
+            match &mut self.state {
+                State::Open(transport) => {
+                    return Poll::Ready(match ready!(transport.poll_recv(cx, buffer)) {
+                        Ok(Incoming::Bytes { peer, len }) => {
+                            self.pause = PAUSE_MIN;
+                            Input::Bytes { peer, len }
+                        }
+                        Ok(Incoming::Opened(peer)) => Input::PeerOpened(peer),
+                        Ok(Incoming::Closed(peer)) => Input::PeerClosed(peer),
+                        Err(error) => {
+                            self.wait();
+                            Input::Lost(error)
+                        }
+                    });
+                }
+                State::Opening(opening) => {
+                    return Poll::Ready(match ready!(opening.as_mut().poll(cx)) {
+                        Ok(transport) => {
+                            self.state = State::Open(transport);
+                            Input::Opened
+                        }
+                        Err(error) => Input::Failed { error, retry_in: self.wait() },
+                    });
+                }
+                State::Waiting(pause) => {
+                    ready!(pause.as_mut().poll(cx));
+                    self.state = State::Opening(open(self.endpoint.clone()));
+                }
+            }
+        }
+    }
+
+    /// Starts a pause and returns its length.
+    fn wait(&mut self) -> Duration {
+        let pause = self.pause;
+        self.pause = (pause * 2).min(PAUSE_MAX);
+        self.state = State::Waiting(Box::pin(sleep(pause)));
+        pause
+    }
+
+    /// Sends a frame to a peer, or to every peer there is. Never waits; returns whether the system
+    /// took it everywhere. Without a connection it is dropped.
+    pub fn send(&mut self, to: Option<Peer>, frame: &[u8]) -> bool {
+        let State::Open(transport) = &mut self.state else { return false };
+        if let Some(peer) = to {
+            return transport.send(peer, frame);
+        }
+        self.peers.clear();
+        self.peers.extend(transport.peers());
+        let mut is_taken = true;
+        for &peer in &self.peers {
+            is_taken &= transport.send(peer, frame);
+        }
+        is_taken
+    }
+
+    /// Whether bytes come as datagrams.
+    pub fn is_datagram(&self) -> bool {
+        matches!(self.endpoint, Endpoint::UdpIn(_) | Endpoint::UdpOut(_))
+    }
+
+    /// Whether the endpoint is open.
+    pub fn is_open(&self) -> bool {
+        matches!(self.state, State::Open(_))
+    }
+
+    /// The endpoint.
+    pub fn endpoint(&self) -> &Endpoint {
+        &self.endpoint
+    }
+
+    /// The local address, while open: tells the port that the system chose.
+    pub fn local_addr(&self) -> Option<SocketAddr> {
+        match &self.state {
+            State::Open(transport) => transport.local_addr(),
+            State::Opening(_) | State::Waiting(_) => None,
+        }
+    }
+
+    /// The counters of the open transport.
+    pub fn stats(&self) -> TransportStats {
+        match &self.state {
+            State::Open(transport) => transport.stats(),
+            State::Opening(_) | State::Waiting(_) => TransportStats::default(),
+        }
+    }
+}
+
+impl fmt::Debug for Connection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut debug = f.debug_struct("Connection");
+        debug.field("endpoint", &self.endpoint).field("is_open", &self.is_open());
+        debug.finish_non_exhaustive()
+    }
+}
+
+fn open(endpoint: Endpoint) -> Opening {
+    Box::pin(async move {
+        match timeout(OPEN_LIMIT, Transport::open(&endpoint)).await {
+            Ok(result) => Ok(result?),
+            Err(_) => Err(OpenFailure::TimedOut { endpoint }),
+        }
+    })
+}

@@ -1,0 +1,292 @@
+//! Message intervals: asked for, verified by counting arrivals, asked for again.
+//!
+//! An ACK proves nothing (PX4 accepts what it will never send) and another ground station may
+//! lower a rate at any time, so only arrivals count.
+
+use std::time::Duration;
+
+use mavlink::Message;
+use wire::dialect::MavMessage;
+
+use super::profile::MessageRate;
+use crate::clock::HostTime;
+
+/// Arrivals are counted over this long before they are judged.
+pub const VERIFY: Duration = Duration::from_secs(2);
+/// Time that an ACK may take before the next message is asked for.
+const ACK_WAIT: Duration = Duration::from_millis(300);
+/// Time between requests for a rate that does not come.
+const RETRY_SLOW: Duration = Duration::from_secs(10);
+/// Requests at the full pace before slowing down.
+const QUICK_TRIES: u32 = 3;
+/// What counts as served: autopilots quantise rates to their own periods.
+const SERVED: f64 = 0.7;
+/// Fewer expected arrivals than this cannot be judged.
+const COUNT_MIN: f64 = 4.0;
+/// Refused rates are halved down to this one.
+const HZ_MIN: f64 = 1.0;
+/// Bytes of a MAVLink 2 frame around its payload.
+const FRAME_OVERHEAD: usize = 12;
+/// Bits on a serial line per byte: start, eight, stop.
+const BITS_PER_BYTE: f64 = 10.0;
+
+/// News about an interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum IntervalEvent {
+    /// A message comes too seldom, and was asked for again.
+    Short {
+        /// MAVLink message id.
+        id: u32,
+        /// Rate that was asked for, Hz.
+        asked_hz: f64,
+        /// Rate of arrivals, Hz.
+        found_hz: f64,
+    },
+    /// A message that came too seldom comes as asked.
+    Served {
+        /// MAVLink message id.
+        id: u32,
+        /// Rate of arrivals, Hz.
+        found_hz: f64,
+    },
+    /// The vehicle refused a rate; a lower one was asked for, or none if `next_hz` is.
+    Refused {
+        /// MAVLink message id.
+        id: u32,
+        /// Rate that was refused, Hz.
+        refused_hz: f64,
+        /// The next rate to ask for, Hz.
+        next_hz: Option<f64>,
+    },
+}
+
+#[derive(Clone, Debug)]
+struct Interval {
+    id: u32,
+    asked_hz: f64,
+    /// When to ask next; `None` once it is asked for and until it is found short.
+    due: Option<HostTime>,
+    tries: u32,
+    given_up: bool,
+    is_short: bool,
+    judged_at: HostTime,
+    total_then: u64,
+}
+
+impl Interval {
+    /// Time over which arrivals are counted.
+    fn span(&self) -> Duration {
+        VERIFY.max(Duration::try_from_secs_f64(COUNT_MIN / self.asked_hz).unwrap_or(Duration::MAX))
+    }
+}
+
+/// The intervals that the daemon wants.
+#[derive(Debug, Default)]
+pub struct Intervals {
+    wanted: Vec<Interval>,
+    /// Index of the message whose ACK is awaited, and until when.
+    awaiting: Option<(usize, HostTime)>,
+}
+
+impl Intervals {
+    /// Wants these messages from now on.
+    pub fn start(&mut self, now: HostTime, messages: &[MessageRate]) {
+        self.awaiting = None;
+        self.wanted.clear();
+        self.wanted.extend(messages.iter().filter(|rate| rate.hz > 0.0).map(|rate| Interval {
+            id: rate.id,
+            asked_hz: rate.hz,
+            due: Some(now),
+            tries: 0,
+            given_up: false,
+            is_short: false,
+            judged_at: now,
+            total_then: 0,
+        }));
+    }
+
+    /// Wants nothing any more.
+    pub fn stop(&mut self) {
+        self.awaiting = None;
+        self.wanted.clear();
+    }
+
+    /// The next message to ask for, if it is time. One at a time: an ACK does not say for which.
+    pub fn next_request(&mut self, now: HostTime) -> Option<MessageRate> {
+        if self.awaiting.is_some_and(|(_, until)| now < until) {
+            return None;
+        }
+        self.awaiting = None;
+        let index = self.wanted.iter().position(|w| w.due.is_some_and(|due| due <= now))?;
+        let wanted = &mut self.wanted[index];
+        wanted.due = None;
+        wanted.tries += 1;
+        self.awaiting = Some((index, now + ACK_WAIT));
+        Some(MessageRate { id: wanted.id, hz: wanted.asked_hz })
+    }
+
+    /// Takes the ACK of the last request.
+    pub fn acknowledged(&mut self, now: HostTime, accepted: bool) -> Option<IntervalEvent> {
+        let (index, _) = self.awaiting.take()?;
+        let wanted = self.wanted.get_mut(index)?;
+        if accepted {
+            return None;
+        }
+        let refused_hz = wanted.asked_hz;
+        let next_hz = (refused_hz / 2.0 >= HZ_MIN).then_some(refused_hz / 2.0);
+        match next_hz {
+            Some(hz) => {
+                wanted.asked_hz = hz;
+                wanted.due = Some(now);
+            }
+            None => wanted.given_up = true,
+        }
+        Some(IntervalEvent::Refused { id: wanted.id, refused_hz, next_hz })
+    }
+
+    /// Judges the arrivals; `total` gives those of a message so far.
+    pub fn verify(
+        &mut self,
+        now: HostTime,
+        total: impl Fn(u32) -> u64,
+        mut on_event: impl FnMut(IntervalEvent),
+    ) {
+        for wanted in self.wanted.iter_mut().filter(|wanted| !wanted.given_up) {
+            let span = now.since(wanted.judged_at);
+            if span < wanted.span() {
+                continue;
+            }
+            let seconds = span.as_secs_f64();
+            let count = total(wanted.id);
+            let found_hz = count.saturating_sub(wanted.total_then) as f64 / seconds;
+            wanted.judged_at = now;
+            wanted.total_then = count;
+            let (id, asked_hz) = (wanted.id, wanted.asked_hz);
+            if found_hz >= SERVED * asked_hz {
+                wanted.tries = 0;
+                if std::mem::take(&mut wanted.is_short) {
+                    on_event(IntervalEvent::Served { id, found_hz });
+                }
+            } else if wanted.due.is_none() {
+                let pause = if wanted.tries < QUICK_TRIES { Duration::ZERO } else { RETRY_SLOW };
+                wanted.due = Some(now + pause);
+                if !std::mem::replace(&mut wanted.is_short, true) {
+                    on_event(IntervalEvent::Short { id, asked_hz, found_hz });
+                }
+            }
+        }
+    }
+
+    /// When the next request is due, or the next judgement.
+    pub fn next_deadline(&self) -> Option<HostTime> {
+        let blocked_until = self.awaiting.map(|(_, until)| until);
+        let request = self.wanted.iter().filter_map(|wanted| wanted.due).min();
+        let request = request.map(|due| blocked_until.map_or(due, |until| due.max(until)));
+        let open = self.wanted.iter().filter(|wanted| !wanted.given_up);
+        let judgement = open.map(|wanted| wanted.judged_at + wanted.span()).min();
+        [request, judgement].into_iter().flatten().min()
+    }
+}
+
+/// The share of a serial line that messages at these rates take up, frames included. Above 0.7
+/// rates will fall short.
+pub fn bandwidth_share(messages: &[MessageRate], baud: u32) -> f64 {
+    let bits: f64 = messages
+        .iter()
+        .map(|rate| frame_len(rate.id) as f64 * BITS_PER_BYTE * rate.hz.max(0.0))
+        .sum();
+    bits / f64::from(baud.max(1))
+}
+
+/// Length of a message's frame with a full payload.
+fn frame_len(id: u32) -> usize {
+    let mut payload = [0; 255];
+    // MAVLink 1 does not cut trailing zeros.
+    let payload_len = MavMessage::default_message_from_id(id)
+        .map_or(0, |message| message.ser(mavlink::MavlinkVersion::V1, &mut payload));
+    FRAME_OVERHEAD + payload_len
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const START: HostTime = HostTime::from_ns(0);
+    const ATTITUDE: MessageRate = MessageRate { id: 31, hz: 100.0 };
+
+    fn at(seconds: f64) -> HostTime {
+        START + Duration::from_secs_f64(seconds)
+    }
+
+    fn verify(intervals: &mut Intervals, now: HostTime, total: u64) -> Vec<IntervalEvent> {
+        let mut events = Vec::new();
+        intervals.verify(now, |_| total, |event| events.push(event));
+        events
+    }
+
+    #[test]
+    fn one_request_at_a_time() {
+        let mut intervals = Intervals::default();
+        let position = MessageRate { id: 32, hz: 50.0 };
+        intervals.start(START, &[ATTITUDE, position]);
+        assert_eq!(intervals.next_request(START), Some(ATTITUDE));
+        assert_eq!(intervals.next_request(START), None);
+        intervals.acknowledged(START, true);
+        assert_eq!(intervals.next_request(START), Some(position));
+        // Without an ACK the next one waits its time.
+        assert_eq!(intervals.next_request(at(0.2)), None);
+    }
+
+    #[test]
+    fn a_rate_that_another_station_lowers_is_asked_for_again() {
+        let mut intervals = Intervals::default();
+        intervals.start(START, &[ATTITUDE]);
+        intervals.next_request(START);
+        intervals.acknowledged(START, true);
+        assert_eq!(verify(&mut intervals, at(2.0), 198), []);
+        assert_eq!(intervals.next_request(at(2.0)), None);
+        let short = IntervalEvent::Short { id: 31, asked_hz: 100.0, found_hz: 4.0 };
+        assert_eq!(verify(&mut intervals, at(4.0), 206), [short]);
+        assert_eq!(intervals.next_request(at(4.0)), Some(ATTITUDE));
+        intervals.acknowledged(at(4.0), true);
+        let served = IntervalEvent::Served { id: 31, found_hz: 100.0 };
+        assert_eq!(verify(&mut intervals, at(6.0), 406), [served]);
+    }
+
+    #[test]
+    fn what_never_comes_is_asked_for_more_slowly() {
+        let mut intervals = Intervals::default();
+        intervals.start(START, &[ATTITUDE]);
+        let mut requests = 0;
+        for k in 0..300 {
+            let now = at(f64::from(k) * 0.1);
+            if intervals.next_request(now).is_some() {
+                requests += 1;
+                intervals.acknowledged(now, true);
+            }
+            verify(&mut intervals, now, 0);
+        }
+        assert!((4..=6).contains(&requests), "{requests}");
+    }
+
+    #[test]
+    fn refused_rates_are_halved_and_given_up() {
+        let mut intervals = Intervals::default();
+        intervals.start(START, &[MessageRate { id: 331, hz: 2.0 }]);
+        intervals.next_request(START);
+        let halved = intervals.acknowledged(START, false);
+        assert!(matches!(halved, Some(IntervalEvent::Refused { next_hz: Some(1.0), .. })));
+        assert_eq!(intervals.next_request(START), Some(MessageRate { id: 331, hz: 1.0 }));
+        let last = intervals.acknowledged(START, false);
+        assert!(matches!(last, Some(IntervalEvent::Refused { next_hz: None, .. })));
+        assert_eq!(intervals.next_request(at(60.0)), None);
+        assert_eq!(intervals.next_deadline(), None);
+    }
+
+    #[test]
+    fn slow_lines_are_noticed() {
+        let messages = [MessageRate { id: 331, hz: 100.0 }];
+        assert!(bandwidth_share(&messages, 57_600) > 1.0);
+        assert!(bandwidth_share(&messages, 921_600) < 0.7);
+    }
+}

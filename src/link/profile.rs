@@ -1,0 +1,378 @@
+//! Autopilot profiles: what differs between autopilots, as values.
+//!
+//! What SET_ATTITUDE_TARGET means is a property of the autopilot. The three that are known:
+//! the bundled vehicle takes attitude, rates and thrust together, as a PD; PX4 must never get
+//! attitude and rates together, because the rates then override its attitude loop once a message;
+//! ArduCopter may, but rotates the rates by the commanded attitude. Anything else gets attitude
+//! and thrust, which all of them fly.
+
+use super::parameter::ParameterCast;
+
+/// MAV_AUTOPILOT_ARDUPILOTMEGA.
+const ARDUPILOT: u8 = 3;
+/// MAV_AUTOPILOT_PX4.
+const PX4: u8 = 12;
+/// AUTOPILOT_VERSION vendor and product of the vehicle that honours attitude, rates and thrust
+/// together.
+pub const PD_VEHICLE: (u16, u16) = (0x4457, 1);
+
+/// What the daemon puts into SET_ATTITUDE_TARGET.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AttitudeTargetForm {
+    /// Mask 0x00: attitude, rates and thrust.
+    AttitudeRatesThrust,
+    /// Mask 0x07: attitude and thrust.
+    AttitudeThrust,
+    /// Mask 0x80: rates and thrust. The attitude loop is closed here:
+    /// `omega = omega_des + gain * e`, e being the rotation vector from the vehicle's attitude to
+    /// the desired one, in body axes.
+    RatesThrust {
+        /// Per body axis, 1/s: Kp/Kd of the on-board PD that this stands for.
+        gain: [f64; 3],
+    },
+}
+
+impl AttitudeTargetForm {
+    /// The type mask: set bits are ignored fields.
+    pub const fn type_mask(self) -> u8 {
+        match self {
+            Self::AttitudeRatesThrust => 0x00,
+            Self::AttitudeThrust => 0x07,
+            Self::RatesThrust { .. } => 0x80,
+        }
+    }
+}
+
+/// How the vehicle reads the rates that come with an attitude.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RateFrame {
+    /// As body rates.
+    Body,
+    /// Rotated by the commanded attitude first: `q_cmd^-1 w` must be sent for body rate `w`.
+    RotatedByCommand,
+}
+
+/// A mode: how it reads in HEARTBEAT and CURRENT_MODE, and how DO_SET_MODE asks for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mode {
+    /// The word in HEARTBEAT.custom_mode.
+    pub custom_mode: u32,
+    /// DO_SET_MODE param 2.
+    pub main: u8,
+    /// DO_SET_MODE param 3.
+    pub sub: u8,
+}
+
+impl Mode {
+    /// PX4 sends main and sub mode as separate parameters and reports them packed.
+    const fn px4(main: u8, sub: u8) -> Self {
+        Self { custom_mode: (main as u32) << 16 | (sub as u32) << 24, main, sub }
+    }
+
+    const fn copter(number: u8) -> Self {
+        Self { custom_mode: number as u32, main: number, sub: 0 }
+    }
+}
+
+/// The modes that the daemon asks for; `None` where the autopilot has none or is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Modes {
+    /// Takes SET_ATTITUDE_TARGET.
+    pub offboard: Option<Mode>,
+    /// Holds position without sticks.
+    pub hold: Option<Mode>,
+    /// Lands where it is.
+    pub land: Option<Mode>,
+    /// Takes off by itself.
+    pub takeoff: Option<Mode>,
+}
+
+/// How a flight gets into the air.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TakeoffWay {
+    /// By setpoints, from the ground.
+    OffboardRamp,
+    /// By NAV_TAKEOFF with an altitude above home.
+    Command,
+}
+
+/// A parameter and the value it should have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ParameterRule {
+    /// Name.
+    pub name: &'static str,
+    /// What is asked of the value.
+    pub rule: Rule,
+    /// Why, in words for the pilot.
+    pub why: &'static str,
+}
+
+/// What is asked of a parameter's value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rule {
+    /// Equal to this.
+    Equals(f64),
+    /// Has these bits set.
+    HasBits(u32),
+    /// At most this.
+    AtMost(f64),
+}
+
+impl ParameterRule {
+    /// Whether a value obeys the rule.
+    pub fn holds(&self, value: f64) -> bool {
+        match self.rule {
+            Rule::Equals(wanted) => (value - wanted).abs() <= 1e-6 * wanted.abs().max(1.0),
+            Rule::HasBits(bits) => value >= 0.0 && value as u32 & bits == bits,
+            Rule::AtMost(limit) => value <= limit * (1.0 + 1e-6),
+        }
+    }
+}
+
+/// A message that the daemon wants and how often.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MessageRate {
+    /// MAVLink message id.
+    pub id: u32,
+    /// Hz.
+    pub hz: f64,
+}
+
+/// Everything about an autopilot that the daemon must know to fly it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Profile {
+    /// Name for people.
+    pub name: &'static str,
+    /// What SET_ATTITUDE_TARGET carries.
+    pub attitude_target: AttitudeTargetForm,
+    /// How it reads rates.
+    pub rate_frame: RateFrame,
+    /// Its modes.
+    pub modes: Modes,
+    /// How it takes off.
+    pub takeoff: TakeoffWay,
+    /// The parameter that holds how long setpoints may be missing, in s, and the value to use.
+    pub loss_timeout: Option<ParameterRule>,
+    /// The parameter that says what happens then.
+    pub loss_action: Option<&'static str>,
+    /// Rules without which it must not be flown.
+    pub required: &'static [ParameterRule],
+    /// How it sends integer parameters.
+    pub parameter_cast: ParameterCast,
+    /// The messages that serve control best, at the rates to ask for.
+    pub telemetry: &'static [MessageRate],
+}
+
+/// What a user can decide about the form of setpoints.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum FormChoice {
+    /// As the autopilot's profile says.
+    #[default]
+    Profile,
+    /// Attitude, rates and thrust, for a vehicle with an on-board PD that cannot say so.
+    /// Unsafe on PX4.
+    ForceAttitudeRatesThrust,
+    /// Rates and thrust, with the attitude loop closed here.
+    RatesThrust {
+        /// See [`AttitudeTargetForm::RatesThrust`].
+        gain: [f64; 3],
+    },
+    /// Attitude and rates on ArduCopter, the rates turned back by the commanded attitude; probe it
+    /// in simulation first, since it depends on the version. Elsewhere as the profile says.
+    ArduCopterRates,
+}
+
+const fn rate(id: u32, hz: f64) -> MessageRate {
+    MessageRate { id, hz }
+}
+
+/// PX4 quantises to its sources' periods: 100 and 250 Hz come as asked, 200 does not.
+const PX4_TELEMETRY: &[MessageRate] = &[
+    rate(331, 100.0), // ODOMETRY
+    rate(31, 250.0),  // ATTITUDE_QUATERNION
+    rate(32, 100.0),  // LOCAL_POSITION_NED
+    rate(105, 250.0), // HIGHRES_IMU
+    rate(375, 100.0), // ACTUATOR_OUTPUT_STATUS
+    rate(83, 50.0),   // ATTITUDE_TARGET
+    rate(147, 5.0),   // BATTERY_STATUS
+    rate(436, 5.0),   // CURRENT_MODE
+    rate(245, 5.0),   // EXTENDED_SYS_STATE
+];
+
+/// ArduCopter has no ODOMETRY and honours at most 0.8 of its loop rate, in whole milliseconds.
+const COPTER_TELEMETRY: &[MessageRate] = &[
+    rate(31, 100.0), // ATTITUDE_QUATERNION
+    rate(32, 100.0), // LOCAL_POSITION_NED
+    rate(36, 50.0),  // SERVO_OUTPUT_RAW
+    rate(83, 50.0),  // ATTITUDE_TARGET
+    rate(1, 2.0),    // SYS_STATUS
+    rate(147, 5.0),  // BATTERY_STATUS
+    rate(245, 5.0),  // EXTENDED_SYS_STATE
+];
+
+const SAFE_TELEMETRY: &[MessageRate] = &[rate(31, 100.0), rate(32, 100.0), rate(147, 2.0)];
+
+impl Profile {
+    /// PX4: attitude and thrust.
+    pub const PX4: Self = Self {
+        name: "PX4",
+        attitude_target: AttitudeTargetForm::AttitudeThrust,
+        rate_frame: RateFrame::Body,
+        modes: Modes {
+            offboard: Some(Mode::px4(6, 0)),
+            hold: Some(Mode::px4(4, 3)),
+            land: Some(Mode::px4(4, 6)),
+            takeoff: Some(Mode::px4(4, 2)),
+        },
+        takeoff: TakeoffWay::OffboardRamp,
+        loss_timeout: Some(ParameterRule {
+            name: "COM_OF_LOSS_T",
+            rule: Rule::AtMost(0.2),
+            why: "the vehicle flies the last setpoint for this long when the stream ends",
+        }),
+        loss_action: Some("COM_OBL_RC_ACT"),
+        required: &[],
+        parameter_cast: ParameterCast::Bytes,
+        telemetry: PX4_TELEMETRY,
+    };
+
+    /// A vehicle with the PX4 face and an on-board PD on attitude and rates together.
+    pub const BUNDLED: Self = Self {
+        name: "bundled",
+        attitude_target: AttitudeTargetForm::AttitudeRatesThrust,
+        ..Self::PX4
+    };
+
+    /// ArduCopter in GUIDED.
+    pub const ARDUCOPTER: Self = Self {
+        name: "ArduCopter",
+        attitude_target: AttitudeTargetForm::AttitudeThrust,
+        rate_frame: RateFrame::RotatedByCommand,
+        modes: Modes {
+            offboard: Some(Mode::copter(4)),
+            hold: Some(Mode::copter(17)), // BRAKE: needs no sticks, LOITER would descend.
+            land: Some(Mode::copter(9)),
+            takeoff: None,
+        },
+        takeoff: TakeoffWay::Command,
+        loss_timeout: Some(ParameterRule {
+            name: "GUID_TIMEOUT",
+            rule: Rule::AtMost(0.2),
+            why: "the vehicle stays tilted for this long when the stream ends",
+        }),
+        loss_action: None,
+        required: &[
+            ParameterRule {
+                name: "GUID_OPTIONS",
+                rule: Rule::HasBits(8),
+                why: "without bit 3 the thrust field is a climb rate",
+            },
+            ParameterRule {
+                name: "ATC_ANGLE_BOOST",
+                rule: Rule::Equals(0.0),
+                why: "the vehicle would add tilt compensation to a thrust that has it already",
+            },
+        ],
+        parameter_cast: ParameterCast::Value,
+        telemetry: COPTER_TELEMETRY,
+    };
+
+    /// An autopilot that is not known: the form that all fly, and no modes.
+    pub const UNKNOWN: Self = Self {
+        name: "unknown",
+        attitude_target: AttitudeTargetForm::AttitudeThrust,
+        rate_frame: RateFrame::Body,
+        modes: Modes { offboard: None, hold: None, land: None, takeoff: None },
+        takeoff: TakeoffWay::OffboardRamp,
+        loss_timeout: None,
+        loss_action: None,
+        required: &[],
+        parameter_cast: ParameterCast::Value,
+        telemetry: SAFE_TELEMETRY,
+    };
+
+    /// The profile of a vehicle, from MAV_AUTOPILOT and MAV_TYPE of its HEARTBEAT and vendor and
+    /// product of its AUTOPILOT_VERSION (if it answered).
+    ///
+    /// Attitude, rates and thrust together go only to a vehicle that says it takes them and whose
+    /// file has `attitude_pd`, or where the user forces it.
+    pub fn identify(
+        autopilot: u8,
+        vehicle_type: u8,
+        version: Option<(u16, u16)>,
+        vehicle_has_attitude_pd: bool,
+        choice: FormChoice,
+    ) -> Self {
+        let is_copter = matches!(vehicle_type, 2 | 3 | 4 | 13 | 14 | 15 | 29 | 35);
+        let mut profile = match autopilot {
+            PX4 if version == Some(PD_VEHICLE) && vehicle_has_attitude_pd => Self::BUNDLED,
+            PX4 => Self::PX4,
+            ARDUPILOT if is_copter => Self::ARDUCOPTER,
+            _ => Self::UNKNOWN,
+        };
+        let is_arducopter = profile.name == Self::ARDUCOPTER.name;
+        profile.attitude_target = match choice {
+            FormChoice::ForceAttitudeRatesThrust => AttitudeTargetForm::AttitudeRatesThrust,
+            FormChoice::RatesThrust { gain } => AttitudeTargetForm::RatesThrust { gain },
+            FormChoice::ArduCopterRates if is_arducopter => AttitudeTargetForm::AttitudeRatesThrust,
+            FormChoice::ArduCopterRates | FormChoice::Profile => profile.attitude_target,
+        };
+        profile
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const QUADROTOR: u8 = 2;
+    const PLANE: u8 = 1;
+
+    #[test]
+    fn masks_by_vehicle_and_choice() {
+        use FormChoice as C;
+        let rates = C::RatesThrust { gain: [6.0; 3] };
+        let cases = [
+            // autopilot, type, version, attitude_pd, choice, mask
+            (PX4, QUADROTOR, Some(PD_VEHICLE), true, C::Profile, 0x00),
+            (PX4, QUADROTOR, Some(PD_VEHICLE), false, C::Profile, 0x07),
+            (PX4, QUADROTOR, Some(PD_VEHICLE), true, rates, 0x80),
+            (PX4, QUADROTOR, Some((0x26AC, 50)), true, C::Profile, 0x07),
+            (PX4, QUADROTOR, None, true, C::Profile, 0x07),
+            (PX4, QUADROTOR, None, true, C::ForceAttitudeRatesThrust, 0x00),
+            (PX4, QUADROTOR, None, true, C::ArduCopterRates, 0x07),
+            (PX4, QUADROTOR, None, false, rates, 0x80),
+            (ARDUPILOT, QUADROTOR, None, false, C::Profile, 0x07),
+            (ARDUPILOT, QUADROTOR, None, false, C::ArduCopterRates, 0x00),
+            // The vendor id means nothing without the PX4 face.
+            (ARDUPILOT, QUADROTOR, Some(PD_VEHICLE), true, C::Profile, 0x07),
+            (ARDUPILOT, PLANE, None, false, C::ArduCopterRates, 0x07),
+            (0, QUADROTOR, None, true, C::Profile, 0x07),
+            (200, 250, None, true, C::Profile, 0x07),
+        ];
+        for (autopilot, kind, version, pd, choice, mask) in cases {
+            let profile = Profile::identify(autopilot, kind, version, pd, choice);
+            assert_eq!(
+                profile.attitude_target.type_mask(),
+                mask,
+                "{autopilot} {kind} {version:?} {pd} {choice:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn px4_modes_read_as_documented() {
+        let modes = Profile::PX4.modes;
+        assert_eq!(modes.offboard.map(|mode| mode.custom_mode), Some(0x0006_0000));
+        assert_eq!(modes.hold.map(|mode| mode.custom_mode), Some(0x0304_0000));
+        assert_eq!(modes.land.map(|mode| mode.custom_mode), Some(0x0604_0000));
+    }
+
+    #[test]
+    fn parameter_rules() {
+        let bits = Profile::ARDUCOPTER.required[0];
+        assert!(bits.holds(8.0) && bits.holds(9.0) && !bits.holds(1.0) && !bits.holds(-8.0));
+        let timeout = Profile::PX4.loss_timeout.unwrap();
+        assert!(timeout.holds(0.2f32.into()) && !timeout.holds(1.0));
+    }
+}

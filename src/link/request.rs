@@ -1,0 +1,422 @@
+//! Requests to the vehicle: sent, repeated until answered, and believed only when read back.
+
+use std::time::Duration;
+
+use wire::dialect::MavCmd;
+
+use super::profile::{Mode, Profile, TakeoffWay};
+use crate::clock::HostTime;
+
+/// Time between repetitions.
+const REPEAT: Duration = Duration::from_millis(300);
+/// Times a request is sent.
+const ATTEMPTS: u8 = 5;
+/// Time that an accepted mode has to show in HEARTBEAT, which comes once a second, or CURRENT_MODE.
+const READ_BACK: Duration = Duration::from_millis(2500);
+/// Time that "in progress" buys.
+const IN_PROGRESS: Duration = Duration::from_secs(3);
+/// Two values of a parameter that are the same one, relative: it went through an f32.
+const SAME: f64 = 1e-6;
+
+const NAV_TAKEOFF: MavCmd = MavCmd::MAV_CMD_NAV_TAKEOFF;
+const DO_SET_MODE: MavCmd = MavCmd::MAV_CMD_DO_SET_MODE;
+const ARM_DISARM: MavCmd = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;
+
+/// Something asked of the vehicle.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// Change mode.
+    SetMode(FlightMode),
+    /// Arm the motors.
+    Arm,
+    /// Disarm the motors, which the vehicle refuses in flight.
+    Disarm,
+    /// Take off to an altitude above home, in m, where the profile says that this is the way.
+    Takeoff {
+        /// Metres above home.
+        altitude_m: f64,
+    },
+    /// Read a parameter.
+    ReadParameter(String),
+    /// Set a parameter. It is read first where its type is not known.
+    SetParameter {
+        /// Name.
+        name: String,
+        /// New value.
+        value: f64,
+    },
+}
+
+/// A mode by what it is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FlightMode {
+    /// Takes setpoints.
+    Offboard,
+    /// Holds position.
+    Hold,
+    /// Lands.
+    Land,
+    /// Takes off by itself.
+    Takeoff,
+}
+
+/// Names a request in its outcome.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RequestId(u32);
+
+/// How a request ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// As asked; a mode was read back.
+    Done,
+    /// The parameter's value, read or set.
+    Parameter(f64),
+    /// Refused with this MAV_RESULT.
+    Refused {
+        /// MAV_RESULT.
+        result: u8,
+    },
+    /// Accepted, but another mode is in force, or the parameter has another value.
+    NotInForce,
+    /// No answer to any repetition.
+    NoAnswer,
+    /// The autopilot's profile has no such thing.
+    Unsupported,
+    /// A newer request of the same kind took its place.
+    Superseded,
+}
+
+/// What goes out for a request.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Action<'a> {
+    Command { command: MavCmd, params: [f32; 7], confirmation: u8 },
+    ReadParameter(&'a str),
+    SetParameter { name: &'a str, value: f64 },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Task {
+    Command { command: MavCmd, params: [f32; 7], mode: Option<Mode> },
+    Read,
+    Set { value: f64, is_type_known: bool, was_sent: bool },
+}
+
+impl Task {
+    /// Requests of one kind replace each other.
+    fn command(&self) -> Option<MavCmd> {
+        match self {
+            Self::Command { command, .. } => Some(*command),
+            Self::Read | Self::Set { .. } => None,
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Pending {
+    id: RequestId,
+    request: Request,
+    task: Task,
+    attempts: u8,
+    next: HostTime,
+    accepted: bool,
+}
+
+/// A request that ended.
+pub(super) type Ended = (RequestId, Request, Outcome);
+
+/// The requests under way.
+#[derive(Debug, Default)]
+pub(super) struct Requests {
+    next_id: u32,
+    pending: Vec<Pending>,
+    ended: Vec<Ended>,
+}
+
+impl Requests {
+    /// Takes a request; its outcome comes later.
+    pub(super) fn submit(
+        &mut self,
+        now: HostTime,
+        request: Request,
+        profile: Option<&Profile>,
+        is_type_known: impl Fn(&str) -> bool,
+    ) -> RequestId {
+        let id = RequestId(self.next_id);
+        self.next_id = self.next_id.wrapping_add(1);
+        let Some(task) = task_of(&request, profile, is_type_known) else {
+            self.ended.push((id, request, Outcome::Unsupported));
+            return id;
+        };
+        if let Some(command) = task.command() {
+            self.end_where(Outcome::Superseded, |pending| pending.task.command() == Some(command));
+        }
+        self.pending.push(Pending { id, request, task, attempts: 0, next: now, accepted: false });
+        id
+    }
+
+    /// Gives what is due to be sent, and ends what had its chances.
+    pub(super) fn poll(&mut self, now: HostTime, mut send: impl FnMut(Action<'_>)) {
+        for pending in self.pending.iter_mut().filter(|pending| pending.next <= now) {
+            if pending.accepted || pending.attempts == ATTEMPTS {
+                continue;
+            }
+            let confirmation = pending.attempts;
+            pending.attempts += 1;
+            pending.next = now + REPEAT;
+            let name = match &pending.request {
+                Request::ReadParameter(name) | Request::SetParameter { name, .. } => name.as_str(),
+                _ => "",
+            };
+            send(match &mut pending.task {
+                Task::Command { command, params, .. } => {
+                    Action::Command { command: *command, params: *params, confirmation }
+                }
+                Task::Set { value, is_type_known: true, was_sent } => {
+                    *was_sent = true;
+                    Action::SetParameter { name, value: *value }
+                }
+                Task::Read | Task::Set { .. } => Action::ReadParameter(name),
+            });
+        }
+        self.end_where(Outcome::NotInForce, |pending| pending.accepted && pending.next <= now);
+        self.end_where(Outcome::NoAnswer, |pending| {
+            pending.attempts == ATTEMPTS && pending.next <= now
+        });
+    }
+
+    /// Takes a COMMAND_ACK.
+    pub(super) fn acknowledged(&mut self, now: HostTime, command: u16, result: u8) {
+        const ACCEPTED: u8 = 0;
+        const IN_PROGRESS_RESULT: u8 = 5;
+        let Some(index) = self
+            .pending
+            .iter()
+            .position(|p| p.task.command().is_some_and(|sent| sent as u16 == command))
+        else {
+            return;
+        };
+        let pending = &mut self.pending[index];
+        match result {
+            ACCEPTED if matches!(pending.task, Task::Command { mode: Some(_), .. }) => {
+                if !pending.accepted {
+                    pending.accepted = true;
+                    pending.next = now + READ_BACK;
+                }
+            }
+            ACCEPTED => self.end(index, Outcome::Done),
+            IN_PROGRESS_RESULT => pending.next = now + IN_PROGRESS,
+            result => self.end(index, Outcome::Refused { result }),
+        }
+    }
+
+    /// Takes the mode in force.
+    pub(super) fn mode(&mut self, custom_mode: u32) {
+        self.end_where(Outcome::Done, |pending| {
+            let Task::Command { mode: Some(mode), .. } = pending.task else { return false };
+            pending.attempts > 0 && mode.custom_mode == custom_mode
+        });
+    }
+
+    /// Takes a PARAM_VALUE.
+    pub(super) fn parameter(&mut self, now: HostTime, name: &str, found: f64) {
+        let mut index = 0;
+        while let Some(pending) = self.pending.get_mut(index) {
+            let outcome = match (&pending.request, &mut pending.task) {
+                (Request::ReadParameter(wanted), Task::Read) if wanted == name => {
+                    Some(Outcome::Parameter(found))
+                }
+                (
+                    Request::SetParameter { name: wanted, .. },
+                    Task::Set { value, is_type_known, was_sent },
+                ) if wanted == name => {
+                    let is_same = (found - *value).abs() <= SAME * value.abs().max(1.0);
+                    if !*is_type_known {
+                        *is_type_known = true;
+                        pending.attempts = 0;
+                        pending.next = now;
+                    }
+                    match (is_same, *was_sent) {
+                        (true, _) => Some(Outcome::Parameter(found)),
+                        (false, true) if pending.attempts == ATTEMPTS => Some(Outcome::NotInForce),
+                        (false, _) => None,
+                    }
+                }
+                _ => None,
+            };
+            match outcome {
+                Some(outcome) => self.end(index, outcome),
+                None => index += 1,
+            }
+        }
+    }
+
+    /// Ends everything: the vehicle is gone.
+    pub(super) fn abandon(&mut self) {
+        self.end_where(Outcome::NoAnswer, |_| true);
+    }
+
+    /// The requests that ended since the last call.
+    pub(super) fn take_ended(&mut self) -> impl Iterator<Item = Ended> + '_ {
+        self.ended.drain(..)
+    }
+
+    /// When something is due.
+    pub(super) fn next_deadline(&self) -> Option<HostTime> {
+        self.pending.iter().map(|pending| pending.next).min()
+    }
+
+    fn end(&mut self, index: usize, outcome: Outcome) {
+        let pending = self.pending.remove(index);
+        self.ended.push((pending.id, pending.request, outcome));
+    }
+
+    fn end_where(&mut self, outcome: Outcome, condition: impl Fn(&Pending) -> bool) {
+        for pending in self.pending.extract_if(.., |pending| condition(pending)) {
+            self.ended.push((pending.id, pending.request, outcome.clone()));
+        }
+    }
+}
+
+/// What a request takes; `None` if the profile has no such thing.
+fn task_of(
+    request: &Request,
+    profile: Option<&Profile>,
+    is_type_known: impl Fn(&str) -> bool,
+) -> Option<Task> {
+    let command = |command, params| Task::Command { command, params, mode: None };
+    Some(match request {
+        Request::SetMode(mode) => {
+            let modes = profile?.modes;
+            let mode = match mode {
+                FlightMode::Offboard => modes.offboard,
+                FlightMode::Hold => modes.hold,
+                FlightMode::Land => modes.land,
+                FlightMode::Takeoff => modes.takeoff,
+            }?;
+            // Param 1: MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
+            let params = [1.0, mode.main.into(), mode.sub.into(), 0.0, 0.0, 0.0, 0.0];
+            Task::Command { command: DO_SET_MODE, params, mode: Some(mode) }
+        }
+        Request::Arm => command(ARM_DISARM, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        Request::Disarm => command(ARM_DISARM, [0.0; 7]),
+        Request::Takeoff { altitude_m } => {
+            if profile?.takeoff != TakeoffWay::Command || !altitude_m.is_finite() {
+                return None;
+            }
+            command(NAV_TAKEOFF, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *altitude_m as f32])
+        }
+        Request::ReadParameter(_) => Task::Read,
+        Request::SetParameter { name, value } => {
+            if !value.is_finite() {
+                return None;
+            }
+            Task::Set { value: *value, is_type_known: is_type_known(name), was_sent: false }
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const START: HostTime = HostTime::from_ns(0);
+    const OFFBOARD: u32 = 0x0006_0000;
+
+    fn at(ms: u64) -> HostTime {
+        START + Duration::from_millis(ms)
+    }
+
+    fn submit(requests: &mut Requests, request: Request) -> RequestId {
+        requests.submit(START, request, Some(&Profile::PX4), |_| false)
+    }
+
+    fn sent(requests: &mut Requests, now: HostTime) -> Vec<String> {
+        let mut sent = Vec::new();
+        requests.poll(now, |action| sent.push(format!("{action:?}")));
+        sent
+    }
+
+    fn outcomes(requests: &mut Requests) -> Vec<Outcome> {
+        requests.take_ended().map(|(_, _, outcome)| outcome).collect()
+    }
+
+    #[test]
+    fn a_mode_is_believed_when_read_back() {
+        let mut requests = Requests::default();
+        submit(&mut requests, Request::SetMode(FlightMode::Offboard));
+        assert_eq!(sent(&mut requests, START).len(), 1);
+        requests.acknowledged(at(3), DO_SET_MODE as u16, 0);
+        assert_eq!(outcomes(&mut requests), []);
+        requests.mode(0x0304_0000);
+        assert_eq!(outcomes(&mut requests), []);
+        requests.mode(OFFBOARD);
+        assert_eq!(outcomes(&mut requests), [Outcome::Done]);
+    }
+
+    #[test]
+    fn an_accept_that_is_followed_by_a_reject_is_a_reject() {
+        let mut requests = Requests::default();
+        submit(&mut requests, Request::SetMode(FlightMode::Offboard));
+        sent(&mut requests, START);
+        requests.acknowledged(at(3), DO_SET_MODE as u16, 0);
+        requests.acknowledged(at(9), DO_SET_MODE as u16, 1);
+        assert_eq!(outcomes(&mut requests), [Outcome::Refused { result: 1 }]);
+    }
+
+    #[test]
+    fn an_accepted_mode_that_never_shows_is_not_in_force() {
+        let mut requests = Requests::default();
+        submit(&mut requests, Request::SetMode(FlightMode::Land));
+        sent(&mut requests, START);
+        requests.acknowledged(at(3), DO_SET_MODE as u16, 0);
+        assert_eq!(sent(&mut requests, at(1000)).len(), 0);
+        sent(&mut requests, at(3000));
+        assert_eq!(outcomes(&mut requests), [Outcome::NotInForce]);
+    }
+
+    #[test]
+    fn silence_is_asked_again_and_then_told() {
+        let mut requests = Requests::default();
+        submit(&mut requests, Request::Arm);
+        let mut count = 0;
+        for ms in (0..3000).step_by(50) {
+            count += sent(&mut requests, at(ms)).len();
+        }
+        assert_eq!(count, usize::from(ATTEMPTS));
+        assert_eq!(outcomes(&mut requests), [Outcome::NoAnswer]);
+        assert_eq!(requests.next_deadline(), None);
+    }
+
+    #[test]
+    fn a_newer_request_of_the_same_kind_wins() {
+        let mut requests = Requests::default();
+        submit(&mut requests, Request::SetMode(FlightMode::Offboard));
+        sent(&mut requests, START);
+        submit(&mut requests, Request::SetMode(FlightMode::Land));
+        assert_eq!(outcomes(&mut requests), [Outcome::Superseded]);
+        requests.mode(OFFBOARD);
+        assert_eq!(outcomes(&mut requests), []);
+    }
+
+    #[test]
+    fn a_parameter_is_read_for_its_type_then_set_then_read_back() {
+        let mut requests = Requests::default();
+        let request = Request::SetParameter { name: "COM_OF_LOSS_T".into(), value: 0.2 };
+        submit(&mut requests, request);
+        assert!(sent(&mut requests, START)[0].starts_with("ReadParameter"));
+        requests.parameter(at(10), "COM_OF_LOSS_T", 1.0);
+        assert!(sent(&mut requests, at(10))[0].starts_with("SetParameter"));
+        requests.parameter(at(15), "OTHER", 0.2);
+        requests.parameter(at(20), "COM_OF_LOSS_T", 0.2f32.into());
+        assert_eq!(outcomes(&mut requests), [Outcome::Parameter(0.2f32.into())]);
+    }
+
+    #[test]
+    fn what_the_profile_lacks_is_unsupported() {
+        let mut requests = Requests::default();
+        submit(&mut requests, Request::Takeoff { altitude_m: 2.0 });
+        let hold = Request::SetMode(FlightMode::Hold);
+        requests.submit(START, hold, Some(&Profile::UNKNOWN), |_| false);
+        assert_eq!(outcomes(&mut requests), [Outcome::Unsupported, Outcome::Unsupported]);
+    }
+}

@@ -1,0 +1,337 @@
+//! The session with one vehicle, sans I/O: bytes and time in; messages, events and frames out.
+//!
+//! The driver calls [`Session::receive`] for what arrives and [`Session::poll`] when
+//! [`Session::next_deadline`] has come, and after either drains [`Session::transmit`] and
+//! [`Session::next_event`].
+
+mod core;
+mod outbox;
+
+use std::time::Duration;
+
+use wire::transport::{PEERS_MAX, Peer};
+use wire::{Decoder, DecoderStats};
+
+use self::core::Core;
+use super::attitude_target::{EncodeError, ThrustMap};
+use super::counters::{LinkState, LinkStats};
+use super::intervals::IntervalEvent;
+use super::message::Received;
+use super::profile::{FormChoice, MessageRate, Profile};
+use super::request::{Outcome, Request, RequestId};
+use super::timesync::ClockEstimate;
+use crate::clock::{HostTime, VehicleTime};
+use crate::setpoint::Setpoint;
+
+/// Settings of a session.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Own system id.
+    pub system: u8,
+    /// Own component id.
+    pub component: u8,
+    /// The vehicle's system id; `None` takes the first autopilot that is heard.
+    pub vehicle_system: Option<u8>,
+    /// Whether the vehicle file has `attitude_pd`.
+    pub vehicle_has_attitude_pd: bool,
+    /// The form of setpoints.
+    pub form: FormChoice,
+    /// Newtons to the thrust field.
+    pub thrust: ThrustMap,
+    /// Messages to ask for; `None` takes the profile's.
+    pub telemetry: Option<Vec<MessageRate>>,
+    /// Whether the vehicle's TIMESYNC requests are answered. Two that answer confuse it.
+    pub answer_timesync: bool,
+    /// Silence after which the link is stale.
+    pub stale_after: Duration,
+    /// Silence after which the vehicle is lost.
+    pub lost_after: Duration,
+    /// Bits per second of a serial line, for the bandwidth check.
+    pub baud: Option<u32>,
+}
+
+impl Settings {
+    /// The usual settings: an onboard computer (component 191) of system 255.
+    pub fn new(thrust: ThrustMap) -> Self {
+        Self {
+            system: 255,
+            component: 191,
+            vehicle_system: None,
+            vehicle_has_attitude_pd: false,
+            form: FormChoice::Profile,
+            thrust,
+            telemetry: None,
+            answer_timesync: true,
+            stale_after: Duration::from_millis(2500),
+            lost_after: Duration::from_secs(5),
+            baud: None,
+        }
+    }
+}
+
+/// What [`Session::receive`] heard, in order of arrival.
+#[derive(Debug)]
+pub enum Heard<'a> {
+    /// A frame of any sender, as it was on the wire.
+    Frame {
+        /// Where it came from.
+        peer: Peer,
+        /// The whole frame.
+        bytes: &'a [u8],
+    },
+    /// A message of the vehicle.
+    Message(Received),
+}
+
+/// News of the session.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// The link's state changed.
+    State {
+        /// Old state.
+        from: LinkState,
+        /// New state.
+        to: LinkState,
+    },
+    /// A vehicle was heard, for the first time or again after it was lost.
+    VehicleFound(VehicleId),
+    /// The vehicle is identified and can be sent setpoints.
+    Identified {
+        /// Its profile.
+        profile: Box<Profile>,
+        /// Whether it answered with its version.
+        is_version_known: bool,
+    },
+    /// A request ended.
+    Request {
+        /// Which.
+        id: RequestId,
+        /// The request.
+        request: Request,
+        /// How it ended.
+        outcome: Outcome,
+    },
+    /// News of a message interval.
+    Interval(IntervalEvent),
+    /// The wanted messages take up more of the serial line than works.
+    Bandwidth {
+        /// Share of the line, 0.7 being the limit.
+        share: f64,
+    },
+    /// The vehicle's clock jumped: it has probably rebooted.
+    ClockJump,
+}
+
+/// Who the vehicle is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VehicleId {
+    /// System id.
+    pub system: u8,
+    /// Component id of its autopilot.
+    pub component: u8,
+    /// MAV_AUTOPILOT.
+    pub autopilot: u8,
+    /// MAV_TYPE.
+    pub vehicle_type: u8,
+    /// Where it was heard.
+    pub peer: Peer,
+}
+
+/// Why a setpoint was not sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SetpointError {
+    /// No vehicle is connected.
+    #[error("no vehicle is connected")]
+    NotConnected,
+    /// What the vehicle takes is not known yet.
+    #[error("the vehicle is not identified yet")]
+    NotIdentified,
+    /// The setpoint has no message.
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
+}
+
+/// A session with one vehicle.
+#[derive(Debug)]
+pub struct Session {
+    datagrams: Decoder,
+    streams: Vec<(Peer, Decoder)>,
+    /// What the decoders of closed streams saw.
+    closed: DecoderStats,
+    core: Core,
+}
+
+impl Session {
+    /// A session that has heard nothing yet.
+    pub fn new(settings: Settings, now: HostTime) -> Self {
+        Self {
+            datagrams: Decoder::new(),
+            streams: Vec::new(),
+            closed: DecoderStats::default(),
+            core: Core::new(settings, now),
+        }
+    }
+
+    /// Takes bytes that arrived from a peer.
+    pub fn receive(
+        &mut self,
+        now: HostTime,
+        peer: Peer,
+        bytes: &[u8],
+        is_datagram: bool,
+        on: &mut impl FnMut(Heard<'_>),
+    ) {
+        let core = &mut self.core;
+        if is_datagram {
+            self.datagrams.push(bytes);
+            while let Some(frame) = self.datagrams.next_frame() {
+                core.frame(now, peer, &frame, on);
+            }
+            self.datagrams.end_datagram(|frame| core.frame(now, peer, &frame, on));
+            return;
+        }
+        let index = match self.streams.iter().position(|(known, _)| *known == peer) {
+            Some(index) => index,
+            None => {
+                if self.streams.len() == PEERS_MAX {
+                    let (_, oldest) = self.streams.remove(0);
+                    self.closed = sum(self.closed, oldest.stats());
+                }
+                self.streams.push((peer, Decoder::new()));
+                self.streams.len() - 1
+            }
+        };
+        let (_, decoder) = &mut self.streams[index];
+        decoder.push(bytes);
+        while let Some(frame) = decoder.next_frame() {
+            core.frame(now, peer, &frame, on);
+        }
+    }
+
+    /// A peer's connection closed. If it was the vehicle's, its next heartbeat tells the new one.
+    pub fn peer_closed(&mut self, peer: Peer) {
+        for (_, decoder) in self.streams.extract_if(.., |(known, _)| *known == peer) {
+            self.closed = sum(self.closed, decoder.stats());
+        }
+        if let Some(vehicle) = &mut self.core.vehicle {
+            vehicle.peer = vehicle.peer.filter(|&known| known != peer);
+        }
+    }
+
+    /// The transport is gone: all peers are, and their numbers may be used anew.
+    pub fn transport_closed(&mut self) {
+        for (_, decoder) in self.streams.drain(..) {
+            self.closed = sum(self.closed, decoder.stats());
+        }
+        if let Some(vehicle) = &mut self.core.vehicle {
+            vehicle.peer = None;
+        }
+    }
+
+    /// Does what is due.
+    pub fn poll(&mut self, now: HostTime) {
+        self.core.poll(now);
+    }
+
+    /// When [`poll`](Self::poll) has something to do next.
+    pub fn next_deadline(&self) -> HostTime {
+        self.core.next_deadline()
+    }
+
+    /// Queues a setpoint for the vehicle, in the form of its profile.
+    ///
+    /// # Errors
+    /// [`SetpointError`]; nothing is sent then.
+    pub fn send_setpoint(
+        &mut self,
+        now: HostTime,
+        setpoint: &Setpoint,
+    ) -> Result<(), SetpointError> {
+        self.core.send_setpoint(now, setpoint)
+    }
+
+    /// Asks something of the vehicle. [`Event::Request`] tells how it ended.
+    pub fn request(&mut self, now: HostTime, request: Request) -> RequestId {
+        let core = &mut self.core;
+        let codec = &core.codec;
+        let is_known = |name: &str| codec.parameter_type(name).is_some();
+        let id = core.requests.submit(now, request, core.profile.as_ref(), is_known);
+        core.send_requests(now);
+        id
+    }
+
+    /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
+    pub fn transmit(&mut self, mut send: impl FnMut(Option<Peer>, &[u8])) {
+        let counters = &mut self.core.counters;
+        self.core.outbox.drain(|to, frame| {
+            counters.sent_frames += 1;
+            counters.sent_bytes += frame.len() as u64;
+            send(to, frame);
+        });
+    }
+
+    /// The next event, oldest first.
+    pub fn next_event(&mut self) -> Option<Event> {
+        self.core.events.pop_front()
+    }
+
+    /// The state of the link.
+    pub fn state(&self) -> LinkState {
+        self.core.state
+    }
+
+    /// The vehicle, once found.
+    pub fn vehicle(&self) -> Option<VehicleId> {
+        self.core.vehicle.as_ref().map(|vehicle| vehicle.id)
+    }
+
+    /// The vehicle's profile, once identified and until lost.
+    pub fn profile(&self) -> Option<&Profile> {
+        self.core.profile.as_ref()
+    }
+
+    /// Host time at which the vehicle's clock reads `time`, once the offset is known.
+    pub fn to_host(&self, time: VehicleTime) -> Option<HostTime> {
+        self.core.clock.to_host(time)
+    }
+
+    /// The vehicle's clock against the host's.
+    pub fn clock(&self) -> Option<ClockEstimate> {
+        self.core.clock.estimate()
+    }
+
+    /// Newtons to the thrust field.
+    pub fn thrust_map(&self) -> ThrustMap {
+        self.core.settings.thrust
+    }
+
+    /// A snapshot of the counters.
+    pub fn stats(&self) -> LinkStats {
+        let core = &self.core;
+        let streams = self.streams.iter().map(|(_, decoder)| decoder.stats());
+        LinkStats {
+            state: core.state,
+            vehicle: core.vehicle.as_ref().map(|v| (v.id.system.into(), v.id.component)),
+            received: streams.fold(sum(self.closed, self.datagrams.stats()), sum),
+            foreign: core.counters.foreign,
+            stray: core.counters.stray,
+            refused: core.counters.refused,
+            lost: core.counters.lost(),
+            sent_frames: core.counters.sent_frames,
+            sent_bytes: core.counters.sent_bytes,
+            round_trip: core.clock.round_trip(),
+            clock: core.clock.estimate(),
+            messages: core.counters.messages(),
+        }
+    }
+}
+
+fn sum(a: DecoderStats, b: DecoderStats) -> DecoderStats {
+    DecoderStats {
+        bytes: a.bytes + b.bytes,
+        frames: a.frames + b.frames,
+        crc_errors: a.crc_errors + b.crc_errors,
+        unknown: a.unknown + b.unknown,
+        unframed_bytes: a.unframed_bytes + b.unframed_bytes,
+    }
+}

@@ -1,0 +1,446 @@
+//! The session behind its decoders: one frame or one tick at a time.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use mavlink::MessageData;
+use sitl::frame::Attitude;
+use wire::dialect::*;
+use wire::transport::Peer;
+use wire::{Encoder, Frame};
+
+use super::outbox::{Outbox, command_long, heartbeat};
+use super::{Event, Heard, SetpointError, Settings, VehicleId};
+use crate::clock::HostTime;
+use crate::link::attitude_target;
+use crate::link::codec::{self, Codec};
+use crate::link::counters::{Counters, LinkState};
+use crate::link::intervals::{Intervals, bandwidth_share};
+use crate::link::message::{AttitudeSource, Inbound, Received};
+use crate::link::parameter;
+use crate::link::profile::Profile;
+use crate::link::request::{Action, Requests};
+use crate::link::timesync::{self, Answer, TimeSync};
+use crate::setpoint::Setpoint;
+
+const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
+/// AUTOPILOT_VERSION is asked for this often, this many times.
+const VERSION_REPEAT: Duration = Duration::from_millis(400);
+const VERSION_ATTEMPTS: u8 = 5;
+/// An attitude older than this closes no loop.
+const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
+/// Share of a serial line above which rates fall short.
+const BANDWIDTH_LIMIT: f64 = 0.7;
+/// MAV_AUTOPILOT_INVALID: a component that is no autopilot.
+const NO_AUTOPILOT: u8 = 8;
+
+#[derive(Debug)]
+pub(super) struct Vehicle {
+    pub(super) id: VehicleId,
+    /// `None` once its connection closed, until it is heard again.
+    pub(super) peer: Option<Peer>,
+    last_heard: HostTime,
+}
+
+/// Everything behind the decoders.
+#[derive(Debug)]
+pub(super) struct Core {
+    pub(super) settings: Settings,
+    pub(super) started: HostTime,
+    pub(super) state: LinkState,
+    pub(super) vehicle: Option<Vehicle>,
+    pub(super) profile: Option<Profile>,
+    pub(super) version_due: Option<(HostTime, u8)>,
+    pub(super) codec: Codec,
+    pub(super) counters: Counters,
+    pub(super) clock: TimeSync,
+    pub(super) intervals: Intervals,
+    pub(super) requests: Requests,
+    pub(super) attitude: Option<(HostTime, AttitudeSource, Attitude)>,
+    pub(super) heartbeat_due: HostTime,
+    pub(super) timesync_due: HostTime,
+    pub(super) events: VecDeque<Event>,
+    pub(super) outbox: Outbox,
+}
+
+impl Core {
+    pub(super) fn new(settings: Settings, now: HostTime) -> Self {
+        let encoder = Encoder::new(settings.system, settings.component);
+        Self {
+            settings,
+            started: now,
+            state: LinkState::Searching,
+            vehicle: None,
+            profile: None,
+            version_due: None,
+            codec: Codec::default(),
+            counters: Counters::default(),
+            clock: TimeSync::default(),
+            intervals: Intervals::default(),
+            requests: Requests::default(),
+            attitude: None,
+            heartbeat_due: now,
+            timesync_due: now,
+            events: VecDeque::new(),
+            outbox: Outbox::new(encoder),
+        }
+    }
+
+    pub(super) fn frame(
+        &mut self,
+        now: HostTime,
+        peer: Peer,
+        frame: &Frame,
+        on: &mut impl FnMut(Heard<'_>),
+    ) {
+        on(Heard::Frame { peer, bytes: frame.bytes() });
+        self.counters.sequence(frame);
+        if frame.id() == HEARTBEAT_DATA::ID {
+            self.select(now, peer, frame);
+        }
+        let Some(vehicle) = &mut self.vehicle else {
+            self.counters.foreign += 1;
+            return;
+        };
+        let is_vehicle = frame.system() == u32::from(vehicle.id.system)
+            && frame.component() == vehicle.id.component;
+        if !is_vehicle {
+            self.counters.foreign += 1;
+            return;
+        }
+        if vehicle.peer != Some(peer) {
+            self.counters.stray += 1;
+            return;
+        }
+        vehicle.last_heard = now;
+        self.counters.arrival(frame.id());
+        self.set_state(LinkState::Connected);
+        if frame.id() == TIMESYNC_DATA::ID {
+            return self.timesync(now, frame);
+        }
+        match self.codec.decode(frame) {
+            Ok(Some((vehicle, message))) => {
+                if let Some(stamp) = vehicle {
+                    self.clock.observe(now, stamp);
+                }
+                self.message(now, &message);
+                on(Heard::Message(Received { host: now, vehicle, message }));
+            }
+            Ok(None) => {}
+            Err(_) => self.counters.refused += 1,
+        }
+    }
+
+    /// Takes the first autopilot for the vehicle, and finds it again where it went.
+    fn select(&mut self, now: HostTime, peer: Peer, frame: &Frame) {
+        let Inbound::Heartbeat { autopilot, vehicle_type, .. } = codec::heartbeat(frame.payload())
+        else {
+            return;
+        };
+        let Ok(system) = u8::try_from(frame.system()) else { return };
+        let is_wanted = self.settings.vehicle_system.is_none_or(|wanted| wanted == system);
+        if autopilot == NO_AUTOPILOT || system == 0 || !is_wanted {
+            return;
+        }
+        let id = VehicleId { system, component: frame.component(), autopilot, vehicle_type, peer };
+        match &mut self.vehicle {
+            Some(known) if (known.id.system, known.id.component) != (id.system, id.component) => {}
+            Some(known) if self.state != LinkState::Lost => {
+                // Another route to the vehicle counts only when the known one is silent.
+                if known.peer.is_none() || self.state == LinkState::Stale {
+                    known.peer = Some(peer);
+                    known.id.peer = peer;
+                }
+            }
+            _ => self.found(now, id),
+        }
+    }
+
+    fn found(&mut self, now: HostTime, id: VehicleId) {
+        self.vehicle = Some(Vehicle { id, peer: Some(id.peer), last_heard: now });
+        self.codec = Codec::default();
+        self.clock = TimeSync::default();
+        self.counters.restart(now);
+        self.attitude = None;
+        self.timesync_due = now;
+        self.version_due = Some((now, 0));
+        self.events.push_back(Event::VehicleFound(id));
+    }
+
+    fn message(&mut self, now: HostTime, message: &Inbound) {
+        match message {
+            Inbound::Odometry { attitude, .. } => {
+                self.attitude = Some((now, AttitudeSource::Quaternion, *attitude));
+            }
+            Inbound::Attitude { source, attitude, .. } => {
+                // The two sources are never mixed: Euler angles serve only where they are alone.
+                let is_served = self.attitude.is_some_and(|(at, served, _)| {
+                    served == AttitudeSource::Quaternion && now.since(at) < ATTITUDE_FRESH
+                });
+                if *source == AttitudeSource::Quaternion || !is_served {
+                    self.attitude = Some((now, *source, *attitude));
+                }
+            }
+            Inbound::Heartbeat { custom_mode, .. } | Inbound::CurrentMode { custom_mode, .. } => {
+                self.requests.mode(*custom_mode);
+                self.collect_ended();
+            }
+            Inbound::CommandAck { command, result } => self.acknowledged(now, *command, *result),
+            Inbound::Parameter { name, value } => {
+                self.requests.parameter(now, name, *value);
+                self.send_requests(now);
+            }
+            Inbound::AutopilotVersion { vendor_id, product_id, .. }
+                if self.version_due.is_some() =>
+            {
+                self.identify(now, Some((*vendor_id, *product_id)));
+            }
+            _ => {}
+        }
+    }
+
+    fn acknowledged(&mut self, now: HostTime, command: u16, result: u8) {
+        if command == MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL as u16 {
+            let news = self.intervals.acknowledged(now, result == 0);
+            self.events.extend(news.map(Event::Interval));
+            self.request_intervals(now);
+        } else {
+            self.requests.acknowledged(now, command, result);
+            self.collect_ended();
+        }
+    }
+
+    fn identify(&mut self, now: HostTime, version: Option<(u16, u16)>) {
+        self.version_due = None;
+        let Some(vehicle) = &self.vehicle else { return };
+        let profile = Profile::identify(
+            vehicle.id.autopilot,
+            vehicle.id.vehicle_type,
+            version,
+            self.settings.vehicle_has_attitude_pd,
+            self.settings.form,
+        );
+        self.codec.set_parameter_cast(profile.parameter_cast);
+        let messages = self.settings.telemetry.as_deref().unwrap_or(profile.telemetry);
+        self.intervals.start(now, messages);
+        if let Some(baud) = self.settings.baud {
+            let share = bandwidth_share(messages, baud);
+            if share > BANDWIDTH_LIMIT {
+                self.events.push_back(Event::Bandwidth { share });
+            }
+        }
+        let is_version_known = version.is_some();
+        let event = Event::Identified { profile: Box::new(profile.clone()), is_version_known };
+        self.events.push_back(event);
+        self.profile = Some(profile);
+        self.request_intervals(now);
+    }
+
+    fn timesync(&mut self, now: HostTime, frame: &Frame) {
+        let Ok(MavMessage::TIMESYNC(data)) = frame.message() else {
+            self.counters.refused += 1;
+            return;
+        };
+        if data.tc1 == 0 {
+            if self.settings.answer_timesync {
+                let answer = TIMESYNC_DATA {
+                    tc1: i64::try_from(now.as_ns()).unwrap_or(i64::MAX),
+                    ts1: data.ts1,
+                    target_system: frame.system() as u8,
+                    target_component: frame.component(),
+                };
+                self.send(&MavMessage::TIMESYNC(answer));
+            }
+            return;
+        }
+        let (system, component) = (self.settings.system, self.settings.component);
+        let is_for_us = [0, system].contains(&data.target_system)
+            && [0, component].contains(&data.target_component);
+        if is_for_us && self.clock.answer(now, data.tc1, data.ts1) == Answer::Jump {
+            self.events.push_back(Event::ClockJump);
+        }
+    }
+
+    fn set_state(&mut self, to: LinkState) {
+        let from = std::mem::replace(&mut self.state, to);
+        if from != to {
+            self.events.push_back(Event::State { from, to });
+        }
+    }
+
+    pub(super) fn poll(&mut self, now: HostTime) {
+        if self.heartbeat_due <= now {
+            self.heartbeat_due = now + HEARTBEAT_PERIOD;
+            self.outbox.push(None, &heartbeat());
+        }
+        let Some(vehicle) = &self.vehicle else { return };
+        let silence = now.since(vehicle.last_heard);
+        if silence >= self.settings.lost_after {
+            if self.state != LinkState::Lost {
+                self.lose();
+            }
+            return;
+        }
+        if silence >= self.settings.stale_after {
+            self.set_state(LinkState::Stale);
+        }
+        if self.timesync_due <= now {
+            self.timesync_due = now + timesync::PERIOD;
+            let ts1 = self.clock.request(now);
+            let request = TIMESYNC_DATA { tc1: 0, ts1, ..self.timesync_target() };
+            self.send(&MavMessage::TIMESYNC(request));
+        }
+        match self.version_due {
+            Some((due, VERSION_ATTEMPTS)) if due <= now => self.identify(now, None),
+            Some((due, attempts)) if due <= now => {
+                self.version_due = Some((now + VERSION_REPEAT, attempts + 1));
+                let id = AUTOPILOT_VERSION_DATA::ID as f32;
+                let params = [id, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+                self.command(MavCmd::MAV_CMD_REQUEST_MESSAGE, params, attempts);
+            }
+            _ => {}
+        }
+        if self.counters.window_end() <= now {
+            self.counters.roll(now);
+        }
+        let (counters, events) = (&self.counters, &mut self.events);
+        self.intervals.verify(
+            now,
+            |id| counters.total(id),
+            |event| events.push_back(Event::Interval(event)),
+        );
+        self.request_intervals(now);
+        self.send_requests(now);
+    }
+
+    fn lose(&mut self) {
+        self.set_state(LinkState::Lost);
+        if let Some(vehicle) = &mut self.vehicle {
+            vehicle.peer = None;
+        }
+        self.profile = None;
+        self.version_due = None;
+        self.attitude = None;
+        self.intervals.stop();
+        self.requests.abandon();
+        self.collect_ended();
+    }
+
+    pub(super) fn next_deadline(&self) -> HostTime {
+        let Some(vehicle) = self.vehicle.as_ref().filter(|_| self.state != LinkState::Lost) else {
+            return self.heartbeat_due;
+        };
+        let silence = match self.state {
+            LinkState::Stale => self.settings.lost_after,
+            _ => self.settings.stale_after.min(self.settings.lost_after),
+        };
+        [
+            Some(self.heartbeat_due),
+            Some(vehicle.last_heard + silence),
+            Some(self.timesync_due),
+            self.version_due.map(|(due, _)| due),
+            Some(self.counters.window_end()),
+            self.intervals.next_deadline(),
+            self.requests.next_deadline(),
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+        .unwrap_or(self.heartbeat_due)
+    }
+
+    pub(super) fn send_setpoint(
+        &mut self,
+        now: HostTime,
+        setpoint: &Setpoint,
+    ) -> Result<(), SetpointError> {
+        let vehicle = self.vehicle.as_ref().filter(|_| self.state == LinkState::Connected);
+        let (id, to) = vehicle
+            .and_then(|vehicle| Some((vehicle.id, vehicle.peer?)))
+            .ok_or(SetpointError::NotConnected)?;
+        let profile = self.profile.as_ref().ok_or(SetpointError::NotIdentified)?;
+        let attitude = self.attitude.filter(|(at, ..)| now.since(*at) < ATTITUDE_FRESH);
+        let attitude = attitude.map(|(.., attitude)| attitude);
+        let data = attitude_target::encode(setpoint, attitude, profile, &self.settings.thrust)?;
+        let data = SET_ATTITUDE_TARGET_DATA {
+            time_boot_ms: now.since(self.started).as_millis() as u32,
+            target_system: id.system,
+            target_component: id.component,
+            ..data
+        };
+        self.outbox.push(Some(to), &MavMessage::SET_ATTITUDE_TARGET(data));
+        Ok(())
+    }
+
+    fn request_intervals(&mut self, now: HostTime) {
+        if let Some(rate) = self.intervals.next_request(now) {
+            let interval_us = (1e6 / rate.hz).round() as f32;
+            let params = [rate.id as f32, interval_us, 0.0, 0.0, 0.0, 0.0, 0.0];
+            self.command(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, params, 0);
+        }
+    }
+
+    pub(super) fn send_requests(&mut self, now: HostTime) {
+        let Some(vehicle) = &self.vehicle else { return self.collect_ended() };
+        let (id, to) = (vehicle.id, vehicle.peer);
+        let (codec, outbox) = (&self.codec, &mut self.outbox);
+        let cast = self.profile.as_ref().map(|profile| profile.parameter_cast).unwrap_or_default();
+        self.requests.poll(now, |action| {
+            let message = match action {
+                Action::Command { command, params, confirmation } => {
+                    Some(command_long(id, command, params, confirmation))
+                }
+                Action::ReadParameter(name) => {
+                    Some(MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
+                        param_index: -1,
+                        target_system: id.system,
+                        target_component: id.component,
+                        param_id: name.into(),
+                    }))
+                }
+                Action::SetParameter { name, value } => codec.parameter_type(name).map(|kind| {
+                    MavMessage::PARAM_SET(PARAM_SET_DATA {
+                        param_value: parameter::encode(value, kind, cast),
+                        target_system: id.system,
+                        target_component: id.component,
+                        param_id: name.into(),
+                        param_type: kind,
+                    })
+                }),
+            };
+            if let Some(message) = message {
+                outbox.push(to, &message);
+            }
+        });
+        self.collect_ended();
+    }
+
+    fn collect_ended(&mut self) {
+        let ended = self.requests.take_ended();
+        self.events.extend(ended.map(|(id, request, outcome)| Event::Request {
+            id,
+            request,
+            outcome,
+        }));
+    }
+
+    fn command(&mut self, command: MavCmd, params: [f32; 7], confirmation: u8) {
+        let Some(vehicle) = &self.vehicle else { return };
+        self.send(&command_long(vehicle.id, command, params, confirmation));
+    }
+
+    /// Queues a message for the vehicle.
+    fn send(&mut self, message: &MavMessage) {
+        let to = self.vehicle.as_ref().and_then(|vehicle| vehicle.peer);
+        self.outbox.push(to, message);
+    }
+
+    fn timesync_target(&self) -> TIMESYNC_DATA {
+        let id = self.vehicle.as_ref().map(|vehicle| vehicle.id);
+        TIMESYNC_DATA {
+            target_system: id.map_or(0, |id| id.system),
+            target_component: id.map_or(0, |id| id.component),
+            ..Default::default()
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! Frames on their way to the driver, and the messages that the session itself makes.
+
+use wire::Encoder;
+use wire::dialect::*;
+use wire::transport::Peer;
+
+use super::VehicleId;
+
+/// Encoded frames, in order. Its memory is reused.
+#[derive(Debug)]
+pub(super) struct Outbox {
+    encoder: Encoder,
+    bytes: Vec<u8>,
+    /// Where each frame goes (`None` is every peer) and where it ends in `bytes`.
+    frames: Vec<(Option<Peer>, usize)>,
+}
+
+impl Outbox {
+    pub(super) fn new(encoder: Encoder) -> Self {
+        Self { encoder, bytes: Vec::new(), frames: Vec::new() }
+    }
+
+    pub(super) fn push(&mut self, to: Option<Peer>, message: &MavMessage) {
+        if self.encoder.encode(message, &mut self.bytes) {
+            self.frames.push((to, self.bytes.len()));
+        }
+    }
+
+    pub(super) fn drain(&mut self, mut send: impl FnMut(Option<Peer>, &[u8])) {
+        let mut start = 0;
+        for (to, end) in self.frames.drain(..) {
+            send(to, &self.bytes[start..end]);
+            start = end;
+        }
+        self.bytes.clear();
+    }
+}
+
+/// The daemon's own heartbeat.
+pub(super) fn heartbeat() -> MavMessage {
+    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        custom_mode: 0,
+        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
+        base_mode: MavModeFlag::empty(),
+        system_status: MavState::MAV_STATE_ACTIVE,
+        mavlink_version: 3,
+    })
+}
+
+/// A command to a vehicle.
+pub(super) fn command_long(
+    to: VehicleId,
+    command: MavCmd,
+    params: [f32; 7],
+    confirmation: u8,
+) -> MavMessage {
+    let [param1, param2, param3, param4, param5, param6, param7] = params;
+    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1,
+        param2,
+        param3,
+        param4,
+        param5,
+        param6,
+        param7,
+        command,
+        target_system: to.system,
+        target_component: to.component,
+        confirmation,
+    })
+}

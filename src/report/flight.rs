@@ -1,0 +1,232 @@
+//! The report on one flight, read from its log.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+
+use serde::Serialize;
+
+use super::chart::quantile;
+use super::flight_page;
+use crate::log::LogReader;
+use crate::log::info::{LogInfo, PhaseInfo, TrackingInfo};
+use crate::log::reader::{Message, ReadError};
+use crate::log::schema::{
+    ControlMessage, LinkStatsMessage, ReferenceMessage, SetpointMessage, StateMessage,
+};
+
+/// An interval this many times the usual one means that ticks are missing.
+const MISSED_FROM: f64 = 1.5;
+
+/// One control tick, as far as it was logged.
+#[derive(Clone, Debug)]
+pub(super) struct Row {
+    pub log_ns: u64,
+    pub state: StateMessage,
+    pub reference: Option<ReferenceMessage>,
+    pub setpoint: Option<SetpointMessage>,
+    pub control: Option<ControlMessage>,
+}
+
+/// The report on one flight.
+#[derive(Clone, Debug)]
+pub struct FlightReport {
+    pub(super) info: LogInfo,
+    pub(super) rows: Vec<Row>,
+    pub(super) link: Vec<(u64, LinkStatsMessage)>,
+    summary: FlightSummary,
+}
+
+/// The numbers of a flight, and the JSON beside the report.
+#[derive(Clone, Debug, Serialize)]
+pub struct FlightSummary {
+    /// `downwash.report.flight`.
+    pub schema: &'static str,
+    /// Version of this JSON.
+    pub schema_version: u32,
+    /// Facts about the run.
+    pub run: BTreeMap<String, String>,
+    /// Whether the log was closed properly.
+    pub log_finished: bool,
+    /// Damaged parts of the log that were left out.
+    pub log_damaged: u64,
+    /// Length of the log, s.
+    pub duration_s: f64,
+    /// Flight states in their order.
+    pub phases: Vec<PhaseInfo>,
+    /// How well the trajectory was tracked, if one was flown.
+    pub tracking: Option<TrackingInfo>,
+    /// The control loop.
+    pub control: ControlSummary,
+    /// Counters of the link at the end, if it reported any.
+    pub link: Option<LinkSummary>,
+    /// Events by level.
+    pub events: BTreeMap<&'static str, u64>,
+}
+
+/// The control loop's timing and limits.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ControlSummary {
+    /// Control ticks.
+    pub ticks: u64,
+    /// Median rate, 1/s.
+    pub rate_hz: Option<f64>,
+    /// Ticks missing in pauses of more than 1.5 median intervals.
+    pub missed_ticks: u64,
+    /// 99th percentile of |interval - median interval|, s.
+    pub jitter_p99_s: Option<f64>,
+    /// Median age of the state's sample at the tick, s.
+    pub sample_age_p50_s: Option<f64>,
+    /// 99th percentile of that age, s.
+    pub sample_age_p99_s: Option<f64>,
+    /// Largest age, s.
+    pub sample_age_max_s: Option<f64>,
+    /// Setpoints sent.
+    pub setpoints: u64,
+    /// Ticks in which a limit cut the setpoint.
+    pub limited_ticks: u64,
+}
+
+/// The link's counters.
+#[derive(Clone, Debug, Serialize)]
+pub struct LinkSummary {
+    /// Mean rate of received frames, 1/s.
+    pub rx_frames_hz: f64,
+    /// Mean rate of sent frames, 1/s.
+    pub tx_frames_hz: f64,
+    /// Frames with a wrong checksum.
+    pub crc_errors: u64,
+    /// Frames missing from the vehicle's sequence.
+    pub lost_frames: u64,
+    /// Times the link was opened again.
+    pub reconnects: u64,
+    /// Largest round trip, s.
+    pub rtt_max_s: Option<f64>,
+}
+
+impl FlightReport {
+    /// Reads the rest of a flight's log.
+    ///
+    /// # Errors
+    /// [`ReadError::Io`]; an unfinished or damaged log gives a report on what is there.
+    pub fn read<R: Read>(reader: &mut LogReader<R>) -> Result<Self, ReadError> {
+        let (mut rows, mut link) = (Vec::new(), Vec::new());
+        let info = LogInfo::read_with(reader, |message| collect(message, &mut rows, &mut link))?;
+        let summary = summarise(&info, &rows, &link);
+        Ok(Self { info, rows, link, summary })
+    }
+
+    /// The numbers.
+    pub fn summary(&self) -> &FlightSummary {
+        &self.summary
+    }
+
+    /// The page.
+    pub fn to_html(&self) -> String {
+        flight_page::html(self)
+    }
+
+    /// Intervals between ticks, s.
+    pub(super) fn intervals(&self) -> Vec<f64> {
+        intervals(&self.rows)
+    }
+
+    /// Ages of the state's samples, s.
+    pub(super) fn sample_ages(&self) -> Vec<f64> {
+        sample_ages(&self.rows).collect()
+    }
+}
+
+/// Joins a tick's messages, which share their `log_time`, into one row.
+fn collect(message: &Message<'_>, rows: &mut Vec<Row>, link: &mut Vec<(u64, LinkStatsMessage)>) {
+    let log_ns = message.log_time.as_ns();
+    if let Some(state) = message.decode::<StateMessage>() {
+        rows.push(Row { log_ns, state, reference: None, setpoint: None, control: None });
+        return;
+    }
+    if let Some(stats) = message.decode::<LinkStatsMessage>() {
+        link.push((log_ns, stats));
+        return;
+    }
+    let Some(row) = rows.last_mut().filter(|row| row.log_ns == log_ns) else { return };
+    if let Some(reference) = message.decode::<ReferenceMessage>() {
+        row.reference = Some(reference);
+    } else if let Some(setpoint) = message.decode::<SetpointMessage>() {
+        row.setpoint = Some(setpoint);
+    } else if let Some(control) = message.decode::<ControlMessage>() {
+        // The phases are known from the log's summary.
+        row.control = Some(ControlMessage { phase: String::new(), ..control });
+    }
+}
+
+fn intervals(rows: &[Row]) -> Vec<f64> {
+    rows.windows(2).map(|w| w[1].log_ns.saturating_sub(w[0].log_ns) as f64 * 1e-9).collect()
+}
+
+fn sample_ages(rows: &[Row]) -> impl Iterator<Item = f64> {
+    rows.iter().filter_map(|r| r.control.as_ref()).map(|c| c.sample_age_s).filter(|a| a.is_finite())
+}
+
+fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values
+}
+
+fn summarise(info: &LogInfo, rows: &[Row], link: &[(u64, LinkStatsMessage)]) -> FlightSummary {
+    let mut events = BTreeMap::new();
+    for event in &info.events {
+        *events.entry(event.level).or_insert(0) += 1;
+    }
+    FlightSummary {
+        schema: "downwash.report.flight",
+        schema_version: 1,
+        run: info.run.clone(),
+        log_finished: info.finished,
+        log_damaged: info.damaged,
+        duration_s: info.duration_s,
+        phases: info.phases.clone(),
+        tracking: info.tracking,
+        control: control_summary(rows),
+        link: link_summary(link),
+        events,
+    }
+}
+
+fn control_summary(rows: &[Row]) -> ControlSummary {
+    let intervals = intervals(rows);
+    let median = quantile(&sorted(intervals.iter().copied()), 0.5).filter(|m| *m > 0.0);
+    let missed = median.map_or(0.0, |median| {
+        let missing = |i: &f64| (i / median).round() - 1.0;
+        intervals.iter().filter(|i| **i > MISSED_FROM * median).map(missing).sum()
+    });
+    let jitter = median.map(|median| sorted(intervals.iter().map(|i| (i - median).abs())));
+    let ages = sorted(sample_ages(rows));
+    let limited = |row: &&Row| row.control.as_ref().is_some_and(|c| c.saturation != 0);
+    ControlSummary {
+        ticks: rows.len() as u64,
+        rate_hz: median.map(|m| 1.0 / m),
+        missed_ticks: missed as u64,
+        jitter_p99_s: jitter.and_then(|j| quantile(&j, 0.99)),
+        sample_age_p50_s: quantile(&ages, 0.5),
+        sample_age_p99_s: quantile(&ages, 0.99),
+        sample_age_max_s: ages.last().copied(),
+        setpoints: rows.iter().filter(|r| r.setpoint.is_some()).count() as u64,
+        limited_ticks: rows.iter().filter(limited).count() as u64,
+    }
+}
+
+fn link_summary(link: &[(u64, LinkStatsMessage)]) -> Option<LinkSummary> {
+    let (_, last) = link.last()?;
+    let mean = |value: fn(&LinkStatsMessage) -> f64| {
+        link.iter().map(|(_, s)| value(s)).sum::<f64>() / link.len() as f64
+    };
+    let rtts = link.iter().map(|(_, s)| s.rtt_s).filter(|r| r.is_finite());
+    Some(LinkSummary {
+        rx_frames_hz: mean(|s| s.rx_frames_hz),
+        tx_frames_hz: mean(|s| s.tx_frames_hz),
+        crc_errors: last.crc_errors,
+        lost_frames: last.lost_frames,
+        reconnects: last.reconnects,
+        rtt_max_s: rtts.reduce(f64::max),
+    })
+}

@@ -1,0 +1,392 @@
+//! The page of a flight's report.
+
+use sitl::frame::Ned;
+
+use super::chart::{Band, Chart, Curve, Histogram, Panel, Style, significant};
+use super::flight::{FlightReport, Row};
+use super::page::{Mood, Page};
+use super::scene::Scene;
+use super::table::{Table, definitions};
+use crate::log::schema::{
+    ControlMessage, LinkStatsMessage, ReferenceMessage, SetpointMessage, StateMessage,
+};
+
+/// Events that the page lists.
+const EVENTS_LISTED: usize = 200;
+const TIME: &str = "time since the start of the log (s)";
+
+/// The whole page.
+pub(super) fn html(report: &FlightReport) -> String {
+    let run = |key: &str| report.info.run.get(key).map_or("unknown", String::as_str);
+    let mut page = Page::new(
+        &format!("Flight report: {}", run("run")),
+        &format!(
+            "{} vehicle {}, recorded by downwash {}",
+            if run("source") == "sim" { "simulated" } else { "real" },
+            run("vehicle"),
+            run("tool_version")
+        ),
+    );
+    let figure = Figure::new(report);
+    verdict(report, &mut page);
+    key_figures(report, &mut page);
+    page.section("Path", "The flown path against the desired one.", &path(report));
+    if report.info.tracking.is_some() {
+        let explanation = "State minus reference, at every tick that has a reference.";
+        page.section("Tracking error", explanation, &figure.tracking_error());
+    }
+    let explanation = "World axes: north, east, down. Angles are roll, pitch, yaw.";
+    page.section("Desired and flown", explanation, &figure.states());
+    let explanation = "What was sent, and the feed-forward's share of it; the rest is feedback.";
+    page.section("Setpoints", explanation, &figure.setpoints());
+    page.section("Timing", "", &timing(report));
+    if !report.link.is_empty() {
+        page.section("Link", "", &link(report, &figure));
+    }
+    page.section("Events", "", &events(report));
+    page.section("How this was computed", "", &provenance(report));
+    page.into_html()
+}
+
+fn verdict(report: &FlightReport, page: &mut Page) {
+    let summary = report.summary();
+    let count = |level: &str| summary.events.get(level).copied().unwrap_or(0);
+    let severe = count("error") + count("fatal");
+    let mut reasons = Vec::new();
+    let mut note = |amount: u64, one: &str, several: &str| match amount {
+        0 => {}
+        1 => reasons.push(format!("1 {one}")),
+        _ => reasons.push(format!("{amount} {several}")),
+    };
+    note(severe, "event of level error or worse", "events of level error or worse");
+    note(count("warning"), "warning", "warnings");
+    note(summary.control.missed_ticks, "missed control tick", "missed control ticks");
+    note(
+        summary.log_damaged,
+        "damaged part of the log left out",
+        "damaged parts of the log left out",
+    );
+    if !summary.log_finished {
+        reasons.push(format!("the log is unfinished: {} messages", report.info.messages));
+    }
+    let sentence = match &summary.tracking {
+        Some(t) => format!(
+            "Tracked for {:.1} s with {} RMS position error, {} at most.",
+            t.ticks as f64 / summary.control.rate_hz.unwrap_or(f64::NAN),
+            length(t.rmse_3d_m),
+            length(t.max_3d_m)
+        ),
+        None => "No trajectory was flown in this log.".into(),
+    };
+    let mood = match (severe, reasons.is_empty(), summary.tracking.is_some()) {
+        (1.., ..) => Mood::Bad,
+        (0, false, _) => Mood::Warning,
+        (0, true, true) => Mood::Good,
+        (0, true, false) => Mood::Plain,
+    };
+    page.verdict(mood, &sentence, &reasons);
+}
+
+fn key_figures(report: &FlightReport, page: &mut Page) {
+    let summary = report.summary();
+    let control = &summary.control;
+    let mut figures = Vec::new();
+    if let Some(t) = &summary.tracking {
+        figures.extend([
+            ("RMS error, 3D", length(t.rmse_3d_m), Mood::Plain),
+            ("RMS error, north", length(t.rmse_n_m), Mood::Plain),
+            ("RMS error, east", length(t.rmse_e_m), Mood::Plain),
+            ("RMS error, down", length(t.rmse_d_m), Mood::Plain),
+            ("largest error, 3D", length(t.max_3d_m), Mood::Plain),
+        ]);
+    }
+    let missed = if control.missed_ticks == 0 { Mood::Good } else { Mood::Warning };
+    let rate = control.rate_hz.map_or("unknown".into(), |r| format!("{r:.1} Hz"));
+    figures.extend([
+        ("log", format!("{:.1} s", summary.duration_s), Mood::Plain),
+        ("control rate, median", rate, Mood::Plain),
+        ("missed ticks", control.missed_ticks.to_string(), missed),
+        ("ticks at a limit", control.limited_ticks.to_string(), Mood::Plain),
+        ("sample age, 99 %", duration(control.sample_age_p99_s), Mood::Plain),
+    ]);
+    page.figures(&figures);
+}
+
+fn path(report: &FlightReport) -> String {
+    let flown = |r: &Row| Ned::new(r.state.p_n_m, r.state.p_e_m, r.state.p_d_m);
+    let desired = |r: &Row| match &r.reference {
+        Some(r) => Ned::new(r.p_n_m, r.p_e_m, r.p_d_m),
+        None => Ned::new(f64::NAN, f64::NAN, f64::NAN),
+    };
+    let flown: Vec<Ned> = report.rows.iter().map(flown).collect();
+    let desired: Vec<Ned> = report.rows.iter().map(desired).collect();
+    Scene { flown: &flown, desired: &desired }.to_html()
+}
+
+/// What the charts over time share.
+struct Figure<'a> {
+    report: &'a FlightReport,
+    time: Vec<f64>,
+    bands: Vec<Band>,
+}
+
+impl<'a> Figure<'a> {
+    fn new(report: &'a FlightReport) -> Self {
+        let time = report.rows.iter().map(|r| seconds(report, r.log_ns)).collect();
+        let band = |phase: &crate::log::info::PhaseInfo| Band {
+            from: phase.start_s,
+            to: phase.start_s + phase.duration_s,
+            name: phase.name.clone(),
+        };
+        Self { report, time, bands: report.info.phases.iter().map(band).collect() }
+    }
+
+    fn chart(&self, height: f64, panels: Vec<Panel>) -> String {
+        let (x, bands) = (&self.time[..], &self.bands[..]);
+        Chart { x_label: TIME, x, bands, height, panels }.to_html()
+    }
+
+    fn curve(&self, name: &str, style: Style, value: impl Fn(&Row) -> f64) -> Curve {
+        Curve { name: name.into(), style, y: self.report.rows.iter().map(value).collect() }
+    }
+
+    /// A curve of angles in degrees, broken where it wraps.
+    fn angle(&self, name: &str, style: Style, value: impl Fn(&Row) -> f64) -> Curve {
+        let mut curve = self.curve(name, style, |r| value(r).to_degrees());
+        for i in (1..curve.y.len()).rev() {
+            if (curve.y[i] - curve.y[i - 1]).abs() > 180.0 {
+                curve.y[i] = f64::NAN;
+            }
+        }
+        curve
+    }
+
+    fn tracking_error(&self) -> String {
+        let axis = |name: &str, colour, value: fn(&ControlMessage) -> f64| Panel {
+            name: name.into(),
+            curves: vec![self.curve("error", Style::Colour(colour), move |r| {
+                r.control.as_ref().map_or(f64::NAN, value)
+            })],
+        };
+        let mut panels = vec![
+            axis("north (m)", 1, |c| c.error_n_m),
+            axis("east (m)", 1, |c| c.error_e_m),
+            axis("down (m)", 1, |c| c.error_d_m),
+            axis("distance (m)", 1, |c| c.error_3d_m),
+        ];
+        let yaw = self.angle("error", Style::Colour(1), |r| {
+            r.control.as_ref().map_or(f64::NAN, |c| c.error_yaw_rad)
+        });
+        panels.push(Panel { name: "yaw (deg)".into(), curves: vec![yaw] });
+        self.chart(92.0, panels)
+    }
+
+    fn states(&self) -> String {
+        type Get<M> = fn(&M) -> f64;
+        let linear = |name: &str, flown: Get<StateMessage>, desired: Get<ReferenceMessage>| Panel {
+            name: name.into(),
+            curves: vec![
+                self.curve("flown", Style::Colour(1), move |r| flown(&r.state)),
+                self.curve("desired", Style::Reference, move |r| {
+                    r.reference.as_ref().map_or(f64::NAN, desired)
+                }),
+            ],
+        };
+        let angular =
+            |name: &str, flown: Get<StateMessage>, desired: Get<ReferenceMessage>| Panel {
+                name: name.into(),
+                curves: vec![
+                    self.angle("flown", Style::Colour(1), move |r| flown(&r.state)),
+                    self.angle("desired", Style::Reference, move |r| {
+                        r.reference.as_ref().map_or(f64::NAN, desired)
+                    }),
+                ],
+            };
+        let position = vec![
+            linear("north (m)", |s| s.p_n_m, |r| r.p_n_m),
+            linear("east (m)", |s| s.p_e_m, |r| r.p_e_m),
+            linear("down (m)", |s| s.p_d_m, |r| r.p_d_m),
+        ];
+        let velocity = vec![
+            linear("north (m/s)", |s| s.v_n_mps, |r| r.v_n_mps),
+            linear("east (m/s)", |s| s.v_e_mps, |r| r.v_e_mps),
+            linear("down (m/s)", |s| s.v_d_mps, |r| r.v_d_mps),
+        ];
+        let attitude = vec![
+            angular("roll (deg)", |s| s.roll_rad, |r| r.roll_rad),
+            angular("pitch (deg)", |s| s.pitch_rad, |r| r.pitch_rad),
+            angular("yaw (deg)", |s| s.yaw_rad, |r| r.yaw_rad),
+        ];
+        [("Position", position), ("Velocity", velocity), ("Attitude", attitude)]
+            .map(|(heading, panels)| format!("<h3>{heading}</h3>{}", self.chart(104.0, panels)))
+            .concat()
+    }
+
+    fn setpoints(&self) -> String {
+        type Get<M> = fn(&M) -> f64;
+        let sent =
+            |get: Get<SetpointMessage>| move |r: &Row| r.setpoint.as_ref().map_or(f64::NAN, get);
+        let share =
+            |get: Get<ControlMessage>| move |r: &Row| r.control.as_ref().map_or(f64::NAN, get);
+        let angular = |name: &str, total: Get<SetpointMessage>, ff: Get<ControlMessage>| Panel {
+            name: name.into(),
+            curves: vec![
+                self.angle("sent", Style::Colour(1), sent(total)),
+                self.angle("feed-forward", Style::Colour(2), share(ff)),
+            ],
+        };
+        let thrust = Panel {
+            name: "thrust (N)".into(),
+            curves: vec![
+                self.curve("sent", Style::Colour(1), sent(|s| s.thrust_n)),
+                self.curve("feed-forward", Style::Colour(2), share(|c| c.ff_thrust_n)),
+            ],
+        };
+        self.chart(
+            92.0,
+            vec![
+                thrust,
+                angular("roll (deg)", |s| s.roll_rad, |c| c.ff_roll_rad),
+                angular("pitch (deg)", |s| s.pitch_rad, |c| c.ff_pitch_rad),
+                angular("yaw (deg)", |s| s.yaw_rad, |c| c.ff_yaw_rad),
+                angular("roll rate (deg/s)", |s| s.p_radps, |c| c.ff_p_radps),
+                angular("pitch rate (deg/s)", |s| s.q_radps, |c| c.ff_q_radps),
+                angular("yaw rate (deg/s)", |s| s.r_radps, |c| c.ff_r_radps),
+            ],
+        )
+    }
+}
+
+fn timing(report: &FlightReport) -> String {
+    let milliseconds = |values: Vec<f64>| values.into_iter().map(|v| v * 1e3).collect::<Vec<_>>();
+    let ages = milliseconds(report.sample_ages());
+    let intervals = milliseconds(report.intervals());
+    let age = Histogram {
+        name: "Age of the state's sample at the tick",
+        x_label: "age (ms)",
+        values: &ages,
+        bars: 60,
+    };
+    let interval = Histogram {
+        name: "Interval between ticks",
+        x_label: "interval (ms)",
+        values: &intervals,
+        bars: 60,
+    };
+    let control = &report.summary().control;
+    let mut table = Table::new(&[("", false), ("50 %", true), ("99 %", true), ("largest", true)]);
+    let age_row = [control.sample_age_p50_s, control.sample_age_p99_s, control.sample_age_max_s];
+    let mut cells = vec!["sample age".to_owned()];
+    cells.extend(age_row.map(duration));
+    table.row(Mood::Plain, &cells);
+    let cells = ["deviation from the median interval".into(), String::new()];
+    table
+        .row(Mood::Plain, &[&cells[..], &[duration(control.jitter_p99_s), String::new()]].concat());
+    format!("{}{}{}", table.into_html(), age.to_html(), interval.to_html())
+}
+
+fn link(report: &FlightReport, figure: &Figure<'_>) -> String {
+    type Get = fn(&LinkStatsMessage) -> f64;
+    let time: Vec<f64> = report.link.iter().map(|(ns, _)| seconds(report, *ns)).collect();
+    let curve = |name: &str, colour, get: Get| Curve {
+        name: name.into(),
+        style: Style::Colour(colour),
+        y: report.link.iter().map(|(_, s)| get(s)).collect(),
+    };
+    let panels = vec![
+        Panel {
+            name: "rates (1/s)".into(),
+            curves: vec![
+                curve("frames received", 1, |s| s.rx_frames_hz),
+                curve("frames sent", 2, |s| s.tx_frames_hz),
+                curve("attitude", 3, |s| s.attitude_hz),
+                curve("position", 4, |s| s.position_hz),
+            ],
+        },
+        Panel {
+            name: "round trip (ms)".into(),
+            curves: vec![curve("round trip", 1, |s| s.rtt_s * 1e3)],
+        },
+    ];
+    let bands = &figure.bands[..];
+    let chart = Chart { x_label: TIME, x: &time, bands, height: 92.0, panels };
+    let mut table = Table::new(&[("counter", false), ("value", true)]);
+    if let Some(link) = &report.summary().link {
+        let mood = |count: u64| if count == 0 { Mood::Plain } else { Mood::Warning };
+        let mut count = |name: &str, count: u64| {
+            table.row(mood(count), &[name.into(), count.to_string()]);
+        };
+        count("frames with a wrong checksum", link.crc_errors);
+        count("frames missing from the vehicle's sequence", link.lost_frames);
+        count("reconnects", link.reconnects);
+        table.row(Mood::Plain, &["longest round trip".into(), duration(link.rtt_max_s)]);
+    }
+    format!("{}{}", chart.to_html(), table.into_html())
+}
+
+fn events(report: &FlightReport) -> String {
+    let events = &report.info.events;
+    if events.is_empty() {
+        return "<p class=\"note\">None.</p>".into();
+    }
+    let mut table =
+        Table::new(&[("level", false), ("time (s)", true), ("from", false), ("text", false)]);
+    for event in events.iter().take(EVENTS_LISTED) {
+        let mood = match event.level {
+            "warning" => Mood::Warning,
+            "error" | "fatal" => Mood::Bad,
+            _ => Mood::Plain,
+        };
+        let cells = [event.level, &format!("{:.2}", event.time_s), &event.source, &event.text];
+        table.row(mood, &cells.map(str::to_owned));
+    }
+    let left = report.info.events_total.saturating_sub(EVENTS_LISTED as u64);
+    let more = match left {
+        0 => String::new(),
+        n => format!("<p class=\"note\">and {n} more, in the log.</p>"),
+    };
+    format!("{}{more}", table.into_html())
+}
+
+fn provenance(report: &FlightReport) -> String {
+    let text = [
+        (
+            "errors",
+            "state minus reference; RMS over the ticks with a trajectory, that is without take-off, hold and landing",
+        ),
+        ("frames", "world north, east, down; body front, right, down; yaw from north towards east"),
+        (
+            "missed ticks",
+            "pauses of more than 1.5 median intervals, each counted by how many ticks it lacks",
+        ),
+        (
+            "sample age",
+            "host time of the tick minus the sample's time on the vehicle, mapped by TIMESYNC where the vehicle stamps it",
+        ),
+        (
+            "drawing",
+            "in long flights the smallest and the largest value of each step along the time axis; tables use every value",
+        ),
+    ];
+    let run = report.info.run.iter().map(|(key, value)| (key.as_str(), value.as_str()));
+    format!("{}<h3>The run, as the log says</h3>{}", definitions(text), definitions(run))
+}
+
+/// Seconds since the log's start.
+fn seconds(report: &FlightReport, log_ns: u64) -> f64 {
+    log_ns.saturating_sub(report.info.start_ns) as f64 * 1e-9
+}
+
+/// A length for people.
+fn length(metres: f64) -> String {
+    match metres {
+        m if m < 0.001 => format!("{:.2} mm", m * 1e3),
+        m if m < 0.1 => format!("{:.1} mm", m * 1e3),
+        m => format!("{m:.3} m"),
+    }
+}
+
+/// A short duration for people.
+fn duration(seconds: Option<f64>) -> String {
+    seconds.map_or("unknown".into(), |s| format!("{} ms", significant(s * 1e3)))
+}

@@ -1,0 +1,56 @@
+//! Tables.
+
+use std::fmt::Write;
+
+use super::page::{Mood, escape};
+
+/// A table with a header; columns of numbers stand to the right.
+#[derive(Clone, Debug)]
+pub struct Table {
+    numeric: Vec<bool>,
+    html: String,
+}
+
+impl Table {
+    /// A table of these columns: heading, and whether they hold numbers.
+    pub fn new(columns: &[(&str, bool)]) -> Self {
+        let mut html = String::from("<div class=\"scroll\"><table><thead><tr>");
+        for (heading, numeric) in columns {
+            let class = if *numeric { " class=\"num\"" } else { "" };
+            let _ = write!(html, "<th{class}>{}</th>", escape(heading));
+        }
+        html.push_str("</tr></thead><tbody>");
+        Self { numeric: columns.iter().map(|(_, numeric)| *numeric).collect(), html }
+    }
+
+    /// Adds a row. `mood` colours its first cell.
+    pub fn row(&mut self, mood: Mood, cells: &[String]) {
+        self.html.push_str("<tr>");
+        for (column, cell) in cells.iter().enumerate() {
+            let numeric = self.numeric.get(column).copied().unwrap_or(false);
+            let class = match (column, mood, numeric) {
+                (0, Mood::Good | Mood::Warning | Mood::Bad, _) => mood.class(),
+                (_, _, true) => "num",
+                _ => "text",
+            };
+            let _ = write!(self.html, "<td class=\"{class}\">{}</td>", escape(cell));
+        }
+        self.html.push_str("</tr>");
+    }
+
+    /// The table.
+    pub fn into_html(mut self) -> String {
+        self.html.push_str("</tbody></table></div>");
+        self.html
+    }
+}
+
+/// Terms and what they are, one a line.
+pub fn definitions<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> String {
+    let mut html = String::from("<dl>");
+    for (term, value) in entries {
+        let _ = write!(html, "<dt>{}</dt><dd>{}</dd>", escape(term), escape(value));
+    }
+    html.push_str("</dl>");
+    html
+}

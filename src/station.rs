@@ -1,0 +1,613 @@
+//! The ground station, sans I/O: a session with one vehicle, the pilot that flies it, and what the
+//! flight's log is told. A driver moves the bytes and the clock.
+
+use std::sync::Arc;
+
+use sitl::frame::Ned;
+use sitl::vehicle::AttitudePd;
+use wire::transport::Peer;
+
+use crate::clock::HostTime;
+use crate::control::{AttitudeLoop, DesignError, HoverVehicle, Lqr, LqrSettings};
+use crate::link::counters::LinkState;
+use crate::link::message::{Inbound, Received};
+use crate::link::profile::{AttitudeTargetForm, Mode, Profile};
+use crate::link::request::{FlightMode, Outcome, Request};
+use crate::link::session::{self, Heard, Session};
+use crate::log::record::{
+    self, Direction, FrameRecord, LinkStats, Record, Severity, Source, Stamp,
+};
+use crate::pilot::{Airframe, LinkEvent, Pilot, PilotSettings, Tick};
+use crate::plan::reference::ReferenceSource;
+use crate::supervisor::{Action, EngagePolicy, FlightState, ModeMap, PreflightCheck};
+
+/// Period of the link's counters in the log.
+const STATS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
+
+/// Rate loops of autopilots follow a body rate about this quickly, s: roll, pitch, yaw.
+const RATE_TIME_CONSTANT_S: [f64; 3] = [0.05, 0.05, 0.1];
+
+/// What a station needs to fly a vehicle.
+#[derive(Clone)]
+pub struct StationSettings {
+    /// The session.
+    pub session: session::Settings,
+    /// The pilot's parts.
+    pub pilot: PilotSettings,
+    /// The feedback.
+    pub lqr: LqrSettings,
+    /// Who decides that a flight begins.
+    pub policy: EngagePolicy,
+    /// Effective mass, inertia and gravity.
+    pub hover: HoverVehicle,
+    /// Thrust of all rotors at full output, N.
+    pub thrust_full_n: f64,
+    /// The on-board loop of a vehicle that honours attitude, rates and thrust together, as it is.
+    pub attitude_pd: Option<AttitudePd>,
+    /// What is flown.
+    pub reference: Arc<dyn ReferenceSource + Send + Sync>,
+    /// Time to hear a vehicle in, s; `None` waits for ever.
+    pub search_timeout_s: Option<f64>,
+}
+
+/// Why a station stopped.
+#[derive(Clone, Debug, PartialEq)]
+pub enum End {
+    /// The flight went from take-off to landing.
+    Done,
+    /// No vehicle was heard.
+    NoVehicle,
+    /// The vehicle was never flown: preflight, mode or arming refused, with the reason.
+    Refused(String),
+    /// The flight ended early, with the reason.
+    Aborted(String),
+    /// The link was lost in flight, with the reason.
+    LinkLost(String),
+    /// The pilot took over.
+    PilotTookOver,
+}
+
+/// A look at the station for the status line.
+#[derive(Clone, Debug, Default)]
+pub struct Status {
+    /// State of the link in words.
+    pub link: &'static str,
+    /// The vehicle's autopilot, once identified.
+    pub vehicle: Option<&'static str>,
+    /// Where the flight stands.
+    pub phase: Option<FlightState>,
+    /// The vehicle's mode word.
+    pub mode: Option<u32>,
+    /// Whether the motors are armed.
+    pub armed: Option<bool>,
+    /// Rate of control ticks, Hz.
+    pub tick_rate_hz: f64,
+    /// Setpoints sent.
+    pub setpoints: u64,
+    /// Distance from the reference, m.
+    pub tracking_error_m: f64,
+    /// Position, m.
+    pub position: Ned,
+    /// Time along the trajectory and its length, s.
+    pub progress: Option<(f64, f64)>,
+    /// Remaining charge, 0..1.
+    pub battery: Option<f64>,
+    /// Round trip of the link, s.
+    pub round_trip_s: Option<f64>,
+}
+
+/// A session, a pilot, and the records of both.
+pub struct Station {
+    settings: StationSettings,
+    session: Session,
+    /// There is none before the vehicle is identified: what it honours decides the design.
+    pilot: Option<Pilot>,
+    profile: Option<Profile>,
+    records: Vec<Record>,
+    ticks: Vec<Tick>,
+    started: HostTime,
+    stats_due: HostTime,
+    last_counts: Counts,
+    setpoints: u64,
+    tracking_error_m: f64,
+    trajectory_time: Option<f64>,
+    in_flight: bool,
+    flown: bool,
+    last_trouble: Option<String>,
+    end: Option<End>,
+}
+
+/// Counters of the last report, to make rates of.
+#[derive(Clone, Copy, Default)]
+struct Counts {
+    host: HostTime,
+    received_frames: u64,
+    received_bytes: u64,
+    sent_frames: u64,
+    sent_bytes: u64,
+}
+
+impl Station {
+    /// A station that has heard nothing yet.
+    pub fn new(settings: StationSettings, now: HostTime) -> Self {
+        Self {
+            session: Session::new(settings.session.clone(), now),
+            settings,
+            pilot: None,
+            profile: None,
+            records: Vec::new(),
+            ticks: Vec::new(),
+            started: now,
+            stats_due: now + STATS_PERIOD,
+            last_counts: Counts { host: now, ..Counts::default() },
+            setpoints: 0,
+            tracking_error_m: 0.0,
+            trajectory_time: None,
+            in_flight: false,
+            flown: false,
+            last_trouble: None,
+            end: None,
+        }
+    }
+
+    /// Takes bytes that arrived. The line: each message to the pilot, and the setpoint that it
+    /// answers with, if any, to the vehicle.
+    pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
+        let Self { session, pilot, records, ticks, .. } = self;
+        session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
+            Heard::Frame { bytes, .. } => {
+                records.extend(FrameRecord::from_bytes(Direction::Rx, now, bytes).map(Record::Frame));
+            }
+            Heard::Message(received) => {
+                if let Some(pilot) = pilot {
+                    ticks.extend(pilot.handle(&received));
+                }
+                records.extend(record_of(&received));
+            }
+        });
+        // Of several samples in one datagram only the newest is acted upon.
+        if let Some(setpoint) = self.ticks.last().and_then(|tick| tick.setpoint) {
+            match self.session.send_setpoint(now, &setpoint) {
+                Ok(()) => self.setpoints += 1,
+                Err(error) => self.tell(now, Severity::Warning, format!("no setpoint: {error}")),
+            }
+        }
+        self.follow_up(now);
+    }
+
+    /// Does what is due by the clock. Never makes a setpoint.
+    pub fn poll(&mut self, now: HostTime) {
+        self.session.poll(now);
+        if let Some(pilot) = &mut self.pilot {
+            pilot.poll(now);
+        }
+        self.follow_up(now);
+        if self.stats_due <= now {
+            self.stats_due = now + STATS_PERIOD;
+            self.record_stats(now);
+        }
+        let silent = self.session.vehicle().is_none();
+        if let Some(limit) = self.settings.search_timeout_s
+            && silent
+            && now.since(self.started).as_secs_f64() > limit
+        {
+            self.end.get_or_insert(End::NoVehicle);
+        }
+    }
+
+    /// When [`Station::poll`] has something to do next, at most 20 ms away: safety reactions to
+    /// silence are not late by more than that.
+    pub fn next_deadline(&self, now: HostTime) -> HostTime {
+        let tick = now + std::time::Duration::from_millis(20);
+        self.session.next_deadline().min(self.stats_due).clamp(now, tick)
+    }
+
+    /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
+    pub fn transmit(&mut self, now: HostTime, mut send: impl FnMut(Option<Peer>, &[u8])) {
+        let records = &mut self.records;
+        self.session.transmit(|peer, frame| {
+            send(peer, frame);
+            records.extend(FrameRecord::from_bytes(Direction::Tx, now, frame).map(Record::Frame));
+        });
+    }
+
+    /// Gives what the log is to be told since the last call.
+    pub fn take_records(&mut self, log: impl FnMut(Record)) {
+        self.records.drain(..).for_each(log);
+    }
+
+    /// The endpoint is open (again).
+    pub fn opened(&mut self, now: HostTime) {
+        self.tell(now, Severity::Info, "link open".to_owned());
+    }
+
+    /// The endpoint is gone, for the reason given.
+    pub fn closed(&mut self, now: HostTime, why: &str) {
+        self.session.transport_closed();
+        self.tell(now, Severity::Warning, format!("link closed: {why}"));
+        if let Some(pilot) = &mut self.pilot {
+            pilot.link_event(now, LinkEvent::Lost);
+        }
+        self.follow_up(now);
+    }
+
+    /// A peer of the endpoint is gone.
+    pub fn peer_closed(&mut self, peer: Peer) {
+        self.session.peer_closed(peer);
+    }
+
+    /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins.
+    pub fn land(&mut self, now: HostTime) {
+        match &mut self.pilot {
+            Some(pilot) if pilot.flight_state().is_flying() => pilot.land(now),
+            _ => {
+                self.end.get_or_insert(End::Aborted("stopped before the flight".to_owned()));
+            }
+        }
+        self.follow_up(now);
+    }
+
+    /// How it ended, once it has.
+    pub fn end(&self) -> Option<&End> {
+        self.end.as_ref()
+    }
+
+    /// A look for the status line.
+    pub fn status(&self) -> Status {
+        let link = match self.session.state() {
+            LinkState::Searching => "searching",
+            LinkState::Connected => "connected",
+            LinkState::Stale => "stale",
+            LinkState::Lost => "lost",
+        };
+        let mut status = Status {
+            link,
+            vehicle: self.profile.as_ref().map(|profile| profile.name),
+            setpoints: self.setpoints,
+            tracking_error_m: self.tracking_error_m,
+            progress: self.trajectory_time.map(|t| (t, self.settings.reference.duration())),
+            round_trip_s: self.session.stats().round_trip.map(|rtt| rtt.as_secs_f64()),
+            ..Status::default()
+        };
+        if let Some(pilot) = &self.pilot {
+            let telemetry = pilot.telemetry();
+            status.phase = Some(pilot.flight_state());
+            status.mode = telemetry.status().mode;
+            status.armed = telemetry.status().armed;
+            status.battery = telemetry.status().battery.remaining;
+            status.tick_rate_hz = telemetry.tick_rate_hz();
+            status.position = telemetry.last_sample().map_or(Ned::zero(), |s| s.state.position);
+        }
+        status
+    }
+
+    /// After the pilot has acted: ticks to the log, session's news to the pilot, the pilot's
+    /// requests to the vehicle.
+    fn follow_up(&mut self, now: HostTime) {
+        let ticks = std::mem::take(&mut self.ticks);
+        for tick in &ticks {
+            self.tracking_error_m = tick.tracking_error;
+            self.trajectory_time = tick.trajectory_time;
+            let sampled = self.session.to_host(tick.vehicle).unwrap_or(tick.host);
+            self.records.push(Record::Tick(tick_record(tick, sampled)));
+        }
+        self.ticks = ticks;
+        self.ticks.clear();
+        while let Some(event) = self.session.next_event() {
+            self.session_event(now, event);
+        }
+        let Some(pilot) = &mut self.pilot else { return };
+        let (actions, events) = (pilot.take_actions(), pilot.take_events());
+        let state = pilot.flight_state();
+        for action in actions {
+            self.session.request(now, request_of(action));
+        }
+        for event in events {
+            let severity = match event.severity {
+                crate::supervisor::Severity::Info => Severity::Info,
+                crate::supervisor::Severity::Warning => Severity::Warning,
+                crate::supervisor::Severity::Error => Severity::Error,
+            };
+            if severity <= Severity::Warning {
+                self.last_trouble = Some(event.text.clone());
+            }
+            self.tell(now, severity, format!("{}: {}", event.state.name(), event.text));
+        }
+        self.watch(now, state);
+    }
+
+    /// Marks the flight's beginning and end in the log, and the end of a commanded flight.
+    fn watch(&mut self, now: HostTime, state: FlightState) {
+        let in_flight = state.is_in_control() || state == FlightState::Land;
+        if in_flight != self.in_flight {
+            self.in_flight = in_flight;
+            self.records.push(if in_flight { Record::FlightBegins(now) } else { Record::FlightEnds });
+        }
+        self.flown |= matches!(
+            state,
+            FlightState::TakeOff | FlightState::Approach | FlightState::Track | FlightState::Hold
+        );
+        if self.settings.policy != EngagePolicy::Command || self.end.is_some() {
+            return;
+        }
+        let trouble = || self.last_trouble.clone().unwrap_or_else(|| "no reason given".to_owned());
+        self.end = match state {
+            FlightState::Done if self.last_trouble.is_none() => Some(End::Done),
+            FlightState::Done => Some(End::Aborted(trouble())),
+            FlightState::Abort if !self.flown => Some(End::Refused(trouble())),
+            FlightState::Abort if self.session.state() != LinkState::Connected => {
+                Some(End::LinkLost(trouble()))
+            }
+            FlightState::Abort => Some(End::Aborted(trouble())),
+            FlightState::PilotControl => Some(End::PilotTookOver),
+            FlightState::Connect | FlightState::AwaitRelease if self.flown => {
+                Some(End::LinkLost(trouble()))
+            }
+            _ => None,
+        };
+    }
+
+    fn session_event(&mut self, now: HostTime, event: session::Event) {
+        use session::Event;
+        match event {
+            Event::State { from, to } => {
+                let severity = match to {
+                    LinkState::Connected | LinkState::Searching => Severity::Info,
+                    LinkState::Stale | LinkState::Lost => Severity::Warning,
+                };
+                self.tell(now, severity, format!("link {from:?} -> {to:?}"));
+                if to == LinkState::Lost
+                    && let Some(pilot) = &mut self.pilot
+                {
+                    pilot.link_event(now, LinkEvent::Lost);
+                }
+            }
+            Event::VehicleFound(id) => self.tell(
+                now,
+                Severity::Info,
+                format!(
+                    "heard system {} component {}: autopilot {}, type {}",
+                    id.system, id.component, id.autopilot, id.vehicle_type
+                ),
+            ),
+            Event::Identified { profile, is_version_known } => {
+                self.identified(now, *profile, is_version_known);
+            }
+            Event::Request { request, outcome, .. } => self.request_ended(now, &request, &outcome),
+            Event::Interval(event) => self.tell(now, Severity::Info, format!("{event}")),
+            Event::Bandwidth { share } => self.tell(
+                now,
+                Severity::Warning,
+                format!(
+                    "the wanted messages need {:.0} % of the serial line; raise its baud rate or ask \
+                     for less in [link] telemetry",
+                    100.0 * share
+                ),
+            ),
+            Event::ClockJump => {
+                self.tell(now, Severity::Warning, "the vehicle's clock jumped".to_owned());
+            }
+        }
+    }
+
+    /// Now that it is known what the vehicle honours: design the feedback for it.
+    fn identified(&mut self, now: HostTime, profile: Profile, is_version_known: bool) {
+        let mask = profile.attitude_target.type_mask();
+        let silent = if is_version_known { "" } else { ", which does not tell its version" };
+        let text = format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
+        self.tell(now, Severity::Info, text.clone());
+        let facts = [
+            ("autopilot".to_owned(), profile.name.to_owned()),
+            ("attitude_target_mask".to_owned(), format!("{mask:#04x}")),
+        ];
+        self.records.push(Record::Facts(Box::new(facts.into())));
+        for rule in profile.required.iter().chain(&profile.loss_timeout) {
+            self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
+        }
+        for name in profile.loss_action {
+            self.session.request(now, Request::ReadParameter(name.to_owned()));
+        }
+        let known = self.profile.replace(profile.clone());
+        if self.pilot.is_some() && known.as_ref() == Some(&profile) {
+            return;
+        }
+        match self.make_pilot(now, &profile) {
+            Ok(Some(pilot)) => self.pilot = Some(pilot),
+            Ok(None) => {
+                let why = format!("the modes of autopilot {:?} are not known", profile.name);
+                self.tell(now, Severity::Error, why.clone());
+                self.end.get_or_insert(End::Refused(why));
+            }
+            Err(error) => {
+                self.tell(now, Severity::Error, error.to_string());
+                self.end.get_or_insert(End::Refused(error.to_string()));
+            }
+        }
+        self.check_parameters();
+    }
+
+    fn make_pilot(&self, now: HostTime, profile: &Profile) -> Result<Option<Pilot>, DesignError> {
+        let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
+        let modes = (word(profile.modes.offboard), word(profile.modes.land));
+        let (Some(offboard), Some(land)) = modes else { return Ok(None) };
+        // Of the two autopilots with modes only PX4 sends CURRENT_MODE.
+        let reports_intended = *profile != Profile::ARDUCOPTER;
+        let attitude_loop = match (profile.attitude_target, self.settings.attitude_pd) {
+            (AttitudeTargetForm::AttitudeRatesThrust, Some(pd)) => pd.into(),
+            (AttitudeTargetForm::RatesThrust { gain }, _) => {
+                AttitudeLoop::Rates { gain, time_constant_s: RATE_TIME_CONSTANT_S }
+            }
+            _ if profile.name == Profile::ARDUCOPTER.name => AttitudeLoop::ARDUCOPTER,
+            _ => AttitudeLoop::PX4,
+        };
+        let lqr = Lqr::design(&self.settings.hover, &attitude_loop, &self.settings.lqr)?;
+        let airframe = Airframe {
+            hover: self.settings.hover,
+            thrust_full_n: self.settings.thrust_full_n,
+            attitude_loop,
+            modes: ModeMap { offboard, land, reports_intended },
+        };
+        Ok(Some(Pilot::new(
+            self.settings.pilot.clone(),
+            self.settings.policy,
+            airframe,
+            lqr,
+            Box::new(Arc::clone(&self.settings.reference)),
+            Vec::new(),
+            now,
+        )))
+    }
+
+    /// The profile's rules about the vehicle's parameters, as preflight checks.
+    fn check_parameters(&mut self) {
+        let (Some(profile), Some(pilot)) = (&self.profile, &mut self.pilot) else { return };
+        let known = &pilot.telemetry().status().parameters;
+        let failed = profile
+            .required
+            .iter()
+            .filter_map(|rule| {
+                let found = known.get(rule.name);
+                (!found.is_some_and(|value| rule.holds(*value))).then(|| PreflightCheck {
+                    subject: format!("parameter {}", rule.name),
+                    expected: format!("{:?}, because {}", rule.rule, rule.why),
+                    found: found.map_or("no answer".to_owned(), f64::to_string),
+                })
+            })
+            .collect();
+        pilot.set_standing_checks(failed);
+    }
+
+    fn request_ended(&mut self, now: HostTime, request: &Request, outcome: &Outcome) {
+        if let (Request::ReadParameter(name), Outcome::Parameter(value)) = (request, outcome) {
+            self.check_parameters();
+            let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);
+            if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
+                let text = format!(
+                    "parameter {name} is {value}: {}; {:?} is recommended",
+                    rule.why, rule.rule
+                );
+                self.tell(now, Severity::Notice, text);
+            }
+            return;
+        }
+        if matches!(outcome, Outcome::Done | Outcome::Parameter(_) | Outcome::Superseded) {
+            return;
+        }
+        let warning = self.pilot.as_ref().and_then(|pilot| {
+            let (at, text) = pilot.telemetry().status().warning.as_ref()?;
+            (now.since(*at).as_secs_f64() < 3.0).then(|| text.clone())
+        });
+        let text = match warning {
+            Some(words) => format!("{outcome:?}: {words}"),
+            None => format!("{outcome:?}"),
+        };
+        let action = match request {
+            Request::SetMode(FlightMode::Offboard) => Some(Action::SetModeOffboard),
+            Request::SetMode(FlightMode::Land) => Some(Action::SetModeLand),
+            Request::Arm => Some(Action::Arm),
+            Request::Disarm => Some(Action::Disarm),
+            _ => None,
+        };
+        match (action, &mut self.pilot) {
+            (Some(action), Some(pilot)) => {
+                pilot.link_event(now, LinkEvent::Refused { action, text });
+            }
+            _ => self.tell(now, Severity::Notice, format!("{request:?}: {text}")),
+        }
+    }
+
+    fn tell(&mut self, now: HostTime, severity: Severity, text: String) {
+        match severity {
+            Severity::Info | Severity::Notice | Severity::Debug => tracing::info!("{text}"),
+            Severity::Warning => tracing::warn!("{text}"),
+            _ => tracing::error!("{text}"),
+        }
+        self.records.push(Record::Event { host: now, severity, source: Source::Daemon, text });
+    }
+
+    fn record_stats(&mut self, now: HostTime) {
+        let stats = self.session.stats();
+        let period = now.since(self.last_counts.host).as_secs_f64();
+        let rate = |count: u64, before: u64| count.saturating_sub(before) as f64 / period;
+        let of = |ids: &[u32]| {
+            let counts = stats.messages.iter().filter(|count| ids.contains(&count.id));
+            counts.map(|count| count.rate_hz).fold(0.0, f64::max)
+        };
+        let record = LinkStats {
+            rx_frames_hz: rate(stats.received.frames, self.last_counts.received_frames),
+            rx_bytes_per_s: rate(stats.received.bytes, self.last_counts.received_bytes),
+            tx_frames_hz: rate(stats.sent_frames, self.last_counts.sent_frames),
+            tx_bytes_per_s: rate(stats.sent_bytes, self.last_counts.sent_bytes),
+            attitude_hz: of(&[30, 31]),
+            position_hz: of(&[32]),
+            odometry_hz: of(&[331]),
+            crc_errors: stats.received.crc_errors,
+            lost_frames: stats.lost,
+            unknown_frames: stats.received.unknown,
+            unframed_bytes: stats.received.unframed_bytes,
+            reconnects: 0,
+            rtt_s: stats.round_trip.map_or(f64::NAN, |rtt| rtt.as_secs_f64()),
+            clock_offset_s: stats.clock.map_or(f64::NAN, |clock| clock.offset_ns as f64 * 1e-9),
+        };
+        self.last_counts = Counts {
+            host: now,
+            received_frames: stats.received.frames,
+            received_bytes: stats.received.bytes,
+            sent_frames: stats.sent_frames,
+            sent_bytes: stats.sent_bytes,
+        };
+        self.records.push(Record::Link { host: now, stats: record });
+    }
+}
+
+fn request_of(action: Action) -> Request {
+    match action {
+        Action::SetModeOffboard => Request::SetMode(FlightMode::Offboard),
+        Action::SetModeLand => Request::SetMode(FlightMode::Land),
+        Action::Arm => Request::Arm,
+        Action::Disarm => Request::Disarm,
+    }
+}
+
+/// What the log keeps of a message beside its frame.
+fn record_of(received: &Received) -> Option<Record> {
+    let stamp = match received.vehicle {
+        Some(vehicle) => Stamp::new(received.host, vehicle, received.host),
+        None => Stamp::host(received.host),
+    };
+    match &received.message {
+        Inbound::Imu { specific_force, body_rate } => Some(Record::Imu {
+            stamp,
+            specific_force: *specific_force,
+            body_rate: *body_rate,
+        }),
+        Inbound::MotorOutputs { outputs } => Some(Record::Motors { stamp, outputs: *outputs }),
+        Inbound::Battery { voltage, current, remaining } => Some(Record::Battery {
+            stamp,
+            voltage: *voltage,
+            current: *current,
+            remaining: *remaining,
+        }),
+        Inbound::StatusText { severity, text } => Some(Record::Event {
+            host: received.host,
+            severity: Severity::from(*severity),
+            source: Source::Vehicle,
+            text: text.clone(),
+        }),
+        _ => None,
+    }
+}
+
+fn tick_record(tick: &Tick, sampled: HostTime) -> record::Tick {
+    record::Tick {
+        stamp: Stamp::new(tick.host, tick.vehicle, sampled),
+        state: tick.state,
+        reference: Some(tick.reference),
+        feedback: tick.feedback,
+        setpoint: tick.setpoint,
+        saturation: tick.saturation.bits(),
+        phase: tick.phase.name(),
+        trajectory_time: tick.trajectory_time,
+        sample_age: tick.sample_age,
+    }
+}

@@ -1,0 +1,144 @@
+//! The connection over real sockets and a real pseudo-terminal: lost, and opened again by itself.
+
+use std::future::Future;
+use std::path::Path;
+use std::time::Duration;
+
+use downwash::link::connection::{Connection, Input};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, UdpSocket};
+use tokio_serial::{SerialPort, SerialStream};
+
+/// Bounds what waits for the system; nothing in these tests takes this long unless it hangs.
+async fn soon<F: Future>(future: F) -> F::Output {
+    tokio::time::timeout(Duration::from_secs(20), future).await.expect("the system answers")
+}
+
+fn connection(endpoint: &str) -> Connection {
+    Connection::new(endpoint.parse().expect("valid endpoint"))
+}
+
+/// The next input that is not a failure to open; and how many of those came first.
+async fn next(connection: &mut Connection, buffer: &mut [u8]) -> (Input, usize) {
+    let mut failures = 0;
+    loop {
+        match soon(connection.recv(buffer)).await {
+            Input::Failed { .. } => failures += 1,
+            input => return (input, failures),
+        }
+    }
+}
+
+async fn expect_bytes(connection: &mut Connection, expected: &[u8]) {
+    let mut received = Vec::new();
+    let mut buffer = [0; 256];
+    while received.len() < expected.len() {
+        match next(connection, &mut buffer).await {
+            (Input::Bytes { len, .. }, _) => received.extend_from_slice(&buffer[..len]),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!(received, expected);
+}
+
+/// Plugs a new device in: a pseudo-terminal under the name of the link. The other side is kept.
+fn plug(link: &Path) -> SerialStream {
+    let (device, slave) = SerialStream::pair().expect("a pseudo-terminal");
+    let path = slave.name().expect("has a path");
+    std::os::unix::fs::symlink(path, link).expect("link is free");
+    device
+}
+
+#[tokio::test]
+async fn a_serial_port_is_pulled_and_plugged_in_again() {
+    let directory = std::env::temp_dir().join(format!("downwash-pty-{}", std::process::id()));
+    std::fs::create_dir_all(&directory).unwrap();
+    let link = directory.join("ttyACM0");
+    let _ = std::fs::remove_file(&link);
+    let mut connection = connection(&format!("serial:{}:921600", link.display()));
+    let mut buffer = [0; 256];
+
+    let mut device = plug(&link);
+    assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Opened, 0)));
+    device.write_all(b"before").await.unwrap();
+    expect_bytes(&mut connection, b"before").await;
+
+    drop(device);
+    std::fs::remove_file(&link).unwrap();
+    assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Lost(_), _)));
+    assert!(!connection.send(None, b"into the void"));
+    let failed = soon(connection.recv(&mut buffer)).await;
+    match failed {
+        Input::Failed { error, .. } => {
+            assert!(error.to_string().contains("plugged in"), "{error}");
+        }
+        other => panic!("{other:?}"),
+    }
+
+    let mut device = plug(&link);
+    assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Opened, _)));
+    device.write_all(b"after").await.unwrap();
+    expect_bytes(&mut connection, b"after").await;
+    assert!(connection.send(None, b"answer"));
+    let len = soon(device.read(&mut buffer)).await.unwrap();
+    assert_eq!(&buffer[..len], b"answer");
+    std::fs::remove_dir_all(&directory).unwrap();
+}
+
+#[tokio::test]
+async fn a_tcp_connection_that_drops_is_made_again() {
+    let server = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = server.local_addr().unwrap();
+    let mut connection = connection(&format!("tcp:{address}"));
+    let mut buffer = [0; 256];
+    for message in [b"one", b"two"] {
+        assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Opened, _)));
+        let (mut stream, _) = soon(server.accept()).await.unwrap();
+        stream.write_all(message).await.unwrap();
+        expect_bytes(&mut connection, message).await;
+        drop(stream);
+        assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Lost(_), _)));
+    }
+    drop(server);
+    let refused = soon(connection.recv(&mut buffer)).await;
+    match refused {
+        Input::Failed { error, .. } => assert!(error.to_string().contains("listens"), "{error}"),
+        other => panic!("{other:?}"),
+    }
+    let server = TcpListener::bind(address).await.unwrap();
+    assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Opened, _)));
+    drop(server);
+}
+
+#[tokio::test]
+async fn a_busy_port_is_taken_once_it_is_free() {
+    let other = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    let mut connection = connection(&format!("udpin:{}", other.local_addr().unwrap()));
+    let mut buffer = [0; 256];
+    match soon(connection.recv(&mut buffer)).await {
+        Input::Failed { error, .. } => assert!(error.to_string().contains("in use"), "{error}"),
+        other => panic!("{other:?}"),
+    }
+    drop(other);
+    assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Opened, _)));
+    assert!(connection.is_open() && connection.is_datagram());
+}
+
+#[tokio::test]
+async fn an_attempt_goes_on_when_its_future_is_dropped() {
+    let server = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let mut connection = connection(&format!("tcp:{}", server.local_addr().unwrap()));
+    let mut buffer = [0; 256];
+    // As a control loop does, whose deadlines come between.
+    let opened = soon(async {
+        loop {
+            let wait = tokio::time::timeout(Duration::ZERO, connection.recv(&mut buffer));
+            if let Ok(input) = wait.await {
+                break input;
+            }
+        }
+    })
+    .await;
+    assert!(matches!(opened, Input::Opened));
+    soon(server.accept()).await.unwrap();
+}

@@ -1,0 +1,72 @@
+//! The flight report: what it says agrees with the log, whatever state the log is in.
+
+mod log_flight;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use downwash::log::{LogReader, Record};
+use downwash::report::FlightReport;
+use log_flight::{records, write};
+
+fn log(name: &str, records: &[Record]) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("report_flight").join(name);
+    let _ = fs::remove_dir_all(&directory);
+    write(&directory, records)
+}
+
+fn report(path: &Path) -> FlightReport {
+    FlightReport::read(&mut LogReader::open(path).unwrap()).unwrap()
+}
+
+#[test]
+fn report_is_one_file_that_fetches_nothing() {
+    let path = log("whole", &records(22.5));
+    let report = report(&path);
+    let html = report.to_html();
+    fs::write(path.with_extension("html"), &html).unwrap();
+    assert!(html.len() < 1_500_000, "{} bytes", html.len());
+    for outside in ["http:", "https:", "src=", "href=", "@import", "url(", "<script"] {
+        assert!(!html.contains(outside), "{outside}");
+    }
+    for broken in ["NaN", "inf ", "infinity"] {
+        assert!(!html.contains(broken), "{broken}");
+    }
+    assert!(html.contains("Tracked for 15.8 s"), "the sentence says how long");
+    assert!(html.contains("Low battery, &quot;10 %&quot;"));
+}
+
+#[test]
+fn summary_counts_what_was_flown() {
+    let mut records = records(10.0);
+    // A pause of four ticks.
+    let mut tick = 0;
+    records.retain(|r| {
+        tick += u32::from(matches!(r, Record::Tick(_)));
+        !(matches!(r, Record::Tick(_)) && (500..503).contains(&tick))
+    });
+    let report = report(&log("paused", &records));
+    let summary = report.summary();
+    assert_eq!((summary.control.ticks, summary.control.missed_ticks), (997, 3));
+    assert!((summary.control.rate_hz.unwrap() - 100.0).abs() < 1e-6);
+    assert_eq!(summary.control.limited_ticks, 1);
+    assert_eq!(summary.events["warning"], 1);
+    assert!(summary.link.as_ref().unwrap().rtt_max_s.unwrap() < 0.002);
+    let json = serde_json::to_value(summary).unwrap();
+    assert_eq!(json["schema"], "downwash.report.flight");
+    assert_eq!(json["schema_version"], 1);
+    assert!(json["tracking"]["rmse_3d_m"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn unfinished_and_empty_logs_are_reported_as_such() {
+    let path = log("cut", &records(3.0));
+    let bytes = fs::read(&path).unwrap();
+    for length in [bytes.len() - 40, bytes.len() / 2, 20, 0] {
+        let mut reader = LogReader::new(&bytes[..length]).unwrap();
+        let report = FlightReport::read(&mut reader).unwrap();
+        assert!(!report.summary().log_finished);
+        let html = report.to_html();
+        assert!(html.contains("the log is unfinished") && !html.contains("NaN"));
+    }
+}
