@@ -414,12 +414,11 @@ impl Telemetry {
         source: SampleSource,
         excess_delay_s: f64,
     ) -> Option<Sample> {
-        if self.last.is_some_and(|last| vehicle <= last.vehicle) {
-            return None;
-        }
         let period_us = (1e6 / self.settings.rate_hz).round() as u64;
         let due = self.due.unwrap_or(vehicle);
-        if vehicle.as_us() + period_us / 4 < due.as_us() {
+        let close =
+            self.last.is_some_and(|last| vehicle.as_us() < last.vehicle.as_us() + period_us / 2);
+        if close || vehicle.as_us() + period_us / 4 < due.as_us() {
             return None;
         }
         let behind = vehicle.as_us() > due.as_us() + period_us;

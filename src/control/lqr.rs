@@ -293,6 +293,21 @@ mod tests {
     }
 
     #[test]
+    fn every_attitude_loop_gets_a_stable_closed_loop() {
+        let rates = AttitudeLoop::Rates { gain: [6.0, 6.0, 3.0], time_constant_s: [0.05; 3] };
+        for attitude_loop in [PD, AttitudeLoop::PX4, AttitudeLoop::ARDUCOPTER, rates] {
+            for rate_hz in [50.0, 100.0, 500.0] {
+                let settings = LqrSettings { rate_hz, ..LqrSettings::default() };
+                let lqr = Lqr::design(&QUAD, &attitude_loop, &settings).expect("a gain");
+                assert!(lqr.spectral_radius() < 1.0);
+            }
+        }
+        let attitude_only = Lqr::design(&QUAD, &AttitudeLoop::PX4, &LqrSettings::default());
+        let rows = attitude_only.expect("a gain").gain().fixed_rows::<3>(4).norm();
+        assert_eq!(rows, 0.0, "a loop that ignores rates is asked for none");
+    }
+
+    #[test]
     fn impossible_numbers_are_named() {
         let vehicle = HoverVehicle { mass_kg: -1.0, ..QUAD };
         let refused = Lqr::design(&vehicle, &PD, &LqrSettings::default());

@@ -1,0 +1,43 @@
+//! Speed of the controller: its design, and one tick of feedback and limits.
+
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use downwash::control::{
+    AttitudeLoop, HoverModel, HoverVehicle, Limits, Lqr, LqrSettings, solve_dare,
+};
+use downwash::setpoint::{Reference, State};
+use sitl::frame::{Euler, Ned};
+
+const VEHICLE: HoverVehicle =
+    HoverVehicle { mass_kg: 0.0343, inertia: [1.67e-5, 1.74e-5, 3.15e-5], gravity: 9.81 };
+const PD: AttitudeLoop =
+    AttitudeLoop::Pd { kp: [0.00524, 0.00549, 0.00242], kd: [0.000508, 0.000534, 0.000525] };
+
+fn control(c: &mut Criterion) {
+    let settings = LqrSettings::default();
+    let model = HoverModel::continuous(&VEHICLE, &PD).discretised(0.01);
+    let (q, r) = settings.weights(VEHICLE.hover_thrust_n());
+    c.bench_function("riccati_12_states_7_inputs", |b| {
+        b.iter(|| solve_dare(black_box(&model.state), &model.input, &q, &r));
+    });
+    c.bench_function("lqr_design", |b| {
+        b.iter(|| Lqr::design(black_box(&VEHICLE), &PD, &settings));
+    });
+    let lqr = Lqr::design(&VEHICLE, &PD, &settings).expect("a stabilising gain");
+    let state = State {
+        position: Ned::new(0.1, -0.2, -1.1),
+        attitude: Euler::new(0.05, -0.03, 1.2).attitude(),
+        ..State::default()
+    };
+    let (reference, limits) = (Reference::default(), Limits::default());
+    c.bench_function("feedback_and_limits", |b| {
+        b.iter(|| {
+            let (feedback, _) = lqr.feedback(black_box(&state), &reference);
+            limits.apply(reference.feedforward.plus(feedback), 0.66, 1.2)
+        });
+    });
+}
+
+criterion_group!(benches, control);
+criterion_main!(benches);

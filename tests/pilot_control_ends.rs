@@ -1,0 +1,204 @@
+//! Control ends when it must, and does not come back by itself.
+
+mod support;
+
+use downwash::link::message::Inbound;
+use downwash::pilot::PilotSettings;
+use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
+use sitl::frame::{Frd, Ned};
+use support::{Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight};
+
+fn flight(policy: EngagePolicy) -> Flight {
+    let path = |_| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);
+    let source = Hovering(Curve(30.0, path), weight(&QUAD));
+    Flight::new(Vehicle::new(QUAD, 0.04, 10), policy, source, PilotSettings::default())
+}
+
+#[test]
+fn pilots_mode_change_ends_a_commanded_flight_for_good() {
+    let mut flight = flight(EngagePolicy::Command);
+    flight.until(FlightState::Track, 30.0);
+    flight.switch(POSITION_MODE);
+    let at = flight.vehicle.now();
+    flight.run(3.0);
+    flight.switch(MODES.offboard);
+    flight.run(3.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::PilotControl);
+    assert_eq!(flight.streamed_since(at), 0);
+    assert!(flight.events.iter().any(|e| e.severity == Severity::Warning));
+}
+
+#[test]
+fn pilots_switch_engages_only_while_the_hold_is_streamed() {
+    let mut flight = flight(EngagePolicy::PilotSwitch);
+    flight.until(FlightState::Standby, 10.0);
+    flight.run(5.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Standby);
+    assert!(flight.actions.is_empty(), "a daemon that waits asks for nothing");
+    flight.switch(MODES.offboard);
+    flight.run(0.1);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Arm);
+    flight.run(2.0);
+    assert!(flight.actions.is_empty(), "the pilot arms");
+    flight.vehicle.armed = true;
+    flight.until(FlightState::Track, 30.0);
+
+    // Takeover: silent, and another mode must be seen for a second before the stream resumes.
+    flight.switch(POSITION_MODE);
+    let at = flight.vehicle.now();
+    flight.run(0.9);
+    assert_eq!(flight.streamed_since(at), 0);
+    flight.until(FlightState::Standby, 1.0);
+    flight.run(0.1);
+    assert!(flight.streamed_since(at) > 0);
+    flight.switch(MODES.offboard);
+    flight.run(0.05);
+    assert!(flight.pilot.flight_state().is_in_control());
+}
+
+#[test]
+fn quick_flick_back_to_offboard_after_a_takeover_does_not_engage() {
+    let mut flight = flight(EngagePolicy::PilotSwitch);
+    flight.until(FlightState::Standby, 10.0);
+    flight.run(0.1);
+    flight.switch(MODES.offboard);
+    flight.vehicle.armed = true;
+    flight.until(FlightState::Track, 30.0);
+    flight.switch(POSITION_MODE);
+    flight.run(0.5);
+    flight.switch(MODES.offboard);
+    let at = flight.vehicle.now();
+    flight.run(5.0);
+    assert_eq!(flight.streamed_since(at), 0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
+}
+
+#[test]
+fn daemon_that_starts_beside_a_vehicle_in_offboard_stays_silent() {
+    let mut flight = flight(EngagePolicy::PilotSwitch);
+    flight.vehicle.mode = MODES.offboard;
+    flight.run(10.0);
+    assert_eq!(flight.streamed_since(flight.ticks[0].host), 0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
+    flight.switch(HOLD_MODE);
+    flight.until(FlightState::Standby, 3.0);
+}
+
+#[test]
+fn link_loss_in_flight_ends_control_until_the_mode_reads_otherwise() {
+    let mut flight = flight(EngagePolicy::PilotSwitch);
+    flight.until(FlightState::Standby, 10.0);
+    flight.run(0.1);
+    flight.switch(MODES.offboard);
+    flight.vehicle.armed = true;
+    flight.until(FlightState::Track, 30.0);
+    flight.hears = |_| false;
+    flight.obeys = |_| false;
+    let at = flight.vehicle.now();
+    flight.run(4.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Abort);
+    flight.hears = |_| true;
+    flight.run(5.0);
+    assert_eq!(flight.streamed_since(at), 0, "the mode still reads OFFBOARD");
+}
+
+#[test]
+fn without_fresh_state_nothing_is_sent_and_the_vehicle_is_asked_to_land() {
+    let mut flight = flight(EngagePolicy::Command);
+    flight.until(FlightState::Track, 30.0);
+    flight.hears = |message| !matches!(message, Inbound::Odometry { .. });
+    let at = flight.vehicle.now();
+    flight.run(0.45);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Track, "a short silence is waited out");
+    flight.run(0.2);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Land);
+    assert_eq!(flight.streamed_since(at), 0);
+    assert_eq!(flight.actions.last(), Some(&Action::SetModeLand));
+}
+
+#[test]
+fn jump_of_the_estimate_is_held_where_it_shows_the_vehicle() {
+    let mut flight = flight(EngagePolicy::Command);
+    flight.until(FlightState::Track, 30.0);
+    flight.vehicle.state.position += Ned::new(3.0, 0.0, 0.0);
+    flight.run(0.05);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Hold);
+    flight.run(0.5);
+    let last = flight.ticks.last().expect("ticks");
+    assert!(last.tracking_error < 0.2, "{} m", last.tracking_error);
+    assert!(last.state.attitude.tilt() < 0.1);
+    flight.until(FlightState::Done, 30.0);
+}
+
+#[test]
+fn refused_arming_ends_the_flight_with_the_vehicles_reason() {
+    let mut flight = flight(EngagePolicy::Command);
+    flight.obeys = |action| action != Action::Arm;
+    flight.until(FlightState::Arm, 20.0);
+    flight.run(0.1);
+    let host = flight.vehicle.now();
+    let message = Inbound::StatusText { severity: 2, text: "Arming denied: compass\t".into() };
+    let received = downwash::link::message::Received { host, vehicle: None, message };
+    flight.pilot.handle(&received);
+    flight.run(6.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Abort);
+    let reason = &flight.events.last().expect("an event").text;
+    assert!(reason.contains("Arming denied: compass"), "{reason}");
+}
+
+#[test]
+fn landing_on_request_hands_over_to_the_vehicle() {
+    let mut flight = flight(EngagePolicy::Command);
+    flight.until(FlightState::Track, 30.0);
+    let now = flight.vehicle.now();
+    flight.pilot.land(now);
+    flight.run(0.3);
+    let handed_over = flight.vehicle.now();
+    flight.until(FlightState::Done, 30.0);
+    assert_eq!(flight.streamed_since(handed_over), 0);
+}
+
+#[test]
+fn not_a_number_is_never_flown_on() {
+    let mut flight = flight(EngagePolicy::Command);
+    flight.until(FlightState::Track, 30.0);
+    let state = flight.vehicle.state;
+    let message = Inbound::Odometry {
+        position: Ned::new(f64::NAN, 0.0, -1.0),
+        velocity: state.velocity,
+        attitude: state.attitude,
+        body_rate: Frd::zero(),
+        reset_counter: 0,
+    };
+    let (host, ms) = (flight.vehicle.now(), flight.vehicle.ms as u32 + 9);
+    let vehicle = Some(downwash::clock::VehicleTime::from_ms(ms));
+    let received = downwash::link::message::Received { host, vehicle, message };
+    assert!(flight.pilot.handle(&received).is_none());
+    flight.run(1.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+    let sent: Vec<_> = flight.ticks.iter().filter_map(|tick| tick.setpoint).collect();
+    assert!(sent.iter().all(|setpoint| setpoint.is_finite()));
+}
+
+#[test]
+fn low_battery_and_a_left_fence_land_the_vehicle() {
+    let mut low = flight(EngagePolicy::Command);
+    low.until(FlightState::Track, 30.0);
+    let message = Inbound::Battery { voltage: None, current: None, remaining: Some(0.1) };
+    let host = low.vehicle.now();
+    low.pilot.handle(&downwash::link::message::Received { host, vehicle: None, message });
+    low.run(2.9);
+    assert_eq!(low.pilot.flight_state(), FlightState::Track);
+    low.run(0.3);
+    assert_eq!(low.pilot.flight_state(), FlightState::Land);
+
+    let mut settings = PilotSettings::default();
+    settings.safety.fence_radius_m = 1.0;
+    let path = |t: f64| (Ned::new(0.5 * t, 0.0, -1.0), Ned::new(0.5, 0.0, 0.0), 0.0, 0.0);
+    let source = Hovering(Curve(30.0, path), weight(&QUAD));
+    let vehicle = Vehicle::new(QUAD, 0.04, 10);
+    let mut away = Flight::new(vehicle, EngagePolicy::Command, source, settings);
+    away.until(FlightState::Land, 30.0);
+    assert!((away.vehicle.state.position.north() - 1.0).abs() < 0.1);
+    assert!(away.events.iter().any(|event| event.text.contains("outside the fence")));
+}

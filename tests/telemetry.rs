@@ -1,0 +1,199 @@
+//! Which message fires a control tick, and what of telemetry is believed.
+
+use std::time::Duration;
+
+use downwash::clock::{HostTime, VehicleTime};
+use downwash::link::message::{AttitudeSource, Inbound, Received};
+use downwash::telemetry::{Sample, SampleSource, Telemetry, TelemetryFault, TelemetrySettings};
+use proptest::prelude::*;
+use sitl::frame::{Attitude, Euler, Frd, Ned};
+
+const START: HostTime = HostTime::from_ns(1_000_000_000_000);
+
+fn received(us: u64, message: Inbound) -> Received {
+    let host = START + Duration::from_micros(us + 2000);
+    Received { host, vehicle: Some(VehicleTime::from_us(us)), message }
+}
+
+/// Moving north at 1 m/s and turning at 0.5 rad/s.
+fn pose(us: u64) -> (Ned, Ned, Attitude, Frd) {
+    let t = us as f64 * 1e-6;
+    let attitude = Euler::new(0.0, 0.0, 0.5 * t).attitude();
+    (Ned::new(t, 0.0, -1.0), Ned::new(1.0, 0.0, 0.0), attitude, Frd::new(0.0, 0.0, 0.5))
+}
+
+fn odometry(us: u64) -> Received {
+    let (position, velocity, attitude, body_rate) = pose(us);
+    let reset_counter = 0;
+    received(us, Inbound::Odometry { position, velocity, attitude, body_rate, reset_counter })
+}
+
+fn attitude(us: u64, source: AttitudeSource) -> Received {
+    let (_, _, attitude, body_rate) = pose(us);
+    received(us, Inbound::Attitude { source, attitude, body_rate })
+}
+
+fn position(us: u64) -> Received {
+    let (position, velocity, ..) = pose(us);
+    received(us, Inbound::LocalPosition { position, velocity })
+}
+
+/// A period in us, and the message at a stamp.
+type Stream = (u64, fn(u64) -> Received);
+
+/// Feeds what `streams` send at their periods [us] until `end_us`, in order of their stamps.
+fn run(telemetry: &mut Telemetry, streams: &[Stream], end_us: u64) -> Vec<Sample> {
+    let mut messages: Vec<_> = streams
+        .iter()
+        .enumerate()
+        .flat_map(|(i, (period, make))| {
+            (1..=end_us / period).map(move |k| (k * period, i, make(k * period)))
+        })
+        .collect();
+    messages.sort_by_key(|(us, i, _)| (*us, *i));
+    messages
+        .iter()
+        .filter_map(|(_, _, message)| telemetry.update(message).expect("sound"))
+        .collect()
+}
+
+fn quaternion(us: u64) -> Received {
+    attitude(us, AttitudeSource::Quaternion)
+}
+
+fn euler(us: u64) -> Received {
+    attitude(us, AttitudeSource::Euler)
+}
+
+fn telemetry() -> Telemetry {
+    Telemetry::new(TelemetrySettings::default())
+}
+
+#[test]
+fn odometry_at_the_control_rate_fires_each_tick() {
+    let samples = run(&mut telemetry(), &[(10_000, odometry)], 2_000_000);
+    assert!((190..=200).contains(&samples.len()), "{}", samples.len());
+    assert!(samples.iter().all(|sample| sample.source == SampleSource::Odometry));
+}
+
+#[test]
+fn quicker_odometry_is_thinned_without_drift() {
+    let samples = run(&mut telemetry(), &[(4_000, odometry)], 10_000_000);
+    assert!((990..=1001).contains(&samples.len()), "{}", samples.len());
+}
+
+#[test]
+fn odometry_slightly_below_the_rate_loses_no_tick() {
+    let samples = run(&mut telemetry(), &[(10_100, odometry)], 10_000_000);
+    assert!(samples.len() >= 980, "{}", samples.len());
+}
+
+#[test]
+fn slow_odometry_leaves_the_ticks_to_the_pair() {
+    let streams: [Stream; 3] = [(33_000, odometry), (4_000, quaternion), (10_000, position)];
+    let samples = run(&mut telemetry(), &streams, 2_000_000);
+    assert!((195..=200).contains(&samples.len()), "{}", samples.len());
+    let pair = SampleSource::Pair(AttitudeSource::Quaternion);
+    assert!(samples.iter().all(|sample| sample.source == pair));
+}
+
+#[test]
+fn pair_is_carried_to_the_newer_stamp() {
+    // Attitude 3 ms before or after the position.
+    for offset in [3_000i64, -3_000] {
+        let mut telemetry = telemetry();
+        let mut checked = 0;
+        for k in 1..100u64 {
+            let at = k * 10_000;
+            let mut both = [quaternion((at as i64 + offset) as u64), position(at)];
+            both.sort_by_key(|message| message.vehicle);
+            for message in &both {
+                if let Some(sample) = telemetry.update(message).expect("sound") {
+                    let (p, _, q, _) = pose(sample.vehicle.as_us());
+                    assert!((sample.state.position - p).norm() < 1e-9);
+                    assert!(sample.state.attitude.angle_to(q) < 1e-9);
+                    checked += 1;
+                }
+            }
+        }
+        assert!(checked > 95);
+    }
+}
+
+#[test]
+fn two_attitude_sources_are_never_mixed() {
+    let streams: [Stream; 3] = [(10_000, quaternion), (10_100, euler), (10_000, position)];
+    let samples = run(&mut telemetry(), &streams, 2_000_000);
+    let pair = SampleSource::Pair(AttitudeSource::Quaternion);
+    assert!(samples.len() > 190 && samples.iter().all(|sample| sample.source == pair));
+}
+
+#[test]
+fn jump_is_told_once_and_the_next_message_is_good_again() {
+    let mut telemetry = telemetry();
+    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
+    let shifted = |us: u64, by: f64| {
+        let mut message = odometry(us);
+        if let Inbound::Odometry { position, .. } = &mut message.message {
+            *position += Ned::new(0.0, by, 0.0);
+        }
+        message
+    };
+    let jump = telemetry.update(&shifted(1_010_000, 2.0));
+    assert!(matches!(jump, Err(TelemetryFault::PositionJump { metres, .. }) if metres > 1.9));
+    assert!(matches!(telemetry.update(&shifted(1_020_000, 2.0)), Ok(Some(_))));
+}
+
+#[test]
+fn reset_counter_restart_and_repeat_are_told_apart() {
+    let mut telemetry = telemetry();
+    run(&mut telemetry, &[(10_000, odometry)], 3_000_000);
+    assert_eq!(telemetry.update(&odometry(3_000_000)), Err(TelemetryFault::OutOfOrder));
+    let mut reset = odometry(3_010_000);
+    if let Inbound::Odometry { reset_counter, .. } = &mut reset.message {
+        *reset_counter = 1;
+    }
+    assert_eq!(telemetry.update(&reset), Err(TelemetryFault::EstimateReset));
+    let mut restart = odometry(100_000);
+    restart.host = START + Duration::from_secs(4);
+    assert!(matches!(telemetry.update(&restart), Err(TelemetryFault::Reboot { .. })));
+    assert!(telemetry.last_sample().is_none(), "nothing of before the restart is left");
+}
+
+#[test]
+fn message_that_waited_on_its_way_is_not_acted_upon() {
+    let mut telemetry = telemetry();
+    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
+    let mut late = odometry(1_010_000);
+    late.host = late.host + Duration::from_millis(300);
+    assert!(matches!(telemetry.update(&late), Err(TelemetryFault::Late { .. })));
+}
+
+proptest! {
+    /// Whatever is sent, ticks are never closer than half the period, stamps rise,
+    /// and states are finite.
+    #[test]
+    fn ticks_keep_their_distance(gaps in prop::collection::vec((1u64..30_000, 0u8..4, any::<bool>()), 1..400)) {
+        let mut telemetry = telemetry();
+        let (mut us, mut before) = (0, None::<Sample>);
+        for (gap, kind, nan) in gaps {
+            us += gap;
+            let mut message = match kind {
+                0 => odometry(us),
+                1 => quaternion(us),
+                2 => euler(us),
+                _ => position(us),
+            };
+            if let (true, Inbound::LocalPosition { position, .. }) = (nan, &mut message.message) {
+                *position = Ned::new(0.0, f64::NAN, 0.0);
+            }
+            if let Ok(Some(sample)) = telemetry.update(&message) {
+                prop_assert!(sample.state.is_finite());
+                if let Some(before) = before {
+                    prop_assert!(sample.vehicle.seconds_since(before.vehicle) > 0.00499);
+                }
+                before = Some(sample);
+            }
+        }
+    }
+}
