@@ -71,7 +71,7 @@ fn start_daemon(folder: &Path, port: u16, rate_hz: f64) -> Running {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = format!(
         "vehicle = {:?}\ntrajectory = {:?}\nconnect = \"udpin:127.0.0.1:{port}\"\nlog_dir = {:?}\n\
-         [telemetry]\nrate_hz = {rate_hz}\n[control]\nrate_hz = {rate_hz}\n",
+         [control]\nrate_hz = {rate_hz}\n",
         root.join("config/vehicles/crazyflie.toml"),
         root.join("config/trajectories/hover.toml"),
         folder,

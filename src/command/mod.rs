@@ -1,8 +1,15 @@
 //! The commands: validated options, then work, then an exit code.
 
 mod config;
+mod daemon;
+mod demo;
 mod exit;
+mod fly;
 mod log;
+mod setup;
+mod sitl;
+mod status_line;
+mod summary;
 
 use std::io::{self, Write};
 
@@ -18,6 +25,10 @@ pub use exit::Exit;
 /// What failed, with context; [`exit_of`] finds the exit code in it.
 pub fn run(cli: Cli) -> anyhow::Result<Exit> {
     match cli.command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Fly(args) => fly::run(&args),
+        Command::Daemon(args) => daemon::run(&args),
+        Command::Sitl(args) => sitl::run(&args),
         Command::Log(command) => log::run(command),
         Command::Config(args) => config::run(&args),
     }

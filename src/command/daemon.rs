@@ -1,0 +1,50 @@
+//! `downwash daemon`: flies whenever the pilot hands the vehicle over.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Context;
+
+use super::fly::{baud, endpoint, tee, watch};
+use super::setup::{VehicleFile, checked_trajectory, required, run_info, station_settings};
+use super::{Exit, ExitContext, config, summary};
+use crate::cli::DaemonArgs;
+use crate::daemon::{self, HostClock};
+use crate::link::connection::Connection;
+use crate::log::{LogSink, LogWriter};
+use crate::plan::Trajectory;
+use crate::station::Station;
+use crate::supervisor::EngagePolicy;
+
+pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
+    let config = config::load(Some(&args.config), vec![])?;
+    let settings = &config.settings;
+    let vehicle = VehicleFile::load(&required(&settings.vehicle, "vehicle", "vehicle")?)?;
+    let endpoint = endpoint(&required(&settings.connect, "connect", "connect")?)?;
+    let file = required(&settings.trajectory, "trajectory", "trajectory")?;
+    let trajectory = Trajectory::load(&file).or_exit(Exit::Usage)?;
+    let (trajectory, _) = checked_trajectory(trajectory, &vehicle.params, &config)?;
+    let name = trajectory.name().to_owned();
+    let policy = EngagePolicy::PilotSwitch;
+    let station_settings =
+        station_settings(&config, &vehicle, trajectory, policy, baud(&endpoint))?;
+
+    let clock = HostClock::start();
+    let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
+    let info = run_info(&config, &vehicle, &name, false, None);
+    let sink = LogSink::per_flight(Box::new(move |start| {
+        LogWriter::create(&log_dir, &info, start, Instant::now())
+    }))
+    .context("cannot start the log's thread")?;
+    let tee = args.tlog.as_deref().map(tee).transpose()?;
+    let station = Station::new(station_settings, clock.now());
+    let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
+        .context("cannot start the control thread")?;
+    let (finished, interrupted) = watch(running)?;
+    if let Err(error) = finished.log {
+        eprintln!("{error}");
+    }
+    let (end, exit) = summary::end_in_words(finished.end.as_ref(), interrupted);
+    eprintln!("daemon {end}");
+    Ok(exit)
+}

@@ -1,0 +1,158 @@
+//! `downwash fly`: one flight, from preflight to landing.
+
+use std::fs::File;
+use std::io::{BufWriter, IsTerminal};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use serde::Serialize;
+use tokio::signal::unix::{SignalKind, signal};
+use wire::Endpoint;
+
+use super::demo::report;
+use super::setup::{
+    VehicleFile, checked_trajectory, path_flag, required, run_info, station_settings,
+};
+use super::status_line::StatusLine;
+use super::{Exit, ExitContext, config, print_json, summary};
+use crate::cli::FlyArgs;
+use crate::daemon::{self, Finished, HostClock, Running};
+use crate::link::connection::Connection;
+use crate::link::tee::TeeThread;
+use crate::log::{LogSink, LogWriter};
+use crate::plan::Trajectory;
+use crate::report::flight::FlightSummary;
+use crate::station::Station;
+use crate::supervisor::EngagePolicy;
+
+/// How often the status line and the signals are looked at.
+const WATCH_PERIOD: Duration = Duration::from_millis(100);
+
+/// The JSON of `fly`.
+#[derive(Serialize)]
+struct FlySummary {
+    schema: &'static str,
+    schema_version: u32,
+    end: String,
+    trajectory: String,
+    log: Option<PathBuf>,
+    flight: Option<FlightSummary>,
+}
+
+pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
+    let mut flags = Vec::new();
+    flags.extend(path_flag("--vehicle", "vehicle", &args.vehicle));
+    flags.extend(path_flag("--log-dir", "log_dir", &args.log_dir));
+    if let Some(url) = &args.connect {
+        flags.push(("--connect", "connect", toml::Value::String(url.clone())));
+    }
+    let config = config::load(args.config.as_deref(), flags)?;
+    let settings = &config.settings;
+    let vehicle = VehicleFile::load(&required(&settings.vehicle, "--vehicle", "vehicle")?)?;
+    let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
+    let trajectory = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
+    let (trajectory, _) = checked_trajectory(trajectory, &vehicle.params, &config)?;
+    let name = trajectory.name().to_owned();
+    let policy = EngagePolicy::Command;
+    let station_settings =
+        station_settings(&config, &vehicle, trajectory, policy, baud(&endpoint))?;
+
+    let clock = HostClock::start();
+    let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
+    let info = run_info(&config, &vehicle, &name, false, None);
+    let writer = LogWriter::create(&log_dir, &info, clock.now(), Instant::now())?;
+    let log_path = writer.path().to_owned();
+    let sink = LogSink::threaded(writer)?;
+    let tee = args.tlog.as_deref().map(tee).transpose()?;
+    let station = Station::new(station_settings, clock.now());
+    let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
+        .context("cannot start the control thread")?;
+    let (finished, interrupted) = watch(running)?;
+
+    let log = match finished.log {
+        Ok(_) => Some(log_path),
+        Err(error) => {
+            eprintln!("{error}");
+            None
+        }
+    };
+    let flight = log.as_deref().map(report).transpose()?.map(|report| report.summary().clone());
+    let (end, exit) = summary::end_in_words(finished.end.as_ref(), interrupted);
+    if exit != Exit::Ok {
+        eprintln!("flight {end}");
+    }
+    if args.json {
+        print_json(&FlySummary {
+            schema: "downwash.fly",
+            schema_version: 1,
+            end,
+            trajectory: name,
+            log,
+            flight,
+        })?;
+    } else {
+        if let Some(flight) = &flight {
+            summary::print_flight(flight, &end);
+        }
+        if let Some(log) = &log {
+            println!("log     {}", log.display());
+        }
+    }
+    Ok(exit)
+}
+
+/// Shows the status and waits for the end. The first Ctrl-C or SIGTERM asks for landing, the
+/// second drops the stream. Returns whether there was one.
+pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, bool)> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .context("cannot start the runtime that watches signals")?;
+    let interrupted = runtime.block_on(async {
+        let mut interrupt = signal(SignalKind::interrupt())?;
+        let mut terminate = signal(SignalKind::terminate())?;
+        let mut line = StatusLine::new(std::io::stderr().is_terminal());
+        let mut interrupted = false;
+        while !running.is_done() {
+            let asked = tokio::select! {
+                _ = interrupt.recv() => true,
+                _ = terminate.recv() => true,
+                () = tokio::time::sleep(WATCH_PERIOD) => false,
+            };
+            if asked {
+                if !interrupted {
+                    eprintln!("stopping: the vehicle is asked to land; again to drop the stream");
+                }
+                interrupted = true;
+                running.stop();
+            }
+            line.show(&running.status());
+        }
+        line.finish();
+        Ok::<_, std::io::Error>(interrupted)
+    });
+    let interrupted = interrupted.context("cannot watch signals")?;
+    Ok((running.join(), interrupted))
+}
+
+/// Parses the URL of a vehicle.
+pub(super) fn endpoint(url: &str) -> anyhow::Result<Endpoint> {
+    url.parse::<Endpoint>().or_exit(Exit::Usage)
+}
+
+/// The speed of a serial endpoint.
+pub(super) fn baud(endpoint: &Endpoint) -> Option<u32> {
+    match endpoint {
+        Endpoint::Serial { baud, .. } => Some(*baud),
+        _ => None,
+    }
+}
+
+/// Opens the .tlog that every byte of the link goes to.
+pub(super) fn tee(path: &Path) -> anyhow::Result<TeeThread> {
+    let file = File::create(path)
+        .with_context(|| format!("cannot create the telemetry log {}", path.display()))
+        .or_exit(Exit::Usage)?;
+    TeeThread::start(BufWriter::new(file)).context("cannot start the telemetry log's thread")
+}

@@ -1,0 +1,53 @@
+//! The live status on a terminal.
+
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::station::Status;
+
+/// One line on stderr that is drawn over and over; nothing where stderr is no terminal.
+pub(super) struct StatusLine {
+    bar: ProgressBar,
+}
+
+impl StatusLine {
+    /// A line, shown only on a terminal.
+    pub fn new(is_terminal: bool) -> Self {
+        let target =
+            if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let bar = ProgressBar::with_draw_target(None, target);
+        let style = ProgressStyle::with_template("{spinner} {msg}");
+        let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+        bar.enable_steady_tick(Duration::from_millis(250));
+        Self { bar }
+    }
+
+    /// Draws the status.
+    pub fn show(&self, status: &Status) {
+        self.bar.set_message(words(status));
+    }
+
+    /// Takes the line away.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn words(status: &Status) -> String {
+    let mut parts = vec![format!("link {}", status.link)];
+    parts.extend(status.vehicle.map(str::to_owned));
+    parts.extend(status.phase.map(|phase| phase.name().to_owned()));
+    parts.extend(status.mode.map(|mode| format!("mode {mode:#010x}")));
+    parts.extend(status.armed.map(|armed| if armed { "armed" } else { "disarmed" }.to_owned()));
+    if status.tick_rate_hz > 0.0 {
+        let (p, rate) = (status.position, status.tick_rate_hz);
+        parts.push(format!("{rate:.0} Hz"));
+        parts.push(format!("n {:+.2} e {:+.2} d {:+.2} m", p.north(), p.east(), p.down()));
+        parts.push(format!("error {:.2} m", status.tracking_error_m));
+    }
+    parts.extend(status.progress.map(|(t, length)| format!("{t:.1}/{length:.1} s")));
+    parts.extend(status.battery.map(|left| format!("battery {:.0} %", 100.0 * left)));
+    parts.extend(status.round_trip_s.map(|rtt| format!("rtt {:.1} ms", 1e3 * rtt)));
+    parts.join(" | ")
+}

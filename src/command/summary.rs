@@ -1,0 +1,38 @@
+//! How a flight ended, for people.
+
+use super::Exit;
+use crate::report::flight::FlightSummary;
+use crate::station::End;
+
+/// The end in words, and its exit code. `interrupted`: the user asked for the end.
+pub(super) fn end_in_words(end: Option<&End>, interrupted: bool) -> (String, Exit) {
+    if interrupted {
+        return ("interrupted".to_owned(), Exit::Interrupted);
+    }
+    match end {
+        Some(End::Done) => ("done".to_owned(), Exit::Ok),
+        Some(End::NoVehicle) => ("no vehicle was heard".to_owned(), Exit::Link),
+        Some(End::Refused(why)) => (format!("refused: {why}"), Exit::Refused),
+        Some(End::Aborted(why)) => (format!("ended early: {why}"), Exit::Aborted),
+        Some(End::LinkLost(why)) => (format!("link lost: {why}"), Exit::Link),
+        Some(End::PilotTookOver) => ("the pilot took over".to_owned(), Exit::Aborted),
+        None => ("stopped".to_owned(), Exit::Failure),
+    }
+}
+
+/// The table that a flight leaves on stdout.
+pub(super) fn print_flight(flight: &FlightSummary, end: &str) {
+    println!("flight  {end}");
+    if let Some(t) = &flight.tracking {
+        println!("{:>22} {:>8} {:>8} {:>8} {:>8} {:>8}", "", "north", "east", "down", "3D", "most");
+        println!(
+            "{:>22} {:8.3} {:8.3} {:8.3} {:8.3} {:8.3}",
+            "position RMSE / m", t.rmse_n_m, t.rmse_e_m, t.rmse_d_m, t.rmse_3d_m, t.max_3d_m
+        );
+    }
+    let control = &flight.control;
+    println!(
+        "control ticks {}, missed {}, setpoints {}, cut by a limit {}",
+        control.ticks, control.missed_ticks, control.setpoints, control.limited_ticks
+    );
+}
