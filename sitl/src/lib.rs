@@ -3,8 +3,15 @@
 
 #![warn(missing_docs)]
 
+pub mod battery;
+pub mod config;
+mod contact;
 pub mod effects;
 pub mod frame;
+pub mod physics;
+pub mod plant;
 pub mod rigid_body;
+pub mod rotor;
 pub mod scalar;
+pub mod sensors;
 pub mod vehicle;

@@ -1,10 +1,11 @@
 //! The vehicle file: what the simulator and the firmware believe about a quadrotor.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::effects::EffectSet;
+use crate::effects::{Effect, EffectSet, RotorGyroscopic};
+use crate::rotor::Allocation;
 
 /// Number of rotors; the project is about quadrotors.
 pub const ROTORS: usize = 4;
@@ -152,4 +153,322 @@ pub enum VehicleError {
         /// What is there.
         found: String,
     },
+}
+
+impl VehicleParams {
+    /// Reads and checks a vehicle file: TOML by the extension `.toml`, JSON by `.json`, and by
+    /// its first character otherwise.
+    ///
+    /// # Errors
+    /// A file that cannot be read, does not follow the schema, or holds impossible values.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, VehicleError> {
+        let path = path.as_ref();
+        let read = |source| VehicleError::Read { path: path.to_owned(), source };
+        let text = std::fs::read_to_string(path).map_err(read)?;
+        let json = match path.extension().and_then(|e| e.to_str()) {
+            Some("toml") => false,
+            Some("json") => true,
+            _ => text.trim_start().starts_with('{'),
+        };
+        if json { Self::from_json_str(&text) } else { Self::from_toml_str(&text) }
+            .map_err(|error| error.in_file(path))
+    }
+
+    /// A vehicle from TOML text.
+    ///
+    /// # Errors
+    /// As [`VehicleParams::load`], naming no file.
+    pub fn from_toml_str(text: &str) -> Result<Self, VehicleError> {
+        toml::from_str::<Self>(text).map_err(|e| VehicleError::syntax(e.to_string()))?.checked()
+    }
+
+    /// A vehicle from JSON text.
+    ///
+    /// # Errors
+    /// As [`VehicleParams::load`], naming no file.
+    pub fn from_json_str(text: &str) -> Result<Self, VehicleError> {
+        serde_json::from_str::<Self>(text)
+            .map_err(|e| VehicleError::syntax(e.to_string()))?
+            .checked()
+    }
+
+    /// The vehicle as TOML text that [`VehicleParams::from_toml_str`] reads back.
+    ///
+    /// # Errors
+    /// Provenance that TOML cannot hold, as a JSON null.
+    pub fn to_toml(&self) -> Result<String, VehicleError> {
+        toml::to_string(self).map_err(|e| VehicleError::syntax(e.to_string()))
+    }
+
+    /// The firmware's mixer.
+    ///
+    /// # Errors
+    /// A layout without authority over thrust, roll, pitch and yaw.
+    pub fn allocation(&self) -> Result<Allocation, VehicleError> {
+        Allocation::new(&self.rotors).ok_or_else(|| {
+            let positions = self.rotors.map(|r| [r.position_m[0], r.position_m[1]]);
+            let spins = self.rotors.map(|r| r.spin);
+            self.error(
+                "rotors",
+                "positions, spins and drag torques that give thrust, roll, pitch and yaw",
+                format!("positions {positions:?} m, spins {spins:?}"),
+            )
+        })
+    }
+
+    /// This vehicle, if every value is possible.
+    ///
+    /// # Errors
+    /// The first impossible value, with its field.
+    pub fn checked(self) -> Result<Self, VehicleError> {
+        self.check_body()?;
+        self.check_rotors()?;
+        self.check_loop()?;
+        self.check_battery()?;
+        self.check_effects(&self.modelled_effects)?;
+        Ok(self)
+    }
+
+    /// Whether this vehicle has every number that `effects` need.
+    ///
+    /// # Errors
+    /// The first that it lacks.
+    pub fn check_effects(&self, effects: &EffectSet) -> Result<(), VehicleError> {
+        if effects.contains(RotorGyroscopic::ID) && self.rotor_max_rpm.is_none() {
+            let expected = "a speed in 1/min, which the effect rotor_gyroscopic needs";
+            return Err(self.error("rotor_max_rpm", expected, "none".to_owned()));
+        }
+        Ok(())
+    }
+
+    fn check_body(&self) -> Result<(), VehicleError> {
+        self.require("mass", self.mass, self.mass > 0.0, "a mass above 0 kg")?;
+        for (axis, moment) in ["inertia[0]", "inertia[1]", "inertia[2]"].iter().zip(self.inertia) {
+            self.require(axis, moment, moment > 0.0, "a moment of inertia above 0 kg m^2")?;
+        }
+        let sum: f64 = self.inertia.iter().sum();
+        let largest = self.inertia.into_iter().fold(0.0, f64::max);
+        // Published sets break the triangle inequality by a percent or two.
+        if largest > 1.05 * (sum - largest) {
+            let expected = "no moment above the sum of the other two, by more than 5 %";
+            return Err(self.error("inertia", expected, format!("{:?} kg m^2", self.inertia)));
+        }
+        let g = self.gravity;
+        self.require("gravity", g, g > 0.0 && g < 100.0, "gravity in 0..100 m/s^2")?;
+        let rho = self.air_density;
+        self.require("air_density", rho, rho > 0.0 && rho < 100.0, "a density in 0..100 kg/m^3")?;
+        if let Some(k) = self.linear_drag_n_per_m_s {
+            self.require("linear_drag_N_per_m_s", k, k >= 0.0, "0 or more N per m/s")?;
+        }
+        for k in self.angular_damping_nms.into_iter().flatten() {
+            self.require("angular_damping_Nms", k, k >= 0.0, "0 or more N m s")?;
+        }
+        Ok(())
+    }
+
+    fn check_rotors(&self) -> Result<(), VehicleError> {
+        for (i, rotor) in self.rotors.iter().enumerate() {
+            let field = |name: &str| format!("rotors[{i}].{name}");
+            for coordinate in rotor.position_m {
+                self.require(&field("position_m"), coordinate, true, "lengths in m")?;
+            }
+            let spin = rotor.spin;
+            if spin != 1 && spin != -1 {
+                return Err(self.error(&field("spin"), "1 or -1", spin.to_string()));
+            }
+            let thrust = rotor.thrust_max_n;
+            self.require(&field("thrust_max_N"), thrust, thrust > 0.0, "a thrust above 0 N")?;
+            let torque = rotor.drag_torque_per_thrust_m;
+            let name = field("drag_torque_per_thrust_m");
+            self.require(&name, torque, torque > 0.0, "a ratio above 0 m (spin has the sign)")?;
+        }
+        self.allocation()?;
+        let radius = self.rotor_radius_m;
+        self.require("rotor_radius_m", radius, radius > 0.0, "a radius above 0 m")?;
+        if let Some(rpm) = self.rotor_max_rpm {
+            self.require("rotor_max_rpm", rpm, rpm > 0.0, "a speed above 0 in 1/min")?;
+        }
+        let tau = self.motor_time_constant_s;
+        let expected = "a time in 0..=2 s";
+        self.require("motor_time_constant_s", tau, (0.0..=2.0).contains(&tau), expected)?;
+        let hover = self.hover_thrust;
+        let expected = "a fraction of the full thrust between 0 and 1";
+        self.require("hover_thrust", hover, hover > 0.0 && hover < 1.0, expected)?;
+        if let Some(MotorOutput { zero, one, disarmed, .. }) = &self.motor_output {
+            self.require("motor_output.zero", *zero, true, "a number")?;
+            self.require("motor_output.one", *one, one != zero, "a number other than zero's")?;
+            self.require("motor_output.disarmed", *disarmed, true, "a number")?;
+        }
+        if let Some(MotorOutput { fields, .. }) = &self.motor_output
+            && fields.len() != ROTORS
+        {
+            let found = format!("{} fields", fields.len());
+            return Err(self.error("motor_output.fields", "one field for each rotor", found));
+        }
+        Ok(())
+    }
+
+    fn check_loop(&self) -> Result<(), VehicleError> {
+        let delay = self.command_delay_s;
+        let expected = "a time in 0..=1 s";
+        self.require("command_delay_s", delay, (0.0..=1.0).contains(&delay), expected)?;
+        let Some(pd) = &self.attitude_pd else { return Ok(()) };
+        for gain in pd.kp {
+            self.require("attitude_pd.kp", gain, gain >= 0.0, "gains of 0 or more N m/rad")?;
+        }
+        for gain in pd.kd {
+            self.require("attitude_pd.kd", gain, gain >= 0.0, "gains of 0 or more N m s/rad")?;
+        }
+        let rate = pd.rate_hz;
+        let expected = "a rate in 1..=1000 Hz";
+        self.require("attitude_pd.rate_hz", rate, (1.0..=1000.0).contains(&rate), expected)
+    }
+
+    fn check_battery(&self) -> Result<(), VehicleError> {
+        let BatteryParams { cells, full_v, nominal_v } = self.battery;
+        if cells == 0 {
+            return Err(self.error("battery.cells", "1 or more cells", cells.to_string()));
+        }
+        let expected = "a voltage above 0 V";
+        self.require("battery.nominal_V", nominal_v, nominal_v > 0.0, expected)?;
+        let expected = "a voltage of at least nominal_V";
+        self.require("battery.full_V", full_v, full_v >= nominal_v, expected)
+    }
+
+    fn require(
+        &self,
+        field: &str,
+        value: f64,
+        holds: bool,
+        expected: &'static str,
+    ) -> Result<(), VehicleError> {
+        if value.is_finite() && holds {
+            return Ok(());
+        }
+        Err(self.error(field, expected, value.to_string()))
+    }
+
+    fn error(&self, field: &str, expected: &'static str, found: String) -> VehicleError {
+        let (vehicle, field) = (self.name.clone(), field.to_owned());
+        VehicleError::Value { vehicle, field, expected, found }
+    }
+}
+
+impl VehicleError {
+    fn syntax(message: String) -> Self {
+        Self::Syntax { path: PathBuf::from("(text)"), message }
+    }
+
+    /// The same error, naming the file.
+    fn in_file(self, path: &Path) -> Self {
+        match self {
+            Self::Syntax { message, .. } => Self::Syntax { path: path.to_owned(), message },
+            Self::Value { vehicle, field, expected, found } => {
+                let vehicle = format!("{vehicle} ({})", path.display());
+                Self::Value { vehicle, field, expected, found }
+            }
+            other => other,
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A 1.2 kg quadrotor in X layout with round numbers.
+    pub(crate) fn quad() -> VehicleParams {
+        let rotor = |x: f64, y: f64, spin: i8| RotorParams {
+            position_m: [x, y, 0.0],
+            spin,
+            thrust_max_n: 6.0,
+            drag_torque_per_thrust_m: 0.016,
+        };
+        VehicleParams {
+            name: "quad".to_owned(),
+            mass: 1.2,
+            inertia: [0.011, 0.012, 0.021],
+            rotors: [
+                rotor(0.13, 0.12, 1),
+                rotor(-0.13, 0.12, -1),
+                rotor(-0.13, -0.12, 1),
+                rotor(0.13, -0.12, -1),
+            ],
+            motor_time_constant_s: 0.0,
+            command_delay_s: 0.005,
+            attitude_pd: None,
+            hover_thrust: 1.2 * 9.80665 / 24.0,
+            gravity: 9.80665,
+            air_density: 1.2,
+            rotor_radius_m: 0.12,
+            rotor_max_rpm: Some(9000.0),
+            battery: BatteryParams { cells: 4, full_v: 16.8, nominal_v: 14.8 },
+            modelled_effects: EffectSet::new(),
+            motor_output: None,
+            linear_drag_n_per_m_s: None,
+            angular_damping_nms: None,
+            autopilot: None,
+            notes: Vec::new(),
+            provenance: serde_json::Map::new(),
+        }
+    }
+
+    fn refused(change: impl FnOnce(&mut VehicleParams)) -> String {
+        let mut vehicle = quad();
+        change(&mut vehicle);
+        vehicle.checked().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_vehicle_survives_toml_and_json() {
+        let vehicle = quad().checked().unwrap();
+        assert_eq!(VehicleParams::from_toml_str(&vehicle.to_toml().unwrap()).unwrap(), vehicle);
+        let json = serde_json::to_string(&vehicle).unwrap();
+        assert_eq!(VehicleParams::from_json_str(&json).unwrap(), vehicle);
+    }
+
+    #[test]
+    fn impossible_values_are_refused_with_field_and_unit() {
+        assert!(refused(|v| v.mass = -1.0).contains("mass: expected a mass above 0 kg, found -1"));
+        assert!(refused(|v| v.mass = f64::NAN).contains("found NaN"));
+        assert!(refused(|v| v.inertia[1] = 0.0).contains("inertia[1]"));
+        assert!(refused(|v| v.inertia = [0.01, 0.01, 0.03]).contains("sum of the other two"));
+        assert!(refused(|v| v.rotors[2].spin = 0).contains("rotors[2].spin: expected 1 or -1"));
+        assert!(refused(|v| v.rotors[3].thrust_max_n = 0.0).contains("rotors[3].thrust_max_N"));
+        assert!(refused(|v| v.rotors[0].position_m[0] = f64::INFINITY).contains("position_m"));
+        assert!(refused(|v| v.rotors.iter_mut().for_each(|r| r.spin = 1)).contains("rotors:"));
+        assert!(refused(|v| v.hover_thrust = 1.0).contains("hover_thrust"));
+        assert!(refused(|v| v.gravity = 0.0).contains("m/s^2"));
+        assert!(refused(|v| v.air_density = -1.2).contains("kg/m^3"));
+        assert!(refused(|v| v.battery.cells = 0).contains("battery.cells"));
+        assert!(refused(|v| v.battery.full_v = 1.0).contains("at least nominal_V"));
+        assert!(refused(|v| v.motor_time_constant_s = -0.1).contains("0..=2 s"));
+        assert!(
+            refused(|v| {
+                v.rotor_max_rpm = None;
+                v.modelled_effects
+                    .insert_argument("rotor_gyroscopic:rotor_inertia_kgm2=1e-5")
+                    .unwrap();
+            })
+            .contains("rotor_max_rpm")
+        );
+    }
+
+    #[test]
+    fn inertia_of_published_sets_may_break_the_triangle_by_a_percent() {
+        let mut vehicle = quad();
+        vehicle.inertia = [1.0e-5, 1.0e-5, 2.03e-5];
+        assert!(vehicle.checked().is_ok());
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_by_name() {
+        let text = quad().to_toml().unwrap();
+        let error = VehicleParams::from_toml_str(&format!("colour = \"red\"\n{text}"));
+        assert!(error.unwrap_err().to_string().contains("colour"));
+        let text = text.replace("thrust_max_N", "thrust_max");
+        assert!(
+            VehicleParams::from_toml_str(&text).unwrap_err().to_string().contains("thrust_max")
+        );
+    }
 }

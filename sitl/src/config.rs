@@ -1,0 +1,249 @@
+//! What belongs to the simulation and not to the vehicle: noise, pack, home, start, floor.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+/// Settings of the simulated vehicle; every key has a default, any other key is refused.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SitlConfig {
+    /// Where on earth the local frame's origin is.
+    pub home: Home,
+    /// Where the vehicle begins.
+    pub start: Start,
+    /// Down coordinate of the floor in m.
+    pub floor_down_m: f64,
+    /// The pack.
+    pub battery: BatteryConfig,
+    /// Noise and bias.
+    pub sensors: SensorConfig,
+}
+
+/// Geodetic position of the local frame's origin.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Home {
+    /// Latitude in degrees, WGS 84.
+    pub latitude_deg: f64,
+    /// Longitude in degrees, WGS 84.
+    pub longitude_deg: f64,
+    /// Altitude above mean sea level in m.
+    pub altitude_m: f64,
+}
+
+impl Default for Home {
+    fn default() -> Self {
+        Self { latitude_deg: 47.397742, longitude_deg: 8.545594, altitude_m: 488.0 }
+    }
+}
+
+/// Where the vehicle begins, at rest and level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Start {
+    /// North, east, down in m.
+    pub position_m: [f64; 3],
+    /// Heading from north towards east in rad.
+    pub heading_rad: f64,
+}
+
+/// The pack beyond its nominal data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BatteryConfig {
+    /// Capacity in mAh; missing: eight minutes of hover.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub capacity_mah: Option<f64>,
+    /// Internal resistance in ohm; missing: 4 % of the full voltage at hover.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resistance_ohm: Option<f64>,
+    /// Charge at the start, 0..=1.
+    pub charge: f64,
+}
+
+impl Default for BatteryConfig {
+    fn default() -> Self {
+        Self { capacity_mah: None, resistance_ohm: None, charge: 1.0 }
+    }
+}
+
+/// Standard deviations, per axis. The defaults are motion capture and a small MEMS IMU.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SensorConfig {
+    /// White noise of the position in m.
+    pub position_noise_m: f64,
+    /// White noise of the velocity in m/s.
+    pub velocity_noise_m_s: f64,
+    /// Error of the attitude about each body axis in rad.
+    pub attitude_noise_rad: f64,
+    /// Correlation time of the attitude's error in s.
+    pub attitude_correlation_s: f64,
+    /// The gyro.
+    pub gyro: ImuNoise,
+    /// The accelerometer.
+    pub accelerometer: ImuNoise,
+}
+
+/// Noise of a gyro [rad/s] or an accelerometer [m/s^2].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImuNoise {
+    /// White noise of a sample.
+    pub noise: f64,
+    /// Bias drawn once for a flight.
+    pub bias: f64,
+    /// Walk of the bias in a second, per square root of second.
+    pub bias_walk: f64,
+}
+
+impl Default for SensorConfig {
+    fn default() -> Self {
+        Self {
+            position_noise_m: 0.001,
+            velocity_noise_m_s: 0.01,
+            attitude_noise_rad: 0.001,
+            attitude_correlation_s: 0.05,
+            gyro: ImuNoise { noise: 0.01, bias: 0.003, bias_walk: 0.0002 },
+            accelerometer: ImuNoise { noise: 0.1, bias: 0.03, bias_walk: 0.002 },
+        }
+    }
+}
+
+impl SensorConfig {
+    /// Perfect sensors.
+    pub const IDEAL: Self = Self {
+        position_noise_m: 0.0,
+        velocity_noise_m_s: 0.0,
+        attitude_noise_rad: 0.0,
+        attitude_correlation_s: 0.05,
+        gyro: ImuNoise { noise: 0.0, bias: 0.0, bias_walk: 0.0 },
+        accelerometer: ImuNoise { noise: 0.0, bias: 0.0, bias_walk: 0.0 },
+    };
+}
+
+/// Why a configuration is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("SITL configuration {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The text is not TOML or does not follow the schema.
+    #[error("SITL configuration {path}: {message}")]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// What the parser found and where.
+        message: String,
+    },
+    /// A value is impossible.
+    #[error("SITL configuration: {field}: expected {expected}, found {found}")]
+    Value {
+        /// Path of the field.
+        field: &'static str,
+        /// What would be right.
+        expected: &'static str,
+        /// What is there.
+        found: f64,
+    },
+}
+
+impl SitlConfig {
+    /// Reads and checks a TOML file.
+    ///
+    /// # Errors
+    /// A file that cannot be read, does not follow the schema, or holds impossible values.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
+        let path = path.as_ref();
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        Self::from_toml_str(&text).map_err(|error| match error {
+            ConfigError::Syntax { message, .. } => {
+                ConfigError::Syntax { path: path.to_owned(), message }
+            }
+            other => other,
+        })
+    }
+
+    /// A configuration from TOML text.
+    ///
+    /// # Errors
+    /// As [`SitlConfig::load`], naming no file.
+    pub fn from_toml_str(text: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text).map_err(|error| ConfigError::Syntax {
+            path: PathBuf::from("(text)"),
+            message: error.to_string(),
+        })?;
+        config.checked()
+    }
+
+    fn checked(self) -> Result<Self, ConfigError> {
+        let require = |field, found: f64, holds: bool, expected| {
+            let right = found.is_finite() && holds;
+            if right { Ok(()) } else { Err(ConfigError::Value { field, expected, found }) }
+        };
+        let Home { latitude_deg, longitude_deg, altitude_m } = self.home;
+        let on_earth = latitude_deg.abs() <= 90.0;
+        require("home.latitude_deg", latitude_deg, on_earth, "degrees in -90..=90")?;
+        let on_earth = longitude_deg.abs() <= 180.0;
+        require("home.longitude_deg", longitude_deg, on_earth, "degrees in -180..=180")?;
+        require("home.altitude_m", altitude_m, true, "a length in m")?;
+        require("floor_down_m", self.floor_down_m, true, "a length in m")?;
+        for coordinate in self.start.position_m {
+            require("start.position_m", coordinate, true, "lengths in m")?;
+        }
+        let below = self.start.position_m[2];
+        let above = below <= self.floor_down_m;
+        require("start.position_m", below, above, "a down coordinate not below floor_down_m")?;
+        require("start.heading_rad", self.start.heading_rad, true, "an angle in rad")?;
+        let BatteryConfig { capacity_mah, resistance_ohm, charge } = self.battery;
+        if let Some(mah) = capacity_mah {
+            require("battery.capacity_mah", mah, mah > 0.0, "a capacity above 0 mAh")?;
+        }
+        if let Some(ohm) = resistance_ohm {
+            require("battery.resistance_ohm", ohm, ohm >= 0.0, "a resistance of 0 or more ohm")?;
+        }
+        require("battery.charge", charge, (0.0..=1.0).contains(&charge), "a charge in 0..=1")?;
+        let sensors = &self.sensors;
+        for (field, value) in [
+            ("sensors.position_noise_m", sensors.position_noise_m),
+            ("sensors.velocity_noise_m_s", sensors.velocity_noise_m_s),
+            ("sensors.attitude_noise_rad", sensors.attitude_noise_rad),
+            ("sensors.attitude_correlation_s", sensors.attitude_correlation_s),
+            ("sensors.gyro.noise", sensors.gyro.noise),
+            ("sensors.gyro.bias", sensors.gyro.bias),
+            ("sensors.gyro.bias_walk", sensors.gyro.bias_walk),
+            ("sensors.accelerometer.noise", sensors.accelerometer.noise),
+            ("sensors.accelerometer.bias", sensors.accelerometer.bias),
+            ("sensors.accelerometer.bias_walk", sensors.accelerometer.bias_walk),
+        ] {
+            require(field, value, value >= 0.0, "0 or more")?;
+        }
+        Ok(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_file_is_the_default() {
+        assert_eq!(SitlConfig::from_toml_str("").unwrap(), SitlConfig::default());
+    }
+
+    #[test]
+    fn unknown_keys_and_impossible_values_are_refused_by_name() {
+        let message = |text: &str| SitlConfig::from_toml_str(text).unwrap_err().to_string();
+        assert!(message("[sensors]\nposition_nose_m = 1").contains("position_nose_m"));
+        assert!(message("[sensors]\nposition_noise_m = -1").contains("sensors.position_noise_m"));
+        assert!(message("[battery]\ncharge = nan").contains("battery.charge"));
+        assert!(message("[start]\nposition_m = [0, 0, 1]").contains("not below floor_down_m"));
+    }
+}

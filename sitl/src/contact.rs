@@ -1,0 +1,90 @@
+//! The floor: spring, damper and friction at the feet.
+
+use crate::effects::Wrench;
+use crate::frame::Frd;
+use crate::physics::Constants;
+use crate::rigid_body::State;
+
+/// Natural frequency of the vehicle on its feet, rad/s: far above flight dynamics, far below what
+/// a step of 1 ms resolves.
+const FREQUENCY: f64 = 60.0;
+/// Damping ratio: no bounce to speak of.
+const DAMPING_RATIO: f64 = 0.7;
+/// Coulomb friction coefficient.
+const FRICTION: f64 = 0.6;
+
+/// A flat floor under a foot below each rotor.
+///
+/// A foot in the floor is pushed out by a spring and damper that never pull, and held by friction
+/// that is viscous up to Coulomb's limit. At rest on four feet the centre of mass of a symmetric
+/// vehicle is at the floor's height exactly.
+#[derive(Clone, Copy, Debug)]
+pub struct Floor {
+    down: f64,
+    feet: [Frd; 4],
+    reach: f64,
+    stiffness: f64,
+    damping: f64,
+}
+
+impl Floor {
+    /// A floor at down coordinate `down` [m] under a vehicle, with gravity in m/s^2.
+    pub fn new(down: f64, constants: &Constants, gravity: f64) -> Self {
+        let rotors = &constants.rotors;
+        let spread = |arm: fn(f64, f64) -> f64| -> f64 {
+            rotors.iter().map(|r| arm(r.x, r.y)).sum::<f64>() / 4.0
+        };
+        let [ix, iy, iz] = constants.inertia;
+        // The softest of the modes sets the stiffness, so that none is faster than FREQUENCY.
+        let mass = constants
+            .mass
+            .min(ix / spread(|_, y| y * y))
+            .min(iy / spread(|x, _| x * x))
+            .min(iz / spread(|x, y| x * x + y * y));
+        let stiffness = 0.25 * mass * FREQUENCY * FREQUENCY;
+        let rest = 0.25 * constants.mass * gravity / stiffness;
+        let feet = rotors.map(|r| Frd::new(r.x, r.y, rest));
+        let reach = feet.iter().map(|foot| foot.norm()).fold(0.0, f64::max);
+        Self { down, feet, reach, stiffness, damping: 0.5 * DAMPING_RATIO * mass * FREQUENCY }
+    }
+
+    /// Whether no foot can reach the floor.
+    #[inline]
+    pub fn is_clear(&self, state: &State) -> bool {
+        state.position.down() + self.reach < self.down
+    }
+
+    /// Whether a foot is in the floor.
+    pub fn touches(&self, state: &State) -> bool {
+        !self.is_clear(state) && self.feet.iter().any(|foot| self.depth(state, foot) > 0.0)
+    }
+
+    fn depth(&self, state: &State, foot: &Frd) -> f64 {
+        state.position.down() + state.attitude.to_world(*foot).down() - self.down
+    }
+
+    /// Force [N] and moment [N m] of the floor on the body, in body axes.
+    pub fn wrench(&self, state: &State) -> Wrench<f64> {
+        let mut total = Wrench { force: Frd::zero(), moment: Frd::zero() };
+        for foot in &self.feet {
+            let depth = self.depth(state, foot);
+            if depth <= 0.0 {
+                continue;
+            }
+            let velocity = state.velocity + state.attitude.to_world(state.body_rate.cross(*foot));
+            let [north, east, down] = velocity.to_array();
+            let normal = (self.stiffness * depth + self.damping * down).max(0.0);
+            let speed = north.hypot(east);
+            let grip = if self.damping * speed > FRICTION * normal {
+                FRICTION * normal / speed
+            } else {
+                self.damping
+            };
+            let force = [-grip * north, -grip * east, -normal].into();
+            let force = state.attitude.to_body(force);
+            total.force += force;
+            total.moment += foot.cross(force);
+        }
+        total
+    }
+}

@@ -1,0 +1,35 @@
+//! Attitude trim: reported attitude = true attitude * q(trim), in every message that carries it and
+//! in what the on-board loop uses. The IMU stays in the true body axes.
+
+use super::{Effect, EffectId, Parameter, Slots, Spec};
+use crate::frame::{Attitude, Euler};
+
+/// A constant error of the reported attitude, in body axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AttitudeTrim {
+    /// Roll, pitch and yaw of the error, rad.
+    pub trim: Euler,
+}
+
+impl Effect for AttitudeTrim {
+    const ID: EffectId = EffectId::AttitudeTrim;
+    const SPEC: Spec = Spec {
+        id: "attitude_trim",
+        parameters: &[
+            Parameter::scalar("roll_rad", "rad", 0.0, [-1.0, 1.0]),
+            Parameter::scalar("pitch_rad", "rad", 0.0, [-1.0, 1.0]),
+            Parameter::scalar("yaw_rad", "rad", 0.0, [-3.2, 3.2]),
+        ],
+    };
+
+    fn from_slots(&[roll, pitch, yaw, ..]: &Slots) -> Self {
+        Self { trim: Euler { roll, pitch, yaw } }
+    }
+}
+
+impl AttitudeTrim {
+    /// The rotation to multiply the true attitude with, from the right.
+    pub fn rotation(&self) -> Attitude {
+        self.trim.attitude()
+    }
+}

@@ -1,0 +1,32 @@
+//! Battery sag: thrust and squared rotor speed are multiplied by (V / full_V)^exponent, V the
+//! pack's terminal voltage.
+//!
+//! 2 for a fixed duty cycle of a voltage-driven motor, 0 for a controller that compensates.
+
+use super::{Effect, EffectId, Parameter, Slots, Spec};
+
+/// Thrust's dependence on the pack's voltage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BatterySag {
+    /// Power of the voltage ratio.
+    pub exponent: f64,
+}
+
+impl Effect for BatterySag {
+    const ID: EffectId = EffectId::BatterySag;
+    const SPEC: Spec = Spec {
+        id: "battery_sag",
+        parameters: &[Parameter::scalar("exponent", "-", 0.0, [-1.0, 6.0])],
+    };
+
+    fn from_slots(&[exponent, ..]: &Slots) -> Self {
+        Self { exponent }
+    }
+}
+
+impl BatterySag {
+    /// Factor on thrust and squared rotor speed at `voltage_ratio` = V / full_V.
+    pub fn factor(&self, voltage_ratio: f64) -> f64 {
+        voltage_ratio.max(0.0).powf(self.exponent)
+    }
+}

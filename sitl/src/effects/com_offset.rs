@@ -1,0 +1,38 @@
+//! Centre of mass offset: the centre of mass lies at (x, y) of the nominal one, so the rotors'
+//! arms become position - offset.
+
+use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use crate::physics::Constants;
+
+/// A shifted centre of mass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ComOffset {
+    /// Towards the front, m.
+    pub x_m: f64,
+    /// Towards the right, m.
+    pub y_m: f64,
+}
+
+impl Effect for ComOffset {
+    const ID: EffectId = EffectId::ComOffset;
+    const SPEC: Spec = Spec {
+        id: "com_offset",
+        parameters: &[
+            Parameter::scalar("x_m", "m", 0.0, [-2.0, 2.0]),
+            Parameter::scalar("y_m", "m", 0.0, [-2.0, 2.0]),
+        ],
+    };
+
+    fn from_slots(&[x_m, y_m, ..]: &Slots) -> Self {
+        Self { x_m, y_m }
+    }
+}
+
+impl ConstantEffect for ComOffset {
+    fn apply(&self, constants: &mut Constants) {
+        for rotor in &mut constants.rotors {
+            rotor.x -= self.x_m;
+            rotor.y -= self.y_m;
+        }
+    }
+}

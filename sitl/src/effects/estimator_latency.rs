@@ -1,0 +1,23 @@
+//! Estimator latency: reported pose and velocity show the state latency_s before their time stamp;
+//! body rates, IMU and the on-board loop are not late.
+
+use super::{Effect, EffectId, Parameter, Slots, Spec};
+
+/// Age of the reported pose and velocity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EstimatorLatency {
+    /// Age in s.
+    pub latency_s: f64,
+}
+
+impl Effect for EstimatorLatency {
+    const ID: EffectId = EffectId::EstimatorLatency;
+    const SPEC: Spec = Spec {
+        id: "estimator_latency",
+        parameters: &[Parameter::scalar("latency_s", "s", 0.0, [0.0, 1.0])],
+    };
+
+    fn from_slots(&[latency_s, ..]: &Slots) -> Self {
+        Self { latency_s }
+    }
+}

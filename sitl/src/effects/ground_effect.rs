@@ -1,0 +1,45 @@
+//! Ground effect: T <- T / (1 - min(0.35, (r_eff / (4 h))^2)), h the height of the centre of mass
+//! above the floor (Cheeseman and Bennett 1955).
+
+use super::{Effect, EffectId, Flow, Parameter, Slots, Spec, ThrustEffect};
+use crate::scalar::Scalar;
+
+/// The most that the closeness of the ground takes off the divisor.
+const LIMIT: f64 = 0.35;
+
+/// Extra thrust close to the ground.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GroundEffect {
+    /// Effective radius of all rotors together in m.
+    pub r_eff_m: f64,
+}
+
+impl Effect for GroundEffect {
+    const ID: EffectId = EffectId::GroundEffect;
+    const SPEC: Spec = Spec {
+        id: "ground_effect",
+        parameters: &[Parameter::scalar("r_eff_m", "m", 0.0, [0.0, 20.0])],
+    };
+
+    fn from_slots(&[r_eff_m, ..]: &Slots) -> Self {
+        Self { r_eff_m }
+    }
+}
+
+impl ThrustEffect for GroundEffect {
+    #[inline]
+    fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T {
+        let quarter = 0.25 * self.r_eff_m;
+        if quarter == 0.0 {
+            return T::from(1.0);
+        }
+        // On or below the floor the limit holds; the division would overflow or change sign.
+        let closeness = if flow.height.value() * LIMIT.sqrt() > quarter {
+            let ratio = T::from(quarter) / flow.height;
+            ratio * ratio
+        } else {
+            T::from(LIMIT)
+        };
+        T::from(1.0) / (-closeness + 1.0)
+    }
+}

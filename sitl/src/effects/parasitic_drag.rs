@@ -1,0 +1,35 @@
+//! Parasitic drag: F_body = -1/2 rho cda |v_a| v_a, the frame's quadratic drag.
+
+use super::{BodyEffect, Effect, EffectId, Flow, Parameter, Slots, Spec, Wrench};
+use crate::scalar::Scalar;
+
+/// Quadratic drag of the frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ParasiticDrag {
+    /// Drag coefficient times area in m^2.
+    pub cda_m2: f64,
+}
+
+impl Effect for ParasiticDrag {
+    const ID: EffectId = EffectId::ParasiticDrag;
+    const SPEC: Spec = Spec {
+        id: "parasitic_drag",
+        parameters: &[Parameter::scalar("cda_m2", "m^2", 0.0, [0.0, 10.0])],
+    };
+
+    fn from_slots(&[cda_m2, ..]: &Slots) -> Self {
+        Self { cda_m2 }
+    }
+}
+
+impl BodyEffect for ParasiticDrag {
+    #[inline]
+    fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>) {
+        let v = flow.air_relative;
+        let speed2 = flow.horizontal_speed2 + v.down() * v.down();
+        // The root's derivative is infinite at rest, where the force's is 0.
+        if speed2.value() > 0.0 {
+            wrench.force += v * (speed2.sqrt() * (-0.5 * flow.air_density * self.cda_m2));
+        }
+    }
+}

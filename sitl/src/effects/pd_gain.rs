@@ -1,0 +1,42 @@
+//! PD gain: true on-board gains = nominal times scale, per axis roll, pitch, yaw.
+//!
+//! Acts in the autopilot, not in the plant.
+
+use super::{Effect, EffectId, Parameter, Slots, Spec};
+use crate::vehicle::AttitudePd;
+
+/// True gains of the on-board attitude loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PdGain {
+    /// Factors on kp.
+    pub kp_scale: [f64; 3],
+    /// Factors on kd.
+    pub kd_scale: [f64; 3],
+}
+
+impl Effect for PdGain {
+    const ID: EffectId = EffectId::PdGain;
+    const SPEC: Spec = Spec {
+        id: "pd_gain",
+        parameters: &[
+            Parameter::vec3("kp_scale", "-", 1.0, [0.0, 20.0]),
+            Parameter::vec3("kd_scale", "-", 1.0, [0.0, 20.0]),
+        ],
+    };
+
+    fn from_slots(&[px, py, pz, dx, dy, dz]: &Slots) -> Self {
+        Self { kp_scale: [px, py, pz], kd_scale: [dx, dy, dz] }
+    }
+}
+
+impl PdGain {
+    /// The true gains.
+    pub fn apply(&self, nominal: &AttitudePd) -> AttitudePd {
+        let times = |gains: [f64; 3], scale: [f64; 3]| std::array::from_fn(|i| gains[i] * scale[i]);
+        AttitudePd {
+            kp: times(nominal.kp, self.kp_scale),
+            kd: times(nominal.kd, self.kd_scale),
+            rate_hz: nominal.rate_hz,
+        }
+    }
+}

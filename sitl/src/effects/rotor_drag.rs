@@ -1,0 +1,40 @@
+//! Rotor drag: F_body = -nr (d_xy v_ax, d_xy v_ay, d_z v_az).
+//!
+//! Induced drag and flapping of the rotors, linear in the air-relative velocity and growing with
+//! rotor speed (Faessler, Franchi, Scaramuzza 2018; Foerster 2015).
+
+use super::{BodyEffect, Effect, EffectId, Flow, Parameter, Slots, Spec, Wrench};
+use crate::scalar::Scalar;
+
+/// Drag of the turning rotors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RotorDrag {
+    /// Coefficient along front and right, at hover's rotor speed, in kg/s.
+    pub d_xy: f64,
+    /// Coefficient along down, in kg/s.
+    pub d_z: f64,
+}
+
+impl Effect for RotorDrag {
+    const ID: EffectId = EffectId::RotorDrag;
+    const SPEC: Spec = Spec {
+        id: "rotor_drag",
+        parameters: &[
+            Parameter::scalar("d_xy", "kg/s", 0.0, [0.0, 100.0]),
+            Parameter::scalar("d_z", "kg/s", 0.0, [0.0, 100.0]),
+        ],
+    };
+
+    fn from_slots(&[d_xy, d_z, ..]: &Slots) -> Self {
+        Self { d_xy, d_z }
+    }
+}
+
+impl BodyEffect for RotorDrag {
+    #[inline]
+    fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>) {
+        let xy = flow.rotor_speed_ratio * -self.d_xy;
+        let z = flow.rotor_speed_ratio * -self.d_z;
+        wrench.force += flow.air_relative.scale_by([xy, xy, z]);
+    }
+}

@@ -1,0 +1,38 @@
+//! Rotor loss: one rotor's thrust and drag torque are multiplied by scale, as with a chipped
+//! propeller or a worn motor.
+
+use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use crate::physics::Constants;
+use crate::vehicle::ROTORS;
+
+/// One weak rotor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RotorLoss {
+    /// Which, in the vehicle file's order from 0.
+    pub rotor: usize,
+    /// Factor on its thrust and drag torque.
+    pub scale: f64,
+}
+
+impl Effect for RotorLoss {
+    const ID: EffectId = EffectId::RotorLoss;
+    const SPEC: Spec = Spec {
+        id: "rotor_loss",
+        parameters: &[
+            Parameter::index("rotor", ROTORS),
+            Parameter::scalar("scale", "-", 1.0, [0.0, 2.0]),
+        ],
+    };
+
+    fn from_slots(&[rotor, scale, ..]: &Slots) -> Self {
+        Self { rotor: rotor as usize, scale }
+    }
+}
+
+impl ConstantEffect for RotorLoss {
+    fn apply(&self, constants: &mut Constants) {
+        if let Some(rotor) = constants.rotors.get_mut(self.rotor) {
+            rotor.thrust_max *= self.scale;
+        }
+    }
+}

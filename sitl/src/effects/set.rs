@@ -1,0 +1,393 @@
+//! Which effects are on, with their parameters; reading them from files and the command line.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::de::{Error as _, MapAccess, Visitor};
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::spec::{Kind, Parameter, Slots};
+use super::{COUNT, Effect, EffectId};
+
+/// Effects that are switched on, with their parameters, each within its accepted range.
+///
+/// In files a map from id to parameters: `{"rotor_drag": {"d_xy": 0.02, "d_z": 0.01}}`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EffectSet {
+    values: [Option<Slots>; COUNT],
+}
+
+/// A parameter's value as written in a file or on the command line.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum ParameterValue {
+    /// A scalar or an index.
+    Number(f64),
+    /// A vector.
+    Vector(Vec<f64>),
+}
+
+impl fmt::Display for ParameterValue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ParameterValue::Number(number) => write!(f, "{number}"),
+            ParameterValue::Vector(numbers) => write!(f, "{numbers:?}"),
+        }
+    }
+}
+
+/// Why an effect is refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EffectError {
+    /// Not in the catalogue.
+    #[error("unknown effect {id:?}; known are {}", EffectId::ALL.map(EffectId::name).join(", "))]
+    UnknownEffect {
+        /// What was given.
+        id: String,
+    },
+    /// The effect has no such parameter.
+    #[error("effect {effect}: unknown parameter {parameter:?}; it has {}", parameters(*.effect))]
+    UnknownParameter {
+        /// The effect.
+        effect: EffectId,
+        /// What was given.
+        parameter: String,
+    },
+    /// A parameter without a default is not given.
+    #[error("effect {effect}: parameter {parameter} ({unit}) must be given")]
+    Missing {
+        /// The effect.
+        effect: EffectId,
+        /// The parameter.
+        parameter: &'static str,
+        /// Its unit.
+        unit: &'static str,
+    },
+    /// A value is of the wrong shape or outside the accepted range.
+    #[error("effect {effect}: {parameter}: expected {expected}, found {found}")]
+    Value {
+        /// The effect.
+        effect: EffectId,
+        /// The parameter.
+        parameter: &'static str,
+        /// What would be right.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
+    /// The text does not follow `id:key=value,key=value`.
+    #[error("effect argument {argument:?}: {reason}; write id:key=value,key=[x,y,z]")]
+    Syntax {
+        /// What was given.
+        argument: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+fn parameters(effect: EffectId) -> String {
+    let names: Vec<_> = effect.spec().parameters.iter().map(|p| p.name).collect();
+    names.join(", ")
+}
+
+impl EffectSet {
+    /// No effect.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Whether no effect is on.
+    pub fn is_empty(&self) -> bool {
+        self.values.iter().all(Option::is_none)
+    }
+
+    /// Whether this effect is on.
+    pub fn contains(&self, id: EffectId) -> bool {
+        self.values[id as usize].is_some()
+    }
+
+    /// The effect `E`, if it is on.
+    pub fn get<E: Effect>(&self) -> Option<E> {
+        self.values[E::ID as usize].as_ref().map(E::from_slots)
+    }
+
+    /// The effects that are on, in the catalogue's order.
+    pub fn iter(&self) -> impl Iterator<Item = (EffectId, &Slots)> {
+        EffectId::ALL.into_iter().filter_map(|id| self.slots(id).map(|slots| (id, slots)))
+    }
+
+    /// An effect's numbers, if it is on.
+    pub fn slots(&self, id: EffectId) -> Option<&Slots> {
+        self.values[id as usize].as_ref()
+    }
+
+    /// One number of an effect that is on; `component` is 0 for a scalar.
+    pub fn value(&self, id: EffectId, parameter: &str, component: usize) -> Option<f64> {
+        let slot = id.spec().find(parameter)?;
+        (component < slot.parameter.kind.slots())
+            .then(|| self.slots(id).map(|slots| slots[slot.index + component]))?
+    }
+
+    /// Switches an effect on with all its numbers in the order of its specification, or replaces
+    /// them.
+    ///
+    /// # Errors
+    /// A number outside its accepted range; the set is then unchanged.
+    pub fn insert(&mut self, id: EffectId, slots: Slots) -> Result<(), EffectError> {
+        for slot in id.spec().slots() {
+            check(id, slot.parameter, slots[slot.index])?;
+        }
+        self.values[id as usize] = Some(slots);
+        Ok(())
+    }
+
+    /// Switches an effect on with named parameters; those not given take their defaults.
+    ///
+    /// # Errors
+    /// An unknown or missing parameter, a wrong shape, a value outside its range; the set is then
+    /// unchanged.
+    pub fn insert_named<'a>(
+        &mut self,
+        id: EffectId,
+        given: impl IntoIterator<Item = (&'a str, &'a ParameterValue)>,
+    ) -> Result<(), EffectError> {
+        let given: BTreeMap<_, _> = given.into_iter().collect();
+        let spec = id.spec();
+        if let Some(name) = given.keys().find(|name| spec.find(name).is_none()) {
+            let parameter = (*name).to_owned();
+            return Err(EffectError::UnknownParameter { effect: id, parameter });
+        }
+        let mut slots = Slots::default();
+        for slot in spec.slots() {
+            let parameter = slot.parameter;
+            slots[slot.index] = match (given.get(parameter.name), parameter.kind) {
+                (Some(ParameterValue::Number(number)), Kind::Scalar | Kind::Index) => *number,
+                (Some(ParameterValue::Vector(numbers)), Kind::Vec3) if numbers.len() == 3 => {
+                    numbers[slot.component]
+                }
+                (Some(found), kind) => {
+                    let expected = match kind {
+                        Kind::Vec3 => "three numbers [x, y, z]",
+                        Kind::Scalar | Kind::Index => "one number",
+                    };
+                    return Err(EffectError::Value {
+                        effect: id,
+                        parameter: parameter.name,
+                        expected: expected.to_owned(),
+                        found: found.to_string(),
+                    });
+                }
+                (None, _) => parameter.default.ok_or(EffectError::Missing {
+                    effect: id,
+                    parameter: parameter.name,
+                    unit: parameter.unit,
+                })?,
+            };
+        }
+        self.insert(id, slots)
+    }
+
+    /// Switches an effect off.
+    pub fn remove(&mut self, id: EffectId) {
+        self.values[id as usize] = None;
+    }
+
+    /// These effects, with those of `other` added or put in their places.
+    pub fn overlay(&self, other: &EffectSet) -> EffectSet {
+        let mut values = self.values;
+        for (mine, theirs) in values.iter_mut().zip(other.values) {
+            *mine = theirs.or(*mine);
+        }
+        Self { values }
+    }
+
+    /// Switches on the effect of a command line argument, as `motor_lag:tau_s=0.03` or
+    /// `inertia:scale=[1.2,1.1,1.0]`.
+    ///
+    /// # Errors
+    /// Text that does not follow this form, or whatever [`EffectSet::insert_named`] refuses.
+    pub fn insert_argument(&mut self, argument: &str) -> Result<(), EffectError> {
+        let syntax = |reason: String| EffectError::Syntax { argument: argument.to_owned(), reason };
+        let (id, list) = argument.split_once(':').unwrap_or((argument, ""));
+        let id: EffectId = id.trim().parse()?;
+        let mut given: BTreeMap<&str, ParameterValue> = BTreeMap::new();
+        for item in split_outside_brackets(list).filter(|item| !item.trim().is_empty()) {
+            let (name, text) =
+                item.split_once('=').ok_or_else(|| syntax(format!("{item:?} has no '='")))?;
+            let value = parse_value(text.trim())
+                .ok_or_else(|| syntax(format!("{text:?} is not a number or [x,y,z]")))?;
+            if given.insert(name.trim(), value).is_some() {
+                return Err(syntax(format!("{:?} is given twice", name.trim())));
+            }
+        }
+        self.insert_named(id, given.iter().map(|(name, value)| (*name, value)))
+    }
+}
+
+fn check(effect: EffectId, parameter: &Parameter, value: f64) -> Result<(), EffectError> {
+    let whole = parameter.kind != Kind::Index || value.fract() == 0.0;
+    // NaN is in no range.
+    if (parameter.min..=parameter.max).contains(&value) && whole {
+        return Ok(());
+    }
+    let number = if parameter.kind == Kind::Index { "a whole number" } else { "a number" };
+    Err(EffectError::Value {
+        effect,
+        parameter: parameter.name,
+        expected: format!("{number} in {}..={} {}", parameter.min, parameter.max, parameter.unit),
+        found: value.to_string(),
+    })
+}
+
+/// Splits at the commas that are not between brackets.
+fn split_outside_brackets(list: &str) -> impl Iterator<Item = &str> {
+    let mut depth = 0_i32;
+    list.split(move |c| {
+        match c {
+            '[' => depth += 1,
+            ']' => depth -= 1,
+            _ => {}
+        }
+        c == ',' && depth == 0
+    })
+}
+
+fn parse_value(text: &str) -> Option<ParameterValue> {
+    match text.strip_prefix('[') {
+        Some(rest) => {
+            let inside = rest.strip_suffix(']')?;
+            let numbers: Result<Vec<f64>, _> =
+                inside.split(',').map(|n| n.trim().parse()).collect();
+            numbers.ok().map(ParameterValue::Vector)
+        }
+        None => text.parse().ok().map(ParameterValue::Number),
+    }
+}
+
+impl Serialize for EffectSet {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        for (id, slots) in self.iter() {
+            map.serialize_entry(id.name(), &Named { id, slots })?;
+        }
+        map.end()
+    }
+}
+
+/// An effect's numbers under their parameters' names.
+struct Named<'a> {
+    id: EffectId,
+    slots: &'a Slots,
+}
+
+impl Serialize for Named<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        for slot in self.id.spec().slots().filter(|slot| slot.component == 0) {
+            let (name, first) = (slot.parameter.name, slot.index);
+            match slot.parameter.kind {
+                Kind::Scalar => map.serialize_entry(name, &self.slots[first])?,
+                Kind::Index => map.serialize_entry(name, &(self.slots[first] as u64))?,
+                Kind::Vec3 => map.serialize_entry(name, &self.slots[first..first + 3])?,
+            }
+        }
+        map.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for EffectSet {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Effects;
+
+        impl<'de> Visitor<'de> for Effects {
+            type Value = EffectSet;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a map from effect id to parameters")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<EffectSet, A::Error> {
+                let mut set = EffectSet::new();
+                while let Some(name) = map.next_key::<String>()? {
+                    let id: EffectId = name.parse().map_err(A::Error::custom)?;
+                    if set.contains(id) {
+                        return Err(A::Error::custom(format_args!("effect {id} is given twice")));
+                    }
+                    let given: BTreeMap<String, ParameterValue> = map.next_value()?;
+                    set.insert_named(id, given.iter().map(|(name, value)| (name.as_str(), value)))
+                        .map_err(A::Error::custom)?;
+                }
+                Ok(set)
+            }
+        }
+
+        deserializer.deserialize_map(Effects)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(argument: &str) -> Result<EffectSet, EffectError> {
+        let mut set = EffectSet::new();
+        set.insert_argument(argument).map(|()| set)
+    }
+
+    #[test]
+    fn an_argument_takes_scalars_vectors_and_defaults() {
+        let set = parsed("pd_gain:kp_scale=[1.2, 1.1,1.0]").unwrap();
+        assert_eq!(set.value(EffectId::PdGain, "kp_scale", 1), Some(1.1));
+        assert_eq!(set.value(EffectId::PdGain, "kd_scale", 2), Some(1.0));
+        let set = parsed("rotor_drag:d_xy=0.02,d_z=1e-2").unwrap();
+        assert_eq!(set.value(EffectId::RotorDrag, "d_z", 0), Some(0.01));
+    }
+
+    #[test]
+    fn a_wrong_argument_is_refused_by_name() {
+        let message = |argument: &str| parsed(argument).unwrap_err().to_string();
+        assert!(message("rotor_drug:d_xy=1").contains("unknown effect \"rotor_drug\""));
+        assert!(
+            message("rotor_drag:dxy=1").contains("unknown parameter \"dxy\"; it has d_xy, d_z")
+        );
+        assert!(message("rotor_drag:d_xy").contains("has no '='"));
+        assert!(message("rotor_drag:d_xy=fast").contains("not a number"));
+        assert!(message("rotor_drag:d_xy=1,d_xy=2").contains("given twice"));
+        assert!(message("rotor_drag:d_xy=NaN").contains("found NaN"));
+        assert!(message("rotor_drag:d_xy=[1,2,3]").contains("expected one number"));
+        assert!(message("inertia:scale=1").contains("three numbers"));
+        assert!(message("inertia:scale=[1,2]").contains("three numbers"));
+        assert!(message("inertia:scale=[1,2,3").contains("not a number"));
+        assert!(message("mass").contains("mass_kg (kg) must be given"));
+        assert!(message("rotor_loss:rotor=1.5,scale=0.9").contains("whole number"));
+        assert!(message("rotor_loss:rotor=4,scale=0.9").contains("0..=3"));
+    }
+
+    #[test]
+    fn a_set_survives_json_and_toml() {
+        let mut set = parsed("inertia:scale=[1.2,1.1,1.0]").unwrap();
+        set.insert_argument("rotor_loss:rotor=2,scale=0.9").unwrap();
+        set.insert_argument("wind:north_m_s=3").unwrap();
+        let json = serde_json::to_string(&set).unwrap();
+        assert!(json.contains(r#""rotor":2,"#));
+        assert_eq!(serde_json::from_str::<EffectSet>(&json).unwrap(), set);
+        assert_eq!(toml::from_str::<EffectSet>(&toml::to_string(&set).unwrap()).unwrap(), set);
+    }
+
+    #[test]
+    fn files_may_write_whole_numbers() {
+        let set: EffectSet = toml::from_str("rotor_drag = { d_xy = 1, d_z = 0 }").unwrap();
+        assert_eq!(set.value(EffectId::RotorDrag, "d_xy", 0), Some(1.0));
+    }
+
+    #[test]
+    fn an_overlay_replaces_whole_effects() {
+        let base = parsed("rotor_drag:d_xy=0.1,d_z=0.2").unwrap();
+        let top = parsed("rotor_drag:d_xy=0.3").unwrap();
+        let both = base.overlay(&top);
+        assert_eq!(both.value(EffectId::RotorDrag, "d_xy", 0), Some(0.3));
+        assert_eq!(both.value(EffectId::RotorDrag, "d_z", 0), Some(0.0));
+        assert_eq!(base.overlay(&EffectSet::new()), base);
+    }
+}

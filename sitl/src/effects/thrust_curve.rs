@@ -1,0 +1,37 @@
+//! Thrust curve: T_i = thrust_max ((1 - a) s_i + a s_i^2).
+//!
+//! 0 where the output is linear in thrust, towards 1 where it is linear in rotor speed.
+
+use super::{Effect, EffectId, Parameter, Slots, Spec};
+use crate::scalar::Scalar;
+
+/// The bend of thrust over the rotor's state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ThrustCurve {
+    /// Share of the square.
+    pub a: f64,
+}
+
+impl Effect for ThrustCurve {
+    const ID: EffectId = EffectId::ThrustCurve;
+    const SPEC: Spec =
+        Spec { id: "thrust_curve", parameters: &[Parameter::scalar("a", "-", 0.0, [-1.0, 1.0])] };
+
+    fn from_slots(&[a, ..]: &Slots) -> Self {
+        Self { a }
+    }
+}
+
+impl ThrustCurve {
+    /// Thrust as a fraction of the maximum, at rotor state `s`.
+    #[inline]
+    pub fn fraction<T: Scalar>(&self, s: T) -> T {
+        s * (s * self.a + (1.0 - self.a))
+    }
+
+    /// Derivative of [`ThrustCurve::fraction`].
+    #[inline]
+    pub fn slope<T: Scalar>(&self, s: T) -> T {
+        s * (2.0 * self.a) + (1.0 - self.a)
+    }
+}

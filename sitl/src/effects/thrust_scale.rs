@@ -1,0 +1,34 @@
+//! Thrust scale: T_i <- scale T_i for every rotor, and the drag torque with it.
+//!
+//! Propeller wear, another propeller, thin air. Told apart from [`super::Mass`] by nothing but the
+//! rotor speeds: only thrust over mass acts.
+
+use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use crate::physics::Constants;
+
+/// Every rotor's thrust multiplied by `scale`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ThrustScale {
+    /// Factor on the thrust.
+    pub scale: f64,
+}
+
+impl Effect for ThrustScale {
+    const ID: EffectId = EffectId::ThrustScale;
+    const SPEC: Spec = Spec {
+        id: "thrust_scale",
+        parameters: &[Parameter::scalar("scale", "-", 1.0, [0.05, 20.0])],
+    };
+
+    fn from_slots(&[scale, ..]: &Slots) -> Self {
+        Self { scale }
+    }
+}
+
+impl ConstantEffect for ThrustScale {
+    fn apply(&self, constants: &mut Constants) {
+        for rotor in &mut constants.rotors {
+            rotor.thrust_max *= self.scale;
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! Vortex ring: T <- T (1 - loss_max S exp(-(V_h / v_i)^2)) with
+//! S = smoothstep((v_az / v_i - onset) / (full - onset)).
+//!
+//! A vehicle that sinks at the speed of its own wake loses thrust. v_i is the induced velocity at
+//! hover, sqrt(m g / (2 rho 4 pi R^2)), with the nominal mass.
+
+use super::{Effect, EffectId, Flow, Parameter, Slots, Spec, ThrustEffect};
+use crate::scalar::Scalar;
+
+/// Loss of thrust in descent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VortexRing {
+    /// Largest loss as a fraction of the thrust.
+    pub loss_max: f64,
+    /// Descent over induced velocity where the loss begins.
+    pub onset_ratio: f64,
+    /// Descent over induced velocity where the loss is complete.
+    pub full_ratio: f64,
+}
+
+impl Effect for VortexRing {
+    const ID: EffectId = EffectId::VortexRing;
+    const SPEC: Spec = Spec {
+        id: "vortex_ring",
+        parameters: &[
+            Parameter::scalar("loss_max", "-", 0.0, [0.0, 1.0]),
+            Parameter::scalar("onset_ratio", "-", 0.2, [-1.0, 3.0]).shape(),
+            Parameter::scalar("full_ratio", "-", 0.8, [-1.0, 4.0]).shape(),
+        ],
+    };
+
+    fn from_slots(&[loss_max, onset_ratio, full_ratio, ..]: &Slots) -> Self {
+        Self { loss_max, onset_ratio, full_ratio }
+    }
+}
+
+impl ThrustEffect for VortexRing {
+    #[inline]
+    fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T {
+        let inverse = flow.inverse_induced_velocity;
+        let descent = flow.air_relative.down() * inverse + -self.onset_ratio;
+        if descent.value() <= 0.0 {
+            return T::from(1.0);
+        }
+        // An interval without length is a step.
+        let span = self.full_ratio - self.onset_ratio;
+        let x = if descent.value() < span { descent * (1.0 / span) } else { T::from(1.0) };
+        let step = x * x * (x * -2.0 + 3.0);
+        let clearing = (flow.horizontal_speed2 * (-inverse * inverse)).exp();
+        step * clearing * -self.loss_max + 1.0
+    }
+}

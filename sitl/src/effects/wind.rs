@@ -1,0 +1,28 @@
+//! Wind: steady velocity of the air in the world, blowing towards; acts through every
+//! air-relative term.
+
+use super::{Effect, EffectId, Parameter, Slots, Spec};
+use crate::frame::Ned;
+
+/// Steady wind.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wind {
+    /// Velocity of the air, m/s.
+    pub velocity: Ned,
+}
+
+impl Effect for Wind {
+    const ID: EffectId = EffectId::Wind;
+    const SPEC: Spec = Spec {
+        id: "wind",
+        parameters: &[
+            Parameter::scalar("north_m_s", "m/s", 0.0, [-60.0, 60.0]),
+            Parameter::scalar("east_m_s", "m/s", 0.0, [-60.0, 60.0]),
+            Parameter::scalar("down_m_s", "m/s", 0.0, [-60.0, 60.0]),
+        ],
+    };
+
+    fn from_slots(&[north, east, down, ..]: &Slots) -> Self {
+        Self { velocity: Ned::new(north, east, down) }
+    }
+}

@@ -1,0 +1,29 @@
+//! Yaw torque: true drag torque per thrust = nominal times scale.
+
+use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use crate::physics::Constants;
+
+/// True drag torque of the rotors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct YawTorque {
+    /// Factor on drag_torque_per_thrust_m.
+    pub scale: f64,
+}
+
+impl Effect for YawTorque {
+    const ID: EffectId = EffectId::YawTorque;
+    const SPEC: Spec =
+        Spec { id: "yaw_torque", parameters: &[Parameter::scalar("scale", "-", 1.0, [0.0, 20.0])] };
+
+    fn from_slots(&[scale, ..]: &Slots) -> Self {
+        Self { scale }
+    }
+}
+
+impl ConstantEffect for YawTorque {
+    fn apply(&self, constants: &mut Constants) {
+        for rotor in &mut constants.rotors {
+            rotor.torque_per_thrust *= self.scale;
+        }
+    }
+}

@@ -1,0 +1,496 @@
+//! From rotor states to accelerations: the nominal vehicle with effects, generic over the scalar.
+//!
+//! The plant integrates it; a planner and a regulator take its Jacobians with dual numbers. The
+//! nominal vehicle is a rigid body with thrust along -z body at each rotor and drag torques, and
+//! has neither aerodynamics nor a dependence on voltage unless an effect brings them.
+
+use crate::effects::{
+    BatterySag, BladeFlapping, BodyEffect, ComOffset, ConstantEffect, Effect, EffectSet, Flow,
+    GroundEffect, Inertia, Mass, MotorLag, ParasiticDrag, RotorDrag, RotorGyroscopic, RotorLoss,
+    ThrustCurve, ThrustEffect, ThrustScale, TranslationalLift, VortexRing, Wind, Wrench, YawTorque,
+};
+use crate::frame::{Frd, Ned};
+use crate::rigid_body::{RigidBody, State};
+use crate::rotor::Allocation;
+use crate::scalar::Scalar;
+use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
+
+/// The numbers of a vehicle that effects may change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Constants {
+    /// Mass in kg.
+    pub mass: f64,
+    /// Principal moments of inertia in kg m^2.
+    pub inertia: [f64; 3],
+    /// The rotors, in the order of the outputs.
+    pub rotors: [RotorConstants; ROTORS],
+    /// Lag of the rotors' states in s; 0 for none.
+    pub motor_time_constant: f64,
+}
+
+/// One rotor, relative to the true centre of mass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RotorConstants {
+    /// Arm towards the front, m.
+    pub x: f64,
+    /// Arm towards the right, m.
+    pub y: f64,
+    /// Thrust at state 1 and full voltage, N.
+    pub thrust_max: f64,
+    /// Drag torque per thrust about down with its sign, m.
+    pub torque_per_thrust: f64,
+    /// +1 if the drag torque on the body is about +z body, else -1.
+    pub spin: f64,
+}
+
+impl Constants {
+    /// The nominal vehicle's numbers.
+    pub fn nominal(vehicle: &VehicleParams) -> Self {
+        let rotors = vehicle.rotors.map(|rotor| {
+            let spin = f64::from(rotor.spin);
+            RotorConstants {
+                x: rotor.position_m[0],
+                y: rotor.position_m[1],
+                thrust_max: rotor.thrust_max_n,
+                torque_per_thrust: spin * rotor.drag_torque_per_thrust_m,
+                spin,
+            }
+        });
+        Self {
+            mass: vehicle.mass,
+            inertia: vehicle.inertia,
+            rotors,
+            motor_time_constant: vehicle.motor_time_constant_s,
+        }
+    }
+
+    fn apply<E: ConstantEffect>(&mut self, effects: &EffectSet) {
+        if let Some(effect) = effects.get::<E>() {
+            effect.apply(self);
+        }
+    }
+}
+
+/// What surrounds the vehicle, constant over an integration step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Environment {
+    /// Velocity of the air in world axes, m/s.
+    pub air_velocity: Ned,
+    /// Factor of the pack's voltage on thrust and squared rotor speed.
+    pub voltage_factor: f64,
+    /// Down coordinate of the floor, m.
+    pub floor: f64,
+}
+
+/// What the rotors do to the body, before aerodynamic factors.
+#[derive(Clone, Copy, Debug)]
+pub struct Loads<T> {
+    /// T: total thrust, N.
+    thrust: T,
+    /// Moments of the thrusts about front and right, and of the drag torques about down, N m.
+    moment: [T; 3],
+    /// nr: mean rotor speed over hover's; 0 where no effect asks for it.
+    rotor_speed_ratio: T,
+    /// h: angular momentum of the rotors along down, N m s; 0 where no effect asks for it.
+    spin_momentum: T,
+    /// dh/dt in N m.
+    spin_momentum_rate: T,
+}
+
+impl<T: Scalar> Loads<T> {
+    /// The rotors' angular momentum along down in N m s.
+    pub fn spin_momentum(&self) -> T {
+        self.spin_momentum
+    }
+
+    /// The same loads, with the given rate of change of the rotors' angular momentum in N m.
+    pub fn with_spin_momentum_rate(self, rate: T) -> Self {
+        Self { spin_momentum_rate: rate, ..self }
+    }
+}
+
+/// The effects that depend on the air's flow past the vehicle, and damping.
+#[derive(Clone, Copy, Debug, Default)]
+struct Aerodynamics {
+    ground_effect: Option<GroundEffect>,
+    translational_lift: Option<TranslationalLift>,
+    vortex_ring: Option<VortexRing>,
+    rotor_drag: Option<RotorDrag>,
+    parasitic_drag: Option<ParasiticDrag>,
+    blade_flapping: Option<BladeFlapping>,
+    /// Linear drag in N per m/s.
+    linear_drag: Option<f64>,
+    /// Moment per body rate in N m s.
+    angular_damping: Option<[f64; 3]>,
+}
+
+impl Aerodynamics {
+    fn is_empty(&self) -> bool {
+        self.ground_effect.is_none()
+            && self.translational_lift.is_none()
+            && self.vortex_ring.is_none()
+            && self.rotor_drag.is_none()
+            && self.parasitic_drag.is_none()
+            && self.blade_flapping.is_none()
+            && self.linear_drag.is_none()
+            && self.angular_damping.is_none()
+    }
+
+    fn needs_rotor_speed(&self) -> bool {
+        self.rotor_drag.is_some() || self.blade_flapping.is_some()
+    }
+}
+
+/// A vehicle with effects, ready to be evaluated.
+#[derive(Clone, Debug)]
+pub struct Physics {
+    body: RigidBody,
+    constants: Constants,
+    allocation: Allocation,
+    curve: Option<ThrustCurve>,
+    sag: Option<BatterySag>,
+    wind: Ned,
+    aerodynamics: Option<Aerodynamics>,
+    /// Angular momentum along down of rotor i at full speed, N m s, if it acts.
+    spin_momentum_max: Option<[f64; ROTORS]>,
+    needs_rotor_speed: bool,
+    /// 1 / (ROTORS n_hover).
+    speed_ratio_scale: f64,
+    air_density: f64,
+    inverse_induced_velocity: f64,
+    full_voltage: f64,
+}
+
+impl Physics {
+    /// The vehicle with its modelled effects, and with those of `overlay` added or put in their
+    /// places. `linear_drag_N_per_m_s` takes rotor_drag's place, unless `overlay` has one: that
+    /// replaces both.
+    ///
+    /// # Errors
+    /// A vehicle whose mixer cannot be inverted, or that lacks a number which an effect needs.
+    pub fn new(vehicle: &VehicleParams, overlay: &EffectSet) -> Result<Self, VehicleError> {
+        let effects = &vehicle.modelled_effects.overlay(overlay);
+        vehicle.check_effects(effects)?;
+        let mut constants = Constants::nominal(vehicle);
+        constants.apply::<ThrustScale>(effects);
+        constants.apply::<Mass>(effects);
+        constants.apply::<RotorLoss>(effects);
+        constants.apply::<MotorLag>(effects);
+        constants.apply::<Inertia>(effects);
+        constants.apply::<ComOffset>(effects);
+        constants.apply::<YawTorque>(effects);
+
+        let linear_drag =
+            vehicle.linear_drag_n_per_m_s.filter(|_| !overlay.contains(RotorDrag::ID));
+        let aerodynamics = Aerodynamics {
+            ground_effect: effects.get(),
+            translational_lift: effects.get(),
+            vortex_ring: effects.get(),
+            rotor_drag: effects.get().filter(|_| linear_drag.is_none()),
+            parasitic_drag: effects.get(),
+            blade_flapping: effects.get(),
+            linear_drag,
+            angular_damping: vehicle.angular_damping_nms,
+        };
+        let spin_momentum_max = effects.get::<RotorGyroscopic>().zip(vehicle.rotor_max_rpm).map(
+            |(RotorGyroscopic { rotor_inertia_kgm2 }, max_rpm)| {
+                let max_speed = max_rpm * std::f64::consts::TAU / 60.0;
+                constants.rotors.map(|rotor| -rotor_inertia_kgm2 * rotor.spin * max_speed)
+            },
+        );
+        let disc = std::f64::consts::PI * vehicle.rotor_radius_m * vehicle.rotor_radius_m;
+        let weight = vehicle.mass * vehicle.gravity;
+        Ok(Self {
+            body: RigidBody::new(constants.mass, constants.inertia, vehicle.gravity),
+            constants,
+            allocation: vehicle.allocation()?,
+            curve: effects.get(),
+            sag: effects.get(),
+            wind: effects.get::<Wind>().map_or(Ned::zero(), |wind| wind.velocity),
+            aerodynamics: (!aerodynamics.is_empty()).then_some(aerodynamics),
+            needs_rotor_speed: aerodynamics.needs_rotor_speed() || spin_momentum_max.is_some(),
+            spin_momentum_max,
+            speed_ratio_scale: 1.0 / (ROTORS as f64 * vehicle.hover_thrust.sqrt()),
+            air_density: vehicle.air_density,
+            inverse_induced_velocity: (2.0 * vehicle.air_density * 4.0 * disc / weight).sqrt(),
+            full_voltage: vehicle.battery.full_v,
+        })
+    }
+
+    /// Mass, inertia and gravity, as effects made them.
+    pub fn body(&self) -> &RigidBody {
+        &self.body
+    }
+
+    /// The vehicle's numbers, as effects made them.
+    pub fn constants(&self) -> &Constants {
+        &self.constants
+    }
+
+    /// The firmware's mixer: always the nominal one.
+    pub fn allocation(&self) -> &Allocation {
+        &self.allocation
+    }
+
+    /// The steady wind in world axes, m/s.
+    pub fn wind(&self) -> Ned {
+        self.wind
+    }
+
+    /// Whether forces depend on the velocity relative to the air.
+    pub fn has_aerodynamics(&self) -> bool {
+        self.aerodynamics.is_some()
+    }
+
+    /// Whether the rotors' angular momentum acts on the body.
+    pub fn has_spin_momentum(&self) -> bool {
+        self.spin_momentum_max.is_some()
+    }
+
+    /// Steady wind and `gust` [m/s], the pack at terminal voltage `voltage` [V], the floor at 0.
+    pub fn environment(&self, voltage: f64, gust: Ned) -> Environment {
+        Environment {
+            air_velocity: self.wind + gust,
+            voltage_factor: self.voltage_factor(voltage),
+            floor: 0.0,
+        }
+    }
+
+    /// Steady wind without gusts, a full pack, the floor at 0.
+    pub fn calm(&self) -> Environment {
+        self.environment(self.full_voltage, Ned::zero())
+    }
+
+    /// Factor of the terminal voltage [V] on thrust and squared rotor speed.
+    pub fn voltage_factor(&self, voltage: f64) -> f64 {
+        self.sag.map_or(1.0, |sag| sag.factor(voltage / self.full_voltage))
+    }
+
+    /// Thrust of a rotor over `thrust_max`, also its squared speed over the squared maximum, at
+    /// state `s`.
+    #[inline]
+    fn fraction<T: Scalar>(&self, s: T, env: &Environment) -> T {
+        let bent = match &self.curve {
+            Some(curve) => curve.fraction(s),
+            None => s,
+        };
+        bent * env.voltage_factor
+    }
+
+    /// Thrust of each rotor before aerodynamic factors, N.
+    #[inline]
+    pub fn thrusts<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> [T; ROTORS] {
+        std::array::from_fn(|i| self.fraction(rotors[i], env) * self.constants.rotors[i].thrust_max)
+    }
+
+    /// n_i: speed of each rotor as a fraction of the maximum.
+    #[inline]
+    pub fn rotor_speeds<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> [T; ROTORS] {
+        std::array::from_fn(|i| root(self.fraction(rotors[i], env)))
+    }
+
+    /// What rotors in states s_i do to the body; their angular momentum as if constant.
+    #[inline]
+    pub fn loads<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> Loads<T> {
+        let mut loads = Loads {
+            thrust: T::default(),
+            moment: [T::default(); 3],
+            rotor_speed_ratio: T::default(),
+            spin_momentum: T::default(),
+            spin_momentum_rate: T::default(),
+        };
+        let thrusts = self.thrusts(rotors, env);
+        for (rotor, thrust) in self.constants.rotors.iter().zip(thrusts) {
+            loads.thrust += thrust;
+            loads.moment[0] += thrust * -rotor.y;
+            loads.moment[1] += thrust * rotor.x;
+            loads.moment[2] += thrust * rotor.torque_per_thrust;
+        }
+        if self.needs_rotor_speed {
+            let speeds = self.rotor_speeds(rotors, env);
+            let [a, b, c, d] = speeds;
+            loads.rotor_speed_ratio = (a + b + c + d) * self.speed_ratio_scale;
+            if let Some(momenta) = &self.spin_momentum_max {
+                for (momentum, speed) in momenta.iter().zip(speeds) {
+                    loads.spin_momentum += speed * *momentum;
+                }
+            }
+        }
+        loads
+    }
+
+    /// dh/dt in N m while the rotors' states change at `rates` [1/s]; 0 where the rotors' angular
+    /// momentum does not act. Infinite for a rotor that starts from rest.
+    #[inline]
+    pub fn spin_momentum_rate<T: Scalar>(
+        &self,
+        rotors: &[T; ROTORS],
+        rates: &[T; ROTORS],
+        env: &Environment,
+    ) -> T {
+        let Some(momenta) = &self.spin_momentum_max else { return T::default() };
+        let mut sum = T::default();
+        for i in 0..ROTORS {
+            let slope = match &self.curve {
+                Some(curve) => curve.slope(rotors[i]),
+                None => T::from(1.0),
+            };
+            let speed = root(self.fraction(rotors[i], env));
+            sum += slope * rates[i] * (0.5 * env.voltage_factor * momenta[i]) / speed;
+        }
+        sum
+    }
+
+    /// Force without gravity [N] and moment [N m] on the body.
+    #[inline]
+    pub fn wrench<T: Scalar>(
+        &self,
+        state: &State<T>,
+        loads: &Loads<T>,
+        env: &Environment,
+    ) -> Wrench<T> {
+        let zero = T::default();
+        let [roll, pitch, yaw] = loads.moment;
+        let mut wrench = Wrench {
+            force: Frd::new(zero, zero, -loads.thrust),
+            moment: Frd::new(roll, pitch, yaw),
+        };
+        if let Some(aerodynamics) = &self.aerodynamics {
+            self.add_aerodynamics(aerodynamics, state, loads, env, &mut wrench);
+        }
+        if self.spin_momentum_max.is_some() {
+            let [p, q, _] = state.body_rate.to_array();
+            let h = loads.spin_momentum;
+            wrench.moment += Frd::new(-(q * h), p * h, -loads.spin_momentum_rate);
+        }
+        wrench
+    }
+
+    #[inline]
+    fn add_aerodynamics<T: Scalar>(
+        &self,
+        aerodynamics: &Aerodynamics,
+        state: &State<T>,
+        loads: &Loads<T>,
+        env: &Environment,
+        wrench: &mut Wrench<T>,
+    ) {
+        let air_relative = state.velocity - env.air_velocity.map(T::from);
+        let air_relative = state.attitude.to_body(air_relative);
+        let (x, y) = (air_relative.front(), air_relative.right());
+        let flow = Flow {
+            air_relative,
+            horizontal_speed2: x * x + y * y,
+            rotor_speed_ratio: loads.rotor_speed_ratio,
+            thrust: loads.thrust,
+            height: -state.position.down() + env.floor,
+            air_density: self.air_density,
+            inverse_induced_velocity: self.inverse_induced_velocity,
+        };
+
+        let mut factor = T::from(1.0);
+        if let Some(effect) = &aerodynamics.ground_effect {
+            factor = factor * effect.factor(&flow);
+        }
+        if let Some(effect) = &aerodynamics.translational_lift {
+            factor = factor * effect.factor(&flow);
+        }
+        if let Some(effect) = &aerodynamics.vortex_ring {
+            factor = factor * effect.factor(&flow);
+        }
+        let [roll, pitch, yaw] = wrench.moment.to_array();
+        wrench.moment = Frd::new(roll * factor, pitch * factor, yaw);
+        wrench.force = wrench.force * factor;
+
+        if let Some(effect) = &aerodynamics.rotor_drag {
+            effect.add(&flow, wrench);
+        }
+        if let Some(effect) = &aerodynamics.parasitic_drag {
+            effect.add(&flow, wrench);
+        }
+        if let Some(effect) = &aerodynamics.blade_flapping {
+            effect.add(&flow, wrench);
+        }
+        if let Some(coefficient) = aerodynamics.linear_drag {
+            wrench.force += air_relative * T::from(-coefficient);
+        }
+        if let Some(damping) = aerodynamics.angular_damping {
+            wrench.moment += state.body_rate.scale_by(damping.map(|k| T::from(-k)));
+        }
+    }
+
+    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] under
+    /// given loads.
+    #[inline]
+    pub fn accelerations_under<T: Scalar>(
+        &self,
+        state: &State<T>,
+        loads: &Loads<T>,
+        env: &Environment,
+    ) -> (Ned<T>, Frd<T>) {
+        let wrench = self.wrench(state, loads, env);
+        self.body.accelerations(state, wrench.force, wrench.moment)
+    }
+
+    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] with
+    /// the rotors in states s_i, held there.
+    #[inline]
+    pub fn accelerations<T: Scalar>(
+        &self,
+        state: &State<T>,
+        rotors: &[T; ROTORS],
+        env: &Environment,
+    ) -> (Ned<T>, Frd<T>) {
+        self.accelerations_under(state, &self.loads(rotors, env), env)
+    }
+
+    /// As [`Physics::accelerations`], once the rotors have followed the outputs that the firmware
+    /// gives for a commanded collective [N] and moments [N m], unclipped above. A model for
+    /// control about hover: it has neither lag nor saturation.
+    pub fn accelerations_for_wrench<T: Scalar>(
+        &self,
+        state: &State<T>,
+        wrench: &[T; 4],
+        env: &Environment,
+    ) -> (Ned<T>, Frd<T>) {
+        self.accelerations(state, &self.rotors_for_wrench(wrench), env)
+    }
+
+    /// The rotor states for a commanded collective and moments; not below 0, unclipped above.
+    pub fn rotors_for_wrench<T: Scalar>(&self, wrench: &[T; 4]) -> [T; ROTORS] {
+        let inverse = self.allocation.inverse();
+        std::array::from_fn(|i| {
+            let [a, b, c, d] = inverse[i];
+            let thrust = wrench[0] * a + wrench[1] * b + wrench[2] * c + wrench[3] * d;
+            (thrust * (1.0 / self.allocation.thrust_max()[i])).max(T::default())
+        })
+    }
+
+    /// The commanded collective [N] that, shared evenly, lifts the weight at rest in calm air far
+    /// from the floor: m g of the nominal vehicle, another number with effects on the thrust.
+    ///
+    /// Returns `None` where full output does not lift it.
+    pub fn hover_collective(&self, env: &Environment) -> Option<f64> {
+        let wanted = self.body.mass() * self.body.gravity();
+        let even = |collective: f64| -> f64 {
+            self.thrusts(&self.rotors_for_wrench(&[collective, 0.0, 0.0, 0.0]), env).iter().sum()
+        };
+        let (mut low, mut high) = (0.0, self.allocation.collective_max());
+        if even(high) < wanted {
+            return None;
+        }
+        // Thrust grows with the collective for every accepted curve; bisection to rounding.
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if even(middle) < wanted { low = middle } else { high = middle }
+        }
+        Some(0.5 * (low + high))
+    }
+}
+
+/// The square root of a number that is at least 0 in exact arithmetic; with derivative 0 at 0,
+/// where the true one is infinite.
+#[inline]
+fn root<T: Scalar>(x: T) -> T {
+    if x.value() > 0.0 { x.sqrt() } else { T::default() }
+}

@@ -1,0 +1,288 @@
+//! The plant: the nominal vehicle with effects on a floor, advanced in fixed steps.
+
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
+use crate::battery::{Battery, PowerModel};
+use crate::config::SitlConfig;
+use crate::contact::Floor;
+use crate::effects::{EffectSet, Gusts, Turbulence, Wrench};
+use crate::frame::{Euler, Frd, Ned};
+use crate::physics::{Environment, Loads, Physics};
+use crate::rigid_body::{Stage, State, rk4};
+use crate::rotor::Lag;
+use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
+
+/// Steps between updates of the pack: 4 ms is short against the rotors' lag.
+const BATTERY_STEPS: u64 = 4;
+
+/// Below this fraction of the maximum speed the rotors' angular momentum changes too fast in a
+/// step to be sampled: from rest, n grows with the square root of time.
+const SLOW_ROTOR: f64 = 0.1;
+
+/// The simulated vehicle without its autopilot: motor outputs in, motion out.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    physics: Physics,
+    lag: Lag,
+    floor: Floor,
+    battery: Battery,
+    power: PowerModel,
+    turbulence: Option<(Turbulence, Pcg64Mcg)>,
+    max_rpm: Option<f64>,
+    spin: [f64; ROTORS],
+    state: State,
+    rotors: [f64; ROTORS],
+    outputs: [f64; ROTORS],
+    environment: Environment,
+    /// Angular momentum of the rotors at the end of the last step, N m s.
+    spin_momentum: f64,
+    steps: u64,
+}
+
+impl Plant {
+    /// Length of an integration step in s.
+    pub const STEP: f64 = 1e-3;
+
+    /// A vehicle at its start, rotors at rest. `truth` is what the real vehicle has beyond the
+    /// file's `modelled_effects`, or with other values; `seed` draws its gusts.
+    ///
+    /// # Errors
+    /// A vehicle whose mixer cannot be inverted, or an effect that the vehicle file lacks a
+    /// number for.
+    pub fn new(
+        vehicle: &VehicleParams,
+        truth: &EffectSet,
+        config: &SitlConfig,
+        seed: u64,
+    ) -> Result<Self, VehicleError> {
+        let physics = Physics::new(vehicle, truth)?;
+        let battery = Battery::new(vehicle, &config.battery);
+        let mut environment = physics.environment(battery.voltage(), Ned::zero());
+        environment.floor = config.floor_down_m;
+        let gusts = vehicle.modelled_effects.overlay(truth).get::<Gusts>();
+        let turbulence = gusts.filter(|gusts| gusts.sigma_m_s > 0.0).map(|gusts| {
+            let mut rng = Pcg64Mcg::seed_from_u64(seed);
+            (Turbulence::new(&gusts, Self::STEP, &mut rng), rng)
+        });
+        let state = State {
+            position: config.start.position_m.into(),
+            attitude: Euler::new(0.0, 0.0, config.start.heading_rad).attitude(),
+            ..State::default()
+        };
+        Ok(Self {
+            lag: Lag::new(physics.constants().motor_time_constant, Self::STEP),
+            floor: Floor::new(config.floor_down_m, physics.constants(), vehicle.gravity),
+            power: PowerModel::new(vehicle),
+            battery,
+            turbulence,
+            max_rpm: vehicle.rotor_max_rpm,
+            spin: physics.constants().rotors.map(|rotor| rotor.spin),
+            physics,
+            state,
+            rotors: [0.0; ROTORS],
+            outputs: [0.0; ROTORS],
+            environment,
+            spin_momentum: 0.0,
+            steps: 0,
+        })
+    }
+
+    /// Advances by [`Plant::STEP`] with the motor outputs held. Outputs are clipped to 0..=1; one
+    /// that is not a number counts as 0.
+    pub fn step(&mut self, outputs: [f64; ROTORS]) {
+        // `max` gives 0 for NaN.
+        #[allow(clippy::manual_clamp)]
+        let outputs = outputs.map(|u| u.max(0.0).min(1.0));
+        self.outputs = outputs;
+        if let Some((turbulence, rng)) = &mut self.turbulence {
+            turbulence.advance(rng);
+            self.environment.air_velocity = self.physics.wind() + turbulence.velocity();
+        }
+        if self.steps % BATTERY_STEPS == 0 {
+            let thrusts = self.physics.thrusts(&self.rotors, &self.environment);
+            self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * Self::STEP);
+            self.environment.voltage_factor = self.physics.voltage_factor(self.battery.voltage());
+        }
+
+        if self.lag.is_none() {
+            let mut loads = self.physics.loads(&outputs, &self.environment);
+            let change = loads.spin_momentum() - self.spin_momentum;
+            self.spin_momentum = loads.spin_momentum();
+            loads = loads.with_spin_momentum_rate(change / Self::STEP);
+            self.rotors = outputs;
+            self.state = rk4(&self.state, Self::STEP, |state, _| self.slope(state, &loads));
+        } else {
+            let [middle, end] = self.lag.advance(&self.rotors, &outputs);
+            let [start, middle, end] = self.lagged_loads([self.rotors, middle, end]);
+            self.rotors = self.lag.advance(&self.rotors, &outputs)[1];
+            self.state = rk4(&self.state, Self::STEP, |state, stage| {
+                let loads = match stage {
+                    Stage::Start => &start,
+                    Stage::Middle => &middle,
+                    Stage::End => &end,
+                };
+                self.slope(state, loads)
+            });
+            self.spin_momentum = end.spin_momentum();
+        }
+        self.steps += 1;
+    }
+
+    /// Loads with the rotors in the states of a step's start, middle and end.
+    #[inline]
+    fn lagged_loads(&self, rotors: [[f64; ROTORS]; 3]) -> [Loads<f64>; 3] {
+        let env = &self.environment;
+        let loads = rotors.map(|states| self.physics.loads(&states, env));
+        if !self.physics.has_spin_momentum() {
+            return loads;
+        }
+        let slow = self.physics.rotor_speeds(&rotors[0], env).iter().any(|&n| n < SLOW_ROTOR);
+        let mean = (loads[2].spin_momentum() - loads[0].spin_momentum()) / Self::STEP;
+        let rate = |states: &[f64; ROTORS]| {
+            if slow { mean } else { self.spin_momentum_rate(states) }
+        };
+        let rates = [rate(&rotors[0]), rate(&rotors[1]), rate(&rotors[2])];
+        std::array::from_fn(|i| loads[i].with_spin_momentum_rate(rates[i]))
+    }
+
+    fn spin_momentum_rate(&self, rotors: &[f64; ROTORS]) -> f64 {
+        let rates = std::array::from_fn(|i| self.lag.rate(rotors[i], self.outputs[i]));
+        self.physics.spin_momentum_rate(rotors, &rates, &self.environment)
+    }
+
+    #[inline]
+    fn wrench(&self, state: &State, loads: &Loads<f64>) -> Wrench<f64> {
+        let mut wrench = self.physics.wrench(state, loads, &self.environment);
+        if !self.floor.is_clear(state) {
+            let floor = self.floor.wrench(state);
+            wrench.force += floor.force;
+            wrench.moment += floor.moment;
+        }
+        wrench
+    }
+
+    #[inline]
+    fn slope(&self, state: &State, loads: &Loads<f64>) -> (Ned, Frd) {
+        let wrench = self.wrench(state, loads);
+        self.physics.body().accelerations(state, wrench.force, wrench.moment)
+    }
+
+    /// Loads at this instant, with the last outputs still in force.
+    fn loads_now(&self) -> Loads<f64> {
+        let loads = self.physics.loads(&self.rotors, &self.environment);
+        let speeds = self.physics.rotor_speeds(&self.rotors, &self.environment);
+        if self.lag.is_none() || speeds.iter().any(|&n| n < SLOW_ROTOR) {
+            return loads;
+        }
+        loads.with_spin_momentum_rate(self.spin_momentum_rate(&self.rotors))
+    }
+
+    /// The true state.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Puts the vehicle into `state`, its quaternion scaled to unit norm. A state that is not
+    /// finite, or whose quaternion is 0, is ignored.
+    pub fn set_state(&mut self, state: State) {
+        let attitude = state.attitude.normalized();
+        let state = State { attitude, ..state };
+        if state.is_finite() {
+            self.state = state;
+        }
+    }
+
+    /// s_i: the rotors' states, 0..=1.
+    pub fn rotor_states(&self) -> [f64; ROTORS] {
+        self.rotors
+    }
+
+    /// Puts the rotors into states s_i, clipped to 0..=1, without a reaction on the body.
+    pub fn set_rotor_states(&mut self, states: [f64; ROTORS]) {
+        #[allow(clippy::manual_clamp)] // `max` gives 0 for NaN
+        let states = states.map(|s| s.max(0.0).min(1.0));
+        self.rotors = states;
+        self.outputs = states;
+        self.spin_momentum = self.physics.loads(&self.rotors, &self.environment).spin_momentum();
+    }
+
+    /// u_i: the outputs of the last step, as clipped.
+    pub fn outputs(&self) -> [f64; ROTORS] {
+        self.outputs
+    }
+
+    /// n_i: the rotors' speeds as fractions of the maximum.
+    pub fn rotor_speeds(&self) -> [f64; ROTORS] {
+        self.physics.rotor_speeds(&self.rotors, &self.environment)
+    }
+
+    /// The rotors' speeds in 1/min with the sign of `spin`, if the vehicle file has
+    /// `rotor_max_rpm`.
+    pub fn rpm(&self) -> Option<[f64; ROTORS]> {
+        let max = self.max_rpm?;
+        let speeds = self.rotor_speeds();
+        Some(std::array::from_fn(|i| self.spin[i] * max * speeds[i]))
+    }
+
+    /// What an ideal accelerometer at the centre of mass reads in body axes, m/s^2: every force
+    /// but gravity, over the mass. (0, 0, -g) at rest on a level floor.
+    pub fn specific_force(&self) -> Frd {
+        self.wrench(&self.state, &self.loads_now()).force * self.physics.body().mass().recip()
+    }
+
+    /// Acceleration of the centre of mass in world axes, m/s^2.
+    pub fn acceleration(&self) -> Ned {
+        self.slope(&self.state, &self.loads_now()).0
+    }
+
+    /// Angular acceleration in body axes, rad/s^2.
+    pub fn angular_acceleration(&self) -> Frd {
+        self.slope(&self.state, &self.loads_now()).1
+    }
+
+    /// Velocity of the air in world axes, gusts included, m/s.
+    pub fn air_velocity(&self) -> Ned {
+        self.environment.air_velocity
+    }
+
+    /// The pack.
+    pub fn battery(&self) -> &Battery {
+        &self.battery
+    }
+
+    /// Terminal voltage of the pack in V.
+    pub fn voltage(&self) -> f64 {
+        self.battery.voltage()
+    }
+
+    /// Current out of the pack in A.
+    pub fn current(&self) -> f64 {
+        self.battery.current()
+    }
+
+    /// Charge left in the pack, 0..=1.
+    pub fn remaining(&self) -> f64 {
+        self.battery.remaining()
+    }
+
+    /// Whether the vehicle touches the floor.
+    pub fn on_ground(&self) -> bool {
+        self.floor.touches(&self.state)
+    }
+
+    /// The vehicle with effects as constants and equations.
+    pub fn physics(&self) -> &Physics {
+        &self.physics
+    }
+
+    /// Time since the start in s.
+    pub fn time(&self) -> f64 {
+        self.steps as f64 * Self::STEP
+    }
+
+    /// Time since the start in whole microseconds, exact.
+    pub fn time_us(&self) -> u64 {
+        self.steps * 1000
+    }
+}

@@ -1,0 +1,214 @@
+//! The rotors: which outputs give which force and moments, and how their states follow outputs.
+
+use crate::vehicle::{ROTORS, RotorParams};
+
+/// A collective thrust along -z body [N] and moments about body front, right, down [N m].
+pub type Wrench4 = [f64; 4];
+
+/// The firmware's mixer: how collective and moments are shared among the rotors.
+///
+/// Rotor thrusts f solve `[T, Mx, My, Mz] = A f`; the columns of A are
+/// `(1, -y_i, x_i, spin_i drag_torque_per_thrust_i)`, and outputs are `u_i = f_i / thrust_max_i`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Allocation {
+    effectiveness: [[f64; ROTORS]; 4],
+    inverse: [[f64; 4]; ROTORS],
+    thrust_max: [f64; ROTORS],
+}
+
+impl Allocation {
+    /// The allocation of these rotors, or `None` if A cannot be inverted: its condition number,
+    /// with lengths measured in the largest arm and drag torques in the largest torque per
+    /// thrust, would exceed 1e6.
+    pub fn new(rotors: &[RotorParams; ROTORS]) -> Option<Self> {
+        let yaw = |r: &RotorParams| f64::from(r.spin) * r.drag_torque_per_thrust_m;
+        let arm = rotors.iter().flat_map(|r| [r.position_m[0], r.position_m[1]]);
+        let arm = arm.fold(0.0_f64, |a, c| a.max(c.abs()));
+        let torque = rotors.iter().map(yaw).fold(0.0_f64, |a, c| a.max(c.abs()));
+        let rows = [1.0, arm, arm, torque];
+        let effectiveness = [
+            rotors.map(|_| 1.0),
+            rotors.map(|r| -r.position_m[1]),
+            rotors.map(|r| r.position_m[0]),
+            rotors.each_ref().map(yaw),
+        ];
+        let scaled: [[f64; 4]; 4] =
+            std::array::from_fn(|i| effectiveness[i].map(|value| value / rows[i]));
+        let inverse = inverse(scaled)?;
+        let condition = infinity_norm(&scaled) * infinity_norm(&inverse);
+        // Also false for NaN, as when every arm or torque is 0.
+        (condition < 1e6).then(|| Self {
+            effectiveness,
+            inverse: inverse.map(|row| std::array::from_fn(|j| row[j] / rows[j])),
+            thrust_max: rotors.map(|r| r.thrust_max_n),
+        })
+    }
+
+    /// Outputs in 0..=1 that give collective [N] and moments [N m], each clipped by itself.
+    pub fn outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
+        self.unclipped_outputs(wrench).map(|u| u.clamp(0.0, 1.0))
+    }
+
+    /// Outputs before clipping: beyond 0..=1 the wrench cannot be had.
+    pub fn unclipped_outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
+        let thrusts = product(&self.inverse, wrench);
+        std::array::from_fn(|i| thrusts[i] / self.thrust_max[i])
+    }
+
+    /// Collective [N] and moments [N m] that outputs give on the nominal vehicle, without lag.
+    pub fn wrench(&self, outputs: [f64; ROTORS]) -> Wrench4 {
+        product(&self.effectiveness, std::array::from_fn(|i| outputs[i] * self.thrust_max[i]))
+    }
+
+    /// The largest collective thrust in N.
+    pub fn collective_max(&self) -> f64 {
+        self.thrust_max.iter().sum()
+    }
+
+    /// Each rotor's largest thrust in N.
+    pub fn thrust_max(&self) -> &[f64; ROTORS] {
+        &self.thrust_max
+    }
+
+    /// d(thrust of rotor i)/d(wrench component j), the inverse of A.
+    pub fn inverse(&self) -> &[[f64; 4]; ROTORS] {
+        &self.inverse
+    }
+}
+
+fn product(matrix: &[[f64; 4]; 4], vector: [f64; 4]) -> [f64; 4] {
+    matrix.map(|row| row.iter().zip(vector).map(|(a, x)| a * x).sum())
+}
+
+fn infinity_norm(matrix: &[[f64; 4]; 4]) -> f64 {
+    matrix.iter().map(|row| row.iter().map(|a| a.abs()).sum()).fold(0.0, f64::max)
+}
+
+/// Gauss-Jordan elimination with row pivoting; `None` if a pivot vanishes.
+fn inverse(mut a: [[f64; 4]; 4]) -> Option<[[f64; 4]; 4]> {
+    let mut b: [[f64; 4]; 4] = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(i == j)));
+    for column in 0..4 {
+        let pivot =
+            (column..4).max_by(|&i, &j| a[i][column].abs().total_cmp(&a[j][column].abs()))?;
+        a.swap(column, pivot);
+        b.swap(column, pivot);
+        let divisor = a[column][column];
+        if !divisor.is_normal() {
+            return None;
+        }
+        a[column] = a[column].map(|value| value / divisor);
+        b[column] = b[column].map(|value| value / divisor);
+        for row in (0..4).filter(|&row| row != column) {
+            let factor = a[row][column];
+            for j in 0..4 {
+                a[row][j] -= factor * a[column][j];
+                b[row][j] -= factor * b[column][j];
+            }
+        }
+    }
+    Some(b)
+}
+
+/// First-order lag of the rotors' states over one fixed step, exactly:
+/// s(t + h) = u + (s(t) - u) exp(-h / tau).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lag {
+    tau: f64,
+    half: f64,
+    full: f64,
+}
+
+impl Lag {
+    /// A lag of `tau` seconds over steps of `step` seconds; `tau` = 0 follows at once.
+    pub fn new(tau: f64, step: f64) -> Self {
+        let decay = |time: f64| if tau > 0.0 { (-time / tau).exp() } else { 0.0 };
+        Self { tau, half: decay(0.5 * step), full: decay(step) }
+    }
+
+    /// Whether the states follow at once.
+    pub fn is_none(&self) -> bool {
+        self.tau <= 0.0
+    }
+
+    /// The states half way and at the end of a step through which `outputs` are held.
+    #[inline]
+    pub fn advance(&self, states: &[f64; ROTORS], outputs: &[f64; ROTORS]) -> [[f64; ROTORS]; 2] {
+        let after =
+            |decay: f64| std::array::from_fn(|i| outputs[i] + (states[i] - outputs[i]) * decay);
+        [after(self.half), after(self.full)]
+    }
+
+    /// ds/dt in 1/s; 0 where there is no lag.
+    #[inline]
+    pub fn rate(&self, state: f64, output: f64) -> f64 {
+        if self.is_none() { 0.0 } else { (output - state) / self.tau }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn x_layout() -> [RotorParams; 4] {
+        [(0.1, 0.12, 1), (-0.1, 0.12, -1), (-0.1, -0.12, 1), (0.1, -0.12, -1)].map(
+            |(x, y, spin)| RotorParams {
+                position_m: [x, y, 0.0],
+                spin,
+                thrust_max_n: 5.0,
+                drag_torque_per_thrust_m: 0.016,
+            },
+        )
+    }
+
+    #[test]
+    fn rotors_on_the_left_roll_right_and_at_the_front_pitch_up() {
+        let allocation = Allocation::new(&x_layout()).unwrap();
+        let roll = allocation.outputs([10.0, 0.1, 0.0, 0.0]);
+        assert!(roll[2] > roll[0] && roll[3] > roll[1]);
+        let pitch = allocation.outputs([10.0, 0.0, 0.1, 0.0]);
+        assert!(pitch[0] > pitch[1] && pitch[3] > pitch[2]);
+        let yaw = allocation.outputs([10.0, 0.0, 0.0, 0.01]);
+        assert!(yaw[0] > yaw[1] && yaw[2] > yaw[3]);
+    }
+
+    #[test]
+    fn a_layout_without_authority_is_refused() {
+        let mut same_spin = x_layout();
+        same_spin.iter_mut().for_each(|r| r.spin = 1);
+        assert!(Allocation::new(&same_spin).is_none());
+        let mut in_line = x_layout();
+        in_line.iter_mut().for_each(|r| r.position_m[1] = 0.0);
+        assert!(Allocation::new(&in_line).is_none());
+        let mut one_point = x_layout();
+        one_point.iter_mut().for_each(|r| r.position_m = [0.0; 3]);
+        assert!(Allocation::new(&one_point).is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn unclipped_outputs_give_the_wrench_back(t in 0.0..20.0, x in -1.0..1.0, y in -1.0..1.0, z in -0.2..0.2) {
+            let allocation = Allocation::new(&x_layout()).unwrap();
+            let wrench = [t, x, y, z];
+            let back = allocation.wrench(allocation.unclipped_outputs(wrench));
+            for (found, expected) in back.iter().zip(wrench) {
+                prop_assert!((found - expected).abs() < 1e-12);
+            }
+            prop_assert!(allocation.outputs(wrench).iter().all(|u| (0.0..=1.0).contains(u)));
+        }
+    }
+
+    #[test]
+    fn lag_answers_a_step_as_an_exponential() {
+        let lag = Lag::new(0.04, 1e-3);
+        let mut states = [0.2; 4];
+        for _ in 0..40 {
+            states = lag.advance(&states, &[1.0, 0.2, 0.0, 0.5])[1];
+        }
+        let e = (-1.0_f64).exp();
+        let expected = [1.0 - 0.8 * e, 0.2, 0.2 * e, 0.5 - 0.3 * e];
+        for (s, expected) in states.iter().zip(expected) {
+            assert!((s - expected).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! The sensors: what the vehicle reports about its true state.
+
+use std::collections::VecDeque;
+
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64Mcg;
+
+use crate::config::{ImuNoise, SensorConfig, SitlConfig};
+use crate::effects::{AttitudeTrim, EffectSet, EstimatorLatency};
+use crate::frame::{Attitude, Frd, Ned};
+use crate::plant::Plant;
+use crate::rigid_body::State;
+
+/// What the sensors say at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Readings {
+    /// Vehicle time of the readings, microseconds since the start.
+    pub time_us: u64,
+    /// Pose and velocity as reported over the link, `estimator_latency` old, with noise and
+    /// `attitude_trim`; the body rate is the gyro's and not late.
+    pub estimate: State,
+    /// What the on-board loop uses as attitude: with trim and noise, not late.
+    pub onboard_attitude: Attitude,
+    /// The gyro in true body axes, rad/s.
+    pub gyro: Frd,
+    /// The accelerometer in true body axes, m/s^2.
+    pub specific_force: Frd,
+    /// The pack.
+    pub battery: BatteryReading,
+}
+
+/// What the power module says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BatteryReading {
+    /// Terminal voltage in V.
+    pub voltage: f64,
+    /// Current in A.
+    pub current: f64,
+    /// Charge left, 0..=1.
+    pub remaining: f64,
+}
+
+/// The vehicle's sensors and estimator. Each has a random stream of its own.
+#[derive(Clone, Debug)]
+pub struct Sensors {
+    config: SensorConfig,
+    trim: Attitude,
+    history: History,
+    position: Stream,
+    velocity: Stream,
+    attitude: Stream,
+    attitude_error: [f64; 3],
+    gyro: Imu,
+    accelerometer: Imu,
+    sampled_at: Option<u64>,
+}
+
+impl Sensors {
+    /// Sensors of a vehicle with these effects (modelled ones overlaid with the true ones).
+    pub fn new(config: &SitlConfig, effects: &EffectSet, seed: u64) -> Self {
+        let latency = effects.get::<EstimatorLatency>().map_or(0.0, |effect| effect.latency_s);
+        let trim = effects.get::<AttitudeTrim>();
+        let config = config.sensors;
+        let mut attitude = Stream::new(seed, 3);
+        let attitude_error = attitude.normals().map(|n| n * config.attitude_noise_rad);
+        Self {
+            trim: trim.map_or(Attitude::default(), |trim| trim.rotation()),
+            history: History::new(latency),
+            position: Stream::new(seed, 1),
+            velocity: Stream::new(seed, 2),
+            attitude,
+            attitude_error,
+            gyro: Imu::new(config.gyro, Stream::new(seed, 4)),
+            accelerometer: Imu::new(config.accelerometer, Stream::new(seed, 5)),
+            config,
+            sampled_at: None,
+        }
+    }
+
+    /// Remembers the plant's state for late reports; to be called after every step.
+    pub fn record(&mut self, plant: &Plant) {
+        self.history.record(plant);
+    }
+
+    /// Reads every sensor at the plant's time.
+    pub fn sample(&mut self, plant: &Plant) -> Readings {
+        let time_us = plant.time_us();
+        let elapsed = time_us.saturating_sub(self.sampled_at.unwrap_or(time_us)) as f64 * 1e-6;
+        self.sampled_at = Some(time_us);
+        self.advance_attitude_error(elapsed);
+
+        let truth = plant.state();
+        let late = self.history.state().unwrap_or(*truth);
+        let error = small_rotation(self.attitude_error);
+        let reported =
+            |true_attitude: Attitude| true_attitude.compose(self.trim).compose(error).normalized();
+        let gyro = self.gyro.read(truth.body_rate, elapsed);
+        let estimate = State {
+            position: late.position
+                + Ned::from(self.position.normals()) * self.config.position_noise_m,
+            velocity: late.velocity
+                + Ned::from(self.velocity.normals()) * self.config.velocity_noise_m_s,
+            attitude: reported(late.attitude),
+            body_rate: gyro,
+        };
+        Readings {
+            time_us,
+            estimate,
+            onboard_attitude: reported(truth.attitude),
+            gyro,
+            specific_force: self.accelerometer.read(plant.specific_force(), elapsed),
+            battery: BatteryReading {
+                voltage: plant.voltage(),
+                current: plant.current(),
+                remaining: plant.remaining(),
+            },
+        }
+    }
+
+    /// A first-order process per axis, advanced exactly.
+    fn advance_attitude_error(&mut self, elapsed: f64) {
+        let correlation = self.config.attitude_correlation_s;
+        let decay = if correlation > 0.0 { (-elapsed / correlation).exp() } else { 0.0 };
+        let noise = self.config.attitude_noise_rad * (1.0 - decay * decay).sqrt();
+        for (error, normal) in self.attitude_error.iter_mut().zip(self.attitude.normals()) {
+            *error = decay * *error + noise * normal;
+        }
+    }
+}
+
+/// The rotation by a small rotation vector in rad.
+fn small_rotation([x, y, z]: [f64; 3]) -> Attitude {
+    Attitude { w: 1.0, x: 0.5 * x, y: 0.5 * y, z: 0.5 * z }.normalized()
+}
+
+/// A random stream of one sensor.
+#[derive(Clone, Debug)]
+struct Stream(Pcg64Mcg);
+
+impl Stream {
+    /// Stream `number` of `seed`.
+    fn new(seed: u64, number: u64) -> Self {
+        // Seeding spreads its argument over the generator's whole state.
+        Self(Pcg64Mcg::seed_from_u64(seed ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
+    }
+
+    fn normals(&mut self) -> [f64; 3] {
+        std::array::from_fn(|_| self.0.sample(StandardNormal))
+    }
+}
+
+/// A gyro or an accelerometer: white noise, a constant bias and a walking one.
+#[derive(Clone, Debug)]
+struct Imu {
+    noise: ImuNoise,
+    bias: Frd,
+    stream: Stream,
+}
+
+impl Imu {
+    fn new(noise: ImuNoise, mut stream: Stream) -> Self {
+        let bias = Frd::from(stream.normals()) * noise.bias;
+        Self { noise, bias, stream }
+    }
+
+    fn read(&mut self, truth: Frd, elapsed: f64) -> Frd {
+        let walk = self.noise.bias_walk * elapsed.sqrt();
+        self.bias += Frd::from(self.stream.normals()) * walk;
+        truth + self.bias + Frd::from(self.stream.normals()) * self.noise.noise
+    }
+}
+
+/// The states of the last moments, one per step.
+#[derive(Clone, Debug)]
+struct History {
+    latency: f64,
+    states: VecDeque<State>,
+}
+
+impl History {
+    fn new(latency: f64) -> Self {
+        Self { latency, states: VecDeque::new() }
+    }
+
+    fn steps(&self) -> f64 {
+        self.latency / Plant::STEP
+    }
+
+    fn record(&mut self, plant: &Plant) {
+        if self.latency <= 0.0 {
+            return;
+        }
+        self.states.push_back(*plant.state());
+        while self.states.len() > self.steps().ceil() as usize + 1 {
+            self.states.pop_front();
+        }
+    }
+
+    /// The state `latency` ago, between steps interpolated; the oldest there is at the start,
+    /// `None` without latency.
+    fn state(&self) -> Option<State> {
+        let newest = self.states.len().checked_sub(1)?;
+        let place = (newest as f64 - self.steps()).max(0.0);
+        let before = self.states.get(place.floor() as usize)?;
+        let after = self.states.get(place.ceil() as usize)?;
+        let share = place.fract();
+        let mix = |a: f64, b: f64| a + (b - a) * share;
+        let (p, q) = (before.attitude, after.attitude);
+        let attitude =
+            Attitude { w: mix(p.w, q.w), x: mix(p.x, q.x), y: mix(p.y, q.y), z: mix(p.z, q.z) };
+        Some(State {
+            position: before.position + (after.position - before.position) * share,
+            velocity: before.velocity + (after.velocity - before.velocity) * share,
+            attitude: attitude.normalized(),
+            body_rate: before.body_rate + (after.body_rate - before.body_rate) * share,
+        })
+    }
+}
