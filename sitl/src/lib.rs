@@ -3,7 +3,10 @@
 
 #![warn(missing_docs)]
 
+pub mod autopilot;
 pub mod battery;
+#[cfg(feature = "server")]
+pub mod cli;
 pub mod config;
 mod contact;
 pub mod effects;
@@ -14,4 +17,6 @@ pub mod rigid_body;
 pub mod rotor;
 pub mod scalar;
 pub mod sensors;
+#[cfg(feature = "server")]
+pub mod server;
 pub mod vehicle;

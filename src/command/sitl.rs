@@ -1,12 +1,20 @@
 //! `downwash sitl`: the simulated vehicle on its links.
 
-use sitl::cli::SitlArgs;
+use sitl::cli::{SitlArgs, SitlError, Stop};
 
-use super::Exit;
+use super::{Exit, ExitContext};
 
 pub(super) fn run(args: &SitlArgs) -> anyhow::Result<Exit> {
-    Ok(match sitl::cli::run(args) {
-        Ok(()) => Exit::Ok,
-        Err(error) => return Err(error.into()),
-    })
+    match sitl::cli::run(args) {
+        Ok(Stop::Interrupt) => Ok(Exit::Interrupted),
+        Ok(Stop::Terminate) => Ok(Exit::Ok),
+        Err(error) => {
+            let exit = match error {
+                SitlError::Link(_) => Exit::Link,
+                SitlError::Runtime(_) => Exit::Failure,
+                _ => Exit::Usage,
+            };
+            Err(error).or_exit(exit)
+        }
+    }
 }

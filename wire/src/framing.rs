@@ -9,7 +9,7 @@ use mavlink::consts::v2;
 use mavlink::error::{EncoderError, ParserError};
 use mavlink::{
     Dialect, MAV_STX, MAV_STX_V2, MAVLinkMessageRaw, MAVLinkV1MessageRaw, MAVLinkV2MessageRaw,
-    MavHeader, MavlinkReader, MavlinkVersion, Message,
+    MavHeader, MavlinkReader, MavlinkVersion, Message, MessageData,
 };
 
 use crate::dialect::MavMessage;
@@ -207,6 +207,26 @@ impl Encoder {
             MavlinkVersion::V1 => {
                 let mut raw = MAVLinkV1MessageRaw::new();
                 raw.serialize_message(self.header, message);
+                out.extend_from_slice(raw.raw_bytes());
+            }
+        }
+        self.header.sequence = self.header.sequence.wrapping_add(1);
+        true
+    }
+
+    /// As [`encode`](Self::encode), for a payload that the dialect's types cannot express, such as
+    /// the acknowledgement of a command that it does not name.
+    pub fn encode_data<D: MessageData>(&mut self, data: &D, out: &mut Vec<u8>) -> bool {
+        match self.version {
+            MavlinkVersion::V2 => {
+                let mut raw = MAVLinkV2MessageRaw::new();
+                raw.serialize_message_data(self.header, data);
+                out.extend_from_slice(raw.raw_bytes());
+            }
+            MavlinkVersion::V1 if D::ID > u8::MAX.into() => return false,
+            MavlinkVersion::V1 => {
+                let mut raw = MAVLinkV1MessageRaw::new();
+                raw.serialize_message_data(self.header, data);
                 out.extend_from_slice(raw.raw_bytes());
             }
         }

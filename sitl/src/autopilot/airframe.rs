@@ -1,0 +1,99 @@
+//! The airframe under the autopilot: the plant and its sensors.
+
+use crate::config::SitlConfig;
+use crate::effects::EffectSet;
+use crate::plant::Plant;
+use crate::sensors::{Readings, Sensors};
+use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
+
+use super::flight::Perception;
+use super::protocol::Report;
+use super::telemetry::Battery;
+
+/// A start this far above the floor is a start in flight, m.
+const AIRBORNE_ABOVE_M: f64 = 0.05;
+
+/// Plant and sensors. The sensors are read once a step, whoever asks, so that their noise does not
+/// depend on who listens.
+pub(super) struct Airframe {
+    plant: Plant,
+    sensors: Sensors,
+    readings: Readings,
+    airborne: bool,
+    cells: u8,
+    consumed_ah: f64,
+}
+
+impl Airframe {
+    /// At the configuration's start; rotors hover if that is in the air.
+    pub(super) fn new(
+        vehicle: &VehicleParams,
+        truth: &EffectSet,
+        config: &SitlConfig,
+        seed: u64,
+    ) -> Result<Self, VehicleError> {
+        let mut plant = Plant::new(vehicle, truth, config, seed)?;
+        let airborne = plant.state().position.down() < config.floor_down_m - AIRBORNE_ABOVE_M;
+        if airborne {
+            let physics = plant.physics();
+            let environment = physics.calm();
+            if let Some(collective) = physics.hover_collective(&environment) {
+                let rotors = physics.rotors_for_wrench(&[collective, 0.0, 0.0, 0.0]);
+                plant.set_rotor_states(rotors);
+            }
+        }
+        let effects = vehicle.modelled_effects.overlay(truth);
+        let mut sensors = Sensors::new(config, &effects, seed);
+        sensors.record(&plant);
+        let readings = sensors.sample(&plant);
+        let cells = vehicle.battery.cells;
+        Ok(Self { plant, sensors, readings, airborne, cells, consumed_ah: 0.0 })
+    }
+
+    pub(super) fn airborne(&self) -> bool {
+        self.airborne
+    }
+
+    pub(super) fn plant(&self) -> &Plant {
+        &self.plant
+    }
+
+    pub(super) fn step(&mut self, outputs: [f64; ROTORS]) {
+        self.plant.step(outputs);
+        self.sensors.record(&self.plant);
+        self.readings = self.sensors.sample(&self.plant);
+        self.consumed_ah += self.plant.current() * Plant::STEP / 3600.0;
+    }
+
+    /// What the on-board loop sees.
+    pub(super) fn perceive(&self) -> Perception {
+        let Readings { estimate, onboard_attitude, gyro, battery, .. } = self.readings;
+        Perception {
+            position: estimate.position,
+            velocity: estimate.velocity,
+            attitude: onboard_attitude,
+            body_rate: gyro,
+            battery: battery.remaining,
+        }
+    }
+
+    /// What goes over the links.
+    pub(super) fn report(&self) -> Report {
+        let Readings { estimate, gyro, specific_force, battery, .. } = self.readings;
+        Report {
+            position: estimate.position,
+            velocity: estimate.velocity,
+            attitude: estimate.attitude,
+            body_rate: gyro,
+            specific_force,
+            battery: Battery {
+                cells: self.cells,
+                voltage: battery.voltage,
+                current: battery.current,
+                consumed_ah: self.consumed_ah,
+                remaining: battery.remaining,
+            },
+            rpm: self.plant.rpm(),
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! The autopilot: behaves on the wire as PX4 does, flies the plant. Sans I/O: bytes in, bytes out,
+//! time passed in.
+//!
+//! Once per tick of the on-board loop, [`flight`] turns what is sensed into motor outputs: the
+//! [`commander`] rules over mode and arming, [`guidance`] and [`position`] fly every mode but
+//! OFFBOARD, [`offboard`] holds the setpoint stream, [`pd`] is the attitude loop and the mixer.
+//! [`protocol`] speaks MAVLink around it.
+
+mod airframe;
+pub mod arming;
+pub mod commander;
+pub mod commands;
+pub mod flight;
+pub mod guidance;
+pub mod land_detector;
+mod link;
+mod modes;
+pub mod offboard;
+pub mod parameters;
+pub mod pd;
+pub mod position;
+pub mod protocol;
+pub mod streams;
+pub mod telemetry;
+#[cfg(test)]
+pub(crate) mod testing;
+
+pub use link::{LinkKind, Peer};
+pub use modes::Mode;
+
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
+use self::airframe::Airframe;
+use self::flight::FlightControl;
+use self::link::Receiver;
+use self::protocol::Protocol;
+use crate::config::SitlConfig;
+use crate::effects::{CommandDelay, EffectSet, PdGain};
+use crate::plant::Plant;
+use crate::vehicle::{VehicleError, VehicleParams};
+
+/// MAVLink system id of the vehicle.
+pub const SYSTEM_ID: u8 = 1;
+/// MAVLink component id of the autopilot.
+pub const COMPONENT_ID: u8 = 1;
+
+/// The plant's step, us.
+const STEP_US: u64 = 1_000;
+
+/// The vehicle's next event is never further away than this, us: so soon does a change that no
+/// stream carries reach its peers.
+const EVENT_WITHIN_US: u64 = 20_000;
+
+/// Why a vehicle does not fly.
+#[derive(Debug, thiserror::Error)]
+pub enum VehicleRefused {
+    /// The vehicle file has no `attitude_pd`.
+    #[error(
+        "vehicle {vehicle}: the file has no attitude_pd, so its autopilot's attitude loop is not \
+         known; add attitude_pd (kp, kd, rate_hz) to simulate it"
+    )]
+    NoAttitudeLoop {
+        /// The vehicle's name.
+        vehicle: String,
+    },
+    /// The vehicle file holds what cannot be, or lacks what an effect needs.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleError),
+}
+
+/// The simulated vehicle.
+///
+/// Time is the vehicle's own, microseconds since its boot, and only [`Vehicle::advance_to`] moves
+/// it. The same seed and the same bytes at the same times give the same bytes out.
+pub struct Vehicle {
+    airframe: Airframe,
+    protocol: Protocol,
+    receivers: Vec<Receiver>,
+    now_us: u64,
+    stepped_us: u64,
+    loop_hz: f64,
+    ticks: u64,
+}
+
+impl Vehicle {
+    /// A vehicle switched on at time 0.
+    ///
+    /// # Errors
+    /// [`VehicleRefused`].
+    pub fn new(
+        params: VehicleParams,
+        effects: EffectSet,
+        config: SitlConfig,
+        seed: u64,
+    ) -> Result<Self, VehicleRefused> {
+        let params = params.checked()?;
+        let Some(nominal) = params.attitude_pd else {
+            return Err(VehicleRefused::NoAttitudeLoop { vehicle: params.name });
+        };
+        let airframe = Airframe::new(&params, &effects, &config, seed)?;
+        let effects = params.modelled_effects.overlay(&effects);
+        let gains = effects.get::<PdGain>().map_or(nominal, |gain| gain.apply(&nominal));
+        let delay_s =
+            effects.get::<CommandDelay>().map_or(params.command_delay_s, |delay| delay.delay_s);
+        let (perception, airborne) = (airframe.perceive(), airframe.airborne());
+        let flight = FlightControl::new(&params, &nominal, gains, delay_s, perception, airborne)?;
+        let rng = Pcg64Mcg::seed_from_u64(seed);
+        let protocol =
+            Protocol::new(flight, airframe.report(), params.motor_output, config.home, rng);
+        Ok(Self {
+            airframe,
+            protocol,
+            receivers: Vec::new(),
+            now_us: 0,
+            stepped_us: 0,
+            loop_hz: nominal.rate_hz,
+            ticks: 0,
+        })
+    }
+
+    /// Begins to serve a peer: streams go to it before it says anything. A peer that is already
+    /// served stays as it is; beyond [`protocol::PEERS_MAX`] peers a new one is not served.
+    pub fn connect(&mut self, peer: Peer, kind: LinkKind) {
+        let known = self.receivers.iter().any(|receiver| receiver.peer == peer);
+        if !known && self.protocol.connect(peer) {
+            self.receivers.push(Receiver::new(peer, kind));
+        }
+    }
+
+    /// Forgets a peer and its rates.
+    pub fn disconnect(&mut self, peer: Peer) {
+        self.protocol.disconnect(peer);
+        self.receivers.retain(|receiver| receiver.peer != peer);
+    }
+
+    /// Takes bytes from `peer` at the present time: one datagram, or a piece of a stream. A peer
+    /// that was not connected before is served from now on, its bytes taken as datagrams.
+    pub fn receive(&mut self, peer: Peer, bytes: &[u8]) {
+        self.connect(peer, LinkKind::Datagrams);
+        let Self { receivers, protocol, .. } = self;
+        if let Some(receiver) = receivers.iter_mut().find(|receiver| receiver.peer == peer) {
+            receiver.receive(bytes, |frame| protocol.handle(peer, frame));
+        }
+    }
+
+    /// Lets time pass until `time_us`; does nothing if that is past.
+    ///
+    /// At each step of the plant that something is due in, messages are sent first and the
+    /// attitude loop ticks then: motor outputs in a message are those of the latest tick before it.
+    pub fn advance_to(&mut self, time_us: u64) {
+        while self.stepped_us + STEP_US <= time_us {
+            self.airframe.step(self.protocol.flight.outputs());
+            self.stepped_us += STEP_US;
+            self.now_us = self.stepped_us;
+            self.serve();
+        }
+        if time_us > self.now_us {
+            self.now_us = time_us;
+            self.protocol.set_now(time_us);
+        }
+    }
+
+    fn serve(&mut self) {
+        self.protocol.set_now(self.now_us);
+        if self.protocol.next_us() <= self.now_us {
+            self.protocol.set_report(self.airframe.report());
+            self.protocol.stream();
+        }
+        // Tick k is due at k / loop_hz, on the plant's grid.
+        let due_us = (self.ticks as f64 * 1e6 / self.loop_hz).ceil() as u64;
+        if due_us <= self.now_us {
+            self.ticks += 1;
+            self.protocol.flight.tick(self.now_us, self.airframe.perceive());
+            self.protocol.announce();
+        }
+    }
+
+    /// The vehicle time of the next event: after advancing to it, there may be output to take.
+    pub fn next_event_us(&self) -> u64 {
+        let due_us = self.protocol.next_us().min(self.now_us + EVENT_WITHIN_US);
+        due_us.div_ceil(STEP_US).max(self.stepped_us / STEP_US + 1) * STEP_US
+    }
+
+    /// Takes what the vehicle has sent, in order: one whole frame per call of `deliver`.
+    pub fn take_output(&mut self, deliver: impl FnMut(Peer, &[u8])) {
+        self.protocol.take_output(deliver);
+    }
+
+    /// Vehicle time, us.
+    pub fn now_us(&self) -> u64 {
+        self.now_us
+    }
+
+    /// The physics under the vehicle: the truth, for logs.
+    pub fn plant(&self) -> &Plant {
+        self.airframe.plant()
+    }
+
+    /// Flight control: mode, setpoint and outputs in force, for logs.
+    pub fn flight(&self) -> &FlightControl {
+        &self.protocol.flight
+    }
+}

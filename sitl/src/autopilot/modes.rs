@@ -1,0 +1,127 @@
+//! Flight modes and their words on the wire, as PX4 encodes them.
+
+use std::fmt;
+
+use wire::dialect::{MavModeFlag, MavStandardMode};
+
+/// A flight mode of the vehicle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Position hold that the sticks move (POSCTL).
+    Position,
+    /// Climb to the take-off altitude, then [`Mode::Hold`] (AUTO.TAKEOFF).
+    Takeoff,
+    /// Stay in place (AUTO.LOITER).
+    Hold,
+    /// Fly over the point of arming, then land there (AUTO.RTL).
+    Return,
+    /// Descend in place, touch down, disarm (AUTO.LAND).
+    Land,
+    /// Follow SET_ATTITUDE_TARGET (OFFBOARD).
+    Offboard,
+}
+
+const AUTO: u8 = 4;
+
+impl Mode {
+    /// Every mode, in the order of their words.
+    pub const ALL: [Self; 6] =
+        [Self::Position, Self::Takeoff, Self::Hold, Self::Return, Self::Land, Self::Offboard];
+
+    const fn main_and_sub(self) -> (u8, u8) {
+        match self {
+            Self::Position => (3, 0),
+            Self::Takeoff => (AUTO, 2),
+            Self::Hold => (AUTO, 3),
+            Self::Return => (AUTO, 5),
+            Self::Land => (AUTO, 6),
+            Self::Offboard => (6, 0),
+        }
+    }
+
+    /// The mode of PX4's main and sub mode numbers, as in the parameters of MAV_CMD_DO_SET_MODE;
+    /// `None` for a mode that this vehicle does not have.
+    pub fn from_main_and_sub(main: u8, sub: u8) -> Option<Self> {
+        // The sub mode of a mode without any is not looked at, as in PX4.
+        Self::ALL.into_iter().find(|mode| {
+            let (mode_main, mode_sub) = mode.main_and_sub();
+            mode_main == main && (main != AUTO || mode_sub == sub)
+        })
+    }
+
+    /// The mode of a `custom_mode` word.
+    pub fn from_custom_mode(word: u32) -> Option<Self> {
+        let [_, _, main, sub] = word.to_le_bytes();
+        Self::from_main_and_sub(main, sub)
+    }
+
+    /// PX4's `custom_mode` word: main mode << 16 | sub mode << 24.
+    pub const fn custom_mode(self) -> u32 {
+        let (main, sub) = self.main_and_sub();
+        u32::from_le_bytes([0, 0, main, sub])
+    }
+
+    /// HEARTBEAT's `base_mode`.
+    pub fn base_mode(self, armed: bool) -> MavModeFlag {
+        let stabilized = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | MavModeFlag::MAV_MODE_FLAG_STABILIZE_ENABLED;
+        let mode = match self {
+            Self::Position => stabilized | MavModeFlag::MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
+            Self::Offboard => stabilized | MavModeFlag::MAV_MODE_FLAG_GUIDED_ENABLED,
+            Self::Takeoff | Self::Hold | Self::Return | Self::Land => {
+                stabilized
+                    | MavModeFlag::MAV_MODE_FLAG_GUIDED_ENABLED
+                    | MavModeFlag::MAV_MODE_FLAG_AUTO_ENABLED
+            }
+        };
+        if armed { mode | MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED } else { mode }
+    }
+
+    /// CURRENT_MODE's `standard_mode`.
+    pub const fn standard_mode(self) -> MavStandardMode {
+        match self {
+            Self::Position => MavStandardMode::MAV_STANDARD_MODE_POSITION_HOLD,
+            Self::Takeoff => MavStandardMode::MAV_STANDARD_MODE_TAKEOFF,
+            Self::Return => MavStandardMode::MAV_STANDARD_MODE_SAFE_RECOVERY,
+            Self::Land => MavStandardMode::MAV_STANDARD_MODE_LAND,
+            Self::Hold | Self::Offboard => MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD,
+        }
+    }
+}
+
+impl fmt::Display for Mode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Position => "Position",
+            Self::Takeoff => "Takeoff",
+            Self::Hold => "Hold",
+            Self::Return => "Return",
+            Self::Land => "Land",
+            Self::Offboard => "Offboard",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_px4s() {
+        assert_eq!(Mode::Offboard.custom_mode(), 0x0006_0000);
+        assert_eq!(Mode::Hold.custom_mode(), 0x0304_0000);
+        assert_eq!(Mode::Return.custom_mode(), 0x0504_0000);
+        assert_eq!(Mode::Land.custom_mode(), 0x0604_0000);
+        assert_eq!(Mode::Takeoff.custom_mode(), 0x0204_0000);
+        assert_eq!(Mode::Position.custom_mode(), 0x0003_0000);
+    }
+
+    #[test]
+    fn words_and_modes_round_trip() {
+        for mode in Mode::ALL {
+            assert_eq!(Mode::from_custom_mode(mode.custom_mode()), Some(mode));
+        }
+        assert_eq!(Mode::from_main_and_sub(AUTO, 4), None, "AUTO.MISSION");
+        assert_eq!(Mode::from_main_and_sub(1, 0), None, "MANUAL");
+    }
+}

@@ -1,0 +1,207 @@
+//! The offboard setpoint: which SET_ATTITUDE_TARGET counts, when it starts to act, and whether the
+//! stream is alive.
+
+use std::collections::VecDeque;
+
+use rand::Rng;
+use rand_distr::{Distribution, Exp1};
+use wire::dialect::{AttitudeTargetTypemask, SET_ATTITUDE_TARGET_DATA};
+
+use crate::frame::{Attitude, Euler, Frd};
+
+/// Mean of the transport jitter, s: the exponential part of the command delay.
+const JITTER_MEAN_S: f64 = 0.001;
+
+/// Setpoints under way at once; more than a flood can use up, so that memory stays bounded.
+const UNDER_WAY_MAX: usize = 256;
+
+/// What the attitude loop tracks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AttitudeSetpoint {
+    /// Desired attitude; `None` where only the rate part of the loop acts.
+    pub attitude: Option<Euler>,
+    /// Desired body rate, rad/s.
+    pub body_rate: Frd,
+    /// Collective thrust, 0..1 of the rotors' sum.
+    pub thrust: f64,
+    /// The type mask that asked for it, for the echo.
+    pub type_mask: AttitudeTargetTypemask,
+}
+
+impl AttitudeSetpoint {
+    /// The setpoint of a message: masks 0x00 (attitude, rates, thrust), 0x07 (attitude, thrust)
+    /// and 0x80 (rates, thrust). Thrust is clamped to 0..1, the quaternion normalised.
+    ///
+    /// Returns `None`, and the message does not count as a stream, for any other mask, a number
+    /// that is not finite, or a quaternion whose norm is below 0.1.
+    pub fn from_message(message: &SET_ATTITUDE_TARGET_DATA) -> Option<Self> {
+        let SET_ATTITUDE_TARGET_DATA { q, thrust, type_mask, .. } = message;
+        let rates = [message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate];
+        let (attitude, rates) = match type_mask.bits() {
+            0x00 => (Some(unit(*q)?), rates),
+            0x07 => (Some(unit(*q)?), [0.0; 3]),
+            0x80 => (None, rates),
+            _ => return None,
+        };
+        if !thrust.is_finite() || rates.iter().any(|rate| !rate.is_finite()) {
+            return None;
+        }
+        Some(Self {
+            attitude: attitude.map(Attitude::euler),
+            body_rate: Frd::from(rates.map(f64::from)),
+            thrust: f64::from(*thrust).clamp(0.0, 1.0),
+            type_mask: *type_mask,
+        })
+    }
+}
+
+/// PX4 flies a quaternion of any scale; one near zero has no direction.
+fn unit([w, x, y, z]: [f32; 4]) -> Option<Attitude> {
+    let q: Attitude = Attitude { w: w.into(), x: x.into(), y: y.into(), z: z.into() };
+    let norm = (q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
+    (norm.is_finite() && norm > 0.1).then(|| q.normalized())
+}
+
+/// The stream of setpoints: a delay line, then the setpoint in force.
+#[derive(Clone, Debug)]
+pub struct OffboardStream {
+    delay_s: f64,
+    under_way: VecDeque<(u64, AttitudeSetpoint)>,
+    in_force: Option<AttitudeSetpoint>,
+    heard_us: Option<u64>,
+}
+
+impl OffboardStream {
+    /// A stream whose setpoints act `delay_s` after they are received, on average. Up to 1 ms of
+    /// it is an exponential jitter; what is above is constant.
+    pub fn new(delay_s: f64) -> Self {
+        Self { delay_s, under_way: VecDeque::new(), in_force: None, heard_us: None }
+    }
+
+    /// Takes a setpoint received at `now_us`. One never overtakes another.
+    pub fn receive(&mut self, now_us: u64, setpoint: AttitudeSetpoint, rng: &mut impl Rng) {
+        let jitter_mean = self.delay_s.min(JITTER_MEAN_S);
+        let jitter: f64 = Exp1.sample(rng);
+        let delay_s = (self.delay_s - jitter_mean) + jitter_mean * jitter;
+        let earliest = self.under_way.back().map_or(0, |(acts_us, _)| *acts_us);
+        let acts_us = (now_us + (delay_s * 1e6).round() as u64).max(earliest);
+        if self.under_way.len() == UNDER_WAY_MAX {
+            self.under_way.pop_front();
+        }
+        self.under_way.push_back((acts_us, setpoint));
+        self.heard_us = Some(now_us);
+    }
+
+    /// The setpoint in force at the tick at `now_us`.
+    pub fn at(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
+        while let Some((_, setpoint)) = self.under_way.front().filter(|(acts, _)| *acts <= now_us) {
+            self.in_force = Some(*setpoint);
+            self.under_way.pop_front();
+        }
+        self.in_force
+    }
+
+    /// Whether the last setpoint is younger than `timeout_us`.
+    pub fn is_live(&self, now_us: u64, timeout_us: u64) -> bool {
+        self.heard_us.is_some_and(|heard| now_us.saturating_sub(heard) < timeout_us)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use rand_pcg::Pcg64Mcg;
+
+    fn message(mask: u8) -> SET_ATTITUDE_TARGET_DATA {
+        SET_ATTITUDE_TARGET_DATA {
+            q: [1.0, 0.0, 0.0, 0.0],
+            body_roll_rate: 0.1,
+            thrust: 0.5,
+            type_mask: AttitudeTargetTypemask::from_bits_retain(mask),
+            ..Default::default()
+        }
+    }
+
+    #[test]
+    fn only_three_masks_count() {
+        for mask in 0..=255 {
+            let counts = AttitudeSetpoint::from_message(&message(mask)).is_some();
+            assert_eq!(counts, matches!(mask, 0x00 | 0x07 | 0x80), "mask {mask:#x}");
+        }
+    }
+
+    #[test]
+    fn masked_fields_are_not_used() {
+        let setpoint = AttitudeSetpoint::from_message(&message(0x07)).unwrap();
+        assert_eq!(setpoint.body_rate, Frd::zero());
+        let mut rates_only = message(0x80);
+        rates_only.q = [f32::NAN; 4];
+        let setpoint = AttitudeSetpoint::from_message(&rates_only).unwrap();
+        assert!(setpoint.attitude.is_none());
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_refused() {
+        for spoil in [
+            |m: &mut SET_ATTITUDE_TARGET_DATA| m.q[2] = f32::NAN,
+            |m: &mut SET_ATTITUDE_TARGET_DATA| m.q = [0.0; 4],
+            |m: &mut SET_ATTITUDE_TARGET_DATA| m.q = [f32::MAX, f32::INFINITY, 0.0, 0.0],
+            |m: &mut SET_ATTITUDE_TARGET_DATA| m.thrust = f32::NAN,
+            |m: &mut SET_ATTITUDE_TARGET_DATA| m.body_yaw_rate = f32::INFINITY,
+        ] {
+            let mut spoiled = message(0x00);
+            spoil(&mut spoiled);
+            assert_eq!(AttitudeSetpoint::from_message(&spoiled), None);
+        }
+    }
+
+    #[test]
+    fn thrust_is_clamped_and_scale_of_the_quaternion_is_not_seen() {
+        let mut large = message(0x00);
+        large.thrust = 3.0;
+        large.q = [1.2, 0.0, 0.0, 0.0];
+        let setpoint = AttitudeSetpoint::from_message(&large).unwrap();
+        assert_eq!(setpoint.thrust, 1.0);
+        assert_eq!(setpoint.attitude, Some(Euler::default()));
+    }
+
+    #[test]
+    fn mean_delay_is_the_one_asked_for() {
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        let setpoint = AttitudeSetpoint::from_message(&message(0x00)).unwrap();
+        let mut total = 0.0;
+        let count = 4000;
+        for _ in 0..count {
+            let mut stream = OffboardStream::new(0.005);
+            stream.receive(0, setpoint, &mut rng);
+            total += stream.under_way[0].0 as f64 * 1e-6;
+        }
+        assert!((total / f64::from(count) - 0.005).abs() < 1e-4);
+    }
+
+    proptest! {
+        #[test]
+        fn setpoints_act_in_the_order_sent(seed: u64, gaps in prop::collection::vec(0u64..3000, 1..100)) {
+            let mut rng = Pcg64Mcg::seed_from_u64(seed);
+            let mut stream = OffboardStream::new(0.003);
+            let mut now = 0;
+            for gap in gaps {
+                now += gap;
+                stream.receive(now, AttitudeSetpoint::from_message(&message(0)).unwrap(), &mut rng);
+            }
+            prop_assert!(stream.under_way.iter().is_sorted_by_key(|(acts, _)| *acts));
+        }
+    }
+
+    #[test]
+    fn a_stream_is_live_until_its_timeout() {
+        let mut stream = OffboardStream::new(0.0);
+        assert!(!stream.is_live(0, 1000));
+        let setpoint = AttitudeSetpoint::from_message(&message(0x00)).unwrap();
+        stream.receive(10, setpoint, &mut Pcg64Mcg::seed_from_u64(0));
+        assert!(stream.is_live(1009, 1000));
+        assert!(!stream.is_live(1010, 1000));
+    }
+}

@@ -1,0 +1,553 @@
+//! The autopilot on the wire: what it answers to, and what it says unasked.
+
+#![allow(deprecated, reason = "clients still send and ask for superseded messages")]
+
+use mavlink::Message;
+use wire::Frame;
+use wire::dialect::*;
+
+use crate::config::Home;
+use crate::frame::{Attitude, Frd, Ned};
+use crate::vehicle::{MotorOutput, ROTORS};
+
+use super::arming::Refusal;
+use super::commands::{Acknowledgement, Command};
+use super::flight::FlightControl;
+use super::guidance::Sticks;
+use super::link::{Link, Outbox, Peer};
+use super::offboard::AttitudeSetpoint;
+use super::parameters::{Parameters, SetError, Value};
+use super::streams::{IntervalError, Stream};
+use super::telemetry::{self, Battery, Snapshot};
+use super::{COMPONENT_ID, Mode, SYSTEM_ID};
+
+/// MAV_CMD_COMPONENT_ARM_DISARM's parameter 2 that disarms in the air.
+const FORCE: f32 = 21196.0;
+
+/// Most peers that are served at once; further ones are not heard.
+pub const PEERS_MAX: usize = 64;
+
+/// What the vehicle reports, at one instant.
+#[derive(Clone, Copy, Debug)]
+pub struct Report {
+    /// Position, m.
+    pub position: Ned,
+    /// Velocity, m/s.
+    pub velocity: Ned,
+    /// Attitude.
+    pub attitude: Attitude,
+    /// Gyro, rad/s.
+    pub body_rate: Frd,
+    /// Accelerometer, m/s^2.
+    pub specific_force: Frd,
+    /// The pack.
+    pub battery: Battery,
+    /// Rotor speeds, where known.
+    pub rpm: Option<[f64; ROTORS]>,
+}
+
+/// Who sent a frame, and over which link.
+#[derive(Clone, Copy, Debug)]
+struct Sender {
+    link: usize,
+    system: u8,
+    component: u8,
+}
+
+/// The autopilot's protocol side around its flight control.
+pub struct Protocol {
+    pub(super) flight: FlightControl,
+    links: Vec<Link>,
+    outbox: Outbox,
+    now_us: u64,
+    report: Report,
+    motor_output: Option<MotorOutput>,
+    origin: Home,
+    /// Mode and intention as CURRENT_MODE said last.
+    announced: (Mode, Mode),
+    texts: u16,
+    rng: rand_pcg::Pcg64Mcg,
+}
+
+impl Protocol {
+    pub(super) fn new(
+        flight: FlightControl,
+        report: Report,
+        motor_output: Option<MotorOutput>,
+        origin: Home,
+        rng: rand_pcg::Pcg64Mcg,
+    ) -> Self {
+        let announced = (flight.commander.mode(), flight.commander.intended());
+        Self {
+            flight,
+            links: Vec::new(),
+            outbox: Outbox::default(),
+            now_us: 0,
+            report,
+            motor_output,
+            origin,
+            announced,
+            texts: 0,
+            rng,
+        }
+    }
+
+    pub(super) fn connect(&mut self, peer: Peer) -> bool {
+        let room = self.links.len() < PEERS_MAX;
+        if room {
+            self.links.push(Link::new(peer, self.now_us));
+        }
+        room
+    }
+
+    pub(super) fn disconnect(&mut self, peer: Peer) {
+        self.links.retain(|link| link.peer != peer);
+    }
+
+    pub(super) fn take_output(&mut self, deliver: impl FnMut(Peer, &[u8])) {
+        self.outbox.take(deliver);
+    }
+
+    /// When something is due to be sent, us.
+    pub(super) fn next_us(&self) -> u64 {
+        let due = |link: &Link| match link.parameter_list {
+            Some(_) => self.now_us,
+            None => link.schedule.next_us(),
+        };
+        self.links.iter().map(due).min().unwrap_or(u64::MAX)
+    }
+
+    pub(super) fn set_now(&mut self, now_us: u64) {
+        self.now_us = now_us;
+    }
+
+    pub(super) fn set_report(&mut self, report: Report) {
+        self.report = report;
+    }
+
+    /// Sends what is due.
+    pub(super) fn stream(&mut self) {
+        self.announce();
+        if self.next_us() > self.now_us {
+            return;
+        }
+        let mut links = std::mem::take(&mut self.links);
+        let mut outbox = std::mem::take(&mut self.outbox);
+        let snapshot = self.snapshot();
+        for link in &mut links {
+            let mut schedule = link.schedule.clone();
+            schedule.take_due(self.now_us, |stream| {
+                if let Some(message) = snapshot.message(stream) {
+                    link.send(&message, &mut outbox);
+                }
+            });
+            link.schedule = schedule;
+            if let Some(index) = link.parameter_list {
+                if let Some(message) = parameter_value(&self.flight.parameters, index) {
+                    link.send(&message, &mut outbox);
+                }
+                link.parameter_list = Some(index + 1).filter(|next| *next < Parameters::COUNT);
+            }
+        }
+        self.links = links;
+        self.outbox = outbox;
+    }
+
+    /// Sends what has come up: texts, and a change of mode at once.
+    pub(super) fn announce(&mut self) {
+        if self.flight.commander.has_notices() {
+            for notice in self.flight.commander.take_notices() {
+                self.texts = self.texts.wrapping_add(1);
+                // PX4's texts end in a tab where an event says the same.
+                let text = format!("{}\t", notice.text);
+                for message in telemetry::status_text(notice.severity, &text, self.texts) {
+                    self.broadcast(&message);
+                }
+            }
+        }
+        let mode = (self.flight.commander.mode(), self.flight.commander.intended());
+        if mode != self.announced {
+            self.announced = mode;
+            if let Some(message) = self.snapshot().message(Stream::CurrentMode) {
+                self.broadcast(&message);
+            }
+        }
+    }
+
+    fn snapshot(&self) -> Snapshot<'_> {
+        let Self { flight, report, .. } = self;
+        let commander = &flight.commander;
+        let can_arm =
+            commander.armed() || flight.preflight(self.now_us).refusal(commander.mode()).is_none();
+        Snapshot {
+            now_us: self.now_us,
+            position: report.position,
+            velocity: report.velocity,
+            attitude: report.attitude,
+            body_rate: report.body_rate,
+            specific_force: report.specific_force,
+            outputs: flight.outputs(),
+            rpm: report.rpm,
+            motor_output: self.motor_output.as_ref(),
+            setpoint: flight.setpoint(),
+            battery: report.battery,
+            armed: commander.armed(),
+            mode: commander.mode(),
+            intended: commander.intended(),
+            failsafe: commander.failsafe(),
+            landed: flight.landed(),
+            can_arm,
+            home: flight.home(),
+            origin: self.origin,
+        }
+    }
+
+    fn broadcast(&mut self, message: &MavMessage) {
+        for link in &mut self.links {
+            link.send(message, &mut self.outbox);
+        }
+    }
+
+    fn reply(&mut self, to: Sender, message: &MavMessage) {
+        if let Some(link) = self.links.get_mut(to.link) {
+            link.send(message, &mut self.outbox);
+        }
+    }
+
+    /// Takes a frame of `peer`.
+    pub(super) fn handle(&mut self, peer: Peer, frame: &Frame) {
+        let Some(link) = self.links.iter().position(|link| link.peer == peer) else { return };
+        // 32-bit system ids cannot be addressed by this protocol's target fields.
+        let Ok(system) = u8::try_from(frame.system()) else { return };
+        let component = frame.component();
+        if (system, component) == (SYSTEM_ID, COMPONENT_ID) {
+            return;
+        }
+        self.links[link].hear(frame.version());
+        let sender = Sender { link, system, component };
+        if let Some(command) = Command::from_frame(frame) {
+            if addressed(Some(command.target_system), Some(command.target_component)) {
+                self.command(sender, &command);
+            }
+        } else if let Ok(message) = frame.message()
+            && addressed(message.target_system_id(), message.target_component_id())
+        {
+            self.message(sender, &message);
+        }
+        self.announce();
+    }
+
+    fn message(&mut self, sender: Sender, message: &MavMessage) {
+        match message {
+            MavMessage::SET_ATTITUDE_TARGET(target) => {
+                if let Some(setpoint) = AttitudeSetpoint::from_message(target) {
+                    self.flight.stream.receive(self.now_us, setpoint, &mut self.rng);
+                }
+            }
+            MavMessage::TIMESYNC(request) if request.tc1 == 0 => {
+                self.reply(sender, &self.timesync_answer(sender, request.ts1));
+            }
+            MavMessage::HEARTBEAT(heartbeat) if heartbeat.mavtype == MavType::MAV_TYPE_GCS => {
+                self.flight.hear_ground_station(self.now_us);
+            }
+            MavMessage::MANUAL_CONTROL(sticks)
+                if sticks.target == SYSTEM_ID || sticks.target == 0 =>
+            {
+                self.flight.take_sticks(self.now_us, sticks_of(sticks));
+            }
+            MavMessage::SET_MODE(request) => {
+                let result = self.set_mode(
+                    request.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED),
+                    Mode::from_custom_mode(request.custom_mode),
+                );
+                self.acknowledge(sender, MavCmd::MAV_CMD_DO_SET_MODE as u16, result);
+            }
+            MavMessage::PARAM_REQUEST_LIST(_) => self.links[sender.link].parameter_list = Some(0),
+            MavMessage::PARAM_REQUEST_READ(request) => self.read_parameter(sender, request),
+            MavMessage::PARAM_SET(request) => self.set_parameter(sender, request),
+            MavMessage::MISSION_REQUEST_LIST(request) => {
+                let message = MavMessage::MISSION_COUNT(MISSION_COUNT_DATA {
+                    count: 0,
+                    target_system: sender.system,
+                    target_component: sender.component,
+                    mission_type: request.mission_type,
+                    ..Default::default()
+                });
+                self.reply(sender, &message);
+            }
+            MavMessage::MISSION_CLEAR_ALL(request) => {
+                let accepted = MavMissionResult::MAV_MISSION_ACCEPTED;
+                self.reply(sender, &mission_ack(sender, accepted, request.mission_type));
+            }
+            MavMessage::MISSION_COUNT(request) => {
+                // An empty mission is what there already is.
+                let result = match request.count {
+                    0 => MavMissionResult::MAV_MISSION_ACCEPTED,
+                    _ => MavMissionResult::MAV_MISSION_UNSUPPORTED,
+                };
+                self.reply(sender, &mission_ack(sender, result, request.mission_type));
+            }
+            MavMessage::PING(request)
+                if (request.target_system, request.target_component) == (0, 0) =>
+            {
+                let message = MavMessage::PING(PING_DATA {
+                    target_system: sender.system,
+                    target_component: sender.component,
+                    ..request.clone()
+                });
+                self.reply(sender, &message);
+            }
+            _ => {}
+        }
+    }
+
+    fn timesync_answer(&self, sender: Sender, ts1: i64) -> MavMessage {
+        MavMessage::TIMESYNC(TIMESYNC_DATA {
+            tc1: (self.now_us * 1000).cast_signed(),
+            ts1,
+            target_system: sender.system,
+            target_component: sender.component,
+        })
+    }
+
+    fn read_parameter(&mut self, sender: Sender, request: &PARAM_REQUEST_READ_DATA) {
+        let index = match usize::try_from(request.param_index) {
+            Ok(index) => Some(index),
+            Err(_) => request.param_id.to_str().ok().and_then(|n| self.flight.parameters.find(n)),
+        };
+        let answer = index
+            .and_then(|index| parameter_value(&self.flight.parameters, index))
+            .unwrap_or_else(|| {
+                let error = MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST;
+                parameter_error(sender, request.param_id, request.param_index, error)
+            });
+        self.reply(sender, &answer);
+    }
+
+    /// A change is told to everyone; a refusal to who asked, together with the value in force.
+    fn set_parameter(&mut self, sender: Sender, request: &PARAM_SET_DATA) {
+        let name = request.param_id.to_str().unwrap_or_default();
+        let result = Value::from_wire(request.param_value, request.param_type)
+            .ok_or(SetError::Type)
+            .and_then(|value| self.flight.parameters.set(name, value));
+        match result {
+            Ok(index) => {
+                if let Some(message) = parameter_value(&self.flight.parameters, index) {
+                    self.broadcast(&message);
+                }
+            }
+            Err(error) => {
+                let severity = MavSeverity::MAV_SEVERITY_WARNING;
+                self.flight.commander.notify(severity, format!("{name} not set: {error}"));
+                let known = self.flight.parameters.find(name);
+                let code = match error {
+                    SetError::Unknown => MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
+                    SetError::Type => MavParamError::MAV_PARAM_ERROR_TYPE_MISMATCH,
+                    SetError::Range { .. } => MavParamError::MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+                    SetError::ReadOnly => MavParamError::MAV_PARAM_ERROR_READ_ONLY,
+                };
+                self.reply(sender, &parameter_error(sender, request.param_id, -1, code));
+                let value = known.and_then(|i| parameter_value(&self.flight.parameters, i));
+                if let Some(message) = value {
+                    self.reply(sender, &message);
+                }
+            }
+        }
+    }
+
+    fn acknowledge(&mut self, to: Sender, command: u16, result: MavResult) {
+        let acknowledgement = Acknowledgement {
+            command,
+            result,
+            target_system: to.system,
+            target_component: to.component,
+        };
+        if let Some(link) = self.links.get_mut(to.link) {
+            link.send_data(&acknowledgement, &mut self.outbox);
+        }
+    }
+
+    fn command(&mut self, sender: Sender, command: &Command) {
+        let result = match command.id {
+            None => MavResult::MAV_RESULT_UNSUPPORTED,
+            Some(id) => self.execute(sender, id, command),
+        };
+        self.acknowledge(sender, command.number, result);
+    }
+
+    fn execute(&mut self, sender: Sender, id: MavCmd, command: &Command) -> MavResult {
+        let now = self.now_us;
+        match id {
+            MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => self.arm_or_disarm(command),
+            MavCmd::MAV_CMD_DO_SET_MODE => {
+                let custom = command.param(1) as u32 & 1 != 0;
+                let mode = Mode::from_main_and_sub(command.param(2) as u8, command.param(3) as u8);
+                self.set_mode(custom, mode)
+            }
+            MavCmd::MAV_CMD_NAV_TAKEOFF => {
+                // Parameter 7 is the altitude above sea level; below home's it is not meant.
+                let altitude = f64::from(command.param(7));
+                let home = self.origin.altitude_m - self.flight.home().down();
+                let height = Some(altitude - home).filter(|height| *height > 0.1);
+                result(self.flight.request_take_off(now, height))
+            }
+            MavCmd::MAV_CMD_NAV_LAND => result(self.flight.request_mode(now, Mode::Land)),
+            MavCmd::MAV_CMD_NAV_RETURN_TO_LAUNCH => {
+                result(self.flight.request_mode(now, Mode::Return))
+            }
+            MavCmd::MAV_CMD_NAV_LOITER_UNLIM => result(self.flight.request_mode(now, Mode::Hold)),
+            MavCmd::MAV_CMD_DO_FLIGHTTERMINATION if command.param(1) > 0.5 => {
+                result(self.flight.disarm(true))
+            }
+            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL => self.set_interval(sender, command),
+            MavCmd::MAV_CMD_GET_MESSAGE_INTERVAL => {
+                let id = command.param(1) as u16;
+                let interval_us = self.links[sender.link].schedule.interval(id.into());
+                let data = MESSAGE_INTERVAL_DATA { interval_us, message_id: id };
+                self.reply(sender, &MavMessage::MESSAGE_INTERVAL(data));
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            MavCmd::MAV_CMD_REQUEST_MESSAGE => self.request_message(sender, command),
+            MavCmd::MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES => {
+                self.send_once(sender, Stream::AutopilotVersion)
+            }
+            MavCmd::MAV_CMD_REQUEST_PROTOCOL_VERSION => {
+                self.send_once(sender, Stream::ProtocolVersion)
+            }
+            MavCmd::MAV_CMD_GET_HOME_POSITION => self.send_once(sender, Stream::HomePosition),
+            MavCmd::MAV_CMD_RUN_PREARM_CHECKS => {
+                let mode = self.flight.commander.mode();
+                let text = match self.flight.preflight(now).refusal(mode) {
+                    Some(refusal) => format!("Preflight: {refusal}"),
+                    None => "Preflight: ready".to_owned(),
+                };
+                self.flight.commander.notify(MavSeverity::MAV_SEVERITY_INFO, text);
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            _ => MavResult::MAV_RESULT_UNSUPPORTED,
+        }
+    }
+
+    fn arm_or_disarm(&mut self, command: &Command) -> MavResult {
+        if command.param(1) == 1.0 {
+            // The force code does not skip the checks of an external arm, as measured on PX4.
+            result(self.flight.arm(self.now_us))
+        } else if command.param(1) == 0.0 {
+            result(self.flight.disarm(command.param(2) == FORCE))
+        } else {
+            MavResult::MAV_RESULT_DENIED
+        }
+    }
+
+    fn set_mode(&mut self, custom: bool, mode: Option<Mode>) -> MavResult {
+        match mode {
+            Some(mode) if custom => result(self.flight.request_mode(self.now_us, mode)),
+            _ => {
+                let text =
+                    "Mode not available: use Hold, Position, Takeoff, Land, Return, Offboard";
+                self.flight.commander.notify(MavSeverity::MAV_SEVERITY_WARNING, text);
+                MavResult::MAV_RESULT_DENIED
+            }
+        }
+    }
+
+    fn set_interval(&mut self, sender: Sender, command: &Command) -> MavResult {
+        let schedule = &mut self.links[sender.link].schedule;
+        match schedule.set_interval(command.param(1) as u32, command.param(2), self.now_us) {
+            Ok(()) => MavResult::MAV_RESULT_ACCEPTED,
+            Err(IntervalError::Fixed | IntervalError::Unknown) => MavResult::MAV_RESULT_FAILED,
+        }
+    }
+
+    fn request_message(&mut self, sender: Sender, command: &Command) -> MavResult {
+        match Stream::from_id(command.param(1) as u32) {
+            Some(Stream::AvailableModes) => {
+                // Index 0 asks for all of them.
+                let indices = match command.param(2) as usize {
+                    0 => 1..=Mode::ALL.len(),
+                    index => index..=index,
+                };
+                let mut result = MavResult::MAV_RESULT_DENIED;
+                for message in indices.filter_map(telemetry::available_mode) {
+                    self.reply(sender, &message);
+                    result = MavResult::MAV_RESULT_ACCEPTED;
+                }
+                result
+            }
+            Some(stream) => self.send_once(sender, stream),
+            None => MavResult::MAV_RESULT_DENIED,
+        }
+    }
+
+    fn send_once(&mut self, to: Sender, stream: Stream) -> MavResult {
+        let message = self.snapshot().message(stream);
+        match message {
+            Some(message) if self.links[to.link].can_carry(stream.id()) => {
+                self.reply(to, &message);
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            _ => MavResult::MAV_RESULT_DENIED,
+        }
+    }
+}
+
+/// Whether a message is for this vehicle; 0 addresses all, a missing target too.
+fn addressed(system: Option<u8>, component: Option<u8>) -> bool {
+    system.is_none_or(|id| id == 0 || id == SYSTEM_ID)
+        && component.is_none_or(|id| id == 0 || id == COMPONENT_ID)
+}
+
+fn result(outcome: Result<(), Refusal>) -> MavResult {
+    match outcome {
+        Ok(()) => MavResult::MAV_RESULT_ACCEPTED,
+        Err(_) => MavResult::MAV_RESULT_TEMPORARILY_REJECTED,
+    }
+}
+
+fn sticks_of(message: &MANUAL_CONTROL_DATA) -> Sticks {
+    let axis = |value: i16| (f64::from(value) / 1000.0).clamp(-1.0, 1.0);
+    Sticks {
+        forward: axis(message.x),
+        right: axis(message.y),
+        // Thrust, 0..1000, with the centre at 500.
+        up: (f64::from(message.z) / 500.0 - 1.0).clamp(-1.0, 1.0),
+        turn: axis(message.r),
+    }
+}
+
+fn parameter_value(parameters: &Parameters, index: usize) -> Option<MavMessage> {
+    let (name, value) = parameters.at(index)?;
+    let (param_value, param_type) = value.to_wire();
+    Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
+        param_value,
+        param_count: Parameters::COUNT as u16,
+        param_index: index as u16,
+        param_id: name.into(),
+        param_type,
+    }))
+}
+
+fn parameter_error(
+    to: Sender,
+    param_id: mavlink::types::CharArray<16>,
+    param_index: i16,
+    error: MavParamError,
+) -> MavMessage {
+    MavMessage::PARAM_ERROR(PARAM_ERROR_DATA {
+        param_index,
+        target_system: to.system,
+        target_component: to.component,
+        param_id,
+        error,
+    })
+}
+
+fn mission_ack(to: Sender, mavtype: MavMissionResult, mission_type: MavMissionType) -> MavMessage {
+    MavMessage::MISSION_ACK(MISSION_ACK_DATA {
+        target_system: to.system,
+        target_component: to.component,
+        mavtype,
+        mission_type,
+        ..Default::default()
+    })
+}

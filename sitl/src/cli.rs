@@ -1,0 +1,195 @@
+//! The command line of the simulated vehicle.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::str::FromStr;
+
+use wire::endpoint::Endpoint;
+use wire::transport::OpenError;
+
+use crate::autopilot::{Vehicle, VehicleRefused};
+use crate::config::{ConfigError, SitlConfig};
+use crate::effects::{EffectError, EffectSet};
+use crate::server::Server;
+use crate::vehicle::{VehicleError, VehicleParams};
+
+/// Options of `sitl`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SitlArgs {
+    /// Vehicle file (TOML or JSON)
+    #[arg(long, value_name = "FILE")]
+    pub vehicle: PathBuf,
+    /// Where to be reached; may be given several times, and each serves several peers:
+    /// udpin:HOST:PORT, udpout:HOST:PORT, tcpin:HOST:PORT, tcp:HOST:PORT, serial:PATH:BAUD
+    #[arg(long = "link", value_name = "URL", default_value = "udpin:127.0.0.1:14580")]
+    pub links: Vec<Endpoint>,
+    /// The simulation's own settings: sensors, battery, home, start (TOML)
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Vehicle seconds per second
+    #[arg(long, value_name = "X", default_value = "1")]
+    pub speed: Speed,
+    /// Seed of every random number
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Switch an effect on, such as motor_lag:tau_s=0.03 or inertia:scale=[1.2,1.1,1.0]; may be
+    /// given several times
+    #[arg(long = "effect", value_name = "ID:KEY=VALUE,...")]
+    pub effects: Vec<String>,
+}
+
+/// Vehicle seconds per second, 0.01 to 1000.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Speed(f64);
+
+impl FromStr for Speed {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        text.parse()
+            .ok()
+            .filter(|speed| (0.01..=1000.0).contains(speed))
+            .map(Self)
+            .ok_or_else(|| "expected a number from 0.01 to 1000".to_owned())
+    }
+}
+
+impl fmt::Display for Speed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Why the vehicle does not run.
+#[derive(Debug, thiserror::Error)]
+pub enum SitlError {
+    /// The vehicle file.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleError),
+    /// The vehicle cannot be simulated.
+    #[error(transparent)]
+    Refused(#[from] VehicleRefused),
+    /// The settings file.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// An effect on the command line.
+    #[error("--effect {argument}: {source}")]
+    Effect {
+        /// As given.
+        argument: String,
+        /// What is wrong with it.
+        source: EffectError,
+    },
+    /// A link.
+    #[error("--link: {0}")]
+    Link(#[from] OpenError),
+    /// The runtime or its signal handlers.
+    #[error("cannot start: {0}")]
+    Runtime(#[from] std::io::Error),
+}
+
+impl SitlError {
+    /// 2 for what was asked for, 3 for a link, 1 for the rest.
+    pub fn exit_code(&self) -> ExitCode {
+        ExitCode::from(match self {
+            Self::Vehicle(_) | Self::Refused(_) | Self::Config(_) | Self::Effect { .. } => 2,
+            Self::Link(_) => 3,
+            Self::Runtime(_) => 1,
+        })
+    }
+}
+
+/// What ended a run that began well.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// Ctrl-C.
+    Interrupt,
+    /// SIGTERM.
+    Terminate,
+}
+
+impl Stop {
+    /// 130 after Ctrl-C, else 0.
+    pub fn exit_code(self) -> ExitCode {
+        ExitCode::from(match self {
+            Self::Interrupt => 130,
+            Self::Terminate => 0,
+        })
+    }
+}
+
+/// The vehicle that the options describe.
+///
+/// # Errors
+/// Any [`SitlError`] but [`SitlError::Link`].
+pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
+    let params = VehicleParams::load(&args.vehicle)?;
+    let config = match &args.config {
+        Some(path) => SitlConfig::load(path)?,
+        None => SitlConfig::default(),
+    };
+    let mut effects = EffectSet::default();
+    for argument in &args.effects {
+        effects
+            .insert_argument(argument)
+            .map_err(|source| SitlError::Effect { argument: argument.clone(), source })?;
+    }
+    Ok(Vehicle::new(params, effects, config, args.seed)?)
+}
+
+/// Runs the vehicle until a signal stops it. Says on stderr, a line for each link, where it can be
+/// reached.
+///
+/// # Errors
+/// [`SitlError`]; it names the file or link and what to do.
+pub fn run(args: &SitlArgs) -> Result<Stop, SitlError> {
+    let vehicle = vehicle(args)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let mut server = Server::open(vehicle, &args.links).await?;
+        let stop = signals()?;
+        for line in server.describe() {
+            eprintln!("{line}");
+        }
+        Ok(server.run(args.speed.0, stop).await)
+    })
+}
+
+/// Ready when a signal asks to stop; listens from the call on.
+#[cfg(unix)]
+fn signals() -> std::io::Result<impl Future<Output = Stop>> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => Stop::Interrupt,
+            _ = terminate.recv() => Stop::Terminate,
+        }
+    })
+}
+
+#[cfg(not(unix))]
+fn signals() -> std::io::Result<impl Future<Output = Stop>> {
+    Ok(async {
+        // Without a handler the run goes on until the process is ended.
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+        Stop::Interrupt
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn speeds_that_make_no_sense_are_refused() {
+        assert_eq!("2.5".parse(), Ok(Speed(2.5)));
+        for bad in ["0", "-1", "NaN", "inf", "fast", ""] {
+            assert!(bad.parse::<Speed>().is_err(), "{bad}");
+        }
+    }
+}

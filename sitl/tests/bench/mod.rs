@@ -1,0 +1,271 @@
+//! A vehicle on a virtual clock, and peers that talk to it in frames.
+
+#![allow(dead_code, reason = "each test file uses its own part")]
+
+use mavlink::{MavlinkVersion, Message};
+use sitl::autopilot::{LinkKind, Mode, Peer, Vehicle};
+use sitl::vehicle::VehicleParams;
+use wire::dialect::*;
+use wire::{Decoder, Encoder};
+
+pub const GROUND: Peer = Peer(0);
+
+/// A message as a peer got it, with the vehicle's time.
+pub struct Heard {
+    pub time_us: u64,
+    pub message: MavMessage,
+    pub version: MavlinkVersion,
+}
+
+struct Station {
+    peer: Peer,
+    encoder: Encoder,
+    decoder: Decoder,
+    heard: Vec<Heard>,
+}
+
+/// The vehicle and its peers. Sets of setpoints are streamed while time passes, if asked for.
+pub struct Bench {
+    pub vehicle: Vehicle,
+    stations: Vec<Station>,
+    stream: Option<SET_ATTITUDE_TARGET_DATA>,
+    pub bytes_out: Vec<u8>,
+}
+
+pub fn params() -> VehicleParams {
+    let rotor = |x: f64, y: f64, spin: i8| {
+        serde_json::json!({
+            "position_m": [0.1 * x, 0.1 * y, 0.0], "spin": spin,
+            "thrust_max_N": 2.5, "drag_torque_per_thrust_m": 0.015,
+        })
+    };
+    let file = serde_json::json!({
+        "name": "bench",
+        "mass": 0.5,
+        "inertia": [0.003, 0.003, 0.005],
+        "rotors": [rotor(1.0, 1.0, 1), rotor(-1.0, 1.0, -1), rotor(-1.0, -1.0, 1), rotor(1.0, -1.0, -1)],
+        "motor_time_constant_s": 0.03,
+        "command_delay_s": 0.005,
+        "attitude_pd": {"kp": [0.6, 0.6, 0.3], "kd": [0.075, 0.075, 0.06], "rate_hz": 250.0},
+        "hover_thrust": 0.4905,
+        "gravity": 9.81,
+        "air_density": 1.2,
+        "rotor_radius_m": 0.06,
+        "rotor_max_rpm": 20000.0,
+        "battery": {"cells": 3, "full_V": 12.6, "nominal_V": 11.1},
+    });
+    serde_json::from_value(file).expect("a vehicle file")
+}
+
+impl Bench {
+    /// A vehicle with one peer that has said hello.
+    pub fn new() -> Self {
+        Self::with_seed(1)
+    }
+
+    pub fn with_seed(seed: u64) -> Self {
+        let vehicle = Vehicle::new(params(), Default::default(), Default::default(), seed)
+            .expect("a vehicle that flies");
+        let mut bench = Self { vehicle, stations: Vec::new(), stream: None, bytes_out: Vec::new() };
+        bench.join(GROUND, MavlinkVersion::V2);
+        bench
+    }
+
+    /// A further peer says hello.
+    pub fn join(&mut self, peer: Peer, version: MavlinkVersion) {
+        let mut encoder = Encoder::new(255, 190);
+        encoder.set_version(version);
+        let decoder = Decoder::new();
+        self.stations.push(Station { peer, encoder, decoder, heard: Vec::new() });
+        self.vehicle.connect(peer, LinkKind::Datagrams);
+        self.send_from(
+            peer,
+            &MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+                mavtype: MavType::MAV_TYPE_GCS,
+                autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
+                ..Default::default()
+            }),
+        );
+    }
+
+    pub fn send_from(&mut self, peer: Peer, message: &MavMessage) {
+        let station = self.stations.iter_mut().find(|s| s.peer == peer).expect("a known peer");
+        let mut bytes = Vec::new();
+        assert!(station.encoder.encode(message, &mut bytes));
+        self.vehicle.receive(peer, &bytes);
+        self.collect();
+    }
+
+    pub fn send(&mut self, message: &MavMessage) {
+        self.send_from(GROUND, message);
+    }
+
+    fn collect(&mut self) {
+        let Self { vehicle, stations, bytes_out, .. } = self;
+        let time_us = vehicle.now_us();
+        vehicle.take_output(|peer, bytes| {
+            bytes_out.extend_from_slice(bytes);
+            let Some(station) = stations.iter_mut().find(|s| s.peer == peer) else { return };
+            station.decoder.push(bytes);
+            let frame = station.decoder.next_frame().expect("one whole frame");
+            assert_eq!(frame.bytes(), bytes);
+            let message = frame.message().expect("a message of the dialect");
+            station.heard.push(Heard { time_us, message, version: frame.version() });
+        });
+    }
+
+    /// Lets time pass, 10 ms at a time, with a setpoint in each if one is being streamed.
+    pub fn run(&mut self, seconds: f64) {
+        let end = self.vehicle.now_us() + (seconds * 1e6) as u64;
+        while self.vehicle.now_us() < end {
+            if let Some(setpoint) = self.stream.clone() {
+                self.send(&MavMessage::SET_ATTITUDE_TARGET(setpoint));
+            }
+            let next = (self.vehicle.now_us() + 10_000).min(end);
+            while self.vehicle.now_us() < next {
+                let event = self.vehicle.next_event_us().min(next);
+                self.vehicle.advance_to(event);
+                self.collect();
+            }
+        }
+    }
+
+    /// Lets time pass until `done`, at most `seconds`; returns whether it came.
+    pub fn run_until(&mut self, seconds: f64, done: impl Fn(&Self) -> bool) -> bool {
+        let end = self.vehicle.now_us() + (seconds * 1e6) as u64;
+        while self.vehicle.now_us() < end && !done(self) {
+            self.run(0.01);
+        }
+        done(self)
+    }
+
+    /// Streams a setpoint from now on.
+    pub fn stream(&mut self, setpoint: SET_ATTITUDE_TARGET_DATA) {
+        self.stream = Some(setpoint);
+    }
+
+    pub fn stop_stream(&mut self) {
+        self.stream = None;
+    }
+
+    /// What a peer has heard since it was last asked.
+    pub fn heard_by(&mut self, peer: Peer) -> Vec<Heard> {
+        let station = self.stations.iter_mut().find(|s| s.peer == peer).expect("a known peer");
+        std::mem::take(&mut station.heard)
+    }
+
+    pub fn heard(&mut self) -> Vec<Heard> {
+        self.heard_by(GROUND)
+    }
+
+    pub fn texts(&mut self) -> String {
+        self.heard()
+            .into_iter()
+            .filter_map(|heard| match heard.message {
+                MavMessage::STATUSTEXT(text) => text.text.to_str().ok().map(str::to_owned),
+                _ => None,
+            })
+            .collect()
+    }
+
+    /// Sends a command and returns the answer and the texts that came with it.
+    pub fn command_and_texts(&mut self, command: MavCmd, params: &[f32]) -> (MavResult, String) {
+        self.heard();
+        self.send(&command_long(command, params));
+        let mut texts = String::new();
+        let mut results = Vec::new();
+        for heard in self.heard() {
+            match heard.message {
+                MavMessage::COMMAND_ACK(ack) => {
+                    assert_eq!(ack.command, command);
+                    assert_eq!((ack.target_system, ack.target_component), (255, 190));
+                    results.push(ack.result);
+                }
+                MavMessage::STATUSTEXT(text) => texts.push_str(text.text.to_str().unwrap()),
+                _ => {}
+            }
+        }
+        assert_eq!(results.len(), 1, "one answer");
+        (results[0], texts)
+    }
+
+    pub fn command(&mut self, command: MavCmd, params: &[f32]) -> MavResult {
+        self.command_and_texts(command, params).0
+    }
+
+    pub fn set_mode(&mut self, mode: Mode) -> MavResult {
+        let [_, _, main, sub] = mode.custom_mode().to_le_bytes();
+        self.command(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, main.into(), sub.into()])
+    }
+
+    pub fn arm(&mut self) -> MavResult {
+        self.command(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0])
+    }
+
+    pub fn set_parameter(&mut self, name: &str, param_value: f32, param_type: MavParamType) {
+        self.send(&MavMessage::PARAM_SET(PARAM_SET_DATA {
+            param_value,
+            target_system: 1,
+            target_component: 1,
+            param_id: name.into(),
+            param_type,
+        }));
+    }
+
+    pub fn mode(&self) -> Mode {
+        self.vehicle.flight().mode()
+    }
+
+    pub fn armed(&self) -> bool {
+        self.vehicle.flight().armed()
+    }
+
+    /// Height of the plant above the floor, m.
+    pub fn height(&self) -> f64 {
+        -self.vehicle.plant().state().position.down()
+    }
+
+    /// Takes off and waits for HOLD.
+    pub fn fly(&mut self) {
+        assert_eq!(self.arm(), MavResult::MAV_RESULT_ACCEPTED);
+        let take_off = self.command(MavCmd::MAV_CMD_NAV_TAKEOFF, &[0.0; 7]);
+        assert_eq!(take_off, MavResult::MAV_RESULT_ACCEPTED);
+        assert!(self.run_until(15.0, |bench| bench.mode() == Mode::Hold), "take-off ends");
+        self.run(2.0);
+    }
+}
+
+pub fn command_long(command: MavCmd, params: &[f32]) -> MavMessage {
+    let param = |n: usize| params.get(n).copied().unwrap_or(0.0);
+    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1: param(0),
+        param2: param(1),
+        param3: param(2),
+        param4: param(3),
+        param5: param(4),
+        param6: param(5),
+        param7: param(6),
+        command,
+        target_system: 1,
+        target_component: 1,
+        confirmation: 0,
+    })
+}
+
+/// A setpoint: roll in rad, body roll rate in rad/s, thrust, type mask.
+pub fn setpoint(roll: f64, roll_rate: f32, thrust: f32, mask: u8) -> SET_ATTITUDE_TARGET_DATA {
+    SET_ATTITUDE_TARGET_DATA {
+        q: sitl::frame::Euler::new(roll, 0.0, 0.0).attitude().to_wire(),
+        body_roll_rate: roll_rate,
+        thrust,
+        target_system: 1,
+        target_component: 1,
+        type_mask: AttitudeTargetTypemask::from_bits_retain(mask),
+        ..Default::default()
+    }
+}
+
+/// Number of messages of `id`.
+pub fn count(heard: &[Heard], id: u32) -> usize {
+    heard.iter().filter(|heard| heard.message.message_id() == id).count()
+}

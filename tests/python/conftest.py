@@ -1,0 +1,216 @@
+"""The vehicle under test as a process, and a pymavlink peer that waits for messages."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# One vehicle for the tests, in the schema of vehicle files.
+VEHICLE = {
+    "name": "test_quad",
+    "mass": 0.5,
+    "inertia": [0.003, 0.003, 0.005],
+    "rotors": [
+        {
+            "position_m": [0.1 * x, 0.1 * y, 0.0],
+            "spin": spin,
+            "thrust_max_N": 2.5,
+            "drag_torque_per_thrust_m": 0.015,
+        }
+        for x, y, spin in [(1, 1, 1), (-1, 1, -1), (-1, -1, 1), (1, -1, -1)]
+    ],
+    "motor_time_constant_s": 0.03,
+    "command_delay_s": 0.005,
+    "attitude_pd": {"kp": [0.6, 0.6, 0.3], "kd": [0.075, 0.075, 0.06], "rate_hz": 250.0},
+    "hover_thrust": 0.4905,
+    "gravity": 9.81,
+    "air_density": 1.2,
+    "rotor_radius_m": 0.06,
+    "rotor_max_rpm": 20000.0,
+    "battery": {"cells": 3, "full_V": 12.6, "nominal_V": 11.1},
+}
+HOVER = VEHICLE["hover_thrust"]
+
+
+def sitl_command():
+    """How the vehicle is started: `downwash sitl`, or the `downwash-sitl` program."""
+    if "DOWNWASH_BIN" in os.environ:
+        return [os.environ["DOWNWASH_BIN"], "sitl"]
+    if "DOWNWASH_SITL_BIN" in os.environ:
+        return [os.environ["DOWNWASH_SITL_BIN"]]
+    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    for profile in ("release", "debug"):
+        alone = target / profile / "downwash-sitl"
+        if alone.exists():
+            return [str(alone)]
+        whole = target / profile / "downwash"
+        if whole.exists():
+            return [str(whole), "sitl"]
+    pytest.exit("no vehicle to test: build it, or set DOWNWASH_BIN or DOWNWASH_SITL_BIN", 2)
+
+
+class Sitl:
+    """A running vehicle. `urls` are its links as it names them, with the ports the system chose."""
+
+    def __init__(self, vehicle_file, links, options=()):
+        command = sitl_command() + ["--vehicle", str(vehicle_file)]
+        for link in links:
+            command += ["--link", link]
+        self.process = subprocess.Popen(
+            command + list(options), stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.urls = []
+        for _ in links:
+            line = self.process.stderr.readline()
+            found = re.search(r"(?:listening on|talking to) (\S+)", line)
+            if not found:
+                raise RuntimeError(f"{line}{self.process.communicate(timeout=5)[1]}")
+            self.urls.append(found.group(1))
+
+    def port(self, index=0):
+        return int(self.urls[index].rsplit(":", 1)[1])
+
+    def peer_url(self, index=0):
+        """The URL at which pymavlink reaches a link."""
+        scheme, _, address = self.urls[index].partition(":")
+        return {"udpin": "udpout", "tcpin": "tcp"}[scheme] + ":" + address
+
+    def stop(self, how=signal.SIGINT):
+        if self.process.poll() is None:
+            self.process.send_signal(how)
+        try:
+            self.process.communicate(timeout=5)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.communicate()
+            raise
+        return self.process.returncode
+
+
+@pytest.fixture(scope="session")
+def vehicle_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("vehicle") / "vehicle.json"
+    path.write_text(json.dumps(VEHICLE))
+    return path
+
+
+@pytest.fixture
+def sitl(vehicle_file):
+    """Starts vehicles; every one is stopped after the test and must end cleanly."""
+    running = []
+
+    def start(*links, speed=1):
+        links = links or ("udpin:127.0.0.1:0",)
+        running.append(Sitl(vehicle_file, links, ["--speed", str(speed)]))
+        return running[-1]
+
+    yield start
+    codes = [vehicle.stop() for vehicle in running]
+    assert all(code == 130 for code in codes), f"exit codes {codes}"
+
+
+def free_port(kind=socket.SOCK_DGRAM):
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Pilot:
+    """A pymavlink connection with the waiting that tests need. Times are host seconds."""
+
+    def __init__(self, url, version=2, system=255):
+        self._select(version)
+        from pymavlink import mavutil
+
+        self.mav = mavutil.mavlink
+        self.link = mavutil.mavlink_connection(url, source_system=system, source_component=190)
+        self.link.target_system = self.link.target_component = 1
+        self.hello()
+
+    @staticmethod
+    def _select(version):
+        from pymavlink import mavutil
+
+        if version == 2:
+            os.environ["MAVLINK20"] = "1"
+        else:
+            os.environ.pop("MAVLINK20", None)
+        # CURRENT_MODE is in none of the smaller dialects.
+        mavutil.set_dialect("all")
+
+    def hello(self):
+        self.link.mav.heartbeat_send(self.mav.MAV_TYPE_GCS, self.mav.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+
+    def close(self):
+        self.link.close()
+
+    def wait(self, kind, accept=lambda message: True, timeout=10.0, between=None):
+        """The next message of a type that is accepted; `between` runs every 10 ms meanwhile."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            if between:
+                between()
+            slice_end = min(end, time.monotonic() + (0.01 if between else timeout))
+            while time.monotonic() < slice_end:
+                remaining = max(slice_end - time.monotonic(), 0.0)
+                message = self.link.recv_match(type=kind, blocking=True, timeout=remaining)
+                if message is not None and accept(message):
+                    return message
+        raise AssertionError(f"no {kind} as expected within {timeout} s")
+
+    def command(self, number, *params):
+        """Sends a COMMAND_LONG and returns its result."""
+        params = list(params) + [0.0] * (7 - len(params))
+        self.link.mav.command_long_send(1, 1, number, 0, *params)
+        return self.wait("COMMAND_ACK", lambda ack: ack.command == number, 3.0).result
+
+    def arm(self):
+        return self.command(self.mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+
+    def set_mode(self, main, sub=0):
+        return self.command(self.mav.MAV_CMD_DO_SET_MODE, 1, main, sub)
+
+    def wait_mode(self, main, sub=0, timeout=20.0, between=None):
+        word = main << 16 | sub << 24
+        return self.wait("HEARTBEAT", lambda beat: beat.custom_mode == word, timeout, between)
+
+    def setpoint(self, roll=0.0, thrust=HOVER, mask=0, rates=(0.0, 0.0, 0.0)):
+        from pymavlink.quaternion import QuaternionBase
+
+        q = list(QuaternionBase([roll, 0.0, 0.0]).q)
+        self.link.mav.set_attitude_target_send(0, 1, 1, mask, q, *rates, thrust)
+
+    def texts(self, word, timeout=5.0):
+        return self.wait("STATUSTEXT", lambda message: word in message.text, timeout).text
+
+    def parameter(self, name):
+        self.link.mav.param_request_read_send(1, 1, name.encode(), -1)
+        return self.wait("PARAM_VALUE", lambda value: value.param_id == name, 3.0)
+
+
+@pytest.fixture
+def pilot():
+    """Connects pilots; they are closed after the test."""
+    open_links = []
+
+    def connect(url, **options):
+        open_links.append(Pilot(url, **options))
+        return open_links[-1]
+
+    yield connect
+    for link in open_links:
+        link.close()
+
+
+def python_tool(name):
+    """The path of a program installed beside this Python."""
+    return str(Path(sys.executable).parent / name)
