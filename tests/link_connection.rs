@@ -4,10 +4,16 @@ use std::future::Future;
 use std::path::Path;
 use std::time::Duration;
 
+use downwash::clock::HostTime;
+use downwash::link::attitude_target::ThrustMap;
 use downwash::link::connection::{Connection, Input};
+use downwash::link::session::{Heard, Session, Settings};
+use downwash::setpoint::Setpoint;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, UdpSocket};
 use tokio_serial::{SerialPort, SerialStream};
+use wire::dialect::*;
+use wire::{Decoder, Encoder};
 
 /// Bounds what waits for the system; nothing in these tests takes this long unless it hangs.
 async fn soon<F: Future>(future: F) -> F::Output {
@@ -141,4 +147,55 @@ async fn an_attempt_goes_on_when_its_future_is_dropped() {
     .await;
     assert!(matches!(opened, Input::Opened));
     soon(server.accept()).await.unwrap();
+}
+
+/// The messages of the next datagram at a vehicle's socket, and who sent it.
+async fn hear(vehicle: &UdpSocket) -> (Vec<MavMessage>, std::net::SocketAddr) {
+    let mut buffer = [0; 512];
+    let (len, from) = soon(vehicle.recv_from(&mut buffer)).await.unwrap();
+    let mut decoder = Decoder::new();
+    decoder.push(&buffer[..len]);
+    let frames = std::iter::from_fn(|| decoder.next_frame());
+    (frames.map(|frame| frame.message().unwrap()).collect(), from)
+}
+
+#[tokio::test]
+async fn a_vehicle_over_udp_is_greeted_found_and_sent_a_setpoint() {
+    let vehicle = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    let mut connection = connection(&format!("udpout:{}", vehicle.local_addr().unwrap()));
+    let now = HostTime::from_ns(1_700_000_000_000_000_000);
+    let mut session = Session::new(Settings::new(ThrustMap::linear(20.0).unwrap()), now);
+    let mut buffer = [0; 512];
+    assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Opened, 0)));
+
+    // The daemon speaks first: a vehicle that listens knows nobody.
+    session.poll(now);
+    session.transmit(|to, frame| assert!(connection.send(to, frame)));
+    let (heard, daemon) = hear(&vehicle).await;
+    assert!(matches!(heard[..], [MavMessage::HEARTBEAT(_)]));
+
+    let mut encoder = Encoder::new(1, 1);
+    let mut datagram = Vec::new();
+    let heartbeat = HEARTBEAT_DATA {
+        mavtype: MavType::MAV_TYPE_QUADROTOR,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+        ..Default::default()
+    };
+    encoder.encode(&MavMessage::HEARTBEAT(heartbeat), &mut datagram);
+    encoder.encode(&MavMessage::AUTOPILOT_VERSION(Default::default()), &mut datagram);
+    vehicle.send_to(&datagram, daemon).await.unwrap();
+    let (Input::Bytes { peer, len }, _) = next(&mut connection, &mut buffer).await else {
+        panic!("no bytes");
+    };
+    let mut messages = 0;
+    session.receive(now, peer, &buffer[..len], connection.is_datagram(), &mut |heard| {
+        messages += usize::from(matches!(heard, Heard::Message(_)));
+    });
+    assert_eq!(messages, 2);
+    session.transmit(|_, _| {});
+    session.send_setpoint(now, &Setpoint { thrust_n: 10.0, ..Default::default() }).unwrap();
+    session.transmit(|to, frame| assert!(connection.send(to, frame)));
+    let (heard, _) = hear(&vehicle).await;
+    let [MavMessage::SET_ATTITUDE_TARGET(target)] = &heard[..] else { panic!("{heard:?}") };
+    assert_eq!((target.thrust, target.type_mask.bits()), (0.5, 0x07));
 }
