@@ -99,7 +99,7 @@ impl Plant {
             turbulence.advance(rng);
             self.environment.air_velocity = self.physics.wind() + turbulence.velocity();
         }
-        if self.steps % BATTERY_STEPS == 0 {
+        if self.steps.is_multiple_of(BATTERY_STEPS) {
             let thrusts = self.physics.thrusts(&self.rotors, &self.environment);
             self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * Self::STEP);
             self.environment.voltage_factor = self.physics.voltage_factor(self.battery.voltage());
