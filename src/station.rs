@@ -156,7 +156,8 @@ impl Station {
         let Self { session, pilot, records, ticks, .. } = self;
         session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
             Heard::Frame { bytes, .. } => {
-                records.extend(FrameRecord::from_bytes(Direction::Rx, now, bytes).map(Record::Frame));
+                records
+                    .extend(FrameRecord::from_bytes(Direction::Rx, now, bytes).map(Record::Frame));
             }
             Heard::Message(received) => {
                 if let Some(pilot) = pilot {
@@ -321,7 +322,11 @@ impl Station {
         let in_flight = state.is_in_control() || state == FlightState::Land;
         if in_flight != self.in_flight {
             self.in_flight = in_flight;
-            self.records.push(if in_flight { Record::FlightBegins(now) } else { Record::FlightEnds });
+            self.records.push(if in_flight {
+                Record::FlightBegins(now)
+            } else {
+                Record::FlightEnds
+            });
         }
         self.flown |= matches!(
             state,
@@ -384,8 +389,9 @@ impl Station {
                     100.0 * share
                 ),
             ),
-            Event::ClockJump => {
-                self.tell(now, Severity::Warning, "the vehicle's clock jumped".to_owned());
+            Event::ClockJump { by_ns } => {
+                let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
+                self.tell(now, Severity::Warning, text);
             }
         }
     }
@@ -394,7 +400,8 @@ impl Station {
     fn identified(&mut self, now: HostTime, profile: Profile, is_version_known: bool) {
         let mask = profile.attitude_target.type_mask();
         let silent = if is_version_known { "" } else { ", which does not tell its version" };
-        let text = format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
+        let text =
+            format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
         self.tell(now, Severity::Info, text.clone());
         let facts = [
             ("autopilot".to_owned(), profile.name.to_owned()),
@@ -576,11 +583,9 @@ fn record_of(received: &Received) -> Option<Record> {
         None => Stamp::host(received.host),
     };
     match &received.message {
-        Inbound::Imu { specific_force, body_rate } => Some(Record::Imu {
-            stamp,
-            specific_force: *specific_force,
-            body_rate: *body_rate,
-        }),
+        Inbound::Imu { specific_force, body_rate } => {
+            Some(Record::Imu { stamp, specific_force: *specific_force, body_rate: *body_rate })
+        }
         Inbound::MotorOutputs { outputs } => Some(Record::Motors { stamp, outputs: *outputs }),
         Inbound::Battery { voltage, current, remaining } => Some(Record::Battery {
             stamp,

@@ -30,7 +30,8 @@ fn options() -> Options {
     while let Some(arg) = args.next() {
         let mut number = || {
             let text = args.next().unwrap_or_default();
-            text.parse::<f64>().unwrap_or_else(|_| panic!("{arg}: expected a number, found {text:?}"))
+            text.parse::<f64>()
+                .unwrap_or_else(|_| panic!("{arg}: expected a number, found {text:?}"))
         };
         match arg.as_str() {
             "--seconds" => options.seconds = number(),
@@ -292,9 +293,7 @@ fn main() {
     let cpu_share = (cpu_seconds(&daemon.0) - cpu_start) / begun.elapsed().as_secs_f64();
     let (daemon_us, echo_us) = (quantiles(&mut ours), quantiles(&mut floor));
     if options.json {
-        let row = |q: &Quantiles| {
-            serde_json::json!({"p50_us": q.p50, "p99_us": q.p99, "p999_us": q.p999, "max_us": q.max})
-        };
+        let row = |q: &Quantiles| serde_json::json!({"p50_us": q.p50, "p99_us": q.p99, "p999_us": q.p999, "max_us": q.max});
         let report = serde_json::json!({
             "schema": "downwash.bench.latency", "schema_version": 1,
             "rate_hz": options.rate_hz, "ticks": counted, "missed": missed, "cpu_share": cpu_share,
@@ -302,7 +301,12 @@ fn main() {
         });
         println!("{report}");
     } else {
-        println!("{} ticks at {} Hz, {missed} missed, {:.1} % of one core", counted, options.rate_hz, 100.0 * cpu_share);
+        println!(
+            "{} ticks at {} Hz, {missed} missed, {:.1} % of one core",
+            counted,
+            options.rate_hz,
+            100.0 * cpu_share
+        );
         println!("{:10} {:>9} {:>9} {:>9} {:>9}", "us", "p50", "p99", "p99.9", "max");
         for (name, q) in [("daemon", &daemon_us), ("C echo", &echo_us)] {
             println!("{name:10} {:9.1} {:9.1} {:9.1} {:9.1}", q.p50, q.p99, q.p999, q.max);

@@ -212,6 +212,11 @@ impl Plant {
         self.outputs
     }
 
+    /// Thrust of each rotor before aerodynamic factors, N.
+    pub fn rotor_thrusts(&self) -> [f64; ROTORS] {
+        self.physics.thrusts(&self.rotors, &self.environment)
+    }
+
     /// n_i: the rotors' speeds as fractions of the maximum.
     pub fn rotor_speeds(&self) -> [f64; ROTORS] {
         self.physics.rotor_speeds(&self.rotors, &self.environment)

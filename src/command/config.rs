@@ -38,8 +38,7 @@ pub(super) fn run(args: &ConfigArgs) -> anyhow::Result<Exit> {
         .map(|(path, value, origin)| (path, Row { value, origin: origin.to_string() }))
         .collect();
     if args.json {
-        let report =
-            Report { schema: "downwash.config", schema_version: SCHEMA_VERSION, settings };
+        let report = Report { schema: "downwash.config", schema_version: SCHEMA_VERSION, settings };
         print_json(&report)?;
     } else {
         let width = settings.keys().map(String::len).max().unwrap_or(0);

@@ -70,8 +70,8 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
     let limit_s = trajectory.duration() + AROUND_S;
     // Refuses a vehicle that cannot be controlled before anything is written.
     EffectiveVehicle::new(&vehicle.params)?;
-    let mut simulated =
-        Vehicle::new(vehicle.params.clone(), effects, sitl_config, args.seed).or_exit(Exit::Usage)?;
+    let mut simulated = Vehicle::new(vehicle.params.clone(), effects, sitl_config, args.seed)
+        .or_exit(Exit::Usage)?;
     let settings = station_settings(&config, &vehicle, trajectory, EngagePolicy::Command, None)?;
 
     fs::create_dir_all(&args.out)

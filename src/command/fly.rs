@@ -112,7 +112,7 @@ pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, bool)> {
     let interrupted = runtime.block_on(async {
         let mut interrupt = signal(SignalKind::interrupt())?;
         let mut terminate = signal(SignalKind::terminate())?;
-        let mut line = StatusLine::new(std::io::stderr().is_terminal());
+        let line = StatusLine::new(std::io::stderr().is_terminal());
         let mut interrupted = false;
         while !running.is_done() {
             let asked = tokio::select! {

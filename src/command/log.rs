@@ -47,7 +47,8 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
                 }
                 (None, None) => {
                     let choice = "name one --topic, or a folder for all of them with --out";
-                    return Err(anyhow::anyhow!("nothing to export: {choice}")).or_exit(Exit::Usage);
+                    return Err(anyhow::anyhow!("nothing to export: {choice}"))
+                        .or_exit(Exit::Usage);
                 }
             }
             if !reader.ending().finished {
@@ -88,11 +89,7 @@ fn print_info(file: &Path, info: &LogInfo) {
     }
     if let Some(battery) = &info.battery {
         let volts = |v: Option<f64>| v.map_or("unknown".to_owned(), |v| format!("{v:.2} V"));
-        println!(
-            "  battery: {} to {}",
-            volts(battery.voltage_min_v),
-            volts(battery.voltage_max_v)
-        );
+        println!("  battery: {} to {}", volts(battery.voltage_min_v), volts(battery.voltage_max_v));
     }
     for event in &info.events {
         println!("  {:8.2} s  {} ({}): {}", event.time_s, event.level, event.source, event.text);

@@ -65,7 +65,10 @@ impl fmt::Display for IntervalEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Short { id, asked_hz, found_hz } => {
-                write!(f, "message {id} comes at {found_hz:.0} Hz, asked for {asked_hz:.0} Hz again")
+                write!(
+                    f,
+                    "message {id} comes at {found_hz:.0} Hz, asked for {asked_hz:.0} Hz again"
+                )
             }
             Self::Served { id, found_hz } => {
                 write!(f, "message {id} comes at {found_hz:.0} Hz, as asked")
