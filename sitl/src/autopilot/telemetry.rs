@@ -400,6 +400,10 @@ impl Snapshot<'_> {
             voltage_battery: (self.battery.voltage * 1e3).round() as u16,
             current_battery: (self.battery.current * 100.0).round() as i16,
             battery_remaining: (self.battery.remaining * 100.0).round() as i8,
+            // The default of a set of flags is its first flag.
+            onboard_control_sensors_present_extended: MavSysStatusSensorExtended::empty(),
+            onboard_control_sensors_enabled_extended: MavSysStatusSensorExtended::empty(),
+            onboard_control_sensors_health_extended: MavSysStatusSensorExtended::empty(),
             ..Default::default()
         }
     }
@@ -431,6 +435,8 @@ impl Snapshot<'_> {
             mavtype: MavBatteryType::MAV_BATTERY_TYPE_LIPO,
             battery_remaining: (remaining * 100.0).round() as i8,
             charge_state: MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK,
+            // The default of a set of flags is its first flag.
+            fault_bitmask: MavBatteryFault::empty(),
             ..Default::default()
         }
     }
