@@ -5,9 +5,11 @@ use crate::frame::Frd;
 use crate::physics::Constants;
 use crate::rigid_body::State;
 
-/// Natural frequency of the vehicle on its feet, rad/s: far above flight dynamics, far below what
-/// a step of 1 ms resolves.
+/// Natural frequency of the vehicle on its feet, rad/s: far above flight dynamics.
 const FREQUENCY: f64 = 60.0;
+/// No mode of turning is faster, rad/s, even where a vehicle has next to no inertia: a step of
+/// 1 ms resolves it.
+const FASTEST: f64 = 400.0;
 /// Damping ratio: no bounce to speak of.
 const DAMPING_RATIO: f64 = 0.7;
 /// Coulomb friction coefficient.
@@ -35,17 +37,19 @@ impl Floor {
             rotors.iter().map(|r| arm(r.x, r.y)).sum::<f64>() / 4.0
         };
         let [ix, iy, iz] = constants.inertia;
-        // The softest of the modes sets the stiffness, so that none is faster than FREQUENCY.
-        let mass = constants
-            .mass
-            .min(ix / spread(|_, y| y * y))
+        // Mass that a foot would move if the vehicle turned about an axis instead of heaving.
+        let turning = (ix / spread(|_, y| y * y))
             .min(iy / spread(|x, _| x * x))
             .min(iz / spread(|x, y| x * x + y * y));
-        let stiffness = 0.25 * mass * FREQUENCY * FREQUENCY;
+        let mass = constants.mass;
+        let stiff_mass = mass.min(turning * (FASTEST / FREQUENCY).powi(2));
+        let damped_mass = mass.min(turning * FASTEST / (DAMPING_RATIO * FREQUENCY));
+        let stiffness = 0.25 * stiff_mass * FREQUENCY * FREQUENCY;
+        let damping = 0.5 * damped_mass * DAMPING_RATIO * FREQUENCY;
         let rest = 0.25 * constants.mass * gravity / stiffness;
         let feet = rotors.map(|r| Frd::new(r.x, r.y, rest));
         let reach = feet.iter().map(|foot| foot.norm()).fold(0.0, f64::max);
-        Self { down, feet, reach, stiffness, damping: 0.5 * DAMPING_RATIO * mass * FREQUENCY }
+        Self { down, feet, reach, stiffness, damping }
     }
 
     /// Whether no foot can reach the floor.

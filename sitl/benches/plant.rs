@@ -1,0 +1,87 @@
+//! Steps of the plant per second on one core.
+//!
+//! `cargo bench -p downwash-sitl --bench plant`, pinned to one core for steady numbers.
+
+use std::hint::black_box;
+use std::path::PathBuf;
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use sitl::config::SitlConfig;
+use sitl::effects::EffectSet;
+use sitl::frame::Frd;
+use sitl::plant::Plant;
+use sitl::rigid_body::State;
+use sitl::vehicle::VehicleParams;
+
+/// Every effect that acts in the plant, at values that keep it flying.
+const EVERY_EFFECT: [&str; 19] = [
+    "thrust_scale:scale=1.02",
+    "mass:mass_kg=1.25",
+    "thrust_curve:a=0.2",
+    "battery_sag:exponent=1",
+    "rotor_loss:rotor=1,scale=0.98",
+    "motor_lag:tau_s=0.03",
+    "rotor_drag:d_xy=0.3,d_z=0.1",
+    "parasitic_drag:cda_m2=0.01",
+    "wind:north_m_s=2,east_m_s=-1",
+    "gusts:sigma_m_s=0.5",
+    "ground_effect:r_eff_m=0.3",
+    "translational_lift:k_s2_m2=0.002",
+    "blade_flapping:moment_Nms_m=0.01,tilt_rad_s_m=0.002",
+    "vortex_ring:loss_max=0.2",
+    "inertia:scale=[1.1,1.1,1.1]",
+    "com_offset:x_m=0.002,y_m=-0.001",
+    "rotor_gyroscopic:rotor_inertia_kgm2=4e-5",
+    "yaw_torque:scale=1.1",
+    "attitude_trim:roll_rad=0.01",
+];
+
+const STEPS: u64 = 1000;
+
+fn plant(lag: f64, effects: &[&str]) -> Plant {
+    let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../config/vehicles/quad1200.toml");
+    let mut vehicle = VehicleParams::load(file).expect("the shipped vehicle file is valid");
+    vehicle.modelled_effects = EffectSet::new();
+    vehicle.motor_time_constant_s = lag;
+    let mut set = EffectSet::new();
+    for effect in effects {
+        set.insert_argument(effect).expect("the effects above are valid");
+    }
+    let config = SitlConfig { floor_down_m: 1e9, ..SitlConfig::default() };
+    Plant::new(&vehicle, &set, &config, 1).expect("the shipped vehicle's mixer can be inverted")
+}
+
+fn steps(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("plant_steps");
+    group.throughput(Throughput::Elements(STEPS));
+    for (name, lag, effects) in [
+        ("no_effects", 0.0, &[][..]),
+        ("motor_lag", 0.03, &[]),
+        ("every_effect", 0.03, &EVERY_EFFECT),
+    ] {
+        let start = plant(lag, effects);
+        group.bench_function(name, |bencher| {
+            bencher.iter_batched_ref(
+                || {
+                    let mut plant = start.clone();
+                    // Sinking and turning, so that every effect is at work.
+                    let velocity = [1.0, -2.0, 3.0].into();
+                    let body_rate = Frd::new(0.3, -0.2, 0.5);
+                    plant.set_state(State { velocity, body_rate, ..*plant.state() });
+                    plant
+                },
+                |plant| {
+                    for _ in 0..STEPS {
+                        plant.step(black_box([0.5, 0.49, 0.5, 0.51]));
+                    }
+                    *plant.state()
+                },
+                criterion::BatchSize::SmallInput,
+            );
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, steps);
+criterion_main!(benches);

@@ -1,0 +1,51 @@
+//! What the tests share: vehicles and states.
+#![allow(dead_code)] // each test file uses its part
+
+use std::path::PathBuf;
+
+use sitl::config::{SensorConfig, SitlConfig};
+use sitl::effects::EffectSet;
+use sitl::frame::{Euler, Frd, Ned};
+use sitl::plant::Plant;
+use sitl::rigid_body::State;
+use sitl::vehicle::VehicleParams;
+
+pub fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// The shipped 1.2 kg quadrotor without drag and without lag.
+pub fn quad() -> VehicleParams {
+    let mut vehicle = VehicleParams::load(root().join("config/vehicles/quad1200.toml")).unwrap();
+    vehicle.modelled_effects = EffectSet::new();
+    vehicle.motor_time_constant_s = 0.0;
+    vehicle
+}
+
+pub fn effects(arguments: &[&str]) -> EffectSet {
+    let mut set = EffectSet::new();
+    for argument in arguments {
+        set.insert_argument(argument).unwrap();
+    }
+    set
+}
+
+/// A plant with perfect sensors' configuration, a pack that does not sag, high above the floor.
+pub fn airborne(vehicle: &VehicleParams, effects: &EffectSet) -> Plant {
+    let mut config = SitlConfig { sensors: SensorConfig::IDEAL, ..SitlConfig::default() };
+    config.battery.resistance_ohm = Some(0.0);
+    config.start.position_m = [0.0, 0.0, -100.0];
+    Plant::new(vehicle, effects, &config, 7).unwrap()
+}
+
+/// A state in which every effect acts.
+pub fn moving() -> State {
+    State {
+        position: Ned::new(1.0, -2.0, -0.6),
+        velocity: Ned::new(2.0, -1.0, 3.0),
+        attitude: Euler::new(0.2, -0.3, 1.1).attitude(),
+        body_rate: Frd::new(1.0, -0.7, 0.5),
+    }
+}
+
+pub const ROTOR_STATES: [f64; 4] = [0.45, 0.5, 0.55, 0.52];
