@@ -60,7 +60,6 @@ class MavProxy:
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"])
 def test_session(sitl, pilot, tmp_path, link):
     vehicle = sitl(link, "udpin:127.0.0.1:0")
-    watcher = pilot(vehicle.peer_url(1))
     proxy = MavProxy(vehicle.peer_url(0), tmp_path)
     try:
         proxy.expect("online system 1")
@@ -69,6 +68,9 @@ def test_session(sitl, pilot, tmp_path, link):
         proxy.expect("Received")
         proxy.say("param show MIS_TAKEOFF_ALT")
         proxy.expect("2.5")
+        # Connected only now: what nobody reads overflows a socket, and the news with it.
+        watcher = pilot(vehicle.peer_url(1))
+        watcher.wait("HEARTBEAT")
         proxy.say("param set COM_OF_LOSS_T 0.5")
         watcher.wait("PARAM_VALUE", lambda v: v.param_id == "COM_OF_LOSS_T" and v.param_value == 0.5)
         # MAVProxy 1.8.75 cannot encode PX4's modes by name.
