@@ -5,7 +5,7 @@ mod bench;
 use std::collections::BTreeMap;
 
 use bench::{Bench, GROUND, count};
-use mavlink::{MavlinkVersion, Message};
+use mavlink::{MavlinkVersion, Message, MessageData};
 use sitl::autopilot::Peer;
 use wire::dialect::*;
 
@@ -118,6 +118,21 @@ fn it_says_what_it_is() {
 }
 
 #[test]
+fn the_battery_has_no_fault() {
+    let mut bench = Bench::new();
+    bench.fly();
+    let heard = bench.heard();
+    let battery = heard.iter().rev().find_map(|heard| match &heard.message {
+        MavMessage::BATTERY_STATUS(battery) => Some(battery.clone()),
+        _ => None,
+    });
+    let battery = battery.expect("a BATTERY_STATUS");
+    assert!(battery.fault_bitmask.is_empty());
+    assert!((3_500..4_200).contains(&battery.voltages[0]) && battery.voltages[3] == u16::MAX);
+    assert!(battery.current_battery > 0 && battery.battery_remaining > 90);
+}
+
+#[test]
 fn every_stream_can_be_requested() {
     let mut bench = Bench::new();
     bench.fly();
@@ -154,8 +169,6 @@ fn an_unsupported_command_is_answered_so_even_if_nobody_knows_its_number() {
     });
     assert!(answered);
 }
-
-use mavlink::MessageData as _;
 
 #[test]
 fn command_int_does_the_same() {

@@ -5,6 +5,7 @@ use wire::dialect::MavMessage;
 use wire::{Decoder, Encoder, Frame};
 
 use super::streams::Schedule;
+use super::telemetry::Snapshot;
 use super::{COMPONENT_ID, SYSTEM_ID};
 
 /// A remote end, numbered by whoever carries the bytes.
@@ -102,6 +103,18 @@ impl Link {
         if self.encoder.encode(message, &mut outbox.bytes) {
             outbox.frames.push((self.peer, outbox.bytes.len()));
         }
+    }
+
+    /// Queues what is due at the time of `snapshot`.
+    pub(super) fn send_due(&mut self, snapshot: &Snapshot<'_>, outbox: &mut Outbox) {
+        let Self { peer, encoder, schedule, .. } = self;
+        schedule.take_due(snapshot.now_us, |stream| {
+            if let Some(message) = snapshot.message(stream)
+                && encoder.encode(&message, &mut outbox.bytes)
+            {
+                outbox.frames.push((*peer, outbox.bytes.len()));
+            }
+        });
     }
 
     /// Queues a message given as payload.

@@ -11,6 +11,7 @@ pub mod arming;
 pub mod commander;
 pub mod commands;
 pub mod flight;
+mod ftp;
 pub mod guidance;
 pub mod land_detector;
 mod link;

@@ -19,7 +19,7 @@ use super::offboard::AttitudeSetpoint;
 use super::parameters::{Parameters, SetError, Value};
 use super::streams::{IntervalError, Stream};
 use super::telemetry::{self, Battery, Snapshot};
-use super::{COMPONENT_ID, Mode, SYSTEM_ID};
+use super::{COMPONENT_ID, Mode, SYSTEM_ID, ftp};
 
 /// MAV_CMD_COMPONENT_ARM_DISARM's parameter 2 that disarms in the air.
 const FORCE: f32 = 21196.0;
@@ -135,13 +135,7 @@ impl Protocol {
         let mut outbox = std::mem::take(&mut self.outbox);
         let snapshot = self.snapshot();
         for link in &mut links {
-            let mut schedule = link.schedule.clone();
-            schedule.take_due(self.now_us, |stream| {
-                if let Some(message) = snapshot.message(stream) {
-                    link.send(&message, &mut outbox);
-                }
-            });
-            link.schedule = schedule;
+            link.send_due(&snapshot, &mut outbox);
             if let Some(index) = link.parameter_list {
                 if let Some(message) = parameter_value(&self.flight.parameters, index) {
                     link.send(&message, &mut outbox);
@@ -286,6 +280,11 @@ impl Protocol {
                     _ => MavMissionResult::MAV_MISSION_UNSUPPORTED,
                 };
                 self.reply(sender, &mission_ack(sender, result, request.mission_type));
+            }
+            MavMessage::FILE_TRANSFER_PROTOCOL(request) => {
+                if let Some(answer) = ftp::answer(request, sender.system, sender.component) {
+                    self.reply(sender, &MavMessage::FILE_TRANSFER_PROTOCOL(answer));
+                }
             }
             MavMessage::PING(request)
                 if (request.target_system, request.target_component) == (0, 0) =>

@@ -251,16 +251,29 @@ impl Snapshot<'_> {
         }
     }
 
+    /// The outputs as `message` carries them, each with its slot: as the vehicle file describes
+    /// them where it describes this message, else between `otherwise`'s zero, one and disarmed.
+    fn encoded_outputs(&self, message: &str, otherwise: [f64; 3]) -> [(usize, f64); ROTORS] {
+        let described = self.motor_output.filter(|described| described.message == message);
+        let [zero, one, disarmed] = described
+            .map_or(otherwise, |described| [described.zero, described.one, described.disarmed]);
+        std::array::from_fn(|rotor| {
+            let field = described.and_then(|described| described.fields.get(rotor));
+            let slot = field.and_then(|field| slot_of(field)).unwrap_or(rotor);
+            let output = self.outputs[rotor];
+            (slot, if self.armed { zero + output * (one - zero) } else { disarmed })
+        })
+    }
+
     fn actuator_output_status(&self) -> ACTUATOR_OUTPUT_STATUS_DATA {
         let mut actuator = [0.0; 32];
-        for (slot, output) in actuator.iter_mut().zip(self.outputs) {
-            *slot = match self.motor_output {
-                Some(encoding) if !self.armed => encoding.disarmed,
-                Some(encoding) => encoding.zero + output * (encoding.one - encoding.zero),
-                None => output,
-            } as f32;
+        let mut active = 0;
+        for (slot, value) in self.encoded_outputs("ACTUATOR_OUTPUT_STATUS", [0.0, 1.0, 0.0]) {
+            if let Some(place) = actuator.get_mut(slot) {
+                *place = value as f32;
+                active |= 1 << slot;
+            }
         }
-        let active = (1 << ROTORS) - 1;
         ACTUATOR_OUTPUT_STATUS_DATA { time_usec: self.now_us, active, actuator }
     }
 
@@ -281,14 +294,22 @@ impl Snapshot<'_> {
     }
 
     fn servo_output_raw(&self) -> SERVO_OUTPUT_RAW_DATA {
-        let [servo1_raw, servo2_raw, servo3_raw, servo4_raw] =
-            self.outputs.map(|u| if self.armed { 1000 + (u * 1000.0).round() as u16 } else { 900 });
+        let mut pwm = [0; 8];
+        for (slot, value) in self.encoded_outputs("SERVO_OUTPUT_RAW", [1000.0, 2000.0, 900.0]) {
+            if let Some(place) = pwm.get_mut(slot) {
+                *place = value.round() as u16;
+            }
+        }
         SERVO_OUTPUT_RAW_DATA {
             time_usec: self.now_us as u32,
-            servo1_raw,
-            servo2_raw,
-            servo3_raw,
-            servo4_raw,
+            servo1_raw: pwm[0],
+            servo2_raw: pwm[1],
+            servo3_raw: pwm[2],
+            servo4_raw: pwm[3],
+            servo5_raw: pwm[4],
+            servo6_raw: pwm[5],
+            servo7_raw: pwm[6],
+            servo8_raw: pwm[7],
             ..Default::default()
         }
     }
@@ -400,6 +421,10 @@ impl Snapshot<'_> {
             voltage_battery: (self.battery.voltage * 1e3).round() as u16,
             current_battery: (self.battery.current * 100.0).round() as i16,
             battery_remaining: (self.battery.remaining * 100.0).round() as i8,
+            // The default of a set of flags is its first flag.
+            onboard_control_sensors_present_extended: MavSysStatusSensorExtended::empty(),
+            onboard_control_sensors_enabled_extended: MavSysStatusSensorExtended::empty(),
+            onboard_control_sensors_health_extended: MavSysStatusSensorExtended::empty(),
             ..Default::default()
         }
     }
@@ -431,6 +456,8 @@ impl Snapshot<'_> {
             mavtype: MavBatteryType::MAV_BATTERY_TYPE_LIPO,
             battery_remaining: (remaining * 100.0).round() as i8,
             charge_state: MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK,
+            // The default of a set of flags is its first flag.
+            fault_bitmask: MavBatteryFault::empty(),
             ..Default::default()
         }
     }
@@ -462,6 +489,14 @@ impl Snapshot<'_> {
 
 fn floats<const N: usize>(values: [f64; N]) -> [f32; N] {
     values.map(|value| value as f32)
+}
+
+/// Slot of a field such as `actuator[2]`, counted from 0, or `servo3_raw`, counted from 1.
+fn slot_of(field: &str) -> Option<usize> {
+    let digits = &field[field.find(|c: char| c.is_ascii_digit())?..];
+    let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
+    let number: usize = digits[..end].parse().ok()?;
+    if field.starts_with("servo") { number.checked_sub(1) } else { Some(number) }
 }
 
 fn autopilot_version() -> AUTOPILOT_VERSION_DATA {
@@ -540,6 +575,14 @@ mod tests {
         let [latitude, longitude, altitude] = geodetic(&origin, Ned::new(111_195.0, 0.0, -10.0));
         assert!((latitude - 480_000_000).abs() < 1000);
         assert_eq!((longitude, altitude), (80_000_000, 410_000));
+    }
+
+    #[test]
+    fn fields_of_motor_messages_name_their_slots() {
+        assert_eq!(slot_of("actuator[2]"), Some(2));
+        assert_eq!(slot_of("servo3_raw"), Some(2));
+        assert_eq!(slot_of("servo0_raw"), None);
+        assert_eq!(slot_of("motor"), None);
     }
 
     #[test]
