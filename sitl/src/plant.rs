@@ -137,18 +137,17 @@ impl Plant {
         if !self.physics.has_spin_momentum() {
             return loads;
         }
-        let slow = self.physics.rotor_speeds(&rotors[0], env).iter().any(|&n| n < SLOW_ROTOR);
+        let slow = loads[0].rotor_speeds().iter().any(|&n| n < SLOW_ROTOR);
         let mean = (loads[2].spin_momentum() - loads[0].spin_momentum()) / Self::STEP;
-        let rate = |states: &[f64; ROTORS]| {
-            if slow { mean } else { self.spin_momentum_rate(states) }
-        };
-        let rates = [rate(&rotors[0]), rate(&rotors[1]), rate(&rotors[2])];
-        std::array::from_fn(|i| loads[i].with_spin_momentum_rate(rates[i]))
+        std::array::from_fn(|i| {
+            let rate = if slow { mean } else { self.spin_momentum_rate(&rotors[i], &loads[i]) };
+            loads[i].with_spin_momentum_rate(rate)
+        })
     }
 
-    fn spin_momentum_rate(&self, rotors: &[f64; ROTORS]) -> f64 {
+    fn spin_momentum_rate(&self, rotors: &[f64; ROTORS], loads: &Loads<f64>) -> f64 {
         let rates = std::array::from_fn(|i| self.lag.rate(rotors[i], self.outputs[i]));
-        self.physics.spin_momentum_rate(rotors, &rates, &self.environment)
+        self.physics.spin_momentum_rate(rotors, &rates, loads, &self.environment)
     }
 
     #[inline]
@@ -171,11 +170,11 @@ impl Plant {
     /// Loads at this instant, with the last outputs still in force.
     fn loads_now(&self) -> Loads<f64> {
         let loads = self.physics.loads(&self.rotors, &self.environment);
-        let speeds = self.physics.rotor_speeds(&self.rotors, &self.environment);
-        if self.lag.is_none() || speeds.iter().any(|&n| n < SLOW_ROTOR) {
+        if self.lag.is_none() || loads.rotor_speeds().iter().any(|&n| n < SLOW_ROTOR) {
             return loads;
         }
-        loads.with_spin_momentum_rate(self.spin_momentum_rate(&self.rotors))
+        let rate = self.spin_momentum_rate(&self.rotors, &loads);
+        loads.with_spin_momentum_rate(rate)
     }
 
     /// The true state.
