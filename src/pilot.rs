@@ -10,7 +10,7 @@ pub use self::guidance::GuidanceSettings;
 use sitl::frame::Ned;
 
 use crate::clock::{HostTime, VehicleTime};
-use crate::control::{AttitudeLoop, HoverVehicle, Limits, Lqr, Saturation};
+use crate::control::{HoverVehicle, Limits, Lqr, Saturation};
 use crate::link::message::{Inbound, LandedState, Received};
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::{Reference, Setpoint, State};
@@ -46,8 +46,6 @@ pub struct Airframe {
     pub hover: HoverVehicle,
     /// Thrust of all rotors at full output, N.
     pub thrust_full_n: f64,
-    /// The loop that tracks the setpoint.
-    pub attitude_loop: AttitudeLoop,
     /// The autopilot's modes.
     pub modes: ModeMap,
 }
@@ -162,8 +160,7 @@ impl Pilot {
         } else {
             Default::default()
         };
-        let sum =
-            self.airframe.attitude_loop.close(reference.feedforward.plus(feedback), &sample.state);
+        let sum = reference.feedforward.plus(feedback);
         let yaw = sample.state.attitude.euler().yaw;
         let limited = self.settings.limits.apply(sum, self.airframe.thrust_full_n, yaw);
         let permitted = self.supervisor.permits(now, self.telemetry.status());

@@ -411,7 +411,7 @@ impl Station {
         for rule in profile.required.iter().chain(&profile.loss_timeout) {
             self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
         }
-        for name in profile.loss_action {
+        if let Some(name) = profile.loss_action {
             self.session.request(now, Request::ReadParameter(name.to_owned()));
         }
         let known = self.profile.replace(profile.clone());
@@ -451,7 +451,6 @@ impl Station {
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
-            attitude_loop,
             modes: ModeMap { offboard, land, reports_intended },
         };
         Ok(Some(Pilot::new(

@@ -1,12 +1,9 @@
 //! The attitude loop between the setpoint and the vehicle's angular acceleration.
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Euler, Frd, wrap_angle};
-use sitl::rigid_body::State;
+use sitl::frame::{Euler, wrap_angle};
 use sitl::scalar::Scalar;
 use sitl::vehicle::AttitudePd;
-
-use crate::setpoint::Setpoint;
 
 /// Which loop tracks the attitude, and what of the setpoint it listens to. The LQR's model has the
 /// loop that is really there; each triple is roll, pitch, yaw.
@@ -29,7 +26,8 @@ pub enum AttitudeLoop {
         /// Damping ratio.
         damping: [f64; 3],
     },
-    /// Closed by the daemon over a vehicle that honours rates and thrust:
+    /// Closed by the daemon over a vehicle that honours rates and thrust (the link's encoder does
+    /// it, with the same gain):
     /// `omega_cmd = omega_des + gain (zeta_des - zeta)`, `d omega/dt = (omega_cmd - omega) / tau`.
     Rates {
         /// rad/s per rad.
@@ -81,20 +79,6 @@ impl AttitudeLoop {
             }
         })
     }
-
-    /// The setpoint as the vehicle must be sent it: with the daemon's attitude loop closed into
-    /// the body rate where the daemon closes it, else unchanged.
-    ///
-    /// The error is that of the Euler angles, yaw wrapped, turned into a body rate; away from
-    /// level this is what turns the angles at `gain` times their error.
-    pub fn close(&self, setpoint: Setpoint, state: &State) -> Setpoint {
-        let Self::Rates { gain, .. } = self else { return setpoint };
-        let attitude = state.attitude.euler();
-        let error = angle_error(setpoint.attitude, attitude);
-        let rates = std::array::from_fn(|i| gain[i] * error[i]);
-        let correction: Frd = attitude.body_rate(rates);
-        Setpoint { body_rate: setpoint.body_rate + correction, ..setpoint }
-    }
 }
 
 /// `desired - actual` of roll, pitch and yaw, each wrapped to [-pi, pi).
@@ -104,34 +88,4 @@ pub(super) fn angle_error(desired: Euler, actual: Euler) -> [f64; 3] {
         wrap_angle(desired.pitch - actual.pitch),
         wrap_angle(desired.yaw - actual.yaw),
     ]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const RATES: AttitudeLoop =
-        AttitudeLoop::Rates { gain: [6.0, 6.0, 2.0], time_constant_s: [0.05, 0.05, 0.1] };
-
-    #[test]
-    fn closed_loop_turns_towards_the_setpoint_by_the_shorter_way() {
-        let state = State { attitude: Euler::new(0.1, 0.0, 3.1).attitude(), ..State::default() };
-        let setpoint = Setpoint {
-            thrust_n: 1.0,
-            attitude: Euler::new(0.2, -0.1, -3.1),
-            body_rate: Frd::new(0.0, 0.0, 0.5),
-        };
-        let closed = RATES.close(setpoint, &state);
-        assert!((closed.body_rate.front() - 0.6).abs() < 1e-9);
-        assert!(closed.body_rate.right() < -0.5);
-        assert!(closed.body_rate.down() > 0.5);
-        assert_eq!(closed.attitude, setpoint.attitude);
-    }
-
-    #[test]
-    fn loops_on_board_get_the_setpoint_as_it_is() {
-        let setpoint = Setpoint { thrust_n: 1.0, ..Setpoint::default() };
-        let state = State { attitude: Euler::new(0.3, 0.2, 1.0).attitude(), ..State::default() };
-        assert_eq!(AttitudeLoop::PX4.close(setpoint, &state), setpoint);
-    }
 }

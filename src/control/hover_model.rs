@@ -3,6 +3,7 @@
 
 use nalgebra::SMatrix;
 use sitl::frame::{Euler, Frd, Ned};
+use sitl::rigid_body::{RigidBody, State};
 use sitl::scalar::{Dual, Scalar};
 
 use super::attitude_loop::AttitudeLoop;
@@ -76,8 +77,8 @@ impl HoverModel {
     }
 }
 
-/// `ds/dt`: `dp = v`, `dv = g e3 - (u1/m) R e3`, `dzeta = W(zeta) omega`, and the attitude loop's
-/// angular acceleration less the body's gyroscopic one, `J^-1 (omega x J omega)`.
+/// `ds/dt`: `dp = v`, `dzeta = W(zeta) omega`, and the plant's own Newton-Euler equations under
+/// thrust and the attitude loop's moment.
 fn state_derivative<T: Scalar>(
     vehicle: &HoverVehicle,
     attitude_loop: &AttitudeLoop,
@@ -88,21 +89,26 @@ fn state_derivative<T: Scalar>(
     let [thrust, roll_des, pitch_des, yaw_des, p_des, q_des, r_des] = input;
     let attitude = Euler::new(roll, pitch, yaw);
     let zero = T::default();
-    let specific_thrust = Frd::new(zero, zero, thrust * (-1.0 / vehicle.mass_kg));
-    let gravity = Ned::new(zero, zero, T::from(vehicle.gravity));
-    let [an, ae, ad] = (attitude.attitude().to_world(specific_thrust) + gravity).to_array();
-    let rate = Frd::new(p, q, r);
-    let [droll, dpitch, dyaw] = attitude.rates(rate);
+    let rigid_body = RigidBody::new(vehicle.mass_kg, vehicle.inertia, vehicle.gravity);
+    let state = State {
+        position: Ned::zero(),
+        velocity: Ned::new(vn, ve, vd),
+        attitude: attitude.attitude(),
+        body_rate: Frd::new(p, q, r),
+    };
     let error = [roll_des - roll, pitch_des - pitch, yaw_des - yaw];
-    let loop_acceleration = attitude_loop.angular_acceleration(
+    let turn = attitude_loop.angular_acceleration(
         vehicle.inertia,
         error,
         [p_des, q_des, r_des],
         [p, q, r],
     );
-    let gyroscopic = rate.cross(rate.scale_by(vehicle.inertia.map(T::from))).to_array();
-    let [dp, dq, dr] =
-        std::array::from_fn(|i| loop_acceleration[i] - gyroscopic[i] * (1.0 / vehicle.inertia[i]));
+    let moment = Frd::from(turn).scale_by(vehicle.inertia.map(T::from));
+    let (acceleration, turn) =
+        rigid_body.accelerations(&state, Frd::new(zero, zero, -thrust), moment);
+    let [an, ae, ad] = acceleration.to_array();
+    let [droll, dpitch, dyaw] = attitude.rates(state.body_rate);
+    let [dp, dq, dr] = turn.to_array();
     [vn, ve, vd, an, ae, ad, droll, dpitch, dyaw, dp, dq, dr]
 }
 
@@ -119,7 +125,8 @@ mod tests {
     fn hover_is_an_equilibrium_and_its_jacobian_the_textbook_one() {
         let mut hover = [0.0; INPUTS];
         hover[0] = NANO.hover_thrust_n();
-        assert_eq!(state_derivative(&NANO, &PD, [0.0; STATES], hover), [0.0; STATES]);
+        let rest = state_derivative(&NANO, &PD, [0.0; STATES], hover);
+        assert!(rest.iter().all(|slope| slope.abs() < 1e-12));
         let model = HoverModel::continuous(&NANO, &PD);
         let mut a = SMatrix::<f64, STATES, STATES>::zeros();
         let mut b = SMatrix::<f64, STATES, INPUTS>::zeros();

@@ -49,13 +49,14 @@ pub fn airframe(numbers: &Numbers) -> Airframe {
     Airframe {
         hover: HoverVehicle { mass_kg: numbers.mass, inertia: numbers.inertia, gravity: 9.81 },
         thrust_full_n: numbers.thrust_full,
-        attitude_loop: AttitudeLoop::Pd { kp: numbers.kp, kd: numbers.kd },
         modes: MODES,
     }
 }
 
-pub fn lqr(airframe: &Airframe) -> Lqr {
-    Lqr::design(&airframe.hover, &airframe.attitude_loop, &LqrSettings::default()).expect("a gain")
+pub fn lqr(numbers: &Numbers) -> Lqr {
+    let attitude_loop = AttitudeLoop::Pd { kp: numbers.kp, kd: numbers.kd };
+    let hover = airframe(numbers).hover;
+    Lqr::design(&hover, &attitude_loop, &LqrSettings::default()).expect("a gain")
 }
 
 /// The vehicle.
@@ -242,7 +243,7 @@ impl Flight {
         settings: PilotSettings,
     ) -> Self {
         let airframe = airframe(&vehicle.numbers);
-        let lqr = lqr(&airframe);
+        let lqr = lqr(&vehicle.numbers);
         let pilot = Pilot::new(
             settings,
             policy,
