@@ -72,7 +72,7 @@ fn print_info(file: &Path, info: &LogInfo) {
     for (name, bytes) in &info.attachments {
         println!("  attachment {name}: {bytes} bytes");
     }
-    println!("  {:<18} {:>9} {:>9} {:>9}  {}", "topic", "messages", "rate/Hz", "gap/s", "schema");
+    println!("  {:<18} {:>9} {:>9} {:>9}  schema", "topic", "messages", "rate/Hz", "gap/s");
     for topic in &info.topics {
         let rate = topic.rate_hz.map_or("-".to_owned(), |rate| format!("{rate:.1}"));
         let (name, count, gap) = (&topic.topic, topic.messages, topic.longest_gap_s);

@@ -50,7 +50,7 @@ struct Threaded {
 /// What the writer's thread writes to.
 enum Target {
     One(Box<LogWriter>),
-    PerFlight(FlightLogs),
+    PerFlight(Box<FlightLogs>),
 }
 
 impl LogSink {
@@ -83,7 +83,7 @@ impl LogSink {
     /// # Errors
     /// If the system gives no thread.
     pub fn per_flight(open: OpenLog) -> io::Result<Self> {
-        Self::spawn(Target::PerFlight(FlightLogs::new(open)))
+        Self::spawn(Target::PerFlight(Box::new(FlightLogs::new(open))))
     }
 
     fn spawn(target: Target) -> io::Result<Self> {
