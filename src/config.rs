@@ -350,6 +350,19 @@ mod tests {
     }
 
     #[test]
+    fn the_shipped_file_shows_every_default() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/downwash.toml");
+        let shipped: Table =
+            std::fs::read_to_string(path).expect("the file").parse().expect("TOML");
+        let defaults = Config::defaults().merged;
+        for (key, value) in &defaults {
+            assert_eq!(shipped.get(key), Some(value), "{key}");
+        }
+        let examples = ["vehicle", "trajectory", "connect", "log_dir"];
+        assert!(shipped.keys().all(|key| defaults.contains_key(key) || examples.contains(&&**key)));
+    }
+
+    #[test]
     fn unknown_keys_are_refused_with_the_layer() {
         let error = load(None, &[("DOWNWASH_ENVELOPE__TILD", "1")]).expect_err("refused");
         let message = error.to_string();

@@ -10,10 +10,10 @@ use wire::transport::Peer;
 use crate::clock::HostTime;
 use crate::control::{AttitudeLoop, DesignError, HoverVehicle, Lqr, LqrSettings};
 use crate::link::counters::LinkState;
-use crate::link::message::{Inbound, Received};
+use crate::link::message::{Inbound, MotorSource, Received};
 use crate::link::profile::{AttitudeTargetForm, Mode, Profile};
 use crate::link::request::{FlightMode, Outcome, Request};
-use crate::link::session::{self, Heard, Session};
+use crate::link::session::{self, Heard, Session, SetpointError};
 use crate::log::record::{
     self, Direction, FrameRecord, LinkStats, Record, Severity, Source, Stamp,
 };
@@ -109,6 +109,7 @@ pub struct Station {
     stats_due: HostTime,
     last_counts: Counts,
     setpoints: u64,
+    setpoint_error: Option<SetpointError>,
     tracking_error_m: f64,
     trajectory_time: Option<f64>,
     in_flight: bool,
@@ -141,6 +142,7 @@ impl Station {
             stats_due: now + STATS_PERIOD,
             last_counts: Counts { host: now, ..Counts::default() },
             setpoints: 0,
+            setpoint_error: None,
             tracking_error_m: 0.0,
             trajectory_time: None,
             in_flight: false,
@@ -153,7 +155,9 @@ impl Station {
     /// Takes bytes that arrived. The line: each message to the pilot, and the setpoint that it
     /// answers with, if any, to the vehicle.
     pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
-        let Self { session, pilot, records, ticks, .. } = self;
+        let Self { session, pilot, profile, records, ticks, .. } = self;
+        let motors = profile.as_ref().map(|profile| profile.motor_outputs);
+        let first = records.len();
         session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
             Heard::Frame { bytes, .. } => {
                 records
@@ -163,14 +167,26 @@ impl Station {
                 if let Some(pilot) = pilot {
                     ticks.extend(pilot.handle(&received));
                 }
-                records.extend(record_of(&received));
+                records.extend(record_of(&received, motors));
             }
         });
+        for stamp in records[first..].iter_mut().filter_map(Record::stamp_mut) {
+            let mapped = stamp.vehicle.and_then(|vehicle| session.to_host(vehicle));
+            stamp.sampled = mapped.unwrap_or(stamp.host);
+        }
         // Of several samples in one datagram only the newest is acted upon.
         if let Some(setpoint) = self.ticks.last().and_then(|tick| tick.setpoint) {
             match self.session.send_setpoint(now, &setpoint) {
-                Ok(()) => self.setpoints += 1,
-                Err(error) => self.tell(now, Severity::Warning, format!("no setpoint: {error}")),
+                Ok(()) => {
+                    self.setpoints += 1;
+                    self.setpoint_error = None;
+                }
+                // Said once, not at every tick.
+                Err(error) if self.setpoint_error != Some(error) => {
+                    self.setpoint_error = Some(error);
+                    self.tell(now, Severity::Warning, format!("no setpoint is sent: {error}"));
+                }
+                Err(_) => {}
             }
         }
         self.follow_up(now);
@@ -475,7 +491,7 @@ impl Station {
                 let found = known.get(rule.name);
                 (!found.is_some_and(|value| rule.holds(*value))).then(|| PreflightCheck {
                     subject: format!("parameter {}", rule.name),
-                    expected: format!("{:?}, because {}", rule.rule, rule.why),
+                    expected: format!("{}, because {}", rule.rule, rule.why),
                     found: found.map_or("no answer".to_owned(), f64::to_string),
                 })
             })
@@ -488,10 +504,8 @@ impl Station {
             self.check_parameters();
             let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);
             if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
-                let text = format!(
-                    "parameter {name} is {value}: {}; {:?} is recommended",
-                    rule.why, rule.rule
-                );
+                let text =
+                    format!("parameter {name} is {value}: {}; set it to {}", rule.why, rule.rule);
                 self.tell(now, Severity::Notice, text);
             }
             return;
@@ -575,8 +589,8 @@ fn request_of(action: Action) -> Request {
     }
 }
 
-/// What the log keeps of a message beside its frame.
-fn record_of(received: &Received) -> Option<Record> {
+/// What the log keeps of a message beside its frame; of motor outputs, one source.
+fn record_of(received: &Received, motors: Option<MotorSource>) -> Option<Record> {
     let stamp = match received.vehicle {
         Some(vehicle) => Stamp::new(received.host, vehicle, received.host),
         None => Stamp::host(received.host),
@@ -585,7 +599,9 @@ fn record_of(received: &Received) -> Option<Record> {
         Inbound::Imu { specific_force, body_rate } => {
             Some(Record::Imu { stamp, specific_force: *specific_force, body_rate: *body_rate })
         }
-        Inbound::MotorOutputs { outputs } => Some(Record::Motors { stamp, outputs: *outputs }),
+        Inbound::MotorOutputs { source, outputs } if Some(*source) == motors => {
+            Some(Record::Motors { stamp, outputs: *outputs })
+        }
         Inbound::Battery { voltage, current, remaining } => Some(Record::Battery {
             stamp,
             voltage: *voltage,

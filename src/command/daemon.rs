@@ -7,7 +7,7 @@ use anyhow::Context;
 
 use super::fly::{baud, endpoint, tee, watch};
 use super::setup::{VehicleFile, checked_trajectory, required, run_info, station_settings};
-use super::{Exit, ExitContext, config, summary};
+use super::{Exit, ExitContext, config, say, summary};
 use crate::cli::DaemonArgs;
 use crate::daemon::{self, HostClock};
 use crate::link::connection::Connection;
@@ -42,9 +42,9 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
         .context("cannot start the control thread")?;
     let (finished, interrupted) = watch(running)?;
     if let Err(error) = finished.log {
-        eprintln!("{error}");
+        say(format_args!("{error}"));
     }
     let (end, exit) = summary::end_in_words(finished.end.as_ref(), interrupted);
-    eprintln!("daemon {end}");
+    say(format_args!("daemon {end}"));
     Ok(exit)
 }

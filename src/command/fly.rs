@@ -15,7 +15,7 @@ use super::setup::{
     VehicleFile, checked_trajectory, path_flag, required, run_info, station_settings,
 };
 use super::status_line::StatusLine;
-use super::{Exit, ExitContext, config, print_json, summary};
+use super::{Exit, ExitContext, config, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
 use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
@@ -73,14 +73,14 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let log = match finished.log {
         Ok(_) => Some(log_path),
         Err(error) => {
-            eprintln!("{error}");
+            say(format_args!("{error}"));
             None
         }
     };
     let flight = log.as_deref().map(report).transpose()?.map(|report| report.summary().clone());
     let (end, exit) = summary::end_in_words(finished.end.as_ref(), interrupted);
     if exit != Exit::Ok {
-        eprintln!("flight {end}");
+        say(format_args!("flight {end}"));
     }
     if args.json {
         print_json(&FlySummary {
@@ -92,12 +92,9 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
             flight,
         })?;
     } else {
-        if let Some(flight) = &flight {
-            summary::print_flight(flight, &end);
-        }
-        if let Some(log) = &log {
-            println!("log     {}", log.display());
-        }
+        let table = flight.map(|flight| summary::flight_table(&flight, &end)).unwrap_or_default();
+        let log = log.map(|log| format!("log     {}\n", log.display())).unwrap_or_default();
+        print_text(&format!("{table}{log}"))?;
     }
     Ok(exit)
 }
@@ -122,7 +119,9 @@ pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, bool)> {
             };
             if asked {
                 if !interrupted {
-                    eprintln!("stopping: the vehicle is asked to land; again to drop the stream");
+                    say(format_args!(
+                        "stopping: the vehicle is asked to land; again to drop the stream"
+                    ));
                 }
                 interrupted = true;
                 running.stop();

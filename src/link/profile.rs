@@ -6,6 +6,9 @@
 //! ArduCopter may, but rotates the rates by the commanded attitude. Anything else gets attitude
 //! and thrust, which all of them fly.
 
+use std::fmt;
+
+use super::message::MotorSource;
 use super::parameter::ParameterCast;
 
 /// MAV_AUTOPILOT_ARDUPILOTMEGA.
@@ -118,6 +121,16 @@ pub enum Rule {
     AtMost(f64),
 }
 
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Equals(value) => write!(f, "{value}"),
+            Self::HasBits(bits) => write!(f, "a value with the bits {bits:#x} set"),
+            Self::AtMost(limit) => write!(f, "at most {limit}"),
+        }
+    }
+}
+
 impl ParameterRule {
     /// Whether a value obeys the rule.
     pub fn holds(&self, value: f64) -> bool {
@@ -157,6 +170,8 @@ pub struct Profile {
     pub loss_action: Option<&'static str>,
     /// Rules without which it must not be flown.
     pub required: &'static [ParameterRule],
+    /// The message that tells its motor outputs.
+    pub motor_outputs: MotorSource,
     /// How it sends integer parameters.
     pub parameter_cast: ParameterCast,
     /// The messages that serve control best, at the rates to ask for.
@@ -232,6 +247,7 @@ impl Profile {
         }),
         loss_action: Some("COM_OBL_RC_ACT"),
         required: &[],
+        motor_outputs: MotorSource::ActuatorOutputStatus,
         parameter_cast: ParameterCast::Bytes,
         telemetry: PX4_TELEMETRY,
     };
@@ -273,6 +289,7 @@ impl Profile {
                 why: "the vehicle would add tilt compensation to a thrust that has it already",
             },
         ],
+        motor_outputs: MotorSource::ServoOutputRaw,
         parameter_cast: ParameterCast::Value,
         telemetry: COPTER_TELEMETRY,
     };
@@ -287,6 +304,7 @@ impl Profile {
         loss_timeout: None,
         loss_action: None,
         required: &[],
+        motor_outputs: MotorSource::ServoOutputRaw,
         parameter_cast: ParameterCast::Value,
         telemetry: SAFE_TELEMETRY,
     };
