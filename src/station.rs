@@ -453,8 +453,6 @@ impl Station {
         let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
         let modes = (word(profile.modes.offboard), word(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
-        // Of the two autopilots with modes only PX4 sends CURRENT_MODE.
-        let reports_intended = *profile != Profile::ARDUCOPTER;
         let attitude_loop = match (profile.attitude_target, self.settings.attitude_pd) {
             (AttitudeTargetForm::AttitudeRatesThrust, Some(pd)) => pd.into(),
             (AttitudeTargetForm::RatesThrust { gain }, _) => {
@@ -467,7 +465,7 @@ impl Station {
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
-            modes: ModeMap { offboard, land, reports_intended },
+            modes: ModeMap { offboard, land, reports_intended: profile.reports_intended_mode },
         };
         Ok(Some(Pilot::new(
             self.settings.pilot.clone(),

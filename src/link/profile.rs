@@ -162,6 +162,8 @@ pub struct Profile {
     pub rate_frame: RateFrame,
     /// Its modes.
     pub modes: Modes,
+    /// Whether it tells the intended mode, by CURRENT_MODE.
+    pub reports_intended_mode: bool,
     /// How it takes off.
     pub takeoff: TakeoffWay,
     /// The parameter that holds how long setpoints may be missing, in s, and the value to use.
@@ -239,6 +241,7 @@ impl Profile {
             land: Some(Mode::px4(4, 6)),
             takeoff: Some(Mode::px4(4, 2)),
         },
+        reports_intended_mode: true,
         takeoff: TakeoffWay::OffboardRamp,
         loss_timeout: Some(ParameterRule {
             name: "COM_OF_LOSS_T",
@@ -270,6 +273,7 @@ impl Profile {
             land: Some(Mode::copter(9)),
             takeoff: None,
         },
+        reports_intended_mode: false,
         takeoff: TakeoffWay::Command,
         loss_timeout: Some(ParameterRule {
             name: "GUID_TIMEOUT",
@@ -300,6 +304,7 @@ impl Profile {
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::Body,
         modes: Modes { offboard: None, hold: None, land: None, takeoff: None },
+        reports_intended_mode: false,
         takeoff: TakeoffWay::OffboardRamp,
         loss_timeout: None,
         loss_action: None,
