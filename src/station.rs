@@ -78,6 +78,8 @@ pub struct Status {
     pub phase: Option<FlightState>,
     /// The vehicle's mode word.
     pub mode: Option<u32>,
+    /// The mode's name, where the autopilot's profile has one.
+    pub mode_name: Option<&'static str>,
     /// Whether the motors are armed.
     pub armed: Option<bool>,
     /// Rate of control ticks, Hz.
@@ -114,7 +116,14 @@ pub struct Station {
     trajectory_time: Option<f64>,
     in_flight: bool,
     flown: bool,
+    /// Why the flight was led another way than planned.
     last_trouble: Option<String>,
+    /// The flight's state after the last event.
+    event_state: FlightState,
+    /// When the vehicle was found, until its rates are told.
+    found: Option<HostTime>,
+    /// No other flight begins: the station ends as soon as it does not fly.
+    is_stopping: bool,
     end: Option<End>,
 }
 
@@ -148,6 +157,9 @@ impl Station {
             in_flight: false,
             flown: false,
             last_trouble: None,
+            event_state: FlightState::Connect,
+            found: None,
+            is_stopping: false,
             end: None,
         }
     }
@@ -166,6 +178,9 @@ impl Station {
             Heard::Message(received) => {
                 if let Some(pilot) = pilot {
                     ticks.extend(pilot.handle(&received));
+                }
+                if let Inbound::StatusText { severity, text } = &received.message {
+                    show(Severity::from(*severity), &format!("vehicle: {text}"));
                 }
                 records.extend(record_of(&received, motors));
             }
@@ -255,13 +270,20 @@ impl Station {
 
     /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins.
     pub fn land(&mut self, now: HostTime) {
-        match &mut self.pilot {
-            Some(pilot) if pilot.flight_state().is_flying() => pilot.land(now),
-            _ => {
-                self.end.get_or_insert(End::Aborted("stopped before the flight".to_owned()));
-            }
+        self.is_stopping = true;
+        if let Some(pilot) = &mut self.pilot
+            && pilot.flight_state().is_flying()
+        {
+            pilot.land(now);
         }
         self.follow_up(now);
+        if self.pilot.is_none() {
+            self.end_stopped();
+        }
+    }
+
+    fn end_stopped(&mut self) {
+        self.end.get_or_insert_with(|| End::Aborted("stopped".to_owned()));
     }
 
     /// How it ended, once it has.
@@ -290,12 +312,25 @@ impl Station {
             let telemetry = pilot.telemetry();
             status.phase = Some(pilot.flight_state());
             status.mode = telemetry.status().mode;
+            status.mode_name = telemetry.status().mode.and_then(|word| self.mode_name(word));
             status.armed = telemetry.status().armed;
             status.battery = telemetry.status().battery.remaining;
             status.tick_rate_hz = telemetry.tick_rate_hz();
             status.position = telemetry.last_sample().map_or(Ned::zero(), |s| s.state.position);
         }
         status
+    }
+
+    fn mode_name(&self, word: u32) -> Option<&'static str> {
+        let modes = &self.profile.as_ref()?.modes;
+        let named = [
+            (modes.offboard, "offboard"),
+            (modes.hold, "hold"),
+            (modes.land, "land"),
+            (modes.takeoff, "take-off"),
+        ];
+        let is_it = |mode: Option<Mode>| mode.is_some_and(|mode| mode.custom_mode == word);
+        named.into_iter().find(|(mode, _)| is_it(*mode)).map(|(_, name)| name)
     }
 
     /// After the pilot has acted: ticks to the log, session's news to the pilot, the pilot's
@@ -325,9 +360,11 @@ impl Station {
                 crate::supervisor::Severity::Warning => Severity::Warning,
                 crate::supervisor::Severity::Error => Severity::Error,
             };
-            if severity <= Severity::Warning {
+            // What changed nothing, such as a refusal before the vehicle agreed, is forgiven.
+            if severity <= Severity::Warning && event.state != self.event_state {
                 self.last_trouble = Some(event.text.clone());
             }
+            self.event_state = event.state;
             self.tell(now, severity, format!("{}: {}", event.state.name(), event.text));
         }
         self.watch(now, state);
@@ -348,6 +385,11 @@ impl Station {
             state,
             FlightState::TakeOff | FlightState::Approach | FlightState::Track | FlightState::Hold
         );
+        let is_airborne =
+            state.is_flying() || matches!(state, FlightState::Land | FlightState::Disarm);
+        if self.is_stopping && !is_airborne {
+            self.end_stopped();
+        }
         if self.settings.policy != EngagePolicy::Command || self.end.is_some() {
             return;
         }
@@ -383,19 +425,15 @@ impl Station {
                     pilot.link_event(now, LinkEvent::Lost);
                 }
             }
-            Event::VehicleFound(id) => self.tell(
-                now,
-                Severity::Info,
-                format!(
-                    "heard system {} component {}: autopilot {}, type {}",
-                    id.system, id.component, id.autopilot, id.vehicle_type
-                ),
-            ),
+            Event::VehicleFound(id) => {
+                self.found = Some(now);
+                self.tell(now, Severity::Info, format!("heard {id}"));
+            }
             Event::Identified { profile, is_version_known } => {
                 self.identified(now, *profile, is_version_known);
             }
             Event::Request { request, outcome, .. } => self.request_ended(now, &request, &outcome),
-            Event::Interval(event) => self.tell(now, Severity::Info, format!("{event}")),
+            Event::Interval(event) => self.tell(now, Severity::Debug, format!("{event}")),
             Event::Bandwidth { share } => self.tell(
                 now,
                 Severity::Warning,
@@ -535,11 +573,7 @@ impl Station {
     }
 
     fn tell(&mut self, now: HostTime, severity: Severity, text: String) {
-        match severity {
-            Severity::Info | Severity::Notice | Severity::Debug => tracing::info!("{text}"),
-            Severity::Warning => tracing::warn!("{text}"),
-            _ => tracing::error!("{text}"),
-        }
+        show(severity, &text);
         self.records.push(Record::Event { host: now, severity, source: Source::Daemon, text });
     }
 
@@ -574,7 +608,25 @@ impl Station {
             sent_frames: stats.sent_frames,
             sent_bytes: stats.sent_bytes,
         };
+        if self.found.is_some_and(|found| now.since(found) >= STATS_PERIOD) {
+            self.found = None;
+            let text = format!(
+                "receiving attitude at {:.0} Hz, position at {:.0} Hz, odometry at {:.0} Hz",
+                record.attitude_hz, record.position_hz, record.odometry_hz
+            );
+            self.tell(now, Severity::Info, text);
+        }
         self.records.push(Record::Link { host: now, stats: record });
+    }
+}
+
+/// Shows a message to whoever watches.
+fn show(severity: Severity, text: &str) {
+    match severity {
+        Severity::Debug => tracing::debug!("{text}"),
+        Severity::Info | Severity::Notice => tracing::info!("{text}"),
+        Severity::Warning => tracing::warn!("{text}"),
+        _ => tracing::error!("{text}"),
     }
 }
 

@@ -105,7 +105,7 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
     let report = report(&log_path)?;
     let report_path = args.out.join("report.html");
     write(&report_path, report.to_html().as_bytes())?;
-    let (words, exit) = summary::end_in_words(Some(&end), false);
+    let (words, exit) = summary::end_in_words(Some(&end), None);
     let summary = DemoSummary {
         schema: "downwash.demo",
         schema_version: 1,

@@ -68,7 +68,7 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let station = Station::new(station_settings, clock.now());
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
-    let (finished, interrupted) = watch(running)?;
+    let (finished, stop) = watch(running)?;
 
     let log = match finished.log {
         Ok(_) => Some(log_path),
@@ -78,7 +78,7 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
         }
     };
     let flight = log.as_deref().map(report).transpose()?.map(|report| report.summary().clone());
-    let (end, exit) = summary::end_in_words(finished.end.as_ref(), interrupted);
+    let (end, exit) = summary::end_in_words(finished.end.as_ref(), stop);
     if exit != Exit::Ok {
         say(format_args!("flight {end}"));
     }
@@ -99,40 +99,49 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     Ok(exit)
 }
 
+/// What asked for the end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stop {
+    /// Ctrl-C.
+    Interrupt,
+    /// SIGTERM.
+    Terminate,
+}
+
 /// Shows the status and waits for the end. The first Ctrl-C or SIGTERM asks for landing, the
-/// second drops the stream. Returns whether there was one.
-pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, bool)> {
+/// second drops the stream. Returns the first.
+pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, Option<Stop>)> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .context("cannot start the runtime that watches signals")?;
-    let interrupted = runtime.block_on(async {
+    let stop = runtime.block_on(async {
         let mut interrupt = signal(SignalKind::interrupt())?;
         let mut terminate = signal(SignalKind::terminate())?;
         let line = StatusLine::new(std::io::stderr().is_terminal());
-        let mut interrupted = false;
+        let mut stop = None;
         while !running.is_done() {
             let asked = tokio::select! {
-                _ = interrupt.recv() => true,
-                _ = terminate.recv() => true,
-                () = tokio::time::sleep(WATCH_PERIOD) => false,
+                _ = interrupt.recv() => Some(Stop::Interrupt),
+                _ = terminate.recv() => Some(Stop::Terminate),
+                () = tokio::time::sleep(WATCH_PERIOD) => None,
             };
-            if asked {
-                if !interrupted {
-                    say(format_args!(
-                        "stopping: the vehicle is asked to land; again to drop the stream"
-                    ));
+            if asked.is_some() {
+                if stop.is_none() {
+                    tracing::warn!(
+                        "stopping: in flight the vehicle lands; again to drop the stream"
+                    );
                 }
-                interrupted = true;
+                stop = stop.or(asked);
                 running.stop();
             }
             line.show(&running.status());
         }
         line.finish();
-        Ok::<_, std::io::Error>(interrupted)
+        Ok::<_, std::io::Error>(stop)
     });
-    let interrupted = interrupted.context("cannot watch signals")?;
-    Ok((running.join(), interrupted))
+    let stop = stop.context("cannot watch signals")?;
+    Ok((running.join(), stop))
 }
 
 /// Parses the URL of a vehicle.

@@ -6,6 +6,7 @@ mod demo;
 mod exit;
 mod fly;
 mod log;
+mod messages;
 mod setup;
 mod sitl;
 mod status_line;
@@ -18,6 +19,7 @@ use serde::Serialize;
 
 use crate::cli::{Cli, Command};
 pub use exit::Exit;
+pub use messages::Messages;
 
 /// Runs the command.
 ///

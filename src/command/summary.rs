@@ -1,12 +1,13 @@
 //! How a flight ended, for people.
 
 use super::Exit;
+use super::fly::Stop;
 use crate::report::flight::FlightSummary;
 use crate::station::End;
 
-/// The end in words, and its exit code. `interrupted`: the user asked for the end.
-pub(super) fn end_in_words(end: Option<&End>, interrupted: bool) -> (String, Exit) {
-    if interrupted {
+/// The end in words, and its exit code. `stop`: the user asked for the end.
+pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
+    if stop.is_some() {
         return ("interrupted".to_owned(), Exit::Interrupted);
     }
     match end {
