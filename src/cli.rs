@@ -129,6 +129,17 @@ pub enum LogCommand {
         #[arg(short, long)]
         out: Option<PathBuf>,
     },
+    /// Writes the report on a flight: path, tracking error, setpoints and timing, as one HTML file.
+    Report {
+        /// Flight log (.mcap).
+        file: PathBuf,
+        /// The report [default: beside the log, under its name].
+        #[arg(short, long)]
+        out: Option<PathBuf>,
+        /// Prints the numbers as JSON.
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 /// Forms of exported rows.

@@ -1,6 +1,7 @@
 //! What the fuzz targets do with their bytes. The root package's tests run the same functions on
 //! random bytes, so that they are exercised without a fuzzer too.
 
+use std::io;
 use std::time::Duration;
 
 use downwash::clock::HostTime;
@@ -8,6 +9,10 @@ use downwash::link::attitude_target::ThrustMap;
 use downwash::link::request::{FlightMode, Request};
 use downwash::link::session::{Heard, Session, Settings};
 use downwash::link::tee::Tee;
+use downwash::log::LogReader;
+use downwash::log::export::{Format, export_topic};
+use downwash::log::info::LogInfo;
+use downwash::report::FlightReport;
 use downwash::setpoint::Setpoint;
 use wire::Endpoint;
 use wire::tlog::Reader;
@@ -60,6 +65,27 @@ pub fn tlog(data: &[u8]) {
         kept += entry.frame.len() + if entry.time_us.is_some() { 8 } else { 0 };
     }
     assert_eq!(kept as u64 + reader.skipped_bytes(), data.len() as u64);
+}
+
+/// A flight log of anything, with and without the start of one: what can be read is summed up, drawn
+/// and exported.
+pub fn flight_log(data: &[u8]) {
+    /// Topics that are exported: the cost of more is not worth their variety.
+    const TOPICS: usize = 4;
+    let started = [b"\x89MCAP0\r\n", data].concat();
+    for bytes in [data, &started] {
+        let Ok(mut reader) = LogReader::new(bytes) else { continue };
+        let report = FlightReport::read(&mut reader).expect("memory gives everything");
+        assert!(report.to_html().ends_with("</html>\n"));
+        let reread = || LogReader::new(bytes).expect("it was read before");
+        let info = LogInfo::read(&mut reread()).expect("memory gives everything");
+        for topic in info.topics.iter().take(TOPICS) {
+            for format in [Format::Csv, Format::JsonLines] {
+                // Topics of other types than the project's are refused.
+                let _ = export_topic(&mut reread(), &topic.topic, format, &mut io::sink());
+            }
+        }
+    }
 }
 
 /// A connection string of anything: what is accepted is written and read back the same.

@@ -16,7 +16,7 @@ use super::setup::{
     EffectiveVehicle, VehicleFile, built_in_trajectory, checked_trajectory, run_info,
     station_settings,
 };
-use super::{Exit, ExitContext, config, print_json, print_text, say, summary};
+use super::{Exit, ExitContext, config, print_json, print_text, say, summary, write_file};
 use crate::cli::DemoArgs;
 use crate::lockstep;
 use crate::log::{LogReader, LogSink, LogWriter};
@@ -104,7 +104,7 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
     let simulated_s = simulated.now_us() as f64 * 1e-6;
     let report = report(&log_path)?;
     let report_path = args.out.join("report.html");
-    write(&report_path, report.to_html().as_bytes())?;
+    write_file(&report_path, report.to_html().as_bytes())?;
     let (words, exit) = summary::end_in_words(Some(&end), None);
     let summary = DemoSummary {
         schema: "downwash.demo",
@@ -121,7 +121,7 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
         flight: report.summary().clone(),
     };
     let json = serde_json::to_vec_pretty(&summary).context("summary.json")?;
-    write(&args.out.join("summary.json"), &json)?;
+    write_file(&args.out.join("summary.json"), &json)?;
     if args.json {
         print_json(&summary)?;
     } else {
@@ -145,14 +145,6 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
 pub(super) fn report(log: &Path) -> anyhow::Result<FlightReport> {
     let mut reader = LogReader::open(log)?;
     Ok(FlightReport::read(&mut reader)?)
-}
-
-/// Writes a file whole or not at all.
-fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let partial = path.with_extension("part");
-    fs::write(&partial, bytes)
-        .and_then(|()| fs::rename(&partial, path))
-        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 fn progress_bar(length_s: f64) -> ProgressBar {

@@ -1,4 +1,4 @@
-//! `downwash log`: what is in flight logs.
+//! `downwash log`: what is in flight logs, and reports on them.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
@@ -6,12 +6,13 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use super::{Exit, ExitContext, print_json};
+use super::{Exit, ExitContext, print_json, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
 use crate::log::info::LogInfo;
 use crate::log::reader::ReadError;
+use crate::report::FlightReport;
 
 pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
     match command {
@@ -54,6 +55,18 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
             }
             if !reader.ending().finished {
                 eprintln!("{}: unfinished log, exported what is whole", file.display());
+            }
+            Ok(Exit::Ok)
+        }
+        LogCommand::Report { file, out, json } => {
+            let mut reader = LogReader::open(&file).or_exit(Exit::Usage)?;
+            let report = FlightReport::read(&mut reader)?;
+            let out = out.unwrap_or_else(|| file.with_extension("html"));
+            write_file(&out, report.to_html().as_bytes())?;
+            if json {
+                print_json(report.summary())?;
+            } else {
+                println!("{}", out.display());
             }
             Ok(Exit::Ok)
         }

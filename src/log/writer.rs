@@ -201,9 +201,8 @@ impl LogWriter {
             .profile("")
             .library(format!("downwash {}", info.tool_version))
             .chunk_size(Some(CHUNK_BYTES))
-            .compression(Some(Compression::Zstd))
-            .compression_level(1)
-            .compression_threads(0)
+            // Half the time of zstd's level 1 in lockstep; the files are a fifth larger.
+            .compression(Some(Compression::Lz4))
             .disable_seeking(true)
             .create(NoSeek::new(BufWriter::new(file)))
             .map_err(fail)?;

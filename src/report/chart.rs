@@ -1,17 +1,13 @@
-//! Charts as inline SVG: curves over a shared x axis, and histograms.
+//! Charts as inline SVG: curves over a shared x axis.
 
 use std::fmt::Write;
 
+use super::axis::{Axis, LABELLED_BOTTOM, LEFT, RIGHT, TOP, WIDTH, grid, range_of, significant};
 use super::page::escape;
 
-const WIDTH: f64 = 900.0;
-const LEFT: f64 = 56.0;
-const RIGHT: f64 = 10.0;
-const TOP: f64 = 20.0;
 /// Room above the first panel for the names of the bands.
 const NAMES: f64 = 17.0;
 const BOTTOM: f64 = 22.0;
-const LABELLED_BOTTOM: f64 = 40.0;
 /// Columns of a chart within which only the smallest and the largest value are drawn.
 const BUCKETS: usize = 600;
 /// Places along x that show their values when pointed at.
@@ -199,173 +195,8 @@ impl Chart<'_> {
     }
 }
 
-/// Bars over equal intervals.
-#[derive(Clone, Debug)]
-pub struct Histogram<'a> {
-    /// Name of the figure.
-    pub name: &'a str,
-    /// Name and unit of x.
-    pub x_label: &'a str,
-    /// What is counted; what is not finite is left out.
-    pub values: &'a [f64],
-    /// Number of bars.
-    pub bars: usize,
-}
-
-impl Histogram<'_> {
-    /// The figure. Values beyond the 99.5th percentile are counted in the last bar.
-    pub fn to_html(&self) -> String {
-        const HEIGHT: f64 = 120.0;
-        let mut sorted: Vec<f64> = self.values.iter().copied().filter(|v| v.is_finite()).collect();
-        sorted.sort_by(f64::total_cmp);
-        let (Some(low), Some(high)) = (sorted.first(), quantile(&sorted, 0.995)) else {
-            return String::from("<p class=\"note\">No data.</p>");
-        };
-        // Equal values make one bar in the middle, not a picture of rounding errors.
-        let spread = (0.02 * high.abs() - (high - low)).max(0.0) / 2.0;
-        let x = Axis::padded(Some((low - spread, high + spread)), LEFT, WIDTH - RIGHT);
-        let mut counts = vec![0usize; self.bars.max(1)];
-        let last = counts.len() - 1;
-        for value in &sorted {
-            let bar = (value - x.low) / (x.high - x.low) * counts.len() as f64;
-            counts[(bar.max(0.0) as usize).min(last)] += 1;
-        }
-        let most = counts.iter().copied().max().unwrap_or(1) as f64;
-        let y = Axis::exact(Some((0.0, most * 1.05)), TOP + HEIGHT, TOP);
-        let (height, name) = (TOP + HEIGHT + LABELLED_BOTTOM, escape(self.name));
-        let mut html = format!(
-            "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{name}\">"
-        );
-        grid(&x, &y, &mut html);
-        let width = (WIDTH - RIGHT - LEFT) / counts.len() as f64;
-        for (bar, count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
-            let (left, top) = (LEFT + bar as f64 * width, y.at(*count as f64));
-            let (from, to) = (x.value(left), x.value(left + width));
-            let _ = write!(
-                html,
-                "<rect class=\"bar\" x=\"{:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\">\
-                 <title>{} to {}: {count}</title></rect>",
-                left + 0.5,
-                width - 1.0,
-                TOP + HEIGHT - top,
-                significant(from),
-                significant(to)
-            );
-        }
-        let _ = write!(
-            html,
-            "<text class=\"name\" x=\"{LEFT}\" y=\"{}\">{name}</text>\
-             <text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text></svg>",
-            TOP - 7.0,
-            (LEFT + WIDTH - RIGHT) / 2.0,
-            height - 5.0,
-            escape(self.x_label)
-        );
-        html
-    }
-}
-
-/// The value below which the part `q` of `sorted` lies, by the nearest rank.
-pub fn quantile(sorted: &[f64], q: f64) -> Option<f64> {
-    let rank = (q * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied()
-}
-
-/// `value` with four significant digits.
-pub fn significant(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return format!("{value}");
-    }
-    let decimals = (3 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
-    format!("{value:.decimals$}")
-}
-
-/// Smallest and largest finite value.
-fn range_of(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
-    values.filter(|v| v.is_finite()).fold(None, |range, v| match range {
-        None => Some((v, v)),
-        Some((low, high)) => Some((v.min(low), v.max(high))),
-    })
-}
-
 fn range(values: &[f64]) -> Option<(f64, f64)> {
     range_of(values.iter().copied())
-}
-
-/// Maps values to pixels.
-#[derive(Clone, Copy, Debug)]
-struct Axis {
-    low: f64,
-    high: f64,
-    from: f64,
-    to: f64,
-}
-
-impl Axis {
-    /// From the least to the greatest value exactly.
-    fn exact(range: Option<(f64, f64)>, from: f64, to: f64) -> Self {
-        match range {
-            Some((low, high)) if high > low => Self { low, high, from, to },
-            Some((only, _)) => Self { low: only - 0.5, high: only + 0.5, from, to },
-            None => Self { low: 0.0, high: 1.0, from, to },
-        }
-    }
-
-    /// With some air on both sides, and no magnification of rounding errors.
-    fn padded(range: Option<(f64, f64)>, from: f64, to: f64) -> Self {
-        let (low, high) = range.unwrap_or((0.0, 1.0));
-        let least = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
-        let air = ((high - low) * 0.06).max(least);
-        Self { low: low - air, high: high + air, from, to }
-    }
-
-    fn at(&self, value: f64) -> f64 {
-        self.from + (value - self.low) / (self.high - self.low) * (self.to - self.from)
-    }
-
-    fn value(&self, pixel: f64) -> f64 {
-        self.low + (pixel - self.from) / (self.to - self.from) * (self.high - self.low)
-    }
-
-    /// Round numbers at most `spacing` pixels apart or a little more, as value and text.
-    fn ticks(&self, spacing: f64) -> Vec<(f64, String)> {
-        let count = ((self.to - self.from).abs() / spacing).max(2.0);
-        let rough = (self.high - self.low) / count;
-        let power = 10f64.powf(rough.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].map(|f| f * power).into_iter().find(|s| *s >= rough);
-        let Some(step) = step.filter(|s| s.is_normal()) else { return Vec::new() };
-        let decimals = (-(step * 1.000_001).log10().floor()).clamp(0.0, 9.0) as usize;
-        let first = (self.low / step).ceil() as i64;
-        let last = (self.high / step).floor() as i64;
-        (first..=last.min(first.saturating_add(100)))
-            .map(|n| n as f64 * step)
-            .map(|v| (v, format!("{v:.decimals$}")))
-            .collect()
-    }
-}
-
-fn grid(x: &Axis, y: &Axis, html: &mut String) {
-    let (top, bottom, right) = (y.to, y.from, WIDTH - RIGHT);
-    for (value, text) in y.ticks(26.0) {
-        let at = y.at(value);
-        let _ = write!(
-            html,
-            "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{right}\"/>\
-             <text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{text}</text>",
-            LEFT - 6.0,
-            at + 4.0
-        );
-    }
-    for (value, text) in x.ticks(95.0) {
-        let at = x.at(value);
-        let _ = write!(
-            html,
-            "<path class=\"grid\" d=\"M{at:.1} {top}V{bottom}\"/>\
-             <text x=\"{at:.1}\" y=\"{}\" text-anchor=\"middle\">{text}</text>",
-            bottom + 15.0
-        );
-    }
-    let _ = write!(html, "<path class=\"axis\" d=\"M{LEFT} {top}V{bottom}H{right}\"/>");
 }
 
 /// The curve as path data: within each bucket only its extremes, in their order.
@@ -408,15 +239,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ticks_are_round_and_within_the_axis() {
-        let axis = Axis::exact(Some((-0.013, 0.171)), 100.0, 0.0);
-        let ticks: Vec<_> = axis.ticks(30.0).into_iter().map(|(_, text)| text).collect();
-        assert_eq!(ticks, ["0.0", "0.1"]);
-        let axis = Axis::exact(Some((0.0, 22.5)), 0.0, 900.0);
-        assert_eq!(axis.ticks(95.0)[1].1, "5");
-    }
-
-    #[test]
     fn decimation_keeps_a_lone_spike_and_breaks_at_nan() {
         let xs: Vec<f64> = (0..100_000).map(f64::from).collect();
         let mut ys = vec![0.0; xs.len()];
@@ -442,7 +264,5 @@ mod tests {
             };
             assert!(!chart.to_html().contains("NaN"));
         }
-        let histogram = Histogram { name: "h", x_label: "x", values: &[1.0; 9], bars: 10 };
-        assert!(!histogram.to_html().contains("NaN"));
     }
 }

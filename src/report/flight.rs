@@ -5,8 +5,8 @@ use std::io::Read;
 
 use serde::Serialize;
 
-use super::chart::quantile;
 use super::flight_page;
+use super::histogram::quantile;
 use crate::log::LogReader;
 use crate::log::info::{LogInfo, PhaseInfo, TrackingInfo};
 use crate::log::reader::{Message, ReadError};
@@ -101,6 +101,19 @@ pub struct LinkSummary {
     pub reconnects: u64,
     /// Largest round trip, s.
     pub rtt_max_s: Option<f64>,
+}
+
+impl Row {
+    /// What the tick followed, if it sent a setpoint: without one nothing is controlled, and what
+    /// the reference says then is not what the vehicle is to do.
+    pub fn followed(&self) -> Option<&ReferenceMessage> {
+        self.reference.as_ref().filter(|_| self.setpoint.is_some())
+    }
+
+    /// How the tick's setpoint came about, if it sent one.
+    pub fn share(&self) -> Option<&ControlMessage> {
+        self.control.as_ref().filter(|_| self.setpoint.is_some())
+    }
 }
 
 impl FlightReport {

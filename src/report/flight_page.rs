@@ -2,8 +2,10 @@
 
 use sitl::frame::Ned;
 
-use super::chart::{Band, Chart, Curve, Histogram, Panel, Style, significant};
+use super::axis::significant;
+use super::chart::{Band, Chart, Curve, Panel, Style};
 use super::flight::{FlightReport, Row};
+use super::histogram::Histogram;
 use super::page::{Mood, Page};
 use super::scene::Scene;
 use super::table::{Table, definitions};
@@ -30,12 +32,17 @@ pub(super) fn html(report: &FlightReport) -> String {
     let figure = Figure::new(report);
     verdict(report, &mut page);
     key_figures(report, &mut page);
-    page.section("Path", "The flown path against the desired one.", &path(report));
+    page.section(
+        "Path",
+        "The flown path against the desired one, to scale, seen from the south-west.",
+        &path(report),
+    );
     if report.info.tracking.is_some() {
-        let explanation = "State minus reference, at every tick that has a reference.";
+        let explanation = "State minus reference, at every tick that sent a setpoint; landing is the vehicle's own.";
         page.section("Tracking error", explanation, &figure.tracking_error());
     }
-    let explanation = "World axes: north, east, down. Angles are roll, pitch, yaw.";
+    let explanation =
+        "World axes: north, east, down. Nothing is desired while no setpoints are sent.";
     page.section("Desired and flown", explanation, &figure.states());
     let explanation = "What was sent, and the feed-forward's share of it; the rest is feedback.";
     page.section("Setpoints", explanation, &figure.setpoints());
@@ -114,7 +121,7 @@ fn key_figures(report: &FlightReport, page: &mut Page) {
 
 fn path(report: &FlightReport) -> String {
     let flown = |r: &Row| Ned::new(r.state.p_n_m, r.state.p_e_m, r.state.p_d_m);
-    let desired = |r: &Row| match &r.reference {
+    let desired = |r: &Row| match r.followed() {
         Some(r) => Ned::new(r.p_n_m, r.p_e_m, r.p_d_m),
         None => Ned::new(f64::NAN, f64::NAN, f64::NAN),
     };
@@ -136,7 +143,7 @@ impl<'a> Figure<'a> {
         let band = |phase: &crate::log::info::PhaseInfo| Band {
             from: phase.start_s,
             to: phase.start_s + phase.duration_s,
-            name: phase.name.clone(),
+            name: phase.name.replace('_', " "),
         };
         Self { report, time, bands: report.info.phases.iter().map(band).collect() }
     }
@@ -162,21 +169,21 @@ impl<'a> Figure<'a> {
     }
 
     fn tracking_error(&self) -> String {
-        let axis = |name: &str, colour, value: fn(&ControlMessage) -> f64| Panel {
-            name: name.into(),
-            curves: vec![self.curve("error", Style::Colour(colour), move |r| {
-                r.control.as_ref().map_or(f64::NAN, value)
-            })],
-        };
+        let axis =
+            |name: &str, colour, value: fn(&ControlMessage) -> f64| Panel {
+                name: name.into(),
+                curves: vec![self.curve("error", Style::Colour(colour), move |r| {
+                    r.share().map_or(f64::NAN, value)
+                })],
+            };
         let mut panels = vec![
             axis("north (m)", 1, |c| c.error_n_m),
             axis("east (m)", 1, |c| c.error_e_m),
             axis("down (m)", 1, |c| c.error_d_m),
             axis("distance (m)", 1, |c| c.error_3d_m),
         ];
-        let yaw = self.angle("error", Style::Colour(1), |r| {
-            r.control.as_ref().map_or(f64::NAN, |c| c.error_yaw_rad)
-        });
+        let yaw = self
+            .angle("error", Style::Colour(1), |r| r.share().map_or(f64::NAN, |c| c.error_yaw_rad));
         panels.push(Panel { name: "yaw (deg)".into(), curves: vec![yaw] });
         self.chart(92.0, panels)
     }
@@ -188,7 +195,7 @@ impl<'a> Figure<'a> {
             curves: vec![
                 self.curve("flown", Style::Colour(1), move |r| flown(&r.state)),
                 self.curve("desired", Style::Reference, move |r| {
-                    r.reference.as_ref().map_or(f64::NAN, desired)
+                    r.followed().map_or(f64::NAN, desired)
                 }),
             ],
         };
@@ -198,7 +205,7 @@ impl<'a> Figure<'a> {
                 curves: vec![
                     self.angle("flown", Style::Colour(1), move |r| flown(&r.state)),
                     self.angle("desired", Style::Reference, move |r| {
-                        r.reference.as_ref().map_or(f64::NAN, desired)
+                        r.followed().map_or(f64::NAN, desired)
                     }),
                 ],
             };
@@ -226,8 +233,7 @@ impl<'a> Figure<'a> {
         type Get<M> = fn(&M) -> f64;
         let sent =
             |get: Get<SetpointMessage>| move |r: &Row| r.setpoint.as_ref().map_or(f64::NAN, get);
-        let share =
-            |get: Get<ControlMessage>| move |r: &Row| r.control.as_ref().map_or(f64::NAN, get);
+        let share = |get: Get<ControlMessage>| move |r: &Row| r.share().map_or(f64::NAN, get);
         let angular = |name: &str, total: Get<SetpointMessage>, ff: Get<ControlMessage>| Panel {
             name: name.into(),
             curves: vec![

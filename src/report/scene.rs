@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use sitl::frame::Ned;
 
-use super::chart::significant;
+use super::axis::significant;
 
 const WIDTH: f64 = 900.0;
 const HEIGHT: f64 = 480.0;
@@ -63,23 +63,32 @@ impl Scene<'_> {
         polyline(&view, &shadow, "shadow", &mut svg);
         polyline(&view, self.desired, "curve ref", &mut svg);
         polyline(&view, self.flown, "curve c1", &mut svg);
-        let ends = [
-            ("start", self.flown.iter().find(|p| p.is_finite())),
-            ("end", self.flown.iter().rfind(|p| p.is_finite())),
-        ];
-        for (name, point) in ends {
-            let Some(point) = point else { continue };
+        self.ends(&view, &mut svg);
+        svg.push_str("</svg>");
+        svg
+    }
+
+    /// Marks where the flown path begins and ends, under one name where that is the same place.
+    fn ends(&self, view: &View, svg: &mut String) {
+        let mut finite = self.flown.iter().filter(|p| p.is_finite());
+        let Some(start) = finite.next() else { return };
+        let end = finite.next_back().unwrap_or(start);
+        let ((x1, y1), (x2, y2)) = (view.at(*start), view.at(*end));
+        let together = (x2 - x1).hypot(y2 - y1) < 20.0;
+        let names = if together { ("start, end", "") } else { ("start", "end") };
+        for (point, name) in [(start, names.0), (end, names.1)] {
             let (x, y) = view.at(*point);
             let _ = write!(
                 svg,
-                "<circle class=\"mark\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\"><title>{name}: north {} m, east {} m, up {} m</title></circle>",
+                "<circle class=\"mark\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\"><title>north {} m, east {} m, up {} m</title></circle>\
+                 <text x=\"{:.1}\" y=\"{:.1}\">{name}</text>",
                 significant(point.north()),
                 significant(point.east()),
-                significant(-point.down())
+                significant(-point.down()),
+                x + 8.0,
+                y + 14.0
             );
         }
-        svg.push_str("</svg>");
-        svg
     }
 }
 

@@ -1,5 +1,11 @@
-//! The fuzz targets' functions on random bytes, among them frames that are nearly right.
+//! The fuzz targets' functions on random bytes, among them frames and logs that are nearly right.
 
+mod log_flight;
+
+use std::path::Path;
+use std::sync::LazyLock;
+
+use log_flight::{records, write};
 use proptest::prelude::*;
 use wire::Encoder;
 use wire::dialect::MavMessage;
@@ -45,6 +51,13 @@ fn any_input() -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
+/// A whole log of a short flight.
+static LOG: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fuzz_targets");
+    let _ = std::fs::remove_dir_all(&directory);
+    std::fs::read(write(&directory, &records(0.2))).unwrap()
+});
+
 proptest! {
     #[test]
     fn no_bytes_break_the_link(input in any_input()) {
@@ -52,12 +65,31 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_break_the_log_reader(input in any_input()) {
+    fn no_bytes_break_the_telemetry_log(input in any_input()) {
         fuzz::tlog(&input);
     }
 
     #[test]
     fn no_bytes_break_the_endpoint(input in "(udpin|tcp|serial|udp)?:?(//)?[ -~]{0,20}") {
         fuzz::endpoint(input.as_bytes());
+    }
+
+    #[test]
+    fn no_bytes_break_the_flight_log(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+        fuzz::flight_log(&bytes);
+    }
+
+    #[test]
+    fn no_damage_breaks_the_flight_log(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..20),
+        length in any::<prop::sample::Index>(),
+    ) {
+        let mut log = LOG.clone();
+        for (at, byte) in changes {
+            let at = at.index(log.len());
+            log[at] = byte;
+        }
+        log.truncate(length.index(log.len()) + 1);
+        fuzz::flight_log(&log);
     }
 }
