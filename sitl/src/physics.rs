@@ -249,6 +249,11 @@ impl Physics {
         self.aerodynamics.is_some()
     }
 
+    /// Whether the pack's voltage acts on the rotors.
+    pub fn depends_on_voltage(&self) -> bool {
+        self.sag.is_some()
+    }
+
     /// Whether the rotors' angular momentum acts on the body.
     pub fn has_spin_momentum(&self) -> bool {
         self.spin_momentum_max.is_some()
