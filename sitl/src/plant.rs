@@ -126,19 +126,22 @@ impl Plant {
     fn draw_power(&mut self) {
         let thrusts = self.physics.thrusts(&self.rotors, &self.environment);
         self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * Self::STEP);
-        self.environment.voltage_factor = self.physics.voltage_factor(self.battery.voltage());
+        self.apply_voltage();
+    }
+
+    /// Lets the pack's voltage act on the rotors, without a reaction on the body.
+    fn apply_voltage(&mut self) {
+        if self.physics.depends_on_voltage() {
+            self.environment.voltage_factor = self.physics.voltage_factor(self.battery.voltage());
+            self.loads = self.physics.loads(&self.rotors, &self.environment);
+        }
     }
 
     /// Loads with the rotors in the states of a step's start, middle and end.
     #[inline]
     fn lagged_loads(&self, middle: &[f64; ROTORS], end: &[f64; ROTORS]) -> [Loads<f64>; 3] {
         let env = &self.environment;
-        let start = if self.physics.depends_on_voltage() {
-            self.physics.loads(&self.rotors, env)
-        } else {
-            self.loads
-        };
-        let loads = [start, self.physics.loads(middle, env), self.physics.loads(end, env)];
+        let loads = [self.loads, self.physics.loads(middle, env), self.physics.loads(end, env)];
         if !self.physics.has_spin_momentum() {
             return loads;
         }
@@ -212,8 +215,7 @@ impl Plant {
     /// Holds the pack's terminal voltage at `voltage` [V] from now on, as a log says.
     pub fn hold_voltage(&mut self, voltage: f64) {
         self.battery.hold(voltage);
-        self.environment.voltage_factor = self.physics.voltage_factor(voltage);
-        self.loads = self.physics.loads(&self.rotors, &self.environment);
+        self.apply_voltage();
     }
 
     /// u_i: the outputs of the last step, as clipped.
