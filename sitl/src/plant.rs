@@ -16,10 +16,6 @@ use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
 /// Steps between updates of the pack: 4 ms is short against the rotors' lag.
 const BATTERY_STEPS: u64 = 4;
 
-/// Below this fraction of the maximum speed the rotors' angular momentum changes too fast in a
-/// step to be sampled: from rest, n grows with the square root of time.
-const SLOW_ROTOR: f64 = 0.1;
-
 /// The simulated vehicle without its autopilot: motor outputs in, motion out.
 #[derive(Clone, Debug)]
 pub struct Plant {
@@ -145,17 +141,11 @@ impl Plant {
         if !self.physics.has_spin_momentum() {
             return loads;
         }
-        let [start, mid, last] = loads;
-        if start.rotor_speeds().iter().any(|&n| n < SLOW_ROTOR) {
-            let mean = (last.spin_momentum() - start.spin_momentum()) / Self::STEP;
-            return loads.map(|loads| loads.with_spin_momentum_rate(mean));
-        }
-        let with_rate = |loads: Loads<f64>, rotors: &[f64; ROTORS]| {
-            let rates = std::array::from_fn(|i| self.lag.rate(rotors[i], self.outputs[i]));
-            let rate = self.physics.spin_momentum_rate(rotors, &rates, &loads, env);
-            loads.with_spin_momentum_rate(rate)
-        };
-        [with_rate(start, &self.rotors), with_rate(mid, middle), with_rate(last, end)]
+        // Rates of the parabola through the three: over the step the rotors give the body just
+        // what they gain, even from rest, where dh/dt is infinite.
+        let [h0, h1, h2] = loads.each_ref().map(Loads::spin_momentum);
+        let rates = [4.0 * h1 - 3.0 * h0 - h2, h2 - h0, h0 - 4.0 * h1 + 3.0 * h2];
+        std::array::from_fn(|i| loads[i].with_spin_momentum_rate(rates[i] / Self::STEP))
     }
 
     /// The state one step later, under the loads of each stage.
