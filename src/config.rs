@@ -267,7 +267,9 @@ impl Config {
     }
 
     fn merge(&mut self, layer: Table, origin: &Origin) -> Result<(), ConfigError> {
-        for (path, _) in leaves("", &layer) {
+        for (path, value) in leaves("", &layer) {
+            check_numbers(&path, value)
+                .map_err(|message| ConfigError::Schema { origin: origin.clone(), message })?;
             self.origins.insert(path, origin.clone());
         }
         overlay(&mut self.merged, layer);
@@ -276,6 +278,22 @@ impl Config {
         })?;
         Ok(())
     }
+}
+
+/// No setting is negative, and a limit that is NaN would limit nothing.
+fn check_numbers(path: &str, value: &Value) -> Result<(), String> {
+    let wrong = match value {
+        Value::Float(number) => !(number.is_finite() && *number >= 0.0),
+        Value::Integer(number) => *number < 0,
+        Value::Array(values) => {
+            return values.iter().try_for_each(|value| check_numbers(path, value));
+        }
+        _ => false,
+    };
+    if wrong {
+        return Err(format!("{path}: expected a finite number of at least 0, found {value}"));
+    }
+    Ok(())
 }
 
 fn nested(path: &str, value: Value) -> Table {
@@ -347,6 +365,31 @@ mod tests {
         assert_eq!(origin_of(&config, "envelope.speed_max_m_s"), path.display().to_string());
         assert_eq!(origin_of(&config, "envelope.radius_max_m"), "default");
         std::fs::remove_dir_all(folder).expect("removed");
+    }
+
+    #[test]
+    fn the_shipped_file_shows_every_default() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/downwash.toml");
+        let shipped: Table =
+            std::fs::read_to_string(path).expect("the file").parse().expect("TOML");
+        let defaults = Config::defaults().merged;
+        for (key, value) in &defaults {
+            assert_eq!(shipped.get(key), Some(value), "{key}");
+        }
+        let examples = ["vehicle", "trajectory", "connect", "log_dir"];
+        assert!(shipped.keys().all(|key| defaults.contains_key(key) || examples.contains(&&**key)));
+    }
+
+    #[test]
+    fn numbers_that_would_limit_nothing_are_refused() {
+        for (name, text) in [
+            ("DOWNWASH_PILOT__SAFETY__TILT_MAX_RAD", "nan"),
+            ("DOWNWASH_CONTROL__RATE_HZ", "-100"),
+            ("DOWNWASH_CONTROL__POSITION_M", "[0.4, inf, 0.3]"),
+        ] {
+            let message = load(None, &[(name, text)]).expect_err("refused").to_string();
+            assert!(message.contains(name) && message.contains("at least 0"), "{message}");
+        }
     }
 
     #[test]

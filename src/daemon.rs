@@ -93,7 +93,8 @@ pub fn start(
     let shared = Arc::new(Shared::default());
     let seen = Arc::clone(&shared);
     let thread = thread::Builder::new().name("control".into()).spawn(move || {
-        let mut control = Control { clock, connection, tee, sink, shared: &seen };
+        let mut control =
+            Control { clock, connection, tee, sink, shared: &seen, open_failure: String::new() };
         let end = runtime.block_on(control.run(&mut station));
         let log = control.sink.finish();
         seen.done.store(true, Ordering::Release);
@@ -135,6 +136,8 @@ struct Control<'a> {
     tee: Option<TeeThread>,
     sink: LogSink,
     shared: &'a Shared,
+    /// Why the endpoint did not open, as last told.
+    open_failure: String,
 }
 
 impl Control<'_> {
@@ -198,9 +201,17 @@ impl Control<'_> {
                     tee.received(now, peer, bytes, self.connection.is_datagram());
                 }
             }
-            Input::Opened => station.opened(now),
-            Input::Failed { error, retry_in } => {
-                tracing::warn!("{error}; trying again in {:.1} s", retry_in.as_secs_f64());
+            Input::Opened => {
+                self.open_failure.clear();
+                station.opened(now);
+            }
+            // Tried again until it opens, and told once.
+            Input::Failed { error, .. } => {
+                let failure = error.to_string();
+                if failure != self.open_failure {
+                    tracing::warn!("{failure}; trying again until it opens");
+                    self.open_failure = failure;
+                }
             }
             Input::Lost(error) => station.closed(now, &error.to_string()),
             Input::PeerOpened(_) => {}

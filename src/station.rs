@@ -10,10 +10,10 @@ use wire::transport::Peer;
 use crate::clock::HostTime;
 use crate::control::{AttitudeLoop, DesignError, HoverVehicle, Lqr, LqrSettings};
 use crate::link::counters::LinkState;
-use crate::link::message::{Inbound, Received};
+use crate::link::message::{Inbound, MotorSource, Received};
 use crate::link::profile::{AttitudeTargetForm, Mode, Profile};
 use crate::link::request::{FlightMode, Outcome, Request};
-use crate::link::session::{self, Heard, Session};
+use crate::link::session::{self, Heard, Session, SetpointError};
 use crate::log::record::{
     self, Direction, FrameRecord, LinkStats, Record, Severity, Source, Stamp,
 };
@@ -78,6 +78,8 @@ pub struct Status {
     pub phase: Option<FlightState>,
     /// The vehicle's mode word.
     pub mode: Option<u32>,
+    /// The mode's name, where the autopilot's profile has one.
+    pub mode_name: Option<&'static str>,
     /// Whether the motors are armed.
     pub armed: Option<bool>,
     /// Rate of control ticks, Hz.
@@ -109,11 +111,19 @@ pub struct Station {
     stats_due: HostTime,
     last_counts: Counts,
     setpoints: u64,
+    setpoint_error: Option<SetpointError>,
     tracking_error_m: f64,
     trajectory_time: Option<f64>,
     in_flight: bool,
     flown: bool,
+    /// Why the flight was led another way than planned.
     last_trouble: Option<String>,
+    /// The flight's state after the last event.
+    event_state: FlightState,
+    /// When the vehicle was found, until its rates are told.
+    found: Option<HostTime>,
+    /// No other flight begins: the station ends as soon as it does not fly.
+    is_stopping: bool,
     end: Option<End>,
 }
 
@@ -141,11 +151,15 @@ impl Station {
             stats_due: now + STATS_PERIOD,
             last_counts: Counts { host: now, ..Counts::default() },
             setpoints: 0,
+            setpoint_error: None,
             tracking_error_m: 0.0,
             trajectory_time: None,
             in_flight: false,
             flown: false,
             last_trouble: None,
+            event_state: FlightState::Connect,
+            found: None,
+            is_stopping: false,
             end: None,
         }
     }
@@ -153,7 +167,9 @@ impl Station {
     /// Takes bytes that arrived. The line: each message to the pilot, and the setpoint that it
     /// answers with, if any, to the vehicle.
     pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
-        let Self { session, pilot, records, ticks, .. } = self;
+        let Self { session, pilot, profile, records, ticks, .. } = self;
+        let motors = profile.as_ref().map(|profile| profile.motor_outputs);
+        let first = records.len();
         session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
             Heard::Frame { bytes, .. } => {
                 records
@@ -163,14 +179,29 @@ impl Station {
                 if let Some(pilot) = pilot {
                     ticks.extend(pilot.handle(&received));
                 }
-                records.extend(record_of(&received));
+                if let Inbound::StatusText { severity, text } = &received.message {
+                    show(Severity::from(*severity), &format!("vehicle: {text}"));
+                }
+                records.extend(record_of(&received, motors));
             }
         });
+        for stamp in records[first..].iter_mut().filter_map(Record::stamp_mut) {
+            let mapped = stamp.vehicle.and_then(|vehicle| session.to_host(vehicle));
+            stamp.sampled = mapped.unwrap_or(stamp.host);
+        }
         // Of several samples in one datagram only the newest is acted upon.
         if let Some(setpoint) = self.ticks.last().and_then(|tick| tick.setpoint) {
             match self.session.send_setpoint(now, &setpoint) {
-                Ok(()) => self.setpoints += 1,
-                Err(error) => self.tell(now, Severity::Warning, format!("no setpoint: {error}")),
+                Ok(()) => {
+                    self.setpoints += 1;
+                    self.setpoint_error = None;
+                }
+                // Said once, not at every tick.
+                Err(error) if self.setpoint_error != Some(error) => {
+                    self.setpoint_error = Some(error);
+                    self.tell(now, Severity::Warning, format!("no setpoint is sent: {error}"));
+                }
+                Err(_) => {}
             }
         }
         self.follow_up(now);
@@ -239,13 +270,20 @@ impl Station {
 
     /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins.
     pub fn land(&mut self, now: HostTime) {
-        match &mut self.pilot {
-            Some(pilot) if pilot.flight_state().is_flying() => pilot.land(now),
-            _ => {
-                self.end.get_or_insert(End::Aborted("stopped before the flight".to_owned()));
-            }
+        self.is_stopping = true;
+        if let Some(pilot) = &mut self.pilot
+            && pilot.flight_state().is_flying()
+        {
+            pilot.land(now);
         }
         self.follow_up(now);
+        if self.pilot.is_none() {
+            self.end_stopped();
+        }
+    }
+
+    fn end_stopped(&mut self) {
+        self.end.get_or_insert_with(|| End::Aborted("stopped".to_owned()));
     }
 
     /// How it ended, once it has.
@@ -274,12 +312,25 @@ impl Station {
             let telemetry = pilot.telemetry();
             status.phase = Some(pilot.flight_state());
             status.mode = telemetry.status().mode;
+            status.mode_name = telemetry.status().mode.and_then(|word| self.mode_name(word));
             status.armed = telemetry.status().armed;
             status.battery = telemetry.status().battery.remaining;
             status.tick_rate_hz = telemetry.tick_rate_hz();
             status.position = telemetry.last_sample().map_or(Ned::zero(), |s| s.state.position);
         }
         status
+    }
+
+    fn mode_name(&self, word: u32) -> Option<&'static str> {
+        let modes = &self.profile.as_ref()?.modes;
+        let named = [
+            (modes.offboard, "offboard"),
+            (modes.hold, "hold"),
+            (modes.land, "land"),
+            (modes.takeoff, "take-off"),
+        ];
+        let is_it = |mode: Option<Mode>| mode.is_some_and(|mode| mode.custom_mode == word);
+        named.into_iter().find(|(mode, _)| is_it(*mode)).map(|(_, name)| name)
     }
 
     /// After the pilot has acted: ticks to the log, session's news to the pilot, the pilot's
@@ -309,9 +360,11 @@ impl Station {
                 crate::supervisor::Severity::Warning => Severity::Warning,
                 crate::supervisor::Severity::Error => Severity::Error,
             };
-            if severity <= Severity::Warning {
+            // What changed nothing, such as a refusal before the vehicle agreed, is forgiven.
+            if severity <= Severity::Warning && event.state != self.event_state {
                 self.last_trouble = Some(event.text.clone());
             }
+            self.event_state = event.state;
             self.tell(now, severity, format!("{}: {}", event.state.name(), event.text));
         }
         self.watch(now, state);
@@ -332,6 +385,11 @@ impl Station {
             state,
             FlightState::TakeOff | FlightState::Approach | FlightState::Track | FlightState::Hold
         );
+        let is_airborne =
+            state.is_flying() || matches!(state, FlightState::Land | FlightState::Disarm);
+        if self.is_stopping && !is_airborne {
+            self.end_stopped();
+        }
         if self.settings.policy != EngagePolicy::Command || self.end.is_some() {
             return;
         }
@@ -367,19 +425,15 @@ impl Station {
                     pilot.link_event(now, LinkEvent::Lost);
                 }
             }
-            Event::VehicleFound(id) => self.tell(
-                now,
-                Severity::Info,
-                format!(
-                    "heard system {} component {}: autopilot {}, type {}",
-                    id.system, id.component, id.autopilot, id.vehicle_type
-                ),
-            ),
+            Event::VehicleFound(id) => {
+                self.found = Some(now);
+                self.tell(now, Severity::Info, format!("heard {id}"));
+            }
             Event::Identified { profile, is_version_known } => {
                 self.identified(now, *profile, is_version_known);
             }
             Event::Request { request, outcome, .. } => self.request_ended(now, &request, &outcome),
-            Event::Interval(event) => self.tell(now, Severity::Info, format!("{event}")),
+            Event::Interval(event) => self.tell(now, Severity::Debug, format!("{event}")),
             Event::Bandwidth { share } => self.tell(
                 now,
                 Severity::Warning,
@@ -437,8 +491,6 @@ impl Station {
         let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
         let modes = (word(profile.modes.offboard), word(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
-        // Of the two autopilots with modes only PX4 sends CURRENT_MODE.
-        let reports_intended = *profile != Profile::ARDUCOPTER;
         let attitude_loop = match (profile.attitude_target, self.settings.attitude_pd) {
             (AttitudeTargetForm::AttitudeRatesThrust, Some(pd)) => pd.into(),
             (AttitudeTargetForm::RatesThrust { gain }, _) => {
@@ -451,7 +503,7 @@ impl Station {
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
-            modes: ModeMap { offboard, land, reports_intended },
+            modes: ModeMap { offboard, land, reports_intended: profile.reports_intended_mode },
         };
         Ok(Some(Pilot::new(
             self.settings.pilot.clone(),
@@ -475,7 +527,7 @@ impl Station {
                 let found = known.get(rule.name);
                 (!found.is_some_and(|value| rule.holds(*value))).then(|| PreflightCheck {
                     subject: format!("parameter {}", rule.name),
-                    expected: format!("{:?}, because {}", rule.rule, rule.why),
+                    expected: format!("{}, because {}", rule.rule, rule.why),
                     found: found.map_or("no answer".to_owned(), f64::to_string),
                 })
             })
@@ -488,10 +540,8 @@ impl Station {
             self.check_parameters();
             let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);
             if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
-                let text = format!(
-                    "parameter {name} is {value}: {}; {:?} is recommended",
-                    rule.why, rule.rule
-                );
+                let text =
+                    format!("parameter {name} is {value}: {}; set it to {}", rule.why, rule.rule);
                 self.tell(now, Severity::Notice, text);
             }
             return;
@@ -523,11 +573,7 @@ impl Station {
     }
 
     fn tell(&mut self, now: HostTime, severity: Severity, text: String) {
-        match severity {
-            Severity::Info | Severity::Notice | Severity::Debug => tracing::info!("{text}"),
-            Severity::Warning => tracing::warn!("{text}"),
-            _ => tracing::error!("{text}"),
-        }
+        show(severity, &text);
         self.records.push(Record::Event { host: now, severity, source: Source::Daemon, text });
     }
 
@@ -562,7 +608,25 @@ impl Station {
             sent_frames: stats.sent_frames,
             sent_bytes: stats.sent_bytes,
         };
+        if self.found.is_some_and(|found| now.since(found) >= STATS_PERIOD) {
+            self.found = None;
+            let text = format!(
+                "receiving attitude at {:.0} Hz, position at {:.0} Hz, odometry at {:.0} Hz",
+                record.attitude_hz, record.position_hz, record.odometry_hz
+            );
+            self.tell(now, Severity::Info, text);
+        }
         self.records.push(Record::Link { host: now, stats: record });
+    }
+}
+
+/// Shows a message to whoever watches.
+fn show(severity: Severity, text: &str) {
+    match severity {
+        Severity::Debug => tracing::debug!("{text}"),
+        Severity::Info | Severity::Notice => tracing::info!("{text}"),
+        Severity::Warning => tracing::warn!("{text}"),
+        _ => tracing::error!("{text}"),
     }
 }
 
@@ -575,8 +639,8 @@ fn request_of(action: Action) -> Request {
     }
 }
 
-/// What the log keeps of a message beside its frame.
-fn record_of(received: &Received) -> Option<Record> {
+/// What the log keeps of a message beside its frame; of motor outputs, one source.
+fn record_of(received: &Received, motors: Option<MotorSource>) -> Option<Record> {
     let stamp = match received.vehicle {
         Some(vehicle) => Stamp::new(received.host, vehicle, received.host),
         None => Stamp::host(received.host),
@@ -585,7 +649,9 @@ fn record_of(received: &Received) -> Option<Record> {
         Inbound::Imu { specific_force, body_rate } => {
             Some(Record::Imu { stamp, specific_force: *specific_force, body_rate: *body_rate })
         }
-        Inbound::MotorOutputs { outputs } => Some(Record::Motors { stamp, outputs: *outputs }),
+        Inbound::MotorOutputs { source, outputs } if Some(*source) == motors => {
+            Some(Record::Motors { stamp, outputs: *outputs })
+        }
         Inbound::Battery { voltage, current, remaining } => Some(Record::Battery {
             stamp,
             voltage: *voltage,

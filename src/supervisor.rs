@@ -246,9 +246,10 @@ impl Supervisor {
     /// Moves along the table's row for `trigger`, if there is one.
     pub fn fire(&mut self, now: HostTime, trigger: Trigger, why: &str) -> bool {
         let Some(next) = self.state.next(trigger) else { return false };
-        let severity = match next {
-            FlightState::Abort => Severity::Error,
-            FlightState::PilotControl => Severity::Warning,
+        let severity = match (next, trigger) {
+            (FlightState::Abort, _) => Severity::Error,
+            (FlightState::PilotControl, _)
+            | (_, Trigger::HoldNow | Trigger::LandNow | Trigger::TimedOut) => Severity::Warning,
             _ => Severity::Info,
         };
         let refusal = self.refusal.take().filter(|_| next == FlightState::Abort);

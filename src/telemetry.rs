@@ -17,7 +17,8 @@ use crate::link::message::{AttitudeSource, Inbound, Received};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TelemetrySettings {
-    /// Control rate, Hz; ticks are thinned to it.
+    /// Control rate, Hz; ticks are thinned to it. Not set by itself: it is the feedback's.
+    #[serde(skip)]
     pub rate_hz: f64,
     /// A message that came this much later than the quickest ones is not acted upon, s.
     pub late_after_s: f64,

@@ -27,7 +27,8 @@ pub struct SitlArgs {
     /// The simulation's own settings: sensors, battery, home, start (TOML)
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Vehicle seconds per second
+    /// Vehicle seconds per second. Clients that fly the vehicle need 1: a daemon's own clock is
+    /// the host's
     #[arg(long, value_name = "X", default_value = "1")]
     pub speed: Speed,
     /// Seed of every random number

@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use anyhow::Context;
 
-use super::fly::{baud, endpoint, tee, watch};
+use super::fly::{Stop, baud, endpoint, tee, watch};
 use super::setup::{VehicleFile, checked_trajectory, required, run_info, station_settings};
-use super::{Exit, ExitContext, config, summary};
+use super::{Exit, ExitContext, config, say, summary};
 use crate::cli::DaemonArgs;
 use crate::daemon::{self, HostClock};
 use crate::link::connection::Connection;
@@ -40,11 +40,15 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let station = Station::new(station_settings, clock.now());
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
-    let (finished, interrupted) = watch(running)?;
+    let (finished, stop) = watch(running)?;
     if let Err(error) = finished.log {
-        eprintln!("{error}");
+        say(format_args!("{error}"));
     }
-    let (end, exit) = summary::end_in_words(finished.end.as_ref(), interrupted);
-    eprintln!("daemon {end}");
+    let (end, exit) = match stop {
+        // How a service manager ends a service: nothing failed.
+        Some(Stop::Terminate) => ("stopped".to_owned(), Exit::Ok),
+        stop => summary::end_in_words(finished.end.as_ref(), stop),
+    };
+    say(format_args!("daemon {end}"));
     Ok(exit)
 }

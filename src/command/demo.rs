@@ -16,7 +16,7 @@ use super::setup::{
     EffectiveVehicle, VehicleFile, built_in_trajectory, checked_trajectory, run_info,
     station_settings,
 };
-use super::{Exit, ExitContext, config, print_json, summary};
+use super::{Exit, ExitContext, config, print_json, print_text, say, summary};
 use crate::cli::DemoArgs;
 use crate::lockstep;
 use crate::log::{LogReader, LogSink, LogWriter};
@@ -105,7 +105,7 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
     let report = report(&log_path)?;
     let report_path = args.out.join("report.html");
     write(&report_path, report.to_html().as_bytes())?;
-    let (words, exit) = summary::end_in_words(Some(&end), false);
+    let (words, exit) = summary::end_in_words(Some(&end), None);
     let summary = DemoSummary {
         schema: "downwash.demo",
         schema_version: 1,
@@ -125,16 +125,18 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
     if args.json {
         print_json(&summary)?;
     } else {
-        summary::print_flight(&summary.flight, &summary.end);
-        println!(
-            "simulated {:.1} s in {:.2} s: {:.0} times real time",
-            summary.simulated_s, summary.wall_s, summary.real_time_factor
-        );
-        println!("report  {}", summary.report.display());
-        println!("log     {}", summary.log.display());
+        let table = summary::flight_table(&summary.flight, &summary.end);
+        print_text(&format!(
+            "{table}simulated {:.1} s in {:.2} s: {:.0} times real time\nreport  {}\nlog     {}\n",
+            summary.simulated_s,
+            summary.wall_s,
+            summary.real_time_factor,
+            summary.report.display(),
+            summary.log.display()
+        ))?;
     }
     if end != End::Done {
-        eprintln!("the flight did not end as planned: {}", summary.end);
+        say(format_args!("the flight did not end as planned: {}", summary.end));
     }
     Ok(exit)
 }

@@ -15,7 +15,7 @@ use super::setup::{
     VehicleFile, checked_trajectory, path_flag, required, run_info, station_settings,
 };
 use super::status_line::StatusLine;
-use super::{Exit, ExitContext, config, print_json, summary};
+use super::{Exit, ExitContext, config, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
 use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
@@ -68,19 +68,19 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let station = Station::new(station_settings, clock.now());
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
-    let (finished, interrupted) = watch(running)?;
+    let (finished, stop) = watch(running)?;
 
     let log = match finished.log {
         Ok(_) => Some(log_path),
         Err(error) => {
-            eprintln!("{error}");
+            say(format_args!("{error}"));
             None
         }
     };
     let flight = log.as_deref().map(report).transpose()?.map(|report| report.summary().clone());
-    let (end, exit) = summary::end_in_words(finished.end.as_ref(), interrupted);
+    let (end, exit) = summary::end_in_words(finished.end.as_ref(), stop);
     if exit != Exit::Ok {
-        eprintln!("flight {end}");
+        say(format_args!("flight {end}"));
     }
     if args.json {
         print_json(&FlySummary {
@@ -92,48 +92,56 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
             flight,
         })?;
     } else {
-        if let Some(flight) = &flight {
-            summary::print_flight(flight, &end);
-        }
-        if let Some(log) = &log {
-            println!("log     {}", log.display());
-        }
+        let table = flight.map(|flight| summary::flight_table(&flight, &end)).unwrap_or_default();
+        let log = log.map(|log| format!("log     {}\n", log.display())).unwrap_or_default();
+        print_text(&format!("{table}{log}"))?;
     }
     Ok(exit)
 }
 
+/// What asked for the end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stop {
+    /// Ctrl-C.
+    Interrupt,
+    /// SIGTERM.
+    Terminate,
+}
+
 /// Shows the status and waits for the end. The first Ctrl-C or SIGTERM asks for landing, the
-/// second drops the stream. Returns whether there was one.
-pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, bool)> {
+/// second drops the stream. Returns the first.
+pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, Option<Stop>)> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .context("cannot start the runtime that watches signals")?;
-    let interrupted = runtime.block_on(async {
+    let stop = runtime.block_on(async {
         let mut interrupt = signal(SignalKind::interrupt())?;
         let mut terminate = signal(SignalKind::terminate())?;
         let line = StatusLine::new(std::io::stderr().is_terminal());
-        let mut interrupted = false;
+        let mut stop = None;
         while !running.is_done() {
             let asked = tokio::select! {
-                _ = interrupt.recv() => true,
-                _ = terminate.recv() => true,
-                () = tokio::time::sleep(WATCH_PERIOD) => false,
+                _ = interrupt.recv() => Some(Stop::Interrupt),
+                _ = terminate.recv() => Some(Stop::Terminate),
+                () = tokio::time::sleep(WATCH_PERIOD) => None,
             };
-            if asked {
-                if !interrupted {
-                    eprintln!("stopping: the vehicle is asked to land; again to drop the stream");
+            if asked.is_some() {
+                if stop.is_none() {
+                    tracing::warn!(
+                        "stopping: in flight the vehicle lands; again to drop the stream"
+                    );
                 }
-                interrupted = true;
+                stop = stop.or(asked);
                 running.stop();
             }
             line.show(&running.status());
         }
         line.finish();
-        Ok::<_, std::io::Error>(interrupted)
+        Ok::<_, std::io::Error>(stop)
     });
-    let interrupted = interrupted.context("cannot watch signals")?;
-    Ok((running.join(), interrupted))
+    let stop = stop.context("cannot watch signals")?;
+    Ok((running.join(), stop))
 }
 
 /// Parses the URL of a vehicle.

@@ -1,7 +1,7 @@
 //! `downwash log`: what is in flight logs.
 
 use std::fs::File;
-use std::io::{self, BufWriter};
+use std::io::{self, BufReader, BufWriter};
 use std::path::Path;
 
 use anyhow::Context;
@@ -11,19 +11,20 @@ use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
 use crate::log::info::LogInfo;
+use crate::log::reader::ReadError;
 
 pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
     match command {
         LogCommand::Info { files, json } => {
             for file in &files {
-                let mut reader = LogReader::open(file).or_exit(Exit::Usage)?;
+                let mut reader = open(file)?;
                 let info = LogInfo::read(&mut reader)?;
                 if json { print_json(&info)? } else { print_info(file, &info) }
             }
             Ok(Exit::Ok)
         }
         LogCommand::Export { file, topic, format, out } => {
-            let mut reader = LogReader::open(&file).or_exit(Exit::Usage)?;
+            let mut reader = open(&file)?;
             let format = match format {
                 ExportFormat::Csv => Format::Csv,
                 ExportFormat::Jsonl => Format::JsonLines,
@@ -56,6 +57,15 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
             }
             Ok(Exit::Ok)
         }
+    }
+}
+
+/// Opens a log; what is wrong with it is told with its name.
+fn open(file: &Path) -> anyhow::Result<LogReader<BufReader<File>>> {
+    let reader = LogReader::open(file);
+    match reader {
+        Err(error @ ReadError::Open { .. }) => Err(error).or_exit(Exit::Usage),
+        reader => reader.with_context(|| file.display().to_string()).or_exit(Exit::Usage),
     }
 }
 

@@ -6,6 +6,7 @@ mod demo;
 mod exit;
 mod fly;
 mod log;
+mod messages;
 mod setup;
 mod sitl;
 mod status_line;
@@ -18,6 +19,7 @@ use serde::Serialize;
 
 use crate::cli::{Cli, Command};
 pub use exit::Exit;
+pub use messages::Messages;
 
 /// Runs the command.
 ///
@@ -29,8 +31,14 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Fly(args) => fly::run(&args),
         Command::Daemon(args) => daemon::run(&args),
         Command::Sitl(args) => sitl::run(&args),
-        Command::Log(command) => log::run(command),
-        Command::Config(args) => config::run(&args),
+        Command::Log(command) => {
+            end_on_broken_pipe();
+            log::run(command)
+        }
+        Command::Config(args) => {
+            end_on_broken_pipe();
+            config::run(&args)
+        }
     }
 }
 
@@ -57,6 +65,23 @@ impl<T, E: Into<anyhow::Error>> ExitContext<T> for Result<T, E> {
 /// The exit code that goes with an error: the one attached to it, else [`Exit::Failure`].
 pub fn exit_of(error: &anyhow::Error) -> Exit {
     error.downcast_ref::<Failed>().map_or(Exit::Failure, |failed| failed.exit)
+}
+
+/// Ends a command that only reads when the reader of its output goes away, as `head` does. A
+/// flight must go on without its audience, so commands that fly do not call this.
+fn end_on_broken_pipe() {
+    // SAFETY: restores the system's default action; no handler of ours is involved.
+    unsafe { libc::signal(libc::SIGPIPE, libc::SIG_DFL) };
+}
+
+/// Writes a line to stderr, and goes on where nobody reads it.
+fn say(line: std::fmt::Arguments<'_>) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
+
+/// Prints results on stdout.
+fn print_text(text: &str) -> anyhow::Result<()> {
+    io::stdout().lock().write_all(text.as_bytes()).context("standard output")
 }
 
 /// Prints one JSON object on stdout.

@@ -13,7 +13,7 @@ use sitl::vehicle::{AttitudePd, VehicleParams};
 
 use super::{Exit, ExitContext};
 use crate::config::{Config, FormSetting};
-use crate::control::HoverVehicle;
+use crate::control::{AttitudeLoop, HoverVehicle, Lqr};
 use crate::link::attitude_target::ThrustMap;
 use crate::link::profile::FormChoice;
 use crate::link::session;
@@ -109,6 +109,9 @@ pub(super) fn station_settings(
 ) -> anyhow::Result<StationSettings> {
     let settings = &config.settings;
     let effective = EffectiveVehicle::new(&vehicle.params)?;
+    // The vehicle is not known yet, so neither is its loop; what no feedback can be designed with
+    // is wrong with any.
+    Lqr::design(&effective.hover, &AttitudeLoop::PX4, &settings.control).or_exit(Exit::Usage)?;
     let link = &settings.link;
     let session = session::Settings {
         system: link.system,

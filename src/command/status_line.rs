@@ -1,10 +1,26 @@
 //! The live status on a terminal.
 
+use std::io::{self, Write};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::station::Status;
+
+/// The line that is shown. A process has one terminal, and so one line, which whoever prints beside
+/// it must know of.
+static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
+
+/// Prints on stderr, above the status line where there is one.
+///
+/// # Errors
+/// If stderr takes no more.
+pub(super) fn print_above(text: &[u8]) -> io::Result<()> {
+    let bar = SHOWN.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let print = || io::stderr().write_all(text);
+    bar.map_or_else(print, |bar| bar.suspend(print))
+}
 
 /// One line on stderr that is drawn over and over; nothing where stderr is no terminal.
 pub(super) struct StatusLine {
@@ -20,6 +36,7 @@ impl StatusLine {
         let style = ProgressStyle::with_template("{spinner} {msg}");
         let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
         bar.enable_steady_tick(Duration::from_millis(250));
+        *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
         Self { bar }
     }
 
@@ -31,6 +48,7 @@ impl StatusLine {
     /// Takes the line away.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
+        *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
 }
 
@@ -38,7 +56,8 @@ fn words(status: &Status) -> String {
     let mut parts = vec![format!("link {}", status.link)];
     parts.extend(status.vehicle.map(str::to_owned));
     parts.extend(status.phase.map(|phase| phase.name().to_owned()));
-    parts.extend(status.mode.map(|mode| format!("mode {mode:#010x}")));
+    let mode = |word| status.mode_name.map_or(format!("mode {word:#010x}"), str::to_owned);
+    parts.extend(status.mode.map(mode));
     parts.extend(status.armed.map(|armed| if armed { "armed" } else { "disarmed" }.to_owned()));
     if status.tick_rate_hz > 0.0 {
         let (p, rate) = (status.position, status.tick_rate_hz);

@@ -1,12 +1,13 @@
 //! How a flight ended, for people.
 
 use super::Exit;
+use super::fly::Stop;
 use crate::report::flight::FlightSummary;
 use crate::station::End;
 
-/// The end in words, and its exit code. `interrupted`: the user asked for the end.
-pub(super) fn end_in_words(end: Option<&End>, interrupted: bool) -> (String, Exit) {
-    if interrupted {
+/// The end in words, and its exit code. `stop`: the user asked for the end.
+pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
+    if stop.is_some() {
         return ("interrupted".to_owned(), Exit::Interrupted);
     }
     match end {
@@ -21,18 +22,19 @@ pub(super) fn end_in_words(end: Option<&End>, interrupted: bool) -> (String, Exi
 }
 
 /// The table that a flight leaves on stdout.
-pub(super) fn print_flight(flight: &FlightSummary, end: &str) {
-    println!("flight  {end}");
+pub(super) fn flight_table(flight: &FlightSummary, end: &str) -> String {
+    let mut table = format!("flight  {end}\n");
     if let Some(t) = &flight.tracking {
-        println!("{:>22} {:>8} {:>8} {:>8} {:>8} {:>8}", "", "north", "east", "down", "3D", "most");
-        println!(
-            "{:>22} {:8.3} {:8.3} {:8.3} {:8.3} {:8.3}",
-            "position RMSE / m", t.rmse_n_m, t.rmse_e_m, t.rmse_d_m, t.rmse_3d_m, t.max_3d_m
-        );
+        let heads = ["north", "east", "down", "3D", "most"].map(|head| format!("{head:>9}"));
+        let values = [t.rmse_n_m, t.rmse_e_m, t.rmse_d_m, t.rmse_3d_m, t.max_3d_m];
+        let values = values.map(|value| format!("{value:9.3}"));
+        table += &format!("{:18}{}\n", "", heads.concat());
+        table += &format!("{:18}{}\n", "position RMSE / m", values.concat());
     }
     let control = &flight.control;
-    println!(
-        "control ticks {}, missed {}, setpoints {}, cut by a limit {}",
+    table += &format!(
+        "control ticks {}, missed {}, setpoints {}, cut by a limit {}\n",
         control.ticks, control.missed_ticks, control.setpoints, control.limited_ticks
     );
+    table
 }

@@ -10,7 +10,7 @@ use sitl::frame::{Attitude, Euler, Ned};
 use wire::Frame;
 use wire::dialect::*;
 
-use super::message::{AttitudeSource, Inbound, LandedState};
+use super::message::{AttitudeSource, Inbound, LandedState, MotorSource};
 use super::parameter::{self, ParameterCast};
 use super::text::TextAssembler;
 use crate::clock::VehicleTime;
@@ -98,11 +98,13 @@ impl Codec {
             M::HIGHRES_IMU(data) => imu(data)?,
             M::ACTUATOR_OUTPUT_STATUS(data) => {
                 let [a, b, c, d, ..] = data.actuator;
-                outputs(VehicleTime::from_us(data.time_usec), [a, b, c, d])?
+                let time = VehicleTime::from_us(data.time_usec);
+                outputs(MotorSource::ActuatorOutputStatus, time, [a, b, c, d])?
             }
             M::SERVO_OUTPUT_RAW(data) if data.port == 0 => {
                 let raw = [data.servo1_raw, data.servo2_raw, data.servo3_raw, data.servo4_raw];
-                outputs(self.unwrap_us(data.time_usec), raw.map(f32::from))?
+                let time = self.unwrap_us(data.time_usec);
+                outputs(MotorSource::ServoOutputRaw, time, raw.map(f32::from))?
             }
             M::BATTERY_STATUS(data) if data.id == 0 => (None, battery(data)),
             M::ATTITUDE_TARGET(data) => attitude_target(data)?,
@@ -245,9 +247,9 @@ fn imu(data: &HIGHRES_IMU_DATA) -> Result<Decoded, Refusal> {
     Ok((Some(VehicleTime::from_us(data.time_usec)), message))
 }
 
-fn outputs(time: VehicleTime, outputs: [f32; 4]) -> Result<Decoded, Refusal> {
+fn outputs(source: MotorSource, time: VehicleTime, outputs: [f32; 4]) -> Result<Decoded, Refusal> {
     if outputs.iter().all(|output| output.is_finite()) {
-        Ok((Some(time), Inbound::MotorOutputs { outputs }))
+        Ok((Some(time), Inbound::MotorOutputs { source, outputs }))
     } else {
         Err(Refusal::OutOfRange)
     }

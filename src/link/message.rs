@@ -75,6 +75,8 @@ pub enum Inbound {
     },
     /// ACTUATOR_OUTPUT_STATUS or SERVO_OUTPUT_RAW, as sent.
     MotorOutputs {
+        /// Which of the two: their units differ.
+        source: MotorSource,
         /// The first outputs of the message.
         outputs: [f32; 4],
     },
@@ -146,6 +148,15 @@ pub enum AttitudeSource {
     Quaternion,
     /// ATTITUDE (Euler angles).
     Euler,
+}
+
+/// Where motor outputs came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MotorSource {
+    /// ACTUATOR_OUTPUT_STATUS.
+    ActuatorOutputStatus,
+    /// SERVO_OUTPUT_RAW, microseconds of pulse width.
+    ServoOutputRaw,
 }
 
 /// EXTENDED_SYS_STATE.landed_state.

@@ -6,6 +6,9 @@
 //! ArduCopter may, but rotates the rates by the commanded attitude. Anything else gets attitude
 //! and thrust, which all of them fly.
 
+use std::fmt;
+
+use super::message::MotorSource;
 use super::parameter::ParameterCast;
 
 /// MAV_AUTOPILOT_ARDUPILOTMEGA.
@@ -118,6 +121,16 @@ pub enum Rule {
     AtMost(f64),
 }
 
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Equals(value) => write!(f, "{value}"),
+            Self::HasBits(bits) => write!(f, "a value with the bits {bits:#x} set"),
+            Self::AtMost(limit) => write!(f, "at most {limit}"),
+        }
+    }
+}
+
 impl ParameterRule {
     /// Whether a value obeys the rule.
     pub fn holds(&self, value: f64) -> bool {
@@ -149,6 +162,8 @@ pub struct Profile {
     pub rate_frame: RateFrame,
     /// Its modes.
     pub modes: Modes,
+    /// Whether it tells the intended mode, by CURRENT_MODE.
+    pub reports_intended_mode: bool,
     /// How it takes off.
     pub takeoff: TakeoffWay,
     /// The parameter that holds how long setpoints may be missing, in s, and the value to use.
@@ -157,6 +172,8 @@ pub struct Profile {
     pub loss_action: Option<&'static str>,
     /// Rules without which it must not be flown.
     pub required: &'static [ParameterRule],
+    /// The message that tells its motor outputs.
+    pub motor_outputs: MotorSource,
     /// How it sends integer parameters.
     pub parameter_cast: ParameterCast,
     /// The messages that serve control best, at the rates to ask for.
@@ -224,6 +241,7 @@ impl Profile {
             land: Some(Mode::px4(4, 6)),
             takeoff: Some(Mode::px4(4, 2)),
         },
+        reports_intended_mode: true,
         takeoff: TakeoffWay::OffboardRamp,
         loss_timeout: Some(ParameterRule {
             name: "COM_OF_LOSS_T",
@@ -232,6 +250,7 @@ impl Profile {
         }),
         loss_action: Some("COM_OBL_RC_ACT"),
         required: &[],
+        motor_outputs: MotorSource::ActuatorOutputStatus,
         parameter_cast: ParameterCast::Bytes,
         telemetry: PX4_TELEMETRY,
     };
@@ -254,6 +273,7 @@ impl Profile {
             land: Some(Mode::copter(9)),
             takeoff: None,
         },
+        reports_intended_mode: false,
         takeoff: TakeoffWay::Command,
         loss_timeout: Some(ParameterRule {
             name: "GUID_TIMEOUT",
@@ -273,6 +293,7 @@ impl Profile {
                 why: "the vehicle would add tilt compensation to a thrust that has it already",
             },
         ],
+        motor_outputs: MotorSource::ServoOutputRaw,
         parameter_cast: ParameterCast::Value,
         telemetry: COPTER_TELEMETRY,
     };
@@ -283,10 +304,12 @@ impl Profile {
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::Body,
         modes: Modes { offboard: None, hold: None, land: None, takeoff: None },
+        reports_intended_mode: false,
         takeoff: TakeoffWay::OffboardRamp,
         loss_timeout: None,
         loss_action: None,
         required: &[],
+        motor_outputs: MotorSource::ServoOutputRaw,
         parameter_cast: ParameterCast::Value,
         telemetry: SAFE_TELEMETRY,
     };

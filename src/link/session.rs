@@ -7,6 +7,7 @@
 mod core;
 mod outbox;
 
+use std::fmt;
 use std::time::Duration;
 
 use wire::transport::{PEERS_MAX, Peer};
@@ -139,6 +140,27 @@ pub struct VehicleId {
     pub vehicle_type: u8,
     /// Where it was heard.
     pub peer: Peer,
+}
+
+impl fmt::Display for VehicleId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let autopilot = match self.autopilot {
+            3 => "ArduPilot",
+            12 => "PX4",
+            _ => "unknown",
+        };
+        let vehicle_type = match self.vehicle_type {
+            2 => "quadrotor",
+            13 => "hexarotor",
+            14 => "octorotor",
+            _ => "other",
+        };
+        write!(
+            f,
+            "system {} component {}: autopilot {autopilot} ({}), type {vehicle_type} ({})",
+            self.system, self.component, self.autopilot, self.vehicle_type
+        )
+    }
 }
 
 /// Why a setpoint was not sent.

@@ -87,6 +87,20 @@ pub enum Record {
     FlightEnds,
 }
 
+impl Record {
+    /// The stamp of a record that is a sample of the vehicle's.
+    pub fn stamp_mut(&mut self) -> Option<&mut Stamp> {
+        match self {
+            Self::Tick(Tick { stamp, .. })
+            | Self::Imu { stamp, .. }
+            | Self::Motors { stamp, .. }
+            | Self::Battery { stamp, .. }
+            | Self::Truth { stamp, .. } => Some(stamp),
+            _ => None,
+        }
+    }
+}
+
 /// When a sample was taken and when it was logged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamp {

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -39,6 +40,19 @@ VEHICLE = {
     "battery": {"cells": 3, "full_V": 12.6, "nominal_V": 11.1},
 }
 HOVER = VEHICLE["hover_thrust"]
+
+
+def downwash_command():
+    """How `downwash` is started: the program named by DOWNWASH_BIN, else the one that was built last."""
+    if "DOWNWASH_BIN" in os.environ:
+        return [os.environ["DOWNWASH_BIN"]]
+    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    built = [path for path in (target / "release/downwash", target / "debug/downwash") if path.exists()]
+    # Never an error here: most tests need only the vehicle.
+    return [str(max(built, key=lambda path: path.stat().st_mtime, default="downwash"))]
+
+
+DOWNWASH = downwash_command()
 
 
 def sitl_command():
@@ -96,6 +110,107 @@ class Sitl:
         return self.process.returncode
 
 
+CRAZYFLIE = ROOT / "config/vehicles/crazyflie.toml"
+SHORT_HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 1.0\n"
+
+
+class Program:
+    """A running `downwash`. Its stderr is read line by line as it comes."""
+
+    def __init__(self, *arguments, **options):
+        self.process = subprocess.Popen(
+            [*DOWNWASH, *map(str, arguments)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            **options,
+        )
+        self.lines = []
+        self._news = threading.Condition()
+        self._ended = False
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self):
+        for line in self.process.stderr:
+            with self._news:
+                self.lines.append(line.rstrip("\n"))
+                self._news.notify_all()
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
+
+    @property
+    def err(self):
+        return "\n".join(self.lines)
+
+    def says(self, words, since=0, timeout=30.0):
+        """Waits for a line with the words, from line number `since` on; returns the number after it."""
+        end = time.monotonic() + timeout
+        with self._news:
+            while True:
+                for number in range(since, len(self.lines)):
+                    if words in self.lines[number]:
+                        return number + 1
+                left = end - time.monotonic()
+                if self._ended or left <= 0:
+                    raise AssertionError(f"never said {words!r}:\n{self.err}")
+                since = len(self.lines)
+                self._news.wait(left)
+
+    def cpu_s(self):
+        """Processor time so far, of the user's and the system's."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def signal(self, number):
+        self.process.send_signal(number)
+
+    def finish(self, timeout=60.0):
+        """Waits for the end; the exit code and stdout."""
+        out = self.process.stdout.read() if self._wait(timeout) else ""
+        return self.process.returncode, out
+
+    def _wait(self, timeout):
+        try:
+            self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"still running after {timeout} s:\n{self.err}") from None
+        self._thread.join(5)
+        return True
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self._thread.join(5)
+        self.process.stdout.close()
+        self.process.stderr.close()
+
+
+@pytest.fixture
+def program():
+    """Starts `downwash` with arguments; what still runs after the test is killed."""
+    running = []
+
+    def start(*arguments, **options):
+        running.append(Program(*arguments, **options))
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.close()
+
+
+@pytest.fixture
+def hover(tmp_path):
+    """A trajectory file: a short hover."""
+    path = tmp_path / "hover.toml"
+    path.write_text(SHORT_HOVER)
+    return path
+
+
 @pytest.fixture(scope="session")
 def vehicle_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("vehicle") / "vehicle.json"
@@ -108,9 +223,9 @@ def sitl(vehicle_file):
     """Starts vehicles; every one is stopped after the test and must end cleanly."""
     running = []
 
-    def start(*links, speed=1):
+    def start(*links, speed=1, file=vehicle_file):
         links = links or ("udpin:127.0.0.1:0",)
-        running.append(Sitl(vehicle_file, links, ["--speed", str(speed)]))
+        running.append(Sitl(file, links, ["--speed", str(speed)]))
         return running[-1]
 
     yield start

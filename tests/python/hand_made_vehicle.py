@@ -39,6 +39,7 @@ class HandMadeVehicle:
         self.setpoints = []  # (time, thrust)
         self.commands = []  # (command, param1, param2)
         self.highest = 0.0
+        self.beats = 0
         self.on_step = lambda vehicle, elapsed: None
         self._start = time.monotonic()
         self._stop = threading.Event()
@@ -65,6 +66,7 @@ class HandMadeVehicle:
                 self._send_heartbeat()
                 self._send_mode()
                 self._send_landed()
+                self.beats += 1
             if now >= tick:
                 tick += 1.0 / self.rate_hz
                 self._step(1.0 / self.rate_hz)

@@ -8,10 +8,10 @@ import time
 import pytest
 from mcap.reader import make_reader
 
-from conftest import DOWNWASH, REPOSITORY, free_port
+from conftest import DOWNWASH, ROOT, free_port
 from hand_made_vehicle import HOLD, HandMadeVehicle
 
-VEHICLE = REPOSITORY / "config/vehicles/crazyflie.toml"
+VEHICLE = ROOT / "config/vehicles/crazyflie.toml"
 
 SHORT_HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 2.0\n"
 
@@ -23,7 +23,7 @@ def flight(tmp_path):
     trajectory = tmp_path / "hover.toml"
     trajectory.write_text(SHORT_HOVER)
     vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
-    command = [DOWNWASH, "fly", str(trajectory), "--connect", f"udpin:127.0.0.1:{port}", "--vehicle", str(VEHICLE)]
+    command = [*DOWNWASH, "fly", str(trajectory), "--connect", f"udpin:127.0.0.1:{port}", "--vehicle", str(VEHICLE)]
     command += ["--log-dir", str(tmp_path), "--json"]
     daemon = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     yield vehicle, daemon, tmp_path

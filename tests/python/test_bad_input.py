@@ -1,0 +1,128 @@
+"""Bad files, flags and circumstances: a clear error with a stable exit code, never a panic."""
+
+import re
+import socket
+
+import pytest
+
+from conftest import CRAZYFLIE, SHORT_HOVER
+
+GOOD_URL = "udpout:127.0.0.1:9"
+
+
+def refused(program, arguments, code, *words, timeout=20):
+    one = program(*arguments)
+    found, _ = one.finish(timeout)
+    assert found == code, one.err
+    assert "panicked" not in one.err
+    for word in words:
+        assert word in one.err, one.err
+
+
+def fly(trajectory, folder, connect=GOOD_URL, vehicle=CRAZYFLIE):
+    return ["fly", trajectory, "--connect", connect, "--vehicle", vehicle, "--log-dir", folder]
+
+
+def changed_vehicle(folder, pattern, text):
+    path = folder / "vehicle.toml"
+    content, count = re.subn(pattern, text, CRAZYFLIE.read_text(), count=1, flags=re.MULTILINE)
+    assert count == 1
+    path.write_text(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "pattern, text, words",
+    [
+        ("^mass = .*", "mass = -0.03", ["mass", "-0.03"]),
+        ("^mass = .*", "mass = nan", ["mass"]),
+        ("^mass = .*", "mass = 0.03\nmasss = 0.03", ["masss"]),
+        ("^inertia = .*", "inertia = [1.66e-5, inf, 2.93e-5]", ["inertia"]),
+        (r"^position_m = \[0.0325, 0.0325, 0.0\]", "position_m = [0.0, 0.0, 0.0]", ["vehicle.toml"]),
+        ("^gravity = .*", "gravity = 'down'", ["gravity"]),
+    ],
+)
+def test_vehicle_files(program, hover, tmp_path, pattern, text, words):
+    vehicle = changed_vehicle(tmp_path, pattern, text)
+    if "0.0, 0.0" in text:
+        # Every rotor at the same place: torques cannot be told apart.
+        vehicle.write_text(re.sub(r"position_m = .*", text, CRAZYFLIE.read_text()))
+    refused(program, fly(hover, tmp_path, vehicle=vehicle), 2, "vehicle.toml", *words)
+    refused(program, ["sitl", "--vehicle", vehicle, "--link", "udpin:127.0.0.1:0"], 2, *words)
+
+
+@pytest.mark.parametrize(
+    "text, code, words",
+    [
+        (SHORT_HOVER + "colour = 'red'\n", 2, ["colour", "hover.toml"]),
+        (SHORT_HOVER.replace("0.8", "nan"), 2, ["altitude_m"]),
+        (SHORT_HOVER.replace("0.8", "-1.0"), 2, ["altitude_m", "-1"]),
+        (SHORT_HOVER.replace("0.8", "0.05"), 4, ["0.05"]),
+        (SHORT_HOVER.replace("0.8", "500.0"), 4, ["height"]),
+        ("family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 20.0\namplitude_m = 5.0\nperiod_s = 1.0\nyaw_period_s = 9.0\n", 4, []),
+        ("family = 'loop'\n", 2, ["loop"]),
+        ("\x00\x01", 2, ["hover.toml"]),
+    ],
+)
+def test_trajectory_files(program, hover, tmp_path, text, code, words):
+    hover.write_text(text)
+    refused(program, fly(hover, tmp_path), code, *words)
+    # Refused before anything is connected or logged.
+    assert not list(tmp_path.glob("*.mcap"))
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("trajektory = 'a.toml'\n", ["trajektory"]),
+        ("[control]\nrate_hz = nan\n", ["rate_hz"]),
+        ("[control]\nrate_hz = -100.0\n", ["rate_hz"]),
+        ("[pilot.safety]\ntilt_max_rad = nan\n", ["tilt_max_rad"]),
+        ("[link]\nlost_after_s = -1.0\n", ["lost_after_s"]),
+        ("schema_version = 99\n", ["99"]),
+    ],
+)
+def test_configuration_files(program, hover, tmp_path, text, words):
+    path = tmp_path / "config.toml"
+    path.write_text(text)
+    refused(program, [*fly(hover, tmp_path), "--config", path], 2, "config.toml", *words)
+
+
+@pytest.mark.parametrize(
+    "url, word",
+    [
+        ("udp:127.0.0.1:14540", "udpin"),
+        ("serial:/dev/ttyACM0", "baud"),
+        ("http://127.0.0.1", "udpin"),
+        ("udpin:127.0.0.1:99999", "99999"),
+        ("tcp:127.0.0.1", "port"),
+    ],
+)
+def test_urls(program, hover, tmp_path, url, word):
+    refused(program, fly(hover, tmp_path, connect=url), 2, word)
+
+
+def test_no_vehicle_on_a_busy_port(program, hover, tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{other.getsockname()[1]}"
+        config = tmp_path / "config.toml"
+        config.write_text("[link]\nsearch_timeout_s = 1.0\n")
+        refused(program, [*fly(hover, tmp_path, connect=url), "--config", config], 3, url, "in use", "no vehicle")
+
+
+@pytest.mark.parametrize("content, code", [(b"", 0), (b"\x89MCAP0\r\n", 0), (b"not a log" * 99, 2), (b"\x89MCAP0\r\n" + b"\xff" * 999, 0)])
+def test_log_info_of_what_is_no_whole_log(program, tmp_path, content, code):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    one = program("log", "info", path)
+    found, out = one.finish(20)
+    assert found in (0, 2) and "panicked" not in one.err
+    assert "unfinished" in out if found == 0 else "a.mcap" in one.err
+
+
+def test_missing_files(program, hover, tmp_path):
+    refused(program, fly(tmp_path / "none.toml", tmp_path), 2, "none.toml")
+    refused(program, fly(hover, tmp_path, vehicle=tmp_path / "none.toml"), 2, "none.toml")
+    refused(program, ["daemon", "--config", tmp_path / "none.toml"], 2, "none.toml")
+    refused(program, ["log", "info", tmp_path / "none.mcap"], 2, "none.mcap")

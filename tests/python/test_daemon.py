@@ -1,0 +1,184 @@
+"""`downwash daemon`: the pilot hands the vehicle over and takes it back."""
+
+import os
+import re
+import signal
+import socket
+import time
+
+import pytest
+
+from conftest import CRAZYFLIE, free_port
+from hand_made_vehicle import HOLD, LAND, OFFBOARD, HandMadeVehicle
+from serial_cable import SerialCable
+
+QUICK = "[pilot.supervisor]\nhold_s = 0.5\n"
+
+
+def configuration(folder, connect, hover):
+    path = folder / "daemon.toml"
+    path.write_text(
+        f"vehicle = '{CRAZYFLIE}'\ntrajectory = '{hover}'\nconnect = '{connect}'\nlog_dir = '{folder}'\n{QUICK}"
+    )
+    return path
+
+
+@pytest.fixture
+def hand_made():
+    """A hand-made vehicle and the URL at which a daemon meets it."""
+    port = free_port()
+    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
+    yield vehicle, f"udpin:127.0.0.1:{port}"
+    vehicle.stop()
+
+
+def until(condition, what, timeout=20.0):
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, f"never: {what}"
+        time.sleep(0.01)
+
+
+def streamed(vehicle, since):
+    return [stamp for stamp, _ in vehicle.setpoints if stamp > since]
+
+
+def test_two_flights_and_a_takeover(program, hover, hand_made, tmp_path):
+    vehicle, url = hand_made
+    daemon = program("daemon", "--config", configuration(tmp_path, url, hover))
+
+    # It streams while the vehicle stands, and does nothing else.
+    line = daemon.says(" standby: ")
+    until(lambda: len(vehicle.setpoints) > 20, "a streamed hold")
+    assert not any(command in (176, 400) for command, _, _ in vehicle.commands)
+    assert not list(tmp_path.glob("*.mcap"))
+
+    # The pilot engages and arms: the trajectory is flown to the landing.
+    vehicle.set_mode(OFFBOARD)
+    line = daemon.says(" arm: ", line)
+    vehicle.armed = True
+    line = daemon.says(" track: ", line)
+    line = daemon.says(" done: ", line)
+    assert not vehicle.armed and 0.6 < vehicle.highest < 1.2
+    line = daemon.says(" standby: ", line)
+
+    # Again, and in flight the pilot takes over: the stream ends at once.
+    vehicle.highest = 0.0
+    vehicle.set_mode(OFFBOARD)
+    line = daemon.says(" arm: ", line)
+    vehicle.armed = True
+    until(lambda: vehicle.highest > 0.5, "in the air again")
+    vehicle.set_mode(HOLD)
+    taken = time.monotonic()
+    line = daemon.says(" pilot_control: ", line)
+    daemon.says(" standby: ", line)
+    until(lambda: streamed(vehicle, taken + 0.2), "streams again")
+    assert streamed(vehicle, taken + 0.2)[0] - taken >= 1.0
+    assert vehicle.mode == HOLD
+    assert len(list(tmp_path.glob("*.mcap"))) == 2
+
+    started = time.monotonic()
+    daemon.signal(signal.SIGTERM)
+    assert daemon.finish(5)[0] == 0
+    assert time.monotonic() - started < 5
+
+
+def test_started_in_offboard_it_stays_silent(program, hover, hand_made, tmp_path):
+    vehicle, url = hand_made
+    vehicle.set_mode(OFFBOARD)
+    daemon = program("daemon", "--config", configuration(tmp_path, url, hover))
+    daemon.says(" await_release: ")
+    daemon.says("receiving")
+    # Another second of heartbeats in OFFBOARD.
+    beats = vehicle.beats
+    until(lambda: vehicle.beats >= beats + 2, "heartbeats")
+    assert not vehicle.setpoints
+    vehicle.set_mode(HOLD)
+    other = time.monotonic()
+    until(lambda: vehicle.setpoints, "streams after another mode")
+    assert vehicle.setpoints[0][0] - other >= 1.0
+
+
+def test_stopped_in_flight_it_lands_first(program, hover, hand_made, tmp_path):
+    vehicle, url = hand_made
+    daemon = program("daemon", "--config", configuration(tmp_path, url, hover))
+    line = daemon.says(" standby: ")
+    vehicle.set_mode(OFFBOARD)
+    daemon.says(" arm: ", line)
+    vehicle.armed = True
+    until(lambda: vehicle.highest > 0.5, "in the air")
+    daemon.signal(signal.SIGTERM)
+    assert daemon.finish(20)[0] == 0, daemon.err
+    assert vehicle.mode == LAND and not vehicle.armed
+
+
+def test_service_manager_is_told(program, hover, hand_made, tmp_path):
+    _, url = hand_made
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(path))
+        manager.settimeout(10)
+        environment = os.environ | {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "2000000"}
+        config = configuration(tmp_path, url, hover)
+        daemon = program("daemon", "--config", config, env=environment)
+        assert b"READY=1" in manager.recv(1024)
+        beats = []
+        while len(beats) < 3:
+            if b"WATCHDOG=1" in manager.recv(1024):
+                beats.append(time.monotonic())
+        assert beats[-1] - beats[0] < 2.0
+        daemon.signal(signal.SIGTERM)
+        assert daemon.finish(5)[0] == 0
+        told = b""
+        while b"STOPPING=1" not in told:
+            told += manager.recv(1024)
+
+
+def test_a_serial_line_pulled_in_flight(program, hover, sitl, pilot, tmp_path):
+    cable = SerialCable(tmp_path)
+    # The daemon's bytes, searched for the heads of SET_ATTITUDE_TARGET frames: v2, system 255, component 191, id 82.
+    setpoints = []
+
+    def watch(end, data):
+        if end == 1:
+            found = re.findall(rb"\xfd....\xff\xbf\x52\x00\x00", data, re.DOTALL)
+            setpoints.extend([time.monotonic()] * len(found))
+
+    cable.on_bytes = watch
+    try:
+        vehicle = sitl("udpin:127.0.0.1:0", cable.url(0), file=CRAZYFLIE)
+        hover.write_text(hover.read_text().replace("duration_s = 1.0", "duration_s = 60.0"))
+        daemon = program("daemon", "--config", configuration(tmp_path, cable.url(1), hover))
+        line = daemon.says(" standby: ")
+        until(lambda: setpoints, "a streamed hold")
+        hand = pilot(vehicle.peer_url())
+        assert hand.set_mode(6) == 0
+        line = daemon.says(" arm: ", line)
+        assert hand.arm() == 0
+        line = daemon.says(" track: ", line)
+
+        cable.pull(1)
+        pulled = time.monotonic()
+        line = daemon.says("link closed", line)
+        before = daemon.cpu_s()
+        # Offboard loss: the last setpoint is kept for COM_OF_LOSS_T, then the vehicle lands.
+        hand.wait_mode(4, 6)
+        lost_s = time.monotonic() - pulled
+        assert daemon.cpu_s() - before < 0.25 * lost_s, "the daemon spins while unplugged"
+
+        # Plugged in again while the vehicle still means to be in OFFBOARD: silence.
+        cable.plug(1)
+        plugged = time.monotonic()
+        line = daemon.says("link open", line, timeout=10)
+        hand.wait("HEARTBEAT", lambda beat: not beat.base_mode & 128, timeout=25)
+        assert hand.wait("CURRENT_MODE").intended_custom_mode == OFFBOARD
+        assert not [stamp for stamp in setpoints if stamp > plugged]
+        assert hand.set_mode(4, 3) == 0
+        # Free again once another mode has been seen.
+        daemon.says(" standby: ", line)
+        until(lambda: setpoints[-1] > plugged, "streams again")
+        assert hand.wait("HEARTBEAT").custom_mode != OFFBOARD
+        daemon.signal(signal.SIGTERM)
+        assert daemon.finish(5)[0] == 0
+    finally:
+        cable.close()

@@ -1,0 +1,213 @@
+"""`downwash fly` against `downwash sitl` over every transport, undisturbed and disturbed."""
+
+import json
+import os
+import pty
+import random
+import re
+import select
+import signal
+import socket
+import struct
+import subprocess
+import time
+
+import pytest
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+
+from conftest import CRAZYFLIE, SHORT_HOVER, Program, Sitl, downwash_command, free_port
+from serial_cable import SerialCable
+
+LAND = 4 << 16 | 6 << 24
+
+
+def fly(start, trajectory, url, folder, *options):
+    return start("fly", trajectory, "--connect", url, "--vehicle", CRAZYFLIE, "--log-dir", folder, *options)
+
+
+def only_log(folder):
+    (log,) = folder.glob("*.mcap")
+    return log
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    """A flight over each transport, all at once."""
+    running, cleanup = {}, []
+
+    def begin(name, sitl_link, connect=None):
+        folder = tmp_path_factory.mktemp(name)
+        (folder / "hover.toml").write_text(SHORT_HOVER)
+        vehicle = Sitl(CRAZYFLIE, [sitl_link])
+        cleanup.append(vehicle.stop)
+        url = connect or vehicle.peer_url()
+        program = fly(Program, folder / "hover.toml", url, folder, "--json", "--tlog", folder / "link.tlog")
+        cleanup.append(program.close)
+        running[name] = (program, folder)
+
+    try:
+        begin("udpout", "udpin:127.0.0.1:0")
+        port = free_port()
+        begin("udpin", f"udpout:127.0.0.1:{port}", f"udpin://127.0.0.1:{port}")
+        begin("tcp", "tcpin:127.0.0.1:0")
+        cable = SerialCable(tmp_path_factory.mktemp("cable"))
+        cleanup.append(cable.close)
+        begin("serial", cable.url(0), cable.url(1))
+        yield running
+    finally:
+        for end in reversed(cleanup):
+            end()
+
+
+@pytest.mark.parametrize("transport", ["udpout", "udpin", "tcp", "serial"])
+def test_a_flight_over(flights, transport):
+    program, folder = flights[transport]
+    code, out = program.finish()
+    assert code == 0, program.err
+    summary = json.loads(out)
+    assert summary["schema"] == "downwash.fly" and summary["end"] == "done"
+    assert summary["flight"]["tracking"]["rmse_3d_m"] < 0.1
+    # What a user is told: who was heard, at what rate, and each phase; nothing chatty.
+    first = next(line for line in program.lines if "heard" in line)
+    assert "system 1 component 1: autopilot PX4 (12), type quadrotor (2)" in first
+    assert any(re.search(r"receiving attitude at 2[345]\d Hz", line) for line in program.lines), program.err
+    for phase in ("standby", "take_off", "track", "land", "done"):
+        assert f" {phase}: " in program.err
+    assert len(program.lines) < 40, program.err
+    log = only_log(folder)
+    assert summary["log"] == str(log)
+    with log.open("rb") as file:
+        counts = {}
+        for _, channel, _ in make_reader(file, validate_crcs=True).iter_messages():
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+    assert counts["/setpoint"] > 500 and counts["/mavlink/rx"] > 5000
+    from pymavlink import mavutil
+
+    tlog = mavutil.mavlink_connection(str(folder / "link.tlog"))
+    assert tlog.recv_match(type="SET_ATTITUDE_TARGET") is not None
+
+
+def test_a_flight_over_tcp_the_other_way(program, hover, tmp_path):
+    port = free_port(socket.SOCK_STREAM)
+    flight = fly(program, hover, f"tcpin:127.0.0.1:{port}", tmp_path)
+    flight.says("link open")
+    vehicle = Sitl(CRAZYFLIE, [f"tcp:127.0.0.1:{port}"])
+    try:
+        code, out = flight.finish()
+    finally:
+        vehicle.stop()
+    assert code == 0, flight.err
+    assert "done" in out and "RMSE" in out
+
+
+def test_killed_in_flight_the_log_opens_and_the_vehicle_lands(program, hover, sitl, pilot, tmp_path):
+    vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
+    hover.write_text(SHORT_HOVER.replace("duration_s = 1.0", "duration_s = 30.0"))
+    flight = fly(program, hover, vehicle.peer_url(), tmp_path)
+    observer = pilot(vehicle.peer_url())
+    flight.says(" track: ")
+    # Some seconds of flight in the log.
+    observer.wait("HEARTBEAT")
+    observer.wait("HEARTBEAT")
+    killed_ns = time.time_ns()
+    flight.signal(signal.SIGKILL)
+    assert flight.finish()[0] == -signal.SIGKILL
+    # Offboard loss: the vehicle lands by itself.
+    observer.wait_mode(4, 6)
+    observer.wait("HEARTBEAT", lambda beat: not beat.base_mode & 128, timeout=20)
+
+    log = only_log(tmp_path)
+    newest = 0
+    with log.open("rb") as file:
+        try:
+            for record in StreamReader(file, emit_chunks=False).records:
+                newest = max(newest, getattr(record, "log_time", 0))
+        except (McapError, EOFError, struct.error):
+            pass  # where the file was cut is where reading ends
+    assert 0 <= killed_ns - newest < 1.5e9, f"{(killed_ns - newest) * 1e-9} s are missing"
+    info = program("log", "info", log, "--json")
+    code, out = info.finish()
+    assert code == 0, info.err
+    report = json.loads(out)
+    assert not report["finished"] and report["messages"] > 1000
+
+
+def garbage(seed):
+    """Datagrams that no decoder may stumble over."""
+    from pymavlink.dialects.v10 import common as v1
+    from pymavlink.dialects.v20 import common as v2
+
+    draw = random.Random(seed)
+    old = v1.MAVLink(None, srcSystem=1, srcComponent=1)
+    foreign = v2.MAVLink(None, srcSystem=77, srcComponent=1)
+    beat = (2, 12, 129, 6 << 16, 4, 3)
+    kinds = [
+        lambda: draw.randbytes(draw.randint(1, 1400)),
+        lambda: b"\xfd\xff" + draw.randbytes(20),
+        lambda: b"\xfd" * 60000,
+        lambda: v1.MAVLink_heartbeat_message(*beat).pack(old)[: draw.randint(1, 16)],
+        lambda: v1.MAVLink_ping_message(0, 0, 0, 0).pack(old),
+        lambda: v2.MAVLink_heartbeat_message(*beat).pack(foreign),
+        lambda: v2.MAVLink_attitude_message(0, 3.0, 3.0, 3.0, 0, 0, 0).pack(foreign),
+        lambda: v2.MAVLink_attitude_message(0, 3.0, 3.0, 3.0, 0, 0, 0).pack(foreign)[:-1] + b"\x00",
+        lambda: struct.pack("<BBBBBBBBBB", 0xFD, 0, 1, 0, 0, 9, 9, 0xFF, 0xFF, 0xFF),
+    ]
+    while True:
+        yield draw.choice(kinds)()
+
+
+def test_garbage_is_counted_and_the_flight_goes_on(program, hover, sitl, tmp_path):
+    port = free_port()
+    vehicle = sitl(f"udpout:127.0.0.1:{port}", "udpin:127.0.0.1:0", file=CRAZYFLIE)
+    flight = fly(program, hover, f"udpin:127.0.0.1:{port}", tmp_path, "--json")
+    # The first autopilot that is heard is the vehicle; from then on all others are foreign.
+    flight.says("heard system 1 ")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise:
+        for number, junk in enumerate(garbage(7)):
+            noise.sendto(junk, ("127.0.0.1", port if number % 2 else vehicle.port(1)))
+            if number % 4 == 0:
+                try:
+                    flight.process.wait(0.01)
+                    break
+                except subprocess.TimeoutExpired:
+                    continue
+    code, out = flight.finish()
+    assert code == 0, flight.err
+    assert json.loads(out)["flight"]["tracking"]["rmse_3d_m"] < 0.1
+    assert vehicle.process.poll() is None
+    rows = program("log", "export", only_log(tmp_path), "--topic", "/link/stats", "--format", "jsonl")
+    code, out = rows.finish()
+    assert code == 0, rows.err
+    last = json.loads(out.strip().splitlines()[-1])
+    assert last["crc_errors"] > 0 and last["unframed_bytes"] > 0 and last["unknown_frames"] > 0
+
+
+def test_a_terminal_shows_one_status_line(hover, sitl, tmp_path):
+    """In a terminal: the status is drawn over and over, messages stay whole above it."""
+    vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
+    command = [*downwash_command(), "fly", str(hover), "--connect", vehicle.peer_url()]
+    command += ["--vehicle", str(CRAZYFLIE), "--log-dir", str(tmp_path)]
+    child, terminal = pty.fork()
+    if child == 0:
+        os.environ["TERM"] = "xterm"
+        os.execv(command[0], command)
+    seen = bytearray()
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        if select.select([terminal], [], [], 1.0)[0]:
+            try:
+                data = os.read(terminal, 4096)
+            except OSError:
+                break
+            if not data:
+                break
+            seen += data
+    os.close(terminal)
+    _, status = os.waitpid(child, 0)
+    text = seen.decode(errors="replace")
+    assert os.waitstatus_to_exitcode(status) == 0, text
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
+    assert re.search(r"track \| offboard \| armed \| \d+ Hz \| n [+-]", plain), plain[-3000:]
+    assert "battery" in plain and "heard system 1" in plain and "RMSE" in plain
