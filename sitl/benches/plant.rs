@@ -1,4 +1,4 @@
-//! Steps of the plant per second on one core.
+//! Steps of the plant per second on one core: one vehicle for many steps, and many in turn.
 //!
 //! `cargo bench -p downwash-sitl --bench plant`, pinned to one core for steady numbers.
 
@@ -37,6 +37,8 @@ const EVERY_EFFECT: [&str; 19] = [
 ];
 
 const STEPS: u64 = 1000;
+/// Vehicles in a fleet.
+const FLEET: usize = 1000;
 
 fn plant(lag: f64, effects: &[&str]) -> Plant {
     let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../config/vehicles/quad1200.toml");
@@ -83,5 +85,22 @@ fn steps(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, steps);
+/// As in a swarm or a search over parameters: the vehicles do not fit into the nearest cache.
+fn fleet(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("fleet_steps");
+    group.throughput(Throughput::Elements(FLEET as u64));
+    for (name, effects) in [("no_effects", &[][..]), ("every_effect", &EVERY_EFFECT)] {
+        let mut fleet = vec![plant(0.0, effects); FLEET];
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| {
+                for plant in &mut fleet {
+                    plant.step(black_box([0.5; 4]));
+                }
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, steps, fleet);
 criterion_main!(benches);

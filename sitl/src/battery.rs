@@ -56,6 +56,7 @@ pub struct Battery {
     charge: f64,
     voltage: f64,
     current: f64,
+    held: Option<f64>,
 }
 
 impl Battery {
@@ -72,19 +73,34 @@ impl Battery {
             config.resistance_ohm.unwrap_or(DEFAULT_HOVER_DROP * full_voltage / hover_current);
         let charge = config.charge;
         let voltage = full_voltage * open_circuit(charge);
-        Self { full_voltage, capacity, resistance, charge, voltage, current: 0.0 }
+        Self { full_voltage, capacity, resistance, charge, voltage, current: 0.0, held: None }
+    }
+
+    /// From now on the terminal voltage is `voltage` [V] whatever is drawn, as when a logged
+    /// flight is replayed.
+    pub fn hold(&mut self, voltage: f64) {
+        self.held = Some(voltage);
+        self.voltage = voltage;
     }
 
     /// Draws `power` [W] for `duration` [s].
     pub fn advance(&mut self, power: f64, duration: f64) {
+        (self.voltage, self.current) = match self.held {
+            Some(voltage) => (voltage, power / voltage),
+            None => self.terminal(power),
+        };
+        self.charge = (self.charge - self.current * duration / self.capacity).max(0.0);
+    }
+
+    /// Terminal voltage [V] and current [A] of the cells at `power` [W].
+    fn terminal(&self, power: f64) -> (f64, f64) {
         let open = self.full_voltage * open_circuit(self.charge);
         // V I = P with V = open - R I. No pack gives more than it does at half its voltage.
         let limit = 0.5 * open;
         let root = (limit * limit - self.resistance * power).max(0.0).sqrt();
-        self.current =
+        let current =
             if self.resistance > 0.0 { (limit - root) / self.resistance } else { power / open };
-        self.voltage = open - self.resistance * self.current;
-        self.charge = (self.charge - self.current * duration / self.capacity).max(0.0);
+        (open - self.resistance * current, current)
     }
 
     /// Terminal voltage in V.

@@ -15,6 +15,9 @@ const DAMPING_RATIO: f64 = 0.7;
 /// Coulomb friction coefficient.
 const FRICTION: f64 = 0.6;
 
+/// Room for what a vehicle may gain on its velocity within a step, m.
+const MARGIN: f64 = 1e-3;
+
 /// A flat floor under a foot below each rotor.
 ///
 /// A foot in the floor is pushed out by a spring and damper that never pull, and held by friction
@@ -52,15 +55,16 @@ impl Floor {
         Self { down, feet, reach, stiffness, damping }
     }
 
-    /// Whether no foot can reach the floor.
+    /// Whether no foot can reach the floor within `time` [s], a few milliseconds.
     #[inline]
-    pub fn is_clear(&self, state: &State) -> bool {
-        state.position.down() + self.reach < self.down
+    pub fn is_clear(&self, state: &State, time: f64) -> bool {
+        let sink = state.velocity.down().max(0.0) * time;
+        state.position.down() + sink + self.reach + MARGIN < self.down
     }
 
     /// Whether a foot is in the floor.
     pub fn touches(&self, state: &State) -> bool {
-        !self.is_clear(state) && self.feet.iter().any(|foot| self.depth(state, foot) > 0.0)
+        !self.is_clear(state, 0.0) && self.feet.iter().any(|foot| self.depth(state, foot) > 0.0)
     }
 
     fn depth(&self, state: &State, foot: &Frd) -> f64 {
@@ -70,6 +74,9 @@ impl Floor {
     /// Force [N] and moment [N m] of the floor on the body, in body axes.
     pub fn wrench(&self, state: &State) -> Wrench<f64> {
         let mut total = Wrench { force: Frd::zero(), moment: Frd::zero() };
+        if self.is_clear(state, 0.0) {
+            return total;
+        }
         for foot in &self.feet {
             let depth = self.depth(state, foot);
             if depth <= 0.0 {

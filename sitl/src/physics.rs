@@ -91,8 +91,6 @@ pub struct Loads<T> {
     moment: [T; 3],
     /// nr: mean rotor speed over hover's; 0 where no effect asks for it.
     rotor_speed_ratio: T,
-    /// n_i: speeds as fractions of the maximum; 0 where no effect asks for them.
-    speeds: [T; ROTORS],
     /// h: angular momentum of the rotors along down, N m s; 0 where no effect asks for it.
     spin_momentum: T,
     /// dh/dt in N m.
@@ -103,11 +101,6 @@ impl<T: Scalar> Loads<T> {
     /// The rotors' angular momentum along down in N m s.
     pub fn spin_momentum(&self) -> T {
         self.spin_momentum
-    }
-
-    /// n_i: the rotors' speeds, where the angular momentum acts.
-    pub fn rotor_speeds(&self) -> &[T; ROTORS] {
-        &self.speeds
     }
 
     /// The same loads, with the given rate of change of the rotors' angular momentum in N m.
@@ -249,6 +242,11 @@ impl Physics {
         self.aerodynamics.is_some()
     }
 
+    /// Whether the pack's voltage acts on the rotors.
+    pub fn depends_on_voltage(&self) -> bool {
+        self.sag.is_some()
+    }
+
     /// Whether the rotors' angular momentum acts on the body.
     pub fn has_spin_momentum(&self) -> bool {
         self.spin_momentum_max.is_some()
@@ -303,7 +301,6 @@ impl Physics {
             thrust: T::default(),
             moment: [T::default(); 3],
             rotor_speed_ratio: T::default(),
-            speeds: [T::default(); ROTORS],
             spin_momentum: T::default(),
             spin_momentum_rate: T::default(),
         };
@@ -317,7 +314,6 @@ impl Physics {
         if self.needs_rotor_speed {
             let speeds = self.rotor_speeds(rotors, env);
             let [a, b, c, d] = speeds;
-            loads.speeds = speeds;
             loads.rotor_speed_ratio = (a + b + c + d) * self.speed_ratio_scale;
             if let Some(momenta) = &self.spin_momentum_max {
                 for (momentum, speed) in momenta.iter().zip(speeds) {
@@ -326,29 +322,6 @@ impl Physics {
             }
         }
         loads
-    }
-
-    /// dh/dt in N m while the rotors' states, which give `loads`, change at `rates` [1/s]; 0 where the rotors' angular
-    /// momentum does not act. Infinite for a rotor that starts from rest.
-    #[inline]
-    pub fn spin_momentum_rate<T: Scalar>(
-        &self,
-        rotors: &[T; ROTORS],
-        rates: &[T; ROTORS],
-        loads: &Loads<T>,
-        env: &Environment,
-    ) -> T {
-        let Some(momenta) = &self.spin_momentum_max else { return T::default() };
-        let mut sum = T::default();
-        for i in 0..ROTORS {
-            let slope = match &self.curve {
-                Some(curve) => curve.slope(rotors[i]),
-                None => T::from(1.0),
-            };
-            let scale = 0.5 * env.voltage_factor * momenta[i];
-            sum += slope * rates[i] * scale / loads.speeds[i];
-        }
-        sum
     }
 
     /// Force without gravity [N] and moment [N m] on the body.

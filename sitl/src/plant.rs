@@ -16,10 +16,6 @@ use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
 /// Steps between updates of the pack: 4 ms is short against the rotors' lag.
 const BATTERY_STEPS: u64 = 4;
 
-/// Below this fraction of the maximum speed the rotors' angular momentum changes too fast in a
-/// step to be sampled: from rest, n grows with the square root of time.
-const SLOW_ROTOR: f64 = 0.1;
-
 /// The simulated vehicle without its autopilot: motor outputs in, motion out.
 #[derive(Clone, Debug)]
 pub struct Plant {
@@ -35,8 +31,8 @@ pub struct Plant {
     rotors: [f64; ROTORS],
     outputs: [f64; ROTORS],
     environment: Environment,
-    /// Angular momentum of the rotors at the end of the last step, N m s.
-    spin_momentum: f64,
+    /// What the rotors do at this instant.
+    loads: Loads<f64>,
     steps: u64,
 }
 
@@ -78,12 +74,12 @@ impl Plant {
             turbulence,
             max_rpm: vehicle.rotor_max_rpm,
             spin: physics.constants().rotors.map(|rotor| rotor.spin),
+            loads: physics.loads(&[0.0; ROTORS], &environment),
             physics,
             state,
             rotors: [0.0; ROTORS],
             outputs: [0.0; ROTORS],
             environment,
-            spin_momentum: 0.0,
             steps: 0,
         })
     }
@@ -100,81 +96,81 @@ impl Plant {
             self.environment.air_velocity = self.physics.wind() + turbulence.velocity();
         }
         if self.steps.is_multiple_of(BATTERY_STEPS) {
-            let thrusts = self.physics.thrusts(&self.rotors, &self.environment);
-            self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * Self::STEP);
-            self.environment.voltage_factor = self.physics.voltage_factor(self.battery.voltage());
+            self.draw_power();
         }
-
-        if self.lag.is_none() {
-            let mut loads = self.physics.loads(&outputs, &self.environment);
-            let change = loads.spin_momentum() - self.spin_momentum;
-            self.spin_momentum = loads.spin_momentum();
-            loads = loads.with_spin_momentum_rate(change / Self::STEP);
+        self.state = if self.lag.is_none() {
+            let loads = self.physics.loads(&outputs, &self.environment);
+            let change = loads.spin_momentum() - self.loads.spin_momentum();
             self.rotors = outputs;
-            self.state = rk4(&self.state, Self::STEP, |state, _| self.slope(state, &loads));
+            self.loads = loads;
+            let loads = loads.with_spin_momentum_rate(change / Self::STEP);
+            self.integrate(|_| &loads)
         } else {
             let [middle, end] = self.lag.advance(&self.rotors, &outputs);
-            let [start, middle, end] = self.lagged_loads([self.rotors, middle, end]);
-            self.rotors = self.lag.advance(&self.rotors, &outputs)[1];
-            self.state = rk4(&self.state, Self::STEP, |state, stage| {
-                let loads = match stage {
-                    Stage::Start => &start,
-                    Stage::Middle => &middle,
-                    Stage::End => &end,
-                };
-                self.slope(state, loads)
-            });
-            self.spin_momentum = end.spin_momentum();
-        }
+            let loads = self.lagged_loads(&middle, &end);
+            self.rotors = end;
+            self.loads = loads[2];
+            self.integrate(|stage| match stage {
+                Stage::Start => &loads[0],
+                Stage::Middle => &loads[1],
+                Stage::End => &loads[2],
+            })
+        };
         self.steps += 1;
+    }
+
+    fn draw_power(&mut self) {
+        let thrusts = self.physics.thrusts(&self.rotors, &self.environment);
+        self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * Self::STEP);
+        self.apply_voltage();
+    }
+
+    /// Lets the pack's voltage act on the rotors, without a reaction on the body.
+    fn apply_voltage(&mut self) {
+        if self.physics.depends_on_voltage() {
+            self.environment.voltage_factor = self.physics.voltage_factor(self.battery.voltage());
+            self.loads = self.physics.loads(&self.rotors, &self.environment);
+        }
     }
 
     /// Loads with the rotors in the states of a step's start, middle and end.
     #[inline]
-    fn lagged_loads(&self, rotors: [[f64; ROTORS]; 3]) -> [Loads<f64>; 3] {
+    fn lagged_loads(&self, middle: &[f64; ROTORS], end: &[f64; ROTORS]) -> [Loads<f64>; 3] {
         let env = &self.environment;
-        let loads = rotors.map(|states| self.physics.loads(&states, env));
+        let loads = [self.loads, self.physics.loads(middle, env), self.physics.loads(end, env)];
         if !self.physics.has_spin_momentum() {
             return loads;
         }
-        let slow = loads[0].rotor_speeds().iter().any(|&n| n < SLOW_ROTOR);
-        let mean = (loads[2].spin_momentum() - loads[0].spin_momentum()) / Self::STEP;
-        std::array::from_fn(|i| {
-            let rate = if slow { mean } else { self.spin_momentum_rate(&rotors[i], &loads[i]) };
-            loads[i].with_spin_momentum_rate(rate)
-        })
+        // Rates of the parabola through the three: over the step the rotors give the body just
+        // what they gain, even from rest, where dh/dt is infinite.
+        let [h0, h1, h2] = loads.each_ref().map(Loads::spin_momentum);
+        let rates = [4.0 * h1 - 3.0 * h0 - h2, h2 - h0, h0 - 4.0 * h1 + 3.0 * h2];
+        std::array::from_fn(|i| loads[i].with_spin_momentum_rate(rates[i] / Self::STEP))
     }
 
-    fn spin_momentum_rate(&self, rotors: &[f64; ROTORS], loads: &Loads<f64>) -> f64 {
-        let rates = std::array::from_fn(|i| self.lag.rate(rotors[i], self.outputs[i]));
-        self.physics.spin_momentum_rate(rotors, &rates, loads, &self.environment)
-    }
-
+    /// The state one step later, under the loads of each stage.
     #[inline]
+    fn integrate<'a>(&self, loads: impl Fn(Stage) -> &'a Loads<f64>) -> State {
+        if self.floor.is_clear(&self.state, Self::STEP) {
+            rk4(&self.state, Self::STEP, |state, stage| {
+                self.physics.accelerations_under(state, loads(stage), &self.environment)
+            })
+        } else {
+            rk4(&self.state, Self::STEP, |state, stage| self.slope(state, loads(stage)))
+        }
+    }
+
     fn wrench(&self, state: &State, loads: &Loads<f64>) -> Wrench<f64> {
         let mut wrench = self.physics.wrench(state, loads, &self.environment);
-        if !self.floor.is_clear(state) {
-            let floor = self.floor.wrench(state);
-            wrench.force += floor.force;
-            wrench.moment += floor.moment;
-        }
+        let floor = self.floor.wrench(state);
+        wrench.force += floor.force;
+        wrench.moment += floor.moment;
         wrench
     }
 
-    #[inline]
     fn slope(&self, state: &State, loads: &Loads<f64>) -> (Ned, Frd) {
         let wrench = self.wrench(state, loads);
         self.physics.body().accelerations(state, wrench.force, wrench.moment)
-    }
-
-    /// Loads at this instant, with the last outputs still in force.
-    fn loads_now(&self) -> Loads<f64> {
-        let loads = self.physics.loads(&self.rotors, &self.environment);
-        if self.lag.is_none() || loads.rotor_speeds().iter().any(|&n| n < SLOW_ROTOR) {
-            return loads;
-        }
-        let rate = self.spin_momentum_rate(&self.rotors, &loads);
-        loads.with_spin_momentum_rate(rate)
     }
 
     /// The true state.
@@ -203,7 +199,13 @@ impl Plant {
         let states = states.map(|s| s.max(0.0).min(1.0));
         self.rotors = states;
         self.outputs = states;
-        self.spin_momentum = self.physics.loads(&self.rotors, &self.environment).spin_momentum();
+        self.loads = self.physics.loads(&self.rotors, &self.environment);
+    }
+
+    /// Holds the pack's terminal voltage at `voltage` [V] from now on, as a log says.
+    pub fn hold_voltage(&mut self, voltage: f64) {
+        self.battery.hold(voltage);
+        self.apply_voltage();
     }
 
     /// u_i: the outputs of the last step, as clipped.
@@ -232,17 +234,17 @@ impl Plant {
     /// What an ideal accelerometer at the centre of mass reads in body axes, m/s^2: every force
     /// but gravity, over the mass. (0, 0, -g) at rest on a level floor.
     pub fn specific_force(&self) -> Frd {
-        self.wrench(&self.state, &self.loads_now()).force * self.physics.body().mass().recip()
+        self.wrench(&self.state, &self.loads).force * self.physics.body().mass().recip()
     }
 
     /// Acceleration of the centre of mass in world axes, m/s^2.
     pub fn acceleration(&self) -> Ned {
-        self.slope(&self.state, &self.loads_now()).0
+        self.slope(&self.state, &self.loads).0
     }
 
     /// Angular acceleration in body axes, rad/s^2.
     pub fn angular_acceleration(&self) -> Frd {
-        self.slope(&self.state, &self.loads_now()).1
+        self.slope(&self.state, &self.loads).1
     }
 
     /// Velocity of the air in world axes, gusts included, m/s.

@@ -137,12 +137,6 @@ impl Lag {
             |decay: f64| std::array::from_fn(|i| outputs[i] + (states[i] - outputs[i]) * decay);
         [after(self.half), after(self.full)]
     }
-
-    /// ds/dt in 1/s; 0 where there is no lag.
-    #[inline]
-    pub fn rate(&self, state: f64, output: f64) -> f64 {
-        if self.is_none() { 0.0 } else { (output - state) / self.tau }
-    }
 }
 
 #[cfg(test)]

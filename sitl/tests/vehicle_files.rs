@@ -2,9 +2,7 @@
 
 mod common;
 
-use std::path::PathBuf;
-
-use common::root;
+use common::{practice_folders, root};
 use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
 use sitl::physics::Physics;
@@ -34,15 +32,6 @@ fn shipped_vehicles_hover_where_they_say() {
 fn the_example_configuration_is_the_default() {
     let config = SitlConfig::load(root().join("config/sitl.toml")).unwrap();
     assert_eq!(config, SitlConfig::default());
-}
-
-/// Folders of practice flights: `DOWNWASH_PRACTICE`, else `shared/` beside the repository.
-fn practice_folders() -> Vec<PathBuf> {
-    if let Some(folder) = std::env::var_os("DOWNWASH_PRACTICE") {
-        return vec![folder.into()];
-    }
-    let shared = root().join("../shared");
-    ["practice", "practice-autopilot", "practice-real"].map(|name| shared.join(name)).to_vec()
 }
 
 #[test]

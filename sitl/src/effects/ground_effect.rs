@@ -29,17 +29,15 @@ impl Effect for GroundEffect {
 impl ThrustEffect for GroundEffect {
     #[inline]
     fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T {
-        let quarter = 0.25 * self.r_eff_m;
-        if quarter == 0.0 {
-            return T::from(1.0);
-        }
-        // On or below the floor the limit holds; the division would overflow or change sign.
-        let closeness = if flow.height.value() * LIMIT.sqrt() > quarter {
-            let ratio = T::from(quarter) / flow.height;
-            ratio * ratio
+        let quarter2 = (0.25 * self.r_eff_m) * (0.25 * self.r_eff_m);
+        let height2 = flow.height * flow.height;
+        // 1 / (1 - (q / h)^2) with one division. On or below the floor the limit holds.
+        if flow.height.value() > 0.0 && height2.value() * LIMIT > quarter2 {
+            height2 / (height2 + -quarter2)
+        } else if quarter2 > 0.0 {
+            T::from(1.0 / (1.0 - LIMIT))
         } else {
-            T::from(LIMIT)
-        };
-        T::from(1.0) / (-closeness + 1.0)
+            T::from(1.0)
+        }
     }
 }

@@ -28,10 +28,4 @@ impl ThrustCurve {
     pub fn fraction<T: Scalar>(&self, s: T) -> T {
         s * (s * self.a + (1.0 - self.a))
     }
-
-    /// Derivative of [`ThrustCurve::fraction`].
-    #[inline]
-    pub fn slope<T: Scalar>(&self, s: T) -> T {
-        s * (2.0 * self.a) + (1.0 - self.a)
-    }
 }

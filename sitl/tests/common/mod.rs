@@ -49,3 +49,12 @@ pub fn moving() -> State {
 }
 
 pub const ROTOR_STATES: [f64; 4] = [0.45, 0.5, 0.55, 0.52];
+
+/// Folders of practice flights: `DOWNWASH_PRACTICE`, else `shared/` beside the repository.
+pub fn practice_folders() -> Vec<PathBuf> {
+    if let Some(folder) = std::env::var_os("DOWNWASH_PRACTICE") {
+        return vec![folder.into()];
+    }
+    let shared = root().join("../shared");
+    ["practice", "practice-autopilot", "practice-real"].map(|name| shared.join(name)).to_vec()
+}
