@@ -33,7 +33,7 @@ impl StatusLine {
         let target =
             if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(None, target);
-        let style = ProgressStyle::with_template("{spinner} {msg}");
+        let style = ProgressStyle::with_template("{spinner} {wide_msg}");
         let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
         bar.enable_steady_tick(Duration::from_millis(250));
         *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
@@ -52,21 +52,28 @@ impl StatusLine {
     }
 }
 
+/// Most important first: a narrow terminal cuts the end.
 fn words(status: &Status) -> String {
-    let mut parts = vec![format!("link {}", status.link)];
+    let mut parts = Vec::new();
+    if status.link != "connected" {
+        parts.push(format!("link {}", status.link));
+    }
     parts.extend(status.vehicle.map(str::to_owned));
     parts.extend(status.phase.map(|phase| phase.name().to_owned()));
     let mode = |word| status.mode_name.map_or(format!("mode {word:#010x}"), str::to_owned);
     parts.extend(status.mode.map(mode));
     parts.extend(status.armed.map(|armed| if armed { "armed" } else { "disarmed" }.to_owned()));
-    if status.tick_rate_hz > 0.0 {
-        let (p, rate) = (status.position, status.tick_rate_hz);
-        parts.push(format!("{rate:.0} Hz"));
-        parts.push(format!("n {:+.2} e {:+.2} d {:+.2} m", p.north(), p.east(), p.down()));
+    let ticks = status.tick_rate_hz > 0.0;
+    if ticks {
+        parts.push(format!("{:.0} Hz", status.tick_rate_hz));
         parts.push(format!("error {:.2} m", status.tracking_error_m));
     }
     parts.extend(status.progress.map(|(t, length)| format!("{t:.1}/{length:.1} s")));
     parts.extend(status.battery.map(|left| format!("battery {:.0} %", 100.0 * left)));
+    if ticks {
+        let p = status.position;
+        parts.push(format!("n {:+.2} e {:+.2} d {:+.2} m", p.north(), p.east(), p.down()));
+    }
     parts.extend(status.round_trip_s.map(|rtt| format!("rtt {:.1} ms", 1e3 * rtt)));
     parts.join(" | ")
 }

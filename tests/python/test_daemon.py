@@ -182,3 +182,18 @@ def test_a_serial_line_pulled_in_flight(program, hover, sitl, pilot, tmp_path):
         assert daemon.finish(5)[0] == 0
     finally:
         cable.close()
+
+
+def test_a_vehicle_that_comes_later_and_restarts(program, hover, sitl, tmp_path):
+    """Nobody listens where the daemon sends to: refusals of the network are no end."""
+    url = f"udpin:127.0.0.1:{free_port()}"
+    daemon = program("daemon", "--config", configuration(tmp_path, url.replace("udpin", "udpout"), hover))
+    daemon.says("link open")
+    vehicle = sitl(url, file=CRAZYFLIE)
+    line = daemon.says(" standby: ")
+    vehicle.stop()
+    line = daemon.says(" connect: ", line)
+    sitl(url, file=CRAZYFLIE)
+    daemon.says(" standby: ", line)
+    assert daemon.cpu_s() < 5
+    assert "panicked" not in daemon.err

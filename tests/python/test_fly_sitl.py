@@ -1,5 +1,6 @@
 """`downwash fly` against `downwash sitl` over every transport, undisturbed and disturbed."""
 
+import fcntl
 import json
 import os
 import pty
@@ -10,6 +11,7 @@ import signal
 import socket
 import struct
 import subprocess
+import termios
 import time
 
 import pytest
@@ -192,6 +194,7 @@ def test_a_terminal_shows_one_status_line(hover, sitl, tmp_path):
     child, terminal = pty.fork()
     if child == 0:
         os.environ["TERM"] = "xterm"
+        fcntl.ioctl(1, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 100, 0, 0))
         os.execv(command[0], command)
     seen = bytearray()
     end = time.monotonic() + 60
@@ -209,5 +212,5 @@ def test_a_terminal_shows_one_status_line(hover, sitl, tmp_path):
     text = seen.decode(errors="replace")
     assert os.waitstatus_to_exitcode(status) == 0, text
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
-    assert re.search(r"track \| offboard \| armed \| \d+ Hz \| n [+-]", plain), plain[-3000:]
+    assert re.search(r"track \| offboard \| armed \| \d+ Hz \| error \d", plain), plain[-3000:]
     assert "battery" in plain and "heard system 1" in plain and "RMSE" in plain
