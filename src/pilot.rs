@@ -86,7 +86,7 @@ pub struct Tick {
     pub feedback: Setpoint,
     /// Their sum within limits; `None` where nothing may be sent.
     pub setpoint: Option<Setpoint>,
-    /// Limits that were met.
+    /// Limits that were met; none where nothing is sent.
     pub saturation: Saturation,
     /// Where the flight stands.
     pub phase: FlightState,
@@ -164,6 +164,7 @@ impl Pilot {
         let yaw = sample.state.attitude.euler().yaw;
         let limited = self.settings.limits.apply(sum, self.airframe.thrust_full_n, yaw);
         let permitted = self.supervisor.permits(now, self.telemetry.status());
+        let sent = limited.filter(|_| permitted);
 
         self.tracking_error = (sample.state.position - reference.position).norm();
         if let Some((trigger, why)) = guided.reached {
@@ -176,9 +177,11 @@ impl Pilot {
             reference,
             feedforward: reference.feedforward,
             feedback,
-            setpoint: limited.filter(|_| permitted).map(|(setpoint, _)| setpoint),
-            saturation: limited
-                .map_or(cut, |(_, met)| Saturation { position_error: cut.position_error, ..met }),
+            setpoint: sent.map(|(setpoint, _)| setpoint),
+            saturation: sent.map_or_else(Saturation::default, |(_, met)| Saturation {
+                position_error: cut.position_error,
+                ..met
+            }),
             phase,
             trajectory_time: guided.trajectory_time,
             tracking_error: self.tracking_error,
@@ -262,7 +265,8 @@ impl Pilot {
         let age_s = self.telemetry.age_s(now);
         let rate_hz = self.settings.telemetry.rate_hz;
         let here = self.telemetry.last_sample().map(|sample| sample.state);
-        let failed = if before == FlightState::Preflight {
+        // One look can lead through Preflight to the stream: the checks must be there before.
+        let failed = if before.precedes_stream() {
             let distance = here.map_or(f64::NAN, |s| self.guidance.start_distance_m(s.position));
             let mut failed = self.standing_checks.clone();
             let settings = &self.settings.preflight;

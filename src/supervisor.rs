@@ -248,8 +248,7 @@ impl Supervisor {
         let Some(next) = self.state.next(trigger) else { return false };
         let severity = match (next, trigger) {
             (FlightState::Abort, _) => Severity::Error,
-            (FlightState::PilotControl, _)
-            | (_, Trigger::HoldNow | Trigger::LandNow | Trigger::TimedOut) => Severity::Warning,
+            (FlightState::PilotControl, _) | (_, Trigger::TimedOut) => Severity::Warning,
             _ => Severity::Info,
         };
         let refusal = self.refusal.take().filter(|_| next == FlightState::Abort);
@@ -454,14 +453,11 @@ impl Supervisor {
             }
             *reacted = true;
             let why = self.safety.describe(fault, condition);
+            self.tell(now, Severity::Warning, why.clone());
             let reaction = self.safety.reaction(fault);
-            let moved = reaction.trigger().is_some_and(|trigger| {
-                self.state.next(trigger).is_some() && self.fire(now, trigger, &why)
-            });
-            if moved {
+            if reaction.trigger().is_some_and(|trigger| self.fire(now, trigger, &why)) {
                 return;
             }
-            self.tell(now, Severity::Warning, why);
         }
     }
 

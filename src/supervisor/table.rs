@@ -228,6 +228,11 @@ impl FlightState {
         self == Standby || self == Engage || self == Land || self.is_in_control()
     }
 
+    /// Whether the preflight checks are still ahead.
+    pub fn precedes_stream(self) -> bool {
+        matches!(self, Connect | AwaitRelease | AwaitTelemetry | Preflight)
+    }
+
     /// Whether the daemon flies the vehicle: OFFBOARD was read back.
     pub fn is_in_control(self) -> bool {
         matches!(self, Arm | TakeOff | Approach | Track | Hold)

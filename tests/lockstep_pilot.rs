@@ -1,0 +1,122 @@
+//! The pilot's switch, and what a link may carry beside the vehicle's own frames.
+
+mod lockstep;
+
+use downwash::station::End;
+use downwash::supervisor::{EngagePolicy, FlightState};
+use lockstep::{Bench, NANO, hover, params, settings};
+use proptest::prelude::*;
+use sitl::autopilot::Mode;
+
+/// A station that waits for the pilot.
+fn waiting() -> Bench {
+    let params = params(NANO);
+    let mut settings = settings(&params, hover(30.0));
+    settings.policy = EngagePolicy::PilotSwitch;
+    settings.search_timeout_s = None;
+    Bench::new(settings, &params)
+}
+
+/// The pilot switches to OFFBOARD and arms.
+fn engage(bench: &mut Bench) {
+    bench.until(FlightState::Standby, 10.0);
+    bench.run(0.5);
+    bench.pilot_mode(Mode::Offboard);
+    bench.run(0.2);
+    bench.pilot_arms();
+    bench.until(FlightState::Track, 30.0);
+}
+
+#[test]
+fn pilots_mode_change_ends_every_phase_at_once_and_for_good() {
+    use FlightState::{Approach, Hold, Land, TakeOff, Track};
+    for phase in [TakeOff, Approach, Track, Hold, Land] {
+        let mut bench = Bench::hovering(NANO, 2.0);
+        bench.until(phase, 60.0);
+        bench.run(0.1);
+        bench.pilot_mode(Mode::Position);
+        bench.run(0.05);
+        assert_eq!(bench.vehicle.flight().mode(), Mode::Position, "{phase:?}");
+        let now_us = bench.now_us();
+        bench.run(5.0);
+        assert_eq!(bench.setpoints_after(now_us), 0, "{phase:?}");
+        assert_eq!(bench.phase(), Some(FlightState::PilotControl), "{phase:?}");
+        assert_eq!(bench.station.end(), Some(&End::PilotTookOver), "{phase:?}");
+    }
+}
+
+#[test]
+fn pilots_switch_engages_takes_back_and_engages_again() {
+    let mut bench = waiting();
+    engage(&mut bench);
+    bench.run(1.0);
+    bench.pilot_mode(Mode::Position);
+    bench.run(0.05);
+    let now_us = bench.now_us();
+    bench.run(0.8);
+    assert_eq!(bench.setpoints_after(now_us), 0, "another mode must be seen for a second");
+    assert!(!bench.phase().is_some_and(FlightState::is_in_control));
+}
+
+#[test]
+fn vehicle_in_offboard_at_connect_is_left_alone() {
+    let params = params(NANO);
+    let mut bench = waiting();
+    engage(&mut bench);
+    let mut settings = settings(&params, hover(30.0));
+    settings.policy = EngagePolicy::PilotSwitch;
+    settings.search_timeout_s = None;
+    bench.restart(settings);
+    let now_us = bench.now_us();
+    bench.run(0.8);
+    assert_eq!(bench.vehicle.flight().mode(), Mode::Offboard);
+    bench.run(0.5);
+    assert_eq!(bench.vehicle.flight().mode(), Mode::Land, "by the vehicle's own failsafe");
+    // The pilot's intended mode is OFFBOARD all along: nothing is streamed, or it would resume.
+    bench.run(15.0);
+    assert_eq!(bench.setpoints_after(now_us), 0);
+    assert!(!bench.phase().is_some_and(FlightState::is_in_control));
+}
+
+/// What arrives instead of `frame`, which came after the frame `before`.
+fn spoilt(kind: u8, bytes: &[u8], frame: &[u8], before: &[u8]) -> Vec<Vec<u8>> {
+    let own = frame.to_vec();
+    match kind {
+        0 => vec![bytes.to_vec(), own],
+        1 => vec![own.clone(), own],
+        2 => vec![frame.get(..frame.len() / 2).unwrap_or_default().to_vec(), own],
+        3 => vec![own, before.to_vec()],
+        _ => {
+            // Another vehicle's, with the checksum wrong for it.
+            let mut foreign = own.clone();
+            if let Some(system) = foreign.get_mut(5) {
+                *system = system.wrapping_add(7);
+            }
+            vec![foreign, own]
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 6, ..ProptestConfig::default() })]
+
+    #[test]
+    fn spoilt_and_foreign_bytes_change_no_flight(
+        noise in proptest::collection::vec((0u8..5, proptest::collection::vec(any::<u8>(), 0..60)), 64),
+    ) {
+        let mut bench = Bench::hovering(NANO, 3.0);
+        let (mut count, mut before) = (0_usize, Vec::new());
+        bench.downlink = Box::new(move |_, frame| {
+            count += 1;
+            let (kind, bytes) = &noise[(count / 7) % noise.len()];
+            let before = std::mem::replace(&mut before, frame.to_vec());
+            if count.is_multiple_of(7) {
+                spoilt(*kind, bytes, frame, &before)
+            } else {
+                vec![frame.to_vec()]
+            }
+        });
+        bench.until(FlightState::Done, 60.0);
+        prop_assert_eq!(bench.station.end(), Some(&End::Done));
+    }
+}

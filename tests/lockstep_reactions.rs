@@ -1,0 +1,273 @@
+//! What ends a flight early, each flown over the protocol: faults, silence, refusals.
+
+mod lockstep;
+
+use std::cell::Cell;
+use std::rc::Rc;
+
+use downwash::station::End;
+use downwash::supervisor::{FlightState, Reaction};
+use lockstep::{Bench, NANO, QUAD, effects, hover, message_id, params, settings};
+use sitl::autopilot::{COMPONENT_ID, Mode, SYSTEM_ID, Vehicle};
+use sitl::config::{BatteryConfig, SitlConfig};
+use wire::Encoder;
+use wire::dialect::*;
+
+/// Messages of which the state is made.
+const STATE_MESSAGES: [u32; 4] = [30, 31, 32, 331];
+
+fn in_track(mut bench: Bench) -> Bench {
+    bench.until(FlightState::Track, 30.0);
+    bench.run(2.0);
+    bench
+}
+
+/// The vehicle comes down and stops its motors, without a setpoint from now on.
+fn comes_down_silently(bench: &mut Bench) {
+    let now_us = bench.now_us();
+    bench.until_disarmed(30.0);
+    assert!(bench.position().down() > -0.05, "on the ground");
+    assert_eq!(bench.setpoints_after(now_us), 0);
+}
+
+#[test]
+fn setpoints_stop_with_the_samples_and_the_vehicle_is_asked_to_land() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    bench.downlink = Box::new(|_, frame| {
+        let is_state = message_id(frame).is_some_and(|id| STATE_MESSAGES.contains(&id));
+        if is_state { vec![] } else { vec![frame.to_vec()] }
+    });
+    let silent_us = bench.now_us();
+    bench.run(0.9);
+    assert_eq!(bench.setpoints_after(silent_us + 20_000), 0, "no sample, no setpoint");
+    assert!(bench.told("no state for"), "{:?}", bench.texts());
+    assert_eq!(bench.vehicle.flight().mode(), Mode::Land);
+    comes_down_silently(&mut bench);
+}
+
+#[test]
+fn silence_of_the_whole_link_leaves_the_landing_to_the_vehicle() {
+    for vehicle in [NANO, QUAD] {
+        let mut bench = in_track(Bench::hovering(vehicle, 30.0));
+        bench.downlink = Box::new(|_, _| vec![]);
+        bench.uplink = false;
+        let cut_us = bench.now_us();
+        bench.run(0.9);
+        assert_eq!(bench.vehicle.flight().mode(), Mode::Offboard);
+        bench.run(0.3);
+        assert_eq!(bench.vehicle.flight().mode(), Mode::Land, "after COM_OF_LOSS_T");
+        assert_eq!(bench.setpoints_after(cut_us + 20_000), 0);
+        bench.run(4.0);
+        assert!(matches!(bench.station.end(), Some(End::LinkLost(_) | End::Aborted(_))));
+        comes_down_silently(&mut bench);
+    }
+}
+
+#[test]
+fn link_that_comes_back_does_not_bring_the_setpoints_back() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    bench.downlink = Box::new(|_, _| vec![]);
+    let cut_us = bench.now_us();
+    bench.run(4.0);
+    bench.downlink = Box::new(|_, frame| vec![frame.to_vec()]);
+    bench.run(10.0);
+    assert_eq!(bench.setpoints_after(cut_us + 20_000), 0);
+    bench.until_disarmed(20.0);
+}
+
+/// Frames of the autopilot that it did not send, added to its own once.
+fn inject(bench: &mut Bench, message: MavMessage) {
+    let mut encoder = Encoder::new(SYSTEM_ID, COMPONENT_ID);
+    let mut forged = Vec::new();
+    assert!(encoder.encode(&message, &mut forged));
+    let mut once = Some(forged);
+    bench.downlink = Box::new(move |_, frame| {
+        let mut out = vec![frame.to_vec()];
+        out.extend(once.take());
+        out
+    });
+}
+
+fn odometry(bench: &Bench, north_m: f32, q_w: f32) -> MavMessage {
+    let now_us = bench.vehicle.now_us();
+    let down_m = bench.position().down() as f32;
+    MavMessage::ODOMETRY(ODOMETRY_DATA {
+        time_usec: now_us,
+        x: north_m,
+        z: down_m,
+        q: [q_w, 0.0, 0.0, 0.0],
+        frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
+        child_frame_id: MavFrame::MAV_FRAME_BODY_FRD,
+        ..Default::default()
+    })
+}
+
+#[test]
+fn jump_of_the_estimate_is_held_out_and_landed() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let message = odometry(&bench, 5.0, 1.0);
+    inject(&mut bench, message);
+    bench.run(0.1);
+    assert_eq!(bench.phase(), Some(FlightState::Hold));
+    bench.until(FlightState::Done, 30.0);
+    assert!(bench.position().north().abs() < 1.0);
+    assert!(matches!(bench.station.end(), Some(End::Aborted(_))), "{:?}", bench.station.end());
+}
+
+#[test]
+fn telemetry_that_is_not_a_number_is_passed_over() {
+    let mut bench = in_track(Bench::hovering(NANO, 10.0));
+    for message in [odometry(&bench, f32::NAN, 1.0), odometry(&bench, 0.0, f32::NAN)] {
+        inject(&mut bench, message);
+        bench.run(0.5);
+        assert_eq!(bench.phase(), Some(FlightState::Track), "{:?}", bench.texts());
+    }
+    bench.until(FlightState::Done, 40.0);
+    assert_eq!(bench.station.end(), Some(&End::Done));
+}
+
+#[test]
+fn vehicle_blown_away_lands() {
+    let params = params(NANO);
+    let mut settings = settings(&params, hover(30.0));
+    settings.pilot.safety.tracking_error_max_m = 0.3;
+    let wind = ["rotor_drag:d_xy=0.02,d_z=0.005", "wind:north_m_s=5"];
+    let mut bench = Bench::with(settings, &params, &wind, SitlConfig::default());
+    let limit = 60.0;
+    bench.until(FlightState::Land, limit);
+    assert!(bench.told("from the reference"), "{:?}", bench.texts());
+    bench.until(FlightState::Done, limit);
+    assert!(matches!(bench.station.end(), Some(End::Aborted(_))));
+}
+
+#[test]
+fn left_fence_and_tilt_end_the_flight() {
+    let params = params(NANO);
+    let mut fenced = settings(&params, lockstep::trajectory("sinusoid-xy.toml"));
+    fenced.pilot.safety.fence_radius_m = 0.6;
+    let mut bench = Bench::new(fenced, &params);
+    bench.until(FlightState::Land, 60.0);
+    assert!(bench.told("outside the fence"), "{:?}", bench.texts());
+    bench.until(FlightState::Done, 60.0);
+
+    let mut upright = settings(&params, lockstep::trajectory("steps.toml"));
+    upright.pilot.safety.tilt_max_rad = 0.1;
+    upright.pilot.safety.tilt_for_s = 0.05;
+    upright.pilot.safety.on_tilt = Reaction::Stop;
+    let mut bench = Bench::new(upright, &params);
+    bench.until(FlightState::Abort, 60.0);
+    assert!(bench.told("tilted"), "{:?}", bench.texts());
+    let now_us = bench.now_us();
+    bench.run(2.0);
+    assert_eq!(bench.setpoints_after(now_us), 0, "silent: the vehicle's failsafe acts");
+    assert_eq!(bench.vehicle.flight().mode(), Mode::Land);
+    comes_down_silently(&mut bench);
+}
+
+#[test]
+fn empty_battery_lands_the_vehicle() {
+    let params = params(NANO);
+    let battery = BatteryConfig { capacity_mah: Some(40.0), charge: 0.5, ..Default::default() };
+    let config = SitlConfig { battery, ..SitlConfig::default() };
+    let mut bench = Bench::with(settings(&params, hover(300.0)), &params, &[], config);
+    bench.until(FlightState::Land, 120.0);
+    assert!(bench.told("battery at"), "{:?}", bench.texts());
+    bench.until(FlightState::Done, 60.0);
+    assert!(matches!(bench.station.end(), Some(End::Aborted(_))));
+}
+
+#[test]
+fn restart_of_the_vehicle_in_flight_ends_it_for_good() {
+    let params = params(NANO);
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let fresh = Vehicle::new(params, effects(&[]), SitlConfig::default(), 2).expect("a vehicle");
+    bench.reboot(fresh);
+    let now_us = bench.now_us();
+    bench.run(15.0);
+    assert_eq!(bench.setpoints_after(now_us + 20_000), 0);
+    assert!(!bench.vehicle.flight().armed());
+    assert!(bench.station.end().is_some_and(|end| *end != End::Done), "{:?}", bench.texts());
+}
+
+/// Answers of the vehicle to a command, turned into a refusal.
+fn refuse(bench: &mut Bench, command: MavCmd) -> Rc<Cell<u32>> {
+    let refused = Rc::new(Cell::new(0));
+    let count = Rc::clone(&refused);
+    bench.downlink = Box::new(move |_, frame| {
+        let mut decoder = wire::Decoder::new();
+        decoder.push(frame);
+        let message = decoder.next_frame().and_then(|frame| frame.message().ok());
+        let Some(MavMessage::COMMAND_ACK(mut ack)) = message else { return vec![frame.to_vec()] };
+        if ack.command != command {
+            return vec![frame.to_vec()];
+        }
+        count.set(count.get() + 1);
+        ack.result = MavResult::MAV_RESULT_TEMPORARILY_REJECTED;
+        let mut bytes = Vec::new();
+        Encoder::new(SYSTEM_ID, COMPONENT_ID).encode(&MavMessage::COMMAND_ACK(ack), &mut bytes);
+        vec![bytes]
+    });
+    refused
+}
+
+#[test]
+fn refused_arming_is_told_and_nothing_flies() {
+    let params = params(NANO);
+    let empty = BatteryConfig { charge: 0.01, ..Default::default() };
+    let config = SitlConfig { battery: empty, ..SitlConfig::default() };
+    let mut settings = settings(&params, hover(5.0));
+    settings.pilot.preflight.battery_min = 0.0;
+    settings.pilot.safety.battery_min = 0.0;
+    let mut bench = Bench::with(settings, &params, &[], config);
+    bench.until(FlightState::Abort, 30.0);
+    let Some(End::Refused(reason)) = bench.station.end() else {
+        panic!("{:?}", bench.station.end());
+    };
+    assert!(reason.contains("Arm"), "{reason}");
+    assert!(!bench.vehicle.flight().armed() && bench.position().down() > -0.01);
+}
+
+#[test]
+fn refused_offboard_is_told_and_nothing_flies() {
+    let params = params(NANO);
+    let mut settings = settings(&params, hover(5.0));
+    settings.pilot.supervisor.engage_timeout_s = 3.0;
+    let mut bench = Bench::new(settings, &params);
+    bench.until(FlightState::Standby, 10.0);
+    // The request is lost on its way, the setpoints too, and the answer is a refusal.
+    bench.uplink = false;
+    let _refused = refuse(&mut bench, MavCmd::MAV_CMD_DO_SET_MODE);
+    bench.until(FlightState::Abort, 20.0);
+    assert!(matches!(bench.station.end(), Some(End::Refused(_))), "{:?}", bench.station.end());
+    assert!(!bench.vehicle.flight().armed());
+    let now_us = bench.now_us();
+    bench.run(3.0);
+    assert_eq!(bench.setpoints_after(now_us), 0);
+}
+
+#[test]
+fn low_battery_keeps_a_commanded_flight_on_the_ground() {
+    let params = params(NANO);
+    let low = BatteryConfig { charge: 0.2, ..Default::default() };
+    let config = SitlConfig { battery: low, ..SitlConfig::default() };
+    let mut settings = settings(&params, hover(5.0));
+    settings.pilot.supervisor.ready_timeout_s = 5.0;
+    let mut bench = Bench::with(settings, &params, &[], config);
+    bench.until(FlightState::Abort, 30.0);
+    let Some(End::Refused(reason)) = bench.station.end() else {
+        panic!("{:?}", bench.station.end());
+    };
+    assert!(reason.contains("battery"), "{reason}");
+    assert!(bench.setpoints_us.is_empty(), "nothing was streamed");
+}
+
+#[test]
+fn asked_to_land_it_lands() {
+    let mut bench = in_track(Bench::hovering(QUAD, 30.0));
+    let now = bench.now();
+    bench.station.land(now);
+    bench.run(1.0);
+    assert_eq!(bench.vehicle.flight().mode(), Mode::Land);
+    comes_down_silently(&mut bench);
+    bench.until(FlightState::Done, 10.0);
+}
