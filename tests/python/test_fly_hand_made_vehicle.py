@@ -8,12 +8,11 @@ import time
 import pytest
 from mcap.reader import make_reader
 
-from conftest import DOWNWASH, ROOT, free_port
+from conftest import DOWNWASH, ROOT, SHORT_HOVER, free_port
 from hand_made_vehicle import HOLD, HandMadeVehicle
 
 VEHICLE = ROOT / "config/vehicles/crazyflie.toml"
 
-SHORT_HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 2.0\n"
 
 
 @pytest.fixture
