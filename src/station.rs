@@ -187,7 +187,8 @@ impl Station {
         });
         for stamp in records[first..].iter_mut().filter_map(Record::stamp_mut) {
             let mapped = stamp.vehicle.and_then(|vehicle| session.to_host(vehicle));
-            stamp.sampled = mapped.unwrap_or(stamp.host);
+            // The clocks' estimate has an error; a sample is never newer than its arrival.
+            stamp.sampled = mapped.map_or(stamp.host, |sampled| sampled.min(stamp.host));
         }
         // Of several samples in one datagram only the newest is acted upon.
         if let Some(setpoint) = self.ticks.last().and_then(|tick| tick.setpoint) {
@@ -340,7 +341,8 @@ impl Station {
         for tick in &ticks {
             self.tracking_error_m = tick.tracking_error;
             self.trajectory_time = tick.trajectory_time;
-            let sampled = self.session.to_host(tick.vehicle).unwrap_or(tick.host);
+            let mapped = self.session.to_host(tick.vehicle);
+            let sampled = mapped.map_or(tick.host, |sampled| sampled.min(tick.host));
             self.records.push(Record::Tick(tick_record(tick, sampled)));
         }
         self.ticks = ticks;

@@ -52,6 +52,8 @@ const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
 const DELAY_LEAK: f64 = 5e-4;
 /// ODOMETRY drives the ticks while it comes at this share of the control rate.
 const ODOMETRY_SHARE: f64 = 0.9;
+/// Samples are thinned where they come at more than this many times the control rate.
+const THIN_ABOVE: f64 = 1.25;
 /// Silence of a source, s, after which another takes its place.
 const SOURCE_SILENT_S: f64 = 0.2;
 /// Longest tolerated distance of a pair's stamps while a rate is not measured yet, s.
@@ -416,7 +418,17 @@ impl Telemetry {
         excess_delay_s: f64,
     ) -> Option<Sample> {
         let period_us = (1e6 / self.settings.rate_hz).round() as u64;
-        let due = self.due.unwrap_or(vehicle);
+        let [odometry, attitude, position] = self.rates_hz();
+        let rate_hz = match source {
+            SampleSource::Odometry => odometry,
+            SampleSource::Pair(_) => attitude.min(position),
+        };
+        // A source that is about as quick as control sets the pace itself: held to a phase of its
+        // own, it would lose a tick to every sample that comes a little early.
+        let due = match self.due {
+            Some(due) if rate_hz > THIN_ABOVE * self.settings.rate_hz => due,
+            _ => vehicle,
+        };
         let close =
             self.last.is_some_and(|last| vehicle.as_us() < last.vehicle.as_us() + period_us / 2);
         if close || vehicle.as_us() + period_us / 4 < due.as_us() {

@@ -166,6 +166,15 @@ impl Vehicle {
         self.send(&message)
     }
 
+    /// Setpoints that came after their time.
+    fn late_setpoints(&mut self) -> usize {
+        let mut late = 0;
+        while self.await_setpoint(Instant::now() + Duration::from_micros(1)).is_some() {
+            late += 1;
+        }
+        late
+    }
+
     /// Reads until a setpoint arrives, and answers everything else.
     fn await_setpoint(&mut self, until: Instant) -> Option<Instant> {
         let mut datagram = [0; 2048];
@@ -264,7 +273,7 @@ fn main() {
     let warm_up = (5.0 * options.rate_hz) as usize;
     let counted = (options.seconds * options.rate_hz) as usize;
     let (mut ours, mut floor) = (Vec::with_capacity(counted), Vec::with_capacity(counted));
-    let (mut missed, mut cpu_start, mut begun) = (0usize, 0.0, Instant::now());
+    let (mut late, mut unanswered, mut cpu_start, mut begun) = (0, 0, 0.0, Instant::now());
     let mut next = Instant::now();
     let mut echoed = [0; 2048];
     for tick in 0..warm_up + counted {
@@ -273,14 +282,16 @@ fn main() {
         }
         if tick == warm_up {
             (cpu_start, begun) = (cpu_seconds(&daemon.0), Instant::now());
-            (missed, ours, floor) = (0, Vec::with_capacity(counted), Vec::with_capacity(counted));
+            (late, unanswered) = (0, 0);
+            (ours, floor) = (Vec::with_capacity(counted), Vec::with_capacity(counted));
         }
         next += period / 2;
         wait_until(next);
+        late += vehicle.late_setpoints();
         let sent = vehicle.send_odometry();
         match vehicle.await_setpoint(sent + period / 2) {
             Some(heard) => ours.push((heard - sent).as_secs_f64() * 1e6),
-            None => missed += 1,
+            None => unanswered += 1,
         }
         next += period / 2;
         wait_until(next);
@@ -290,19 +301,22 @@ fn main() {
             floor.push(sent.elapsed().as_secs_f64() * 1e6);
         }
     }
+    late += vehicle.late_setpoints();
+    // What came after half a period is late; what never came is missed.
+    let missed = unanswered - late.min(unanswered);
     let cpu_share = (cpu_seconds(&daemon.0) - cpu_start) / begun.elapsed().as_secs_f64();
     let (daemon_us, echo_us) = (quantiles(&mut ours), quantiles(&mut floor));
     if options.json {
         let row = |q: &Quantiles| serde_json::json!({"p50_us": q.p50, "p99_us": q.p99, "p999_us": q.p999, "max_us": q.max});
         let report = serde_json::json!({
             "schema": "downwash.bench.latency", "schema_version": 1,
-            "rate_hz": options.rate_hz, "ticks": counted, "missed": missed, "cpu_share": cpu_share,
+            "rate_hz": options.rate_hz, "ticks": counted, "late": late, "missed": missed, "cpu_share": cpu_share,
             "daemon": row(&daemon_us), "echo": row(&echo_us),
         });
         println!("{report}");
     } else {
         println!(
-            "{} ticks at {} Hz, {missed} missed, {:.1} % of one core",
+            "{} ticks at {} Hz, {missed} missed, {late} late, {:.1} % of one core",
             counted,
             options.rate_hz,
             100.0 * cpu_share

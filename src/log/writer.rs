@@ -1,6 +1,5 @@
 //! Writes one flight's MCAP file.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter};
@@ -9,12 +8,10 @@ use std::time::{Duration, Instant};
 
 use foxglove::Encode;
 use foxglove::messages::{FrameTransform, Log, PoseInFrame, SceneUpdate};
-use mcap::records::MessageHeader;
-use mcap::write::{Metadata, NoSeek};
-use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 use prost::Message;
 use sitl::frame::Frd;
 
+use super::mcap_file::{McapFile, Times};
 use super::name;
 use super::record::{Direction, FrameRecord, Record, Tick};
 use super::schema::{self, *};
@@ -96,7 +93,7 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: McapError,
+        source: io::Error,
     },
 }
 
@@ -139,9 +136,6 @@ const TOPICS: usize = Topic::Log as usize + 1;
 const VIEWER_PERIOD: Duration = Duration::from_millis(18);
 /// A crash loses at most this much wall time.
 const SYNC_PERIOD: Duration = Duration::from_secs(1);
-const CHUNK_BYTES: u64 = 256 * 1024;
-
-type Output = NoSeek<BufWriter<File>>;
 
 /// Writes records to one MCAP file.
 ///
@@ -150,10 +144,9 @@ type Output = NoSeek<BufWriter<File>>;
 /// is in a message depends on the records alone, never on the wall clock.
 pub struct LogWriter {
     path: PathBuf,
-    mcap: Writer<Output>,
+    mcap: McapFile<BufWriter<File>>,
     file: File,
     channels: [u16; TOPICS],
-    sequences: [u32; TOPICS],
     messages: u64,
     synced: Instant,
     unsynced: bool,
@@ -161,7 +154,6 @@ pub struct LogWriter {
     scene_written: bool,
     viewer_next: HostTime,
     // Reused from record to record.
-    buffer: Vec<u8>,
     frame: MavlinkFrameMessage,
     control: ControlMessage,
     transforms: [FrameTransform; 2],
@@ -197,15 +189,8 @@ impl LogWriter {
         let fail = |source| LogError::Write { path: path.clone(), source };
         let sync_handle =
             file.try_clone().map_err(|source| LogError::Create { path: path.clone(), source })?;
-        let mut mcap = WriteOptions::new()
-            .profile("")
-            .library(format!("downwash {}", info.tool_version))
-            .chunk_size(Some(CHUNK_BYTES))
-            // Half the time of zstd's level 1 in lockstep; the files are a fifth larger.
-            .compression(Some(Compression::Lz4))
-            .disable_seeking(true)
-            .create(NoSeek::new(BufWriter::new(file)))
-            .map_err(fail)?;
+        let library = format!("downwash {}", info.tool_version);
+        let mut mcap = McapFile::new(BufWriter::new(file), &library).map_err(fail)?;
         let channels = write_preamble(&mut mcap, info, start).map_err(fail)?;
         let transform = |child: &str| FrameTransform {
             parent_frame_id: viewer::MAP.into(),
@@ -217,14 +202,12 @@ impl LogWriter {
             mcap,
             file: sync_handle,
             channels,
-            sequences: [0; TOPICS],
             messages: 0,
             synced: wall,
             unsynced: true,
             rotors: info.rotors.clone(),
             scene_written: false,
             viewer_next: HostTime::default(),
-            buffer: Vec::with_capacity(1024),
             frame: MavlinkFrameMessage::default(),
             control: ControlMessage::default(),
             transforms: [transform(viewer::BASE_LINK), transform(viewer::BASE_LINK_REF)],
@@ -257,24 +240,26 @@ impl LogWriter {
         self.synced = wall;
         self.unsynced = false;
         self.mcap.flush().map_err(|source| self.failed(source))?;
-        self.file.sync_data().map_err(|source| self.failed(source.into()))
+        self.file.sync_data().map_err(|source| self.failed(source))
     }
 
     /// Writes the index and closes the file.
     ///
     /// # Errors
     /// [`LogError::Write`]; what was written before can still be read.
-    pub fn finish(mut self) -> Result<LogSummary, LogError> {
-        self.mcap.finish().map_err(|source| self.failed(source))?;
-        self.file.sync_all().map_err(|source| self.failed(source.into()))?;
-        Ok(LogSummary { path: self.path.clone(), messages: self.messages, dropped: 0 })
+    pub fn finish(self) -> Result<LogSummary, LogError> {
+        let Self { path, mcap, file, messages, .. } = self;
+        match mcap.finish().and_then(|()| file.sync_all()) {
+            Ok(()) => Ok(LogSummary { path, messages, dropped: 0 }),
+            Err(source) => Err(LogError::Write { path, source }),
+        }
     }
 
-    fn failed(&self, source: McapError) -> LogError {
+    fn failed(&self, source: io::Error) -> LogError {
         LogError::Write { path: self.path.clone(), source }
     }
 
-    fn put_record(&mut self, record: &Record) -> Result<(), McapError> {
+    fn put_record(&mut self, record: &Record) -> Result<(), io::Error> {
         match record {
             Record::Frame(frame) => self.put_frame(frame),
             Record::Tick(tick) => self.put_tick(tick),
@@ -310,14 +295,11 @@ impl LogWriter {
             }
             // Marks for sinks, not for files.
             Record::FlightBegins(_) | Record::FlightEnds => Ok(()),
-            Record::Facts(entries) => self.mcap.write_metadata(&Metadata {
-                name: "run".into(),
-                metadata: entries.as_ref().clone(),
-            }),
+            Record::Facts(entries) => self.mcap.add_metadata("run", entries),
         }
     }
 
-    fn put_frame(&mut self, record: &FrameRecord) -> Result<(), McapError> {
+    fn put_frame(&mut self, record: &FrameRecord) -> Result<(), io::Error> {
         let mut message = std::mem::take(&mut self.frame);
         message.assign(record);
         let topic = match record.direction {
@@ -329,7 +311,7 @@ impl LogWriter {
         result
     }
 
-    fn put_tick(&mut self, tick: &Tick) -> Result<(), McapError> {
+    fn put_tick(&mut self, tick: &Tick) -> Result<(), io::Error> {
         let (log, publish) = (tick.stamp.host, tick.stamp.sampled);
         self.put(Topic::State, log, publish, &StateMessage::new(tick.stamp, &tick.state))?;
         if let Some(reference) = &tick.reference {
@@ -351,7 +333,7 @@ impl LogWriter {
         Ok(())
     }
 
-    fn put_viewer(&mut self, tick: &Tick) -> Result<(), McapError> {
+    fn put_viewer(&mut self, tick: &Tick) -> Result<(), io::Error> {
         let (log, publish) = (tick.stamp.host, tick.stamp.sampled);
         if !self.scene_written && !self.rotors.is_empty() {
             self.scene_written = true;
@@ -385,18 +367,10 @@ impl LogWriter {
         log: HostTime,
         publish: HostTime,
         message: &impl Message,
-    ) -> Result<(), McapError> {
-        self.buffer.clear();
-        message.encode_raw(&mut self.buffer);
-        let sequence = &mut self.sequences[topic as usize];
-        let header = MessageHeader {
-            channel_id: self.channels[topic as usize],
-            sequence: *sequence,
-            log_time: log.as_ns(),
-            publish_time: publish.as_ns(),
-        };
-        self.mcap.write_to_known_channel(&header, &self.buffer)?;
-        *sequence = sequence.wrapping_add(1);
+    ) -> Result<(), io::Error> {
+        let times = Times { log: log.as_ns(), publish: publish.as_ns() };
+        let channel = self.channels[topic as usize];
+        self.mcap.put(channel, times, |out| message.encode_raw(out))?;
         self.messages += 1;
         Ok(())
     }
@@ -421,40 +395,30 @@ fn create_file(directory: &Path, stem: &str) -> Result<(File, PathBuf), LogError
     }
 }
 
-/// Metadata, attachments and every channel, in a first chunk of their own.
+/// Metadata, attachments and every channel.
 fn write_preamble(
-    mcap: &mut Writer<Output>,
+    mcap: &mut McapFile<impl io::Write>,
     info: &RunInfo,
     start: HostTime,
-) -> Result<[u16; TOPICS], McapError> {
-    mcap.write_metadata(&Metadata { name: "run".into(), metadata: info.metadata() })?;
+) -> io::Result<[u16; TOPICS]> {
+    mcap.add_metadata("run", &info.metadata())?;
     let config = ("config.toml", info.config.as_str());
     let vehicle = info.vehicle_file.as_ref().map(|(name, text)| (name.as_str(), text.as_str()));
     for (name, text) in [Some(config), vehicle].into_iter().flatten() {
         let media_type =
             if name.ends_with(".json") { "application/json" } else { "application/toml" };
-        mcap.attach(&Attachment {
-            log_time: start.as_ns(),
-            create_time: start.as_ns(),
-            name: name.into(),
-            media_type: media_type.into(),
-            data: Cow::Borrowed(text.as_bytes()),
-        })?;
+        mcap.attach(start.as_ns(), name, media_type, text.as_bytes())?;
     }
-    let mut add = |topic: &str, name: &str, data: &[u8]| {
-        let schema = mcap.add_schema(name, "protobuf", data)?;
-        mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new())
-    };
     macro_rules! own {
         ($topic:literal, $message:ty) => {
-            add($topic, <$message>::NAME, &schema::descriptor::<$message>())?
+            mcap.add_channel($topic, <$message>::NAME, &schema::descriptor::<$message>())?
         };
     }
     macro_rules! foxglove {
         ($topic:literal, $message:ty) => {{
             let schema = <$message>::get_schema();
             let data = schema.as_ref().map_or(&[][..], |s| &s.data);
-            add($topic, concat!("foxglove.", stringify!($message)), data)?
+            mcap.add_channel($topic, concat!("foxglove.", stringify!($message)), data)?
         }};
     }
     // In the order of `Topic`.
