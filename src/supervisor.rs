@@ -251,6 +251,11 @@ impl Supervisor {
             (FlightState::PilotControl, _) | (_, Trigger::TimedOut) => Severity::Warning,
             _ => Severity::Info,
         };
+        self.enter(now, next, severity, why);
+        true
+    }
+
+    fn enter(&mut self, now: HostTime, next: FlightState, severity: Severity, why: &str) {
         let refusal = self.refusal.take().filter(|_| next == FlightState::Abort);
         (self.state, self.since) = (next, now);
         self.asked = None;
@@ -261,7 +266,6 @@ impl Supervisor {
             self.engaged = false;
         }
         self.tell(now, severity, refusal.unwrap_or_else(|| why.to_owned()));
-        true
     }
 
     /// Adds an event.
@@ -453,11 +457,14 @@ impl Supervisor {
             }
             *reacted = true;
             let why = self.safety.describe(fault, condition);
-            self.tell(now, Severity::Warning, why.clone());
             let reaction = self.safety.reaction(fault);
-            if reaction.trigger().is_some_and(|trigger| self.fire(now, trigger, &why)) {
-                return;
+            let next = reaction.trigger().and_then(|trigger| self.state.next(trigger));
+            if let Some(next) = next {
+                let aborts = next == FlightState::Abort;
+                let severity = if aborts { Severity::Error } else { Severity::Warning };
+                return self.enter(now, next, severity, &why);
             }
+            self.tell(now, Severity::Warning, why);
         }
     }
 

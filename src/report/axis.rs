@@ -118,7 +118,7 @@ mod tests {
         let ticks: Vec<_> = axis.ticks(30.0).into_iter().map(|(_, text)| text).collect();
         assert_eq!(ticks, ["0.00", "0.05", "0.10", "0.15"]);
         let axis = Axis::exact(Some((0.0, 22.5)), 0.0, 900.0);
-        assert_eq!(axis.ticks(95.0)[1].1, "5");
+        assert_eq!(axis.ticks(95.0)[1].1, "2");
     }
 
     #[test]
