@@ -1,22 +1,24 @@
 //! The ground station, sans I/O: a session with one vehicle, the pilot that flies it, and what the
 //! flight's log is told. A driver moves the bytes and the clock.
 
+mod records;
+mod status;
+
 use std::sync::Arc;
 
-use sitl::frame::Ned;
 use sitl::vehicle::AttitudePd;
 use wire::transport::Peer;
 
+use self::records::{LinkMeter, record_of, tick_record};
+pub use self::status::Status;
 use crate::clock::HostTime;
 use crate::control::{AttitudeLoop, DesignError, HoverVehicle, Lqr, LqrSettings};
 use crate::link::counters::LinkState;
-use crate::link::message::{Inbound, MotorSource, Received};
+use crate::link::message::Inbound;
 use crate::link::profile::{AttitudeTargetForm, Mode, Profile};
 use crate::link::request::{FlightMode, Outcome, Request};
 use crate::link::session::{self, Heard, Session, SetpointError};
-use crate::log::record::{
-    self, Direction, FrameRecord, LinkStats, Record, Severity, Source, Stamp,
-};
+use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::pilot::{Airframe, LinkEvent, Pilot, PilotSettings, Tick};
 use crate::plan::reference::ReferenceSource;
 use crate::supervisor::{Action, EngagePolicy, FlightState, ModeMap, PreflightCheck};
@@ -67,37 +69,6 @@ pub enum End {
     PilotTookOver,
 }
 
-/// A look at the station for the status line.
-#[derive(Clone, Debug, Default)]
-pub struct Status {
-    /// State of the link in words.
-    pub link: &'static str,
-    /// The vehicle's autopilot, once identified.
-    pub vehicle: Option<&'static str>,
-    /// Where the flight stands.
-    pub phase: Option<FlightState>,
-    /// The vehicle's mode word.
-    pub mode: Option<u32>,
-    /// The mode's name, where the autopilot's profile has one.
-    pub mode_name: Option<&'static str>,
-    /// Whether the motors are armed.
-    pub armed: Option<bool>,
-    /// Rate of control ticks, Hz.
-    pub tick_rate_hz: f64,
-    /// Setpoints sent.
-    pub setpoints: u64,
-    /// Distance from the reference, m.
-    pub tracking_error_m: f64,
-    /// Position, m.
-    pub position: Ned,
-    /// Time along the trajectory and its length, s.
-    pub progress: Option<(f64, f64)>,
-    /// Remaining charge, 0..1.
-    pub battery: Option<f64>,
-    /// Round trip of the link, s.
-    pub round_trip_s: Option<f64>,
-}
-
 /// A session, a pilot, and the records of both.
 pub struct Station {
     settings: StationSettings,
@@ -109,7 +80,7 @@ pub struct Station {
     ticks: Vec<Tick>,
     started: HostTime,
     stats_due: HostTime,
-    last_counts: Counts,
+    meter: LinkMeter,
     setpoints: u64,
     setpoint_error: Option<SetpointError>,
     tracking_error_m: f64,
@@ -127,16 +98,6 @@ pub struct Station {
     end: Option<End>,
 }
 
-/// Counters of the last report, to make rates of.
-#[derive(Clone, Copy, Default)]
-struct Counts {
-    host: HostTime,
-    received_frames: u64,
-    received_bytes: u64,
-    sent_frames: u64,
-    sent_bytes: u64,
-}
-
 impl Station {
     /// A station that has heard nothing yet.
     pub fn new(settings: StationSettings, now: HostTime) -> Self {
@@ -149,7 +110,7 @@ impl Station {
             ticks: Vec::new(),
             started: now,
             stats_due: now + STATS_PERIOD,
-            last_counts: Counts { host: now, ..Counts::default() },
+            meter: LinkMeter::new(now),
             setpoints: 0,
             setpoint_error: None,
             tracking_error_m: 0.0,
@@ -251,6 +212,7 @@ impl Station {
 
     /// The endpoint is open (again).
     pub fn opened(&mut self, now: HostTime) {
+        self.meter.opened();
         self.tell(now, Severity::Info, "link open".to_owned());
     }
 
@@ -290,48 +252,6 @@ impl Station {
     /// How it ended, once it has.
     pub fn end(&self) -> Option<&End> {
         self.end.as_ref()
-    }
-
-    /// A look for the status line.
-    pub fn status(&self) -> Status {
-        let link = match self.session.state() {
-            LinkState::Searching => "searching",
-            LinkState::Connected => "connected",
-            LinkState::Stale => "stale",
-            LinkState::Lost => "lost",
-        };
-        let mut status = Status {
-            link,
-            vehicle: self.profile.as_ref().map(|profile| profile.name),
-            setpoints: self.setpoints,
-            tracking_error_m: self.tracking_error_m,
-            progress: self.trajectory_time.map(|t| (t, self.settings.reference.duration())),
-            round_trip_s: self.session.stats().round_trip.map(|rtt| rtt.as_secs_f64()),
-            ..Status::default()
-        };
-        if let Some(pilot) = &self.pilot {
-            let telemetry = pilot.telemetry();
-            status.phase = Some(pilot.flight_state());
-            status.mode = telemetry.status().mode;
-            status.mode_name = telemetry.status().mode.and_then(|word| self.mode_name(word));
-            status.armed = telemetry.status().armed;
-            status.battery = telemetry.status().battery.remaining;
-            status.tick_rate_hz = telemetry.tick_rate_hz();
-            status.position = telemetry.last_sample().map_or(Ned::zero(), |s| s.state.position);
-        }
-        status
-    }
-
-    fn mode_name(&self, word: u32) -> Option<&'static str> {
-        let modes = &self.profile.as_ref()?.modes;
-        let named = [
-            (modes.offboard, "offboard"),
-            (modes.hold, "hold"),
-            (modes.land, "land"),
-            (modes.takeoff, "take-off"),
-        ];
-        let is_it = |mode: Option<Mode>| mode.is_some_and(|mode| mode.custom_mode == word);
-        named.into_iter().find(|(mode, _)| is_it(*mode)).map(|(_, name)| name)
     }
 
     /// After the pilot has acted: ticks to the log, session's news to the pilot, the pilot's
@@ -580,45 +500,16 @@ impl Station {
     }
 
     fn record_stats(&mut self, now: HostTime) {
-        let stats = self.session.stats();
-        let period = now.since(self.last_counts.host).as_secs_f64();
-        let rate = |count: u64, before: u64| count.saturating_sub(before) as f64 / period;
-        let of = |ids: &[u32]| {
-            let counts = stats.messages.iter().filter(|count| ids.contains(&count.id));
-            counts.map(|count| count.rate_hz).fold(0.0, f64::max)
-        };
-        let record = LinkStats {
-            rx_frames_hz: rate(stats.received.frames, self.last_counts.received_frames),
-            rx_bytes_per_s: rate(stats.received.bytes, self.last_counts.received_bytes),
-            tx_frames_hz: rate(stats.sent_frames, self.last_counts.sent_frames),
-            tx_bytes_per_s: rate(stats.sent_bytes, self.last_counts.sent_bytes),
-            attitude_hz: of(&[30, 31]),
-            position_hz: of(&[32]),
-            odometry_hz: of(&[331]),
-            crc_errors: stats.received.crc_errors,
-            lost_frames: stats.lost,
-            unknown_frames: stats.received.unknown,
-            unframed_bytes: stats.received.unframed_bytes,
-            reconnects: 0,
-            rtt_s: stats.round_trip.map_or(f64::NAN, |rtt| rtt.as_secs_f64()),
-            clock_offset_s: stats.clock.map_or(f64::NAN, |clock| clock.offset_ns as f64 * 1e-9),
-        };
-        self.last_counts = Counts {
-            host: now,
-            received_frames: stats.received.frames,
-            received_bytes: stats.received.bytes,
-            sent_frames: stats.sent_frames,
-            sent_bytes: stats.sent_bytes,
-        };
+        let stats = self.meter.read(now, &self.session.stats());
         if self.found.is_some_and(|found| now.since(found) >= STATS_PERIOD) {
             self.found = None;
             let text = format!(
                 "receiving attitude at {:.0} Hz, position at {:.0} Hz, odometry at {:.0} Hz",
-                record.attitude_hz, record.position_hz, record.odometry_hz
+                stats.attitude_hz, stats.position_hz, stats.odometry_hz
             );
             self.tell(now, Severity::Info, text);
         }
-        self.records.push(Record::Link { host: now, stats: record });
+        self.records.push(Record::Link { host: now, stats });
     }
 }
 
@@ -638,48 +529,5 @@ fn request_of(action: Action) -> Request {
         Action::SetModeLand => Request::SetMode(FlightMode::Land),
         Action::Arm => Request::Arm,
         Action::Disarm => Request::Disarm,
-    }
-}
-
-/// What the log keeps of a message beside its frame; of motor outputs, one source.
-fn record_of(received: &Received, motors: Option<MotorSource>) -> Option<Record> {
-    let stamp = match received.vehicle {
-        Some(vehicle) => Stamp::new(received.host, vehicle, received.host),
-        None => Stamp::host(received.host),
-    };
-    match &received.message {
-        Inbound::Imu { specific_force, body_rate } => {
-            Some(Record::Imu { stamp, specific_force: *specific_force, body_rate: *body_rate })
-        }
-        Inbound::MotorOutputs { source, outputs } if Some(*source) == motors => {
-            Some(Record::Motors { stamp, outputs: *outputs })
-        }
-        Inbound::Battery { voltage, current, remaining } => Some(Record::Battery {
-            stamp,
-            voltage: *voltage,
-            current: *current,
-            remaining: *remaining,
-        }),
-        Inbound::StatusText { severity, text } => Some(Record::Event {
-            host: received.host,
-            severity: Severity::from(*severity),
-            source: Source::Vehicle,
-            text: text.clone(),
-        }),
-        _ => None,
-    }
-}
-
-fn tick_record(tick: &Tick, sampled: HostTime) -> record::Tick {
-    record::Tick {
-        stamp: Stamp::new(tick.host, tick.vehicle, sampled),
-        state: tick.state,
-        reference: Some(tick.reference),
-        feedback: tick.feedback,
-        setpoint: tick.setpoint,
-        saturation: tick.saturation.bits(),
-        phase: tick.phase.name(),
-        trajectory_time: tick.trajectory_time,
-        sample_age: tick.sample_age,
     }
 }

@@ -1,0 +1,111 @@
+//! What the log is told of messages, ticks and the link.
+
+use crate::clock::HostTime;
+use crate::link::counters;
+use crate::link::message::{Inbound, MotorSource, Received};
+use crate::log::record::{self, LinkStats, Record, Severity, Source, Stamp};
+use crate::pilot::Tick;
+
+/// What the log keeps of a message beside its frame; of motor outputs, one source.
+pub(super) fn record_of(received: &Received, motors: Option<MotorSource>) -> Option<Record> {
+    let stamp = match received.vehicle {
+        Some(vehicle) => Stamp::new(received.host, vehicle, received.host),
+        None => Stamp::host(received.host),
+    };
+    match &received.message {
+        Inbound::Imu { specific_force, body_rate } => {
+            Some(Record::Imu { stamp, specific_force: *specific_force, body_rate: *body_rate })
+        }
+        Inbound::MotorOutputs { source, outputs } if Some(*source) == motors => {
+            Some(Record::Motors { stamp, outputs: *outputs })
+        }
+        Inbound::Battery { voltage, current, remaining } => Some(Record::Battery {
+            stamp,
+            voltage: *voltage,
+            current: *current,
+            remaining: *remaining,
+        }),
+        Inbound::StatusText { severity, text } => Some(Record::Event {
+            host: received.host,
+            severity: Severity::from(*severity),
+            source: Source::Vehicle,
+            text: text.clone(),
+        }),
+        _ => None,
+    }
+}
+
+pub(super) fn tick_record(tick: &Tick, sampled: HostTime) -> record::Tick {
+    record::Tick {
+        stamp: Stamp::new(tick.host, tick.vehicle, sampled),
+        state: tick.state,
+        reference: Some(tick.reference),
+        feedback: tick.feedback,
+        setpoint: tick.setpoint,
+        saturation: tick.saturation.bits(),
+        phase: tick.phase.name(),
+        trajectory_time: tick.trajectory_time,
+        sample_age: tick.sample_age,
+    }
+}
+
+/// Makes rates of the link's counters.
+pub(super) struct LinkMeter {
+    last: Counts,
+    opened: u64,
+}
+
+/// Counters of the last report.
+#[derive(Clone, Copy, Default)]
+struct Counts {
+    host: HostTime,
+    received_frames: u64,
+    received_bytes: u64,
+    sent_frames: u64,
+    sent_bytes: u64,
+}
+
+impl LinkMeter {
+    pub(super) fn new(now: HostTime) -> Self {
+        Self { last: Counts { host: now, ..Counts::default() }, opened: 0 }
+    }
+
+    /// The endpoint was opened, for the first time or again.
+    pub(super) fn opened(&mut self) {
+        self.opened += 1;
+    }
+
+    /// The link since the last call.
+    pub(super) fn read(&mut self, now: HostTime, stats: &counters::LinkStats) -> LinkStats {
+        let period = now.since(self.last.host).as_secs_f64();
+        let rate = |count: u64, before: u64| count.saturating_sub(before) as f64 / period;
+        let of = |ids: &[u32]| {
+            let counts = stats.messages.iter().filter(|count| ids.contains(&count.id));
+            counts.map(|count| count.rate_hz).fold(0.0, f64::max)
+        };
+        let record = LinkStats {
+            rx_frames_hz: rate(stats.received.frames, self.last.received_frames),
+            rx_bytes_per_s: rate(stats.received.bytes, self.last.received_bytes),
+            tx_frames_hz: rate(stats.sent_frames, self.last.sent_frames),
+            tx_bytes_per_s: rate(stats.sent_bytes, self.last.sent_bytes),
+            attitude_hz: of(&[30, 31]),
+            position_hz: of(&[32]),
+            odometry_hz: of(&[331]),
+            crc_errors: stats.received.crc_errors,
+            lost_frames: stats.lost,
+            unknown_frames: stats.received.unknown,
+            unframed_bytes: stats.received.unframed_bytes,
+            reconnects: self.opened.saturating_sub(1),
+            rtt_s: stats.round_trip.map_or(f64::NAN, |rtt| rtt.as_secs_f64()),
+            clock_offset_s: stats.clock.map_or(f64::NAN, |clock| clock.offset_ns as f64 * 1e-9),
+        };
+        self.last = Counts {
+            host: now,
+            received_frames: stats.received.frames,
+            received_bytes: stats.received.bytes,
+            sent_frames: stats.sent_frames,
+            sent_bytes: stats.sent_bytes,
+        };
+        record
+    }
+}
