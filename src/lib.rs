@@ -7,8 +7,10 @@ pub mod clock;
 pub mod setpoint;
 
 pub mod control;
+pub mod learn;
 pub mod link;
 pub mod log;
+pub mod model;
 pub mod pilot;
 pub mod plan;
 pub mod report;

@@ -15,7 +15,9 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("plan", &["setpoint"]),
         ("supervisor", &["clock", "setpoint", "link", "telemetry"]),
         ("pilot", &["clock", "setpoint", "link", "telemetry", "control", "plan", "supervisor"]),
-        ("log", &["clock", "setpoint"]),
+        ("log", &["clock", "setpoint", "link"]),
+        ("model", &[]),
+        ("learn", &["log", "model"]),
         ("report", &["clock", "setpoint", "log"]),
         (
             "station",

@@ -17,6 +17,7 @@
 pub mod descriptor;
 pub mod export;
 mod flights;
+pub mod import;
 pub mod info;
 mod mcap_file;
 mod name;

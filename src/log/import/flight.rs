@@ -1,0 +1,227 @@
+//! One flight as it was recorded: streams at their native rates on the vehicle's clock.
+
+use std::path::PathBuf;
+
+use sitl::frame::{Attitude, Frd, Ned};
+
+/// Samples of one quantity, in the order of their times.
+///
+/// Times are seconds of the vehicle's clock. They are finite and strictly increasing; whatever
+/// breaks that order in the file is left out by the importer and counted in [`Flight::left_out`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stream<T> {
+    times: Vec<f64>,
+    values: Vec<T>,
+}
+
+impl<T> Default for Stream<T> {
+    fn default() -> Self {
+        Self { times: Vec::new(), values: Vec::new() }
+    }
+}
+
+impl<T> Stream<T> {
+    /// Appends a sample. Returns `false`, and leaves it out, unless `time` is finite and later
+    /// than the last.
+    pub fn push(&mut self, time: f64, value: T) -> bool {
+        let later = self.times.last().is_none_or(|last| time > *last);
+        if !(time.is_finite() && later) {
+            return false;
+        }
+        self.times.push(time);
+        self.values.push(value);
+        true
+    }
+
+    /// Times in s.
+    pub fn times(&self) -> &[f64] {
+        &self.times
+    }
+
+    /// Values, one for each time.
+    pub fn values(&self) -> &[T] {
+        &self.values
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.times.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.times.is_empty()
+    }
+
+    /// Times and values.
+    pub fn iter(&self) -> impl Iterator<Item = (f64, &T)> {
+        self.times.iter().copied().zip(&self.values)
+    }
+
+    /// Index of the newest sample at or before `time`.
+    pub fn index_at(&self, time: f64) -> Option<usize> {
+        self.times.partition_point(|t| *t <= time).checked_sub(1)
+    }
+
+    /// The newest value at or before `time`: how a command holds.
+    pub fn held_at(&self, time: f64) -> Option<&T> {
+        self.values.get(self.index_at(time)?)
+    }
+
+    /// Median time between samples in s, if there are two.
+    pub fn period(&self) -> Option<f64> {
+        let mut gaps: Vec<f64> = self.times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        if gaps.is_empty() {
+            return None;
+        }
+        let middle = gaps.len() / 2;
+        Some(*gaps.select_nth_unstable_by(middle, f64::total_cmp).1)
+    }
+}
+
+/// What the ground asked for: SET_ATTITUDE_TARGET as sent, each part where its mask keeps it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AttitudeSetpoint {
+    /// Desired body to world.
+    pub attitude: Option<Attitude>,
+    /// Desired body rate, rad/s.
+    pub body_rate: Option<Frd>,
+    /// Normalised collective thrust.
+    pub thrust: Option<f64>,
+}
+
+/// True state of a simulated vehicle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthSample {
+    /// Position, m.
+    pub position: Ned,
+    /// Velocity, m/s.
+    pub velocity: Ned,
+    /// Body to world.
+    pub attitude: Attitude,
+    /// Body rate, rad/s.
+    pub body_rate: Frd,
+    /// Acceleration in world axes, m/s^2.
+    pub acceleration: Ned,
+    /// Angular acceleration in body axes, rad/s^2.
+    pub angular_acceleration: Frd,
+}
+
+/// Unit of [`Flight::outputs`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MotorUnit {
+    /// u_i: commanded thrust over the rotor's `thrust_max_N`, 0..1.
+    #[default]
+    ThrustFraction,
+    /// As the vehicle file's `motor_output` says; made a thrust fraction with it.
+    VehicleFile,
+}
+
+/// How times of the ground's clock came onto the vehicle's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Clock {
+    /// There is one clock in this log.
+    Single,
+    /// TIMESYNC was logged, or the log's own mapping is used.
+    Synchronised,
+    /// By the least observed downlink delay, which is taken to be this many seconds.
+    LeastDelay {
+        /// Assumed least delay, s.
+        assumed_s: f64,
+    },
+}
+
+/// Where a flight comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Origin {
+    /// The file.
+    pub path: PathBuf,
+    /// File name without extension: the flight's name in tables.
+    pub run: String,
+    /// SHA-256 of the file, lower-case hexadecimal.
+    pub sha256: String,
+    /// `mcap`, `tlog`, `csv`.
+    pub format: &'static str,
+}
+
+/// One flight. A stream that the log lacks is empty.
+#[derive(Clone, Debug)]
+pub struct Flight {
+    /// Where it comes from.
+    pub origin: Origin,
+    /// Text of the vehicle file inside the log, if there is one.
+    pub vehicle_file: Option<String>,
+    /// How clocks were tied.
+    pub clock: Clock,
+    /// Reported attitude, body to world.
+    pub attitude: Stream<Attitude>,
+    /// Reported position, m.
+    pub position: Stream<Ned>,
+    /// Reported velocity in world axes, m/s.
+    pub velocity: Stream<Ned>,
+    /// Body rate: the gyro's where it is logged, else the attitude message's, rad/s.
+    pub body_rate: Stream<Frd>,
+    /// Specific force, m/s^2.
+    pub specific_force: Stream<Frd>,
+    /// Motor outputs in force.
+    pub outputs: Stream<[f64; 4]>,
+    /// Their unit.
+    pub motor_unit: MotorUnit,
+    /// Rotor speeds, rad/s, at least 0.
+    pub rotor_speed: Stream<[f64; 4]>,
+    /// Setpoints as the ground sent them, on the vehicle's clock.
+    pub setpoint: Stream<AttitudeSetpoint>,
+    /// Pack voltage, V.
+    pub voltage: Stream<f64>,
+    /// Whether the vehicle says that it is in the air; empty where it does not say.
+    pub in_air: Stream<bool>,
+    /// The simulator's truth, for judging only.
+    pub truth: Stream<TruthSample>,
+    /// Whether rows of the source are one regular table (CSV): then a sample is a row.
+    pub rows: Option<Vec<f64>>,
+    /// What was left out of the file and why, with counts; empty for a sound file.
+    pub left_out: Vec<(String, u64)>,
+}
+
+impl Flight {
+    /// A flight with no samples.
+    pub fn empty(origin: Origin, clock: Clock) -> Self {
+        Self {
+            origin,
+            vehicle_file: None,
+            clock,
+            attitude: Stream::default(),
+            position: Stream::default(),
+            velocity: Stream::default(),
+            body_rate: Stream::default(),
+            specific_force: Stream::default(),
+            outputs: Stream::default(),
+            motor_unit: MotorUnit::default(),
+            rotor_speed: Stream::default(),
+            setpoint: Stream::default(),
+            voltage: Stream::default(),
+            in_air: Stream::default(),
+            truth: Stream::default(),
+            rows: None,
+            left_out: Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stream_keeps_only_what_is_later_and_finite() {
+        let mut stream = Stream::default();
+        let kept = [(0.0, true), (0.1, true), (0.1, false), (f64::NAN, false), (0.05, false)];
+        for (time, expected) in kept {
+            assert_eq!(stream.push(time, time), expected);
+        }
+        assert_eq!(stream.times(), [0.0, 0.1]);
+        assert_eq!(stream.held_at(-1.0), None);
+        assert_eq!(stream.held_at(0.05), Some(&0.0));
+        assert_eq!(stream.held_at(9.0), Some(&0.1));
+    }
+}
