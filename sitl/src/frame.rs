@@ -55,6 +55,12 @@ impl<F, T> From<[T; 3]> for Vec3<F, T> {
     }
 }
 
+impl<F, T: Copy> From<Vec3<F, T>> for [T; 3] {
+    fn from(v: Vec3<F, T>) -> Self {
+        v.to_array()
+    }
+}
+
 impl<T: Copy> Ned<T> {
     /// Component towards true north.
     #[inline]

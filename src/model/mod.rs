@@ -4,7 +4,12 @@
 //! `(v, omega, zeta, u) -> (dv/dt, domega/dt)`. What lies between a command and the input that
 //! acts (delay, rotors' lag, saturation, voltage) is [`actuation`]'s.
 
+pub mod actuation;
+pub mod file;
+pub mod hybrid;
+pub mod learned;
 pub mod net;
+pub mod physics;
 
 use sitl::frame::{Euler, Frd, Ned};
 

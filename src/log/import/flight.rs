@@ -206,6 +206,17 @@ impl Flight {
             left_out: Vec::new(),
         }
     }
+
+    /// Makes outputs in the vehicle file's unit thrust fractions: `zero` becomes 0 and `one` 1.
+    /// Outputs that are thrust fractions already stay.
+    pub fn normalise_outputs(&mut self, zero: f64, one: f64) {
+        if self.motor_unit == MotorUnit::VehicleFile {
+            for outputs in &mut self.outputs.values {
+                *outputs = outputs.map(|u| ((u - zero) / (one - zero)).clamp(0.0, 1.0));
+            }
+            self.motor_unit = MotorUnit::ThrustFraction;
+        }
+    }
 }
 
 #[cfg(test)]

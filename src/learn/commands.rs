@@ -1,0 +1,214 @@
+//! What the rotors were told: motor outputs on an even grid, from setpoints through the on-board
+//! law or as logged.
+
+use serde::{Deserialize, Serialize};
+use sitl::autopilot::offboard::AttitudeSetpoint;
+use sitl::autopilot::pd::AttitudeLoop;
+use sitl::effects::PdGain;
+use sitl::frame::Frd;
+use sitl::rotor::Allocation;
+use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
+
+use super::alignment::interpolated;
+use crate::log::import::{Flight, Stream};
+use crate::model::actuation::{Actuation, Rotors};
+
+/// Rate of the grid where the on-board law is not known, Hz.
+const OUTPUT_RATE_HZ: f64 = 250.0;
+/// A setpoint older than this no longer rules, s.
+const SETPOINT_AGE_MAX: f64 = 0.1;
+/// The law's outputs may differ from the logged ones by this much, root mean square: sampling at
+/// another instant costs a few hundredths.
+const LAW_ERROR_MAX: f64 = 0.08;
+
+/// Where u comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CommandSource {
+    /// Setpoints through the on-board law of the vehicle file (Bansal et al. 2016, eq. 9).
+    OnboardLaw,
+    /// Logged motor outputs.
+    MotorOutputs,
+    /// Logged rotor speeds, which need no lag: the rotors' states themselves.
+    RotorSpeeds,
+}
+
+/// The vehicle's own loop and mixer, as its file states them.
+#[derive(Clone, Debug)]
+pub struct Onboard {
+    pub(super) law: Option<AttitudeLoop>,
+    pub(super) allocation: Allocation,
+    pub(super) rate_hz: f64,
+    full_v: f64,
+    /// Rotor speed at full output, rad/s.
+    rotor_speed_max: Option<f64>,
+}
+
+impl Onboard {
+    /// The loop and mixer of a vehicle.
+    ///
+    /// # Errors
+    /// A mixer that cannot be inverted.
+    pub fn new(vehicle: &VehicleParams) -> Result<Self, VehicleError> {
+        let allocation = vehicle.allocation()?;
+        let gain = vehicle.modelled_effects.get::<PdGain>();
+        let pd = vehicle.attitude_pd.map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
+        Ok(Self {
+            law: pd.map(|pd| AttitudeLoop::new(pd, allocation)),
+            allocation,
+            rate_hz: pd.map_or(OUTPUT_RATE_HZ, |pd| pd.rate_hz),
+            full_v: vehicle.battery.full_v,
+            rotor_speed_max: vehicle.rotor_max_rpm.map(|rpm| rpm * std::f64::consts::TAU / 60.0),
+        })
+    }
+
+    /// Which source this flight's u comes from, and how well the law explains the logged outputs:
+    /// the root mean square difference, where both are logged.
+    pub fn source(&self, flight: &Flight) -> (CommandSource, Option<f64>) {
+        let complete = flight.setpoint.values().iter().any(|s| s.thrust.is_some());
+        if self.law.is_none() || !complete {
+            let speeds = flight.outputs.is_empty() && !flight.rotor_speed.is_empty();
+            let other =
+                if speeds { CommandSource::RotorSpeeds } else { CommandSource::MotorOutputs };
+            return (other, None);
+        }
+        let error = self.law_error(flight);
+        match error {
+            Some(error) if error > LAW_ERROR_MAX => (CommandSource::MotorOutputs, Some(error)),
+            _ => (CommandSource::OnboardLaw, error),
+        }
+    }
+
+    /// The law's outputs against the logged ones at the delay that fits best.
+    fn law_error(&self, flight: &Flight) -> Option<f64> {
+        let errors = (0..12).filter_map(|k| {
+            let trace =
+                OutputTrace::new(self, flight, CommandSource::OnboardLaw, 0.005 * f64::from(k));
+            let (mut sum, mut count) = (0.0, 0.0);
+            for (time, logged) in flight.outputs.iter() {
+                let Some(law) = trace.at(time) else { continue };
+                sum += law.iter().zip(logged).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+                count += ROTORS as f64;
+            }
+            (count > 200.0).then(|| (sum / count).sqrt())
+        });
+        errors.min_by(f64::total_cmp)
+    }
+
+    /// Outputs for a setpoint at a reported attitude and rate; `None` without a law.
+    pub(super) fn law_outputs(
+        &self,
+        setpoint: &crate::log::import::AttitudeSetpoint,
+        attitude: sitl::frame::Attitude,
+        body_rate: Frd,
+    ) -> Option<[f64; ROTORS]> {
+        let asked = AttitudeSetpoint {
+            attitude: setpoint.attitude.map(|attitude| attitude.euler()),
+            body_rate: setpoint.body_rate.unwrap_or(Frd::zero()),
+            thrust: setpoint.thrust?.clamp(0.0, 1.0),
+            type_mask: wire::dialect::AttitudeTargetTypemask::empty(),
+        };
+        Some(self.law.as_ref()?.outputs(&asked, attitude.euler(), body_rate))
+    }
+
+    /// Rotor state at a speed: the nominal thrust's fraction.
+    fn state_at_speed(&self, speed: f64) -> f64 {
+        self.rotor_speed_max.map_or(0.0, |most| (speed / most).powi(2))
+    }
+
+    /// Factor of the pack's voltage on thrust.
+    pub(super) fn voltage_factor(&self, actuation: &Actuation, voltage: Option<f64>) -> f64 {
+        voltage.map_or(1.0, |v| (v / self.full_v).max(0.1).powf(actuation.voltage_exponent))
+    }
+}
+
+/// Motor outputs on an even grid; `None` where nothing ruled.
+pub(super) struct OutputTrace {
+    start: f64,
+    step: f64,
+    outputs: Vec<Option<[f64; ROTORS]>>,
+}
+
+impl OutputTrace {
+    /// The outputs of a flight when commands take `delay` seconds.
+    pub fn new(onboard: &Onboard, flight: &Flight, source: CommandSource, delay: f64) -> Self {
+        let step = 1.0 / onboard.rate_hz;
+        let (Some(first), Some(last)) =
+            (flight.attitude.times().first(), flight.attitude.times().last())
+        else {
+            return Self { start: 0.0, step, outputs: Vec::new() };
+        };
+        let start = (first / step).ceil() * step;
+        let count = ((last - start) / step).max(0.0) as usize;
+        let ticks = (0..count).map(|k| start + k as f64 * step);
+        let outputs = match source {
+            CommandSource::OnboardLaw => ticks
+                .map(|t| {
+                    let index = flight.setpoint.index_at(t - delay)?;
+                    let fresh = t - delay - flight.setpoint.times()[index] < SETPOINT_AGE_MAX;
+                    let attitude = interpolated(&flight.attitude, t)?;
+                    let rate = lerp(&flight.body_rate, t)?;
+                    let setpoint = &flight.setpoint.values()[index];
+                    fresh.then(|| onboard.law_outputs(setpoint, attitude, Frd::from(rate)))?
+                })
+                .collect(),
+            CommandSource::MotorOutputs => {
+                ticks.map(|t| lerp(&flight.outputs, t - delay)).collect()
+            }
+            CommandSource::RotorSpeeds => ticks
+                .map(|t| {
+                    let speeds = lerp(&flight.rotor_speed, t - delay)?;
+                    Some(speeds.map(|speed| onboard.state_at_speed(speed)))
+                })
+                .collect(),
+        };
+        Self { start, step, outputs }
+    }
+
+    fn at(&self, time: f64) -> Option<[f64; ROTORS]> {
+        let index = ((time - self.start) / self.step + 1e-6).floor();
+        (index >= 0.0).then(|| self.outputs.get(index as usize).copied().flatten())?
+    }
+
+    /// The rotors' states that follow these outputs.
+    pub fn states(&self, onboard: &Onboard, lag_s: f64) -> Stream<[f64; ROTORS]> {
+        let mut states = Stream::default();
+        let mut rotors = Rotors::new(&onboard.allocation, lag_s);
+        // While nothing ruled, the rotors' states are not known; they settle after a few lags.
+        let mut settled_at = f64::NEG_INFINITY;
+        let mut ruled = false;
+        for (k, outputs) in self.outputs.iter().enumerate() {
+            let time = self.start + k as f64 * self.step;
+            let Some(outputs) = outputs else {
+                ruled = false;
+                continue;
+            };
+            if !ruled {
+                rotors = Rotors::new(&onboard.allocation, lag_s);
+                settled_at = time + 3.0 * lag_s;
+                ruled = true;
+            }
+            let after = rotors.advance(outputs, self.step);
+            if time + self.step >= settled_at {
+                states.push(time + self.step, after);
+            }
+        }
+        states
+    }
+}
+
+/// A vector stream between its neighbours; `None` outside of it.
+pub(super) fn lerp<V: Copy + Into<[f64; N]>, const N: usize>(
+    stream: &Stream<V>,
+    time: f64,
+) -> Option<[f64; N]> {
+    let index = stream.index_at(time)?;
+    let before: [f64; N] = stream.values()[index].into();
+    let times = stream.times();
+    if times[index] == time {
+        return Some(before);
+    }
+    let after: [f64; N] = (*stream.values().get(index + 1)?).into();
+    let share = (time - times[index]) / (times[index + 1] - times[index]);
+    Some(std::array::from_fn(|i| before[i] + share * (after[i] - before[i])))
+}

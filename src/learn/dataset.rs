@@ -1,0 +1,298 @@
+//! Flights into rows: what the vehicle did at 100 Hz, and with what input.
+
+use std::ops::Range;
+
+use serde::Serialize;
+use sitl::frame::{Attitude, Frd, Ned};
+use sitl::vehicle::{ROTORS, VehicleParams};
+
+use super::alignment::{Alignment, interpolated};
+use super::commands::{CommandSource, Onboard, OutputTrace, lerp};
+use super::segments::{Segments, Unusable};
+use super::window::{BANDWIDTH, Sliding};
+use crate::log::import::{Flight, Stream};
+use crate::model::actuation::{Actuation, Rotors};
+use crate::model::{ACCELERATIONS, Point};
+
+/// Rows a second.
+pub const ROW_RATE_HZ: f64 = 100.0;
+
+/// How labels are made.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct WindowSettings {
+    /// Half width of the window of rates, specific force and input, s.
+    pub half_s: f64,
+    /// Half width of the window of velocity where its slope is the acceleration, s.
+    pub velocity_half_s: f64,
+}
+
+impl WindowSettings {
+    /// -3 dB bandwidth of the labels from rates and specific force, Hz.
+    pub fn bandwidth_hz(&self) -> f64 {
+        BANDWIDTH / self.half_s
+    }
+}
+
+impl Default for WindowSettings {
+    fn default() -> Self {
+        Self { half_s: 0.022, velocity_half_s: 0.055 }
+    }
+}
+
+/// Where the linear acceleration comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AccelerationSource {
+    /// The accelerometer, turned to the world, plus gravity, its bias taken out by the velocity.
+    SpecificForce,
+    /// The slope of the velocity.
+    VelocitySlope,
+}
+
+/// What was seen at one instant, before anything is known of the input.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation {
+    /// On the gyro's clock, s.
+    pub time: f64,
+    /// World axes, m/s.
+    pub velocity: Ned,
+    /// Body to world.
+    pub attitude: Attitude,
+    /// Rad/s.
+    pub body_rate: Frd,
+    /// By the accelerometer, m/s^2.
+    pub by_force: Option<Ned>,
+    /// By the velocity's slope, m/s^2.
+    pub by_slope: Option<Ned>,
+    /// Slope of the body rate, rad/s^2.
+    pub angular: Frd,
+    /// The simulator's true accelerations.
+    pub truth: Option<[f64; ACCELERATIONS]>,
+    /// Pack voltage, V.
+    pub voltage: Option<f64>,
+}
+
+/// A flight with what was observed on it.
+pub struct ObservedFlight {
+    /// The flight.
+    pub flight: Flight,
+    /// Its usable parts.
+    pub segments: Segments,
+    /// How late its streams are.
+    pub alignment: Alignment,
+    /// Where its u comes from.
+    pub source: CommandSource,
+    /// How far the on-board law's outputs are from the logged ones, root mean square.
+    pub law_error: Option<f64>,
+    /// What was seen, in order.
+    pub observations: Vec<Observation>,
+    /// Half width of the windows, s.
+    half_s: f64,
+}
+
+/// A row of the dataset.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// On the gyro's clock, s.
+    pub time: f64,
+    /// Where.
+    pub point: Point,
+    /// The accelerations seen there: linear in world axes, angular in body axes.
+    pub label: [f64; ACCELERATIONS],
+    /// The simulator's true ones.
+    pub truth: Option<[f64; ACCELERATIONS]>,
+}
+
+/// A rotation's stream with its stamps put right.
+fn shifted<V: Copy>(stream: &Stream<V>, latency: f64) -> Stream<V> {
+    let mut shifted = Stream::default();
+    for (time, value) in stream.iter() {
+        shifted.push(time - latency, *value);
+    }
+    shifted
+}
+
+impl ObservedFlight {
+    /// Observes a flight of a vehicle.
+    ///
+    /// # Errors
+    /// [`Unusable`] if nothing can be learned from it.
+    pub fn new(
+        mut flight: Flight,
+        vehicle: &VehicleParams,
+        onboard: &Onboard,
+        settings: &WindowSettings,
+    ) -> Result<Self, Unusable> {
+        if let Some(output) = &vehicle.motor_output {
+            flight.normalise_outputs(output.zero, output.one);
+        }
+        let segments = Segments::of(&flight)?;
+        let (source, law_error) = onboard.source(&flight);
+        let alignment = Alignment::of(&flight);
+        let attitude = shifted(&flight.attitude, alignment.attitude_s.unwrap_or(0.0));
+        let velocity = shifted(&flight.velocity, alignment.velocity_s.unwrap_or(0.0));
+
+        let mut accelerations: Stream<[f64; 3]> = Stream::default();
+        for (time, force) in flight.specific_force.iter() {
+            if let Some(attitude) = interpolated(&attitude, time) {
+                let [n, e, d] = attitude.to_world(*force).to_array();
+                accelerations.push(time, [n, e, d + vehicle.gravity]);
+            }
+        }
+        // The windows reach as far as three samples need, at any rate.
+        let half = |period: Option<f64>, wanted: f64| wanted.max(1.6 * period.unwrap_or(0.0));
+        let half_s = half(flight.body_rate.period(), settings.half_s);
+        let force_half = half(flight.specific_force.period(), settings.half_s);
+        let velocity_half = half(velocity.period(), settings.velocity_half_s);
+
+        let voltage = scalar(&flight.voltage);
+        let mut observations = Vec::new();
+        for span in &segments.spans {
+            let mut rates = Sliding::new(&flight.body_rate, half_s);
+            let mut forces = Sliding::new(&accelerations, force_half);
+            let mut velocities = Sliding::new(&velocity, velocity_half);
+            for time in grid(span) {
+                let inside = span.start + velocity_half < time && time < span.end - velocity_half;
+                let Some((body_rate, angular)) = rates.line(time) else { continue };
+                let by_force = forces.mean(time);
+                let Some((mean, slope)) = velocities.line(time) else { continue };
+                let Some(attitude) = interpolated(&attitude, time) else { continue };
+                let now = lerp(&velocity, time).unwrap_or(mean);
+                if inside {
+                    observations.push(Observation {
+                        time,
+                        velocity: Ned::from(now),
+                        attitude,
+                        body_rate: Frd::from(body_rate),
+                        by_force: by_force.map(Ned::from),
+                        by_slope: Some(Ned::from(slope)),
+                        angular: Frd::from(angular),
+                        truth: truth_at(&flight, time),
+                        voltage: lerp(&voltage, time)
+                            .map(|[v]| v)
+                            .or(flight.voltage.held_at(time).copied()),
+                    });
+                }
+            }
+        }
+        let mut observed =
+            Self { flight, segments, alignment, source, law_error, observations, half_s };
+        observed.remove_accelerometer_bias();
+        Ok(observed)
+    }
+
+    /// Takes out of the accelerometer what on average it has over the velocity's slope, in body
+    /// axes.
+    fn remove_accelerometer_bias(&mut self) {
+        let (mut sum, mut count) = (Frd::zero(), 0.0);
+        for o in &self.observations {
+            if let (Some(force), Some(slope)) = (o.by_force, o.by_slope) {
+                sum += o.attitude.to_body(force - slope);
+                count += 1.0;
+            }
+        }
+        if count < ROW_RATE_HZ {
+            return;
+        }
+        let bias = sum * (1.0 / count);
+        for o in &mut self.observations {
+            o.by_force = o.by_force.map(|force| force - o.attitude.to_world(bias));
+        }
+    }
+
+    /// The rotors' states under an actuation.
+    pub fn rotor_states(&self, onboard: &Onboard, actuation: &Actuation) -> Stream<[f64; ROTORS]> {
+        let lag_s = match self.source {
+            CommandSource::RotorSpeeds => 0.0,
+            _ => actuation.lag_s,
+        };
+        OutputTrace::new(onboard, &self.flight, self.source, actuation.delay_s)
+            .states(onboard, lag_s)
+    }
+
+    /// The actuated input at each observation in `range`; `None` where commands are missing.
+    pub fn inputs(
+        &self,
+        onboard: &Onboard,
+        actuation: &Actuation,
+        range: Range<usize>,
+    ) -> Vec<Option<[f64; 4]>> {
+        let states = self.rotor_states(onboard, actuation);
+        let rotors = Rotors::new(&onboard.allocation, 0.0);
+        let mut window = Sliding::new(&states, self.half_s);
+        self.observations[range]
+            .iter()
+            .map(|o| {
+                let states = window.mean(o.time)?;
+                let factor = onboard.voltage_factor(actuation, o.voltage);
+                Some(rotors.input(&states, factor))
+            })
+            .collect()
+    }
+
+    /// The rows under an actuation, labels from `acceleration`.
+    pub fn rows(
+        &self,
+        onboard: &Onboard,
+        actuation: &Actuation,
+        acceleration: AccelerationSource,
+    ) -> Vec<Row> {
+        let inputs = self.inputs(onboard, actuation, 0..self.observations.len());
+        let rows = self.observations.iter().zip(inputs).filter_map(|(o, input)| {
+            let linear = o.acceleration(acceleration)?;
+            let ([n, e, d], [p, q, r]) = (linear.to_array(), o.angular.to_array());
+            Some(Row {
+                time: o.time,
+                point: Point {
+                    velocity: o.velocity,
+                    body_rate: o.body_rate,
+                    attitude: o.attitude.euler(),
+                    input: input?,
+                },
+                label: [n, e, d, p, q, r],
+                truth: o.truth,
+            })
+        });
+        rows.filter(|row| row.label.iter().chain(&row.point.to_array()).all(|x| x.is_finite()))
+            .collect()
+    }
+}
+
+impl Observation {
+    /// The linear acceleration from one of its sources, world axes, m/s^2.
+    pub fn acceleration(&self, source: AccelerationSource) -> Option<Ned> {
+        match source {
+            AccelerationSource::SpecificForce => self.by_force,
+            AccelerationSource::VelocitySlope => self.by_slope,
+        }
+    }
+}
+
+/// Instants of the rows within a span.
+fn grid(span: &Range<f64>) -> impl Iterator<Item = f64> {
+    let first = (span.start * ROW_RATE_HZ).ceil() as i64;
+    let last = (span.end * ROW_RATE_HZ).floor() as i64;
+    (first..=last).map(|k| k as f64 / ROW_RATE_HZ)
+}
+
+fn scalar(stream: &Stream<f64>) -> Stream<[f64; 1]> {
+    let mut out = Stream::default();
+    for (time, value) in stream.iter() {
+        out.push(time, [*value]);
+    }
+    out
+}
+
+/// The simulator's accelerations at `time`, between its samples.
+fn truth_at(flight: &Flight, time: f64) -> Option<[f64; ACCELERATIONS]> {
+    let index = flight.truth.index_at(time)?;
+    let times = flight.truth.times();
+    let (a, b) = (&flight.truth.values()[index], flight.truth.values().get(index + 1)?);
+    let share = (time - times[index]) / (times[index + 1] - times[index]);
+    let mix = |a: f64, b: f64| a + share * (b - a);
+    let [n, e, d] = a.acceleration.to_array();
+    let [n2, e2, d2] = b.acceleration.to_array();
+    let [p, q, r] = a.angular_acceleration.to_array();
+    let [p2, q2, r2] = b.angular_acceleration.to_array();
+    Some([mix(n, n2), mix(e, e2), mix(d, d2), mix(p, p2), mix(q, q2), mix(r, r2)])
+}

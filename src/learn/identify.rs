@@ -1,0 +1,405 @@
+//! What the logs say of the vehicle's physics: how its rotors answer, and its parameters.
+
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+use sitl::effects::{AttitudeTrim, ComOffset, Effect, EffectSet, Inertia, RotorDrag, ThrustScale};
+use sitl::frame::Ned;
+use sitl::vehicle::{VehicleError, VehicleParams};
+
+use super::commands::Onboard;
+use super::dataset::{AccelerationSource, Observation, ObservedFlight, Row};
+use crate::model::actuation::Actuation;
+use crate::model::physics::{PhysicsModel, PhysicsParameters};
+use crate::model::{ACCELERATIONS, Model};
+
+/// Delays and lags that are tried first, s.
+const DELAYS: [f64; 9] = [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08];
+const LAGS: [f64; 9] = [0.0, 0.015, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.16];
+/// The search ends when its steps are this small, s.
+const RESOLUTION: f64 = 0.0005;
+/// Observations for the search; more do not move it.
+const SEARCH_ROWS: usize = 12_000;
+/// Rows for the fit of the physics.
+const FIT_ROWS: usize = 8_000;
+/// The pack must have gone through this share of its voltage before its exponent is fitted.
+const VOLTAGE_SPAN_MIN: f64 = 0.01;
+/// Accepted exponents.
+const EXPONENTS: (f64, f64) = (0.0, 3.0);
+
+/// Sum of squares that a linear regression with `K` regressors leaves.
+struct Regression<const K: usize> {
+    gram: SMatrix<f64, K, K>,
+    cross: SVector<f64, K>,
+    square: f64,
+    sum: f64,
+    count: f64,
+}
+
+impl<const K: usize> Regression<K> {
+    fn new() -> Self {
+        Self { gram: SMatrix::zeros(), cross: SVector::zeros(), square: 0.0, sum: 0.0, count: 0.0 }
+    }
+
+    fn add(&mut self, regressors: [f64; K], y: f64) {
+        let x = SVector::from(regressors);
+        self.gram += x * x.transpose();
+        self.cross += x * y;
+        self.square += y * y;
+        self.sum += y;
+        self.count += 1.0;
+    }
+
+    /// Unexplained share of y's variance.
+    fn unexplained(&self) -> Option<f64> {
+        let scale = self.gram.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
+        let scaled = SMatrix::from_diagonal(&scale) * self.gram * SMatrix::from_diagonal(&scale);
+        let ridge = SMatrix::<f64, K, K>::identity() * 1e-9;
+        let solution = DMatrix::from_iterator(K, K, (scaled + ridge).iter().copied())
+            .cholesky()?
+            .solve(&DVector::from_iterator(K, self.cross.component_mul(&scale).iter().copied()));
+        let explained: f64 =
+            solution.iter().zip(self.cross.component_mul(&scale).iter()).map(|(a, b)| a * b).sum();
+        let variance = self.square - self.sum * self.sum / self.count;
+        (variance > 0.0).then(|| (self.square - explained) / variance)
+    }
+}
+
+/// Finds how the rotors answer: delay, lag and the voltage's exponent together leave least of the
+/// accelerations unexplained by a regression on input, rates and velocity.
+///
+/// Starts from the vehicle file's numbers where the logs do not move enough to say.
+pub fn actuation(
+    flights: &[&ObservedFlight],
+    onboard: &Onboard,
+    vehicle: &VehicleParams,
+    acceleration: AccelerationSource,
+) -> Actuation {
+    let total: usize = flights.iter().map(|f| f.observations.len()).sum();
+    let mut found = Actuation {
+        delay_s: vehicle.command_delay_s,
+        lag_s: vehicle.motor_time_constant_s,
+        voltage_exponent: 0.0,
+    };
+    if total == 0 {
+        return found;
+    }
+    found.voltage_exponent =
+        voltage_exponent(flights, onboard, &found, acceleration, vehicle.gravity);
+    // The same share from the middle of each flight.
+    let share = (SEARCH_ROWS as f64 / total as f64).min(1.0);
+    let cost = |delay_s: f64, lag_s: f64| {
+        let candidate = Actuation { delay_s, lag_s, ..found };
+        unexplained(flights, onboard, &candidate, acceleration, vehicle.gravity, share)
+            .unwrap_or(f64::INFINITY)
+    };
+    let mut best = (found.delay_s, found.lag_s, cost(found.delay_s, found.lag_s));
+    let consider = |delay: f64, lag: f64, best: &mut (f64, f64, f64)| {
+        let new = cost(delay, lag);
+        if new < best.2 {
+            *best = (delay, lag, new);
+        }
+        new
+    };
+    for delay in DELAYS {
+        for lag in LAGS {
+            consider(delay, lag, &mut best);
+        }
+    }
+    let mut step = 0.006;
+    while step > RESOLUTION {
+        let (delay, lag, before) = best;
+        // Delay and lag trade against each other, so the search also moves along their sum.
+        for (a, b) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, -1.0), (-1.0, 1.0)] {
+            let (delay, lag) = (delay + a * step, lag + b * step);
+            if delay >= 0.0 && lag >= 0.0 {
+                consider(delay, lag, &mut best);
+            }
+        }
+        if best.2 >= before {
+            step *= 0.5;
+        }
+    }
+    found.delay_s = best.0;
+    found.lag_s = best.1;
+    found.voltage_exponent =
+        voltage_exponent(flights, onboard, &found, acceleration, vehicle.gravity);
+    found
+}
+
+/// Unexplained shares of the three angular accelerations and of the specific force along z.
+fn unexplained(
+    flights: &[&ObservedFlight],
+    onboard: &Onboard,
+    actuation: &Actuation,
+    acceleration: AccelerationSource,
+    gravity: f64,
+    share: f64,
+) -> Option<f64> {
+    let mut angular: [Regression<6>; 3] = std::array::from_fn(|_| Regression::new());
+    let mut vertical = Regression::<3>::new();
+    for flight in flights {
+        let count = flight.observations.len();
+        let used = ((count as f64 * share).ceil() as usize).min(count);
+        let start = (count - used) / 2;
+        let inputs = flight.inputs(onboard, actuation, start..start + used);
+        for (o, input) in flight.observations[start..start + used].iter().zip(inputs) {
+            let (Some([u1, u2, u3, u4]), Some(linear)) = (input, o.acceleration(acceleration))
+            else {
+                continue;
+            };
+            let [p, q, r] = o.body_rate.to_array();
+            let body_velocity = o.attitude.to_body(o.velocity);
+            let regressors = [
+                [u2, p, q * r, u1, body_velocity.right(), 1.0],
+                [u3, q, p * r, u1, body_velocity.front(), 1.0],
+                [u4, r, p * q, u1, body_velocity.down(), 1.0],
+            ];
+            for ((regression, x), y) in angular.iter_mut().zip(regressors).zip(o.angular.to_array())
+            {
+                regression.add(x, y);
+            }
+            let force = specific_force_z(o, linear, gravity);
+            vertical.add([u1, body_velocity.down(), 1.0], force);
+        }
+    }
+    let turning: f64 = angular.iter().map(Regression::unexplained).sum::<Option<f64>>()?;
+    Some(turning + vertical.unexplained()?)
+}
+
+/// Specific force along body z, m/s^2.
+fn specific_force_z(o: &Observation, acceleration: Ned, gravity: f64) -> f64 {
+    o.attitude.to_body(acceleration - Ned::new(0.0, 0.0, gravity)).down()
+}
+
+/// The exponent of the pack's voltage in the thrust, by golden section on what thrust leaves of
+/// the specific force along z.
+fn voltage_exponent(
+    flights: &[&ObservedFlight],
+    onboard: &Onboard,
+    actuation: &Actuation,
+    acceleration: AccelerationSource,
+    gravity: f64,
+) -> f64 {
+    // (u1 without voltage, voltage, v_z, force) a tenth of a second apart.
+    let mut rows: Vec<[f64; 4]> = Vec::new();
+    for flight in flights {
+        let plain = Actuation { voltage_exponent: 0.0, ..*actuation };
+        let inputs = flight.inputs(onboard, &plain, 0..flight.observations.len());
+        for (o, input) in flight.observations.iter().zip(inputs).step_by(10) {
+            let (Some([u1, ..]), Some(voltage), Some(linear)) =
+                (input, o.voltage, o.acceleration(acceleration))
+            else {
+                continue;
+            };
+            let force = specific_force_z(o, linear, gravity);
+            rows.push([u1, voltage, o.attitude.to_body(o.velocity).down(), force]);
+        }
+    }
+    let voltages = rows.iter().map(|row| row[1]);
+    let (low, high) = voltages.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
+    if rows.len() < 100 || !(low > 0.0 && (high - low) / high > VOLTAGE_SPAN_MIN) {
+        return 0.0;
+    }
+    let cost = |exponent: f64| {
+        let mut regression = Regression::<3>::new();
+        for [u1, voltage, v_z, force] in &rows {
+            let factor = (voltage / high).powf(exponent);
+            // Without a constant: thrust vanishes with u1, whatever the voltage.
+            regression.add([u1 * factor, *v_z, v_z * v_z.abs()], *force);
+        }
+        regression.unexplained().unwrap_or(f64::INFINITY)
+    };
+    golden_section(EXPONENTS, cost)
+}
+
+/// Where a unimodal function is least.
+fn golden_section((mut low, mut high): (f64, f64), cost: impl Fn(f64) -> f64) -> f64 {
+    let ratio = 0.5 * (5.0_f64.sqrt() - 1.0);
+    let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
+    let (mut at_a, mut at_b) = (cost(a), cost(b));
+    while high - low > 1e-3 {
+        if at_a < at_b {
+            (high, b, at_b) = (b, a, at_a);
+            a = high - ratio * (high - low);
+            at_a = cost(a);
+        } else {
+            (low, a, at_a) = (a, b, at_b);
+            b = low + ratio * (high - low);
+            at_b = cost(b);
+        }
+    }
+    0.5 * (low + high)
+}
+
+/// Number of parameters of the physics that are fitted.
+const PARAMETERS: usize = 13;
+
+/// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim and damping, each held
+/// near the vehicle file's value by a weak prior, by Levenberg-Marquardt on the rows' labels, each
+/// acceleration weighted by its deviation.
+///
+/// # Errors
+/// A vehicle that the physics refuses.
+pub fn physics(rows: &[Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
+    let stride = rows.len().div_ceil(FIT_ROWS).max(1);
+    let rows: Vec<&Row> = rows.iter().step_by(stride).collect();
+    let start = Parameters::shipped(vehicle);
+    if rows.is_empty() {
+        return Ok(start.physics(vehicle));
+    }
+    let weights = weights(&rows);
+    let prior = Parameters::prior(vehicle);
+    // A prior of one deviation counts as much as this many rows' residuals of one deviation.
+    let trust = rows.len() as f64 * 1e-4;
+
+    let residuals = |parameters: &Parameters| -> Result<DVector<f64>, VehicleError> {
+        let model = PhysicsModel::new(vehicle, &parameters.physics(vehicle))?;
+        let mut out = Vec::with_capacity(rows.len() * ACCELERATIONS + PARAMETERS);
+        for row in &rows {
+            let predicted = model.accelerations(&row.point);
+            for i in 0..ACCELERATIONS {
+                out.push(huber((predicted[i] - row.label[i]) * weights[i]));
+            }
+        }
+        for i in 0..PARAMETERS {
+            out.push((parameters.0[i] - start.0[i]) / prior[i] * trust.sqrt());
+        }
+        Ok(DVector::from_vec(out))
+    };
+
+    let mut best = start;
+    let mut current = residuals(&best)?;
+    let mut damping = 1e-3;
+    for _ in 0..40 {
+        let mut jacobian = DMatrix::zeros(current.len(), PARAMETERS);
+        for i in 0..PARAMETERS {
+            let mut moved = best;
+            let step = 1e-4 * prior[i];
+            moved.0[i] += step;
+            jacobian.set_column(i, &((residuals(&moved)? - &current) / step));
+        }
+        let gram = jacobian.transpose() * &jacobian;
+        let gradient = jacobian.transpose() * &current;
+        let mut improved = false;
+        for _ in 0..8 {
+            let mut damped = gram.clone();
+            for i in 0..PARAMETERS {
+                damped[(i, i)] *= 1.0 + damping;
+            }
+            let Some(step) = damped.cholesky().map(|c| c.solve(&gradient)) else { break };
+            let mut candidate = best;
+            for i in 0..PARAMETERS {
+                candidate.0[i] -= step[i];
+            }
+            candidate.bound(vehicle);
+            let new = residuals(&candidate)?;
+            if new.norm_squared() < current.norm_squared() {
+                improved = new.norm_squared() < (1.0 - 1e-7) * current.norm_squared();
+                (best, current) = (candidate, new);
+                damping = (damping * 0.3).max(1e-9);
+                break;
+            }
+            damping *= 4.0;
+        }
+        if !improved {
+            break;
+        }
+    }
+    Ok(best.physics(vehicle))
+}
+
+/// Residuals beyond this many deviations count linearly: a crash or a bump does not decide.
+const HUBER: f64 = 3.0;
+
+/// The number whose square is Huber's loss of a residual.
+fn huber(residual: f64) -> f64 {
+    let size = residual.abs();
+    let root = if size > HUBER { (2.0 * HUBER * size - HUBER * HUBER).sqrt() } else { size };
+    root.copysign(residual)
+}
+
+/// One over the deviation of each acceleration.
+fn weights(rows: &[&Row]) -> [f64; ACCELERATIONS] {
+    let count = rows.len() as f64;
+    std::array::from_fn(|i| {
+        let mean = rows.iter().map(|row| row.label[i]).sum::<f64>() / count;
+        let variance = rows.iter().map(|row| (row.label[i] - mean).powi(2)).sum::<f64>() / count;
+        1.0 / variance.sqrt().max(1e-6)
+    })
+}
+
+/// The fitted numbers: scale of thrust; d_xy, d_z; scales of inertia; offset of the centre of
+/// mass; roll and pitch of the trim; damping per axis; nothing of yaw torque, which inertia about
+/// z holds.
+#[derive(Clone, Copy, Debug)]
+struct Parameters([f64; PARAMETERS]);
+
+impl Parameters {
+    /// What the vehicle file says.
+    fn shipped(vehicle: &VehicleParams) -> Self {
+        let effects = &vehicle.modelled_effects;
+        let mut p = [0.0; PARAMETERS];
+        p[0] = effects.get::<ThrustScale>().map_or(1.0, |e| e.scale);
+        let linear = vehicle.linear_drag_n_per_m_s.map(|d| [d, d]);
+        let drag = effects.get::<RotorDrag>().map(|e| [e.d_xy, e.d_z]);
+        [p[1], p[2]] = linear.or(drag).unwrap_or_default();
+        [p[3], p[4], p[5]] = effects.get::<Inertia>().map_or([1.0; 3], |e| e.scale);
+        if let Some(offset) = effects.get::<ComOffset>() {
+            [p[6], p[7]] = [offset.x_m, offset.y_m];
+        }
+        if let Some(AttitudeTrim { trim }) = effects.get() {
+            [p[8], p[9]] = [trim.roll, trim.pitch];
+        }
+        Self(p)
+    }
+
+    /// How far from that a vehicle may be: one deviation.
+    fn prior(vehicle: &VehicleParams) -> [f64; PARAMETERS] {
+        let arm =
+            vehicle.rotors.iter().map(|r| r.position_m[0].hypot(r.position_m[1])).sum::<f64>()
+                / 4.0;
+        let drag = vehicle.mass;
+        let [x, y, z] = vehicle.inertia.map(|i| 5.0 * i);
+        let offset = 0.2 * arm;
+        [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z]
+    }
+
+    /// Keeps the numbers physical.
+    fn bound(&mut self, vehicle: &VehicleParams) {
+        let p = &mut self.0;
+        p[0] = p[0].clamp(0.3, 3.0);
+        for drag in &mut p[1..3] {
+            *drag = drag.clamp(0.0, 5.0 * vehicle.mass);
+        }
+        for scale in &mut p[3..6] {
+            *scale = scale.clamp(0.2, 20.0);
+        }
+        for trim in &mut p[8..10] {
+            *trim = trim.clamp(-0.3, 0.3);
+        }
+        for (damping, shipped) in
+            p[10..13].iter_mut().zip(vehicle.angular_damping_nms.unwrap_or_default())
+        {
+            *damping = damping.max(-shipped);
+        }
+    }
+
+    fn physics(&self, vehicle: &VehicleParams) -> PhysicsParameters {
+        let [scale, d_xy, d_z, ix, iy, iz, x, y, roll, pitch, kx, ky, kz] = self.0;
+        let trim = vehicle.modelled_effects.get::<AttitudeTrim>();
+        let yaw = trim.map_or(0.0, |AttitudeTrim { trim }| trim.yaw);
+        let mut effects = EffectSet::new();
+        for (id, numbers) in [
+            (ThrustScale::ID, [scale, 0.0, 0.0]),
+            (RotorDrag::ID, [d_xy, d_z, 0.0]),
+            (Inertia::ID, [ix, iy, iz]),
+            (ComOffset::ID, [x, y, 0.0]),
+            (AttitudeTrim::ID, [roll, pitch, yaw]),
+        ] {
+            let mut slots = sitl::effects::Slots::default();
+            slots[..3].copy_from_slice(&numbers);
+            // A number outside of the catalogue's range leaves the vehicle file's in force.
+            let _ = effects.insert(id, slots);
+        }
+        PhysicsParameters { effects, angular_damping_nms: [kx, ky, kz] }
+    }
+}

@@ -1,0 +1,427 @@
+//! The model file: weights as safetensors, everything else in its metadata.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, TensorView};
+use safetensors::{SafeTensorError, SafeTensors};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use sitl::vehicle::{VehicleError, VehicleParams};
+
+use super::Model;
+use super::actuation::Actuation;
+use super::hybrid::Hybrid;
+use super::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
+use super::net::{Mlp, Normalization};
+use super::physics::{PhysicsModel, PhysicsParameters};
+
+/// What the file says that it is.
+const FORMAT: &str = "downwash.model";
+/// Version of the file's form; files of others are refused.
+const VERSION: u32 = 1;
+/// The one key of the metadata: a JSON object.
+const KEY: &str = "downwash";
+/// Most hidden units.
+const HIDDEN_MAX: usize = 4096;
+
+/// Which of a file's models.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum ModelKind {
+    /// The two networks alone.
+    Net,
+    /// The fitted physics alone.
+    Physics,
+    /// The physics plus networks on what it leaves over.
+    Hybrid,
+}
+
+impl ModelKind {
+    /// All, in the order of tables.
+    pub const ALL: [ModelKind; 3] = [ModelKind::Net, ModelKind::Physics, ModelKind::Hybrid];
+
+    /// Its name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            ModelKind::Net => "net",
+            ModelKind::Physics => "physics",
+            ModelKind::Hybrid => "hybrid",
+        }
+    }
+}
+
+/// A model file, in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelFile {
+    /// The vehicle that it was trained for.
+    pub vehicle: VehicleParams,
+    /// How its rotors answer.
+    pub actuation: Actuation,
+    /// The networks.
+    pub net: NetworkModel,
+    /// The physics' parameters.
+    pub physics: PhysicsParameters,
+    /// The networks on what the physics leaves over.
+    pub residual: NetworkModel,
+    /// Which of the models did best on the validation data.
+    pub preferred: ModelKind,
+    /// How it was trained: logs with hashes, split, settings, errors.
+    pub training: serde_json::Value,
+}
+
+/// Why a model file is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelFileError {
+    /// The file cannot be read or written.
+    #[error("model file {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Not a model file, or a damaged one.
+    #[error("model file {}: {reason}; train it again or fetch it anew", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Written by another version.
+    #[error(
+        "model file {}: expected version {VERSION} of the form, found {found}; train it again with \
+         this version",
+        path.display()
+    )]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        found: u32,
+    },
+    /// For another vehicle.
+    #[error(
+        "model file {}: it was trained for the vehicle {trained:?}, whose {field} is {expected}; \
+         {other:?} has {found}. Train a model for this vehicle",
+        path.display()
+    )]
+    Vehicle {
+        /// The file.
+        path: PathBuf,
+        /// Name of its vehicle.
+        trained: String,
+        /// Name of the vehicle at hand.
+        other: String,
+        /// What differs.
+        field: &'static str,
+        /// The model's.
+        expected: String,
+        /// The vehicle's.
+        found: String,
+    },
+    /// Its vehicle is impossible.
+    #[error(transparent)]
+    Physics(#[from] VehicleError),
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: String,
+    version: u32,
+    tool_version: String,
+    frames: String,
+    units: String,
+    vehicle: VehicleParams,
+    features: Features,
+    residual_features: Features,
+    feature_names: [Vec<String>; 2],
+    actuation: Actuation,
+    physics: PhysicsParameters,
+    preferred: ModelKind,
+    training: serde_json::Value,
+    /// SHA-256 of the tensors' names and bytes, in the order of the names.
+    tensors_sha256: String,
+}
+
+impl ModelFile {
+    /// One of its models, ready to be evaluated.
+    ///
+    /// # Errors
+    /// Physics that the vehicle does not allow.
+    pub fn model(&self, kind: ModelKind) -> Result<Box<dyn Model>, VehicleError> {
+        let physics = PhysicsModel::new(&self.vehicle, &self.physics)?;
+        Ok(match kind {
+            ModelKind::Net => Box::new(self.net.clone()),
+            ModelKind::Physics => Box::new(physics),
+            ModelKind::Hybrid => Box::new(Hybrid::new(physics, self.residual.clone())),
+        })
+    }
+
+    /// Writes the file whole or not at all. The same model gives the same bytes.
+    ///
+    /// # Errors
+    /// [`ModelFileError::Io`].
+    pub fn save(&self, path: &Path) -> Result<(), ModelFileError> {
+        let io = |source| ModelFileError::Io { path: path.to_owned(), source };
+        let bytes =
+            self.to_bytes().map_err(|error| io(std::io::Error::other(error.to_string())))?;
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(".partial");
+        std::fs::write(&partial, bytes).map_err(io)?;
+        std::fs::rename(&partial, path).map_err(io)
+    }
+
+    fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
+        let tensors = self.tensors();
+        let header = Header {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            tool_version: env!("CARGO_PKG_VERSION").to_owned(),
+            frames: "world NED, body FRD, angles roll pitch yaw (z-y-x)".to_owned(),
+            units: "SI, rad".to_owned(),
+            vehicle: self.vehicle.clone(),
+            features: self.net.features,
+            residual_features: self.residual.features,
+            feature_names: Head::BOTH
+                .map(|head| self.net.features.names(head).into_iter().map(str::to_owned).collect()),
+            actuation: self.actuation,
+            physics: self.physics.clone(),
+            preferred: self.preferred,
+            training: self.training.clone(),
+            tensors_sha256: digest(tensors.iter().map(|t| (t.name.as_str(), t.bytes.as_slice()))),
+        };
+        let text = serde_json::to_string(&header)
+            .map_err(|error| SafeTensorError::InvalidHeaderDeserialization(error))?;
+        let views = tensors
+            .iter()
+            .map(|t| Ok((t.name.as_str(), TensorView::new(t.kind, t.shape.clone(), &t.bytes)?)))
+            .collect::<Result<Vec<_>, SafeTensorError>>()?;
+        safetensors::serialize(views, Some(HashMap::from([(KEY.to_owned(), text)])))
+    }
+
+    fn tensors(&self) -> Vec<Tensor> {
+        let mut tensors = Vec::new();
+        for (prefix, model) in [("net", &self.net), ("residual", &self.residual)] {
+            for (head, network) in [(Head::Linear, &model.linear), (Head::Angular, &model.angular)]
+            {
+                let name = |part: &str| format!("{prefix}.{}.{part}", head.name());
+                let Network { inputs, outputs, mlp } = network;
+                tensors.extend([
+                    Tensor::doubles(name("input_mean"), &inputs.mean),
+                    Tensor::doubles(name("input_deviation"), &inputs.deviation),
+                    Tensor::doubles(name("output_mean"), &outputs.mean),
+                    Tensor::doubles(name("output_deviation"), &outputs.deviation),
+                    Tensor::singles(
+                        name("hidden.weight"),
+                        &[mlp.hidden, mlp.inputs],
+                        &mlp.hidden_weights,
+                    ),
+                    Tensor::singles(name("hidden.bias"), &[mlp.hidden], &mlp.hidden_biases),
+                    Tensor::singles(
+                        name("output.weight"),
+                        &[mlp.outputs, mlp.hidden],
+                        &mlp.output_weights,
+                    ),
+                    Tensor::singles(name("output.bias"), &[mlp.outputs], &mlp.output_biases),
+                ]);
+            }
+        }
+        tensors.sort_by(|a, b| a.name.cmp(&b.name));
+        tensors
+    }
+
+    /// Reads and checks a model file.
+    ///
+    /// # Errors
+    /// [`ModelFileError`].
+    pub fn load(path: &Path) -> Result<Self, ModelFileError> {
+        let bytes = std::fs::read(path)
+            .map_err(|source| ModelFileError::Io { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes, path)
+    }
+
+    /// A model file from its bytes; `path` is for messages.
+    ///
+    /// # Errors
+    /// [`ModelFileError`].
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, ModelFileError> {
+        let damaged = |reason: String| ModelFileError::Damaged { path: path.to_owned(), reason };
+        let (_, metadata) = SafeTensors::read_metadata(bytes)
+            .map_err(|error| damaged(format!("not a safetensors file ({error})")))?;
+        let text = metadata
+            .metadata()
+            .as_ref()
+            .and_then(|map| map.get(KEY))
+            .ok_or_else(|| damaged(format!("its metadata has no key {KEY:?}")))?;
+        // The version first: another one may have another form.
+        #[derive(Deserialize)]
+        struct Stamp {
+            format: String,
+            version: u32,
+        }
+        let stamp: Stamp = serde_json::from_str(text)
+            .map_err(|error| damaged(format!("its metadata is not what was written ({error})")))?;
+        if stamp.format != FORMAT {
+            return Err(damaged(format!("expected the form {FORMAT:?}, found {:?}", stamp.format)));
+        }
+        if stamp.version != VERSION {
+            let found = stamp.version;
+            return Err(ModelFileError::Version { path: path.to_owned(), found });
+        }
+        let header: Header = serde_json::from_str(text)
+            .map_err(|error| damaged(format!("its metadata is not what was written ({error})")))?;
+        let tensors = SafeTensors::deserialize(bytes)
+            .map_err(|error| damaged(format!("its tensors do not read ({error})")))?;
+        let mut named = tensors.tensors();
+        named.sort_by(|a, b| a.0.cmp(&b.0));
+        if digest(named.iter().map(|(name, view)| (name.as_str(), view.data())))
+            != header.tensors_sha256
+        {
+            return Err(damaged("its weights are not the ones that were written".to_owned()));
+        }
+        let model = |prefix: &str, features: Features| {
+            let network = |head: Head| read_network(&tensors, prefix, head, features);
+            Ok::<_, String>(NetworkModel {
+                features,
+                linear: network(Head::Linear)?,
+                angular: network(Head::Angular)?,
+            })
+        };
+        Ok(Self {
+            net: model("net", header.features).map_err(damaged)?,
+            residual: model("residual", header.residual_features).map_err(damaged)?,
+            vehicle: header.vehicle.checked()?,
+            actuation: header.actuation,
+            physics: header.physics,
+            preferred: header.preferred,
+            training: header.training,
+        })
+    }
+
+    /// Whether this model is for `vehicle`: mass, inertia, rotors and the on-board law are the
+    /// same. `path` is for the message.
+    ///
+    /// # Errors
+    /// [`ModelFileError::Vehicle`] with the first difference.
+    pub fn check_vehicle(
+        &self,
+        vehicle: &VehicleParams,
+        path: &Path,
+    ) -> Result<(), ModelFileError> {
+        let (a, b) = (&self.vehicle, vehicle);
+        let difference = [
+            ("mass", format!("{} kg", a.mass), format!("{} kg", b.mass)),
+            ("inertia", format!("{:?} kg m^2", a.inertia), format!("{:?} kg m^2", b.inertia)),
+            ("rotors", format!("{:?}", a.rotors), format!("{:?}", b.rotors)),
+            ("attitude_pd", format!("{:?}", a.attitude_pd), format!("{:?}", b.attitude_pd)),
+            ("battery", format!("{:?}", a.battery), format!("{:?}", b.battery)),
+        ];
+        match difference.into_iter().find(|(_, expected, found)| expected != found) {
+            None => Ok(()),
+            Some((field, expected, found)) => Err(ModelFileError::Vehicle {
+                path: path.to_owned(),
+                trained: a.name.clone(),
+                other: b.name.clone(),
+                field,
+                expected,
+                found,
+            }),
+        }
+    }
+}
+
+struct Tensor {
+    name: String,
+    kind: Dtype,
+    shape: Vec<usize>,
+    bytes: Vec<u8>,
+}
+
+impl Tensor {
+    fn doubles(name: String, values: &[f64]) -> Self {
+        let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        Self { name, kind: Dtype::F64, shape: vec![values.len()], bytes }
+    }
+
+    fn singles(name: String, shape: &[usize], values: &[f32]) -> Self {
+        let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        Self { name, kind: Dtype::F32, shape: shape.to_vec(), bytes }
+    }
+}
+
+fn digest<'a>(tensors: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
+    let mut hash = Sha256::new();
+    for (name, bytes) in tensors {
+        hash.update(name);
+        hash.update((bytes.len() as u64).to_le_bytes());
+        hash.update(bytes);
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn read_network(
+    tensors: &SafeTensors<'_>,
+    prefix: &str,
+    head: Head,
+    features: Features,
+) -> Result<Network, String> {
+    let name = |part: &str| format!("{prefix}.{}.{part}", head.name());
+    let view = |part: &str, kind: Dtype| {
+        let name = name(part);
+        let view = tensors.tensor(&name).map_err(|error| format!("tensor {name}: {error}"))?;
+        if view.dtype() != kind {
+            return Err(format!("tensor {name}: expected {kind:?}, found {:?}", view.dtype()));
+        }
+        Ok(view)
+    };
+    let doubles = |part: &str, length: usize| {
+        let view = view(part, Dtype::F64)?;
+        let values: Vec<f64> =
+            view.data().as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+        let sound = values.len() == length && values.iter().all(|v| v.is_finite());
+        sound.then_some(values).ok_or_else(|| {
+            format!("tensor {}: expected {length} finite numbers, found others", name(part))
+        })
+    };
+    let singles = |part: &str, shape: &[usize]| {
+        let view = view(part, Dtype::F32)?;
+        if view.shape() != shape {
+            let name = name(part);
+            return Err(format!("tensor {name}: expected {shape:?}, found {:?}", view.shape()));
+        }
+        let values: Vec<f32> =
+            view.data().as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        let sound = values.iter().all(|v| v.is_finite());
+        sound.then_some(values).ok_or_else(|| format!("tensor {}: not finite", name(part)))
+    };
+    let inputs = features.names(head).len();
+    debug_assert!(inputs <= FEATURES_MAX);
+    let hidden = view("hidden.bias", Dtype::F32)?.shape().iter().product();
+    if !(1..=HIDDEN_MAX).contains(&hidden) {
+        return Err(format!("expected 1 to {HIDDEN_MAX} hidden units, found {hidden}"));
+    }
+    let normalization = |side: &str, length: usize| {
+        let deviation = doubles(&format!("{side}_deviation"), length)?;
+        if deviation.iter().any(|d| *d <= 0.0) {
+            return Err(format!("tensor {}: expected numbers above 0", name(side)));
+        }
+        Ok(Normalization { mean: doubles(&format!("{side}_mean"), length)?, deviation })
+    };
+    Ok(Network {
+        inputs: normalization("input", inputs)?,
+        outputs: normalization("output", OUTPUTS)?,
+        mlp: Mlp {
+            inputs,
+            hidden,
+            outputs: OUTPUTS,
+            hidden_weights: singles("hidden.weight", &[hidden, inputs])?,
+            hidden_biases: singles("hidden.bias", &[hidden])?,
+            output_weights: singles("output.weight", &[OUTPUTS, hidden])?,
+            output_biases: singles("output.bias", &[OUTPUTS])?,
+        },
+    })
+}
