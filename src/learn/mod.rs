@@ -3,6 +3,10 @@
 pub mod alignment;
 pub mod commands;
 pub mod dataset;
+pub mod evaluation;
 pub mod identify;
+pub mod prediction;
 pub mod segments;
+pub mod split;
+pub mod summary;
 mod window;

@@ -1,0 +1,172 @@
+//! How good a model is: its accelerations, and where its open loop leads.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sitl::rigid_body::State;
+
+use super::dataset::Row;
+use super::prediction::{Baseline, RecordedInputs};
+use crate::model::{ACCELERATIONS, Model};
+
+/// Horizons of multi-step predictions, s.
+pub const HORIZONS_S: [f64; 4] = [0.02, 0.1, 0.5, 1.0];
+/// Time between the starts of windows, s.
+pub const WINDOW_STRIDE_S: f64 = 0.25;
+
+/// Names of the accelerations, in order.
+pub const ACCELERATION_NAMES: [&str; ACCELERATIONS] =
+    ["a_n", "a_e", "a_d", "alpha_x", "alpha_y", "alpha_z"];
+
+/// Normalised mean squared errors: over the variance of the training rows' labels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OneStep {
+    /// Of each acceleration.
+    pub each: [f64; ACCELERATIONS],
+    /// Mean of the linear ones.
+    pub linear: f64,
+    /// Mean of the angular ones.
+    pub angular: f64,
+    /// Rows.
+    pub rows: usize,
+}
+
+impl OneStep {
+    /// The error of `model` against what `observed` picks from each row.
+    pub fn of(
+        model: &dyn Model,
+        rows: &[&Row],
+        deviation: &[f64; ACCELERATIONS],
+        observed: impl Fn(&Row) -> Option<[f64; ACCELERATIONS]> + Sync,
+    ) -> Option<Self> {
+        // Fixed pieces, summed in order: the same number whatever the number of threads.
+        let pieces: Vec<([f64; ACCELERATIONS], usize)> = rows
+            .par_chunks(4096)
+            .map(|piece| {
+                let (mut sum, mut count) = ([0.0; ACCELERATIONS], 0);
+                for row in piece {
+                    let Some(observed) = observed(row) else { continue };
+                    let predicted = model.accelerations(&row.point);
+                    for i in 0..ACCELERATIONS {
+                        sum[i] += ((predicted[i] - observed[i]) / deviation[i]).powi(2);
+                    }
+                    count += 1;
+                }
+                (sum, count)
+            })
+            .collect();
+        let rows = pieces.iter().map(|(_, count)| count).sum();
+        if rows == 0 {
+            return None;
+        }
+        let each: [f64; ACCELERATIONS] = std::array::from_fn(|i| {
+            pieces.iter().map(|(sum, _)| sum[i]).sum::<f64>() / rows as f64
+        });
+        let mean = |range: std::ops::Range<usize>| each[range].iter().sum::<f64>() / 3.0;
+        Some(Self { each, linear: mean(0..3), angular: mean(3..6), rows })
+    }
+}
+
+/// Root mean square of the norm of reported minus predicted, at one horizon.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StateError {
+    /// Of position, m.
+    pub position_m: f64,
+    /// Of velocity, m/s.
+    pub velocity_m_s: f64,
+    /// Of attitude: the angle of rotation, rad.
+    pub attitude_rad: f64,
+    /// Of body rate, rad/s.
+    pub rate_rad_s: f64,
+}
+
+/// Errors at each of [`HORIZONS_S`].
+pub type MultiStep = [StateError; HORIZONS_S.len()];
+
+/// Who predicts.
+pub enum Predictor<'a> {
+    /// A model.
+    Model(&'a dyn Model),
+    /// None.
+    Baseline(Baseline),
+}
+
+/// Sums of squares at each horizon, and windows.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    squares: [[f64; 4]; HORIZONS_S.len()],
+    windows: usize,
+}
+
+/// Open-loop errors over windows of the given flights; each flight comes with the starts of its
+/// windows. Returns the errors and the number of windows, `None` if there is none.
+pub fn multi_step(
+    flights: &[(RecordedInputs<'_>, Vec<f64>)],
+    predictor: &Predictor<'_>,
+) -> Option<(MultiStep, usize)> {
+    let mut total = Sums::default();
+    for (inputs, starts) in flights {
+        let pieces: Vec<Sums> = starts
+            .par_chunks(16)
+            .map(|starts| {
+                let mut sums = Sums::default();
+                for start in starts {
+                    sums.add(inputs, *start, predictor);
+                }
+                sums
+            })
+            .collect();
+        for piece in pieces {
+            for (mine, theirs) in total.squares.iter_mut().zip(piece.squares) {
+                mine.iter_mut().zip(theirs).for_each(|(a, b)| *a += b);
+            }
+            total.windows += piece.windows;
+        }
+    }
+    (total.windows > 0).then(|| {
+        let errors = total.squares.map(|squares| {
+            let [position_m, velocity_m_s, attitude_rad, rate_rad_s] =
+                squares.map(|square| (square / total.windows as f64).sqrt());
+            StateError { position_m, velocity_m_s, attitude_rad, rate_rad_s }
+        });
+        (errors, total.windows)
+    })
+}
+
+impl Sums {
+    fn add(&mut self, inputs: &RecordedInputs<'_>, start: f64, predictor: &Predictor<'_>) {
+        let Some(state) = inputs.reported(start) else { return };
+        let reported: Option<Vec<State>> =
+            HORIZONS_S.iter().map(|h| inputs.reported(start + h)).collect();
+        let predicted = match predictor {
+            Predictor::Model(model) => inputs.predict(*model, start, state, &HORIZONS_S),
+            Predictor::Baseline(baseline) => {
+                Some(HORIZONS_S.iter().map(|h| baseline.predict(&state, *h)).collect())
+            }
+        };
+        let (Some(reported), Some(predicted)) = (reported, predicted) else { return };
+        for ((squares, a), b) in self.squares.iter_mut().zip(&reported).zip(&predicted) {
+            let errors = [
+                (a.position - b.position).norm(),
+                (a.velocity - b.velocity).norm(),
+                a.attitude.angle_to(b.attitude),
+                (a.body_rate - b.body_rate).norm(),
+            ];
+            squares.iter_mut().zip(errors).for_each(|(sum, e)| *sum += e * e);
+        }
+        self.windows += 1;
+    }
+}
+
+/// Starts of windows within spans: every [`WINDOW_STRIDE_S`] as long as the longest horizon fits.
+pub fn window_starts(spans: &[std::ops::Range<f64>]) -> Vec<f64> {
+    let longest = HORIZONS_S[HORIZONS_S.len() - 1];
+    let mut starts = Vec::new();
+    for span in spans {
+        let mut start = (span.start * 100.0).ceil() / 100.0;
+        while start + longest < span.end {
+            starts.push(start);
+            start += WINDOW_STRIDE_S;
+        }
+    }
+    starts
+}

@@ -1,0 +1,162 @@
+//! Open loop: what a model says will happen, from the state at one instant and the recorded
+//! inputs.
+
+use sitl::frame::{Attitude, Frd};
+use sitl::rigid_body::{Stage, State, rk4};
+use sitl::rotor::Lag;
+use sitl::vehicle::ROTORS;
+
+use super::alignment::interpolated;
+use super::commands::{CommandSource, Onboard, lerp};
+use super::dataset::ObservedFlight;
+use crate::log::import::{Flight, Stream};
+use crate::model::actuation::{Actuation, Rotors};
+use crate::model::{Model, Point};
+
+/// Longest step of the integration, s.
+const STEP_MAX_S: f64 = 0.005;
+
+/// What is recorded of a flight's inputs.
+///
+/// Where the on-board law is known, the setpoints are the input and the law closes on the
+/// predicted state; else the motor outputs or rotor speeds are. The rotors' states at the start
+/// follow from the recorded past.
+pub struct RecordedInputs<'a> {
+    flight: &'a Flight,
+    onboard: &'a Onboard,
+    actuation: &'a Actuation,
+    source: CommandSource,
+    rotor_states: Stream<[f64; ROTORS]>,
+    lag_s: f64,
+    step: f64,
+}
+
+impl<'a> RecordedInputs<'a> {
+    /// The inputs of a flight whose rotors answer as `actuation` says.
+    pub fn new(
+        observed: &'a ObservedFlight,
+        onboard: &'a Onboard,
+        actuation: &'a Actuation,
+    ) -> Self {
+        let source = observed.source;
+        let steps = (1.0 / onboard.rate_hz / STEP_MAX_S).ceil();
+        Self {
+            flight: &observed.flight,
+            onboard,
+            actuation,
+            source,
+            rotor_states: observed.rotor_states(onboard, actuation),
+            lag_s: if source == CommandSource::RotorSpeeds { 0.0 } else { actuation.lag_s },
+            step: (1.0 / onboard.rate_hz / steps).max(0.004),
+        }
+    }
+
+    /// The reported state at `time`: each stream between its neighbours.
+    pub fn reported(&self, time: f64) -> Option<State> {
+        Some(State {
+            position: lerp(&self.flight.position, time)?.into(),
+            velocity: lerp(&self.flight.velocity, time)?.into(),
+            attitude: interpolated(&self.flight.attitude, time)?,
+            body_rate: lerp(&self.flight.body_rate, time)?.into(),
+        })
+    }
+
+    /// The outputs that rule the step from `time`, at a predicted state.
+    fn outputs(&self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
+        let sent = time - self.actuation.delay_s;
+        match self.source {
+            CommandSource::OnboardLaw => {
+                let setpoint = self.flight.setpoint.held_at(sent)?;
+                self.onboard.law_outputs(setpoint, state.attitude, state.body_rate)
+            }
+            // Commands change within the step; its middle stands for it.
+            CommandSource::MotorOutputs => lerp(&self.flight.outputs, sent + 0.5 * self.step),
+            CommandSource::RotorSpeeds => {
+                self.rotor_states.held_at(time + 0.5 * self.step).copied()
+            }
+        }
+    }
+
+    /// The states that `model` predicts at `start` plus each of `horizons` [s, ascending], from
+    /// `state` at `start`. `None` where the inputs are not recorded that far.
+    pub fn predict(
+        &self,
+        model: &dyn Model,
+        start: f64,
+        state: State,
+        horizons: &[f64],
+    ) -> Option<Vec<State>> {
+        let mut rotors = match self.rotor_states.held_at(start) {
+            Some(states) => *states,
+            None => self.outputs(start, &state)?,
+        };
+        let mixer = Rotors::new(&self.onboard.allocation, self.lag_s);
+        let mut lag = (self.step, Lag::new(self.lag_s, self.step));
+        let (mut state, mut passed) = (state, 0.0);
+        let mut predicted = Vec::with_capacity(horizons.len());
+        for horizon in horizons {
+            while *horizon - passed > 1e-9 {
+                let step = self.step.min(horizon - passed);
+                if step != lag.0 {
+                    lag = (step, Lag::new(self.lag_s, step));
+                }
+                let time = start + passed;
+                let outputs = self.outputs(time, &state)?;
+                let [middle, end] = lag.1.advance(&rotors, &outputs);
+                let voltage = self.flight.voltage.held_at(time).copied();
+                let factor = self.onboard.voltage_factor(self.actuation, voltage);
+                let inputs = [rotors, middle, end].map(|states| mixer.input(&states, factor));
+                state = rk4(&state, step, |state, stage| {
+                    let input = match stage {
+                        Stage::Start => inputs[0],
+                        Stage::Middle => inputs[1],
+                        Stage::End => inputs[2],
+                    };
+                    let point = Point {
+                        velocity: state.velocity,
+                        body_rate: state.body_rate,
+                        attitude: state.attitude.euler(),
+                        input,
+                    };
+                    let [n, e, d, p, q, r] = model.accelerations(&point);
+                    ([n, e, d].into(), Frd::new(p, q, r))
+                });
+                rotors = end;
+                passed += step;
+            }
+            predicted.push(state);
+        }
+        Some(predicted)
+    }
+}
+
+/// What is predicted without a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Baseline {
+    /// Everything stays as it was.
+    Hold,
+    /// Velocity and body rate stay as they were.
+    ConstantVelocity,
+}
+
+impl Baseline {
+    /// The state after `seconds`.
+    pub fn predict(self, state: &State, seconds: f64) -> State {
+        match self {
+            Baseline::Hold => *state,
+            Baseline::ConstantVelocity => State {
+                position: state.position + state.velocity * seconds,
+                attitude: state.attitude.compose(turn(state.body_rate * seconds)).normalized(),
+                ..*state
+            },
+        }
+    }
+}
+
+/// The rotation by a rotation vector, rad.
+fn turn(by: Frd) -> Attitude {
+    let angle = by.norm();
+    let scale = if angle > 1e-12 { (0.5 * angle).sin() / angle } else { 0.5 };
+    let [x, y, z] = (by * scale).to_array();
+    Attitude { w: (0.5 * angle).cos(), x, y, z }
+}
