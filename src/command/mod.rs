@@ -6,15 +6,20 @@ mod demo;
 mod exit;
 mod fly;
 mod log;
+mod logs;
 mod messages;
+mod model;
 mod setup;
 mod sitl;
 mod status_line;
 mod summary;
+mod train;
 
 use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::Context;
 use serde::Serialize;
@@ -36,6 +41,11 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Log(command) => {
             end_on_broken_pipe();
             log::run(command)
+        }
+        Command::Train(args) => train::run(&args),
+        Command::Model(command) => {
+            end_on_broken_pipe();
+            model::run(command)
         }
         Command::Config(args) => {
             end_on_broken_pipe();
@@ -74,6 +84,21 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
 fn end_on_broken_pipe() {
     // SAFETY: restores the system's default action; no handler of ours is involved.
     unsafe { libc::signal(libc::SIGPIPE, libc::SIG_DFL) };
+}
+
+/// Sets `flag` on the first Ctrl-C or SIGTERM; the next ends the program at once.
+fn on_interrupt(flag: &Arc<AtomicBool>) -> anyhow::Result<()> {
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        // The order matters: the second signal finds the flag set by the first.
+        signal_hook::flag::register_conditional_shutdown(
+            signal,
+            i32::from(Exit::Interrupted.code()),
+            Arc::clone(flag),
+        )
+        .and_then(|_| signal_hook::flag::register(signal, Arc::clone(flag)))
+        .context("cannot watch for Ctrl-C")?;
+    }
+    Ok(())
 }
 
 /// Writes a line to stderr, and goes on where nobody reads it.

@@ -33,6 +33,17 @@ pub enum CommandSource {
     RotorSpeeds,
 }
 
+impl CommandSource {
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            CommandSource::OnboardLaw => "setpoints through the on-board law",
+            CommandSource::MotorOutputs => "motor outputs",
+            CommandSource::RotorSpeeds => "rotor speeds",
+        }
+    }
+}
+
 /// The vehicle's own loop and mixer, as its file states them.
 #[derive(Clone, Debug)]
 pub struct Onboard {

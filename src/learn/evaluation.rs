@@ -31,12 +31,23 @@ pub struct OneStep {
 }
 
 impl OneStep {
-    /// The error of `model` against what `observed` picks from each row.
+    /// The error of `model` against what `observed` picks from each row; `None` where it picks
+    /// nothing.
     pub fn of(
         model: &dyn Model,
         rows: &[&Row],
         deviation: &[f64; ACCELERATIONS],
         observed: impl Fn(&Row) -> Option<[f64; ACCELERATIONS]> + Sync,
+    ) -> Option<Self> {
+        let pair = |row: &Row| Some((model.accelerations(&row.point), observed(row)?));
+        Self::of_values(rows, deviation, pair)
+    }
+
+    /// The difference between the two that `pair` makes of each row; `None` where it makes none.
+    pub fn of_values(
+        rows: &[&Row],
+        deviation: &[f64; ACCELERATIONS],
+        pair: impl Fn(&Row) -> Option<([f64; ACCELERATIONS], [f64; ACCELERATIONS])> + Sync,
     ) -> Option<Self> {
         // Fixed pieces, summed in order: the same number whatever the number of threads.
         let pieces: Vec<([f64; ACCELERATIONS], usize)> = rows
@@ -44,10 +55,9 @@ impl OneStep {
             .map(|piece| {
                 let (mut sum, mut count) = ([0.0; ACCELERATIONS], 0);
                 for row in piece {
-                    let Some(observed) = observed(row) else { continue };
-                    let predicted = model.accelerations(&row.point);
+                    let Some((a, b)) = pair(row) else { continue };
                     for i in 0..ACCELERATIONS {
-                        sum[i] += ((predicted[i] - observed[i]) / deviation[i]).powi(2);
+                        sum[i] += ((a[i] - b[i]) / deviation[i]).powi(2);
                     }
                     count += 1;
                 }

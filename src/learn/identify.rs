@@ -1,5 +1,7 @@
 //! What the logs say of the vehicle's physics: how its rotors answer, and its parameters.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use sitl::effects::{AttitudeTrim, ComOffset, Effect, EffectSet, Inertia, RotorDrag, ThrustScale};
 use sitl::frame::Ned;
@@ -68,12 +70,12 @@ impl<const K: usize> Regression<K> {
 ///
 /// Starts from the vehicle file's numbers where the logs do not move enough to say.
 pub fn actuation(
-    flights: &[&ObservedFlight],
+    flights: &[(&ObservedFlight, Range<usize>)],
     onboard: &Onboard,
     vehicle: &VehicleParams,
     acceleration: AccelerationSource,
 ) -> Actuation {
-    let total: usize = flights.iter().map(|f| f.observations.len()).sum();
+    let total: usize = flights.iter().map(|(_, range)| range.len()).sum();
     let mut found = Actuation {
         delay_s: vehicle.command_delay_s,
         lag_s: vehicle.motor_time_constant_s,
@@ -127,7 +129,7 @@ pub fn actuation(
 
 /// Unexplained shares of the three angular accelerations and of the specific force along z.
 fn unexplained(
-    flights: &[&ObservedFlight],
+    flights: &[(&ObservedFlight, Range<usize>)],
     onboard: &Onboard,
     actuation: &Actuation,
     acceleration: AccelerationSource,
@@ -136,10 +138,9 @@ fn unexplained(
 ) -> Option<f64> {
     let mut angular: [Regression<6>; 3] = std::array::from_fn(|_| Regression::new());
     let mut vertical = Regression::<3>::new();
-    for flight in flights {
-        let count = flight.observations.len();
-        let used = ((count as f64 * share).ceil() as usize).min(count);
-        let start = (count - used) / 2;
+    for (flight, range) in flights {
+        let used = ((range.len() as f64 * share).ceil() as usize).min(range.len());
+        let start = range.start + (range.len() - used) / 2;
         let inputs = flight.inputs(onboard, actuation, start..start + used);
         for (o, input) in flight.observations[start..start + used].iter().zip(inputs) {
             let (Some([u1, u2, u3, u4]), Some(linear)) = (input, o.acceleration(acceleration))
@@ -173,7 +174,7 @@ fn specific_force_z(o: &Observation, acceleration: Ned, gravity: f64) -> f64 {
 /// The exponent of the pack's voltage in the thrust, by golden section on what thrust leaves of
 /// the specific force along z.
 fn voltage_exponent(
-    flights: &[&ObservedFlight],
+    flights: &[(&ObservedFlight, Range<usize>)],
     onboard: &Onboard,
     actuation: &Actuation,
     acceleration: AccelerationSource,
@@ -181,10 +182,10 @@ fn voltage_exponent(
 ) -> f64 {
     // (u1 without voltage, voltage, v_z, force) a tenth of a second apart.
     let mut rows: Vec<[f64; 4]> = Vec::new();
-    for flight in flights {
+    for (flight, range) in flights {
         let plain = Actuation { voltage_exponent: 0.0, ..*actuation };
-        let inputs = flight.inputs(onboard, &plain, 0..flight.observations.len());
-        for (o, input) in flight.observations.iter().zip(inputs).step_by(10) {
+        let inputs = flight.inputs(onboard, &plain, range.clone());
+        for (o, input) in flight.observations[range.clone()].iter().zip(inputs).step_by(10) {
             let (Some([u1, ..]), Some(voltage), Some(linear)) =
                 (input, o.voltage, o.acceleration(acceleration))
             else {
@@ -239,9 +240,9 @@ const PARAMETERS: usize = 13;
 ///
 /// # Errors
 /// A vehicle that the physics refuses.
-pub fn physics(rows: &[Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
+pub fn physics(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
     let stride = rows.len().div_ceil(FIT_ROWS).max(1);
-    let rows: Vec<&Row> = rows.iter().step_by(stride).collect();
+    let rows: Vec<&Row> = rows.iter().step_by(stride).copied().collect();
     let start = Parameters::shipped(vehicle);
     if rows.is_empty() {
         return Ok(start.physics(vehicle));

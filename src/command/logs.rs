@@ -1,0 +1,79 @@
+//! Reads flight logs for learning: many files, each used or refused with a reason.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use sitl::vehicle::VehicleParams;
+
+use super::say;
+use crate::learn::commands::Onboard;
+use crate::learn::dataset::{ObservedFlight, WindowSettings};
+use crate::learn::summary::RefusedLog;
+use crate::log::import;
+
+/// Flights to learn from, in the order of their names, and logs that were refused.
+pub(super) struct Logs {
+    pub flights: Vec<ObservedFlight>,
+    pub refused: Vec<RefusedLog>,
+}
+
+impl Logs {
+    /// Reads and observes logs of `vehicle`; `step` is told after each file.
+    pub fn read(
+        paths: &[PathBuf],
+        mapping: Option<&Path>,
+        vehicle: &VehicleParams,
+        onboard: &Onboard,
+        windows: &WindowSettings,
+        mut step: impl FnMut(&Path),
+    ) -> Self {
+        let mut logs = Self { flights: Vec::new(), refused: Vec::new() };
+        let mut seen = BTreeMap::new();
+        for path in paths {
+            match observe(path, mapping, vehicle, onboard, windows, &mut seen) {
+                Ok(flight) => logs.flights.push(flight),
+                Err(error) => {
+                    let reason = format!("{error:#}");
+                    say(format_args!("{}: left out: {reason}", path.display()));
+                    logs.refused.push(RefusedLog { path: path.clone(), reason });
+                }
+            }
+            step(path);
+        }
+        // Flights of one kind follow one another, whatever the order of the arguments.
+        logs.flights.sort_by(|a, b| {
+            let key = |f: &ObservedFlight| (f.flight.origin.run.clone(), f.flight.origin.path.clone());
+            key(a).cmp(&key(b))
+        });
+        logs
+    }
+}
+
+fn observe(
+    path: &Path,
+    mapping: Option<&Path>,
+    vehicle: &VehicleParams,
+    onboard: &Onboard,
+    windows: &WindowSettings,
+    seen: &mut BTreeMap<String, PathBuf>,
+) -> anyhow::Result<ObservedFlight> {
+    let flight = import::open(path, mapping)?;
+    if let Some(twin) = seen.insert(flight.origin.sha256.clone(), path.to_owned()) {
+        anyhow::bail!("the same file as {}", twin.display());
+    }
+    if let Some(text) = &flight.vehicle_file {
+        let own = if text.trim_start().starts_with('{') {
+            VehicleParams::from_json_str(text)
+        } else {
+            VehicleParams::from_toml_str(text)
+        };
+        let own = own.context("the vehicle file inside the log")?;
+        if let Some(difference) = vehicle.difference(&own) {
+            anyhow::bail!("it is of another vehicle: {difference}");
+        }
+    }
+    let observed = ObservedFlight::new(flight, vehicle, onboard, windows)?;
+    observed.check_vehicle(vehicle, onboard)?;
+    Ok(observed)
+}

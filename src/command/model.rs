@@ -1,0 +1,335 @@
+//! `downwash model`: what is in a model file, how good it is, what it predicts.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow};
+use rayon::prelude::*;
+use serde::Serialize;
+use sitl::vehicle::VehicleParams;
+
+use super::logs::Logs;
+use super::train::Bar;
+use super::{Exit, ExitContext, print_json, print_text, say, write_file};
+use crate::cli::ModelCommand;
+use crate::learn::commands::Onboard;
+use crate::learn::dataset::{ObservedFlight, WindowSettings};
+use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
+use crate::learn::prediction::RecordedInputs;
+use crate::learn::procedure::{Evaluation, Watch, evaluate};
+use crate::learn::summary::{MultiStepSummary, RefusedLog, TrainingSummary};
+use crate::model::file::{ModelFile, ModelKind};
+use crate::model::onnx;
+
+/// Samples a second of the grid of a log that is no table.
+const SAMPLE_RATE_HZ: f64 = 100.0;
+/// Longest horizon, s: open loop says nothing beyond.
+const HORIZON_MAX_S: f64 = 30.0;
+
+pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
+    match command {
+        ModelCommand::Info { file, model, json } => info(&either(file, model)?, json),
+        ModelCommand::Eval { logs, model, vehicle, mapping, json } => {
+            eval(&model, &logs, vehicle.as_deref(), mapping.as_deref(), json)
+        }
+        ModelCommand::Predict { log, model, horizon, kind, vehicle, mapping, out } => {
+            let file = load(&model, vehicle.as_deref())?;
+            predict(&file, &log, mapping.as_deref(), horizon, kind, out.as_deref())
+        }
+        ModelCommand::Export { file, model, onnx, kind } => {
+            let path = either(file, model)?;
+            let model = load(&path, None)?;
+            let bytes = onnx::encode(&model, kind).or_exit(Exit::Usage)?;
+            write_file(&onnx, &bytes)?;
+            print_text(&format!("{}\n", onnx.display()))?;
+            Ok(Exit::Ok)
+        }
+    }
+}
+
+fn either(file: Option<PathBuf>, flag: Option<PathBuf>) -> anyhow::Result<PathBuf> {
+    file.or(flag).ok_or_else(|| anyhow!("no model file is named")).or_exit(Exit::Usage)
+}
+
+/// Reads a model file, for this vehicle if one is named.
+fn load(path: &Path, vehicle: Option<&Path>) -> anyhow::Result<ModelFile> {
+    let file = ModelFile::load(path).or_exit(Exit::Usage)?;
+    if let Some(vehicle) = vehicle {
+        let vehicle = VehicleParams::load(vehicle).or_exit(Exit::Usage)?;
+        file.check_vehicle(&vehicle, path).or_exit(Exit::Usage)?;
+    }
+    Ok(file)
+}
+
+#[derive(Serialize)]
+struct Info<'a> {
+    schema: &'static str,
+    schema_version: u32,
+    vehicle: &'a str,
+    features: [Vec<&'static str>; 2],
+    hidden: [usize; 2],
+    preferred: ModelKind,
+    actuation: &'a crate::model::actuation::Actuation,
+    physics: &'a crate::model::physics::PhysicsParameters,
+    training: &'a serde_json::Value,
+}
+
+fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
+    let file = load(path, None)?;
+    if json {
+        print_json(&Info {
+            schema: "downwash.model_info",
+            schema_version: 1,
+            vehicle: &file.vehicle.name,
+            features: crate::model::learned::Head::BOTH.map(|head| file.net.features.names(head)),
+            hidden: [file.net.linear.mlp.hidden, file.net.angular.mlp.hidden],
+            preferred: file.preferred,
+            actuation: &file.actuation,
+            physics: &file.physics,
+            training: &file.training,
+        })?;
+        return Ok(Exit::Ok);
+    }
+    let summary: TrainingSummary = serde_json::from_value(file.training.clone())
+        .context("how the model was trained does not read")?;
+    print_text(&summary_in_words(&summary))?;
+    Ok(Exit::Ok)
+}
+
+#[derive(Serialize)]
+struct EvaluationSummary {
+    schema: &'static str,
+    schema_version: u32,
+    model: PathBuf,
+    logs: Vec<String>,
+    refused: Vec<RefusedLog>,
+    #[serde(flatten)]
+    evaluation: Evaluation,
+}
+
+fn eval(
+    path: &Path,
+    logs: &[PathBuf],
+    vehicle: Option<&Path>,
+    mapping: Option<&Path>,
+    json: bool,
+) -> anyhow::Result<Exit> {
+    let file = load(path, vehicle)?;
+    let onboard = Onboard::new(&file.vehicle).or_exit(Exit::Usage)?;
+    let windows = windows_of(&file);
+    let mut bar = Bar::new(Arc::default());
+    bar.stage("logs", logs.len() as u64);
+    let logs = Logs::read(logs, mapping, &file.vehicle, &onboard, &windows, |_| bar.step(""));
+    if logs.flights.is_empty() {
+        bar.clear();
+        return Err(anyhow!("none of the logs can be used")).or_exit(Exit::Usage);
+    }
+    let evaluation = evaluate(&file, &onboard, &logs.flights, &mut bar);
+    bar.clear();
+    let evaluation = evaluation.or_exit(Exit::Usage)?;
+    if json {
+        print_json(&EvaluationSummary {
+            schema: "downwash.model_eval",
+            schema_version: 1,
+            model: path.to_owned(),
+            logs: logs.flights.iter().map(|f| f.flight.origin.run.clone()).collect(),
+            refused: logs.refused,
+            evaluation,
+        })?;
+    } else {
+        let mut text = one_step_head();
+        for errors in &evaluation.one_step {
+            text += &one_step_line(errors.model.name(), "labels", errors.labels.as_ref());
+            text += &one_step_line(errors.model.name(), "truth", errors.truth.as_ref());
+        }
+        text += &multi_step_table(&evaluation.multi_step);
+        print_text(&text)?;
+    }
+    Ok(Exit::Ok)
+}
+
+/// The windows that the model was trained with.
+fn windows_of(file: &ModelFile) -> WindowSettings {
+    let half = file.training.pointer("/settings/window_half_s").and_then(|v| v.as_f64());
+    let default = WindowSettings::default();
+    WindowSettings { half_s: half.unwrap_or(default.half_s), ..default }
+}
+
+fn predict(
+    file: &ModelFile,
+    log: &Path,
+    mapping: Option<&Path>,
+    horizon: f64,
+    kind: Option<ModelKind>,
+    out: Option<&Path>,
+) -> anyhow::Result<Exit> {
+    if !(horizon.is_finite() && horizon > 0.0 && horizon <= HORIZON_MAX_S) {
+        let error = anyhow!("--horizon: expected more than 0 and at most {HORIZON_MAX_S} s, found {horizon}");
+        return Err(error).or_exit(Exit::Usage);
+    }
+    let onboard = Onboard::new(&file.vehicle).or_exit(Exit::Usage)?;
+    let logs =
+        Logs::read(&[log.to_owned()], mapping, &file.vehicle, &onboard, &windows_of(file), |_| {});
+    let Some(observed) = logs.flights.first() else {
+        let reason = logs.refused.first().map_or("", |refused| refused.reason.as_str());
+        return Err(anyhow!("{}: {reason}", log.display())).or_exit(Exit::Usage);
+    };
+    let model = file.model(kind.unwrap_or(file.preferred)).or_exit(Exit::Usage)?;
+    let inputs = RecordedInputs::new(observed, &onboard, &file.actuation);
+    let samples = samples(observed);
+    let period = median_period(&samples);
+    let steps = (horizon / period).round().max(1.0) as usize;
+
+    let mut sink: BufWriter<Box<dyn Write>> = BufWriter::new(match out {
+        Some(path) => Box::new(
+            File::create(path).with_context(|| format!("cannot create {}", path.display()))?,
+        ),
+        None => Box::new(io::stdout().lock()),
+    });
+    let run = &observed.flight.origin.run;
+    writeln!(sink, "run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz").context("predictions")?;
+    let mut written = 0_u64;
+    // Pieces keep memory small and the order of the file.
+    let starts: Vec<usize> = (0..samples.len()).collect();
+    for piece in starts.chunks(512) {
+        let texts: Vec<String> = piece
+            .par_iter()
+            .map(|start| {
+                let last = (start + steps).min(samples.len() - 1);
+                // A horizon ends where the recording does.
+                let horizons: Vec<f64> =
+                    samples[start + 1..=last].iter().map(|t| t - samples[*start]).collect();
+                rows(&inputs, model.as_ref(), run, *start, samples[*start], &horizons)
+            })
+            .collect();
+        for text in texts {
+            written += text.lines().count() as u64;
+            sink.write_all(text.as_bytes()).context("predictions")?;
+        }
+    }
+    sink.flush().context("predictions")?;
+    say(format_args!(
+        "{}: {written} predictions, {steps} samples of {:.1} ms ahead",
+        log.display(),
+        1e3 * period
+    ));
+    Ok(Exit::Ok)
+}
+
+/// The predictions from one start, as rows of the CSV.
+fn rows(
+    inputs: &RecordedInputs<'_>,
+    model: &dyn crate::model::Model,
+    run: &str,
+    start: usize,
+    time: f64,
+    horizons: &[f64],
+) -> String {
+    let mut text = String::new();
+    let Some(state) = inputs.reported(time) else { return text };
+    let Some(predicted) = inputs.predict(model, time, state, horizons) else { return text };
+    for (step, state) in predicted.iter().enumerate() {
+        let [x, y, z] = state.position.to_array();
+        let [vx, vy, vz] = state.velocity.to_array();
+        let q = state.attitude;
+        let [wx, wy, wz] = state.body_rate.to_array();
+        text += &format!(
+            "{run},{start},{},{x:.6},{y:.6},{z:.6},{vx:.6},{vy:.6},{vz:.6},\
+             {:.7},{:.7},{:.7},{:.7},{wx:.6},{wy:.6},{wz:.6}\n",
+            step + 1,
+            q.w,
+            q.x,
+            q.y,
+            q.z
+        );
+    }
+    text
+}
+
+/// Instants of the samples: the rows of a table, else a 100 Hz grid over the flight.
+fn samples(observed: &ObservedFlight) -> Vec<f64> {
+    if let Some(rows) = &observed.flight.rows {
+        return rows.clone();
+    }
+    let times = observed.flight.attitude.times();
+    let (Some(first), Some(last)) = (times.first(), times.last()) else { return Vec::new() };
+    let first = (first * SAMPLE_RATE_HZ).ceil() as i64;
+    let last = (last * SAMPLE_RATE_HZ).floor() as i64;
+    (first..=last).map(|k| k as f64 / SAMPLE_RATE_HZ).collect()
+}
+
+fn median_period(samples: &[f64]) -> f64 {
+    let mut gaps: Vec<f64> = samples.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    gaps.sort_by(f64::total_cmp);
+    gaps.get(gaps.len() / 2).copied().unwrap_or(1.0 / SAMPLE_RATE_HZ)
+}
+
+/// What a training found, for people.
+pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
+    let [training, validation, test] = summary.data.rows;
+    let seconds: f64 = summary.data.logs.iter().map(|log| log.usable_s).sum();
+    let mut text = format!(
+        "vehicle {}: {} logs, {seconds:.0} s of flight; rows {training} training, {validation} \
+         validation, {test} test\n",
+        summary.vehicle,
+        summary.data.logs.len()
+    );
+    for refused in &summary.data.refused {
+        text += &format!("left out {}: {}\n", refused.path.display(), refused.reason);
+    }
+    let a = &summary.actuation;
+    text += &format!(
+        "actuation: delay {:.1} ms, lag {:.1} ms, thrust as voltage to the power {:.2}\n",
+        1e3 * a.delay_s,
+        1e3 * a.lag_s,
+        a.voltage_exponent
+    );
+    text += &format!(
+        "labels: linear acceleration from the {}, bandwidth {:.1} Hz\n",
+        summary.data.acceleration, summary.data.label_bandwidth_hz
+    );
+    text += &one_step_head();
+    text += &one_step_line("labels", "truth", summary.data.label_error.as_ref());
+    for errors in &summary.one_step {
+        let name = errors.model.name();
+        for (part, index) in [("training", 0), ("validation", 1), ("test", 2)] {
+            text += &one_step_line(name, part, errors.labels[index].as_ref());
+        }
+        text += &one_step_line(name, "test, truth", errors.truth[2].as_ref());
+    }
+    text += &multi_step_table(&summary.multi_step);
+    text += &format!("best on validation: {}\n", summary.preferred.name());
+    text
+}
+
+fn one_step_head() -> String {
+    let each = ACCELERATION_NAMES.map(|name| format!("{name:>9}")).concat();
+    format!("normalised MSE        {:>9}{:>9} {each}\n", "linear", "angular")
+}
+
+fn one_step_line(name: &str, part: &str, errors: Option<&OneStep>) -> String {
+    let Some(errors) = errors else { return String::new() };
+    let each = errors.each.map(|e| format!("{e:9.4}")).concat();
+    format!("  {name:8} {part:11}{:9.4}{:9.4} {each}\n", errors.linear, errors.angular)
+}
+
+fn multi_step_table(summaries: &[MultiStepSummary]) -> String {
+    let Some(first) = summaries.first() else { return String::new() };
+    let mut text = format!("open loop, {} windows (RMS)\n", first.windows);
+    text += &format!(
+        "  {:18}{:>8}{:>12}{:>12}{:>12}{:>12}\n",
+        "", "horizon", "position/m", "velocity", "attitude", "rate/rad/s"
+    );
+    for (index, horizon) in first.horizons_s.iter().enumerate() {
+        for summary in summaries {
+            let e = &summary.errors[index];
+            text += &format!(
+                "  {:18}{horizon:>6} s{:12.4}{:12.4}{:12.4}{:12.4}\n",
+                summary.predictor, e.position_m, e.velocity_m_s, e.attitude_rad, e.rate_rad_s
+            );
+        }
+    }
+    text
+}

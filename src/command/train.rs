@@ -1,0 +1,173 @@
+//! `downwash train`: from flight logs to a model file and a report.
+
+use std::fs;
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, anyhow};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use sitl::vehicle::VehicleParams;
+
+use super::logs::Logs;
+use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
+use crate::cli::{FeatureChoice, TrainArgs};
+use crate::learn::commands::Onboard;
+use crate::learn::dataset::WindowSettings;
+use crate::learn::procedure::{Dataset, Outcome, Progress, Watch, train};
+use crate::learn::summary::TrainSettings;
+use crate::model::learned::Features;
+use crate::report::training;
+
+pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
+    let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
+    if let Some(weight) = args.regularization.iter().find(|w| !(w.is_finite() && **w >= 0.0)) {
+        let error = anyhow!("--regularization: expected numbers of at least 0, found {weight}");
+        return Err(error).or_exit(Exit::Usage);
+    }
+    if !(args.window.is_finite() && (1.0..=200.0).contains(&args.window)) {
+        let error = anyhow!("--window: expected 1 to 200 ms, found {}", args.window);
+        return Err(error).or_exit(Exit::Usage);
+    }
+    if let Some(threads) = args.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;
+    }
+    let windows = WindowSettings { half_s: args.window * 1e-3, ..WindowSettings::default() };
+    let settings = TrainSettings {
+        features: match args.features {
+            FeatureChoice::World => Features::World,
+            FeatureChoice::Heading => Features::Heading,
+        },
+        hidden: usize::from(args.hidden),
+        passes: args.passes as usize,
+        method: "rprop".to_owned(),
+        regularization: args.regularization.clone(),
+        seed: args.seed,
+        window_half_s: windows.half_s,
+    };
+    let checkpoint_path = checkpoint_path(&args.out);
+    let progress = if args.resume { Some(load_checkpoint(&checkpoint_path)?) } else { None };
+
+    let mut bar = Bar::new(interrupt_flag()?);
+    bar.stage("logs", args.logs.len() as u64);
+    let mapping = args.mapping.as_deref();
+    let logs = Logs::read(&args.logs, mapping, &vehicle, &onboard, &windows, |path| {
+        bar.step(&path.display().to_string());
+    });
+    if logs.flights.is_empty() {
+        bar.clear();
+        return Err(anyhow!("none of the {} logs can be used", args.logs.len()))
+            .or_exit(Exit::Usage);
+    }
+    bar.stage("actuation", 1);
+    let dataset = Dataset::new(&vehicle, &onboard, &logs.flights).or_exit(Exit::Usage)?;
+    let outcome = train(&dataset, &settings, &windows, logs.refused, progress, &mut bar);
+    bar.clear();
+    match outcome.or_exit(Exit::Usage)? {
+        Outcome::Interrupted(progress) => {
+            let json = serde_json::to_vec(&progress).context("checkpoint")?;
+            write_file(&checkpoint_path, &json)?;
+            say(format_args!(
+                "interrupted; the same command with --resume goes on from {}",
+                checkpoint_path.display()
+            ));
+            Ok(Exit::Interrupted)
+        }
+        Outcome::Done(done) => {
+            let (mut file, summary) = *done;
+            file.training = serde_json::to_value(&summary).context("summary")?;
+            file.save(&args.out)?;
+            if checkpoint_path.exists() {
+                fs::remove_file(&checkpoint_path)
+                    .with_context(|| format!("cannot remove {}", checkpoint_path.display()))?;
+            }
+            let mut report = None;
+            if let Some(folder) = &args.report {
+                fs::create_dir_all(folder)
+                    .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+                let page = folder.join("report.html");
+                write_file(&page, training::html(&summary).as_bytes())?;
+                let json = serde_json::to_vec_pretty(&summary).context("report.json")?;
+                write_file(&folder.join("report.json"), &json)?;
+                report = Some(page);
+            }
+            if args.json {
+                print_json(&summary)?;
+            } else {
+                let mut text = model::summary_in_words(&summary);
+                text += &format!("model   {}\n", args.out.display());
+                if let Some(page) = report {
+                    text += &format!("report  {}\n", page.display());
+                }
+                print_text(&text)?;
+            }
+            Ok(Exit::Ok)
+        }
+    }
+}
+
+fn checkpoint_path(out: &Path) -> PathBuf {
+    let mut path = out.as_os_str().to_owned();
+    path.push(".checkpoint");
+    PathBuf::from(path)
+}
+
+fn load_checkpoint(path: &Path) -> anyhow::Result<Progress> {
+    let bytes = fs::read(path)
+        .with_context(|| format!("--resume: no checkpoint {}", path.display()))
+        .or_exit(Exit::Usage)?;
+    serde_json::from_slice(&bytes)
+        .with_context(|| format!("checkpoint {} is damaged; train anew", path.display()))
+        .or_exit(Exit::Usage)
+}
+
+/// Set by the first Ctrl-C; the second ends the program at once.
+fn interrupt_flag() -> anyhow::Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    super::on_interrupt(&flag)?;
+    Ok(flag)
+}
+
+/// A progress bar for each stage.
+pub(super) struct Bar {
+    bar: ProgressBar,
+    interrupted: Arc<AtomicBool>,
+}
+
+impl Bar {
+    pub fn new(interrupted: Arc<AtomicBool>) -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let target = if terminal {
+            ProgressDrawTarget::stderr_with_hz(10)
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let bar = ProgressBar::with_draw_target(Some(1), target);
+        let style = ProgressStyle::with_template("{prefix:10} {bar:40} {percent:>3} %  {msg}");
+        let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        Self { bar, interrupted }
+    }
+
+    pub fn clear(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+impl Watch for Bar {
+    fn stage(&mut self, name: &str, steps: u64) {
+        self.bar.set_prefix(name.to_owned());
+        self.bar.set_length(steps);
+        self.bar.set_position(0);
+    }
+
+    fn step(&mut self, note: &str) {
+        self.bar.set_message(note.to_owned());
+        self.bar.inc(1);
+    }
+
+    fn interrupted(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed)
+    }
+}
