@@ -1,8 +1,10 @@
 //! Setpoint to SET_ATTITUDE_TARGET: intent in, the profile's message out.
 
 use sitl::frame::{Attitude, Frd};
-use wire::dialect::{AttitudeTargetTypemask, SET_ATTITUDE_TARGET_DATA};
+use wire::Frame;
+use wire::dialect::{AttitudeTargetTypemask, MavMessage, SET_ATTITUDE_TARGET_DATA};
 
+use super::codec::Refusal;
 use super::profile::{AttitudeTargetForm, Profile, RateFrame};
 use crate::setpoint::Setpoint;
 
@@ -119,6 +121,48 @@ pub fn encode(
     })
 }
 
+/// What a SET_ATTITUDE_TARGET asks for, each part where its mask keeps it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AttitudeTarget {
+    /// System that it is for, 0 for all.
+    pub target_system: u8,
+    /// Desired body to world.
+    pub attitude: Option<Attitude>,
+    /// Desired body rate, rad/s; none unless all three components are kept.
+    pub body_rate: Option<Frd>,
+    /// Thrust field.
+    pub thrust: Option<f64>,
+}
+
+/// Reads back what [`encode`] or another ground station wrote; `None` for any other message.
+///
+/// # Errors
+/// [`Refusal`] if a part that the mask keeps cannot be true.
+pub fn decode(frame: &Frame) -> Result<Option<AttitudeTarget>, Refusal> {
+    if frame.id() != <SET_ATTITUDE_TARGET_DATA as mavlink::MessageData>::ID {
+        return Ok(None);
+    }
+    let MavMessage::SET_ATTITUDE_TARGET(data) = frame.message().map_err(|_| Refusal::Malformed)?
+    else {
+        return Ok(None);
+    };
+    const RATES_IGNORED: u8 = 0x07;
+    const THRUST_IGNORED: u8 = 0x40;
+    const ATTITUDE_IGNORED: u8 = 0x80;
+    let mask = data.type_mask.bits();
+    let finite = |value: f64| value.is_finite().then_some(value).ok_or(Refusal::OutOfRange);
+    let attitude = (mask & ATTITUDE_IGNORED == 0)
+        .then(|| Attitude::from_wire(data.q).ok_or(Refusal::Quaternion))
+        .transpose()?;
+    let rates = [data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate].map(f64::from);
+    let body_rate = (mask & RATES_IGNORED == 0)
+        .then(|| rates.iter().try_for_each(|rate| finite(*rate).map(drop)).map(|()| rates.into()))
+        .transpose()?;
+    let thrust =
+        (mask & THRUST_IGNORED == 0).then(|| finite(f64::from(data.thrust))).transpose()?;
+    Ok(Some(AttitudeTarget { target_system: data.target_system, attitude, body_rate, thrust }))
+}
+
 /// The rotation from one attitude to another as angle times axis, in body axes of the first, the
 /// short way round.
 fn rotation_vector(from: Attitude, to: Attitude) -> Frd {
@@ -160,6 +204,23 @@ mod tests {
         assert!((data.thrust - 0.4905).abs() < 1e-6);
         let sent = Attitude::from_wire(data.q).unwrap();
         assert!(sent.angle_to(setpoint().attitude.attitude()) < 1e-6);
+    }
+
+    #[test]
+    fn what_was_sent_is_read_back_as_its_mask_keeps_it() {
+        let sent = |profile: &Profile| {
+            let data = encode(&setpoint(), None, profile, &map()).unwrap();
+            let mut bytes = Vec::new();
+            let message = MavMessage::SET_ATTITUDE_TARGET(data);
+            wire::Encoder::new(255, 190).encode(&message, &mut bytes);
+            decode(&Frame::parse(&bytes).unwrap()).unwrap().unwrap()
+        };
+        let target = sent(&Profile::BUNDLED);
+        assert!(target.attitude.unwrap().angle_to(setpoint().attitude.attitude()) < 1e-6);
+        assert!((target.body_rate.unwrap() - setpoint().body_rate).norm() < 1e-6);
+        assert!((target.thrust.unwrap() - 0.4905).abs() < 1e-6);
+        let target = sent(&Profile::PX4);
+        assert!(target.attitude.is_some() && target.body_rate.is_none());
     }
 
     #[test]

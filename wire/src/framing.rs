@@ -23,6 +23,25 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// The frame that `bytes` are, such as an entry of a log. `None` unless they are one whole
+    /// frame of a message that the dialect has, its checksum right.
+    pub fn parse(bytes: &[u8]) -> Option<Self> {
+        let Front::Frame(len) = front(bytes) else { return None };
+        if len != bytes.len() {
+            return None;
+        }
+        let raw = if bytes.first() == Some(&MAV_STX) {
+            let mut raw = MAVLinkV1MessageRaw::new();
+            raw.as_mut_slice()[..len].copy_from_slice(bytes);
+            MAVLinkMessageRaw::V1(raw)
+        } else {
+            let mut raw = MAVLinkV2MessageRaw::new();
+            raw.as_mut_slice()[..len].copy_from_slice(bytes);
+            MAVLinkMessageRaw::V2(raw)
+        };
+        Some(Self { raw })
+    }
+
     /// MAVLink message id.
     pub fn id(&self) -> u32 {
         self.raw.message_id()
@@ -384,6 +403,11 @@ mod tests {
             assert_eq!(frame.bytes(), bytes);
             assert_eq!((frame.system(), frame.component(), frame.sequence()), (1, 2, 0));
             assert_eq!(frame.message().unwrap(), attitude(7));
+            let parsed = Frame::parse(&bytes).unwrap();
+            assert_eq!((parsed.bytes(), parsed.id()), (frame.bytes(), frame.id()));
+            assert!(Frame::parse(&bytes[1..]).is_none() && Frame::parse(&[]).is_none());
+            assert!(Frame::parse(&bytes[..bytes.len() - 1]).is_none());
+            assert!(Frame::parse(&[&bytes[..], &[0]].concat()).is_none());
         }
         assert_eq!(decoder.stats().frames, 2);
         assert_eq!(decoder.stats().unframed_bytes, 0);

@@ -68,6 +68,42 @@ impl<T> Stream<T> {
         self.values.get(self.index_at(time)?)
     }
 
+    /// Samples per second over the stream's span, 0 of fewer than two.
+    pub fn rate(&self) -> f64 {
+        match self.times.as_slice() {
+            [first, .., last] => (self.times.len() - 1) as f64 / (last - first),
+            _ => 0.0,
+        }
+    }
+
+    /// The same times with values made of these.
+    pub fn map<U>(&self, value: impl FnMut(&T) -> U) -> Stream<U> {
+        Stream { times: self.times.clone(), values: self.values.iter().map(value).collect() }
+    }
+
+    /// The samples that `value` makes something of.
+    pub fn filter_map<U>(&self, mut value: impl FnMut(&T) -> Option<U>) -> Stream<U> {
+        let kept = self.iter().filter_map(|(time, old)| Some((time, value(old)?)));
+        let (times, values) = kept.unzip();
+        Stream { times, values }
+    }
+
+    /// The same values `by` seconds later.
+    pub fn shifted(mut self, by: f64) -> Self {
+        if by != 0.0 {
+            self.times.iter_mut().for_each(|time| *time += by);
+            // Rounding may have made neighbours of a far epoch one.
+            if self.times.windows(2).any(|pair| pair[1] <= pair[0]) {
+                let mut rounded = Self::default();
+                for (time, value) in self.times.into_iter().zip(self.values) {
+                    rounded.push(time, value);
+                }
+                return rounded;
+            }
+        }
+        self
+    }
+
     /// Median time between samples in s, if there are two.
     pub fn period(&self) -> Option<f64> {
         let mut gaps: Vec<f64> = self.times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -115,6 +151,18 @@ pub enum MotorUnit {
     ThrustFraction,
     /// As the vehicle file's `motor_output` says; made a thrust fraction with it.
     VehicleFile,
+}
+
+/// Where [`Flight::outputs`] come from: a vehicle file's `motor_output` is for one message.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MotorSource {
+    /// ACTUATOR_OUTPUT_STATUS, its first four.
+    ActuatorOutputStatus,
+    /// SERVO_OUTPUT_RAW, its first four.
+    ServoOutputRaw,
+    /// No message: columns of a table, in the order of the vehicle file's rotors.
+    #[default]
+    Table,
 }
 
 /// How times of the ground's clock came onto the vehicle's.
@@ -167,6 +215,8 @@ pub struct Flight {
     pub outputs: Stream<[f64; 4]>,
     /// Their unit.
     pub motor_unit: MotorUnit,
+    /// The message that they are from.
+    pub motor_source: MotorSource,
     /// Rotor speeds, rad/s, at least 0.
     pub rotor_speed: Stream<[f64; 4]>,
     /// Setpoints as the ground sent them, on the vehicle's clock.
@@ -197,6 +247,7 @@ impl Flight {
             specific_force: Stream::default(),
             outputs: Stream::default(),
             motor_unit: MotorUnit::default(),
+            motor_source: MotorSource::default(),
             rotor_speed: Stream::default(),
             setpoint: Stream::default(),
             voltage: Stream::default(),

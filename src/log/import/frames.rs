@@ -1,0 +1,174 @@
+//! MAVLink frames with the ground's stamps, of both directions, into one flight.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use mavlink::MessageData;
+use wire::Frame;
+use wire::dialect::{
+    HEARTBEAT_DATA, MavAutopilot, MavMessage, SET_ATTITUDE_TARGET_DATA, TIMESYNC_DATA,
+};
+
+use super::clocks::{Exchange, Heard};
+use super::flight::{AttitudeSetpoint, Flight};
+use super::tally::Tally;
+use super::vehicle::{SentSetpoints, VehicleLog};
+use crate::link::attitude_target;
+
+/// Senders that are followed; a log has a vehicle or two, and some ground stations.
+const SENDERS_MAX: usize = 32;
+/// A frame is only a repetition of one this many frames of its sender before, at most: half of
+/// what sequence numbers tell apart.
+const REPEATED_WITHIN: u64 = 128;
+/// Requests of TIMESYNC that can still be answered.
+const OPEN_REQUESTS: usize = 16;
+
+/// System and component.
+type Sender = (u32, u8);
+
+/// Frames with the same content lately, to tell repetitions.
+#[derive(Debug)]
+struct Repetitions {
+    count: u64,
+    last_sequence: Option<u8>,
+    /// Whether this sender counts its frames at all.
+    counts: bool,
+    /// By sequence number: number of the frame, and checksum of its bytes.
+    recent: Box<[(u64, u32); 256]>,
+}
+
+impl Default for Repetitions {
+    fn default() -> Self {
+        Self { count: 0, last_sequence: None, counts: false, recent: Box::new([(0, 0); 256]) }
+    }
+}
+
+impl Repetitions {
+    /// Whether the frame came before, with the same sequence number and content.
+    fn is_repeated(&mut self, frame: &Frame) -> bool {
+        let sequence = frame.sequence();
+        self.counts |= self.last_sequence.is_some_and(|last| last != sequence);
+        self.last_sequence = Some(sequence);
+        self.count += 1;
+        let hash = crc32fast::hash(frame.bytes());
+        let slot = &mut self.recent[usize::from(sequence)];
+        let (number, before) = std::mem::replace(slot, (self.count, hash));
+        self.counts && number > 0 && before == hash && self.count - number <= REPEATED_WITHIN
+    }
+}
+
+/// Gathers frames; [`Frames::finish`] makes a flight of them.
+#[derive(Debug, Default)]
+pub(super) struct Frames {
+    index: u32,
+    /// First ground stamp, ns: ground times count from it.
+    start_ns: Option<u64>,
+    latest: f64,
+    repetitions: BTreeMap<Sender, Repetitions>,
+    vehicles: BTreeMap<Sender, VehicleLog>,
+    /// By sender and the system that they are for, 0 for all.
+    setpoints: BTreeMap<(Sender, u8), SentSetpoints>,
+    /// `ts1` of open requests of TIMESYNC and when they left.
+    requests: VecDeque<(i64, f64)>,
+    tally: Tally,
+}
+
+impl Frames {
+    /// Takes in a frame; `ground_ns` is the ground's clock, `None` where the log has no stamp.
+    pub fn add(&mut self, ground_ns: Option<u64>, frame: &Frame) {
+        self.index = self.index.saturating_add(1);
+        if let Some(ns) = ground_ns {
+            let start = *self.start_ns.get_or_insert(ns);
+            self.latest = (i128::from(ns) - i128::from(start)) as f64 * 1e-9;
+        }
+        let heard = Heard { index: self.index, ground: self.latest };
+        let sender = (frame.system(), frame.component());
+        if !self.repetitions.contains_key(&sender) && self.repetitions.len() == SENDERS_MAX {
+            self.tally.add("frame of one sender too many", 1);
+            return;
+        }
+        if self.repetitions.entry(sender).or_default().is_repeated(frame) {
+            self.tally.add("duplicated frame", 1);
+            return;
+        }
+        match frame.id() {
+            SET_ATTITUDE_TARGET_DATA::ID => self.add_setpoint(heard, sender, frame),
+            TIMESYNC_DATA::ID => self.add_timesync(heard, sender, frame),
+            // What is no autopilot, as a ground station, is no vehicle.
+            HEARTBEAT_DATA::ID
+                if frame.payload().get(5) == Some(&(MavAutopilot::MAV_AUTOPILOT_INVALID as u8)) => {
+            }
+            _ => self.vehicles.entry(sender).or_default().add(heard, frame),
+        }
+    }
+
+    /// Counts what could not be read as frames.
+    pub fn left_out(&mut self, reason: &str, count: u64) {
+        self.tally.add(reason, count);
+    }
+
+    fn add_setpoint(&mut self, heard: Heard, sender: Sender, frame: &Frame) {
+        match attitude_target::decode(frame) {
+            Ok(Some(target)) => {
+                let attitude_target::AttitudeTarget { target_system, attitude, body_rate, thrust } =
+                    target;
+                let setpoint = AttitudeSetpoint { attitude, body_rate, thrust };
+                let sent = self.setpoints.entry((sender, target_system)).or_default();
+                sent.push((heard, setpoint));
+            }
+            Ok(None) => {}
+            Err(refusal) => self.tally.add(&format!("SET_ATTITUDE_TARGET: {refusal}"), 1),
+        }
+    }
+
+    /// Requests have no `tc1`; an answer repeats the request's `ts1`. Who asks stamps `ts1`, who
+    /// answers stamps `tc1`: only what the ground asked was stamped here on both ways.
+    fn add_timesync(&mut self, heard: Heard, sender: Sender, frame: &Frame) {
+        let Ok(MavMessage::TIMESYNC(data)) = frame.message() else { return };
+        if data.tc1 == 0 {
+            if self.requests.len() == OPEN_REQUESTS {
+                self.requests.pop_front();
+            }
+            self.requests.push_back((data.ts1, heard.ground));
+        } else if let Some(at) = self.requests.iter().position(|(ts1, _)| *ts1 == data.ts1)
+            && let Some((_, asked)) = self.requests.remove(at)
+        {
+            let vehicle = data.tc1 as f64 * 1e-9;
+            let log = self.vehicles.entry(sender).or_default();
+            log.synchronise(Exchange { asked, answered: heard, vehicle });
+        }
+    }
+
+    /// Fills `flight` with the vehicle that sent most.
+    pub fn finish(self, flight: &mut Flight) {
+        let Self { mut vehicles, mut setpoints, mut tally, .. } = self;
+        let any_autopilot = vehicles.values().any(VehicleLog::is_autopilot);
+        let weight = |log: &VehicleLog| {
+            (log.is_autopilot() == any_autopilot, log.attitudes(), log.messages())
+        };
+        let chosen =
+            vehicles.iter().rev().max_by_key(|(_, log)| weight(log)).map(|(sender, _)| *sender);
+        if let Some(chosen) = chosen
+            && let Some(vehicle) = vehicles.remove(&chosen)
+        {
+            let is_for =
+                |(_, target): &(Sender, u8)| *target == 0 || u32::from(*target) == chosen.0;
+            let commander = setpoints
+                .iter()
+                .filter(|(key, _)| is_for(key))
+                .rev()
+                .max_by_key(|(_, sent)| sent.len())
+                .map(|(key, _)| *key);
+            let sent = commander.and_then(|key| setpoints.remove(&key)).unwrap_or_default();
+            tally.merge(vehicle.finish(sent, flight));
+        }
+        for (((system, component), target), sent) in setpoints {
+            let reason = format!("setpoint from {system}/{component} to system {target}");
+            tally.add(&reason, sent.len() as u64);
+        }
+        for ((system, component), log) in vehicles {
+            let reason = format!("message of another vehicle or component, {system}/{component}");
+            tally.add(&reason, log.messages());
+        }
+        flight.left_out.extend(tally.into_vec());
+    }
+}

@@ -1,0 +1,94 @@
+//! What a file is, by its content.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+use sha2::{Digest, Sha256};
+use wire::tlog::Reader;
+
+use super::error::ImportError;
+use super::flight::Origin;
+use crate::log::descriptor::hex;
+
+/// How much of a file tells what it is.
+const HEAD: u64 = 256 * 1024;
+
+/// What can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Format {
+    Mcap,
+    Tlog,
+}
+
+impl Format {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Mcap => "mcap",
+            Self::Tlog => "tlog",
+        }
+    }
+}
+
+/// Tells what the file is.
+///
+/// # Errors
+/// A file that cannot be read, or is none of those that can be imported.
+pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
+    let fail = |source| ImportError::Read { path: path.to_owned(), source };
+    let mut head = Vec::new();
+    File::open(path).map_err(fail)?.take(HEAD).read_to_end(&mut head).map_err(fail)?;
+    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    let extension = extension.as_deref();
+    let magic = ::mcap::MAGIC;
+    if head.starts_with(magic) || !head.is_empty() && magic.starts_with(&head) {
+        return Ok(Format::Mcap);
+    }
+    if head.is_empty() {
+        // A recording that never began.
+        return match extension {
+            Some("mcap") => Ok(Format::Mcap),
+            Some("tlog") => Ok(Format::Tlog),
+            _ => Err(ImportError::not_a_log(path, "an empty file".into())),
+        };
+    }
+    let found = match head.as_slice() {
+        [b'U', b'L', b'o', b'g', ..] => "a PX4 ULog",
+        [0xA3, 0x95, ..] => "an ArduPilot DataFlash log",
+        head => {
+            let mut entries = Reader::new(head);
+            while let Ok(Some(entry)) = entries.read() {
+                if entry.time_us.is_some() {
+                    return Ok(Format::Tlog);
+                }
+            }
+            "other data"
+        }
+    };
+    Err(ImportError::not_a_log(path, found.into()))
+}
+
+/// Where a flight comes from: its path, name and hash.
+///
+/// # Errors
+/// A file that cannot be read.
+pub(super) fn origin(path: &Path, format: Format) -> Result<Origin, ImportError> {
+    let sha256 =
+        hash(path).map_err(|source| ImportError::Read { path: path.to_owned(), source })?;
+    let run = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    Ok(Origin { path: path.to_owned(), run, sha256, format: format.name() })
+}
+
+fn hash(path: &Path) -> io::Result<String> {
+    let mut file = File::open(path)?;
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match file.read(&mut buffer) {
+            Ok(0) => return Ok(hex(&hasher.finalize())),
+            Ok(count) => hasher.update(&buffer[..count]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}

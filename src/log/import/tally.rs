@@ -1,0 +1,36 @@
+//! What an importer leaves out, counted by reason.
+
+use std::collections::BTreeMap;
+
+/// Counts by a reason that a person understands.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tally {
+    counts: BTreeMap<String, u64>,
+}
+
+impl Tally {
+    /// Adds `count` to `reason`; nothing for zero.
+    pub fn add(&mut self, reason: &str, count: u64) {
+        if count == 0 {
+            return;
+        }
+        match self.counts.get_mut(reason) {
+            Some(total) => *total += count,
+            None => {
+                self.counts.insert(reason.to_owned(), count);
+            }
+        }
+    }
+
+    /// Adds all of another.
+    pub fn merge(&mut self, other: Self) {
+        for (reason, count) in other.counts {
+            self.add(&reason, count);
+        }
+    }
+
+    /// The counts, by reason.
+    pub fn into_vec(self) -> Vec<(String, u64)> {
+        self.counts.into_iter().collect()
+    }
+}

@@ -1,0 +1,423 @@
+//! Flight logs of any origin become the same flight, and damage to them is counted.
+
+mod lockstep;
+mod log_flight;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use downwash::log::import::{Clock, Flight, ImportError, MotorSource, MotorUnit, Stream, open};
+use downwash::log::record::{FrameRecord, Record};
+use sitl::config::SitlConfig;
+use wire::tlog;
+
+/// A fresh file of the test's own.
+fn place(test: &str, name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("log_import").join(test);
+    fs::create_dir_all(&directory).expect("a folder");
+    let path = directory.join(name);
+    let _ = fs::remove_file(&path);
+    path
+}
+
+/// A whole flight of the nano quadrotor in lockstep, with sensor noise.
+static RECORDS: LazyLock<Vec<Record>> = LazyLock::new(|| {
+    let params = lockstep::params(lockstep::NANO);
+    let settings = lockstep::settings(&params, lockstep::trajectory("sinusoid-xy.toml"));
+    lockstep::fly(settings, &params, &[], SitlConfig::default(), 3).1
+});
+
+fn frames() -> impl Iterator<Item = &'static FrameRecord> {
+    RECORDS.iter().filter_map(|record| match record {
+        Record::Frame(frame) => Some(frame),
+        _ => None,
+    })
+}
+
+/// The flight's frames as entries of a telemetry log, each with its stamp in us.
+fn entries() -> Vec<(u64, Vec<u8>)> {
+    frames().map(|frame| (frame.host.as_ns() / 1000, frame.bytes().to_vec())).collect()
+}
+
+fn write_tlog(test: &str, name: &str, entries: &[(u64, Vec<u8>)]) -> PathBuf {
+    let path = place(test, name);
+    let mut writer = tlog::Writer::new(Vec::new());
+    for (time_us, bytes) in entries {
+        writer.write(*time_us, bytes).expect("memory takes everything");
+    }
+    fs::write(&path, writer.into_inner()).expect("a file");
+    path
+}
+
+fn import(path: &Path) -> Flight {
+    open(path, None).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Count of what was left out for a reason that has `words` in it.
+fn left_out(flight: &Flight, words: &str) -> u64 {
+    flight.left_out.iter().filter(|(reason, _)| reason.contains(words)).map(|(_, n)| n).sum()
+}
+
+fn assert_ascends<T>(stream: &Stream<T>, name: &str) {
+    assert!(stream.times().windows(2).all(|pair| pair[0] < pair[1]), "{name}");
+    assert!(stream.times().iter().all(|time| time.is_finite()), "{name}");
+}
+
+fn assert_same_streams(a: &Flight, b: &Flight) {
+    assert_eq!(a.attitude, b.attitude);
+    assert_eq!(a.position, b.position);
+    assert_eq!(a.velocity, b.velocity);
+    assert_eq!(a.body_rate, b.body_rate);
+    assert_eq!(a.specific_force, b.specific_force);
+    assert_eq!(a.outputs, b.outputs);
+    assert_eq!(a.rotor_speed, b.rotor_speed);
+    assert_eq!(a.setpoint, b.setpoint);
+    assert_eq!(a.voltage, b.voltage);
+    assert_eq!(a.in_air, b.in_air);
+    assert_eq!((a.motor_unit, a.motor_source, a.clock), (b.motor_unit, b.motor_source, b.clock));
+}
+
+#[test]
+fn own_log_and_telemetry_log_of_a_flight_are_the_same_flight() {
+    let folder = place("same", "mcap");
+    let _ = fs::remove_dir_all(&folder);
+    let mcap = import(&log_flight::write(&folder, &RECORDS));
+    let tlog = import(&write_tlog("same", "flight.tlog", &entries()));
+    assert_same_streams(&mcap, &tlog);
+    assert_eq!(mcap.left_out, []);
+    assert_eq!(tlog.left_out, []);
+    assert_eq!((mcap.origin.format, tlog.origin.format), ("mcap", "tlog"));
+    assert_eq!(tlog.origin.run, "flight");
+    assert_eq!(tlog.origin.sha256.len(), 64);
+
+    assert!(mcap.attitude.rate() > 240.0, "{}", mcap.attitude.rate());
+    assert!(mcap.body_rate.rate() > 240.0 && mcap.specific_force.rate() > 240.0);
+    assert!(mcap.position.rate() > 45.0 && mcap.setpoint.rate() > 95.0);
+    assert_eq!((mcap.motor_unit, mcap.motor_source), {
+        (MotorUnit::ThrustFraction, MotorSource::ActuatorOutputStatus)
+    });
+    assert_eq!(mcap.clock, Clock::Synchronised);
+    assert!(mcap.in_air.values().contains(&true) && !mcap.voltage.is_empty());
+    // The truth is on the clock of the reports.
+    assert!(tlog.truth.is_empty() && mcap.truth.len() > 1000);
+    let mut compared = 0;
+    for (time, truth) in mcap.truth.iter() {
+        if let Some(at) = mcap.attitude.index_at(time)
+            && time - mcap.attitude.times()[at] < 1e-6
+        {
+            assert!(mcap.attitude.values()[at].angle_to(truth.attitude) < 0.02, "at {time}");
+            compared += 1;
+        }
+    }
+    assert!(compared > 500, "{compared}");
+    // A setpoint is sent at the time of the state that it answers.
+    let first = mcap.setpoint.times()[0];
+    let at = mcap.attitude.index_at(first + 1e-4).expect("an attitude before");
+    assert!(first - mcap.attitude.times()[at] < 0.011);
+    for (stream, name) in [(&mcap.voltage, "voltage"), (&tlog.voltage, "voltage")] {
+        assert_ascends(stream, name);
+    }
+}
+
+#[test]
+fn what_is_no_log_is_an_error_that_says_so() {
+    let path = place("garbage", "noise.tlog");
+    fs::write(&path, [0x55; 5000]).expect("a file");
+    let error = open(&path, None).expect_err("no log");
+    assert!(matches!(error, ImportError::NotALog { .. }));
+    assert!(error.to_string().contains("noise.tlog"), "{error}");
+    let missing = open(Path::new("no/such.tlog"), None).expect_err("no file");
+    assert!(missing.to_string().contains("no/such.tlog"), "{missing}");
+    let ulog = place("garbage", "log.ulg");
+    fs::write(&ulog, b"ULog\x01\x12\x35\x01 and more").expect("a file");
+    assert!(open(&ulog, None).expect_err("not read").to_string().contains("ULog"));
+}
+
+#[test]
+fn an_empty_or_short_log_is_a_flight() {
+    let empty = place("short", "empty.tlog");
+    fs::write(&empty, []).expect("a file");
+    assert!(import(&empty).attitude.is_empty());
+    let all = entries();
+    let start = all[0].0;
+    let short: Vec<_> = all.into_iter().filter(|(time, _)| time - start < 2_000_000).collect();
+    let flight = import(&write_tlog("short", "short.tlog", &short));
+    let times = flight.attitude.times();
+    assert!(times.last().unwrap() - times[0] < 2.1 && flight.attitude.len() > 100);
+    assert_eq!(flight.left_out, []);
+}
+
+/// Writes floats over the payload of each frame of message `id` from entry `from` on, for `count`
+/// entries, and gives it a right checksum: what a vehicle sends whose estimate has broken down.
+fn spoil(entries: &mut [(u64, Vec<u8>)], id: u8, from: usize, count: usize, floats: f32) -> u64 {
+    let mut spoiled = 0;
+    for (_, bytes) in entries.iter_mut().skip(from).take(count) {
+        if bytes[7..10] != [id, 0, 0] {
+            continue;
+        }
+        let len = usize::from(bytes[1]);
+        for at in (10 + 8..10 + len - 3).step_by(4) {
+            bytes[at..at + 4].copy_from_slice(&floats.to_le_bytes());
+        }
+        spoiled += 1;
+        sign(bytes);
+    }
+    spoiled
+}
+
+/// Gives a MAVLink 2 frame the checksum of its content.
+fn sign(bytes: &mut [u8]) {
+    use mavlink::Message;
+    let end = bytes.len() - 2;
+    let id = u32::from_le_bytes([bytes[7], bytes[8], bytes[9], 0]);
+    let extra = wire::dialect::MavMessage::extra_crc(id);
+    let crc = mavlink::calculate_crc(&bytes[1..end], extra).to_le_bytes();
+    bytes[end..].copy_from_slice(&crc);
+}
+
+#[test]
+fn a_log_cut_short_gives_what_is_whole() {
+    let path = write_tlog("cut", "flight.tlog", &entries());
+    let bytes = fs::read(&path).expect("the log");
+    let cut = place("cut", "cut.tlog");
+    fs::write(&cut, &bytes[..bytes.len() / 2 - 3]).expect("a file");
+    let (whole, cut) = (import(&path), import(&cut));
+    assert!(cut.attitude.len() > whole.attitude.len() / 3);
+    assert_eq!(cut.attitude.times(), &whole.attitude.times()[..cut.attitude.len()]);
+    let skipped = left_out(&cut, "no whole frame");
+    assert!(skipped > 0 && skipped < 300, "{skipped}");
+}
+
+#[test]
+fn a_burst_of_nan_is_left_out_and_counted() {
+    let mut entries = entries();
+    let middle = entries.len() / 2;
+    let spoiled = spoil(&mut entries, 31, middle, 400, f32::NAN);
+    assert!(spoiled > 20, "{spoiled}");
+    let flight = import(&write_tlog("nan", "flight.tlog", &entries));
+    assert_eq!(left_out(&flight, "ATTITUDE_QUATERNION"), spoiled);
+    assert!(flight.attitude.values().iter().all(|q| q.w.is_finite() && q.z.is_finite()));
+}
+
+#[test]
+fn duplicated_frames_are_left_out_and_counted() {
+    let sound = entries();
+    let mut doubled = Vec::new();
+    for (number, entry) in sound.iter().enumerate() {
+        doubled.push(entry.clone());
+        if number % 7 == 0 {
+            doubled.push((entry.0 + 50, entry.1.clone()));
+        }
+    }
+    let flight = import(&write_tlog("double", "flight.tlog", &doubled));
+    assert_eq!(left_out(&flight, "duplicated") as usize, doubled.len() - sound.len());
+    assert_same_streams(&flight, &import(&write_tlog("double", "sound.tlog", &sound)));
+}
+
+/// Moves the stamps that the vehicle puts into its messages, from entry `from` on.
+fn move_vehicle_clock(entries: &mut [(u64, Vec<u8>)], from: usize, by_ms: i64) {
+    for (_, bytes) in entries.iter_mut().skip(from).filter(|(_, bytes)| bytes[5] == 1) {
+        match bytes[7] {
+            30..=32 => {
+                let time = u32::from_le_bytes(bytes[10..14].try_into().expect("four bytes"));
+                let moved = (i64::from(time) + by_ms) as u32;
+                bytes[10..14].copy_from_slice(&moved.to_le_bytes());
+            }
+            105 | 119 => {
+                let time = u64::from_le_bytes(bytes[10..18].try_into().expect("eight bytes"));
+                let moved = time.wrapping_add_signed(by_ms * 1000);
+                bytes[10..18].copy_from_slice(&moved.to_le_bytes());
+            }
+            _ if bytes[7..10] == [0x77, 0x01, 0] || bytes[7..10] == [0x4B, 0x01, 0] => {
+                let time = u64::from_le_bytes(bytes[10..18].try_into().expect("eight bytes"));
+                let moved = time.wrapping_add_signed(by_ms * 1000);
+                bytes[10..18].copy_from_slice(&moved.to_le_bytes());
+            }
+            _ => continue,
+        }
+        sign(bytes);
+    }
+}
+
+#[test]
+fn after_a_jump_of_the_vehicles_clock_the_longer_part_is_the_flight() {
+    for by_ms in [-20_000, 300_000] {
+        let mut entries = entries();
+        let two_thirds = entries.len() * 2 / 3;
+        move_vehicle_clock(&mut entries, two_thirds, by_ms);
+        let flight = import(&write_tlog("jump", &format!("jump{by_ms}.tlog"), &entries));
+        let whole = import(&write_tlog("jump", "whole.tlog", &self::entries()));
+        let kept = flight.attitude.len();
+        assert!(kept < whole.attitude.len() && kept > whole.attitude.len() / 2, "{kept}");
+        assert_eq!(flight.attitude.times(), &whole.attitude.times()[..kept]);
+        assert!(flight.setpoint.times().last() < flight.attitude.times().last());
+        let other = left_out(&flight, "another run of the vehicle's clock");
+        assert!(other as usize > whole.attitude.len() / 5, "{:?}", flight.left_out);
+    }
+}
+
+#[test]
+fn a_step_of_the_grounds_clock_leaves_the_streams_alone() {
+    let whole = import(&write_tlog("step", "whole.tlog", &entries()));
+    let mut entries = entries();
+    let middle = entries.len() / 2;
+    entries.iter_mut().skip(middle).for_each(|(time, _)| *time -= 7_000_000);
+    let flight = import(&write_tlog("step", "flight.tlog", &entries));
+    assert_eq!(flight.attitude, whole.attitude);
+    assert_eq!(flight.body_rate, whole.body_rate);
+    assert_eq!(left_out(&flight, "step of the ground's clock"), 1);
+    // Setpoints right at the step are lost, the others are where they were.
+    assert!(flight.setpoint.len() + 250 > whole.setpoint.len());
+    let worst = flight.setpoint.iter().map(|(time, _)| {
+        let at = whole.setpoint.index_at(time + 1e-3).expect("a setpoint");
+        (whole.setpoint.times()[at] - time).abs()
+    });
+    assert!(worst.fold(0.0, f64::max) < 0.011);
+}
+
+#[test]
+fn of_two_vehicles_the_one_with_more_attitudes_is_the_flight() {
+    let mut both = Vec::new();
+    for (number, (time, bytes)) in entries().into_iter().enumerate() {
+        if bytes[5] == 1 && number % 3 == 0 {
+            let mut other = bytes.clone();
+            other[5] = 2;
+            sign(&mut other);
+            both.push((time, other));
+        }
+        both.push((time, bytes));
+    }
+    let flight = import(&write_tlog("two", "flight.tlog", &both));
+    let alone = import(&write_tlog("two", "alone.tlog", &entries()));
+    assert_same_streams(&flight, &alone);
+    assert!(left_out(&flight, "another vehicle") > 1000, "{:?}", flight.left_out);
+}
+
+/// Folders of practice flights: `DOWNWASH_PRACTICE`, else `shared/` beside the repository.
+fn practice_tlogs() -> Vec<PathBuf> {
+    let folders = match std::env::var_os("DOWNWASH_PRACTICE") {
+        Some(folder) => vec![PathBuf::from(folder)],
+        None => {
+            let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
+            ["practice", "practice-autopilot", "practice-real"].map(|n| shared.join(n)).to_vec()
+        }
+    };
+    let cases = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten();
+    let files = cases.filter_map(|case| fs::read_dir(case.ok()?.path()).ok()).flatten();
+    let mut files: Vec<PathBuf> = files
+        .filter_map(|file| Some(file.ok()?.path()))
+        .filter(|path| path.extension().is_some_and(|extension| extension == "tlog"))
+        .collect();
+    files.sort();
+    files
+}
+
+/// Slope of the best line through the origin, and the share of `y` that it explains.
+fn regression(pairs: &[(f64, f64)]) -> (f64, f64) {
+    let sum = |f: fn(&(f64, f64)) -> f64| pairs.iter().map(f).sum::<f64>();
+    let (xx, xy, yy) = (sum(|(x, _)| x * x), sum(|(x, y)| x * y), sum(|(_, y)| y * y));
+    (xy / xx, xy * xy / (xx * yy))
+}
+
+/// Value of a stream at a time, linearly between samples.
+fn between(stream: &Stream<[f64; 3]>, time: f64) -> Option<[f64; 3]> {
+    let at = stream.index_at(time)?;
+    let (t0, t1) = (stream.times()[at], *stream.times().get(at + 1)?);
+    let share = (time - t0) / (t1 - t0);
+    let (a, b) = (stream.values()[at], stream.values()[at + 1]);
+    Some(std::array::from_fn(|i| a[i] + share * (b[i] - a[i])))
+}
+
+/// Integral of a stream between two times, by midpoints of 1 ms.
+fn integral(stream: &Stream<[f64; 3]>, from: f64, to: f64) -> Option<[f64; 3]> {
+    let steps = ((to - from) / 1e-3).ceil().max(1.0);
+    let mut sum = [0.0; 3];
+    for k in 0..steps as u32 {
+        let value = between(stream, from + (to - from) * (f64::from(k) + 0.5) / steps)?;
+        sum.iter_mut().zip(value).for_each(|(s, v)| *s += v * (to - from) / steps);
+    }
+    Some(sum)
+}
+
+/// Every practice log: rates, order of times, and streams that fit each other.
+#[test]
+fn practice_logs_are_read_and_their_streams_agree() {
+    for path in practice_tlogs() {
+        let name =
+            path.strip_prefix(path.ancestors().nth(3).unwrap()).unwrap().display().to_string();
+        let flight = import(&path);
+        assert_ascends(&flight.attitude, &name);
+        assert_ascends(&flight.position, &name);
+        assert_ascends(&flight.body_rate, &name);
+        assert_ascends(&flight.outputs, &name);
+        assert_ascends(&flight.setpoint, &name);
+        assert_ascends(&flight.voltage, &name);
+        assert!(flight.outputs.len() > 500, "{name}: {}", flight.outputs.len());
+
+        // Rotation over 0.1 s by the attitudes and by the integral of the body rate.
+        let rate = flight.body_rate.map(|rate| rate.to_array());
+        let mut rotations = Vec::new();
+        let mut time = flight.attitude.times().first().copied().unwrap_or(f64::INFINITY) + 0.5;
+        let last = flight.attitude.times().last().copied().unwrap_or(0.0) - 0.5;
+        while time < last {
+            let (a, b) = (flight.attitude.index_at(time), flight.attitude.index_at(time + 0.1));
+            if let (Some(a), Some(b)) = (a, b) {
+                let (ta, tb) = (flight.attitude.times()[a], flight.attitude.times()[b]);
+                let turn = flight.attitude.values()[a].inverse();
+                let turn = turn.compose(flight.attitude.values()[b]).canonical();
+                let angles = [turn.x, turn.y, turn.z].map(|c| 2.0 * c);
+                if let Some(sum) = integral(&rate, ta, tb) {
+                    rotations.extend(sum.into_iter().zip(angles));
+                }
+            }
+            time += 0.1;
+        }
+        let (turn, turn_explained) = regression(&rotations);
+
+        // Way over 0.2 s by the positions and by the integral of the velocity.
+        let velocity = flight.velocity.map(|velocity| velocity.to_array());
+        let mut ways = Vec::new();
+        let mut time = flight.position.times().first().copied().unwrap_or(f64::INFINITY) + 0.5;
+        let last = flight.position.times().last().copied().unwrap_or(0.0) - 0.5;
+        while time < last {
+            let (a, b) = (flight.position.index_at(time), flight.position.index_at(time + 0.2));
+            if let (Some(a), Some(b)) = (a, b) {
+                let (ta, tb) = (flight.position.times()[a], flight.position.times()[b]);
+                let way = flight.position.values()[b] - flight.position.values()[a];
+                if let Some(sum) = integral(&velocity, ta, tb) {
+                    ways.extend(sum.into_iter().zip(way.to_array()));
+                }
+            }
+            time += 0.2;
+        }
+        let (way, way_explained) = regression(&ways);
+        println!(
+            "{name}: attitude {} at {:.1} Hz, rate {:.1}, position {:.1}, outputs {:.1} {:?}, setpoint {:.1}, \
+             voltage {:.1}, rpm {:.1}, {:?}; turn {turn:.4} ({turn_explained:.4}), way {way:.4} ({way_explained:.4}); {:?}",
+            flight.attitude.len(),
+            flight.attitude.rate(),
+            flight.body_rate.rate(),
+            flight.position.rate(),
+            flight.outputs.rate(),
+            flight.motor_unit,
+            flight.setpoint.rate(),
+            flight.voltage.rate(),
+            flight.rotor_speed.rate(),
+            flight.clock,
+            flight.left_out,
+        );
+        if rotations.len() > 100 {
+            assert!(
+                (turn - 1.0).abs() < 0.1 && turn_explained > 0.9,
+                "{name}: {turn} {turn_explained}"
+            );
+        }
+        if ways.len() > 100 {
+            assert!(
+                (way - 1.0).abs() < 0.1 && way_explained > 0.9,
+                "{name}: {way} {way_explained}"
+            );
+        }
+    }
+}
