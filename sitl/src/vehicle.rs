@@ -122,6 +122,18 @@ pub struct MotorOutput {
     pub disarmed: f64,
 }
 
+/// Where two vehicles differ.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field} is {other} there and {this} in the vehicle at hand")]
+pub struct Difference {
+    /// The field.
+    pub field: &'static str,
+    /// Its value in this vehicle.
+    pub this: String,
+    /// And in the other.
+    pub other: String,
+}
+
 /// Why a vehicle file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleError {
@@ -227,6 +239,25 @@ impl VehicleParams {
         self.check_battery()?;
         self.check_effects(&self.modelled_effects)?;
         Ok(self)
+    }
+
+    /// The first of the numbers by which vehicles are told apart that differs from `other`'s:
+    /// mass, inertia, rotors, on-board law, pack. Names and notes do not count.
+    pub fn difference(&self, other: &Self) -> Option<Difference> {
+        let pair = |field, a: &dyn std::fmt::Debug, b: &dyn std::fmt::Debug| Difference {
+            field,
+            this: format!("{a:?}"),
+            other: format!("{b:?}"),
+        };
+        [
+            pair("mass", &self.mass, &other.mass),
+            pair("inertia", &self.inertia, &other.inertia),
+            pair("rotors", &self.rotors, &other.rotors),
+            pair("attitude_pd", &self.attitude_pd, &other.attitude_pd),
+            pair("battery", &self.battery, &other.battery),
+        ]
+        .into_iter()
+        .find(|difference| difference.this != difference.other)
     }
 
     /// Whether this vehicle has every number that `effects` need.

@@ -43,7 +43,8 @@ impl Logs {
         }
         // Flights of one kind follow one another, whatever the order of the arguments.
         logs.flights.sort_by(|a, b| {
-            let key = |f: &ObservedFlight| (f.flight.origin.run.clone(), f.flight.origin.path.clone());
+            let key =
+                |f: &ObservedFlight| (f.flight.origin.run.clone(), f.flight.origin.path.clone());
             key(a).cmp(&key(b))
         });
         logs

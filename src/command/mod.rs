@@ -86,13 +86,16 @@ fn end_on_broken_pipe() {
     unsafe { libc::signal(libc::SIGPIPE, libc::SIG_DFL) };
 }
 
+/// Exit code of [`Exit::Interrupted`].
+const EXIT_INTERRUPTED: i32 = 130;
+
 /// Sets `flag` on the first Ctrl-C or SIGTERM; the next ends the program at once.
 fn on_interrupt(flag: &Arc<AtomicBool>) -> anyhow::Result<()> {
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         // The order matters: the second signal finds the flag set by the first.
         signal_hook::flag::register_conditional_shutdown(
             signal,
-            i32::from(Exit::Interrupted.code()),
+            EXIT_INTERRUPTED,
             Arc::clone(flag),
         )
         .and_then(|_| signal_hook::flag::register(signal, Arc::clone(flag)))

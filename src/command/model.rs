@@ -166,7 +166,9 @@ fn predict(
     out: Option<&Path>,
 ) -> anyhow::Result<Exit> {
     if !(horizon.is_finite() && horizon > 0.0 && horizon <= HORIZON_MAX_S) {
-        let error = anyhow!("--horizon: expected more than 0 and at most {HORIZON_MAX_S} s, found {horizon}");
+        let error = anyhow!(
+            "--horizon: expected more than 0 and at most {HORIZON_MAX_S} s, found {horizon}"
+        );
         return Err(error).or_exit(Exit::Usage);
     }
     let onboard = Onboard::new(&file.vehicle).or_exit(Exit::Usage)?;
@@ -288,7 +290,8 @@ pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
     );
     text += &format!(
         "labels: linear acceleration from the {}, bandwidth {:.1} Hz\n",
-        summary.data.acceleration, summary.data.label_bandwidth_hz
+        summary.data.acceleration.name(),
+        summary.data.label_bandwidth_hz
     );
     text += &one_step_head();
     text += &one_step_line("labels", "truth", summary.data.label_error.as_ref());

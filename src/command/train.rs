@@ -18,7 +18,6 @@ use crate::learn::dataset::WindowSettings;
 use crate::learn::procedure::{Dataset, Outcome, Progress, Watch, train};
 use crate::learn::summary::TrainSettings;
 use crate::model::learned::Features;
-use crate::report::training;
 
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
@@ -88,7 +87,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
                 fs::create_dir_all(folder)
                     .with_context(|| format!("cannot create the folder {}", folder.display()))?;
                 let page = folder.join("report.html");
-                write_file(&page, training::html(&summary).as_bytes())?;
+                write_file(&page, crate::report::training::html(&summary).as_bytes())?;
                 let json = serde_json::to_vec_pretty(&summary).context("report.json")?;
                 write_file(&folder.join("report.json"), &json)?;
                 report = Some(page);

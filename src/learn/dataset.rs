@@ -12,6 +12,7 @@ use super::segments::{Segments, Unusable};
 use super::window::{BANDWIDTH, Sliding};
 use crate::log::import::{Flight, Stream};
 use crate::model::actuation::{Actuation, Rotors};
+use crate::model::file::AccelerationSource;
 use crate::model::{ACCELERATIONS, Point};
 
 /// Rows a second.
@@ -37,16 +38,6 @@ impl Default for WindowSettings {
     fn default() -> Self {
         Self { half_s: 0.022, velocity_half_s: 0.055 }
     }
-}
-
-/// Where the linear acceleration comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum AccelerationSource {
-    /// The accelerometer, turned to the world, plus gravity, its bias taken out by the velocity.
-    SpecificForce,
-    /// The slope of the velocity.
-    VelocitySlope,
 }
 
 /// What was seen at one instant, before anything is known of the input.
@@ -103,13 +94,15 @@ pub struct Row {
     pub truth: Option<[f64; ACCELERATIONS]>,
 }
 
-/// A rotation's stream with its stamps put right.
-fn shifted<V: Copy>(stream: &Stream<V>, latency: f64) -> Stream<V> {
-    let mut shifted = Stream::default();
-    for (time, value) in stream.iter() {
-        shifted.push(time - latency, *value);
-    }
-    shifted
+/// The log cannot be of this vehicle.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "its commands lift {found:.2} of the vehicle's weight on average, not about 1: it is of another \
+     vehicle, or the motors' unit is wrong"
+)]
+pub struct OtherVehicle {
+    /// Mean commanded thrust over the weight.
+    found: f64,
 }
 
 impl ObservedFlight {
@@ -129,8 +122,8 @@ impl ObservedFlight {
         let segments = Segments::of(&flight)?;
         let (source, law_error) = onboard.source(&flight);
         let alignment = Alignment::of(&flight);
-        let attitude = shifted(&flight.attitude, alignment.attitude_s.unwrap_or(0.0));
-        let velocity = shifted(&flight.velocity, alignment.velocity_s.unwrap_or(0.0));
+        let attitude = flight.attitude.clone().shifted(-alignment.attitude_s.unwrap_or(0.0));
+        let velocity = flight.velocity.clone().shifted(-alignment.velocity_s.unwrap_or(0.0));
 
         let mut accelerations: Stream<[f64; 3]> = Stream::default();
         for (time, force) in flight.specific_force.iter() {
@@ -179,6 +172,28 @@ impl ObservedFlight {
             Self { flight, segments, alignment, source, law_error, observations, half_s };
         observed.remove_accelerometer_bias();
         Ok(observed)
+    }
+
+    /// Whether commands and motion fit the vehicle at all: what the commands lift on average is
+    /// within a factor of two of its weight.
+    ///
+    /// # Errors
+    /// [`OtherVehicle`] with what was found.
+    pub fn check_vehicle(
+        &self,
+        vehicle: &VehicleParams,
+        onboard: &Onboard,
+    ) -> Result<(), OtherVehicle> {
+        let shipped = Actuation { lag_s: vehicle.motor_time_constant_s, ..Actuation::default() };
+        let inputs = self.inputs(onboard, &shipped, 0..self.observations.len());
+        let (mut lift, mut count) = (0.0, 0.0);
+        for input in inputs.into_iter().flatten() {
+            lift += input[0];
+            count += 1.0;
+        }
+        let found = lift / count / (vehicle.mass * vehicle.gravity);
+        let plausible = count == 0.0 || (0.5..2.0).contains(&found);
+        plausible.then_some(()).ok_or(OtherVehicle { found })
     }
 
     /// Takes out of the accelerometer what on average it has over the velocity's slope, in body

@@ -8,8 +8,9 @@ use sitl::frame::Ned;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::commands::Onboard;
-use super::dataset::{AccelerationSource, Observation, ObservedFlight, Row};
+use super::dataset::{Observation, ObservedFlight, Row};
 use crate::model::actuation::Actuation;
+use crate::model::file::AccelerationSource;
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 use crate::model::{ACCELERATIONS, Model};
 

@@ -10,3 +10,12 @@ pub mod segments;
 pub mod split;
 pub mod summary;
 mod window;
+
+mod adam;
+mod kernel;
+mod lanes;
+mod objective;
+pub mod procedure;
+mod rprop;
+pub mod samples;
+pub mod training;

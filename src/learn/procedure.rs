@@ -1,13 +1,13 @@
 //! From observed flights to a model file, step by step: split, actuation, physics, networks,
 //! errors.
 
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::commands::Onboard;
-use super::dataset::{AccelerationSource, ObservedFlight, Row, WindowSettings};
+use super::dataset::{ObservedFlight, Row, WindowSettings};
 use super::evaluation::{HORIZONS_S, MultiStep, OneStep, Predictor, multi_step, window_starts};
 use super::identify;
 use super::prediction::{Baseline, RecordedInputs};
@@ -17,16 +17,80 @@ use super::summary::{
     DataSummary, LearningCurve, LogSummary, MultiStepSummary, OneStepSummary, RefusedLog, Series,
     TrainSettings, TrainingSummary,
 };
-use super::training::{self, Checkpoint, Pass};
+use super::training::{self, Checkpoint, Stop, Trainer};
 use crate::model::actuation::Actuation;
+use crate::model::file::AccelerationSource;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
-use crate::model::net::Normalization;
+use crate::model::net::{Mlp, Normalization};
 use crate::model::physics::PhysicsModel;
 use crate::model::{ACCELERATIONS, Model};
 
 /// Least number of training rows.
 pub const ROWS_MIN: usize = 500;
+/// Errors of a model file on logs that it may never have seen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// Rows.
+    pub rows: usize,
+    /// Errors of each model's accelerations, over the variance of these rows' labels.
+    pub one_step: Vec<EvaluatedModel>,
+    /// Open-loop errors: models, then baselines.
+    pub multi_step: Vec<MultiStepSummary>,
+}
+
+/// Errors of a model's accelerations on one set of logs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvaluatedModel {
+    /// The model.
+    pub model: ModelKind,
+    /// Against the labels.
+    pub labels: Option<OneStep>,
+    /// Against the simulator's truth.
+    pub truth: Option<OneStep>,
+}
+
+/// Judges a model file on flights.
+///
+/// # Errors
+/// Physics that the file's vehicle does not allow.
+pub fn evaluate(
+    file: &ModelFile,
+    onboard: &Onboard,
+    flights: &[ObservedFlight],
+    watch: &mut dyn Watch,
+) -> Result<Evaluation, VehicleError> {
+    watch.stage("errors", 8);
+    let source = file.acceleration;
+    let rows: Vec<Row> =
+        flights.iter().flat_map(|f| f.rows(onboard, &file.actuation, source)).collect();
+    let rows: Vec<&Row> = rows.iter().collect();
+    let deviation = deviation(&rows);
+    let mut models = Vec::new();
+    for kind in ModelKind::ALL {
+        models.push((kind, file.model(kind)?));
+    }
+    let one_step = models
+        .iter()
+        .map(|(kind, model)| {
+            watch.step("one step");
+            EvaluatedModel {
+                model: *kind,
+                labels: OneStep::of(model.as_ref(), &rows, &deviation, |row| Some(row.label)),
+                truth: OneStep::of(model.as_ref(), &rows, &deviation, |row| row.truth),
+            }
+        })
+        .collect();
+    let windows: Vec<_> = flights
+        .iter()
+        .map(|flight| {
+            let inputs = RecordedInputs::new(flight, onboard, &file.actuation);
+            (inputs, window_starts(&flight.segments.spans))
+        })
+        .collect();
+    Ok(Evaluation { rows: rows.len(), one_step, multi_step: compare(&windows, &models, watch) })
+}
+
 /// Length of the pieces over which observed and predicted are drawn, s.
 const SERIES_S: f64 = 10.0;
 /// Accelerations that are drawn: the paper's, east and roll.
@@ -83,8 +147,17 @@ pub struct Progress {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct DoneTraining {
-    network: training::Training,
+    network: Mlp,
+    curve: Vec<training::Pass>,
     regularization: f64,
+}
+
+impl DoneTraining {
+    /// Number of the pass with the lowest validation loss, and that loss.
+    fn best(&self) -> (usize, f64) {
+        let losses = self.curve.iter().filter_map(|pass| Some((pass.number, pass.validation?)));
+        losses.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
+    }
 }
 
 /// How a training ended.
@@ -144,7 +217,13 @@ impl<'a> Dataset<'a> {
             let actuation = identify::actuation(&training, onboard, vehicle, source);
             let rows: Vec<Vec<Row>> =
                 flights.iter().map(|f| f.rows(onboard, &actuation, source)).collect();
-            let candidate = Self { actuation, acceleration: source, rows, split: dataset.split.clone(), ..dataset };
+            let candidate = Self {
+                actuation,
+                acceleration: source,
+                rows,
+                split: dataset.split.clone(),
+                ..dataset
+            };
             let fit = candidate.part(Part::Training);
             if fit.len() < ROWS_MIN {
                 continue;
@@ -236,7 +315,9 @@ pub fn train(
 
     let fingerprint = fingerprint(dataset, settings);
     let mut progress = match progress {
-        Some(progress) if progress.fingerprint != fingerprint => return Err(TrainError::Checkpoint),
+        Some(progress) if progress.fingerprint != fingerprint => {
+            return Err(TrainError::Checkpoint);
+        }
         Some(progress) => progress,
         None => Progress { fingerprint, ..Progress::default() },
     };
@@ -269,22 +350,26 @@ pub fn train(
                     };
                     let current = progress.current.take();
                     let note = format!("{} {} {regularization}", kind.name(), head.name());
-                    let trained = training::train(
-                        &set.training,
-                        &set.validation,
-                        &passes,
-                        current,
-                        &mut |_: &Pass| {
-                            watch.step(&note);
-                            if watch.interrupted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-                        },
-                    )
-                    .map_err(|error| network_error(kind, head, error.to_string()))?;
-                    if let Some(checkpoint) = trained.checkpoint {
-                        progress.current = Some(checkpoint);
+                    let mut trainer =
+                        Trainer::new(&set.training, &set.validation, &passes, current)
+                            .map_err(|error| network_error(kind, head, error.to_string()))?;
+                    let stop = loop {
+                        match trainer.pass() {
+                            Ok(_) if watch.interrupted() => break Stop::Interrupted,
+                            Ok(_) => watch.step(&note),
+                            Err(stop) => break stop,
+                        }
+                    };
+                    if stop == Stop::Interrupted {
+                        progress.current = Some(trainer.checkpoint().clone());
                         return Ok(Outcome::Interrupted(progress));
                     }
-                    progress.done.push(DoneTraining { network: trained, regularization: *regularization });
+                    let trained = trainer.finish(stop);
+                    progress.done.push(DoneTraining {
+                        network: trained.network,
+                        curve: trained.curve,
+                        regularization: *regularization,
+                    });
                 }
                 job += 1;
             }
@@ -292,7 +377,7 @@ pub fn train(
             let best = tried
                 .iter()
                 .enumerate()
-                .min_by(|a, b| a.1.network.best_loss().total_cmp(&b.1.network.best_loss()))
+                .min_by(|a, b| a.1.best().1.total_cmp(&b.1.best().1))
                 .map_or(0, |(index, _)| index);
             for (index, done) in tried.iter().enumerate() {
                 curves.push(LearningCurve {
@@ -300,15 +385,15 @@ pub fn train(
                     network: head.name().to_owned(),
                     regularization: done.regularization,
                     chosen: index == best,
-                    best_pass: done.network.best_pass(),
-                    training: done.network.curve.iter().map(|p| p.training_loss).collect(),
-                    validation: done.network.curve.iter().map(|p| p.validation_loss).collect(),
+                    best_pass: done.best().0,
+                    training: done.curve.iter().map(|pass| pass.training).collect(),
+                    validation: done.curve.iter().map(|pass| pass.validation).collect(),
                 });
             }
             networks.push(Network {
                 inputs: set.inputs,
                 outputs: set.outputs,
-                mlp: tried[best].network.network.clone(),
+                mlp: tried[best].network.clone(),
             });
         }
         let [linear, angular] = <[Network; 2]>::try_from(networks)
@@ -321,6 +406,7 @@ pub fn train(
     let mut file = ModelFile {
         vehicle: vehicle.clone(),
         actuation: dataset.actuation,
+        acceleration: dataset.acceleration,
         net,
         physics: physics.clone(),
         residual,
@@ -339,10 +425,7 @@ pub fn train(
             split: dataset.split.kind,
             rows: [training.len(), validation.len(), test.len()],
             label_bandwidth_hz: windows.bandwidth_hz(),
-            acceleration: match dataset.acceleration {
-                AccelerationSource::SpecificForce => "specific force".to_owned(),
-                AccelerationSource::VelocitySlope => "slope of the velocity".to_owned(),
-            },
+            acceleration: dataset.acceleration,
             deviation,
             label_error: label_error(training, &deviation),
             logs: dataset.log_summaries(),

@@ -8,7 +8,7 @@ use super::evaluation::{MultiStep, OneStep};
 use super::split::{Part, SplitKind};
 use crate::model::ACCELERATIONS;
 use crate::model::actuation::Actuation;
-use crate::model::file::ModelKind;
+use crate::model::file::{AccelerationSource, ModelKind};
 use crate::model::learned::Features;
 use crate::model::physics::PhysicsParameters;
 
@@ -70,7 +70,7 @@ pub struct DataSummary {
     /// -3 dB bandwidth of the labels, Hz.
     pub label_bandwidth_hz: f64,
     /// Where the linear acceleration is from.
-    pub acceleration: String,
+    pub acceleration: AccelerationSource,
     /// Deviation of each label over the training rows.
     pub deviation: [f64; ACCELERATIONS],
     /// Mean squared difference between labels and the simulator's truth, over the labels'
@@ -135,8 +135,8 @@ pub struct LearningCurve {
     pub best_pass: usize,
     /// Normalised mean squared error on the training rows, pass by pass.
     pub training: Vec<f64>,
-    /// And on the validation rows.
-    pub validation: Vec<f64>,
+    /// And on the validation rows, where it was looked at.
+    pub validation: Vec<Option<f64>>,
 }
 
 /// Errors of a model's accelerations.

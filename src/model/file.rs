@@ -7,7 +7,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use sitl::vehicle::{VehicleError, VehicleParams};
+use sitl::vehicle::{Difference, VehicleError, VehicleParams};
 
 use super::Model;
 use super::actuation::Actuation;
@@ -53,6 +53,26 @@ impl ModelKind {
     }
 }
 
+/// Where the linear acceleration comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AccelerationSource {
+    /// The accelerometer, turned to the world, plus gravity, its bias taken out by the velocity.
+    SpecificForce,
+    /// The slope of the velocity.
+    VelocitySlope,
+}
+
+impl AccelerationSource {
+    /// Its name for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            AccelerationSource::SpecificForce => "specific force",
+            AccelerationSource::VelocitySlope => "slope of the velocity",
+        }
+    }
+}
+
 /// A model file, in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelFile {
@@ -60,6 +80,8 @@ pub struct ModelFile {
     pub vehicle: VehicleParams,
     /// How its rotors answer.
     pub actuation: Actuation,
+    /// Where the linear acceleration that it learned is from.
+    pub acceleration: AccelerationSource,
     /// The networks.
     pub net: NetworkModel,
     /// The physics' parameters.
@@ -105,8 +127,8 @@ pub enum ModelFileError {
     },
     /// For another vehicle.
     #[error(
-        "model file {}: it was trained for the vehicle {trained:?}, whose {field} is {expected}; \
-         {other:?} has {found}. Train a model for this vehicle",
+        "model file {}: it was trained for the vehicle {trained:?}, this is another: {difference}. \
+         Train a model for it",
         path.display()
     )]
     Vehicle {
@@ -114,14 +136,8 @@ pub enum ModelFileError {
         path: PathBuf,
         /// Name of its vehicle.
         trained: String,
-        /// Name of the vehicle at hand.
-        other: String,
         /// What differs.
-        field: &'static str,
-        /// The model's.
-        expected: String,
-        /// The vehicle's.
-        found: String,
+        difference: Difference,
     },
     /// Its vehicle is impossible.
     #[error(transparent)]
@@ -140,6 +156,7 @@ struct Header {
     residual_features: Features,
     feature_names: [Vec<String>; 2],
     actuation: Actuation,
+    acceleration: AccelerationSource,
     physics: PhysicsParameters,
     preferred: ModelKind,
     training: serde_json::Value,
@@ -189,6 +206,7 @@ impl ModelFile {
             feature_names: Head::BOTH
                 .map(|head| self.net.features.names(head).into_iter().map(str::to_owned).collect()),
             actuation: self.actuation,
+            acceleration: self.acceleration,
             physics: self.physics.clone(),
             preferred: self.preferred,
             training: self.training.clone(),
@@ -296,6 +314,7 @@ impl ModelFile {
             residual: model("residual", header.residual_features).map_err(damaged)?,
             vehicle: header.vehicle.checked()?,
             actuation: header.actuation,
+            acceleration: header.acceleration,
             physics: header.physics,
             preferred: header.preferred,
             training: header.training,
@@ -312,23 +331,12 @@ impl ModelFile {
         vehicle: &VehicleParams,
         path: &Path,
     ) -> Result<(), ModelFileError> {
-        let (a, b) = (&self.vehicle, vehicle);
-        let difference = [
-            ("mass", format!("{} kg", a.mass), format!("{} kg", b.mass)),
-            ("inertia", format!("{:?} kg m^2", a.inertia), format!("{:?} kg m^2", b.inertia)),
-            ("rotors", format!("{:?}", a.rotors), format!("{:?}", b.rotors)),
-            ("attitude_pd", format!("{:?}", a.attitude_pd), format!("{:?}", b.attitude_pd)),
-            ("battery", format!("{:?}", a.battery), format!("{:?}", b.battery)),
-        ];
-        match difference.into_iter().find(|(_, expected, found)| expected != found) {
+        match self.vehicle.difference(vehicle) {
             None => Ok(()),
-            Some((field, expected, found)) => Err(ModelFileError::Vehicle {
+            Some(difference) => Err(ModelFileError::Vehicle {
                 path: path.to_owned(),
-                trained: a.name.clone(),
-                other: b.name.clone(),
-                field,
-                expected,
-                found,
+                trained: self.vehicle.name.clone(),
+                difference,
             }),
         }
     }

@@ -9,6 +9,7 @@ pub mod file;
 pub mod hybrid;
 pub mod learned;
 pub mod net;
+pub mod onnx;
 pub mod physics;
 
 use sitl::frame::{Euler, Frd, Ned};

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// `y = V max(W x + b, 0) + c`, in normalised units.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mlp {
     /// Number of inputs.
     pub inputs: usize,

@@ -8,5 +8,6 @@ pub mod histogram;
 pub mod page;
 pub mod scene;
 pub mod table;
+pub mod training;
 
 pub use flight::FlightReport;

@@ -1,0 +1,326 @@
+//! The page of a training's report.
+
+use super::axis::significant;
+use super::chart::{Chart, Curve, Panel, Style};
+use super::page::{Mood, Page};
+use super::table::{Table, definitions};
+use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
+use crate::learn::summary::{LearningCurve, TrainingSummary};
+use crate::model::file::ModelKind;
+
+/// Parts of the rows, in the order of the summary.
+const PARTS: [&str; 3] = ["training", "validation", "test"];
+/// Accelerations with their units, as on axes.
+const AXES: [&str; 6] = [
+    "north (m/s\u{b2})",
+    "east (m/s\u{b2})",
+    "down (m/s\u{b2})",
+    "roll (rad/s\u{b2})",
+    "pitch (rad/s\u{b2})",
+    "yaw (rad/s\u{b2})",
+];
+
+/// The whole page, self-contained.
+pub fn html(summary: &TrainingSummary) -> String {
+    let seconds: f64 = summary.data.logs.iter().map(|log| log.usable_s).sum();
+    let mut page = Page::new(
+        &format!("Training report: {}", summary.vehicle),
+        &format!(
+            "networks, physics and their hybrid from {} logs, {seconds:.0} s of flight",
+            summary.data.logs.len()
+        ),
+    );
+    verdict(summary, &mut page);
+    page.section(
+        "Observed and predicted",
+        "Accelerations of a test flight, which no model was fitted on: the label, and what each model says at the same state and input.",
+        &series(summary),
+    );
+    page.section(
+        "One step",
+        "Mean squared error of the accelerations over the variance of the training labels: 1 is no better than the mean. Truth is the simulator's, where the logs hold it.",
+        &one_step(summary),
+    );
+    page.section(
+        "Open loop",
+        "From the reported state at the start of a window and the recorded inputs alone; root mean square over windows of the test part, every 0.25 s.",
+        &multi_step(summary),
+    );
+    page.section(
+        "Learning",
+        "Normalised mean squared error pass by pass, on a logarithmic scale, for the regularisation that validation chose.",
+        &learning(summary),
+    );
+    page.section("Data", "", &data(summary));
+    page.section("How this was computed", "", &provenance(summary));
+    page.into_html()
+}
+
+/// Errors on the test rows: against the truth where it is known.
+fn tested(summary: &TrainingSummary, kind: ModelKind) -> Option<(&OneStep, bool)> {
+    let errors = summary.one_step.iter().find(|errors| errors.model == kind)?;
+    let truth = errors.truth[2].as_ref().map(|errors| (errors, true));
+    truth.or(errors.labels[2].as_ref().map(|errors| (errors, false)))
+}
+
+fn verdict(summary: &TrainingSummary, page: &mut Page) {
+    let kind = summary.preferred;
+    let mut reasons = Vec::new();
+    let refused = summary.data.refused.len();
+    if refused > 0 {
+        reasons.push(format!("{refused} logs were left out whole; they are listed below"));
+    }
+    for errors in &summary.one_step {
+        if let [Some(training), _, Some(test)] = &errors.labels {
+            for (name, training, test) in [
+                ("linear", training.linear, test.linear),
+                ("angular", training.angular, test.angular),
+            ] {
+                if test > 1.1 * training {
+                    reasons.push(format!(
+                        "{}: the {name} test error is {:.0} % above that of training",
+                        errors.model.name(),
+                        100.0 * (test / training - 1.0)
+                    ));
+                }
+            }
+        }
+    }
+    let sentence = match tested(summary, kind) {
+        Some((errors, truth)) => format!(
+            "The {} model predicts best on the validation flights; on the test flights it leaves {} of the variance of the linear and {} of the angular accelerations{}.",
+            kind.name(),
+            percent(errors.linear),
+            percent(errors.angular),
+            if truth { ", against the simulator's truth" } else { "" }
+        ),
+        None => format!("The {} model predicts best on the validation flights.", kind.name()),
+    };
+    let mood = if reasons.is_empty() { Mood::Good } else { Mood::Warning };
+    page.verdict(mood, &sentence, &reasons);
+    let mut figures = Vec::new();
+    for (errors, label) in summary.one_step.iter().zip([
+        ["net, linear", "net, angular"],
+        ["physics, linear", "physics, angular"],
+        ["hybrid, linear", "hybrid, angular"],
+    ]) {
+        if let Some(test) = &errors.labels[2] {
+            figures.push((label[0], significant(test.linear), Mood::Plain));
+            figures.push((label[1], significant(test.angular), Mood::Plain));
+        }
+    }
+    figures.push(("delay", format!("{:.1} ms", 1e3 * summary.actuation.delay_s), Mood::Plain));
+    figures.push(("rotors' lag", format!("{:.1} ms", 1e3 * summary.actuation.lag_s), Mood::Plain));
+    page.figures(&figures);
+}
+
+fn percent(share: f64) -> String {
+    format!("{} %", significant(100.0 * share))
+}
+
+fn series(summary: &TrainingSummary) -> String {
+    let mut html = String::new();
+    for series in &summary.series {
+        let mut curves = vec![Curve {
+            name: "observed".into(),
+            style: Style::Reference,
+            y: series.observed.clone(),
+        }];
+        for ((kind, y), colour) in ModelKind::ALL.iter().zip(&series.predicted).zip(1..) {
+            let name = kind.name().into();
+            curves.insert(0, Curve { name, style: Style::Colour(colour), y: y.clone() });
+        }
+        let name = format!("{} in {}", AXES[series.acceleration], series.run);
+        let (x_label, x) = ("time (s)", series.time_s.as_slice());
+        let panels = vec![Panel { name, curves }];
+        html += &Chart { x_label, x, bands: &[], height: 190.0, panels }.to_html();
+    }
+    html
+}
+
+fn one_step(summary: &TrainingSummary) -> String {
+    let mut columns = vec![("model", false), ("rows", false), ("linear", true), ("angular", true)];
+    columns.extend(ACCELERATION_NAMES.map(|name| (name, true)));
+    let mut table = Table::new(&columns);
+    let mut row = |name: &str, part: &str, errors: Option<&OneStep>| {
+        let Some(errors) = errors else { return };
+        let mut cells = vec![name.to_owned(), part.to_owned()];
+        cells.extend([errors.linear, errors.angular].map(|e| format!("{e:.4}")));
+        cells.extend(errors.each.map(|e| format!("{e:.4}")));
+        table.row(Mood::Plain, &cells);
+    };
+    for errors in &summary.one_step {
+        for (part, labels) in PARTS.iter().zip(&errors.labels) {
+            row(errors.model.name(), part, labels.as_ref());
+        }
+        for (part, truth) in PARTS.iter().zip(&errors.truth) {
+            row(errors.model.name(), &format!("{part}, truth"), truth.as_ref());
+        }
+    }
+    row("labels", "against truth", summary.data.label_error.as_ref());
+    table.into_html()
+}
+
+fn multi_step(summary: &TrainingSummary) -> String {
+    let Some(first) = summary.multi_step.first() else {
+        return "<p class=\"note\">No window fits into the test part.</p>".into();
+    };
+    let mut table = Table::new(&[
+        ("horizon", false),
+        ("predictor", false),
+        ("position (m)", true),
+        ("velocity (m/s)", true),
+        ("attitude (rad)", true),
+        ("body rate (rad/s)", true),
+    ]);
+    for (index, horizon) in first.horizons_s.iter().enumerate() {
+        for predictor in &summary.multi_step {
+            let e = &predictor.errors[index];
+            let values = [e.position_m, e.velocity_m_s, e.attitude_rad, e.rate_rad_s];
+            let mut cells = vec![format!("{horizon} s"), predictor.predictor.clone()];
+            cells.extend(values.map(significant));
+            table.row(Mood::Plain, &cells);
+        }
+    }
+    format!("{}<p class=\"note\">{} windows.</p>", table.into_html(), first.windows)
+}
+
+fn learning(summary: &TrainingSummary) -> String {
+    let mut html = String::new();
+    for curve in summary.curves.iter().filter(|curve| curve.chosen) {
+        let passes: Vec<f64> = (1..=curve.training.len()).map(|pass| pass as f64).collect();
+        let log = |loss: f64| loss.max(f64::MIN_POSITIVE).log10();
+        let training = curve.training.iter().map(|loss| log(*loss)).collect();
+        let panels = vec![Panel {
+            name: format!("{} {}: log10 of the error", curve.model.name(), curve.network),
+            curves: vec![
+                Curve { name: "training".into(), style: Style::Colour(1), y: training },
+                Curve { name: "validation".into(), style: Style::Colour(2), y: held(curve) },
+            ],
+        }];
+        let x = passes.as_slice();
+        html += &Chart { x_label: "pass", x, bands: &[], height: 120.0, panels }.to_html();
+    }
+    let mut table = Table::new(&[
+        ("network", false),
+        ("regularisation", true),
+        ("best pass", true),
+        ("training", true),
+        ("validation", true),
+        ("chosen", false),
+    ]);
+    for curve in &summary.curves {
+        let at = curve.best_pass.saturating_sub(1);
+        let error = |value: Option<f64>| value.map_or("unknown".to_owned(), |e| format!("{e:.5}"));
+        let cells = [
+            format!("{} {}", curve.model.name(), curve.network),
+            curve.regularization.to_string(),
+            curve.best_pass.to_string(),
+            error(curve.training.get(at).copied()),
+            error(curve.validation.get(at).copied().flatten()),
+            if curve.chosen { "yes" } else { "" }.to_owned(),
+        ];
+        table.row(Mood::Plain, &cells);
+    }
+    html + &table.into_html()
+}
+
+/// The validation error's logarithm, held from one look to the next.
+fn held(curve: &LearningCurve) -> Vec<f64> {
+    let mut last = f64::NAN;
+    let looks = curve.validation.iter();
+    looks
+        .map(|look| {
+            last = look.map_or(last, |loss| loss.max(f64::MIN_POSITIVE).log10());
+            last
+        })
+        .collect()
+}
+
+fn data(summary: &TrainingSummary) -> String {
+    let mut table = Table::new(&[
+        ("log", false),
+        ("used (s)", true),
+        ("rows", true),
+        ("for", false),
+        ("input from", false),
+        ("left out", false),
+        ("SHA-256", false),
+    ]);
+    for log in &summary.data.logs {
+        let parts: Vec<&str> = log.parts.iter().map(|part| PARTS[*part as usize]).collect();
+        let left_out: Vec<String> =
+            log.left_out.iter().map(|(why, amount)| format!("{why}: {amount}")).collect();
+        table.row(
+            Mood::Plain,
+            &[
+                log.run.clone(),
+                format!("{:.1}", log.usable_s),
+                log.rows.to_string(),
+                parts.join(", "),
+                log.source.clone(),
+                left_out.join("; "),
+                log.sha256.chars().take(12).collect(),
+            ],
+        );
+    }
+    let mut html = table.into_html();
+    if !summary.data.refused.is_empty() {
+        let mut table = Table::new(&[("log left out whole", false), ("why", false)]);
+        for log in &summary.data.refused {
+            let cells = [log.path.display().to_string(), log.reason.clone()];
+            table.row(Mood::Warning, &cells);
+        }
+        html += &table.into_html();
+    }
+    html
+}
+
+fn provenance(summary: &TrainingSummary) -> String {
+    let [training, validation, test] = summary.data.rows;
+    let settings = &summary.settings;
+    let actuation = &summary.actuation;
+    let entries = [
+        ("rows", format!("100 a second: {training} training, {validation} validation, {test} test")),
+        (
+            "split",
+            match summary.data.split {
+                crate::learn::split::SplitKind::WholeFlights => "whole flights".to_owned(),
+                crate::learn::split::SplitKind::Blocks => {
+                    "contiguous blocks of each flight, 1 s apart".to_owned()
+                }
+            },
+        ),
+        (
+            "labels",
+            format!(
+                "angular: slope of the least-squares line through the gyro within {:.0} ms; linear: {}. -3 dB bandwidth {:.1} Hz. Inputs are averaged with the window that makes both comparable",
+                1e3 * settings.window_half_s,
+                summary.data.acceleration.name(),
+                summary.data.label_bandwidth_hz
+            ),
+        ),
+        (
+            "actuation",
+            format!(
+                "delay {:.1} ms, first-order lag {:.1} ms, thrust with the voltage ratio to the power {:.2}; found on the training rows",
+                1e3 * actuation.delay_s,
+                1e3 * actuation.lag_s,
+                actuation.voltage_exponent
+            ),
+        ),
+        (
+            "networks",
+            format!(
+                "{} hidden units, {:?} features, at most {} passes of {}, seed {}",
+                settings.hidden, settings.features, settings.passes, settings.method, settings.seed
+            ),
+        ),
+        (
+            "physics",
+            serde_json::to_string(&summary.physics).unwrap_or_else(|error| error.to_string()),
+        ),
+        ("frames", "world north, east, down; body front, right, down; SI, rad".to_owned()),
+    ];
+    definitions(entries.iter().map(|(term, value)| (*term, value.as_str())))
+}
