@@ -1,0 +1,88 @@
+//! Resilient backpropagation: Riedmiller and Braun 1993, in the form without weight backtracking
+//! (Rprop-, Igel and Huesken 2000).
+
+use serde::{Deserialize, Serialize};
+
+/// First step of every parameter.
+const FIRST_STEP: f32 = 1e-2;
+/// A step grows by this while the derivative keeps its sign.
+const GROWTH: f32 = 1.2;
+/// A step shrinks by this when the derivative changes its sign.
+const SHRINKAGE: f32 = 0.5;
+/// Bounds of a step.
+const STEPS: std::ops::RangeInclusive<f32> = 1e-6..=50.0;
+
+/// The optimiser's memory: the gradient decides the direction only, the step is each parameter's
+/// own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Rprop {
+    steps: Vec<f32>,
+    /// The last gradient; 0 where its sign changed, so that the next step is neither grown nor
+    /// shrunk.
+    last: Vec<f32>,
+}
+
+impl Rprop {
+    pub fn new(parameters: usize) -> Self {
+        Self { steps: vec![FIRST_STEP; parameters], last: vec![0.0; parameters] }
+    }
+
+    /// Number of parameters.
+    pub fn len(&self) -> usize {
+        self.steps.len().min(self.last.len())
+    }
+
+    pub fn step(&mut self, parameters: &mut [f32], gradient: &[f64]) {
+        let memory = self.steps.iter_mut().zip(&mut self.last);
+        for ((parameter, &derivative), (step, last)) in
+            parameters.iter_mut().zip(gradient).zip(memory)
+        {
+            let derivative = derivative as f32;
+            let turned = derivative.signum() * last.signum();
+            let known = derivative != 0.0 && *last != 0.0;
+            if known && turned < 0.0 {
+                *step = (*step * SHRINKAGE).max(*STEPS.start());
+                *last = 0.0;
+                continue;
+            }
+            if known {
+                *step = (*step * GROWTH).min(*STEPS.end());
+            }
+            if derivative != 0.0 {
+                *parameter -= step.copysign(derivative);
+            }
+            *last = derivative;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_grows_then_shrinks_then_pauses() {
+        let mut rprop = Rprop::new(1);
+        let mut parameter = [0.0];
+        rprop.step(&mut parameter, &[-1.0]);
+        assert_eq!(parameter, [FIRST_STEP]);
+        rprop.step(&mut parameter, &[-1e-3]);
+        assert_eq!(parameter, [FIRST_STEP + FIRST_STEP * GROWTH]);
+        let before = parameter;
+        rprop.step(&mut parameter, &[1.0]);
+        assert_eq!(parameter, before, "no step when the sign changes");
+        rprop.step(&mut parameter, &[1.0]);
+        assert_eq!(parameter, [before[0] - FIRST_STEP * GROWTH * SHRINKAGE]);
+    }
+
+    #[test]
+    fn it_finds_the_bottom_of_a_badly_scaled_bowl() {
+        let mut rprop = Rprop::new(2);
+        let mut at = [3.0_f32, -2.0];
+        for _ in 0..200 {
+            let gradient = [1e4 * f64::from(at[0]), 1e-4 * f64::from(at[1])];
+            rprop.step(&mut at, &gradient);
+        }
+        assert!(at.iter().all(|value| value.abs() < 1e-4), "{at:?}");
+    }
+}
