@@ -18,6 +18,7 @@ pub mod descriptor;
 pub mod export;
 mod flights;
 pub mod info;
+mod lengths;
 mod mcap_file;
 mod name;
 pub mod reader;
