@@ -58,6 +58,33 @@ static LOG: LazyLock<Vec<u8>> = LazyLock::new(|| {
     std::fs::read(write(&directory, &records(0.2))).unwrap()
 });
 
+/// An MCAP record.
+fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
+    [&[opcode], &(body.len() as u64).to_le_bytes()[..], body].concat()
+}
+
+/// Found by the fuzzer: a record that is longer than the uncompressed chunk around it.
+#[test]
+fn records_longer_than_their_chunk_do_not_break_the_flight_log() {
+    let records = [&[4], &1000_u64.to_le_bytes()[..], &[0; 20]].concat();
+    let size = (records.len() as u64).to_le_bytes();
+    // Start and end time, uncompressed size, no checksum, no compression, size.
+    let chunk = [&[0; 16][..], &size, &[0; 4], &[0; 4], &size, &records].concat();
+    for after in [0, 5, 2000] {
+        fuzz::flight_log(&[record(6, &chunk), vec![0; after]].concat());
+        fuzz::flight_log(&record(6, &[&chunk[..], &vec![0; after]].concat()));
+    }
+}
+
+#[test]
+fn attachments_that_are_cut_off_do_not_break_the_flight_log() {
+    // Times, an empty name and media type, no data, a checksum.
+    let attachment = [0; 16 + 4 + 4 + 8 + 4];
+    for length in 0..=attachment.len() {
+        fuzz::flight_log(&record(9, &attachment[..length]));
+    }
+}
+
 proptest! {
     #[test]
     fn no_bytes_break_the_link(input in any_input()) {

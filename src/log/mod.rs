@@ -19,6 +19,7 @@ pub mod export;
 mod flights;
 pub mod import;
 pub mod info;
+mod lengths;
 mod mcap_file;
 mod name;
 pub mod reader;

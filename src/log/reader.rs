@@ -9,6 +9,7 @@ use std::sync::Arc;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use super::lengths;
 use super::schema::Flat;
 use crate::clock::HostTime;
 
@@ -269,6 +270,10 @@ impl<R: Read> LogReader<R> {
             return Ok(None);
         }
         match opcode {
+            op::CHUNK if !self.chunk_fits() => {
+                self.ending.damage(format!("chunk at byte {offset}: its records do not fill it"));
+                Ok(None)
+            }
             op::CHUNK => {
                 let options = LinearReaderOptions::default()
                     .with_skip_start_magic(true)
@@ -290,6 +295,16 @@ impl<R: Read> LogReader<R> {
                 self.record = record;
                 Ok(head)
             }
+        }
+    }
+
+    /// Whether the chunk in `record` can be handed on: a compressed one's records come in time.
+    fn chunk_fits(&self) -> bool {
+        match mcap::parse_record(op::CHUNK, &self.record[RECORD_HEAD..]) {
+            Ok(Record::Chunk { header, data }) if header.compression.is_empty() => {
+                lengths::records_fill(&data)
+            }
+            _ => true,
         }
     }
 
@@ -344,6 +359,10 @@ impl<R: Read> LogReader<R> {
 
     /// Takes in a record; `Some` if it is a message.
     fn accept(&mut self, opcode: u8, data: &[u8], offset: u64) -> Option<Head> {
+        if opcode == op::ATTACHMENT && !lengths::attachment_fits(data) {
+            self.ending.damage(format!("attachment at byte {offset}: longer than its record"));
+            return None;
+        }
         let record = match mcap::parse_record(opcode, data) {
             Ok(record) => record,
             Err(error) => {

@@ -13,6 +13,7 @@ pub mod commands;
 pub mod flight;
 mod ftp;
 pub mod guidance;
+pub mod identity;
 pub mod land_detector;
 mod link;
 mod modes;
@@ -21,6 +22,7 @@ pub mod parameters;
 pub mod pd;
 pub mod position;
 pub mod protocol;
+pub mod status_text;
 pub mod streams;
 pub mod telemetry;
 #[cfg(test)]

@@ -2,6 +2,9 @@
 
 #![allow(deprecated, reason = "clients still send and ask for superseded messages")]
 
+mod command;
+mod parameter;
+
 use mavlink::Message;
 use wire::Frame;
 use wire::dialect::*;
@@ -10,19 +13,15 @@ use crate::config::Home;
 use crate::frame::{Attitude, Frd, Ned};
 use crate::vehicle::{MotorOutput, ROTORS};
 
-use super::arming::Refusal;
-use super::commands::{Acknowledgement, Command};
+use super::commands::Command;
 use super::flight::FlightControl;
 use super::guidance::Sticks;
 use super::link::{Link, Outbox, Peer};
 use super::offboard::AttitudeSetpoint;
-use super::parameters::{Parameters, SetError, Value};
-use super::streams::{IntervalError, Stream};
-use super::telemetry::{self, Battery, Snapshot};
-use super::{COMPONENT_ID, Mode, SYSTEM_ID, ftp};
-
-/// MAV_CMD_COMPONENT_ARM_DISARM's parameter 2 that disarms in the air.
-const FORCE: f32 = 21196.0;
+use super::parameters::Parameters;
+use super::streams::Stream;
+use super::telemetry::{Battery, Snapshot};
+use super::{COMPONENT_ID, Mode, SYSTEM_ID, ftp, status_text};
 
 /// Most peers that are served at once; further ones are not heard.
 pub const PEERS_MAX: usize = 64;
@@ -137,7 +136,7 @@ impl Protocol {
         for link in &mut links {
             link.send_due(&snapshot, &mut outbox);
             if let Some(index) = link.parameter_list {
-                if let Some(message) = parameter_value(&self.flight.parameters, index) {
+                if let Some(message) = parameter::value_message(&self.flight.parameters, index) {
                     link.send(&message, &mut outbox);
                 }
                 link.parameter_list = Some(index + 1).filter(|next| *next < Parameters::COUNT);
@@ -154,7 +153,7 @@ impl Protocol {
                 self.texts = self.texts.wrapping_add(1);
                 // PX4's texts end in a tab where an event says the same.
                 let text = format!("{}\t", notice.text);
-                for message in telemetry::status_text(notice.severity, &text, self.texts) {
+                for message in status_text::status_text(notice.severity, &text, self.texts) {
                     self.broadcast(&message);
                 }
             }
@@ -308,199 +307,12 @@ impl Protocol {
             target_component: sender.component,
         })
     }
-
-    fn read_parameter(&mut self, sender: Sender, request: &PARAM_REQUEST_READ_DATA) {
-        let index = match usize::try_from(request.param_index) {
-            Ok(index) => Some(index),
-            Err(_) => request.param_id.to_str().ok().and_then(|n| self.flight.parameters.find(n)),
-        };
-        let answer = index
-            .and_then(|index| parameter_value(&self.flight.parameters, index))
-            .unwrap_or_else(|| {
-                let error = MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST;
-                parameter_error(sender, request.param_id, request.param_index, error)
-            });
-        self.reply(sender, &answer);
-    }
-
-    /// A change is told to everyone; a refusal to who asked, together with the value in force.
-    fn set_parameter(&mut self, sender: Sender, request: &PARAM_SET_DATA) {
-        let name = request.param_id.to_str().unwrap_or_default();
-        let result = Value::from_wire(request.param_value, request.param_type)
-            .ok_or(SetError::Type)
-            .and_then(|value| self.flight.parameters.set(name, value));
-        match result {
-            Ok(index) => {
-                if let Some(message) = parameter_value(&self.flight.parameters, index) {
-                    self.broadcast(&message);
-                }
-            }
-            Err(error) => {
-                let severity = MavSeverity::MAV_SEVERITY_WARNING;
-                self.flight.commander.notify(severity, format!("{name} not set: {error}"));
-                let known = self.flight.parameters.find(name);
-                let code = match error {
-                    SetError::Unknown => MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
-                    SetError::Type => MavParamError::MAV_PARAM_ERROR_TYPE_MISMATCH,
-                    SetError::Range { .. } => MavParamError::MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
-                    SetError::ReadOnly => MavParamError::MAV_PARAM_ERROR_READ_ONLY,
-                };
-                self.reply(sender, &parameter_error(sender, request.param_id, -1, code));
-                let value = known.and_then(|i| parameter_value(&self.flight.parameters, i));
-                if let Some(message) = value {
-                    self.reply(sender, &message);
-                }
-            }
-        }
-    }
-
-    fn acknowledge(&mut self, to: Sender, command: u16, result: MavResult) {
-        let acknowledgement = Acknowledgement {
-            command,
-            result,
-            target_system: to.system,
-            target_component: to.component,
-        };
-        if let Some(link) = self.links.get_mut(to.link) {
-            link.send_data(&acknowledgement, &mut self.outbox);
-        }
-    }
-
-    fn command(&mut self, sender: Sender, command: &Command) {
-        let result = match command.id {
-            None => MavResult::MAV_RESULT_UNSUPPORTED,
-            Some(id) => self.execute(sender, id, command),
-        };
-        self.acknowledge(sender, command.number, result);
-    }
-
-    fn execute(&mut self, sender: Sender, id: MavCmd, command: &Command) -> MavResult {
-        let now = self.now_us;
-        match id {
-            MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => self.arm_or_disarm(command),
-            MavCmd::MAV_CMD_DO_SET_MODE => {
-                let custom = command.param(1) as u32 & 1 != 0;
-                let mode = Mode::from_main_and_sub(command.param(2) as u8, command.param(3) as u8);
-                self.set_mode(custom, mode)
-            }
-            MavCmd::MAV_CMD_NAV_TAKEOFF => {
-                // Parameter 7 is the altitude above sea level; below home's it is not meant.
-                let altitude = f64::from(command.param(7));
-                let home = self.origin.altitude_m - self.flight.home().down();
-                let height = Some(altitude - home).filter(|height| *height > 0.1);
-                result(self.flight.request_take_off(now, height))
-            }
-            MavCmd::MAV_CMD_NAV_LAND => result(self.flight.request_mode(now, Mode::Land)),
-            MavCmd::MAV_CMD_NAV_RETURN_TO_LAUNCH => {
-                result(self.flight.request_mode(now, Mode::Return))
-            }
-            MavCmd::MAV_CMD_NAV_LOITER_UNLIM => result(self.flight.request_mode(now, Mode::Hold)),
-            MavCmd::MAV_CMD_DO_FLIGHTTERMINATION if command.param(1) > 0.5 => {
-                result(self.flight.disarm(true))
-            }
-            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL => self.set_interval(sender, command),
-            MavCmd::MAV_CMD_GET_MESSAGE_INTERVAL => {
-                let id = command.param(1) as u16;
-                let interval_us = self.links[sender.link].schedule.interval(id.into());
-                let data = MESSAGE_INTERVAL_DATA { interval_us, message_id: id };
-                self.reply(sender, &MavMessage::MESSAGE_INTERVAL(data));
-                MavResult::MAV_RESULT_ACCEPTED
-            }
-            MavCmd::MAV_CMD_REQUEST_MESSAGE => self.request_message(sender, command),
-            MavCmd::MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES => {
-                self.send_once(sender, Stream::AutopilotVersion)
-            }
-            MavCmd::MAV_CMD_REQUEST_PROTOCOL_VERSION => {
-                self.send_once(sender, Stream::ProtocolVersion)
-            }
-            MavCmd::MAV_CMD_GET_HOME_POSITION => self.send_once(sender, Stream::HomePosition),
-            MavCmd::MAV_CMD_RUN_PREARM_CHECKS => {
-                let mode = self.flight.commander.mode();
-                let text = match self.flight.preflight(now).refusal(mode) {
-                    Some(refusal) => format!("Preflight: {refusal}"),
-                    None => "Preflight: ready".to_owned(),
-                };
-                self.flight.commander.notify(MavSeverity::MAV_SEVERITY_INFO, text);
-                MavResult::MAV_RESULT_ACCEPTED
-            }
-            _ => MavResult::MAV_RESULT_UNSUPPORTED,
-        }
-    }
-
-    fn arm_or_disarm(&mut self, command: &Command) -> MavResult {
-        if command.param(1) == 1.0 {
-            // The force code does not skip the checks of an external arm, as measured on PX4.
-            result(self.flight.arm(self.now_us))
-        } else if command.param(1) == 0.0 {
-            result(self.flight.disarm(command.param(2) == FORCE))
-        } else {
-            MavResult::MAV_RESULT_DENIED
-        }
-    }
-
-    fn set_mode(&mut self, custom: bool, mode: Option<Mode>) -> MavResult {
-        match mode {
-            Some(mode) if custom => result(self.flight.request_mode(self.now_us, mode)),
-            _ => {
-                let text =
-                    "Mode not available: use Hold, Position, Takeoff, Land, Return, Offboard";
-                self.flight.commander.notify(MavSeverity::MAV_SEVERITY_WARNING, text);
-                MavResult::MAV_RESULT_DENIED
-            }
-        }
-    }
-
-    fn set_interval(&mut self, sender: Sender, command: &Command) -> MavResult {
-        let schedule = &mut self.links[sender.link].schedule;
-        match schedule.set_interval(command.param(1) as u32, command.param(2), self.now_us) {
-            Ok(()) => MavResult::MAV_RESULT_ACCEPTED,
-            Err(IntervalError::Fixed | IntervalError::Unknown) => MavResult::MAV_RESULT_FAILED,
-        }
-    }
-
-    fn request_message(&mut self, sender: Sender, command: &Command) -> MavResult {
-        match Stream::from_id(command.param(1) as u32) {
-            Some(Stream::AvailableModes) => {
-                // Index 0 asks for all of them.
-                let indices = match command.param(2) as usize {
-                    0 => 1..=Mode::ALL.len(),
-                    index => index..=index,
-                };
-                let mut result = MavResult::MAV_RESULT_DENIED;
-                for message in indices.filter_map(telemetry::available_mode) {
-                    self.reply(sender, &message);
-                    result = MavResult::MAV_RESULT_ACCEPTED;
-                }
-                result
-            }
-            Some(stream) => self.send_once(sender, stream),
-            None => MavResult::MAV_RESULT_DENIED,
-        }
-    }
-
-    fn send_once(&mut self, to: Sender, stream: Stream) -> MavResult {
-        let message = self.snapshot().message(stream);
-        match message {
-            Some(message) if self.links[to.link].can_carry(stream.id()) => {
-                self.reply(to, &message);
-                MavResult::MAV_RESULT_ACCEPTED
-            }
-            _ => MavResult::MAV_RESULT_DENIED,
-        }
-    }
 }
 
 /// Whether a message is for this vehicle; 0 addresses all, a missing target too.
 fn addressed(system: Option<u8>, component: Option<u8>) -> bool {
     system.is_none_or(|id| id == 0 || id == SYSTEM_ID)
         && component.is_none_or(|id| id == 0 || id == COMPONENT_ID)
-}
-
-fn result(outcome: Result<(), Refusal>) -> MavResult {
-    match outcome {
-        Ok(()) => MavResult::MAV_RESULT_ACCEPTED,
-        Err(_) => MavResult::MAV_RESULT_TEMPORARILY_REJECTED,
-    }
 }
 
 fn sticks_of(message: &MANUAL_CONTROL_DATA) -> Sticks {
@@ -512,33 +324,6 @@ fn sticks_of(message: &MANUAL_CONTROL_DATA) -> Sticks {
         up: (f64::from(message.z) / 500.0 - 1.0).clamp(-1.0, 1.0),
         turn: axis(message.r),
     }
-}
-
-fn parameter_value(parameters: &Parameters, index: usize) -> Option<MavMessage> {
-    let (name, value) = parameters.at(index)?;
-    let (param_value, param_type) = value.to_wire();
-    Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
-        param_value,
-        param_count: Parameters::COUNT as u16,
-        param_index: index as u16,
-        param_id: name.into(),
-        param_type,
-    }))
-}
-
-fn parameter_error(
-    to: Sender,
-    param_id: mavlink::types::CharArray<16>,
-    param_index: i16,
-    error: MavParamError,
-) -> MavMessage {
-    MavMessage::PARAM_ERROR(PARAM_ERROR_DATA {
-        param_index,
-        target_system: to.system,
-        target_component: to.component,
-        param_id,
-        error,
-    })
 }
 
 fn mission_ack(to: Sender, mavtype: MavMissionResult, mission_type: MavMissionType) -> MavMessage {

@@ -2,43 +2,20 @@
 
 #![allow(deprecated, reason = "clients still send and ask for superseded messages")]
 
+mod geodetic;
+mod motors;
+
 use wire::dialect::*;
 
 use crate::config::Home;
 use crate::frame::{Attitude, Euler, Frd, Ned};
 use crate::vehicle::{MotorOutput, ROTORS};
 
+use self::geodetic::geodetic;
 use super::Mode;
+use super::identity;
 use super::offboard::AttitudeSetpoint;
 use super::streams::Stream;
-
-/// What AUTOPILOT_VERSION says about the vehicle: it takes attitude, rates and thrust together, as
-/// a PD.
-pub const VENDOR_ID: u16 = 0x4457;
-/// See [`VENDOR_ID`].
-pub const PRODUCT_ID: u16 = 1;
-
-/// Version that the vehicle reports, major, minor, patch, and 255 for a release: the PX4 whose
-/// protocol it follows.
-const FLIGHT_SW_VERSION: u32 = u32::from_be_bytes([1, 17, 0, 255]);
-
-/// Radius of the earth for the local tangent plane, m (PX4's).
-const EARTH_RADIUS_M: f64 = 6_371_000.0;
-
-/// Latitude and longitude in 1e-7 degrees and altitude in mm of the place at `offset` from
-/// `origin`, on the tangent plane.
-fn geodetic(origin: &Home, offset: Ned) -> [i32; 3] {
-    let north = (offset.north() / EARTH_RADIUS_M).to_degrees();
-    let parallel = EARTH_RADIUS_M * origin.latitude_deg.to_radians().cos();
-    let east = (offset.east() / parallel).to_degrees();
-    let altitude_m = origin.altitude_m - offset.down();
-    let wire = [
-        (origin.latitude_deg + north) * 1e7,
-        (origin.longitude_deg + east) * 1e7,
-        altitude_m * 1e3,
-    ];
-    wire.map(|value| value.round() as i32)
-}
 
 /// The pack as reported.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -144,7 +121,9 @@ impl Snapshot<'_> {
                     time_usec,
                 })
             }
-            Stream::AutopilotVersion => MavMessage::AUTOPILOT_VERSION(autopilot_version()),
+            Stream::AutopilotVersion => {
+                MavMessage::AUTOPILOT_VERSION(identity::autopilot_version())
+            }
             Stream::ProtocolVersion => MavMessage::PROTOCOL_VERSION(PROTOCOL_VERSION_DATA {
                 version: 200,
                 min_version: 100,
@@ -251,32 +230,6 @@ impl Snapshot<'_> {
         }
     }
 
-    /// The outputs as `message` carries them, each with its slot: as the vehicle file describes
-    /// them where it describes this message, else between `otherwise`'s zero, one and disarmed.
-    fn encoded_outputs(&self, message: &str, otherwise: [f64; 3]) -> [(usize, f64); ROTORS] {
-        let described = self.motor_output.filter(|described| described.message == message);
-        let [zero, one, disarmed] = described
-            .map_or(otherwise, |described| [described.zero, described.one, described.disarmed]);
-        std::array::from_fn(|rotor| {
-            let field = described.and_then(|described| described.fields.get(rotor));
-            let slot = field.and_then(|field| slot_of(field)).unwrap_or(rotor);
-            let output = self.outputs[rotor];
-            (slot, if self.armed { zero + output * (one - zero) } else { disarmed })
-        })
-    }
-
-    fn actuator_output_status(&self) -> ACTUATOR_OUTPUT_STATUS_DATA {
-        let mut actuator = [0.0; 32];
-        let mut active = 0;
-        for (slot, value) in self.encoded_outputs("ACTUATOR_OUTPUT_STATUS", [0.0, 1.0, 0.0]) {
-            if let Some(place) = actuator.get_mut(slot) {
-                *place = value as f32;
-                active |= 1 << slot;
-            }
-        }
-        ACTUATOR_OUTPUT_STATUS_DATA { time_usec: self.now_us, active, actuator }
-    }
-
     fn attitude_target(&self) -> Option<ATTITUDE_TARGET_DATA> {
         let setpoint = self.setpoint?;
         let attitude = setpoint.attitude.map_or_else(Attitude::default, Euler::attitude);
@@ -291,108 +244,6 @@ impl Snapshot<'_> {
             thrust: setpoint.thrust as f32,
             type_mask: setpoint.type_mask,
         })
-    }
-
-    fn servo_output_raw(&self) -> SERVO_OUTPUT_RAW_DATA {
-        let mut pwm = [0; 8];
-        for (slot, value) in self.encoded_outputs("SERVO_OUTPUT_RAW", [1000.0, 2000.0, 900.0]) {
-            if let Some(place) = pwm.get_mut(slot) {
-                *place = value.round() as u16;
-            }
-        }
-        SERVO_OUTPUT_RAW_DATA {
-            time_usec: self.now_us as u32,
-            servo1_raw: pwm[0],
-            servo2_raw: pwm[1],
-            servo3_raw: pwm[2],
-            servo4_raw: pwm[3],
-            servo5_raw: pwm[4],
-            servo6_raw: pwm[5],
-            servo7_raw: pwm[6],
-            servo8_raw: pwm[7],
-            ..Default::default()
-        }
-    }
-
-    fn esc_status(&self) -> Option<ESC_STATUS_DATA> {
-        let rpm = self.rpm?.map(|rpm| rpm.round() as i32);
-        let voltage = [self.battery.voltage as f32; ROTORS];
-        let current = [(self.battery.current / ROTORS as f64) as f32; ROTORS];
-        Some(ESC_STATUS_DATA { time_usec: self.now_us, rpm, voltage, current, index: 0 })
-    }
-
-    fn global_position(&self) -> GLOBAL_POSITION_INT_DATA {
-        let [lat, lon, alt] = geodetic(&self.origin, self.position);
-        let [vx, vy, vz] = self.velocity.to_array().map(|v| (v * 100.0).round() as i16);
-        GLOBAL_POSITION_INT_DATA {
-            time_boot_ms: self.now_ms(),
-            lat,
-            lon,
-            alt,
-            relative_alt: (self.height() * 1e3).round() as i32,
-            vx,
-            vy,
-            vz,
-            hdg: self.heading_cdeg(),
-        }
-    }
-
-    /// Height above home, m.
-    fn height(&self) -> f64 {
-        self.home.down() - self.position.down()
-    }
-
-    fn heading_cdeg(&self) -> u16 {
-        let degrees = self.attitude.euler().yaw.to_degrees().rem_euclid(360.0);
-        ((degrees * 100.0).round() as u16) % 36_000
-    }
-
-    fn gps_raw(&self) -> GPS_RAW_INT_DATA {
-        let [lat, lon, alt] = geodetic(&self.origin, self.position);
-        let speed = self.velocity.north().hypot(self.velocity.east());
-        let course = self.velocity.east().atan2(self.velocity.north()).to_degrees();
-        GPS_RAW_INT_DATA {
-            time_usec: self.now_us,
-            lat,
-            lon,
-            alt,
-            eph: 70,
-            epv: 90,
-            vel: (speed * 100.0).round() as u16,
-            cog: (course.rem_euclid(360.0) * 100.0).round() as u16 % 36_000,
-            fix_type: GpsFixType::GPS_FIX_TYPE_3D_FIX,
-            satellites_visible: 12,
-            alt_ellipsoid: alt,
-            h_acc: 300,
-            v_acc: 400,
-            vel_acc: 50,
-            ..Default::default()
-        }
-    }
-
-    fn vfr_hud(&self) -> VFR_HUD_DATA {
-        let throttle = self.outputs.iter().sum::<f64>() / ROTORS as f64;
-        VFR_HUD_DATA {
-            groundspeed: self.velocity.north().hypot(self.velocity.east()) as f32,
-            alt: (self.origin.altitude_m - self.position.down()) as f32,
-            climb: -self.velocity.down() as f32,
-            heading: (self.heading_cdeg() / 100).cast_signed(),
-            throttle: (throttle * 100.0).round() as u16,
-            ..Default::default()
-        }
-    }
-
-    fn altitude(&self) -> ALTITUDE_DATA {
-        let amsl = (self.origin.altitude_m - self.position.down()) as f32;
-        ALTITUDE_DATA {
-            time_usec: self.now_us,
-            altitude_monotonic: amsl,
-            altitude_amsl: amsl,
-            altitude_local: -self.position.down() as f32,
-            altitude_relative: self.height() as f32,
-            altitude_terrain: f32::NAN,
-            bottom_clearance: f32::NAN,
-        }
     }
 
     fn sys_status(&self) -> SYS_STATUS_DATA {
@@ -469,126 +320,8 @@ impl Snapshot<'_> {
             standard_mode: self.mode.standard_mode(),
         }
     }
-
-    fn home_position(&self) -> HOME_POSITION_DATA {
-        let [latitude, longitude, altitude] = geodetic(&self.origin, self.home);
-        let [x, y, z] = floats(self.home.to_array());
-        HOME_POSITION_DATA {
-            latitude,
-            longitude,
-            altitude,
-            x,
-            y,
-            z,
-            q: [1.0, 0.0, 0.0, 0.0],
-            time_usec: self.now_us,
-            ..Default::default()
-        }
-    }
 }
 
 fn floats<const N: usize>(values: [f64; N]) -> [f32; N] {
     values.map(|value| value as f32)
-}
-
-/// Slot of a field such as `actuator[2]`, counted from 0, or `servo3_raw`, counted from 1.
-fn slot_of(field: &str) -> Option<usize> {
-    let digits = &field[field.find(|c: char| c.is_ascii_digit())?..];
-    let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
-    let number: usize = digits[..end].parse().ok()?;
-    if field.starts_with("servo") { number.checked_sub(1) } else { Some(number) }
-}
-
-fn autopilot_version() -> AUTOPILOT_VERSION_DATA {
-    AUTOPILOT_VERSION_DATA {
-        capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_INT
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2,
-        flight_sw_version: FLIGHT_SW_VERSION,
-        vendor_id: VENDOR_ID,
-        product_id: PRODUCT_ID,
-        uid: u64::from(VENDOR_ID) << 16 | u64::from(PRODUCT_ID),
-        ..Default::default()
-    }
-}
-
-/// AVAILABLE_MODES of the mode at `index` (from 1, as the message counts).
-pub fn available_mode(index: usize) -> Option<MavMessage> {
-    let mode = Mode::ALL.get(index.checked_sub(1)?)?;
-    let mut properties = MavModeProperty::empty();
-    properties.set(MavModeProperty::MAV_MODE_PROPERTY_AUTO_MODE, *mode != Mode::Position);
-    Some(MavMessage::AVAILABLE_MODES(AVAILABLE_MODES_DATA {
-        custom_mode: mode.custom_mode(),
-        properties,
-        number_modes: Mode::ALL.len() as u8,
-        mode_index: index as u8,
-        standard_mode: mode.standard_mode(),
-        mode_name: mode.to_string().as_str().into(),
-    }))
-}
-
-/// A text in as many STATUSTEXT as it needs. `id` ties the chunks; it is 0 where one suffices.
-pub fn status_text(
-    severity: MavSeverity,
-    text: &str,
-    id: u16,
-) -> impl Iterator<Item = MavMessage> + '_ {
-    const CHUNK: usize = 50;
-    let id = if text.len() > CHUNK { id.max(1) } else { 0 };
-    text.as_bytes().chunks(CHUNK).enumerate().map(move |(sequence, chunk)| {
-        let mut data = [0; CHUNK];
-        data[..chunk.len()].copy_from_slice(chunk);
-        MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-            severity,
-            text: data.into(),
-            id,
-            chunk_seq: sequence as u8,
-        })
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn long_texts_are_chunked_and_short_ones_are_not() {
-        let long = "x".repeat(120);
-        let chunks: Vec<_> = status_text(MavSeverity::MAV_SEVERITY_INFO, &long, 7).collect();
-        assert_eq!(chunks.len(), 3);
-        let MavMessage::STATUSTEXT(last) = &chunks[2] else { panic!("not a text") };
-        assert_eq!(
-            (last.id, last.chunk_seq, last.text.to_str()),
-            (7, 2, Ok("x".repeat(20).as_str()))
-        );
-        let mut short = status_text(MavSeverity::MAV_SEVERITY_INFO, "hi", 7);
-        let Some(MavMessage::STATUSTEXT(only)) = short.next() else { panic!("not a text") };
-        assert_eq!(only.id, 0);
-        assert!(short.next().is_none());
-    }
-
-    #[test]
-    fn a_degree_north_is_111_km() {
-        let origin = Home { latitude_deg: 47.0, longitude_deg: 8.0, altitude_m: 400.0 };
-        let [latitude, longitude, altitude] = geodetic(&origin, Ned::new(111_195.0, 0.0, -10.0));
-        assert!((latitude - 480_000_000).abs() < 1000);
-        assert_eq!((longitude, altitude), (80_000_000, 410_000));
-    }
-
-    #[test]
-    fn fields_of_motor_messages_name_their_slots() {
-        assert_eq!(slot_of("actuator[2]"), Some(2));
-        assert_eq!(slot_of("servo3_raw"), Some(2));
-        assert_eq!(slot_of("servo0_raw"), None);
-        assert_eq!(slot_of("motor"), None);
-    }
-
-    #[test]
-    fn every_mode_is_available_and_no_more() {
-        assert!(available_mode(0).is_none());
-        assert!((1..=Mode::ALL.len()).all(|index| available_mode(index).is_some()));
-        assert!(available_mode(Mode::ALL.len() + 1).is_none());
-    }
 }
