@@ -63,6 +63,8 @@ def flights(tmp_path_factory):
             end()
 
 
+# One worker has the flights.
+@pytest.mark.xdist_group("flights")
 @pytest.mark.parametrize("transport", ["udpout", "udpin", "tcp", "serial"])
 def test_a_flight_over(flights, transport):
     program, folder = flights[transport]
