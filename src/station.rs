@@ -356,15 +356,10 @@ impl Station {
             }
             Event::Request { request, outcome, .. } => self.request_ended(now, &request, &outcome),
             Event::Interval(event) => self.tell(now, Severity::Debug, format!("{event}")),
-            Event::Bandwidth { share } => self.tell(
-                now,
-                Severity::Warning,
-                format!(
-                    "the wanted messages need {:.0} % of the serial line; raise its baud rate or ask \
-                     for less in [link] telemetry",
-                    100.0 * share
-                ),
-            ),
+            Event::LineBudget(budget) => {
+                let severity = if budget.fits() { Severity::Notice } else { Severity::Warning };
+                self.tell(now, severity, budget.to_string());
+            }
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
                 self.tell(now, Severity::Warning, text);

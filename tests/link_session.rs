@@ -526,3 +526,29 @@ fn streams_of_several_peers_do_not_mix() {
     assert_eq!(count, 2);
     assert_eq!(session.stats().received.unframed_bytes, 0);
 }
+
+#[test]
+fn a_serial_line_is_asked_for_what_it_has_room_for() {
+    let over = |baud| Settings { telemetry: None, baud, ..settings() };
+    let asked = |world: &World, vehicle: &Vehicle| {
+        let hz = |id| vehicle.periods.get(&id).map(|period| (1.0 / period.as_secs_f64()).round());
+        let news = world.events.iter().find_map(|event| match event {
+            Event::LineBudget(budget) => Some(budget.to_string()),
+            _ => None,
+        });
+        // ATTITUDE_QUATERNION, LOCAL_POSITION_NED, ODOMETRY, HIGHRES_IMU.
+        ([31, 32, 331, 105].map(hz), news)
+    };
+    let cases = [
+        (None, [Some(250.0), Some(100.0), Some(100.0), Some(250.0)]),
+        (Some(921_600), [Some(250.0), Some(100.0), Some(100.0), Some(100.0)]),
+        (Some(115_200), [Some(50.0), Some(50.0), None, Some(25.0)]),
+    ];
+    for (baud, expected) in cases {
+        let (mut world, mut vehicle) = (World::new(over(baud)), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(3.0));
+        let (rates, news) = asked(&world, &vehicle);
+        assert_eq!(rates, expected, "{baud:?}");
+        assert_eq!(news.is_some(), baud.is_some(), "{baud:?}: {news:?}");
+    }
+}
