@@ -512,6 +512,28 @@ fn broken_content_is_counted_and_not_passed_on() {
 }
 
 #[test]
+fn payloads_of_a_wrong_length_are_padded_cut_or_refused_and_never_end_the_session() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(2.0));
+    let level = ATTITUDE_QUATERNION_DATA { q1: 1.0, ..Default::default() };
+    let honest = vehicle.encode(&MavMessage::ATTITUDE_QUATERNION(level));
+    let extra_crc = <MavMessage as mavlink::Message>::extra_crc(ATTITUDE_QUATERNION);
+    let (heard, refused) = (world.messages.len(), world.session.stats().refused);
+    for len in 0..=u8::MAX {
+        let mut bytes = honest.clone();
+        bytes.truncate(bytes.len() - 2);
+        bytes.resize(10 + usize::from(len), 0);
+        bytes[1] = len;
+        bytes.extend(mavlink::calculate_crc(&bytes[1..], extra_crc).to_le_bytes());
+        world.deliver(VEHICLE, &bytes);
+    }
+    // Without all of q1 there is no attitude; without the zeros that follow there is.
+    let refused = world.session.stats().refused - refused;
+    assert_eq!((refused, world.messages.len() - heard), (8, 256 - 8));
+    assert_eq!(world.session.state(), LinkState::Connected);
+}
+
+#[test]
 fn streams_of_several_peers_do_not_mix() {
     let mut session = Session::new(settings(), START);
     let mut vehicle = Vehicle::new(1);
