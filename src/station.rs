@@ -180,12 +180,15 @@ impl Station {
             self.stats_due = now + STATS_PERIOD;
             self.record_stats(now);
         }
-        let silent = self.session.vehicle().is_none();
+        let silent = matches!(self.session.state(), LinkState::Searching | LinkState::Lost);
         if let Some(limit) = self.settings.search_timeout_s
             && silent
             && now.since(self.started).as_secs_f64() > limit
         {
-            self.end.get_or_insert(End::NoVehicle);
+            self.end.get_or_insert_with(|| match self.session.vehicle() {
+                None => End::NoVehicle,
+                Some(id) => End::LinkLost(format!("nothing more was heard of {id}")),
+            });
         }
     }
 

@@ -251,6 +251,7 @@ impl Session {
         if let Some(vehicle) = &mut self.core.vehicle {
             vehicle.peer = None;
         }
+        self.core.transport_closed();
     }
 
     /// Does what is due.

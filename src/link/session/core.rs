@@ -276,6 +276,13 @@ impl Core {
         }
     }
 
+    /// Nothing can be heard until the transport is open again.
+    pub(super) fn transport_closed(&mut self) {
+        if self.state == LinkState::Connected {
+            self.set_state(LinkState::Stale);
+        }
+    }
+
     fn set_state(&mut self, to: LinkState) {
         let from = std::mem::replace(&mut self.state, to);
         if from != to {
