@@ -180,12 +180,15 @@ impl Station {
             self.stats_due = now + STATS_PERIOD;
             self.record_stats(now);
         }
-        let silent = self.session.vehicle().is_none();
+        let silent = matches!(self.session.state(), LinkState::Searching | LinkState::Lost);
         if let Some(limit) = self.settings.search_timeout_s
             && silent
             && now.since(self.started).as_secs_f64() > limit
         {
-            self.end.get_or_insert(End::NoVehicle);
+            self.end.get_or_insert_with(|| match self.session.vehicle() {
+                None => End::NoVehicle,
+                Some(id) => End::LinkLost(format!("nothing more was heard of {id}")),
+            });
         }
     }
 
@@ -356,15 +359,10 @@ impl Station {
             }
             Event::Request { request, outcome, .. } => self.request_ended(now, &request, &outcome),
             Event::Interval(event) => self.tell(now, Severity::Debug, format!("{event}")),
-            Event::Bandwidth { share } => self.tell(
-                now,
-                Severity::Warning,
-                format!(
-                    "the wanted messages need {:.0} % of the serial line; raise its baud rate or ask \
-                     for less in [link] telemetry",
-                    100.0 * share
-                ),
-            ),
+            Event::LineBudget(budget) => {
+                let severity = if budget.fits() { Severity::Notice } else { Severity::Warning };
+                self.tell(now, severity, budget.to_string());
+            }
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
                 self.tell(now, Severity::Warning, text);

@@ -512,6 +512,28 @@ fn broken_content_is_counted_and_not_passed_on() {
 }
 
 #[test]
+fn payloads_of_a_wrong_length_are_padded_cut_or_refused_and_never_end_the_session() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(2.0));
+    let level = ATTITUDE_QUATERNION_DATA { q1: 1.0, ..Default::default() };
+    let honest = vehicle.encode(&MavMessage::ATTITUDE_QUATERNION(level));
+    let extra_crc = <MavMessage as mavlink::Message>::extra_crc(ATTITUDE_QUATERNION);
+    let (heard, refused) = (world.messages.len(), world.session.stats().refused);
+    for len in 0..=u8::MAX {
+        let mut bytes = honest.clone();
+        bytes.truncate(bytes.len() - 2);
+        bytes.resize(10 + usize::from(len), 0);
+        bytes[1] = len;
+        bytes.extend(mavlink::calculate_crc(&bytes[1..], extra_crc).to_le_bytes());
+        world.deliver(VEHICLE, &bytes);
+    }
+    // Without all of q1 there is no attitude; without the zeros that follow there is.
+    let refused = world.session.stats().refused - refused;
+    assert_eq!((refused, world.messages.len() - heard), (8, 256 - 8));
+    assert_eq!(world.session.state(), LinkState::Connected);
+}
+
+#[test]
 fn streams_of_several_peers_do_not_mix() {
     let mut session = Session::new(settings(), START);
     let mut vehicle = Vehicle::new(1);
@@ -525,4 +547,30 @@ fn streams_of_several_peers_do_not_mix() {
     session.receive(START, STRANGER, rest, false, &mut on);
     assert_eq!(count, 2);
     assert_eq!(session.stats().received.unframed_bytes, 0);
+}
+
+#[test]
+fn a_serial_line_is_asked_for_what_it_has_room_for() {
+    let over = |baud| Settings { telemetry: None, baud, ..settings() };
+    let asked = |world: &World, vehicle: &Vehicle| {
+        let hz = |id| vehicle.periods.get(&id).map(|period| (1.0 / period.as_secs_f64()).round());
+        let news = world.events.iter().find_map(|event| match event {
+            Event::LineBudget(budget) => Some(budget.to_string()),
+            _ => None,
+        });
+        // ATTITUDE_QUATERNION, LOCAL_POSITION_NED, ODOMETRY, HIGHRES_IMU.
+        ([31, 32, 331, 105].map(hz), news)
+    };
+    let cases = [
+        (None, [Some(250.0), Some(100.0), Some(100.0), Some(250.0)]),
+        (Some(921_600), [Some(250.0), Some(100.0), Some(100.0), Some(100.0)]),
+        (Some(115_200), [Some(50.0), Some(50.0), None, Some(25.0)]),
+    ];
+    for (baud, expected) in cases {
+        let (mut world, mut vehicle) = (World::new(over(baud)), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(3.0));
+        let (rates, news) = asked(&world, &vehicle);
+        assert_eq!(rates, expected, "{baud:?}");
+        assert_eq!(news.is_some(), baud.is_some(), "{baud:?}: {news:?}");
+    }
 }

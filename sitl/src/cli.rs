@@ -27,8 +27,8 @@ pub struct SitlArgs {
     /// The simulation's own settings: sensors, battery, home, start (TOML)
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Vehicle seconds per second. Clients that fly the vehicle need 1: a daemon's own clock is
-    /// the host's
+    /// Vehicle seconds per second. `downwash fly` and `downwash daemon` run in real time and need
+    /// 1; other factors are for clients that go by the vehicle's own clock
     #[arg(long, value_name = "X", default_value = "1")]
     pub speed: Speed,
     /// Seed of every random number

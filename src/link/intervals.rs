@@ -6,9 +6,6 @@
 use std::fmt;
 use std::time::Duration;
 
-use mavlink::Message;
-use wire::dialect::MavMessage;
-
 use super::profile::MessageRate;
 use crate::clock::HostTime;
 
@@ -26,10 +23,6 @@ const SERVED: f64 = 0.7;
 const COUNT_MIN: f64 = 4.0;
 /// Refused rates are halved down to this one.
 const HZ_MIN: f64 = 1.0;
-/// Bytes of a MAVLink 2 frame around its payload.
-const FRAME_OVERHEAD: usize = 12;
-/// Bits on a serial line per byte: start, eight, stop.
-const BITS_PER_BYTE: f64 = 10.0;
 
 /// News about an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -211,25 +204,6 @@ impl Intervals {
     }
 }
 
-/// The share of a serial line that messages at these rates take up, frames included. Above 0.7
-/// rates will fall short.
-pub fn bandwidth_share(messages: &[MessageRate], baud: u32) -> f64 {
-    let bits: f64 = messages
-        .iter()
-        .map(|rate| frame_len(rate.id) as f64 * BITS_PER_BYTE * rate.hz.max(0.0))
-        .sum();
-    bits / f64::from(baud.max(1))
-}
-
-/// Length of a message's frame with a full payload.
-fn frame_len(id: u32) -> usize {
-    let mut payload = [0; 255];
-    // MAVLink 1 does not cut trailing zeros.
-    let payload_len = MavMessage::default_message_from_id(id)
-        .map_or(0, |message| message.ser(mavlink::MavlinkVersion::V1, &mut payload));
-    FRAME_OVERHEAD + payload_len
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -304,12 +278,5 @@ mod tests {
         assert!(matches!(last, Some(IntervalEvent::Refused { next_hz: None, .. })));
         assert_eq!(intervals.next_request(at(60.0)), None);
         assert_eq!(intervals.next_deadline(), None);
-    }
-
-    #[test]
-    fn slow_lines_are_noticed() {
-        let messages = [MessageRate { id: 331, hz: 100.0 }];
-        assert!(bandwidth_share(&messages, 57_600) > 1.0);
-        assert!(bandwidth_share(&messages, 921_600) < 0.7);
     }
 }

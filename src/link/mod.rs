@@ -36,6 +36,7 @@
 //! ```
 
 pub mod attitude_target;
+pub mod budget;
 pub mod codec;
 pub mod connection;
 pub mod counters;

@@ -86,17 +86,8 @@ pub struct Modes {
     pub hold: Option<Mode>,
     /// Lands where it is.
     pub land: Option<Mode>,
-    /// Takes off by itself.
+    /// Takes off by itself; never asked for, known by name only.
     pub takeoff: Option<Mode>,
-}
-
-/// How a flight gets into the air.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TakeoffWay {
-    /// By setpoints, from the ground.
-    OffboardRamp,
-    /// By NAV_TAKEOFF with an altitude above home.
-    Command,
 }
 
 /// A parameter and the value it should have.
@@ -164,8 +155,6 @@ pub struct Profile {
     pub modes: Modes,
     /// Whether it tells the intended mode, by CURRENT_MODE.
     pub reports_intended_mode: bool,
-    /// How it takes off.
-    pub takeoff: TakeoffWay,
     /// The parameter that holds how long setpoints may be missing, in s, and the value to use.
     pub loss_timeout: Option<ParameterRule>,
     /// The parameter that says what happens then.
@@ -242,7 +231,6 @@ impl Profile {
             takeoff: Some(Mode::px4(4, 2)),
         },
         reports_intended_mode: true,
-        takeoff: TakeoffWay::OffboardRamp,
         loss_timeout: Some(ParameterRule {
             name: "COM_OF_LOSS_T",
             rule: Rule::AtMost(0.2),
@@ -274,7 +262,6 @@ impl Profile {
             takeoff: None,
         },
         reports_intended_mode: false,
-        takeoff: TakeoffWay::Command,
         loss_timeout: Some(ParameterRule {
             name: "GUID_TIMEOUT",
             rule: Rule::AtMost(0.2),
@@ -285,6 +272,7 @@ impl Profile {
             ParameterRule {
                 name: "GUID_OPTIONS",
                 rule: Rule::HasBits(8),
+                // With it, thrust also takes off: no NAV_TAKEOFF is needed before setpoints.
                 why: "without bit 3 the thrust field is a climb rate",
             },
             ParameterRule {
@@ -305,7 +293,6 @@ impl Profile {
         rate_frame: RateFrame::Body,
         modes: Modes { offboard: None, hold: None, land: None, takeoff: None },
         reports_intended_mode: false,
-        takeoff: TakeoffWay::OffboardRamp,
         loss_timeout: None,
         loss_action: None,
         required: &[],

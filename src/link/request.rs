@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use wire::dialect::MavCmd;
 
-use super::profile::{Mode, Profile, TakeoffWay};
+use super::profile::{Mode, Profile};
 use crate::clock::HostTime;
 
 /// Time between repetitions.
@@ -18,7 +18,6 @@ const IN_PROGRESS: Duration = Duration::from_secs(3);
 /// Two values of a parameter that are the same one, relative: it went through an f32.
 const SAME: f64 = 1e-6;
 
-const NAV_TAKEOFF: MavCmd = MavCmd::MAV_CMD_NAV_TAKEOFF;
 const DO_SET_MODE: MavCmd = MavCmd::MAV_CMD_DO_SET_MODE;
 const ARM_DISARM: MavCmd = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;
 
@@ -31,11 +30,6 @@ pub enum Request {
     Arm,
     /// Disarm the motors, which the vehicle refuses in flight.
     Disarm,
-    /// Take off to an altitude above home, in m, where the profile says that this is the way.
-    Takeoff {
-        /// Metres above home.
-        altitude_m: f64,
-    },
     /// Read a parameter.
     ReadParameter(String),
     /// Set a parameter. It is read first where its type is not known.
@@ -56,8 +50,6 @@ pub enum FlightMode {
     Hold,
     /// Lands.
     Land,
-    /// Takes off by itself.
-    Takeoff,
 }
 
 /// Names a request in its outcome.
@@ -308,7 +300,6 @@ fn task_of(
                 FlightMode::Offboard => modes.offboard,
                 FlightMode::Hold => modes.hold,
                 FlightMode::Land => modes.land,
-                FlightMode::Takeoff => modes.takeoff,
             };
             let mode = mode.ok_or(Outcome::Unsupported)?;
             // Param 1: MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
@@ -317,12 +308,6 @@ fn task_of(
         }
         Request::Arm => command(ARM_DISARM, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
         Request::Disarm => command(ARM_DISARM, [0.0; 7]),
-        Request::Takeoff { altitude_m } => {
-            if profile?.takeoff != TakeoffWay::Command || !altitude_m.is_finite() {
-                return Err(Outcome::Unsupported);
-            }
-            command(NAV_TAKEOFF, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *altitude_m as f32])
-        }
         Request::ReadParameter(_) => Task::Read,
         Request::SetParameter { name, value } => {
             if !value.is_finite() {
@@ -432,7 +417,8 @@ mod tests {
     #[test]
     fn what_the_profile_lacks_is_unsupported() {
         let mut requests = Requests::default();
-        submit(&mut requests, Request::Takeoff { altitude_m: 2.0 });
+        let nothing = Request::SetParameter { name: "MIS_TAKEOFF_ALT".into(), value: f64::NAN };
+        submit(&mut requests, nothing);
         let hold = Request::SetMode(FlightMode::Hold);
         requests.submit(START, hold, Some(&Profile::UNKNOWN), |_| false);
         assert_eq!(outcomes(&mut requests), [Outcome::Unsupported, Outcome::Unsupported]);

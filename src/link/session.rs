@@ -15,6 +15,7 @@ use wire::{Decoder, DecoderStats};
 
 use self::core::Core;
 use super::attitude_target::{EncodeError, ThrustMap};
+use super::budget::LineBudget;
 use super::counters::{LinkState, LinkStats};
 use super::intervals::IntervalEvent;
 use super::message::Received;
@@ -39,7 +40,8 @@ pub struct Settings {
     pub form: FormChoice,
     /// Newtons to the thrust field.
     pub thrust: ThrustMap,
-    /// Messages to ask for; `None` takes the profile's.
+    /// Messages to ask for, whatever they cost; `None` takes the profile's, as far as the line has
+    /// room for them.
     pub telemetry: Option<Vec<MessageRate>>,
     /// Whether the vehicle's TIMESYNC requests are answered. Two that answer confuse it.
     pub answer_timesync: bool,
@@ -47,7 +49,7 @@ pub struct Settings {
     pub stale_after: Duration,
     /// Silence after which the vehicle is lost.
     pub lost_after: Duration,
-    /// Bits per second of a serial line, for the bandwidth check.
+    /// Bits per second of a serial line, which the profile's messages are made to fit.
     pub baud: Option<u32>,
 }
 
@@ -115,10 +117,7 @@ pub enum Event {
     /// News of a message interval.
     Interval(IntervalEvent),
     /// The wanted messages take up more of the serial line than works.
-    Bandwidth {
-        /// Share of the line, 0.7 being the limit.
-        share: f64,
-    },
+    LineBudget(Box<LineBudget>),
     /// The vehicle's clock jumped. If it went back by more than a second the vehicle was started
     /// anew, and is identified again before it gets setpoints.
     ClockJump {
@@ -252,6 +251,7 @@ impl Session {
         if let Some(vehicle) = &mut self.core.vehicle {
             vehicle.peer = None;
         }
+        self.core.transport_closed();
     }
 
     /// Does what is due.

@@ -173,6 +173,12 @@ pub struct LinkStats {
     pub unknown_frames: u64,
     /// Bytes that belonged to no frame.
     pub unframed_bytes: u64,
+    /// Frames of other systems and components.
+    pub foreign_frames: u64,
+    /// Frames with the vehicle's ids that came another way than the vehicle's.
+    pub stray_frames: u64,
+    /// Frames of the vehicle whose content could not be true.
+    pub refused_frames: u64,
     /// Times the link was opened again.
     pub reconnects: u64,
     /// Latest round trip of TIMESYNC, s; NaN before the first.

@@ -230,6 +230,9 @@ flat_messages! {
         uint64 reconnects = 12;
         double rtt_s = 13;
         double clock_offset_s = 14;
+        uint64 foreign_frames = 15;
+        uint64 stray_frames = 16;
+        uint64 refused_frames = 17;
     }
 
     /// `/timesync`.
@@ -468,6 +471,9 @@ impl From<&LinkStats> for LinkStatsMessage {
             reconnects: s.reconnects,
             rtt_s: s.rtt_s,
             clock_offset_s: s.clock_offset_s,
+            foreign_frames: s.foreign_frames,
+            stray_frames: s.stray_frames,
+            refused_frames: s.refused_frames,
         }
     }
 }

@@ -97,6 +97,16 @@ pub struct LinkSummary {
     pub crc_errors: u64,
     /// Frames missing from the vehicle's sequence.
     pub lost_frames: u64,
+    /// Frames of messages that the dialect does not have.
+    pub unknown_frames: u64,
+    /// Bytes that belonged to no frame.
+    pub unframed_bytes: u64,
+    /// Frames of other systems and components.
+    pub foreign_frames: u64,
+    /// Frames with the vehicle's ids that came another way than the vehicle's.
+    pub stray_frames: u64,
+    /// Frames of the vehicle whose content could not be true.
+    pub refused_frames: u64,
     /// Times the link was opened again.
     pub reconnects: u64,
     /// Largest round trip, s.
@@ -239,6 +249,11 @@ fn link_summary(link: &[(u64, LinkStatsMessage)]) -> Option<LinkSummary> {
         tx_frames_hz: mean(|s| s.tx_frames_hz),
         crc_errors: last.crc_errors,
         lost_frames: last.lost_frames,
+        unknown_frames: last.unknown_frames,
+        unframed_bytes: last.unframed_bytes,
+        foreign_frames: last.foreign_frames,
+        stray_frames: last.stray_frames,
+        refused_frames: last.refused_frames,
         reconnects: last.reconnects,
         rtt_max_s: rtts.reduce(f64::max),
     })

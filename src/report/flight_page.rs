@@ -324,7 +324,12 @@ fn link(report: &FlightReport, figure: &Figure<'_>) -> String {
         };
         count("frames with a wrong checksum", link.crc_errors);
         count("frames missing from the vehicle's sequence", link.lost_frames);
+        count("frames with the vehicle's ids from elsewhere", link.stray_frames);
+        count("frames whose content could not be true", link.refused_frames);
         count("reconnects", link.reconnects);
+        // A ground station on the same link is no trouble.
+        let foreign = "frames of other systems and components".into();
+        table.row(Mood::Plain, &[foreign, link.foreign_frames.to_string()]);
         table.row(Mood::Plain, &["longest round trip".into(), duration(link.rtt_max_s)]);
     }
     format!("{}{}", chart.to_html(), table.into_html())

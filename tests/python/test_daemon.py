@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from conftest import CRAZYFLIE, free_port
+from conftest import CRAZYFLIE, bounds_time, free_port
 from hand_made_vehicle import HOLD, LAND, OFFBOARD, HandMadeVehicle
 from serial_cable import SerialCable
 
@@ -43,6 +43,7 @@ def streamed(vehicle, since):
     return [stamp for stamp, _ in vehicle.setpoints if stamp > since]
 
 
+@bounds_time
 def test_two_flights_and_a_takeover(program, hover, hand_made, tmp_path):
     vehicle, url = hand_made
     daemon = program("daemon", "--config", configuration(tmp_path, url, hover))
@@ -112,6 +113,7 @@ def test_stopped_in_flight_it_lands_first(program, hover, hand_made, tmp_path):
     assert vehicle.mode == LAND and not vehicle.armed
 
 
+@bounds_time
 def test_service_manager_is_told(program, hover, hand_made, tmp_path):
     _, url = hand_made
     path = tmp_path / "notify"
@@ -134,6 +136,7 @@ def test_service_manager_is_told(program, hover, hand_made, tmp_path):
             told += manager.recv(1024)
 
 
+@bounds_time
 def test_a_serial_line_pulled_in_flight(program, hover, sitl, pilot, tmp_path):
     cable = SerialCable(tmp_path)
     # The daemon's bytes, searched for the heads of SET_ATTITUDE_TARGET frames: v2, system 255, component 191, id 82.

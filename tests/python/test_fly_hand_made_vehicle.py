@@ -8,7 +8,7 @@ import time
 import pytest
 from mcap.reader import make_reader
 
-from conftest import DOWNWASH, ROOT, SHORT_HOVER, free_port
+from conftest import DOWNWASH, ROOT, SHORT_HOVER, bounds_time, free_port
 from hand_made_vehicle import HOLD, HandMadeVehicle
 
 VEHICLE = ROOT / "config/vehicles/crazyflie.toml"
@@ -60,6 +60,7 @@ def test_arming_refusal_is_reported_in_the_vehicles_words(flight):
     assert "hand-made refusal" in err
 
 
+@bounds_time
 def test_pilot_takes_over_and_control_never_comes_back(flight):
     vehicle, daemon, _ = flight
     taken = []
@@ -77,6 +78,7 @@ def test_pilot_takes_over_and_control_never_comes_back(flight):
     assert vehicle.mode == HOLD
 
 
+@bounds_time
 def test_telemetry_that_stops_ends_the_setpoints(flight):
     vehicle, daemon, _ = flight
     stopped = []

@@ -63,6 +63,8 @@ def flights(tmp_path_factory):
             end()
 
 
+# One worker has the flights.
+@pytest.mark.xdist_group("flights")
 @pytest.mark.parametrize("transport", ["udpout", "udpin", "tcp", "serial"])
 def test_a_flight_over(flights, transport):
     program, folder = flights[transport]
@@ -136,6 +138,27 @@ def test_killed_in_flight_the_log_opens_and_the_vehicle_lands(program, hover, si
     assert not report["finished"] and report["messages"] > 1000
 
 
+@pytest.mark.parametrize("moment", ["heard", "track"])
+def test_a_serial_line_pulled_for_good_ends_the_flight(program, sitl, tmp_path, hover, moment):
+    cable = SerialCable(tmp_path)
+    try:
+        sitl(cable.url(0), file=CRAZYFLIE)
+        hover.write_text(SHORT_HOVER.replace("duration_s = 1.0", "duration_s = 60.0"))
+        flight = fly(program, hover, cable.url(1), tmp_path)
+        flight.says(f" {moment}" + (": " if moment == "track" else " system 1"))
+        cable.pull(1)
+        # Not later than the search for a vehicle would end.
+        code, _ = flight.finish(25)
+        assert code == 3, flight.err
+        assert "link closed" in flight.err
+    finally:
+        cable.close()
+
+
+def with_byte(frame, index, value):
+    return frame[:index] + bytes([value]) + frame[index + 1 :]
+
+
 def garbage(seed):
     """Datagrams that no decoder may stumble over."""
     from pymavlink.dialects.v10 import common as v1
@@ -150,7 +173,12 @@ def garbage(seed):
         lambda: b"\xfd\xff" + draw.randbytes(20),
         lambda: b"\xfd" * 60000,
         lambda: v1.MAVLink_heartbeat_message(*beat).pack(old)[: draw.randint(1, 16)],
+        # Length bytes that lie, both ways, and a signed frame without its signature.
+        lambda: with_byte(v1.MAVLink_heartbeat_message(*beat).pack(old), 1, draw.randint(0, 255)),
+        lambda: with_byte(v2.MAVLink_heartbeat_message(*beat).pack(foreign), 1, draw.randint(0, 255)),
+        lambda: with_byte(v2.MAVLink_heartbeat_message(*beat).pack(foreign), 2, 1),
         lambda: v1.MAVLink_ping_message(0, 0, 0, 0).pack(old),
+        lambda: v1.MAVLink_heartbeat_message(*beat).pack(old),
         lambda: v2.MAVLink_heartbeat_message(*beat).pack(foreign),
         lambda: v2.MAVLink_attitude_message(0, 3.0, 3.0, 3.0, 0, 0, 0).pack(foreign),
         lambda: v2.MAVLink_attitude_message(0, 3.0, 3.0, 3.0, 0, 0, 0).pack(foreign)[:-1] + b"\x00",
@@ -177,13 +205,16 @@ def test_garbage_is_counted_and_the_flight_goes_on(program, hover, sitl, tmp_pat
                     continue
     code, out = flight.finish()
     assert code == 0, flight.err
-    assert json.loads(out)["flight"]["tracking"]["rmse_3d_m"] < 0.1
+    flown = json.loads(out)["flight"]
+    assert flown["tracking"]["rmse_3d_m"] < 0.1
     assert vehicle.process.poll() is None
     rows = program("log", "export", only_log(tmp_path), "--topic", "/link/stats", "--format", "jsonl")
     code, out = rows.finish()
     assert code == 0, rows.err
     last = json.loads(out.strip().splitlines()[-1])
-    assert last["crc_errors"] > 0 and last["unframed_bytes"] > 0 and last["unknown_frames"] > 0
+    counts = ["crc_errors", "unframed_bytes", "unknown_frames", "foreign_frames", "stray_frames"]
+    for count in counts:
+        assert last[count] > 0 and flown["link"][count] == last[count], count
 
 
 def test_a_terminal_shows_one_status_line(hover, sitl, tmp_path):

@@ -35,6 +35,10 @@ VIEWER = {
 }
 
 
+# One worker has the log.
+pytestmark = pytest.mark.xdist_group("log")
+
+
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     if program := os.environ.get("DOWNWASH_BIN"):

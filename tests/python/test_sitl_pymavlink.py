@@ -8,7 +8,7 @@ import threading
 import time
 
 import pytest
-from conftest import Sitl, sitl_command
+from conftest import Sitl, bounds_time, sitl_command
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 AUTO, POSCTL, OFFBOARD = 4, 3, 6
@@ -99,6 +99,7 @@ def test_parameters(sitl, pilot, version):
     assert "MIS_TAKEOFF_ALT" in names.values()
 
 
+@bounds_time
 def test_message_intervals_are_met(sitl, pilot):
     gcs = pilot(sitl().peer_url())
     asked = {"ATTITUDE_QUATERNION": (31, 250), "HIGHRES_IMU": (105, 250), "ODOMETRY": (331, 100)}

@@ -97,7 +97,7 @@ pub struct DecoderStats {
     pub bytes: u64,
     /// Frames whose checksum was right.
     pub frames: u64,
-    /// Candidates of a known message id whose checksum was wrong.
+    /// Candidates of a known message id whose checksum was wrong, or whose end was missing.
     pub crc_errors: u64,
     /// Candidates of a message id that the dialect does not have; they cannot be checked.
     pub unknown: u64,
@@ -117,6 +117,8 @@ pub struct Decoder {
     pushed: u64,
     /// `unframed()` when the last datagram ended.
     settled: u64,
+    /// The newest bytes of a datagram, as many as a frame can have.
+    tail: Vec<u8>,
 }
 
 impl fmt::Debug for Decoder {
@@ -141,35 +143,55 @@ impl Decoder {
             frame_bytes: 0,
             pushed: 0,
             settled: 0,
+            tail: Vec::new(),
         }
     }
 
     /// Takes bytes of a stream (TCP, serial), where a frame may span two calls.
     pub fn push(&mut self, bytes: &[u8]) {
         self.pushed += bytes.len() as u64;
+        self.tail.extend_from_slice(&bytes[bytes.len().saturating_sub(FRAME_LEN_MAX)..]);
+        self.tail.drain(..self.tail.len().saturating_sub(FRAME_LEN_MAX));
         self.reader.get_mut().bytes.extend(bytes);
     }
 
     /// The next frame, or `None` until more bytes are pushed.
     pub fn next_frame(&mut self) -> Option<Frame> {
+        let frame = self.read()?;
+        self.count(&frame);
+        Some(frame)
+    }
+
+    fn read(&mut self) -> Option<Frame> {
         // The only error a byte queue can give is "empty for now".
         let raw = self.reader.read_any_raw_message_with_dialect(&self.dialect).ok()?;
-        let frame = Frame { raw };
+        Some(Frame { raw })
+    }
+
+    fn count(&mut self, frame: &Frame) {
         self.frames += 1;
         self.frame_bytes += frame.bytes().len() as u64;
         self.dialect.known.set(self.dialect.known.get() - 1);
-        Some(frame)
     }
 
     /// Ends a datagram, since a frame never spans two: what is left is searched for frames once
     /// more and then dropped, so that a truncated frame cannot swallow the next datagram's start.
     pub fn end_datagram(&mut self, mut on_frame: impl FnMut(Frame)) {
         if self.unframed() == self.settled {
+            self.tail.clear();
             return;
         }
-        // Zeros hold no frame marker: they only bring a pending candidate to its (failing) end.
+        let tail = std::mem::take(&mut self.tail);
+        // Zeros hold no frame marker: they only bring a pending candidate to its end. A candidate
+        // that ends well with them, such as one cut in its signature, which nothing checks, is no
+        // frame: it was not in the datagram.
         self.reader.get_mut().bytes.extend([0; FRAME_LEN_MAX]);
-        while let Some(frame) = self.next_frame() {
+        while let Some(frame) = self.read() {
+            let bytes = frame.bytes();
+            if !tail.windows(bytes.len()).any(|window| window == bytes) {
+                break;
+            }
+            self.count(&frame);
             on_frame(frame);
         }
         self.reader = MavlinkReader::new(ByteQueue::default());
@@ -487,6 +509,77 @@ mod tests {
         let mut frames = drain(&mut decoder);
         decoder.end_datagram(|frame| frames.push(frame));
         assert_eq!(frames.len(), 1);
+    }
+
+    /// The frame of a whole ATTITUDE whose payload is cut or padded to `len`, its length byte and
+    /// checksum made anew, so that framing has nothing against it.
+    fn resized(version: MavlinkVersion, len: u8) -> Vec<u8> {
+        let mut bytes = encoded(1, version);
+        let header = if version == MavlinkVersion::V2 { 10 } else { 6 };
+        bytes.resize(header + usize::from(len), 0x55);
+        bytes[1] = len;
+        let crc = mavlink::calculate_crc(&bytes[1..], MavMessage::extra_crc(30));
+        bytes.extend(crc.to_le_bytes());
+        bytes
+    }
+
+    #[test]
+    fn payloads_of_any_length_are_framed_and_never_panic() {
+        for version in [MavlinkVersion::V1, MavlinkVersion::V2] {
+            for len in 0..=u8::MAX {
+                let bytes = resized(version, len);
+                let mut decoder = Decoder::new();
+                decoder.push(&bytes);
+                let frame = decoder.next_frame().expect("its checksum is right");
+                assert_eq!((frame.bytes(), frame.payload().len()), (&bytes[..], len.into()));
+                // What is missing is zero, what is too much is ignored, as MAVLink 2 has it.
+                assert!(frame.message().is_ok(), "{version:?} {len}");
+                assert_eq!(decoder.stats().unframed_bytes, 0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_length_byte_that_lies_is_a_wrong_checksum_and_the_next_frame_is_found() {
+        let next = encoded(2, MavlinkVersion::V2);
+        for version in [MavlinkVersion::V1, MavlinkVersion::V2] {
+            let honest = encoded(1, version);
+            for claimed in (0..=u8::MAX).filter(|&claimed| claimed != honest[1]) {
+                let mut bytes = honest.clone();
+                bytes[1] = claimed;
+                bytes.extend(&next);
+                let mut decoder = Decoder::new();
+                decoder.push(&bytes);
+                let mut frames = drain(&mut decoder);
+                decoder.end_datagram(|frame| frames.push(frame));
+                assert_eq!(frames.len(), 1, "{version:?} {claimed}");
+                assert_eq!(frames[0].bytes(), next);
+                let stats = decoder.stats();
+                assert!(stats.crc_errors >= 1, "{version:?} {claimed}");
+                assert_eq!(stats.unframed_bytes as usize, honest.len());
+            }
+        }
+    }
+
+    #[test]
+    fn a_signed_frame_that_is_cut_is_dropped_and_the_next_is_found() {
+        let mut signed = resized(MavlinkVersion::V2, 28);
+        let crc_start = signed.len() - 2;
+        signed[2] |= v2::IFLAG_SIGNED;
+        let crc = mavlink::calculate_crc(&signed[1..crc_start], MavMessage::extra_crc(30));
+        signed[crc_start..].copy_from_slice(&crc.to_le_bytes());
+        signed.extend([7; v2::SIGNATURE_SIZE]);
+        let next = encoded(2, MavlinkVersion::V2);
+        let mut decoder = Decoder::new();
+        for cut in 1..signed.len() {
+            let dropped_before = decoder.stats().unframed_bytes;
+            decoder.push(&signed[..cut]);
+            decoder.end_datagram(|_| panic!("cut at {cut} it is no frame"));
+            assert_eq!((decoder.stats().unframed_bytes - dropped_before) as usize, cut);
+            decoder.push(&next);
+            let frame = decoder.next_frame().expect("whole");
+            assert_eq!(frame.bytes(), next, "after a cut at {cut}");
+        }
     }
 
     #[derive(Clone, Debug)]

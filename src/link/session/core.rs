@@ -13,9 +13,10 @@ use super::outbox::{Outbox, command_long, heartbeat};
 use super::{Event, Heard, SetpointError, Settings, VehicleId};
 use crate::clock::HostTime;
 use crate::link::attitude_target;
+use crate::link::budget::LineBudget;
 use crate::link::codec::{self, Codec};
 use crate::link::counters::{Counters, LinkState};
-use crate::link::intervals::{Intervals, bandwidth_share};
+use crate::link::intervals::Intervals;
 use crate::link::message::{AttitudeSource, Inbound, Received};
 use crate::link::parameter;
 use crate::link::profile::Profile;
@@ -29,8 +30,6 @@ const VERSION_REPEAT: Duration = Duration::from_millis(400);
 const VERSION_ATTEMPTS: u8 = 5;
 /// An attitude older than this closes no loop.
 const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
-/// Share of a serial line above which rates fall short.
-const BANDWIDTH_LIMIT: f64 = 0.7;
 /// A clock that went back by more than this belongs to a vehicle that was started anew.
 const RESTART_NS: i64 = 1_000_000_000;
 /// MAV_TYPEs that fly nothing, whatever autopilot they name: antenna tracker, ground station,
@@ -227,14 +226,16 @@ impl Core {
             self.settings.form,
         );
         self.codec.set_parameter_cast(profile.parameter_cast);
-        let messages = self.settings.telemetry.as_deref().unwrap_or(profile.telemetry);
+        let budget = match (&self.settings.telemetry, self.settings.baud) {
+            (Some(chosen), Some(baud)) => Some(LineBudget::unlimited(chosen, baud)),
+            (None, Some(baud)) => Some(LineBudget::fit(profile.telemetry, baud)),
+            (_, None) => None,
+        };
+        let usual = self.settings.telemetry.as_deref().unwrap_or(profile.telemetry);
+        let messages = budget.as_ref().map_or(usual, |budget| &budget.messages);
         self.intervals.start(now, messages);
-        if let Some(baud) = self.settings.baud {
-            let share = bandwidth_share(messages, baud);
-            if share > BANDWIDTH_LIMIT {
-                self.events.push_back(Event::Bandwidth { share });
-            }
-        }
+        let news = budget.filter(|budget| !budget.lowered.is_empty() || !budget.fits());
+        self.events.extend(news.map(|budget| Event::LineBudget(Box::new(budget))));
         let is_version_known = version.is_some();
         let event = Event::Identified { profile: Box::new(profile.clone()), is_version_known };
         self.events.push_back(event);
@@ -272,6 +273,13 @@ impl Core {
                 self.profile = None;
                 self.version_due = Some((now, 0));
             }
+        }
+    }
+
+    /// Nothing can be heard until the transport is open again.
+    pub(super) fn transport_closed(&mut self) {
+        if self.state == LinkState::Connected {
+            self.set_state(LinkState::Stale);
         }
     }
 
