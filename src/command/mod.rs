@@ -1,5 +1,6 @@
 //! The commands: validated options, then work, then an exit code.
 
+mod collect;
 mod config;
 mod daemon;
 mod demo;
@@ -8,6 +9,7 @@ mod fly;
 mod log;
 mod messages;
 mod setup;
+mod simulation;
 mod sitl;
 mod status_line;
 mod summary;
@@ -31,6 +33,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
     match cli.command {
         Command::Demo(args) => demo::run(&args),
         Command::Fly(args) => fly::run(&args),
+        Command::Collect(args) => collect::run(&args),
         Command::Daemon(args) => daemon::run(&args),
         Command::Sitl(args) => sitl::run(&args),
         Command::Log(command) => {
