@@ -29,6 +29,8 @@ pub enum Command {
     Demo(DemoArgs),
     /// Connects to a vehicle, flies one trajectory from take-off to landing, and logs it.
     Fly(FlyArgs),
+    /// Flies a programme that a model can be learned from, and logs each flight.
+    Collect(CollectArgs),
     /// Runs for long: streams a hold, and flies whenever the pilot switches the vehicle to OFFBOARD.
     Daemon(DaemonArgs),
     /// Runs the bundled vehicle on MAVLink links.
@@ -57,12 +59,9 @@ pub struct DemoArgs {
     /// Trajectory file [default: the built-in sinusoid-yaw].
     #[arg(long)]
     pub trajectory: Option<PathBuf>,
-    /// The simulated vehicle's own configuration: sensors, pack, start.
-    #[arg(long)]
-    pub sitl_config: Option<PathBuf>,
-    /// An effect of the simulated vehicle that the daemon does not know: id:key=value,...
-    #[arg(long, value_name = "EFFECT")]
-    pub effect: Vec<String>,
+    /// The simulated vehicle.
+    #[command(flatten)]
+    pub simulation: SimulationArgs,
     /// Seed of noise, delays and gusts.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -70,6 +69,63 @@ pub struct DemoArgs {
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Prints the summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What of the simulated vehicle the vehicle file does not say.
+#[derive(Debug, Args)]
+pub struct SimulationArgs {
+    /// The simulated vehicle's own configuration: sensors, pack, start.
+    #[arg(long)]
+    pub sitl_config: Option<PathBuf>,
+    /// Effects of the simulated vehicle that the daemon does not know: a TOML table for each id.
+    #[arg(long, value_name = "FILE")]
+    pub effects: Option<PathBuf>,
+    /// One such effect, over those of the file: id:key=value,...
+    #[arg(long, value_name = "EFFECT")]
+    pub effect: Vec<String>,
+}
+
+/// Flags of `collect`.
+#[derive(Debug, Args)]
+pub struct CollectArgs {
+    /// Folder for the logs, one a flight; made if missing. Flights whose whole log is there are
+    /// not flown again.
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Vehicle file [default: in simulation a built-in nano quadrotor].
+    #[arg(long)]
+    pub vehicle: Option<PathBuf>,
+    /// Flies the vehicle there, one flight after the other, instead of the simulated one.
+    #[arg(long, value_name = "URL", conflicts_with_all = ["sitl_config", "effects", "effect", "jobs"])]
+    pub connect: Option<String>,
+    /// Length of the programme's trajectories, s; landings and take-offs are extra.
+    #[arg(long, value_name = "SECONDS", default_value_t = 2400.0)]
+    pub seconds: f64,
+    /// Adds flights that move and turn at once, to test a model on, s.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    pub combined: f64,
+    /// Seed of the programme and, in simulation, of noise, delays and gusts.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// The simulated vehicle.
+    #[command(flatten)]
+    pub simulation: SimulationArgs,
+    /// Simulated flights at once [default: one for each core]. The logs do not depend on it.
+    #[arg(long, value_name = "COUNT")]
+    pub jobs: Option<std::num::NonZeroUsize>,
+    /// Shows the programme and flies nothing.
+    #[arg(long)]
+    pub list: bool,
+    /// Writes the programme's trajectory files, which `fly` takes, into this folder and flies
+    /// nothing.
+    #[arg(long, value_name = "FOLDER")]
+    pub write_trajectories: Option<PathBuf>,
+    /// Configuration file; its [collect] says where and how boldly is flown.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints the flights as JSON.
     #[arg(long)]
     pub json: bool,
 }

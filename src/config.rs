@@ -11,6 +11,7 @@ use toml::{Table, Value};
 use crate::control::LqrSettings;
 use crate::pilot::PilotSettings;
 use crate::plan::FlightEnvelope;
+use crate::plan::programme::ProgrammeSettings;
 
 /// Version of the configuration's schema.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -33,6 +34,8 @@ pub struct Settings {
     pub link: LinkSettings,
     /// What a trajectory may ask for.
     pub envelope: FlightEnvelope,
+    /// Flights that a model is learned from.
+    pub collect: ProgrammeSettings,
     /// The feedback. Its rate is that of the control ticks.
     pub control: LqrSettings,
     /// Telemetry, flight states, reactions to faults, take-off, limits of the setpoint.
@@ -101,6 +104,7 @@ impl Default for Settings {
             log_dir: None,
             link: LinkSettings::default(),
             envelope: FlightEnvelope::default(),
+            collect: ProgrammeSettings::default(),
             control: LqrSettings::default(),
             pilot: PilotSettings::default(),
         }

@@ -1,6 +1,6 @@
 //! `downwash demo`: the whole flight on the simulated vehicle, in lockstep.
 
-use std::fs;
+use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -8,26 +8,16 @@ use std::time::Instant;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
-use sitl::autopilot::Vehicle;
-use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
 
-use super::setup::{
-    EffectiveVehicle, VehicleFile, built_in_trajectory, checked_trajectory, run_info,
-    station_settings,
-};
+use super::setup::{VehicleFile, built_in_trajectory, checked_trajectory};
+use super::simulation::{Simulated, SimulatedFlight, Truth};
 use super::{Exit, ExitContext, config, print_json, print_text, say, summary, write_file};
 use crate::cli::DemoArgs;
-use crate::lockstep;
-use crate::log::{LogReader, LogSink, LogWriter};
+use crate::log::LogReader;
 use crate::plan::Trajectory;
 use crate::report::flight::{FlightReport, FlightSummary};
-use crate::station::{End, Station};
-use crate::supervisor::EngagePolicy;
-
-/// Simulated time that connecting, take-off, the approach and landing may take beside the
-/// trajectory, s.
-const AROUND_S: f64 = 180.0;
+use crate::station::End;
 
 /// The JSON of `demo`, and its summary.json.
 #[derive(Serialize)]
@@ -38,7 +28,7 @@ struct DemoSummary {
     seed: u64,
     trajectory: String,
     /// Effects of the simulated vehicle that the daemon did not know.
-    effects: Vec<String>,
+    effects: EffectSet,
     simulated_s: f64,
     wall_s: f64,
     real_time_factor: f64,
@@ -57,52 +47,29 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
         Some(path) => Trajectory::load(path).or_exit(Exit::Usage)?,
         None => built_in_trajectory()?,
     };
-    let sitl_config = match &args.sitl_config {
-        Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
-        None => SitlConfig::default(),
-    };
-    let mut effects = EffectSet::new();
-    for effect in &args.effect {
-        effects.insert_argument(effect).or_exit(Exit::Usage)?;
-    }
+    let truth = Truth::load(&args.simulation)?;
     let (trajectory, _) = checked_trajectory(trajectory, &vehicle.params, &config)?;
     let name = trajectory.name().to_owned();
-    let limit_s = trajectory.duration() + AROUND_S;
-    // Refuses a vehicle that cannot be controlled before anything is written.
-    EffectiveVehicle::new(&vehicle.params)?;
-    let mut simulated = Vehicle::new(vehicle.params.clone(), effects, sitl_config, args.seed)
-        .or_exit(Exit::Usage)?;
-    let settings = station_settings(&config, &vehicle, trajectory, EngagePolicy::Command, None)?;
-
-    fs::create_dir_all(&args.out)
-        .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
-    let info = run_info(&config, &vehicle, &name, true, Some(args.seed));
-    let start = lockstep::host_time(0);
-    let writer = LogWriter::create(&args.out, &info, start, Instant::now())?;
-    let log_path = writer.path().to_owned();
-    let mut sink = LogSink::direct(writer);
-    let mut station = Station::new(settings, start);
-
-    let progress = progress_bar(limit_s - AROUND_S);
+    let progress = progress_bar(trajectory.duration());
+    let flight = SimulatedFlight {
+        config: &config,
+        vehicle: &vehicle,
+        truth: &truth,
+        trajectory,
+        run: &name,
+        seed: args.seed,
+        extra: BTreeMap::new(),
+    };
     let wall = Instant::now();
-    let end = lockstep::fly(
-        &mut simulated,
-        &mut station,
-        limit_s,
-        |record| sink.log(record),
-        |station, _| {
-            let status = station.status();
-            progress.set_position((status.progress.map_or(0.0, |(t, _)| t) * 10.0) as u64);
-            progress.set_message(status.phase.map_or("connect", |phase| phase.name()));
-        },
-    );
+    let flown = flight.fly(&args.out, |status| {
+        progress.set_position((status.progress.map_or(0.0, |(t, _)| t) * 10.0) as u64);
+        progress.set_message(status.phase.map_or("connect", |phase| phase.name()));
+    });
     let wall_s = wall.elapsed().as_secs_f64();
     progress.finish_and_clear();
-    sink.finish()?;
-    let end = end?;
+    let Simulated { end, log, simulated_s } = flown?;
 
-    let simulated_s = simulated.now_us() as f64 * 1e-6;
-    let report = report(&log_path)?;
+    let report = report(&log)?;
     let report_path = args.out.join("report.html");
     write_file(&report_path, report.to_html().as_bytes())?;
     let (words, exit) = summary::end_in_words(Some(&end), None);
@@ -112,11 +79,11 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
         end: words,
         seed: args.seed,
         trajectory: name,
-        effects: args.effect.clone(),
+        effects: truth.effects,
         simulated_s,
         wall_s,
         real_time_factor: simulated_s / wall_s,
-        log: log_path,
+        log,
         report: report_path,
         flight: report.summary().clone(),
     };
@@ -147,7 +114,8 @@ pub(super) fn report(log: &Path) -> anyhow::Result<FlightReport> {
     Ok(FlightReport::read(&mut reader)?)
 }
 
-fn progress_bar(length_s: f64) -> ProgressBar {
+/// A bar over so many seconds of trajectory, in tenths; nothing where stderr is no terminal.
+pub(super) fn progress_bar(length_s: f64) -> ProgressBar {
     let target = if std::io::stderr().is_terminal() {
         ProgressDrawTarget::stderr_with_hz(10)
     } else {

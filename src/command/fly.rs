@@ -20,10 +20,10 @@ use crate::cli::FlyArgs;
 use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
-use crate::log::{LogSink, LogWriter};
+use crate::log::{LogSink, LogWriter, RunInfo};
 use crate::plan::Trajectory;
 use crate::report::flight::FlightSummary;
-use crate::station::Station;
+use crate::station::{Station, StationSettings};
 use crate::supervisor::EngagePolicy;
 
 /// How often the status line and the signals are looked at.
@@ -58,27 +58,11 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let station_settings =
         station_settings(&config, &vehicle, trajectory, policy, baud(&endpoint))?;
 
-    let clock = HostClock::start();
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
-    let writer = LogWriter::create(&log_dir, &info, clock.now(), Instant::now())?;
-    let log_path = writer.path().to_owned();
-    let sink = LogSink::threaded(writer)?;
     let tee = args.tlog.as_deref().map(tee).transpose()?;
-    let station = Station::new(station_settings, clock.now());
-    let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
-        .context("cannot start the control thread")?;
-    let (finished, stop) = watch(running)?;
-
-    let log = match finished.log {
-        Ok(_) => Some(log_path),
-        Err(error) => {
-            say(format_args!("{error}"));
-            None
-        }
-    };
+    let Flown { end, exit, log } = fly_once(station_settings, endpoint, &log_dir, &info, tee)?;
     let flight = log.as_deref().map(report).transpose()?.map(|report| report.summary().clone());
-    let (end, exit) = summary::end_in_words(finished.end.as_ref(), stop);
     if exit != Exit::Ok {
         say(format_args!("flight {end}"));
     }
@@ -97,6 +81,42 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
         print_text(&format!("{table}{log}"))?;
     }
     Ok(exit)
+}
+
+/// How a flight went.
+pub(super) struct Flown {
+    /// The end in words.
+    pub end: String,
+    pub exit: Exit,
+    /// The log, if it could be written.
+    pub log: Option<PathBuf>,
+}
+
+/// One flight with a vehicle on a link, in real time, from preflight to landing.
+pub(super) fn fly_once(
+    settings: StationSettings,
+    endpoint: Endpoint,
+    log_dir: &Path,
+    info: &RunInfo,
+    tee: Option<TeeThread>,
+) -> anyhow::Result<Flown> {
+    let clock = HostClock::start();
+    let writer = LogWriter::create(log_dir, info, clock.now(), Instant::now())?;
+    let path = writer.path().to_owned();
+    let sink = LogSink::threaded(writer)?;
+    let station = Station::new(settings, clock.now());
+    let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
+        .context("cannot start the control thread")?;
+    let (finished, stop) = watch(running)?;
+    let log = match finished.log {
+        Ok(_) => Some(path),
+        Err(error) => {
+            say(format_args!("{error}"));
+            None
+        }
+    };
+    let (end, exit) = summary::end_in_words(finished.end.as_ref(), stop);
+    Ok(Flown { end, exit, log })
 }
 
 /// What asked for the end.

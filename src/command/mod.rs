@@ -1,5 +1,6 @@
 //! The commands: validated options, then work, then an exit code.
 
+mod collect;
 mod config;
 mod daemon;
 mod demo;
@@ -10,6 +11,7 @@ mod logs;
 mod messages;
 mod model;
 mod setup;
+mod simulation;
 mod sitl;
 mod status_line;
 mod summary;
@@ -36,6 +38,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
     match cli.command {
         Command::Demo(args) => demo::run(&args),
         Command::Fly(args) => fly::run(&args),
+        Command::Collect(args) => collect::run(&args),
         Command::Daemon(args) => daemon::run(&args),
         Command::Sitl(args) => sitl::run(&args),
         Command::Log(command) => {

@@ -18,6 +18,7 @@ use crate::link::attitude_target::ThrustMap;
 use crate::link::profile::FormChoice;
 use crate::link::session;
 use crate::log::RunInfo;
+use crate::plan::programme::Capability;
 use crate::plan::reference::ReferenceSource;
 use crate::plan::{Feasibility, ModelFreeReference, Trajectory};
 use crate::station::StationSettings;
@@ -87,6 +88,27 @@ impl EffectiveVehicle {
         })
     }
 }
+
+/// What a programme of flights may ask of the vehicle.
+pub(super) fn capability(params: &VehicleParams) -> anyhow::Result<Capability> {
+    let effective = EffectiveVehicle::new(params)?;
+    let inertia: [f64; 3] = effective.hover.inertia;
+    let bandwidth = match effective.attitude_pd {
+        Some(pd) => std::array::from_fn(|axis| (pd.kp[axis] / inertia[axis]).sqrt()),
+        // A loop that is not known is taken to be the slowest of those that are.
+        None => SLOWEST_LOOP_RAD_S,
+    };
+    let [roll, pitch, yaw] = bandwidth;
+    Ok(Capability {
+        gravity: params.gravity,
+        thrust_to_weight: effective.thrust_full_n / effective.hover.hover_thrust_n(),
+        tilt_bandwidth: f64::min(roll, pitch),
+        yaw_bandwidth: yaw,
+    })
+}
+
+/// Natural frequencies of [`AttitudeLoop::PX4`], rad/s.
+const SLOWEST_LOOP_RAD_S: [f64; 3] = [7.6, 7.6, 3.1];
 
 /// A trajectory within the envelope, with the most that it asks for.
 pub(super) fn checked_trajectory(

@@ -1,4 +1,4 @@
-//! Harmonic curves: the sinusoid, figure-8 and yaw families, in one form.
+//! Harmonic curves: the sinusoid, figure-8, yaw and multisine families, in one form.
 
 use std::f64::consts::TAU;
 
@@ -38,18 +38,23 @@ impl Harmonic {
     }
 }
 
-/// A harmonic in each of north, east, down and yaw.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Lissajous {
-    pub position: [Harmonic; 3],
-    pub yaw: Harmonic,
+/// A sum of harmonics in each of north, east, down and yaw.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct HarmonicCurve {
+    pub position: [Vec<Harmonic>; 3],
+    pub yaw: Vec<Harmonic>,
 }
 
-impl Lissajous {
+impl HarmonicCurve {
+    /// One harmonic each.
+    pub fn of_one(position: [Harmonic; 3], yaw: Harmonic) -> Self {
+        Self { position: position.map(|axis| vec![axis]), yaw: vec![yaw] }
+    }
+
     /// The point at phase time tau, whose value, rate and acceleration over real time are given.
     pub fn sample(&self, [tau, rate, acceleration]: [f64; 3]) -> DesiredPoint {
-        let axes = self.position.map(|axis| axis.at(tau));
-        let [yaw, yaw_slope, _] = self.yaw.at(tau);
+        let axes = [0, 1, 2].map(|axis| sum_at(&self.position[axis], tau));
+        let [yaw, yaw_slope, _] = sum_at(&self.yaw, tau);
         DesiredPoint {
             position: Ned::from(axes.map(|[value, ..]| value)),
             velocity: Ned::from(axes.map(|[_, slope, _]| slope * rate)),
@@ -60,6 +65,14 @@ impl Lissajous {
             yaw_rate: yaw_slope * rate,
         }
     }
+}
+
+/// The sum's value, first and second derivative with respect to tau.
+fn sum_at(harmonics: &[Harmonic], tau: f64) -> [f64; 3] {
+    harmonics.iter().fold([0.0; 3], |sum, harmonic| {
+        let at = harmonic.at(tau);
+        [sum[0] + at[0], sum[1] + at[1], sum[2] + at[2]]
+    })
 }
 
 /// Phase time over real time: its rate rises from 0 to 1 within `ramp_s`, and falls to 0 at the
@@ -126,7 +139,7 @@ mod tests {
         #[test]
         fn velocity_and_acceleration_are_the_derivatives(t in 0.01..11.9f64, amplitude in -2.0..2.0f64, phase in 0.0..6.0f64, rate in -1.0..1.0f64) {
             let axis = Harmonic { offset: 0.3, amplitude, period_s: 3.0, phase, rate };
-            let curve = Lissajous { position: [axis; 3], yaw: axis };
+            let curve = HarmonicCurve::of_one([axis; 3], axis);
             let envelope = Envelope::new(10.0, 2.0);
             let at = |t| curve.sample(envelope.phase(t));
             let h = 1e-5;

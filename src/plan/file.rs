@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use sitl::frame::Ned;
 
-use super::curve::{Envelope, Harmonic, Lissajous};
+use super::curve::{Envelope, Harmonic, HarmonicCurve};
+use super::multisine::Multisine;
 use super::path::{MinimumJerkPath, Pace, Waypoint};
 use super::table::Table;
 use super::trajectory::{DesiredPoint, Shape, Trajectory};
@@ -60,6 +61,8 @@ enum Family {
     SinusoidYaw(SinusoidYaw),
     #[serde(rename = "figure-8")]
     FigureEight(FigureEight),
+    /// Sums of sinusoids in position and yaw.
+    Multisine(Multisine),
     Steps(Steps),
     RandomWaypoints(RandomWaypoints),
     Waypoints(Waypoints),
@@ -199,7 +202,7 @@ const DURATION_MAX_S: f64 = 86_400.0;
 /// More random waypoints than this are a slip of the keyboard.
 const WAYPOINTS_MAX: usize = 10_000;
 
-fn two_seconds() -> f64 {
+pub(super) fn two_seconds() -> f64 {
     2.0
 }
 fn four_seconds() -> f64 {
@@ -227,7 +230,7 @@ pub(super) fn parse(text: &str, origin: &Path) -> Result<Trajectory, TrajectoryE
 }
 
 /// Checks values on the way from file to shape; knows the file's name for the errors.
-struct Builder<'a> {
+pub(super) struct Builder<'a> {
     origin: &'a Path,
 }
 
@@ -288,14 +291,17 @@ impl Builder<'_> {
                     f.ramp_s,
                 )?;
                 if let Shape::Harmonic { curve, .. } = &mut shape {
-                    let down = &mut curve.position[2];
                     // climb/2 (1 - cos): up from the given altitude and back.
-                    down.amplitude = -0.5 * self.finite("climb_m", f.climb_m)?;
-                    down.period_s = period_s;
-                    down.phase = -FRAC_PI_2;
+                    curve.position[2].push(Harmonic {
+                        amplitude: -0.5 * self.finite("climb_m", f.climb_m)?,
+                        period_s,
+                        phase: -FRAC_PI_2,
+                        ..Harmonic::default()
+                    });
                 }
                 ("figure-8", shape)
             }
+            Family::Multisine(f) => ("multisine", f.shape(self)?),
             Family::Steps(f) => ("steps", self.steps(&f)?),
             Family::RandomWaypoints(f) => {
                 let half_size = [
@@ -357,7 +363,8 @@ impl Builder<'_> {
             self.positive("duration_s", duration_s)?,
             self.at_least_zero("ramp_s", ramp_s)?,
         );
-        Ok(Shape::Harmonic { curve: Lissajous { position: [north, east, down], yaw }, envelope })
+        let curve = HarmonicCurve::of_one([north, east, down], yaw);
+        Ok(Shape::Harmonic { curve, envelope })
     }
 
     fn sinusoid(&self, f: &Sinusoid, axes: [usize; 2]) -> Result<Shape, TrajectoryError> {
@@ -375,7 +382,7 @@ impl Builder<'_> {
             self.positive("duration_s", f.duration_s)?,
             self.at_least_zero("ramp_s", f.ramp_s)?,
         );
-        let curve = Lissajous { position, yaw: Harmonic::constant(0.0) };
+        let curve = HarmonicCurve::of_one(position, Harmonic::constant(0.0));
         Ok(Shape::Harmonic { curve, envelope })
     }
 
@@ -414,15 +421,19 @@ impl Builder<'_> {
         path.ok_or_else(|| self.wrong("points", "at least one waypoint", 0.0))
     }
 
-    fn finite(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
+    pub(super) fn finite(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number", found, found.is_finite())
     }
 
-    fn positive(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
+    pub(super) fn positive(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number above 0", found, found.is_finite() && found > 0.0)
     }
 
-    fn at_least_zero(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
+    pub(super) fn at_least_zero(
+        &self,
+        field: &'static str,
+        found: f64,
+    ) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number of at least 0", found, found.is_finite() && found >= 0.0)
     }
 

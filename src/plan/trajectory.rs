@@ -4,7 +4,7 @@ use std::path::Path;
 
 use sitl::frame::Ned;
 
-use super::curve::{Envelope, Lissajous};
+use super::curve::{Envelope, HarmonicCurve};
 use super::file::{self, TrajectoryError};
 use super::path::MinimumJerkPath;
 use super::table::Table;
@@ -35,7 +35,7 @@ pub struct Trajectory {
 #[derive(Clone, Debug)]
 pub(super) enum Shape {
     /// Harmonics in each axis, run through an envelope so that they start and end at rest.
-    Harmonic { curve: Lissajous, envelope: Envelope },
+    Harmonic { curve: HarmonicCurve, envelope: Envelope },
     /// Rest-to-rest segments between waypoints.
     Path(MinimumJerkPath),
     /// Position jumps, for step responses.

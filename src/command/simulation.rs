@@ -1,0 +1,113 @@
+//! One flight of the simulated vehicle, in lockstep, into a log.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, anyhow};
+use sitl::autopilot::Vehicle;
+use sitl::config::SitlConfig;
+use sitl::effects::EffectSet;
+
+use super::setup::{VehicleFile, run_info, station_settings};
+use super::{Exit, ExitContext};
+use crate::cli::SimulationArgs;
+use crate::config::Config;
+use crate::lockstep;
+use crate::log::{LogSink, LogWriter};
+use crate::plan::Trajectory;
+use crate::station::{End, Station, Status};
+use crate::supervisor::EngagePolicy;
+
+/// Simulated time that connecting, take-off, the approach and landing may take beside the
+/// trajectory, s.
+const AROUND_S: f64 = 180.0;
+
+/// What of the simulated vehicle the vehicle file does not say.
+#[derive(Clone, Debug)]
+pub(super) struct Truth {
+    pub config: SitlConfig,
+    /// Beyond the vehicle file's modelled effects.
+    pub effects: EffectSet,
+}
+
+impl Truth {
+    /// From flags: what `--effect` says goes over the file of `--effects`.
+    pub fn load(args: &SimulationArgs) -> anyhow::Result<Self> {
+        let config = match &args.sitl_config {
+            Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
+            None => SitlConfig::default(),
+        };
+        let mut effects = match &args.effects {
+            Some(path) => effects_file(path).or_exit(Exit::Usage)?,
+            None => EffectSet::new(),
+        };
+        for effect in &args.effect {
+            effects.insert_argument(effect).or_exit(Exit::Usage)?;
+        }
+        Ok(Self { config, effects })
+    }
+
+    /// The effects as they are written in a file, on one line.
+    pub fn effects_text(&self) -> anyhow::Result<String> {
+        serde_json::to_string(&self.effects).context("the effects")
+    }
+}
+
+/// Reads effects: a TOML table of parameters for each id, as `[modelled_effects]` of a vehicle file.
+fn effects_file(path: &Path) -> anyhow::Result<EffectSet> {
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("effects file {}", path.display()))?;
+    toml::from_str(&text).map_err(|error| anyhow!("effects file {}: {error}", path.display()))
+}
+
+/// One flight to simulate.
+pub(super) struct SimulatedFlight<'a> {
+    pub config: &'a Config,
+    pub vehicle: &'a VehicleFile,
+    pub truth: &'a Truth,
+    pub trajectory: Trajectory,
+    /// What the run is called in the log and in its file's name.
+    pub run: &'a str,
+    pub seed: u64,
+    /// More for the log's metadata.
+    pub extra: BTreeMap<String, String>,
+}
+
+/// How a simulated flight went.
+pub(super) struct Simulated {
+    pub end: End,
+    pub log: PathBuf,
+    pub simulated_s: f64,
+}
+
+impl SimulatedFlight<'_> {
+    /// Flies from connecting to disarming. `watch` sees the status about every 10 ms of simulated
+    /// time.
+    pub fn fly(self, folder: &Path, mut watch: impl FnMut(&Status)) -> anyhow::Result<Simulated> {
+        let limit_s = self.trajectory.duration() + AROUND_S;
+        let params = self.vehicle.params.clone();
+        let truth = self.truth.clone();
+        let mut vehicle =
+            Vehicle::new(params, truth.effects, truth.config, self.seed).or_exit(Exit::Usage)?;
+        let policy = EngagePolicy::Command;
+        let settings = station_settings(self.config, self.vehicle, self.trajectory, policy, None)?;
+        let mut info = run_info(self.config, self.vehicle, self.run, true, Some(self.seed));
+        info.extra = self.extra;
+        info.extra.insert("effects".to_owned(), self.truth.effects_text()?);
+        let start = lockstep::host_time(0);
+        let writer = LogWriter::create(folder, &info, start, Instant::now())?;
+        let log = writer.path().to_owned();
+        let mut sink = LogSink::direct(writer);
+        let mut station = Station::new(settings, start);
+        let end = lockstep::fly(
+            &mut vehicle,
+            &mut station,
+            limit_s,
+            |record| sink.log(record),
+            |station, _| watch(&station.status()),
+        );
+        sink.finish()?;
+        Ok(Simulated { end: end?, log, simulated_s: vehicle.now_us() as f64 * 1e-6 })
+    }
+}
