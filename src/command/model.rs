@@ -283,10 +283,11 @@ pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
     }
     let a = &summary.actuation;
     text += &format!(
-        "actuation: delay {:.1} ms, lag {:.1} ms, thrust as voltage to the power {:.2}\n",
+        "actuation: delay {:.1} ms, lag {:.1} ms, thrust as voltage to the power {:.2}{}\n",
         1e3 * a.delay_s,
         1e3 * a.lag_s,
-        a.voltage_exponent
+        a.voltage_exponent,
+        a.balance_s.map_or(String::new(), |time| format!(", moments balanced over {time} s"))
     );
     text += &format!(
         "labels: linear acceleration from the {}, bandwidth {:.1} Hz\n",

@@ -11,7 +11,7 @@ use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::alignment::interpolated;
 use crate::log::import::{Flight, Stream};
-use crate::model::actuation::{Actuation, Rotors};
+use crate::model::actuation::{Actuation, RotorState, RotorStep};
 
 /// Rate of the grid where the on-board law is not known, Hz.
 const OUTPUT_RATE_HZ: f64 = 250.0;
@@ -41,6 +41,11 @@ impl CommandSource {
             CommandSource::MotorOutputs => "motor outputs",
             CommandSource::RotorSpeeds => "rotor speeds",
         }
+    }
+
+    /// The rotors' lag behind this source: none behind their own speeds.
+    pub(super) fn lag_s(self, actuation: &Actuation) -> f64 {
+        if self == CommandSource::RotorSpeeds { 0.0 } else { actuation.lag_s }
     }
 }
 
@@ -181,27 +186,25 @@ impl OutputTrace {
         (index >= 0.0).then(|| self.outputs.get(index as usize).copied().flatten())?
     }
 
-    /// The rotors' states that follow these outputs.
-    pub fn states(&self, onboard: &Onboard, lag_s: f64) -> Stream<[f64; ROTORS]> {
+    /// The rotors' states that follow these outputs: of each instant its now and its average.
+    pub fn states(&self, actuation: &Actuation, lag_s: f64) -> Stream<[f64; 2 * ROTORS]> {
+        let rotors = RotorStep::new(actuation, lag_s, self.step);
+        let balanced = actuation.balance_s.is_some();
         let mut states = Stream::default();
-        let mut rotors = Rotors::new(&onboard.allocation, lag_s);
-        // While nothing ruled, the rotors' states are not known; they settle after a few lags.
-        let mut settled_at = f64::NEG_INFINITY;
-        let mut ruled = false;
+        // What came before the first output is not known; it fades within a few lags.
+        let settling = 3.0 * lag_s;
+        let mut current: Option<(f64, RotorState)> = None;
         for (k, outputs) in self.outputs.iter().enumerate() {
             let time = self.start + k as f64 * self.step;
             let Some(outputs) = outputs else {
-                ruled = false;
+                current = None;
                 continue;
             };
-            if !ruled {
-                rotors = Rotors::new(&onboard.allocation, lag_s);
-                settled_at = time + 3.0 * lag_s;
-                ruled = true;
-            }
-            let after = rotors.advance(outputs, self.step);
-            if time + self.step >= settled_at {
-                states.push(time + self.step, after);
+            let (since, state) = current.unwrap_or((time, RotorState::settled(*outputs, balanced)));
+            let [_, after] = rotors.advance(&state, outputs);
+            current = Some((since, after));
+            if time - since >= settling {
+                states.push(time + self.step, after.into());
             }
         }
         states

@@ -11,7 +11,7 @@ use super::commands::{CommandSource, Onboard, OutputTrace, lerp};
 use super::segments::{Segments, Unusable};
 use super::window::{BANDWIDTH, Sliding};
 use crate::log::import::{Flight, Stream};
-use crate::model::actuation::{Actuation, Rotors};
+use crate::model::actuation::{Actuation, RotorState};
 use crate::model::file::AccelerationSource;
 use crate::model::{ACCELERATIONS, Point};
 
@@ -215,14 +215,15 @@ impl ObservedFlight {
         }
     }
 
-    /// The rotors' states under an actuation.
-    pub fn rotor_states(&self, onboard: &Onboard, actuation: &Actuation) -> Stream<[f64; ROTORS]> {
-        let lag_s = match self.source {
-            CommandSource::RotorSpeeds => 0.0,
-            _ => actuation.lag_s,
-        };
+    /// The rotors' states under an actuation: of each instant its now and its average.
+    pub fn rotor_states(
+        &self,
+        onboard: &Onboard,
+        actuation: &Actuation,
+    ) -> Stream<[f64; 2 * ROTORS]> {
+        let lag_s = self.source.lag_s(actuation);
         OutputTrace::new(onboard, &self.flight, self.source, actuation.delay_s)
-            .states(onboard, lag_s)
+            .states(actuation, lag_s)
     }
 
     /// The actuated input at each observation in `range`; `None` where commands are missing.
@@ -233,14 +234,13 @@ impl ObservedFlight {
         range: Range<usize>,
     ) -> Vec<Option<[f64; 4]>> {
         let states = self.rotor_states(onboard, actuation);
-        let rotors = Rotors::new(&onboard.allocation, 0.0);
         let mut window = Sliding::new(&states, self.half_s);
         self.observations[range]
             .iter()
             .map(|o| {
-                let states = window.mean(o.time)?;
+                let states = RotorState::from(window.mean(o.time)?);
                 let factor = onboard.voltage_factor(actuation, o.voltage);
-                Some(rotors.input(&states, factor))
+                Some(states.input(&onboard.allocation, factor))
             })
             .collect()
     }

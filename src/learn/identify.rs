@@ -3,7 +3,9 @@
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
-use sitl::effects::{AttitudeTrim, ComOffset, Effect, EffectSet, Inertia, RotorDrag, ThrustScale};
+use sitl::effects::{
+    AttitudeTrim, BladeFlapping, ComOffset, Effect, EffectSet, Inertia, RotorDrag, ThrustScale,
+};
 use sitl::frame::Ned;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
@@ -17,6 +19,10 @@ use crate::model::{ACCELERATIONS, Model};
 /// Delays and lags that are tried first, s.
 const DELAYS: [f64; 9] = [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08];
 const LAGS: [f64; 9] = [0.0, 0.015, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.16];
+/// Times of balance that are tried, s.
+const BALANCES: [f64; 6] = [2.0, 1.0, 0.6, 0.4, 0.25, 0.15];
+/// The share of what is unexplained that a balance must explain to be believed.
+const BALANCE_GAIN_MIN: f64 = 0.05;
 /// The search ends when its steps are this small, s.
 const RESOLUTION: f64 = 0.0005;
 /// Observations for the search; more do not move it.
@@ -80,7 +86,7 @@ pub fn actuation(
     let mut found = Actuation {
         delay_s: vehicle.command_delay_s,
         lag_s: vehicle.motor_time_constant_s,
-        voltage_exponent: 0.0,
+        ..Actuation::default()
     };
     if total == 0 {
         return found;
@@ -89,43 +95,59 @@ pub fn actuation(
         voltage_exponent(flights, onboard, &found, acceleration, vehicle.gravity);
     // The same share from the middle of each flight.
     let share = (SEARCH_ROWS as f64 / total as f64).min(1.0);
-    let cost = |delay_s: f64, lag_s: f64| {
-        let candidate = Actuation { delay_s, lag_s, ..found };
-        unexplained(flights, onboard, &candidate, acceleration, vehicle.gravity, share)
+    let cost = |candidate: &Actuation| {
+        unexplained(flights, onboard, candidate, acceleration, vehicle.gravity, share)
             .unwrap_or(f64::INFINITY)
     };
-    let mut best = (found.delay_s, found.lag_s, cost(found.delay_s, found.lag_s));
-    let consider = |delay: f64, lag: f64, best: &mut (f64, f64, f64)| {
-        let new = cost(delay, lag);
-        if new < best.2 {
-            *best = (delay, lag, new);
-        }
-        new
-    };
-    for delay in DELAYS {
-        for lag in LAGS {
-            consider(delay, lag, &mut best);
+    let mut least = cost(&found);
+    for delay_s in DELAYS {
+        for lag_s in LAGS {
+            consider(&cost, Actuation { delay_s, lag_s, ..found }, &mut found, &mut least, 0.0);
         }
     }
-    let mut step = 0.006;
-    while step > RESOLUTION {
-        let (delay, lag, before) = best;
-        // Delay and lag trade against each other, so the search also moves along their sum.
-        for (a, b) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, -1.0), (-1.0, 1.0)] {
-            let (delay, lag) = (delay + a * step, lag + b * step);
-            if delay >= 0.0 && lag >= 0.0 {
-                consider(delay, lag, &mut best);
-            }
-        }
-        if best.2 >= before {
-            step *= 0.5;
-        }
+    refine(&cost, &mut found, &mut least);
+    for balance_s in BALANCES {
+        let candidate = Actuation { balance_s: Some(balance_s), ..found };
+        consider(&cost, candidate, &mut found, &mut least, BALANCE_GAIN_MIN);
     }
-    found.delay_s = best.0;
-    found.lag_s = best.1;
+    if found.balance_s.is_some() {
+        refine(&cost, &mut found, &mut least);
+    }
     found.voltage_exponent =
         voltage_exponent(flights, onboard, &found, acceleration, vehicle.gravity);
     found
+}
+
+/// Takes the candidate if it costs less than the best so far by the share `gain`.
+fn consider(
+    cost: &impl Fn(&Actuation) -> f64,
+    candidate: Actuation,
+    best: &mut Actuation,
+    least: &mut f64,
+    gain: f64,
+) {
+    let new = cost(&candidate);
+    if new < (1.0 - gain) * *least {
+        (*best, *least) = (candidate, new);
+    }
+}
+
+/// Steps of delay and lag that halve until they are small. The two trade against each other, so
+/// the search also moves along their sum.
+fn refine(cost: &impl Fn(&Actuation) -> f64, best: &mut Actuation, least: &mut f64) {
+    let mut step = 0.006;
+    while step > RESOLUTION {
+        let (from, before) = (*best, *least);
+        for (a, b) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, -1.0), (-1.0, 1.0)] {
+            let (delay_s, lag_s) = (from.delay_s + a * step, from.lag_s + b * step);
+            if delay_s >= 0.0 && lag_s >= 0.0 {
+                consider(cost, Actuation { delay_s, lag_s, ..from }, best, least, 0.0);
+            }
+        }
+        if *least >= before {
+            step *= 0.5;
+        }
+    }
 }
 
 /// Unexplained shares of the three angular accelerations and of the specific force along z.
@@ -233,7 +255,7 @@ fn golden_section((mut low, mut high): (f64, f64), cost: impl Fn(f64) -> f64) ->
 }
 
 /// Number of parameters of the physics that are fitted.
-const PARAMETERS: usize = 13;
+const PARAMETERS: usize = 14;
 
 /// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim and damping, each held
 /// near the vehicle file's value by a weak prior, by Levenberg-Marquardt on the rows' labels, each
@@ -351,6 +373,7 @@ impl Parameters {
         if let Some(AttitudeTrim { trim }) = effects.get() {
             [p[8], p[9]] = [trim.roll, trim.pitch];
         }
+        p[13] = effects.get::<BladeFlapping>().map_or(0.0, |e| e.moment_nms_m);
         Self(p)
     }
 
@@ -362,7 +385,9 @@ impl Parameters {
         let drag = vehicle.mass;
         let [x, y, z] = vehicle.inertia.map(|i| 5.0 * i);
         let offset = 0.2 * arm;
-        [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z]
+        // One deviation turns the vehicle as a drag of one mass per second at a fifth of an arm.
+        let flapping = offset * drag;
+        [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z, flapping]
     }
 
     /// Keeps the numbers physical.
@@ -386,7 +411,9 @@ impl Parameters {
     }
 
     fn physics(&self, vehicle: &VehicleParams) -> PhysicsParameters {
-        let [scale, d_xy, d_z, ix, iy, iz, x, y, roll, pitch, kx, ky, kz] = self.0;
+        let [scale, d_xy, d_z, ix, iy, iz, x, y, roll, pitch, kx, ky, kz, flapping] = self.0;
+        let shipped = vehicle.modelled_effects.get::<BladeFlapping>();
+        let flap_tilt = shipped.map_or(0.0, |e| e.tilt_rad_s_m);
         let trim = vehicle.modelled_effects.get::<AttitudeTrim>();
         let yaw = trim.map_or(0.0, |AttitudeTrim { trim }| trim.yaw);
         let mut effects = EffectSet::new();
@@ -395,6 +422,7 @@ impl Parameters {
             (RotorDrag::ID, [d_xy, d_z, 0.0]),
             (Inertia::ID, [ix, iy, iz]),
             (ComOffset::ID, [x, y, 0.0]),
+            (BladeFlapping::ID, [flapping, flap_tilt, 0.0]),
             (AttitudeTrim::ID, [roll, pitch, yaw]),
         ] {
             let mut slots = sitl::effects::Slots::default();

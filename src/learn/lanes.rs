@@ -144,9 +144,7 @@ mod x86 {
         }
         #[inline(always)]
         unsafe fn plus_product(self, a: Self, b: Self) -> Self {
-            unsafe {
-                Self(_mm256_fmadd_ps(a.0, b.0, self.0), _mm256_fmadd_ps(a.1, b.1, self.1))
-            }
+            unsafe { Self(_mm256_fmadd_ps(a.0, b.0, self.0), _mm256_fmadd_ps(a.1, b.1, self.1)) }
         }
         // Numbers above 0 are above 0 as integers too, and all others are not; integer
         // instructions leave the ports free on which products wait.
@@ -154,9 +152,8 @@ mod x86 {
         unsafe fn rectified(self) -> Self {
             unsafe {
                 let zero = _mm256_setzero_si256();
-                let rectify = |x| {
-                    _mm256_castsi256_ps(_mm256_max_epi32(_mm256_castps_si256(x), zero))
-                };
+                let rectify =
+                    |x| _mm256_castsi256_ps(_mm256_max_epi32(_mm256_castps_si256(x), zero));
                 Self(rectify(self.0), rectify(self.1))
             }
         }

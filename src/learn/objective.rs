@@ -44,9 +44,7 @@ impl<'a> Objective<'a> {
             .packets()
             .par_chunks(self.chunk())
             .with_max_len(1)
-            .map(|rows| {
-                self.with_scratch(|scratch| kernel::squared_errors(&net, rows, scratch))
-            })
+            .map(|rows| self.with_scratch(|scratch| kernel::squared_errors(&net, rows, scratch)))
             .collect();
         squares.iter().sum::<f64>() * self.scale()
     }

@@ -3,14 +3,13 @@
 
 use sitl::frame::{Attitude, Frd};
 use sitl::rigid_body::{Stage, State, rk4};
-use sitl::rotor::Lag;
 use sitl::vehicle::ROTORS;
 
 use super::alignment::interpolated;
 use super::commands::{CommandSource, Onboard, lerp};
 use super::dataset::ObservedFlight;
 use crate::log::import::{Flight, Stream};
-use crate::model::actuation::{Actuation, Rotors};
+use crate::model::actuation::{Actuation, RotorState, RotorStep};
 use crate::model::{Model, Point};
 
 /// Longest step of the integration, s.
@@ -26,7 +25,7 @@ pub struct RecordedInputs<'a> {
     onboard: &'a Onboard,
     actuation: &'a Actuation,
     source: CommandSource,
-    rotor_states: Stream<[f64; ROTORS]>,
+    rotor_states: Stream<[f64; 2 * ROTORS]>,
     lag_s: f64,
     step: f64,
 }
@@ -46,7 +45,7 @@ impl<'a> RecordedInputs<'a> {
             actuation,
             source,
             rotor_states: observed.rotor_states(onboard, actuation),
-            lag_s: if source == CommandSource::RotorSpeeds { 0.0 } else { actuation.lag_s },
+            lag_s: source.lag_s(actuation),
             step: (1.0 / onboard.rate_hz / steps).max(0.004),
         }
     }
@@ -72,7 +71,8 @@ impl<'a> RecordedInputs<'a> {
             // Commands change within the step; its middle stands for it.
             CommandSource::MotorOutputs => lerp(&self.flight.outputs, sent + 0.5 * self.step),
             CommandSource::RotorSpeeds => {
-                self.rotor_states.held_at(time + 0.5 * self.step).copied()
+                let states = self.rotor_states.held_at(time + 0.5 * self.step)?;
+                Some(RotorState::from(*states).now)
             }
         }
     }
@@ -87,25 +87,29 @@ impl<'a> RecordedInputs<'a> {
         horizons: &[f64],
     ) -> Option<Vec<State>> {
         let mut rotors = match self.rotor_states.held_at(start) {
-            Some(states) => *states,
-            None => self.outputs(start, &state)?,
+            Some(states) => RotorState::from(*states),
+            None => {
+                let balanced = self.actuation.balance_s.is_some();
+                RotorState::settled(self.outputs(start, &state)?, balanced)
+            }
         };
-        let mixer = Rotors::new(&self.onboard.allocation, self.lag_s);
-        let mut lag = (self.step, Lag::new(self.lag_s, self.step));
+        let answer = |step: f64| (step, RotorStep::new(self.actuation, self.lag_s, step));
+        let mut rotor_step = answer(self.step);
         let (mut state, mut passed) = (state, 0.0);
         let mut predicted = Vec::with_capacity(horizons.len());
         for horizon in horizons {
             while *horizon - passed > 1e-9 {
                 let step = self.step.min(horizon - passed);
-                if step != lag.0 {
-                    lag = (step, Lag::new(self.lag_s, step));
+                if step != rotor_step.0 {
+                    rotor_step = answer(step);
                 }
                 let time = start + passed;
                 let outputs = self.outputs(time, &state)?;
-                let [middle, end] = lag.1.advance(&rotors, &outputs);
+                let [middle, end] = rotor_step.1.advance(&rotors, &outputs);
                 let voltage = self.flight.voltage.held_at(time).copied();
                 let factor = self.onboard.voltage_factor(self.actuation, voltage);
-                let inputs = [rotors, middle, end].map(|states| mixer.input(&states, factor));
+                let allocation = &self.onboard.allocation;
+                let inputs = [rotors, middle, end].map(|state| state.input(allocation, factor));
                 state = rk4(&state, step, |state, stage| {
                     let input = match stage {
                         Stage::Start => inputs[0],

@@ -33,7 +33,7 @@ pub const ROWS_MIN: usize = 500;
 pub struct Evaluation {
     /// Rows.
     pub rows: usize,
-    /// Errors of each model's accelerations, over the variance of these rows' labels.
+    /// Errors of each model's accelerations, over the variance of the labels that it was trained on.
     pub one_step: Vec<EvaluatedModel>,
     /// Open-loop errors: models, then baselines.
     pub multi_step: Vec<MultiStepSummary>,
@@ -65,11 +65,11 @@ pub fn evaluate(
     let rows: Vec<Row> =
         flights.iter().flat_map(|f| f.rows(onboard, &file.actuation, source)).collect();
     let rows: Vec<&Row> = rows.iter().collect();
-    let deviation = deviation(&rows);
     let mut models = Vec::new();
     for kind in ModelKind::ALL {
         models.push((kind, file.model(kind)?));
     }
+    let deviation = file.deviation;
     let one_step = models
         .iter()
         .map(|(kind, model)| {
@@ -407,6 +407,7 @@ pub fn train(
         vehicle: vehicle.clone(),
         actuation: dataset.actuation,
         acceleration: dataset.acceleration,
+        deviation,
         net,
         physics: physics.clone(),
         residual,

@@ -184,9 +184,7 @@ impl<'a> Trainer<'a> {
         };
         let training = match settings.method {
             Method::Rprop => Cow::Borrowed(training),
-            Method::Adam => {
-                Cow::Owned(training.shuffled(&mut Pcg64::new(settings.seed.into(), 0)))
-            }
+            Method::Adam => Cow::Owned(training.shuffled(&mut Pcg64::new(settings.seed.into(), 0))),
         };
         Ok(Self {
             state,
@@ -257,11 +255,8 @@ impl<'a> Trainer<'a> {
         let steps = order.len() as f64;
         for (step, batch) in order.into_iter().enumerate() {
             let progress = ((number - 1) as f64 + step as f64 / steps) / passes;
-            losses += self.objective.batch_gradient(
-                batch,
-                &self.state.parameters,
-                &mut self.gradient,
-            );
+            losses +=
+                self.objective.batch_gradient(batch, &self.state.parameters, &mut self.gradient);
             self.step(adam::rate(ADAM_RATE, progress));
         }
         losses / steps
@@ -384,11 +379,7 @@ fn best(curve: &[Pass]) -> Option<Pass> {
 /// # Panics
 /// When the network's inputs and outputs are not the samples'.
 pub fn mean_squared_error(network: &Mlp, samples: &Samples) -> f64 {
-    let shape = Shape {
-        inputs: network.inputs,
-        hidden: network.hidden,
-        outputs: network.outputs,
-    };
+    let shape = Shape { inputs: network.inputs, hidden: network.hidden, outputs: network.outputs };
     assert_eq!((shape.inputs, shape.outputs), (samples.inputs(), samples.outputs()));
     let parameters = [
         &network.hidden_weights,

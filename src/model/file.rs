@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use sitl::vehicle::{Difference, VehicleError, VehicleParams};
 
-use super::Model;
 use super::actuation::Actuation;
 use super::hybrid::Hybrid;
 use super::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
 use super::net::{Mlp, Normalization};
 use super::physics::{PhysicsModel, PhysicsParameters};
+use super::{ACCELERATIONS, Model};
 
 /// What the file says that it is.
 const FORMAT: &str = "downwash.model";
@@ -82,6 +82,8 @@ pub struct ModelFile {
     pub actuation: Actuation,
     /// Where the linear acceleration that it learned is from.
     pub acceleration: AccelerationSource,
+    /// Deviation of the labels over the training rows: the unit of normalised errors.
+    pub deviation: [f64; ACCELERATIONS],
     /// The networks.
     pub net: NetworkModel,
     /// The physics' parameters.
@@ -157,6 +159,7 @@ struct Header {
     feature_names: [Vec<String>; 2],
     actuation: Actuation,
     acceleration: AccelerationSource,
+    deviation: [f64; ACCELERATIONS],
     physics: PhysicsParameters,
     preferred: ModelKind,
     training: serde_json::Value,
@@ -207,6 +210,7 @@ impl ModelFile {
                 .map(|head| self.net.features.names(head).into_iter().map(str::to_owned).collect()),
             actuation: self.actuation,
             acceleration: self.acceleration,
+            deviation: self.deviation,
             physics: self.physics.clone(),
             preferred: self.preferred,
             training: self.training.clone(),
@@ -315,6 +319,7 @@ impl ModelFile {
             vehicle: header.vehicle.checked()?,
             actuation: header.actuation,
             acceleration: header.acceleration,
+            deviation: header.deviation,
             physics: header.physics,
             preferred: header.preferred,
             training: header.training,

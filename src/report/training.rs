@@ -281,7 +281,10 @@ fn provenance(summary: &TrainingSummary) -> String {
     let settings = &summary.settings;
     let actuation = &summary.actuation;
     let entries = [
-        ("rows", format!("100 a second: {training} training, {validation} validation, {test} test")),
+        (
+            "rows",
+            format!("100 a second: {training} training, {validation} validation, {test} test"),
+        ),
         (
             "split",
             match summary.data.split {
