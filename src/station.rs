@@ -509,7 +509,8 @@ impl Station {
 
     fn record_stats(&mut self, now: HostTime) {
         let stats = self.meter.read(now, &self.session.stats());
-        if self.found.is_some_and(|found| now.since(found) >= STATS_PERIOD) {
+        // The first period has what came before the intervals were asked for.
+        if self.found.is_some_and(|found| now.since(found) >= 2 * STATS_PERIOD) {
             self.found = None;
             let text = format!(
                 "receiving attitude at {:.0} Hz, position at {:.0} Hz, odometry at {:.0} Hz",
