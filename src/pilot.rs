@@ -161,7 +161,7 @@ impl Pilot {
             Default::default()
         };
         let sum = reference.feedforward.plus(feedback);
-        let yaw = sample.state.attitude.euler().yaw;
+        let yaw = sample.state.attitude.yaw();
         let limited = self.settings.limits.apply(sum, self.airframe.thrust_full_n, yaw);
         let permitted = self.supervisor.permits(now, self.telemetry.status());
         let sent = limited.filter(|_| permitted);

@@ -126,11 +126,12 @@ impl Station {
     }
 
     /// Takes bytes that arrived. The line: each message to the pilot, and the setpoint that it
-    /// answers with, if any, to the vehicle.
+    /// answers with, if any, to the vehicle. What else follows waits for
+    /// [`Station::transmit`], which sends the setpoint first.
     pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
         let Self { session, pilot, profile, records, ticks, .. } = self;
         let motors = profile.as_ref().map(|profile| profile.motor_outputs);
-        let first = records.len();
+        let (first, first_tick) = (records.len(), ticks.len());
         session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
             Heard::Frame { bytes, .. } => {
                 records
@@ -152,7 +153,7 @@ impl Station {
             stamp.sampled = mapped.map_or(stamp.host, |sampled| sampled.min(stamp.host));
         }
         // Of several samples in one datagram only the newest is acted upon.
-        if let Some(setpoint) = self.ticks.last().and_then(|tick| tick.setpoint) {
+        if let Some(setpoint) = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint) {
             match self.session.send_setpoint(now, &setpoint) {
                 Ok(()) => {
                     self.setpoints += 1;
@@ -166,7 +167,6 @@ impl Station {
                 Err(_) => {}
             }
         }
-        self.follow_up(now);
     }
 
     /// Does what is due by the clock. Never makes a setpoint.
@@ -200,7 +200,15 @@ impl Station {
     }
 
     /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
+    /// First those that are there, a setpoint above all; then those that follow from what was
+    /// received.
     pub fn transmit(&mut self, now: HostTime, mut send: impl FnMut(Option<Peer>, &[u8])) {
+        self.send_queued(now, &mut send);
+        self.follow_up(now);
+        self.send_queued(now, &mut send);
+    }
+
+    fn send_queued(&mut self, now: HostTime, send: &mut impl FnMut(Option<Peer>, &[u8])) {
         let records = &mut self.records;
         self.session.transmit(|peer, frame| {
             send(peer, frame);
@@ -499,7 +507,8 @@ impl Station {
 
     fn record_stats(&mut self, now: HostTime) {
         let stats = self.meter.read(now, &self.session.stats());
-        if self.found.is_some_and(|found| now.since(found) >= STATS_PERIOD) {
+        // The first period has what came before the intervals were asked for.
+        if self.found.is_some_and(|found| now.since(found) >= 2 * STATS_PERIOD) {
             self.found = None;
             let text = format!(
                 "receiving attitude at {:.0} Hz, position at {:.0} Hz, odometry at {:.0} Hz",

@@ -1,329 +1,256 @@
 //! Telemetry datagram in, setpoint datagram out, over loopback UDP in real time, measured from
 //! outside: a minimal vehicle stamps its ODOMETRY when it sends it and the daemon's setpoint when
-//! it has it. Beside it, paced alike in the same run, the same datagrams go to a plain C echo,
-//! which is the floor that the machine sets.
+//! it has it. Beside it, half a period later and at the same rate, the same datagram goes to a
+//! plain C echo, which is the floor that the machine sets.
 //!
-//! `cargo bench --bench latency -- [--seconds 60] [--rate 100] [--pin CORE] [--json]`
+//! All of them are kept on one core, where waking another adds no noise.
 
-use std::io::{BufRead, BufReader};
-use std::net::UdpSocket;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+mod processes;
+mod vehicle;
+
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use wire::dialect::*;
-use wire::{Decoder, Encoder};
+use self::processes::{Process, pin};
+use self::vehicle::{Vehicle, receive, socket_to};
 
-/// Wait for an answer before it counts as missed.
-const TIMEOUT: Duration = Duration::from_millis(100);
+const HELP: &str = "\
+Latency of the control line beside a C echo, over loopback UDP.
+
+cargo bench --bench latency -- [OPTIONS]
+    --rate HZ       telemetry and control rate [100]
+    --seconds S     length of the measurement [60]
+    --pin CORE      the core for all processes [the last]
+    --no-pin        leave them to the scheduler
+    --daemon PATH   the downwash to measure [the one that was just built]
+    --json          one line of JSON";
+
+/// Time for the daemon to identify the vehicle and to stream.
+const START_LIMIT: Duration = Duration::from_secs(20);
+/// What the line is held to: over the echo's median, us; times the echo's 99th percentile; share
+/// of a core.
+const P50_OVER_ECHO_US: f64 = 30.0;
+const P99_OF_ECHO: f64 = 3.0;
+const CPU_SHARE: f64 = 0.05;
 
 struct Options {
     seconds: f64,
     rate_hz: f64,
     pin: Option<usize>,
+    daemon: PathBuf,
     json: bool,
 }
 
 fn options() -> Options {
-    let mut options = Options { seconds: 60.0, rate_hz: 100.0, pin: None, json: false };
+    let last = std::thread::available_parallelism().map_or(0, |cores| cores.get() - 1);
+    let mut options = Options {
+        seconds: 60.0,
+        rate_hz: 100.0,
+        pin: Some(last),
+        daemon: env!("CARGO_BIN_EXE_downwash").into(),
+        json: false,
+    };
     let mut args = std::env::args().skip(1);
+    let stop = |why: &str| -> ! {
+        eprintln!("{why}\n\n{HELP}");
+        std::process::exit(2);
+    };
     while let Some(arg) = args.next() {
-        let mut number = || {
+        let mut number = || -> f64 {
             let text = args.next().unwrap_or_default();
-            text.parse::<f64>()
-                .unwrap_or_else(|_| panic!("{arg}: expected a number, found {text:?}"))
+            let number = text.parse().ok().filter(|number: &f64| *number >= 0.0);
+            number.unwrap_or_else(|| stop(&format!("{arg}: expected a number, found {text:?}")))
         };
         match arg.as_str() {
             "--seconds" => options.seconds = number(),
-            "--rate" => options.rate_hz = number(),
+            "--rate" => options.rate_hz = number().max(1.0),
             "--pin" => options.pin = Some(number() as usize),
+            "--no-pin" => options.pin = None,
+            "--daemon" => options.daemon = args.next().unwrap_or_default().into(),
             "--json" => options.json = true,
             "--bench" => {} // cargo adds it
-            other => panic!("unknown flag {other}"),
+            "--help" | "-h" => {
+                println!("{HELP}");
+                std::process::exit(0);
+            }
+            other => stop(&format!("unknown flag {other}")),
         }
     }
     options
 }
 
-/// Kills its process when dropped.
-struct Running(Child);
+/// Times in us, sorted.
+struct Latencies(Vec<f64>);
 
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+impl Latencies {
+    fn new(mut us: Vec<f64>) -> Self {
+        us.sort_by(f64::total_cmp);
+        Self(us)
+    }
+
+    /// The time that this share of all is not above.
+    fn quantile(&self, share: f64) -> f64 {
+        let rank = (self.0.len() as f64 * share).ceil() as usize;
+        self.0.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
+    }
+
+    fn json(&self) -> serde_json::Value {
+        serde_json::json!({
+            "answers": self.0.len(), "p50_us": self.quantile(0.5), "p99_us": self.quantile(0.99),
+            "p999_us": self.quantile(0.999), "max_us": self.quantile(1.0),
+        })
+    }
+
+    fn row(&self) -> String {
+        let columns = [0.5, 0.99, 0.999, 1.0].map(|share| format!("{:9.1}", self.quantile(share)));
+        columns.join(" ")
     }
 }
 
-fn start_echo(folder: &Path) -> (Running, u16) {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/latency/echo.c");
-    let binary = folder.join("echo");
-    let built = Command::new("cc").arg("-O2").arg(&source).arg("-o").arg(&binary).status();
-    assert!(built.is_ok_and(|status| status.success()), "cc cannot build {}", source.display());
-    let mut child = Command::new(binary).stdout(Stdio::piped()).spawn().expect("the echo starts");
-    let mut line = String::new();
-    let out = child.stdout.take().expect("its output");
-    BufReader::new(out).read_line(&mut line).expect("its port");
-    (Running(child), line.trim().parse().expect("a port"))
+/// What a run gave.
+struct Measured {
+    daemon: Latencies,
+    echo: Latencies,
+    ticks: usize,
+    /// Setpoints that came after half a period.
+    late: usize,
+    /// Ticks whose setpoint never came.
+    missed: usize,
+    /// Ticks that this process itself began too late to keep the pace.
+    slipped: usize,
+    cpu_share: f64,
 }
 
-fn start_daemon(folder: &Path, port: u16, rate_hz: f64) -> Running {
-    let config = folder.join("config.toml");
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let text = format!(
-        "vehicle = {:?}\ntrajectory = {:?}\nconnect = \"udpin:127.0.0.1:{port}\"\nlog_dir = {:?}\n\
-         [control]\nrate_hz = {rate_hz}\n",
-        root.join("config/vehicles/crazyflie.toml"),
-        root.join("config/trajectories/hover.toml"),
-        folder,
-    );
-    std::fs::write(&config, text).expect("the configuration is written");
-    let child = Command::new(env!("CARGO_BIN_EXE_downwash"))
-        .args(["daemon", "--config"])
-        .arg(config)
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("the daemon starts");
-    Running(child)
+/// Sends at an even pace.
+struct Pace {
+    next: Instant,
+    step: Duration,
+    slipped: usize,
 }
 
-/// User and system time of a process so far, s.
-fn cpu_seconds(child: &Child) -> f64 {
-    let stat = std::fs::read_to_string(format!("/proc/{}/stat", child.id())).unwrap_or_default();
-    let after_name = stat.rsplit(')').next().unwrap_or_default();
-    let ticks = |index: usize| -> f64 {
-        after_name.split_whitespace().nth(index).and_then(|t| t.parse().ok()).unwrap_or(0.0)
-    };
-    (ticks(11) + ticks(12)) / 100.0
-}
+impl Pace {
+    fn new(step: Duration) -> Self {
+        Self { next: Instant::now(), step, slipped: 0 }
+    }
 
-/// The least of a vehicle that the daemon streams its hold to: it stands on the ground, disarmed,
-/// in HOLD, and answers what it is asked.
-struct Vehicle {
-    socket: UdpSocket,
-    encoder: Encoder,
-    decoder: Decoder,
-    start: Instant,
-    buffer: Vec<u8>,
-}
-
-impl Vehicle {
-    fn new(daemon_port: u16) -> Self {
-        let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
-        socket.connect(("127.0.0.1", daemon_port)).expect("connected");
-        Self {
-            socket,
-            encoder: Encoder::new(1, 1),
-            decoder: Decoder::new(),
-            start: Instant::now(),
-            buffer: Vec::with_capacity(512),
+    /// Sleeps until the next step. A machine that is busy may wake this process late: what was
+    /// missed is not made up for by a burst, which no vehicle would send.
+    fn wait(&mut self) {
+        self.next += self.step;
+        std::thread::sleep(self.next.saturating_duration_since(Instant::now()));
+        let now = Instant::now();
+        if now > self.next + self.step / 2 {
+            self.next = now;
+            self.slipped += 1;
         }
     }
+}
 
-    fn send(&mut self, message: &MavMessage) -> Instant {
-        self.buffer.clear();
-        self.encoder.encode(message, &mut self.buffer);
-        let stamp = Instant::now();
-        // Refused until the daemon listens.
-        let _ = self.socket.send(&self.buffer);
-        stamp
+fn measure(options: &Options, vehicle: &mut Vehicle, daemon: &Process, echo_port: u16) -> Measured {
+    let ticks = (options.seconds * options.rate_hz).round() as usize;
+    let (mut ours, mut floor) = (Vec::with_capacity(ticks), Vec::with_capacity(ticks));
+    let (mut late, mut unanswered) = (0, 0);
+    let echo = socket_to(echo_port);
+    let mut echoed = [0; 2048];
+    let half = Duration::from_secs_f64(0.5 / options.rate_hz);
+    let us = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e6;
+    vehicle.late_setpoints();
+    let (cpu_start, begun) = (daemon.cpu_seconds(), Instant::now());
+    let mut pace = Pace::new(half);
+    for tick in 0..ticks {
+        if tick % options.rate_hz as usize == 0 {
+            vehicle.send_slow_messages();
+        }
+        pace.wait();
+        late += vehicle.late_setpoints();
+        let sent = vehicle.send_odometry();
+        match vehicle.await_setpoint(sent + half) {
+            Some(heard) => ours.push(us(sent, heard)),
+            None => unanswered += 1,
+        }
+        pace.wait();
+        while receive(&echo, &mut echoed, Instant::now()).is_some() {}
+        let sent = Instant::now();
+        let _ = echo.send(vehicle.last_frame());
+        if let Some((_, heard)) = receive(&echo, &mut echoed, sent + half) {
+            floor.push(us(sent, heard));
+        }
     }
-
-    fn time_us(&self) -> u64 {
-        self.start.elapsed().as_micros() as u64 + 1_000_000
+    let cpu_share = (daemon.cpu_seconds() - cpu_start) / begun.elapsed().as_secs_f64();
+    std::thread::sleep(half);
+    late += vehicle.late_setpoints();
+    Measured {
+        daemon: Latencies::new(ours),
+        echo: Latencies::new(floor),
+        ticks,
+        late,
+        missed: unanswered - late.min(unanswered),
+        slipped: pace.slipped,
+        cpu_share,
     }
+}
 
-    fn send_slow_messages(&mut self) {
-        self.send(&MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            custom_mode: 4 << 16 | 3 << 24,
-            mavtype: MavType::MAV_TYPE_QUADROTOR,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-            base_mode: MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
-            system_status: MavState::MAV_STATE_STANDBY,
-            mavlink_version: 3,
-        }));
-        let hold = 4 << 16 | 3 << 24;
-        self.send(&MavMessage::CURRENT_MODE(CURRENT_MODE_DATA {
-            custom_mode: hold,
-            intended_custom_mode: hold,
-            ..Default::default()
-        }));
-        self.send(&MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
-            landed_state: MavLandedState::MAV_LANDED_STATE_ON_GROUND,
-            ..Default::default()
-        }));
-    }
+/// Load averages over 1, 5 and 15 minutes: what else the machine did.
+fn load() -> String {
+    let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    text.split_whitespace().take(3).collect::<Vec<_>>().join(" ")
+}
 
-    fn send_odometry(&mut self) -> Instant {
-        let message = MavMessage::ODOMETRY(ODOMETRY_DATA {
-            time_usec: self.time_us(),
-            frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
-            child_frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
-            q: [1.0, 0.0, 0.0, 0.0],
-            ..Default::default()
+fn report(options: &Options, measured: &Measured, load_before: &str) {
+    let Measured { daemon, echo, ticks, late, missed, slipped, cpu_share } = measured;
+    let p50_over_us = daemon.quantile(0.5) - echo.quantile(0.5);
+    let p99_ratio = daemon.quantile(0.99) / echo.quantile(0.99);
+    let load_after = load();
+    if options.json {
+        let report = serde_json::json!({
+            "schema": "downwash.bench.latency", "schema_version": 2,
+            "rate_hz": options.rate_hz, "core": options.pin, "load_before": load_before,
+            "load_after": load_after, "ticks": ticks, "late": late, "missed": missed,
+            "slipped": slipped, "cpu_share": cpu_share, "p50_over_echo_us": p50_over_us,
+            "p99_of_echo": p99_ratio, "daemon": daemon.json(), "echo": echo.json(),
         });
-        self.send(&message)
+        println!("{report}");
+        return;
     }
-
-    /// Setpoints that came after their time.
-    fn late_setpoints(&mut self) -> usize {
-        let mut late = 0;
-        while self.await_setpoint(Instant::now() + Duration::from_micros(1)).is_some() {
-            late += 1;
-        }
-        late
-    }
-
-    /// Reads until a setpoint arrives, and answers everything else.
-    fn await_setpoint(&mut self, until: Instant) -> Option<Instant> {
-        let mut datagram = [0; 2048];
-        loop {
-            let left = until.checked_duration_since(Instant::now()).filter(|d| !d.is_zero())?;
-            self.socket.set_read_timeout(Some(left)).expect("a time-out");
-            let Ok(count) = self.socket.recv(&mut datagram) else { continue };
-            let stamp = Instant::now();
-            self.decoder.push(&datagram[..count]);
-            let mut setpoint = false;
-            while let Some(frame) = self.decoder.next_frame() {
-                match frame.message() {
-                    Ok(MavMessage::SET_ATTITUDE_TARGET(_)) => setpoint = true,
-                    Ok(message) => self.answer(&message),
-                    Err(_) => {}
-                }
-            }
-            if setpoint {
-                return Some(stamp);
-            }
-        }
-    }
-
-    fn answer(&mut self, message: &MavMessage) {
-        match message {
-            MavMessage::TIMESYNC(sync) if sync.tc1 == 0 => {
-                let tc1 = self.time_us() as i64 * 1000;
-                let reply = TIMESYNC_DATA { tc1, ts1: sync.ts1, ..Default::default() };
-                self.send(&MavMessage::TIMESYNC(reply));
-            }
-            MavMessage::COMMAND_LONG(command) => {
-                if command.command == MavCmd::MAV_CMD_REQUEST_MESSAGE && command.param1 == 148.0 {
-                    let version = AUTOPILOT_VERSION_DATA {
-                        vendor_id: 0x4457,
-                        product_id: 1,
-                        ..Default::default()
-                    };
-                    self.send(&MavMessage::AUTOPILOT_VERSION(version));
-                }
-                let ack = COMMAND_ACK_DATA { command: command.command, ..Default::default() };
-                self.send(&MavMessage::COMMAND_ACK(ack));
-            }
-            _ => {}
-        }
-    }
-}
-
-/// Sleeps, and spins the last stretch, as a vehicle's timer interrupt would fire on time.
-fn wait_until(at: Instant) {
-    if let Some(left) = at.checked_duration_since(Instant::now()) {
-        std::thread::sleep(left);
-    }
-}
-
-struct Quantiles {
-    p50: f64,
-    p99: f64,
-    p999: f64,
-    max: f64,
-}
-
-fn quantiles(latencies: &mut [f64]) -> Quantiles {
-    latencies.sort_by(f64::total_cmp);
-    let at = |share: f64| {
-        let index = (latencies.len() as f64 * share) as usize;
-        latencies.get(index.min(latencies.len().saturating_sub(1))).copied().unwrap_or(f64::NAN)
-    };
-    Quantiles { p50: at(0.5), p99: at(0.99), p999: at(0.999), max: at(1.0) }
+    let place =
+        options.pin.map_or("no core of their own".to_owned(), |core| format!("core {core}"));
+    println!(
+        "{} Hz for {} s on {place}; load {load_before} -> {load_after}",
+        options.rate_hz, options.seconds
+    );
+    println!("{:10} {:>9} {:>9} {:>9} {:>9}", "us", "p50", "p99", "p99.9", "max");
+    println!("{:10} {}", "daemon", daemon.row());
+    println!("{:10} {}", "C echo", echo.row());
+    println!("p50 {p50_over_us:+.1} us over the echo's (at most {P50_OVER_ECHO_US})");
+    println!("p99 {p99_ratio:.2} times the echo's (at most {P99_OF_ECHO})");
+    println!(
+        "{missed} of {ticks} ticks missed, {late} late by half a period, {slipped} begun late here"
+    );
+    println!("{:.2} % of one core (at most {})", 100.0 * cpu_share, 100.0 * CPU_SHARE);
 }
 
 fn main() {
     let options = options();
     if let Some(core) = options.pin {
-        // SAFETY: plain values; the set is initialised before it is read.
-        let pinned = unsafe {
-            let mut set: libc::cpu_set_t = std::mem::zeroed();
-            libc::CPU_SET(core, &mut set);
-            libc::sched_setaffinity(0, size_of_val(&set), &set)
-        };
-        assert_eq!(pinned, 0, "cannot pin to core {core}");
+        pin(core);
     }
+    let load_before = load();
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("latency");
     std::fs::create_dir_all(&folder).expect("a folder");
-    let (_echo, echo_port) = start_echo(&folder);
-    let echo = UdpSocket::bind("127.0.0.1:0").expect("a socket");
-    echo.connect(("127.0.0.1", echo_port)).expect("connected");
-    echo.set_read_timeout(Some(TIMEOUT)).expect("a time-out");
-    let port = {
-        let probe = UdpSocket::bind("127.0.0.1:0").expect("a socket");
-        probe.local_addr().expect("its address").port()
-    };
-    let daemon = start_daemon(&folder, port, options.rate_hz);
-    let mut vehicle = Vehicle::new(port);
-
+    let echo = Process::echo(&folder);
+    let daemon = Process::daemon(&options.daemon, &folder, options.rate_hz);
+    let mut vehicle = Vehicle::new(daemon.port);
     let period = Duration::from_secs_f64(1.0 / options.rate_hz);
-    let warm_up = (5.0 * options.rate_hz) as usize;
-    let counted = (options.seconds * options.rate_hz) as usize;
-    let (mut ours, mut floor) = (Vec::with_capacity(counted), Vec::with_capacity(counted));
-    let (mut late, mut unanswered, mut cpu_start, mut begun) = (0, 0, 0.0, Instant::now());
-    let mut next = Instant::now();
-    let mut echoed = [0; 2048];
-    for tick in 0..warm_up + counted {
-        if tick % options.rate_hz as usize == 0 {
-            vehicle.send_slow_messages();
-        }
-        if tick == warm_up {
-            (cpu_start, begun) = (cpu_seconds(&daemon.0), Instant::now());
-            (late, unanswered) = (0, 0);
-            (ours, floor) = (Vec::with_capacity(counted), Vec::with_capacity(counted));
-        }
-        next += period / 2;
-        wait_until(next);
-        late += vehicle.late_setpoints();
-        let sent = vehicle.send_odometry();
-        match vehicle.await_setpoint(sent + period / 2) {
-            Some(heard) => ours.push((heard - sent).as_secs_f64() * 1e6),
-            None => unanswered += 1,
-        }
-        next += period / 2;
-        wait_until(next);
-        let sent = Instant::now();
-        let _ = echo.send(&vehicle.buffer);
-        if echo.recv(&mut echoed).is_ok() {
-            floor.push(sent.elapsed().as_secs_f64() * 1e6);
-        }
-    }
-    late += vehicle.late_setpoints();
-    // What came after half a period is late; what never came is missed.
-    let missed = unanswered - late.min(unanswered);
-    let cpu_share = (cpu_seconds(&daemon.0) - cpu_start) / begun.elapsed().as_secs_f64();
-    let (daemon_us, echo_us) = (quantiles(&mut ours), quantiles(&mut floor));
-    if options.json {
-        let row = |q: &Quantiles| serde_json::json!({"p50_us": q.p50, "p99_us": q.p99, "p999_us": q.p999, "max_us": q.max});
-        let report = serde_json::json!({
-            "schema": "downwash.bench.latency", "schema_version": 1,
-            "rate_hz": options.rate_hz, "ticks": counted, "late": late, "missed": missed, "cpu_share": cpu_share,
-            "daemon": row(&daemon_us), "echo": row(&echo_us),
-        });
-        println!("{report}");
-    } else {
-        println!(
-            "{} ticks at {} Hz, {missed} missed, {late} late, {:.1} % of one core",
-            counted,
+    if !vehicle.is_streamed_to(period, START_LIMIT) {
+        let words = daemon.log.as_ref().and_then(|log| std::fs::read_to_string(log).ok());
+        eprintln!(
+            "the daemon did not stream {} setpoints a second within {} s; it said:\n{}",
             options.rate_hz,
-            100.0 * cpu_share
+            START_LIMIT.as_secs(),
+            words.unwrap_or_default()
         );
-        println!("{:10} {:>9} {:>9} {:>9} {:>9}", "us", "p50", "p99", "p99.9", "max");
-        for (name, q) in [("daemon", &daemon_us), ("C echo", &echo_us)] {
-            println!("{name:10} {:9.1} {:9.1} {:9.1} {:9.1}", q.p50, q.p99, q.p999, q.max);
-        }
+        std::process::exit(1);
     }
+    let measured = measure(&options, &mut vehicle, &daemon, echo.port);
+    report(&options, &measured, &load_before);
 }

@@ -286,8 +286,14 @@ impl<T: Scalar> Attitude<T> {
         Euler {
             roll: ((w * x + y * z) * 2.0).atan2(one - (x * x + y * y) * 2.0),
             pitch: sin_pitch.asin(),
-            yaw: ((w * z + x * y) * 2.0).atan2(one - (y * y + z * z) * 2.0),
+            yaw: self.yaw(),
         }
+    }
+
+    /// The yaw of [`Attitude::euler`].
+    pub fn yaw(self) -> T {
+        let (w, x, y, z) = (self.w, self.x, self.y, self.z);
+        ((w * z + x * y) * 2.0).atan2(T::from(1.0) - (y * y + z * z) * 2.0)
     }
 }
 

@@ -94,18 +94,8 @@ impl Connection {
         loop {
             match &mut self.state {
                 State::Open(transport) => {
-                    return Poll::Ready(match ready!(transport.poll_recv(cx, buffer)) {
-                        Ok(Incoming::Bytes { peer, len }) => {
-                            self.pause = PAUSE_MIN;
-                            Input::Bytes { peer, len }
-                        }
-                        Ok(Incoming::Opened(peer)) => Input::PeerOpened(peer),
-                        Ok(Incoming::Closed(peer)) => Input::PeerClosed(peer),
-                        Err(error) => {
-                            self.wait();
-                            Input::Lost(error)
-                        }
-                    });
+                    let incoming = ready!(transport.poll_recv(cx, buffer));
+                    return Poll::Ready(self.input(incoming));
                 }
                 State::Opening(opening) => {
                     return Poll::Ready(match ready!(opening.as_mut().poll(cx)) {
@@ -113,7 +103,7 @@ impl Connection {
                             self.state = State::Open(transport);
                             Input::Opened
                         }
-                        Err(error) => Input::Failed { error, retry_in: self.wait() },
+                        Err(error) => Input::Failed { error, retry_in: self.pause() },
                     });
                 }
                 State::Waiting(pause) => {
@@ -124,8 +114,40 @@ impl Connection {
         }
     }
 
+    /// Whether [`wait`](Self::wait) can be used now.
+    pub fn can_wait(&self) -> bool {
+        matches!(&self.state, State::Open(transport) if transport.is_datagram())
+    }
+
+    /// As [`recv`](Self::recv), in the calling thread and past the runtime, which is quicker:
+    /// `None` once `timeout` is over, or earlier. At once where it [cannot](Self::can_wait) be
+    /// used.
+    pub fn wait(&mut self, buffer: &mut [u8], timeout: Duration) -> Option<Input> {
+        let State::Open(transport) = &mut self.state else { return None };
+        if !transport.is_datagram() {
+            return None;
+        }
+        let incoming = transport.wait(buffer, timeout).transpose()?;
+        Some(self.input(incoming))
+    }
+
+    fn input(&mut self, incoming: io::Result<Incoming>) -> Input {
+        match incoming {
+            Ok(Incoming::Bytes { peer, len }) => {
+                self.pause = PAUSE_MIN;
+                Input::Bytes { peer, len }
+            }
+            Ok(Incoming::Opened(peer)) => Input::PeerOpened(peer),
+            Ok(Incoming::Closed(peer)) => Input::PeerClosed(peer),
+            Err(error) => {
+                self.pause();
+                Input::Lost(error)
+            }
+        }
+    }
+
     /// Starts a pause and returns its length.
-    fn wait(&mut self) -> Duration {
+    fn pause(&mut self) -> Duration {
         let pause = self.pause;
         self.pause = (pause * 2).min(PAUSE_MAX);
         self.state = State::Waiting(Box::pin(sleep(pause)));

@@ -208,12 +208,7 @@ impl Session {
     ) {
         let core = &mut self.core;
         if is_datagram {
-            self.datagrams.push(bytes);
-            while let Some(frame) = self.datagrams.next_frame() {
-                core.frame(now, peer, &frame, on);
-            }
-            self.datagrams.end_datagram(|frame| core.frame(now, peer, &frame, on));
-            return;
+            return self.datagrams.datagram(bytes, |frame| core.frame(now, peer, &frame, on));
         }
         let index = match self.streams.iter().position(|(known, _)| *known == peer) {
             Some(index) => index,

@@ -168,7 +168,7 @@ impl Guidance {
                 self.anchor = Some(position);
                 let start = self.trajectory.sample(0.0).position + position;
                 let top = Ned::new(position.north(), position.east(), start.down());
-                let yaw = here.attitude.euler().yaw;
+                let yaw = here.attitude.yaw();
                 self.segment = Segment::between(
                     (position, yaw),
                     (top, yaw),
@@ -286,7 +286,7 @@ impl Guidance {
     }
 
     fn stay(&self, here: &State) -> Reference {
-        self.level(here.position, here.attitude.euler().yaw)
+        self.level(here.position, here.attitude.yaw())
     }
 
     fn level(&self, position: Ned, yaw: f64) -> Reference {

@@ -191,13 +191,30 @@ const TABLE: &[Row] = &[
     (&[Done, Abort, PilotControl],                  On::EngageAsked,       AwaitRelease),
 ];
 
+/// What follows on each trigger in one state.
+type Successors = [Option<FlightState>; TRIGGERS.len()];
+
+/// The table by state and trigger. Every tick asks for several triggers of one state, which are
+/// side by side here.
+static SUCCESSORS: [Successors; STATES.len()] = {
+    let mut successors = [[None; TRIGGERS.len()]; STATES.len()];
+    let mut row = 0;
+    while row < TABLE.len() {
+        let (from, on, to) = TABLE[row];
+        let mut state = 0;
+        while state < from.len() {
+            successors[from[state] as usize][on as usize] = Some(to);
+            state += 1;
+        }
+        row += 1;
+    }
+    successors
+};
+
 impl FlightState {
     /// The state that follows on `trigger`, if it changes anything.
     pub fn next(self, trigger: Trigger) -> Option<FlightState> {
-        TABLE
-            .iter()
-            .find(|(from, on, _)| *on == trigger && from.contains(&self))
-            .map(|(_, _, to)| *to)
+        SUCCESSORS[self as usize][trigger as usize]
     }
 
     /// The name in logs and on screens.

@@ -26,20 +26,14 @@ impl Frame {
     /// The frame that `bytes` are, such as an entry of a log. `None` unless they are one whole
     /// frame of a message that the dialect has, its checksum right.
     pub fn parse(bytes: &[u8]) -> Option<Self> {
-        let Front::Frame(len) = front(bytes) else { return None };
-        if len != bytes.len() {
-            return None;
-        }
-        let raw = if bytes.first() == Some(&MAV_STX) {
-            let mut raw = MAVLinkV1MessageRaw::new();
-            raw.as_mut_slice()[..len].copy_from_slice(bytes);
-            MAVLinkMessageRaw::V1(raw)
-        } else {
-            let mut raw = MAVLinkV2MessageRaw::new();
-            raw.as_mut_slice()[..len].copy_from_slice(bytes);
-            MAVLinkMessageRaw::V2(raw)
-        };
-        Some(Self { raw })
+        Self::at_front(bytes).filter(|frame| frame.bytes().len() == bytes.len())
+    }
+
+    /// The frame at the front of `bytes`, if a whole and sound one is there.
+    fn at_front(bytes: &[u8]) -> Option<Self> {
+        let (version, len) = extent(bytes).ok()?;
+        let (raw, is_valid) = raw(version, bytes.get(..len)?);
+        (is_valid && known_extra_crc(raw.message_id()).is_some()).then_some(Self { raw })
     }
 
     /// MAVLink message id.
@@ -174,9 +168,31 @@ impl Decoder {
         self.dialect.known.set(self.dialect.known.get() - 1);
     }
 
-    /// Ends a datagram, since a frame never spans two: what is left is searched for frames once
-    /// more and then dropped, so that a truncated frame cannot swallow the next datagram's start.
-    pub fn end_datagram(&mut self, mut on_frame: impl FnMut(Frame)) {
+    /// Takes a whole datagram (UDP) and gives its frames. None spans two datagrams, so that a
+    /// truncated one cannot swallow the next datagram's start.
+    pub fn datagram(&mut self, bytes: &[u8], mut on_frame: impl FnMut(Frame)) {
+        let mut rest = bytes;
+        // What most datagrams are: frames and nothing else. They need no queue to be found in.
+        while let Some(frame) = Frame::at_front(rest) {
+            let len = frame.bytes().len();
+            rest = &rest[len..];
+            self.pushed += len as u64;
+            self.frames += 1;
+            self.frame_bytes += len as u64;
+            on_frame(frame);
+        }
+        if rest.is_empty() {
+            return;
+        }
+        self.push(rest);
+        while let Some(frame) = self.next_frame() {
+            on_frame(frame);
+        }
+        self.end_datagram(on_frame);
+    }
+
+    /// Searches what is left once more, then drops it.
+    fn end_datagram(&mut self, mut on_frame: impl FnMut(Frame)) {
         if self.unframed() == self.settled {
             self.tail.clear();
             return;
@@ -291,38 +307,53 @@ pub(crate) enum Front {
 
 /// Looks for a frame at the front of `bytes`.
 pub(crate) fn front(bytes: &[u8]) -> Front {
-    const V1_OVERHEAD: usize = 8;
-    const V2_OVERHEAD: usize = 12;
-    let (version, len) = match *bytes {
-        [] | [MAV_STX | MAV_STX_V2] | [MAV_STX_V2, _] => return Front::Incomplete,
-        [MAV_STX, payload, ..] => (MavlinkVersion::V1, V1_OVERHEAD + usize::from(payload)),
-        [MAV_STX_V2, payload, flags, ..] if flags & !v2::SUPPORTED_IFLAGS == 0 => {
-            let system =
-                if flags & v2::IFLAG_SYSID32 == 0 { 0 } else { v2::SYSID32_EXTRA_HEADER_SIZE };
-            let signature = if flags & v2::IFLAG_SIGNED == 0 { 0 } else { v2::SIGNATURE_SIZE };
-            (MavlinkVersion::V2, V2_OVERHEAD + usize::from(payload) + system + signature)
-        }
-        _ => return Front::Other,
+    let (version, len) = match extent(bytes) {
+        Ok(extent) => extent,
+        Err(front) => return front,
     };
     let Some(bytes) = bytes.get(..len) else {
         return Front::Incomplete;
     };
-    let (id, valid) = match version {
-        MavlinkVersion::V1 => {
-            let mut raw = MAVLinkV1MessageRaw::new();
-            raw.as_mut_slice()[..len].copy_from_slice(bytes);
-            (raw.message_id().into(), raw.has_valid_crc::<MavMessage>())
-        }
-        MavlinkVersion::V2 => {
-            let mut raw = MAVLinkV2MessageRaw::new();
-            raw.as_mut_slice()[..len].copy_from_slice(bytes);
-            (raw.message_id(), raw.has_valid_crc::<MavMessage>())
-        }
-    };
-    match (known_extra_crc(id), valid) {
+    let (raw, is_valid) = raw(version, bytes);
+    match (known_extra_crc(raw.message_id()), is_valid) {
         (Some(_), true) => Front::Frame(len),
         (Some(_), false) => Front::Other,
         (None, _) => Front::Unknown(len),
+    }
+}
+
+/// Version and length of what would be a frame at the front of `bytes`, or why there is none.
+fn extent(bytes: &[u8]) -> Result<(MavlinkVersion, usize), Front> {
+    const V1_OVERHEAD: usize = 8;
+    const V2_OVERHEAD: usize = 12;
+    match *bytes {
+        [] | [MAV_STX | MAV_STX_V2] | [MAV_STX_V2, _] => Err(Front::Incomplete),
+        [MAV_STX, payload, ..] => Ok((MavlinkVersion::V1, V1_OVERHEAD + usize::from(payload))),
+        [MAV_STX_V2, payload, flags, ..] if flags & !v2::SUPPORTED_IFLAGS == 0 => {
+            let system =
+                if flags & v2::IFLAG_SYSID32 == 0 { 0 } else { v2::SYSID32_EXTRA_HEADER_SIZE };
+            let signature = if flags & v2::IFLAG_SIGNED == 0 { 0 } else { v2::SIGNATURE_SIZE };
+            Ok((MavlinkVersion::V2, V2_OVERHEAD + usize::from(payload) + system + signature))
+        }
+        _ => Err(Front::Other),
+    }
+}
+
+/// The bytes of what would be a frame, and whether its checksum is right.
+fn raw(version: MavlinkVersion, bytes: &[u8]) -> (MAVLinkMessageRaw, bool) {
+    match version {
+        MavlinkVersion::V1 => {
+            let mut raw = MAVLinkV1MessageRaw::new();
+            raw.as_mut_slice()[..bytes.len()].copy_from_slice(bytes);
+            let is_valid = raw.has_valid_crc::<MavMessage>();
+            (MAVLinkMessageRaw::V1(raw), is_valid)
+        }
+        MavlinkVersion::V2 => {
+            let mut raw = MAVLinkV2MessageRaw::new();
+            raw.as_mut_slice()[..bytes.len()].copy_from_slice(bytes);
+            let is_valid = raw.has_valid_crc::<MavMessage>();
+            (MAVLinkMessageRaw::V2(raw), is_valid)
+        }
     }
 }
 
@@ -490,12 +521,10 @@ mod tests {
         let whole = encoded(1, MavlinkVersion::V2);
         let mut decoder = Decoder::new();
         for cut in 0..whole.len() {
-            decoder.push(&whole[..cut]);
-            assert!(drain(&mut decoder).is_empty());
-            decoder.end_datagram(|_| panic!("there was no whole frame"));
-            decoder.push(&whole);
-            assert_eq!(drain(&mut decoder).len(), 1, "after a cut at {cut}");
-            decoder.end_datagram(|_| panic!("the frame is out"));
+            decoder.datagram(&whole[..cut], |_| panic!("there was no whole frame"));
+            let mut frames = 0;
+            decoder.datagram(&whole, |_| frames += 1);
+            assert_eq!(frames, 1, "after a cut at {cut}");
         }
     }
 
@@ -505,10 +534,9 @@ mod tests {
         let mut datagram = vec![MAV_STX_V2, 255, 0];
         datagram.extend(encoded(3, MavlinkVersion::V2));
         let mut decoder = Decoder::new();
-        decoder.push(&datagram);
-        let mut frames = drain(&mut decoder);
-        decoder.end_datagram(|frame| frames.push(frame));
-        assert_eq!(frames.len(), 1);
+        let mut frames = 0;
+        decoder.datagram(&datagram, |_| frames += 1);
+        assert_eq!(frames, 1);
     }
 
     /// The frame of a whole ATTITUDE whose payload is cut or padded to `len`, its length byte and
@@ -623,11 +651,16 @@ mod tests {
                 })
                 .collect();
             let found: Vec<_> = frames.iter().map(|frame| frame.bytes().to_vec()).collect();
-            prop_assert_eq!(found, sent);
+            prop_assert_eq!(&found, &sent);
             let stats = decoder.stats();
             let framed: usize = frames.iter().map(|frame| frame.bytes().len()).sum();
             prop_assert_eq!(stats.bytes as usize, wire.len());
             prop_assert_eq!(stats.unframed_bytes as usize, wire.len() - framed);
+            // The same as one datagram.
+            let (mut decoder, mut found) = (Decoder::new(), Vec::new());
+            decoder.datagram(&wire, |frame| found.push(frame.bytes().to_vec()));
+            prop_assert_eq!(found, sent);
+            prop_assert_eq!((decoder.stats().bytes, decoder.stats().unframed_bytes), (stats.bytes, stats.unframed_bytes));
         }
 
         #[test]

@@ -10,6 +10,7 @@ use std::future::poll_fn;
 use std::io;
 use std::net::SocketAddr;
 use std::task::{Context, Poll};
+use std::time::Duration;
 
 use tokio::net::{TcpStream, lookup_host};
 
@@ -209,6 +210,22 @@ impl Transport {
                 stream.poll_recv(cx, buffer).map_ok(|len| Incoming::Bytes { peer, len })
             }
             Kind::TcpIn(listener) => listener.poll_recv(cx, buffer, &mut self.stats),
+        }
+    }
+
+    /// As [`recv`](Self::recv), in the calling thread and past the runtime: `None` once `timeout`
+    /// is over, or earlier where there was something else to look at. For a thread with nothing
+    /// else to do, which has a datagram sooner by what the runtime does between the system's news
+    /// of it and the receiving call.
+    ///
+    /// # Errors
+    /// As [`recv`](Self::recv); and `Unsupported` unless the transport
+    /// [is of datagrams](Self::is_datagram).
+    pub fn wait(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<Option<Incoming>> {
+        match &mut self.kind {
+            Kind::UdpIn(listener) => listener.wait(buffer, timeout),
+            Kind::UdpOut(remote) => remote.wait(buffer, timeout, &mut self.stats),
+            Kind::Stream(_) | Kind::TcpIn(_) => Err(io::ErrorKind::Unsupported.into()),
         }
     }
 

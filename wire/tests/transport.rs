@@ -63,6 +63,31 @@ async fn udpin_answers_each_sender_at_its_address() {
 }
 
 #[tokio::test]
+async fn a_thread_that_waits_for_datagrams_itself_gets_them_in_turn() {
+    let mut listener = open("udpin:127.0.0.1:0").await;
+    let mut vehicle = open(&format!("udpout:127.0.0.1:{}", port(&listener))).await;
+    let remote = vehicle.peers().next().expect("udpout has its peer at once");
+    let mut buffer = vec![0; RECEIVE_LEN];
+    assert_eq!(listener.wait(&mut buffer, Duration::ZERO).unwrap(), None);
+    assert!(vehicle.send(remote, b"one") && vehicle.send(remote, b"two"));
+    let one = listener.wait(&mut buffer, Duration::from_secs(20)).unwrap();
+    assert!(matches!(one, Some(Incoming::Bytes { len: 3, .. })) && buffer.starts_with(b"one"));
+    // The runtime's way takes up where the thread's own left off, and the other way round.
+    let (peer, bytes) = receive(&mut listener).await;
+    assert_eq!(bytes, b"two");
+    assert!(listener.send(peer, b"answer"));
+    let answer = vehicle.wait(&mut buffer, Duration::from_secs(20)).unwrap();
+    assert_eq!(answer, Some(Incoming::Bytes { peer: remote, len: 6 }));
+}
+
+#[tokio::test]
+async fn a_stream_is_not_waited_for_past_the_runtime() {
+    let mut listener = open("tcpin:127.0.0.1:0").await;
+    let error = listener.wait(&mut [0; 8], Duration::ZERO).expect_err("refused");
+    assert_eq!(error.kind(), io::ErrorKind::Unsupported);
+}
+
+#[tokio::test]
 async fn udpin_keeps_who_speaks_when_its_table_is_full() {
     let mut listener = open("udpin:127.0.0.1:0").await;
     let to = ("127.0.0.1", port(&listener));

@@ -34,12 +34,12 @@ impl Receiver {
     }
 
     pub(super) fn receive(&mut self, bytes: &[u8], mut on_frame: impl FnMut(&Frame)) {
+        if self.kind == LinkKind::Datagrams {
+            return self.decoder.datagram(bytes, |frame| on_frame(&frame));
+        }
         self.decoder.push(bytes);
         while let Some(frame) = self.decoder.next_frame() {
             on_frame(&frame);
-        }
-        if self.kind == LinkKind::Datagrams {
-            self.decoder.end_datagram(|frame| on_frame(&frame));
         }
     }
 }

@@ -2,19 +2,46 @@
 
 use std::collections::VecDeque;
 use std::io;
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::task::{Context, Poll, ready};
+use std::time::Duration;
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tokio::io::ReadBuf;
-use tokio::net::UdpSocket;
 
 use super::{Incoming, PEERS_MAX, Peer, TransportStats, resolve};
 use crate::endpoint::Address;
 
+/// A socket that never blocks, under two descriptors: one that the runtime watches, and one for
+/// calls that need not pass through it.
+#[derive(Debug)]
+struct Socket {
+    watched: tokio::net::UdpSocket,
+    direct: UdpSocket,
+}
+
+impl Socket {
+    fn new(direct: UdpSocket) -> io::Result<Self> {
+        direct.set_nonblocking(true)?;
+        let watched = tokio::net::UdpSocket::from_std(direct.try_clone()?)?;
+        Ok(Self { watched, direct })
+    }
+
+    /// Waits in the calling thread until there is something to receive. Returns whether there is.
+    fn wait(&self, timeout: Duration) -> io::Result<bool> {
+        let timeout = Timespec::try_from(timeout).ok();
+        match poll(&mut [PollFd::new(&self.direct, PollFlags::IN)], timeout.as_ref()) {
+            Ok(ready) => Ok(ready > 0),
+            Err(rustix::io::Errno::INTR) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
 /// `udpin`: answers every sender at its source address.
 #[derive(Debug)]
 pub(super) struct UdpListener {
-    socket: UdpSocket,
+    socket: Socket,
     senders: Vec<Sender>,
     /// Counts datagrams, to tell which sender was silent longest.
     heard: u64,
@@ -31,14 +58,12 @@ struct Sender {
 
 impl UdpListener {
     pub(super) async fn bind(address: &Address) -> io::Result<Self> {
-        let socket = UdpSocket::bind(resolve(address).await?.as_slice()).await?;
-        // A socket counts as full until the runtime has looked at it once.
-        socket.writable().await?;
+        let socket = Socket::new(UdpSocket::bind(resolve(address).await?.as_slice())?)?;
         Ok(Self { socket, senders: Vec::new(), heard: 0, next_id: 0, evicted: VecDeque::new() })
     }
 
     pub(super) fn local_addr(&self) -> Option<SocketAddr> {
-        self.socket.local_addr().ok()
+        self.socket.direct.local_addr().ok()
     }
 
     pub(super) fn peers(&self) -> impl Iterator<Item = Peer> + '_ {
@@ -59,7 +84,7 @@ impl UdpListener {
         }
         loop {
             let mut read = ReadBuf::new(buffer);
-            match ready!(self.socket.poll_recv_from(cx, &mut read)) {
+            match ready!(self.socket.watched.poll_recv_from(cx, &mut read)) {
                 Ok(address) => {
                     let len = read.filled().len();
                     let peer = self.hear(address);
@@ -68,6 +93,24 @@ impl UdpListener {
                 Err(error) if is_transient(&error) => {}
                 Err(error) => return Poll::Ready(Err(error)),
             }
+        }
+    }
+
+    pub(super) fn wait(
+        &mut self,
+        buffer: &mut [u8],
+        timeout: Duration,
+    ) -> io::Result<Option<Incoming>> {
+        if let Some(peer) = self.evicted.pop_front() {
+            return Ok(Some(Incoming::Closed(peer)));
+        }
+        if !self.socket.wait(timeout)? {
+            return Ok(None);
+        }
+        match self.socket.direct.recv_from(buffer) {
+            Ok((len, address)) => Ok(Some(Incoming::Bytes { peer: self.hear(address), len })),
+            Err(error) if is_nothing(&error) => Ok(None),
+            Err(error) => Err(error),
         }
     }
 
@@ -91,7 +134,7 @@ impl UdpListener {
 
     pub(super) fn send(&mut self, peer: Peer, bytes: &[u8]) -> bool {
         match self.remote_addr(peer) {
-            Some(address) => self.socket.try_send_to(bytes, address).is_ok(),
+            Some(address) => self.socket.direct.send_to(bytes, address).is_ok(),
             None => false,
         }
     }
@@ -104,7 +147,7 @@ impl UdpListener {
 /// `udpout`: one remote. The socket is connected, so the system drops what others send.
 #[derive(Debug)]
 pub(super) struct UdpRemote {
-    socket: UdpSocket,
+    socket: Socket,
 }
 
 impl UdpRemote {
@@ -118,13 +161,9 @@ impl UdpRemote {
                 SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
                 SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
             };
-            let socket = UdpSocket::bind(local).await?;
-            match socket.connect(remote).await {
-                Ok(()) => {
-                    // A socket counts as full until the runtime has looked at it once.
-                    socket.writable().await?;
-                    return Ok(Self { socket });
-                }
+            let socket = UdpSocket::bind(local)?;
+            match socket.connect(remote) {
+                Ok(()) => return Ok(Self { socket: Socket::new(socket)? }),
                 Err(error) => failure = Some(error),
             }
         }
@@ -132,11 +171,11 @@ impl UdpRemote {
     }
 
     pub(super) fn local_addr(&self) -> Option<SocketAddr> {
-        self.socket.local_addr().ok()
+        self.socket.direct.local_addr().ok()
     }
 
     pub(super) fn remote_addr(&self) -> Option<SocketAddr> {
-        self.socket.peer_addr().ok()
+        self.socket.direct.peer_addr().ok()
     }
 
     pub(super) fn poll_recv(
@@ -147,7 +186,7 @@ impl UdpRemote {
     ) -> Poll<io::Result<Incoming>> {
         loop {
             let mut read = ReadBuf::new(buffer);
-            match ready!(self.socket.poll_recv(cx, &mut read)) {
+            match ready!(self.socket.watched.poll_recv(cx, &mut read)) {
                 Ok(()) => {
                     let len = read.filled().len();
                     return Poll::Ready(Ok(Incoming::Bytes { peer: Self::PEER, len }));
@@ -158,17 +197,43 @@ impl UdpRemote {
         }
     }
 
+    pub(super) fn wait(
+        &mut self,
+        buffer: &mut [u8],
+        timeout: Duration,
+        stats: &mut TransportStats,
+    ) -> io::Result<Option<Incoming>> {
+        if !self.socket.wait(timeout)? {
+            return Ok(None);
+        }
+        match self.socket.direct.recv(buffer) {
+            Ok(len) => Ok(Some(Incoming::Bytes { peer: Self::PEER, len })),
+            Err(error) if is_transient(&error) => {
+                stats.refused += 1;
+                Ok(None)
+            }
+            Err(error) if is_nothing(&error) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
     pub(super) fn send(&mut self, bytes: &[u8], stats: &mut TransportStats) -> bool {
-        match self.socket.try_send(bytes) {
+        match self.socket.direct.send(bytes) {
             Ok(_) => true,
             // The system reports the refusal of an earlier datagram here and sends nothing now.
             Err(error) if is_transient(&error) => {
                 stats.refused += 1;
-                self.socket.try_send(bytes).is_ok()
+                self.socket.direct.send(bytes).is_ok()
             }
             Err(_) => false,
         }
     }
+}
+
+/// Errors of a receive that leave the socket as it was: one of a datagram sent before, or a
+/// datagram that the system announced and then dropped for its checksum.
+fn is_nothing(error: &io::Error) -> bool {
+    is_transient(error) || error.kind() == io::ErrorKind::WouldBlock
 }
 
 /// Errors that tell of one datagram and not of the socket: the remote does not listen (yet).
