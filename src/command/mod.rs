@@ -5,6 +5,7 @@ mod daemon;
 mod demo;
 mod exit;
 mod fly;
+mod import;
 mod log;
 mod messages;
 mod setup;
