@@ -415,9 +415,9 @@ fn practice_logs_are_read_and_their_streams_agree() {
             let Some((from, to)) = ends(times) else { continue };
             assert!((from - outputs.0).abs() < 1.0 && (to - outputs.1).abs() < 1.0, "{name}");
         }
-        let (period, longest) = flight.outputs.times().windows(2).fold((0.0, 0.0f64), |acc, t| {
-            (flight.outputs.period().unwrap_or(acc.0), acc.1.max(t[1] - t[0]))
-        });
+        let period = flight.outputs.period().expect("outputs");
+        let pauses = flight.outputs.times().windows(2).map(|pair| pair[1] - pair[0]);
+        let longest = pauses.fold(0.0, f64::max);
         let rate = flight.body_rate.map(|rate| rate.to_array());
         let turn = kinematics(&flight.attitude, &rate, 0.1, |a, b| {
             let turn = a.inverse().compose(*b).canonical();
