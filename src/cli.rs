@@ -192,6 +192,24 @@ pub enum LogCommand {
         #[arg(short, long)]
         out: Option<PathBuf>,
     },
+    /// Reads any flight log, and writes it as one of this program's, each stream at its own rate.
+    ///
+    /// Takes telemetry logs (.tlog), own logs (.mcap) and tables (.csv), told by their content. A
+    /// table needs a mapping file, which names columns, units, frames and orders; nothing of these
+    /// is guessed, and config/mappings/motion-capture.toml is one to start from.
+    Import {
+        /// Flight log.
+        file: PathBuf,
+        /// What the columns of a table are (TOML).
+        #[arg(long, value_name = "MAP")]
+        mapping: Option<PathBuf>,
+        /// The log to write (.mcap).
+        #[arg(short, long, value_name = "OUT")]
+        out: PathBuf,
+        /// Prints what was found as JSON.
+        #[arg(long)]
+        json: bool,
+    },
     /// Writes the report on a flight: path, tracking error, setpoints and timing, as one HTML file.
     Report {
         /// Flight log (.mcap).

@@ -15,7 +15,7 @@ mod fuzz;
 
 /// The messages that the link reads, and some that it does not.
 const IDS: &[u32] =
-    &[0, 1, 22, 24, 30, 31, 32, 36, 77, 83, 105, 111, 147, 148, 245, 253, 331, 375, 436];
+    &[0, 1, 22, 24, 30, 31, 32, 36, 77, 82, 83, 105, 111, 147, 148, 245, 253, 291, 331, 375, 436];
 
 /// A frame with any payload: the values are as wild as the bytes.
 fn any_frame() -> impl Strategy<Value = Vec<u8>> {
@@ -48,6 +48,21 @@ fn any_input() -> impl Strategy<Value = Vec<u8>> {
             input.extend_from_slice(chunk);
         }
         input
+    })
+}
+
+/// Entries of a telemetry log, some of their stamps wild.
+fn any_stamped_frames() -> impl Strategy<Value = Vec<u8>> {
+    let stamp = prop_oneof![
+        4 => 1_700_000_000_000_000u64..1_700_000_100_000_000,
+        1 => 946_684_800_000_000u64..4_102_444_800_000_000,
+        1 => any::<u64>(),
+    ];
+    prop::collection::vec((stamp, any_frame()), 0..60).prop_map(|entries| {
+        entries
+            .into_iter()
+            .flat_map(|(stamp, frame)| [&stamp.to_be_bytes()[..], &frame].concat())
+            .collect()
     })
 }
 
@@ -97,6 +112,19 @@ proptest! {
     }
 
     #[test]
+    fn no_bytes_break_the_import(input in any_stamped_frames()) {
+        fuzz::import(&input);
+    }
+
+    #[test]
+    fn no_table_breaks_the_import(
+        rows in prop::collection::vec("[-0-9.,einfa\"]{0,40}|[0-9]{1,3}(,[-0-9.]{1,6}){18}", 0..20),
+    ) {
+        let header = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat\n";
+        fuzz::import(format!("{header}{}", rows.join("\n")).as_bytes());
+    }
+
+    #[test]
     fn no_bytes_break_the_endpoint(input in "(udpin|tcp|serial|udp)?:?(//)?[ -~]{0,20}") {
         fuzz::endpoint(input.as_bytes());
     }
@@ -118,5 +146,6 @@ proptest! {
         }
         log.truncate(length.index(log.len()) + 1);
         fuzz::flight_log(&log);
+        fuzz::import(&log);
     }
 }

@@ -7,7 +7,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use downwash::log::import::{Clock, Flight, ImportError, MotorSource, MotorUnit, Stream, open};
+use downwash::log::import::{
+    Clock, Flight, ImportError, MotorSource, MotorUnit, Stream, open, write,
+};
 use downwash::log::record::{FrameRecord, Record};
 use sitl::config::SitlConfig;
 use wire::tlog;
@@ -118,6 +120,21 @@ fn own_log_and_telemetry_log_of_a_flight_are_the_same_flight() {
     for (stream, name) in [(&mcap.voltage, "voltage"), (&tlog.voltage, "voltage")] {
         assert_ascends(stream, name);
     }
+}
+
+#[test]
+fn an_imported_flight_reads_back_the_same() {
+    let folder = place("again", "mcap");
+    let _ = fs::remove_dir_all(&folder);
+    let flight = import(&log_flight::write(&folder, &RECORDS));
+    let path = place("again", "imported.mcap");
+    let messages = write(&flight, &path).expect("a log");
+    assert!(messages as usize > 3 * flight.attitude.len());
+    let back = import(&path);
+    assert_same_streams(&back, &flight);
+    assert_eq!(back.truth, flight.truth);
+    assert_eq!((&back.vehicle_file, &back.left_out), (&flight.vehicle_file, &flight.left_out));
+    assert_eq!((back.rows, back.origin.run.as_str()), (None, "imported"));
 }
 
 #[test]
@@ -251,7 +268,8 @@ fn after_a_jump_of_the_vehicles_clock_the_longer_part_is_the_flight() {
         let kept = flight.attitude.len();
         assert!(kept < whole.attitude.len() && kept > whole.attitude.len() / 2, "{kept}");
         assert_eq!(flight.attitude.times(), &whole.attitude.times()[..kept]);
-        assert!(flight.setpoint.times().last() < flight.attitude.times().last());
+        let last = flight.attitude.times()[kept - 1];
+        assert!(flight.setpoint.times().iter().all(|time| *time < last + 0.1));
         let other = left_out(&flight, "another run of the vehicle's clock");
         assert!(other as usize > whole.attitude.len() / 5, "{:?}", flight.left_out);
     }
@@ -320,32 +338,68 @@ fn regression(pairs: &[(f64, f64)]) -> (f64, f64) {
     (xy / xx, xy * xy / (xx * yy))
 }
 
-/// Value of a stream at a time, linearly between samples.
-fn between(stream: &Stream<[f64; 3]>, time: f64) -> Option<[f64; 3]> {
-    let at = stream.index_at(time)?;
-    let (t0, t1) = (stream.times()[at], *stream.times().get(at + 1)?);
-    let share = (time - t0) / (t1 - t0);
-    let (a, b) = (stream.values()[at], stream.values()[at + 1]);
-    Some(std::array::from_fn(|i| a[i] + share * (b[i] - a[i])))
+/// A stream's integral from its start, by the trapezoidal rule.
+struct Integral {
+    times: Vec<f64>,
+    sums: Vec<[f64; 3]>,
 }
 
-/// Integral of a stream between two times, by midpoints of 1 ms.
-fn integral(stream: &Stream<[f64; 3]>, from: f64, to: f64) -> Option<[f64; 3]> {
-    let steps = ((to - from) / 1e-3).ceil().max(1.0);
-    let mut sum = [0.0; 3];
-    for k in 0..steps as u32 {
-        let value = between(stream, from + (to - from) * (f64::from(k) + 0.5) / steps)?;
-        sum.iter_mut().zip(value).for_each(|(s, v)| *s += v * (to - from) / steps);
+impl Integral {
+    fn new(stream: &Stream<[f64; 3]>) -> Self {
+        let mut sum = [0.0; 3];
+        let mut sums = vec![sum];
+        for (t, v) in stream.times().windows(2).zip(stream.values().windows(2)) {
+            sum = std::array::from_fn(|i| sum[i] + 0.5 * (t[1] - t[0]) * (v[0][i] + v[1][i]));
+            sums.push(sum);
+        }
+        Self { times: stream.times().to_vec(), sums }
     }
-    Some(sum)
+
+    fn at(&self, time: f64) -> Option<[f64; 3]> {
+        let b = self.times.partition_point(|t| *t <= time);
+        let a = b.checked_sub(1)?;
+        let share = (time - self.times[a]) / (self.times.get(b)? - self.times[a]);
+        Some(std::array::from_fn(|i| self.sums[a][i] + share * (self.sums[b][i] - self.sums[a][i])))
+    }
+}
+
+/// How the changes of `stream` over `window` seconds follow the integral of `rate`: slope, share
+/// explained, and the delay of `stream` at which it is largest.
+fn kinematics<T>(
+    stream: &Stream<T>,
+    rate: &Stream<[f64; 3]>,
+    window: f64,
+    change: impl Fn(&T, &T) -> [f64; 3],
+) -> Option<(f64, f64, f64)> {
+    let integral = Integral::new(rate);
+    let (first, last) = (stream.times().first()? + 0.5, stream.times().last()? - 0.5);
+    let mut best = None;
+    for step in -20..=20 {
+        let delay = f64::from(step) * 4e-3;
+        let mut pairs = Vec::new();
+        let mut time = first;
+        while time < last {
+            let (a, b) = (stream.index_at(time)?, stream.index_at(time + window)?);
+            let (from, to) = (stream.times()[a] - delay, stream.times()[b] - delay);
+            if let (Some(before), Some(after)) = (integral.at(from), integral.at(to)) {
+                let found = change(&stream.values()[a], &stream.values()[b]);
+                pairs.extend((0..3).map(|i| (after[i] - before[i], found[i])));
+            }
+            time += window;
+        }
+        let (slope, explained) = regression(&pairs);
+        if pairs.len() > 100 && best.is_none_or(|(_, most, _)| explained > most) {
+            best = Some((slope, explained, delay));
+        }
+    }
+    best
 }
 
 /// Every practice log: rates, order of times, and streams that fit each other.
 #[test]
 fn practice_logs_are_read_and_their_streams_agree() {
     for path in practice_tlogs() {
-        let name =
-            path.strip_prefix(path.ancestors().nth(3).unwrap()).unwrap().display().to_string();
+        let name = path.display().to_string();
         let flight = import(&path);
         assert_ascends(&flight.attitude, &name);
         assert_ascends(&flight.position, &name);
@@ -353,71 +407,49 @@ fn practice_logs_are_read_and_their_streams_agree() {
         assert_ascends(&flight.outputs, &name);
         assert_ascends(&flight.setpoint, &name);
         assert_ascends(&flight.voltage, &name);
-        assert!(flight.outputs.len() > 500, "{name}: {}", flight.outputs.len());
-
-        // Rotation over 0.1 s by the attitudes and by the integral of the body rate.
+        assert!(flight.outputs.rate() > 50.0, "{name}: {}", flight.outputs.rate());
+        // The streams of a flight cover the same time.
+        let ends = |times: &[f64]| Some((*times.first()?, *times.last()?));
+        let outputs = ends(flight.outputs.times()).expect("outputs");
+        for times in [flight.attitude.times(), flight.position.times(), flight.body_rate.times()] {
+            let Some((from, to)) = ends(times) else { continue };
+            assert!((from - outputs.0).abs() < 1.0 && (to - outputs.1).abs() < 1.0, "{name}");
+        }
+        let period = flight.outputs.period().expect("outputs");
+        let pauses = flight.outputs.times().windows(2).map(|pair| pair[1] - pair[0]);
+        let longest = pauses.fold(0.0, f64::max);
         let rate = flight.body_rate.map(|rate| rate.to_array());
-        let mut rotations = Vec::new();
-        let mut time = flight.attitude.times().first().copied().unwrap_or(f64::INFINITY) + 0.5;
-        let last = flight.attitude.times().last().copied().unwrap_or(0.0) - 0.5;
-        while time < last {
-            let (a, b) = (flight.attitude.index_at(time), flight.attitude.index_at(time + 0.1));
-            if let (Some(a), Some(b)) = (a, b) {
-                let (ta, tb) = (flight.attitude.times()[a], flight.attitude.times()[b]);
-                let turn = flight.attitude.values()[a].inverse();
-                let turn = turn.compose(flight.attitude.values()[b]).canonical();
-                let angles = [turn.x, turn.y, turn.z].map(|c| 2.0 * c);
-                if let Some(sum) = integral(&rate, ta, tb) {
-                    rotations.extend(sum.into_iter().zip(angles));
-                }
-            }
-            time += 0.1;
-        }
-        let (turn, turn_explained) = regression(&rotations);
-
-        // Way over 0.2 s by the positions and by the integral of the velocity.
+        let turn = kinematics(&flight.attitude, &rate, 0.1, |a, b| {
+            let turn = a.inverse().compose(*b).canonical();
+            [turn.x, turn.y, turn.z].map(|c| 2.0 * c)
+        });
         let velocity = flight.velocity.map(|velocity| velocity.to_array());
-        let mut ways = Vec::new();
-        let mut time = flight.position.times().first().copied().unwrap_or(f64::INFINITY) + 0.5;
-        let last = flight.position.times().last().copied().unwrap_or(0.0) - 0.5;
-        while time < last {
-            let (a, b) = (flight.position.index_at(time), flight.position.index_at(time + 0.2));
-            if let (Some(a), Some(b)) = (a, b) {
-                let (ta, tb) = (flight.position.times()[a], flight.position.times()[b]);
-                let way = flight.position.values()[b] - flight.position.values()[a];
-                if let Some(sum) = integral(&velocity, ta, tb) {
-                    ways.extend(sum.into_iter().zip(way.to_array()));
-                }
-            }
-            time += 0.2;
-        }
-        let (way, way_explained) = regression(&ways);
+        let way = kinematics(&flight.position, &velocity, 0.2, |a, b| (*b - *a).to_array());
         println!(
-            "{name}: attitude {} at {:.1} Hz, rate {:.1}, position {:.1}, outputs {:.1} {:?}, setpoint {:.1}, \
-             voltage {:.1}, rpm {:.1}, {:?}; turn {turn:.4} ({turn_explained:.4}), way {way:.4} ({way_explained:.4}); {:?}",
+            "{name}: attitude {} at {:.1} Hz, rate {:.1}, force {:.1}, position {:.1}, \
+             outputs {:.1} (longest {:.1} periods) {:?}, setpoint {:.1}, voltage {:.1}, rpm {:.1}, \
+             in air {}, {:?}; turn {turn:.4?}, way {way:.4?}; {:?}",
             flight.attitude.len(),
             flight.attitude.rate(),
             flight.body_rate.rate(),
+            flight.specific_force.rate(),
             flight.position.rate(),
             flight.outputs.rate(),
+            longest / period,
             flight.motor_unit,
             flight.setpoint.rate(),
             flight.voltage.rate(),
             flight.rotor_speed.rate(),
+            flight.in_air.len(),
             flight.clock,
             flight.left_out,
         );
-        if rotations.len() > 100 {
-            assert!(
-                (turn - 1.0).abs() < 0.1 && turn_explained > 0.9,
-                "{name}: {turn} {turn_explained}"
-            );
+        for (slope, explained, _) in [turn, way].into_iter().flatten() {
+            // Real flights near hover hardly turn: noise then explains the rest, and lowers the
+            // slope by as much.
+            let tolerance = if explained > 0.9 { 0.1 } else { 0.35 };
+            assert!((slope - 1.0).abs() < tolerance, "{name}: {slope} {explained}");
         }
-        if ways.len() > 100 {
-            assert!(
-                (way - 1.0).abs() < 0.1 && way_explained > 0.9,
-                "{name}: {way} {way_explained}"
-            );
-        }
+        assert_eq!(flight.left_out, [], "{name}");
     }
 }

@@ -11,6 +11,7 @@ use downwash::link::session::{Heard, Session, Settings};
 use downwash::link::tee::Tee;
 use downwash::log::LogReader;
 use downwash::log::export::{Format, export_topic};
+use downwash::log::import::{Stream, read_bytes};
 use downwash::log::info::LogInfo;
 use downwash::report::FlightReport;
 use downwash::setpoint::Setpoint;
@@ -84,6 +85,32 @@ pub fn flight_log(data: &[u8]) {
                 // Topics of other types than the project's are refused.
                 let _ = export_topic(&mut reread(), &topic.topic, format, &mut io::sink());
             }
+        }
+    }
+}
+
+/// A log of any kind to import, and the mapping of a table: what is read has times that ascend.
+pub fn import(data: &[u8]) {
+    fn check<T>(stream: &Stream<T>) {
+        assert!(stream.times().iter().all(|time| time.is_finite()));
+        assert!(stream.times().windows(2).all(|pair| pair[0] < pair[1]));
+    }
+    const MAPPING: &str = include_str!("../../config/mappings/motion-capture.toml");
+    let text = String::from_utf8_lossy(data);
+    for flight in read_bytes(data, MAPPING).iter().chain(&read_bytes(data, &text)) {
+        check(&flight.attitude);
+        check(&flight.position);
+        check(&flight.velocity);
+        check(&flight.body_rate);
+        check(&flight.specific_force);
+        check(&flight.outputs);
+        check(&flight.rotor_speed);
+        check(&flight.setpoint);
+        check(&flight.voltage);
+        check(&flight.in_air);
+        check(&flight.truth);
+        for rows in flight.rows.iter() {
+            assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));
         }
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use super::{Exit, ExitContext, print_json, write_file};
+use super::{Exit, ExitContext, import, print_json, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
@@ -57,6 +57,9 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
                 eprintln!("{}: unfinished log, exported what is whole", file.display());
             }
             Ok(Exit::Ok)
+        }
+        LogCommand::Import { file, mapping, out, json } => {
+            import::run(&file, mapping.as_deref(), &out, json)
         }
         LogCommand::Report { file, out, json } => {
             let mut reader = LogReader::open(&file).or_exit(Exit::Usage)?;

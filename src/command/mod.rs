@@ -6,6 +6,7 @@ mod daemon;
 mod demo;
 mod exit;
 mod fly;
+mod import;
 mod log;
 mod logs;
 mod messages;

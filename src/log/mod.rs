@@ -7,6 +7,7 @@
 //! | `/imu`, `/actuators`, `/battery` | `downwash.*` | as received | FRD |
 //! | `/link/stats`, `/timesync` | `downwash.*` | as reported | |
 //! | `/sim/truth` | `downwash.Truth` | as reported by the simulator | NED, FRD |
+//! | `/flight/*` | `downwash.*Sample` | native rates of an imported log, which has only these and `/sim/truth` | NED, FRD |
 //! | `/tf`, `/vehicle/pose`, `/reference/pose` | `foxglove.*` | at most 55 Hz | ENU `map`, FLU `base_link` |
 //! | `/scene` | `foxglove.SceneUpdate` | once | FLU |
 //! | `/log` | `foxglove.Log` | every event | |

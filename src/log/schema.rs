@@ -270,6 +270,96 @@ flat_messages! {
         double rotor_3_n = 23;
         double rotor_4_n = 24;
     }
+
+    /// `/flight/attitude` of an imported log: body to world. As in all of `/flight`, `time_s` is
+    /// the flight's own clock, and each stream keeps its rate.
+    AttitudeSample = "downwash.AttitudeSample" {
+        double time_s = 1;
+        double q_w = 2;
+        double q_x = 3;
+        double q_y = 4;
+        double q_z = 5;
+    }
+
+    /// `/flight/position`.
+    PositionSample = "downwash.PositionSample" {
+        double time_s = 1;
+        double p_n_m = 2;
+        double p_e_m = 3;
+        double p_d_m = 4;
+    }
+
+    /// `/flight/velocity`.
+    VelocitySample = "downwash.VelocitySample" {
+        double time_s = 1;
+        double v_n_mps = 2;
+        double v_e_mps = 3;
+        double v_d_mps = 4;
+    }
+
+    /// `/flight/body_rate`.
+    BodyRateSample = "downwash.BodyRateSample" {
+        double time_s = 1;
+        double p_radps = 2;
+        double q_radps = 3;
+        double r_radps = 4;
+    }
+
+    /// `/flight/specific_force`.
+    SpecificForceSample = "downwash.SpecificForceSample" {
+        double time_s = 1;
+        double f_x_mps2 = 2;
+        double f_y_mps2 = 3;
+        double f_z_mps2 = 4;
+    }
+
+    /// `/flight/outputs`: motor outputs, in the unit that the metadata names.
+    OutputsSample = "downwash.OutputsSample" {
+        double time_s = 1;
+        double output_1 = 2;
+        double output_2 = 3;
+        double output_3 = 4;
+        double output_4 = 5;
+    }
+
+    /// `/flight/rotor_speed`.
+    RotorSpeedSample = "downwash.RotorSpeedSample" {
+        double time_s = 1;
+        double rotor_1_radps = 2;
+        double rotor_2_radps = 3;
+        double rotor_3_radps = 4;
+        double rotor_4_radps = 5;
+    }
+
+    /// `/flight/setpoint`: what the ground asked for; parts that it did not ask for are NaN.
+    AttitudeSetpointSample = "downwash.AttitudeSetpointSample" {
+        double time_s = 1;
+        double q_w = 2;
+        double q_x = 3;
+        double q_y = 4;
+        double q_z = 5;
+        double p_radps = 6;
+        double q_radps = 7;
+        double r_radps = 8;
+        double thrust_ratio = 9;
+    }
+
+    /// `/flight/voltage`.
+    VoltageSample = "downwash.VoltageSample" {
+        double time_s = 1;
+        double voltage_v = 2;
+    }
+
+    /// `/flight/in_air`.
+    InAirSample = "downwash.InAirSample" {
+        double time_s = 1;
+        bool in_air = 2;
+    }
+
+    /// `/flight/row`: times of the rows of the table that the flight was.
+    RowSample = "downwash.RowSample" {
+        double time_s = 1;
+    }
 }
 
 /// `/mavlink/rx` and `/mavlink/tx`: one frame, header's fields and the bytes on the wire.

@@ -184,6 +184,25 @@ impl<R: Read> Reader<R> {
     /// Those of the underlying reader.
     pub fn read(&mut self) -> io::Result<Option<Entry>> {
         loop {
+            // Right behind an entry stands the next one, whose stamp may hold a marker by chance.
+            if self.position == self.last_end {
+                let rest = &self.buffer[self.position..];
+                let next = if rest.len() <= STAMP_LEN {
+                    Front::Incomplete
+                } else if starts_entry(rest) {
+                    front(&rest[STAMP_LEN..])
+                } else {
+                    Front::Other
+                };
+                match next {
+                    Front::Frame(_) => self.position += STAMP_LEN,
+                    Front::Incomplete if !self.at_end => {
+                        self.fill()?;
+                        continue;
+                    }
+                    Front::Unknown(_) | Front::Incomplete | Front::Other => {}
+                }
+            }
             let Some(&byte) = self.buffer.get(self.position) else {
                 if self.at_end {
                     self.skip_to(self.buffer.len());
@@ -354,6 +373,45 @@ mod tests {
         assert_eq!(split_all(&bytewise).concat(), wire);
         assert!(split_all(&bytewise).contains(&a));
         assert!(split_all(&bytewise).contains(&b));
+    }
+
+    /// A log of entries in which the stamp of the first and what follows it happen to be a frame
+    /// of MAVLink 1, checksum and all.
+    fn log_with_a_frame_by_chance() -> (Vec<u8>, usize) {
+        const ATTITUDE: u8 = 30;
+        let extra = <MavMessage as mavlink::Message>::extra_crc(ATTITUDE.into());
+        let mut encoder = Encoder::new(1, 1);
+        let mut frames = vec![Vec::new(); 40];
+        for bytes in &mut frames {
+            let data = ATTITUDE_DATA { roll: 0.1, yawspeed: 0.1, ..Default::default() };
+            encoder.encode(&MavMessage::ATTITUDE(data), bytes);
+        }
+        // The first frame's marker is the other frame's length, its sequence the other's id.
+        let frames = &frames[usize::from(ATTITUDE)..];
+        let mut writer = Writer::new(Vec::new());
+        for bytes in frames {
+            writer.write(START_US & !0xFF | u64::from(MAV_STX), bytes).unwrap();
+        }
+        let mut log = writer.into_inner();
+        let start = STAMP_LEN - 1;
+        let end = start + 6 + usize::from(log[start + 1]);
+        let chance = mavlink::calculate_crc(&log[start + 1..end], extra).to_le_bytes();
+        log[end..end + 2].copy_from_slice(&chance);
+        // The entry in whose payload that checksum lies gets its own one anew.
+        let entry = STAMP_LEN + frames[0].len();
+        let (frame, crc) = (end / entry * entry + STAMP_LEN, (end / entry + 1) * entry - 2);
+        assert!(frame + 10 <= end && end + 2 <= crc, "in the payload");
+        let sound = mavlink::calculate_crc(&log[frame + 1..crc], extra).to_le_bytes();
+        log[crc..crc + 2].copy_from_slice(&sound);
+        assert!(matches!(front(&log[start..]), Front::Frame(_)));
+        (log, frames.len())
+    }
+
+    #[test]
+    fn a_frame_by_chance_across_a_stamp_hides_no_entry() {
+        let (log, count) = log_with_a_frame_by_chance();
+        let (entries, skipped) = read_all(&log);
+        assert_eq!((entries.len(), skipped), (count, 0));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// Why a file could not be imported at all. Damage within a log is no error.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// The file could not be read.
+    /// A file could not be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
         /// The file.
@@ -22,10 +22,46 @@ pub enum ImportError {
         /// What it looks like.
         found: String,
     },
+    /// A table came without a mapping file.
+    #[error(
+        "{} is a table: what its columns are must be said in a mapping file (--mapping MAP.toml; \
+         config/mappings/ has one to start from)",
+        path.display()
+    )]
+    NoMapping {
+        /// The table.
+        path: PathBuf,
+    },
+    /// A mapping file came with a log that needs none.
+    #[error("{} is a {format} log, which takes no mapping file", path.display())]
+    NotATable {
+        /// The log.
+        path: PathBuf,
+        /// What it is.
+        format: &'static str,
+    },
+    /// The mapping file is no mapping.
+    #[error("mapping file {}: {message}", path.display())]
+    Mapping {
+        /// The mapping file.
+        path: PathBuf,
+        /// What is wrong and what to write.
+        message: String,
+    },
+    /// The mapping does not fit the table.
+    #[error("mapping file {} for {}: {message}", mapping.display(), path.display())]
+    Unmapped {
+        /// The table.
+        path: PathBuf,
+        /// The mapping file.
+        mapping: PathBuf,
+        /// What is missing and what to write.
+        message: String,
+    },
 }
 
 /// What is read.
-const EXPECTED: &str = "a flight log of this program (.mcap) or a telemetry log (.tlog)";
+const EXPECTED: &str = "a log of this program (.mcap), a telemetry log (.tlog) or a table (.csv)";
 
 impl ImportError {
     pub(super) fn not_a_log(path: &Path, found: String) -> Self {

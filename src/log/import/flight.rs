@@ -151,6 +151,8 @@ pub enum MotorUnit {
     ThrustFraction,
     /// As the vehicle file's `motor_output` says; made a thrust fraction with it.
     VehicleFile,
+    /// Thrust of each rotor in N; a thrust fraction over the rotor's `thrust_max_N`.
+    Newton,
 }
 
 /// Where [`Flight::outputs`] come from: a vehicle file's `motor_output` is for one message.

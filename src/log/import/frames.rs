@@ -29,16 +29,16 @@ type Sender = (u32, u8);
 #[derive(Debug)]
 struct Repetitions {
     count: u64,
-    last_sequence: Option<u8>,
-    /// Whether this sender counts its frames at all.
-    counts: bool,
+    last: Option<(u8, u32)>,
+    /// Whether different frames had one sequence number in a row: this sender does not count.
+    uncounted: bool,
     /// By sequence number: number of the frame, and checksum of its bytes.
     recent: Box<[(u64, u32); 256]>,
 }
 
 impl Default for Repetitions {
     fn default() -> Self {
-        Self { count: 0, last_sequence: None, counts: false, recent: Box::new([(0, 0); 256]) }
+        Self { count: 0, last: None, uncounted: false, recent: Box::new([(0, 0); 256]) }
     }
 }
 
@@ -46,13 +46,16 @@ impl Repetitions {
     /// Whether the frame came before, with the same sequence number and content.
     fn is_repeated(&mut self, frame: &Frame) -> bool {
         let sequence = frame.sequence();
-        self.counts |= self.last_sequence.is_some_and(|last| last != sequence);
-        self.last_sequence = Some(sequence);
-        self.count += 1;
         let hash = crc32fast::hash(frame.bytes());
+        if let Some((last, before)) = self.last.replace((sequence, hash)) {
+            self.uncounted =
+                if last == sequence { self.uncounted || before != hash } else { false };
+        }
+        self.count += 1;
         let slot = &mut self.recent[usize::from(sequence)];
         let (number, before) = std::mem::replace(slot, (self.count, hash));
-        self.counts && number > 0 && before == hash && self.count - number <= REPEATED_WITHIN
+        let is_recent = number > 0 && self.count - number <= REPEATED_WITHIN;
+        is_recent && before == hash && !self.uncounted
     }
 }
 

@@ -19,13 +19,15 @@ const HEAD: u64 = 256 * 1024;
 pub(super) enum Format {
     Mcap,
     Tlog,
+    Csv,
 }
 
 impl Format {
-    fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Mcap => "mcap",
             Self::Tlog => "tlog",
+            Self::Csv => "csv",
         }
     }
 }
@@ -62,10 +64,28 @@ pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
                     return Ok(Format::Tlog);
                 }
             }
+            if is_text(head) {
+                return Ok(Format::Csv);
+            }
             "other data"
         }
     };
     Err(ImportError::not_a_log(path, found.into()))
+}
+
+/// Whether the bytes are text with more than one line or one field: control characters and bytes
+/// that are no UTF-8 are in no table.
+fn is_text(head: &[u8]) -> bool {
+    let text = match std::str::from_utf8(head) {
+        Ok(text) => text,
+        // The head may end within a character.
+        Err(error) if error.valid_up_to() + 4 > head.len() => {
+            std::str::from_utf8(&head[..error.valid_up_to()]).unwrap_or_default()
+        }
+        Err(_) => return false,
+    };
+    let is_plain = |c: char| !c.is_control() || matches!(c, '\t' | '\r' | '\n');
+    text.contains('\n') && text.chars().all(is_plain)
 }
 
 /// Where a flight comes from: its path, name and hash.

@@ -8,21 +8,19 @@ use wire::tlog::Reader;
 use super::flight::Flight;
 use super::frames::Frames;
 
-/// Reads all frames of `source` into `flight`. Returns whether there was any with a stamp.
+/// Reads all frames of `source` into `flight`.
 ///
 /// # Errors
 /// Those of `source`.
-pub(super) fn read(source: impl Read, flight: &mut Flight) -> io::Result<bool> {
+pub(super) fn read(source: impl Read, flight: &mut Flight) -> io::Result<()> {
     let mut reader = Reader::new(source);
     let mut frames = Frames::default();
-    let mut stamped = false;
     while let Some(entry) = reader.read()? {
-        stamped |= entry.time_us.is_some();
         // A message that the dialect does not have is nobody's loss.
         let Some(frame) = Frame::parse(&entry.frame) else { continue };
         frames.add(entry.time_us.map(|us| us.saturating_mul(1000)), &frame);
     }
     frames.left_out("byte that belongs to no whole frame", reader.skipped_bytes());
     frames.finish(flight);
-    Ok(stamped)
+    Ok(())
 }

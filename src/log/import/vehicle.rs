@@ -4,235 +4,21 @@
 //! which stream is decided when all have been seen. Where the vehicle's clock jumps, as after a
 //! reboot, a new epoch begins; the flight is the epoch that holds most.
 
-use sitl::frame::{Attitude, Frd, Ned};
+use mavlink::MessageData;
 use wire::Frame;
 use wire::dialect::*;
 
-use super::clocks::{Arrival, ClockMap, Envelope, Exchange, Heard, shift_onto};
-use super::flight::{AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, Stream};
+use super::clocks::{Arrival, ClockMap, Exchange, Heard};
+use super::epoch::{Epoch, PoseSample, Source};
+use super::flight::{AttitudeSetpoint, Clock, Flight, Stream};
 use super::tally::Tally;
 use crate::link::codec::Codec;
 use crate::link::message::{self, AttitudeSource, Inbound, LandedState};
 
-/// Jump of a message's stamp against the ground's clock that is more than delay and skew, s.
-const JUMP: f64 = 0.5;
-/// Share of the time passed that skew may add to it.
-const SKEW: f64 = 0.02;
 /// Messages in a row that must agree on a jump of the vehicle's clock.
 const JUMP_MESSAGES: u32 = 8;
-/// How long a least delay is remembered, s.
-const FLOOR_SPAN: f64 = 5.0;
 /// Least downlink delay where nothing measures it and setpoints are to be placed, s.
 const ASSUMED_DELAY: f64 = 1.5e-3;
-/// Of two sources of one quantity the second is taken only where it is this much more frequent.
-const CLEARLY_MORE: f64 = 1.05;
-/// As [`CLEARLY_MORE`], for positions: ODOMETRY is often a copy of LOCAL_POSITION_NED.
-const MANY_MORE: f64 = 1.5;
-/// Outputs beyond this are no fractions of the full thrust.
-const FRACTION_MAX: f64 = 2.0;
-/// Radians per second in one revolution per minute.
-const RPM: f64 = std::f64::consts::TAU / 60.0;
-
-/// The messages that carry a stamp of the vehicle and are kept, as indices.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(usize)]
-enum Source {
-    Quaternion,
-    Euler,
-    LocalPosition,
-    Odometry,
-    Imu,
-    ActuatorOutputs,
-    ServoOutputs,
-    EscStatus,
-}
-
-const SOURCES: usize = Source::EscStatus as usize + 1;
-
-impl Source {
-    const ALL: [Self; SOURCES] = [
-        Self::Quaternion,
-        Self::Euler,
-        Self::LocalPosition,
-        Self::Odometry,
-        Self::Imu,
-        Self::ActuatorOutputs,
-        Self::ServoOutputs,
-        Self::EscStatus,
-    ];
-    /// In the order in which the vehicle's clock is taken from them: milliseconds since boot first.
-    const CLOCKS: [Self; SOURCES] = [
-        Self::Quaternion,
-        Self::Euler,
-        Self::LocalPosition,
-        Self::Imu,
-        Self::Odometry,
-        Self::ActuatorOutputs,
-        Self::EscStatus,
-        Self::ServoOutputs,
-    ];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Quaternion => "ATTITUDE_QUATERNION",
-            Self::Euler => "ATTITUDE",
-            Self::LocalPosition => "LOCAL_POSITION_NED",
-            Self::Odometry => "ODOMETRY",
-            Self::Imu => "HIGHRES_IMU",
-            Self::ActuatorOutputs => "ACTUATOR_OUTPUT_STATUS",
-            Self::ServoOutputs => "SERVO_OUTPUT_RAW",
-            Self::EscStatus => "ESC_STATUS",
-        }
-    }
-}
-
-/// Name of a message that may be refused.
-fn name_of(id: u32) -> String {
-    match id {
-        ODOMETRY_DATA::ID => "ODOMETRY".into(),
-        ATTITUDE_QUATERNION_DATA::ID => "ATTITUDE_QUATERNION".into(),
-        ATTITUDE_DATA::ID => "ATTITUDE".into(),
-        LOCAL_POSITION_NED_DATA::ID => "LOCAL_POSITION_NED".into(),
-        HIGHRES_IMU_DATA::ID => "HIGHRES_IMU".into(),
-        ACTUATOR_OUTPUT_STATUS_DATA::ID => "ACTUATOR_OUTPUT_STATUS".into(),
-        SERVO_OUTPUT_RAW_DATA::ID => "SERVO_OUTPUT_RAW".into(),
-        BATTERY_STATUS_DATA::ID => "BATTERY_STATUS".into(),
-        EXTENDED_SYS_STATE_DATA::ID => "EXTENDED_SYS_STATE".into(),
-        ESC_STATUS_DATA::ID => "ESC_STATUS".into(),
-        id => format!("message {id}"),
-    }
-}
-
-use mavlink::MessageData;
-
-/// What HIGHRES_IMU says of each sensor, where its flags call it valid.
-type ImuSample = (Option<Frd>, Option<Frd>);
-
-#[derive(Debug)]
-struct PoseSample {
-    position: Ned,
-    velocity: Ned,
-    attitude: Attitude,
-    body_rate: Frd,
-}
-
-/// The newest stamps of one source, against which the next are judged.
-#[derive(Clone, Copy, Debug)]
-struct Track {
-    last: Arrival,
-    /// Least difference of the clocks in this span and in the one before.
-    floor: [f64; 2],
-    span_start: f64,
-}
-
-impl Track {
-    fn new(arrival: Arrival) -> Self {
-        let difference = arrival.ground - arrival.vehicle;
-        Self { last: arrival, floor: [difference, f64::INFINITY], span_start: arrival.ground }
-    }
-
-    /// Whether the vehicle's clock has gone on since the last message. Late messages, stalls of
-    /// the link, and steps of the ground's clock are no jumps of the vehicle's.
-    fn follows(&self, next: &Arrival) -> bool {
-        let passed = next.vehicle - self.last.vehicle;
-        let ground = next.ground - self.last.ground;
-        let change = next.ground - next.vehicle - self.floor[0].min(self.floor[1]);
-        let allowed = JUMP + SKEW * ground.abs();
-        if change < -allowed {
-            // Sooner than the link was ever: the ground's clock went back, or the vehicle's ahead.
-            ground < -JUMP && (-JUMP..10.0 * JUMP).contains(&passed)
-        } else {
-            change <= allowed || passed >= -JUMP
-        }
-    }
-
-    fn advance(&mut self, next: Arrival) {
-        let difference = next.ground - next.vehicle;
-        if (next.ground - self.span_start).abs() > FLOOR_SPAN {
-            self.floor = [difference, self.floor[0]];
-            self.span_start = next.ground;
-        } else {
-            self.floor[0] = self.floor[0].min(difference);
-        }
-        self.last = next;
-    }
-}
-
-/// A time over which the vehicle's clock went on without a jump.
-#[derive(Debug, Default)]
-struct Epoch {
-    tracks: [Option<Track>; SOURCES],
-    envelopes: [Envelope; SOURCES],
-    unordered: [u64; SOURCES],
-    quaternion: Stream<(Attitude, Frd)>,
-    euler: Stream<(Attitude, Frd)>,
-    local_position: Stream<(Ned, Ned)>,
-    odometry: Stream<PoseSample>,
-    imu: Stream<ImuSample>,
-    actuator_outputs: Stream<[f64; 4]>,
-    servo_outputs: Stream<[f64; 4]>,
-    rpm: Stream<[f64; 4]>,
-}
-
-impl Epoch {
-    fn messages(&self) -> usize {
-        Source::ALL.iter().map(|source| self.count(*source)).sum()
-    }
-
-    fn count(&self, source: Source) -> usize {
-        match source {
-            Source::Quaternion => self.quaternion.len(),
-            Source::Euler => self.euler.len(),
-            Source::LocalPosition => self.local_position.len(),
-            Source::Odometry => self.odometry.len(),
-            Source::Imu => self.imu.len(),
-            Source::ActuatorOutputs => self.actuator_outputs.len(),
-            Source::ServoOutputs => self.servo_outputs.len(),
-            Source::EscStatus => self.rpm.len(),
-        }
-    }
-
-    /// Messages that carry an attitude.
-    fn attitudes(&self) -> usize {
-        self.quaternion.len() + self.euler.len() + self.odometry.len()
-    }
-
-    /// The span of its times, s.
-    fn span(&self) -> (f64, f64) {
-        let ends = |times: &[f64]| Some((*times.first()?, *times.last()?));
-        let all = [
-            ends(self.quaternion.times()),
-            ends(self.euler.times()),
-            ends(self.local_position.times()),
-            ends(self.odometry.times()),
-            ends(self.imu.times()),
-            ends(self.actuator_outputs.times()),
-            ends(self.servo_outputs.times()),
-            ends(self.rpm.times()),
-        ];
-        all.into_iter()
-            .flatten()
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (from, to)| (a.min(from), b.max(to)))
-    }
-
-    fn follows(&self, source: Source, arrival: &Arrival) -> bool {
-        self.tracks[source as usize].as_ref().is_some_and(|track| track.follows(arrival))
-    }
-
-    /// Takes in a message's stamps; `push` keeps its content.
-    fn take(&mut self, source: Source, arrival: Arrival, kept: bool) {
-        let at = source as usize;
-        match &mut self.tracks[at] {
-            Some(track) => track.advance(arrival),
-            track => *track = Some(Track::new(arrival)),
-        }
-        if kept {
-            self.envelopes[at].add(arrival);
-        } else {
-            self.unordered[at] += 1;
-        }
-    }
-}
 
 /// Everything that one system and component sent.
 #[derive(Debug, Default)]
@@ -456,7 +242,7 @@ impl VehicleLog {
             let reason = format!("{}: sent again or out of order", source.name());
             tally.add(&reason, epoch.unordered[source as usize]);
         }
-        let shifts = epoch_shifts(&epoch);
+        let shifts = epoch.shifts();
         let assumed = if setpoints.is_empty() { 0.0 } else { ASSUMED_DELAY };
         let envelopes =
             Source::ALL.map(|source| (&epoch.envelopes[source as usize], shifts[source as usize]));
@@ -470,23 +256,9 @@ impl VehicleLog {
         place(&map, battery, &mut flight.voltage, "BATTERY_STATUS", &mut tally);
         place(&map, landed, &mut flight.in_air, "EXTENDED_SYS_STATE", &mut tally);
         place(&map, setpoints, &mut flight.setpoint, "SET_ATTITUDE_TARGET", &mut tally);
-        fill(epoch, shifts, flight);
+        epoch.fill(shifts, flight);
         tally
     }
-}
-
-/// What must be added to each source's times to be on one clock: `time_usec` may count from
-/// another epoch than `time_boot_ms`.
-fn epoch_shifts(epoch: &Epoch) -> [f64; SOURCES] {
-    let reference = Source::CLOCKS.into_iter().find(|source| epoch.count(*source) > 0);
-    let mut shifts = [0.0; SOURCES];
-    if let Some(reference) = reference {
-        for source in Source::ALL {
-            let own = &epoch.envelopes[source as usize];
-            shifts[source as usize] = shift_onto(&epoch.envelopes[reference as usize], own);
-        }
-    }
-    shifts
 }
 
 /// Puts samples that only the ground stamped onto the vehicle's clock.
@@ -506,57 +278,6 @@ fn place<T>(
     }
     tally.add(&format!("{name}: no stamp of the vehicle near it"), far);
     tally.add(&format!("{name}: sent again or out of order"), unordered);
-}
-
-/// Chooses the sources.
-fn fill(epoch: Epoch, shifts: [f64; SOURCES], flight: &mut Flight) {
-    let shift = |source: Source| shifts[source as usize];
-    let quaternion = (epoch.quaternion, shift(Source::Quaternion));
-    let euler = (epoch.euler, shift(Source::Euler));
-    let odometry = (&epoch.odometry, shift(Source::Odometry));
-    let pose_attitude = odometry.0.map(|pose| (pose.attitude, pose.body_rate));
-
-    let mut attitude = quaternion;
-    for (stream, shift) in [(pose_attitude, odometry.1), euler] {
-        if stream.rate() > CLEARLY_MORE * attitude.0.rate() {
-            attitude = (stream, shift);
-        }
-    }
-    let (attitude, attitude_shift) = attitude;
-    flight.attitude = attitude.map(|(attitude, _)| *attitude).shifted(attitude_shift);
-
-    let imu_shift = shift(Source::Imu);
-    flight.specific_force = epoch.imu.filter_map(|(force, _)| *force).shifted(imu_shift);
-    flight.body_rate = epoch.imu.filter_map(|(_, rate)| *rate).shifted(imu_shift);
-    if flight.body_rate.is_empty() {
-        flight.body_rate = attitude.map(|(_, rate)| *rate).shifted(attitude_shift);
-    }
-
-    let local = &epoch.local_position;
-    if odometry.0.rate() > MANY_MORE * local.rate() {
-        flight.position = odometry.0.map(|pose| pose.position).shifted(odometry.1);
-        flight.velocity = odometry.0.map(|pose| pose.velocity).shifted(odometry.1);
-    } else {
-        let shift = shift(Source::LocalPosition);
-        flight.position = local.map(|(position, _)| *position).shifted(shift);
-        flight.velocity = local.map(|(_, velocity)| *velocity).shifted(shift);
-    }
-
-    if epoch.actuator_outputs.is_empty() {
-        flight.outputs = epoch.servo_outputs.shifted(shift(Source::ServoOutputs));
-        flight.motor_source = MotorSource::ServoOutputRaw;
-        flight.motor_unit = MotorUnit::VehicleFile;
-    } else {
-        flight.outputs = epoch.actuator_outputs.shifted(shift(Source::ActuatorOutputs));
-        flight.motor_source = MotorSource::ActuatorOutputStatus;
-        let is_fraction = |u: &&[f64; 4]| u.iter().all(|u| (0.0..=FRACTION_MAX).contains(u));
-        let fractions = flight.outputs.values().iter().filter(is_fraction).count();
-        let is_fraction = 2 * fractions > flight.outputs.len();
-        flight.motor_unit =
-            if is_fraction { MotorUnit::ThrustFraction } else { MotorUnit::VehicleFile };
-    }
-    flight.rotor_speed =
-        epoch.rpm.map(|rpm| rpm.map(|rpm| rpm * RPM)).shifted(shift(Source::EscStatus));
 }
 
 fn is_kept(id: u32) -> bool {
@@ -587,4 +308,21 @@ fn updated_sensors(payload: &[u8]) -> (bool, bool) {
     let flags = u16::from_le_bytes([byte(FIELDS_UPDATED), byte(FIELDS_UPDATED + 1)]);
     let has = |mask: u16| flags == 0 || flags & mask == mask;
     (has(ACCELEROMETER), has(GYRO))
+}
+
+/// Name of a message that may be refused.
+fn name_of(id: u32) -> String {
+    match id {
+        ODOMETRY_DATA::ID => "ODOMETRY".into(),
+        ATTITUDE_QUATERNION_DATA::ID => "ATTITUDE_QUATERNION".into(),
+        ATTITUDE_DATA::ID => "ATTITUDE".into(),
+        LOCAL_POSITION_NED_DATA::ID => "LOCAL_POSITION_NED".into(),
+        HIGHRES_IMU_DATA::ID => "HIGHRES_IMU".into(),
+        ACTUATOR_OUTPUT_STATUS_DATA::ID => "ACTUATOR_OUTPUT_STATUS".into(),
+        SERVO_OUTPUT_RAW_DATA::ID => "SERVO_OUTPUT_RAW".into(),
+        BATTERY_STATUS_DATA::ID => "BATTERY_STATUS".into(),
+        EXTENDED_SYS_STATE_DATA::ID => "EXTENDED_SYS_STATE".into(),
+        ESC_STATUS_DATA::ID => "ESC_STATUS".into(),
+        id => format!("message {id}"),
+    }
 }

@@ -1,0 +1,173 @@
+//! `downwash log import`: any flight log as one of the project's own.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::{Exit, ExitContext, print_json, print_text};
+use crate::log::import::{self, Clock, Flight, MotorSource, MotorUnit, Stream};
+
+/// The JSON of `log import`.
+#[derive(Serialize)]
+struct Summary {
+    schema: &'static str,
+    schema_version: u32,
+    file: String,
+    run: String,
+    format: &'static str,
+    sha256: String,
+    clock: &'static str,
+    /// Least downlink delay that was assumed, s.
+    clock_delay_s: Option<f64>,
+    motor_unit: &'static str,
+    motor_source: &'static str,
+    has_vehicle_file: bool,
+    streams: Vec<StreamSummary>,
+    left_out: Vec<LeftOut>,
+    out: String,
+    messages: u64,
+}
+
+#[derive(Serialize)]
+struct StreamSummary {
+    stream: &'static str,
+    samples: usize,
+    rate_hz: Option<f64>,
+    start_s: Option<f64>,
+    end_s: Option<f64>,
+    longest_gap_s: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct LeftOut {
+    what: String,
+    count: u64,
+}
+
+impl StreamSummary {
+    fn new<T>(name: &'static str, stream: &Stream<T>) -> Self {
+        let times = stream.times();
+        let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
+        Self {
+            stream: name,
+            samples: stream.len(),
+            rate_hz: (stream.len() > 1).then(|| stream.rate()),
+            start_s: times.first().copied(),
+            end_s: times.last().copied(),
+            longest_gap_s: gaps.reduce(f64::max),
+        }
+    }
+}
+
+pub(super) fn run(
+    file: &Path,
+    mapping: Option<&Path>,
+    out: &Path,
+    json: bool,
+) -> anyhow::Result<Exit> {
+    let flight = import::open(file, mapping).or_exit(Exit::Usage)?;
+    if is_same_file(file, out) {
+        return Err(anyhow::anyhow!("{} is the log to read; choose another --out", out.display()))
+            .or_exit(Exit::Usage);
+    }
+    let messages = import::write(&flight, out)?;
+    let summary = summary(&flight, out, messages);
+    if json {
+        print_json(&summary)?;
+    } else {
+        print_text(&text(&summary))?;
+    }
+    Ok(Exit::Ok)
+}
+
+/// Whether both are one file: writing would destroy what was read.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
+}
+
+fn summary(flight: &Flight, out: &Path, messages: u64) -> Summary {
+    let (clock, clock_delay_s) = match flight.clock {
+        Clock::Single => ("one clock", None),
+        Clock::Synchronised => ("ground's clock tied by TIMESYNC", None),
+        Clock::LeastDelay { assumed_s } => {
+            ("ground's clock tied by the least delay", Some(assumed_s))
+        }
+    };
+    let motor_unit = match flight.motor_unit {
+        MotorUnit::ThrustFraction => "thrust fraction",
+        MotorUnit::VehicleFile => "as the vehicle file's motor_output says",
+        MotorUnit::Newton => "N",
+    };
+    let motor_source = match flight.motor_source {
+        MotorSource::ActuatorOutputStatus => "ACTUATOR_OUTPUT_STATUS",
+        MotorSource::ServoOutputRaw => "SERVO_OUTPUT_RAW",
+        MotorSource::Table => "table",
+    };
+    let streams = vec![
+        StreamSummary::new("attitude", &flight.attitude),
+        StreamSummary::new("position", &flight.position),
+        StreamSummary::new("velocity", &flight.velocity),
+        StreamSummary::new("body_rate", &flight.body_rate),
+        StreamSummary::new("specific_force", &flight.specific_force),
+        StreamSummary::new("outputs", &flight.outputs),
+        StreamSummary::new("rotor_speed", &flight.rotor_speed),
+        StreamSummary::new("setpoint", &flight.setpoint),
+        StreamSummary::new("voltage", &flight.voltage),
+        StreamSummary::new("in_air", &flight.in_air),
+        StreamSummary::new("truth", &flight.truth),
+    ];
+    let left_out = flight.left_out.iter();
+    Summary {
+        schema: "downwash.log.import",
+        schema_version: 1,
+        file: flight.origin.path.display().to_string(),
+        run: flight.origin.run.clone(),
+        format: flight.origin.format,
+        sha256: flight.origin.sha256.clone(),
+        clock,
+        clock_delay_s,
+        motor_unit,
+        motor_source,
+        has_vehicle_file: flight.vehicle_file.is_some(),
+        streams,
+        left_out: left_out
+            .map(|(what, count)| LeftOut { what: what.clone(), count: *count })
+            .collect(),
+        out: out.display().to_string(),
+        messages,
+    }
+}
+
+fn text(summary: &Summary) -> String {
+    let mut lines = vec![format!("{}: {} log", summary.file, summary.format)];
+    lines.push(format!(
+        "  {:<16} {:>9} {:>9}  span and longest gap",
+        "stream", "samples", "rate/Hz"
+    ));
+    for stream in &summary.streams {
+        let StreamSummary { stream, samples, rate_hz, start_s, end_s, longest_gap_s } = stream;
+        if let (Some(start), Some(end)) = (start_s, end_s) {
+            let rate = rate_hz.map_or("-".to_owned(), |rate| format!("{rate:.1}"));
+            let gap = longest_gap_s.unwrap_or(0.0);
+            lines.push(format!(
+                "  {stream:<16} {samples:>9} {rate:>9}  {start:.3} to {end:.3} s, {gap:.3} s"
+            ));
+        }
+    }
+    let missing: Vec<_> =
+        summary.streams.iter().filter(|s| s.samples == 0).map(|s| s.stream).collect();
+    if !missing.is_empty() {
+        lines.push(format!("  not logged: {}", missing.join(", ")));
+    }
+    let delay = summary.clock_delay_s.map_or(String::new(), |s| format!(" ({:.1} ms)", s * 1e3));
+    lines.push(format!("  clocks: {}{delay}", summary.clock));
+    lines.push(format!("  motor outputs: {}, from {}", summary.motor_unit, summary.motor_source));
+    for LeftOut { what, count } in &summary.left_out {
+        lines.push(format!("  left out: {count} x {what}"));
+    }
+    lines.push(format!("{}: {} messages", summary.out, summary.messages));
+    lines.join("\n") + "\n"
+}

@@ -1,0 +1,336 @@
+//! Binds a mapping to the columns of a table: finds them by name, and asks for what is not said.
+
+use super::axes::{BodyFrame, WorldFrame};
+use super::row::{
+    AttitudeReader, Columns, MotorReader, Outputs, Rotation, RowReader, TimeReader, VectorReader,
+};
+use super::{
+    AccelerationUnit, AngleUnit, AttitudeMap, Axes, ForceMeaning, LengthUnit, Mapping, MotorMap,
+    MotorMeaning, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit, TimeUnit, VoltageUnit,
+};
+
+/// Standard gravity, m/s^2: what `g` is as a unit.
+const STANDARD_GRAVITY: f64 = 9.806_65;
+
+/// What a mapping needs and does not say.
+fn unsaid(field: &str, expected: &str) -> String {
+    format!("{field} is not said: write {field} = {expected}")
+}
+
+/// Finds columns by name, and notes which are used.
+struct Binder<'a> {
+    header: &'a [String],
+    used: Vec<bool>,
+    world: Option<WorldFrame>,
+    body: Option<BodyFrame>,
+}
+
+impl Binder<'_> {
+    fn column(&mut self, field: &str, name: &str) -> Result<usize, String> {
+        let mut found = self.header.iter().enumerate().filter(|(_, known)| *known == name);
+        match (found.next(), found.next()) {
+            (Some((at, _)), None) => {
+                self.used[at] = true;
+                Ok(at)
+            }
+            (Some(_), Some(_)) => Err(format!("{field}: the table has two columns {name:?}")),
+            (None, _) => Err(format!(
+                "{field}: the table has no column {name:?}; it has {}",
+                self.header.join(", ")
+            )),
+        }
+    }
+
+    fn columns<const N: usize>(
+        &mut self,
+        field: &str,
+        names: &[String; N],
+        factor: f64,
+    ) -> Result<Columns<N>, String> {
+        let mut at = [0; N];
+        for (at, name) in at.iter_mut().zip(names) {
+            *at = self.column(field, name)?;
+        }
+        Ok(Columns { at, factor })
+    }
+
+    fn world(&self) -> Result<WorldFrame, String> {
+        self.world.ok_or_else(|| unsaid("world_frame", r#""ned", "enu" or "nwu""#))
+    }
+
+    fn body(&self) -> Result<BodyFrame, String> {
+        self.body.ok_or_else(|| unsaid("body_frame", r#""frd" or "flu""#))
+    }
+
+    fn axes(&self, field: &str, axes: Option<Axes>) -> Result<Axes, String> {
+        let field = format!("{field}.axes");
+        let axes = axes.ok_or_else(|| unsaid(&field, r#""world" or "body""#))?;
+        match axes {
+            Axes::World => self.world().map(drop)?,
+            Axes::Body => self.body().map(drop)?,
+        }
+        Ok(axes)
+    }
+
+    fn attitude(&mut self, field: &str, map: &AttitudeMap) -> Result<AttitudeReader, String> {
+        let forms = [map.quaternion.is_some(), map.euler.is_some(), map.matrix.is_some()];
+        if forms.iter().filter(|given| **given).count() != 1 {
+            return Err(format!(
+                "{field}: expected one of quaternion, euler and matrix, each a list of columns"
+            ));
+        }
+        let refuse = |is_given: bool, key: &str| match is_given {
+            true => Err(format!("{field}.{key} has no meaning here; take it out")),
+            false => Ok(()),
+        };
+        refuse(map.order.is_some() && map.quaternion.is_none(), "order")?;
+        refuse(map.unit.is_some() && map.euler.is_none(), "unit")?;
+        refuse(map.rotates.is_some() && map.euler.is_some(), "rotates")?;
+        let (rotation, is_inverse) = if let Some(names) = &map.euler {
+            let expected = r#""rad" or "deg" (yaw, then pitch, then roll turn the world into the body; columns: roll, pitch, yaw)"#;
+            let factor = match map.unit.ok_or_else(|| unsaid(&format!("{field}.unit"), expected))? {
+                AngleUnit::Rad => 1.0,
+                AngleUnit::Deg => 1f64.to_radians(),
+            };
+            (Rotation::Euler(self.columns(field, names, factor)?), false)
+        } else {
+            let expected = r#""body_to_world" (v_world = R v_body) or "world_to_body""#;
+            let rotates =
+                map.rotates.ok_or_else(|| unsaid(&format!("{field}.rotates"), expected))?;
+            let is_inverse = matches!(rotates, Rotates::WorldToBody);
+            let rotation = match (&map.quaternion, &map.matrix) {
+                (Some(names), _) => {
+                    let expected = r#""wxyz" or "xyzw", in the order of the columns"#;
+                    let order =
+                        map.order.ok_or_else(|| unsaid(&format!("{field}.order"), expected))?;
+                    Rotation::Quaternion(self.columns(field, names, 1.0)?, order)
+                }
+                (None, Some(names)) => Rotation::Matrix(self.columns(field, names, 1.0)?),
+                (None, None) => return Err(format!("{field}: no columns")),
+            };
+            (rotation, is_inverse)
+        };
+        let (world, body) = (self.world()?, self.body()?);
+        Ok(AttitudeReader { rotation, is_inverse, world, body })
+    }
+
+    fn rate(&mut self, field: &str, map: &RateMap) -> Result<VectorReader, String> {
+        let expected = r#""rad/s" or "deg/s""#;
+        let factor = match map.unit.ok_or_else(|| unsaid(&format!("{field}.unit"), expected))? {
+            RateUnit::Radians => 1.0,
+            RateUnit::Degrees => 1f64.to_radians(),
+        };
+        let axes = self.axes(field, map.axes)?;
+        self.body()?;
+        Ok(VectorReader { columns: self.columns(field, &map.columns, factor)?, axes })
+    }
+
+    fn motors(&mut self, map: &MotorMap) -> Result<(MotorReader, Outputs, Option<f64>), String> {
+        let expected = r#""thrust_fraction", "thrust_N", "pwm" or "rotor_speed""#;
+        let meaning = map.meaning.ok_or_else(|| unsaid("motors.meaning", expected))?;
+        let is_pwm = matches!(meaning, MotorMeaning::Pwm);
+        let is_speed = matches!(meaning, MotorMeaning::RotorSpeed);
+        let stray = [
+            (map.range.is_some() && !is_pwm, "range", "pwm"),
+            (map.polynomial_n.is_some() && !is_pwm, "polynomial_N", "pwm"),
+            (map.unit.is_some() && !is_speed, "unit", "rotor_speed"),
+            (
+                map.thrust_coefficient_n_s2.is_some() && !is_speed,
+                "thrust_coefficient_N_s2",
+                "rotor_speed",
+            ),
+        ];
+        if let Some((_, key, wanted)) = stray.into_iter().find(|(is_stray, ..)| *is_stray) {
+            return Err(format!(
+                "motors.{key} belongs to meaning = {wanted:?}; take one of them out"
+            ));
+        }
+        let mut reader = MotorReader {
+            columns: self.columns("motors.columns", &map.columns, 1.0)?,
+            range: [0.0, 1.0],
+            polynomial: None,
+        };
+        let (outputs, speed) = match meaning {
+            MotorMeaning::ThrustFraction => (Outputs::Fraction, None),
+            MotorMeaning::ThrustN => (Outputs::Newton, None),
+            MotorMeaning::Pwm => {
+                if map.range.is_none() && map.polynomial_n.is_none() {
+                    return Err("motors: what thrust a PWM value is, is not said: write range = \
+                                [value of no thrust, value of full thrust] for a thrust that is \
+                                proportional between them, or polynomial_N = [c0, c1, c2] for a \
+                                thrust of c0 + c1 x + c2 x^2 in N (x being the PWM value, or its \
+                                place in the range where that is given too)"
+                        .into());
+                }
+                if let Some([zero, one]) = map.range {
+                    if !(zero.is_finite() && one.is_finite() && zero != one) {
+                        return Err("motors.range: expected two different numbers".into());
+                    }
+                    reader.range = [zero, one];
+                }
+                reader.polynomial = map.polynomial_n.clone();
+                match &reader.polynomial {
+                    Some(c) if c.is_empty() || c.iter().any(|c| !c.is_finite()) => {
+                        return Err("motors.polynomial_N: expected numbers".into());
+                    }
+                    Some(_) => (Outputs::Newton, None),
+                    None => (Outputs::Fraction, None),
+                }
+            }
+            MotorMeaning::RotorSpeed => {
+                let unit = map.unit.ok_or_else(|| unsaid("motors.unit", r#""rad/s" or "rpm""#))?;
+                let coefficient = map.thrust_coefficient_n_s2.filter(|k| k.is_finite() && *k > 0.0);
+                let coefficient = coefficient.ok_or_else(|| {
+                    let expected = "a number above 0: thrust in N over the square of rad/s";
+                    unsaid("motors.thrust_coefficient_N_s2", expected)
+                })?;
+                let factor = rad_per_s(unit);
+                reader.polynomial = Some(vec![0.0, 0.0, coefficient * factor * factor]);
+                (Outputs::Newton, Some(factor))
+            }
+        };
+        Ok((reader, outputs, speed))
+    }
+}
+
+fn rad_per_s(unit: RotorUnit) -> f64 {
+    match unit {
+        RotorUnit::Radians => 1.0,
+        RotorUnit::Rpm => std::f64::consts::TAU / 60.0,
+    }
+}
+
+impl RowReader {
+    /// Binds the mapping to a table's columns; the error says what is missing and what to write.
+    pub fn new(mapping: &Mapping, header: &[String]) -> Result<Self, String> {
+        let used = vec![false; header.len()];
+        let mut binder =
+            Binder { header, used, world: mapping.world_frame, body: mapping.body_frame };
+        let expected = "[time] with column and unit, or with rate_hz";
+        let time = mapping.time.as_ref().ok_or_else(|| format!("expected {expected}"))?;
+        let time = match (&time.column, time.rate_hz, time.unit) {
+            (Some(column), None, Some(unit)) => {
+                let factor = match unit {
+                    TimeUnit::S => 1.0,
+                    TimeUnit::Ms => 1e-3,
+                    TimeUnit::Us => 1e-6,
+                    TimeUnit::Ns => 1e-9,
+                };
+                TimeReader::Column(Columns { at: [binder.column("time.column", column)?], factor })
+            }
+            (Some(_), None, None) => {
+                return Err(unsaid("time.unit", r#""s", "ms", "us" or "ns""#));
+            }
+            (None, Some(rate), None) if rate.is_finite() && rate > 0.0 => TimeReader::Rate(rate),
+            _ => return Err(format!("expected {expected}, and a rate above 0")),
+        };
+        let position = mapping.position.as_ref().map(|map| {
+            binder.world()?;
+            let expected = r#""m", "cm" or "mm""#;
+            let factor = match map.unit.ok_or_else(|| unsaid("position.unit", expected))? {
+                LengthUnit::M => 1.0,
+                LengthUnit::Cm => 0.01,
+                LengthUnit::Mm => 1e-3,
+            };
+            binder.columns("position.columns", &map.columns, factor)
+        });
+        let position = position.transpose()?;
+        let velocity = mapping.velocity.as_ref().map(|map| {
+            let expected = r#""m/s", "cm/s" or "mm/s""#;
+            let factor = match map.unit.ok_or_else(|| unsaid("velocity.unit", expected))? {
+                SpeedUnit::Metres => 1.0,
+                SpeedUnit::Centimetres => 0.01,
+                SpeedUnit::Millimetres => 1e-3,
+            };
+            let axes = binder.axes("velocity", map.axes)?;
+            let columns = binder.columns("velocity.columns", &map.columns, factor)?;
+            Ok::<_, String>(VectorReader { columns, axes })
+        });
+        let velocity = velocity.transpose()?;
+        let attitude =
+            mapping.attitude.as_ref().map(|map| binder.attitude("attitude", map)).transpose()?;
+        let body_rate =
+            mapping.body_rate.as_ref().map(|map| binder.rate("body_rate", map)).transpose()?;
+        let specific_force = mapping.specific_force.as_ref().map(|map| {
+            let expected = r#""m/s2" or "g""#;
+            let factor = match map.unit.ok_or_else(|| unsaid("specific_force.unit", expected))? {
+                AccelerationUnit::MetresPerSecondSquared => 1.0,
+                AccelerationUnit::Gravity => STANDARD_GRAVITY,
+            };
+            let expected = r#""specific_force" (what an accelerometer shows: 1 g upwards at rest) or "acceleration" (nothing at rest)"#;
+            let meaning = map.meaning.ok_or_else(|| unsaid("specific_force.meaning", expected))?;
+            let gravity = map.gravity_mps2.unwrap_or(STANDARD_GRAVITY);
+            if !(gravity.is_finite() && gravity > 0.0) {
+                return Err("specific_force.gravity_mps2: expected a number above 0".to_owned());
+            }
+            let axes = binder.axes("specific_force", map.axes)?;
+            let columns = binder.columns("specific_force.columns", &map.columns, factor)?;
+            Ok((VectorReader { columns, axes }, meaning, gravity))
+        });
+        let specific_force = specific_force.transpose()?;
+        let turned = [
+            ("velocity.axes = \"body\"", velocity.is_some_and(|v| v.axes == Axes::Body)),
+            ("body_rate.axes = \"world\"", body_rate.is_some_and(|v| v.axes == Axes::World)),
+            (
+                "specific_force in world axes or without gravity",
+                specific_force.is_some_and(|(v, meaning, _)| {
+                    v.axes == Axes::World || meaning == ForceMeaning::Acceleration
+                }),
+            ),
+        ];
+        if let Some((what, _)) = turned.iter().find(|(_, needs)| *needs && attitude.is_none()) {
+            return Err(format!("{what} needs the attitude: write [attitude]"));
+        }
+        let motors = mapping.motors.as_ref().map(|map| binder.motors(map)).transpose()?;
+        let rotor_speed = match (&mapping.rotor_speed, &motors) {
+            (Some(map), _) => {
+                let expected = r#""rad/s" or "rpm""#;
+                let unit = map.unit.ok_or_else(|| unsaid("rotor_speed.unit", expected))?;
+                Some(binder.columns("rotor_speed.columns", &map.columns, rad_per_s(unit))?)
+            }
+            (None, Some((reader, _, Some(factor)))) => {
+                Some(Columns { factor: *factor, ..reader.columns })
+            }
+            (None, _) => None,
+        };
+        let voltage = mapping.voltage.as_ref().map(|map| {
+            let factor = match map.unit.ok_or_else(|| unsaid("voltage.unit", r#""V" or "mV""#))? {
+                VoltageUnit::V => 1.0,
+                VoltageUnit::Millivolt => 1e-3,
+            };
+            let at = [binder.column("voltage.column", &map.column)?];
+            Ok::<_, String>(Columns { at, factor })
+        });
+        let voltage = voltage.transpose()?;
+        let (mut setpoint_attitude, mut setpoint_rate, mut setpoint_thrust) = (None, None, None);
+        if let Some(map) = &mapping.setpoint {
+            let of = |attitude: &AttitudeMap| binder.attitude("setpoint.attitude", attitude);
+            setpoint_attitude = map.attitude.as_ref().map(of).transpose()?;
+            let of = |rate: &RateMap| binder.rate("setpoint.body_rate", rate);
+            setpoint_rate = map.body_rate.as_ref().map(of).transpose()?;
+            if let Some(name) = &map.thrust_fraction {
+                let at = [binder.column("setpoint.thrust_fraction", name)?];
+                setpoint_thrust = Some(Columns { at, factor: 1.0 });
+            }
+        }
+        Ok(Self {
+            // What is not said is not needed: whatever needs it has asked for it above.
+            world: mapping.world_frame.unwrap_or(WorldFrame::Ned),
+            body: mapping.body_frame.unwrap_or(BodyFrame::Frd),
+            time,
+            position,
+            velocity,
+            attitude,
+            body_rate,
+            specific_force,
+            outputs: motors.as_ref().map_or(Outputs::Fraction, |(_, outputs, _)| *outputs),
+            motors: motors.map(|(reader, ..)| reader),
+            rotor_speed,
+            voltage,
+            setpoint_attitude,
+            setpoint_rate,
+            setpoint_thrust,
+            used: binder.used,
+        })
+    }
+}

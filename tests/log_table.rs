@@ -1,0 +1,269 @@
+//! Tables become flights by a mapping file, which must say everything.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use downwash::log::import::mapping::{BodyFrame, Mapping, WorldFrame, attitude_to_ned};
+use downwash::log::import::{Flight, ImportError, MotorUnit, open, write};
+use proptest::prelude::*;
+use sitl::frame::{Attitude, Euler, Frd, Ned};
+
+fn place(test: &str, name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("log_table").join(test);
+    fs::create_dir_all(&directory).expect("a folder");
+    let path = directory.join(name);
+    let _ = fs::remove_file(&path);
+    path
+}
+
+fn import(test: &str, table: &str, mapping: &str) -> Result<Flight, ImportError> {
+    let (file, map) = (place(test, "flight.csv"), place(test, "map.toml"));
+    fs::write(&file, table).expect("a file");
+    fs::write(&map, mapping).expect("a file");
+    open(&file, Some(&map))
+}
+
+fn refusal(test: &str, table: &str, mapping: &str) -> String {
+    import(test, table, mapping).expect_err("a refusal").to_string()
+}
+
+/// The motion-capture mapping that is shipped.
+const SHIPPED: &str = include_str!("../config/mappings/motion-capture.toml");
+
+/// A table for it: z up, front-left-up.
+fn table(rows: usize) -> String {
+    let header = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat";
+    let mut text = format!("{header}\n");
+    for row in 0..rows {
+        let t = row as f64 * 0.01;
+        let half_yaw = 0.05 * t;
+        let _ = writeln!(
+            text,
+            "{t},1,2,3,0.1,0.2,0.3,0,0,{},{},0.01,0.02,0.1,0.5,0.51,0.52,0.53,{}",
+            half_yaw.sin(),
+            half_yaw.cos(),
+            if row % 10 == 0 { "3.9" } else { "" },
+        );
+    }
+    text
+}
+
+#[test]
+fn shipped_mapping_reads_a_motion_capture_table() {
+    let flight = import("shipped", &table(200), SHIPPED).unwrap();
+    assert_eq!(flight.position.values()[0].to_array(), [1.0, -2.0, -3.0]);
+    assert_eq!(flight.velocity.values()[0].to_array(), [0.1, -0.2, -0.3]);
+    assert_eq!(flight.body_rate.values()[0].to_array(), [0.01, -0.02, -0.1]);
+    assert_eq!(flight.outputs.values()[0], [0.5, 0.51, 0.52, 0.53]);
+    assert_eq!((flight.voltage.len(), flight.voltage.values()[0]), (20, 3.9));
+    // Turning left, seen from above, is a falling heading.
+    let yaw = flight.attitude.values()[199].euler().yaw;
+    assert!((yaw + 0.199).abs() < 1e-9, "{yaw}");
+    assert_eq!(flight.rows.as_ref().unwrap().len(), 200);
+    assert_eq!(flight.rows.as_deref(), Some(flight.attitude.times()));
+    assert_eq!((flight.left_out.len(), flight.origin.format), (0, "csv"));
+}
+
+#[test]
+fn rows_that_cannot_be_used_are_left_out_and_counted() {
+    let sound = table(50);
+    let mut lines: Vec<String> = sound.lines().map(str::to_owned).collect();
+    lines[10] = lines[10].replacen(",1,2,3,", ",nan,2,3,", 1);
+    lines[12] = lines[12].replacen(",1,2,3,", ",,2,3,", 1);
+    lines[14] = lines[14].replacen(",1,2,3,", ",1,2,", 1);
+    lines[16] = lines[15].clone();
+    lines[18] = lines[18].replacen("0.17,", "0.05,", 1);
+    lines[20] = lines[20].replacen(",0.52,", ",words,", 1);
+    lines.drain(30..40);
+    let cut = lines.last().unwrap().len() / 2;
+    lines.last_mut().unwrap().truncate(cut);
+    let flight = import("unusable", &lines.join("\n"), SHIPPED).unwrap();
+    let left_out = |words: &str| {
+        flight.left_out.iter().filter(|(what, _)| what.contains(words)).map(|(_, n)| n).sum::<u64>()
+    };
+    assert_eq!(left_out("no finite number"), 3);
+    assert_eq!(left_out("more or fewer cells"), 2);
+    assert_eq!(left_out("time of the row before"), 1);
+    assert_eq!(left_out("earlier time"), 1);
+    assert_eq!(left_out("gap"), 1);
+    assert_eq!(flight.rows.unwrap().len(), 50 - 7 - 10);
+}
+
+#[test]
+fn what_is_not_said_is_asked_for_by_name() {
+    let without = |line: &str| {
+        let kept: Vec<_> = SHIPPED.lines().filter(|l| !l.starts_with(line)).collect();
+        refusal("unsaid", &table(3), &kept.join("\n"))
+    };
+    for (line, asked) in [
+        ("world_frame", "world_frame = \"ned\""),
+        ("body_frame", "body_frame = \"frd\""),
+        ("order", "attitude.order = \"wxyz\""),
+        ("rotates", "attitude.rotates = \"body_to_world\""),
+        ("axes", "velocity.axes = \"world\""),
+        ("unit", ".unit = \""),
+        ("meaning", "motors.meaning = \"thrust_fraction\""),
+    ] {
+        let message = without(line);
+        assert!(message.contains(asked), "without {line}: {message}");
+        assert!(message.contains("map.toml") && message.contains("flight.csv"), "{message}");
+    }
+    let message = refusal("unsaid", &table(3).replacen("qw", "q0", 1), SHIPPED);
+    assert!(message.contains("no column \"qw\"; it has t, px"), "{message}");
+    let message = refusal("unsaid", &table(3), &format!("colour = \"red\"\n{SHIPPED}"));
+    assert!(message.contains("colour") && message.contains("map.toml"), "{message}");
+    let message = refusal("unsaid", &table(3), &SHIPPED.replace("= \"nwu\"", "= \"up\""));
+    assert!(message.contains("enu"), "{message}");
+    let pwm = "meaning = \"pwm\"";
+    let pwm = SHIPPED.replacen("meaning = \"thrust_fraction\"", pwm, 1);
+    assert!(refusal("unsaid", &table(3), &pwm).contains("polynomial_N"));
+    assert!(refusal("unsaid", "", SHIPPED).contains("empty"));
+    let file = place("unsaid", "alone.csv");
+    fs::write(&file, table(3)).unwrap();
+    assert!(matches!(open(&file, None), Err(ImportError::NoMapping { .. })));
+    let message = refusal("unsaid", &table(3), "[time]\nrate_hz = 0.0\n");
+    assert!(message.contains("rate above 0"), "{message}");
+}
+
+#[test]
+fn motors_of_every_kind() {
+    let motors = |lines: &str, value: f64| {
+        let table = format!("m1,m2,m3,m4\n{value},0,{value},0\n");
+        let columns = "columns = [\"m3\", \"m2\", \"m1\", \"m4\"]";
+        let mapping = format!("[time]\nrate_hz = 100.0\n[motors]\n{columns}\n{lines}\n");
+        let flight = import("motors", &table, &mapping).unwrap();
+        (flight.outputs.values()[0][0], flight.motor_unit, flight.rotor_speed)
+    };
+    let (u, unit, _) = motors("meaning = \"pwm\"\nrange = [1000, 2000]", 1250.0);
+    assert_eq!((u, unit), (0.25, MotorUnit::ThrustFraction));
+    let (thrust, unit, _) =
+        motors("meaning = \"pwm\"\nrange = [0, 65535]\npolynomial_N = [0.01, 0.1, 0.2]", 65535.0);
+    assert!((thrust - 0.31).abs() < 1e-12 && unit == MotorUnit::Newton);
+    let speed = "meaning = \"rotor_speed\"\nunit = \"rpm\"\nthrust_coefficient_N_s2 = 1e-6";
+    let (thrust, unit, speeds) = motors(speed, 6000.0);
+    let expected = 6000.0 * std::f64::consts::TAU / 60.0;
+    assert!((thrust - 1e-6 * expected * expected).abs() < 1e-9 && unit == MotorUnit::Newton);
+    assert!((speeds.values()[0][0] - expected).abs() < 1e-9);
+    let (thrust, unit, _) = motors("meaning = \"thrust_N\"", 1.5);
+    assert_eq!((thrust, unit), (1.5, MotorUnit::Newton));
+}
+
+#[test]
+fn a_table_written_as_a_log_reads_back_the_same() {
+    let flight = import("round_trip", &table(300), SHIPPED).unwrap();
+    let path = place("round_trip", "flight.mcap");
+    assert!(write(&flight, &path).unwrap() > 300 * 6);
+    let back = open(&path, None).unwrap();
+    assert_eq!(back.attitude, flight.attitude);
+    assert_eq!(back.outputs, flight.outputs);
+    assert_eq!(back.voltage, flight.voltage);
+    assert_eq!(back.rows, flight.rows);
+    assert_eq!((back.motor_unit, back.motor_source), (flight.motor_unit, flight.motor_source));
+    assert!(open(&path, Some(&place("round_trip", "no.toml"))).is_err());
+}
+
+fn any_rotation() -> impl Strategy<Value = Attitude> {
+    (-3.1..3.1, -1.5..1.5, -3.1..3.1).prop_map(|(r, p, y)| Euler::new(r, p, y).attitude())
+}
+
+/// The axes of `frame` as unit vectors in its own components.
+const AXES: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Turning a vector and then changing axes is changing axes and then turning.
+    #[test]
+    fn attitudes_turn_vectors_alike_in_all_axes(
+        rotation in any_rotation(),
+        v in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
+        world in prop::sample::select(vec![WorldFrame::Ned, WorldFrame::Enu, WorldFrame::Nwu]),
+        body in prop::sample::select(vec![BodyFrame::Frd, BodyFrame::Flu]),
+    ) {
+        let turned = world.to_ned(rotation.to_world(Frd::from(v)).to_array());
+        let attitude = attitude_to_ned(world, body, rotation);
+        prop_assert!((attitude.to_world(body.to_frd(v)) - turned).norm() < 1e-9);
+        // Both keep right hands right.
+        let [x, y, z] = AXES.map(|axis| world.to_ned(axis));
+        prop_assert!((x.cross(y) - z).norm() < 1e-12);
+        let [x, y, z] = AXES.map(|axis| body.to_frd(axis));
+        prop_assert!((x.cross(y) - z).norm() < 1e-12);
+    }
+
+    /// One state written in any axes, units, orders and forms is read back as it was.
+    #[test]
+    fn any_way_of_writing_a_state_is_read_back(
+        truth in any_rotation(),
+        rate in [-5.0..5.0, -5.0..5.0, -5.0..5.0f64],
+        velocity in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
+        form in prop::sample::select(vec!["wxyz", "xyzw", "matrix", "euler"]),
+        is_inverse: bool,
+        is_body_velocity: bool,
+        is_degrees: bool,
+        is_flu: bool,
+        world in 0usize..3,
+    ) {
+        // From NED and FRD into the table's axes: each conversion is its own inverse, but ENU's.
+        let (frame, to_table): (&str, fn(Ned) -> [f64; 3]) = [
+            ("ned", (|v: Ned| v.to_array()) as fn(Ned) -> [f64; 3]),
+            ("enu", |v: Ned| [v.east(), v.north(), -v.down()]),
+            ("nwu", |v: Ned| [v.north(), -v.east(), -v.down()]),
+        ][world];
+        let to_body_table = |v: [f64; 3]| if is_flu { [v[0], -v[1], -v[2]] } else { v };
+        // The matrix of the table: its columns are the table's body axes in the table's world.
+        let columns = AXES.map(|axis| to_table(truth.to_world(Frd::from(to_body_table(axis)))));
+        let m = |row: usize, column: usize| columns[column][row];
+        let entries: Vec<f64> = (0..9).map(|k| m(k / 3, k % 3)).collect();
+        let transposed: Vec<f64> = (0..9).map(|k| m(k % 3, k / 3)).collect();
+        let (roll, pitch, yaw) =
+            (m(2, 1).atan2(m(2, 2)), (-m(2, 0)).clamp(-1.0, 1.0).asin(), m(1, 0).atan2(m(0, 0)));
+        let angle = if is_degrees { 1f64.to_degrees() } else { 1.0 };
+        let q = Euler::new(roll, pitch, yaw).attitude();
+        let q = if is_inverse { q.inverse() } else { q };
+        let rotates = if is_inverse { "world_to_body" } else { "body_to_world" };
+        let (cells, attitude) = match form {
+            "euler" => (
+                vec![roll * angle, pitch * angle, yaw * angle],
+                format!("euler = [\"a0\", \"a1\", \"a2\"]\nunit = {:?}", if is_degrees { "deg" } else { "rad" }),
+            ),
+            "matrix" => (
+                if is_inverse { transposed } else { entries },
+                format!("matrix = {:?}\nrotates = {rotates:?}", (0..9).map(|k| format!("a{k}")).collect::<Vec<_>>()),
+            ),
+            order => (
+                if order == "wxyz" { vec![q.w, q.x, q.y, q.z] } else { vec![q.x, q.y, q.z, q.w] },
+                format!("quaternion = [\"a0\", \"a1\", \"a2\", \"a3\"]\norder = {order:?}\nrotates = {rotates:?}"),
+            ),
+        };
+        let velocity = Ned::from(velocity);
+        let speeds = match is_body_velocity {
+            true => to_body_table(truth.to_body(velocity).to_array()),
+            false => to_table(velocity),
+        };
+        let rates = to_body_table(rate).map(|r| r * angle);
+        let names: Vec<String> = (0..cells.len()).map(|k| format!("a{k}")).collect();
+        let all: Vec<String> =
+            cells.iter().chain(&speeds).chain(&rates).map(f64::to_string).collect();
+        let table = format!("{},vx,vy,vz,wx,wy,wz\n{}\n", names.join(","), all.join(","));
+        let mapping = format!(
+            "world_frame = {frame:?}\nbody_frame = {:?}\n[time]\nrate_hz = 100.0\n\
+             [attitude]\n{attitude}\n\
+             [velocity]\ncolumns = [\"vx\", \"vy\", \"vz\"]\nunit = \"m/s\"\naxes = {:?}\n\
+             [body_rate]\ncolumns = [\"wx\", \"wy\", \"wz\"]\nunit = {:?}\naxes = \"body\"\n",
+            if is_flu { "flu" } else { "frd" },
+            if is_body_velocity { "body" } else { "world" },
+            if is_degrees { "deg/s" } else { "rad/s" },
+        );
+        let flight = import("property", &table, &mapping).unwrap();
+        prop_assert_eq!(&flight.left_out, &vec![]);
+        prop_assert!(flight.attitude.values()[0].angle_to(truth) < 1e-6);
+        prop_assert!((flight.velocity.values()[0] - velocity).norm() < 1e-6);
+        prop_assert!((flight.body_rate.values()[0] - Frd::from(rate)).norm() < 1e-9);
+    }
+
+    #[test]
+    fn no_text_breaks_a_mapping(text in "[ -~\n]{0,200}") {
+        let _ = Mapping::parse(&text);
+    }
+}

@@ -1,0 +1,91 @@
+"""`downwash log import`: tables and telemetry logs become logs that other tools read."""
+
+import json
+import math
+import subprocess
+
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from conftest import DOWNWASH, ROOT
+
+MAPPING = ROOT / "config/mappings/motion-capture.toml"
+COLUMNS = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"
+
+
+def run(*arguments):
+    command = DOWNWASH + ["log", "import", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+def messages(path):
+    """Topic, log time and content of every message."""
+    with open(path, "rb") as log:
+        reader = make_reader(log, decoder_factories=[DecoderFactory()])
+        return [(c.topic, m.log_time, content) for _, c, m, content in reader.iter_decoded_messages()]
+
+
+def write_table(path, rows=100):
+    lines = [COLUMNS]
+    for row in range(rows):
+        t = 0.01 * row
+        half = 0.1 * t
+        cells = [t, 1 + t, 2, 3, 1, 0, 0, 0, 0, math.sin(half), math.cos(half), 0, 0, 0.2]
+        lines.append(",".join(map(str, cells + [0.4, 0.5, 0.6, 0.7, 11.1])))
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_a_table_becomes_a_log_that_mcap_reads(tmp_path):
+    table, out = tmp_path / "flight.csv", tmp_path / "flight.mcap"
+    write_table(table)
+    done = run(table, "--mapping", MAPPING, "-o", out, "--json")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["schema"] == "downwash.log.import" and summary["left_out"] == []
+    streams = {stream["stream"]: stream for stream in summary["streams"]}
+    assert streams["attitude"]["samples"] == 100
+    assert abs(streams["outputs"]["rate_hz"] - 100) < 0.1
+    assert streams["setpoint"]["samples"] == 0
+
+    topics = {}
+    for topic, _, content in messages(out):
+        topics.setdefault(topic, []).append(content)
+    assert len(topics["/flight/attitude"]) == 100
+    position = topics["/flight/position"][50]
+    # North, west, up in the table; north, east, down in the log.
+    assert (position.p_n_m, position.p_e_m, position.p_d_m) == (1.5, -2, -3)
+    assert abs(position.time_s - 0.5) < 1e-12
+    assert abs(topics["/flight/attitude"][99].q_z + math.sin(0.099)) < 1e-12
+    assert topics["/flight/outputs"][0].output_4 == 0.7
+    assert topics["/flight/voltage"][0].voltage_v == 11.1
+
+
+def test_an_imported_log_is_imported_again(tmp_path):
+    table, first, second = (tmp_path / name for name in ("a.csv", "b.mcap", "c.mcap"))
+    write_table(table)
+    assert run(table, "--mapping", MAPPING, "-o", first).returncode == 0
+    done = run(first, "-o", second, "--json")
+    assert done.returncode == 0, done.stderr
+    bodies = [
+        [(topic, time, content.SerializeToString()) for topic, time, content in messages(path)]
+        for path in (first, second)
+    ]
+    assert bodies[0] == bodies[1]
+
+
+def test_what_is_wrong_is_said_with_its_file(tmp_path):
+    table, out = tmp_path / "flight.csv", tmp_path / "flight.mcap"
+    write_table(table)
+    done = run(table, "-o", out)
+    assert done.returncode == 2 and "--mapping" in done.stderr and "flight.csv" in done.stderr
+    mapping = tmp_path / "map.toml"
+    mapping.write_text(MAPPING.read_text().replace('world_frame = "nwu"', ""))
+    done = run(table, "--mapping", mapping, "-o", out)
+    assert done.returncode == 2 and "world_frame" in done.stderr and "map.toml" in done.stderr
+    noise = tmp_path / "noise.tlog"
+    noise.write_bytes(bytes(range(256)) * 10)
+    done = run(noise, "-o", out)
+    assert done.returncode == 2 and "no flight log" in done.stderr
+    done = run(table, "--mapping", MAPPING, "-o", table)
+    assert done.returncode == 2 and table.read_text().startswith(COLUMNS)
+    assert not out.exists()
