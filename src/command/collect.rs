@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use indicatif::ProgressBar;
+use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use tokio::signal::unix::{SignalKind, signal};
@@ -280,7 +281,8 @@ impl LogOf {
         let log = Self {
             path: path.to_owned(),
             finished: info.finished && info.damaged == 0,
-            tracked_s: track.map(|phase| phase.duration_s).sum(),
+            // The empty sum of f64 is -0.
+            tracked_s: track.fold(0.0, |sum, phase| sum + phase.duration_s),
             tracking: info.tracking,
         };
         Ok((info.run.get(FINGERPRINT).cloned(), log))
@@ -303,8 +305,9 @@ fn logs_of_flights(folder: &Path) -> anyhow::Result<BTreeMap<String, Vec<LogOf>>
     }
     paths.sort();
     let mut logs: BTreeMap<String, Vec<LogOf>> = BTreeMap::new();
-    for path in paths {
-        match LogOf::read(&path) {
+    let read: Vec<_> = paths.par_iter().map(|path| LogOf::read(path)).collect();
+    for (path, read) in paths.iter().zip(read) {
+        match read {
             Ok((Some(fingerprint), log)) => logs.entry(fingerprint).or_default().push(log),
             Ok((None, _)) => {}
             Err(error) => say(format_args!("{}: left alone: {error:#}", path.display())),

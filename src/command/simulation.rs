@@ -14,7 +14,7 @@ use super::{Exit, ExitContext};
 use crate::cli::SimulationArgs;
 use crate::config::Config;
 use crate::lockstep;
-use crate::log::{LogSink, LogWriter};
+use crate::log::LogWriter;
 use crate::plan::Trajectory;
 use crate::station::{End, Station, Status};
 use crate::supervisor::EngagePolicy;
@@ -96,18 +96,25 @@ impl SimulatedFlight<'_> {
         info.extra = self.extra;
         info.extra.insert("effects".to_owned(), self.truth.effects_text()?);
         let start = lockstep::host_time(0);
-        let writer = LogWriter::create(folder, &info, start, Instant::now())?;
+        // Never synced on the way, which would cut chunks by the wall clock: the same seed gives the
+        // same bytes, and a flight that a crash cuts short is flown again.
+        let mut writer = LogWriter::create(folder, &info, start, Instant::now())?;
+        let mut failure = None;
         let log = writer.path().to_owned();
-        let mut sink = LogSink::direct(writer);
         let mut station = Station::new(settings, start);
         let end = lockstep::fly(
             &mut vehicle,
             &mut station,
             limit_s,
-            |record| sink.log(record),
+            |record| {
+                if failure.is_none() {
+                    failure = writer.write(&record).err();
+                }
+            },
             |station, _| watch(&station.status()),
         );
-        sink.finish()?;
+        failure.map_or(Ok(()), Err)?;
+        writer.finish()?;
         Ok(Simulated { end: end?, log, simulated_s: vehicle.now_us() as f64 * 1e-6 })
     }
 }
