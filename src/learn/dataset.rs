@@ -116,9 +116,7 @@ impl ObservedFlight {
         onboard: &Onboard,
         settings: &WindowSettings,
     ) -> Result<Self, Unusable> {
-        if let Some(output) = &vehicle.motor_output {
-            flight.normalise_outputs(output.zero, output.one);
-        }
+        flight.normalise_outputs(vehicle)?;
         let segments = Segments::of(&flight)?;
         let (source, law_error) = onboard.source(&flight);
         let alignment = Alignment::of(&flight);

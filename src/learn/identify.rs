@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+use rayon::prelude::*;
 use sitl::effects::{
     AttitudeTrim, BladeFlapping, ComOffset, Effect, EffectSet, Inertia, RotorDrag, ThrustScale,
 };
@@ -255,7 +256,7 @@ fn golden_section((mut low, mut high): (f64, f64), cost: impl Fn(f64) -> f64) ->
 }
 
 /// Number of parameters of the physics that are fitted.
-const PARAMETERS: usize = 14;
+pub(super) const PARAMETERS: usize = 14;
 
 /// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim and damping, each held
 /// near the vehicle file's value by a weak prior, by Levenberg-Marquardt on the rows' labels, each
@@ -290,34 +291,53 @@ pub fn physics(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParamete
         Ok(DVector::from_vec(out))
     };
 
-    let mut best = start;
-    let mut current = residuals(&best)?;
+    let fitted = least_squares(start.0, &prior, |numbers| {
+        let mut bounded = Parameters(*numbers);
+        bounded.bound(vehicle);
+        (bounded.0, residuals(&bounded).ok())
+    });
+    Ok(Parameters(fitted).physics(vehicle))
+}
+
+/// Levenberg-Marquardt from `start`, with numeric derivatives over ten-thousandths of `scale`.
+/// `residuals` puts the numbers within their bounds and gives the residuals there, `None` where
+/// there are none.
+pub(super) fn least_squares<const N: usize>(
+    start: [f64; N],
+    scale: &[f64; N],
+    residuals: impl Fn(&[f64; N]) -> ([f64; N], Option<DVector<f64>>) + Sync,
+) -> [f64; N] {
+    let (mut best, Some(mut current)) = residuals(&start) else { return start };
     let mut damping = 1e-3;
-    for _ in 0..40 {
-        let mut jacobian = DMatrix::zeros(current.len(), PARAMETERS);
-        for i in 0..PARAMETERS {
-            let mut moved = best;
-            let step = 1e-4 * prior[i];
-            moved.0[i] += step;
-            jacobian.set_column(i, &((residuals(&moved)? - &current) / step));
-        }
+    for _ in 0..ITERATIONS_MAX {
+        let columns: Option<Vec<DVector<f64>>> = (0..N)
+            .into_par_iter()
+            .map(|i| {
+                let mut moved = best;
+                moved[i] += 1e-4 * scale[i];
+                let (moved, there) = residuals(&moved);
+                let step = moved[i] - best[i];
+                let column = (there? - &current) / if step == 0.0 { 1.0 } else { step };
+                Some(column)
+            })
+            .collect();
+        let Some(columns) = columns else { break };
+        let jacobian = DMatrix::from_columns(&columns);
         let gram = jacobian.transpose() * &jacobian;
         let gradient = jacobian.transpose() * &current;
         let mut improved = false;
         for _ in 0..8 {
             let mut damped = gram.clone();
-            for i in 0..PARAMETERS {
-                damped[(i, i)] *= 1.0 + damping;
+            for i in 0..N {
+                // Without effect here, as at a bound, a number stays.
+                damped[(i, i)] = (damped[(i, i)] * (1.0 + damping)).max(f64::MIN_POSITIVE);
             }
             let Some(step) = damped.cholesky().map(|c| c.solve(&gradient)) else { break };
-            let mut candidate = best;
-            for i in 0..PARAMETERS {
-                candidate.0[i] -= step[i];
-            }
-            candidate.bound(vehicle);
-            let new = residuals(&candidate)?;
-            if new.norm_squared() < current.norm_squared() {
-                improved = new.norm_squared() < (1.0 - 1e-7) * current.norm_squared();
+            let candidate = std::array::from_fn(|i| best[i] - step[i]);
+            if let (candidate, Some(new)) = residuals(&candidate)
+                && new.norm_squared() < current.norm_squared()
+            {
+                improved = new.norm_squared() < (1.0 - IMPROVEMENT_MIN) * current.norm_squared();
                 (best, current) = (candidate, new);
                 damping = (damping * 0.3).max(1e-9);
                 break;
@@ -328,14 +348,19 @@ pub fn physics(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParamete
             break;
         }
     }
-    Ok(best.physics(vehicle))
+    best
 }
+
+/// Iterations of Levenberg-Marquardt.
+const ITERATIONS_MAX: usize = 40;
+/// It ends when a step lowers the sum of squares by a smaller share.
+const IMPROVEMENT_MIN: f64 = 1e-5;
 
 /// Residuals beyond this many deviations count linearly: a crash or a bump does not decide.
 const HUBER: f64 = 3.0;
 
 /// The number whose square is Huber's loss of a residual.
-fn huber(residual: f64) -> f64 {
+pub(super) fn huber(residual: f64) -> f64 {
     let size = residual.abs();
     let root = if size > HUBER { (2.0 * HUBER * size - HUBER * HUBER).sqrt() } else { size };
     root.copysign(residual)
@@ -355,11 +380,11 @@ fn weights(rows: &[&Row]) -> [f64; ACCELERATIONS] {
 /// mass; roll and pitch of the trim; damping per axis; nothing of yaw torque, which inertia about
 /// z holds.
 #[derive(Clone, Copy, Debug)]
-struct Parameters([f64; PARAMETERS]);
+pub(super) struct Parameters(pub [f64; PARAMETERS]);
 
 impl Parameters {
     /// What the vehicle file says.
-    fn shipped(vehicle: &VehicleParams) -> Self {
+    pub(super) fn shipped(vehicle: &VehicleParams) -> Self {
         let effects = &vehicle.modelled_effects;
         let mut p = [0.0; PARAMETERS];
         p[0] = effects.get::<ThrustScale>().map_or(1.0, |e| e.scale);
@@ -377,8 +402,18 @@ impl Parameters {
         Self(p)
     }
 
+    /// The numbers of fitted physics.
+    pub(super) fn fitted(physics: &PhysicsParameters, vehicle: &VehicleParams) -> Self {
+        let mut with = vehicle.clone();
+        with.linear_drag_n_per_m_s = None;
+        with.modelled_effects = vehicle.modelled_effects.overlay(&physics.effects);
+        let mut numbers = Self::shipped(&with);
+        numbers.0[10..13].copy_from_slice(&physics.angular_damping_nms);
+        numbers
+    }
+
     /// How far from that a vehicle may be: one deviation.
-    fn prior(vehicle: &VehicleParams) -> [f64; PARAMETERS] {
+    pub(super) fn prior(vehicle: &VehicleParams) -> [f64; PARAMETERS] {
         let arm =
             vehicle.rotors.iter().map(|r| r.position_m[0].hypot(r.position_m[1])).sum::<f64>()
                 / 4.0;
@@ -391,7 +426,7 @@ impl Parameters {
     }
 
     /// Keeps the numbers physical.
-    fn bound(&mut self, vehicle: &VehicleParams) {
+    pub(super) fn bound(&mut self, vehicle: &VehicleParams) {
         let p = &mut self.0;
         p[0] = p[0].clamp(0.3, 3.0);
         for drag in &mut p[1..3] {
@@ -410,7 +445,7 @@ impl Parameters {
         }
     }
 
-    fn physics(&self, vehicle: &VehicleParams) -> PhysicsParameters {
+    pub(super) fn physics(&self, vehicle: &VehicleParams) -> PhysicsParameters {
         let [scale, d_xy, d_z, ix, iy, iz, x, y, roll, pitch, kx, ky, kz, flapping] = self.0;
         let shipped = vehicle.modelled_effects.get::<BladeFlapping>();
         let flap_tilt = shipped.map_or(0.0, |e| e.tilt_rad_s_m);

@@ -7,6 +7,7 @@ pub mod evaluation;
 pub mod identify;
 pub mod prediction;
 pub mod procedure;
+pub mod refine;
 pub mod samples;
 pub mod segments;
 pub mod split;

@@ -11,6 +11,7 @@ use super::dataset::{ObservedFlight, Row, WindowSettings};
 use super::evaluation::{HORIZONS_S, MultiStep, OneStep, Predictor, multi_step, window_starts};
 use super::identify;
 use super::prediction::{Baseline, RecordedInputs};
+use super::refine;
 use super::samples::Samples;
 use super::split::{Part, Split};
 use super::summary::{
@@ -21,11 +22,16 @@ use super::training::{self, Checkpoint, Stop, Trainer};
 use crate::model::actuation::Actuation;
 use crate::model::file::AccelerationSource;
 use crate::model::file::{ModelFile, ModelKind};
+use crate::model::hybrid::Hybrid;
 use crate::model::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
 use crate::model::net::{Mlp, Normalization};
-use crate::model::physics::PhysicsModel;
+use crate::model::physics::{PhysicsModel, PhysicsParameters};
 use crate::model::{ACCELERATIONS, Model};
 
+/// Refined physics must lower the validation's score to this share to be taken.
+const REFINED_MIN: f64 = 0.99;
+/// Shares of the learned correction that a hybrid may take.
+const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 /// Least number of training rows.
 pub const ROWS_MIN: usize = 500;
 /// Errors of a model file on logs that it may never have seen.
@@ -176,6 +182,7 @@ pub struct Dataset<'a> {
     split: Split,
     actuation: Actuation,
     acceleration: AccelerationSource,
+    physics: PhysicsParameters,
     rows: Vec<Vec<Row>>,
 }
 
@@ -208,6 +215,7 @@ impl<'a> Dataset<'a> {
             split,
             actuation: Actuation::default(),
             acceleration: AccelerationSource::VelocitySlope,
+            physics: PhysicsParameters::default(),
             rows: Vec::new(),
         };
         // Both sources estimate the same; the one that physics explains with the smaller error
@@ -222,6 +230,7 @@ impl<'a> Dataset<'a> {
                 acceleration: source,
                 rows,
                 split: dataset.split.clone(),
+                physics: PhysicsParameters::default(),
                 ..dataset
             };
             let fit = candidate.part(Part::Training);
@@ -234,14 +243,49 @@ impl<'a> Dataset<'a> {
                 .map_or(f64::INFINITY, |error| error.linear);
             if error < best {
                 best = error;
-                dataset = candidate;
+                dataset = Self { physics, ..candidate };
             }
         }
+        dataset.refine()?;
         let rows = Part::ALL.map(|part| dataset.part(part).len());
         if rows[0] < ROWS_MIN || rows.contains(&0) {
             return Err(TrainError::TooFewRows { found: rows[0] });
         }
         Ok(dataset)
+    }
+
+    /// Takes the actuation and physics whose open loop on the training part is best, if they
+    /// also predict the validation part better.
+    fn refine(&mut self) -> Result<(), VehicleError> {
+        let training: Vec<_> = self
+            .flights
+            .iter()
+            .enumerate()
+            .map(|(index, flight)| (flight, self.blocks(index, Part::Training)))
+            .filter(|(_, spans)| !spans.is_empty())
+            .collect();
+        let refined = refine::open_loop(
+            &training,
+            self.onboard,
+            self.vehicle,
+            &self.actuation,
+            &self.physics,
+        );
+        let Some((actuation, physics)) = refined else { return Ok(()) };
+        let score = |actuation: &Actuation, physics: &PhysicsParameters| {
+            let model = PhysicsModel::new(self.vehicle, physics)?;
+            let windows = self.windows(Part::Validation, actuation);
+            Ok::<_, VehicleError>(score(&windows, &Predictor::Model(&model)))
+        };
+        if score(&actuation, &physics)? < REFINED_MIN * score(&self.actuation, &self.physics)? {
+            self.rows = self
+                .flights
+                .iter()
+                .map(|f| f.rows(self.onboard, &actuation, self.acceleration))
+                .collect();
+            (self.actuation, self.physics) = (actuation, physics);
+        }
+        Ok(())
     }
 
     /// The rows of one part.
@@ -269,20 +313,31 @@ impl<'a> Dataset<'a> {
             .collect()
     }
 
-    /// Recorded inputs and starts of windows of one part.
-    fn windows(&self, part: Part) -> Vec<(RecordedInputs<'_>, Vec<f64>)> {
-        let mut windows = Vec::new();
-        for (index, flight) in self.flights.iter().enumerate() {
-            let mut spans = Vec::new();
-            for block in self.spans(index, part) {
-                for segment in &flight.segments.spans {
-                    spans.push(block.start.max(segment.start)..block.end.min(segment.end));
+    /// Usable times of one part of a flight, without gaps.
+    fn blocks(&self, flight: usize, part: Part) -> Vec<Range<f64>> {
+        let mut blocks = Vec::new();
+        for block in self.spans(flight, part) {
+            for segment in &self.flights[flight].segments.spans {
+                let both = block.start.max(segment.start)..block.end.min(segment.end);
+                if both.start < both.end {
+                    blocks.push(both);
                 }
             }
-            let starts = window_starts(&spans);
+        }
+        blocks
+    }
+
+    /// Recorded inputs and starts of windows of one part.
+    fn windows<'b>(
+        &'b self,
+        part: Part,
+        actuation: &'b Actuation,
+    ) -> Vec<(RecordedInputs<'b>, Vec<f64>)> {
+        let mut windows = Vec::new();
+        for (index, flight) in self.flights.iter().enumerate() {
+            let starts = window_starts(&self.blocks(index, part));
             if !starts.is_empty() {
-                let inputs = RecordedInputs::new(flight, self.onboard, &self.actuation);
-                windows.push((inputs, starts));
+                windows.push((RecordedInputs::new(flight, self.onboard, actuation), starts));
             }
         }
         windows
@@ -308,10 +363,8 @@ pub fn train(
     let [training, validation, test] = &parts;
     let deviation = deviation(training);
 
-    watch.stage("physics", 1);
-    let physics = identify::physics(training, vehicle)?;
-    let physics_model = PhysicsModel::new(vehicle, &physics)?;
-    watch.step("");
+    let physics = &dataset.physics;
+    let physics_model = PhysicsModel::new(vehicle, physics)?;
 
     let fingerprint = fingerprint(dataset, settings);
     let mut progress = match progress {
@@ -403,6 +456,8 @@ pub fn train(
     let [net, residual] = <[NetworkModel; 2]>::try_from(models)
         .map_err(|_| network_error(ModelKind::Net, Head::Linear, "missing".to_owned()))?;
 
+    watch.stage("errors", 12);
+    let residual = dataset.shrink(residual, &physics_model, watch);
     let mut file = ModelFile {
         vehicle: vehicle.clone(),
         actuation: dataset.actuation,
@@ -414,7 +469,6 @@ pub fn train(
         preferred: ModelKind::Hybrid,
         training: serde_json::Value::Null,
     };
-    watch.stage("errors", 10);
     let judged = judge(dataset, &file, &parts, &deviation, watch)?;
     file.preferred = judged.preferred;
     let summary = TrainingSummary {
@@ -433,7 +487,7 @@ pub fn train(
             refused,
         },
         actuation: dataset.actuation,
-        physics,
+        physics: physics.clone(),
         curves,
         preferred: judged.preferred,
         one_step: judged.one_step,
@@ -571,24 +625,28 @@ fn judge(
         one_step.push(OneStepSummary { model: *kind, labels: errors(false), truth: errors(true) });
         watch.step("one step");
     }
-    let windows = dataset.windows(Part::Validation);
-    let hold = multi_step(&windows, &Predictor::Baseline(Baseline::Hold));
+    let windows = dataset.windows(Part::Validation, &dataset.actuation);
     let mut preferred = (f64::INFINITY, ModelKind::Hybrid);
     for (kind, model) in &models {
-        let errors = multi_step(&windows, &Predictor::Model(model.as_ref()));
-        let score = match (&errors, &hold) {
-            (Some((errors, _)), Some((hold, _))) => relative(errors, hold),
-            _ => f64::INFINITY,
-        };
+        let score = score(&windows, &Predictor::Model(model.as_ref()));
         if score < preferred.0 {
             preferred = (score, *kind);
         }
         watch.step("validation windows");
     }
-    let windows = dataset.windows(Part::Test);
+    let windows = dataset.windows(Part::Test, &dataset.actuation);
     let multi_step = compare(&windows, &models, watch);
     let series = series(dataset, &models);
     Ok(Judgement { preferred: preferred.1, one_step, multi_step, series })
+}
+
+/// Errors at the middle horizons over those of holding the state, summed: lower is better.
+fn score(windows: &[(RecordedInputs<'_>, Vec<f64>)], predictor: &Predictor<'_>) -> f64 {
+    let hold = multi_step(windows, &Predictor::Baseline(Baseline::Hold));
+    match (multi_step(windows, predictor), hold) {
+        (Some((errors, _)), Some((hold, _))) => relative(&errors, &hold),
+        _ => f64::INFINITY,
+    }
 }
 
 /// Sum of errors at the middle horizons, over those of `hold`.
@@ -663,6 +721,28 @@ fn series(dataset: &Dataset<'_>, models: &[(ModelKind, Box<dyn Model>)]) -> Vec<
 }
 
 impl Dataset<'_> {
+    /// The share of the learned correction with which the hybrid's open loop predicts the
+    /// validation part best: what a network learned of noise is not taken.
+    fn shrink(
+        &self,
+        residual: NetworkModel,
+        physics: &PhysicsModel,
+        watch: &mut dyn Watch,
+    ) -> NetworkModel {
+        let windows = self.windows(Part::Validation, &self.actuation);
+        let mut best = (f64::INFINITY, residual.clone());
+        for share in SHARES {
+            let candidate = residual.scaled(share);
+            let hybrid = Hybrid::new(physics.clone(), candidate.clone());
+            let score = score(&windows, &Predictor::Model(&hybrid));
+            if score < best.0 {
+                best = (score, candidate);
+            }
+            watch.step("share of the correction");
+        }
+        best.1
+    }
+
     fn log_summaries(&self) -> Vec<LogSummary> {
         let flights = self.flights.iter().zip(&self.rows).zip(&self.split.flights);
         flights

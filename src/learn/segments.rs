@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use serde::Serialize;
 
-use crate::log::import::{Flight, Stream};
+use crate::log::import::{Flight, Stream, UnitUnknown};
 
 /// A gap of this many periods ends a segment.
 const GAP_PERIODS: f64 = 4.0;
@@ -34,6 +34,9 @@ pub enum Unusable {
     /// A stream that is needed is missing.
     #[error("the log has no {0}")]
     Missing(&'static str),
+    /// Its motor outputs mean nothing.
+    #[error(transparent)]
+    Unit(#[from] UnitUnknown),
     /// Nothing is left.
     #[error("only {usable_s:.1} s of {total_s:.1} s are usable; at least {needed_s} s are needed")]
     TooShort {

@@ -215,6 +215,19 @@ pub struct NetworkModel {
 }
 
 impl NetworkModel {
+    /// The same networks with `share` of their accelerations.
+    pub fn scaled(&self, share: f64) -> Self {
+        let scale = |network: &Network| {
+            let Normalization { mean, deviation } = &network.outputs;
+            let outputs = Normalization {
+                mean: mean.iter().map(|m| share * m).collect(),
+                deviation: deviation.iter().map(|d| (share * d).max(f64::MIN_POSITIVE)).collect(),
+            };
+            Network { outputs, ..network.clone() }
+        };
+        Self { features: self.features, linear: scale(&self.linear), angular: scale(&self.angular) }
+    }
+
     fn network(&self, head: Head) -> &Network {
         match head {
             Head::Linear => &self.linear,

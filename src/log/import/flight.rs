@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use sitl::frame::{Attitude, Frd, Ned};
+use sitl::vehicle::VehicleParams;
 
 /// Samples of one quantity, in the order of their times.
 ///
@@ -260,17 +261,39 @@ impl Flight {
         }
     }
 
-    /// Makes outputs in the vehicle file's unit thrust fractions: `zero` becomes 0 and `one` 1.
-    /// Outputs that are thrust fractions already stay.
-    pub fn normalise_outputs(&mut self, zero: f64, one: f64) {
-        if self.motor_unit == MotorUnit::VehicleFile {
-            for outputs in &mut self.outputs.values {
-                *outputs = outputs.map(|u| ((u - zero) / (one - zero)).clamp(0.0, 1.0));
+    /// Makes outputs thrust fractions of `vehicle`. Returns why not, if its file does not say how.
+    ///
+    /// # Errors
+    /// [`UnitUnknown`] for outputs in the vehicle file's unit that has no `motor_output`.
+    pub fn normalise_outputs(&mut self, vehicle: &VehicleParams) -> Result<(), UnitUnknown> {
+        let full = vehicle.rotors.map(|rotor| rotor.thrust_max_n);
+        match (self.motor_unit, &vehicle.motor_output) {
+            (MotorUnit::ThrustFraction, _) => {}
+            (MotorUnit::Newton, _) => {
+                for outputs in &mut self.outputs.values {
+                    *outputs = std::array::from_fn(|i| outputs[i] / full[i]);
+                }
             }
-            self.motor_unit = MotorUnit::ThrustFraction;
+            (MotorUnit::VehicleFile, Some(unit)) => {
+                for outputs in &mut self.outputs.values {
+                    let fraction = |u: f64| (u - unit.zero) / (unit.one - unit.zero);
+                    *outputs = outputs.map(|u| fraction(u).clamp(0.0, 1.0));
+                }
+            }
+            (MotorUnit::VehicleFile, None) => return Err(UnitUnknown),
         }
+        self.motor_unit = MotorUnit::ThrustFraction;
+        Ok(())
     }
 }
+
+/// The unit of the motor outputs is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "its motor outputs are not in 0..1 and the vehicle file has no `motor_output` that says what \
+     they mean"
+)]
+pub struct UnitUnknown;
 
 #[cfg(test)]
 mod tests {

@@ -22,6 +22,7 @@ pub use error::ImportError;
 pub use flat::write;
 pub use flight::{
     AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, Origin, Stream, TruthSample,
+    UnitUnknown,
 };
 
 use super::reader::{LogReader, ReadError};
