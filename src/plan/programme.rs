@@ -267,7 +267,7 @@ fn slots(
 ) -> Result<Vec<Slot>, ProgrammeError> {
     let smallest = shares.iter().map(|(_, share)| *share).fold(1.0, f64::min);
     let least = FLIGHT_MIN_S / smallest;
-    if !(least..=1e6).contains(&seconds) || !(flight_s >= FLIGHT_MIN_S) {
+    if !(least..=1e6).contains(&seconds) || flight_s.is_nan() || flight_s < FLIGHT_MIN_S {
         return Err(ProgrammeError::TooShort { seconds: seconds.min(flight_s), least });
     }
     let of_kind = |&(kind, share): &(FlightKind, f64)| {
@@ -452,10 +452,10 @@ impl Composer<'_> {
             let size = (most - least).max(1e-9);
             scale(waves, free / size);
         }
-        for axis in 0..3 {
+        for (axis, waves) in main.iter_mut().enumerate() {
             let mut alone: Waves = Default::default();
-            alone[axis] = main[axis].clone();
-            main[axis] = self.within(&alone, main_share)[axis].clone();
+            alone[axis] = std::mem::take(waves);
+            *waves = std::mem::take(&mut self.within(&alone, main_share)[axis]);
         }
         let main = self.within(&main, main_share);
 
@@ -570,8 +570,8 @@ impl Composer<'_> {
     /// Turning: flights with a constant rate to either side, and flights that swing.
     fn yaw(&mut self, share: f64) -> (f64, Vec<YawWave>) {
         let most = share * self.limits.yaw_rate;
-        let sign = if self.slot.number / 2 % 2 == 0 { 1.0 } else { -1.0 };
-        let turning = self.slot.number % 2 == 0;
+        let sign = if (self.slot.number / 2).is_multiple_of(2) { 1.0 } else { -1.0 };
+        let turning = self.slot.number.is_multiple_of(2);
         let (constant, swing) = if turning { (0.6, 0.2) } else { (0.0, 0.8) };
         // Yaw rates of the waves add up to the rest of the limit.
         let mut yaw = Vec::new();
