@@ -7,10 +7,15 @@
 //! it runs over the rows of the block. A lane adds at most [`CHUNK`]` / 16` products in f32; all
 //! sums beyond are f64 and run in the order of the rows, whoever computed the parts.
 
-use crate::model::net::Mlp;
-use super::lanes::{Lanes, Packet, Portable, WIDTH};
+#![allow(
+    clippy::needless_range_loop,
+    reason = "indices below constants unroll, and say which registers are meant"
+)]
+
 #[cfg(target_arch = "x86_64")]
 use super::lanes::{Avx2, Avx512};
+use super::lanes::{Lanes, Packet, Portable, WIDTH};
+use crate::model::net::Mlp;
 
 /// Rows of a block: its hidden layer (256 KiB at 100 units) fits the second-level cache.
 pub(super) const BLOCK: usize = BLOCK_GROUPS * WIDTH;
@@ -276,7 +281,14 @@ unsafe fn blocks<
             let rows = &block[group * stride..(group + G) * stride];
             unsafe {
                 forward::<V, BACKWARD, J, G, O>(
-                    net, tile_rows, rows, group, groups, hidden, errors, &mut scratch.squares,
+                    net,
+                    tile_rows,
+                    rows,
+                    group,
+                    groups,
+                    hidden,
+                    errors,
+                    &mut scratch.squares,
                 );
             }
             group += G;
@@ -285,7 +297,14 @@ unsafe fn blocks<
             let rows = &block[group * stride..(group + 1) * stride];
             unsafe {
                 forward::<V, BACKWARD, J, 1, O>(
-                    net, tile_rows, rows, group, groups, hidden, errors, &mut scratch.squares,
+                    net,
+                    tile_rows,
+                    rows,
+                    group,
+                    groups,
+                    hidden,
+                    errors,
+                    &mut scratch.squares,
                 );
             }
             group += 1;
@@ -313,13 +332,7 @@ unsafe fn blocks<
 /// The hidden layer and the errors of `G` groups of sixteen rows.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)]
-unsafe fn forward<
-    V: Lanes,
-    const STORE: bool,
-    const J: usize,
-    const G: usize,
-    const O: usize,
->(
+unsafe fn forward<V: Lanes, const STORE: bool, const J: usize, const G: usize, const O: usize>(
     net: &Packed,
     tile_rows: &[[f32; J]],
     rows: &[Packet],

@@ -17,13 +17,8 @@ impl Packet {
     /// The sum, halves added to halves.
     #[inline(always)]
     pub(super) fn sum(&self) -> f64 {
-        let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
-        for i in 0..8 {
-            eight[i] = self.0[i] + self.0[i + 8];
-        }
-        for i in 0..4 {
-            four[i] = eight[i] + eight[i + 4];
-        }
+        let eight: [f32; 8] = std::array::from_fn(|i| self.0[i] + self.0[i + 8]);
+        let four: [f32; 4] = std::array::from_fn(|i| eight[i] + eight[i + 4]);
         f64::from((four[0] + four[2]) + (four[1] + four[3]))
     }
 }
@@ -144,9 +139,7 @@ mod x86 {
         }
         #[inline(always)]
         unsafe fn plus_product(self, a: Self, b: Self) -> Self {
-            unsafe {
-                Self(_mm256_fmadd_ps(a.0, b.0, self.0), _mm256_fmadd_ps(a.1, b.1, self.1))
-            }
+            unsafe { Self(_mm256_fmadd_ps(a.0, b.0, self.0), _mm256_fmadd_ps(a.1, b.1, self.1)) }
         }
         // Numbers above 0 are above 0 as integers too, and all others are not; integer
         // instructions leave the ports free on which products wait.
@@ -154,9 +147,8 @@ mod x86 {
         unsafe fn rectified(self) -> Self {
             unsafe {
                 let zero = _mm256_setzero_si256();
-                let rectify = |x| {
-                    _mm256_castsi256_ps(_mm256_max_epi32(_mm256_castps_si256(x), zero))
-                };
+                let rectify =
+                    |x| _mm256_castsi256_ps(_mm256_max_epi32(_mm256_castps_si256(x), zero));
                 Self(rectify(self.0), rectify(self.1))
             }
         }
