@@ -22,6 +22,11 @@ HIDDEN = 100
 FIRST_STEP, SHRINKAGE, GROWTH, LEAST, MOST = 1e-3, 0.5, 1.2, 1e-6, 50.0
 
 
+def clocks():
+    """Wall and CPU seconds."""
+    return np.array([time.perf_counter(), time.process_time()])
+
+
 def first_parameters(inputs, outputs, random):
     """As torch.nn.Linear draws them."""
     uniform = lambda fan, *shape: random.uniform(-1, 1, shape).astype("f4") / np.float32(fan**0.5)
@@ -44,7 +49,7 @@ def train_numpy(inputs, targets, random):
     active = np.empty(h.shape, bool)
     error = np.empty_like(targets)
 
-    start = time.perf_counter()
+    start = clocks()
     for _ in range(passes):
         w, b, v, c = parameters
         np.matmul(inputs, w, out=h)
@@ -65,7 +70,7 @@ def train_numpy(inputs, targets, random):
             g[turn < 0] = 0
             p -= np.sign(g) * step
             old[:] = g
-    return time.perf_counter() - start, parameters
+    return clocks() - start, parameters
 
 
 def train_torch(inputs, targets, seed):
@@ -81,28 +86,26 @@ def train_torch(inputs, targets, seed):
     inputs, targets = torch.from_numpy(inputs), torch.from_numpy(targets)
     optimizer = torch.optim.Rprop(net.parameters(), lr=FIRST_STEP)
 
-    start = time.perf_counter()
+    start = clocks()
     for _ in range(passes):
         optimizer.zero_grad()
         torch.nn.functional.mse_loss(net(inputs), targets).backward()
         optimizer.step()
-    seconds = time.perf_counter() - start
+    taken = clocks() - start
     w, b, v, c = [parameter.detach().numpy() for parameter in net.parameters()]
-    return seconds, [w.T, b, v.T, c]
+    return taken, [w.T, b, v.T, c]
 
 
-seconds, cpu, errors = 0.0, 0.0, []
+total, errors = np.zeros(2), []
 for number, (training, _, test) in enumerate(data.read(path)):
-    before = time.process_time()
     if tool == "numpy":
         taken, parameters = train_numpy(*training, np.random.default_rng(number))
     else:
         taken, parameters = train_torch(*training, number)
-    seconds += taken
-    cpu += time.process_time() - before
+    total += taken
     mse = lambda part: float(((forward(parameters, part[0]) - part[1]).astype("f8") ** 2).mean())
     errors.append({"training": mse(training), "test": mse(test)})
 print(json.dumps({
-    "tool": tool, "threads": threads, "passes": passes, "seconds": seconds, "cpu_s": cpu,
+    "tool": tool, "threads": threads, "passes": passes, "seconds": total[0], "cpu_s": total[1],
     "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "errors": errors,
 }))
