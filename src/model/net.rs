@@ -126,37 +126,31 @@ fn add_slopes<const FUSED: bool, const I: usize, const O: usize>(
     active: &[(usize, [f64; O])],
     jacobian: &mut [[f64; I]; O],
 ) {
-    let mut first = 0;
-    while first + COLUMNS <= I {
+    let mut done = 0;
+    while done < I {
+        // The last columns are taken together with some that are done already, to be eight.
+        let first = done.min(I.saturating_sub(COLUMNS));
         let mut sums = [[0.0; COLUMNS]; O];
         for (unit, v) in active {
-            let w = &rows[*unit][first..first + COLUMNS];
+            let row = &rows[*unit][first..];
+            let mut short = [0.0; COLUMNS];
+            let w = row.first_chunk::<COLUMNS>().unwrap_or_else(|| {
+                short[..row.len()].copy_from_slice(row);
+                &short
+            });
             for (sums, v) in sums.iter_mut().zip(v) {
                 for (sum, w) in sums.iter_mut().zip(w) {
                     *sum = product_sum::<FUSED>(*v, f64::from(*w), *sum);
                 }
             }
         }
+        let new = done - first;
         for (row, sums) in jacobian.iter_mut().zip(sums) {
-            for (derivative, sum) in row[first..first + COLUMNS].iter_mut().zip(sums) {
+            for (derivative, sum) in row[done..].iter_mut().zip(&sums[new..]) {
                 *derivative += sum;
             }
         }
-        first += COLUMNS;
-    }
-    let mut sums = [[0.0; COLUMNS]; O];
-    for (unit, v) in active {
-        let w = &rows[*unit][first..];
-        for (sums, v) in sums.iter_mut().zip(v) {
-            for (sum, w) in sums.iter_mut().zip(w) {
-                *sum = product_sum::<FUSED>(*v, f64::from(*w), *sum);
-            }
-        }
-    }
-    for (row, sums) in jacobian.iter_mut().zip(sums) {
-        for (derivative, sum) in row[first..].iter_mut().zip(sums) {
-            *derivative += sum;
-        }
+        done = first + COLUMNS;
     }
 }
 
