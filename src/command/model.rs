@@ -18,7 +18,7 @@ use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
 use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
 use crate::learn::prediction::RecordedInputs;
-use crate::learn::procedure::{Evaluation, Watch, evaluate};
+use crate::learn::procedure::{Evaluation, Watch, align, evaluate};
 use crate::learn::summary::{MultiStepSummary, RefusedLog, TrainingSummary};
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::onnx;
@@ -121,12 +121,12 @@ fn eval(
     let windows = windows_of(&file);
     let mut bar = Bar::new(Arc::default());
     bar.stage("logs", logs.len() as u64);
-    let logs = Logs::read(logs, mapping, &file.vehicle, &onboard, &windows, |_| bar.step(""));
+    let mut logs = Logs::read(logs, mapping, &file.vehicle, &onboard, &windows, |_| bar.step(""));
     if logs.flights.is_empty() {
         bar.clear();
         return Err(anyhow!("none of the logs can be used")).or_exit(Exit::Usage);
     }
-    let evaluation = evaluate(&file, &onboard, &logs.flights, &mut bar);
+    let evaluation = evaluate(&file, &onboard, &mut logs.flights, &mut bar);
     bar.clear();
     let evaluation = evaluation.or_exit(Exit::Usage)?;
     if json {
@@ -172,12 +172,13 @@ fn predict(
         return Err(error).or_exit(Exit::Usage);
     }
     let onboard = Onboard::new(&file.vehicle).or_exit(Exit::Usage)?;
-    let logs =
+    let mut logs =
         Logs::read(&[log.to_owned()], mapping, &file.vehicle, &onboard, &windows_of(file), |_| {});
-    let Some(observed) = logs.flights.first() else {
+    let Some(observed) = logs.flights.first_mut() else {
         let reason = logs.refused.first().map_or("", |refused| refused.reason.as_str());
         return Err(anyhow!("{}: {reason}", log.display())).or_exit(Exit::Usage);
     };
+    align(file, &onboard, observed);
     let model = file.model(kind.unwrap_or(file.preferred)).or_exit(Exit::Usage)?;
     let inputs = RecordedInputs::new(observed, &onboard, &file.actuation);
     let samples = samples(observed);

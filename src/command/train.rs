@@ -52,7 +52,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
     let mut bar = Bar::new(interrupt_flag()?);
     bar.stage("logs", args.logs.len() as u64);
     let mapping = args.mapping.as_deref();
-    let logs = Logs::read(&args.logs, mapping, &vehicle, &onboard, &windows, |path| {
+    let mut logs = Logs::read(&args.logs, mapping, &vehicle, &onboard, &windows, |path| {
         bar.step(&path.display().to_string());
     });
     if logs.flights.is_empty() {
@@ -61,7 +61,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
             .or_exit(Exit::Usage);
     }
     bar.stage("actuation", 1);
-    let dataset = Dataset::new(&vehicle, &onboard, &logs.flights).or_exit(Exit::Usage)?;
+    let dataset = Dataset::new(&vehicle, &onboard, &mut logs.flights).or_exit(Exit::Usage)?;
     let outcome = train(&dataset, &settings, &windows, logs.refused, progress, &mut bar);
     bar.clear();
     match outcome.or_exit(Exit::Usage)? {

@@ -75,6 +75,9 @@ pub struct ObservedFlight {
     pub source: CommandSource,
     /// How far the on-board law's outputs are from the logged ones, root mean square.
     pub law_error: Option<f64>,
+    /// How much later than those of the training flights its commands act, s: streams of one
+    /// log may be offset, and differently in each.
+    pub command_shift_s: f64,
     /// What was seen, in order.
     pub observations: Vec<Observation>,
     /// Half width of the windows, s.
@@ -166,8 +169,16 @@ impl ObservedFlight {
                 }
             }
         }
-        let mut observed =
-            Self { flight, segments, alignment, source, law_error, observations, half_s };
+        let mut observed = Self {
+            flight,
+            segments,
+            alignment,
+            source,
+            law_error,
+            command_shift_s: 0.0,
+            observations,
+            half_s,
+        };
         observed.remove_accelerometer_bias();
         Ok(observed)
     }
@@ -213,6 +224,11 @@ impl ObservedFlight {
         }
     }
 
+    /// From this flight's commands to their effect, without the lag, s.
+    pub fn delay_s(&self, actuation: &Actuation) -> f64 {
+        actuation.delay_s + self.command_shift_s
+    }
+
     /// The rotors' states under an actuation: of each instant its now and its average.
     pub fn rotor_states(
         &self,
@@ -220,7 +236,7 @@ impl ObservedFlight {
         actuation: &Actuation,
     ) -> Stream<[f64; 2 * ROTORS]> {
         let lag_s = self.source.lag_s(actuation);
-        OutputTrace::new(onboard, &self.flight, self.source, actuation.delay_s)
+        OutputTrace::new(onboard, &self.flight, self.source, self.delay_s(actuation))
             .states(actuation, lag_s)
     }
 

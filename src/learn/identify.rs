@@ -10,7 +10,7 @@ use sitl::effects::{
 use sitl::frame::Ned;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
-use super::commands::Onboard;
+use super::commands::{CommandSource, Onboard};
 use super::dataset::{Observation, ObservedFlight, Row};
 use crate::model::actuation::Actuation;
 use crate::model::file::AccelerationSource;
@@ -118,6 +118,48 @@ pub fn actuation(
         voltage_exponent(flights, onboard, &found, acceleration, vehicle.gravity);
     found
 }
+
+/// Finds how much later than `actuation` says this flight's motor outputs act: the shift that
+/// leaves least of the flight's accelerations unexplained, if that is clearly less. Setpoints come
+/// over the link, whose delay is the actuation's own.
+pub fn align_commands(
+    flight: &mut ObservedFlight,
+    onboard: &Onboard,
+    actuation: &Actuation,
+    acceleration: AccelerationSource,
+    gravity: f64,
+) {
+    flight.command_shift_s = 0.0;
+    if flight.source == CommandSource::OnboardLaw {
+        return;
+    }
+    let count = flight.observations.len();
+    let share = (SEARCH_ROWS as f64 / count.max(1) as f64).min(1.0);
+    let mut best = (f64::INFINITY, 0.0);
+    let mut shipped = f64::INFINITY;
+    for step in -SHIFT_STEPS..=SHIFT_STEPS {
+        let shift = f64::from(step) * SHIFT_STEP_S;
+        flight.command_shift_s = shift;
+        let all = [(&*flight, 0..count)];
+        let Some(cost) = unexplained(&all, onboard, actuation, acceleration, gravity, share) else {
+            continue;
+        };
+        if step == 0 {
+            shipped = cost;
+        }
+        if cost < best.0 {
+            best = (cost, shift);
+        }
+    }
+    let clear = best.0 < (1.0 - SHIFT_GAIN_MIN) * shipped;
+    flight.command_shift_s = if clear { best.1 } else { 0.0 };
+}
+
+/// Shifts of a flight's commands that are tried, and the share of what is unexplained that one
+/// must explain.
+const SHIFT_STEP_S: f64 = 0.002;
+const SHIFT_STEPS: i32 = 20;
+const SHIFT_GAIN_MIN: f64 = 0.01;
 
 /// Takes the candidate if it costs less than the best so far by the share `gain`.
 fn consider(

@@ -7,6 +7,11 @@
 //! it runs over the rows of the block. A lane adds at most [`CHUNK`]` / 16` products in f32; all
 //! sums beyond are f64 and run in the order of the rows, whoever computed the parts.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "indices below constants unroll, and say which registers are meant"
+)]
+
 #[cfg(target_arch = "x86_64")]
 use super::lanes::{Avx2, Avx512};
 use super::lanes::{Lanes, Packet, Portable, WIDTH};

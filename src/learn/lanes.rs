@@ -17,13 +17,8 @@ impl Packet {
     /// The sum, halves added to halves.
     #[inline(always)]
     pub(super) fn sum(&self) -> f64 {
-        let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
-        for i in 0..8 {
-            eight[i] = self.0[i] + self.0[i + 8];
-        }
-        for i in 0..4 {
-            four[i] = eight[i] + eight[i + 4];
-        }
+        let eight: [f32; 8] = std::array::from_fn(|i| self.0[i] + self.0[i + 8]);
+        let four: [f32; 4] = std::array::from_fn(|i| eight[i] + eight[i + 4]);
         f64::from((four[0] + four[2]) + (four[1] + four[3]))
     }
 }

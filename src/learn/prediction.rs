@@ -26,6 +26,7 @@ pub struct RecordedInputs<'a> {
     actuation: &'a Actuation,
     source: CommandSource,
     rotor_states: Stream<[f64; 2 * ROTORS]>,
+    delay_s: f64,
     lag_s: f64,
     step: f64,
 }
@@ -45,6 +46,7 @@ impl<'a> RecordedInputs<'a> {
             actuation,
             source,
             rotor_states: observed.rotor_states(onboard, actuation),
+            delay_s: observed.delay_s(actuation),
             lag_s: source.lag_s(actuation),
             step: (1.0 / onboard.rate_hz / steps).max(0.004),
         }
@@ -62,7 +64,7 @@ impl<'a> RecordedInputs<'a> {
 
     /// The outputs that rule the step from `time`, at a predicted state.
     fn outputs(&self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
-        let sent = time - self.actuation.delay_s;
+        let sent = time - self.delay_s;
         match self.source {
             CommandSource::OnboardLaw => {
                 let setpoint = self.flight.setpoint.held_at(sent)?;

@@ -63,9 +63,13 @@ pub struct EvaluatedModel {
 pub fn evaluate(
     file: &ModelFile,
     onboard: &Onboard,
-    flights: &[ObservedFlight],
+    flights: &mut [ObservedFlight],
     watch: &mut dyn Watch,
 ) -> Result<Evaluation, VehicleError> {
+    for flight in flights.iter_mut() {
+        align(file, onboard, flight);
+    }
+    let flights: &[ObservedFlight] = flights;
     watch.stage("errors", 8);
     let source = file.acceleration;
     let rows: Vec<Row> =
@@ -95,6 +99,12 @@ pub fn evaluate(
         })
         .collect();
     Ok(Evaluation { rows: rows.len(), one_step, multi_step: compare(&windows, &models, watch) })
+}
+
+/// Ties a flight's motor outputs to its other streams as the training's were.
+pub fn align(file: &ModelFile, onboard: &Onboard, flight: &mut ObservedFlight) {
+    let (actuation, source) = (&file.actuation, file.acceleration);
+    identify::align_commands(flight, onboard, actuation, source, file.vehicle.gravity);
 }
 
 /// Length of the pieces over which observed and predicted are drawn, s.
@@ -194,20 +204,18 @@ impl<'a> Dataset<'a> {
     pub fn new(
         vehicle: &'a VehicleParams,
         onboard: &'a Onboard,
-        flights: &'a [ObservedFlight],
+        flights: &'a mut [ObservedFlight],
     ) -> Result<Self, TrainError> {
         let counts: Vec<usize> = flights.iter().map(|f| f.observations.len()).collect();
         let split = Split::of(&counts);
-        let training: Vec<(&ObservedFlight, Range<usize>)> = flights
-            .iter()
-            .zip(&split.flights)
-            .flat_map(|(flight, parts)| {
-                parts
-                    .iter()
-                    .filter(|(_, part)| *part == Part::Training)
-                    .map(move |(range, _)| (flight, range.clone()))
-            })
-            .collect();
+        // Streams that are offset differently in each flight would blur the common delay.
+        let source = AccelerationSource::VelocitySlope;
+        let first = identify::actuation(&training_part(flights, &split), onboard, vehicle, source);
+        for flight in flights.iter_mut() {
+            identify::align_commands(flight, onboard, &first, source, vehicle.gravity);
+        }
+        let flights: &'a [ObservedFlight] = flights;
+        let training = training_part(flights, &split);
         let mut dataset = Self {
             vehicle,
             onboard,
@@ -497,6 +505,22 @@ pub fn train(
     Ok(Outcome::Done(Box::new((file, summary))))
 }
 
+/// The observations of the training part.
+fn training_part<'a>(
+    flights: &'a [ObservedFlight],
+    split: &Split,
+) -> Vec<(&'a ObservedFlight, Range<usize>)> {
+    let mut chosen = Vec::new();
+    for (flight, parts) in flights.iter().zip(&split.flights) {
+        for (range, part) in parts {
+            if *part == Part::Training {
+                chosen.push((flight, range.clone()));
+            }
+        }
+    }
+    chosen
+}
+
 type Target<'a> = dyn Fn(&Row) -> [f64; ACCELERATIONS] + 'a;
 
 fn network_error(model: ModelKind, head: Head, reason: String) -> TrainError {
@@ -770,6 +794,7 @@ impl Dataset<'_> {
                     law_error: observed.law_error,
                     attitude_latency_s: observed.alignment.attitude_s,
                     velocity_latency_s: observed.alignment.velocity_s,
+                    command_shift_s: observed.command_shift_s,
                     left_out,
                 }
             })

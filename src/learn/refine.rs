@@ -19,7 +19,7 @@ use crate::model::actuation::Actuation;
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
 /// Horizons whose errors count, s.
-const HORIZONS_S: [f64; 3] = [0.1, 0.25, 0.5];
+const HORIZONS_S: [f64; 4] = [0.04, 0.1, 0.25, 0.5];
 /// Flights and windows that are used at most: more cost time and move little.
 const FLIGHTS_MAX: usize = 10;
 const WINDOWS_MAX: usize = 240;
@@ -29,6 +29,10 @@ const NUMBERS: usize = PARAMETERS + 3;
 const ERRORS: usize = 12;
 /// Slowest balance that differs from none, 1/s.
 const BALANCE_RATE_MIN: f64 = 0.05;
+
+/// Longest delay and lag, s.
+const DELAY_MAX_S: f64 = 0.1;
+const LAG_MAX_S: f64 = 0.2;
 
 /// Where predictions start, and what was reported.
 struct Window {
@@ -115,7 +119,7 @@ fn unpack(
         *number = number.max(0.0);
     }
     let [.., delay_s, lag_s, balance] = bounded;
-    let (delay_s, lag_s) = (delay_s.min(0.2), lag_s.min(0.3));
+    let (delay_s, lag_s) = (delay_s.min(DELAY_MAX_S), lag_s.min(LAG_MAX_S));
     let balance_s = (balance > BALANCE_RATE_MIN).then(|| balance.min(20.0).recip());
     (bounded, Actuation { delay_s, lag_s, balance_s, ..*actuation }, parameters)
 }

@@ -105,6 +105,14 @@ impl Samples {
         self.rows == 0
     }
 
+    /// The inputs and targets of a row, in this order.
+    #[cfg(test)]
+    pub(super) fn row(&self, row: usize) -> impl Iterator<Item = f32> + '_ {
+        let packets = &self.packets[row / WIDTH * self.stride()..][..self.stride()];
+        let (inputs, targets) = packets.split_at(self.inputs);
+        inputs.iter().chain(&targets[1..]).map(move |packet| packet.0[row % WIDTH])
+    }
+
     /// The same rows in a random order.
     pub(super) fn shuffled(&self, random: &mut impl Rng) -> Self {
         let mut order: Vec<usize> = (0..self.rows).collect();
@@ -139,5 +147,55 @@ impl Samples {
     /// All packets, sixteen rows after sixteen rows.
     pub(super) fn packets(&self) -> &[Packet] {
         &self.packets
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_pcg::Pcg64;
+
+    use super::*;
+
+    #[test]
+    fn rows_come_out_as_they_went_in_and_padding_weighs_nothing() {
+        let mut samples = Samples::with_capacity(2, 1, 0);
+        for row in 0..19_u8 {
+            let value = f32::from(row);
+            samples.push(&[value, -value], &[2.0 * value]).expect("a row");
+        }
+        assert_eq!(samples.len(), 19);
+        assert!(samples.row(18).eq([18.0, -18.0, 36.0]));
+        let weights: f64 = samples.packets().chunks(4).map(|packets| packets[2].sum()).sum();
+        assert_eq!(weights, 19.0);
+    }
+
+    #[test]
+    fn shuffled_rows_are_the_same_rows() {
+        let mut samples = Samples::with_capacity(1, 1, 0);
+        for row in 0..100_u8 {
+            samples.push(&[row.into()], &[f32::from(row) + 1.0]).expect("a row");
+        }
+        let shuffled = samples.shuffled(&mut Pcg64::seed_from_u64(1));
+        assert_ne!(shuffled, samples);
+        assert_ne!(shuffled.fingerprint(), samples.fingerprint());
+        let mut rows: Vec<Vec<f32>> = (0..100).map(|row| shuffled.row(row).collect()).collect();
+        rows.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        assert!(rows.iter().enumerate().all(|(row, found)| samples.row(row).eq(found.clone())));
+    }
+
+    #[test]
+    fn a_row_that_is_no_number_is_refused_and_leaves_no_trace() {
+        let mut samples = Samples::with_capacity(2, 1, 0);
+        samples.push(&[1.0, 2.0], &[3.0]).expect("a row");
+        let before = samples.clone();
+        let error = samples.push(&[1.0, 2.0], &[f32::INFINITY]).expect_err("infinite");
+        assert_eq!(error.to_string(), "row 1, column 2: expected a finite number, found inf");
+        assert!(matches!(
+            samples.push(&[f32::NAN, 2.0], &[1.0]),
+            Err(RowError::NotFinite { row: 1, column: 0, .. })
+        ));
+        assert!(matches!(samples.push(&[1.0], &[1.0]), Err(RowError::Size { .. })));
+        assert_eq!(samples, before);
     }
 }

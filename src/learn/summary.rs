@@ -107,6 +107,8 @@ pub struct LogSummary {
     pub attitude_latency_s: Option<f64>,
     /// Lateness of the velocity against the gyro, s.
     pub velocity_latency_s: Option<f64>,
+    /// How much later than on average the motor outputs act, s.
+    pub command_shift_s: f64,
     /// What was left out: why, and how much in words.
     pub left_out: Vec<(String, String)>,
 }

@@ -173,33 +173,56 @@ pub struct Network {
     pub mlp: Mlp,
 }
 
+/// Calls a method for the number of features that a network has.
+macro_rules! sized {
+    ($network:ident . $method:ident ($features:ident, $count:ident)) => {
+        match $count {
+            11 => $network.$method::<11>($features),
+            13 => $network.$method::<13>($features),
+            15 => $network.$method::<15>($features),
+            _ => unreachable!("features are 11, 13 or 15"),
+        }
+    };
+}
+
 impl Network {
-    fn evaluate(&self, features: &[f64]) -> [f64; OUTPUTS] {
-        let mut x = [0.0; FEATURES_MAX];
-        let x = self.inputs.apply(features, &mut x);
-        let mut y = [0.0; OUTPUTS];
-        self.mlp.evaluate(x, &mut y);
-        std::array::from_fn(|i| y[i] * self.outputs.deviation[i] + self.outputs.mean[i])
+    fn evaluate(&self, features: &[f64; FEATURES_MAX], count: usize) -> [f64; OUTPUTS] {
+        sized!(self.evaluate_sized(features, count))
+    }
+
+    fn evaluate_sized<const N: usize>(&self, features: &[f64; FEATURES_MAX]) -> [f64; OUTPUTS] {
+        let x = self.inputs.apply::<N>(&std::array::from_fn(|i| features[i]));
+        self.denormalised(self.mlp.evaluate(&x))
     }
 
     /// Outputs and, row by row, their derivatives with respect to the features.
-    fn linearize(&self, features: &[f64]) -> ([f64; OUTPUTS], [[f64; FEATURES_MAX]; OUTPUTS]) {
-        let mut x = [0.0; FEATURES_MAX];
-        let x = self.inputs.apply(features, &mut x);
-        let mut y = [0.0; OUTPUTS];
-        let mut jacobian = [0.0; OUTPUTS * FEATURES_MAX];
-        let n = features.len();
-        self.mlp.linearize(x, &mut y, &mut jacobian[..OUTPUTS * n]);
+    fn linearize(
+        &self,
+        features: &[f64; FEATURES_MAX],
+        count: usize,
+    ) -> ([f64; OUTPUTS], [[f64; FEATURES_MAX]; OUTPUTS]) {
+        sized!(self.linearize_sized(features, count))
+    }
+
+    fn linearize_sized<const N: usize>(
+        &self,
+        features: &[f64; FEATURES_MAX],
+    ) -> ([f64; OUTPUTS], [[f64; FEATURES_MAX]; OUTPUTS]) {
+        let x = self.inputs.apply::<N>(&std::array::from_fn(|i| features[i]));
+        let (y, jacobian): (_, [[f64; N]; OUTPUTS]) = self.mlp.linearize(&x);
         let mut slope = [[0.0; FEATURES_MAX]; OUTPUTS];
-        for (row, (slope, jacobian)) in slope.iter_mut().zip(jacobian.chunks_exact(n)).enumerate() {
+        for (row, (slope, jacobian)) in slope.iter_mut().zip(&jacobian).enumerate() {
             for ((slope, value), deviation) in
                 slope.iter_mut().zip(jacobian).zip(&self.inputs.deviation)
             {
                 *slope = value * self.outputs.deviation[row] / deviation;
             }
         }
-        let y = std::array::from_fn(|i| y[i] * self.outputs.deviation[i] + self.outputs.mean[i]);
-        (y, slope)
+        (self.denormalised(y), slope)
+    }
+
+    fn denormalised(&self, y: [f64; OUTPUTS]) -> [f64; OUTPUTS] {
+        std::array::from_fn(|i| y[i] * self.outputs.deviation[i] + self.outputs.mean[i])
     }
 }
 
@@ -243,7 +266,7 @@ impl Model for NetworkModel {
         let mut features = [0.0; FEATURES_MAX];
         for head in Head::BOTH {
             let n = self.features.extract(head, &at, &mut features);
-            let mut y = self.network(head).evaluate(&features[..n]);
+            let mut y = self.network(head).evaluate(&features, n);
             if (self.features, head) == (Features::Heading, Head::Linear) {
                 y = turned(y, at[YAW]);
             }
@@ -259,7 +282,7 @@ impl Model for NetworkModel {
         let mut features = [0.0; FEATURES_MAX];
         for head in Head::BOTH {
             let n = self.features.extract(head, &at, &mut features);
-            let (mut y, slope) = self.network(head).linearize(&features[..n]);
+            let (mut y, slope) = self.network(head).linearize(&features, n);
             let mut rows = slope.map(|row| self.features.pull_back(head, &at, &row[..n]));
             if (self.features, head) == (Features::Heading, Head::Linear) {
                 y = turned(y, at[YAW]);

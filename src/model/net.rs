@@ -21,6 +21,190 @@ pub struct Mlp {
     pub output_biases: Vec<f32>,
 }
 
+impl Normalization {
+    /// The normalised values.
+    ///
+    /// # Panics
+    /// When `N` is not the number of columns.
+    pub fn apply<const N: usize>(&self, values: &[f64; N]) -> [f64; N] {
+        std::array::from_fn(|i| (values[i] - self.mean[i]) / self.deviation[i])
+    }
+}
+
+impl Mlp {
+    /// y(x), computed in f64.
+    ///
+    /// # Panics
+    /// When `I` and `O` are not the network's inputs and outputs.
+    pub fn evaluate<const I: usize, const O: usize>(&self, x: &[f64; I]) -> [f64; O] {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            // SAFETY: the machine has the instructions, as just asked.
+            return unsafe { evaluate_avx2(self, x) };
+        }
+        evaluate::<false, I, O>(self, x)
+    }
+
+    /// y(x) and its derivatives dy/dx, a row an output, computed in f64. At a kink, where a unit's
+    /// pre-activation is 0, the unit counts as inactive.
+    ///
+    /// # Panics
+    /// When `I` and `O` are not the network's inputs and outputs.
+    pub fn linearize<const I: usize, const O: usize>(
+        &self,
+        x: &[f64; I],
+    ) -> ([f64; O], [[f64; I]; O]) {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            // SAFETY: the machine has the instructions, as just asked.
+            return unsafe { linearize_avx2(self, x) };
+        }
+        linearize::<false, I, O>(self, x)
+    }
+}
+
+/// [`evaluate`] for machines with AVX2 and FMA, which this package is not compiled for: the
+/// planner linearises at each of some hundred points, thousands of times.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn evaluate_avx2<const I: usize, const O: usize>(net: &Mlp, x: &[f64; I]) -> [f64; O] {
+    evaluate::<true, I, O>(net, x)
+}
+
+/// [`linearize`] for machines with AVX2 and FMA.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn linearize_avx2<const I: usize, const O: usize>(
+    net: &Mlp,
+    x: &[f64; I],
+) -> ([f64; O], [[f64; I]; O]) {
+    linearize::<true, I, O>(net, x)
+}
+
+#[inline(always)]
+fn evaluate<const FUSED: bool, const I: usize, const O: usize>(
+    net: &Mlp,
+    x: &[f64; I],
+) -> [f64; O] {
+    let mut y = output_biases(net);
+    for_each_unit::<FUSED, I, O>(net, x, |_, v, pre_activation| {
+        let h = pre_activation.max(0.0);
+        for (y, v) in y.iter_mut().zip(v) {
+            *y = product_sum::<FUSED>(*v, h, *y);
+        }
+    });
+    y
+}
+
+#[inline(always)]
+fn linearize<const FUSED: bool, const I: usize, const O: usize>(
+    net: &Mlp,
+    x: &[f64; I],
+) -> ([f64; O], [[f64; I]; O]) {
+    let mut y = output_biases(net);
+    let mut jacobian = [[0.0; I]; O];
+    // Which units are active is as good as random, and a wrongly predicted branch costs more than
+    // a unit's pre-activation: the active ones are listed without a branch, then visited.
+    let mut active = [(0_usize, [0.0; O]); BATCH];
+    let mut count = 0;
+    let rows = net.hidden_weights.as_chunks::<I>().0;
+    for_each_unit::<FUSED, I, O>(net, x, |unit, v, pre_activation| {
+        let h = pre_activation.max(0.0);
+        for (y, v) in y.iter_mut().zip(v) {
+            *y = product_sum::<FUSED>(*v, h, *y);
+        }
+        active[count] = (unit, *v);
+        count += usize::from(pre_activation > 0.0);
+        if count == BATCH {
+            add_slopes::<FUSED, I, O>(rows, &active, &mut jacobian);
+            count = 0;
+        }
+    });
+    add_slopes::<FUSED, I, O>(rows, &active[..count], &mut jacobian);
+    (y, jacobian)
+}
+
+/// Units that are listed before they are visited.
+const BATCH: usize = 64;
+/// Columns of the Jacobian that stay in registers while the units are visited.
+const COLUMNS: usize = 8;
+
+/// Adds the slopes of active units, each a row of W and its weights in the outputs.
+#[inline(always)]
+fn add_slopes<const FUSED: bool, const I: usize, const O: usize>(
+    rows: &[[f32; I]],
+    active: &[(usize, [f64; O])],
+    jacobian: &mut [[f64; I]; O],
+) {
+    let mut done = 0;
+    while done < I {
+        // The last columns are taken together with some that are done already, to be eight.
+        let first = done.min(I.saturating_sub(COLUMNS));
+        let mut sums = [[0.0; COLUMNS]; O];
+        for (unit, v) in active {
+            let row = &rows[*unit][first..];
+            let mut short = [0.0; COLUMNS];
+            let w = row.first_chunk::<COLUMNS>().unwrap_or_else(|| {
+                short[..row.len()].copy_from_slice(row);
+                &short
+            });
+            for (sums, v) in sums.iter_mut().zip(v) {
+                for (sum, w) in sums.iter_mut().zip(w) {
+                    *sum = product_sum::<FUSED>(*v, f64::from(*w), *sum);
+                }
+            }
+        }
+        let new = done - first;
+        for (row, sums) in jacobian.iter_mut().zip(sums) {
+            for (derivative, sum) in row[done..].iter_mut().zip(&sums[new..]) {
+                *derivative += sum;
+            }
+        }
+        done = first + COLUMNS;
+    }
+}
+
+fn output_biases<const O: usize>(net: &Mlp) -> [f64; O] {
+    assert_eq!(net.outputs, O, "the network's outputs");
+    std::array::from_fn(|output| f64::from(net.output_biases[output]))
+}
+
+/// Calls `visit` with each hidden unit's index, its weights in the outputs, and its pre-activation
+/// at `x`.
+#[inline(always)]
+fn for_each_unit<const FUSED: bool, const I: usize, const O: usize>(
+    net: &Mlp,
+    x: &[f64; I],
+    mut visit: impl FnMut(usize, &[f64; O], f64),
+) {
+    assert_eq!(net.inputs, I, "the network's inputs");
+    let mut columns: [&[f32]; O] = [&[]; O];
+    for (column, weights) in columns.iter_mut().zip(net.output_weights.chunks(net.hidden)) {
+        *column = weights;
+    }
+    let rows = net.hidden_weights.as_chunks::<I>().0;
+    for (unit, (row, bias)) in rows.iter().zip(&net.hidden_biases).enumerate() {
+        // Four sums, side by side in a register.
+        let mut sums = [f64::from(*bias), 0.0, 0.0, 0.0];
+        for (w, x) in row.chunks(4).zip(x.chunks(4)) {
+            for ((sum, w), x) in sums.iter_mut().zip(w).zip(x) {
+                *sum = product_sum::<FUSED>(f64::from(*w), *x, *sum);
+            }
+        }
+        let mut v = [0.0; O];
+        for (v, column) in v.iter_mut().zip(columns) {
+            *v = f64::from(column[unit]);
+        }
+        visit(unit, &v, (sums[0] + sums[2]) + (sums[1] + sums[3]));
+    }
+}
+
+/// `a b + sum`.
+#[inline(always)]
+fn product_sum<const FUSED: bool>(a: f64, b: f64, sum: f64) -> f64 {
+    if FUSED { a.mul_add(b, sum) } else { a * b + sum }
+}
+
 /// `normalised = (value - mean) / deviation`, column by column.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Normalization {
@@ -30,49 +214,69 @@ pub struct Normalization {
     pub deviation: Vec<f64>,
 }
 
-impl Normalization {
-    /// The normalised values, written to the front of `out`.
-    pub fn apply<'a, const N: usize>(&self, values: &[f64], out: &'a mut [f64; N]) -> &'a [f64] {
-        for (((out, value), mean), deviation) in
-            out.iter_mut().zip(values).zip(&self.mean).zip(&self.deviation)
-        {
-            *out = (value - mean) / deviation;
-        }
-        &out[..values.len()]
-    }
-}
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
 
-impl Mlp {
-    /// y for x.
-    pub fn evaluate(&self, x: &[f64], y: &mut [f64]) {
-        y.iter_mut().zip(&self.output_biases).for_each(|(y, c)| *y = f64::from(*c));
-        for j in 0..self.hidden {
-            let row = &self.hidden_weights[j * self.inputs..][..self.inputs];
-            let z = f64::from(self.hidden_biases[j])
-                + row.iter().zip(x).map(|(w, x)| f64::from(*w) * x).sum::<f64>();
-            if z > 0.0 {
-                for (k, y) in y.iter_mut().enumerate() {
-                    *y += f64::from(self.output_weights[k * self.hidden + j]) * z;
-                }
+    use super::*;
+
+    fn network(values: &[f32], hidden: usize) -> Mlp {
+        let mut values = values.iter().copied().cycle();
+        let mut take = |count| values.by_ref().take(count).collect::<Vec<_>>();
+        Mlp {
+            inputs: 13,
+            hidden,
+            outputs: 3,
+            hidden_weights: take(13 * hidden),
+            hidden_biases: take(hidden),
+            output_weights: take(3 * hidden),
+            output_biases: take(3),
+        }
+    }
+
+    #[test]
+    fn a_network_by_hand() {
+        let net = Mlp {
+            inputs: 2,
+            hidden: 2,
+            outputs: 1,
+            hidden_weights: vec![1.0, 2.0, -3.0, 1.0],
+            hidden_biases: vec![0.5, 1.0],
+            output_weights: vec![2.0, 4.0],
+            output_biases: vec![-1.0],
+        };
+        // Pre-activations 5.5 and 0: the second unit lies on its kink.
+        assert_eq!(net.evaluate(&[1.0, 2.0]), [10.0]);
+        assert_eq!(net.linearize(&[1.0, 2.0]), ([10.0], [[2.0, 4.0]]));
+    }
+
+    proptest! {
+        #[test]
+        fn derivatives_are_those_of_finite_differences(
+            values in prop::collection::vec(-1.0_f32..1.0, 211),
+            at in prop::array::uniform13(-2.0_f64..2.0),
+            hidden in 1_usize..40,
+        ) {
+            let net = network(&values, hidden);
+            let (y, jacobian): ([f64; 3], _) = net.linearize(&at);
+            let direct: [f64; 3] = net.evaluate(&at);
+            for (y, direct) in y.iter().zip(direct) {
+                prop_assert!((y - direct).abs() < 1e-12);
             }
-        }
-    }
-
-    /// y for x and dy/dx, `outputs` rows of `inputs`.
-    pub fn linearize(&self, x: &[f64], y: &mut [f64], jacobian: &mut [f64]) {
-        y.iter_mut().zip(&self.output_biases).for_each(|(y, c)| *y = f64::from(*c));
-        jacobian.fill(0.0);
-        for j in 0..self.hidden {
-            let row = &self.hidden_weights[j * self.inputs..][..self.inputs];
-            let z = f64::from(self.hidden_biases[j])
-                + row.iter().zip(x).map(|(w, x)| f64::from(*w) * x).sum::<f64>();
-            if z > 0.0 {
-                for (k, y) in y.iter_mut().enumerate() {
-                    let v = f64::from(self.output_weights[k * self.hidden + j]);
-                    *y += v * z;
-                    for (slope, w) in jacobian[k * self.inputs..].iter_mut().zip(row) {
-                        *slope += v * f64::from(*w);
-                    }
+            let step = 1e-6;
+            let mut away = true;
+            for_each_unit::<false, 13, 3>(&net, &at, |_, _, pre_activation| {
+                away &= pre_activation.abs() > 2.0 * step; // no weight is above 1
+            });
+            prop_assume!(away);
+            for input in 0..13 {
+                let [mut above, mut below] = [at; 2];
+                above[input] += step;
+                below[input] -= step;
+                let [above, below]: [[f64; 3]; 2] = [net.evaluate(&above), net.evaluate(&below)];
+                for output in 0..3 {
+                    let slope = (above[output] - below[output]) / (2.0 * step);
+                    prop_assert!((slope - jacobian[output][input]).abs() < 1e-7);
                 }
             }
         }
