@@ -18,13 +18,15 @@ use crate::model::ACCELERATIONS;
 use crate::model::actuation::Actuation;
 use crate::model::file::AccelerationSource;
 use crate::model::hybrid::Hybrid;
-use crate::model::learned::NetworkModel;
+use crate::model::learned::{Head, NetworkModel};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
 /// Refined physics must lower the validation's score to this share to be taken.
 const REFINED_MIN: f64 = 0.99;
 /// Shares of the learned correction that a hybrid may take.
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
+/// Windows over which choices are made, about.
+const CHOICE_WINDOWS_MAX: usize = 500;
 /// Least number of training rows.
 pub const ROWS_MIN: usize = 500;
 
@@ -185,9 +187,18 @@ impl<'a> TrainingSet<'a> {
         part: Part,
         actuation: &'b Actuation,
     ) -> Vec<(RecordedInputs<'b>, Vec<f64>)> {
+        let mut starts: Vec<Vec<f64>> =
+            (0..self.flights.len()).map(|index| window_starts(&self.blocks(index, part))).collect();
+        if part != Part::Test {
+            // Choices need fewer windows than judgements.
+            let total: usize = starts.iter().map(Vec::len).sum();
+            let stride = total.div_ceil(CHOICE_WINDOWS_MAX).max(1);
+            for starts in &mut starts {
+                *starts = starts.iter().copied().step_by(stride).collect();
+            }
+        }
         let mut windows = Vec::new();
-        for (index, flight) in self.flights.iter().enumerate() {
-            let starts = window_starts(&self.blocks(index, part));
+        for (flight, starts) in self.flights.iter().zip(starts) {
             if !starts.is_empty() {
                 windows.push((RecordedInputs::new(flight, self.onboard, actuation), starts));
             }
@@ -197,8 +208,8 @@ impl<'a> TrainingSet<'a> {
 }
 
 impl TrainingSet<'_> {
-    /// The share of the learned correction with which the hybrid's open loop predicts the
-    /// validation part best: what a network learned of noise is not taken.
+    /// The shares of the learned corrections, linear and angular, with which the hybrid's open
+    /// loop predicts the validation part best: what a network learned of noise is not taken.
     pub(super) fn shrink(
         &self,
         residual: NetworkModel,
@@ -206,17 +217,20 @@ impl TrainingSet<'_> {
         watch: &mut dyn Watch,
     ) -> NetworkModel {
         let windows = self.windows(Part::Validation, &self.actuation);
-        let mut best = (f64::INFINITY, residual.clone());
-        for share in SHARES {
-            let candidate = residual.scaled(share);
-            let hybrid = Hybrid::new(physics.clone(), candidate.clone());
-            let score = score(&windows, &Predictor::Model(&hybrid));
-            if score < best.0 {
-                best = (score, candidate);
+        let mut best = (f64::INFINITY, [1.0, 1.0]);
+        for head in Head::BOTH {
+            for share in SHARES {
+                let mut shares = best.1;
+                shares[head as usize] = share;
+                let hybrid = Hybrid::new(physics.clone(), residual.scaled(shares));
+                let score = score(&windows, &Predictor::Model(&hybrid));
+                if score < best.0 {
+                    best = (score, shares);
+                }
+                watch.step("share of the correction");
             }
-            watch.step("share of the correction");
         }
-        best.1
+        residual.scaled(best.1)
     }
 
     pub(super) fn log_summaries(&self) -> Vec<LogSummary> {
