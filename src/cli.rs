@@ -251,14 +251,15 @@ pub struct TrainArgs {
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u16).range(1..=256))]
     pub hidden: u16,
     /// Passes through the training rows at most.
-    #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
     pub passes: u32,
     /// Weights of the squared weights to try; the validation rows decide.
     #[arg(long, value_delimiter = ',', default_values_t = [1e-6, 1e-5, 1e-4])]
     pub regularization: Vec<f64>,
-    /// Half width of the window that makes labels, ms.
-    #[arg(long, value_name = "MS", default_value_t = 22.0)]
-    pub window: f64,
+    /// Half widths of the window that makes labels, ms. A later one is tried only where the models
+    /// of the earlier do not predict better than holding the state.
+    #[arg(long, value_name = "MS", value_delimiter = ',', default_values_t = [22.0, 60.0])]
+    pub window: Vec<f64>,
     /// Seed of the weights.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,

@@ -15,11 +15,13 @@ use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
+use crate::learn::judgement::{Standing, standing};
 use crate::learn::networks::Progress;
-use crate::learn::procedure::{Outcome, Watch, train};
-use crate::learn::summary::TrainSettings;
+use crate::learn::procedure::{Outcome, Watch, belongs, train};
+use crate::learn::summary::{TrainSettings, TrainingSummary};
 use crate::learn::training::Method;
 use crate::learn::training_set::TrainingSet;
+use crate::model::file::ModelFile;
 use crate::model::learned::Features;
 
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
@@ -29,14 +31,89 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
         let error = anyhow!("--regularization: expected numbers of at least 0, found {weight}");
         return Err(error).or_exit(Exit::Usage);
     }
-    if !(args.window.is_finite() && (1.0..=200.0).contains(&args.window)) {
-        let error = anyhow!("--window: expected 1 to 200 ms, found {}", args.window);
+    if let Some(window) = args.window.iter().find(|w| !(1.0..=200.0).contains(*w)) {
+        let error = anyhow!("--window: expected 1 to 200 ms, found {window}");
         return Err(error).or_exit(Exit::Usage);
     }
     if let Some(threads) = args.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;
     }
-    let windows = WindowSettings { half_s: args.window * 1e-3, ..WindowSettings::default() };
+    let checkpoint_path = checkpoint_path(&args.out);
+    let mut progress = if args.resume { Some(load_checkpoint(&checkpoint_path)?) } else { None };
+
+    let mut bar = Bar::new(interrupt_flag()?);
+    let mut best: Option<(Standing, Box<(ModelFile, TrainingSummary)>)> = None;
+    for window in &args.window {
+        let windows = WindowSettings { half_s: window * 1e-3, ..WindowSettings::default() };
+        match train_with(args, &vehicle, &onboard, &windows, &mut progress, &mut bar)? {
+            Outcome::Interrupted(progress) => {
+                bar.clear();
+                let json = serde_json::to_vec(&progress).context("checkpoint")?;
+                write_file(&checkpoint_path, &json)?;
+                say(format_args!(
+                    "interrupted; the same command with --resume goes on from {}",
+                    checkpoint_path.display()
+                ));
+                return Ok(Exit::Interrupted);
+            }
+            Outcome::Done(done) => {
+                let standing = standing(&done.1);
+                if best.as_ref().is_none_or(|(best, _)| standing.score < best.score) {
+                    best = Some((standing, done));
+                }
+                if standing.settled {
+                    break;
+                }
+            }
+        }
+    }
+    bar.clear();
+    if progress.is_some() {
+        say(format_args!(
+            "{}: of other data or settings, so it was not used; trained from the start",
+            checkpoint_path.display()
+        ));
+    }
+    let (_, done) = best.context("--window: expected at least one").or_exit(Exit::Usage)?;
+    let (mut file, summary) = *done;
+    file.training = serde_json::to_value(&summary).context("summary")?;
+    file.save(&args.out)?;
+    if checkpoint_path.exists() {
+        fs::remove_file(&checkpoint_path)
+            .with_context(|| format!("cannot remove {}", checkpoint_path.display()))?;
+    }
+    let mut report = None;
+    if let Some(folder) = &args.report {
+        fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        let page = folder.join("report.html");
+        write_file(&page, crate::report::training::html(&summary).as_bytes())?;
+        let json = serde_json::to_vec_pretty(&summary).context("report.json")?;
+        write_file(&folder.join("report.json"), &json)?;
+        report = Some(page);
+    }
+    if args.json {
+        print_json(&summary)?;
+    } else {
+        let mut text = model::summary_in_words(&summary);
+        text += &format!("model   {}\n", args.out.display());
+        if let Some(page) = report {
+            text += &format!("report  {}\n", page.display());
+        }
+        print_text(&text)?;
+    }
+    Ok(Exit::Ok)
+}
+
+/// Trains with labels of one window. Takes `progress` if it is of this training.
+fn train_with(
+    args: &TrainArgs,
+    vehicle: &VehicleParams,
+    onboard: &Onboard,
+    windows: &WindowSettings,
+    progress: &mut Option<Progress>,
+    bar: &mut Bar,
+) -> anyhow::Result<Outcome> {
     let settings = TrainSettings {
         features: match args.features {
             FeatureChoice::World => Features::World,
@@ -52,13 +129,9 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
         seed: args.seed,
         window_half_s: windows.half_s,
     };
-    let checkpoint_path = checkpoint_path(&args.out);
-    let progress = if args.resume { Some(load_checkpoint(&checkpoint_path)?) } else { None };
-
-    let mut bar = Bar::new(interrupt_flag()?);
     bar.stage("logs", args.logs.len() as u64);
     let mapping = args.mapping.as_deref();
-    let mut logs = Logs::read(&args.logs, mapping, &vehicle, &onboard, &windows, |path| {
+    let mut logs = Logs::read(&args.logs, mapping, vehicle, onboard, windows, |path| {
         bar.step(&path.display().to_string());
     });
     if logs.flights.is_empty() {
@@ -66,51 +139,10 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
         return Err(anyhow!("none of the {} logs can be used", args.logs.len()))
             .or_exit(Exit::Usage);
     }
-    bar.stage("actuation", 1);
-    let dataset = TrainingSet::new(&vehicle, &onboard, &mut logs.flights).or_exit(Exit::Usage)?;
-    let outcome = train(&dataset, &settings, &windows, logs.refused, progress, &mut bar);
-    bar.clear();
-    match outcome.or_exit(Exit::Usage)? {
-        Outcome::Interrupted(progress) => {
-            let json = serde_json::to_vec(&progress).context("checkpoint")?;
-            write_file(&checkpoint_path, &json)?;
-            say(format_args!(
-                "interrupted; the same command with --resume goes on from {}",
-                checkpoint_path.display()
-            ));
-            Ok(Exit::Interrupted)
-        }
-        Outcome::Done(done) => {
-            let (mut file, summary) = *done;
-            file.training = serde_json::to_value(&summary).context("summary")?;
-            file.save(&args.out)?;
-            if checkpoint_path.exists() {
-                fs::remove_file(&checkpoint_path)
-                    .with_context(|| format!("cannot remove {}", checkpoint_path.display()))?;
-            }
-            let mut report = None;
-            if let Some(folder) = &args.report {
-                fs::create_dir_all(folder)
-                    .with_context(|| format!("cannot create the folder {}", folder.display()))?;
-                let page = folder.join("report.html");
-                write_file(&page, crate::report::training::html(&summary).as_bytes())?;
-                let json = serde_json::to_vec_pretty(&summary).context("report.json")?;
-                write_file(&folder.join("report.json"), &json)?;
-                report = Some(page);
-            }
-            if args.json {
-                print_json(&summary)?;
-            } else {
-                let mut text = model::summary_in_words(&summary);
-                text += &format!("model   {}\n", args.out.display());
-                if let Some(page) = report {
-                    text += &format!("report  {}\n", page.display());
-                }
-                print_text(&text)?;
-            }
-            Ok(Exit::Ok)
-        }
-    }
+    bar.stage("physics", 1);
+    let set = TrainingSet::new(vehicle, onboard, &mut logs.flights).or_exit(Exit::Usage)?;
+    let own = progress.take_if(|progress| belongs(progress, &set, &settings));
+    train(&set, &settings, windows, logs.refused, own, bar).or_exit(Exit::Usage)
 }
 
 fn checkpoint_path(out: &Path) -> PathBuf {

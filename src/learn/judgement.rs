@@ -12,11 +12,13 @@ use super::identify;
 use super::prediction::{Baseline, RecordedInputs};
 use super::procedure::{TrainError, Watch};
 use super::split::Part;
-use super::summary::{MultiStepSummary, OneStepSummary, Series};
+use super::summary::{MultiStepSummary, OneStepSummary, Series, TrainingSummary};
 use super::training_set::TrainingSet;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::{ACCELERATIONS, Model};
 
+/// Name of the predictor that the others are measured by.
+const HOLD: &str = "hold";
 /// Length of the pieces over which observed and predicted are drawn, s.
 const SERIES_S: f64 = 10.0;
 /// Accelerations that are drawn: the paper's, east and roll.
@@ -99,6 +101,7 @@ pub fn align(file: &ModelFile, onboard: &Onboard, flight: &mut ObservedFlight) {
 pub(super) struct Judgement {
     pub preferred: ModelKind,
     pub one_step: Vec<OneStepSummary>,
+    pub validation: Vec<MultiStepSummary>,
     pub multi_step: Vec<MultiStepSummary>,
     pub series: Vec<Series>,
 }
@@ -128,18 +131,20 @@ pub(super) fn judge(
         watch.step("one step");
     }
     let windows = dataset.windows(Part::Validation, &dataset.actuation);
-    let mut preferred = (f64::INFINITY, ModelKind::Hybrid);
-    for (kind, model) in &models {
-        let score = score(&windows, &Predictor::Model(model.as_ref()));
-        if score < preferred.0 {
-            preferred = (score, *kind);
-        }
-        watch.step("validation windows");
-    }
+    let validation = compare(&windows, &models, watch);
+    let hold = validation.iter().find(|summary| summary.predictor == HOLD);
+    let score = |kind: ModelKind| {
+        let errors = validation.iter().find(|summary| summary.predictor == kind.name());
+        errors.zip(hold).map_or(f64::INFINITY, |(a, b)| relative(&a.errors, &b.errors))
+    };
+    let preferred = ModelKind::ALL
+        .into_iter()
+        .min_by(|a, b| score(*a).total_cmp(&score(*b)))
+        .unwrap_or(ModelKind::Hybrid);
     let windows = dataset.windows(Part::Test, &dataset.actuation);
     let multi_step = compare(&windows, &models, watch);
     let series = series(dataset, &models);
-    Ok(Judgement { preferred: preferred.1, one_step, multi_step, series })
+    Ok(Judgement { preferred, one_step, validation, multi_step, series })
 }
 
 /// Errors at the middle horizons over those of holding the state, summed: lower is better.
@@ -153,14 +158,46 @@ pub(super) fn score(windows: &[(RecordedInputs<'_>, Vec<f64>)], predictor: &Pred
 
 /// Sum of errors at the middle horizons, over those of `hold`.
 fn relative(errors: &MultiStep, hold: &MultiStep) -> f64 {
-    let mut sum = 0.0;
-    for (a, b) in errors[1..3].iter().zip(&hold[1..3]) {
-        sum += a.position_m / b.position_m.max(1e-9)
-            + a.velocity_m_s / b.velocity_m_s.max(1e-9)
-            + a.attitude_rad / b.attitude_rad.max(1e-9)
-            + a.rate_rad_s / b.rate_rad_s.max(1e-9);
+    ratios(errors, hold).sum()
+}
+
+/// Each error at the middle horizons over that of `hold`.
+fn ratios<'a>(errors: &'a MultiStep, hold: &'a MultiStep) -> impl Iterator<Item = f64> + 'a {
+    errors[1..3].iter().zip(&hold[1..3]).flat_map(|(a, b)| {
+        [
+            a.position_m / b.position_m.max(1e-9),
+            a.velocity_m_s / b.velocity_m_s.max(1e-9),
+            a.attitude_rad / b.attitude_rad.max(1e-9),
+            a.rate_rad_s / b.rate_rad_s.max(1e-9),
+        ]
+    })
+}
+
+/// How the open loop of all models fares on the validation part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Standing {
+    /// Whether every model errs less than holding the state, in everything, at the middle
+    /// horizons.
+    pub settled: bool,
+    /// Sum of the models' errors over those of holding the state; lower is better.
+    pub score: f64,
+}
+
+/// The standing of a training's models.
+pub fn standing(summary: &TrainingSummary) -> Standing {
+    let find = |name: &str| summary.validation.iter().find(|s| s.predictor == name);
+    let mut standing = Standing { settled: true, score: 0.0 };
+    for kind in ModelKind::ALL {
+        match find(kind.name()).zip(find(HOLD)) {
+            Some((errors, hold)) => {
+                standing.settled &= ratios(&errors.errors, &hold.errors).all(|ratio| ratio < 1.0);
+                standing.score += relative(&errors.errors, &hold.errors);
+            }
+            // Nothing to tell by: nothing to improve by.
+            None => standing.score = f64::INFINITY,
+        }
     }
-    sum
+    standing
 }
 
 /// Open-loop errors of models and baselines over the same windows.
@@ -173,7 +210,7 @@ fn compare(
     for (kind, model) in models {
         predictors.push((kind.name(), Predictor::Model(model.as_ref())));
     }
-    predictors.push(("hold", Predictor::Baseline(Baseline::Hold)));
+    predictors.push((HOLD, Predictor::Baseline(Baseline::Hold)));
     predictors.push(("constant velocity", Predictor::Baseline(Baseline::ConstantVelocity)));
     predictors
         .into_iter()

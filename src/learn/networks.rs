@@ -127,9 +127,9 @@ impl Progress {
         Self { fingerprint, states: vec![State::Waiting; count] }
     }
 
-    /// Whether this belongs to `fingerprint` and `count` trainings.
-    pub(super) fn is_of(&self, fingerprint: &str, count: usize) -> bool {
-        self.fingerprint == fingerprint && self.states.len() == count
+    /// Whether this belongs to `fingerprint`.
+    pub(super) fn is_of(&self, fingerprint: &str) -> bool {
+        self.fingerprint == fingerprint
     }
 
     /// Trains every lesson with every regularisation, side by side. Returns whether all are done;
@@ -147,7 +147,8 @@ impl Progress {
         let watch = Mutex::new(watch);
         let tried = settings.regularization.len();
         self.states.par_iter_mut().enumerate().try_for_each(|(index, state)| {
-            let lesson = &lessons[index / tried];
+            // A damaged checkpoint may hold more states than there are lessons.
+            let Some(lesson) = lessons.get(index / tried) else { return Ok(()) };
             let resume = match std::mem::replace(state, State::Waiting) {
                 State::Waiting => None,
                 State::Running(checkpoint) => Some(*checkpoint),

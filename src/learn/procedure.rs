@@ -97,12 +97,11 @@ pub fn train(
     let mut all = Vec::from(lessons(ModelKind::Net, &label)?);
     all.extend(lessons(ModelKind::Hybrid, &leftover)?);
 
-    let fingerprint = fingerprint(dataset, settings);
     let count = all.len() * settings.regularization.len();
     let mut progress = match progress {
-        Some(progress) if progress.is_of(&fingerprint, count) => progress,
+        Some(progress) if progress.is_of(&fingerprint(dataset, settings)) => progress,
         Some(_) => return Err(TrainError::Checkpoint),
-        None => Progress::new(fingerprint, count),
+        None => Progress::new(fingerprint(dataset, settings), count),
     };
     if !progress.go_on(&all, settings, watch)? {
         return Ok(Outcome::Interrupted(progress));
@@ -146,10 +145,16 @@ pub fn train(
         curves,
         preferred: judged.preferred,
         one_step: judged.one_step,
+        validation: judged.validation,
         multi_step: judged.multi_step,
         series: judged.series,
     };
     Ok(Outcome::Done(Box::new((file, summary))))
+}
+
+/// Whether an interrupted training was this one.
+pub fn belongs(progress: &Progress, dataset: &TrainingSet<'_>, settings: &TrainSettings) -> bool {
+    progress.is_of(&fingerprint(dataset, settings))
 }
 
 /// What a training depends on.

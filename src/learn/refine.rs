@@ -19,7 +19,7 @@ use crate::model::actuation::Actuation;
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
 /// Horizons whose errors count, s.
-const HORIZONS_S: [f64; 4] = [0.04, 0.1, 0.25, 0.5];
+const HORIZONS_S: [f64; 4] = [0.02, 0.1, 0.25, 0.5];
 /// Flights and windows that are used at most: more cost time and move little.
 const FLIGHTS_MAX: usize = 8;
 const WINDOWS_MAX: usize = 200;

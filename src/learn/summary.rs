@@ -36,6 +36,8 @@ pub struct TrainingSummary {
     pub preferred: ModelKind,
     /// Errors of each model, in the order of [`ModelKind::ALL`].
     pub one_step: Vec<OneStepSummary>,
+    /// Open-loop errors on validation windows, by which models were chosen: models, then baselines.
+    pub validation: Vec<MultiStepSummary>,
     /// Open-loop errors on the test rows: models, then baselines.
     pub multi_step: Vec<MultiStepSummary>,
     /// Observed against predicted over time, from a test flight.
