@@ -22,7 +22,7 @@ use crate::model::learned::{Head, NetworkModel};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
 /// Refined physics must lower the validation's score to this share to be taken.
-const REFINED_MIN: f64 = 0.99;
+const REFINED_MIN: f64 = 0.97;
 /// Shares of the learned correction that a hybrid may take.
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 /// Windows over which choices are made, about.
