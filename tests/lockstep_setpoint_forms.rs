@@ -55,7 +55,7 @@ fn each_form_settles_in_hover_with_and_without_delay_and_lag() {
                 let settings = sending(mask, &params, hover(12.0));
                 let (end, records) = fly(settings, &params, effects, ideal(), 1);
                 assert_eq!((end, masks(&records)), (End::Done, vec![mask]), "{vehicle}");
-                let (rmse, largest) = errors(&records);
+                let (_, largest) = errors(&records);
                 let rows = tracked(&records);
                 let late = rows.iter().filter(|row| row.t > 8.0);
                 let shaking = late.map(|row| row.state.body_rate.norm()).fold(0.0, f64::max);
