@@ -36,7 +36,7 @@ def test_collect_flies_one_flight_after_the_other(program, sitl, tmp_path):
         return program(
             "collect",
             *("--out", logs, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE),
-            *("--config", configuration, "--seconds", 32, "--json"),
+            *("--config", configuration, "--seconds", 32, "--json", "-v"),
         )
 
     first = collect()
@@ -46,15 +46,17 @@ def test_collect_flies_one_flight_after_the_other(program, sitl, tmp_path):
     line = first.says(" done: ", line, timeout=60)
     # Stopped before the third is in the air.
     line = first.says("flight 3 of 5: ", line)
+    first.says(" standby: ", line)
     first.signal(signal.SIGINT)
     code, out = first.finish()
+    assert code == 130, first.err
     ends = [flight["end"] for flight in json.loads(out)["flights"]]
-    assert code != 0 and ends[:2] == ["done", "done"] and ends[3:] == ["planned", "planned"], (ends, first.err)
+    assert ends[:2] == ["done", "done"] and ends[3:] == ["planned", "planned"], (ends, first.err)
 
     # The same command goes on with the third.
     second = collect()
     line = second.says("flight 1 of 3: ")
-    second.says(" track: ", line, timeout=60)
+    second.says(" standby: ", line)
     second.signal(signal.SIGINT)
     code, out = second.finish()
     ends = [flight["end"] for flight in json.loads(out)["flights"]]
