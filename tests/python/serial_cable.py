@@ -18,14 +18,14 @@ BACKLOG_MAX = 1 << 20
 class SerialCable:
     """Two ends with stable paths, as of USB adapters: a path is gone while its end is pulled."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, on_bytes=None):
+        """`on_bytes` is called with the number of the sending end and its bytes."""
         self.paths = [folder / "tty-a", folder / "tty-b"]
         self.masters = [None, None]
         self._slaves = [None, None]
         self._relay = None
         self._listener = None
-        # Called with the number of the sending end and its bytes.
-        self.on_bytes = lambda end, data: None
+        self._on_bytes = on_bytes
         for end in (0, 1):
             self._open(end)
         self._start()
@@ -64,8 +64,9 @@ class SerialCable:
 
     def _start(self):
         plugged = [-1 if master is None else master for master in self.masters]
+        mode = "copies" if self._on_bytes else "alone"
         self._relay = subprocess.Popen(
-            [sys.executable, "-I", "-S", __file__, *map(str, plugged)],
+            [sys.executable, "-I", "-S", __file__, mode, *map(str, plugged)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=[master for master in plugged if master >= 0],
@@ -82,11 +83,11 @@ class SerialCable:
     def _listen(self, copies):
         while header := copies.read(5):
             end, size = struct.unpack("<BI", header)
-            self.on_bytes(end, copies.read(size))
+            self._on_bytes(end, copies.read(size))
 
 
-def relay(masters):
-    """Moves bytes between two terminals (-1: pulled) until stdin is closed, with a copy of each piece on stdout."""
+def relay(masters, copies):
+    """Moves bytes between two terminals (-1: pulled) until stdin is closed; `copies` puts each piece on stdout too."""
     stdin, stdout = 0, 1
     os.set_blocking(stdout, False)
     # What waits for each terminal, and for stdout.
@@ -107,7 +108,8 @@ def relay(masters):
             other = waiting[masters[1 - end]]
             if masters[1 - end] >= 0 and len(other) < BACKLOG_MAX:
                 other += data
-            waiting[stdout] += struct.pack("<BI", end, len(data)) + data
+            if copies:
+                waiting[stdout] += struct.pack("<BI", end, len(data)) + data
         for one in writable:
             try:
                 del waiting[one][: os.write(one, waiting[one])]
@@ -116,4 +118,4 @@ def relay(masters):
 
 
 if __name__ == "__main__":
-    relay([int(argument) for argument in sys.argv[1:]])
+    relay([int(argument) for argument in sys.argv[2:]], sys.argv[1] == "copies")
