@@ -12,7 +12,7 @@ use wire::transport::Peer;
 use self::records::{LinkMeter, record_of, tick_record};
 pub use self::status::Status;
 use crate::clock::HostTime;
-use crate::control::{AttitudeLoop, DesignError, HoverVehicle, Lqr, LqrSettings};
+use crate::control::{Actuation, AttitudeLoop, DesignError, HoverVehicle, Lqr, LqrSettings};
 use crate::link::counters::LinkState;
 use crate::link::message::Inbound;
 use crate::link::profile::{AttitudeTargetForm, Mode, Profile};
@@ -44,8 +44,11 @@ pub struct StationSettings {
     pub hover: HoverVehicle,
     /// Thrust of all rotors at full output, N.
     pub thrust_full_n: f64,
-    /// The on-board loop of a vehicle that honours attitude, rates and thrust together, as it is.
+    /// The on-board loop as it is, whatever of the setpoint it is sent; `None` where it is the
+    /// autopilot's own.
     pub attitude_pd: Option<AttitudePd>,
+    /// How late the vehicle answers.
+    pub actuation: Actuation,
     /// What is flown.
     pub reference: Arc<dyn ReferenceSource + Send + Sync>,
     /// Time to hear a vehicle in, s; `None` waits for ever.
@@ -421,17 +424,29 @@ impl Station {
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
         let attitude_loop = match (profile.attitude_target, self.settings.attitude_pd) {
             (AttitudeTargetForm::AttitudeRatesThrust, Some(pd)) => pd.into(),
-            (AttitudeTargetForm::RatesThrust { gain }, _) => {
+            (AttitudeTargetForm::AttitudeThrust, Some(AttitudePd { kp, kd, .. })) => {
+                AttitudeLoop::AttitudePd { kp, kd }
+            }
+            (AttitudeTargetForm::RatesThrust { gain }, Some(AttitudePd { kd, .. })) => {
+                AttitudeLoop::RatePd { gain, kd }
+            }
+            (AttitudeTargetForm::RatesThrust { gain }, None) => {
                 AttitudeLoop::Rates { gain, time_constant_s: RATE_TIME_CONSTANT_S }
             }
             _ if profile.name == Profile::ARDUCOPTER.name => AttitudeLoop::ARDUCOPTER,
             _ => AttitudeLoop::PX4,
         };
-        let lqr = Lqr::design(&self.settings.hover, &attitude_loop, &self.settings.lqr)?;
+        let StationSettings { actuation, hover, lqr, .. } = &self.settings;
+        let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
-            modes: ModeMap { offboard, land, reports_intended: profile.reports_intended_mode },
+            modes: ModeMap {
+                offboard,
+                hold: word(profile.modes.hold),
+                land,
+                reports_intended: profile.reports_intended_mode,
+            },
         };
         Ok(Some(Pilot::new(
             self.settings.pilot.clone(),
@@ -487,6 +502,7 @@ impl Station {
         };
         let action = match request {
             Request::SetMode(FlightMode::Offboard) => Some(Action::SetModeOffboard),
+            Request::SetMode(FlightMode::Hold) => Some(Action::SetModeHold),
             Request::SetMode(FlightMode::Land) => Some(Action::SetModeLand),
             Request::Arm => Some(Action::Arm),
             Request::Disarm => Some(Action::Disarm),
@@ -533,6 +549,7 @@ fn show(severity: Severity, text: &str) {
 fn request_of(action: Action) -> Request {
     match action {
         Action::SetModeOffboard => Request::SetMode(FlightMode::Offboard),
+        Action::SetModeHold => Request::SetMode(FlightMode::Hold),
         Action::SetModeLand => Request::SetMode(FlightMode::Land),
         Action::Arm => Request::Arm,
         Action::Disarm => Request::Disarm,

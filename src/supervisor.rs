@@ -9,7 +9,10 @@
 //! Land until the vehicle has taken over; never in another state, and never without a fresh sample.
 //! A pilot's mode change leads to PilotControl from everywhere. Every way to the stream passes
 //! AwaitRelease: mode and intended mode must have read something other than OFFBOARD for a while,
-//! because PX4 re-enters OFFBOARD by itself as soon as a stream resumes.
+//! because PX4 re-enters OFFBOARD by itself as soon as a stream resumes. A vehicle that was flown by
+//! command stands in OFFBOARD afterwards: PX4 returns to the mode chosen before arming. Where the
+//! next flight is commanded, a disarmed vehicle is asked to leave it; under the pilot's switch, and
+//! with the motors armed, nobody but the pilot leaves OFFBOARD.
 
 mod preflight;
 mod safety;
@@ -43,6 +46,8 @@ pub enum EngagePolicy {
 pub struct ModeMap {
     /// Obeys setpoints.
     pub offboard: u32,
+    /// Stays where it is, or stands; needs no setpoints. `None` where there is none.
+    pub hold: Option<u32>,
     /// Lands where it is.
     pub land: u32,
     /// Whether CURRENT_MODE tells the intended mode, so that it must be known before streaming.
@@ -50,10 +55,16 @@ pub struct ModeMap {
 }
 
 impl ModeMap {
-    /// PX4: OFFBOARD is main mode 6, Land is main 4, sub 6.
-    pub const PX4: Self = Self { offboard: 0x0006_0000, land: 0x0604_0000, reports_intended: true };
-    /// ArduCopter: GUIDED and LAND.
-    pub const ARDUCOPTER: Self = Self { offboard: 4, land: 9, reports_intended: false };
+    /// PX4: OFFBOARD is main mode 6, Hold is main 4, sub 3, and Land main 4, sub 6.
+    pub const PX4: Self = Self {
+        offboard: 0x0006_0000,
+        hold: Some(0x0304_0000),
+        land: 0x0604_0000,
+        reports_intended: true,
+    };
+    /// ArduCopter: GUIDED, BRAKE and LAND.
+    pub const ARDUCOPTER: Self =
+        Self { offboard: 4, hold: Some(17), land: 9, reports_intended: false };
 }
 
 /// Times of the flight's states.
@@ -111,6 +122,8 @@ impl Default for SupervisorSettings {
 pub enum Action {
     /// Mode in which setpoints are obeyed.
     SetModeOffboard,
+    /// Mode in which setpoints are not obeyed, so that the vehicle is released.
+    SetModeHold,
     /// Mode in which the vehicle lands itself.
     SetModeLand,
     /// Start the motors.
@@ -471,10 +484,20 @@ impl Supervisor {
     /// What the present state asks of the vehicle, repeated while it has no effect.
     fn request(&mut self, now: HostTime, status: &VehicleStatus) {
         let arms = self.policy == EngagePolicy::Command;
+        let offboard = Some(self.modes.offboard);
         let action = match self.state {
+            FlightState::AwaitRelease
+                if arms
+                    && self.engaged
+                    && self.modes.hold.is_some()
+                    && status.armed == Some(false)
+                    && (status.mode == offboard || status.intended_mode == offboard) =>
+            {
+                Action::SetModeHold
+            }
             FlightState::Engage => Action::SetModeOffboard,
             FlightState::Arm if arms && status.armed != Some(true) => Action::Arm,
-            FlightState::Land if status.mode == Some(self.modes.offboard) => Action::SetModeLand,
+            FlightState::Land if status.mode == offboard => Action::SetModeLand,
             FlightState::Disarm if self.seconds_in_state(now) >= self.settings.disarm_after_s => {
                 Action::Disarm
             }

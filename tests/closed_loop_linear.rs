@@ -7,7 +7,7 @@
 
 mod lockstep;
 
-use downwash::control::{AttitudeLoop, HoverVehicle, Lqr};
+use downwash::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr};
 use downwash::log::record::{Record, Tick};
 use downwash::station::End;
 use lockstep::{NANO, QUAD, fly, ideal, params, settings, toml_trajectory};
@@ -107,6 +107,7 @@ fn small_steps_are_answered_as_the_sampled_linear_loop_says() {
                 "family = \"steps\"\naltitude_m = 1.0\ndwell_s = {DWELL_S:?}\noffsets = [{offset:?}]"
             );
             let mut settings = settings(&params, toml_trajectory(&text));
+            settings.actuation = Actuation::IMMEDIATE;
             // What take-off left has died away when the trajectory begins.
             settings.pilot.guidance.settle_s = 20.0;
             let (end, records) = fly(settings.clone(), &params, effects, ideal(), 1);

@@ -1,19 +1,18 @@
-//! Whole flights over the protocol, in lockstep: every trajectory, both vehicles, each form of
-//! setpoint, and agreement with closed forms.
+//! Whole flights over the protocol, in lockstep: every trajectory, both vehicles, and agreement with
+//! closed forms.
 
 mod lockstep;
 
 use std::sync::Arc;
 use std::time::Instant;
 
-use downwash::control::{AttitudeLoop, HoverModel, Lqr, LqrSettings};
-use downwash::link::profile::FormChoice;
+use downwash::control::{Actuation, AttitudeLoop, HoverModel, Lqr};
 use downwash::log::record::Record;
-use downwash::log::{LogReader, LogSink, LogWriter, RunInfo};
+use downwash::log::{LogReader, LogWriter, RunInfo};
 use downwash::plan::reference::ReferenceSource;
 use downwash::setpoint::{Reference, Setpoint};
-use downwash::station::End;
-use lockstep::{NANO, QUAD, VEHICLES, errors, fly, hover, ideal, masks, params, settings};
+use downwash::station::{End, StationSettings};
+use lockstep::{NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, ideal, masks, params, settings};
 use lockstep::{tracked, trajectory};
 use nalgebra::SVector;
 use sitl::config::SitlConfig;
@@ -21,8 +20,6 @@ use sitl::frame::{Euler, Frd, Ned};
 
 /// What the vehicles have beyond what the feedback is designed on, taken away.
 const PROMPT: [&str; 2] = ["motor_lag:tau_s=0", "command_delay:delay_s=0"];
-/// Transport delay and rotor lag that both vehicles are to be flown with.
-const SLOW: [&str; 2] = ["command_delay:delay_s=0.02", "motor_lag:tau_s=0.06"];
 
 const TRAJECTORIES: [&str; 11] = [
     "figure-8.toml",
@@ -107,11 +104,9 @@ fn log_of(seed: u64) -> Vec<Vec<u8>> {
     std::fs::create_dir_all(&folder).expect("a folder");
     let info = RunInfo { vehicle: "nano".to_owned(), seed: Some(seed), ..RunInfo::default() };
     let start = downwash::lockstep::host_time(0);
-    let writer = LogWriter::create(&folder, &info, start, Instant::now()).expect("a log");
-    let path = writer.path().to_owned();
-    let mut sink = LogSink::direct(writer);
-    records.into_iter().for_each(|record| sink.log(record));
-    sink.finish().expect("written");
+    let mut writer = LogWriter::create(&folder, &info, start, Instant::now()).expect("a log");
+    records.iter().for_each(|record| writer.write(record).expect("written"));
+    let path = writer.finish().expect("finished").path;
     let mut bodies = Vec::new();
     let mut reader = LogReader::open(&path).expect("a log");
     while let Some(message) = reader.next_message().expect("sound") {
@@ -127,35 +122,6 @@ fn same_seed_gives_the_same_log_and_another_seed_another() {
     assert!(first.len() > 10_000);
     assert!(first == log_of(7));
     assert!(first != log_of(8));
-}
-
-#[test]
-fn vehicle_whose_loop_is_not_known_is_sent_attitude_and_thrust() {
-    for vehicle in VEHICLES {
-        let params = params(vehicle);
-        let mut settings = settings(&params, trajectory("sinusoid-yaw.toml"));
-        settings.attitude_pd = None;
-        settings.session.vehicle_has_attitude_pd = false;
-        let (end, records) = fly(settings, &params, &[], SitlConfig::default(), 1);
-        let (rmse, largest) = errors(&records);
-        assert_eq!((end, masks(&records)), (End::Done, vec![0x07]), "{vehicle}");
-        assert!(rmse < 0.5 && largest < 0.6, "{vehicle}: {rmse} m, {largest} m");
-    }
-}
-
-#[test]
-fn attitude_loop_of_the_daemon_flies_a_vehicle_that_takes_rates_and_thrust() {
-    for vehicle in VEHICLES {
-        let params = params(vehicle);
-        for effects in [&[][..], &SLOW] {
-            let mut settings = settings(&params, trajectory("sinusoid-yaw.toml"));
-            settings.session.form = FormChoice::RatesThrust { gain: [6.0, 6.0, 3.0] };
-            let (end, records) = fly(settings, &params, effects, SitlConfig::default(), 1);
-            let (rmse, largest) = errors(&records);
-            assert_eq!((end, masks(&records)), (End::Done, vec![0x80]));
-            assert!(rmse < 0.4 && largest < 0.5, "{vehicle} {effects:?}: {rmse} m, {largest} m");
-        }
-    }
 }
 
 #[test]
@@ -192,7 +158,8 @@ fn level(position: Ned, velocity: Ned, thrust_n: f64) -> Reference {
 fn nano_lqr() -> Lqr {
     let settings = settings(&params(NANO), hover(1.0));
     let attitude_loop = AttitudeLoop::from(settings.attitude_pd.expect("a PD"));
-    Lqr::design(&settings.hover, &attitude_loop, &LqrSettings::default()).expect("a gain")
+    let StationSettings { actuation, hover, lqr, .. } = &settings;
+    Lqr::design_for(actuation, hover, &attitude_loop, lqr).expect("a gain")
 }
 
 #[test]
@@ -240,9 +207,10 @@ fn steady_climb_needs_the_weight_only_and_has_no_lasting_error() {
 fn small_steps_are_answered_as_the_linear_model_says() {
     const STEP_M: f64 = 0.1;
     let params = params(NANO);
-    let lqr = nano_lqr();
     let mut base = settings(&params, hover(1.0));
+    base.actuation = Actuation::IMMEDIATE;
     let attitude_loop = AttitudeLoop::from(base.attitude_pd.expect("a PD"));
+    let lqr = Lqr::design(&base.hover, &attitude_loop, &base.lqr).expect("a gain");
     let model = HoverModel::continuous(&base.hover, &attitude_loop).discretised(0.01);
     let weight = base.hover.hover_thrust_n();
     for axis in 0..3 {

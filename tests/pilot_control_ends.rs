@@ -79,9 +79,31 @@ fn daemon_that_starts_beside_a_vehicle_in_offboard_stays_silent() {
     flight.vehicle.mode = MODES.offboard;
     flight.run(10.0);
     assert_eq!(flight.streamed_since(flight.ticks[0].host), 0);
+    assert!(flight.actions.is_empty(), "the mode is the pilot's");
     assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
     flight.switch(HOLD_MODE);
     flight.until(FlightState::Standby, 3.0);
+}
+
+#[test]
+fn commanded_flight_frees_a_disarmed_vehicle_from_offboard() {
+    // Where the last flight left it.
+    let mut flight = flight(EngagePolicy::Command);
+    flight.vehicle.mode = MODES.offboard;
+    flight.until(FlightState::AwaitTelemetry, 10.0);
+    assert_eq!(flight.actions, [Action::SetModeHold]);
+    assert_eq!(flight.streamed_since(flight.ticks[0].host), 0, "silent until it is free");
+    flight.until(FlightState::Done, 60.0);
+}
+
+#[test]
+fn commanded_flight_leaves_an_armed_vehicle_in_offboard_alone() {
+    let mut flight = flight(EngagePolicy::Command);
+    flight.vehicle.mode = MODES.offboard;
+    flight.vehicle.armed = true;
+    flight.until(FlightState::Abort, 70.0);
+    assert!(flight.actions.is_empty(), "{:?}", flight.actions);
+    assert_eq!(flight.streamed_since(flight.ticks[0].host), 0);
 }
 
 #[test]

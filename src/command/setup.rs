@@ -6,14 +6,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use sitl::effects::{EffectSet, PdGain, ThrustCurve};
+use sitl::effects::{CommandDelay, EffectSet, PdGain, ThrustCurve};
 use sitl::frame::Frd;
 use sitl::physics::Physics;
 use sitl::vehicle::{AttitudePd, VehicleParams};
 
 use super::{Exit, ExitContext};
 use crate::config::{Config, FormSetting};
-use crate::control::{AttitudeLoop, HoverVehicle, Lqr};
+use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr};
 use crate::link::attitude_target::ThrustMap;
 use crate::link::profile::FormChoice;
 use crate::link::session;
@@ -63,6 +63,7 @@ pub(super) struct EffectiveVehicle {
     pub thrust_full_n: f64,
     pub thrust: ThrustMap,
     pub attitude_pd: Option<AttitudePd>,
+    pub actuation: Actuation,
 }
 
 impl EffectiveVehicle {
@@ -76,6 +77,7 @@ impl EffectiveVehicle {
         // taken to linearise them.
         let bend = params.modelled_effects.get::<ThrustCurve>().filter(|_| attitude_pd.is_some());
         let thrust = ThrustMap::curve(thrust_full_n, bend.map_or(0.0, |curve| curve.a));
+        let delay = params.modelled_effects.get::<CommandDelay>();
         Ok(Self {
             hover: HoverVehicle {
                 mass_kg: constants.mass,
@@ -85,6 +87,10 @@ impl EffectiveVehicle {
             thrust_full_n,
             thrust: thrust.or_exit(Exit::Usage)?,
             attitude_pd,
+            actuation: Actuation {
+                command_delay_s: delay.map_or(params.command_delay_s, |delay| delay.delay_s),
+                motor_time_constant_s: constants.motor_time_constant,
+            },
         })
     }
 }
@@ -159,12 +165,14 @@ pub(super) fn station_settings(
         hover: effective.hover,
         thrust_full_n: effective.thrust_full_n,
         attitude_pd: effective.attitude_pd,
+        actuation: effective.actuation,
         reference,
         search_timeout_s: (policy == EngagePolicy::Command).then_some(link.search_timeout_s),
     })
 }
 
-/// Without an on-board PD in the vehicle file, the daemon's attitude loop has this gain, 1/s.
+/// Gain of the daemon's attitude loop, 1/s. Where the on-board loop is known and is slower, the
+/// daemon's is as slow; a quicker one it cannot be, with the link and the feedback's period inside.
 const RATE_GAIN: f64 = 6.0;
 
 fn form_choice(setting: FormSetting, pd: Option<AttitudePd>) -> FormChoice {
@@ -173,7 +181,9 @@ fn form_choice(setting: FormSetting, pd: Option<AttitudePd>) -> FormChoice {
         FormSetting::ForceAttitudeRatesThrust => FormChoice::ForceAttitudeRatesThrust,
         FormSetting::ArducopterRates => FormChoice::ArduCopterRates,
         FormSetting::RatesThrust => {
-            let gain = pd.map_or([RATE_GAIN; 3], |pd| std::array::from_fn(|i| pd.kp[i] / pd.kd[i]));
+            let gain = pd.map_or([RATE_GAIN; 3], |pd| {
+                std::array::from_fn(|i| (pd.kp[i] / pd.kd[i]).min(RATE_GAIN))
+            });
             FormChoice::RatesThrust { gain }
         }
     }

@@ -18,7 +18,25 @@ pub enum AttitudeLoop {
         /// N m s/rad.
         kd: [f64; 3],
     },
-    /// On board, honouring attitude and thrust only; its response is second order:
+    /// The same on board of a vehicle that is sent attitude and thrust: its rate reference is zero,
+    /// `M = kp (zeta_des - zeta) - kd omega`.
+    AttitudePd {
+        /// N m/rad.
+        kp: [f64; 3],
+        /// N m s/rad.
+        kd: [f64; 3],
+    },
+    /// The rate part of the same, on board of a vehicle that is sent rates and thrust, under the
+    /// daemon's attitude loop (the link's encoder closes it, with the same gain):
+    /// `M = kd (omega_des + gain (zeta_des - zeta) - omega)`.
+    RatePd {
+        /// rad/s per rad.
+        gain: [f64; 3],
+        /// N m s/rad.
+        kd: [f64; 3],
+    },
+    /// An autopilot's own, honouring attitude and thrust only; its response, as measured, is second
+    /// order:
     /// `d omega/dt = wn^2 (zeta_des - zeta) - 2 damping wn omega`.
     Attitude {
         /// `wn`, rad/s.
@@ -26,8 +44,7 @@ pub enum AttitudeLoop {
         /// Damping ratio.
         damping: [f64; 3],
     },
-    /// Closed by the daemon over a vehicle that honours rates and thrust (the link's encoder does
-    /// it, with the same gain):
+    /// Closed by the daemon over an autopilot's own rate loop, as measured:
     /// `omega_cmd = omega_des + gain (zeta_des - zeta)`, `d omega/dt = (omega_cmd - omega) / tau`.
     Rates {
         /// rad/s per rad.
@@ -53,6 +70,15 @@ impl AttitudeLoop {
     pub const ARDUCOPTER: Self =
         Self::Attitude { natural_frequency: [10.3, 10.3, 4.1], damping: [1.0, 1.0, 1.0] };
 
+    /// Whether its gains make moments that the rotors then follow with their lag. The others were
+    /// measured from the setpoint to the vehicle's answer, rotors included.
+    pub(super) fn is_before_the_rotors(&self) -> bool {
+        match self {
+            Self::Pd { .. } | Self::AttitudePd { .. } | Self::RatePd { .. } => true,
+            Self::Attitude { .. } | Self::Rates { .. } => false,
+        }
+    }
+
     /// Angular acceleration in body axes near hover, rad/s^2, of a body with principal moments
     /// `inertia` [kg m^2], from attitude error `zeta_des - zeta`, the desired body rate and the
     /// body rate.
@@ -68,6 +94,10 @@ impl AttitudeLoop {
             match self {
                 Self::Pd { kp, kd } => {
                     (error * kp[i] + (desired - rate) * kd[i]) * (1.0 / inertia[i])
+                }
+                Self::AttitudePd { kp, kd } => (error * kp[i] - rate * kd[i]) * (1.0 / inertia[i]),
+                Self::RatePd { gain, kd } => {
+                    (desired + error * gain[i] - rate) * (kd[i] / inertia[i])
                 }
                 Self::Attitude { natural_frequency, damping } => {
                     let wn = natural_frequency[i];

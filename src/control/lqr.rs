@@ -5,10 +5,12 @@ use serde::{Deserialize, Serialize};
 use sitl::frame::{Euler, Frd, Ned};
 use sitl::rigid_body::State;
 
+use super::actuation::{Actuation, DELAYED_STATES, DelayedModel};
 use super::attitude_loop::{AttitudeLoop, angle_error};
 use super::hover_model::{HoverModel, HoverVehicle, INPUTS, STATES};
 use super::limits::Saturation;
-use super::riccati::{RiccatiError, solve_dare};
+use super::output_feedback::OutputFeedback;
+use super::riccati::{RiccatiError, solve_dare, spectral_radius};
 use crate::setpoint::{Reference, Setpoint};
 
 /// The LQR's weights by Bryson's rule: each is 1 / (acceptable deviation)^2. Thrust counts in
@@ -16,9 +18,9 @@ use crate::setpoint::{Reference, Setpoint};
 /// a 1.2 kg quadrotor.
 ///
 /// The defaults ask next to nothing of velocity, attitude and body rate: the attitude loop holds
-/// the last two, and what is fed back of them meets its resonance with motor lag, which the model
-/// lacks, after the link's delay. Weights that were tighter there swung up at 20 ms of delay and
-/// 60 ms of lag; these fly with 30 ms and 60 ms.
+/// the last two, and what is fed back of them meets its resonance with the rotors' lag after the
+/// link's delay. [`Lqr::design_for`] takes back more of it where lag and delay are known; with what
+/// is not known, these fly with 30 ms of delay and 60 ms of lag.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LqrSettings {
@@ -76,7 +78,24 @@ pub enum DesignError {
     /// The Riccati equation has no usable solution.
     #[error("controller design: {0}; check the vehicle's inertia and attitude gains")]
     Riccati(#[from] RiccatiError),
+    /// The loop with the vehicle's delay and lag does not settle under any gain that was tried.
+    #[error(
+        "controller design: no feedback settles the vehicle with a command delay of {delay_s} s \
+         and a motor lag of {lag_s} s; check both, and its inertia and attitude gains"
+    )]
+    TooSlow {
+        /// Command delay, s.
+        delay_s: f64,
+        /// Lag of the rotors, s.
+        lag_s: f64,
+    },
 }
+
+/// Errors that the gain is made for where lag and delay leave a choice: north, east, down; velocity;
+/// roll, pitch, yaw; body rate, in SI units. What the approach and a gust leave.
+const ERRORS: [f64; STATES] = [0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.5];
+/// Attempts at a gain that settles the loop, each weaker than the last.
+const ATTEMPTS: usize = 24;
 
 /// The feedback law `u_hat = u_hat* + K T_R (s - s*)`.
 #[derive(Clone, Debug)]
@@ -88,7 +107,8 @@ pub struct Lqr {
 }
 
 impl Lqr {
-    /// Designs the gain on the near-hover model of `vehicle` with `attitude_loop` inside.
+    /// Designs the gain on the near-hover model of `vehicle` with `attitude_loop` inside, which
+    /// answers at once.
     ///
     /// # Errors
     /// [`DesignError`] where a number of the vehicle or the settings is not positive, or no
@@ -108,6 +128,57 @@ impl Lqr {
             spectral_radius: solution.spectral_radius,
             horizontal_error_max_m: settings.horizontal_error_max_m,
             vertical_error_max_m: settings.vertical_error_max_m,
+        })
+    }
+
+    /// The same where the vehicle is known to answer late. Delayed setpoints and the rotors' moments
+    /// are states that are not measured, so that of all gains `K` on the measured ones the best by
+    /// the same weights is taken. It is that of [`Lqr::design`] as delay and lag go to zero, and
+    /// the slower the vehicle, the less it asks for, of attitude feedback first.
+    ///
+    /// # Errors
+    /// As [`Lqr::design`], and [`DesignError::TooSlow`].
+    pub fn design_for(
+        actuation: &Actuation,
+        vehicle: &HoverVehicle,
+        attitude_loop: &AttitudeLoop,
+        settings: &LqrSettings,
+    ) -> Result<Self, DesignError> {
+        let prompt = Self::design(vehicle, attitude_loop, settings)?;
+        if *actuation == Actuation::IMMEDIATE {
+            return Ok(prompt);
+        }
+        let hover = HoverModel::continuous(vehicle, attitude_loop);
+        let model = DelayedModel::new(&hover, attitude_loop, actuation, 1.0 / settings.rate_hz);
+        let (q, r) = settings.weights(vehicle.hover_thrust_n());
+        let mut problem = OutputFeedback {
+            state: model.state,
+            input: model.input,
+            state_weight: SMatrix::<f64, DELAYED_STATES, DELAYED_STATES>::zeros(),
+            input_weight: r,
+            errors: SMatrix::zeros(),
+        };
+        problem.state_weight.fixed_view_mut::<STATES, STATES>(0, 0).copy_from(&q);
+        for (i, error) in ERRORS.into_iter().enumerate() {
+            problem.errors[(i, i)] = error * error;
+        }
+        let mut start = prompt.gain;
+        for _ in 0..ATTEMPTS {
+            if let Some(gain) = problem.improve(start) {
+                let mut closed_loop = model.state;
+                let mut columns = closed_loop.fixed_view_mut::<DELAYED_STATES, STATES>(0, 0);
+                columns += model.input * gain;
+                let spectral_radius = spectral_radius(&closed_loop);
+                return Ok(Self { gain, spectral_radius, ..prompt });
+            }
+            // Slower and slower: position by the square of velocity, as damping stays then.
+            for (columns, factor) in [(0, 0.64), (3, 0.8), (6, 0.5), (9, 0.5)] {
+                start.fixed_columns_mut::<3>(columns).scale_mut(factor);
+            }
+        }
+        Err(DesignError::TooSlow {
+            delay_s: actuation.command_delay_s,
+            lag_s: actuation.motor_time_constant_s,
         })
     }
 
@@ -185,7 +256,10 @@ fn check(
     settings: &LqrSettings,
 ) -> Result<(), DesignError> {
     let loop_numbers = match attitude_loop {
-        AttitudeLoop::Pd { kp, kd } => [("attitude gain kp", kp), ("attitude gain kd", kd)],
+        AttitudeLoop::Pd { kp, kd } | AttitudeLoop::AttitudePd { kp, kd } => {
+            [("attitude gain kp", kp), ("attitude gain kd", kd)]
+        }
+        AttitudeLoop::RatePd { gain, kd } => [("attitude gain", gain), ("attitude gain kd", kd)],
         AttitudeLoop::Attitude { natural_frequency, damping } => {
             [("natural frequency", natural_frequency), ("damping", damping)]
         }
@@ -307,6 +381,56 @@ mod tests {
         let attitude_only = Lqr::design(&QUAD, &AttitudeLoop::PX4, &LqrSettings::default());
         let rows = attitude_only.expect("a gain").gain().fixed_rows::<3>(4).norm();
         assert_eq!(rows, 0.0, "a loop that ignores rates is asked for none");
+    }
+
+    const NANO: HoverVehicle =
+        HoverVehicle { mass_kg: 0.03, inertia: [1.66e-5, 1.66e-5, 2.93e-5], gravity: 9.81 };
+    const NANO_KP: [f64; 3] = [4.797e-3, 4.797e-3, 1.875e-3];
+    const NANO_KD: [f64; 3] = [5.08e-4, 5.08e-4, 4.22e-4];
+
+    fn slow(command_delay_s: f64, motor_time_constant_s: f64) -> Actuation {
+        Actuation { command_delay_s, motor_time_constant_s }
+    }
+
+    #[test]
+    fn vehicle_that_answers_late_is_asked_for_less_and_one_that_does_not_for_the_same() {
+        let (kp, kd) = (NANO_KP, NANO_KD);
+        let settings = LqrSettings::default();
+        for attitude_loop in [
+            AttitudeLoop::Pd { kp, kd },
+            AttitudeLoop::AttitudePd { kp, kd },
+            AttitudeLoop::RatePd { gain: [6.0, 6.0, 4.0], kd },
+            AttitudeLoop::PX4,
+        ] {
+            let prompt = Lqr::design(&NANO, &attitude_loop, &settings).expect("a gain");
+            let made_for = |actuation| {
+                Lqr::design_for(&actuation, &NANO, &attitude_loop, &settings).expect("a gain")
+            };
+            assert_eq!(made_for(Actuation::IMMEDIATE).gain(), prompt.gain());
+            let mut before = prompt.gain()[(2, 0)].abs();
+            for actuation in [slow(0.005, 0.04), slow(0.02, 0.06), slow(0.05, 0.12)] {
+                let lqr = made_for(actuation);
+                assert!(lqr.spectral_radius() < 1.0);
+                let gain = lqr.gain()[(2, 0)].abs();
+                assert!(gain < before, "{attitude_loop:?} {actuation:?}: {gain} after {before}");
+                before = gain;
+            }
+        }
+    }
+
+    #[test]
+    fn gain_for_a_late_vehicle_keeps_the_signs_and_decouples_the_axes() {
+        let attitude_loop = AttitudeLoop::AttitudePd { kp: NANO_KP, kd: NANO_KD };
+        let settings = LqrSettings::default();
+        let lqr = Lqr::design_for(&slow(0.005, 0.04), &NANO, &attitude_loop, &settings);
+        let gain = *lqr.expect("a gain").gain();
+        // Found with SciPy on one axis alone, the delay in whole.
+        for (column, expected) in [(0, 0.735), (3, 0.457)] {
+            assert!((gain[(2, column)] / expected - 1.0).abs() < 0.1, "{}", gain[(2, column)]);
+        }
+        assert!(gain[(1, 0)].abs() < 1e-6 && gain[(2, 1)].abs() < 1e-6);
+        assert!(gain[(0, 2)] > 0.0 && gain[(3, 0)].abs() < 1e-6);
+        assert_eq!(gain.fixed_rows::<3>(4).norm(), 0.0, "rates are not heard");
     }
 
     #[test]

@@ -1,11 +1,14 @@
 //! State feedback: the near-hover model, its LQR, and the limits of what is asked of the vehicle.
 
+mod actuation;
 mod attitude_loop;
 mod hover_model;
 mod limits;
 mod lqr;
+mod output_feedback;
 mod riccati;
 
+pub use actuation::Actuation;
 pub use attitude_loop::AttitudeLoop;
 pub use hover_model::{HoverModel, HoverVehicle};
 pub use limits::{Limits, Saturation};

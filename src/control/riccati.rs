@@ -120,7 +120,7 @@ fn symmetric<const N: usize>(m: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
 /// Largest modulus of the eigenvalues of `m`, by Gelfand's formula: the limit of
 /// `norm(m^k)^(1/k)`, with k = 2^48 by repeated squaring. Unlike an eigenvalue iteration this
 /// cannot fail to converge.
-fn spectral_radius<const N: usize>(m: &SMatrix<f64, N, N>) -> f64 {
+pub(super) fn spectral_radius<const N: usize>(m: &SMatrix<f64, N, N>) -> f64 {
     let (mut power, mut logarithm) = (*m, 0.0);
     for k in 0..SQUARINGS {
         let norm = power.norm();

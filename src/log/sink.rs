@@ -1,4 +1,5 @@
-//! Where records go: to a writer's thread in flight, straight to the file in lockstep.
+//! Where records go in flight: to a thread that writes them. In lockstep the [`LogWriter`] is used
+//! as it is.
 
 use std::io;
 use std::sync::Arc;
@@ -18,29 +19,10 @@ const QUEUE: usize = 8192;
 /// How often the writer's thread empties the queue. It sleeps in between rather than wait on the
 /// channel, so that sending a record never has to wake a thread.
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
-/// In lockstep the wall clock is read once in this many records.
-const RECORDS_PER_CLOCK_READ: u32 = 32;
 
 /// Takes records and never fails: after an error of the file, which is reported once, records are
 /// discarded and flying goes on.
 pub struct LogSink {
-    mode: Mode,
-}
-
-enum Mode {
-    Discard,
-    Direct(Box<Direct>),
-    Threaded(Threaded),
-}
-
-/// Holds the file, until it fails.
-struct Direct {
-    writer: Option<LogWriter>,
-    error: Option<LogError>,
-    records: u32,
-}
-
-struct Threaded {
     queue: SyncSender<Record>,
     /// Counted here, read by the writer's thread.
     dropped: Arc<AtomicU64>,
@@ -54,18 +36,6 @@ enum Target {
 }
 
 impl LogSink {
-    /// Keeps nothing.
-    pub fn discard() -> Self {
-        Self { mode: Mode::Discard }
-    }
-
-    /// Writes in the caller's thread: nothing is dropped, and the file's messages are those of the
-    /// records in their order. For lockstep.
-    pub fn direct(writer: LogWriter) -> Self {
-        let direct = Direct { writer: Some(writer), error: None, records: 0 };
-        Self { mode: Mode::Direct(Box::new(direct)) }
-    }
-
     /// Writes in a thread of its own; [`LogSink::log`] then takes less than a microsecond and
     /// never blocks. A record that finds the queue full is dropped, counted, and the log says so.
     ///
@@ -93,79 +63,38 @@ impl LogSink {
         let thread = thread::Builder::new()
             .name("log".into())
             .spawn(move || drain(target, &records, &counter))?;
-        Ok(Self { mode: Mode::Threaded(Threaded { queue, dropped, thread }) })
+        Ok(Self { queue, dropped, thread })
     }
 
     /// Hands over `record`.
     pub fn log(&mut self, record: Record) {
-        match &mut self.mode {
-            Mode::Discard => {}
-            Mode::Direct(direct) => direct.log(&record),
-            Mode::Threaded(threaded) => match threaded.queue.try_send(record) {
-                // The thread ends early only after an error that it has reported.
-                Ok(()) | Err(TrySendError::Disconnected(_)) => {}
-                Err(TrySendError::Full(_)) => {
-                    threaded.dropped.fetch_add(1, Ordering::Relaxed);
-                }
-            },
+        match self.queue.try_send(record) {
+            // The thread ends early only after an error that it has reported.
+            Ok(()) | Err(TrySendError::Disconnected(_)) => {}
+            Err(TrySendError::Full(_)) => {
+                self.dropped.fetch_add(1, Ordering::Relaxed);
+            }
         }
     }
 
     /// Records dropped so far because the queue was full.
     pub fn dropped(&self) -> u64 {
-        match &self.mode {
-            Mode::Discard | Mode::Direct(_) => 0,
-            Mode::Threaded(threaded) => threaded.dropped.load(Ordering::Relaxed),
-        }
+        self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Whether an error has ended the log; [`LogSink::finish`] tells which.
-    pub fn has_failed(&self) -> bool {
-        match &self.mode {
-            Mode::Discard => false,
-            Mode::Direct(direct) => direct.error.is_some(),
-            Mode::Threaded(threaded) => threaded.thread.is_finished(),
-        }
-    }
-
-    /// Writes what is left and closes the file; `None` if this sink keeps nothing.
+    /// Writes what is left and closes the file; `None` if there was no flight to keep a log of.
     ///
     /// # Errors
     /// The error that ended the log, now or earlier.
     pub fn finish(self) -> Result<Option<LogSummary>, LogError> {
-        match self.mode {
-            Mode::Discard => Ok(None),
-            Mode::Direct(direct) => match (direct.error, direct.writer) {
-                (Some(error), _) => Err(error),
-                (None, Some(writer)) => writer.finish().map(Some),
-                (None, None) => Ok(None),
-            },
-            Mode::Threaded(Threaded { queue, dropped, thread }) => {
-                drop(queue);
-                match thread.join() {
-                    Ok(result) => result.map(|summary| {
-                        let dropped = dropped.load(Ordering::Relaxed);
-                        summary.map(|summary| LogSummary { dropped, ..summary })
-                    }),
-                    Err(panic) => std::panic::resume_unwind(panic),
-                }
-            }
-        }
-    }
-}
-
-impl Direct {
-    fn log(&mut self, record: &Record) {
-        let Some(writer) = &mut self.writer else { return };
-        self.records = self.records.wrapping_add(1);
-        let mut result = writer.write(record);
-        if result.is_ok() && self.records.is_multiple_of(RECORDS_PER_CLOCK_READ) {
-            result = writer.sync_if_due(Instant::now());
-        }
-        if let Err(error) = result {
-            report(&error);
-            self.writer = None;
-            self.error = Some(error);
+        let Self { queue, dropped, thread } = self;
+        drop(queue);
+        match thread.join() {
+            Ok(result) => result.map(|summary| {
+                let dropped = dropped.load(Ordering::Relaxed);
+                summary.map(|summary| LogSummary { dropped, ..summary })
+            }),
+            Err(panic) => std::panic::resume_unwind(panic),
         }
     }
 }
@@ -299,18 +228,10 @@ mod tests {
     }
 
     #[test]
-    fn direct_sink_keeps_the_first_error_and_takes_more() {
-        let mut sink = LogSink::direct(failing_writer());
-        (0..3).for_each(|_| sink.log(record()));
-        assert!(sink.has_failed());
-        let error = sink.finish().expect_err("the pipe is broken");
-        assert!(error.to_string().contains("pipe"), "{error}");
-    }
-
-    #[test]
-    fn threaded_sink_keeps_the_first_error_and_takes_more() {
+    fn first_error_is_kept_and_more_is_taken() {
         let mut sink = LogSink::threaded(failing_writer()).expect("a thread");
         (0..3).for_each(|_| sink.log(record()));
-        assert!(matches!(sink.finish(), Err(LogError::Write { .. })));
+        let error = sink.finish().expect_err("the pipe is broken");
+        assert!(matches!(&error, LogError::Write { .. }) && error.to_string().contains("pipe"));
     }
 }

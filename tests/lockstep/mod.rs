@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use downwash::clock::HostTime;
-use downwash::control::{HoverVehicle, LqrSettings};
+use downwash::control::{Actuation, HoverVehicle, LqrSettings};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::session;
 use downwash::lockstep;
@@ -30,6 +30,9 @@ use wire::{Decoder, Encoder};
 pub const NANO: &str = "crazyflie.toml";
 pub const QUAD: &str = "quad1200.toml";
 pub const VEHICLES: [&str; 2] = [NANO, QUAD];
+
+/// Transport delay and rotor lag that both vehicles are to be flown with.
+pub const SLOW: [&str; 2] = ["command_delay:delay_s=0.02", "motor_lag:tau_s=0.06"];
 
 /// The message that carries setpoints.
 const SET_ATTITUDE_TARGET: u32 = 82;
@@ -89,6 +92,10 @@ pub fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettin
         hover,
         thrust_full_n,
         attitude_pd: params.attitude_pd,
+        actuation: Actuation {
+            command_delay_s: params.command_delay_s,
+            motor_time_constant_s: constants.motor_time_constant,
+        },
         reference: Arc::new(reference),
         search_timeout_s: Some(20.0),
     }

@@ -9,7 +9,7 @@ use downwash::clock::{HostTime, VehicleTime};
 use downwash::log::record::{
     Direction, FrameRecord, LinkStats, Record, Severity, Source, Stamp, Tick, TimesyncSample, Truth,
 };
-use downwash::log::{LogSink, LogWriter, RunInfo};
+use downwash::log::{LogWriter, RunInfo};
 use downwash::setpoint::{Reference, Setpoint, State};
 use sitl::frame::{Euler, Frd, Ned};
 
@@ -209,8 +209,8 @@ pub fn run_info() -> RunInfo {
 
 /// Writes `records` as a finished log below `directory`; returns its path.
 pub fn write(directory: &std::path::Path, records: &[Record]) -> std::path::PathBuf {
-    let writer = LogWriter::create(directory, &run_info(), START, Instant::now()).expect("create");
-    let mut sink = LogSink::direct(writer);
-    records.iter().for_each(|r| sink.log(r.clone()));
-    sink.finish().expect("finish").expect("a log").path
+    let mut writer =
+        LogWriter::create(directory, &run_info(), START, Instant::now()).expect("create");
+    records.iter().for_each(|record| writer.write(record).expect("written"));
+    writer.finish().expect("finish").path
 }

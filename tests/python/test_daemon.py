@@ -138,7 +138,6 @@ def test_service_manager_is_told(program, hover, hand_made, tmp_path):
 
 @bounds_time
 def test_a_serial_line_pulled_in_flight(program, hover, sitl, pilot, tmp_path):
-    cable = SerialCable(tmp_path)
     # The daemon's bytes, searched for the heads of SET_ATTITUDE_TARGET frames: v2, system 255, component 191, id 82.
     setpoints = []
 
@@ -147,7 +146,7 @@ def test_a_serial_line_pulled_in_flight(program, hover, sitl, pilot, tmp_path):
             found = re.findall(rb"\xfd....\xff\xbf\x52\x00\x00", data, re.DOTALL)
             setpoints.extend([time.monotonic()] * len(found))
 
-    cable.on_bytes = watch
+    cable = SerialCable(tmp_path, watch)
     try:
         vehicle = sitl("udpin:127.0.0.1:0", cable.url(0), file=CRAZYFLIE)
         hover.write_text(hover.read_text().replace("duration_s = 1.0", "duration_s = 60.0"))

@@ -101,6 +101,7 @@ impl Vehicle {
     pub fn obey(&mut self, action: Action) {
         match action {
             Action::SetModeOffboard => self.mode = MODES.offboard,
+            Action::SetModeHold => self.mode = HOLD_MODE,
             Action::SetModeLand => self.mode = MODES.land,
             Action::Arm => self.armed = true,
             Action::Disarm => self.armed = false,

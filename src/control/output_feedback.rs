@@ -1,0 +1,159 @@
+//! The best gain on the states that are measured, where the model has others beside them.
+
+use nalgebra::SMatrix;
+
+/// A linear model, a quadratic cost, and the errors that feedback is for. The first states are the
+/// measured ones.
+pub(super) struct OutputFeedback<const X: usize, const M: usize> {
+    /// `A`.
+    pub state: SMatrix<f64, X, X>,
+    /// `B`.
+    pub input: SMatrix<f64, X, M>,
+    /// `Q`.
+    pub state_weight: SMatrix<f64, X, X>,
+    /// `R`.
+    pub input_weight: SMatrix<f64, M, M>,
+    /// Covariance of the state at the start: which errors the cost is summed for. With every state
+    /// measured the best gain does not depend on it.
+    pub errors: SMatrix<f64, X, X>,
+}
+
+/// Each doubling squares the closed loop's decay.
+const DOUBLINGS_MAX: usize = 32;
+/// What is left of the start when a sum is taken for complete, and what means that it diverges.
+const DECAYED: f64 = 1e-9;
+const DIVERGED: f64 = 1e12;
+const STEPS_MAX: usize = 60;
+/// Relative gain in cost below which a step is the last.
+const GAIN_MIN: f64 = 1e-6;
+/// Shortest part of a step that is tried.
+const PART_MIN: f64 = 1e-3;
+
+/// The loop under one gain.
+struct Evaluation<const X: usize> {
+    closed_loop: SMatrix<f64, X, X>,
+    /// Cost to go.
+    cost_to_go: SMatrix<f64, X, X>,
+    cost: f64,
+}
+
+impl<const X: usize, const M: usize> OutputFeedback<X, M> {
+    /// Improves `gain` of `u = gain y`, `y` the first `N` states, until the cost
+    /// `sum x' Q x + u' R u`, expected over the errors at the start, is at a minimum
+    /// (Moerder and Calise, "Convergence of a numerical algorithm for calculating optimal output
+    /// feedback gains", IEEE TAC 30, 1985). `None` if `gain` does not settle the loop.
+    pub fn improve<const N: usize>(
+        &self,
+        mut gain: SMatrix<f64, M, N>,
+    ) -> Option<SMatrix<f64, M, N>> {
+        let mut now = self.evaluate(&gain)?;
+        for _ in 0..STEPS_MAX {
+            let Some(step) = self.step(&gain, &now) else { break };
+            let mut part = 1.0;
+            let better = loop {
+                let candidate = gain + step * part;
+                match self.evaluate(&candidate) {
+                    Some(next) if next.cost < now.cost => break Some((candidate, next)),
+                    _ if part < PART_MIN => break None,
+                    _ => part *= 0.5,
+                }
+            };
+            let Some((candidate, next)) = better else { break };
+            let is_last = now.cost - next.cost < GAIN_MIN * now.cost;
+            (gain, now) = (candidate, next);
+            if is_last {
+                break;
+            }
+        }
+        Some(gain)
+    }
+
+    /// Towards the gain that would be best if cost to go and covariance stayed as they are.
+    fn step<const N: usize>(
+        &self,
+        gain: &SMatrix<f64, M, N>,
+        now: &Evaluation<X>,
+    ) -> Option<SMatrix<f64, M, N>> {
+        let covariance = summed(&now.closed_loop.transpose(), &self.errors)?;
+        let pb = now.cost_to_go * self.input;
+        let weight = (self.input_weight + self.input.transpose() * pb).cholesky()?;
+        let measured = covariance.fixed_view::<N, N>(0, 0).into_owned().cholesky()?;
+        let seen = covariance.fixed_view::<X, N>(0, 0);
+        let wanted = weight.solve(&(pb.transpose() * self.state * seen));
+        Some(-measured.solve(&wanted.transpose()).transpose() - gain)
+    }
+
+    fn evaluate<const N: usize>(&self, gain: &SMatrix<f64, M, N>) -> Option<Evaluation<X>> {
+        let mut closed_loop = self.state;
+        let mut columns = closed_loop.fixed_view_mut::<X, N>(0, 0);
+        columns += self.input * gain;
+        let mut weight = self.state_weight;
+        let mut corner = weight.fixed_view_mut::<N, N>(0, 0);
+        corner += gain.transpose() * self.input_weight * gain;
+        let cost_to_go = summed(&closed_loop, &weight)?;
+        let cost = (cost_to_go * self.errors).trace();
+        cost.is_finite().then_some(Evaluation { closed_loop, cost_to_go, cost })
+    }
+}
+
+/// `sum over k of (A')^k W A^k`, by doubling; `None` unless `A` decays.
+fn summed<const X: usize>(
+    a: &SMatrix<f64, X, X>,
+    w: &SMatrix<f64, X, X>,
+) -> Option<SMatrix<f64, X, X>> {
+    let (mut power, mut sum) = (*a, *w);
+    for _ in 0..DOUBLINGS_MAX {
+        sum += power.transpose() * sum * power;
+        sum = (sum + sum.transpose()) * 0.5;
+        power *= power;
+        let left = power.norm();
+        if left < DECAYED {
+            return Some(sum);
+        }
+        if left.is_nan() || left > DIVERGED {
+            return None;
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::solve_dare;
+    use nalgebra::{Matrix1, Matrix1x2, Matrix2, Matrix2x1};
+
+    /// A double integrator at 10 Hz.
+    fn problem() -> OutputFeedback<2, 1> {
+        OutputFeedback {
+            state: Matrix2::new(1.0, 0.1, 0.0, 1.0),
+            input: Matrix2x1::new(0.005, 0.1),
+            state_weight: Matrix2::new(4.0, 0.0, 0.0, 1.0),
+            input_weight: Matrix1::new(0.5),
+            errors: Matrix2::new(1.0, 0.2, 0.2, 3.0),
+        }
+    }
+
+    #[test]
+    fn with_every_state_measured_the_best_gain_is_the_regulators() {
+        let problem = problem();
+        let OutputFeedback { state, input, state_weight, input_weight, .. } = problem;
+        let best = solve_dare(&state, &input, &state_weight, &input_weight).expect("a gain").gain;
+        let found = problem.improve(Matrix1x2::new(-0.5, -1.5)).expect("a gain");
+        assert!((found + best).norm() < 1e-2 * best.norm(), "{found} for {best}");
+        let kept = problem.improve(-best).expect("a gain");
+        assert!((kept + best).norm() < 1e-6 * best.norm());
+    }
+
+    #[test]
+    fn gain_that_does_not_settle_the_loop_is_refused() {
+        assert!(problem().improve(Matrix1x2::new(0.5, 0.0)).is_none());
+    }
+
+    #[test]
+    fn sum_of_a_scalar_is_the_geometric_series() {
+        let sum = summed(&Matrix1::new(0.9), &Matrix1::new(2.0)).expect("it decays");
+        assert!((sum[0] - 2.0 / (1.0 - 0.81)).abs() < 1e-9);
+        assert!(summed(&Matrix1::new(1.0), &Matrix1::new(2.0)).is_none());
+    }
+}

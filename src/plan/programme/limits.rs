@@ -1,0 +1,161 @@
+//! Where and how boldly a programme may be flown.
+
+use serde::{Deserialize, Serialize};
+
+use super::ProgrammeError;
+use crate::plan::feasibility::FlightEnvelope;
+use crate::plan::trajectory::DesiredPoint;
+
+/// Where and how boldly a programme is flown. What is beyond the [`FlightEnvelope`] or the vehicle
+/// is cut to it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ProgrammeSettings {
+    /// Half of the box's side to the north and to the east, around the take-off point, m.
+    pub half_size_m: [f64; 2],
+    /// Lowest desired height above the take-off floor, m. Without integral action the vehicle flies
+    /// lower than that by a few decimetres where it has less thrust than its file says.
+    pub height_min_m: f64,
+    /// Greatest desired height, m.
+    pub height_max_m: f64,
+    /// Desired speed, m/s.
+    pub speed_max_m_s: f64,
+    /// Tilt that the desired acceleration needs, degrees.
+    pub tilt_max_deg: f64,
+    /// Desired yaw rate, degrees/s.
+    pub yaw_rate_max_deg_s: f64,
+    /// Headings that flights without yaw motion hold, in turn, degrees.
+    pub headings_deg: Vec<f64>,
+    /// About the length of each flight's trajectory, s.
+    pub flight_s: f64,
+}
+
+impl Default for ProgrammeSettings {
+    fn default() -> Self {
+        Self {
+            half_size_m: [2.0, 2.0],
+            height_min_m: 0.6,
+            height_max_m: 2.4,
+            speed_max_m_s: 2.5,
+            tilt_max_deg: 30.0,
+            yaw_rate_max_deg_s: 150.0,
+            headings_deg: vec![0.0],
+            flight_s: 60.0,
+        }
+    }
+}
+
+/// What the vehicle is able to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Capability {
+    /// m/s^2
+    pub gravity: f64,
+    /// Thrust at full output over the weight.
+    pub thrust_to_weight: f64,
+    /// Natural frequency of the attitude loop in roll and pitch, the slower of both, rad/s.
+    pub tilt_bandwidth: f64,
+    /// That in yaw, rad/s.
+    pub yaw_bandwidth: f64,
+}
+/// Part of the envelope that is used: feedback overshoots.
+const MARGIN: f64 = 0.9;
+/// Part of the vehicle's thrust that a trajectory may need; the rest is for feedback, and for a
+/// pack that is not full.
+const THRUST_SHARE: f64 = 0.72;
+/// Least specific thrust in units of gravity: rotors must keep their authority.
+const THRUST_MIN_G: f64 = 0.5;
+/// Vertical acceleration, in units of gravity.
+const CLIMB_G: f64 = 0.3;
+
+/// Parts of the limits of speed, and of tilt, thrust and vertical acceleration.
+#[derive(Clone, Copy)]
+pub(super) struct Share {
+    pub speed: f64,
+    pub acceleration: f64,
+}
+
+impl Share {
+    pub fn times(self, factor: f64) -> Self {
+        Self { speed: factor * self.speed, acceleration: factor * self.acceleration }
+    }
+
+    pub fn rest(self) -> Self {
+        Self { speed: 1.0 - self.speed, acceleration: 1.0 - self.acceleration }
+    }
+}
+
+/// What settings, envelope and vehicle together allow.
+pub(super) struct Limits {
+    gravity: f64,
+    pub half_size: [f64; 2],
+    pub height: [f64; 2],
+    speed: f64,
+    tilt_tan: f64,
+    thrust_g: f64,
+    /// rad/s
+    pub yaw_rate: f64,
+    /// rad/s
+    pub tilt_bandwidth: f64,
+    /// rad/s
+    pub yaw_bandwidth: f64,
+}
+
+impl Limits {
+    pub fn new(
+        settings: &ProgrammeSettings,
+        envelope: &FlightEnvelope,
+        capability: &Capability,
+    ) -> Result<Self, ProgrammeError> {
+        // A corner of the box is on the envelope's circle at most.
+        let side = MARGIN * envelope.radius_max_m / 2f64.sqrt();
+        let floor = settings.height_min_m.max(1.05 * envelope.height_min_m);
+        let ceiling = settings.height_max_m.min(MARGIN * envelope.height_max_m);
+        let tilt_deg = settings.tilt_max_deg.min(MARGIN * envelope.tilt_max_deg);
+        let yaw_rate = settings.yaw_rate_max_deg_s.min(MARGIN * envelope.yaw_rate_max_deg_s);
+        let limits = Self {
+            gravity: capability.gravity,
+            half_size: settings.half_size_m.map(|half| half.min(side)),
+            height: [floor, ceiling],
+            speed: settings.speed_max_m_s.min(MARGIN * envelope.speed_max_m_s),
+            tilt_tan: tilt_deg.to_radians().tan(),
+            thrust_g: (THRUST_SHARE * capability.thrust_to_weight)
+                .min(1.0 + MARGIN * (envelope.thrust_max_g - 1.0)),
+            yaw_rate: yaw_rate.to_radians(),
+            tilt_bandwidth: capability.tilt_bandwidth,
+            yaw_bandwidth: capability.yaw_bandwidth,
+        };
+        let room = |quantity, found: f64, least: f64, expected| {
+            if found >= least {
+                Ok(())
+            } else {
+                Err(ProgrammeError::NoRoom { quantity, found, expected })
+            }
+        };
+        let half = limits.half_size[0].min(limits.half_size[1]);
+        room("half a side", half, 0.2, "expected at least 0.2 m")?;
+        room("a height", ceiling - floor, 0.3, "expected at least 0.3 m between low and high")?;
+        room("a speed", limits.speed, 0.1, "expected at least 0.1 m/s")?;
+        room("a tilt", tilt_deg, 2.0, "expected at least 2 degrees")?;
+        room("a yaw rate", yaw_rate, 1.0, "expected at least 1 degree/s")?;
+        room("a specific thrust", limits.thrust_g, 1.1, "expected at least 1.1 g")?;
+        room("a bandwidth", limits.tilt_bandwidth, 1.0, "expected at least 1 rad/s")?;
+        room("a yaw bandwidth", limits.yaw_bandwidth, 1.0, "expected at least 1 rad/s")?;
+        Ok(limits)
+    }
+
+    /// Whether the motion of `point` times `scale` is within `share` of the limits. What is allowed
+    /// is convex, so that two motions with shares that add up to 1 may be added.
+    pub fn allow(&self, point: &DesiredPoint, scale: f64, share: Share) -> bool {
+        let [north, east, down] = (point.acceleration * scale).into();
+        let lift = self.gravity - down;
+        let horizontal = f64::hypot(north, east);
+        let part = share.acceleration;
+        let thrust = 1.0 + part * (self.thrust_g - 1.0);
+        let least = 1.0 - part * (1.0 - THRUST_MIN_G);
+        scale * point.velocity.norm() <= share.speed * self.speed
+            && horizontal <= self.tilt_tan * (part * self.gravity - down)
+            && f64::hypot(horizontal, lift) <= thrust * self.gravity
+            && lift >= least * self.gravity
+            && f64::abs(down) <= part * CLIMB_G * self.gravity
+    }
+}

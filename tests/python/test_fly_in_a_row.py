@@ -1,0 +1,63 @@
+"""Flight after flight with one vehicle, which stands where, and in the mode in which, the last flight left it."""
+
+import json
+import signal
+
+from conftest import CRAZYFLIE
+
+QUICK = "[pilot.supervisor]\nhold_s = 0.5\n"
+
+
+def test_a_second_flight_frees_the_vehicle_from_offboard(program, hover, sitl, pilot, tmp_path):
+    vehicle = sitl("udpin:127.0.0.1:0", "udpin:127.0.0.1:0", file=CRAZYFLIE)
+    watcher = pilot(vehicle.peer_url(1))
+    for turn in (1, 2):
+        if turn == 2:
+            # As PX4 does, it returns to the mode that was chosen before arming.
+            watcher.hello()
+            watcher.wait_mode(6)
+        flight = program(
+            "fly", hover, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE, "--log-dir", tmp_path, "--json"
+        )
+        code, out = flight.finish()
+        assert code == 0, flight.err
+        assert json.loads(out)["end"] == "done"
+        assert len(list(tmp_path.glob("*.mcap"))) == turn
+
+
+def test_collect_flies_one_flight_after_the_other(program, sitl, tmp_path):
+    vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
+    configuration = tmp_path / "quick.toml"
+    configuration.write_text(QUICK)
+    logs = tmp_path / "logs"
+
+    def collect():
+        # The shortest programme: five flights from 4 s on.
+        return program(
+            "collect",
+            *("--out", logs, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE),
+            *("--config", configuration, "--seconds", 32, "--json", "-v"),
+        )
+
+    first = collect()
+    line = first.says("flight 1 of 5: ")
+    line = first.says(" done: ", line, timeout=60)
+    line = first.says("flight 2 of 5: ", line)
+    line = first.says(" done: ", line, timeout=60)
+    # Stopped before the third is in the air.
+    line = first.says("flight 3 of 5: ", line)
+    first.says(" standby: ", line)
+    first.signal(signal.SIGINT)
+    code, out = first.finish()
+    assert code == 130, first.err
+    ends = [flight["end"] for flight in json.loads(out)["flights"]]
+    assert ends[:2] == ["done", "done"] and ends[3:] == ["planned", "planned"], (ends, first.err)
+
+    # The same command goes on with the third.
+    second = collect()
+    line = second.says("flight 1 of 3: ")
+    second.says(" standby: ", line)
+    second.signal(signal.SIGINT)
+    code, out = second.finish()
+    ends = [flight["end"] for flight in json.loads(out)["flights"]]
+    assert code == 130 and ends[:2] == ["kept", "kept"] and ends[3:] == ["planned", "planned"], (ends, second.err)
