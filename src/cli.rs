@@ -242,8 +242,11 @@ pub struct TrainArgs {
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
     /// What the networks are given.
-    #[arg(long, value_enum, default_value_t = FeatureChoice::World)]
+    #[arg(long, value_enum, default_value_t = FeatureChoice::Heading)]
     pub features: FeatureChoice,
+    /// How weights follow the gradient.
+    #[arg(long, value_enum, default_value_t = MethodChoice::Adam)]
+    pub method: MethodChoice,
     /// Hidden units of each network.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u16).range(1..=256))]
     pub hidden: u16,
@@ -277,6 +280,15 @@ pub enum FeatureChoice {
     World,
     /// Seen from the vehicle's heading, so that what holds at one heading holds at every other.
     Heading,
+}
+
+/// How weights follow the gradient.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum MethodChoice {
+    /// Adam over shuffled batches: reaches lower errors in fewer passes.
+    Adam,
+    /// Resilient backpropagation over all rows at once, as in the paper.
+    Rprop,
 }
 
 /// Commands on model files.

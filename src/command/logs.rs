@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
+use rayon::prelude::*;
 use sitl::vehicle::VehicleParams;
 
 use super::say;
@@ -19,19 +21,36 @@ pub(super) struct Logs {
 }
 
 impl Logs {
-    /// Reads and observes logs of `vehicle`; `step` is told after each file.
+    /// Reads and observes logs of `vehicle`, several at a time; `step` is told of each file.
     pub fn read(
         paths: &[PathBuf],
         mapping: Option<&Path>,
         vehicle: &VehicleParams,
         onboard: &Onboard,
         windows: &WindowSettings,
-        mut step: impl FnMut(&Path),
+        step: impl FnMut(&Path) + Send,
     ) -> Self {
+        let step = Mutex::new(step);
+        let read: Vec<anyhow::Result<ObservedFlight>> = paths
+            .par_iter()
+            .map(|path| {
+                let observed = observe(path, mapping, vehicle, onboard, windows);
+                if let Ok(mut step) = step.lock() {
+                    step(path);
+                }
+                observed
+            })
+            .collect();
         let mut logs = Self { flights: Vec::new(), refused: Vec::new() };
-        let mut seen = BTreeMap::new();
-        for path in paths {
-            match observe(path, mapping, vehicle, onboard, windows, &mut seen) {
+        let mut seen: BTreeMap<String, &Path> = BTreeMap::new();
+        for (path, observed) in paths.iter().zip(read) {
+            let kept = observed.and_then(|flight| {
+                match seen.insert(flight.flight.origin.sha256.clone(), path) {
+                    Some(twin) => Err(anyhow!("the same file as {}", twin.display())),
+                    None => Ok(flight),
+                }
+            });
+            match kept {
                 Ok(flight) => logs.flights.push(flight),
                 Err(error) => {
                     let reason = format!("{error:#}");
@@ -39,7 +58,6 @@ impl Logs {
                     logs.refused.push(RefusedLog { path: path.clone(), reason });
                 }
             }
-            step(path);
         }
         // Flights of one kind follow one another, whatever the order of the arguments.
         logs.flights.sort_by(|a, b| {
@@ -57,12 +75,8 @@ fn observe(
     vehicle: &VehicleParams,
     onboard: &Onboard,
     windows: &WindowSettings,
-    seen: &mut BTreeMap<String, PathBuf>,
 ) -> anyhow::Result<ObservedFlight> {
     let flight = import::open(path, mapping)?;
-    if let Some(twin) = seen.insert(flight.origin.sha256.clone(), path.to_owned()) {
-        anyhow::bail!("the same file as {}", twin.display());
-    }
     if let Some(text) = &flight.vehicle_file {
         let own = if text.trim_start().starts_with('{') {
             VehicleParams::from_json_str(text)

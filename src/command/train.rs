@@ -12,11 +12,14 @@ use sitl::vehicle::VehicleParams;
 
 use super::logs::Logs;
 use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
-use crate::cli::{FeatureChoice, TrainArgs};
+use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
-use crate::learn::procedure::{Dataset, Outcome, Progress, Watch, train};
+use crate::learn::networks::Progress;
+use crate::learn::procedure::{Outcome, Watch, train};
 use crate::learn::summary::TrainSettings;
+use crate::learn::training::Method;
+use crate::learn::training_set::TrainingSet;
 use crate::model::learned::Features;
 
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
@@ -41,7 +44,10 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
         },
         hidden: usize::from(args.hidden),
         passes: args.passes as usize,
-        method: "rprop".to_owned(),
+        method: match args.method {
+            MethodChoice::Adam => Method::Adam,
+            MethodChoice::Rprop => Method::Rprop,
+        },
         regularization: args.regularization.clone(),
         seed: args.seed,
         window_half_s: windows.half_s,
@@ -61,7 +67,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
             .or_exit(Exit::Usage);
     }
     bar.stage("actuation", 1);
-    let dataset = Dataset::new(&vehicle, &onboard, &mut logs.flights).or_exit(Exit::Usage)?;
+    let dataset = TrainingSet::new(&vehicle, &onboard, &mut logs.flights).or_exit(Exit::Usage)?;
     let outcome = train(&dataset, &settings, &windows, logs.refused, progress, &mut bar);
     bar.clear();
     match outcome.or_exit(Exit::Usage)? {

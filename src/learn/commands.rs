@@ -1,6 +1,8 @@
 //! What the rotors were told: motor outputs on an even grid, from setpoints through the on-board
 //! law or as logged.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 use sitl::autopilot::offboard::AttitudeSetpoint;
 use sitl::autopilot::pd::AttitudeLoop;
@@ -20,6 +22,9 @@ const SETPOINT_AGE_MAX: f64 = 0.1;
 /// The law's outputs may differ from the logged ones by this much, root mean square: sampling at
 /// another instant costs a few hundredths.
 const LAW_ERROR_MAX: f64 = 0.08;
+
+/// All of a flight.
+pub(super) const EVERYTHING: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 
 /// Where u comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -98,8 +103,9 @@ impl Onboard {
     /// The law's outputs against the logged ones at the delay that fits best.
     fn law_error(&self, flight: &Flight) -> Option<f64> {
         let errors = (0..12).filter_map(|k| {
+            let delay = 0.005 * f64::from(k);
             let trace =
-                OutputTrace::new(self, flight, CommandSource::OnboardLaw, 0.005 * f64::from(k));
+                OutputTrace::new(self, flight, CommandSource::OnboardLaw, delay, &EVERYTHING);
             let (mut sum, mut count) = (0.0, 0.0);
             for (time, logged) in flight.outputs.iter() {
                 let Some(law) = trace.at(time) else { continue };
@@ -146,14 +152,21 @@ pub(super) struct OutputTrace {
 }
 
 impl OutputTrace {
-    /// The outputs of a flight when commands take `delay` seconds.
-    pub fn new(onboard: &Onboard, flight: &Flight, source: CommandSource, delay: f64) -> Self {
+    /// The outputs of a flight within `span` when commands take `delay` seconds.
+    pub fn new(
+        onboard: &Onboard,
+        flight: &Flight,
+        source: CommandSource,
+        delay: f64,
+        span: &Range<f64>,
+    ) -> Self {
         let step = 1.0 / onboard.rate_hz;
         let (Some(first), Some(last)) =
             (flight.attitude.times().first(), flight.attitude.times().last())
         else {
             return Self { start: 0.0, step, outputs: Vec::new() };
         };
+        let (first, last) = (first.max(span.start), last.min(span.end));
         let start = (first / step).ceil() * step;
         let count = ((last - start) / step).max(0.0) as usize;
         let ticks = (0..count).map(|k| start + k as f64 * step);

@@ -229,14 +229,16 @@ impl ObservedFlight {
         actuation.delay_s + self.command_shift_s
     }
 
-    /// The rotors' states under an actuation: of each instant its now and its average.
-    pub fn rotor_states(
+    /// The rotors' states within a span under an actuation: of each instant its now and its
+    /// average.
+    pub(super) fn rotor_states(
         &self,
         onboard: &Onboard,
         actuation: &Actuation,
+        span: &Range<f64>,
     ) -> Stream<[f64; 2 * ROTORS]> {
         let lag_s = self.source.lag_s(actuation);
-        OutputTrace::new(onboard, &self.flight, self.source, self.delay_s(actuation))
+        OutputTrace::new(onboard, &self.flight, self.source, self.delay_s(actuation), span)
             .states(actuation, lag_s)
     }
 
@@ -247,9 +249,16 @@ impl ObservedFlight {
         actuation: &Actuation,
         range: Range<usize>,
     ) -> Vec<Option<[f64; 4]>> {
-        let states = self.rotor_states(onboard, actuation);
+        let observations = &self.observations[range];
+        let (Some(first), Some(last)) = (observations.first(), observations.last()) else {
+            return Vec::new();
+        };
+        // Lag and balance need a past to settle in.
+        let past = 4.0 * (actuation.lag_s + actuation.balance_s.unwrap_or(0.0)) + 0.5;
+        let span = first.time - past..last.time + 0.5;
+        let states = self.rotor_states(onboard, actuation, &span);
         let mut window = Sliding::new(&states, self.half_s);
-        self.observations[range]
+        observations
             .iter()
             .map(|o| {
                 let states = RotorState::from(window.mean(o.time)?);

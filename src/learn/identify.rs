@@ -394,9 +394,9 @@ pub(super) fn least_squares<const N: usize>(
 }
 
 /// Iterations of Levenberg-Marquardt.
-const ITERATIONS_MAX: usize = 40;
+const ITERATIONS_MAX: usize = 25;
 /// It ends when a step lowers the sum of squares by a smaller share.
-const IMPROVEMENT_MIN: f64 = 1e-5;
+const IMPROVEMENT_MIN: f64 = 1e-4;
 
 /// Residuals beyond this many deviations count linearly: a crash or a bump does not decide.
 const HUBER: f64 = 3.0;

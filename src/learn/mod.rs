@@ -5,6 +5,8 @@ pub mod commands;
 pub mod dataset;
 pub mod evaluation;
 pub mod identify;
+pub mod judgement;
+pub mod networks;
 pub mod prediction;
 pub mod procedure;
 pub mod refine;
@@ -13,6 +15,7 @@ pub mod segments;
 pub mod split;
 pub mod summary;
 pub mod training;
+pub mod training_set;
 
 mod adam;
 mod kernel;

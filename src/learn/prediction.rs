@@ -6,7 +6,7 @@ use sitl::rigid_body::{Stage, State, rk4};
 use sitl::vehicle::ROTORS;
 
 use super::alignment::interpolated;
-use super::commands::{CommandSource, Onboard, lerp};
+use super::commands::{CommandSource, EVERYTHING, Onboard, lerp};
 use super::dataset::ObservedFlight;
 use crate::log::import::{Flight, Stream};
 use crate::model::actuation::{Actuation, RotorState, RotorStep};
@@ -45,7 +45,7 @@ impl<'a> RecordedInputs<'a> {
             onboard,
             actuation,
             source,
-            rotor_states: observed.rotor_states(onboard, actuation),
+            rotor_states: observed.rotor_states(onboard, actuation, &EVERYTHING),
             delay_s: observed.delay_s(actuation),
             lag_s: source.lag_s(actuation),
             step: (1.0 / onboard.rate_hz / steps).max(0.004),

@@ -21,8 +21,8 @@ use crate::model::physics::{PhysicsModel, PhysicsParameters};
 /// Horizons whose errors count, s.
 const HORIZONS_S: [f64; 4] = [0.04, 0.1, 0.25, 0.5];
 /// Flights and windows that are used at most: more cost time and move little.
-const FLIGHTS_MAX: usize = 10;
-const WINDOWS_MAX: usize = 240;
+const FLIGHTS_MAX: usize = 8;
+const WINDOWS_MAX: usize = 200;
 /// Physics, then delay, lag and rate of balance.
 const NUMBERS: usize = PARAMETERS + 3;
 /// Errors of position, velocity, attitude and rate, three each.

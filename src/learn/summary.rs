@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::evaluation::{MultiStep, OneStep};
 use super::split::{Part, SplitKind};
+use super::training::Method;
 use crate::model::ACCELERATIONS;
 use crate::model::actuation::Actuation;
 use crate::model::file::{AccelerationSource, ModelKind};
@@ -50,8 +51,8 @@ pub struct TrainSettings {
     pub hidden: usize,
     /// Passes through the training rows at most.
     pub passes: usize,
-    /// Name of the method.
-    pub method: String,
+    /// How weights follow the gradient.
+    pub method: Method,
     /// Weights of the squared weights that are tried; validation decides.
     pub regularization: Vec<f64>,
     /// Seed of the weights.

@@ -238,17 +238,22 @@ pub struct NetworkModel {
 }
 
 impl NetworkModel {
-    /// The same networks with `share` of their accelerations.
-    pub fn scaled(&self, share: f64) -> Self {
-        let scale = |network: &Network| {
+    /// The same networks with these shares of their accelerations, linear and angular.
+    pub fn scaled(&self, [linear, angular]: [f64; 2]) -> Self {
+        let scale = |network: &Network, share: f64| {
             let Normalization { mean, deviation } = &network.outputs;
             let outputs = Normalization {
                 mean: mean.iter().map(|m| share * m).collect(),
+                // A deviation of 0 is no normalisation; this one leaves nothing either.
                 deviation: deviation.iter().map(|d| (share * d).max(f64::MIN_POSITIVE)).collect(),
             };
             Network { outputs, ..network.clone() }
         };
-        Self { features: self.features, linear: scale(&self.linear), angular: scale(&self.angular) }
+        Self {
+            features: self.features,
+            linear: scale(&self.linear, linear),
+            angular: scale(&self.angular, angular),
+        }
     }
 
     fn network(&self, head: Head) -> &Network {

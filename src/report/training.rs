@@ -315,7 +315,7 @@ fn provenance(summary: &TrainingSummary) -> String {
         (
             "networks",
             format!(
-                "{} hidden units, {:?} features, at most {} passes of {}, seed {}",
+                "{} hidden units, {:?} features, at most {} passes of {:?}, seed {}",
                 settings.hidden, settings.features, settings.passes, settings.method, settings.seed
             ),
         ),

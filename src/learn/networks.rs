@@ -1,0 +1,243 @@
+//! The networks of a model: their data, and their trainings side by side.
+
+use std::sync::Mutex;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::dataset::Row;
+use super::procedure::{TrainError, Watch};
+use super::samples::Samples;
+use super::summary::{LearningCurve, TrainSettings};
+use super::training::{self, Checkpoint, Stop, Trainer};
+use crate::model::ACCELERATIONS;
+use crate::model::file::ModelKind;
+use crate::model::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
+use crate::model::net::{Mlp, Normalization};
+
+/// What a network learns of a row: accelerations in the frames of its label.
+pub type Target<'a> = dyn Fn(&Row) -> [f64; ACCELERATIONS] + 'a;
+
+/// One network's rows, normalised.
+pub struct Lesson {
+    model: ModelKind,
+    head: Head,
+    inputs: Normalization,
+    outputs: Normalization,
+    training: Samples,
+    validation: Samples,
+}
+
+impl Lesson {
+    /// The rows of both networks of a model.
+    ///
+    /// # Errors
+    /// [`TrainError::Network`] for a row that is not finite.
+    pub fn both(
+        model: ModelKind,
+        features: Features,
+        training: &[&Row],
+        validation: &[&Row],
+        target: &Target<'_>,
+    ) -> Result<[Self; 2], TrainError> {
+        let lesson = |head| {
+            Self::new(model, head, features, training, validation, target)
+                .map_err(|reason| network_error(model, head, reason))
+        };
+        Ok([lesson(Head::Linear)?, lesson(Head::Angular)?])
+    }
+
+    fn new(
+        model: ModelKind,
+        head: Head,
+        features: Features,
+        training: &[&Row],
+        validation: &[&Row],
+        target: &Target<'_>,
+    ) -> Result<Self, String> {
+        let size = features.names(head).len();
+        let mut extracted = [0.0; FEATURES_MAX];
+        let mut raw = |row: &Row| -> ([f64; FEATURES_MAX], [f64; OUTPUTS]) {
+            features.extract(head, &row.point.to_array(), &mut extracted);
+            let all = target(row);
+            let own = std::array::from_fn(|i| all[head.rows().start + i]);
+            (extracted, features.target(head, row.point.attitude.yaw, own))
+        };
+        let mut sums = [[0.0; 2]; FEATURES_MAX + OUTPUTS];
+        for row in training {
+            let (x, y) = raw(row);
+            for (sums, value) in sums.iter_mut().zip(x.into_iter().chain(y)) {
+                sums[0] += value;
+                sums[1] += value * value;
+            }
+        }
+        let count = training.len() as f64;
+        let normalization = |sums: &[[f64; 2]]| {
+            let mean: Vec<f64> = sums.iter().map(|[sum, _]| sum / count).collect();
+            let deviation = sums
+                .iter()
+                .zip(&mean)
+                .map(|([_, square], mean)| (square / count - mean * mean).max(0.0).sqrt())
+                // What does not vary tells nothing, and must not be blown up where it does.
+                .map(|deviation| if deviation > 1e-9 { deviation } else { 1.0 })
+                .collect();
+            Normalization { mean, deviation }
+        };
+        let inputs = normalization(&sums[..size]);
+        let outputs = normalization(&sums[FEATURES_MAX..]);
+        let mut samples = |rows: &[&Row]| {
+            let mut samples = Samples::with_capacity(size, OUTPUTS, rows.len());
+            for row in rows {
+                let (x, y) = raw(row);
+                let scaled = |values: &[f64], by: &Normalization| -> Vec<f32> {
+                    let pairs = values.iter().zip(by.mean.iter().zip(&by.deviation));
+                    pairs.map(|(v, (mean, deviation))| ((v - mean) / deviation) as f32).collect()
+                };
+                samples
+                    .push(&scaled(&x[..size], &inputs), &scaled(&y, &outputs))
+                    .map_err(|error| error.to_string())?;
+            }
+            Ok::<_, String>(samples)
+        };
+        let (training, validation) = (samples(training)?, samples(validation)?);
+        Ok(Self { model, head, inputs, outputs, training, validation })
+    }
+}
+
+/// How far a training is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum State {
+    Waiting,
+    Running(Box<Checkpoint>),
+    Done { network: Mlp, curve: Vec<training::Pass> },
+}
+
+/// How far the trainings of all networks are: what an interrupted `train` goes on from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// What it belongs to: settings, vehicle and the logs' hashes.
+    fingerprint: String,
+    states: Vec<State>,
+}
+
+impl Progress {
+    /// Nothing is done yet of `count` trainings of what `fingerprint` says.
+    pub(super) fn new(fingerprint: String, count: usize) -> Self {
+        Self { fingerprint, states: vec![State::Waiting; count] }
+    }
+
+    /// Whether this belongs to `fingerprint` and `count` trainings.
+    pub(super) fn is_of(&self, fingerprint: &str, count: usize) -> bool {
+        self.fingerprint == fingerprint && self.states.len() == count
+    }
+
+    /// Trains every lesson with every regularisation, side by side. Returns whether all are done;
+    /// else the watch interrupted.
+    ///
+    /// # Errors
+    /// [`TrainError::Network`].
+    pub(super) fn go_on(
+        &mut self,
+        lessons: &[Lesson],
+        settings: &TrainSettings,
+        watch: &mut dyn Watch,
+    ) -> Result<bool, TrainError> {
+        watch.stage("networks", (self.states.len() * settings.passes) as u64);
+        let watch = Mutex::new(watch);
+        let tried = settings.regularization.len();
+        self.states.par_iter_mut().enumerate().try_for_each(|(index, state)| {
+            let lesson = &lessons[index / tried];
+            let resume = match std::mem::replace(state, State::Waiting) {
+                State::Waiting => None,
+                State::Running(checkpoint) => Some(*checkpoint),
+                done @ State::Done { .. } => {
+                    *state = done;
+                    return Ok::<(), TrainError>(());
+                }
+            };
+            let settings = training::Settings {
+                hidden: settings.hidden,
+                passes: settings.passes,
+                method: settings.method,
+                regularization: settings.regularization[index % tried],
+                seed: settings.seed,
+                ..training::Settings::default()
+            };
+            let note = format!("{} {}", lesson.model.name(), lesson.head.name());
+            let error = |error: training::TrainingError| {
+                network_error(lesson.model, lesson.head, error.to_string())
+            };
+            let mut trainer = Trainer::new(&lesson.training, &lesson.validation, &settings, resume)
+                .map_err(error)?;
+            let stop = loop {
+                // A poisoned lock is a panic elsewhere, which ends the program anyway.
+                let interrupted = watch.lock().map_or(true, |watch| watch.interrupted());
+                if interrupted {
+                    break Stop::Interrupted;
+                }
+                match trainer.pass() {
+                    Ok(_) => drop(watch.lock().map(|mut watch| watch.step(&note))),
+                    Err(stop) => break stop,
+                }
+            };
+            *state = if stop == Stop::Interrupted {
+                State::Running(Box::new(trainer.checkpoint().clone()))
+            } else {
+                let training::Training { network, curve, .. } = trainer.finish(stop);
+                State::Done { network, curve }
+            };
+            Ok(())
+        })?;
+        Ok(self.states.iter().all(|state| matches!(state, State::Done { .. })))
+    }
+
+    /// The best network of each lesson by validation, and every learning curve.
+    pub(super) fn networks(
+        self,
+        lessons: Vec<Lesson>,
+        regularization: &[f64],
+    ) -> (Vec<Network>, Vec<LearningCurve>) {
+        let (mut networks, mut curves) = (Vec::new(), Vec::new());
+        let mut states = self.states.into_iter();
+        for lesson in lessons {
+            let mut best: Option<(f64, usize, Mlp)> = None;
+            let first = curves.len();
+            for weight in regularization {
+                let Some(State::Done { network, curve }) = states.next() else { continue };
+                let looks = curve.iter().filter_map(|pass| Some((pass.number, pass.validation?)));
+                let (best_pass, loss) =
+                    looks.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY));
+                if best.as_ref().is_none_or(|(least, ..)| loss < *least) {
+                    best = Some((loss, curves.len(), network));
+                }
+                curves.push(LearningCurve {
+                    model: lesson.model,
+                    network: lesson.head.name().to_owned(),
+                    regularization: *weight,
+                    chosen: false,
+                    best_pass,
+                    training: curve.iter().map(|pass| pass.training).collect(),
+                    validation: curve.iter().map(|pass| pass.validation).collect(),
+                });
+            }
+            if let Some((_, chosen, mlp)) = best {
+                debug_assert!(chosen >= first);
+                curves[chosen].chosen = true;
+                networks.push(Network { inputs: lesson.inputs, outputs: lesson.outputs, mlp });
+            }
+        }
+        (networks, curves)
+    }
+}
+
+/// Two models of two networks each, in the order of the lessons.
+pub(super) fn models(networks: Vec<Network>, features: Features) -> Option<[NetworkModel; 2]> {
+    let [a, b, c, d] = <[Network; 4]>::try_from(networks).ok()?;
+    let model = |linear, angular| NetworkModel { features, linear, angular };
+    Some([model(a, b), model(c, d)])
+}
+
+fn network_error(model: ModelKind, head: Head, reason: String) -> TrainError {
+    TrainError::Network { model: model.name(), network: head.name(), reason }
+}

@@ -1,0 +1,285 @@
+//! Flights split into parts, with what they say of the vehicle's physics, and their rows.
+
+use std::ops::Range;
+
+use sitl::vehicle::{VehicleError, VehicleParams};
+
+use super::commands::Onboard;
+use super::dataset::{ObservedFlight, Row};
+use super::evaluation::{OneStep, Predictor, window_starts};
+use super::identify;
+use super::judgement::score;
+use super::prediction::RecordedInputs;
+use super::procedure::{TrainError, Watch};
+use super::refine;
+use super::split::{Part, Split};
+use super::summary::LogSummary;
+use crate::model::ACCELERATIONS;
+use crate::model::actuation::Actuation;
+use crate::model::file::AccelerationSource;
+use crate::model::hybrid::Hybrid;
+use crate::model::learned::{Head, NetworkModel};
+use crate::model::physics::{PhysicsModel, PhysicsParameters};
+
+/// Refined physics must lower the validation's score to this share to be taken.
+const REFINED_MIN: f64 = 0.99;
+/// Shares of the learned correction that a hybrid may take.
+const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
+/// Windows over which choices are made, about.
+const CHOICE_WINDOWS_MAX: usize = 500;
+/// Least number of training rows.
+pub const ROWS_MIN: usize = 500;
+
+/// Flights that are ready to be learned from.
+pub struct TrainingSet<'a> {
+    pub(super) vehicle: &'a VehicleParams,
+    pub(super) onboard: &'a Onboard,
+    pub(super) flights: &'a [ObservedFlight],
+    pub(super) split: Split,
+    pub(super) actuation: Actuation,
+    pub(super) acceleration: AccelerationSource,
+    pub(super) physics: PhysicsParameters,
+    pub(super) rows: Vec<Vec<Row>>,
+}
+
+impl<'a> TrainingSet<'a> {
+    /// Splits the flights, finds how the rotors answer on the training part, and makes the rows.
+    ///
+    /// # Errors
+    /// [`TrainError::TooFewRows`], [`TrainError::Vehicle`].
+    pub fn new(
+        vehicle: &'a VehicleParams,
+        onboard: &'a Onboard,
+        flights: &'a mut [ObservedFlight],
+    ) -> Result<Self, TrainError> {
+        let counts: Vec<usize> = flights.iter().map(|f| f.observations.len()).collect();
+        let split = Split::of(&counts);
+        // Streams that are offset differently in each flight would blur the common delay.
+        let source = AccelerationSource::VelocitySlope;
+        let first = identify::actuation(&training_part(flights, &split), onboard, vehicle, source);
+        for flight in flights.iter_mut() {
+            identify::align_commands(flight, onboard, &first, source, vehicle.gravity);
+        }
+        let flights: &'a [ObservedFlight] = flights;
+        let training = training_part(flights, &split);
+        let mut dataset = Self {
+            vehicle,
+            onboard,
+            flights,
+            split,
+            actuation: Actuation::default(),
+            acceleration: AccelerationSource::VelocitySlope,
+            physics: PhysicsParameters::default(),
+            rows: Vec::new(),
+        };
+        // Both sources estimate the same; the one that physics explains with the smaller error
+        // has the smaller noise.
+        let mut best = f64::INFINITY;
+        for source in [AccelerationSource::SpecificForce, AccelerationSource::VelocitySlope] {
+            let actuation = identify::actuation(&training, onboard, vehicle, source);
+            let rows: Vec<Vec<Row>> =
+                flights.iter().map(|f| f.rows(onboard, &actuation, source)).collect();
+            let candidate = Self {
+                actuation,
+                acceleration: source,
+                rows,
+                split: dataset.split.clone(),
+                physics: PhysicsParameters::default(),
+                ..dataset
+            };
+            let fit = candidate.part(Part::Training);
+            if fit.len() < ROWS_MIN {
+                continue;
+            }
+            let physics = identify::physics(&fit, vehicle)?;
+            let model = PhysicsModel::new(vehicle, &physics)?;
+            let error = OneStep::of(&model, &fit, &[1.0; ACCELERATIONS], |row| Some(row.label))
+                .map_or(f64::INFINITY, |error| error.linear);
+            if error < best {
+                best = error;
+                dataset = Self { physics, ..candidate };
+            }
+        }
+        dataset.refine()?;
+        let rows = Part::ALL.map(|part| dataset.part(part).len());
+        if rows[0] < ROWS_MIN || rows.contains(&0) {
+            return Err(TrainError::TooFewRows { found: rows[0] });
+        }
+        Ok(dataset)
+    }
+
+    /// Takes the actuation and physics whose open loop on the training part is best, if they
+    /// also predict the validation part better.
+    fn refine(&mut self) -> Result<(), VehicleError> {
+        let training: Vec<_> = self
+            .flights
+            .iter()
+            .enumerate()
+            .map(|(index, flight)| (flight, self.blocks(index, Part::Training)))
+            .filter(|(_, spans)| !spans.is_empty())
+            .collect();
+        let refined = refine::open_loop(
+            &training,
+            self.onboard,
+            self.vehicle,
+            &self.actuation,
+            &self.physics,
+        );
+        let Some((actuation, physics)) = refined else { return Ok(()) };
+        let score = |actuation: &Actuation, physics: &PhysicsParameters| {
+            let model = PhysicsModel::new(self.vehicle, physics)?;
+            let windows = self.windows(Part::Validation, actuation);
+            Ok::<_, VehicleError>(score(&windows, &Predictor::Model(&model)))
+        };
+        if score(&actuation, &physics)? < REFINED_MIN * score(&self.actuation, &self.physics)? {
+            self.rows = self
+                .flights
+                .iter()
+                .map(|f| f.rows(self.onboard, &actuation, self.acceleration))
+                .collect();
+            (self.actuation, self.physics) = (actuation, physics);
+        }
+        Ok(())
+    }
+
+    /// The rows of one part.
+    pub(super) fn part(&self, part: Part) -> Vec<&Row> {
+        let mut chosen = Vec::new();
+        for index in 0..self.rows.len() {
+            for span in self.spans(index, part) {
+                let rows = &self.rows[index];
+                let start = rows.partition_point(|row| row.time < span.start);
+                let end = rows.partition_point(|row| row.time <= span.end);
+                chosen.extend(&rows[start..end]);
+            }
+        }
+        chosen
+    }
+
+    /// Times of one part of a flight, from the first to the last observation of each block.
+    pub(super) fn spans(&self, flight: usize, part: Part) -> Vec<Range<f64>> {
+        let observations = &self.flights[flight].observations;
+        let time = |index: usize| observations[index].time;
+        self.split.flights[flight]
+            .iter()
+            .filter(|(range, p)| *p == part && !range.is_empty())
+            .map(|(range, _)| time(range.start)..time(range.end - 1))
+            .collect()
+    }
+
+    /// Usable times of one part of a flight, without gaps.
+    fn blocks(&self, flight: usize, part: Part) -> Vec<Range<f64>> {
+        let mut blocks = Vec::new();
+        for block in self.spans(flight, part) {
+            for segment in &self.flights[flight].segments.spans {
+                let both = block.start.max(segment.start)..block.end.min(segment.end);
+                if both.start < both.end {
+                    blocks.push(both);
+                }
+            }
+        }
+        blocks
+    }
+
+    /// Recorded inputs and starts of windows of one part.
+    pub(super) fn windows<'b>(
+        &'b self,
+        part: Part,
+        actuation: &'b Actuation,
+    ) -> Vec<(RecordedInputs<'b>, Vec<f64>)> {
+        let mut starts: Vec<Vec<f64>> =
+            (0..self.flights.len()).map(|index| window_starts(&self.blocks(index, part))).collect();
+        if part != Part::Test {
+            // Choices need fewer windows than judgements.
+            let total: usize = starts.iter().map(Vec::len).sum();
+            let stride = total.div_ceil(CHOICE_WINDOWS_MAX).max(1);
+            for starts in &mut starts {
+                *starts = starts.iter().copied().step_by(stride).collect();
+            }
+        }
+        let mut windows = Vec::new();
+        for (flight, starts) in self.flights.iter().zip(starts) {
+            if !starts.is_empty() {
+                windows.push((RecordedInputs::new(flight, self.onboard, actuation), starts));
+            }
+        }
+        windows
+    }
+}
+
+impl TrainingSet<'_> {
+    /// The shares of the learned corrections, linear and angular, with which the hybrid's open
+    /// loop predicts the validation part best: what a network learned of noise is not taken.
+    pub(super) fn shrink(
+        &self,
+        residual: NetworkModel,
+        physics: &PhysicsModel,
+        watch: &mut dyn Watch,
+    ) -> NetworkModel {
+        let windows = self.windows(Part::Validation, &self.actuation);
+        let mut best = (f64::INFINITY, [1.0, 1.0]);
+        for head in Head::BOTH {
+            for share in SHARES {
+                let mut shares = best.1;
+                shares[head as usize] = share;
+                let hybrid = Hybrid::new(physics.clone(), residual.scaled(shares));
+                let score = score(&windows, &Predictor::Model(&hybrid));
+                if score < best.0 {
+                    best = (score, shares);
+                }
+                watch.step("share of the correction");
+            }
+        }
+        residual.scaled(best.1)
+    }
+
+    pub(super) fn log_summaries(&self) -> Vec<LogSummary> {
+        let flights = self.flights.iter().zip(&self.rows).zip(&self.split.flights);
+        flights
+            .map(|((observed, rows), parts)| {
+                let origin = &observed.flight.origin;
+                let counted = observed.flight.left_out.iter();
+                let mut left_out: Vec<(String, String)> =
+                    counted.map(|(why, count)| (why.clone(), count.to_string())).collect();
+                left_out.extend(
+                    observed
+                        .segments
+                        .excluded
+                        .iter()
+                        .map(|e| (e.reason.clone(), format!("{:.2} s", e.seconds))),
+                );
+                LogSummary {
+                    run: origin.run.clone(),
+                    path: origin.path.clone(),
+                    sha256: origin.sha256.clone(),
+                    format: origin.format.to_owned(),
+                    usable_s: observed.segments.seconds(),
+                    rows: rows.len(),
+                    parts: parts.iter().map(|(_, part)| *part).collect(),
+                    source: observed.source.name().to_owned(),
+                    law_error: observed.law_error,
+                    attitude_latency_s: observed.alignment.attitude_s,
+                    velocity_latency_s: observed.alignment.velocity_s,
+                    command_shift_s: observed.command_shift_s,
+                    left_out,
+                }
+            })
+            .collect()
+    }
+}
+
+/// The observations of the training part.
+fn training_part<'a>(
+    flights: &'a [ObservedFlight],
+    split: &Split,
+) -> Vec<(&'a ObservedFlight, Range<usize>)> {
+    let mut chosen = Vec::new();
+    for (flight, parts) in flights.iter().zip(&split.flights) {
+        for (range, part) in parts {
+            if *part == Part::Training {
+                chosen.push((flight, range.clone()));
+            }
+        }
+    }
+    chosen
+}
