@@ -163,8 +163,26 @@ struct Header {
     physics: PhysicsParameters,
     preferred: ModelKind,
     training: serde_json::Value,
-    /// SHA-256 of the tensors' names and bytes, in the order of the names.
-    tensors_sha256: String,
+    /// SHA-256 of this header with this text empty, then of the tensors' names and bytes, in the
+    /// order of the names.
+    sha256: String,
+}
+
+impl Header {
+    /// What `sha256` has to be.
+    fn seal<'a>(
+        &self,
+        tensors: impl Iterator<Item = (&'a str, &'a [u8])>,
+    ) -> serde_json::Result<String> {
+        let mut hash = Sha256::new();
+        hash.update(serde_json::to_vec(self)?);
+        for (name, bytes) in tensors {
+            hash.update(name);
+            hash.update((bytes.len() as u64).to_le_bytes());
+            hash.update(bytes);
+        }
+        Ok(hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    }
 }
 
 impl ModelFile {
@@ -197,7 +215,7 @@ impl ModelFile {
 
     fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
         let tensors = self.tensors();
-        let header = Header {
+        let mut header = Header {
             format: FORMAT.to_owned(),
             version: VERSION,
             tool_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -214,10 +232,15 @@ impl ModelFile {
             physics: self.physics.clone(),
             preferred: self.preferred,
             training: self.training.clone(),
-            tensors_sha256: digest(tensors.iter().map(|t| (t.name.as_str(), t.bytes.as_slice()))),
+            sha256: String::new(),
         };
-        let text = serde_json::to_string(&header)
-            .map_err(|error| SafeTensorError::InvalidHeaderDeserialization(error))?;
+        let text = header
+            .seal(tensors.iter().map(|t| (t.name.as_str(), t.bytes.as_slice())))
+            .and_then(|seal| {
+                header.sha256 = seal;
+                serde_json::to_string(&header)
+            })
+            .map_err(SafeTensorError::InvalidHeaderDeserialization)?;
         let views = tensors
             .iter()
             .map(|t| Ok((t.name.as_str(), TensorView::new(t.kind, t.shape.clone(), &t.bytes)?)))
@@ -294,16 +317,18 @@ impl ModelFile {
             let found = stamp.version;
             return Err(ModelFileError::Version { path: path.to_owned(), found });
         }
-        let header: Header = serde_json::from_str(text)
+        let mut header: Header = serde_json::from_str(text)
             .map_err(|error| damaged(format!("its metadata is not what was written ({error})")))?;
         let tensors = SafeTensors::deserialize(bytes)
             .map_err(|error| damaged(format!("its tensors do not read ({error})")))?;
         let mut named = tensors.tensors();
         named.sort_by(|a, b| a.0.cmp(&b.0));
-        if digest(named.iter().map(|(name, view)| (name.as_str(), view.data())))
-            != header.tensors_sha256
-        {
-            return Err(damaged("its weights are not the ones that were written".to_owned()));
+        let stated = std::mem::take(&mut header.sha256);
+        let found = header
+            .seal(named.iter().map(|(name, view)| (name.as_str(), view.data())))
+            .map_err(|error| damaged(error.to_string()))?;
+        if found != stated {
+            return Err(damaged("its content is not what was written".to_owned()));
         }
         let model = |prefix: &str, features: Features| {
             let network = |head: Head| read_network(&tensors, prefix, head, features);
@@ -364,16 +389,6 @@ impl Tensor {
         let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         Self { name, kind: Dtype::F32, shape: shape.to_vec(), bytes }
     }
-}
-
-fn digest<'a>(tensors: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
-    let mut hash = Sha256::new();
-    for (name, bytes) in tensors {
-        hash.update(name);
-        hash.update((bytes.len() as u64).to_le_bytes());
-        hash.update(bytes);
-    }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn read_network(
@@ -438,3 +453,6 @@ fn read_network(
         },
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,6 +12,9 @@ pub mod net;
 pub mod onnx;
 pub mod physics;
 
+#[cfg(test)]
+mod tests;
+
 use sitl::frame::{Euler, Frd, Ned};
 
 /// Number of variables of a [`Point`]: v, omega, zeta, u.
