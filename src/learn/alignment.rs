@@ -141,7 +141,8 @@ fn latency(changes: &[Change], integral: &Integral, with_offset: bool) -> Option
     let costs: Vec<f64> =
         (0..=steps).map(|k| unexplained(low + k as f64 * LATENCY_STEP)).collect::<Option<_>>()?;
     let best = (1..steps).min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
-    if !(costs[best] < 1.0 - EXPLAINED_MIN) {
+    let explained = 1.0 - costs[best];
+    if explained.is_nan() || explained < EXPLAINED_MIN {
         return None;
     }
     let (left, middle, right) = (costs[best - 1], costs[best], costs[best + 1]);

@@ -327,9 +327,8 @@ pub fn physics(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParamete
                 out.push(huber((predicted[i] - row.label[i]) * weights[i]));
             }
         }
-        for i in 0..PARAMETERS {
-            out.push((parameters.0[i] - start.0[i]) / prior[i] * trust.sqrt());
-        }
+        let pulled = parameters.0.iter().zip(start.0).zip(prior);
+        out.extend(pulled.map(|((now, shipped), prior)| (now - shipped) / prior * trust.sqrt()));
         Ok(DVector::from_vec(out))
     };
 
