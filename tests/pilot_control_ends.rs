@@ -3,7 +3,7 @@
 mod support;
 
 use downwash::link::message::Inbound;
-use downwash::pilot::PilotSettings;
+use downwash::pilot::{PilotSettings, Tick};
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
 use sitl::frame::{Frd, Ned};
 use support::{Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight};
@@ -90,9 +90,11 @@ fn commanded_flight_frees_a_disarmed_vehicle_from_offboard() {
     // Where the last flight left it.
     let mut flight = flight(EngagePolicy::Command);
     flight.vehicle.mode = MODES.offboard;
-    flight.until(FlightState::AwaitTelemetry, 10.0);
+    flight.until(FlightState::Standby, 10.0);
     assert_eq!(flight.actions, [Action::SetModeHold]);
-    assert_eq!(flight.streamed_since(flight.ticks[0].host), 0, "silent until it is free");
+    let sent = |tick: &&Tick| tick.setpoint.is_some();
+    let first = flight.ticks.iter().find(sent).map_or(FlightState::Standby, |tick| tick.phase);
+    assert_eq!(first, FlightState::Standby, "silent until it is free");
     flight.until(FlightState::Done, 60.0);
 }
 

@@ -140,7 +140,7 @@ mod tests {
         let slow = Actuation { command_delay_s: 0.0, motor_time_constant_s: 0.06 };
         let (end, prompt) = roll_step(&PD, &Actuation::IMMEDIATE);
         assert!((end - 0.1).abs() < 1e-3 && prompt < 0.102, "{end} {prompt}");
-        assert!(roll_step(&PD, &slow).1 > 0.12);
+        assert!(roll_step(&PD, &slow).1 > 0.112);
         let measured = AttitudeLoop::PX4;
         let (with, without) =
             (roll_step(&measured, &slow), roll_step(&measured, &Actuation::IMMEDIATE));
