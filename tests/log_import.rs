@@ -1,5 +1,6 @@
 //! Flight logs of any origin become the same flight, and damage to them is counted.
 
+mod damage;
 mod lockstep;
 mod log_flight;
 
@@ -7,12 +8,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use damage::{move_vehicle_clock, sign, spoil};
 use downwash::log::import::{
     Clock, Flight, ImportError, MotorSource, MotorUnit, Stream, open, write,
 };
-use downwash::log::record::{FrameRecord, Record};
+use downwash::log::record::Record;
 use sitl::config::SitlConfig;
-use wire::tlog;
 
 /// A fresh file of the test's own.
 fn place(test: &str, name: &str) -> PathBuf {
@@ -30,25 +31,14 @@ static RECORDS: LazyLock<Vec<Record>> = LazyLock::new(|| {
     lockstep::fly(settings, &params, &[], SitlConfig::default(), 3).1
 });
 
-fn frames() -> impl Iterator<Item = &'static FrameRecord> {
-    RECORDS.iter().filter_map(|record| match record {
-        Record::Frame(frame) => Some(frame),
-        _ => None,
-    })
-}
-
 /// The flight's frames as entries of a telemetry log, each with its stamp in us.
 fn entries() -> Vec<(u64, Vec<u8>)> {
-    frames().map(|frame| (frame.host.as_ns() / 1000, frame.bytes().to_vec())).collect()
+    damage::entries(&RECORDS)
 }
 
 fn write_tlog(test: &str, name: &str, entries: &[(u64, Vec<u8>)]) -> PathBuf {
     let path = place(test, name);
-    let mut writer = tlog::Writer::new(Vec::new());
-    for (time_us, bytes) in entries {
-        writer.write(*time_us, bytes).expect("memory takes everything");
-    }
-    fs::write(&path, writer.into_inner()).expect("a file");
+    damage::write_tlog(&path, entries);
     path
 }
 
@@ -165,34 +155,6 @@ fn an_empty_or_short_log_is_a_flight() {
     assert_eq!(flight.left_out, []);
 }
 
-/// Writes floats over the payload of each frame of message `id` from entry `from` on, for `count`
-/// entries, and gives it a right checksum: what a vehicle sends whose estimate has broken down.
-fn spoil(entries: &mut [(u64, Vec<u8>)], id: u8, from: usize, count: usize, floats: f32) -> u64 {
-    let mut spoiled = 0;
-    for (_, bytes) in entries.iter_mut().skip(from).take(count) {
-        if bytes[7..10] != [id, 0, 0] {
-            continue;
-        }
-        let len = usize::from(bytes[1]);
-        for at in (10 + 8..10 + len - 3).step_by(4) {
-            bytes[at..at + 4].copy_from_slice(&floats.to_le_bytes());
-        }
-        spoiled += 1;
-        sign(bytes);
-    }
-    spoiled
-}
-
-/// Gives a MAVLink 2 frame the checksum of its content.
-fn sign(bytes: &mut [u8]) {
-    use mavlink::Message;
-    let end = bytes.len() - 2;
-    let id = u32::from_le_bytes([bytes[7], bytes[8], bytes[9], 0]);
-    let extra = wire::dialect::MavMessage::extra_crc(id);
-    let crc = mavlink::calculate_crc(&bytes[1..end], extra).to_le_bytes();
-    bytes[end..].copy_from_slice(&crc);
-}
-
 #[test]
 fn a_log_cut_short_gives_what_is_whole() {
     let path = write_tlog("cut", "flight.tlog", &entries());
@@ -230,31 +192,6 @@ fn duplicated_frames_are_left_out_and_counted() {
     let flight = import(&write_tlog("double", "flight.tlog", &doubled));
     assert_eq!(left_out(&flight, "duplicated") as usize, doubled.len() - sound.len());
     assert_same_streams(&flight, &import(&write_tlog("double", "sound.tlog", &sound)));
-}
-
-/// Moves the stamps that the vehicle puts into its messages, from entry `from` on.
-fn move_vehicle_clock(entries: &mut [(u64, Vec<u8>)], from: usize, by_ms: i64) {
-    for (_, bytes) in entries.iter_mut().skip(from).filter(|(_, bytes)| bytes[5] == 1) {
-        match bytes[7] {
-            30..=32 => {
-                let time = u32::from_le_bytes(bytes[10..14].try_into().expect("four bytes"));
-                let moved = (i64::from(time) + by_ms) as u32;
-                bytes[10..14].copy_from_slice(&moved.to_le_bytes());
-            }
-            105 | 119 => {
-                let time = u64::from_le_bytes(bytes[10..18].try_into().expect("eight bytes"));
-                let moved = time.wrapping_add_signed(by_ms * 1000);
-                bytes[10..18].copy_from_slice(&moved.to_le_bytes());
-            }
-            _ if bytes[7..10] == [0x77, 0x01, 0] || bytes[7..10] == [0x4B, 0x01, 0] => {
-                let time = u64::from_le_bytes(bytes[10..18].try_into().expect("eight bytes"));
-                let moved = time.wrapping_add_signed(by_ms * 1000);
-                bytes[10..18].copy_from_slice(&moved.to_le_bytes());
-            }
-            _ => continue,
-        }
-        sign(bytes);
-    }
 }
 
 #[test]

@@ -22,6 +22,8 @@ const SETPOINT_AGE_MAX: f64 = 0.1;
 /// The law's outputs may differ from the logged ones by this much, root mean square: sampling at
 /// another instant costs a few hundredths.
 const LAW_ERROR_MAX: f64 = 0.08;
+/// Logged over stated roll and pitch moments, by least squares: other gains show here first.
+const LAW_SLOPES: Range<f64> = 0.7..1.4;
 
 /// All of a flight.
 pub(super) const EVERYTHING: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
@@ -52,6 +54,14 @@ impl CommandSource {
     pub(super) fn lag_s(self, actuation: &Actuation) -> f64 {
         if self == CommandSource::RotorSpeeds { 0.0 } else { actuation.lag_s }
     }
+}
+
+/// How the on-board law's outputs compare with the logged ones.
+struct LawFit {
+    /// Root mean square difference of the outputs.
+    error: f64,
+    /// Logged moments over the law's.
+    slope: f64,
 }
 
 /// The vehicle's own loop and mixer, as its file states them.
@@ -85,7 +95,7 @@ impl Onboard {
 
     /// Which source this flight's u comes from, and how well the law explains the logged outputs:
     /// the root mean square difference, where both are logged.
-    pub fn source(&self, flight: &Flight) -> (CommandSource, Option<f64>) {
+    pub fn source(&self, flight: &Flight, attitude_latency: f64) -> (CommandSource, Option<f64>) {
         let complete = flight.setpoint.values().iter().any(|s| s.thrust.is_some());
         if self.law.is_none() || !complete {
             let speeds = flight.outputs.is_empty() && !flight.rotor_speed.is_empty();
@@ -93,28 +103,38 @@ impl Onboard {
                 if speeds { CommandSource::RotorSpeeds } else { CommandSource::MotorOutputs };
             return (other, None);
         }
-        let error = self.law_error(flight);
-        match error {
-            Some(error) if error > LAW_ERROR_MAX => (CommandSource::MotorOutputs, Some(error)),
-            _ => (CommandSource::OnboardLaw, error),
+        match self.law_fit(flight, attitude_latency) {
+            Some(LawFit { error, slope }) => {
+                let fits = error < LAW_ERROR_MAX && LAW_SLOPES.contains(&slope);
+                let source =
+                    if fits { CommandSource::OnboardLaw } else { CommandSource::MotorOutputs };
+                (source, Some(error))
+            }
+            None => (CommandSource::OnboardLaw, None),
         }
     }
 
     /// The law's outputs against the logged ones at the delay that fits best.
-    fn law_error(&self, flight: &Flight) -> Option<f64> {
-        let errors = (0..12).filter_map(|k| {
+    fn law_fit(&self, flight: &Flight, attitude_latency: f64) -> Option<LawFit> {
+        let fits = (0..12).filter_map(|k| {
             let delay = 0.005 * f64::from(k);
+            let source = CommandSource::OnboardLaw;
             let trace =
-                OutputTrace::new(self, flight, CommandSource::OnboardLaw, delay, &EVERYTHING);
-            let (mut sum, mut count) = (0.0, 0.0);
+                OutputTrace::new(self, flight, source, delay, attitude_latency, &EVERYTHING);
+            let (mut error, mut count, mut cross, mut square) = (0.0, 0.0, 0.0, 0.0);
             for (time, logged) in flight.outputs.iter() {
                 let Some(law) = trace.at(time) else { continue };
-                sum += law.iter().zip(logged).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+                error += law.iter().zip(logged).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
                 count += ROTORS as f64;
+                let [_, roll, pitch, _] = self.allocation.wrench(law);
+                let [_, logged_roll, logged_pitch, _] = self.allocation.wrench(*logged);
+                cross += roll * logged_roll + pitch * logged_pitch;
+                square += roll * roll + pitch * pitch;
             }
-            (count > 200.0).then(|| (sum / count).sqrt())
+            let slope = if square > 0.0 { cross / square } else { 1.0 };
+            (count > 200.0).then(|| LawFit { error: (error / count).sqrt(), slope })
         });
-        errors.min_by(f64::total_cmp)
+        fits.min_by(|a, b| a.error.total_cmp(&b.error))
     }
 
     /// Outputs for a setpoint at a reported attitude and rate; `None` without a law.
@@ -152,12 +172,14 @@ pub(super) struct OutputTrace {
 }
 
 impl OutputTrace {
-    /// The outputs of a flight within `span` when commands take `delay` seconds.
+    /// The outputs of a flight within `span` when commands take `delay` seconds and attitudes
+    /// are logged `attitude_latency` seconds late.
     pub fn new(
         onboard: &Onboard,
         flight: &Flight,
         source: CommandSource,
         delay: f64,
+        attitude_latency: f64,
         span: &Range<f64>,
     ) -> Self {
         let step = 1.0 / onboard.rate_hz;
@@ -175,7 +197,8 @@ impl OutputTrace {
                 .map(|t| {
                     let index = flight.setpoint.index_at(t - delay)?;
                     let fresh = t - delay - flight.setpoint.times()[index] < SETPOINT_AGE_MAX;
-                    let attitude = interpolated(&flight.attitude, t)?;
+                    // On board the estimate is not late.
+                    let attitude = interpolated(&flight.attitude, t + attitude_latency)?;
                     let rate = lerp(&flight.body_rate, t)?;
                     let setpoint = &flight.setpoint.values()[index];
                     fresh.then(|| onboard.law_outputs(setpoint, attitude, Frd::from(rate)))?

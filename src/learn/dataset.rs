@@ -121,8 +121,8 @@ impl ObservedFlight {
     ) -> Result<Self, Unusable> {
         flight.normalise_outputs(vehicle)?;
         let segments = Segments::of(&flight)?;
-        let (source, law_error) = onboard.source(&flight);
         let alignment = Alignment::of(&flight);
+        let (source, law_error) = onboard.source(&flight, alignment.attitude_s.unwrap_or(0.0));
         let attitude = flight.attitude.clone().shifted(-alignment.attitude_s.unwrap_or(0.0));
         let velocity = flight.velocity.clone().shifted(-alignment.velocity_s.unwrap_or(0.0));
 
@@ -238,7 +238,9 @@ impl ObservedFlight {
         span: &Range<f64>,
     ) -> Stream<[f64; 2 * ROTORS]> {
         let lag_s = self.source.lag_s(actuation);
-        OutputTrace::new(onboard, &self.flight, self.source, self.delay_s(actuation), span)
+        let late = self.alignment.attitude_s.unwrap_or(0.0);
+        let delay = self.delay_s(actuation);
+        OutputTrace::new(onboard, &self.flight, self.source, delay, late, span)
             .states(actuation, lag_s)
     }
 

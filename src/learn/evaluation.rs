@@ -154,6 +154,9 @@ impl Sums {
             }
         };
         let (Some(reported), Some(predicted)) = (reported, predicted) else { return };
+        if predicted.len() < HORIZONS_S.len() {
+            return;
+        }
         for ((squares, a), b) in self.squares.iter_mut().zip(&reported).zip(&predicted) {
             let errors = [
                 (a.position - b.position).norm(),

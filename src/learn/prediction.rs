@@ -80,7 +80,8 @@ impl<'a> RecordedInputs<'a> {
     }
 
     /// The states that `model` predicts at `start` plus each of `horizons` [s, ascending], from
-    /// `state` at `start`. `None` where the inputs are not recorded that far.
+    /// `state` at `start`: fewer where the inputs are not recorded that far, `None` where they
+    /// are not at the start.
     pub fn predict(
         &self,
         model: &dyn Model,
@@ -106,7 +107,7 @@ impl<'a> RecordedInputs<'a> {
                     rotor_step = answer(step);
                 }
                 let time = start + passed;
-                let outputs = self.outputs(time, &state)?;
+                let Some(outputs) = self.outputs(time, &state) else { return Some(predicted) };
                 let [middle, end] = rotor_step.1.advance(&rotors, &outputs);
                 let voltage = self.flight.voltage.held_at(time).copied();
                 let factor = self.onboard.voltage_factor(self.actuation, voltage);

@@ -1,0 +1,86 @@
+//! Flights of the bundled vehicle to learn from, and `train` on them.
+
+#![allow(dead_code)] // Each test crate uses its own part.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// What differs from the vehicle file, as on a real vehicle.
+pub const REALISTIC: [&str; 4] = [
+    "rotor_drag:d_xy=0.012,d_z=0.008",
+    "motor_lag:tau_s=0.05",
+    "command_delay:delay_s=0.02",
+    "battery_sag:exponent=1.4",
+];
+
+/// The bundled vehicle's file.
+pub fn vehicle() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml")
+}
+
+/// An empty folder of the test's own.
+pub fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("learn").join(name);
+    let _ = fs::remove_dir_all(&path);
+    fs::create_dir_all(&path).expect("a folder");
+    path
+}
+
+pub fn downwash(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
+    command.env("XDG_CONFIG_HOME", folder);
+    command
+}
+
+/// Flies a programme of `seconds` with the realistic effects and `more`; the logs in order.
+pub fn collect(name: &str, seconds: u32, more: &[&str]) -> Vec<PathBuf> {
+    let folder = folder(name);
+    let mut command = downwash(&folder);
+    command.args(["collect", "--seconds", &seconds.to_string(), "--out"]).arg(&folder);
+    for effect in REALISTIC.iter().chain(more) {
+        command.args(["--effect", effect]);
+    }
+    let output = command.output().expect("the command runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let entries = fs::read_dir(&folder).expect("the folder");
+    let mut logs: Vec<PathBuf> = entries.map(|entry| entry.expect("an entry").path()).collect();
+    logs.sort();
+    logs
+}
+
+/// A training of small networks, and the model file that it writes.
+pub fn train(name: &str, logs: &[PathBuf], more: &[&str]) -> (Output, PathBuf) {
+    let folder = folder(name);
+    let model = folder.join("model.safetensors");
+    let small = ["--passes", "30", "--hidden", "24", "--regularization", "1e-5", "--json"];
+    let output = downwash(&folder)
+        .args(["train", "--vehicle"])
+        .arg(vehicle())
+        .args(logs)
+        .arg("--out")
+        .arg(&model)
+        .args(small)
+        .args(more)
+        .output()
+        .expect("the command runs");
+    (output, model)
+}
+
+/// What a training that succeeded says.
+pub fn summary(output: &Output) -> Value {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {errors}"))
+}
+
+pub fn number(summary: &Value, pointer: &str) -> f64 {
+    let value = summary.pointer(pointer).and_then(Value::as_f64);
+    value.unwrap_or_else(|| panic!("{pointer} in {summary}"))
+}
+
+pub fn logs(summary: &Value) -> &[Value] {
+    summary["data"]["logs"].as_array().expect("logs")
+}

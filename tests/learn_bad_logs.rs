@@ -1,0 +1,179 @@
+//! Logs that are damaged, foreign or too short, among sound ones: `train` refuses or counts what is
+//! wrong by name, and learns from the rest.
+
+mod damage;
+mod learn;
+mod lockstep;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use downwash::log::record::Record;
+use serde_json::Value;
+use sitl::config::SitlConfig;
+
+static SOUND: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("sound", 40, &[]));
+
+/// A flight of the same vehicle.
+static RECORDS: LazyLock<Vec<Record>> = LazyLock::new(|| {
+    let params = lockstep::params(lockstep::NANO);
+    let settings = lockstep::settings(&params, lockstep::trajectory("sinusoid-xy.toml"));
+    lockstep::fly(settings, &params, &learn::REALISTIC, SitlConfig::default(), 3).1
+});
+
+type Entries = Vec<(u64, Vec<u8>)>;
+
+fn tlog(folder: &Path, name: &str, damage: impl FnOnce(&mut Entries)) -> PathBuf {
+    let mut entries = damage::entries(&RECORDS);
+    damage(&mut entries);
+    let path = folder.join(name);
+    damage::write_tlog(&path, &entries);
+    path
+}
+
+fn file(folder: &Path, name: &str, content: &[u8]) -> PathBuf {
+    let path = folder.join(name);
+    fs::write(&path, content).expect("a file");
+    path
+}
+
+/// Why a log was refused whole.
+fn refusal<'a>(summary: &'a Value, name: &str) -> &'a str {
+    let refused = summary["data"]["refused"].as_array().expect("refused logs");
+    let found = refused.iter().find(|log| log["path"].as_str().expect("a path").ends_with(name));
+    let found = found.unwrap_or_else(|| panic!("{name} is not refused: {refused:?}"));
+    found["reason"].as_str().expect("a reason")
+}
+
+/// Why parts of a log were left out, and how much.
+fn left_out(summary: &Value, run: &str) -> String {
+    let log = learn::logs(summary).iter().find(|log| log["run"] == run);
+    log.unwrap_or_else(|| panic!("{run} is not used: {}", summary["data"]))["left_out"].to_string()
+}
+
+#[test]
+fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
+    let folder = learn::folder("spoiled");
+    let whole = fs::read(&SOUND[4]).expect("a log");
+    let bad = [
+        file(&folder, "empty.mcap", b""),
+        file(&folder, "empty.tlog", b""),
+        file(&folder, "garbage.mcap", &[0x55; 5000]),
+        file(&folder, "garbage.tlog", &[0x55; 5000]),
+        file(&folder, "twin.mcap", &fs::read(&SOUND[0]).expect("a log")),
+        file(&folder, "table.csv", b"t,x\n0,1\n"),
+        folder.join("missing.mcap"),
+        tlog(&folder, "short.tlog", |entries| {
+            // Two seconds in the air.
+            let (from, to) = (10_000_000, 12_000_000);
+            let start = entries[0].0;
+            entries.retain(|(time, _)| (from..to).contains(&(time - start)));
+        }),
+    ];
+    let spoiled = [
+        file(&folder, "cut.mcap", &whole[..whole.len() * 2 / 3]),
+        tlog(&folder, "nan.tlog", |entries| {
+            let middle = entries.len() / 2;
+            damage::spoil(entries, 31, middle, 400, f32::NAN);
+        }),
+        tlog(&folder, "double.tlog", |entries| {
+            let doubled = entries.iter().enumerate().flat_map(|(number, entry)| {
+                let times = if number % 7 == 0 { 2 } else { 1 };
+                std::iter::repeat_n(entry.clone(), times)
+            });
+            *entries = doubled.collect();
+        }),
+        tlog(&folder, "jump.tlog", |entries| {
+            let from = entries.len() * 2 / 3;
+            damage::move_vehicle_clock(entries, from, 300_000);
+        }),
+    ];
+    let logs = [SOUND.as_slice(), &bad, &spoiled].concat();
+    let (output, model) = learn::train("spoiled-model", &logs, &[]);
+    let summary = learn::summary(&output);
+    assert!(model.exists());
+    assert_eq!(summary["data"]["refused"].as_array().map(Vec::len), Some(bad.len()));
+    assert_eq!(learn::logs(&summary).len(), SOUND.len() + spoiled.len());
+
+    for (name, words) in [
+        ("empty.mcap", ""),
+        ("empty.tlog", "no attitude"),
+        ("garbage.mcap", "garbage.mcap"),
+        ("garbage.tlog", "no flight log"),
+        ("twin.mcap", "the same file as"),
+        ("table.csv", "--mapping"),
+        ("missing.mcap", "missing.mcap"),
+        ("short.tlog", "are usable; at least"),
+    ] {
+        assert!(refusal(&summary, name).contains(words), "{name}: {}", refusal(&summary, name));
+    }
+    for (run, words) in [
+        ("cut", "cut"),
+        ("nan", "ATTITUDE_QUATERNION"),
+        ("double", "duplicated"),
+        ("jump", "another run of the vehicle's clock"),
+    ] {
+        assert!(left_out(&summary, run).contains(words), "{run}: {}", left_out(&summary, run));
+    }
+    // The model is as good as from the sound logs alone.
+    let physics = |kind| learn::number(&summary, &format!("/one_step/1/labels/2/{kind}"));
+    assert!(physics("linear") < 0.02, "{}", summary["one_step"][1]);
+    // Yaw hardly moves in most of these flights, so its label is mostly noise.
+    for turn in ["each/3", "each/4"] {
+        assert!(physics(turn) < 0.05, "{}", summary["one_step"][1]);
+    }
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(bad.iter().all(|path| told.contains(&*path.to_string_lossy())), "{told}");
+}
+
+#[test]
+fn a_log_whose_thrust_does_not_fit_is_of_another_vehicle() {
+    let folder = learn::folder("heavy");
+    let text = fs::read_to_string(learn::vehicle()).expect("a vehicle");
+    let heavy = text.replace("mass = 0.030", "mass = 0.090");
+    let heavy = file(&folder, "heavy.toml", heavy.as_bytes());
+    let log = tlog(&folder, "flight.tlog", |_| ());
+    let output = learn::downwash(&folder)
+        .args(["train", "--out", "model.safetensors", "--vehicle"])
+        .args([&heavy, &log])
+        .current_dir(&folder)
+        .output()
+        .expect("the command runs");
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(told.contains("of another vehicle") && told.contains("0.3"), "{told}");
+    assert!(!folder.join("model.safetensors").exists());
+}
+
+#[test]
+fn a_log_that_holds_another_vehicle_file_is_refused_by_its_difference() {
+    let folder = learn::folder("foreign");
+    let text = fs::read_to_string(learn::vehicle()).expect("a vehicle");
+    let other = text.replace("inertia = [1.66e-5", "inertia = [1.99e-5");
+    assert_ne!(text, other);
+    let other = file(&folder, "other.toml", other.as_bytes());
+    let output = learn::downwash(&folder)
+        .args(["train", "--out", "model.safetensors", "--vehicle"])
+        .args([&other, &SOUND[0]])
+        .current_dir(&folder)
+        .output()
+        .expect("the command runs");
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(told.contains("of another vehicle: inertia"), "{told}");
+}
+
+#[test]
+fn too_little_flight_is_no_model() {
+    let folder = learn::folder("little");
+    let log = tlog(&folder, "little.tlog", |entries| {
+        let start = entries[0].0;
+        entries.retain(|(time, _)| (10_000_000..15_000_000).contains(&(time - start)));
+    });
+    let (output, model) = learn::train("little-model", &[log], &[]);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(told.contains("rows to train on") || told.contains("are usable"), "{told}");
+    assert!(!model.exists());
+}

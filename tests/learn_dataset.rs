@@ -1,0 +1,199 @@
+//! What `train` finds in flights whose truth is known: delays, labels, inputs, a model; and that
+//! neither threads nor an interruption change a byte of it.
+
+mod learn;
+
+use std::fs;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+use downwash::learn::commands::Onboard;
+use downwash::learn::dataset::{ObservedFlight, WindowSettings};
+use downwash::learn::networks::Progress;
+use downwash::learn::procedure::{Outcome, Watch, train};
+use downwash::learn::summary::TrainSettings;
+use downwash::learn::training::Method;
+use downwash::learn::training_set::TrainingSet;
+use downwash::log::import;
+use downwash::model::file::ModelFile;
+use downwash::model::learned::Features;
+use learn::{logs, number};
+use serde_json::Value;
+use sitl::vehicle::VehicleParams;
+
+static REALISTIC: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("realistic", 120, &[]));
+static SHORT: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("short", 40, &[]));
+/// A training on the realistic flights.
+static SUMMARY: LazyLock<Value> =
+    LazyLock::new(|| learn::summary(&learn::train("whole", &REALISTIC, &[]).0));
+
+#[test]
+fn the_rotors_answer_is_found() {
+    let found = |name: &str| number(&SUMMARY, &format!("/actuation/{name}"));
+    // The delay from a setpoint's being sent, which the vehicle's loop of 250 Hz adds to.
+    assert!((found("delay_s") - 0.020).abs() < 0.003, "{}", found("delay_s"));
+    assert!((found("lag_s") - 0.050).abs() < 0.004, "{}", found("lag_s"));
+    assert!((found("voltage_exponent") - 1.4).abs() < 0.15, "{}", found("voltage_exponent"));
+    assert!(SUMMARY["actuation"]["balance_s"].is_null(), "nothing is balanced in simulation");
+}
+
+#[test]
+fn labels_are_near_the_truth() {
+    assert!(number(&SUMMARY, "/data/label_error/linear") < 0.006);
+    assert!(number(&SUMMARY, "/data/label_error/angular") < 0.05);
+    assert!(number(&SUMMARY, "/data/label_bandwidth_hz") > 10.0);
+}
+
+#[test]
+fn inputs_are_those_that_the_vehicle_logged() {
+    for log in logs(&SUMMARY) {
+        assert_eq!(log["source"], "setpoints through the on-board law");
+        assert!(number(log, "/law_error") < 0.03, "{log}");
+        for latency in ["/attitude_latency_s", "/velocity_latency_s"] {
+            assert!(number(log, latency).abs() < 0.003, "{log}");
+        }
+    }
+}
+
+#[test]
+fn no_flight_is_in_two_parts() {
+    assert_eq!(SUMMARY["data"]["split"], "whole-flights");
+    assert!(logs(&SUMMARY).iter().all(|log| log["parts"].as_array().expect("parts").len() == 1));
+    let rows: f64 = (0..3).map(|part| number(&SUMMARY, &format!("/data/rows/{part}"))).sum();
+    let logged: f64 = logs(&SUMMARY).iter().map(|log| number(log, "/rows")).sum();
+    assert!(rows == logged && rows > 12_000.0, "{rows} of {logged}");
+}
+
+#[test]
+fn every_model_beats_the_mean_and_the_baselines() {
+    for (index, at_most) in [0.3, 0.02, 0.05].into_iter().enumerate() {
+        for kind in ["linear", "angular"] {
+            let error = number(&SUMMARY, &format!("/one_step/{index}/truth/2/{kind}"));
+            assert!(error < at_most, "{}: {error}", SUMMARY["one_step"][index]["model"]);
+        }
+    }
+    // Physics, then hold and constant velocity, at half a second.
+    let error = |predictor: usize, of: &str| {
+        number(&SUMMARY, &format!("/multi_step/{predictor}/errors/2/{of}"))
+    };
+    for of in ["position_m", "velocity_m_s", "attitude_rad", "rate_rad_s"] {
+        assert!(error(1, of) < 0.5 * error(3, of).min(error(4, of)), "{of}");
+    }
+}
+
+#[test]
+fn latencies_of_the_estimate_are_found() {
+    let flights = observed(&learn::collect("late", 40, &["estimator_latency:latency_s=0.03"]));
+    for flight in flights {
+        let (attitude, velocity) = (flight.alignment.attitude_s, flight.alignment.velocity_s);
+        assert!((attitude.expect("found") - 0.03).abs() < 0.002, "{attitude:?}");
+        assert!((velocity.expect("found") - 0.03).abs() < 0.003, "{velocity:?}");
+    }
+}
+
+#[test]
+fn a_law_that_is_not_the_vehicles_gives_way_to_its_outputs() {
+    let gain = "pd_gain:kp_scale=[2.0,2.0,2.0],kd_scale=[1.8,1.8,1.8]";
+    let flights = observed(&learn::collect("gain", 40, &[gain]));
+    let by_outputs = |flight: &&ObservedFlight| flight.source.name() == "motor outputs";
+    let found: Vec<_> = flights.iter().map(|f| (f.source, f.law_error)).collect();
+    assert!(flights.iter().filter(by_outputs).count() >= 3, "{found:?}");
+}
+
+fn vehicle() -> VehicleParams {
+    VehicleParams::load(learn::vehicle()).expect("a vehicle")
+}
+
+fn observed(logs: &[PathBuf]) -> Vec<ObservedFlight> {
+    let vehicle = vehicle();
+    let onboard = Onboard::new(&vehicle).expect("a mixer");
+    let observe = |path: &PathBuf| {
+        let flight = import::open(path, None).expect("a log");
+        ObservedFlight::new(flight, &vehicle, &onboard, &WindowSettings::default())
+            .expect("a flight")
+    };
+    logs.iter().map(observe).collect()
+}
+
+#[test]
+fn threads_and_the_order_of_logs_do_not_change_a_byte() {
+    let (one, first) = learn::train("one-thread", &SHORT, &["--threads", "1"]);
+    let turned: Vec<PathBuf> = SHORT.iter().rev().cloned().collect();
+    let (two, second) = learn::train("two-threads", &turned, &["--threads", "2"]);
+    assert!(one.status.success() && two.status.success());
+    assert!(fs::read(&first).expect("a model") == fs::read(second).expect("a model"));
+    let (_, other) = learn::train("other-seed", &SHORT, &["--seed", "2"]);
+    let weights = |path| ModelFile::load(path).expect("a model").net;
+    assert_ne!(weights(&first), weights(&other));
+}
+
+/// Interrupts after a number of steps of the networks' training.
+struct Patience {
+    left: usize,
+    training: bool,
+}
+
+impl Watch for Patience {
+    fn stage(&mut self, name: &str, _: u64) {
+        self.training = name == "networks";
+    }
+
+    fn step(&mut self, _: &str) {
+        if self.training {
+            self.left = self.left.saturating_sub(1);
+        }
+    }
+
+    fn interrupted(&self) -> bool {
+        self.left == 0
+    }
+}
+
+#[test]
+fn an_interrupted_training_ends_as_if_it_had_not_been() {
+    let vehicle = vehicle();
+    let onboard = Onboard::new(&vehicle).expect("a mixer");
+    let windows = WindowSettings::default();
+    let mut flights = observed(&SHORT);
+    let set = TrainingSet::new(&vehicle, &onboard, &mut flights).expect("a set");
+    let settings = TrainSettings {
+        features: Features::Heading,
+        hidden: 10,
+        passes: 12,
+        method: Method::Rprop,
+        regularization: vec![1e-6, 1e-4],
+        seed: 1,
+        window_half_s: windows.half_s,
+    };
+    let run = |settings: &TrainSettings, progress: Option<Progress>, steps: usize| {
+        let mut watch = Patience { left: steps, training: false };
+        train(&set, settings, &windows, Vec::new(), progress, &mut watch)
+    };
+    let done = |outcome| match outcome {
+        Ok(Outcome::Done(done)) => *done,
+        Ok(Outcome::Interrupted(_)) => panic!("interrupted"),
+        Err(error) => panic!("{error}"),
+    };
+    let whole = done(run(&settings, None, usize::MAX));
+    let mut progress = None;
+    let mut interruptions = 0;
+    // As often as it takes, each time from what was written.
+    let resumed = loop {
+        match run(&settings, progress.take(), 21).expect("a training") {
+            Outcome::Done(done) => break *done,
+            Outcome::Interrupted(so_far) => {
+                interruptions += 1;
+                let text = serde_json::to_string(&so_far).expect("JSON");
+                progress = Some(serde_json::from_str(&text).expect("a checkpoint"));
+            }
+        }
+        assert!(interruptions < 100, "no headway");
+    };
+    assert!(interruptions >= 2, "{interruptions}");
+    assert_eq!(resumed, whole);
+
+    let Ok(Outcome::Interrupted(progress)) = run(&settings, None, 5) else { panic!("done") };
+    let other = TrainSettings { seed: 2, ..settings };
+    let Err(error) = run(&other, Some(progress), 5) else { panic!("another training's") };
+    assert!(error.to_string().contains("--resume"), "{error}");
+}
