@@ -128,7 +128,7 @@ fn series(summary: &TrainingSummary) -> String {
         }];
         for ((kind, y), colour) in ModelKind::ALL.iter().zip(&series.predicted).zip(1..) {
             let name = kind.name().into();
-            curves.insert(0, Curve { name, style: Style::Colour(colour), y: y.clone() });
+            curves.push(Curve { name, style: Style::Colour(colour), y: y.clone() });
         }
         let name = format!("{} in {}", AXES[series.acceleration], series.run);
         let (x_label, x) = ("time (s)", series.time_s.as_slice());
