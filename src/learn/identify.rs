@@ -1,21 +1,16 @@
-//! What the logs say of the vehicle's physics: how its rotors answer, and its parameters.
+//! How the vehicle's rotors answer their commands, by what the logs leave unexplained.
 
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
-use rayon::prelude::*;
-use sitl::effects::{
-    AttitudeTrim, BladeFlapping, ComOffset, Effect, EffectSet, Inertia, RotorDrag, ThrustScale,
-};
+use sitl::effects::BatterySag;
 use sitl::frame::Ned;
-use sitl::vehicle::{VehicleError, VehicleParams};
+use sitl::vehicle::VehicleParams;
 
 use super::commands::{CommandSource, Onboard};
-use super::dataset::{Observation, ObservedFlight, Row};
+use super::dataset::{Observation, ObservedFlight};
 use crate::model::actuation::Actuation;
 use crate::model::file::AccelerationSource;
-use crate::model::physics::{PhysicsModel, PhysicsParameters};
-use crate::model::{ACCELERATIONS, Model};
 
 /// Delays and lags that are tried first, s.
 const DELAYS: [f64; 9] = [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08];
@@ -28,8 +23,6 @@ const BALANCE_GAIN_MIN: f64 = 0.05;
 const RESOLUTION: f64 = 0.0005;
 /// Observations for the search; more do not move it.
 const SEARCH_ROWS: usize = 12_000;
-/// Rows for the fit of the physics.
-const FIT_ROWS: usize = 8_000;
 /// The pack must have gone through this share of its voltage before its exponent is fitted.
 const VOLTAGE_SPAN_MIN: f64 = 0.01;
 /// Accepted exponents.
@@ -92,8 +85,7 @@ pub fn actuation(
     if total == 0 {
         return found;
     }
-    found.voltage_exponent =
-        voltage_exponent(flights, onboard, &found, acceleration, vehicle.gravity);
+    found.voltage_exponent = voltage_exponent(flights, onboard, &found, acceleration, vehicle);
     // The same share from the middle of each flight.
     let share = (SEARCH_ROWS as f64 / total as f64).min(1.0);
     let cost = |candidate: &Actuation| {
@@ -114,8 +106,7 @@ pub fn actuation(
     if found.balance_s.is_some() {
         refine(&cost, &mut found, &mut least);
     }
-    found.voltage_exponent =
-        voltage_exponent(flights, onboard, &found, acceleration, vehicle.gravity);
+    found.voltage_exponent = voltage_exponent(flights, onboard, &found, acceleration, vehicle);
     found
 }
 
@@ -244,7 +235,7 @@ fn voltage_exponent(
     onboard: &Onboard,
     actuation: &Actuation,
     acceleration: AccelerationSource,
-    gravity: f64,
+    vehicle: &VehicleParams,
 ) -> f64 {
     // (u1 without voltage, voltage, v_z, force) a tenth of a second apart.
     let mut rows: Vec<[f64; 4]> = Vec::new();
@@ -257,14 +248,15 @@ fn voltage_exponent(
             else {
                 continue;
             };
-            let force = specific_force_z(o, linear, gravity);
+            let force = specific_force_z(o, linear, vehicle.gravity);
             rows.push([u1, voltage, o.attitude.to_body(o.velocity).down(), force]);
         }
     }
     let voltages = rows.iter().map(|row| row[1]);
     let (low, high) = voltages.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
     if rows.len() < 100 || !(low > 0.0 && (high - low) / high > VOLTAGE_SPAN_MIN) {
-        return 0.0;
+        // Too little to tell by: what the vehicle file says.
+        return vehicle.modelled_effects.get::<BatterySag>().map_or(0.0, |sag| sag.exponent);
     }
     let cost = |exponent: f64| {
         let mut regression = Regression::<3>::new();
@@ -295,217 +287,4 @@ fn golden_section((mut low, mut high): (f64, f64), cost: impl Fn(f64) -> f64) ->
         }
     }
     0.5 * (low + high)
-}
-
-/// Number of parameters of the physics that are fitted.
-pub(super) const PARAMETERS: usize = 14;
-
-/// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim and damping, each held
-/// near the vehicle file's value by a weak prior, by Levenberg-Marquardt on the rows' labels, each
-/// acceleration weighted by its deviation.
-///
-/// # Errors
-/// A vehicle that the physics refuses.
-pub fn physics(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
-    let stride = rows.len().div_ceil(FIT_ROWS).max(1);
-    let rows: Vec<&Row> = rows.iter().step_by(stride).copied().collect();
-    let start = Parameters::shipped(vehicle);
-    if rows.is_empty() {
-        return Ok(start.physics(vehicle));
-    }
-    let weights = weights(&rows);
-    let prior = Parameters::prior(vehicle);
-    // A prior of one deviation counts as much as this many rows' residuals of one deviation.
-    let trust = rows.len() as f64 * 1e-4;
-
-    let residuals = |parameters: &Parameters| -> Result<DVector<f64>, VehicleError> {
-        let model = PhysicsModel::new(vehicle, &parameters.physics(vehicle))?;
-        let mut out = Vec::with_capacity(rows.len() * ACCELERATIONS + PARAMETERS);
-        for row in &rows {
-            let predicted = model.accelerations(&row.point);
-            for i in 0..ACCELERATIONS {
-                out.push(huber((predicted[i] - row.label[i]) * weights[i]));
-            }
-        }
-        let pulled = parameters.0.iter().zip(start.0).zip(prior);
-        out.extend(pulled.map(|((now, shipped), prior)| (now - shipped) / prior * trust.sqrt()));
-        Ok(DVector::from_vec(out))
-    };
-
-    let fitted = least_squares(start.0, &prior, |numbers| {
-        let mut bounded = Parameters(*numbers);
-        bounded.bound(vehicle);
-        (bounded.0, residuals(&bounded).ok())
-    });
-    Ok(Parameters(fitted).physics(vehicle))
-}
-
-/// Levenberg-Marquardt from `start`, with numeric derivatives over ten-thousandths of `scale`.
-/// `residuals` puts the numbers within their bounds and gives the residuals there, `None` where
-/// there are none.
-pub(super) fn least_squares<const N: usize>(
-    start: [f64; N],
-    scale: &[f64; N],
-    residuals: impl Fn(&[f64; N]) -> ([f64; N], Option<DVector<f64>>) + Sync,
-) -> [f64; N] {
-    let (mut best, Some(mut current)) = residuals(&start) else { return start };
-    let mut damping = 1e-3;
-    for _ in 0..ITERATIONS_MAX {
-        let columns: Option<Vec<DVector<f64>>> = (0..N)
-            .into_par_iter()
-            .map(|i| {
-                let mut moved = best;
-                moved[i] += 1e-4 * scale[i];
-                let (moved, there) = residuals(&moved);
-                let step = moved[i] - best[i];
-                let column = (there? - &current) / if step == 0.0 { 1.0 } else { step };
-                Some(column)
-            })
-            .collect();
-        let Some(columns) = columns else { break };
-        let jacobian = DMatrix::from_columns(&columns);
-        let gram = jacobian.transpose() * &jacobian;
-        let gradient = jacobian.transpose() * &current;
-        let mut improved = false;
-        for _ in 0..8 {
-            let mut damped = gram.clone();
-            for i in 0..N {
-                // Without effect here, as at a bound, a number stays.
-                damped[(i, i)] = (damped[(i, i)] * (1.0 + damping)).max(f64::MIN_POSITIVE);
-            }
-            let Some(step) = damped.cholesky().map(|c| c.solve(&gradient)) else { break };
-            let candidate = std::array::from_fn(|i| best[i] - step[i]);
-            if let (candidate, Some(new)) = residuals(&candidate)
-                && new.norm_squared() < current.norm_squared()
-            {
-                improved = new.norm_squared() < (1.0 - IMPROVEMENT_MIN) * current.norm_squared();
-                (best, current) = (candidate, new);
-                damping = (damping * 0.3).max(1e-9);
-                break;
-            }
-            damping *= 4.0;
-        }
-        if !improved {
-            break;
-        }
-    }
-    best
-}
-
-/// Iterations of Levenberg-Marquardt.
-const ITERATIONS_MAX: usize = 25;
-/// It ends when a step lowers the sum of squares by a smaller share.
-const IMPROVEMENT_MIN: f64 = 1e-4;
-
-/// Residuals beyond this many deviations count linearly: a crash or a bump does not decide.
-const HUBER: f64 = 3.0;
-
-/// The number whose square is Huber's loss of a residual.
-pub(super) fn huber(residual: f64) -> f64 {
-    let size = residual.abs();
-    let root = if size > HUBER { (2.0 * HUBER * size - HUBER * HUBER).sqrt() } else { size };
-    root.copysign(residual)
-}
-
-/// One over the deviation of each acceleration.
-fn weights(rows: &[&Row]) -> [f64; ACCELERATIONS] {
-    let count = rows.len() as f64;
-    std::array::from_fn(|i| {
-        let mean = rows.iter().map(|row| row.label[i]).sum::<f64>() / count;
-        let variance = rows.iter().map(|row| (row.label[i] - mean).powi(2)).sum::<f64>() / count;
-        1.0 / variance.sqrt().max(1e-6)
-    })
-}
-
-/// The fitted numbers: scale of thrust; d_xy, d_z; scales of inertia; offset of the centre of
-/// mass; roll and pitch of the trim; damping per axis; nothing of yaw torque, which inertia about
-/// z holds.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Parameters(pub [f64; PARAMETERS]);
-
-impl Parameters {
-    /// What the vehicle file says.
-    pub(super) fn shipped(vehicle: &VehicleParams) -> Self {
-        let effects = &vehicle.modelled_effects;
-        let mut p = [0.0; PARAMETERS];
-        p[0] = effects.get::<ThrustScale>().map_or(1.0, |e| e.scale);
-        let linear = vehicle.linear_drag_n_per_m_s.map(|d| [d, d]);
-        let drag = effects.get::<RotorDrag>().map(|e| [e.d_xy, e.d_z]);
-        [p[1], p[2]] = linear.or(drag).unwrap_or_default();
-        [p[3], p[4], p[5]] = effects.get::<Inertia>().map_or([1.0; 3], |e| e.scale);
-        if let Some(offset) = effects.get::<ComOffset>() {
-            [p[6], p[7]] = [offset.x_m, offset.y_m];
-        }
-        if let Some(AttitudeTrim { trim }) = effects.get() {
-            [p[8], p[9]] = [trim.roll, trim.pitch];
-        }
-        p[13] = effects.get::<BladeFlapping>().map_or(0.0, |e| e.moment_nms_m);
-        Self(p)
-    }
-
-    /// The numbers of fitted physics.
-    pub(super) fn fitted(physics: &PhysicsParameters, vehicle: &VehicleParams) -> Self {
-        let mut with = vehicle.clone();
-        with.linear_drag_n_per_m_s = None;
-        with.modelled_effects = vehicle.modelled_effects.overlay(&physics.effects);
-        let mut numbers = Self::shipped(&with);
-        numbers.0[10..13].copy_from_slice(&physics.angular_damping_nms);
-        numbers
-    }
-
-    /// How far from that a vehicle may be: one deviation.
-    pub(super) fn prior(vehicle: &VehicleParams) -> [f64; PARAMETERS] {
-        let arm =
-            vehicle.rotors.iter().map(|r| r.position_m[0].hypot(r.position_m[1])).sum::<f64>()
-                / 4.0;
-        let drag = vehicle.mass;
-        let [x, y, z] = vehicle.inertia.map(|i| 5.0 * i);
-        let offset = 0.2 * arm;
-        // One deviation turns the vehicle as a drag of one mass per second at a fifth of an arm.
-        let flapping = offset * drag;
-        [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z, flapping]
-    }
-
-    /// Keeps the numbers physical.
-    pub(super) fn bound(&mut self, vehicle: &VehicleParams) {
-        let p = &mut self.0;
-        p[0] = p[0].clamp(0.3, 3.0);
-        for drag in &mut p[1..3] {
-            *drag = drag.clamp(0.0, 5.0 * vehicle.mass);
-        }
-        for scale in &mut p[3..6] {
-            *scale = scale.clamp(0.2, 20.0);
-        }
-        for trim in &mut p[8..10] {
-            *trim = trim.clamp(-0.3, 0.3);
-        }
-        for (damping, shipped) in
-            p[10..13].iter_mut().zip(vehicle.angular_damping_nms.unwrap_or_default())
-        {
-            *damping = damping.max(-shipped);
-        }
-    }
-
-    pub(super) fn physics(&self, vehicle: &VehicleParams) -> PhysicsParameters {
-        let [scale, d_xy, d_z, ix, iy, iz, x, y, roll, pitch, kx, ky, kz, flapping] = self.0;
-        let shipped = vehicle.modelled_effects.get::<BladeFlapping>();
-        let flap_tilt = shipped.map_or(0.0, |e| e.tilt_rad_s_m);
-        let trim = vehicle.modelled_effects.get::<AttitudeTrim>();
-        let yaw = trim.map_or(0.0, |AttitudeTrim { trim }| trim.yaw);
-        let mut effects = EffectSet::new();
-        for (id, numbers) in [
-            (ThrustScale::ID, [scale, 0.0, 0.0]),
-            (RotorDrag::ID, [d_xy, d_z, 0.0]),
-            (Inertia::ID, [ix, iy, iz]),
-            (ComOffset::ID, [x, y, 0.0]),
-            (BladeFlapping::ID, [flapping, flap_tilt, 0.0]),
-            (AttitudeTrim::ID, [roll, pitch, yaw]),
-        ] {
-            let mut slots = sitl::effects::Slots::default();
-            slots[..3].copy_from_slice(&numbers);
-            // A number outside of the catalogue's range leaves the vehicle file's in force.
-            let _ = effects.insert(id, slots);
-        }
-        PhysicsParameters { effects, angular_damping_nms: [kx, ky, kz] }
-    }
 }

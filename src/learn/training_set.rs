@@ -9,6 +9,7 @@ use super::dataset::{ObservedFlight, Row};
 use super::evaluation::{OneStep, Predictor, window_starts};
 use super::identify;
 use super::judgement::score;
+use super::physics_fit;
 use super::prediction::RecordedInputs;
 use super::procedure::{TrainError, Watch};
 use super::refine;
@@ -91,7 +92,7 @@ impl<'a> TrainingSet<'a> {
             if fit.len() < ROWS_MIN {
                 continue;
             }
-            let physics = identify::physics(&fit, vehicle)?;
+            let physics = physics_fit::fit(&fit, vehicle)?;
             let model = PhysicsModel::new(vehicle, &physics)?;
             let error = OneStep::of(&model, &fit, &[1.0; ACCELERATIONS], |row| Some(row.label))
                 .map_or(f64::INFINITY, |error| error.linear);

@@ -1,0 +1,162 @@
+//! The physics' parameters from rows: scale of thrust, drag, inertia, centre of mass, trim,
+//! flapping and damping.
+
+use nalgebra::DVector;
+use sitl::effects::{
+    AttitudeTrim, BladeFlapping, ComOffset, Effect, EffectSet, Inertia, RotorDrag, Slots,
+    ThrustScale,
+};
+use sitl::vehicle::{VehicleError, VehicleParams};
+
+use super::dataset::Row;
+use super::least_squares::{huber, least_squares};
+use crate::model::physics::{PhysicsModel, PhysicsParameters};
+use crate::model::{ACCELERATIONS, Model};
+
+/// Rows for the fit of the physics.
+const FIT_ROWS: usize = 8_000;
+/// Number of parameters of the physics that are fitted.
+pub(super) const PARAMETERS: usize = 14;
+
+/// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim and damping, each held
+/// near the vehicle file's value by a weak prior, by Levenberg-Marquardt on the rows' labels, each
+/// acceleration weighted by its deviation.
+///
+/// # Errors
+/// A vehicle that the physics refuses.
+pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
+    let stride = rows.len().div_ceil(FIT_ROWS).max(1);
+    let rows: Vec<&Row> = rows.iter().step_by(stride).copied().collect();
+    let start = Parameters::shipped(vehicle);
+    if rows.is_empty() {
+        return Ok(start.physics(vehicle));
+    }
+    let weights = weights(&rows);
+    let prior = Parameters::prior(vehicle);
+    // A prior of one deviation counts as much as this many rows' residuals of one deviation.
+    let trust = rows.len() as f64 * 1e-4;
+
+    let residuals = |parameters: &Parameters| -> Result<DVector<f64>, VehicleError> {
+        let model = PhysicsModel::new(vehicle, &parameters.physics(vehicle))?;
+        let mut out = Vec::with_capacity(rows.len() * ACCELERATIONS + PARAMETERS);
+        for row in &rows {
+            let predicted = model.accelerations(&row.point);
+            for i in 0..ACCELERATIONS {
+                out.push(huber((predicted[i] - row.label[i]) * weights[i]));
+            }
+        }
+        let pulled = parameters.0.iter().zip(start.0).zip(prior);
+        out.extend(pulled.map(|((now, shipped), prior)| (now - shipped) / prior * trust.sqrt()));
+        Ok(DVector::from_vec(out))
+    };
+
+    let fitted = least_squares(start.0, &prior, |numbers| {
+        let mut bounded = Parameters(*numbers);
+        bounded.bound(vehicle);
+        (bounded.0, residuals(&bounded).ok())
+    });
+    Ok(Parameters(fitted).physics(vehicle))
+}
+
+/// One over the deviation of each acceleration.
+fn weights(rows: &[&Row]) -> [f64; ACCELERATIONS] {
+    let count = rows.len() as f64;
+    std::array::from_fn(|i| {
+        let mean = rows.iter().map(|row| row.label[i]).sum::<f64>() / count;
+        let variance = rows.iter().map(|row| (row.label[i] - mean).powi(2)).sum::<f64>() / count;
+        1.0 / variance.sqrt().max(1e-6)
+    })
+}
+
+/// The fitted numbers: scale of thrust; d_xy, d_z; scales of inertia; offset of the centre of
+/// mass; roll and pitch of the trim; damping per axis; nothing of yaw torque, which inertia about
+/// z holds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Parameters(pub [f64; PARAMETERS]);
+
+impl Parameters {
+    /// What the vehicle file says.
+    pub(super) fn shipped(vehicle: &VehicleParams) -> Self {
+        let effects = &vehicle.modelled_effects;
+        let mut p = [0.0; PARAMETERS];
+        p[0] = effects.get::<ThrustScale>().map_or(1.0, |e| e.scale);
+        let linear = vehicle.linear_drag_n_per_m_s.map(|d| [d, d]);
+        let drag = effects.get::<RotorDrag>().map(|e| [e.d_xy, e.d_z]);
+        [p[1], p[2]] = linear.or(drag).unwrap_or_default();
+        [p[3], p[4], p[5]] = effects.get::<Inertia>().map_or([1.0; 3], |e| e.scale);
+        if let Some(offset) = effects.get::<ComOffset>() {
+            [p[6], p[7]] = [offset.x_m, offset.y_m];
+        }
+        if let Some(AttitudeTrim { trim }) = effects.get() {
+            [p[8], p[9]] = [trim.roll, trim.pitch];
+        }
+        p[13] = effects.get::<BladeFlapping>().map_or(0.0, |e| e.moment_nms_m);
+        Self(p)
+    }
+
+    /// The numbers of fitted physics.
+    pub(super) fn fitted(physics: &PhysicsParameters, vehicle: &VehicleParams) -> Self {
+        let mut with = vehicle.clone();
+        with.linear_drag_n_per_m_s = None;
+        with.modelled_effects = vehicle.modelled_effects.overlay(&physics.effects);
+        let mut numbers = Self::shipped(&with);
+        numbers.0[10..13].copy_from_slice(&physics.angular_damping_nms);
+        numbers
+    }
+
+    /// How far from that a vehicle may be: one deviation.
+    pub(super) fn prior(vehicle: &VehicleParams) -> [f64; PARAMETERS] {
+        let arm =
+            vehicle.rotors.iter().map(|r| r.position_m[0].hypot(r.position_m[1])).sum::<f64>()
+                / 4.0;
+        let drag = vehicle.mass;
+        let [x, y, z] = vehicle.inertia.map(|i| 5.0 * i);
+        let offset = 0.2 * arm;
+        // One deviation turns the vehicle as a drag of one mass per second at a fifth of an arm.
+        let flapping = offset * drag;
+        [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z, flapping]
+    }
+
+    /// Keeps the numbers physical.
+    pub(super) fn bound(&mut self, vehicle: &VehicleParams) {
+        let p = &mut self.0;
+        p[0] = p[0].clamp(0.3, 3.0);
+        for drag in &mut p[1..3] {
+            *drag = drag.clamp(0.0, 5.0 * vehicle.mass);
+        }
+        for scale in &mut p[3..6] {
+            *scale = scale.clamp(0.2, 20.0);
+        }
+        for trim in &mut p[8..10] {
+            *trim = trim.clamp(-0.3, 0.3);
+        }
+        for (damping, shipped) in
+            p[10..13].iter_mut().zip(vehicle.angular_damping_nms.unwrap_or_default())
+        {
+            *damping = damping.max(-shipped);
+        }
+    }
+
+    pub(super) fn physics(&self, vehicle: &VehicleParams) -> PhysicsParameters {
+        let [scale, d_xy, d_z, ix, iy, iz, x, y, roll, pitch, kx, ky, kz, flapping] = self.0;
+        let shipped = vehicle.modelled_effects.get::<BladeFlapping>();
+        let flap_tilt = shipped.map_or(0.0, |e| e.tilt_rad_s_m);
+        let trim = vehicle.modelled_effects.get::<AttitudeTrim>();
+        let yaw = trim.map_or(0.0, |AttitudeTrim { trim }| trim.yaw);
+        let mut effects = EffectSet::new();
+        for (id, numbers) in [
+            (ThrustScale::ID, [scale, 0.0, 0.0]),
+            (RotorDrag::ID, [d_xy, d_z, 0.0]),
+            (Inertia::ID, [ix, iy, iz]),
+            (ComOffset::ID, [x, y, 0.0]),
+            (BladeFlapping::ID, [flapping, flap_tilt, 0.0]),
+            (AttitudeTrim::ID, [roll, pitch, yaw]),
+        ] {
+            let mut slots = Slots::default();
+            slots[..3].copy_from_slice(&numbers);
+            // A number outside of the catalogue's range leaves the vehicle file's in force.
+            let _ = effects.insert(id, slots);
+        }
+        PhysicsParameters { effects, angular_damping_nms: [kx, ky, kz] }
+    }
+}
