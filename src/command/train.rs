@@ -17,7 +17,7 @@ use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
 use crate::learn::judgement::{Standing, standing};
 use crate::learn::networks::Progress;
-use crate::learn::procedure::{Outcome, Watch, belongs, train};
+use crate::learn::procedure::{Outcome, TrainError, Watch, belongs, train};
 use crate::learn::summary::{TrainSettings, TrainingSummary};
 use crate::learn::training::Method;
 use crate::learn::training_set::TrainingSet;
@@ -68,12 +68,6 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
         }
     }
     bar.clear();
-    if progress.is_some() {
-        say(format_args!(
-            "{}: of other data or settings, so it was not used; trained from the start",
-            checkpoint_path.display()
-        ));
-    }
     let (_, done) = best.context("--window: expected at least one").or_exit(Exit::Usage)?;
     let (mut file, summary) = *done;
     file.training = serde_json::to_value(&summary).context("summary")?;
@@ -141,7 +135,11 @@ fn train_with(
     }
     bar.stage("physics", 1);
     let set = TrainingSet::new(vehicle, onboard, &mut logs.flights).or_exit(Exit::Usage)?;
-    let own = progress.take_if(|progress| belongs(progress, &set, &settings));
+    if progress.as_ref().is_some_and(|progress| !belongs(progress, &set, &settings)) {
+        bar.clear();
+        return Err(TrainError::Checkpoint).or_exit(Exit::Usage);
+    }
+    let own = progress.take_if(|progress| progress.window_half_s() == settings.window_half_s);
     train(&set, &settings, windows, logs.refused, own, bar).or_exit(Exit::Usage)
 }
 

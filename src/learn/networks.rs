@@ -118,13 +118,20 @@ enum State {
 pub struct Progress {
     /// What it belongs to: settings, vehicle and the logs' hashes.
     fingerprint: String,
+    /// Half width of the window of its labels, s: a training may try several.
+    window_half_s: f64,
     states: Vec<State>,
 }
 
 impl Progress {
     /// Nothing is done yet of `count` trainings of what `fingerprint` says.
-    pub(super) fn new(fingerprint: String, count: usize) -> Self {
-        Self { fingerprint, states: vec![State::Waiting; count] }
+    pub(super) fn new(fingerprint: String, window_half_s: f64, count: usize) -> Self {
+        Self { fingerprint, window_half_s, states: vec![State::Waiting; count] }
+    }
+
+    /// Half width of the window of its labels, s.
+    pub fn window_half_s(&self) -> f64 {
+        self.window_half_s
     }
 
     /// Whether this belongs to `fingerprint`.

@@ -101,7 +101,10 @@ pub fn train(
     let mut progress = match progress {
         Some(progress) if progress.is_of(&fingerprint(dataset, settings)) => progress,
         Some(_) => return Err(TrainError::Checkpoint),
-        None => Progress::new(fingerprint(dataset, settings), count),
+        None => {
+            let fingerprint = fingerprint(dataset, settings);
+            Progress::new(fingerprint, settings.window_half_s, count)
+        }
     };
     if !progress.go_on(&all, settings, watch)? {
         return Ok(Outcome::Interrupted(progress));
@@ -152,13 +155,14 @@ pub fn train(
     Ok(Outcome::Done(Box::new((file, summary))))
 }
 
-/// Whether an interrupted training was this one.
+/// Whether an interrupted training was this one, whatever the window of its labels.
 pub fn belongs(progress: &Progress, dataset: &TrainingSet<'_>, settings: &TrainSettings) -> bool {
     progress.is_of(&fingerprint(dataset, settings))
 }
 
-/// What a training depends on.
+/// What a training depends on beside the window of its labels.
 fn fingerprint(dataset: &TrainingSet<'_>, settings: &TrainSettings) -> String {
     let logs: Vec<&str> = dataset.flights.iter().map(|f| f.flight.origin.sha256.as_str()).collect();
+    let settings = TrainSettings { window_half_s: 0.0, ..settings.clone() };
     format!("{settings:?} {logs:?} {:?}", dataset.vehicle)
 }
