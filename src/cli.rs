@@ -43,6 +43,8 @@ pub enum Command {
     /// Looks at, judges, runs and exports a learned model.
     #[command(subcommand)]
     Model(ModelCommand),
+    /// Says where a simulator and flights part, which effect causes it, and how far it shrinks.
+    Diagnose(DiagnoseArgs),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
 }
@@ -272,6 +274,51 @@ pub struct TrainArgs {
     /// Prints the summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Flags of `diagnose`.
+#[derive(Debug, Args)]
+pub struct DiagnoseArgs {
+    /// Flight logs of the real vehicle.
+    #[arg(required = true)]
+    pub logs: Vec<PathBuf>,
+    /// The simulator's vehicle file.
+    #[arg(long)]
+    pub vehicle: PathBuf,
+    /// A log to keep from the fit and to report the gap on; may be given again [default: the last
+    /// of the logs; of a single one its second half].
+    #[arg(long, value_name = "FILE")]
+    pub holdout: Vec<PathBuf>,
+    /// The vehicle file to write, with the effects that were found.
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Folder for report.html and report.json; made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// What the columns of CSV logs mean.
+    #[arg(long, value_name = "FILE")]
+    pub mapping: Option<PathBuf>,
+    /// Simulated flights without any effect, which say how large chance makes the evidence.
+    #[arg(long, default_value_t = 40)]
+    pub twins: u32,
+    /// Seed of the simulated flights.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Ends with exit code 10 on this verdict.
+    #[arg(long, value_enum, value_name = "VERDICT")]
+    pub fail_on: Option<FailOn>,
+    /// Prints the answer as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Verdicts that a command may fail on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FailOn {
+    /// An effect was named.
+    Effect,
+    /// There is a gap, explained or not.
+    Gap,
 }
 
 /// What the networks are given.

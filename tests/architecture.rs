@@ -18,7 +18,8 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("log", &["clock", "setpoint", "link"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
-        ("report", &["clock", "setpoint", "learn", "log", "model"]),
+        ("diagnose", &["learn", "log", "model", "pilot"]),
+        ("report", &["clock", "setpoint", "diagnose", "learn", "log", "model"]),
         (
             "station",
             &[

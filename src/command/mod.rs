@@ -4,6 +4,7 @@ mod collect;
 mod config;
 mod daemon;
 mod demo;
+mod diagnose;
 mod exit;
 mod fly;
 mod import;
@@ -51,6 +52,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
             end_on_broken_pipe();
             model::run(command)
         }
+        Command::Diagnose(args) => diagnose::run(&args),
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)

@@ -1,0 +1,15 @@
+//! Diagnosis of the gap between a simulator and flights: where it lies, which effect causes it,
+//! how far it shrinks.
+
+pub mod answer;
+pub mod fit;
+pub mod gap;
+pub mod hypothesis;
+pub mod leftover;
+pub mod noise;
+pub mod onboard;
+pub mod preparation;
+pub mod procedure;
+pub mod residuals;
+pub mod selection;
+pub mod spectrum;

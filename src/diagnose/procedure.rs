@@ -1,0 +1,302 @@
+//! From flights to an answer.
+
+use std::collections::BTreeMap;
+
+use sitl::effects::{EffectId, EffectSet};
+use sitl::vehicle::{VehicleError, VehicleParams};
+
+use super::answer::{
+    Answer, EffectAnswer, FlightAnswer, Gap, HypothesisAnswer, NotTestable, Verdict, parameters,
+};
+use super::fit::Observed;
+use super::gap::Simulator;
+use super::hypothesis::{Catalogue, Target};
+use super::leftover::{UnmodelledForce, unmodelled_force};
+use super::noise::report_noise;
+use super::preparation::PreparedFlight;
+use super::residuals::Evaluator;
+use super::selection::{Rival, Scored, Selection, Selector, Thresholds};
+
+/// Differences of scores count by this share: channels share noise that the scores take to be
+/// independent.
+const TEMPER: f64 = 0.25;
+/// Least probability of an effect that the answer mentions.
+const MENTIONED: f64 = 0.01;
+/// Least probability of a rival that cannot be told apart.
+const AMBIGUOUS: f64 = 0.1;
+/// Quantile of the normal distribution for 90 % intervals.
+const Z90: f64 = 1.645;
+
+/// What is to be diagnosed.
+#[derive(Debug)]
+pub struct Case<'a> {
+    /// The simulator's vehicle.
+    pub vehicle: &'a VehicleParams,
+    /// Flights to fit.
+    pub fitted: &'a [PreparedFlight],
+    /// Flights held out.
+    pub held_out: &'a [PreparedFlight],
+    /// Whether these are parts of one flight.
+    pub blocked: bool,
+}
+
+/// How.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Seed of every draw.
+    pub seed: u64,
+}
+
+/// An answer and what follows from it.
+#[derive(Debug)]
+pub struct Diagnosis {
+    /// The answer.
+    pub answer: Answer,
+    /// The named effects with the vehicle's true values.
+    pub effects: EffectSet,
+}
+
+/// Why there is no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum DiagnoseError {
+    /// The vehicle is refused.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleError),
+    /// Nothing can be fitted.
+    #[error("the flights hold nothing that a model could be compared with")]
+    Nothing,
+}
+
+/// Diagnoses; `progress` is told what is being done.
+///
+/// # Errors
+/// [`DiagnoseError`].
+pub fn diagnose(
+    case: &Case<'_>,
+    settings: &Settings,
+    progress: &dyn Fn(&str),
+) -> Result<Diagnosis, DiagnoseError> {
+    let leg = case.fitted.iter().chain(case.held_out).all(|flight| flight.channels.setpoint);
+    let catalogue = Catalogue::new(case.vehicle, leg);
+    catalogue.candidate(&catalogue.references())?;
+    let evaluator = Evaluator::new(case.vehicle);
+    let fitted = Observed::new(case.fitted, &evaluator, &catalogue);
+    let held_out = Observed::new(case.held_out, &evaluator, &catalogue);
+    progress("hypotheses");
+    let selector = Selector {
+        fitted: &fitted,
+        held_out: &held_out,
+        catalogue: &catalogue,
+        thresholds: Thresholds { evidence: 10.0, held_out: 1.0 },
+    };
+    let selection = selector.select().ok_or(DiagnoseError::Nothing)?;
+    if std::env::var("DG").is_ok() { selector.debug(&selection); }
+
+    progress("what is left over");
+    let force_of = |scored: &Scored| -> Option<UnmodelledForce> {
+        let candidate = catalogue.candidate(&scored.fit.values).ok()?;
+        unmodelled_force(&fitted, &evaluator, &candidate)
+    };
+    let unmodelled =
+        force_of(&selection.null).zip(force_of(&selection.best)).map(|(a, b)| [a, b]);
+
+    progress("how far");
+    let named: Vec<EffectId> =
+        selection.best.fit.hypotheses.iter().map(|h| catalogue.hypotheses[*h].effect).collect();
+    let effects = catalogue.effects(&selection.best.fit.values, Some(&named));
+    let gap = gap(case, &catalogue, &selection, &fitted, &effects, leg, settings)?;
+
+    let verdict = verdict(&selection, unmodelled.as_ref());
+    let (effects_answer, ambiguous_with) = if verdict == Verdict::Effect {
+        named_effects(&catalogue, &selection)
+    } else {
+        (Vec::new(), Vec::new())
+    };
+    let answer = Answer {
+        verdict,
+        finding: String::new(),
+        effects: effects_answer,
+        gap,
+        ambiguous_with,
+        not_testable: not_testable(&catalogue, &selection, leg),
+        unmodelled_force: unmodelled,
+        hypotheses: selection
+            .singles
+            .iter()
+            .map(|rival| {
+                let (gain, error) = rival.scored.gain_over(&selection.null);
+                let hypothesis = &catalogue.hypotheses[rival.hypothesis];
+                HypothesisAnswer {
+                    id: hypothesis.effect.name(),
+                    evidence: rival.scored.fit.evidence - selection.null.fit.evidence,
+                    held_out: [gain, error],
+                    numbers: hypothesis.numbers.iter().map(|n| rival.scored.fit.values[*n]).collect(),
+                }
+            })
+            .collect(),
+        flights: [(case.fitted, false), (case.held_out, true)]
+            .into_iter()
+            .flat_map(|(flights, held_out)| {
+                flights.iter().map(move |flight| FlightAnswer {
+                    name: flight.name.clone(),
+                    held_out,
+                    seconds: flight.seconds(),
+                    channels: flight.channels,
+                })
+            })
+            .collect(),
+    };
+    let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
+    Ok(Diagnosis { answer, effects })
+}
+
+fn verdict(selection: &Selection, _unmodelled: Option<&[UnmodelledForce; 2]>) -> Verdict {
+    if selection.best.fit.hypotheses.is_empty() { Verdict::None } else { Verdict::Effect }
+}
+
+fn gap(
+    case: &Case<'_>,
+    catalogue: &Catalogue,
+    selection: &Selection,
+    fitted: &Observed<'_>,
+    effects: &EffectSet,
+    leg: bool,
+    settings: &Settings,
+) -> Result<Option<Gap>, DiagnoseError> {
+    let noise = report_noise(case.fitted, &selection.best.fit, fitted.counts());
+    let shipped = Simulator::new(case.vehicle, &EffectSet::new(), leg)?;
+    let repaired = Simulator::new(case.vehicle, effects, leg)?;
+    let nuisances =
+        Simulator::new(case.vehicle, &catalogue.effects(&selection.null.fit.values, None), leg)?;
+    let floor = repaired.floor(case.held_out, &noise, settings.seed);
+    let (Some(floor), Some(before), Some(after)) =
+        (floor, shipped.errors(case.held_out), repaired.errors(case.held_out))
+    else {
+        return Ok(None);
+    };
+    let [b, a, f] = [before, after, floor].map(|errors| errors.mean_over(&floor));
+    Ok(Some(Gap {
+        metric: "mean",
+        before: b,
+        after: a,
+        floor: f,
+        closure: (b - f > 0.05).then(|| (b - a) / (b - f)),
+        nuisances_only: nuisances.errors(case.held_out).map(|errors| errors.mean_over(&floor)),
+        errors: [before, after, floor],
+        noise,
+    }))
+}
+
+/// The effects of the chosen set and their rivals, with probabilities, and those that cannot be
+/// told apart.
+fn named_effects(
+    catalogue: &Catalogue,
+    selection: &Selection,
+) -> (Vec<EffectAnswer>, Vec<&'static str>) {
+    let mut found: BTreeMap<EffectId, (f64, Scored)> = BTreeMap::new();
+    let mut ambiguous = Vec::new();
+    for (place, (without, rivals)) in selection.places.iter().enumerate() {
+        let own = selection.best.fit.hypotheses[place];
+        let mut options: Vec<(Option<usize>, Scored)> = vec![(None, without.clone())];
+        options.extend(
+            rivals
+                .iter()
+                .filter(|rival| rival.hypothesis != own)
+                .map(|Rival { hypothesis, scored }| (Some(*hypothesis), scored.clone())),
+        );
+        options.push((Some(own), selection.best.clone()));
+        let top = options.iter().map(|(_, s)| s.score()).fold(f64::NEG_INFINITY, f64::max);
+        let weights: Vec<f64> =
+            options.iter().map(|(_, s)| (TEMPER * (s.score() - top)).exp()).collect();
+        let sum: f64 = weights.iter().sum();
+        for ((hypothesis, scored), weight) in options.into_iter().zip(weights) {
+            let Some(hypothesis) = hypothesis else { continue };
+            let effect = catalogue.hypotheses[hypothesis].effect;
+            let probability = weight / sum;
+            let own_effect = effect == catalogue.hypotheses[own].effect;
+            if probability > AMBIGUOUS && !own_effect {
+                ambiguous.push(effect.name());
+            }
+            let entry = found.entry(effect).or_insert((0.0, scored.clone()));
+            entry.0 = (entry.0 + probability).min(1.0);
+            if hypothesis == own || scored.score() > entry.1.score() {
+                entry.1 = scored;
+            }
+        }
+    }
+    let mut answers: Vec<EffectAnswer> = found
+        .into_iter()
+        .filter(|(_, (probability, _))| *probability > MENTIONED)
+        .map(|(effect, (probability, scored))| {
+            let set = catalogue.effects(&scored.fit.values, Some(&[effect]));
+            EffectAnswer {
+                id: effect.name(),
+                probability,
+                parameters: parameters(&set, effect),
+                intervals: intervals(catalogue, &scored, effect),
+            }
+        })
+        .collect();
+    answers.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.id.cmp(b.id)));
+    (answers, ambiguous)
+}
+
+/// 90 % intervals of an effect's fitted numbers.
+fn intervals(catalogue: &Catalogue, scored: &Scored, effect: EffectId) -> BTreeMap<String, [f64; 2]> {
+    let mut intervals = BTreeMap::new();
+    for hypothesis in &scored.fit.hypotheses {
+        let hypothesis = &catalogue.hypotheses[*hypothesis];
+        if hypothesis.effect != effect {
+            continue;
+        }
+        for number in &hypothesis.numbers {
+            let name = match catalogue.numbers[*number].target {
+                Target::Effect(id, slot) => {
+                    let Some(slot) = id.spec().slots().find(|s| s.index == slot) else { continue };
+                    match slot.parameter.kind.slots() {
+                        1 => slot.parameter.name.to_owned(),
+                        _ => format!("{}[{}]", slot.parameter.name, slot.component),
+                    }
+                }
+                Target::RotorScale(_) => "scale".to_owned(),
+                Target::OutputDelay => "delay_s".to_owned(),
+                Target::RotorGain(_) => continue,
+            };
+            let (value, deviation) = (scored.fit.values[*number], scored.fit.deviation[*number]);
+            intervals.insert(name, [value - Z90 * deviation, value + Z90 * deviation]);
+        }
+    }
+    intervals
+}
+
+/// Share of its prior's width that a number must be known to for its effect to be testable.
+const TESTABLE: f64 = 0.5;
+
+fn not_testable(catalogue: &Catalogue, selection: &Selection, leg: bool) -> Vec<NotTestable> {
+    let mut found = Vec::new();
+    for effect in EffectId::ALL {
+        let reason = if effect == EffectId::PdGain && !leg {
+            Some("setpoints or the on-board law's gains are not known".to_owned())
+        } else if effect == EffectId::RotorGyroscopic && catalogue.vehicle.rotor_max_rpm.is_none() {
+            Some("the vehicle file has no rotor_max_rpm".to_owned())
+        } else {
+            let tried: Vec<&Rival> = selection
+                .singles
+                .iter()
+                .filter(|rival| catalogue.hypotheses[rival.hypothesis].effect == effect)
+                .collect();
+            let seen = tried.iter().any(|rival| {
+                catalogue.hypotheses[rival.hypothesis].numbers.iter().any(|number| {
+                    rival.scored.fit.deviation[*number]
+                        < TESTABLE * catalogue.numbers[*number].magnitude
+                })
+            });
+            (!tried.is_empty() && !seen)
+                .then(|| "the motion and the channels of these logs do not show it".to_owned())
+        };
+        if let Some(reason) = reason {
+            found.push(NotTestable { id: effect.name(), reason });
+        }
+    }
+    found
+}
