@@ -116,4 +116,3 @@ fn in_words(answer: &Answer) -> String {
     }
     text
 }
-

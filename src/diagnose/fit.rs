@@ -162,9 +162,11 @@ impl<'a> Observed<'a> {
             .map(|((a, b), layout)| {
                 let difference = a.iter().zip(b).zip(&layout.places);
                 difference
-                    .map(|((a, b), place)| {
-                        if groups.has(place.channel()) { (b - a) * scale } else { 0.0 }
-                    })
+                    .map(
+                        |((a, b), place)| {
+                            if groups.has(place.channel()) { (b - a) * scale } else { 0.0 }
+                        },
+                    )
                     .collect()
             })
             .collect();
@@ -174,8 +176,7 @@ impl<'a> Observed<'a> {
     fn dot(&self, a: &Residuals, b: &Residuals) -> Vec<f64> {
         let mut sums = vec![0.0; Place::COUNT];
         for run in &self.runs {
-            let (a, b) =
-                (&a[run.flight][run.start..run.end], &b[run.flight][run.start..run.end]);
+            let (a, b) = (&a[run.flight][run.start..run.end], &b[run.flight][run.start..run.end]);
             sums[run.place] += a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         }
         sums
@@ -224,8 +225,7 @@ impl Linearised {
         columns: Vec<Residuals>,
     ) -> Self {
         let n = numbers.len();
-        let pairs: Vec<(usize, usize)> =
-            (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
+        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
         let products: Vec<Vec<f64>> =
             pairs.par_iter().map(|(i, j)| observed.dot(&columns[*i], &columns[*j])).collect();
         let gram = (0..Place::COUNT)
@@ -265,7 +265,8 @@ impl Linearised {
     ) -> Self {
         let kept: Vec<usize> = (0..self.numbers.len())
             .filter(|i| {
-                keep.contains(&self.numbers[*i]) && fresh.iter().all(|(n, _)| *n != self.numbers[*i])
+                keep.contains(&self.numbers[*i])
+                    && fresh.iter().all(|(n, _)| *n != self.numbers[*i])
             })
             .collect();
         let mut numbers: Vec<usize> = kept.iter().map(|i| self.numbers[*i]).collect();
@@ -320,8 +321,11 @@ impl Linearised {
         let mut off = DVector::zeros(n);
         for (row, i) in used.iter().enumerate() {
             let number = &catalogue.numbers[self.numbers[*i]];
-            let width =
-                if active.contains(&self.numbers[*i]) { number.magnitude } else { number.tolerance };
+            let width = if active.contains(&self.numbers[*i]) {
+                number.magnitude
+            } else {
+                number.tolerance
+            };
             prior[row] = width.powi(-2);
             off[row] = self.values[self.numbers[*i]] - number.reference;
         }
@@ -443,8 +447,7 @@ fn bounded_minimum(
         let matrix = DMatrix::from_fn(free.len(), free.len(), |a, b| normal[(free[a], free[b])]);
         let right = DVector::from_fn(free.len(), |a, _| {
             let i = free[a];
-            let fixed: f64 =
-                (0..n).filter(|j| held[*j]).map(|j| normal[(i, j)] * at[j]).sum();
+            let fixed: f64 = (0..n).filter(|j| held[*j]).map(|j| normal[(i, j)] * at[j]).sum();
             -gradient[i] - fixed
         });
         let solution = scaled_cholesky(&matrix)?.solve(&right);
@@ -536,11 +539,7 @@ impl Fit {
 }
 
 /// The cost at given numbers, and the residuals.
-fn cost_at(
-    observed: &Observed<'_>,
-    values: &[f64],
-    active: &[usize],
-) -> Option<(f64, Residuals)> {
+fn cost_at(observed: &Observed<'_>, values: &[f64], active: &[usize]) -> Option<(f64, Residuals)> {
     let residuals = observed.residuals(values)?;
     let noise = noise_cost(&observed.power(&residuals), &observed.counts);
     let catalogue = observed.catalogue;
@@ -595,11 +594,8 @@ pub fn fit(
         let mut share = 1.0;
         let mut gained = 0.0;
         while share > 0.05 {
-            let trial: Values = values
-                .iter()
-                .zip(&solution.values)
-                .map(|(a, b)| a + (b - a) * share)
-                .collect();
+            let trial: Values =
+                values.iter().zip(&solution.values).map(|(a, b)| a + (b - a) * share).collect();
             if let Some((new, there)) = cost_at(observed, &trial, &active)
                 && new < cost
             {

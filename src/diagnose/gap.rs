@@ -100,9 +100,7 @@ impl Simulator {
             law,
             trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
-            command_delay: all
-                .get::<CommandDelay>()
-                .map_or(vehicle.command_delay_s, |e| e.delay_s),
+            command_delay: all.get::<CommandDelay>().map_or(vehicle.command_delay_s, |e| e.delay_s),
         })
     }
 
@@ -165,7 +163,12 @@ impl Simulator {
 
     /// Root mean square errors over the windows of flights; `None` without a window.
     pub fn errors(&self, flights: &[PreparedFlight]) -> Option<Errors> {
-        root_mean_square(flights, |flight, start| {
+        root_mean_square(&self.windows(flights))
+    }
+
+    /// The errors of each window of flights, in order; not a number where one cannot be predicted.
+    pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<[[f64; 4]; 3]> {
+        windows(flights, |flight, start| {
             let from = reported(flight, start, self.latency);
             let predicted = self.predict(flight, start, &from)?;
             Some(std::array::from_fn(|h| {
@@ -183,7 +186,7 @@ impl Simulator {
         noise: &ReportNoise,
         seed: u64,
     ) -> Option<Errors> {
-        root_mean_square(flights, |flight, start| {
+        root_mean_square(&windows(flights, |flight, start| {
             let mut rng = Pcg64Mcg::seed_from_u64(seed ^ start.to_bits());
             let truth = reported(flight, start, self.latency);
             let ends = self.predict(flight, start, &truth)?;
@@ -191,7 +194,7 @@ impl Simulator {
             Some(std::array::from_fn(|h| {
                 distance(&noise.applied(&ends[h], &mut rng), &predicted[h])
             }))
-        })
+        }))
     }
 }
 
@@ -250,16 +253,21 @@ fn starts(flight: &PreparedFlight) -> Vec<f64> {
     starts
 }
 
-fn root_mean_square(
+fn windows(
     flights: &[PreparedFlight],
     window: impl Fn(&PreparedFlight, f64) -> Option<[[f64; 4]; 3]> + Sync,
-) -> Option<Errors> {
+) -> Vec<[[f64; 4]; 3]> {
     let windows: Vec<(&PreparedFlight, f64)> = flights
         .iter()
         .flat_map(|flight| starts(flight).into_iter().map(move |start| (flight, start)))
         .collect();
-    let errors: Vec<[[f64; 4]; 3]> =
-        windows.par_iter().filter_map(|(flight, start)| window(flight, *start)).collect();
+    windows
+        .par_iter()
+        .map(|(flight, start)| window(flight, *start).unwrap_or([[f64::NAN; 4]; 3]))
+        .collect()
+}
+
+fn root_mean_square(errors: &[[[f64; 4]; 3]]) -> Option<Errors> {
     let finite = |e: &&[[f64; 4]; 3]| e.iter().flatten().all(|x| x.is_finite());
     let mut sums = [[0.0; 4]; 3];
     let mut count = 0.0;
@@ -272,4 +280,37 @@ fn root_mean_square(
         }
     }
     (count > 0.0).then(|| Errors(sums.map(|row| row.map(|sum: f64| (sum / count).sqrt()))))
+}
+
+/// One window counts at most so much, in squares of the floor: few windows alone do not decide.
+const GAIN_MAX: f64 = 4.0;
+
+/// How much smaller `after`'s squared errors are than `before`'s, in squares of the floor: by
+/// horizon and quantity the mean over windows, and its standard error.
+pub fn improvement(
+    before: &[[[f64; 4]; 3]],
+    after: &[[[f64; 4]; 3]],
+    floor: &Errors,
+) -> [[[f64; 2]; 4]; 3] {
+    std::array::from_fn(|h| {
+        std::array::from_fn(|q| {
+            let scale = floor.0[h][q].max(1e-12).powi(-2);
+            let gains: Vec<f64> = before
+                .iter()
+                .zip(after)
+                .map(|(b, a)| (b[h][q].powi(2) - a[h][q].powi(2)) * scale)
+                .map(|gain| gain.clamp(-GAIN_MAX, GAIN_MAX))
+                .filter(|gain| gain.is_finite())
+                .collect();
+            let n = gains.len() as f64;
+            if n < 2.0 {
+                return [0.0, f64::INFINITY];
+            }
+            let mean = gains.iter().sum::<f64>() / n;
+            let variance = gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0);
+            // Windows that overlap count once.
+            let effective = (n * SPACING_S / HORIZONS_S[2]).max(1.0);
+            [mean, (variance / effective).sqrt()]
+        })
+    })
 }

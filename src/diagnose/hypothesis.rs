@@ -85,8 +85,7 @@ impl Catalogue {
     /// The catalogue for a vehicle. `setpoint_leg`: setpoints and the on-board law are known, so
     /// that command_delay and pd_gain act there; else command_delay is from output to thrust.
     pub fn new(vehicle: &VehicleParams, setpoint_leg: bool) -> Self {
-        let mut catalogue =
-            Self {
+        let mut catalogue = Self {
             vehicle: vehicle.clone(),
             numbers: Vec::new(),
             hypotheses: Vec::new(),

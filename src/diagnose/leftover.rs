@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::fit::Observed;
 use super::hypothesis::Candidate;
-use super::residuals::{Evaluator, Groups, FORCE, VELOCITY};
+use super::residuals::{Evaluator, FORCE, Groups, VELOCITY};
 use super::spectrum::{BANDS, CELL_S, CosineTransform, band, frequency};
 use sitl::frame::{Attitude, Frd};
 
@@ -106,7 +106,9 @@ pub fn unmodelled_force(
         .collect();
     let mut total = [[[0.0; 4]; 3]; BANDS.len()];
     for block in &sums {
-        for (total, part) in total.iter_mut().flatten().flatten().zip(block.iter().flatten().flatten()) {
+        for (total, part) in
+            total.iter_mut().flatten().flatten().zip(block.iter().flatten().flatten())
+        {
             *total += part;
         }
     }

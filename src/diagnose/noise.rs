@@ -3,7 +3,7 @@
 use super::fit::Fit;
 use super::gap::ReportNoise;
 use super::preparation::PreparedFlight;
-use super::residuals::{ATTITUDE, RATE, VELOCITY};
+use super::residuals::{ATTITUDE, VELOCITY};
 use super::spectrum::{BANDS, CELL_S};
 
 /// Below this gyro and accelerometer wander, and forces act, Hz.
@@ -18,7 +18,7 @@ pub fn report_noise(flights: &[PreparedFlight], fit: &Fit, counts: &[f64]) -> Re
         flights.iter().map(of).sum::<f64>() / flights.len().max(1) as f64
     };
     let velocity = white(&variance, VELOCITY, rate(|f| f.velocity.rate()));
-    let body_rate = white(&variance, RATE, rate(|f| f.body_rate.rate()));
+    let body_rate = second_differences(flights);
     ReportNoise {
         position: position(flights, velocity),
         velocity,
@@ -50,6 +50,26 @@ fn white(variance: &[f64], first: usize, rate: f64) -> f64 {
         .collect();
     found.sort_by(f64::total_cmp);
     found.get(found.len() / 2).map_or(0.0, |v| v.sqrt())
+}
+
+/// Deviation of the body rate's white noise, by the median of its second differences: a body turns
+/// smoothly over three samples, most of the time.
+fn second_differences(flights: &[PreparedFlight]) -> f64 {
+    let mut squares: Vec<f64> = Vec::new();
+    for flight in flights {
+        let times = flight.body_rate.times();
+        for (t, w) in times.windows(3).zip(flight.body_rate.values().windows(3)) {
+            if flight.spans.iter().any(|s| s.contains(&t[1])) {
+                squares.extend((0..3).map(|i| (w[0][i] - 2.0 * w[1][i] + w[2][i]).powi(2)));
+            }
+        }
+    }
+    if squares.is_empty() {
+        return 0.0;
+    }
+    squares.sort_by(f64::total_cmp);
+    // The median of a squared standard normal number is 0.455.
+    (squares[squares.len() / 2] / (6.0 * 0.455)).sqrt()
 }
 
 /// Deviation of the attitude's coloured noise: its power summed over the bands.

@@ -198,7 +198,9 @@ pub struct PreparedFlight {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotPrepared {
     /// Nothing drives the plant.
-    #[error("the log has no motor outputs (and no rotor speeds with rotor_max_rpm), which drive the model")]
+    #[error(
+        "the log has no motor outputs (and no rotor speeds with rotor_max_rpm), which drive the model"
+    )]
     NoOutputs,
     /// Nothing answers.
     #[error("the log has neither velocity nor specific force nor body rate")]
@@ -238,13 +240,15 @@ impl PreparedFlight {
         let mut attitude = Series { times: flight.attitude.times().to_vec(), values: Vec::new() };
         for Attitude { w, x, y, z } in flight.attitude.values() {
             let q = [*w, *x, *y, *z];
-            let flips = last.is_some_and(|l| l.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() < 0.0);
+            let flips =
+                last.is_some_and(|l| l.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() < 0.0);
             let q = if flips { q.map(|c| -c) } else { q };
             attitude.values.push(q);
             last = Some(q);
         }
-        let complete =
-            |s: &AttitudeSetpoint| s.thrust.is_some() && (s.attitude.is_some() || s.body_rate.is_some());
+        let complete = |s: &AttitudeSetpoint| {
+            s.thrust.is_some() && (s.attitude.is_some() || s.body_rate.is_some())
+        };
         let channels = Channels {
             velocity: !velocity.is_empty(),
             attitude: !attitude.is_empty(),

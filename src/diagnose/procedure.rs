@@ -9,7 +9,7 @@ use super::answer::{
     Answer, EffectAnswer, FlightAnswer, Gap, HypothesisAnswer, NotTestable, Verdict, parameters,
 };
 use super::fit::Observed;
-use super::gap::Simulator;
+use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::{Catalogue, Target};
 use super::leftover::{UnmodelledForce, unmodelled_force};
 use super::noise::report_noise;
@@ -83,22 +83,29 @@ pub fn diagnose(
     let fitted = Observed::new(case.fitted, &evaluator, &catalogue);
     let held_out = Observed::new(case.held_out, &evaluator, &catalogue);
     progress("hypotheses");
-    let selector = Selector {
+    let mut selector = Selector {
         fitted: &fitted,
         held_out: &held_out,
         catalogue: &catalogue,
-        thresholds: Thresholds { evidence: 10.0, held_out: 1.0 },
+        setpoint_leg: leg,
+        thresholds: Thresholds { evidence: 10.0, held_out: 1.0, open_loop: [0.05, 2.5] },
+        floor: None,
     };
+    let (null, _) = selector.null().ok_or(DiagnoseError::Nothing)?;
+    let noise = report_noise(case.fitted, &null.fit, fitted.counts());
+    selector.floor = Simulator::new(case.vehicle, &EffectSet::new(), leg)?.floor(
+        case.fitted,
+        &noise,
+        settings.seed,
+    );
     let selection = selector.select().ok_or(DiagnoseError::Nothing)?;
-    if std::env::var("DG").is_ok() { selector.debug(&selection); }
 
     progress("what is left over");
     let force_of = |scored: &Scored| -> Option<UnmodelledForce> {
         let candidate = catalogue.candidate(&scored.fit.values).ok()?;
         unmodelled_force(&fitted, &evaluator, &candidate)
     };
-    let unmodelled =
-        force_of(&selection.null).zip(force_of(&selection.best)).map(|(a, b)| [a, b]);
+    let unmodelled = force_of(&selection.null).zip(force_of(&selection.best)).map(|(a, b)| [a, b]);
 
     progress("how far");
     let named: Vec<EffectId> =
@@ -106,7 +113,7 @@ pub fn diagnose(
     let effects = catalogue.effects(&selection.best.fit.values, Some(&named));
     let gap = gap(case, &catalogue, &selection, &fitted, &effects, leg, settings)?;
 
-    let verdict = verdict(&selection, unmodelled.as_ref());
+    let verdict = verdict(&selection, unmodelled.as_ref(), &noise);
     let (effects_answer, ambiguous_with) = if verdict == Verdict::Effect {
         named_effects(&catalogue, &selection)
     } else {
@@ -130,7 +137,11 @@ pub fn diagnose(
                     id: hypothesis.effect.name(),
                     evidence: rival.scored.fit.evidence - selection.null.fit.evidence,
                     held_out: [gain, error],
-                    numbers: hypothesis.numbers.iter().map(|n| rival.scored.fit.values[*n]).collect(),
+                    numbers: hypothesis
+                        .numbers
+                        .iter()
+                        .map(|n| rival.scored.fit.values[*n])
+                        .collect(),
                 }
             })
             .collect(),
@@ -150,8 +161,33 @@ pub fn diagnose(
     Ok(Diagnosis { answer, effects })
 }
 
-fn verdict(selection: &Selection, _unmodelled: Option<&[UnmodelledForce; 2]>) -> Verdict {
-    if selection.best.fit.hypotheses.is_empty() { Verdict::None } else { Verdict::Effect }
+/// Time over which an unmodelled force is compared with the velocity's noise, s.
+const FORCE_TIME_S: f64 = 0.5;
+/// Standard errors by which an unmodelled force must stand out.
+const FORCE_SIGNIFICANCE: f64 = 5.0;
+/// Share of the unmodelled power that a set of effects may leave and still be the explanation.
+const LEFT_MAX: f64 = 0.3;
+
+/// An effect was found if it leaves no force of practical size, or little of what there was: a
+/// force is of practical size where within half a second it moves the velocity by more than the
+/// reports of start and end are uncertain.
+fn verdict(
+    selection: &Selection,
+    unmodelled: Option<&[UnmodelledForce; 2]>,
+    noise: &ReportNoise,
+) -> Verdict {
+    let found = !selection.best.fit.hypotheses.is_empty();
+    let least = 6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S;
+    let left = unmodelled.is_some_and(|[before, after]| {
+        after.rms() > least
+            && after.significance() > FORCE_SIGNIFICANCE
+            && (!found || after.total() > LEFT_MAX * before.total())
+    });
+    match (left, found) {
+        (true, _) => Verdict::Unknown,
+        (false, true) => Verdict::Effect,
+        (false, false) => Verdict::None,
+    }
 }
 
 fn gap(
@@ -242,7 +278,11 @@ fn named_effects(
 }
 
 /// 90 % intervals of an effect's fitted numbers.
-fn intervals(catalogue: &Catalogue, scored: &Scored, effect: EffectId) -> BTreeMap<String, [f64; 2]> {
+fn intervals(
+    catalogue: &Catalogue,
+    scored: &Scored,
+    effect: EffectId,
+) -> BTreeMap<String, [f64; 2]> {
     let mut intervals = BTreeMap::new();
     for hypothesis in &scored.fit.hypotheses {
         let hypothesis = &catalogue.hypotheses[*hypothesis];

@@ -68,6 +68,9 @@ const WARM_UP_MAX_S: f64 = 0.5;
 /// Share of a stream's rate up to which it is looked at: a linear interpolation between samples
 /// holds to that.
 const RATE_SHARE: f64 = 0.3;
+/// The body rate is looked at up to here, Hz: above, the gyro's noise is both in its increments and,
+/// by feedback, in the outputs, and their correlation would pass for a delay.
+const RATE_MAX_HZ: f64 = 6.0;
 /// The command is looked at up to here, Hz: feedback puts noise into every setpoint, and above this
 /// it outweighs what is asked for; a jitter of the link then looks like a lower gain.
 const COMMAND_MAX_HZ: f64 = 2.5;
@@ -127,8 +130,7 @@ impl Layout {
             group(FORCE, 3, limit(&[flight.specific_force.rate()]));
         }
         if channels.body_rate {
-            let lm: f64 = std::env::var("RM").ok().and_then(|s| s.parse().ok()).unwrap_or(20.0);
-            group(RATE, 3, limit(&[flight.body_rate.rate()]).min(lm));
+            group(RATE, 3, limit(&[flight.body_rate.rate()]).min(RATE_MAX_HZ));
         }
         if has_pose {
             let rates = [flight.attitude.rate(), flight.body_rate.rate()];
@@ -362,14 +364,14 @@ impl Evaluator {
     ) {
         let Some(onboard) = &self.onboard else { return };
         let law = onboard.with_gains(candidate.gains);
-        let timing =
-            Timing { command_delay: candidate.command_delay, latency: candidate.latency };
+        let timing = Timing { command_delay: candidate.command_delay, latency: candidate.latency };
         let (first, last) = (block.start - 2.0 * CELL_S, block.end() + 2.0 * CELL_S);
         let times = flight.logged_outputs.times();
         let from = times.partition_point(|t| *t < first);
         let to = times.partition_point(|t| *t <= last);
         let mut found: Vec<(f64, [f64; 4])> = Vec::with_capacity(to - from);
-        for (time, logged) in times[from..to].iter().zip(&flight.logged_outputs.values()[from..to]) {
+        for (time, logged) in times[from..to].iter().zip(&flight.logged_outputs.values()[from..to])
+        {
             // The output in force is of the loop's latest tick.
             let tick = onboard.tick(*time);
             if let Some(by_law) = onboard.outputs(&law, flight, tick, timing) {
@@ -388,12 +390,22 @@ impl Evaluator {
             }
             let ((t0, a), (t1, b)) = (found[index], found[index + 1]);
             let share = ((time - t0) / (t1 - t0)).clamp(0.0, 1.0);
-            put(series, COMMAND, k, std::array::from_fn::<f64, 4, _>(|i| a[i] + share * (b[i] - a[i])));
+            put(
+                series,
+                COMMAND,
+                k,
+                std::array::from_fn::<f64, 4, _>(|i| a[i] + share * (b[i] - a[i])),
+            );
         }
     }
 }
 
-fn put<const N: usize>(series: &mut [Vec<f64>; CHANNELS], first: usize, k: usize, values: [f64; N]) {
+fn put<const N: usize>(
+    series: &mut [Vec<f64>; CHANNELS],
+    first: usize,
+    k: usize,
+    values: [f64; N],
+) {
     for (channel, value) in series[first..first + N].iter_mut().zip(values) {
         channel[k] = value;
     }
@@ -421,8 +433,7 @@ fn motion(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Moti
     let middle: Vec<Attitude> =
         (0..n).map(|k| attitude_at(cursor.at(block.middle(k) + late))).collect();
     let mut cursor = flight.velocity.cursor();
-    let velocity: Vec<Ned> =
-        (0..=n).map(|k| Ned::from(cursor.at(block.edge(k) + late))).collect();
+    let velocity: Vec<Ned> = (0..=n).map(|k| Ned::from(cursor.at(block.edge(k) + late))).collect();
     let mut cursor = flight.body_rate.cursor();
     let body_rate: Vec<Frd> = (0..=n).map(|k| Frd::from(cursor.at(block.edge(k)))).collect();
     let mut rate = flight.body_rate.cursor();

@@ -5,10 +5,13 @@
 //! hypothesis is taken up only if it raises the evidence on the flights of the fit *and* the
 //! density of the flights that were held out.
 
+use std::sync::OnceLock;
+
 use rayon::prelude::*;
 use sitl::effects::EffectId;
 
 use super::fit::{Fit, Linearised, Observed, fit};
+use super::gap::{Errors, Simulator, improvement};
 use super::hypothesis::{Catalogue, Hypothesis};
 
 /// Most effects at once.
@@ -17,6 +20,8 @@ pub const EFFECTS_MAX: usize = 3;
 const SURVIVORS: usize = 8;
 /// Least gain of evidence in the linearised problem that is worth a fit, nats.
 const SCREENED_MIN: f64 = 2.0;
+/// Of the best, so many are tried until one is taken up.
+const TRIED: usize = 4;
 /// Single hypotheses whose pairs are all tried.
 const PAIRED: usize = 4;
 
@@ -27,7 +32,12 @@ pub struct Scored {
     pub fit: Fit,
     /// Log density of each block held out, nats.
     pub density: Vec<f64>,
+    /// Open-loop errors of its effects alone on all flights, window by window.
+    windows: OnceLock<Windows>,
 }
+
+/// Errors by window, horizon and quantity.
+type Windows = Vec<[[f64; 4]; 3]>;
 
 impl Scored {
     /// How much likelier it makes the flights held out than `other`: nats, and the standard error
@@ -53,6 +63,8 @@ pub struct Thresholds {
     pub evidence: f64,
     /// Least gain of held-out density, nats.
     pub held_out: f64,
+    /// Least gain of the open loop, in squares of its floor, and in its standard errors.
+    pub open_loop: [f64; 2],
 }
 
 /// How a hypothesis fared against the others in its place.
@@ -86,8 +98,12 @@ pub struct Selector<'a> {
     pub held_out: &'a Observed<'a>,
     /// The catalogue.
     pub catalogue: &'a Catalogue,
+    /// Whether simulators are driven by setpoints.
+    pub setpoint_leg: bool,
     /// What is asked.
     pub thresholds: Thresholds,
+    /// The open loop's floor, where it has windows.
+    pub floor: Option<Errors>,
 }
 
 impl Selector<'_> {
@@ -100,7 +116,7 @@ impl Selector<'_> {
         let residuals = self.held_out.residuals(&fit.values)?;
         let noise = fit.noise(self.fitted.counts());
         let density = self.held_out.log_density(&residuals, &noise);
-        Some(Scored { fit, density })
+        Some(Scored { fit, density, windows: OnceLock::new() })
     }
 
     /// Nuisances alone, and the derivatives there.
@@ -178,6 +194,34 @@ impl Selector<'_> {
         let (gain, _) = more.gain_over(less);
         more.fit.evidence - less.fit.evidence > self.thresholds.evidence
             && gain > self.thresholds.held_out
+            && self.predicts_better(more, less)
+    }
+
+    /// Whether the effects of `more` make better predictions than those of `less`, by an amount
+    /// that matters: in at least one quantity and horizon, and in no mean worse.
+    fn predicts_better(&self, more: &Scored, less: &Scored) -> bool {
+        let Some(floor) = &self.floor else { return true };
+        let gains = improvement(self.windows(less), self.windows(more), floor);
+        let [least, deviations] = self.thresholds.open_loop;
+        let clear = |[gain, error]: &[f64; 2]| *gain > least && *gain > deviations * error;
+        let sum: f64 = gains[1..].iter().flatten().map(|[gain, _]| gain).sum();
+        sum > 0.0 && gains.iter().flatten().any(|gain| clear(gain))
+    }
+
+    /// Open-loop errors of a fit's effects, without its nuisances.
+    fn windows<'s>(&self, scored: &'s Scored) -> &'s Windows {
+        scored.windows.get_or_init(|| {
+            let named: Vec<EffectId> =
+                scored.fit.hypotheses.iter().map(|h| self.hypothesis(*h).effect).collect();
+            let effects = self.catalogue.effects(&scored.fit.values, Some(&named));
+            Simulator::new(&self.catalogue.vehicle, &effects, self.setpoint_leg)
+                .map(|simulator| {
+                    let mut windows = simulator.windows(self.fitted.flights);
+                    windows.extend(simulator.windows(self.held_out.flights));
+                    windows
+                })
+                .unwrap_or_default()
+        })
     }
 
     /// Hypotheses in addition to `set`, fitted together with it, the best first.
@@ -209,55 +253,82 @@ impl Selector<'_> {
         let (null, about) = self.null()?;
         let singles = self.additions(&about, &null, SURVIVORS);
         let mut best = null.clone();
-        if let Some(first) = singles.first()
-            && self.accepts(&first.scored, &null)
+        if let Some(first) =
+            singles.iter().take(TRIED).find(|rival| self.accepts(&rival.scored, &null))
         {
             best = first.scored.clone();
         }
         if !best.fit.hypotheses.is_empty() {
+            let single = best.clone();
             for pair in self.pairs(&about, &singles) {
-                if pair.score() > best.score() && self.accepts(&pair, &singles[0].scored) {
+                if pair.score() > best.score() && self.accepts(&pair, &single) {
                     best = pair;
                 }
             }
             while best.fit.hypotheses.len() < EFFECTS_MAX {
                 let about = Linearised::new(self.fitted, &best.fit.values, &self.all_numbers())?;
                 let more = self.additions(&about, &best, SURVIVORS / 2);
-                match more.into_iter().next() {
-                    Some(more) if self.accepts(&more.scored, &best) => best = more.scored,
-                    _ => break,
+                let taken =
+                    more.into_iter().take(TRIED).find(|more| self.accepts(&more.scored, &best));
+                match taken {
+                    Some(more) => best = more.scored,
+                    None => break,
                 }
             }
         }
-        let mut places = Vec::new();
-        // Without each: what no longer pays goes, and the rest is looked at again.
-        'pruned: loop {
-            places.clear();
-            for i in 0..best.fit.hypotheses.len() {
-                let mut rest = best.fit.hypotheses.clone();
-                rest.remove(i);
-                let without = if rest.is_empty() {
-                    null.clone()
-                } else {
-                    let from = self.numbers_of(&best);
-                    self.fitted(&about, &rest, &from)?
-                };
-                if !self.accepts(&best, &without) {
-                    best = without;
-                    continue 'pruned;
+        // Without each: what no longer pays goes, the least first.
+        loop {
+            let without: Vec<Scored> = (0..best.fit.hypotheses.len())
+                .map(|i| self.without(&about, &best, i, &null))
+                .collect::<Option<_>>()?;
+            let least = without
+                .iter()
+                .filter(|less| !self.accepts(&best, less))
+                .max_by(|a, b| a.score().total_cmp(&b.score()));
+            match least {
+                Some(less) => best = less.clone(),
+                None => {
+                    let places = without
+                        .into_iter()
+                        .map(|less| {
+                            let rivals = if less.fit.hypotheses.is_empty() {
+                                singles.clone()
+                            } else {
+                                self.rivals(&less)?
+                            };
+                            Some((less, rivals))
+                        })
+                        .collect::<Option<_>>()?;
+                    return Some(Selection { null, singles, best, places });
                 }
-                let rivals = if rest.is_empty() {
-                    singles.clone()
-                } else {
-                    let numbers = self.all_numbers();
-                    let about = Linearised::new(self.fitted, &without.fit.values, &numbers)?;
-                    self.additions(&about, &without, SURVIVORS / 2)
-                };
-                places.push((without, rivals));
             }
-            break;
         }
-        Some(Selection { null, singles, best, places })
+    }
+
+    /// The set without its hypothesis number `index`, fitted again.
+    fn without(
+        &self,
+        about: &Linearised,
+        set: &Scored,
+        index: usize,
+        null: &Scored,
+    ) -> Option<Scored> {
+        let mut rest = set.fit.hypotheses.clone();
+        rest.remove(index);
+        if rest.is_empty() {
+            return Some(null.clone());
+        }
+        let mut from = self.numbers_of(set);
+        let kept =
+            |number: &usize| rest.iter().any(|h| self.hypothesis(*h).numbers.contains(number));
+        from.retain(|(number, _)| kept(number));
+        self.fitted(about, &rest, &from)
+    }
+
+    /// Hypotheses in addition to a set.
+    fn rivals(&self, set: &Scored) -> Option<Vec<Rival>> {
+        let about = Linearised::new(self.fitted, &set.fit.values, &self.all_numbers())?;
+        Some(self.additions(&about, set, SURVIVORS / 2))
     }
 
     /// All pairs of the best single hypotheses, fitted together.
@@ -277,26 +348,5 @@ impl Selector<'_> {
                 self.fitted(about, &[a.hypothesis, b.hypothesis], &from)
             })
             .collect()
-    }
-}
-impl Selector<'_> {
-    pub fn debug(&self, s: &Selection) {
-        use super::residuals::{CHANNELS, CHANNEL_NAMES};
-        use super::spectrum::BANDS;
-        let nb = BANDS.len();
-        for (name, sc) in [("null", &s.null), ("single", &s.singles[0].scored), ("best", &s.best)] {
-            let h = self.held_out.residuals(&sc.fit.values).unwrap();
-            let hp = self.held_out.power(&h);
-            let (tn, hn) = (self.fitted.counts(), self.held_out.counts());
-            eprintln!("== {name} {:?}", sc.fit.hypotheses.iter().map(|h| self.catalogue.hypotheses[*h].effect.name()).collect::<Vec<_>>());
-            for (i, n) in self.catalogue.numbers.iter().enumerate() {
-                let off = sc.fit.values[i] - n.reference;
-                if off.abs() > 1e-12 { eprintln!("   {:?} {:.5} off {:.5} ({:.2} tol) sd {:.5}", n.target, sc.fit.values[i], off, off / n.tolerance, sc.fit.deviation[i]); }
-            }
-            for c in 0..CHANNELS {
-                let t: Vec<String> = (0..nb).map(|b| { let p = c * nb + b; format!("{:8.2e}/{:5.2}", (sc.fit.power[p] / tn[p]).sqrt(), ((hp[p] / hn[p]) / (sc.fit.power[p] / tn[p])).sqrt()) }).collect();
-                eprintln!("   {:26} {}", CHANNEL_NAMES[c], t.join(" "));
-            }
-        }
     }
 }

@@ -99,7 +99,9 @@ mod tests {
             let sum: f64 = series
                 .iter()
                 .enumerate()
-                .map(|(i, x)| x * (std::f64::consts::PI * (i as f64 + 0.5) * k as f64 / n as f64).cos())
+                .map(|(i, x)| {
+                    x * (std::f64::consts::PI * (i as f64 + 0.5) * k as f64 / n as f64).cos()
+                })
                 .sum();
             let scale = if k == 0 { (1.0 / n as f64).sqrt() } else { (2.0 / n as f64).sqrt() };
             assert!((found - sum * scale).abs() < 1e-12, "{k}");
