@@ -11,7 +11,8 @@ use rayon::prelude::*;
 
 use super::hypothesis::{Catalogue, Values};
 use super::preparation::PreparedFlight;
-use super::residuals::{Evaluator, Groups, Layout, Place};
+use super::residuals::{CHANNELS, Evaluator, Groups, Layout, Place};
+use super::spectrum::BANDS;
 
 /// Rounds of weights in a solve.
 const WEIGHT_ROUNDS: usize = 40;
@@ -106,29 +107,44 @@ impl<'a> Observed<'a> {
         power
     }
 
-    /// Log density of each block under noise of variance `noise` at each place, in nats, without
-    /// constants.
+    /// Log density of each block in nats, without constants, under noise whose spectrum has the
+    /// shape of `noise` in every channel and whose strength in the block is not known: a flight
+    /// held out may be rougher than the fitted ones, and a bump does not decide.
     pub fn log_density(&self, residuals: &Residuals, noise: &[f64]) -> Vec<f64> {
-        let offsets: Vec<usize> = self
-            .layouts
-            .iter()
-            .scan(0, |sum, layout| {
-                let at = *sum;
-                *sum += layout.blocks.len() - 1;
-                Some(at)
-            })
-            .collect();
-        let total: usize = self.layouts.iter().map(|layout| layout.blocks.len() - 1).sum();
-        let mut density = vec![0.0; total];
-        for run in &self.runs {
+        let mut first = 0;
+        let mut density = Vec::new();
+        // Of each channel in a block: number, sum of squares in units of the noise.
+        let mut sums = [[0.0; 2]; CHANNELS];
+        let strength = |sums: &mut [[f64; 2]; CHANNELS]| -> f64 {
+            std::mem::take(sums)
+                .iter()
+                .filter(|[n, _]| *n > 0.0)
+                .map(|[n, q]| 0.5 * n * (q / n).max(f64::MIN_POSITIVE).ln())
+                .sum()
+        };
+        for (index, run) in self.runs.iter().enumerate() {
+            if index == 0 || (run.flight, run.block) != (self.runs[first].flight, self.runs[first].block) {
+                if let Some(last) = density.last_mut() {
+                    *last -= strength(&mut sums);
+                }
+                density.push(0.0);
+                first = index;
+            }
             let variance = noise[run.place];
             if variance <= 0.0 {
                 continue;
             }
             let part = &residuals[run.flight][run.start..run.end];
-            let square: f64 = part.iter().map(|r| r * r).sum();
-            density[offsets[run.flight] + run.block] -=
-                0.5 * ((run.end - run.start) as f64 * variance.ln() + square / variance);
+            let n = (run.end - run.start) as f64;
+            let [count, square] = &mut sums[run.place / BANDS.len()];
+            *count += n;
+            *square += part.iter().map(|r| r * r).sum::<f64>() / variance;
+            if let Some(last) = density.last_mut() {
+                *last -= 0.5 * n * variance.ln();
+            }
+        }
+        if let Some(last) = density.last_mut() {
+            *last -= strength(&mut sums);
         }
         density
     }

@@ -418,7 +418,7 @@ impl Scales {
             (BladeFlapping, 0) => [0.0, 0.01 * self.weight * self.arm],
             (BladeFlapping, 1) => [0.0, 0.01],
             (VortexRing, 0) => [0.0, 0.3],
-            (Inertia, 0..=2) => [0.01, 0.35],
+            (Inertia, 0..=2) => [0.017, 0.35],
             (ComOffset, 0 | 1) => [0.001 * self.arm, 0.05 * self.arm],
             // The four rotors from rest to full speed against the yaw inertia: 30 rad/s of yaw.
             (RotorGyroscopic, 0) => [0.0, 7.5 * self.yaw_inertia / self.rotor_speed_max],

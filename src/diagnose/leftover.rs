@@ -15,6 +15,10 @@ use sitl::frame::{Attitude, Frd};
 
 /// Forces are looked at up to here, Hz: above, rotors and delays that are not quite right show.
 const FORCE_MAX_HZ: f64 = 4.5;
+/// From there to here the noise that both share is looked for, Hz.
+const NOISE_MAX_HZ: f64 = 11.5;
+/// Shared noise is not white for sure: below, so much of it may be.
+const SHARED_FACTOR: f64 = 3.0;
 /// The least, Hz: the accelerometer's bias wanders below.
 const FORCE_MIN_HZ: f64 = 0.1;
 
@@ -89,7 +93,7 @@ pub fn unmodelled_force(
                 transform.apply(&mut world[axis], &mut scratch);
                 for k in 0..n {
                     let f = frequency(k, n);
-                    if !(FORCE_MIN_HZ..FORCE_MAX_HZ).contains(&f) {
+                    if !(FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&f) {
                         continue;
                     }
                     let Some(band) = band(f) else { continue };
@@ -116,6 +120,9 @@ pub fn unmodelled_force(
     let mut variance = 0.0;
     for (band, axes) in total.iter().enumerate() {
         let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
+        if lower >= FORCE_MAX_HZ {
+            break;
+        }
         let width = BANDS[band] - lower;
         let mut in_band = 0.0;
         for (axis, [product, left, right, count]) in axes.iter().enumerate() {
@@ -124,8 +131,9 @@ pub fn unmodelled_force(
             }
             // Power per coefficient to mean square: a share of the cells' Nyquist band.
             let share = 2.0 * CELL_S * width / count;
-            force.mean_square[axis] += product * share;
-            in_band += product * share;
+            let power = (product - SHARED_FACTOR * count * shared_noise(&total, axis)) * share;
+            force.mean_square[axis] += power;
+            in_band += power;
             variance += share * share * left * right / count;
         }
         if axes[0][3] > 0.0 {
@@ -134,4 +142,17 @@ pub fn unmodelled_force(
     }
     force.error = variance.sqrt();
     Some(force)
+}
+
+/// Product of both per coefficient above the forces' band: an estimator that integrates the
+/// accelerometer puts its white noise into the velocity too.
+fn shared_noise(total: &[[[f64; 4]; 3]; BANDS.len()], axis: usize) -> f64 {
+    let (mut product, mut count) = (0.0, 0.0);
+    for (band, axes) in total.iter().enumerate() {
+        if band > 0 && BANDS[band - 1] >= FORCE_MAX_HZ {
+            product += axes[axis][0];
+            count += axes[axis][3];
+        }
+    }
+    if count > 0.0 { (product / count).max(0.0) } else { 0.0 }
 }

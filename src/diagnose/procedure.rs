@@ -14,7 +14,8 @@ use super::hypothesis::{Catalogue, Target};
 use super::leftover::{UnmodelledForce, unmodelled_force};
 use super::noise::report_noise;
 use super::preparation::PreparedFlight;
-use super::residuals::Evaluator;
+use super::residuals::{Evaluator, VELOCITY};
+use super::spectrum::{BANDS, CELL_S};
 use super::selection::{Rival, Scored, Selection, Selector, Thresholds};
 
 /// Differences of scores count by this share: channels share noise that the scores take to be
@@ -24,6 +25,9 @@ const TEMPER: f64 = 0.25;
 const MENTIONED: f64 = 0.01;
 /// Least probability of a rival that cannot be told apart.
 const AMBIGUOUS: f64 = 0.1;
+/// What changes the level of the thrust: only the pack's voltage tells them apart.
+const THRUST_LEVEL: [EffectId; 3] =
+    [EffectId::BatterySag, EffectId::ThrustCurve, EffectId::ThrustScale];
 /// Quantile of the normal distribution for 90 % intervals.
 const Z90: f64 = 1.645;
 
@@ -113,9 +117,23 @@ pub fn diagnose(
     let effects = catalogue.effects(&selection.best.fit.values, Some(&named));
     let gap = gap(case, &catalogue, &selection, &fitted, &effects, leg, settings)?;
 
-    let verdict = verdict(&selection, unmodelled.as_ref(), &noise);
+    let verdict = verdict(
+        &selection,
+        unmodelled.as_ref(),
+        explained(&selection, fitted.counts()),
+        &noise,
+        case.vehicle.gravity,
+    );
     let (effects_answer, ambiguous_with) = if verdict == Verdict::Effect {
-        named_effects(&catalogue, &selection)
+        let (effects, mut ambiguous) = named_effects(&catalogue, &selection);
+        let voltage = case.fitted.iter().all(|flight| flight.channels.voltage);
+        if !voltage && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
+            let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
+            ambiguous.extend(others.map(|effect| effect.name()));
+        }
+        ambiguous.sort_unstable();
+        ambiguous.dedup();
+        (effects, ambiguous)
     } else {
         (Vec::new(), Vec::new())
     };
@@ -163,6 +181,8 @@ pub fn diagnose(
 
 /// Time over which an unmodelled force is compared with the velocity's noise, s.
 const FORCE_TIME_S: f64 = 0.5;
+/// A smaller force matters to nobody, in units of the weight.
+const FORCE_MIN_WEIGHTS: f64 = 0.01;
 /// Standard errors by which an unmodelled force must stand out.
 const FORCE_SIGNIFICANCE: f64 = 5.0;
 /// Share of the unmodelled power that a set of effects may leave and still be the explanation.
@@ -174,20 +194,38 @@ const LEFT_MAX: f64 = 0.3;
 fn verdict(
     selection: &Selection,
     unmodelled: Option<&[UnmodelledForce; 2]>,
+    explained: f64,
     noise: &ReportNoise,
+    gravity: f64,
 ) -> Verdict {
     let found = !selection.best.fit.hypotheses.is_empty();
-    let least = 6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S;
-    let left = unmodelled.is_some_and(|[before, after]| {
+    let least =
+        (6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S).max(FORCE_MIN_WEIGHTS * gravity);
+    let left = unmodelled.is_some_and(|[_, after]| {
         after.rms() > least
             && after.significance() > FORCE_SIGNIFICANCE
-            && (!found || after.total() > LEFT_MAX * before.total())
+            && (!found || after.total() > LEFT_MAX * (after.total() + explained))
     });
     match (left, found) {
         (true, _) => Verdict::Unknown,
         (false, true) => Verdict::Effect,
         (false, false) => Verdict::None,
     }
+}
+
+/// Mean square of the acceleration that the chosen effects explain and the nuisances do not,
+/// m^2/s^4.
+fn explained(selection: &Selection, counts: &[f64]) -> f64 {
+    let (null, best) = (selection.null.fit.noise(counts), selection.best.fit.noise(counts));
+    let mut sum = 0.0;
+    for axis in VELOCITY..VELOCITY + 3 {
+        for band in 0..BANDS.len() {
+            let place = axis * BANDS.len() + band;
+            let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
+            sum += (null[place] - best[place]) * 2.0 * CELL_S * (BANDS[band] - lower);
+        }
+    }
+    sum.max(0.0)
 }
 
 fn gap(

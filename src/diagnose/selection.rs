@@ -191,9 +191,12 @@ impl Selector<'_> {
 
     /// Whether `more` is worth its additional effect.
     fn accepts(&self, more: &Scored, less: &Scored) -> bool {
-        let (gain, _) = more.gain_over(less);
+        let (gain, error) = more.gain_over(less);
+        // Without an open loop to judge by, the flights held out must be clear by themselves.
+        let clear = self.floor.is_some() || gain > error;
         more.fit.evidence - less.fit.evidence > self.thresholds.evidence
             && gain > self.thresholds.held_out
+            && clear
             && self.predicts_better(more, less)
     }
 
@@ -291,11 +294,13 @@ impl Selector<'_> {
                     let places = without
                         .into_iter()
                         .map(|less| {
-                            let rivals = if less.fit.hypotheses.is_empty() {
+                            let mut rivals = if less.fit.hypotheses.is_empty() {
                                 singles.clone()
                             } else {
                                 self.rivals(&less)?
                             };
+                            // Who would not have been taken up is no rival.
+                            rivals.retain(|rival| self.accepts(&rival.scored, &less));
                             Some((less, rivals))
                         })
                         .collect::<Option<_>>()?;
