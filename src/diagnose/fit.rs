@@ -123,7 +123,9 @@ impl<'a> Observed<'a> {
                 .sum()
         };
         for (index, run) in self.runs.iter().enumerate() {
-            if index == 0 || (run.flight, run.block) != (self.runs[first].flight, self.runs[first].block) {
+            if index == 0
+                || (run.flight, run.block) != (self.runs[first].flight, self.runs[first].block)
+            {
                 if let Some(last) = density.last_mut() {
                     *last -= strength(&mut sums);
                 }

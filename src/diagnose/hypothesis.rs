@@ -15,6 +15,17 @@ use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
 /// A nuisance stays within so many tolerances: what asks for more is an effect.
 const TOLERANCES_MAX: f64 = 3.0;
 
+/// Delays that a fit starts from: setpoints may keep step with the loop, and the cost then has many
+/// minima, s.
+const DELAYS_S: [f64; 19] = [
+    0.0, 0.004, 0.008, 0.012, 0.016, 0.02, 0.024, 0.028, 0.032, 0.036, 0.04, 0.044, 0.048, 0.052,
+    0.056, 0.06, 0.066, 0.072, 0.08,
+];
+/// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
+/// inertia per second.
+const DAMPING_TIME_S: f64 = 0.002;
+const DAMPING_RATE: f64 = 0.1;
+
 /// What a number of a hypothesis stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
@@ -24,6 +35,10 @@ pub enum Target {
     RotorScale(usize),
     /// Factor on one rotor's thrust within its tolerance.
     RotorGain(usize),
+    /// Moment against the body rate about one axis beyond the vehicle file's, N m s. Air does it,
+    /// and so do outputs that are logged less often than the loop ticks: between two of them the
+    /// desired attitude moves on, and the logged moment is off by kp times that.
+    Damping(usize),
     /// How much later than logged the motor outputs act, without the lag, s.
     OutputDelay,
 }
@@ -149,7 +164,7 @@ impl Catalogue {
             }
             let starts: &[f64] = match effect {
                 EffectId::EstimatorLatency => &[0.02, 0.05, 0.09],
-                EffectId::CommandDelay => &[0.01, 0.03, 0.06],
+                EffectId::CommandDelay => &DELAYS_S,
                 EffectId::MotorLag => &[0.015, 0.03, 0.06, 0.1],
                 EffectId::GroundEffect => &[2.0, 4.0, 8.0],
                 _ => &[],
@@ -163,6 +178,17 @@ impl Catalogue {
                 tolerance: 0.002,
                 magnitude: 0.01,
                 bounds: [-0.03, 0.15],
+                quadratic: false,
+            });
+        }
+        for axis in 0..3 {
+            let kp = vehicle.attitude_pd.map_or(0.0, |pd| pd.kp[axis]);
+            catalogue.add(Number {
+                target: Target::Damping(axis),
+                reference: 0.0,
+                tolerance: (DAMPING_TIME_S * kp).max(DAMPING_RATE * vehicle.inertia[axis]),
+                magnitude: vehicle.inertia[axis],
+                bounds: [-10.0 * vehicle.inertia[axis], 10.0 * vehicle.inertia[axis]],
                 quadratic: false,
             });
         }
@@ -276,6 +302,9 @@ impl Catalogue {
             match number.target {
                 Target::RotorGain(rotor) => vehicle.rotors[rotor].thrust_max_n *= value,
                 Target::OutputDelay => output_delay = *value,
+                Target::Damping(axis) if *value != 0.0 => {
+                    vehicle.angular_damping_nms.get_or_insert_default()[axis] += value;
+                }
                 _ => {}
             }
         }

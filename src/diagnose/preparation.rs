@@ -5,7 +5,6 @@ use std::ops::Range;
 use sitl::frame::Attitude;
 use sitl::vehicle::VehicleParams;
 
-use super::onboard::OnboardLaw;
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
 use crate::learn::segments::Segments;
 use crate::log::import::{AttitudeSetpoint, Flight, Stream, UnitUnknown};
@@ -179,10 +178,7 @@ pub struct PreparedFlight {
     pub body_rate: Series<3>,
     /// Specific force, m/s^2.
     pub specific_force: Series<3>,
-    /// Motor outputs as logged, 0..1.
-    pub logged_outputs: Series<4>,
-    /// Motor outputs as they drive the plant: between the logged ones what the on-board law makes
-    /// of the setpoints, where it is known to make the logged ones.
+    /// Motor outputs, 0..1.
     pub outputs: Series<4>,
     /// Pack voltage, V.
     pub voltage: Series<1>,
@@ -276,26 +272,12 @@ impl PreparedFlight {
             attitude,
             body_rate,
             specific_force,
-            logged_outputs: outputs.clone(),
             outputs,
             voltage: Series::of(&flight.voltage, |v| [*v]),
             setpoint: flight.setpoint,
             spans,
             blocks,
-        }
-        .with_outputs_of_every_tick(vehicle))
-    }
-
-    /// Outputs of every tick of the on-board loop, if the law explains the logged ones.
-    fn with_outputs_of_every_tick(mut self, vehicle: &VehicleParams) -> Self {
-        if self.channels.setpoint
-            && let Some(onboard) = OnboardLaw::new(vehicle)
-            && onboard.rate_hz() > 1.3 * self.logged_outputs.rate()
-            && let Some(ticks) = onboard.every_tick(&self)
-        {
-            self.outputs = ticks;
-        }
-        self
+        })
     }
 
     /// Time looked at, s.
@@ -322,13 +304,6 @@ impl PreparedFlight {
             part(first..half - 0.5 * guard_s, "first")?,
             part(half + 0.5 * guard_s..last, "second")?,
         ))
-    }
-}
-
-impl Series<4> {
-    /// From times and values of the same number, times ascending.
-    pub(super) fn from_parts(times: Vec<f64>, values: Vec<[f64; 4]>) -> Self {
-        Self { times, values }
     }
 }
 

@@ -15,8 +15,8 @@ use super::leftover::{UnmodelledForce, unmodelled_force};
 use super::noise::report_noise;
 use super::preparation::PreparedFlight;
 use super::residuals::{Evaluator, VELOCITY};
-use super::spectrum::{BANDS, CELL_S};
 use super::selection::{Rival, Scored, Selection, Selector, Thresholds};
+use super::spectrum::{BANDS, CELL_S};
 
 /// Differences of scores count by this share: channels share noise that the scores take to be
 /// independent.
@@ -199,8 +199,7 @@ fn verdict(
     gravity: f64,
 ) -> Verdict {
     let found = !selection.best.fit.hypotheses.is_empty();
-    let least =
-        (6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S).max(FORCE_MIN_WEIGHTS * gravity);
+    let least = (6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S).max(FORCE_MIN_WEIGHTS * gravity);
     let left = unmodelled.is_some_and(|[_, after]| {
         after.rms() > least
             && after.significance() > FORCE_SIGNIFICANCE
@@ -338,7 +337,7 @@ fn intervals(
                 }
                 Target::RotorScale(_) => "scale".to_owned(),
                 Target::OutputDelay => "delay_s".to_owned(),
-                Target::RotorGain(_) => continue,
+                Target::RotorGain(_) | Target::Damping(_) => continue,
             };
             let (value, deviation) = (scored.fit.values[*number], scored.fit.deviation[*number]);
             intervals.insert(name, [value - Z90 * deviation, value + Z90 * deviation]);

@@ -116,7 +116,7 @@ impl Layout {
     pub fn new(flight: &PreparedFlight) -> Self {
         let channels = &flight.channels;
         let has_pose = channels.attitude && channels.body_rate;
-        let input = flight.logged_outputs.rate();
+        let input = flight.outputs.rate();
         let limit = |rates: &[f64]| rates.iter().fold(input, |a, b| a.min(*b)) * RATE_SHARE;
         let mut limits = [0.0; CHANNELS];
         let mut group = |start: usize, count: usize, limit: f64| {
@@ -366,12 +366,11 @@ impl Evaluator {
         let law = onboard.with_gains(candidate.gains);
         let timing = Timing { command_delay: candidate.command_delay, latency: candidate.latency };
         let (first, last) = (block.start - 2.0 * CELL_S, block.end() + 2.0 * CELL_S);
-        let times = flight.logged_outputs.times();
+        let times = flight.outputs.times();
         let from = times.partition_point(|t| *t < first);
         let to = times.partition_point(|t| *t <= last);
         let mut found: Vec<(f64, [f64; 4])> = Vec::with_capacity(to - from);
-        for (time, logged) in times[from..to].iter().zip(&flight.logged_outputs.values()[from..to])
-        {
+        for (time, logged) in times[from..to].iter().zip(&flight.outputs.values()[from..to]) {
             // The output in force is of the loop's latest tick.
             let tick = onboard.tick(*time);
             if let Some(by_law) = onboard.outputs(&law, flight, tick, timing) {
