@@ -1,5 +1,6 @@
 //! `downwash diagnose`: where the gap lies, which effect causes it, how far it shrinks.
 
+use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
@@ -8,9 +9,10 @@ use sitl::vehicle::VehicleParams;
 
 use super::{Exit, ExitContext, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOn};
-use crate::diagnose::answer::{Answer, Verdict};
+use crate::diagnose::answer::Verdict;
 use crate::diagnose::preparation::PreparedFlight;
 use crate::diagnose::procedure::{Case, Settings, diagnose};
+use crate::diagnose::words::report;
 use crate::log::import;
 
 /// Guard between the halves of a single flight, s.
@@ -49,10 +51,18 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         say(format_args!("one flight: its second part is held out, {GUARD_S} s after the first"));
     }
     let case = Case { vehicle: &vehicle, fitted: &fitted, held_out: &held_out, blocked };
-    let settings = Settings { seed: args.seed };
+    let settings = Settings { seed: args.seed, twins: args.twins };
     let diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
         .or_exit(Exit::Usage)?;
     let answer = &diagnosis.answer;
+    if let Some(folder) = &args.report {
+        fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        let page = crate::report::diagnosis::html(answer, &vehicle.name);
+        write_file(&folder.join("report.html"), page.as_bytes())?;
+        let json = serde_json::to_vec_pretty(answer).context("report.json")?;
+        write_file(&folder.join("report.json"), &json)?;
+    }
     if let Some(out) = &args.out {
         let mut improved = vehicle.clone();
         improved.modelled_effects = vehicle.modelled_effects.overlay(&diagnosis.effects);
@@ -62,7 +72,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     if args.json {
         print_json(answer)?;
     } else {
-        print_text(&in_words(answer))?;
+        print_text(&report(answer))?;
     }
     Ok(match args.fail_on {
         Some(FailOn::Effect) if answer.verdict == Verdict::Effect => Exit::Found,
@@ -97,22 +107,4 @@ fn halves(flight: &PreparedFlight) -> anyhow::Result<(Vec<PreparedFlight>, Vec<P
         anyhow!("{}: too short to hold a part of it out; give another flight", flight.name)
     })?;
     Ok((vec![first], vec![second]))
-}
-
-fn in_words(answer: &Answer) -> String {
-    let mut text = format!("{}\n", answer.finding);
-    for effect in &answer.effects {
-        text += &format!("  {:18} {:5.1} %", effect.id, 100.0 * effect.probability);
-        for (name, [low, high]) in &effect.intervals {
-            text += &format!("  {name} {low:.4} .. {high:.4}");
-        }
-        text += "\n";
-    }
-    if let Some(gap) = &answer.gap {
-        text += &format!(
-            "gap on the flights held out: {:.2} before, {:.2} after, {:.2} of noise alone\n",
-            gap.before, gap.after, gap.floor
-        );
-    }
-    text
 }

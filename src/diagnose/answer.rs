@@ -7,7 +7,9 @@ use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
 use super::gap::{Errors, ReportNoise};
 use super::leftover::UnmodelledForce;
+use super::map::ResidualMap;
 use super::preparation::Channels;
+use super::twins::Twins;
 
 /// The verdict in three words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -134,10 +136,17 @@ pub struct Answer {
     pub ambiguous_with: Vec<&'static str>,
     /// The full verdict in words.
     pub finding: String,
+    /// Where the gap lies.
+    #[serde(rename = "where")]
+    pub map: ResidualMap,
     /// Effects that these logs cannot show.
     pub not_testable: Vec<NotTestable>,
     /// Force that nothing explains, before and after.
     pub unmodelled_force: Option<[UnmodelledForce; 2]>,
+    /// Flights simulated without an effect.
+    pub twins: Option<Twins>,
+    /// Evidence that was asked of an effect, nats.
+    pub evidence_asked: f64,
     /// Single hypotheses, the best first.
     pub hypotheses: Vec<HypothesisAnswer>,
     /// The flights.

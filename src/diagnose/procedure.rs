@@ -13,11 +13,17 @@ use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::{Catalogue, Target};
 use super::leftover::{UnmodelledForce, unmodelled_force};
 use super::noise::report_noise;
+use super::map::map;
 use super::preparation::PreparedFlight;
 use super::residuals::{Evaluator, VELOCITY};
 use super::selection::{Rival, Scored, Selection, Selector, Thresholds};
+use super::twins::twins;
+use super::words::finding;
 use super::spectrum::{BANDS, CELL_S};
 
+/// Least gain of evidence that is asked of an effect, whatever the twins say: posterior odds of
+/// twenty thousand to one, for a model that is never quite right, nats.
+const EVIDENCE_MIN: f64 = 10.0;
 /// Differences of scores count by this share: channels share noise that the scores take to be
 /// independent.
 const TEMPER: f64 = 0.25;
@@ -49,6 +55,8 @@ pub struct Case<'a> {
 pub struct Settings {
     /// Seed of every draw.
     pub seed: u64,
+    /// Number of twins.
+    pub twins: u32,
 }
 
 /// An answer and what follows from it.
@@ -86,23 +94,40 @@ pub fn diagnose(
     let evaluator = Evaluator::new(case.vehicle);
     let fitted = Observed::new(case.fitted, &evaluator, &catalogue);
     let held_out = Observed::new(case.held_out, &evaluator, &catalogue);
-    progress("hypotheses");
     let mut selector = Selector {
         fitted: &fitted,
         held_out: &held_out,
         catalogue: &catalogue,
         setpoint_leg: leg,
-        thresholds: Thresholds { evidence: 10.0, held_out: 1.0, open_loop: [0.05, 2.5] },
+        thresholds: Thresholds { evidence: EVIDENCE_MIN, held_out: 1.0, open_loop: [0.05, 2.5] },
         floor: None,
     };
-    let (null, _) = selector.null().ok_or(DiagnoseError::Nothing)?;
+    progress("what nuisances explain");
+    let (null, about) = selector.null().ok_or(DiagnoseError::Nothing)?;
+    let twins = (settings.twins > 0).then(|| {
+        progress("twins without an effect");
+        twins(&selector, &null, &about, settings.twins, settings.seed)
+    });
+    if let Some(twins) = &twins {
+        selector.thresholds.evidence = twins.threshold.max(EVIDENCE_MIN);
+    }
     let noise = report_noise(case.fitted, &null.fit, fitted.counts());
     selector.floor = Simulator::new(case.vehicle, &EffectSet::new(), leg)?.floor(
         case.fitted,
         &noise,
         settings.seed,
     );
-    let selection = selector.select().ok_or(DiagnoseError::Nothing)?;
+    progress("which effect");
+    let selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
+
+    progress("where");
+    let map = {
+        let references = catalogue.references();
+        let shipped = catalogue.candidate(&references)?;
+        let residuals = fitted.residuals(&references).ok_or(DiagnoseError::Nothing)?;
+        let power = fitted.power(&residuals);
+        map(&fitted, &evaluator, &shipped, &power, &selection.best.fit.power)
+    };
 
     progress("what is left over");
     let force_of = |scored: &Scored| -> Option<UnmodelledForce> {
@@ -137,9 +162,12 @@ pub fn diagnose(
     } else {
         (Vec::new(), Vec::new())
     };
-    let answer = Answer {
+    let mut answer = Answer {
         verdict,
         finding: String::new(),
+        map,
+        twins,
+        evidence_asked: selector.thresholds.evidence,
         effects: effects_answer,
         gap,
         ambiguous_with,
@@ -175,6 +203,7 @@ pub fn diagnose(
             })
             .collect(),
     };
+    answer.finding = finding(&answer);
     let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
     Ok(Diagnosis { answer, effects })
 }

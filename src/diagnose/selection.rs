@@ -251,10 +251,9 @@ impl Selector<'_> {
         rivals
     }
 
-    /// The search from the null on.
-    pub fn select(&self) -> Option<Selection> {
-        let (null, about) = self.null()?;
-        let singles = self.additions(&about, &null, SURVIVORS);
+    /// The search from the null on, with the derivatives there.
+    pub fn select(&self, null: Scored, about: &Linearised) -> Option<Selection> {
+        let singles = self.additions(about, &null, SURVIVORS);
         let mut best = null.clone();
         if let Some(first) =
             singles.iter().take(TRIED).find(|rival| self.accepts(&rival.scored, &null))
@@ -263,7 +262,7 @@ impl Selector<'_> {
         }
         if !best.fit.hypotheses.is_empty() {
             let single = best.clone();
-            for pair in self.pairs(&about, &singles) {
+            for pair in self.pairs(about, &singles) {
                 if pair.score() > best.score() && self.accepts(&pair, &single) {
                     best = pair;
                 }
@@ -282,7 +281,7 @@ impl Selector<'_> {
         // Without each: what no longer pays goes, the least first.
         loop {
             let without: Vec<Scored> = (0..best.fit.hypotheses.len())
-                .map(|i| self.without(&about, &best, i, &null))
+                .map(|i| self.without(about, &best, i, &null))
                 .collect::<Option<_>>()?;
             let least = without
                 .iter()
