@@ -19,6 +19,8 @@ const WEIGHT_ROUNDS: usize = 40;
 /// A fit ends when a step lowers the cost by less.
 const COST_STEP_MIN: f64 = 0.02;
 const STEPS_MAX: usize = 12;
+/// Starts that are followed to their end, of those that cost least.
+const STARTS_MAX: usize = 2;
 
 /// Flights with what is looked at in them.
 #[derive(Debug)]
@@ -587,34 +589,60 @@ pub fn fit(
         hypotheses.iter().flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()).collect();
     let nuisances: Vec<usize> =
         catalogue.nuisances().filter(|number| !active.contains(number)).collect();
-    let mut best: Option<(f64, Values, Residuals)> = None;
     let own: Vec<(usize, f64)> = Vec::new();
     let at_hand = starts.is_empty().then_some(&own);
-    for start in at_hand.into_iter().chain(starts) {
-        let mut values = about.values.clone();
-        for (number, value) in start {
-            values[*number] = *value;
-        }
-        let Some((cost, residuals)) = cost_at(observed, &values, &active) else { continue };
-        if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
-            best = Some((cost, values, residuals));
-        }
-    }
-    let (mut cost, mut values, mut residuals) = best?;
+    let mut begun: Vec<Begun> = at_hand
+        .into_iter()
+        .chain(starts)
+        .filter_map(|start| {
+            let mut values = about.values.clone();
+            for (number, value) in start {
+                values[*number] = *value;
+            }
+            let (cost, residuals) = cost_at(observed, &values, &active)?;
+            Some(Begun { cost, values, residuals })
+        })
+        .collect();
+    begun.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    begun.dedup_by(|a, b| a.values == b.values);
+    begun.truncate(STARTS_MAX);
+    begun
+        .into_iter()
+        .filter_map(|begun| descend(observed, about, hypotheses, (&active, &nuisances), begun))
+        .min_by(|a, b| a.cost.total_cmp(&b.cost))
+}
+
+/// Where a fit begins.
+struct Begun {
+    cost: f64,
+    values: Values,
+    residuals: Residuals,
+}
+
+/// Steps from a start to the nearest minimum. Numbers: active and nuisances.
+fn descend(
+    observed: &Observed<'_>,
+    about: &Linearised,
+    hypotheses: &[usize],
+    (active, nuisances): (&[usize], &[usize]),
+    begun: Begun,
+) -> Option<Fit> {
+    let catalogue = observed.catalogue;
+    let Begun { mut cost, mut values, mut residuals } = begun;
     let mut last = None;
     for _ in 0..STEPS_MAX {
         let fresh: Vec<(usize, Residuals)> = active
             .par_iter()
             .filter_map(|n| Some((*n, observed.column(&values, &residuals, *n)?)))
             .collect();
-        let local = about.with(observed, &values, &residuals, &nuisances, fresh);
-        let solution = local.solve(catalogue, &observed.counts, &active)?;
+        let local = about.with(observed, &values, &residuals, nuisances, fresh);
+        let solution = local.solve(catalogue, &observed.counts, active)?;
         let mut share = 1.0;
         let mut gained = 0.0;
         while share > 0.05 {
             let trial: Values =
                 values.iter().zip(&solution.values).map(|(a, b)| a + (b - a) * share).collect();
-            if let Some((new, there)) = cost_at(observed, &trial, &active)
+            if let Some((new, there)) = cost_at(observed, &trial, active)
                 && new < cost
             {
                 gained = cost - new;

@@ -71,6 +71,8 @@ pub struct Simulator {
     trim: Attitude,
     latency: f64,
     command_delay: f64,
+    /// Position and velocity are predicted with the body turning as reported.
+    guided: bool,
 }
 
 impl Simulator {
@@ -101,7 +103,15 @@ impl Simulator {
             trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
             command_delay: all.get::<CommandDelay>().map_or(vehicle.command_delay_s, |e| e.delay_s),
+            guided: false,
         })
+    }
+
+    /// The same simulator, in which forces are put to the test by themselves: where logged outputs
+    /// drive the plant without a loop, a small moment turns the body far within a second, and no
+    /// force would show beside it.
+    pub fn guided(self) -> Self {
+        Self { guided: self.law.is_none(), ..self }
     }
 
     /// What will be reported at `start` plus each horizon, from the reported state `from` at
@@ -125,7 +135,11 @@ impl Simulator {
             let time = before + (k as f64 + 0.5) * Plant::STEP;
             plant.step(logged.at(time - delay));
         }
-        plant.set_state(State { attitude: from.attitude.compose(self.trim.inverse()), ..*from });
+        let untrim = self.trim.inverse();
+        plant.set_state(State { attitude: from.attitude.compose(untrim), ..*from });
+        let mut forced = self.guided.then(|| plant.clone());
+        let mut attitude = flight.attitude.cursor();
+        let mut body_rate = flight.body_rate.cursor();
         let steps = (HORIZONS_S[2] / Plant::STEP).round() as usize;
         let mut outputs = None;
         let mut last_tick = f64::NEG_INFINITY;
@@ -151,10 +165,28 @@ impl Simulator {
             if has_voltage && k % 20 == 0 {
                 plant.hold_voltage(voltage.at(time)[0]);
             }
+            if let Some(forced) = &mut forced {
+                if has_voltage && k % 20 == 0 {
+                    forced.hold_voltage(plant.voltage());
+                }
+                let [w, x, y, z] = attitude.at(time + self.latency);
+                forced.set_state(State {
+                    attitude: Attitude { w, x, y, z }.normalized().compose(untrim),
+                    body_rate: body_rate.at(time).into(),
+                    ..*forced.state()
+                });
+                forced.step(acting);
+            }
             plant.step(acting);
             if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
                 let state = *plant.state();
-                reported[next] = State { attitude: state.attitude.compose(self.trim), ..state };
+                let moved = forced.as_ref().map_or(&state, |forced| forced.state());
+                reported[next] = State {
+                    position: moved.position,
+                    velocity: moved.velocity,
+                    attitude: state.attitude.compose(self.trim),
+                    ..state
+                };
                 next += 1;
             }
         }

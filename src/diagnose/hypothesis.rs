@@ -6,8 +6,8 @@
 //! lie further off; its hypothesis takes them out of the tolerance and gives them a wide prior.
 
 use sitl::effects::{
-    AttitudeTrim, CommandDelay, Effect, EffectId, EffectSet, EstimatorLatency, Neutral, PdGain,
-    RotorDrag, RotorLoss, Slots,
+    AttitudeTrim, CommandDelay, Effect, EffectId, EffectSet, EstimatorLatency, Neutral, Parameter,
+    PdGain, RotorDrag, RotorLoss, Slots,
 };
 use sitl::physics::Physics;
 use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
@@ -158,7 +158,7 @@ impl Catalogue {
                     reference,
                     tolerance,
                     magnitude,
-                    bounds: [parameter.min, parameter.max],
+                    bounds: bounds(effect, parameter),
                     quadratic: effect == EffectId::GroundEffect,
                 }));
             }
@@ -353,6 +353,15 @@ fn base_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
     slots
 }
 
+/// Where a number may physically lie: rotors flap away from the wind, and packs sag as they empty.
+fn bounds(effect: EffectId, parameter: &Parameter) -> [f64; 2] {
+    let low = match effect {
+        EffectId::BladeFlapping | EffectId::BatterySag => 0.0,
+        _ => parameter.min,
+    };
+    [low, parameter.max]
+}
+
 /// What the vehicle file says of a slot: its modelled value, else the neutral one.
 pub fn reference(vehicle: &VehicleParams, effect: EffectId, slot: usize) -> f64 {
     if effect == RotorDrag::ID
@@ -438,9 +447,9 @@ impl Scales {
                 modelled(self.parasitic_modelled),
                 0.1 * self.weight / (0.5 * self.air_density * 64.0),
             ],
-            (Wind, 0 | 1) => [0.02, 4.0],
+            (Wind, 0 | 1) => [0.03, 4.0],
             // A steady wind blows along the floor.
-            (Wind, 2) => [0.02, 0.2],
+            (Wind, 2) => [0.03, 0.2],
             (GroundEffect, 0) => [0.0, 4.0 * self.rotor_radius],
             (TranslationalLift, 0) => [0.0, 0.005],
             // A tenth of the weight at a tenth of the arm per m/s.

@@ -77,9 +77,10 @@ pub fn unmodelled_force(
                 std::array::from_fn(|i| series[FORCE + i].iter().sum::<f64>() / n as f64);
             let mut world: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(n));
             let mut attitude = flight.attitude.cursor();
-            for k in 0..n {
+            let [front, right, down] = [0, 1, 2].map(|i| &series[FORCE + i]);
+            for (k, ((f, r), d)) in front.iter().zip(right).zip(down).enumerate() {
                 let [w, x, y, z] = attitude.at(block.middle(k) + candidate.latency);
-                let force: [f64; 3] = std::array::from_fn(|i| series[FORCE + i][k] - mean[i]);
+                let force = [f - mean[0], r - mean[1], d - mean[2]];
                 let turned = Attitude { w, x, y, z }.normalized().to_world(Frd::from(force));
                 for (axis, value) in world.iter_mut().zip(turned.to_array()) {
                     axis.push(value);

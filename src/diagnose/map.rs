@@ -139,7 +139,8 @@ fn samples(observed: &Observed<'_>, evaluator: &Evaluator, shipped: &Candidate) 
                     let cells = k * SAMPLE_CELLS..(k + 1) * SAMPLE_CELLS;
                     let time = block.edge(cells.start) + 0.5 * SAMPLE_CELLS as f64 * CELL_S;
                     let world: [f64; 3] = std::array::from_fn(|i| {
-                        series[VELOCITY + i][cells.clone()].iter().sum::<f64>() / SAMPLE_CELLS as f64
+                        series[VELOCITY + i][cells.clone()].iter().sum::<f64>()
+                            / SAMPLE_CELLS as f64
                     });
                     sample(flight, time, world)
                 })

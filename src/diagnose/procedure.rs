@@ -12,14 +12,14 @@ use super::fit::Observed;
 use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::{Catalogue, Target};
 use super::leftover::{UnmodelledForce, unmodelled_force};
-use super::noise::report_noise;
 use super::map::map;
+use super::noise::report_noise;
 use super::preparation::PreparedFlight;
 use super::residuals::{Evaluator, VELOCITY};
 use super::selection::{Rival, Scored, Selection, Selector, Thresholds};
+use super::spectrum::{BANDS, CELL_S};
 use super::twins::twins;
 use super::words::finding;
-use super::spectrum::{BANDS, CELL_S};
 
 /// Least gain of evidence that is asked of an effect, whatever the twins say: posterior odds of
 /// twenty thousand to one, for a model that is never quite right, nats.
@@ -27,6 +27,8 @@ const EVIDENCE_MIN: f64 = 10.0;
 /// Differences of scores count by this share: channels share noise that the scores take to be
 /// independent.
 const TEMPER: f64 = 0.25;
+/// No flight makes anything more certain than this: the catalogue itself may be wrong.
+const CERTAIN: f64 = 0.995;
 /// Least probability of an effect that the answer mentions.
 const MENTIONED: f64 = 0.01;
 /// Least probability of a rival that cannot be told apart.
@@ -112,7 +114,7 @@ pub fn diagnose(
         selector.thresholds.evidence = twins.threshold.max(EVIDENCE_MIN);
     }
     let noise = report_noise(case.fitted, &null.fit, fitted.counts());
-    selector.floor = Simulator::new(case.vehicle, &EffectSet::new(), leg)?.floor(
+    selector.floor = Simulator::new(case.vehicle, &EffectSet::new(), leg)?.guided().floor(
         case.fitted,
         &noise,
         settings.seed,
@@ -156,6 +158,7 @@ pub fn diagnose(
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
             ambiguous.extend(others.map(|effect| effect.name()));
         }
+        ambiguous.extend(as_good(&catalogue, &selection));
         ambiguous.sort_unstable();
         ambiguous.dedup();
         (effects, ambiguous)
@@ -296,9 +299,13 @@ fn named_effects(
     selection: &Selection,
 ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
     let mut found: BTreeMap<EffectId, (f64, Scored)> = BTreeMap::new();
+    // How much the set would lose without an effect.
+    let mut losses: BTreeMap<&str, f64> = BTreeMap::new();
     let mut ambiguous = Vec::new();
     for (place, (without, rivals)) in selection.places.iter().enumerate() {
         let own = selection.best.fit.hypotheses[place];
+        let loss = selection.best.score() - without.score();
+        losses.insert(catalogue.hypotheses[own].effect.name(), loss);
         let mut options: Vec<(Option<usize>, Scored)> = vec![(None, without.clone())];
         options.extend(
             rivals
@@ -314,7 +321,7 @@ fn named_effects(
         for ((hypothesis, scored), weight) in options.into_iter().zip(weights) {
             let Some(hypothesis) = hypothesis else { continue };
             let effect = catalogue.hypotheses[hypothesis].effect;
-            let probability = weight / sum;
+            let probability = CERTAIN * weight / sum;
             let own_effect = effect == catalogue.hypotheses[own].effect;
             if probability > AMBIGUOUS && !own_effect {
                 ambiguous.push(effect.name());
@@ -339,8 +346,35 @@ fn named_effects(
             }
         })
         .collect();
-    answers.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.id.cmp(b.id)));
+    let loss = |answer: &EffectAnswer| losses.get(answer.id).copied().unwrap_or(0.0);
+    answers.sort_by(|a, b| {
+        let certain = |answer: &EffectAnswer| answer.probability.min(CERTAIN);
+        certain(b).total_cmp(&certain(a)).then(loss(b).total_cmp(&loss(a))).then(a.id.cmp(b.id))
+    });
     (answers, ambiguous)
+}
+
+/// Share of the evidence of the best single effect with which another explains as much: on real
+/// flights no model is exact, and nats beyond that are of other things.
+const AS_GOOD: f64 = 0.85;
+
+/// Effects that by themselves explain about as much as the one that is named alone.
+fn as_good(catalogue: &Catalogue, selection: &Selection) -> Vec<&'static str> {
+    let class = |h: usize| match catalogue.hypotheses[h].effect {
+        EffectId::Mass => EffectId::ThrustScale,
+        effect => effect,
+    };
+    let evidence = |rival: &Rival| rival.scored.fit.evidence - selection.null.fit.evidence;
+    let named: Vec<EffectId> = selection.best.fit.hypotheses.iter().map(|h| class(*h)).collect();
+    let own = selection.singles.iter().filter(|rival| named.contains(&class(rival.hypothesis)));
+    let most = own.map(evidence).fold(0.0, f64::max);
+    selection
+        .singles
+        .iter()
+        .filter(|rival| !named.contains(&class(rival.hypothesis)))
+        .filter(|rival| most > 0.0 && evidence(rival) > AS_GOOD * most)
+        .map(|rival| catalogue.hypotheses[rival.hypothesis].effect.name())
+        .collect()
 }
 
 /// 90 % intervals of an effect's fitted numbers.

@@ -306,12 +306,11 @@ impl Evaluator {
         let loads = self.loads(flight, block, physics, &rotors);
         let mut voltage = flight.voltage.cursor();
         let gravity = Ned::new(0.0, 0.0, physics.body().gravity());
-        for k in 0..block.cells {
-            let state = &motion.states[k];
+        for (k, (state, loads)) in motion.states.iter().zip(&loads).enumerate() {
             let [volts] = voltage.at(block.middle(k));
             let volts = if flight.channels.voltage { volts } else { self.vehicle.battery.full_v };
             let environment = physics.environment(volts, Ned::zero());
-            let (linear, angular) = physics.accelerations_under(state, &loads[k], &environment);
+            let (linear, angular) = physics.accelerations_under(state, loads, &environment);
             let gained = (motion.velocity[k + 1] - motion.velocity[k]) * (1.0 / CELL_S);
             put(series, VELOCITY, k, (gained - linear).to_array());
             let force = state.attitude.to_body(linear - gravity);

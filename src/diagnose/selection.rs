@@ -208,7 +208,7 @@ impl Selector<'_> {
         let [least, deviations] = self.thresholds.open_loop;
         let clear = |[gain, error]: &[f64; 2]| *gain > least && *gain > deviations * error;
         let sum: f64 = gains[1..].iter().flatten().map(|[gain, _]| gain).sum();
-        sum > 0.0 && gains.iter().flatten().any(|gain| clear(gain))
+        sum > 0.0 && gains.iter().flatten().any(clear)
     }
 
     /// Open-loop errors of a fit's effects, without its nuisances.
@@ -219,6 +219,7 @@ impl Selector<'_> {
             let effects = self.catalogue.effects(&scored.fit.values, Some(&named));
             Simulator::new(&self.catalogue.vehicle, &effects, self.setpoint_leg)
                 .map(|simulator| {
+                    let simulator = simulator.guided();
                     let mut windows = simulator.windows(self.fitted.flights);
                     windows.extend(simulator.windows(self.held_out.flights));
                     windows
@@ -298,8 +299,13 @@ impl Selector<'_> {
                             } else {
                                 self.rivals(&less)?
                             };
-                            // Who would not have been taken up is no rival.
-                            rivals.retain(|rival| self.accepts(&rival.scored, &less));
+                            // Who would not have been taken up is no rival, and neither is who
+                            // stands beside the effect rather than in its place.
+                            rivals.retain(|rival| {
+                                rival.scored.fit.hypotheses != best.fit.hypotheses
+                                    && self.accepts(&rival.scored, &less)
+                                    && !self.stands_beside(about, rival, &best)
+                            });
                             Some((less, rivals))
                         })
                         .collect::<Option<_>>()?;
@@ -327,6 +333,19 @@ impl Selector<'_> {
             |number: &usize| rest.iter().any(|h| self.hypothesis(*h).numbers.contains(number));
         from.retain(|(number, _)| kept(number));
         self.fitted(about, &rest, &from)
+    }
+
+    /// Whether the set's effect that `rival` is put in the place of is wanted beside it as well.
+    fn stands_beside(&self, about: &Linearised, rival: &Rival, set: &Scored) -> bool {
+        if !self.joins(rival.hypothesis, &set.fit.hypotheses) {
+            return false;
+        }
+        let mut from = self.numbers_of(&rival.scored);
+        from.extend(self.numbers_of(set));
+        let mut joint = set.fit.hypotheses.clone();
+        joint.push(rival.hypothesis);
+        let together = self.fitted(about, &joint, &from);
+        together.is_some_and(|both| self.accepts(&both, &rival.scored))
     }
 
     /// Hypotheses in addition to a set.

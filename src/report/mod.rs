@@ -2,6 +2,7 @@
 
 mod axis;
 pub mod chart;
+pub mod diagnosis;
 pub mod flight;
 mod flight_page;
 pub mod histogram;
