@@ -21,6 +21,13 @@ const DELAYS_S: [f64; 19] = [
     0.0, 0.004, 0.008, 0.012, 0.016, 0.02, 0.024, 0.028, 0.032, 0.036, 0.04, 0.044, 0.048, 0.052,
     0.056, 0.06, 0.066, 0.072, 0.08,
 ];
+/// Latencies that a fit starts from. Between two samples of a stream its noise is averaged, so that
+/// the cost ripples with the stream's period, s.
+const LATENCIES_S: [f64; 32] = [
+    0.0, 0.0025, 0.005, 0.0075, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.0225, 0.025, 0.0275, 0.03,
+    0.0325, 0.035, 0.0375, 0.04, 0.0425, 0.045, 0.0475, 0.05, 0.0525, 0.055, 0.0575, 0.06, 0.065,
+    0.07, 0.075, 0.08, 0.09, 0.1, 0.12,
+];
 /// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
 /// inertia per second.
 const DAMPING_TIME_S: f64 = 0.002;
@@ -163,7 +170,7 @@ impl Catalogue {
                 }));
             }
             let starts: &[f64] = match effect {
-                EffectId::EstimatorLatency => &[0.02, 0.05, 0.09],
+                EffectId::EstimatorLatency => &LATENCIES_S,
                 EffectId::CommandDelay => &DELAYS_S,
                 EffectId::MotorLag => &[0.015, 0.03, 0.06, 0.1],
                 EffectId::GroundEffect => &[2.0, 4.0, 8.0],

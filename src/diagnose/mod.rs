@@ -14,5 +14,6 @@ pub mod procedure;
 pub mod residuals;
 pub mod selection;
 pub mod spectrum;
+pub mod turbulence;
 pub mod twins;
 pub mod words;

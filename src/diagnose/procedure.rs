@@ -12,12 +12,13 @@ use super::fit::Observed;
 use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::{Catalogue, Target};
 use super::leftover::{UnmodelledForce, unmodelled_force};
-use super::map::map;
+use super::map::{map, samples};
 use super::noise::report_noise;
 use super::preparation::PreparedFlight;
 use super::residuals::{Evaluator, VELOCITY};
 use super::selection::{Rival, Scored, Selection, Selector, Thresholds};
 use super::spectrum::{BANDS, CELL_S};
+use super::turbulence::gusts;
 use super::twins::twins;
 use super::words::finding;
 
@@ -144,15 +145,33 @@ pub fn diagnose(
     let effects = catalogue.effects(&selection.best.fit.values, Some(&named));
     let gap = gap(case, &catalogue, &selection, &fitted, &effects, leg, settings)?;
 
-    let verdict = verdict(
-        &selection,
-        unmodelled.as_ref(),
-        explained(&selection, fitted.counts()),
-        &noise,
-        case.vehicle.gravity,
-    );
+    let left = unmodelled
+        .as_ref()
+        .filter(|[_, after]| is_of_practical_size(after, &noise, case.vehicle.gravity));
+    let turbulence = left.and_then(|[_, after]| {
+        let candidate = catalogue.candidate(&selection.best.fit.values).ok()?;
+        gusts(case.vehicle, &effects, after, &samples(&fitted, &evaluator, &candidate))
+    });
+    let explained = explained(&selection, fitted.counts());
+    let found = !named.is_empty();
+    let verdict = match left {
+        _ if turbulence.is_some() => Verdict::Effect,
+        Some([_, after]) if !found || after.total() > LEFT_MAX * (after.total() + explained) => {
+            Verdict::Unknown
+        }
+        _ if found => Verdict::Effect,
+        _ => Verdict::None,
+    };
+    let mut effects = effects;
     let (effects_answer, ambiguous_with) = if verdict == Verdict::Effect {
-        let (effects, mut ambiguous) = named_effects(&catalogue, &selection);
+        let (mut answers, mut ambiguous) = named_effects(&catalogue, &selection);
+        if let Some(slots) = turbulence {
+            let _ = effects.insert(EffectId::Gusts, slots);
+            let parameters = parameters(&effects, EffectId::Gusts);
+            let intervals = BTreeMap::new();
+            let (id, probability) = (EffectId::Gusts.name(), GUSTS_PROBABILITY);
+            answers.push(EffectAnswer { id, probability, parameters, intervals });
+        }
         let voltage = case.fitted.iter().all(|flight| flight.channels.voltage);
         if !voltage && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
@@ -161,7 +180,7 @@ pub fn diagnose(
         ambiguous.extend(as_good(&catalogue, &selection));
         ambiguous.sort_unstable();
         ambiguous.dedup();
-        (effects, ambiguous)
+        (answers, ambiguous)
     } else {
         (Vec::new(), Vec::new())
     };
@@ -217,31 +236,16 @@ const FORCE_TIME_S: f64 = 0.5;
 const FORCE_MIN_WEIGHTS: f64 = 0.01;
 /// Standard errors by which an unmodelled force must stand out.
 const FORCE_SIGNIFICANCE: f64 = 5.0;
+/// Probability of gusts where what is left looks like turbulence: other forces may.
+const GUSTS_PROBABILITY: f64 = 0.8;
 /// Share of the unmodelled power that a set of effects may leave and still be the explanation.
 const LEFT_MAX: f64 = 0.3;
 
-/// An effect was found if it leaves no force of practical size, or little of what there was: a
-/// force is of practical size where within half a second it moves the velocity by more than the
-/// reports of start and end are uncertain.
-fn verdict(
-    selection: &Selection,
-    unmodelled: Option<&[UnmodelledForce; 2]>,
-    explained: f64,
-    noise: &ReportNoise,
-    gravity: f64,
-) -> Verdict {
-    let found = !selection.best.fit.hypotheses.is_empty();
+/// Whether an unmodelled force is more than noise and large enough to matter: within half a second
+/// it moves the velocity by more than the reports of start and end are uncertain.
+fn is_of_practical_size(force: &UnmodelledForce, noise: &ReportNoise, gravity: f64) -> bool {
     let least = (6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S).max(FORCE_MIN_WEIGHTS * gravity);
-    let left = unmodelled.is_some_and(|[_, after]| {
-        after.rms() > least
-            && after.significance() > FORCE_SIGNIFICANCE
-            && (!found || after.total() > LEFT_MAX * (after.total() + explained))
-    });
-    match (left, found) {
-        (true, _) => Verdict::Unknown,
-        (false, true) => Verdict::Effect,
-        (false, false) => Verdict::None,
-    }
+    force.rms() > least && force.significance() > FORCE_SIGNIFICANCE
 }
 
 /// Mean square of the acceleration that the chosen effects explain and the nuisances do not,
