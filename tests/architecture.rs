@@ -18,7 +18,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("log", &["clock", "setpoint", "link"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
-        ("diagnose", &["learn", "log", "model", "pilot"]),
+        ("diagnose", &["learn", "log"]),
         ("report", &["clock", "setpoint", "diagnose", "learn", "log", "model"]),
         (
             "station",

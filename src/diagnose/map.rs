@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sitl::frame::{Attitude, Ned};
 
-use super::fit::Observed;
 use super::hypothesis::Candidate;
+use super::observed::Observed;
 use super::preparation::PreparedFlight;
 use super::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, Groups, VELOCITY};
 use super::spectrum::{BANDS, CELL_S};
