@@ -51,7 +51,7 @@ pub(super) fn named_effects(
             let Some(hypothesis) = hypothesis else { continue };
             let effect = catalogue.hypotheses[hypothesis].effect;
             let probability = CERTAIN * weight / sum;
-            let own_effect = effect == catalogue.hypotheses[own].effect;
+            let own_effect = class(effect) == class(catalogue.hypotheses[own].effect);
             if probability > AMBIGUOUS && !own_effect {
                 ambiguous.push(effect.name());
             }
@@ -83,16 +83,18 @@ pub(super) fn named_effects(
     (answers, ambiguous)
 }
 
+/// Mass and thrust act as their ratio: one name stands for both.
+fn class(effect: EffectId) -> EffectId {
+    if effect == EffectId::Mass { EffectId::ThrustScale } else { effect }
+}
+
 /// Share of the evidence of the best single effect with which another explains as much: on real
 /// flights no model is exact, and nats beyond that are of other things.
 const AS_GOOD: f64 = 0.85;
 
 /// Effects that by themselves explain about as much as the one that is named alone.
 pub(super) fn as_good(catalogue: &Catalogue, selection: &Selection) -> Vec<&'static str> {
-    let class = |h: usize| match catalogue.hypotheses[h].effect {
-        EffectId::Mass => EffectId::ThrustScale,
-        effect => effect,
-    };
+    let class = |h: usize| class(catalogue.hypotheses[h].effect);
     let evidence = |rival: &Rival| rival.scored.fit.evidence - selection.null.fit.evidence;
     let named: Vec<EffectId> = selection.best.fit.hypotheses.iter().map(|h| class(*h)).collect();
     let own = selection.singles.iter().filter(|rival| named.contains(&class(rival.hypothesis)));
