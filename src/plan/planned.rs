@@ -1,0 +1,284 @@
+//! A plan that was found, as a file, and as the reference that a flight follows.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::{Euler, Frd, Ned, wrap_angle};
+use sitl::vehicle::AttitudePd;
+
+use super::problem::{ANGLE, RATE, StateVector};
+use super::reference::ReferenceSource;
+use super::scp::{Record, Status, Violation};
+use crate::setpoint::{Reference, Setpoint};
+
+/// What the file says that it is.
+const SCHEMA: &str = "downwash.plan";
+/// Version of the file's form; files of others are refused.
+const VERSION: u32 = 1;
+/// Longest plan that is read, in periods: three hours at 100 Hz.
+const PERIODS_MAX: usize = 1_080_000;
+
+/// A commanded input `u_hat = (u1, zeta_des, omega_des)` in N, rad and rad/s.
+pub type CommandedInput = [f64; 7];
+
+/// A plan: states, the inputs that lead through them, and how they were found. Position is relative
+/// to the take-off point, as in the desired trajectory.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    schema: String,
+    schema_version: u32,
+    /// Name of the desired trajectory.
+    pub trajectory: String,
+    /// Name of the vehicle.
+    pub vehicle: String,
+    /// What it was planned through.
+    pub model: PlannedThrough,
+    /// Time between states, s.
+    pub period_s: f64,
+    /// How the vehicle answers its inputs, as the model has it.
+    pub answer: Answer,
+    /// How the search ended.
+    pub status: Status,
+    /// Sum of the distances to the desired states.
+    pub cost: f64,
+    /// What the plan misses.
+    pub violation: Violation,
+    /// The search's subproblems.
+    pub records: Vec<Record>,
+    /// The desired states, one more than inputs.
+    pub desired: Vec<StateVector>,
+    /// The planned states, one more than inputs.
+    pub states: Vec<StateVector>,
+    /// The planned inputs.
+    pub inputs: Vec<CommandedInput>,
+}
+
+/// The model of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlannedThrough {
+    /// net, physics or hybrid; nominal for the vehicle file's own physics.
+    pub kind: String,
+    /// SHA-256 of the model file, where there is one.
+    pub sha256: Option<String>,
+}
+
+/// How the vehicle answers its inputs: the plan's inputs are those that act, and are sent early.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Answer {
+    /// From a setpoint's sending to its use on board, s.
+    pub delay_s: f64,
+    /// First-order lag from a commanded wrench to the one that acts, s.
+    pub lag_s: f64,
+    /// The loop that turns setpoints into moments.
+    pub attitude_pd: AttitudePd,
+}
+
+/// Why a plan is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum PlanError {
+    /// The file cannot be read.
+    #[error("plan {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Not a plan, or a damaged one.
+    #[error("plan {}: {reason}; plan it again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// What a new plan is made of.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// Name of the desired trajectory.
+    pub trajectory: String,
+    /// Name of the vehicle.
+    pub vehicle: String,
+    /// What it was planned through.
+    pub model: PlannedThrough,
+    /// Time between states, s.
+    pub period_s: f64,
+    /// How the vehicle answers.
+    pub answer: Answer,
+    /// The desired states, one more than inputs.
+    pub desired: Vec<StateVector>,
+}
+
+impl Plan {
+    /// The plan of a search's outcome.
+    pub fn new(found: Found, outcome: super::scp::Outcome<7>) -> Self {
+        let Found { trajectory, vehicle, model, period_s, answer, desired } = found;
+        Self {
+            schema: SCHEMA.to_owned(),
+            schema_version: VERSION,
+            trajectory,
+            vehicle,
+            model,
+            period_s,
+            answer,
+            status: outcome.status,
+            cost: outcome.cost,
+            violation: outcome.violation,
+            records: outcome.records,
+            desired,
+            states: outcome.iterate.states,
+            inputs: outcome.iterate.inputs,
+        }
+    }
+
+    /// Whether a file's beginning is that of a plan.
+    pub fn is_plan(path: &Path) -> bool {
+        path.extension().is_some_and(|extension| extension == "json")
+    }
+
+    /// Reads a plan.
+    ///
+    /// # Errors
+    /// [`PlanError`] where the file is none, of another version, or holds numbers that no plan
+    /// has.
+    pub fn load(path: &Path) -> Result<Self, PlanError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| PlanError::Io { path: path.to_owned(), source })?;
+        let damaged = |reason: String| PlanError::Damaged { path: path.to_owned(), reason };
+        let plan: Self = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+        plan.check().map_err(damaged)?;
+        Ok(plan)
+    }
+
+    /// The text of its file.
+    pub fn to_json(&self) -> Result<String, serde_json::Error> {
+        serde_json::to_string(self)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.schema != SCHEMA || self.schema_version != VERSION {
+            return Err(format!(
+                "expected schema {SCHEMA} of version {VERSION}, found {} of version {}",
+                self.schema, self.schema_version
+            ));
+        }
+        if self.inputs.is_empty() || self.inputs.len() > PERIODS_MAX {
+            return Err(format!(
+                "expected 1 to {PERIODS_MAX} periods, found {}",
+                self.inputs.len()
+            ));
+        }
+        let states = self.inputs.len() + 1;
+        if self.states.len() != states || self.desired.len() != states {
+            return Err(format!(
+                "expected {states} states and desired states, found {} and {}",
+                self.states.len(),
+                self.desired.len()
+            ));
+        }
+        let Answer { delay_s, lag_s, attitude_pd } = self.answer;
+        let times = [self.period_s, delay_s, lag_s];
+        if !(self.period_s > 0.0 && times.iter().all(|t| (0.0..=10.0).contains(t))) {
+            return Err(format!("expected times of 0 to 10 s, found {times:?}"));
+        }
+        let gains = attitude_pd.kp.iter().chain(&attitude_pd.kd);
+        let numbers = self.states.iter().flatten().chain(self.inputs.iter().flatten());
+        if !numbers.chain(gains).all(|number| number.is_finite()) {
+            return Err("a number is not finite".to_owned());
+        }
+        Ok(())
+    }
+
+    /// Length in s.
+    pub fn duration(&self) -> f64 {
+        self.inputs.len() as f64 * self.period_s
+    }
+}
+
+/// A plan as the reference of a flight.
+#[derive(Clone, Debug)]
+pub struct PlannedReference {
+    period_s: f64,
+    states: Vec<StateVector>,
+    /// As they are sent, one for each state.
+    setpoints: Vec<CommandedInput>,
+}
+
+impl PlannedReference {
+    /// The plan with its inputs as they must be sent.
+    ///
+    /// A wrench acts `delay_s` after its setpoint is sent and through a lag of `lag_s`, so what is
+    /// sent at t is the input of `t + delay_s` with the lag's inverse put before it: the loop's
+    /// moments M are to be `M* + lag dM*/dt`, which the attitude setpoint asks for by
+    /// `lag Kp^-1 dM*/dt`, and thrust likewise.
+    pub fn new(plan: &Plan) -> Self {
+        let Answer { delay_s, lag_s, attitude_pd: AttitudePd { kp, kd, .. } } = plan.answer;
+        let period = plan.period_s;
+        let wrench = |n: usize| {
+            let (state, input) = (&plan.states[n], &plan.inputs[n]);
+            let moment = |i: usize| {
+                kp[i] * (input[1 + i] - state[ANGLE + i]) + kd[i] * (input[4 + i] - state[RATE + i])
+            };
+            [input[0], moment(0), moment(1), moment(2)]
+        };
+        let last = plan.inputs.len() - 1;
+        let led: Vec<CommandedInput> = (0..=last)
+            .map(|n| {
+                let (before, after) = (n.saturating_sub(1), (n + 1).min(last));
+                let mut sent = plan.inputs[n];
+                if after > before {
+                    let span = (after - before) as f64 * period;
+                    let (from, to) = (wrench(before), wrench(after));
+                    let slope: [f64; 4] = std::array::from_fn(|i| (to[i] - from[i]) / span);
+                    sent[0] += lag_s * slope[0];
+                    for i in 0..3 {
+                        sent[1 + i] += lag_s * slope[1 + i] / kp[i];
+                    }
+                }
+                sent
+            })
+            .collect();
+        let setpoints = (0..plan.states.len())
+            .map(|n| between(&led, n as f64 + delay_s / period))
+            .collect();
+        Self { period_s: period, states: plan.states.clone(), setpoints }
+    }
+}
+
+/// A row at a fractional index, held at both ends.
+fn between<const N: usize>(rows: &[[f64; N]], index: f64) -> [f64; N] {
+    let last = rows.len() - 1;
+    let index = index.clamp(0.0, last as f64);
+    let (before, share) = (index.floor() as usize, index.fract());
+    let after = (before + 1).min(last);
+    std::array::from_fn(|i| rows[before][i] + share * (rows[after][i] - rows[before][i]))
+}
+
+impl ReferenceSource for PlannedReference {
+    fn duration(&self) -> f64 {
+        (self.states.len() - 1) as f64 * self.period_s
+    }
+
+    fn sample(&self, t: f64) -> Reference {
+        let index = t / self.period_s;
+        let [n, e, d, vn, ve, vd, roll, pitch, yaw, p, q, r] = between(&self.states, index);
+        let [thrust_n, roll_des, pitch_des, yaw_des, p_des, q_des, r_des] =
+            between(&self.setpoints, index);
+        Reference {
+            position: Ned::new(n, e, d),
+            velocity: Ned::new(vn, ve, vd),
+            attitude: Euler::new(roll, pitch, wrap_angle(yaw)),
+            body_rate: Frd::new(p, q, r),
+            feedforward: Setpoint {
+                thrust_n,
+                attitude: Euler::new(roll_des, pitch_des, wrap_angle(yaw_des)),
+                body_rate: Frd::new(p_des, q_des, r_des),
+            },
+        }
+    }
+}
