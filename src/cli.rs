@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::model::file::ModelKind;
+use crate::plan::planner::SolverChoice;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
 ///
@@ -43,6 +44,8 @@ pub enum Command {
     /// Looks at, judges, runs and exports a learned model.
     #[command(subcommand)]
     Model(ModelCommand),
+    /// Plans a trajectory through a model: a reference that `fly` takes.
+    Plan(PlanArgs),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
 }
@@ -50,13 +53,22 @@ pub enum Command {
 /// Flags of `demo`.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// Folder for report.html, summary.json and the flight log; made if missing.
+    /// Folder for report.html, summary.json, the logs, the model and the plans; made if missing.
     #[arg(long, default_value = "demo-out")]
     pub out: PathBuf,
+    /// What flies the trajectory: feedback alone, or plans through these models of what was learned.
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = Contestant::ALL)]
+    pub fly: Vec<Contestant>,
+    /// Length of the flights that the models are learned from, s.
+    #[arg(long, value_name = "SECONDS", default_value_t = 900.0)]
+    pub learn: f64,
+    /// Flights of each, with seeds from --seed on.
+    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
+    pub flights: u64,
     /// Vehicle file [default: a built-in nano quadrotor].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
-    /// Trajectory file [default: the built-in sinusoid-yaw].
+    /// Trajectory file, or with --fly model-free a plan [default: the built-in sinusoid-yaw].
     #[arg(long)]
     pub trajectory: Option<PathBuf>,
     /// The simulated vehicle.
@@ -73,8 +85,47 @@ pub struct DemoArgs {
     pub json: bool,
 }
 
+/// What flies a trajectory in `demo`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Contestant {
+    /// The desired trajectory as the reference, hover as the feed-forward.
+    ModelFree,
+    /// A plan through the learned networks.
+    Net,
+    /// A plan through the fitted physics.
+    Physics,
+    /// A plan through physics and networks together.
+    Hybrid,
+}
+
+impl Contestant {
+    /// All, in the order of the report.
+    pub const ALL: [Self; 4] = [Self::ModelFree, Self::Net, Self::Physics, Self::Hybrid];
+
+    /// The model that it plans through.
+    pub fn model(self) -> Option<ModelKind> {
+        match self {
+            Self::ModelFree => None,
+            Self::Net => Some(ModelKind::Net),
+            Self::Physics => Some(ModelKind::Physics),
+            Self::Hybrid => Some(ModelKind::Hybrid),
+        }
+    }
+
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        self.model().map_or("model-free", ModelKind::name)
+    }
+}
+
+impl std::fmt::Display for Contestant {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
 /// What of the simulated vehicle the vehicle file does not say.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct SimulationArgs {
     /// The simulated vehicle's own configuration: sensors, pack, start.
     #[arg(long)]
@@ -133,7 +184,7 @@ pub struct CollectArgs {
 /// Flags of `fly`.
 #[derive(Debug, Args)]
 pub struct FlyArgs {
-    /// Trajectory file (TOML or CSV).
+    /// Trajectory file (TOML or CSV), or a plan (.json).
     pub trajectory: PathBuf,
     /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
     #[arg(long, value_name = "URL")]
@@ -151,6 +202,40 @@ pub struct FlyArgs {
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Prints the flight's summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Flags of `plan`.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// Desired trajectory (TOML or CSV).
+    pub trajectory: PathBuf,
+    /// Model file of `train` [default: the vehicle file's own physics].
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Which of its models [default: the one that predicted best].
+    #[arg(long, value_enum, requires = "model")]
+    pub kind: Option<ModelKind>,
+    /// Vehicle file [default: the model's vehicle, else a built-in nano quadrotor].
+    #[arg(long)]
+    pub vehicle: Option<PathBuf>,
+    /// The plan to write.
+    #[arg(short, long, value_name = "FILE", default_value = "plan.json")]
+    pub out: PathBuf,
+    /// Folder for report.html and report.json; made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// What solves the subproblems.
+    #[arg(long, value_enum)]
+    pub solver: Option<SolverChoice>,
+    /// Ends the search after this time with the best plan so far.
+    #[arg(long, value_name = "SECONDS")]
+    pub time_limit: Option<f64>,
+    /// Configuration file.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints the summary as JSON.
     #[arg(long)]
     pub json: bool,
 }

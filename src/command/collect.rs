@@ -15,6 +15,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use tokio::signal::unix::{SignalKind, signal};
 
+use super::course::Course;
 use super::demo::progress_bar;
 use super::fly::{Flown, baud, endpoint, fly_once};
 use super::setup::{VehicleFile, capability, required, run_info, station_settings};
@@ -40,7 +41,7 @@ const WATCH_PERIOD: Duration = Duration::from_millis(50);
 
 /// The JSON of `collect`.
 #[derive(Serialize)]
-struct CollectSummary {
+pub(super) struct CollectSummary {
     schema: &'static str,
     schema_version: u32,
     vehicle: String,
@@ -122,6 +123,21 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
         }
         (None, None) => VehicleFile::built_in()?,
     };
+    let (summary, exit) = gather(args, &config, &vehicle)?;
+    if args.json {
+        print_json(&summary)?
+    } else {
+        print_text(&table(&summary))?
+    }
+    Ok(exit)
+}
+
+/// Flies what of the programme has no whole log yet, or only lists it.
+pub(super) fn gather(
+    args: &CollectArgs,
+    config: &Config,
+    vehicle: &VehicleFile,
+) -> anyhow::Result<(CollectSummary, Exit)> {
     let flights = programme(
         &config.settings.collect,
         &config.settings.envelope,
@@ -142,7 +158,7 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
     } else if args.list {
         (flights.iter().map(FlightRow::planned).collect(), Exit::Ok)
     } else {
-        fly(args, &config, &vehicle, &flights)?
+        fly(args, config, vehicle, &flights)?
     };
     let summary = CollectSummary {
         schema: "downwash.collect",
@@ -156,12 +172,14 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
         wall_s: started.elapsed().as_secs_f64(),
         flights: rows,
     };
-    if args.json {
-        print_json(&summary)?
-    } else {
-        print_text(&table(&summary))?
+    Ok((summary, exit))
+}
+
+impl CollectSummary {
+    /// The logs that were flown or kept.
+    pub fn logs(&self) -> Vec<PathBuf> {
+        self.flights.iter().filter_map(|flight| flight.log.clone()).collect()
     }
-    Ok(exit)
 }
 
 /// Flies what has no whole log yet. Every flight of the programme gets a row, and the worst end
@@ -228,7 +246,7 @@ fn gravity(exit: Exit) -> u8 {
         Exit::Aborted => 1,
         Exit::Refused => 2,
         Exit::Link => 3,
-        Exit::Usage | Exit::Failure => 4,
+        Exit::Usage | Exit::Failure | Exit::Model => 4,
         Exit::Interrupted => 5,
     }
 }
@@ -411,7 +429,7 @@ impl Simulator<'_> {
             config: self.config,
             vehicle: self.vehicle,
             truth: &truth,
-            trajectory: flight.trajectory.clone(),
+            course: &Course::Desired(flight.trajectory.clone()),
             run: &flight.name,
             seed: flight.seed,
             extra,
@@ -457,7 +475,7 @@ fn fly_vehicle(
         let settings = station_settings(
             config,
             vehicle,
-            flight.trajectory.clone(),
+            &Course::Desired(flight.trajectory.clone()),
             EngagePolicy::Command,
             baud(&endpoint),
         )?;

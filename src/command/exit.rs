@@ -17,6 +17,8 @@ pub enum Exit {
     Refused,
     /// The flight was ended early: a safety reaction, or the pilot took over.
     Aborted,
+    /// No plan or model that may be used was found.
+    Model,
     /// Ended by Ctrl-C or SIGTERM, after a clean stop.
     Interrupted,
 }
@@ -30,6 +32,7 @@ impl From<Exit> for ExitCode {
             Exit::Link => 3,
             Exit::Refused => 4,
             Exit::Aborted => 5,
+            Exit::Model => 6,
             Exit::Interrupted => 130,
         })
     }

@@ -10,10 +10,9 @@ use serde::Serialize;
 use tokio::signal::unix::{SignalKind, signal};
 use wire::Endpoint;
 
+use super::course::Course;
 use super::demo::report;
-use super::setup::{
-    VehicleFile, checked_trajectory, path_flag, required, run_info, station_settings,
-};
+use super::setup::{VehicleFile, path_flag, required, run_info, station_settings};
 use super::status_line::StatusLine;
 use super::{Exit, ExitContext, config, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
@@ -21,7 +20,6 @@ use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
 use crate::log::{LogSink, LogWriter, RunInfo};
-use crate::plan::Trajectory;
 use crate::report::flight::FlightSummary;
 use crate::station::{Station, StationSettings};
 use crate::supervisor::EngagePolicy;
@@ -51,12 +49,10 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let settings = &config.settings;
     let vehicle = VehicleFile::load(&required(&settings.vehicle, "--vehicle", "vehicle")?)?;
     let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
-    let trajectory = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
-    let (trajectory, _) = checked_trajectory(trajectory, &vehicle.params, &config)?;
-    let name = trajectory.name().to_owned();
+    let course = Course::load(&args.trajectory, &vehicle, &config)?;
+    let name = course.name().to_owned();
     let policy = EngagePolicy::Command;
-    let station_settings =
-        station_settings(&config, &vehicle, trajectory, policy, baud(&endpoint))?;
+    let station_settings = station_settings(&config, &vehicle, &course, policy, baud(&endpoint))?;
 
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);

@@ -2,6 +2,7 @@
 
 mod collect;
 mod config;
+mod course;
 mod daemon;
 mod demo;
 mod exit;
@@ -11,6 +12,7 @@ mod log;
 mod logs;
 mod messages;
 mod model;
+mod plan;
 mod setup;
 mod simulation;
 mod sitl;
@@ -51,6 +53,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
             end_on_broken_pipe();
             model::run(command)
         }
+        Command::Plan(args) => plan::run(&args),
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)

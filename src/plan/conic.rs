@@ -191,8 +191,7 @@ impl SetUp {
         for column in 0..layout.variables() {
             starts[column + 1] = starts[column + 1].max(starts[column]);
         }
-        let matrix =
-            CscMatrix::new(layout.constraints(), layout.variables(), starts, rows, values);
+        let matrix = CscMatrix::new(layout.constraints(), layout.variables(), starts, rows, values);
         let variables = layout.variables();
         let curvature = CscMatrix::new(
             variables,
@@ -264,7 +263,9 @@ fn program<const INPUTS: usize>(problem: &Subproblem<INPUTS>, layout: &Layout) -
             }
         }
         let mut at_most = |terms: &[(usize, f64)], bound: f64| {
-            program.entries.extend(terms.iter().map(|(column, value)| (inequality, *column, *value)));
+            program
+                .entries
+                .extend(terms.iter().map(|(column, value)| (inequality, *column, *value)));
             program.bounds[inequality] = bound;
             inequality += 1;
         };

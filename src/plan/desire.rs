@@ -3,7 +3,7 @@
 use sitl::frame::{Euler, Ned};
 
 use super::planned::CommandedInput;
-use super::problem::{ANGLE, RATE, StateVector};
+use super::problem::{ANGLE, RATE, StateVector, YAW};
 use super::trajectory::{DesiredPoint, Trajectory};
 
 /// Desired states and the inputs that would hold them in still, thin air.
@@ -51,8 +51,8 @@ impl Desire {
             let state = &mut states[n];
             let rates: [f64; 3] =
                 std::array::from_fn(|i| (next[ANGLE + i] - state[ANGLE + i]) / period_s);
-            let (roll, pitch) = (state[ANGLE], state[ANGLE + 1]);
-            state[RATE..].copy_from_slice(&body_rate(roll, pitch, rates));
+            let attitude = Euler::new(state[ANGLE], state[ANGLE + 1], state[YAW]);
+            state[RATE..].copy_from_slice(&attitude.body_rate(rates).to_array());
         }
         states[periods][RATE..].fill(0.0);
         let inputs = states[..periods]
@@ -84,14 +84,4 @@ impl Weight {
         let pitch = ahead.atan2(down);
         (self.mass_kg * length, Euler::new(roll, pitch, point.yaw))
     }
-}
-
-/// Body rates for rates of roll, pitch and yaw.
-fn body_rate(roll: f64, pitch: f64, [roll_rate, pitch_rate, yaw_rate]: [f64; 3]) -> [f64; 3] {
-    let ((sin_r, cos_r), (sin_p, cos_p)) = (roll.sin_cos(), pitch.sin_cos());
-    [
-        roll_rate - sin_p * yaw_rate,
-        cos_r * pitch_rate + sin_r * cos_p * yaw_rate,
-        cos_r * cos_p * yaw_rate - sin_r * pitch_rate,
-    ]
 }

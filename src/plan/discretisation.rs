@@ -113,23 +113,15 @@ fn point(state: &StateVector, wrench: &[f64; 4]) -> Point {
     }
 }
 
-/// `W(zeta) omega`: the rates of roll, pitch and yaw.
-fn euler_rates(state: &StateVector) -> [f64; 3] {
-    let [.., roll, pitch, _, p, q, r] = *state;
-    let ((sin_r, cos_r), (sin_p, cos_p)) = (roll.sin_cos(), pitch.sin_cos());
-    let across = sin_r * q + cos_r * r;
-    [p + sin_p / cos_p * across, cos_r * q - sin_r * r, across / cos_p]
-}
-
 /// `s + h (v, a, W(zeta) omega, alpha)`.
 fn euler_step(
     state: &StateVector,
     [an, ae, ad, ap, aq, ar]: &[f64; ACCELERATIONS],
     period: f64,
 ) -> StateVector {
-    let [roll, pitch, yaw] = euler_rates(state);
-    let rates =
-        [state[3], state[4], state[5], *an, *ae, *ad, roll, pitch, yaw, *ap, *aq, *ar];
+    let [.., roll, pitch, yaw, p, q, r] = *state;
+    let [roll, pitch, yaw] = Euler::new(roll, pitch, yaw).rates(Frd::new(p, q, r));
+    let rates = [state[3], state[4], state[5], *an, *ae, *ad, roll, pitch, yaw, *ap, *aq, *ar];
     std::array::from_fn(|i| state[i] + period * rates[i])
 }
 

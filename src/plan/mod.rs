@@ -12,6 +12,7 @@ mod model_free;
 mod multisine;
 mod path;
 pub mod planned;
+pub mod planner;
 pub mod problem;
 pub mod programme;
 pub mod reference;

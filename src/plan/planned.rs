@@ -97,6 +97,30 @@ pub enum PlanError {
     },
 }
 
+/// Largest defect and overrun of a plan that is flown.
+const DEFECT_MAX: f64 = 1e-4;
+const OVERRUN_MAX: f64 = 1e-2;
+
+/// Why a plan is not flown.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum NotFlyable {
+    /// Its search found nothing.
+    #[error("the search of this plan failed; change the trajectory or [plan] in the configuration")]
+    Failed,
+    /// It breaks the dynamics or a bound.
+    #[error(
+        "the plan misses its dynamics by {defect:.1e} (at most {DEFECT_MAX:.0e}) and its bounds by \
+         {overrun:.1e} (at most {OVERRUN_MAX:.0e}); change the trajectory, or [plan] in the \
+         configuration"
+    )]
+    Violated {
+        /// Largest defect of the dynamics.
+        defect: f64,
+        /// Largest overrun of a state's bounds (m, rad, rad/s).
+        overrun: f64,
+    },
+}
+
 /// What a new plan is made of.
 #[derive(Clone, Debug)]
 pub struct Found {
@@ -194,6 +218,32 @@ impl Plan {
         Ok(())
     }
 
+    /// Distance between the planned and the desired position after each period, m.
+    pub fn distances(&self) -> Vec<f64> {
+        let pairs = self.states.iter().zip(&self.desired).skip(1);
+        pairs
+            .map(|(state, desired)| {
+                (0..3).map(|i| (state[i] - desired[i]).powi(2)).sum::<f64>().sqrt()
+            })
+            .collect()
+    }
+
+    /// Whether the plan holds what it says: a search that failed, or that ended with states that no
+    /// input leads through, is no plan to fly.
+    ///
+    /// # Errors
+    /// What it misses, in words.
+    pub fn check_flyable(&self) -> Result<(), NotFlyable> {
+        let Violation { defect, overrun } = self.violation;
+        if self.status == Status::Failed {
+            return Err(NotFlyable::Failed);
+        }
+        if !(defect <= DEFECT_MAX && overrun <= OVERRUN_MAX) {
+            return Err(NotFlyable::Violated { defect, overrun });
+        }
+        Ok(())
+    }
+
     /// Length in s.
     pub fn duration(&self) -> f64 {
         self.inputs.len() as f64 * self.period_s
@@ -243,9 +293,8 @@ impl PlannedReference {
                 sent
             })
             .collect();
-        let setpoints = (0..plan.states.len())
-            .map(|n| between(&led, n as f64 + delay_s / period))
-            .collect();
+        let setpoints =
+            (0..plan.states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
         Self { period_s: period, states: plan.states.clone(), setpoints }
     }
 }

@@ -6,6 +6,8 @@ use sitl::frame::Ned;
 pub const STATES: usize = 12;
 /// Where the attitude (roll, pitch, yaw) begins in a [`StateVector`].
 pub(super) const ANGLE: usize = 6;
+/// Where yaw is in a [`StateVector`].
+pub(super) const YAW: usize = 8;
 /// Where the body rate begins in a [`StateVector`].
 pub(super) const RATE: usize = 9;
 
@@ -143,7 +145,8 @@ impl KeepOut {
                 let from = std::array::from_fn(|i| position[i] - centre.to_array()[i]);
                 let distance = norm(&from);
                 // At the very centre every way out is as good.
-                let out = if distance > 0.0 { from.map(|c| c / distance) } else { [0.0, 0.0, -1.0] };
+                let out =
+                    if distance > 0.0 { from.map(|c| c / distance) } else { [0.0, 0.0, -1.0] };
                 (radius - distance, out.map(|c| -c))
             }
             Self::Box { lower, upper } => {

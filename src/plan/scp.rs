@@ -66,6 +66,19 @@ pub enum Status {
     Failed,
 }
 
+impl Status {
+    /// For people.
+    pub fn in_words(self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::Stalled => "as good as this search finds",
+            Self::SubproblemLimit => "the best of the subproblems allowed",
+            Self::Stopped => "the best before it was stopped",
+            Self::Failed => "failed",
+        }
+    }
+}
+
 /// States and inputs over the horizon.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Iterate<const INPUTS: usize> {
@@ -189,14 +202,14 @@ struct Search<'a, const INPUTS: usize, D> {
 
 /// Searches a plan from `guess`.
 ///
-/// `stop` is asked before each subproblem.
+/// `stop` is shown the subproblems so far before each new one, and ends the search.
 pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
     problem: &Problem<INPUTS>,
     dynamics: &D,
     solver: &mut dyn SubproblemSolver<INPUTS>,
     settings: &ScpSettings,
     guess: Iterate<INPUTS>,
-    stop: &dyn Fn() -> bool,
+    stop: &dyn Fn(&[Record]) -> bool,
 ) -> Outcome<INPUTS> {
     let mut search = Search::new(problem, dynamics, guess);
     let mut subproblem = search.subproblem();
@@ -208,7 +221,7 @@ pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
     // Subproblems before the penalties were last raised.
     let mut earlier = 0;
     while records.len() < settings.subproblems_max {
-        if stop() {
+        if stop(&records) {
             status = Status::Stopped;
             break;
         }
@@ -241,8 +254,8 @@ pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
             trust = (2.0 * trust).min(TRUST_MAX);
         }
         let unit = 1.0 + search.cost;
-        let done =
-            promised.abs() < settings.tolerance * unit || slow(&records[earlier..], settings.progress * unit);
+        let done = promised.abs() < settings.tolerance * unit
+            || slow(&records[earlier..], settings.progress * unit);
         if done || trust < TRUST_MIN {
             if search.is_violated(settings) && search.raise() {
                 (trust, moved, earlier) = (trust.max(AFRESH), true, records.len());
@@ -365,7 +378,8 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
         let bounds = &self.problem.inputs;
         for (stage, input) in subproblem.stages.iter_mut().zip(&self.iterate.inputs) {
             for i in 0..INPUTS {
-                stage.lower[i] = ((bounds.lower[i] - input[i]) / bounds.scale[i]).clamp(-trust, 0.0);
+                stage.lower[i] =
+                    ((bounds.lower[i] - input[i]) / bounds.scale[i]).clamp(-trust, 0.0);
                 stage.upper[i] = ((bounds.upper[i] - input[i]) / bounds.scale[i]).clamp(0.0, trust);
             }
         }

@@ -39,8 +39,7 @@ pub enum DynamicsForm {
 }
 
 /// How large each state's trust region is against that of the scaled inputs.
-pub const TRUST_SHAPE: StateVector =
-    [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 5.0, 5.0, 5.0];
+pub const TRUST_SHAPE: StateVector = [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 5.0, 5.0, 5.0];
 
 /// The subproblem: minimise
 /// `sum |error + W d| + input_gradient . w + input_curvature/2 |w|^2 + row_penalty sum max(0, rows)`.
