@@ -158,6 +158,12 @@ pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
 
     let interrupted = Arc::new(AtomicBool::new(false));
     on_interrupt(&interrupted)?;
+    say(format_args!(
+        "planning {} ({:.1} s) through the {} model",
+        trajectory.name(),
+        trajectory.duration(),
+        through.note.kind
+    ));
     let began = Instant::now();
     let limit =
         Duration::try_from_secs_f64(config.settings.plan.time_limit_s).unwrap_or(Duration::MAX);

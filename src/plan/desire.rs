@@ -34,7 +34,17 @@ impl Desire {
     /// Body rates are those that lead from one attitude to the next.
     pub fn new(trajectory: &Trajectory, period_s: f64, weight: &Weight) -> Self {
         let periods = ((trajectory.duration() / period_s).round() as usize).max(1);
-        let points = (0..=periods).map(|n| trajectory.sample(n as f64 * period_s));
+        let points = (0..periods + 1).map(|n| trajectory.sample(n as f64 * period_s));
+        Self::along(points, period_s, weight)
+    }
+
+    /// The same along given points, at least two.
+    pub(super) fn along(
+        points: impl ExactSizeIterator<Item = DesiredPoint>,
+        period_s: f64,
+        weight: &Weight,
+    ) -> Self {
+        let periods = points.len() - 1;
         let mut thrusts = Vec::with_capacity(periods + 1);
         let mut states: Vec<StateVector> = points
             .map(|point| {

@@ -19,6 +19,8 @@ const ITERATIONS_MAX: usize = 60;
 const TO_BOUNDARY: f64 = 0.995;
 /// Complementarity at the start, in units of the cost.
 const START: f64 = 0.1;
+/// Distance between the bounds of an input, at least.
+const LEAST_ROOM: f64 = 1e-9;
 /// Curvature that each scaled input has at least.
 const LEAST_INPUT_CURVATURE: f64 = 1e-9;
 
@@ -251,10 +253,12 @@ impl<const INPUTS: usize> Work<INPUTS> {
         self.cost = QuadraticNorm::new(&stage.error, &problem.state_weight);
         self.state = [0.0; STATES];
         for i in 0..INPUTS {
-            let (lower, upper) = (stage.lower[i], stage.upper[i]);
+            // An input that is fixed is let move by nothing that matters.
+            let lower = stage.lower[i];
+            let upper = stage.upper[i].max(lower + LEAST_ROOM);
             // As near to no deviation as a tenth of the way between the bounds allows.
-            let inset = 0.1 * (upper - lower).max(1e-12);
-            self.input[i] = 0.0_f64.clamp(lower + inset, (upper - inset).max(lower + inset));
+            let inset = 0.1 * (upper - lower);
+            self.input[i] = 0.0_f64.max(lower + inset).min(upper - inset);
             self.lower[i] = Pair::new(self.input[i] - lower);
             self.upper[i] = Pair::new(upper - self.input[i]);
         }

@@ -4,6 +4,7 @@
 pub mod conic;
 mod curve;
 pub mod desire;
+mod detour;
 pub mod discretisation;
 mod feasibility;
 mod file;

@@ -6,14 +6,15 @@ use sitl::vehicle::AttitudePd;
 
 use super::conic::Conic;
 use super::desire::{Desire, Weight};
+use super::detour::bend;
 use super::discretisation::CommandedDynamics;
 use super::interior_point::InteriorPoint;
 use super::problem::{
-    ANGLE, InputBounds, InputPreference, KeepOut, Problem, STATES, StateLimits, StateVector,
+    ANGLE, InputBounds, InputPreference, KeepOut, Problem, STATES, StateLimits, StateVector, YAW,
 };
 use super::scp::{Iterate, Outcome, Record, ScpSettings, search};
 use super::subproblem::SubproblemSolver;
-use super::trajectory::Trajectory;
+use super::trajectory::{DesiredPoint, Trajectory};
 use crate::control::Limits;
 use crate::model::Model;
 
@@ -199,12 +200,7 @@ impl<'a> Planner<'a> {
                 found_s: trajectory.duration(),
             });
         }
-        let weight = Weight {
-            mass_kg: self.vehicle.mass_kg,
-            gravity: self.vehicle.gravity,
-            tilt_max_rad: self.vehicle.limits.tilt_max_rad,
-        };
-        let desire = Desire::new(trajectory, self.period_s(), &weight);
+        let desire = Desire::new(trajectory, self.period_s(), &self.weight());
         let bad = desire.states.iter().position(|state| !state.iter().all(|v| v.is_finite()));
         match bad {
             None => Ok(desire),
@@ -213,6 +209,37 @@ impl<'a> Planner<'a> {
                 at_s: n as f64 * self.period_s(),
             }),
         }
+    }
+
+    fn weight(&self) -> Weight {
+        Weight {
+            mass_kg: self.vehicle.mass_kg,
+            gravity: self.vehicle.gravity,
+            tilt_max_rad: self.vehicle.limits.tilt_max_rad,
+        }
+    }
+
+    /// Where a search begins: the desired states and inputs, or where they cross a region to keep
+    /// out of, those of a path round it.
+    fn guess(&self, desire: &Desire, problem: &Problem<7>) -> Iterate<7> {
+        let (mut states, period_s) = (desire.states.clone(), self.period_s());
+        if !bend(&mut states, period_s, &problem.keep_out, &problem.limits) {
+            return Iterate { states, inputs: desire.inputs.clone() };
+        }
+        let velocity = |n: usize| Ned::new(states[n][3], states[n][4], states[n][5]);
+        let last = states.len() - 1;
+        let points = (0..states.len()).map(|n| {
+            let state = &states[n];
+            DesiredPoint {
+                position: Ned::new(state[0], state[1], state[2]),
+                velocity: velocity(n),
+                acceleration: (velocity((n + 1).min(last)) - velocity(n)) * (1.0 / period_s),
+                yaw: state[YAW],
+                yaw_rate: 0.0, // follows from yaw
+            }
+        });
+        let Desire { states, inputs } = Desire::along(points, period_s, &self.weight());
+        Iterate { states, inputs }
     }
 
     /// The problem of following desired states from `start`.
@@ -261,7 +288,8 @@ impl<'a> Planner<'a> {
     }
 
     /// Searches the inputs that lead along desired states from `start`. `guess` is where the
-    /// search begins, of the same length; without one, the desired states and inputs.
+    /// search begins, of the same length; without one, the desired states, bent round the regions
+    /// to keep out of, and the desired inputs.
     pub fn plan(
         &self,
         desire: &Desire,
@@ -272,10 +300,7 @@ impl<'a> Planner<'a> {
         let problem = self.problem(desire, start);
         let dynamics =
             CommandedDynamics::new(self.model, self.vehicle.attitude_pd, self.period_s());
-        let mut guess = guess.unwrap_or_else(|| Iterate {
-            states: desire.states.clone(),
-            inputs: desire.inputs.clone(),
-        });
+        let mut guess = guess.unwrap_or_else(|| self.guess(desire, &problem));
         guess.states[0] = start;
         for input in &mut guess.inputs {
             for i in 0..input.len() {

@@ -102,6 +102,14 @@ pub struct StateRow {
 const FAR: f64 = 2.0;
 
 impl StateLimits {
+    /// Whether a state's position is within its bounds.
+    pub(super) fn allow_position(&self, state: &StateVector) -> bool {
+        self.position.is_none_or(|(lower, upper)| {
+            let bounds = lower.to_array().into_iter().zip(upper.to_array());
+            state.iter().zip(bounds).all(|(value, (lower, upper))| (lower..=upper).contains(value))
+        })
+    }
+
     /// Calls `visit` with each bound at `state`.
     fn visit(&self, state: &StateVector, mut visit: impl FnMut(StateRow)) {
         if let Some(tilt_max) = self.tilt_max_rad {
@@ -139,7 +147,7 @@ impl StateLimits {
 
 impl KeepOut {
     /// Depth of a position inside the region [m], negative outside, and its gradient.
-    fn depth(&self, position: [f64; 3]) -> (f64, [f64; 3]) {
+    pub(super) fn depth(&self, position: [f64; 3]) -> (f64, [f64; 3]) {
         match self {
             Self::Sphere { centre, radius } => {
                 let from = std::array::from_fn(|i| position[i] - centre.to_array()[i]);
@@ -229,5 +237,102 @@ impl<const INPUTS: usize> Problem<INPUTS> {
                 rows.push(row);
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn problem(limits: StateLimits, keep_out: Vec<KeepOut>) -> Problem<4> {
+        Problem {
+            start: [0.0; STATES],
+            desired: vec![[0.0; STATES]],
+            state_weight: [1.0; STATES],
+            inputs: InputBounds { lower: [-1.0; 4], upper: [1.0; 4], scale: [1.0; 4] },
+            preference: None,
+            limits,
+            keep_out,
+        }
+    }
+
+    fn rows(problem: &Problem<4>, state: &StateVector) -> Vec<StateRow> {
+        let mut rows = Vec::new();
+        problem.visit_bounds(state, |row| rows.push(row));
+        rows
+    }
+
+    fn regions() -> Vec<KeepOut> {
+        vec![
+            KeepOut::Sphere { centre: Ned::new(0.3, -0.2, 0.1), radius: 0.7 },
+            KeepOut::Box { lower: Ned::new(-0.5, -0.4, -0.6), upper: Ned::new(0.2, 0.6, 0.3) },
+        ]
+    }
+
+    #[test]
+    fn depths_by_hand() {
+        let [ball, block] = [regions()[0], regions()[1]];
+        assert_eq!(ball.depth([0.3, -0.2, 1.8]), (0.7 - 1.7, [0.0, 0.0, -1.0]));
+        // Inside, the nearest face counts; outside, the nearest corner, edge or face.
+        let (depth, gradient) = block.depth([0.1, 0.0, 0.0]);
+        assert!((depth - 0.1).abs() < 1e-15);
+        assert_eq!(gradient, [-1.0, 0.0, 0.0]);
+        let (depth, gradient) = block.depth([0.5, 1.0, 0.0]);
+        assert!((depth + 0.5).abs() < 1e-12);
+        assert!((gradient[0] + 0.6).abs() < 1e-12 && (gradient[1] + 0.8).abs() < 1e-12);
+        // At the centre every way out is as good; there is one.
+        let (depth, gradient) = ball.depth([0.3, -0.2, 0.1]);
+        assert_eq!(depth, 0.7);
+        assert_eq!(norm(&gradient), 1.0);
+    }
+
+    #[test]
+    fn excess_is_what_each_bound_is_broken_by() {
+        let limits = StateLimits {
+            tilt_max_rad: Some(0.5),
+            body_rate_max_rad_s: Some([1.0, 2.0, 3.0]),
+            position: Some((Ned::new(-1.0, -1.0, -2.0), Ned::new(1.0, 1.0, 0.0))),
+        };
+        let problem = problem(limits, vec![]);
+        assert_eq!(problem.excess(&[0.0; STATES]), 0.0);
+        let mut state = [0.0; STATES];
+        (state[1], state[2], state[RATE + 1]) = (1.25, -2.5, -2.75);
+        assert!((problem.excess(&state) - (0.25 + 0.5 + 0.75)).abs() < 1e-12);
+        state = [0.0; STATES];
+        state[ANGLE + 1] = 0.501;
+        assert!((problem.excess(&state) - 0.001).abs() < 1e-5);
+    }
+
+    proptest! {
+        #[test]
+        fn gradients_are_those_of_finite_differences(
+            share in prop::array::uniform12(-1.0_f64..1.0),
+        ) {
+            let limits = StateLimits {
+                tilt_max_rad: Some(0.6),
+                body_rate_max_rad_s: Some([2.0; 3]),
+                position: Some((Ned::new(-0.5, -0.5, -0.5), Ned::new(0.5, 0.5, 0.5))),
+            };
+            let problem = problem(limits, regions());
+            let state: StateVector = share;
+            let here = rows(&problem, &state);
+            let step = 1e-6;
+            for i in 0..STATES {
+                let [mut above, mut below] = [state; 2];
+                above[i] += step;
+                below[i] -= step;
+                let (above, below) = (rows(&problem, &above), rows(&problem, &below));
+                for ((row, above), below) in here.iter().zip(above).zip(below) {
+                    let ahead = (above.excess - row.excess) / step;
+                    let behind = (row.excess - below.excess) / step;
+                    // At the edges of the regions there is no one gradient.
+                    prop_assume!((ahead - behind).abs() < 1e-3);
+                    let slope = 0.5 * (ahead + behind);
+                    prop_assert!((slope - row.gradient[i]).abs() < 1e-4, "{slope} {row:?}");
+                }
+            }
+        }
     }
 }

@@ -151,8 +151,11 @@ const TRUST_MAX: f64 = 1e3;
 const GIVE_UP: f64 = 1e-3;
 /// Least trust region after the penalties were raised.
 const AFRESH: f64 = 1e-2;
-/// Cost of a unit of overrun at first, and what it is raised to at most.
+/// Cost of a unit of overrun at first, and below what it is raised to at most.
 const ROW_PENALTY: f64 = 10.0;
+/// The same where there are regions to keep out of: to cut through a thin one must cost more than
+/// to go round it.
+const REGION_PENALTY: f64 = 100.0;
 const ROW_PENALTY_MAX: f64 = 1e5;
 
 impl<const INPUTS: usize> Iterate<INPUTS> {
@@ -306,7 +309,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
             cost,
             overrun,
             defect,
-            row_penalty: ROW_PENALTY,
+            row_penalty: if problem.keep_out.is_empty() { ROW_PENALTY } else { REGION_PENALTY },
             // Above the largest multiplier: a defect of the first step is paid in every later one.
             defect_penalty: 2.0 * problem.horizon() as f64,
         }
