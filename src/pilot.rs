@@ -3,6 +3,8 @@
 
 mod guidance;
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use self::guidance::Guidance;
@@ -278,9 +280,9 @@ impl Pilot {
                 distance,
                 now,
             ));
-            failed
+            Cow::Owned(failed)
         } else {
-            self.standing_checks.clone()
+            Cow::Borrowed(self.standing_checks.as_slice())
         };
         let from_anchor = match (here, self.guidance.anchor()) {
             (Some(here), Some(anchor)) => here.position - anchor,
@@ -288,19 +290,20 @@ impl Pilot {
         };
         let jumped = std::mem::take(&mut self.jumped);
         let status = self.telemetry.status();
-        let stale_after_s = self.settings.safety.stale_after_s;
+        let tick_rate_min = self.settings.preflight.tick_rate_min
+            * if before.precedes_stream() { 1.0 } else { STREAMING_RATE_SHARE };
         let observation = Observation {
             status,
             airborne: self.airborne(),
-            telemetry_ready: age_s < stale_after_s
-                && self.telemetry.tick_rate_hz() >= self.settings.preflight.tick_rate_min * rate_hz,
+            telemetry_ready: age_s < self.settings.safety.stale_after_s
+                && self.telemetry.tick_rate_hz() >= tick_rate_min * rate_hz,
             preflight: &failed,
             condition: FlightCondition {
                 sample_age_s: age_s,
                 jumped,
                 tracking_error_m: self.tracking_error,
                 tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
-                radius_m: from_anchor.north().hypot(from_anchor.east()),
+                radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
                 height_m: -from_anchor.down(),
                 battery: status.battery.remaining,
             },
@@ -338,6 +341,10 @@ impl Pilot {
         }
     }
 }
+
+/// Share of the tick rate asked for at first that must be kept while a hold is streamed, so that a
+/// pause which is not stale yet does not end the stream.
+const STREAMING_RATE_SHARE: f64 = 0.6;
 
 /// Height above the ground that counts as flight where the vehicle does not say, m.
 const AIRBORNE_HEIGHT_M: f64 = 0.3;

@@ -215,7 +215,7 @@ impl Lqr {
 
     /// The position error with its horizontal part and its height within bounds.
     fn bounded(&self, error: Ned) -> (Ned, bool) {
-        let horizontal = error.north().hypot(error.east());
+        let horizontal = (error.north().powi(2) + error.east().powi(2)).sqrt();
         let scale = (self.horizontal_error_max_m / horizontal).min(1.0);
         let down = error.down().clamp(-self.vertical_error_max_m, self.vertical_error_max_m);
         let bounded = if scale < 1.0 {
