@@ -174,9 +174,10 @@ pub struct Telemetry {
     attitude_source: Option<AttitudeSource>,
     odometry: Stream<(Pose, Turn)>,
     reset_counter: Option<u8>,
-    clock: Option<(HostTime, VehicleTime)>,
-    /// Least host minus vehicle time, s, against `clock`'s first pair.
+    newest_stamp: Option<VehicleTime>,
+    /// When the first message came, and its stamp.
     origin: Option<(HostTime, VehicleTime)>,
+    /// Least delay of a message over that of the first, s; negative where one was quicker.
     least_delay_s: f64,
     due: Option<VehicleTime>,
     last: Option<Sample>,
@@ -194,7 +195,7 @@ impl Telemetry {
             attitude_source: None,
             odometry: Stream::default(),
             reset_counter: None,
-            clock: None,
+            newest_stamp: None,
             origin: None,
             least_delay_s: 0.0,
             due: None,
@@ -308,25 +309,27 @@ impl Telemetry {
     }
 
     /// Checks the vehicle's clock against the host's; the message's excess delay in s.
+    ///
+    /// Queues make messages late by any amount, and let the next ones come at once: that is no jump
+    /// of the clock. None comes before it was sent, so less delay than ever before is one.
     fn advance_clock(&mut self, host: HostTime, stamp: VehicleTime) -> Result<f64, TelemetryFault> {
         let limit = self.settings.clock_jump_s;
-        let (host_before, before) = self.clock.unwrap_or((host, stamp));
-        let passed = stamp.seconds_since(before);
-        let beyond = passed - host.since(host_before).as_secs_f64();
+        let passed = self.newest_stamp.map_or(0.0, |newest| stamp.seconds_since(newest));
+        let (host_origin, origin) = self.origin.unwrap_or((host, stamp));
+        let delay = host.since(host_origin).as_secs_f64() - stamp.seconds_since(origin);
+        let beyond = self.least_delay_s - delay;
         if passed < -limit || beyond > limit {
             self.forget();
-            self.clock = Some((host, stamp));
+            self.newest_stamp = Some(stamp);
+            self.origin = Some((host, stamp));
             return Err(if passed < 0.0 {
                 TelemetryFault::Reboot { seconds: -passed }
             } else {
                 TelemetryFault::ClockJump { seconds: beyond }
             });
         }
-        if passed >= 0.0 {
-            self.clock = Some((host, stamp));
-        }
-        let (host_origin, origin) = *self.origin.get_or_insert((host, stamp));
-        let delay = host.since(host_origin).as_secs_f64() - stamp.seconds_since(origin);
+        self.newest_stamp = self.newest_stamp.max(Some(stamp));
+        self.origin = Some((host_origin, origin));
         self.least_delay_s = (self.least_delay_s + DELAY_LEAK * passed.max(0.0)).min(delay);
         Ok(delay - self.least_delay_s)
     }

@@ -235,6 +235,37 @@ fn message_that_waited_on_its_way_is_not_acted_upon() {
     assert!(matches!(telemetry.update(&late), Err(TelemetryFault::Late { .. })));
 }
 
+#[test]
+fn a_queue_that_overflows_is_no_jump_of_the_clock() {
+    let mut telemetry = telemetry();
+    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
+    // Nothing is read for 1.5 s. What is old then comes at once; what the queue could not hold is
+    // missing; and the newest follows.
+    let read = START + Duration::from_micros(2_500_000);
+    for us in (1_010_000..1_100_000).step_by(10_000) {
+        let late = telemetry.update(&Received { host: read, ..odometry(us) });
+        assert!(matches!(late, Err(TelemetryFault::Late { .. })), "{late:?}");
+    }
+    let fresh = telemetry.update(&Received { host: read, ..odometry(2_490_000) });
+    assert!(matches!(fresh, Ok(Some(_))), "{fresh:?}");
+}
+
+#[test]
+fn a_clock_that_steps_forward_is_told_once() {
+    let mut telemetry = telemetry();
+    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
+    let stepped = |us: u64| Received {
+        host: START + Duration::from_micros(us + 2000),
+        ..odometry(us + 1_200_000)
+    };
+    let jump = telemetry.update(&stepped(1_010_000));
+    assert!(
+        matches!(jump, Err(TelemetryFault::ClockJump { seconds }) if (seconds - 1.2).abs() < 0.01),
+        "{jump:?}"
+    );
+    assert!(telemetry.update(&stepped(1_020_000)).is_ok());
+}
+
 proptest! {
     /// Whatever is sent, ticks are never closer than half the period, stamps rise,
     /// and states are finite.

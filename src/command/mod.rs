@@ -15,6 +15,7 @@ mod setup;
 mod simulation;
 mod sitl;
 mod status_line;
+mod stop;
 mod summary;
 mod train;
 
