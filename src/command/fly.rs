@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use serde::Serialize;
-use tokio::signal::unix::{SignalKind, signal};
 use wire::Endpoint;
 
 use super::course::Course;
 use super::demo::report;
 use super::setup::{VehicleFile, path_flag, required, run_info, station_settings};
 use super::status_line::StatusLine;
+use super::stop::StopSignals;
 use super::{Exit, ExitContext, config, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
 use crate::daemon::{self, Finished, HostClock, Running};
@@ -57,7 +57,9 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
     let tee = args.tlog.as_deref().map(tee).transpose()?;
-    let Flown { end, exit, log } = fly_once(station_settings, endpoint, &log_dir, &info, tee)?;
+    let mut signals = StopSignals::new()?;
+    let Flown { end, exit, log } =
+        fly_once(station_settings, endpoint, &log_dir, &info, tee, &mut signals)?;
     let flight = log.as_deref().map(report).transpose()?.map(|report| report.summary().clone());
     if exit != Exit::Ok {
         say(format_args!("flight {end}"));
@@ -95,6 +97,7 @@ pub(super) fn fly_once(
     log_dir: &Path,
     info: &RunInfo,
     tee: Option<TeeThread>,
+    signals: &mut StopSignals,
 ) -> anyhow::Result<Flown> {
     let clock = HostClock::start();
     let writer = LogWriter::create(log_dir, info, clock.now(), Instant::now())?;
@@ -103,7 +106,7 @@ pub(super) fn fly_once(
     let station = Station::new(settings, clock.now());
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
-    let (finished, stop) = watch(running)?;
+    let finished = watch(running, signals);
     let log = match finished.log {
         Ok(_) => Some(path),
         Err(error) => {
@@ -111,53 +114,27 @@ pub(super) fn fly_once(
             None
         }
     };
-    let (end, exit) = summary::end_in_words(finished.end.as_ref(), stop);
+    let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
     Ok(Flown { end, exit, log })
 }
 
-/// What asked for the end.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Stop {
-    /// Ctrl-C.
-    Interrupt,
-    /// SIGTERM.
-    Terminate,
-}
-
 /// Shows the status and waits for the end. The first Ctrl-C or SIGTERM asks for landing, the
-/// second drops the stream. Returns the first.
-pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, Option<Stop>)> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the runtime that watches signals")?;
-    let stop = runtime.block_on(async {
-        let mut interrupt = signal(SignalKind::interrupt())?;
-        let mut terminate = signal(SignalKind::terminate())?;
-        let line = StatusLine::new(std::io::stderr().is_terminal());
-        let mut stop = None;
-        while !running.is_done() {
-            let asked = tokio::select! {
-                _ = interrupt.recv() => Some(Stop::Interrupt),
-                _ = terminate.recv() => Some(Stop::Terminate),
-                () = tokio::time::sleep(WATCH_PERIOD) => None,
-            };
-            if asked.is_some() {
-                if stop.is_none() {
-                    tracing::warn!(
-                        "stopping: in flight the vehicle lands; again to drop the stream"
-                    );
-                }
-                stop = stop.or(asked);
-                running.stop();
+/// second drops the stream.
+pub(super) fn watch(running: Running, signals: &mut StopSignals) -> Finished {
+    let line = StatusLine::new(std::io::stderr().is_terminal());
+    let mut stopping = false;
+    while !running.is_done() {
+        if signals.wait(WATCH_PERIOD).is_some() {
+            if !stopping {
+                tracing::warn!("stopping: in flight the vehicle lands; again to drop the stream");
             }
-            line.show(&running.status());
+            stopping = true;
+            running.stop();
         }
-        line.finish();
-        Ok::<_, std::io::Error>(stop)
-    });
-    let stop = stop.context("cannot watch signals")?;
-    Ok((running.join(), stop))
+        line.show(&running.status());
+    }
+    line.finish();
+    running.join()
 }
 
 /// Parses the URL of a vehicle.

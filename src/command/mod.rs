@@ -17,6 +17,7 @@ mod setup;
 mod simulation;
 mod sitl;
 mod status_line;
+mod stop;
 mod summary;
 mod train;
 

@@ -31,6 +31,7 @@ pub(super) struct PlanModel {
     /// Delay and lag from a setpoint to what acts, s.
     delay_s: f64,
     lag_s: f64,
+    voltage_exponent: f64,
 }
 
 impl PlanModel {
@@ -44,6 +45,7 @@ impl PlanModel {
             note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
             delay_s: effective.actuation.command_delay_s,
             lag_s: effective.actuation.motor_time_constant_s,
+            voltage_exponent: 0.0,
         })
     }
 
@@ -54,6 +56,7 @@ impl PlanModel {
             note: PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) },
             delay_s: file.actuation.delay_s,
             lag_s: file.actuation.lag_s,
+            voltage_exponent: file.actuation.voltage_exponent,
         })
     }
 }
@@ -103,7 +106,12 @@ pub(super) fn plan_trajectory(
         vehicle: vehicle.name.clone(),
         model: through.note.clone(),
         period_s: planner.period_s(),
-        answer: Answer { delay_s: through.delay_s, lag_s: through.lag_s, attitude_pd },
+        answer: Answer {
+            delay_s: through.delay_s,
+            lag_s: through.lag_s,
+            voltage_exponent: through.voltage_exponent,
+            attitude_pd,
+        },
         desired: desire.states,
     };
     Ok(Plan::new(found, outcome))

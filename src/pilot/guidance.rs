@@ -96,6 +96,9 @@ impl Guidance {
         hover_thrust_n: f64,
         trajectory: Box<dyn ReferenceSource + Send>,
     ) -> Self {
+        // A model that knows better what holds the vehicle up is believed, within reason.
+        let start = trajectory.sample(0.0).feedforward.thrust_n;
+        let hover_thrust_n = start.clamp(0.75 * hover_thrust_n, 1.25 * hover_thrust_n);
         Self {
             settings,
             hover_thrust_n,
@@ -115,6 +118,11 @@ impl Guidance {
     /// Where the trajectory's origin is, once the flight has begun.
     pub fn anchor(&self) -> Option<Ned> {
         self.anchor
+    }
+
+    /// As the reference has it.
+    pub fn voltage_exponent(&self) -> f64 {
+        self.trajectory.voltage_exponent()
     }
 
     /// Where the vehicle was last seen on the ground.

@@ -72,6 +72,8 @@ pub struct Answer {
     pub delay_s: f64,
     /// First-order lag from a commanded wrench to the one that acts, s.
     pub lag_s: f64,
+    /// Power of the pack's voltage, over that of a full one, that thrust goes with.
+    pub voltage_exponent: f64,
     /// The loop that turns setpoints into moments.
     pub attitude_pd: AttitudePd,
 }
@@ -205,7 +207,10 @@ impl Plan {
                 self.desired.len()
             ));
         }
-        let Answer { delay_s, lag_s, attitude_pd } = self.answer;
+        let Answer { delay_s, lag_s, voltage_exponent, attitude_pd } = self.answer;
+        if !(0.0..=4.0).contains(&voltage_exponent) {
+            return Err(format!("expected a voltage_exponent of 0 to 4, found {voltage_exponent}"));
+        }
         let times = [self.period_s, delay_s, lag_s];
         if !(self.period_s > 0.0 && times.iter().all(|t| (0.0..=10.0).contains(t))) {
             return Err(format!("expected times of 0 to 10 s, found {times:?}"));
@@ -257,6 +262,7 @@ pub struct PlannedReference {
     states: Vec<StateVector>,
     /// As they are sent, one for each state.
     setpoints: Vec<CommandedInput>,
+    voltage_exponent: f64,
 }
 
 impl PlannedReference {
@@ -267,7 +273,7 @@ impl PlannedReference {
     /// moments M are to be `M* + lag dM*/dt`, which the attitude setpoint asks for by
     /// `lag Kp^-1 dM*/dt`, and thrust likewise.
     pub fn new(plan: &Plan) -> Self {
-        let Answer { delay_s, lag_s, attitude_pd: AttitudePd { kp, kd, .. } } = plan.answer;
+        let Answer { delay_s, lag_s, attitude_pd: AttitudePd { kp, kd, .. }, .. } = plan.answer;
         let period = plan.period_s;
         let wrench = |n: usize| {
             let (state, input) = (&plan.states[n], &plan.inputs[n]);
@@ -295,7 +301,8 @@ impl PlannedReference {
             .collect();
         let setpoints =
             (0..plan.states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
-        Self { period_s: period, states: plan.states.clone(), setpoints }
+        let voltage_exponent = plan.answer.voltage_exponent;
+        Self { period_s: period, states: plan.states.clone(), setpoints, voltage_exponent }
     }
 }
 
@@ -311,6 +318,10 @@ fn between<const N: usize>(rows: &[[f64; N]], index: f64) -> [f64; N] {
 impl ReferenceSource for PlannedReference {
     fn duration(&self) -> f64 {
         (self.states.len() - 1) as f64 * self.period_s
+    }
+
+    fn voltage_exponent(&self) -> f64 {
+        self.voltage_exponent
     }
 
     fn sample(&self, t: f64) -> Reference {

@@ -11,6 +11,12 @@ pub trait ReferenceSource {
 
     /// The reference at `t` seconds.
     fn sample(&self, t: f64) -> Reference;
+
+    /// Power of the pack's voltage, over that of a full one, that thrust goes with: what is sent is
+    /// more than the feed-forward by as much. 0 where the feed-forward is not of a model that knows.
+    fn voltage_exponent(&self) -> f64 {
+        0.0
+    }
 }
 
 impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
@@ -20,5 +26,9 @@ impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
 
     fn sample(&self, t: f64) -> Reference {
         self.as_ref().sample(t)
+    }
+
+    fn voltage_exponent(&self) -> f64 {
+        self.as_ref().voltage_exponent()
     }
 }
