@@ -278,9 +278,7 @@ impl<'a> Planner<'a> {
         });
         guess.states[0] = start;
         for input in &mut guess.inputs {
-            for i in 0..input.len() {
-                input[i] = input[i].clamp(problem.inputs.lower[i], problem.inputs.upper[i]);
-            }
+            *input = problem.inputs.clamp(*input);
         }
         let mut solver: Box<dyn SubproblemSolver<7>> = match self.settings.solver {
             SolverChoice::InteriorPoint => Box::new(InteriorPoint::default()),
