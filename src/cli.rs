@@ -57,7 +57,7 @@ pub struct DemoArgs {
     #[arg(long, default_value = "demo-out")]
     pub out: PathBuf,
     /// What flies the trajectory: feedback alone, or plans through these models of what was learned.
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = Contestant::ALL)]
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = Contestant::PAPER)]
     pub fly: Vec<Contestant>,
     /// Length of the flights that the models are learned from, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 900.0)]
@@ -96,11 +96,13 @@ pub enum Contestant {
     Physics,
     /// A plan through physics and networks together.
     Hybrid,
+    /// Plans through physics and networks together, made anew in flight.
+    Replanned,
 }
 
 impl Contestant {
-    /// All, in the order of the report.
-    pub const ALL: [Self; 4] = [Self::ModelFree, Self::Net, Self::Physics, Self::Hybrid];
+    /// The paper's, in the order of the report.
+    pub const PAPER: [Self; 4] = [Self::ModelFree, Self::Net, Self::Physics, Self::Hybrid];
 
     /// The model that it plans through.
     pub fn model(self) -> Option<ModelKind> {
@@ -108,13 +110,16 @@ impl Contestant {
             Self::ModelFree => None,
             Self::Net => Some(ModelKind::Net),
             Self::Physics => Some(ModelKind::Physics),
-            Self::Hybrid => Some(ModelKind::Hybrid),
+            Self::Hybrid | Self::Replanned => Some(ModelKind::Hybrid),
         }
     }
 
     /// Its name in reports.
     pub fn name(self) -> &'static str {
-        self.model().map_or("model-free", ModelKind::name)
+        match self {
+            Self::Replanned => "replanned",
+            _ => self.model().map_or("model-free", ModelKind::name),
+        }
     }
 }
 
@@ -192,6 +197,16 @@ pub struct FlyArgs {
     /// Vehicle file.
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
+    /// Plans anew in flight, through the model of --model. Where the trajectory's file changes in
+    /// flight, the vehicle is led over to what it then says.
+    #[arg(long)]
+    pub replan: bool,
+    /// Model file to replan through [default: the vehicle file's own physics].
+    #[arg(long, value_name = "FILE", requires = "replan")]
+    pub model: Option<PathBuf>,
+    /// Which of its models [default: the one that predicted best].
+    #[arg(long, value_enum, requires = "model")]
+    pub kind: Option<ModelKind>,
     /// Folder for the flight log.
     #[arg(long)]
     pub log_dir: Option<PathBuf>,

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{BufWriter, IsTerminal};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -11,15 +12,19 @@ use wire::Endpoint;
 
 use super::course::Course;
 use super::demo::report;
+use super::goal_file::GoalFile;
 use super::setup::{VehicleFile, path_flag, required, run_info, station_settings};
 use super::status_line::StatusLine;
 use super::stop::StopSignals;
-use super::{Exit, ExitContext, config, print_json, print_text, say, summary};
+use super::{Exit, ExitContext, config, plan, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
+use crate::config::Config;
 use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
 use crate::log::{LogSink, LogWriter, RunInfo};
+use crate::plan::Trajectory;
+use crate::plan::receding::RecedingReference;
 use crate::report::flight::FlightSummary;
 use crate::station::{Station, StationSettings};
 use crate::supervisor::EngagePolicy;
@@ -49,7 +54,12 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let settings = &config.settings;
     let vehicle = VehicleFile::load(&required(&settings.vehicle, "--vehicle", "vehicle")?)?;
     let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
-    let course = Course::load(&args.trajectory, &vehicle, &config)?;
+    let (course, _goal_file) = if args.replan {
+        let (course, file) = replanned(args, &vehicle, &config)?;
+        (course, Some(file))
+    } else {
+        (Course::load(&args.trajectory, &vehicle, &config)?, None)
+    };
     let name = course.name().to_owned();
     let policy = EngagePolicy::Command;
     let station_settings = station_settings(&config, &vehicle, &course, policy, baud(&endpoint))?;
@@ -79,6 +89,29 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
         print_text(&format!("{table}{log}"))?;
     }
     Ok(exit)
+}
+
+/// The trajectory as a goal that is planned to in flight, and that its file moves.
+fn replanned(
+    args: &FlyArgs,
+    vehicle: &VehicleFile,
+    config: &Config,
+) -> anyhow::Result<(Course, GoalFile)> {
+    let goal = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
+    let through = plan::model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
+    let (planner, answer) = plan::planner(&vehicle.params, &through, config)?;
+    let settings = config.settings.plan.receding;
+    let reference = RecedingReference::threaded(goal.clone(), planner, answer, settings)
+        .context("cannot start the planning thread")?;
+    let file = GoalFile::watch(
+        &args.trajectory,
+        reference.goal(),
+        config.settings.envelope,
+        vehicle.params.gravity,
+    )?;
+    let course = Course::Receding { goal, reference: Arc::new(reference) };
+    course.check(vehicle, config)?;
+    Ok((course, file))
 }
 
 /// How a flight went.

@@ -7,6 +7,7 @@ mod daemon;
 mod demo;
 mod exit;
 mod fly;
+mod goal_file;
 mod import;
 mod log;
 mod logs;

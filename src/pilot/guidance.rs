@@ -150,7 +150,7 @@ impl Guidance {
         let mut guided = match state {
             FlightState::TakeOff => self.take_off(t, here),
             FlightState::Approach => self.approach(t, sample),
-            FlightState::Track => self.track(t),
+            FlightState::Track => self.track(t, here),
             FlightState::Hold | FlightState::Land => Guided::fly(self.hold(here)),
             _ if airborne => Guided::fly(self.stay(here)),
             _ => self.idle(self.settings.idle_thrust, here),
@@ -273,9 +273,11 @@ impl Guidance {
         }
     }
 
-    fn track(&self, t: f64) -> Guided {
+    fn track(&self, t: f64, here: &State) -> Guided {
+        let anchor = self.anchor.unwrap_or_default();
+        self.trajectory.observe(t, &State { position: here.position - anchor, ..*here });
         let mut reference = self.trajectory.sample(t);
-        reference.position += self.anchor.unwrap_or_default();
+        reference.position += anchor;
         let over = t >= self.trajectory.duration();
         Guided {
             trajectory_time: Some(t),

@@ -123,6 +123,18 @@ pub enum NotFlyable {
     },
 }
 
+/// As [`Plan::check_flyable`], for an outcome.
+pub(super) fn check_violation(status: Status, violation: &Violation) -> Result<(), NotFlyable> {
+    let Violation { defect, overrun } = *violation;
+    if status == Status::Failed {
+        return Err(NotFlyable::Failed);
+    }
+    if !(defect <= DEFECT_MAX && overrun <= OVERRUN_MAX) {
+        return Err(NotFlyable::Violated { defect, overrun });
+    }
+    Ok(())
+}
+
 /// What a new plan is made of.
 #[derive(Clone, Debug)]
 pub struct Found {
@@ -239,14 +251,7 @@ impl Plan {
     /// # Errors
     /// What it misses, in words.
     pub fn check_flyable(&self) -> Result<(), NotFlyable> {
-        let Violation { defect, overrun } = self.violation;
-        if self.status == Status::Failed {
-            return Err(NotFlyable::Failed);
-        }
-        if !(defect <= DEFECT_MAX && overrun <= OVERRUN_MAX) {
-            return Err(NotFlyable::Violated { defect, overrun });
-        }
-        Ok(())
+        check_violation(self.status, &self.violation)
     }
 
     /// Length in s.
@@ -273,20 +278,30 @@ impl PlannedReference {
     /// moments M are to be `M* + lag dM*/dt`, which the attitude setpoint asks for by
     /// `lag Kp^-1 dM*/dt`, and thrust likewise.
     pub fn new(plan: &Plan) -> Self {
-        let Answer { delay_s, lag_s, attitude_pd: AttitudePd { kp, kd, .. }, .. } = plan.answer;
-        let period = plan.period_s;
+        Self::of(&plan.states, &plan.inputs, plan.period_s, &plan.answer)
+    }
+
+    /// The same for states and inputs, `period` seconds apart.
+    pub(super) fn of(
+        states: &[StateVector],
+        inputs: &[CommandedInput],
+        period: f64,
+        answer: &Answer,
+    ) -> Self {
+        let Answer { delay_s, lag_s, voltage_exponent, attitude_pd } = *answer;
+        let AttitudePd { kp, kd, .. } = attitude_pd;
         let wrench = |n: usize| {
-            let (state, input) = (&plan.states[n], &plan.inputs[n]);
+            let (state, input) = (&states[n], &inputs[n]);
             let moment = |i: usize| {
                 kp[i] * (input[1 + i] - state[ANGLE + i]) + kd[i] * (input[4 + i] - state[RATE + i])
             };
             [input[0], moment(0), moment(1), moment(2)]
         };
-        let last = plan.inputs.len() - 1;
+        let last = inputs.len() - 1;
         let led: Vec<CommandedInput> = (0..=last)
             .map(|n| {
                 let (before, after) = (n.saturating_sub(1), (n + 1).min(last));
-                let mut sent = plan.inputs[n];
+                let mut sent = inputs[n];
                 if after > before {
                     let span = (after - before) as f64 * period;
                     let (from, to) = (wrench(before), wrench(after));
@@ -300,9 +315,8 @@ impl PlannedReference {
             })
             .collect();
         let setpoints =
-            (0..plan.states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
-        let voltage_exponent = plan.answer.voltage_exponent;
-        Self { period_s: period, states: plan.states.clone(), setpoints, voltage_exponent }
+            (0..states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
+        Self { period_s: period, states: states.to_vec(), setpoints, voltage_exponent }
     }
 }
 

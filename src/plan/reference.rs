@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::setpoint::Reference;
+use crate::setpoint::{Reference, State};
 
 /// A reference from time 0 to its duration, held at both ends.
 pub trait ReferenceSource {
@@ -17,6 +17,9 @@ pub trait ReferenceSource {
     fn voltage_exponent(&self) -> f64 {
         0.0
     }
+
+    /// Told at each tick where the vehicle is, relative to the trajectory's origin. Never waits.
+    fn observe(&self, _t: f64, _state: &State) {}
 }
 
 impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
@@ -30,5 +33,9 @@ impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
 
     fn voltage_exponent(&self) -> f64 {
         self.as_ref().voltage_exponent()
+    }
+
+    fn observe(&self, t: f64, state: &State) {
+        self.as_ref().observe(t, state);
     }
 }
