@@ -274,7 +274,8 @@ impl Demo<'_> {
 
     /// Plans the trajectory in flight, on the virtual clock.
     fn receding(&self, kind: ModelKind, learned: &Learned) -> anyhow::Result<Course> {
-        let goal = self.desired.clone().context("a plan is not planned again").or_exit(Exit::Usage)?;
+        let goal =
+            self.desired.clone().context("a plan is not planned again").or_exit(Exit::Usage)?;
         let through = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
         let (planner, answer) = planner(&self.vehicle.params, &through, &self.config)?;
         let settings = self.config.settings.plan.receding;

@@ -97,8 +97,8 @@ impl Guidance {
         trajectory: Box<dyn ReferenceSource + Send>,
     ) -> Self {
         // A model that knows better what holds the vehicle up is believed, within reason.
-        let start = trajectory.sample(0.0).feedforward.thrust_n;
-        let hover_thrust_n = start.clamp(0.75 * hover_thrust_n, 1.25 * hover_thrust_n);
+        let hover_thrust_n =
+            trajectory.start_thrust_n().clamp(0.75 * hover_thrust_n, 1.25 * hover_thrust_n);
         Self {
             settings,
             hover_thrust_n,

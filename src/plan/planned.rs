@@ -267,7 +267,30 @@ pub struct PlannedReference {
     states: Vec<StateVector>,
     /// As they are sent, one for each state.
     setpoints: Vec<CommandedInput>,
+    start_thrust_n: f64,
     voltage_exponent: f64,
+}
+
+/// Periods whose mean thrust is taken for that of the start.
+const STILL_PERIODS: usize = 20;
+/// Periods on either side that a slope is taken over. One of neighbours alone would multiply the
+/// small jumps between the inputs of plans through networks by the lag over the period.
+const SLOPE_PERIODS: usize = 3;
+
+/// Slopes per row of the least-squares lines through the rows around `n`.
+fn slope_around<const N: usize>(rows: &[[f64; N]], n: usize) -> [f64; N] {
+    let from = n.saturating_sub(SLOPE_PERIODS);
+    let around = &rows[from..rows.len().min(n + SLOPE_PERIODS + 1)];
+    let middle = 0.5 * (around.len() as f64 - 1.0);
+    let (mut sums, mut squares) = ([0.0; N], 0.0);
+    for (k, row) in around.iter().enumerate() {
+        let from_middle = k as f64 - middle;
+        squares += from_middle * from_middle;
+        for (sum, value) in sums.iter_mut().zip(row) {
+            *sum += from_middle * value;
+        }
+    }
+    sums.map(|sum| if squares > 0.0 { sum / squares } else { 0.0 })
 }
 
 impl PlannedReference {
@@ -290,33 +313,41 @@ impl PlannedReference {
     ) -> Self {
         let Answer { delay_s, lag_s, voltage_exponent, attitude_pd } = *answer;
         let AttitudePd { kp, kd, .. } = attitude_pd;
-        let wrench = |n: usize| {
-            let (state, input) = (&states[n], &inputs[n]);
-            let moment = |i: usize| {
-                kp[i] * (input[1 + i] - state[ANGLE + i]) + kd[i] * (input[4 + i] - state[RATE + i])
-            };
-            [input[0], moment(0), moment(1), moment(2)]
-        };
-        let last = inputs.len() - 1;
-        let led: Vec<CommandedInput> = (0..=last)
-            .map(|n| {
-                let (before, after) = (n.saturating_sub(1), (n + 1).min(last));
-                let mut sent = inputs[n];
-                if after > before {
-                    let span = (after - before) as f64 * period;
-                    let (from, to) = (wrench(before), wrench(after));
-                    let slope: [f64; 4] = std::array::from_fn(|i| (to[i] - from[i]) / span);
-                    sent[0] += lag_s * slope[0];
-                    for i in 0..3 {
-                        sent[1 + i] += lag_s * slope[1 + i] / kp[i];
-                    }
+        let wrenches: Vec<[f64; 4]> = inputs
+            .iter()
+            .zip(states)
+            .map(|(input, state)| {
+                let moment = |i: usize| {
+                    kp[i] * (input[1 + i] - state[ANGLE + i])
+                        + kd[i] * (input[4 + i] - state[RATE + i])
+                };
+                [input[0], moment(0), moment(1), moment(2)]
+            })
+            .collect();
+        let led: Vec<CommandedInput> = inputs
+            .iter()
+            .enumerate()
+            .map(|(n, input)| {
+                let slope = slope_around(&wrenches, n).map(|slope| slope / period);
+                let mut sent = *input;
+                sent[0] += lag_s * slope[0];
+                for i in 0..3 {
+                    sent[1 + i] += lag_s * slope[1 + i] / kp[i];
                 }
                 sent
             })
             .collect();
         let setpoints =
             (0..states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
-        Self { period_s: period, states: states.to_vec(), setpoints, voltage_exponent }
+        let first = &inputs[..inputs.len().min(STILL_PERIODS)];
+        let start_thrust_n = first.iter().map(|input| input[0]).sum::<f64>() / first.len() as f64;
+        Self {
+            period_s: period,
+            states: states.to_vec(),
+            setpoints,
+            start_thrust_n,
+            voltage_exponent,
+        }
     }
 }
 
@@ -332,6 +363,10 @@ fn between<const N: usize>(rows: &[[f64; N]], index: f64) -> [f64; N] {
 impl ReferenceSource for PlannedReference {
     fn duration(&self) -> f64 {
         (self.states.len() - 1) as f64 * self.period_s
+    }
+
+    fn start_thrust_n(&self) -> f64 {
+        self.start_thrust_n
     }
 
     fn voltage_exponent(&self) -> f64 {

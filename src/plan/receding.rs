@@ -150,12 +150,7 @@ enum ReplanError {
 }
 
 impl Replanner {
-    fn new(
-        goal: Trajectory,
-        planner: Planner,
-        answer: Answer,
-        settings: RecedingSettings,
-    ) -> Self {
+    fn new(goal: Trajectory, planner: Planner, answer: Answer, settings: RecedingSettings) -> Self {
         let board = Arc::new(Board {
             goal: Mutex::new(Arc::new(goal)),
             slots: [Mutex::new(None), Mutex::new(None)],

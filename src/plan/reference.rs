@@ -12,6 +12,11 @@ pub trait ReferenceSource {
     /// The reference at `t` seconds.
     fn sample(&self, t: f64) -> Reference;
 
+    /// Thrust that holds the vehicle at the start, N.
+    fn start_thrust_n(&self) -> f64 {
+        self.sample(0.0).feedforward.thrust_n
+    }
+
     /// Power of the pack's voltage, over that of a full one, that thrust goes with: what is sent is
     /// more than the feed-forward by as much. 0 where the feed-forward is not of a model that knows.
     fn voltage_exponent(&self) -> f64 {
@@ -29,6 +34,10 @@ impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
 
     fn sample(&self, t: f64) -> Reference {
         self.as_ref().sample(t)
+    }
+
+    fn start_thrust_n(&self) -> f64 {
+        self.as_ref().start_thrust_n()
     }
 
     fn voltage_exponent(&self) -> f64 {
