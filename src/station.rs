@@ -3,58 +3,30 @@
 
 mod attitude_loop;
 mod records;
+mod settings;
 mod status;
 
 use std::sync::Arc;
 
-use sitl::vehicle::AttitudePd;
 use wire::transport::Peer;
 
 use self::attitude_loop::{assumption, attitude_loop};
 use self::records::{LinkMeter, record_of, tick_record};
+pub use self::settings::StationSettings;
 pub use self::status::Status;
 use crate::clock::HostTime;
-use crate::control::{Actuation, DesignError, HoverVehicle, Lqr, LqrSettings};
+use crate::control::{DesignError, Lqr};
 use crate::link::counters::LinkState;
 use crate::link::message::Inbound;
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::{FlightMode, Outcome, Request};
 use crate::link::session::{self, Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
-use crate::pilot::{Airframe, LinkEvent, Pilot, PilotSettings, Tick};
-use crate::plan::reference::ReferenceSource;
+use crate::pilot::{Airframe, LinkEvent, Pilot, Tick};
 use crate::supervisor::{Action, EngagePolicy, FlightState, ModeMap, PreflightCheck};
 
 /// Period of the link's counters in the log.
 const STATS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
-
-/// What a station needs to fly a vehicle.
-#[derive(Clone)]
-pub struct StationSettings {
-    /// The session.
-    pub session: session::Settings,
-    /// The pilot's parts.
-    pub pilot: PilotSettings,
-    /// The feedback.
-    pub lqr: LqrSettings,
-    /// Who decides that a flight begins.
-    pub policy: EngagePolicy,
-    /// Effective mass, inertia and gravity.
-    pub hover: HoverVehicle,
-    /// Thrust of all rotors at full output, N.
-    pub thrust_full_n: f64,
-    /// The pack's voltage when full, V.
-    pub battery_full_v: f64,
-    /// The on-board loop as it is, whatever of the setpoint it is sent; `None` where it is the
-    /// autopilot's own.
-    pub attitude_pd: Option<AttitudePd>,
-    /// How late the vehicle answers.
-    pub actuation: Actuation,
-    /// What is flown.
-    pub reference: Arc<dyn ReferenceSource + Send + Sync>,
-    /// Time to hear a vehicle in, s; `None` waits for ever.
-    pub search_timeout_s: Option<f64>,
-}
 
 /// Why a station stopped.
 #[derive(Clone, Debug, PartialEq)]
