@@ -228,7 +228,7 @@ fn gravity(exit: Exit) -> u8 {
         Exit::Aborted => 1,
         Exit::Refused => 2,
         Exit::Link => 3,
-        Exit::Usage | Exit::Failure => 4,
+        Exit::Check | Exit::Usage | Exit::Failure => 4,
         Exit::Interrupted => 5,
     }
 }

@@ -17,6 +17,8 @@ pub enum Exit {
     Refused,
     /// The flight was ended early: a safety reaction, or the pilot took over.
     Aborted,
+    /// A check that was asked for failed.
+    Check,
     /// Ended by Ctrl-C or SIGTERM, after a clean stop.
     Interrupted,
 }
@@ -30,6 +32,7 @@ impl From<Exit> for ExitCode {
             Exit::Link => 3,
             Exit::Refused => 4,
             Exit::Aborted => 5,
+            Exit::Check => 10,
             Exit::Interrupted => 130,
         })
     }

@@ -104,6 +104,9 @@ fn summary(flight: &Flight, out: &Path, messages: u64) -> Summary {
     let motor_source = match flight.motor_source {
         MotorSource::ActuatorOutputStatus => "ACTUATOR_OUTPUT_STATUS",
         MotorSource::ServoOutputRaw => "SERVO_OUTPUT_RAW",
+        MotorSource::ActuatorMotors => "actuator_motors",
+        MotorSource::ActuatorOutputs => "actuator_outputs",
+        MotorSource::Rcou => "RCOU",
         MotorSource::Table => "table",
     };
     let streams = vec![

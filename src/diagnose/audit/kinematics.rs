@@ -1,0 +1,455 @@
+//! How streams of one motion fit each other, with no model of the vehicle: attitude turns by the
+//! gyro, position moves by the velocity, velocity changes by the accelerometer. Each pair yields a
+//! delay, a rotation, a bias and a scale.
+
+use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use serde::Serialize;
+use sitl::frame::{Attitude, Frd};
+
+use super::weak::{Bump, Fit, Row, Weighed, bumps, fit, weigh};
+use crate::learn::alignment::interpolated;
+use crate::log::import::{Flight, Stream};
+
+/// Standard gravity, m/s^2. Places differ by 0.03, which adds to the vertical bias.
+const GRAVITY: f64 = 9.806_65;
+/// Half width of a bump: at least this, s, and this many periods of the slower stream.
+const HALF: f64 = 0.2;
+const HALF_PERIODS: f64 = 8.0;
+/// Delays that are tried, s.
+const DELAYS: std::ops::Range<f64> = -0.1..0.3;
+/// Step of the trial, s.
+const DELAY_STEP: f64 = 0.01;
+/// Bumps of the trial at most.
+const TRIAL_BUMPS: usize = 400;
+/// Least share that must be explained for anything to be concluded.
+const EXPLAINED_MIN: f64 = 0.5;
+/// Standard deviations either side of a value that hold it in 95 of 100 cases.
+const INTERVAL: f64 = 1.96;
+/// Least half width of a delay's interval, s: stamps and sampling are not better known.
+const DELAY_FLOOR: f64 = 2e-4;
+/// A delay less sure than this is none, s.
+const DELAY_UNSURE: f64 = 0.02;
+
+/// A value with its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Best value.
+    pub value: f64,
+    /// Half width of the interval.
+    pub half_width: f64,
+}
+
+impl Estimate {
+    fn new(value: f64, deviation: f64, floor: f64) -> Self {
+        Self { value, half_width: (INTERVAL * deviation).max(floor) }
+    }
+
+    /// Whether zero is outside of `times` the interval.
+    pub fn differs_from_zero(&self, times: f64) -> bool {
+        self.value.abs() > times * self.half_width
+    }
+}
+
+/// How one stream fits the derivative that another sensor measures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Agreement {
+    /// By how much the stream shows the motion later than the other sensor, s.
+    pub delay_s: Estimate,
+    /// The delay in the second half of the log less that in the first, s, where both show.
+    pub delay_drift_s: Option<Estimate>,
+    /// Rotation vector that turns what the other sensor measures into the stream's axes, rad.
+    pub rotation_rad: [Estimate; 3],
+    /// What the other sensor measures too much, in its own axes and unit.
+    pub bias: [Estimate; 3],
+    /// The stream's derivative over what the other sensor measures.
+    pub scale: f64,
+    /// Share of the stream's motion that this explains.
+    pub explained: f64,
+    /// Whether the stream's axes are another handedness than the sensor's.
+    pub is_mirrored: bool,
+}
+
+/// All pairs of a flight; `None` where a stream is missing or its motion shows nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Kinematics {
+    /// Attitude against the gyro: rotation in body axes, bias in rad/s.
+    pub attitude: Option<Agreement>,
+    /// Position against velocity: rotation in world axes, bias in m/s.
+    pub position: Option<Agreement>,
+    /// Velocity against the accelerometer: rotation only about down (the heading), bias in body
+    /// axes in m/s^2. A tilt of the reported attitude is in the bias: it cannot be told from one
+    /// where the thrust hardly changes.
+    pub velocity: Option<Agreement>,
+}
+
+impl Kinematics {
+    /// The pairs of a flight.
+    pub fn of(flight: &Flight) -> Self {
+        let attitude = Turning::of(flight, |q| q).and_then(|turning| turning.agreement());
+        let late = attitude.map_or(0.0, |agreement| agreement.delay_s.value);
+        Self {
+            attitude,
+            position: moving(flight),
+            velocity: Gaining::of(flight, late).and_then(|gaining| gaining.agreement()),
+        }
+    }
+}
+
+/// How well the attitude follows the gyro when its quaternions are read as `read` does: for
+/// quaternions in another order or direction than stated.
+pub(super) fn turning_explained(flight: &Flight, read: fn(Attitude) -> Attitude) -> Option<f64> {
+    let trial = Turning::of(flight, read)?.trial()?;
+    let is_near = trial.angle() < 0.3 && !trial.is_mirrored;
+    is_near.then_some(trial.explained)
+}
+
+fn half_width(periods: [Option<f64>; 2]) -> f64 {
+    periods.into_iter().flatten().fold(HALF, |half, period| half.max(HALF_PERIODS * period))
+}
+
+fn span<T>(stream: &Stream<T>) -> Option<(f64, f64)> {
+    Some((*stream.times().first()?, *stream.times().last()?))
+}
+
+fn vector(v: [f64; 3]) -> Vector3<f64> {
+    Vector3::from(v)
+}
+
+/// The first guess: the delay at which a rotation and a scale explain most.
+#[derive(Clone, Copy, Debug)]
+struct Trial {
+    delay: f64,
+    rotation: Matrix3<f64>,
+    scale: f64,
+    explained: f64,
+    is_mirrored: bool,
+}
+
+impl Trial {
+    /// Tries all delays on what is seen and what is expected under each bump.
+    fn best(
+        bumps: &[Bump],
+        seen: impl Fn(Bump) -> Option<Vector3<f64>>,
+        expected: impl Fn(Bump, f64) -> Option<Vector3<f64>>,
+    ) -> Option<Self> {
+        let stride = (bumps.len() / TRIAL_BUMPS).max(1);
+        let seen: Vec<(Bump, Vector3<f64>)> =
+            bumps.iter().step_by(stride).filter_map(|bump| Some((*bump, seen(*bump)?))).collect();
+        let steps = ((DELAYS.end - DELAYS.start) / DELAY_STEP).round() as usize;
+        let mut best: Option<Self> = None;
+        for step in 0..=steps {
+            let delay = DELAYS.start + step as f64 * DELAY_STEP;
+            let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = seen
+                .iter()
+                .filter_map(|(bump, y)| Some((*y, expected(bump.shifted(-delay), delay)?)))
+                .collect();
+            if pairs.len() < 24 {
+                continue;
+            }
+            let trial = Self::at(delay, &pairs);
+            if best.is_none_or(|best| trial.explained > best.explained) {
+                best = Some(trial);
+            }
+        }
+        best
+    }
+
+    /// The best rotation and scale (Kabsch, Umeyama) of pairs less their means.
+    fn at(delay: f64, pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Self {
+        let count = pairs.len() as f64;
+        let (y_mean, x_mean) =
+            pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| {
+                (a + y / count, b + x / count)
+            });
+        let (mut cross, mut x_power, mut y_power) = (Matrix3::zeros(), 0.0, 0.0);
+        for (y, x) in pairs {
+            let (y, x) = (y - y_mean, x - x_mean);
+            cross += y * x.transpose();
+            x_power += x.norm_squared();
+            y_power += y.norm_squared();
+        }
+        let svd = cross.svd(true, true);
+        let (u, v) = (svd.u.unwrap_or_default(), svd.v_t.unwrap_or_default());
+        let sign = (u * v).determinant().signum();
+        let s = svd.singular_values;
+        // Axes that hardly move leave the handedness open.
+        let is_mirrored = sign < 0.0 && s[2] > 0.1 * s[0];
+        let turn = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign));
+        let power = s[0] + s[1] + sign * s[2];
+        let explained =
+            if x_power > 0.0 && y_power > 0.0 { power * power / (x_power * y_power) } else { 0.0 };
+        let scale = if x_power > 0.0 { power / x_power } else { 0.0 };
+        Self { delay, rotation: u * turn * v, scale, explained, is_mirrored }
+    }
+
+    /// Angle of the rotation, rad.
+    fn angle(&self) -> f64 {
+        (0.5 * (self.rotation.trace() - 1.0)).clamp(-1.0, 1.0).acos()
+    }
+
+    /// The scale, where it is no accuracy but a unit.
+    fn unit(&self) -> f64 {
+        if (0.7..1.4).contains(&self.scale) { 1.0 } else { self.scale }
+    }
+}
+
+/// The rotation vector of a rotation.
+fn rotation_vector(q: Attitude) -> Vector3<f64> {
+    let q = q.canonical();
+    let v = Vector3::new(q.x, q.y, q.z);
+    let sine = v.norm();
+    if sine < 1e-9 { 2.0 * v } else { v * (2.0 * sine.atan2(q.w) / sine) }
+}
+
+/// The matrix of `v x`.
+fn cross(v: Vector3<f64>) -> Matrix3<f64> {
+    v.cross_matrix()
+}
+
+/// An agreement from the fit of delay, small rotation and bias about a first guess.
+fn agreement(trial: &Trial, whole: Fit<7>, halves: [Option<Fit<7>>; 2]) -> Option<Agreement> {
+    if whole.explained < EXPLAINED_MIN || INTERVAL * whole.deviation[0] > DELAY_UNSURE {
+        return None;
+    }
+    let coarse = Rotation3::from_matrix(&trial.rotation);
+    let fine = Rotation3::new(vector([whole.value[1], whole.value[2], whole.value[3]]));
+    let turned = (fine * coarse).scaled_axis();
+    let [dx, dy, dz] = [whole.deviation[1], whole.deviation[2], whole.deviation[3]];
+    let bias = |i: usize| Estimate::new(whole.value[i], whole.deviation[i], 0.0);
+    let drift = match halves {
+        [Some(a), Some(b)] if a.explained > EXPLAINED_MIN && b.explained > EXPLAINED_MIN => {
+            let deviation = a.deviation[0].hypot(b.deviation[0]);
+            Some(Estimate::new(b.value[0] - a.value[0], deviation, DELAY_FLOOR))
+        }
+        _ => None,
+    };
+    Some(Agreement {
+        delay_s: Estimate::new(whole.value[0], whole.deviation[0], DELAY_FLOOR),
+        delay_drift_s: drift,
+        rotation_rad: [
+            Estimate::new(turned.x, dx, 0.0),
+            Estimate::new(turned.y, dy, 0.0),
+            Estimate::new(turned.z, dz, 0.0),
+        ],
+        bias: [bias(4), bias(5), bias(6)],
+        scale: trial.scale,
+        explained: whole.explained,
+        is_mirrored: trial.is_mirrored,
+    })
+}
+
+/// Fits the whole and both halves of the bumps.
+fn fits<const P: usize>(
+    bumps: &[Bump],
+    start: [f64; P],
+    rows: impl Fn(&[Bump], &[f64; P]) -> Vec<Row<P>>,
+) -> Option<(Fit<P>, [Option<Fit<P>>; 2])> {
+    let whole = fit(start, |value| rows(bumps, value))?;
+    let (first, second) = bumps.split_at(bumps.len() / 2);
+    let half = |bumps: &[Bump]| fit(whole.value, |value| rows(bumps, value));
+    Some((whole, [half(first), half(second)]))
+}
+
+/// Attitude against the gyro. Within a bump the attitude is the rotation vector from that at its
+/// middle, whose derivative is the body rate times the inverse of its right Jacobian.
+struct Turning<'a> {
+    attitude: Stream<Attitude>,
+    rate: &'a Stream<Frd>,
+    bumps: Vec<Bump>,
+}
+
+impl<'a> Turning<'a> {
+    fn of(flight: &'a Flight, read: fn(Attitude) -> Attitude) -> Option<Self> {
+        let attitude = flight.attitude.map(|q| read(*q));
+        let rate = &flight.body_rate;
+        let (from, to) = span(&attitude)?;
+        let half = half_width([attitude.period(), rate.period()]);
+        Some(Self { attitude, rate, bumps: bumps(from, to, half).collect() })
+    }
+
+    fn turn(&self, middle: Attitude, time: f64) -> Option<Vector3<f64>> {
+        let now = interpolated(&self.attitude, time)?;
+        Some(rotation_vector(middle.inverse().compose(now)))
+    }
+
+    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
+        let middle = interpolated(&self.attitude, bump.centre)?;
+        let turn = |_, q: &Attitude| Some(rotation_vector(middle.inverse().compose(*q)));
+        Some(-weigh(&self.attitude, bump, turn)?.slope)
+    }
+
+    /// What the gyro says under a bump of its own time, if the attitude is `delay` later.
+    fn expected(
+        &self,
+        bump: Bump,
+        delay: f64,
+        corrected: impl Fn(Vector3<f64>) -> Vector3<f64>,
+    ) -> Option<Weighed<3>> {
+        let middle = interpolated(&self.attitude, bump.centre + delay)?;
+        weigh(self.rate, bump, |time, rate: &Frd| {
+            let rate = corrected(vector(rate.to_array()));
+            // Outside of the bump's support the turn does not matter.
+            let turn = self.turn(middle, time + delay).unwrap_or_default();
+            Some(rate + turn.cross(&rate) / 2.0 + turn.cross(&turn.cross(&rate)) / 12.0)
+        })
+    }
+
+    fn trial(&self) -> Option<Trial> {
+        let expected = |bump, delay| Some(self.expected(bump, delay, |rate| rate)?.value);
+        Trial::best(&self.bumps, |bump| self.seen(bump), expected)
+    }
+
+    fn agreement(&self) -> Option<Agreement> {
+        let trial = self.trial()?;
+        if trial.explained < EXPLAINED_MIN {
+            return None;
+        }
+        let coarse = trial.rotation * trial.unit();
+        let seen: Vec<_> = self.bumps.iter().map(|bump| (*bump, self.seen(*bump))).collect();
+        let rows = |bumps: &[Bump], value: &[f64; 7]| {
+            let [delay, ex, ey, ez, bx, by, bz] = *value;
+            let turn = Rotation3::new(Vector3::new(ex, ey, ez)).into_inner() * coarse;
+            let bias = Vector3::new(bx, by, bz);
+            let first = bumps.first().map_or(f64::INFINITY, |bump| bump.centre);
+            let from = seen.partition_point(|(bump, _)| bump.centre < first);
+            let rows = seen[from..from + bumps.len()].iter().filter_map(|(bump, seen)| {
+                let seen = (*seen)?;
+                let moved = bump.shifted(-delay);
+                let expected = self.expected(moved, delay, |rate| turn * (rate - bias))?;
+                let mut slopes = SMatrix::<f64, 3, 7>::zeros();
+                slopes.set_column(0, &expected.slope);
+                slopes.fixed_columns_mut::<3>(1).copy_from(&-cross(expected.value));
+                slopes.fixed_columns_mut::<3>(4).copy_from(&(-turn * bump.area()));
+                Some(Row { seen, misfit: seen - expected.value, slopes })
+            });
+            rows.collect()
+        };
+        let start = [trial.delay, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let (whole, halves) = fits(&self.bumps, start, rows)?;
+        agreement(&trial, whole, halves)
+    }
+}
+
+/// Position against velocity.
+fn moving(flight: &Flight) -> Option<Agreement> {
+    let (position, velocity) = (&flight.position, &flight.velocity);
+    let (from, to) = span(position)?;
+    let half = half_width([position.period(), velocity.period()]);
+    let bumps: Vec<Bump> = bumps(from, to, half).collect();
+    let seen = |bump: Bump| {
+        // From the bump's middle on, so that a position far from the origin loses nothing.
+        let origin = vector(position.held_at(bump.centre)?.to_array());
+        Some(-weigh(position, bump, |_, p| Some(vector(p.to_array()) - origin))?.slope)
+    };
+    let weighed = |bump: Bump| weigh(velocity, bump, |_, v| Some(vector(v.to_array())));
+    let trial = Trial::best(&bumps, seen, |bump, _| Some(weighed(bump)?.value))?;
+    if trial.explained < EXPLAINED_MIN {
+        return None;
+    }
+    let coarse = trial.rotation * trial.unit();
+    let rows = |bumps: &[Bump], value: &[f64; 7]| {
+        let [delay, ex, ey, ez, bx, by, bz] = *value;
+        let turn = Rotation3::new(Vector3::new(ex, ey, ez)).into_inner() * coarse;
+        let bias = Vector3::new(bx, by, bz);
+        let rows = bumps.iter().filter_map(|bump| {
+            let (seen, weighed) = (seen(*bump)?, weighed(bump.shifted(-delay))?);
+            let expected = turn * (weighed.value - bias * bump.area());
+            let mut slopes = SMatrix::<f64, 3, 7>::zeros();
+            slopes.set_column(0, &(turn * weighed.slope));
+            slopes.fixed_columns_mut::<3>(1).copy_from(&-cross(expected));
+            slopes.fixed_columns_mut::<3>(4).copy_from(&(-turn * bump.area()));
+            Some(Row { seen, misfit: seen - expected, slopes })
+        });
+        rows.collect()
+    };
+    let start = [trial.delay, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let (whole, halves) = fits(&bumps, start, rows)?;
+    agreement(&trial, whole, halves)
+}
+
+/// Velocity against the accelerometer, by an attitude whose delay is known.
+struct Gaining<'a> {
+    velocity: &'a Stream<sitl::frame::Ned>,
+    /// Attitude and specific force at the accelerometer's times.
+    force: Stream<(Attitude, Frd)>,
+    bumps: Vec<Bump>,
+}
+
+/// Acceleration in the world, and the attitude's matrix by columns.
+type Felt = SVector<f64, 12>;
+
+impl<'a> Gaining<'a> {
+    fn of(flight: &'a Flight, attitude_late: f64) -> Option<Self> {
+        let velocity = &flight.velocity;
+        let mut force = Stream::default();
+        for (time, f) in flight.specific_force.iter() {
+            if let Some(attitude) = interpolated(&flight.attitude, time + attitude_late) {
+                force.push(time, (attitude, *f));
+            }
+        }
+        let (from, to) = span(velocity)?;
+        let half = half_width([velocity.period(), force.period()]);
+        Some(Self { velocity, force, bumps: bumps(from, to, half).collect() })
+    }
+
+    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
+        Some(-weigh(self.velocity, bump, |_, v| Some(vector(v.to_array())))?.slope)
+    }
+
+    fn expected(&self, bump: Bump, bias: Vector3<f64>) -> Option<Weighed<12>> {
+        weigh(&self.force, bump, |_, (attitude, force)| {
+            let axis = |v: [f64; 3]| vector(attitude.to_world(Frd::from(v)).to_array());
+            let force = vector(force.to_array()) - bias;
+            let acceleration = axis([force.x, force.y, force.z]) + Vector3::z() * GRAVITY;
+            let mut felt = Felt::zeros();
+            felt.fixed_rows_mut::<3>(0).copy_from(&acceleration);
+            for (i, unit) in
+                [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].into_iter().enumerate()
+            {
+                felt.fixed_rows_mut::<3>(3 + 3 * i).copy_from(&axis(unit));
+            }
+            Some(felt)
+        })
+    }
+
+    fn agreement(&self) -> Option<Agreement> {
+        let trial = Trial::best(
+            &self.bumps,
+            |bump| self.seen(bump),
+            |bump, _| {
+                Some(self.expected(bump, Vector3::zeros())?.value.fixed_rows::<3>(0).into_owned())
+            },
+        )?;
+        if trial.explained < EXPLAINED_MIN {
+            return None;
+        }
+        let heading = trial.rotation[(1, 0)].atan2(trial.rotation[(0, 0)]);
+        let rows = |bumps: &[Bump], value: &[f64; 5]| {
+            let [delay, yaw, bx, by, bz] = *value;
+            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw).into_inner();
+            let bias = Vector3::new(bx, by, bz);
+            let rows = bumps.iter().filter_map(|bump| {
+                let seen = self.seen(*bump)?;
+                let felt = self.expected(bump.shifted(-delay), bias)?;
+                let expected = turn * felt.value.fixed_rows::<3>(0);
+                let mut slopes = SMatrix::<f64, 3, 5>::zeros();
+                slopes.set_column(0, &(turn * felt.slope.fixed_rows::<3>(0)));
+                slopes.set_column(1, &Vector3::z().cross(&expected));
+                for i in 0..3 {
+                    slopes.set_column(2 + i, &(-turn * felt.value.fixed_rows::<3>(3 + 3 * i)));
+                }
+                Some(Row { seen, misfit: seen - expected, slopes })
+            });
+            rows.collect()
+        };
+        let (whole, halves) = fits(&self.bumps, [trial.delay, heading, 0.0, 0.0, 0.0], rows)?;
+        // As the other pairs: no rotation about north and east.
+        let widen = |fit: Fit<5>| {
+            let of = |v: [f64; 5]| [v[0], 0.0, 0.0, v[1], v[2], v[3], v[4]];
+            let Fit { value, deviation, explained, bumps } = fit;
+            Fit { value: of(value), deviation: of(deviation), explained, bumps }
+        };
+        let flat = Trial { rotation: Matrix3::identity(), ..trial };
+        agreement(&flat, widen(whole), halves.map(|half| half.map(widen)))
+    }
+}
