@@ -2,13 +2,13 @@
 
 use sitl::frame::Attitude;
 
-use super::kinematics::{Agreement, Estimate, turning_explained};
+use super::kinematics::{Agreement, Estimate, turning_explained, turns};
 use super::timing::is_logged;
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
 
 /// Rates, root mean square, at which a turning vehicle shows whether its attitude follows, rad/s.
-const TURNS: f64 = 0.15;
+const TURNS: f64 = 0.2;
 /// A reading that explains this much where the stated one fails is the right one.
 const READS: f64 = 0.8;
 /// Rotations between streams beyond this are other axes, not a mounting, rad.
@@ -22,10 +22,9 @@ const SURE: f64 = 2.0;
 const DELAY: [f64; 3] = [0.004, 0.006, 0.008];
 /// Change of a delay within a log that matters, s.
 const DRIFT: f64 = 0.006;
-/// Rotations that matter, rad.
-const ROTATION: f64 = 0.006;
-/// Rotation of the heading against the accelerometer, which shows less sharply, rad.
-const HEADING: f64 = 0.05;
+/// Rotations that matter, rad: the estimates of position and velocity, and the heading against the
+/// accelerometer, show theirs less sharply.
+const ROTATION: [f64; 3] = [0.006, 0.02, 0.05];
 /// Biases that matter: gyro rad/s, velocity m/s, accelerometer m/s^2.
 const BIAS: [f64; 3] = [0.02, 0.05, 0.15];
 /// Specific forces of a vehicle that flies or stands, m/s^2.
@@ -161,9 +160,8 @@ impl Pair {
                 "the two are on clocks of different rates, or one was resampled",
             );
         }
-        let limit = if *at == 2 { HEADING } else { ROTATION };
         for (axis, estimate) in ["x", "y", "z"].into_iter().zip(agreement.rotation_rad) {
-            if matters(&estimate, limit) {
+            if matters(&estimate, ROTATION[*at]) {
                 let what = format!(
                     "turned by {:.2} +- {:.2} degrees about {axis} against {other}",
                     estimate.value.to_degrees(),
@@ -183,7 +181,7 @@ impl Pair {
             ("m/s", "position and velocity are of different estimates"),
             (
                 "m/s^2",
-                "the accelerometer's bias, or a tilt of the reported attitude (0.17 m/s^2 a degree)",
+                "the accelerometer's bias, or a tilt of the reported attitude that the gyro does not show (0.17 m/s^2 a degree)",
             ),
         ][*at];
         for (axis, estimate) in ["x", "y", "z"].into_iter().zip(agreement.bias) {
@@ -218,9 +216,7 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
     if !is_logged(&flight.attitude) || !is_logged(&flight.body_rate) {
         return;
     }
-    let rates = flight.body_rate.values();
-    let power = rates.iter().map(|w| w.norm().powi(2)).sum::<f64>() / rates.len() as f64;
-    if power.sqrt() < TURNS {
+    if turns(flight).is_none_or(|turns| turns.iter().any(|rate| *rate < TURNS)) {
         return;
     }
     let readings: [(fn(Attitude) -> Attitude, &str); 3] = [

@@ -27,6 +27,8 @@ const EXPLAINED_MIN: f64 = 0.5;
 const INTERVAL: f64 = 1.96;
 /// Least half width of a delay's interval, s: stamps and sampling are not better known.
 const DELAY_FLOOR: f64 = 2e-4;
+/// A rotation that is this many times its interval is undone.
+const SURE: f64 = 2.0;
 /// A delay less sure than this is none, s.
 const DELAY_UNSURE: f64 = 0.02;
 
@@ -77,8 +79,8 @@ pub struct Kinematics {
     /// Position against velocity: rotation in world axes, bias in m/s.
     pub position: Option<Agreement>,
     /// Velocity against the accelerometer: rotation only about down (the heading), bias in body
-    /// axes in m/s^2. A tilt of the reported attitude is in the bias: it cannot be told from one
-    /// where the thrust hardly changes.
+    /// axes in m/s^2. A rotation of the attitude that the gyro shows for sure is undone before;
+    /// what the gyro does not show of a tilt is in the bias.
     pub velocity: Option<Agreement>,
 }
 
@@ -87,10 +89,15 @@ impl Kinematics {
     pub fn of(flight: &Flight) -> Self {
         let attitude = Turning::of(flight, |q| q).and_then(|turning| turning.agreement());
         let late = attitude.map_or(0.0, |agreement| agreement.delay_s.value);
+        let turned = attitude.and_then(|agreement| {
+            let is_sure = agreement.rotation_rad.iter().any(|r| r.differs_from_zero(SURE));
+            is_sure.then(|| agreement.rotation_rad.map(|r| r.value))
+        });
+        let gaining = Gaining::of(flight, late, turned.unwrap_or_default());
         Self {
             attitude,
             position: moving(flight),
-            velocity: Gaining::of(flight, late).and_then(|gaining| gaining.agreement()),
+            velocity: gaining.and_then(|gaining| gaining.agreement()),
         }
     }
 }
@@ -101,6 +108,19 @@ pub(super) fn turning_explained(flight: &Flight, read: fn(Attitude) -> Attitude)
     let trial = Turning::of(flight, read)?.trial()?;
     let is_near = trial.angle() < 0.3 && !trial.is_mirrored;
     is_near.then_some(trial.explained)
+}
+
+/// How fast the vehicle turns, root mean square in rad/s: as the attitude and as the gyro show it,
+/// noise smoothed away.
+pub(super) fn turns(flight: &Flight) -> Option<[f64; 2]> {
+    let turning = Turning::of(flight, |q| q)?;
+    let mean = |weighed: &dyn Fn(Bump) -> Option<Vector3<f64>>| {
+        let rates = turning.bumps.iter().filter_map(|bump| Some(weighed(*bump)? / bump.area()));
+        let (sum, count) = rates.fold((0.0, 0.0), |(sum, n), w| (sum + w.norm_squared(), n + 1.0));
+        (count > 0.0).then(|| (sum / count).sqrt())
+    };
+    let seen = mean(&|bump| turning.seen(bump))?;
+    Some([seen, mean(&|bump| Some(turning.expected(bump, 0.0, |rate| rate)?.value))?])
 }
 
 fn half_width(periods: [Option<f64>; 2]) -> f64 {
@@ -201,6 +221,14 @@ fn rotation_vector(q: Attitude) -> Vector3<f64> {
     if sine < 1e-9 { 2.0 * v } else { v * (2.0 * sine.atan2(q.w) / sine) }
 }
 
+/// The rotation of a rotation vector.
+fn of_vector(v: Vector3<f64>) -> Attitude {
+    let angle = v.norm();
+    let (sine, w) = (0.5 * angle).sin_cos();
+    let [x, y, z] = if angle > 0.0 { (v * (sine / angle)).into() } else { [0.0; 3] };
+    Attitude { w, x, y, z }
+}
+
 /// The matrix of `v x`.
 fn cross(v: Vector3<f64>) -> Matrix3<f64> {
     v.cross_matrix()
@@ -219,7 +247,8 @@ fn agreement(trial: &Trial, whole: Fit<7>, halves: [Option<Fit<7>>; 2]) -> Optio
     let drift = match halves {
         [Some(a), Some(b)] if a.explained > EXPLAINED_MIN && b.explained > EXPLAINED_MIN => {
             let deviation = a.deviation[0].hypot(b.deviation[0]);
-            Some(Estimate::new(b.value[0] - a.value[0], deviation, DELAY_FLOOR))
+            let is_sure = INTERVAL * deviation < DELAY_UNSURE;
+            is_sure.then(|| Estimate::new(b.value[0] - a.value[0], deviation, DELAY_FLOOR))
         }
         _ => None,
     };
@@ -379,12 +408,13 @@ struct Gaining<'a> {
 type Felt = SVector<f64, 12>;
 
 impl<'a> Gaining<'a> {
-    fn of(flight: &'a Flight, attitude_late: f64) -> Option<Self> {
+    fn of(flight: &'a Flight, attitude_late: f64, turned: [f64; 3]) -> Option<Self> {
         let velocity = &flight.velocity;
         let mut force = Stream::default();
+        let turn = of_vector(vector(turned));
         for (time, f) in flight.specific_force.iter() {
             if let Some(attitude) = interpolated(&flight.attitude, time + attitude_late) {
-                force.push(time, (attitude, *f));
+                force.push(time, (attitude.compose(turn), *f));
             }
         }
         let (from, to) = span(velocity)?;

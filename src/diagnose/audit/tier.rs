@@ -40,7 +40,8 @@ pub struct Channels {
 }
 
 impl Channels {
-    pub(super) fn of(flight: &Flight) -> Self {
+    /// What a flight has.
+    pub fn of(flight: &Flight) -> Self {
         let setpoints = flight.setpoint.values();
         let is_whole = setpoints
             .iter()
@@ -81,7 +82,8 @@ pub enum Tier {
 }
 
 impl Tier {
-    pub(super) fn of(channels: &Channels) -> Option<Self> {
+    /// The most that channels reach; `None` without a pose.
+    pub fn of(channels: &Channels) -> Option<Self> {
         let steps = [
             (channels.pose(), Self::T0),
             (channels.imu, Self::T1),

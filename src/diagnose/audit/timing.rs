@@ -73,7 +73,7 @@ fn timing(stream: &'static str, times: &[f64]) -> StreamTiming {
     if let Some(period) = period {
         beyond.extend(intervals.iter().copied().filter(|gap| *gap > GAP_PERIODS * period));
     }
-    let missing: f64 = beyond.iter().map(|gap| gap / period.unwrap_or(*gap) - 1.0).sum();
+    let missing = beyond.iter().fold(0.0, |sum, gap| sum + gap / period.unwrap_or(*gap) - 1.0);
     let span = intervals.iter().sum::<f64>();
     StreamTiming {
         stream,

@@ -13,7 +13,7 @@ const FROZEN: f64 = 0.4;
 const TURNS: f64 = 0.08;
 const TRAVELS: f64 = 0.15;
 /// Steps that no motion explains: position m, velocity m/s, attitude rad.
-const POSITION_STEP: f64 = 0.2;
+const POSITION_STEP: f64 = 0.3;
 const VELOCITY_STEP: f64 = 0.8;
 const ATTITUDE_STEP: f64 = 0.15;
 /// Accelerations beyond this are none of a quadrotor's, m/s^2.
