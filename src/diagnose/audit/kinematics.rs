@@ -59,7 +59,9 @@ pub struct Agreement {
     pub delay_s: Estimate,
     /// The delay in the second half of the log less that in the first, s, where both show.
     pub delay_drift_s: Option<Estimate>,
-    /// Rotation vector that turns what the other sensor measures into the stream's axes, rad.
+    /// How the stream's axes are turned in the other sensor's, as a rotation vector in rad: of an
+    /// attitude that is the true one times a trim, the trim; of the velocity, by how much the
+    /// attitude's heading is too large.
     pub rotation_rad: [Estimate; 3],
     /// What the other sensor measures too much, in its own axes and unit.
     pub bias: [Estimate; 3],
@@ -91,7 +93,7 @@ impl Kinematics {
         let late = attitude.map_or(0.0, |agreement| agreement.delay_s.value);
         let turned = attitude.and_then(|agreement| {
             let is_sure = agreement.rotation_rad.iter().any(|r| r.differs_from_zero(SURE));
-            is_sure.then(|| agreement.rotation_rad.map(|r| r.value))
+            is_sure.then(|| agreement.rotation_rad.map(|r| -r.value))
         });
         let gaining = Gaining::of(flight, late, turned.unwrap_or_default());
         Self {
@@ -241,7 +243,7 @@ fn agreement(trial: &Trial, whole: Fit<7>, halves: [Option<Fit<7>>; 2]) -> Optio
     }
     let coarse = Rotation3::from_matrix(&trial.rotation);
     let fine = Rotation3::new(vector([whole.value[1], whole.value[2], whole.value[3]]));
-    let turned = (fine * coarse).scaled_axis();
+    let turned = (fine * coarse).inverse().scaled_axis();
     let [dx, dy, dz] = [whole.deviation[1], whole.deviation[2], whole.deviation[3]];
     let bias = |i: usize| Estimate::new(whole.value[i], whole.deviation[i], 0.0);
     let drift = match halves {
