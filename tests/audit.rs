@@ -262,6 +262,27 @@ fn motors_that_cannot_be_are_found() {
 }
 
 #[test]
+fn outputs_in_another_order_are_found() {
+    use downwash::log::import::RotorFact;
+    let params = lockstep::params(lockstep::NANO);
+    let fact = |i: usize| {
+        let rotor = &params.rotors[i];
+        RotorFact { front: rotor.position_m[0], right: rotor.position_m[1], spin: rotor.spin }
+    };
+    let rotors: [RotorFact; 4] = std::array::from_fn(fact);
+    let effects = Audit::of(&FLIGHT).rotors.expect("the outputs turn the vehicle");
+    assert_eq!(effects.contradictions(&rotors), []);
+    let sure = effects.turning.iter().flatten().filter(|e| e.differs_from_zero(2.0)).count();
+    assert!(sure >= 8, "{effects:?}");
+
+    let mut flight = FLIGHT.clone();
+    flight.facts.rotors = rotors.to_vec();
+    assert!(!Audit::of(&flight).is_faulty());
+    flight.outputs = flight.outputs.map(|u| [u[1], u[2], u[3], u[0]]);
+    assert_fault(&flight, "motor_order", "order");
+}
+
+#[test]
 fn values_that_stand_still_jump_or_cannot_be_are_found() {
     let mut flight = FLIGHT.clone();
     let middle = flight.velocity.times()[flight.velocity.len() / 2];

@@ -9,6 +9,7 @@ mod duplicates;
 mod finding;
 mod kinematics;
 mod motors;
+mod rotors;
 mod tier;
 mod timing;
 mod values;
@@ -19,6 +20,7 @@ use serde::Serialize;
 use crate::log::import::Flight;
 pub use finding::{Finding, Severity};
 pub use kinematics::{Agreement, Estimate, Kinematics};
+pub use rotors::{Contradiction, RotorEffects};
 pub use tier::{Channels, Tier, Untestable};
 pub use timing::StreamTiming;
 
@@ -56,6 +58,8 @@ pub struct Audit {
     pub ground_skew: Option<f64>,
     /// How the streams fit each other.
     pub kinematics: Kinematics,
+    /// What each motor output does to the body, where the motion shows it.
+    pub rotors: Option<RotorEffects>,
     /// What was found, worst first.
     pub findings: Vec<Finding>,
     /// Times that streams must not be used in, in their order.
@@ -79,6 +83,7 @@ impl Audit {
             streams: timing::streams(flight),
             ground_skew: flight.ground_skew,
             kinematics,
+            rotors: RotorEffects::of(flight),
             findings: Vec::new(),
             unusable: Vec::new(),
             untestable: tier::untestable(flight, &channels),

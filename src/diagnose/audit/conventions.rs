@@ -2,7 +2,7 @@
 
 use sitl::frame::Attitude;
 
-use super::kinematics::{Agreement, Estimate, turning_explained, turns};
+use super::kinematics::{Agreement, Estimate, turning_explained, turning_follows, turns};
 use super::timing::is_logged;
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
@@ -11,6 +11,8 @@ use crate::log::import::Flight;
 const TURNS: f64 = 0.2;
 /// A reading that explains this much where the stated one fails is the right one.
 const READS: f64 = 0.8;
+/// Less than this is no following at all, but other motion.
+const FOLLOWS: f64 = 0.3;
 /// Rotations between streams beyond this are other axes, not a mounting, rad.
 const OTHER_AXES: f64 = 0.3;
 /// Scales beyond these are other units.
@@ -235,12 +237,10 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
         .filter_map(|(read, text)| Some((turning_explained(flight, read)?, text)))
         .filter(|(explained, _)| *explained > READS)
         .max_by(|a, b| a.0.total_cmp(&b.0));
-    let explained = audit.kinematics.attitude.map_or(0.0, |agreement| agreement.explained);
+    let follows = turning_follows(flight).unwrap_or(0.0);
     let (what, found) = match found {
         Some((share, text)) => (format!("quaternions seem to be {text}"), share),
-        None if audit.kinematics.attitude.is_none() => {
-            ("does not turn as the gyro says".to_owned(), explained)
-        }
+        None if follows < FOLLOWS => ("does not turn as the gyro says".to_owned(), follows),
         None => return,
     };
     audit.findings.push(Finding {

@@ -42,7 +42,7 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    fn new(value: f64, deviation: f64, floor: f64) -> Self {
+    pub(super) fn new(value: f64, deviation: f64, floor: f64) -> Self {
         Self { value, half_width: (INTERVAL * deviation).max(floor) }
     }
 
@@ -102,6 +102,11 @@ impl Kinematics {
             velocity: gaining.and_then(|gaining| gaining.agreement()),
         }
     }
+}
+
+/// How well the attitude follows the gyro at best, in whatever axes.
+pub(super) fn turning_follows(flight: &Flight) -> Option<f64> {
+    Some(Turning::of(flight, |q| q)?.trial()?.explained)
 }
 
 /// How well the attitude follows the gyro when its quaternions are read as `read` does: for

@@ -13,6 +13,8 @@ const PULSE_LIKE: f64 = 500.0;
 const STUCK: f64 = 1e-3;
 /// Share of the time at a limit that is worth a word.
 const SATURATED: f64 = 0.05;
+/// So many contradictions are none by chance.
+const CONTRADICTIONS: usize = 2;
 /// A quadrotor's motors.
 const MOTORS: u32 = 4;
 /// Below this mean of a full range the vehicle does not fly.
@@ -36,6 +38,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     if flight.outputs.is_empty() {
         return;
     }
+    check_order(flight, audit);
     check_range(flight, audit);
     check_channels(flight, audit);
     let rate = flight.outputs.rate();
@@ -51,6 +54,32 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             advice: "log outputs at 50 Hz or more, by telemetry (SERVO_OUTPUT_RAW, ACTUATOR_OUTPUT_STATUS) or on board",
         });
     }
+}
+
+/// Whether outputs do what rotors would where the autopilot believes them to be.
+fn check_order(flight: &Flight, audit: &mut Audit) {
+    let (Some(effects), [a, b, c, d]) = (&audit.rotors, flight.facts.rotors.as_slice()) else {
+        return;
+    };
+    let wrong = effects.contradictions(&[*a, *b, *c, *d]);
+    if wrong.len() < CONTRADICTIONS {
+        return;
+    }
+    let named: Vec<String> =
+        wrong.iter().map(|wrong| format!("{} in {}", wrong.output + 1, wrong.axis)).collect();
+    audit.findings.push(Finding {
+        severity: Severity::Fault,
+        check: "motor_order",
+        stream: Some("outputs"),
+        found: wrong.len() as f64,
+        expected: 0.0,
+        unit: "",
+        what: format!(
+            "do not turn the vehicle as the autopilot's motors would: {}",
+            named.join(", ")
+        ),
+        advice: "check the order of the outputs and the sense of rotation",
+    });
 }
 
 /// The range that outputs may have in their unit; `None` where only a vehicle file can tell.
