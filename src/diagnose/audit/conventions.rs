@@ -2,7 +2,7 @@
 
 use sitl::frame::Attitude;
 
-use super::kinematics::{Agreement, Estimate, turning_explained, turning_follows, turns};
+use super::kinematics::{Agreement, Estimate, Reading, turning_explained, turning_follows, turns};
 use super::timing::is_logged;
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
@@ -19,6 +19,11 @@ const OTHER_AXES: f64 = 0.3;
 const UNIT: std::ops::Range<f64> = 0.5..2.0;
 /// How sure a value must be to be told: this many times its interval.
 const SURE: f64 = 2.0;
+/// As [`SURE`], for delays: with little motion, noise that the vehicle's own loop answers looks
+/// like one.
+const SURE_DELAY: f64 = 3.0;
+/// For the same reason a delay must be longer by this much if nothing is explained, s.
+const NOISE_DELAY: f64 = 0.05;
 /// Delays that matter: between attitude and gyro, position and velocity, velocity and
 /// accelerometer, s.
 const DELAY: [f64; 3] = [0.004, 0.006, 0.008];
@@ -141,14 +146,18 @@ impl Pair {
             });
         };
         let matters = |e: &Estimate, limit: f64| e.value.abs() > limit && e.differs_from_zero(SURE);
+        let noise = NOISE_DELAY * (1.0 - agreement.explained);
+        let lasts = |e: &Estimate, limit: f64| {
+            e.value.abs() > limit + noise && e.differs_from_zero(SURE_DELAY)
+        };
         let delay = agreement.delay_s;
-        if matters(&delay, DELAY[*at]) {
+        if lasts(&delay, DELAY[*at]) {
             let (ms, width) = (1e3 * delay.value.abs(), 1e3 * delay.half_width);
             let side = if delay.value > 0.0 { "late" } else { "early" };
             let what = format!("{ms:.1} +- {width:.1} ms {side} against {other}");
             tell("delay", delay, "s", what, "shift the stream by as much before any fit");
         }
-        if let Some(drift) = agreement.delay_drift_s.filter(|drift| matters(drift, DRIFT)) {
+        if let Some(drift) = agreement.delay_drift_s.filter(|drift| lasts(drift, DRIFT)) {
             let what = format!(
                 "its delay against {other} changes by {:.1} +- {:.1} ms within the log",
                 1e3 * drift.value,
@@ -221,7 +230,7 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
     if turns(flight).is_none_or(|turns| turns.iter().any(|rate| *rate < TURNS)) {
         return;
     }
-    let readings: [(fn(Attitude) -> Attitude, &str); 3] = [
+    let readings: [(Reading, &str); 3] = [
         (|q| q.inverse(), "world to body instead of body to world"),
         (
             |q| Attitude { w: q.z, x: q.w, y: q.x, z: q.y },

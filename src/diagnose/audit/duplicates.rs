@@ -11,8 +11,10 @@ use crate::log::import::Flight;
 const SAMPLES_MIN: usize = 100;
 /// Share of a flight's samples that another has too: chance shares hardly any.
 const SHARED_MAX: f64 = 0.2;
-/// Two recorders of one flight differ by less than this in attitude, rad, root mean square.
-const SAME_ATTITUDE: f64 = 0.05;
+/// Two recorders of one flight differ by less than this in attitude, rad, and position, m, root
+/// mean square: flights of one reference, on clocks that start with each, differ by more.
+const SAME_ATTITUDE: f64 = 0.006;
+const SAME_POSITION: f64 = 0.01;
 /// Motion that two flights cannot share by chance: spread of the attitude, rad.
 const SPREAD_MIN: f64 = 0.1;
 /// Instants at which two recordings are compared.
@@ -80,6 +82,14 @@ fn shared(a: &BTreeSet<[u64; 4]>, b: &BTreeSet<[u64; 4]>) -> f64 {
     a.intersection(b).count() as f64 / least as f64
 }
 
+/// The position between two samples.
+fn place(flight: &Flight, time: f64) -> Option<[f64; 3]> {
+    let at = flight.position.index_at(time)?;
+    let (times, values) = (flight.position.times(), flight.position.values());
+    let share = (time - times[at]) / (times.get(at + 1)? - times[at]);
+    Some((values[at] + (*values.get(at + 1)? - values[at]) * share).to_array())
+}
+
 /// Whether two logs on one clock show one motion.
 fn is_same_flight(a: &Flight, b: &Flight) -> bool {
     let ends = |flight: &Flight| {
@@ -92,6 +102,7 @@ fn is_same_flight(a: &Flight, b: &Flight) -> bool {
         return false;
     }
     let (mut apart, mut spread, mut count) = (0.0, 0.0, 0.0);
+    let (mut away, mut places) = (0.0, 0.0);
     let mut start = None;
     for k in 0..INSTANTS {
         let time = from + (to - from) * (k as f64 + 0.5) / INSTANTS as f64;
@@ -103,7 +114,12 @@ fn is_same_flight(a: &Flight, b: &Flight) -> bool {
         apart += p.angle_to(q).powi(2);
         spread += p.angle_to(start).powi(2);
         count += 1.0;
+        if let (Some(p), Some(q)) = (place(a, time), place(b, time)) {
+            away += (0..3).map(|i| (p[i] - q[i]).powi(2)).sum::<f64>();
+            places += 1.0;
+        }
     }
-    let rms = |sum: f64| (sum / count).sqrt();
-    count > 20.0 && rms(apart) < SAME_ATTITUDE && rms(spread) > SPREAD_MIN
+    let rms = |sum: f64, count: f64| (sum / count).sqrt();
+    let is_near = places == 0.0 || rms(away, places) < SAME_POSITION;
+    count > 20.0 && is_near && rms(apart, count) < SAME_ATTITUDE && rms(spread, count) > SPREAD_MIN
 }

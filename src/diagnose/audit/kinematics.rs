@@ -23,6 +23,8 @@ const DELAY_STEP: f64 = 0.01;
 const TRIAL_BUMPS: usize = 400;
 /// Least share that must be explained for anything to be concluded.
 const EXPLAINED_MIN: f64 = 0.5;
+/// Least share that axes of another handedness must explain to be believed.
+const MIRRORED_MIN: f64 = 0.7;
 /// Standard deviations either side of a value that hold it in 95 of 100 cases.
 const INTERVAL: f64 = 1.96;
 /// Least half width of a delay's interval, s: stamps and sampling are not better known.
@@ -89,30 +91,29 @@ pub struct Kinematics {
 impl Kinematics {
     /// The pairs of a flight.
     pub fn of(flight: &Flight) -> Self {
-        let attitude = Turning::of(flight, |q| q).and_then(|turning| turning.agreement());
+        let attitude = Turning::of(flight, |q| q).agreement();
         let late = attitude.map_or(0.0, |agreement| agreement.delay_s.value);
         let turned = attitude.and_then(|agreement| {
             let is_sure = agreement.rotation_rad.iter().any(|r| r.differs_from_zero(SURE));
             is_sure.then(|| agreement.rotation_rad.map(|r| -r.value))
         });
         let gaining = Gaining::of(flight, late, turned.unwrap_or_default());
-        Self {
-            attitude,
-            position: moving(flight),
-            velocity: gaining.and_then(|gaining| gaining.agreement()),
-        }
+        Self { attitude, position: moving(flight), velocity: gaining.agreement() }
     }
 }
 
 /// How well the attitude follows the gyro at best, in whatever axes.
 pub(super) fn turning_follows(flight: &Flight) -> Option<f64> {
-    Some(Turning::of(flight, |q| q)?.trial()?.explained)
+    Some(Turning::of(flight, |q| q).trial()?.explained)
 }
+
+/// What a quaternion means.
+pub(super) type Reading = fn(Attitude) -> Attitude;
 
 /// How well the attitude follows the gyro when its quaternions are read as `read` does: for
 /// quaternions in another order or direction than stated.
-pub(super) fn turning_explained(flight: &Flight, read: fn(Attitude) -> Attitude) -> Option<f64> {
-    let trial = Turning::of(flight, read)?.trial()?;
+pub(super) fn turning_explained(flight: &Flight, read: Reading) -> Option<f64> {
+    let trial = Turning::of(flight, read).trial()?;
     let is_near = trial.angle() < 0.3 && !trial.is_mirrored;
     is_near.then_some(trial.explained)
 }
@@ -120,7 +121,7 @@ pub(super) fn turning_explained(flight: &Flight, read: fn(Attitude) -> Attitude)
 /// How fast the vehicle turns, root mean square in rad/s: as the attitude and as the gyro show it,
 /// noise smoothed away.
 pub(super) fn turns(flight: &Flight) -> Option<[f64; 2]> {
-    let turning = Turning::of(flight, |q| q)?;
+    let turning = Turning::of(flight, |q| q);
     let mean = |weighed: &dyn Fn(Bump) -> Option<Vector3<f64>>| {
         let rates = turning.bumps.iter().filter_map(|bump| Some(weighed(*bump)? / bump.area()));
         let (sum, count) = rates.fold((0.0, 0.0), |(sum, n), w| (sum + w.norm_squared(), n + 1.0));
@@ -132,10 +133,6 @@ pub(super) fn turns(flight: &Flight) -> Option<[f64; 2]> {
 
 fn half_width(periods: [Option<f64>; 2]) -> f64 {
     periods.into_iter().flatten().fold(HALF, |half, period| half.max(HALF_PERIODS * period))
-}
-
-fn span<T>(stream: &Stream<T>) -> Option<(f64, f64)> {
-    Some((*stream.times().first()?, *stream.times().last()?))
 }
 
 fn vector(v: [f64; 3]) -> Vector3<f64> {
@@ -195,18 +192,44 @@ impl Trial {
             x_power += x.norm_squared();
             y_power += y.norm_squared();
         }
+        // Damaged numbers may be of any size, and a decomposition of them need not end.
+        if !(cross.norm().is_finite() && x_power.is_finite() && y_power.is_finite()) {
+            let rotation = Matrix3::identity();
+            return Self { delay, rotation, scale: 1.0, explained: 0.0, is_mirrored: false };
+        }
         let svd = cross.svd(true, true);
         let (u, v) = (svd.u.unwrap_or_default(), svd.v_t.unwrap_or_default());
         let sign = (u * v).determinant().signum();
         let s = svd.singular_values;
+        let share = |power: f64| match x_power * y_power {
+            0.0 => 0.0,
+            powers => power * power / powers,
+        };
         // Axes that hardly move leave the handedness open.
-        let is_mirrored = sign < 0.0 && s[2] > 0.1 * s[0];
-        let turn = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign));
+        let mirrored = share(s.sum());
+        if sign < 0.0 && s[2] > 0.1 * s[0] && mirrored > MIRRORED_MIN {
+            let rotation = Matrix3::identity();
+            return Self { delay, rotation, scale: 1.0, explained: mirrored, is_mirrored: true };
+        }
         let power = s[0] + s[1] + sign * s[2];
-        let explained =
-            if x_power > 0.0 && y_power > 0.0 { power * power / (x_power * y_power) } else { 0.0 };
+        let turn = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign));
         let scale = if x_power > 0.0 { power / x_power } else { 0.0 };
-        Self { delay, rotation: u * turn * v, scale, explained, is_mirrored }
+        let rotation = u * turn * v;
+        Self { delay, rotation, scale, explained: share(power), is_mirrored: false }
+    }
+
+    /// The agreement of streams of different handedness: nothing more can be said of them.
+    fn mirrored(&self) -> Agreement {
+        let unknown = Estimate { value: 0.0, half_width: std::f64::consts::PI };
+        Agreement {
+            delay_s: Estimate { value: self.delay, half_width: DELAY_STEP },
+            delay_drift_s: None,
+            rotation_rad: [unknown; 3],
+            bias: [unknown; 3],
+            scale: self.scale,
+            explained: self.explained,
+            is_mirrored: true,
+        }
     }
 
     /// Angle of the rotation, rad.
@@ -270,7 +293,7 @@ fn agreement(trial: &Trial, whole: Fit<7>, halves: [Option<Fit<7>>; 2]) -> Optio
         bias: [bias(4), bias(5), bias(6)],
         scale: trial.scale,
         explained: whole.explained,
-        is_mirrored: trial.is_mirrored,
+        is_mirrored: false,
     })
 }
 
@@ -295,12 +318,11 @@ struct Turning<'a> {
 }
 
 impl<'a> Turning<'a> {
-    fn of(flight: &'a Flight, read: fn(Attitude) -> Attitude) -> Option<Self> {
+    fn of(flight: &'a Flight, read: Reading) -> Self {
         let attitude = flight.attitude.map(|q| read(*q));
         let rate = &flight.body_rate;
-        let (from, to) = span(&attitude)?;
-        let half = half_width([attitude.period(), rate.period()]);
-        Some(Self { attitude, rate, bumps: bumps(from, to, half).collect() })
+        let bumps = bumps(attitude.times(), half_width([attitude.period(), rate.period()]));
+        Self { attitude, rate, bumps }
     }
 
     fn turn(&self, middle: Attitude, time: f64) -> Option<Vector3<f64>> {
@@ -340,6 +362,9 @@ impl<'a> Turning<'a> {
         if trial.explained < EXPLAINED_MIN {
             return None;
         }
+        if trial.is_mirrored {
+            return Some(trial.mirrored());
+        }
         let coarse = trial.rotation * trial.unit();
         let seen: Vec<_> = self.bumps.iter().map(|bump| (*bump, self.seen(*bump))).collect();
         let rows = |bumps: &[Bump], value: &[f64; 7]| {
@@ -369,9 +394,7 @@ impl<'a> Turning<'a> {
 /// Position against velocity.
 fn moving(flight: &Flight) -> Option<Agreement> {
     let (position, velocity) = (&flight.position, &flight.velocity);
-    let (from, to) = span(position)?;
-    let half = half_width([position.period(), velocity.period()]);
-    let bumps: Vec<Bump> = bumps(from, to, half).collect();
+    let bumps = bumps(position.times(), half_width([position.period(), velocity.period()]));
     let seen = |bump: Bump| {
         // From the bump's middle on, so that a position far from the origin loses nothing.
         let origin = vector(position.held_at(bump.centre)?.to_array());
@@ -381,6 +404,9 @@ fn moving(flight: &Flight) -> Option<Agreement> {
     let trial = Trial::best(&bumps, seen, |bump, _| Some(weighed(bump)?.value))?;
     if trial.explained < EXPLAINED_MIN {
         return None;
+    }
+    if trial.is_mirrored {
+        return Some(trial.mirrored());
     }
     let coarse = trial.rotation * trial.unit();
     let rows = |bumps: &[Bump], value: &[f64; 7]| {
@@ -415,7 +441,7 @@ struct Gaining<'a> {
 type Felt = SVector<f64, 12>;
 
 impl<'a> Gaining<'a> {
-    fn of(flight: &'a Flight, attitude_late: f64, turned: [f64; 3]) -> Option<Self> {
+    fn of(flight: &'a Flight, attitude_late: f64, turned: [f64; 3]) -> Self {
         let velocity = &flight.velocity;
         let mut force = Stream::default();
         let turn = of_vector(vector(turned));
@@ -424,9 +450,8 @@ impl<'a> Gaining<'a> {
                 force.push(time, (attitude.compose(turn), *f));
             }
         }
-        let (from, to) = span(velocity)?;
-        let half = half_width([velocity.period(), force.period()]);
-        Some(Self { velocity, force, bumps: bumps(from, to, half).collect() })
+        let bumps = bumps(velocity.times(), half_width([velocity.period(), force.period()]));
+        Self { velocity, force, bumps }
     }
 
     fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
@@ -459,6 +484,9 @@ impl<'a> Gaining<'a> {
         )?;
         if trial.explained < EXPLAINED_MIN {
             return None;
+        }
+        if trial.is_mirrored {
+            return Some(trial.mirrored());
         }
         let heading = trial.rotation[(1, 0)].atan2(trial.rotation[(0, 0)]);
         let rows = |bumps: &[Bump], value: &[f64; 5]| {

@@ -50,11 +50,10 @@ impl RotorEffects {
         if flight.outputs.rate() < RATE_MIN || flight.body_rate.rate() < RATE_MIN {
             return None;
         }
-        let times = flight.body_rate.times();
         let periods = [flight.outputs.period(), flight.body_rate.period()];
         let half =
             periods.into_iter().flatten().fold(HALF, |h, period| h.max(HALF_PERIODS * period));
-        let bumps: Vec<Bump> = bumps(*times.first()?, *times.last()?, half).collect();
+        let bumps = bumps(flight.body_rate.times(), half);
         let all = (0..DELAYS).filter_map(|step| Self::at(flight, &bumps, DELAY_STEP * step as f64));
         let best = all.max_by(|a, b| a.explained.total_cmp(&b.explained))?;
         (best.explained > EXPLAINED_MIN).then_some(best)

@@ -80,10 +80,20 @@ pub(super) fn weigh<V, const N: usize>(
     Some(weighed)
 }
 
-/// Bumps over a span, each beginning at the middle of the one before.
-pub(super) fn bumps(from: f64, to: f64, half: f64) -> impl Iterator<Item = Bump> {
-    let count = ((to - from) / half).max(0.0) as usize;
-    (1..count).map(move |k| Bump { centre: from + k as f64 * half, half })
+/// Bumps over samples, each beginning at the middle of the one before; none where no sample is,
+/// however long a log pauses.
+pub(super) fn bumps(times: &[f64], half: f64) -> Vec<Bump> {
+    let Some(start) = times.first() else { return Vec::new() };
+    let mut last = 0.0;
+    let mut bumps = Vec::new();
+    for time in times {
+        let number = ((time - start) / half).floor();
+        if number > last {
+            bumps.push(Bump { centre: start + number * half, half });
+            last = number;
+        }
+    }
+    bumps
 }
 
 /// One bump's misfit and how the unknowns change what is expected there.
@@ -209,14 +219,20 @@ mod tests {
     fn a_bump_weighs_a_derivative_without_taking_it() {
         let (x, v) = (sampled(|t| (3.0 * t).sin()), sampled(|t| 3.0 * (3.0 * t).cos()));
         let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
-        for bump in bumps(0.5, 19.0, 0.25) {
-            let seen = -weigh(&x, bump, of).expect("samples").slope[0];
-            let expected = weigh(&v, bump, of).expect("samples").value[0];
+        for bump in &bumps(x.times(), 0.25)[1..70] {
+            let seen = -weigh(&x, *bump, of).expect("samples").slope[0];
+            let expected = weigh(&v, *bump, of).expect("samples").value[0];
             assert!((seen - expected).abs() < 1e-3, "{seen} {expected}");
         }
         let one = weigh(&sampled(|_| 1.0), Bump { centre: 5.0, half: 0.3 }, of).expect("samples");
         let area = Bump { centre: 0.0, half: 0.3 }.area();
         assert!((one.value[0] - area).abs() < 1e-4 && one.slope[0].abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_pause_of_ages_has_no_bumps() {
+        let times = [0.0, 0.1, 0.2, 0.3, 1e12, 1e12 + 0.1, 1e12 + 0.4];
+        assert!(bumps(&times, 0.1).len() < times.len());
     }
 
     #[test]
