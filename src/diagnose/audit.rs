@@ -12,6 +12,7 @@ mod motors;
 mod rotors;
 mod tier;
 mod timing;
+mod trial;
 mod values;
 mod weak;
 

@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 use serde::Serialize;
 use sitl::frame::{Attitude, Frd};
 
+use super::trial::{DELAY_STEP, Trial};
 use super::weak::{Bump, Fit, Row, Weighed, bumps, fit, weigh};
 use crate::learn::alignment::interpolated;
 use crate::log::import::{Flight, Stream};
@@ -15,16 +16,8 @@ const GRAVITY: f64 = 9.806_65;
 /// Half width of a bump: at least this, s, and this many periods of the slower stream.
 const HALF: f64 = 0.2;
 const HALF_PERIODS: f64 = 8.0;
-/// Delays that are tried, s.
-const DELAYS: std::ops::Range<f64> = -0.1..0.3;
-/// Step of the trial, s.
-const DELAY_STEP: f64 = 0.01;
-/// Bumps of the trial at most.
-const TRIAL_BUMPS: usize = 400;
 /// Least share that must be explained for anything to be concluded.
 const EXPLAINED_MIN: f64 = 0.5;
-/// Least share that axes of another handedness must explain to be believed.
-const MIRRORED_MIN: f64 = 0.7;
 /// Standard deviations either side of a value that hold it in 95 of 100 cases.
 const INTERVAL: f64 = 1.96;
 /// Least half width of a delay's interval, s: stamps and sampling are not better known.
@@ -139,110 +132,6 @@ fn vector(v: [f64; 3]) -> Vector3<f64> {
     Vector3::from(v)
 }
 
-/// The first guess: the delay at which a rotation and a scale explain most.
-#[derive(Clone, Copy, Debug)]
-struct Trial {
-    delay: f64,
-    rotation: Matrix3<f64>,
-    scale: f64,
-    explained: f64,
-    is_mirrored: bool,
-}
-
-impl Trial {
-    /// Tries all delays on what is seen and what is expected under each bump.
-    fn best(
-        bumps: &[Bump],
-        seen: impl Fn(Bump) -> Option<Vector3<f64>>,
-        expected: impl Fn(Bump, f64) -> Option<Vector3<f64>>,
-    ) -> Option<Self> {
-        let stride = (bumps.len() / TRIAL_BUMPS).max(1);
-        let seen: Vec<(Bump, Vector3<f64>)> =
-            bumps.iter().step_by(stride).filter_map(|bump| Some((*bump, seen(*bump)?))).collect();
-        let steps = ((DELAYS.end - DELAYS.start) / DELAY_STEP).round() as usize;
-        let mut best: Option<Self> = None;
-        for step in 0..=steps {
-            let delay = DELAYS.start + step as f64 * DELAY_STEP;
-            let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = seen
-                .iter()
-                .filter_map(|(bump, y)| Some((*y, expected(bump.shifted(-delay), delay)?)))
-                .collect();
-            if pairs.len() < 24 {
-                continue;
-            }
-            let trial = Self::at(delay, &pairs);
-            if best.is_none_or(|best| trial.explained > best.explained) {
-                best = Some(trial);
-            }
-        }
-        best
-    }
-
-    /// The best rotation and scale (Kabsch, Umeyama) of pairs less their means.
-    fn at(delay: f64, pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Self {
-        let count = pairs.len() as f64;
-        let (y_mean, x_mean) =
-            pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| {
-                (a + y / count, b + x / count)
-            });
-        let (mut cross, mut x_power, mut y_power) = (Matrix3::zeros(), 0.0, 0.0);
-        for (y, x) in pairs {
-            let (y, x) = (y - y_mean, x - x_mean);
-            cross += y * x.transpose();
-            x_power += x.norm_squared();
-            y_power += y.norm_squared();
-        }
-        // Damaged numbers may be of any size, and a decomposition of them need not end.
-        if !(cross.norm().is_finite() && x_power.is_finite() && y_power.is_finite()) {
-            let rotation = Matrix3::identity();
-            return Self { delay, rotation, scale: 1.0, explained: 0.0, is_mirrored: false };
-        }
-        let svd = cross.svd(true, true);
-        let (u, v) = (svd.u.unwrap_or_default(), svd.v_t.unwrap_or_default());
-        let sign = (u * v).determinant().signum();
-        let s = svd.singular_values;
-        let share = |power: f64| match x_power * y_power {
-            0.0 => 0.0,
-            powers => power * power / powers,
-        };
-        // Axes that hardly move leave the handedness open.
-        let mirrored = share(s.sum());
-        if sign < 0.0 && s[2] > 0.1 * s[0] && mirrored > MIRRORED_MIN {
-            let rotation = Matrix3::identity();
-            return Self { delay, rotation, scale: 1.0, explained: mirrored, is_mirrored: true };
-        }
-        let power = s[0] + s[1] + sign * s[2];
-        let turn = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign));
-        let scale = if x_power > 0.0 { power / x_power } else { 0.0 };
-        let rotation = u * turn * v;
-        Self { delay, rotation, scale, explained: share(power), is_mirrored: false }
-    }
-
-    /// The agreement of streams of different handedness: nothing more can be said of them.
-    fn mirrored(&self) -> Agreement {
-        let unknown = Estimate { value: 0.0, half_width: std::f64::consts::PI };
-        Agreement {
-            delay_s: Estimate { value: self.delay, half_width: DELAY_STEP },
-            delay_drift_s: None,
-            rotation_rad: [unknown; 3],
-            bias: [unknown; 3],
-            scale: self.scale,
-            explained: self.explained,
-            is_mirrored: true,
-        }
-    }
-
-    /// Angle of the rotation, rad.
-    fn angle(&self) -> f64 {
-        (0.5 * (self.rotation.trace() - 1.0)).clamp(-1.0, 1.0).acos()
-    }
-
-    /// The scale, where it is no accuracy but a unit.
-    fn unit(&self) -> f64 {
-        if (0.7..1.4).contains(&self.scale) { 1.0 } else { self.scale }
-    }
-}
-
 /// The rotation vector of a rotation.
 fn rotation_vector(q: Attitude) -> Vector3<f64> {
     let q = q.canonical();
@@ -295,6 +184,20 @@ fn agreement(trial: &Trial, whole: Fit<7>, halves: [Option<Fit<7>>; 2]) -> Optio
         explained: whole.explained,
         is_mirrored: false,
     })
+}
+
+/// The agreement of streams of different handedness: nothing more can be said of them.
+fn mirrored(trial: &Trial) -> Agreement {
+    let unknown = Estimate { value: 0.0, half_width: std::f64::consts::PI };
+    Agreement {
+        delay_s: Estimate { value: trial.delay, half_width: DELAY_STEP },
+        delay_drift_s: None,
+        rotation_rad: [unknown; 3],
+        bias: [unknown; 3],
+        scale: trial.scale,
+        explained: trial.explained,
+        is_mirrored: true,
+    }
 }
 
 /// Fits the whole and both halves of the bumps.
@@ -363,7 +266,7 @@ impl<'a> Turning<'a> {
             return None;
         }
         if trial.is_mirrored {
-            return Some(trial.mirrored());
+            return Some(mirrored(&trial));
         }
         let coarse = trial.rotation * trial.unit();
         let seen: Vec<_> = self.bumps.iter().map(|bump| (*bump, self.seen(*bump))).collect();
@@ -406,7 +309,7 @@ fn moving(flight: &Flight) -> Option<Agreement> {
         return None;
     }
     if trial.is_mirrored {
-        return Some(trial.mirrored());
+        return Some(mirrored(&trial));
     }
     let coarse = trial.rotation * trial.unit();
     let rows = |bumps: &[Bump], value: &[f64; 7]| {
@@ -486,7 +389,7 @@ impl<'a> Gaining<'a> {
             return None;
         }
         if trial.is_mirrored {
-            return Some(trial.mirrored());
+            return Some(mirrored(&trial));
         }
         let heading = trial.rotation[(1, 0)].atan2(trial.rotation[(0, 0)]);
         let rows = |bumps: &[Bump], value: &[f64; 5]| {
