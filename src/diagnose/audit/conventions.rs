@@ -17,18 +17,16 @@ const FOLLOWS: f64 = 0.3;
 const OTHER_AXES: f64 = 0.3;
 /// Scales beyond these are other units.
 const UNIT: std::ops::Range<f64> = 0.5..2.0;
-/// How sure a value must be to be told: this many times its interval.
-const SURE: f64 = 2.0;
-/// As [`SURE`], for delays: with little motion, noise that the vehicle's own loop answers looks
-/// like one.
-const SURE_DELAY: f64 = 3.0;
+/// How sure a value must be to be told: this many times its interval. With little motion, noise
+/// that the vehicle's own loop answers looks like a delay or a rotation.
+const SURE: f64 = 3.0;
 /// For the same reason a delay must be longer by this much if nothing is explained, s.
 const NOISE_DELAY: f64 = 0.05;
 /// Delays that matter: between attitude and gyro, position and velocity, velocity and
 /// accelerometer, s.
 const DELAY: [f64; 3] = [0.004, 0.006, 0.008];
 /// Change of a delay within a log that matters, s.
-const DRIFT: f64 = 0.006;
+const DRIFT: f64 = 0.015;
 /// Rotations that matter, rad: the estimates of position and velocity, and the heading against the
 /// accelerometer, show theirs less sharply.
 const ROTATION: [f64; 3] = [0.006, 0.02, 0.05];
@@ -115,7 +113,8 @@ impl Pair {
         }
         // Of the accelerometer only the heading is looked for.
         let angle = agreement.angle();
-        if angle > OTHER_AXES {
+        let width = agreement.rotation_rad.iter().map(|r| r.half_width.powi(2)).sum::<f64>().sqrt();
+        if angle > OTHER_AXES && angle > SURE * width {
             let [x, y, z] = agreement.rotation_rad.map(|r| r.value.to_degrees());
             audit.findings.push(finding(
                 "axes",
@@ -147,9 +146,8 @@ impl Pair {
         };
         let matters = |e: &Estimate, limit: f64| e.value.abs() > limit && e.differs_from_zero(SURE);
         let noise = NOISE_DELAY * (1.0 - agreement.explained);
-        let lasts = |e: &Estimate, limit: f64| {
-            e.value.abs() > limit + noise && e.differs_from_zero(SURE_DELAY)
-        };
+        let lasts =
+            |e: &Estimate, limit: f64| e.value.abs() > limit + noise && e.differs_from_zero(SURE);
         let delay = agreement.delay_s;
         if lasts(&delay, DELAY[*at]) {
             let (ms, width) = (1e3 * delay.value.abs(), 1e3 * delay.half_width);
