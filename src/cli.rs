@@ -11,7 +11,7 @@ use crate::plan::planner::SolverChoice;
 ///
 /// Results go to stdout, progress and messages to stderr. Exit codes: 0 done, 1 failed while
 /// running, 2 bad flags or files, 3 no vehicle heard or link lost, 4 preflight or vehicle refused,
-/// 5 flight ended early by a safety reaction or by the pilot, 130 interrupted after a clean stop.
+/// 5 flight ended early by a safety reaction or by the pilot, 10 a check failed that was asked for, 130 interrupted after a clean stop.
 #[derive(Debug, Parser)]
 #[command(version, max_term_width = 100)]
 pub struct Cli {
@@ -294,8 +294,8 @@ pub enum LogCommand {
     },
     /// Reads any flight log, and writes it as one of this program's, each stream at its own rate.
     ///
-    /// Takes telemetry logs (.tlog), own logs (.mcap) and tables (.csv), told by their content. A
-    /// table needs a mapping file, which names columns, units, frames and orders; nothing of these
+    /// Takes telemetry logs (.tlog), own logs (.mcap), logs of PX4 (.ulg) and ArduPilot (.bin), and
+    /// tables (.csv), told by their content. A table needs a mapping file, which names columns, units, frames and orders; nothing of these
     /// is guessed, and config/mappings/motion-capture.toml is one to start from.
     Import {
         /// Flight log.
@@ -306,6 +306,23 @@ pub enum LogCommand {
         /// The log to write (.mcap).
         #[arg(short, long, value_name = "OUT")]
         out: PathBuf,
+        /// Prints what was found as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Says what is wrong with flight logs before any physics: gaps, frozen or impossible values,
+    /// late or turned streams, biased sensors, flights that are there twice; and what the log's
+    /// channels cannot show.
+    Audit {
+        /// Flight logs of any kind that `log import` takes.
+        #[arg(required = true)]
+        logs: Vec<PathBuf>,
+        /// What the columns of a table are (TOML).
+        #[arg(long, value_name = "MAP")]
+        mapping: Option<PathBuf>,
+        /// Ends with exit code 10 if anything this bad, or worse, is found.
+        #[arg(long, value_enum)]
+        fail_on: Option<FailOn>,
         /// Prints what was found as JSON.
         #[arg(long)]
         json: bool,
@@ -323,10 +340,19 @@ pub enum LogCommand {
     },
 }
 
+/// Findings that end `log audit` with exit code 10.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FailOn {
+    /// Faults of the data.
+    Fault,
+    /// These, and flaws of the measurement.
+    Measurement,
+}
+
 /// Flags of `train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
-    /// Flight logs: .mcap, .tlog, or .csv with --mapping.
+    /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
     #[arg(required = true)]
     pub logs: Vec<PathBuf>,
     /// Vehicle file.
@@ -409,7 +435,7 @@ pub enum ModelCommand {
     },
     /// Judges a model on flight logs: accelerations and open-loop predictions.
     Eval {
-        /// Flight logs: .mcap, .tlog, or .csv with --mapping.
+        /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
         #[arg(required = true)]
         logs: Vec<PathBuf>,
         /// Model file.
@@ -430,7 +456,7 @@ pub enum ModelCommand {
     /// Columns run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz; world NED, body FRD, SI. A sample
     /// is a row of a CSV log, or of the 100 Hz grid of any other.
     Predict {
-        /// Flight log: .mcap, .tlog, or .csv with --mapping.
+        /// Flight log: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
         log: PathBuf,
         /// Model file.
         #[arg(long)]

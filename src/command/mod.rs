@@ -1,5 +1,6 @@
 //! The commands: validated options, then work, then an exit code.
 
+mod audit;
 mod collect;
 mod config;
 mod course;
