@@ -3,6 +3,7 @@
 
 use std::hint::black_box;
 use std::path::Path;
+use std::sync::Arc;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
 use downwash::control::Limits;
@@ -121,12 +122,13 @@ fn searches(c: &mut Criterion) {
     let vehicle = vehicle();
     let physics = PhysicsModel::new(&vehicle, &PhysicsParameters::default()).expect("physics");
     let networks = fitted(&physics);
-    let models: [(&str, &dyn Model); 2] = [("physics", &physics), ("networks", &networks)];
-    let settings = PlanSettings::default();
+    let models: [(&str, Arc<dyn Model>); 2] =
+        [("physics", Arc::new(physics)), ("networks", Arc::new(networks))];
     let mut group = c.benchmark_group("plan");
     group.sample_size(10);
     for (name, model) in models {
-        let planner = Planner::new(model, planned(&vehicle), &settings).expect("a planner");
+        let planner = Planner::new(model, planned(&vehicle), PlanSettings::default());
+        let planner = planner.expect("a planner");
         for periods in [100, 300, 1000] {
             let desire = planner.desire(&sinusoid(periods)).expect("desired states");
             let start = desire.states[0];
@@ -151,7 +153,7 @@ fn searches(c: &mut Criterion) {
 }
 
 /// A subproblem about the desired states themselves.
-fn subproblem(dynamics: &CommandedDynamics<'_>, planner: &Planner<'_>) -> Subproblem<7> {
+fn subproblem(dynamics: &CommandedDynamics<'_>, planner: &Planner) -> Subproblem<7> {
     let desire = planner.desire(&sinusoid(300)).expect("desired states");
     let problem = planner.problem(&desire, desire.states[0]);
     let stages = desire.inputs.iter().enumerate().map(|(n, input)| {
@@ -185,9 +187,9 @@ fn parts(c: &mut Criterion) {
     let vehicle = vehicle();
     let physics = PhysicsModel::new(&vehicle, &PhysicsParameters::default()).expect("physics");
     let networks = fitted(&physics);
-    let settings = PlanSettings::default();
     let vehicle = planned(&vehicle);
-    let planner = Planner::new(&physics, vehicle, &settings).expect("a planner");
+    let model: Arc<dyn Model> = Arc::new(physics.clone());
+    let planner = Planner::new(model, vehicle, PlanSettings::default()).expect("a planner");
     let dynamics = CommandedDynamics::new(&physics, vehicle.attitude_pd, planner.period_s());
     let problem = subproblem(&dynamics, &planner);
     let (mut solver, mut solution) = (InteriorPoint::default(), Solution::default());

@@ -11,7 +11,7 @@ use crate::plan::planner::SolverChoice;
 ///
 /// Results go to stdout, progress and messages to stderr. Exit codes: 0 done, 1 failed while
 /// running, 2 bad flags or files, 3 no vehicle heard or link lost, 4 preflight or vehicle refused,
-/// 5 flight ended early by a safety reaction or by the pilot, 130 interrupted after a clean stop.
+/// 5 flight ended early by a safety reaction or by the pilot, 10 a check failed that was asked for, 130 interrupted after a clean stop.
 #[derive(Debug, Parser)]
 #[command(version, max_term_width = 100)]
 pub struct Cli {
@@ -57,7 +57,7 @@ pub struct DemoArgs {
     #[arg(long, default_value = "demo-out")]
     pub out: PathBuf,
     /// What flies the trajectory: feedback alone, or plans through these models of what was learned.
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = Contestant::ALL)]
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = Contestant::PAPER)]
     pub fly: Vec<Contestant>,
     /// Length of the flights that the models are learned from, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 900.0)]
@@ -96,11 +96,13 @@ pub enum Contestant {
     Physics,
     /// A plan through physics and networks together.
     Hybrid,
+    /// Plans through physics and networks together, made anew in flight.
+    Replanned,
 }
 
 impl Contestant {
-    /// All, in the order of the report.
-    pub const ALL: [Self; 4] = [Self::ModelFree, Self::Net, Self::Physics, Self::Hybrid];
+    /// The paper's, in the order of the report.
+    pub const PAPER: [Self; 4] = [Self::ModelFree, Self::Net, Self::Physics, Self::Hybrid];
 
     /// The model that it plans through.
     pub fn model(self) -> Option<ModelKind> {
@@ -108,13 +110,16 @@ impl Contestant {
             Self::ModelFree => None,
             Self::Net => Some(ModelKind::Net),
             Self::Physics => Some(ModelKind::Physics),
-            Self::Hybrid => Some(ModelKind::Hybrid),
+            Self::Hybrid | Self::Replanned => Some(ModelKind::Hybrid),
         }
     }
 
     /// Its name in reports.
     pub fn name(self) -> &'static str {
-        self.model().map_or("model-free", ModelKind::name)
+        match self {
+            Self::Replanned => "replanned",
+            _ => self.model().map_or("model-free", ModelKind::name),
+        }
     }
 }
 
@@ -192,6 +197,16 @@ pub struct FlyArgs {
     /// Vehicle file.
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
+    /// Plans anew in flight, through the model of --model. Where the trajectory's file changes in
+    /// flight, the vehicle is led over to what it then says.
+    #[arg(long)]
+    pub replan: bool,
+    /// Model file to replan through [default: the vehicle file's own physics].
+    #[arg(long, value_name = "FILE", requires = "replan")]
+    pub model: Option<PathBuf>,
+    /// Which of its models [default: the one that predicted best].
+    #[arg(long, value_enum, requires = "model")]
+    pub kind: Option<ModelKind>,
     /// Folder for the flight log.
     #[arg(long)]
     pub log_dir: Option<PathBuf>,
@@ -279,8 +294,8 @@ pub enum LogCommand {
     },
     /// Reads any flight log, and writes it as one of this program's, each stream at its own rate.
     ///
-    /// Takes telemetry logs (.tlog), own logs (.mcap) and tables (.csv), told by their content. A
-    /// table needs a mapping file, which names columns, units, frames and orders; nothing of these
+    /// Takes telemetry logs (.tlog), own logs (.mcap), logs of PX4 (.ulg) and ArduPilot (.bin), and
+    /// tables (.csv), told by their content. A table needs a mapping file, which names columns, units, frames and orders; nothing of these
     /// is guessed, and config/mappings/motion-capture.toml is one to start from.
     Import {
         /// Flight log.
@@ -291,6 +306,23 @@ pub enum LogCommand {
         /// The log to write (.mcap).
         #[arg(short, long, value_name = "OUT")]
         out: PathBuf,
+        /// Prints what was found as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Says what is wrong with flight logs before any physics: gaps, frozen or impossible values,
+    /// late or turned streams, biased sensors, flights that are there twice; and what the log's
+    /// channels cannot show.
+    Audit {
+        /// Flight logs of any kind that `log import` takes.
+        #[arg(required = true)]
+        logs: Vec<PathBuf>,
+        /// What the columns of a table are (TOML).
+        #[arg(long, value_name = "MAP")]
+        mapping: Option<PathBuf>,
+        /// Ends with exit code 10 if anything this bad, or worse, is found.
+        #[arg(long, value_enum)]
+        fail_on: Option<FailOn>,
         /// Prints what was found as JSON.
         #[arg(long)]
         json: bool,
@@ -308,10 +340,19 @@ pub enum LogCommand {
     },
 }
 
+/// Findings that end `log audit` with exit code 10.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FailOn {
+    /// Faults of the data.
+    Fault,
+    /// These, and flaws of the measurement.
+    Measurement,
+}
+
 /// Flags of `train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
-    /// Flight logs: .mcap, .tlog, or .csv with --mapping.
+    /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
     #[arg(required = true)]
     pub logs: Vec<PathBuf>,
     /// Vehicle file.
@@ -394,7 +435,7 @@ pub enum ModelCommand {
     },
     /// Judges a model on flight logs: accelerations and open-loop predictions.
     Eval {
-        /// Flight logs: .mcap, .tlog, or .csv with --mapping.
+        /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
         #[arg(required = true)]
         logs: Vec<PathBuf>,
         /// Model file.
@@ -415,7 +456,7 @@ pub enum ModelCommand {
     /// Columns run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz; world NED, body FRD, SI. A sample
     /// is a row of a CSV log, or of the 100 Hz grid of any other.
     Predict {
-        /// Flight log: .mcap, .tlog, or .csv with --mapping.
+        /// Flight log: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
         log: PathBuf,
         /// Model file.
         #[arg(long)]

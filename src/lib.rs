@@ -7,6 +7,7 @@ pub mod clock;
 pub mod setpoint;
 
 pub mod control;
+pub mod diagnose;
 pub mod learn;
 pub mod link;
 pub mod log;

@@ -18,6 +18,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("log", &["clock", "setpoint", "link"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
+        ("diagnose", &["learn", "log", "model"]),
         ("report", &["clock", "setpoint", "learn", "log", "model"]),
         (
             "station",

@@ -3,12 +3,13 @@
 mod planning;
 
 use std::cell::Cell;
+use std::sync::Arc;
 
 use downwash::model::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
 use downwash::plan::desire::Desire;
 use downwash::plan::planner::{KeepOutSetting, PlanSettings, Planner, PlannerError, SolverChoice};
 use downwash::plan::scp::{Outcome, Status};
-use planning::{hasty, physics, plan, planned_vehicle, rest, straight, trajectory};
+use planning::{hasty, physics, plan, planned_vehicle, planner, rest, straight, trajectory};
 use proptest::prelude::*;
 
 /// What every outcome must be, whatever was asked.
@@ -48,8 +49,8 @@ fn jumps_are_smoothed() {
 
 #[test]
 fn numbers_that_are_none_are_named_with_their_time() {
-    let (model, settings) = (physics(), short());
-    let planner = Planner::new(&model, planned_vehicle(), &settings).expect("a planner");
+    let settings = short();
+    let planner = planner(Arc::new(physics()), &settings);
     let good = planner.desire(&hasty(0.4)).expect("desired states");
     let start = rest(&good.states[0]);
     // Past every check, the search itself must end.
@@ -72,8 +73,7 @@ fn numbers_that_are_none_are_named_with_their_time() {
 
 #[test]
 fn an_absurd_trajectory_file_is_an_error_of_the_planner() {
-    let (model, settings) = (physics(), PlanSettings::default());
-    let planner = Planner::new(&model, planned_vehicle(), &settings).expect("a planner");
+    let planner = planner(Arc::new(physics()), &PlanSettings::default());
     let long = trajectory("family = 'hover'\naltitude_m = 1\nduration_s = 2000");
     let error = planner.desire(&long).expect_err("refused");
     assert!(matches!(error, PlannerError::TooLong { .. }), "{error}");
@@ -115,9 +115,8 @@ fn through_the_floor_of_the_box_stays_on_it() {
 
 #[test]
 fn a_start_that_breaks_every_limit() {
-    let (model, settings) =
-        (physics(), PlanSettings { box_m: Some([[-1.0; 3], [1.0; 3]]), ..short() });
-    let planner = Planner::new(&model, planned_vehicle(), &settings).expect("a planner");
+    let settings = PlanSettings { box_m: Some([[-1.0; 3], [1.0; 3]]), ..short() };
+    let planner = planner(Arc::new(physics()), &settings);
     let desire = planner.desire(&hasty(0.6)).expect("desired states");
     let starts = [
         [5.0, 5.0, -5.0, 9.0, 0.0, 0.0, 1.2, -1.0, 0.0, 12.0, -12.0, 9.0],
@@ -135,8 +134,7 @@ fn a_start_that_breaks_every_limit() {
 #[test]
 fn no_time_and_a_stop_at_once_give_the_guess() {
     let settings = short();
-    let model = physics();
-    let planner = Planner::new(&model, planned_vehicle(), &settings).expect("a planner");
+    let planner = planner(Arc::new(physics()), &settings);
     let desire = planner.desire(&hasty(0.6)).expect("desired states");
     let start = rest(&desire.states[0]);
     let outcome = planner.plan(&desire, start, None, &|_| true);
@@ -157,7 +155,7 @@ fn no_time_and_a_stop_at_once_give_the_guess() {
 
 #[test]
 fn impossible_settings_are_refused_by_name() {
-    let model = physics();
+    let model: Arc<dyn Model> = Arc::new(physics());
     let good = PlanSettings::default();
     let nan = f64::NAN;
     let settings = [
@@ -188,8 +186,9 @@ fn impossible_settings_are_refused_by_name() {
             },
         ),
     ];
-    for (field, settings) in &settings {
-        let error = Planner::new(&model, planned_vehicle(), settings).err().expect("refused");
+    for (field, settings) in settings {
+        let error = Planner::new(Arc::clone(&model), planned_vehicle(), settings);
+        let error = error.err().expect("refused");
         assert!(error.to_string().contains(field), "{field}: {error}");
     }
 }
@@ -212,7 +211,7 @@ impl Model for Broken {
 fn a_model_without_numbers_ends_the_search() {
     for solver in [SolverChoice::InteriorPoint, SolverChoice::Clarabel, SolverChoice::Penalty] {
         let settings = PlanSettings { solver, ..short() };
-        let planner = Planner::new(&Broken, planned_vehicle(), &settings).expect("a planner");
+        let planner = planner(Arc::new(Broken), &settings);
         let desire = planner.desire(&straight()).expect("desired states");
         let outcome = planner.plan(&desire, rest(&desire.states[0]), None, &|_| false);
         assert!(outcome.records.len() <= settings.subproblems_max, "{solver:?}");
@@ -244,14 +243,11 @@ proptest! {
         };
         let outcome = plan(&wild, &settings);
         sound(&outcome, &settings);
-        let model = physics();
-        let planner = Planner::new(&model, planned_vehicle(), &settings).expect("a planner");
+        let planner = planner(Arc::new(physics()), &settings);
         let desire = planner.desire(&wild).expect("desired states");
         let bounds = planner.problem(&desire, desire.states[0]).inputs;
         for input in &outcome.iterate.inputs {
-            for i in 0..7 {
-                prop_assert!(bounds.lower[i] <= input[i] && input[i] <= bounds.upper[i]);
-            }
+            prop_assert_eq!(bounds.clamp(*input), *input);
         }
     }
 }

@@ -3,19 +3,18 @@
 mod planning;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use downwash::plan::planned::{Answer, Found, NotFlyable, Plan, PlannedReference, PlannedThrough};
 use downwash::plan::planner::PlanSettings;
 use downwash::plan::reference::ReferenceSource;
 use downwash::plan::scp::Status;
-use planning::{attitude_pd, physics, planned_vehicle, rest, turning};
+use planning::{attitude_pd, physics, planner, rest, turning};
 use proptest::prelude::*;
 
 fn a_plan() -> Plan {
     let settings = PlanSettings { rate_hz: 50.0, ..PlanSettings::default() };
-    let model = physics();
-    let planner = downwash::plan::planner::Planner::new(&model, planned_vehicle(), &settings)
-        .expect("a planner");
+    let planner = planner(Arc::new(physics()), &settings);
     let desire = planner.desire(&turning()).expect("desired states");
     let outcome = planner.plan(&desire, rest(&desire.states[0]), None, &|_| false);
     let found = Found {
@@ -23,7 +22,12 @@ fn a_plan() -> Plan {
         vehicle: "crazyflie".to_owned(),
         model: PlannedThrough { kind: "physics".to_owned(), sha256: Some("ab".repeat(32)) },
         period_s: planner.period_s(),
-        answer: Answer { delay_s: 0.02, lag_s: 0.04, attitude_pd: attitude_pd() },
+        answer: Answer {
+            delay_s: 0.02,
+            lag_s: 0.04,
+            voltage_exponent: 0.0,
+            attitude_pd: attitude_pd(),
+        },
         desired: desire.states,
     };
     Plan::new(found, outcome)

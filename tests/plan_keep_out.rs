@@ -2,9 +2,11 @@
 
 mod planning;
 
-use downwash::plan::planner::{KeepOutSetting, PlanSettings, Planner};
+use std::sync::Arc;
+
+use downwash::plan::planner::{KeepOutSetting, PlanSettings};
 use downwash::plan::scp::{Outcome, Status};
-use planning::{physics, plan, planned_vehicle, rest, straight};
+use planning::{physics, plan, planner, rest, straight};
 
 fn settings(regions: &[KeepOutSetting]) -> PlanSettings {
     PlanSettings { keep_out: regions.to_vec(), rate_hz: 50.0, ..PlanSettings::default() }
@@ -116,8 +118,7 @@ fn a_start_inside_a_region_is_left() {
 #[test]
 fn moved_a_little_the_guess_of_before_is_enough() {
     let settings = settings(&[ball([1.0, 0.1, -1.0], 0.3)]);
-    let model = physics();
-    let planner = Planner::new(&model, planned_vehicle(), &settings).expect("a planner");
+    let planner = planner(Arc::new(physics()), &settings);
     let desire = planner.desire(&straight()).expect("desired states");
     let start = rest(&desire.states[0]);
     let first = planner.plan(&desire, start, None, &|_| false);

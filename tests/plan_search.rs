@@ -2,6 +2,8 @@
 
 mod planning;
 
+use std::sync::Arc;
+
 use downwash::control::Limits;
 use downwash::model::Model;
 use downwash::model::learned::Features;
@@ -9,11 +11,13 @@ use downwash::plan::conic::Conic;
 use downwash::plan::desire::Desire;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics, WrenchDynamics};
 use downwash::plan::interior_point::InteriorPoint;
-use downwash::plan::planner::{PlanSettings, Planner, SolverChoice};
+use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner, SolverChoice};
 use downwash::plan::problem::{InputBounds, Problem, STATES, StateLimits, StateVector};
 use downwash::plan::scp::{Iterate, Outcome, ScpSettings, Status, search};
 use downwash::plan::subproblem::SubproblemSolver;
-use planning::{attitude_pd, hasty, hybrid, physics, plan, planned_vehicle, rest, turning};
+use planning::{
+    attitude_pd, hasty, hybrid, physics, plan, planned_vehicle, planner, rest, turning,
+};
 
 const PERIOD: f64 = 0.01;
 /// Of a turn of 1 m in 5 s, m/s.
@@ -89,14 +93,13 @@ fn all_solvers_plan_for_the_vehicle_with_its_loop() {
 #[test]
 fn the_plan_is_what_its_model_does_with_its_inputs() {
     let settings = PlanSettings::default();
-    let models: [(&str, Box<dyn Model>); 3] = [
-        ("physics", Box::new(physics())),
-        ("hybrid", Box::new(hybrid(Features::World, 1))),
-        ("hybrid, heading", Box::new(hybrid(Features::Heading, 2))),
+    let models: [(&str, Arc<dyn Model>); 3] = [
+        ("physics", Arc::new(physics())),
+        ("hybrid", Arc::new(hybrid(Features::World, 1))),
+        ("hybrid, heading", Arc::new(hybrid(Features::Heading, 2))),
     ];
     for (name, model) in models {
-        let planner =
-            Planner::new(model.as_ref(), planned_vehicle(), &settings).expect("a planner");
+        let planner = planner(Arc::clone(&model), &settings);
         let desire = planner.desire(&turning()).expect("desired states");
         let start = rest(&desire.states[0]);
         let outcome = planner.plan(&desire, start, None, &|_| false);
@@ -144,11 +147,10 @@ fn turned(state: &StateVector, angle: f64) -> StateVector {
 #[test]
 fn turning_the_world_turns_the_plan() {
     let settings = PlanSettings::default();
-    let models: [(&str, Box<dyn Model>); 2] =
-        [("physics", Box::new(physics())), ("hybrid", Box::new(hybrid(Features::Heading, 4)))];
+    let models: [(&str, Arc<dyn Model>); 2] =
+        [("physics", Arc::new(physics())), ("hybrid", Arc::new(hybrid(Features::Heading, 4)))];
     for (name, model) in models {
-        let planner =
-            Planner::new(model.as_ref(), planned_vehicle(), &settings).expect("a planner");
+        let planner = planner(Arc::clone(&model), &settings);
         let desire = planner.desire(&turning()).expect("desired states");
         let start = rest(&desire.states[0]);
         let straight = planner.plan(&desire, start, None, &|_| false);
@@ -187,9 +189,8 @@ fn tilt_rate_and_box_limits_hold() {
         box_m: Some([[-0.05, -0.2, -1.2], [0.25, 0.2, -0.8]]),
         ..PlanSettings::default()
     };
-    let model = physics();
-    let vehicle = downwash::plan::planner::PlannedVehicle { limits, ..planned_vehicle() };
-    let planner = Planner::new(&model, vehicle, &settings).expect("a planner");
+    let vehicle = PlannedVehicle { limits, ..planned_vehicle() };
+    let planner = Planner::new(Arc::new(physics()), vehicle, settings).expect("a planner");
     let desire = planner.desire(&hasty(1.5)).expect("desired states");
     let outcome = planner.plan(&desire, rest(&desire.states[0]), None, &|_| false);
     assert!(outcome.violation.overrun <= 1e-4, "{:?} {:?}", outcome.status, outcome.violation);
@@ -207,11 +208,11 @@ fn tilt_rate_and_box_limits_hold() {
 
 #[test]
 fn a_longer_search_is_never_worse() {
-    let model = hybrid(Features::World, 9);
+    let model: Arc<dyn Model> = Arc::new(hybrid(Features::World, 9));
     let mut last = f64::INFINITY;
     for subproblems_max in [1, 2, 4, 8, 16, 32] {
         let settings = PlanSettings { subproblems_max, ..PlanSettings::default() };
-        let planner = Planner::new(&model, planned_vehicle(), &settings).expect("a planner");
+        let planner = planner(Arc::clone(&model), &settings);
         let desire = planner.desire(&turning()).expect("desired states");
         let outcome = planner.plan(&desire, rest(&desire.states[0]), None, &|_| false);
         assert!(outcome.records.len() <= subproblems_max);

@@ -1,5 +1,8 @@
 //! The Riccati interior point against Clarabel, on random subproblems.
 
+// Matrix algebra reads by its indices.
+#![allow(clippy::needless_range_loop)]
+
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
     DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT,

@@ -9,6 +9,7 @@ use super::setup::{EffectiveVehicle, VehicleFile};
 use super::{Exit, ExitContext};
 use crate::config::Config;
 use crate::plan::planned::{Plan, PlannedReference};
+use crate::plan::receding::RecedingReference;
 use crate::plan::reference::ReferenceSource;
 use crate::plan::{ModelFreeReference, Trajectory};
 
@@ -19,6 +20,13 @@ pub(super) enum Course {
     Desired(Trajectory),
     /// Followed with its inputs.
     Planned(Arc<Plan>),
+    /// Planned anew in flight.
+    Receding {
+        /// Where it begins.
+        goal: Trajectory,
+        /// What plans it.
+        reference: Arc<RecedingReference>,
+    },
 }
 
 impl Course {
@@ -38,7 +46,7 @@ impl Course {
         let envelope = &config.settings.envelope;
         let params = &vehicle.params;
         match self {
-            Self::Desired(trajectory) => {
+            Self::Desired(trajectory) | Self::Receding { goal: trajectory, .. } => {
                 envelope.check(trajectory, params.gravity).or_exit(Exit::Refused)?;
             }
             Self::Planned(plan) => {
@@ -67,10 +75,18 @@ impl Course {
         Ok(())
     }
 
+    /// What the first tick along it follows: before the first plan, the goal as it is.
+    pub fn at_start(&self) -> Self {
+        match self {
+            Self::Receding { goal, .. } => Self::Desired(goal.clone()),
+            course => course.clone(),
+        }
+    }
+
     /// What it is called in logs and reports.
     pub fn name(&self) -> &str {
         match self {
-            Self::Desired(trajectory) => trajectory.name(),
+            Self::Desired(goal) | Self::Receding { goal, .. } => goal.name(),
             Self::Planned(plan) => &plan.trajectory,
         }
     }
@@ -78,7 +94,7 @@ impl Course {
     /// Length in s.
     pub fn duration(&self) -> f64 {
         match self {
-            Self::Desired(trajectory) => trajectory.duration(),
+            Self::Desired(goal) | Self::Receding { goal, .. } => goal.duration(),
             Self::Planned(plan) => plan.duration(),
         }
     }
@@ -90,6 +106,7 @@ impl Course {
                 Arc::new(ModelFreeReference::new(trajectory.clone(), hover_thrust_n))
             }
             Self::Planned(plan) => Arc::new(PlannedReference::new(plan)),
+            Self::Receding { reference, .. } => Arc::clone(reference) as _,
         }
     }
 }

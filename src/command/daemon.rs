@@ -6,8 +6,9 @@ use std::time::Instant;
 use anyhow::Context;
 
 use super::course::Course;
-use super::fly::{Stop, baud, endpoint, tee, watch};
+use super::fly::{baud, endpoint, tee, watch};
 use super::setup::{VehicleFile, required, run_info, station_settings};
+use super::stop::{Stop, StopSignals};
 use super::{Exit, config, say, summary};
 use crate::cli::DaemonArgs;
 use crate::daemon::{self, HostClock};
@@ -27,6 +28,7 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let policy = EngagePolicy::PilotSwitch;
     let station_settings = station_settings(&config, &vehicle, &course, policy, baud(&endpoint))?;
 
+    let mut signals = StopSignals::new()?;
     let clock = HostClock::start();
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
@@ -38,11 +40,11 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let station = Station::new(station_settings, clock.now());
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
-    let (finished, stop) = watch(running)?;
+    let finished = watch(running, &mut signals);
     if let Err(error) = finished.log {
         say(format_args!("{error}"));
     }
-    let (end, exit) = match stop {
+    let (end, exit) = match signals.first() {
         // How a service manager ends a service: nothing failed.
         Some(Stop::Terminate) => ("stopped".to_owned(), Exit::Ok),
         stop => summary::end_in_words(finished.end.as_ref(), stop),

@@ -16,7 +16,7 @@ use sitl::effects::EffectSet;
 
 use super::collect::gather;
 use super::course::Course;
-use super::plan::{PlanModel, plan_trajectory, sha256_of};
+use super::plan::{PlanModel, plan_trajectory, planner, sha256_of};
 use super::setup::{EffectiveVehicle, VehicleFile, built_in_trajectory};
 use super::simulation::{Simulated, SimulatedFlight, Truth};
 use super::train::{Trained, checkpoint_path, learn};
@@ -32,6 +32,7 @@ use crate::log::LogReader;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::plan::Trajectory;
 use crate::plan::planned::Plan;
+use crate::plan::receding::RecedingReference;
 use crate::plan::scp::{Status, Violation};
 use crate::report::comparison::{Contender, Track};
 use crate::report::experiment::{self, Experiment};
@@ -127,7 +128,7 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
         vehicle,
         desired: match &given {
             Course::Desired(trajectory) => Some(trajectory.clone()),
-            Course::Planned(_) => None,
+            Course::Planned(_) | Course::Receding { .. } => None,
         },
         truth: Truth::load(&simulation)?,
         simulation,
@@ -146,6 +147,9 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
     let (mut courses, mut plans) = (Vec::new(), Vec::new());
     for contestant in &args.fly {
         let course = match (contestant.model(), &learned) {
+            (Some(kind), Some(learned)) if *contestant == Contestant::Replanned => {
+                demo.receding(kind, learned)?
+            }
             (Some(kind), Some(learned)) => {
                 let (plan, row) = demo.plan(*contestant, kind, learned)?;
                 if demo.interrupted.load(Ordering::Relaxed) {
@@ -268,6 +272,17 @@ impl Demo<'_> {
         Ok((plan, row))
     }
 
+    /// Plans the trajectory in flight, on the virtual clock.
+    fn receding(&self, kind: ModelKind, learned: &Learned) -> anyhow::Result<Course> {
+        let goal =
+            self.desired.clone().context("a plan is not planned again").or_exit(Exit::Usage)?;
+        let through = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
+        let (planner, answer) = planner(&self.vehicle.params, &through, &self.config)?;
+        let settings = self.config.settings.plan.receding;
+        let reference = RecedingReference::inline(goal.clone(), planner, answer, settings);
+        Ok(Course::Receding { goal, reference: Arc::new(reference) })
+    }
+
     /// Flies every course as often as asked; nothing where it was interrupted.
     fn fly(&self, courses: &[(Contestant, Course)]) -> anyhow::Result<Option<Flown>> {
         let args = self.args;
@@ -306,7 +321,7 @@ impl Demo<'_> {
                 let reading = Instant::now();
                 let report = report(&log)?;
                 if let Some(desired) = &self.desired {
-                    let reference = course.reference(hover_thrust_n);
+                    let reference = course.at_start().reference(hover_thrust_n);
                     let track = Track::new(&report, desired, reference.as_ref(), hover_thrust_n);
                     tracks.extend((!track.is_empty()).then_some(track));
                 }

@@ -19,6 +19,8 @@ pub enum Exit {
     Aborted,
     /// No plan or model that may be used was found.
     Model,
+    /// A check that was asked for failed.
+    Check,
     /// Ended by Ctrl-C or SIGTERM, after a clean stop.
     Interrupted,
 }
@@ -33,6 +35,7 @@ impl From<Exit> for ExitCode {
             Exit::Refused => 4,
             Exit::Aborted => 5,
             Exit::Model => 6,
+            Exit::Check => 10,
             Exit::Interrupted => 130,
         })
     }

@@ -1,5 +1,6 @@
 //! The commands: validated options, then work, then an exit code.
 
+mod audit;
 mod collect;
 mod config;
 mod course;
@@ -7,6 +8,7 @@ mod daemon;
 mod demo;
 mod exit;
 mod fly;
+mod goal_file;
 mod import;
 mod log;
 mod logs;
@@ -17,6 +19,7 @@ mod setup;
 mod simulation;
 mod sitl;
 mod status_line;
+mod stop;
 mod summary;
 mod train;
 

@@ -26,11 +26,12 @@ use crate::report::plan as page;
 
 /// A model to plan through, with what a plan says about it.
 pub(super) struct PlanModel {
-    model: Box<dyn Model>,
+    model: Arc<dyn Model>,
     note: PlannedThrough,
     /// Delay and lag from a setpoint to what acts, s.
     delay_s: f64,
     lag_s: f64,
+    voltage_exponent: f64,
 }
 
 impl PlanModel {
@@ -40,22 +41,36 @@ impl PlanModel {
         let model =
             PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
         Ok(Self {
-            model: Box::new(model),
+            model: Arc::new(model),
             note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
             delay_s: effective.actuation.command_delay_s,
             lag_s: effective.actuation.motor_time_constant_s,
+            voltage_exponent: 0.0,
         })
     }
 
     /// One of a model file's models.
     pub fn learned(file: &ModelFile, kind: ModelKind, sha256: &str) -> anyhow::Result<Self> {
         Ok(Self {
-            model: file.model(kind).or_exit(Exit::Usage)?,
+            model: file.model(kind).or_exit(Exit::Usage)?.into(),
             note: PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) },
             delay_s: file.actuation.delay_s,
             lag_s: file.actuation.lag_s,
+            voltage_exponent: file.actuation.voltage_exponent,
         })
     }
+}
+
+/// The model of a file, else the vehicle's own physics.
+pub(super) fn model_for(
+    vehicle: &VehicleParams,
+    model: Option<&Path>,
+    kind: Option<ModelKind>,
+) -> anyhow::Result<PlanModel> {
+    let Some(path) = model else { return PlanModel::nominal(vehicle) };
+    let file = ModelFile::load(path).or_exit(Exit::Usage)?;
+    file.check_vehicle(vehicle, path).or_exit(Exit::Usage)?;
+    PlanModel::learned(&file, kind.unwrap_or(file.preferred), &sha256_of(path)?)
 }
 
 /// SHA-256 of a file, in hexadecimal.
@@ -64,14 +79,12 @@ pub(super) fn sha256_of(path: &Path) -> anyhow::Result<String> {
     Ok(Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Plans a trajectory for a vehicle. `watch` is shown the subproblems, and ends the search.
-pub(super) fn plan_trajectory(
-    trajectory: &Trajectory,
+/// What plans for a vehicle, and how the vehicle answers the plans' inputs.
+pub(super) fn planner(
     vehicle: &VehicleParams,
     through: &PlanModel,
     config: &Config,
-    watch: &dyn Fn(&[Record]) -> bool,
-) -> anyhow::Result<Plan> {
+) -> anyhow::Result<(Planner, Answer)> {
     let effective = EffectiveVehicle::new(vehicle)?;
     let attitude_pd = effective
         .attitude_pd
@@ -90,8 +103,26 @@ pub(super) fn plan_trajectory(
         attitude_pd,
         limits: config.settings.pilot.limits,
     };
-    let settings = &config.settings.plan;
-    let planner = Planner::new(through.model.as_ref(), planned, settings).or_exit(Exit::Usage)?;
+    let settings = config.settings.plan.clone();
+    let planner = Planner::new(Arc::clone(&through.model), planned, settings);
+    let answer = Answer {
+        delay_s: through.delay_s,
+        lag_s: through.lag_s,
+        voltage_exponent: through.voltage_exponent,
+        attitude_pd,
+    };
+    Ok((planner.or_exit(Exit::Usage)?, answer))
+}
+
+/// Plans a trajectory for a vehicle. `watch` is shown the subproblems, and ends the search.
+pub(super) fn plan_trajectory(
+    trajectory: &Trajectory,
+    vehicle: &VehicleParams,
+    through: &PlanModel,
+    config: &Config,
+    watch: &dyn Fn(&[Record]) -> bool,
+) -> anyhow::Result<Plan> {
+    let (planner, answer) = planner(vehicle, through, config)?;
     let desire = planner.desire(trajectory).or_exit(Exit::Usage)?;
     let mut start = desire.states[0];
     // The vehicle begins at rest, where the desired trajectory does.
@@ -103,7 +134,7 @@ pub(super) fn plan_trajectory(
         vehicle: vehicle.name.clone(),
         model: through.note.clone(),
         period_s: planner.period_s(),
-        answer: Answer { delay_s: through.delay_s, lag_s: through.lag_s, attitude_pd },
+        answer,
         desired: desire.states,
     };
     Ok(Plan::new(found, outcome))
@@ -141,19 +172,12 @@ pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
     if let Some(limit) = args.time_limit {
         config.settings.plan.time_limit_s = limit;
     }
-    let file = args.model.as_deref().map(ModelFile::load).transpose().or_exit(Exit::Usage)?;
-    let vehicle = match (&args.vehicle, &file) {
+    let vehicle = match (&args.vehicle, &args.model) {
         (Some(path), _) => VehicleParams::load(path).or_exit(Exit::Usage)?,
-        (None, Some(file)) => file.vehicle.clone(),
+        (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
         (None, None) => VehicleFile::built_in()?.params,
     };
-    let through = match (&file, &args.model) {
-        (Some(file), Some(path)) => {
-            file.check_vehicle(&vehicle, path).or_exit(Exit::Usage)?;
-            PlanModel::learned(file, args.kind.unwrap_or(file.preferred), &sha256_of(path)?)?
-        }
-        _ => PlanModel::nominal(&vehicle)?,
-    };
+    let through = model_for(&vehicle, args.model.as_deref(), args.kind)?;
     let trajectory = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
 
     let interrupted = Arc::new(AtomicBool::new(false));

@@ -13,7 +13,7 @@ use sitl::vehicle::{AttitudePd, VehicleParams};
 use super::course::Course;
 use super::{Exit, ExitContext};
 use crate::config::{Config, FormSetting};
-use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr};
+use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr, LqrSettings};
 use crate::link::attitude_target::ThrustMap;
 use crate::link::profile::FormChoice;
 use crate::link::session;
@@ -95,13 +95,16 @@ impl EffectiveVehicle {
 }
 
 /// What a programme of flights may ask of the vehicle.
-pub(super) fn capability(params: &VehicleParams) -> anyhow::Result<Capability> {
+pub(super) fn capability(
+    params: &VehicleParams,
+    settings: &LqrSettings,
+) -> anyhow::Result<Capability> {
     let effective = EffectiveVehicle::new(params)?;
     let inertia: [f64; 3] = effective.hover.inertia;
     let bandwidth = match effective.attitude_pd {
         Some(pd) => std::array::from_fn(|axis| (pd.kp[axis] / inertia[axis]).sqrt()),
         // A loop that is not known is taken to be the slowest of those that are.
-        None => SLOWEST_LOOP_RAD_S,
+        None => settings.attitude_response_rad_s.unwrap_or(AttitudeLoop::PX4_RAD_S),
     };
     let [roll, pitch, yaw] = bandwidth;
     Ok(Capability {
@@ -111,9 +114,6 @@ pub(super) fn capability(params: &VehicleParams) -> anyhow::Result<Capability> {
         yaw_bandwidth: yaw,
     })
 }
-
-/// Natural frequencies of [`AttitudeLoop::PX4`], rad/s.
-const SLOWEST_LOOP_RAD_S: [f64; 3] = [7.6, 7.6, 3.1];
 
 /// A station's settings.
 pub(super) fn station_settings(
@@ -150,6 +150,7 @@ pub(super) fn station_settings(
         policy,
         hover: effective.hover,
         thrust_full_n: effective.thrust_full_n,
+        battery_full_v: vehicle.params.battery.full_v,
         attitude_pd: effective.attitude_pd,
         actuation: effective.actuation,
         reference: course.reference(effective.hover.hover_thrust_n()),

@@ -285,8 +285,8 @@ fn program<const INPUTS: usize>(problem: &Subproblem<INPUTS>, layout: &Layout) -
             program.slopes[overrun] = problem.row_penalty;
         }
         if let DynamicsForm::Penalised { penalty, trust } = problem.dynamics {
-            for i in 0..STATES {
-                let most = trust * TRUST_SHAPE[i];
+            for (i, shape) in TRUST_SHAPE.iter().enumerate() {
+                let most = trust * shape;
                 at_most(&[(state + i, 1.0)], most);
                 at_most(&[(state + i, -1.0)], most);
                 for slack in [layout.slack(n) + i, layout.slack(n) + STATES + i] {

@@ -27,14 +27,19 @@ pub struct Weight {
 }
 
 impl Desire {
-    /// The trajectory at every `period_s` from its start to its end.
+    /// The trajectory at every `period_s` from `from_s` on, `periods` times.
     ///
     /// A quadrotor is differentially flat: thrust carries the weight and makes the acceleration,
     /// `(u1/m) R e3 = g e3 - a`, which with the yaw gives the attitude (Mellinger and Kumar 2011).
     /// Body rates are those that lead from one attitude to the next.
-    pub fn new(trajectory: &Trajectory, period_s: f64, weight: &Weight) -> Self {
-        let periods = ((trajectory.duration() / period_s).round() as usize).max(1);
-        let points = (0..periods + 1).map(|n| trajectory.sample(n as f64 * period_s));
+    pub fn new(
+        trajectory: &Trajectory,
+        from_s: f64,
+        period_s: f64,
+        periods: usize,
+        weight: &Weight,
+    ) -> Self {
+        let points = (0..periods + 1).map(|n| trajectory.sample(from_s + n as f64 * period_s));
         Self::along(points, period_s, weight)
     }
 
@@ -64,7 +69,8 @@ impl Desire {
             let attitude = Euler::new(state[ANGLE], state[ANGLE + 1], state[YAW]);
             state[RATE..].copy_from_slice(&attitude.body_rate(rates).to_array());
         }
-        states[periods][RATE..].fill(0.0);
+        let before = states[periods - 1];
+        states[periods][RATE..].copy_from_slice(&before[RATE..]);
         let inputs = states[..periods]
             .iter()
             .zip(&thrusts)

@@ -6,6 +6,9 @@
 //! does (Rao, Wright and Rawlings 1998, "Application of interior-point methods to model
 //! predictive control"). Predictor and corrector are Mehrotra's (1992).
 
+// Matrix algebra reads by its indices.
+#![allow(clippy::needless_range_loop)]
+
 use super::problem::{STATES, StateRow, StateVector};
 use super::subproblem::{
     DynamicsForm, QuadraticNorm, Solution, Stage, Subproblem, SubproblemError, SubproblemSolver,
@@ -613,7 +616,7 @@ fn cholesky<const N: usize>(matrix: &mut Matrix<N, N>) -> Result<(), SubproblemE
         for k in 0..j {
             pivot -= matrix[j][k] * matrix[j][k];
         }
-        if !(pivot > 0.0) {
+        if pivot.is_nan() || pivot <= 0.0 {
             return Err(SubproblemError::NotFinite);
         }
         let inverse = 1.0 / pivot.sqrt();

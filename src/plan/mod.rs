@@ -16,6 +16,7 @@ pub mod planned;
 pub mod planner;
 pub mod problem;
 pub mod programme;
+pub mod receding;
 pub mod reference;
 pub mod scp;
 pub mod subproblem;

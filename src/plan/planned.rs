@@ -72,6 +72,8 @@ pub struct Answer {
     pub delay_s: f64,
     /// First-order lag from a commanded wrench to the one that acts, s.
     pub lag_s: f64,
+    /// Power of the pack's voltage, over that of a full one, that thrust goes with.
+    pub voltage_exponent: f64,
     /// The loop that turns setpoints into moments.
     pub attitude_pd: AttitudePd,
 }
@@ -119,6 +121,18 @@ pub enum NotFlyable {
         /// Largest overrun of a state's bounds (m, rad, rad/s).
         overrun: f64,
     },
+}
+
+/// As [`Plan::check_flyable`], for an outcome.
+pub(super) fn check_violation(status: Status, violation: &Violation) -> Result<(), NotFlyable> {
+    let Violation { defect, overrun } = *violation;
+    if status == Status::Failed {
+        return Err(NotFlyable::Failed);
+    }
+    if !(defect <= DEFECT_MAX && overrun <= OVERRUN_MAX) {
+        return Err(NotFlyable::Violated { defect, overrun });
+    }
+    Ok(())
 }
 
 /// What a new plan is made of.
@@ -205,7 +219,10 @@ impl Plan {
                 self.desired.len()
             ));
         }
-        let Answer { delay_s, lag_s, attitude_pd } = self.answer;
+        let Answer { delay_s, lag_s, voltage_exponent, attitude_pd } = self.answer;
+        if !(0.0..=4.0).contains(&voltage_exponent) {
+            return Err(format!("expected a voltage_exponent of 0 to 4, found {voltage_exponent}"));
+        }
         let times = [self.period_s, delay_s, lag_s];
         if !(self.period_s > 0.0 && times.iter().all(|t| (0.0..=10.0).contains(t))) {
             return Err(format!("expected times of 0 to 10 s, found {times:?}"));
@@ -234,14 +251,7 @@ impl Plan {
     /// # Errors
     /// What it misses, in words.
     pub fn check_flyable(&self) -> Result<(), NotFlyable> {
-        let Violation { defect, overrun } = self.violation;
-        if self.status == Status::Failed {
-            return Err(NotFlyable::Failed);
-        }
-        if !(defect <= DEFECT_MAX && overrun <= OVERRUN_MAX) {
-            return Err(NotFlyable::Violated { defect, overrun });
-        }
-        Ok(())
+        check_violation(self.status, &self.violation)
     }
 
     /// Length in s.
@@ -257,6 +267,30 @@ pub struct PlannedReference {
     states: Vec<StateVector>,
     /// As they are sent, one for each state.
     setpoints: Vec<CommandedInput>,
+    start_thrust_n: f64,
+    voltage_exponent: f64,
+}
+
+/// Periods whose mean thrust is taken for that of the start.
+const STILL_PERIODS: usize = 20;
+/// Periods on either side that a slope is taken over. One of neighbours alone would multiply the
+/// small jumps between the inputs of plans through networks by the lag over the period.
+const SLOPE_PERIODS: usize = 3;
+
+/// Slopes per row of the least-squares lines through the rows around `n`.
+fn slope_around<const N: usize>(rows: &[[f64; N]], n: usize) -> [f64; N] {
+    let from = n.saturating_sub(SLOPE_PERIODS);
+    let around = &rows[from..rows.len().min(n + SLOPE_PERIODS + 1)];
+    let middle = 0.5 * (around.len() as f64 - 1.0);
+    let (mut sums, mut squares) = ([0.0; N], 0.0);
+    for (k, row) in around.iter().enumerate() {
+        let from_middle = k as f64 - middle;
+        squares += from_middle * from_middle;
+        for (sum, value) in sums.iter_mut().zip(row) {
+            *sum += from_middle * value;
+        }
+    }
+    sums.map(|sum| if squares > 0.0 { sum / squares } else { 0.0 })
 }
 
 impl PlannedReference {
@@ -267,35 +301,53 @@ impl PlannedReference {
     /// moments M are to be `M* + lag dM*/dt`, which the attitude setpoint asks for by
     /// `lag Kp^-1 dM*/dt`, and thrust likewise.
     pub fn new(plan: &Plan) -> Self {
-        let Answer { delay_s, lag_s, attitude_pd: AttitudePd { kp, kd, .. } } = plan.answer;
-        let period = plan.period_s;
-        let wrench = |n: usize| {
-            let (state, input) = (&plan.states[n], &plan.inputs[n]);
-            let moment = |i: usize| {
-                kp[i] * (input[1 + i] - state[ANGLE + i]) + kd[i] * (input[4 + i] - state[RATE + i])
-            };
-            [input[0], moment(0), moment(1), moment(2)]
-        };
-        let last = plan.inputs.len() - 1;
-        let led: Vec<CommandedInput> = (0..=last)
-            .map(|n| {
-                let (before, after) = (n.saturating_sub(1), (n + 1).min(last));
-                let mut sent = plan.inputs[n];
-                if after > before {
-                    let span = (after - before) as f64 * period;
-                    let (from, to) = (wrench(before), wrench(after));
-                    let slope: [f64; 4] = std::array::from_fn(|i| (to[i] - from[i]) / span);
-                    sent[0] += lag_s * slope[0];
-                    for i in 0..3 {
-                        sent[1 + i] += lag_s * slope[1 + i] / kp[i];
-                    }
+        Self::of(&plan.states, &plan.inputs, plan.period_s, &plan.answer)
+    }
+
+    /// The same for states and inputs, `period` seconds apart.
+    pub(super) fn of(
+        states: &[StateVector],
+        inputs: &[CommandedInput],
+        period: f64,
+        answer: &Answer,
+    ) -> Self {
+        let Answer { delay_s, lag_s, voltage_exponent, attitude_pd } = *answer;
+        let AttitudePd { kp, kd, .. } = attitude_pd;
+        let wrenches: Vec<[f64; 4]> = inputs
+            .iter()
+            .zip(states)
+            .map(|(input, state)| {
+                let moment = |i: usize| {
+                    kp[i] * (input[1 + i] - state[ANGLE + i])
+                        + kd[i] * (input[4 + i] - state[RATE + i])
+                };
+                [input[0], moment(0), moment(1), moment(2)]
+            })
+            .collect();
+        let led: Vec<CommandedInput> = inputs
+            .iter()
+            .enumerate()
+            .map(|(n, input)| {
+                let slope = slope_around(&wrenches, n).map(|slope| slope / period);
+                let mut sent = *input;
+                sent[0] += lag_s * slope[0];
+                for i in 0..3 {
+                    sent[1 + i] += lag_s * slope[1 + i] / kp[i];
                 }
                 sent
             })
             .collect();
         let setpoints =
-            (0..plan.states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
-        Self { period_s: period, states: plan.states.clone(), setpoints }
+            (0..states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
+        let first = &inputs[..inputs.len().min(STILL_PERIODS)];
+        let start_thrust_n = first.iter().map(|input| input[0]).sum::<f64>() / first.len() as f64;
+        Self {
+            period_s: period,
+            states: states.to_vec(),
+            setpoints,
+            start_thrust_n,
+            voltage_exponent,
+        }
     }
 }
 
@@ -311,6 +363,14 @@ fn between<const N: usize>(rows: &[[f64; N]], index: f64) -> [f64; N] {
 impl ReferenceSource for PlannedReference {
     fn duration(&self) -> f64 {
         (self.states.len() - 1) as f64 * self.period_s
+    }
+
+    fn start_thrust_n(&self) -> f64 {
+        self.start_thrust_n
+    }
+
+    fn voltage_exponent(&self) -> f64 {
+        self.voltage_exponent
     }
 
     fn sample(&self, t: f64) -> Reference {

@@ -1,5 +1,7 @@
 //! From a desired trajectory and a model to a plan.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 use sitl::frame::Ned;
 use sitl::vehicle::AttitudePd;
@@ -12,6 +14,7 @@ use super::interior_point::InteriorPoint;
 use super::problem::{
     ANGLE, InputBounds, InputPreference, KeepOut, Problem, STATES, StateLimits, StateVector, YAW,
 };
+use super::receding::RecedingSettings;
 use super::scp::{Iterate, Outcome, Record, ScpSettings, search};
 use super::subproblem::SubproblemSolver;
 use super::trajectory::{DesiredPoint, Trajectory};
@@ -38,6 +41,8 @@ pub struct PlanSettings {
     pub progress: f64,
     /// The search ends with what it has after this time, s.
     pub time_limit_s: f64,
+    /// Plans that are made anew in flight.
+    pub receding: RecedingSettings,
     /// Regions that the vehicle keeps out of, relative to the take-off point.
     pub keep_out: Vec<KeepOutSetting>,
     /// Least and greatest north, east and down of the plan, relative to the take-off point, m.
@@ -88,6 +93,7 @@ impl Default for PlanSettings {
             trust: 0.5,
             progress: 1e-3,
             time_limit_s: 60.0,
+            receding: RecedingSettings::default(),
             keep_out: Vec::new(),
             box_m: None,
         }
@@ -157,10 +163,11 @@ pub struct PlannedVehicle {
 }
 
 /// Makes plans for one vehicle through one model.
-pub struct Planner<'a> {
-    model: &'a dyn Model,
+#[derive(Clone)]
+pub struct Planner {
+    model: Arc<dyn Model>,
     vehicle: PlannedVehicle,
-    settings: &'a PlanSettings,
+    settings: PlanSettings,
 }
 
 /// Most periods of a plan.
@@ -168,18 +175,34 @@ const PERIODS_MAX: usize = 100_000;
 /// How far the planned yaw and the commanded one may leave the range of the desired, rad.
 const YAW_ROOM: f64 = 1.0;
 
-impl<'a> Planner<'a> {
+impl Planner {
     /// A planner.
     ///
     /// # Errors
     /// [`PlannerError::Setting`].
     pub fn new(
-        model: &'a dyn Model,
+        model: Arc<dyn Model>,
         vehicle: PlannedVehicle,
-        settings: &'a PlanSettings,
+        settings: PlanSettings,
     ) -> Result<Self, PlannerError> {
         settings.check()?;
         Ok(Self { model, vehicle, settings })
+    }
+
+    /// The same with other most subproblems.
+    pub fn with_subproblems_max(mut self, subproblems_max: usize) -> Self {
+        self.settings.subproblems_max = subproblems_max;
+        self
+    }
+
+    /// What is planned through.
+    pub fn model(&self) -> &dyn Model {
+        self.model.as_ref()
+    }
+
+    /// The vehicle's effective weight m g, N.
+    pub fn hover_thrust_n(&self) -> f64 {
+        self.vehicle.mass_kg * self.vehicle.gravity
     }
 
     /// Time between states, s.
@@ -200,13 +223,27 @@ impl<'a> Planner<'a> {
                 found_s: trajectory.duration(),
             });
         }
-        let desire = Desire::new(trajectory, self.period_s(), &self.weight());
+        let periods = ((trajectory.duration() / self.period_s()).round() as usize).max(1);
+        self.desire_from(trajectory, 0.0, periods)
+    }
+
+    /// The desired states of a part of a trajectory, which is held at its end.
+    ///
+    /// # Errors
+    /// Numbers that are not finite.
+    pub fn desire_from(
+        &self,
+        trajectory: &Trajectory,
+        from_s: f64,
+        periods: usize,
+    ) -> Result<Desire, PlannerError> {
+        let desire = Desire::new(trajectory, from_s, self.period_s(), periods, &self.weight());
         let bad = desire.states.iter().position(|state| !state.iter().all(|v| v.is_finite()));
         match bad {
             None => Ok(desire),
             Some(n) => Err(PlannerError::NotFinite {
                 trajectory: trajectory.name().to_owned(),
-                at_s: n as f64 * self.period_s(),
+                at_s: from_s + n as f64 * self.period_s(),
             }),
         }
     }
@@ -279,7 +316,7 @@ impl<'a> Planner<'a> {
             (least.min(yaw), most.max(yaw))
         });
         let (least, most) = (least - YAW_ROOM, most + YAW_ROOM);
-        let hover = self.vehicle.mass_kg * self.vehicle.gravity;
+        let hover = self.hover_thrust_n();
         InputBounds {
             lower: [thrust_min * full, -tilt, -tilt, least, -rate, -rate, -rate],
             upper: [thrust_max * full, tilt, tilt, most, rate, rate, rate],
@@ -299,13 +336,11 @@ impl<'a> Planner<'a> {
     ) -> Outcome<7> {
         let problem = self.problem(desire, start);
         let dynamics =
-            CommandedDynamics::new(self.model, self.vehicle.attitude_pd, self.period_s());
+            CommandedDynamics::new(self.model(), self.vehicle.attitude_pd, self.period_s());
         let mut guess = guess.unwrap_or_else(|| self.guess(desire, &problem));
         guess.states[0] = start;
         for input in &mut guess.inputs {
-            for i in 0..input.len() {
-                input[i] = input[i].clamp(problem.inputs.lower[i], problem.inputs.upper[i]);
-            }
+            *input = problem.inputs.clamp(*input);
         }
         let mut solver: Box<dyn SubproblemSolver<7>> = match self.settings.solver {
             SolverChoice::InteriorPoint => Box::new(InteriorPoint::default()),
@@ -350,6 +385,12 @@ impl PlanSettings {
         within("input_weight", self.input_weight, 1e-9, 1e9, "a weight above 0")?;
         within("trust", self.trust, 1e-6, 1e3, "a size above 0")?;
         within("progress", self.progress, 0.0, 1.0, "a share")?;
+        let RecedingSettings { period_s, horizon_s, lead_s, subproblems_max } = self.receding;
+        within("receding.period_s", period_s, 1e-3, 10.0, "1 ms to 10 s")?;
+        within("receding.horizon_s", horizon_s, 0.05, 60.0, "0.05 to 60 s")?;
+        within("receding.lead_s", lead_s, 0.0, 0.5 * horizon_s, "at most half the horizon")?;
+        within("receding.subproblems_max", subproblems_max as f64, 1.0, 1e4, "1 or more")?;
+        within("subproblems_max", self.subproblems_max as f64, 1.0, 1e6, "1 or more")?;
         within("time_limit_s", self.time_limit_s, 0.0, 1e9, "a time of at least 0")?;
         for weight in self.weight {
             within("weight", weight, 0.0, 1e6, "weights of at least 0")?;

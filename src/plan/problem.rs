@@ -49,6 +49,16 @@ pub struct InputBounds<const INPUTS: usize> {
     pub scale: [f64; INPUTS],
 }
 
+impl<const INPUTS: usize> InputBounds<INPUTS> {
+    /// The input within the bounds that is nearest.
+    pub fn clamp(&self, mut input: [f64; INPUTS]) -> [f64; INPUTS] {
+        for ((value, lower), upper) in input.iter_mut().zip(&self.lower).zip(&self.upper) {
+            *value = value.clamp(*lower, *upper);
+        }
+        input
+    }
+}
+
 /// A quadratic pull of the inputs.
 #[derive(Clone, Debug)]
 pub struct InputPreference<const INPUTS: usize> {

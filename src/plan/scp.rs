@@ -345,8 +345,8 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
             let step = &mut stage.step;
             *step = self.dynamics.linearize(&states[n], &inputs[n]);
             let end = &states[n + 1];
-            for i in 0..STATES {
-                step.next[i] -= end[i];
+            for (i, end) in end.iter().enumerate() {
+                step.next[i] -= end;
                 for (entry, scale) in step.input[i].iter_mut().zip(scale) {
                     *entry *= scale;
                 }
@@ -380,10 +380,9 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
     ) {
         let bounds = &self.problem.inputs;
         for (stage, input) in subproblem.stages.iter_mut().zip(&self.iterate.inputs) {
-            for i in 0..INPUTS {
-                stage.lower[i] =
-                    ((bounds.lower[i] - input[i]) / bounds.scale[i]).clamp(-trust, 0.0);
-                stage.upper[i] = ((bounds.upper[i] - input[i]) / bounds.scale[i]).clamp(0.0, trust);
+            for (i, input) in input.iter().enumerate() {
+                stage.lower[i] = ((bounds.lower[i] - input) / bounds.scale[i]).clamp(-trust, 0.0);
+                stage.upper[i] = ((bounds.upper[i] - input) / bounds.scale[i]).clamp(0.0, trust);
             }
         }
         subproblem.row_penalty = self.row_penalty;
@@ -439,10 +438,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
         }
         let bounds = &self.problem.inputs;
         for (input, w) in iterate.inputs.iter_mut().zip(&solution.inputs) {
-            for i in 0..INPUTS {
-                let moved = input[i] + bounds.scale[i] * w[i];
-                input[i] = moved.clamp(bounds.lower[i], bounds.upper[i]);
-            }
+            *input = bounds.clamp(std::array::from_fn(|i| input[i] + bounds.scale[i] * w[i]));
         }
         iterate
     }
@@ -463,10 +459,10 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
             let input = std::array::from_fn(|i| {
                 let fed_back: f64 =
                     solution.gains[n][i].iter().zip(&ahead).map(|(gain, ahead)| gain * ahead).sum();
-                let moved = self.iterate.inputs[n][i]
-                    + bounds.scale[i] * (share * solution.inputs[n][i] + fed_back);
-                moved.clamp(bounds.lower[i], bounds.upper[i])
+                self.iterate.inputs[n][i]
+                    + bounds.scale[i] * (share * solution.inputs[n][i] + fed_back)
             });
+            let input = bounds.clamp(input);
             state = self.dynamics.step(&state, &input);
             if !state.iter().all(|value| value.abs() < BEYOND_MEASURE) {
                 return None;

@@ -144,8 +144,8 @@ impl<const INPUTS: usize> Subproblem<INPUTS> {
                 squares.sum::<f64>()
             };
             change += square(1.0).sqrt() - square(0.0).sqrt();
-            for i in 0..INPUTS {
-                change += w[i] * (stage.input_gradient[i] + 0.5 * stage.input_curvature * w[i]);
+            for (w, gradient) in w.iter().zip(&stage.input_gradient) {
+                change += w * (gradient + 0.5 * stage.input_curvature * w);
             }
             for row in &stage.rows {
                 let slope: f64 = (0..STATES).map(|i| row.gradient[i] * d[i]).sum();

@@ -4,8 +4,10 @@
 #![allow(dead_code)]
 
 use std::path::Path;
+use std::sync::Arc;
 
 use downwash::control::Limits;
+use downwash::model::Model;
 use downwash::model::hybrid::Hybrid;
 use downwash::model::learned::{Features, Head, Network, NetworkModel, OUTPUTS};
 use downwash::model::net::{Mlp, Normalization};
@@ -117,10 +119,13 @@ pub fn rest(first: &StateVector) -> StateVector {
     [x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0, yaw, 0.0, 0.0, 0.0]
 }
 
+pub fn planner(model: Arc<dyn Model>, settings: &PlanSettings) -> Planner {
+    Planner::new(model, planned_vehicle(), settings.clone()).expect("a planner")
+}
+
 /// The plan along a trajectory from rest, through physics.
 pub fn plan(trajectory: &Trajectory, settings: &PlanSettings) -> Outcome<7> {
-    let model = physics();
-    let planner = Planner::new(&model, planned_vehicle(), settings).expect("a planner");
+    let planner = planner(Arc::new(physics()), settings);
     let desire = planner.desire(trajectory).expect("desired states");
     planner.plan(&desire, rest(&desire.states[0]), None, &|_| false)
 }

@@ -1,0 +1,3 @@
+//! From flight logs to what a simulator lacks.
+
+pub mod audit;
