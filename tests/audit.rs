@@ -149,7 +149,7 @@ fn clocks_of_different_rates_are_found() {
     let mut drifting = Stream::default();
     let start = flight.attitude.times()[0];
     for (time, q) in flight.attitude.iter() {
-        drifting.push(time + 1e-3 * (time - start), *q);
+        drifting.push(time + 3e-3 * (time - start), *q);
     }
     flight.attitude = drifting;
     let audit = Audit::of(&flight);
