@@ -46,6 +46,8 @@ pub enum Command {
     Model(ModelCommand),
     /// Plans a trajectory through a model: a reference that `fly` takes.
     Plan(PlanArgs),
+    /// Says where a simulator and flights part, which effect causes it, and how far it shrinks.
+    Diagnose(DiagnoseArgs),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
 }
@@ -322,7 +324,7 @@ pub enum LogCommand {
         mapping: Option<PathBuf>,
         /// Ends with exit code 10 if anything this bad, or worse, is found.
         #[arg(long, value_enum)]
-        fail_on: Option<FailOn>,
+        fail_on: Option<FailOnFinding>,
         /// Prints what was found as JSON.
         #[arg(long)]
         json: bool,
@@ -342,7 +344,7 @@ pub enum LogCommand {
 
 /// Findings that end `log audit` with exit code 10.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum FailOn {
+pub enum FailOnFinding {
     /// Faults of the data.
     Fault,
     /// These, and flaws of the measurement.
@@ -398,6 +400,51 @@ pub struct TrainArgs {
     /// Prints the summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Flags of `diagnose`.
+#[derive(Debug, Args)]
+pub struct DiagnoseArgs {
+    /// Flight logs of the real vehicle.
+    #[arg(required = true)]
+    pub logs: Vec<PathBuf>,
+    /// The simulator's vehicle file.
+    #[arg(long)]
+    pub vehicle: PathBuf,
+    /// A log to keep from the fit and to report the gap on; may be given again [default: the last
+    /// of the logs; of a single one its second half].
+    #[arg(long, value_name = "FILE")]
+    pub holdout: Vec<PathBuf>,
+    /// The vehicle file to write, with the effects that were found.
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Folder for report.html and report.json; made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// What the columns of CSV logs mean.
+    #[arg(long, value_name = "FILE")]
+    pub mapping: Option<PathBuf>,
+    /// Simulated flights without any effect, which say how large chance makes the evidence.
+    #[arg(long, default_value_t = 40)]
+    pub twins: u32,
+    /// Seed of the simulated flights.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Ends with exit code 10 on this verdict.
+    #[arg(long, value_enum, value_name = "VERDICT")]
+    pub fail_on: Option<FailOnVerdict>,
+    /// Prints the answer as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Verdicts that a command may fail on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FailOnVerdict {
+    /// An effect was named.
+    Effect,
+    /// There is a gap, explained or not.
+    Gap,
 }
 
 /// What the networks are given.

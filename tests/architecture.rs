@@ -18,8 +18,8 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("log", &["clock", "setpoint", "link"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
-        ("diagnose", &["learn", "log", "model"]),
-        ("report", &["clock", "control", "setpoint", "learn", "log", "model", "plan"]),
+        ("diagnose", &["learn", "log", "model", "pilot"]),
+        ("report", &["clock", "control", "setpoint", "diagnose", "learn", "log", "model", "plan"]),
         (
             "station",
             &[

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{Exit, ExitContext, print_json, print_text};
-use crate::cli::FailOn;
+use crate::cli::FailOnFinding;
 use crate::diagnose::audit::{Agreement, Audit, Severity};
 use crate::log::import::{self, Flight};
 
@@ -22,7 +22,7 @@ struct Summary<'a> {
 pub(super) fn run(
     files: &[PathBuf],
     mapping: Option<&Path>,
-    fail_on: Option<FailOn>,
+    fail_on: Option<FailOnFinding>,
     json: bool,
 ) -> anyhow::Result<Exit> {
     let flights: Result<Vec<Flight>, _> =
@@ -34,8 +34,8 @@ pub(super) fn run(
         print_text(&audits.iter().map(text).collect::<Vec<_>>().join("\n"))?;
     }
     let limit = fail_on.map(|limit| match limit {
-        FailOn::Fault => Severity::Fault,
-        FailOn::Measurement => Severity::Measurement,
+        FailOnFinding::Fault => Severity::Fault,
+        FailOnFinding::Measurement => Severity::Measurement,
     });
     let is_failed = |audit: &Audit| {
         limit.is_some_and(|limit| audit.findings.iter().any(|f| f.severity >= limit))

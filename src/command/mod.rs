@@ -6,6 +6,7 @@ mod config;
 mod course;
 mod daemon;
 mod demo;
+mod diagnose;
 mod exit;
 mod fly;
 mod goal_file;
@@ -57,6 +58,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
             model::run(command)
         }
         Command::Plan(args) => plan::run(&args),
+        Command::Diagnose(args) => diagnose::run(&args),
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)

@@ -1,3 +1,19 @@
-//! From flight logs to what a simulator lacks.
+//! Diagnosis of the gap between a simulator and flights: where it lies, which effect causes it,
+//! how far it shrinks.
 
+pub mod answer;
 pub mod audit;
+pub mod fit;
+pub mod gap;
+pub mod hypothesis;
+pub mod leftover;
+pub mod map;
+pub mod noise;
+pub mod onboard;
+pub mod preparation;
+pub mod procedure;
+pub mod residuals;
+pub mod selection;
+pub mod spectrum;
+pub mod twins;
+pub mod words;

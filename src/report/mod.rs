@@ -3,6 +3,7 @@
 mod axis;
 pub mod chart;
 pub mod comparison;
+pub mod diagnosis;
 pub mod experiment;
 pub mod flight;
 mod flight_page;

@@ -1,0 +1,110 @@
+//! `downwash diagnose`: where the gap lies, which effect causes it, how far it shrinks.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, anyhow};
+use rayon::prelude::*;
+use sitl::vehicle::VehicleParams;
+
+use super::{Exit, ExitContext, print_json, print_text, say, write_file};
+use crate::cli::{DiagnoseArgs, FailOnVerdict};
+use crate::diagnose::answer::Verdict;
+use crate::diagnose::preparation::PreparedFlight;
+use crate::diagnose::procedure::{Case, Settings, diagnose};
+use crate::diagnose::words::report;
+use crate::log::import;
+
+/// Guard between the halves of a single flight, s.
+const GUARD_S: f64 = 2.0;
+
+pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
+    let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    let mut paths = args.logs.clone();
+    for path in &args.holdout {
+        if !paths.contains(path) {
+            paths.push(path.clone());
+        }
+    }
+    let mapping = args.mapping.as_deref();
+    let read: Vec<anyhow::Result<PreparedFlight>> =
+        paths.par_iter().map(|path| prepare(path, mapping, &vehicle)).collect();
+    let (mut fitted, mut held_out) = (Vec::new(), Vec::new());
+    for (path, flight) in paths.iter().zip(read) {
+        match flight {
+            Ok(flight) if args.holdout.contains(path) => held_out.push(flight),
+            Ok(flight) => fitted.push(flight),
+            Err(error) => say(format_args!("{}: left out: {error:#}", path.display())),
+        }
+    }
+    if fitted.is_empty() && held_out.is_empty() {
+        return Err(anyhow!("none of the {} logs can be used", paths.len())).or_exit(Exit::Usage);
+    }
+    let blocked = held_out.is_empty() && fitted.len() == 1 || fitted.is_empty();
+    if fitted.is_empty() {
+        fitted = std::mem::take(&mut held_out);
+    }
+    if held_out.is_empty() && fitted.len() > 1 {
+        held_out.extend(fitted.pop());
+    } else if held_out.is_empty() {
+        (fitted, held_out) = halves(&fitted[0]).or_exit(Exit::Usage)?;
+        say(format_args!("one flight: its second part is held out, {GUARD_S} s after the first"));
+    }
+    let case = Case { vehicle: &vehicle, fitted: &fitted, held_out: &held_out, blocked };
+    let settings = Settings { seed: args.seed, twins: args.twins };
+    let diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
+        .or_exit(Exit::Usage)?;
+    let answer = &diagnosis.answer;
+    if let Some(folder) = &args.report {
+        fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        let page = crate::report::diagnosis::html(answer, &vehicle.name);
+        write_file(&folder.join("report.html"), page.as_bytes())?;
+        let json = serde_json::to_vec_pretty(answer).context("report.json")?;
+        write_file(&folder.join("report.json"), &json)?;
+    }
+    if let Some(out) = &args.out {
+        let mut improved = vehicle.clone();
+        improved.modelled_effects = vehicle.modelled_effects.overlay(&diagnosis.effects);
+        let text = improved.to_toml().context("improved vehicle file")?;
+        write_file(out, text.as_bytes())?;
+    }
+    if args.json {
+        print_json(answer)?;
+    } else {
+        print_text(&report(answer))?;
+    }
+    Ok(match args.fail_on {
+        Some(FailOnVerdict::Effect) if answer.verdict == Verdict::Effect => Exit::Check,
+        Some(FailOnVerdict::Gap) if answer.verdict != Verdict::None => Exit::Check,
+        _ => Exit::Ok,
+    })
+}
+
+fn prepare(
+    path: &Path,
+    mapping: Option<&Path>,
+    vehicle: &VehicleParams,
+) -> anyhow::Result<PreparedFlight> {
+    let flight = import::open(path, mapping)?;
+    if let Some(text) = &flight.vehicle_file {
+        let own = if text.trim_start().starts_with('{') {
+            VehicleParams::from_json_str(text)
+        } else {
+            VehicleParams::from_toml_str(text)
+        };
+        let own = own.context("the vehicle file inside the log")?;
+        if let Some(difference) = vehicle.difference(&own) {
+            anyhow::bail!("it is of another vehicle: {difference}");
+        }
+    }
+    Ok(PreparedFlight::new(flight, vehicle)?)
+}
+
+/// The first and the last part of one flight, with a guard between.
+fn halves(flight: &PreparedFlight) -> anyhow::Result<(Vec<PreparedFlight>, Vec<PreparedFlight>)> {
+    let (first, second) = flight.split(GUARD_S).ok_or_else(|| {
+        anyhow!("{}: too short to hold a part of it out; give another flight", flight.name)
+    })?;
+    Ok((vec![first], vec![second]))
+}

@@ -1,0 +1,163 @@
+//! The answer: what `--json` prints and the report shows.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
+
+use super::gap::{Errors, ReportNoise};
+use super::leftover::UnmodelledForce;
+use super::map::ResidualMap;
+use super::preparation::Channels;
+use super::twins::Twins;
+
+/// The verdict in three words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Effects of the catalogue explain the gap.
+    Effect,
+    /// There is nothing beyond noise and tolerances.
+    None,
+    /// A gap that no effect of the catalogue explains.
+    Unknown,
+}
+
+/// An effect with its probability.
+#[derive(Clone, Debug, Serialize)]
+pub struct EffectAnswer {
+    /// Its id.
+    pub id: &'static str,
+    /// Probability that the vehicle has it, 0..1.
+    pub probability: f64,
+    /// The vehicle's true values, absolute.
+    pub parameters: BTreeMap<&'static str, Parameter>,
+    /// 90 % intervals of the fitted numbers, by parameter (component).
+    pub intervals: BTreeMap<String, [f64; 2]>,
+}
+
+/// A parameter's value.
+#[derive(Clone, Debug, Serialize)]
+#[serde(untagged)]
+pub enum Parameter {
+    /// A place in a list.
+    Index(u64),
+    /// A number.
+    Number(f64),
+    /// A vector.
+    Vector(Vec<f64>),
+}
+
+/// All parameters of an effect that is on in `set`.
+pub fn parameters(set: &EffectSet, id: EffectId) -> BTreeMap<&'static str, Parameter> {
+    let Some(slots) = set.slots(id) else { return BTreeMap::new() };
+    id.spec()
+        .slots()
+        .filter(|slot| slot.component == 0)
+        .map(|slot| {
+            let first = slot.index;
+            let value = match slot.parameter.kind {
+                Kind::Index => Parameter::Index(slots[first] as u64),
+                Kind::Scalar => Parameter::Number(slots[first]),
+                Kind::Vec3 => Parameter::Vector(slots[first..first + 3].to_vec()),
+            };
+            (slot.parameter.name, value)
+        })
+        .collect()
+}
+
+impl From<&Parameter> for ParameterValue {
+    fn from(parameter: &Parameter) -> Self {
+        match parameter {
+            Parameter::Index(index) => ParameterValue::Number(*index as f64),
+            Parameter::Number(number) => ParameterValue::Number(*number),
+            Parameter::Vector(numbers) => ParameterValue::Vector(numbers.clone()),
+        }
+    }
+}
+
+/// The gap on the flights held out.
+#[derive(Clone, Debug, Serialize)]
+pub struct Gap {
+    /// `mean`: of position, velocity and attitude at 0.5 and 1 s, each over its noise.
+    pub metric: &'static str,
+    /// With the vehicle file as shipped.
+    pub before: f64,
+    /// With the named effects.
+    pub after: f64,
+    /// What noise alone leaves.
+    pub floor: f64,
+    /// (before - after) / (before - floor), where there is a gap.
+    pub closure: Option<f64>,
+    /// With the nuisances within their tolerances alone.
+    pub nuisances_only: Option<f64>,
+    /// Errors by horizon and quantity: before, after, floor.
+    pub errors: [Errors; 3],
+    /// Noise of the reports.
+    pub noise: ReportNoise,
+}
+
+/// A hypothesis as it fared.
+#[derive(Clone, Debug, Serialize)]
+pub struct HypothesisAnswer {
+    /// The effect.
+    pub id: &'static str,
+    /// Evidence over nuisances alone, nats.
+    pub evidence: f64,
+    /// Density of the flights held out over nuisances alone, nats, and its standard error.
+    pub held_out: [f64; 2],
+    /// Fitted numbers.
+    pub numbers: Vec<f64>,
+}
+
+/// A flight that was looked at.
+#[derive(Clone, Debug, Serialize)]
+pub struct FlightAnswer {
+    /// Name.
+    pub name: String,
+    /// Whether it was held out of the fit.
+    pub held_out: bool,
+    /// Airborne time looked at, s.
+    pub seconds: f64,
+    /// What its log holds.
+    pub channels: Channels,
+}
+
+/// The whole answer.
+#[derive(Clone, Debug, Serialize)]
+pub struct Answer {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// The effects, the most probable first.
+    pub effects: Vec<EffectAnswer>,
+    /// The gap; missing where no window can start.
+    pub gap: Option<Gap>,
+    /// Effects that cannot be told from the named ones.
+    pub ambiguous_with: Vec<&'static str>,
+    /// The full verdict in words.
+    pub finding: String,
+    /// Where the gap lies.
+    #[serde(rename = "where")]
+    pub map: ResidualMap,
+    /// Effects that these logs cannot show.
+    pub not_testable: Vec<NotTestable>,
+    /// Force that nothing explains, before and after.
+    pub unmodelled_force: Option<[UnmodelledForce; 2]>,
+    /// Flights simulated without an effect.
+    pub twins: Option<Twins>,
+    /// Evidence that was asked of an effect, nats.
+    pub evidence_asked: f64,
+    /// Single hypotheses, the best first.
+    pub hypotheses: Vec<HypothesisAnswer>,
+    /// The flights.
+    pub flights: Vec<FlightAnswer>,
+}
+
+/// An effect that cannot be tested, and why.
+#[derive(Clone, Debug, Serialize)]
+pub struct NotTestable {
+    /// Its id.
+    pub id: &'static str,
+    /// Why.
+    pub reason: String,
+}

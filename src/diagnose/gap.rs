@@ -1,0 +1,348 @@
+//! How far a simulator is from flights: errors of its open-loop predictions.
+//!
+//! From many instants the plant predicts from the reported state, driven by the logged setpoints
+//! through the on-board law (by the logged outputs where there is none), and is compared with what
+//! was reported after 0.1, 0.5 and 1 s.
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+use serde::Serialize;
+use sitl::autopilot::pd::AttitudeLoop;
+use sitl::config::SitlConfig;
+use sitl::effects::{AttitudeTrim, CommandDelay, EffectSet, EstimatorLatency, Gusts, PdGain};
+use sitl::frame::{Attitude, Euler, Frd, Ned};
+use sitl::plant::Plant;
+use sitl::rigid_body::State;
+use sitl::vehicle::{VehicleError, VehicleParams};
+
+use super::onboard::setpoint_at;
+use super::preparation::PreparedFlight;
+
+/// Horizons, s.
+pub const HORIZONS_S: [f64; 3] = [0.1, 0.5, 1.0];
+/// Quantities, each by the norm of its error.
+pub const QUANTITIES: [&str; 4] = ["pos", "vel", "att", "rate"];
+/// Time between the starts of windows, s.
+const SPACING_S: f64 = 0.25;
+/// Time before a window that delays and lags reach back to, s.
+const MARGIN_S: f64 = 0.4;
+/// Rotors forget their states within this many time constants.
+const MEMORY: f64 = 6.0;
+
+/// Root mean squares over windows: by horizon and quantity, in m, m/s, rad, rad/s.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Errors(pub [[f64; 4]; 3]);
+
+impl Errors {
+    /// The mean of position, velocity and attitude at 0.5 and 1 s, each over its noise: the
+    /// metric `mean`.
+    pub fn mean_over(&self, noise: &Errors) -> f64 {
+        let mut sum = 0.0;
+        for horizon in 1..3 {
+            for quantity in 0..3 {
+                let scale = noise.0[horizon][quantity].max(1e-12);
+                sum += self.0[horizon][quantity] / scale;
+            }
+        }
+        sum / 6.0
+    }
+}
+
+/// Standard deviations of what is reported, per axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ReportNoise {
+    /// Position, m.
+    pub position: f64,
+    /// Velocity, m/s.
+    pub velocity: f64,
+    /// Attitude, rad.
+    pub attitude: f64,
+    /// Body rate, rad/s.
+    pub body_rate: f64,
+}
+
+/// A simulator: the vehicle file with effects put over it.
+#[derive(Clone, Debug)]
+pub struct Simulator {
+    plant: Plant,
+    law: Option<(AttitudeLoop, f64)>,
+    trim: Attitude,
+    latency: f64,
+    command_delay: f64,
+    /// Position and velocity are predicted with the body turning as reported.
+    guided: bool,
+}
+
+impl Simulator {
+    /// The vehicle with `effects` put over what its file models. `setpoint_leg`: driven by
+    /// setpoints, else by outputs.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn new(
+        vehicle: &VehicleParams,
+        effects: &EffectSet,
+        setpoint_leg: bool,
+    ) -> Result<Self, VehicleError> {
+        let mut calm = effects.clone();
+        // One draw of turbulence is not the one that the flight met.
+        calm.remove(<Gusts as sitl::effects::Effect>::ID);
+        let all = vehicle.modelled_effects.overlay(&calm);
+        let law = match vehicle.attitude_pd.filter(|_| setpoint_leg) {
+            Some(pd) => {
+                let gains = all.get::<PdGain>().map_or(pd, |gains| gains.apply(&pd));
+                Some((AttitudeLoop::new(gains, vehicle.allocation()?), pd.rate_hz))
+            }
+            None => None,
+        };
+        Ok(Self {
+            plant: Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?,
+            law,
+            trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
+            latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
+            command_delay: all.get::<CommandDelay>().map_or(vehicle.command_delay_s, |e| e.delay_s),
+            guided: false,
+        })
+    }
+
+    /// The same simulator, in which forces are put to the test by themselves: where logged outputs
+    /// drive the plant without a loop, a small moment turns the body far within a second, and no
+    /// force would show beside it.
+    pub fn guided(self) -> Self {
+        Self { guided: self.law.is_none(), ..self }
+    }
+
+    /// What will be reported at `start` plus each horizon, from the reported state `from` at
+    /// `start`. Latency and trim are undone at the start and applied again at the end. `None`
+    /// where no setpoint rules at the start.
+    fn predict(&self, flight: &PreparedFlight, start: f64, from: &State) -> Option<[State; 3]> {
+        let start = start - self.latency;
+        let mut plant = self.plant.clone();
+        let tau = plant.physics().constants().motor_time_constant;
+        let memory = ((MEMORY * tau).min(MARGIN_S) / Plant::STEP).ceil() as usize;
+        let delay = if self.law.is_some() { 0.0 } else { self.command_delay };
+        let mut logged = flight.outputs.cursor();
+        let mut voltage = flight.voltage.cursor();
+        let has_voltage = flight.channels.voltage;
+        let before = start - memory as f64 * Plant::STEP;
+        plant.set_rotor_states(logged.at(before - delay));
+        if has_voltage {
+            plant.hold_voltage(voltage.at(start)[0]);
+        }
+        for k in 0..memory {
+            let time = before + (k as f64 + 0.5) * Plant::STEP;
+            plant.step(logged.at(time - delay));
+        }
+        let untrim = self.trim.inverse();
+        plant.set_state(State { attitude: from.attitude.compose(untrim), ..*from });
+        let mut forced = self.guided.then(|| plant.clone());
+        let mut attitude = flight.attitude.cursor();
+        let mut body_rate = flight.body_rate.cursor();
+        let steps = (HORIZONS_S[2] / Plant::STEP).round() as usize;
+        let mut outputs = None;
+        let mut last_tick = f64::NEG_INFINITY;
+        let mut reported = [State::default(); 3];
+        let mut next = 0;
+        for k in 0..steps {
+            let time = start + k as f64 * Plant::STEP;
+            let acting = match &self.law {
+                None => logged.at(time + 0.5 * Plant::STEP - delay),
+                Some((law, rate_hz)) => {
+                    let tick = ((time + 1e-6) * rate_hz).floor();
+                    if tick > last_tick || outputs.is_none() {
+                        last_tick = tick;
+                        let asked = setpoint_at(flight, tick / rate_hz - self.command_delay)?;
+                        let state = plant.state();
+                        let attitude = state.attitude.compose(self.trim).euler();
+                        outputs = Some(law.outputs(&asked, attitude, state.body_rate));
+                    }
+                    outputs?
+                }
+            };
+            // The pack's voltage changes slowly against this.
+            if has_voltage && k % 20 == 0 {
+                plant.hold_voltage(voltage.at(time)[0]);
+            }
+            if let Some(forced) = &mut forced {
+                if has_voltage && k % 20 == 0 {
+                    forced.hold_voltage(plant.voltage());
+                }
+                let [w, x, y, z] = attitude.at(time + self.latency);
+                forced.set_state(State {
+                    attitude: Attitude { w, x, y, z }.normalized().compose(untrim),
+                    body_rate: body_rate.at(time).into(),
+                    ..*forced.state()
+                });
+                forced.step(acting);
+            }
+            plant.step(acting);
+            if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
+                let state = *plant.state();
+                let moved = forced.as_ref().map_or(&state, |forced| forced.state());
+                reported[next] = State {
+                    position: moved.position,
+                    velocity: moved.velocity,
+                    attitude: state.attitude.compose(self.trim),
+                    ..state
+                };
+                next += 1;
+            }
+        }
+        Some(reported)
+    }
+
+    /// Root mean square errors over the windows of flights; `None` without a window.
+    pub fn errors(&self, flights: &[PreparedFlight]) -> Option<Errors> {
+        root_mean_square(&self.windows(flights))
+    }
+
+    /// The errors of each window of flights, in order; not a number where one cannot be predicted.
+    pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<[[f64; 4]; 3]> {
+        windows(flights, |flight, start| {
+            let from = reported(flight, start, self.latency);
+            let predicted = self.predict(flight, start, &from)?;
+            Some(std::array::from_fn(|h| {
+                let there = reported(flight, start + HORIZONS_S[h], self.latency);
+                distance(&there, &predicted[h])
+            }))
+        })
+    }
+
+    /// The errors that noise alone leaves: predictions from noisy starts, compared with noisy
+    /// reports of what the same simulator does from the start as it was.
+    pub fn floor(
+        &self,
+        flights: &[PreparedFlight],
+        noise: &ReportNoise,
+        seed: u64,
+    ) -> Option<Errors> {
+        root_mean_square(&windows(flights, |flight, start| {
+            let mut rng = Pcg64Mcg::seed_from_u64(seed ^ start.to_bits());
+            let truth = reported(flight, start, self.latency);
+            let ends = self.predict(flight, start, &truth)?;
+            let predicted = self.predict(flight, start, &noise.applied(&truth, &mut rng))?;
+            Some(std::array::from_fn(|h| {
+                distance(&noise.applied(&ends[h], &mut rng), &predicted[h])
+            }))
+        }))
+    }
+}
+
+impl ReportNoise {
+    fn applied(&self, state: &State, rng: &mut Pcg64Mcg) -> State {
+        let mut draw = |deviation: f64| -> [f64; 3] {
+            std::array::from_fn(|_| {
+                let z: f64 = StandardNormal.sample(rng);
+                deviation * z
+            })
+        };
+        let [roll, pitch, yaw] = draw(self.attitude);
+        State {
+            position: state.position + Ned::from(draw(self.position)),
+            velocity: state.velocity + Ned::from(draw(self.velocity)),
+            attitude: state.attitude.compose(Euler { roll, pitch, yaw }.attitude()),
+            body_rate: state.body_rate + Frd::from(draw(self.body_rate)),
+        }
+    }
+}
+
+/// The reported state at `time`; the body rate is not late.
+fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
+    let [w, x, y, z] = flight.attitude.at(time);
+    State {
+        position: flight.position.at(time).into(),
+        velocity: flight.velocity.at(time).into(),
+        attitude: Attitude { w, x, y, z }.normalized(),
+        body_rate: flight.body_rate.at(time - latency).into(),
+    }
+}
+
+fn distance(a: &State, b: &State) -> [f64; 4] {
+    [
+        (a.position - b.position).norm(),
+        (a.velocity - b.velocity).norm(),
+        a.attitude.angle_to(b.attitude),
+        (a.body_rate - b.body_rate).norm(),
+    ]
+}
+
+/// Starts of the windows of a flight.
+fn starts(flight: &PreparedFlight) -> Vec<f64> {
+    let channels = &flight.channels;
+    if !(channels.velocity && channels.attitude && channels.body_rate) {
+        return Vec::new();
+    }
+    let mut starts = Vec::new();
+    for span in &flight.spans {
+        let mut start = span.start + MARGIN_S;
+        while start + HORIZONS_S[2] + 0.1 <= span.end {
+            starts.push(start);
+            start += SPACING_S;
+        }
+    }
+    starts
+}
+
+fn windows(
+    flights: &[PreparedFlight],
+    window: impl Fn(&PreparedFlight, f64) -> Option<[[f64; 4]; 3]> + Sync,
+) -> Vec<[[f64; 4]; 3]> {
+    let windows: Vec<(&PreparedFlight, f64)> = flights
+        .iter()
+        .flat_map(|flight| starts(flight).into_iter().map(move |start| (flight, start)))
+        .collect();
+    windows
+        .par_iter()
+        .map(|(flight, start)| window(flight, *start).unwrap_or([[f64::NAN; 4]; 3]))
+        .collect()
+}
+
+fn root_mean_square(errors: &[[[f64; 4]; 3]]) -> Option<Errors> {
+    let finite = |e: &&[[f64; 4]; 3]| e.iter().flatten().all(|x| x.is_finite());
+    let mut sums = [[0.0; 4]; 3];
+    let mut count = 0.0;
+    for error in errors.iter().filter(finite) {
+        count += 1.0;
+        for (sums, error) in sums.iter_mut().zip(error) {
+            for (sum, error) in sums.iter_mut().zip(error) {
+                *sum += error * error;
+            }
+        }
+    }
+    (count > 0.0).then(|| Errors(sums.map(|row| row.map(|sum: f64| (sum / count).sqrt()))))
+}
+
+/// One window counts at most so much, in squares of the floor: few windows alone do not decide.
+const GAIN_MAX: f64 = 4.0;
+
+/// How much smaller `after`'s squared errors are than `before`'s, in squares of the floor: by
+/// horizon and quantity the mean over windows, and its standard error.
+pub fn improvement(
+    before: &[[[f64; 4]; 3]],
+    after: &[[[f64; 4]; 3]],
+    floor: &Errors,
+) -> [[[f64; 2]; 4]; 3] {
+    std::array::from_fn(|h| {
+        std::array::from_fn(|q| {
+            let scale = floor.0[h][q].max(1e-12).powi(-2);
+            let gains: Vec<f64> = before
+                .iter()
+                .zip(after)
+                .map(|(b, a)| (b[h][q].powi(2) - a[h][q].powi(2)) * scale)
+                .map(|gain| gain.clamp(-GAIN_MAX, GAIN_MAX))
+                .filter(|gain| gain.is_finite())
+                .collect();
+            let n = gains.len() as f64;
+            if n < 2.0 {
+                return [0.0, f64::INFINITY];
+            }
+            let mean = gains.iter().sum::<f64>() / n;
+            let variance = gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0);
+            // Windows that overlap count once.
+            let effective = (n * SPACING_S / HORIZONS_S[2]).max(1.0);
+            [mean, (variance / effective).sqrt()]
+        })
+    })
+}

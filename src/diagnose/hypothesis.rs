@@ -1,0 +1,471 @@
+//! The catalogue as hypotheses, and the nuisances that are free in every one of them.
+//!
+//! Every number of the physics that a vehicle file states is known to within a *tolerance*: what a
+//! careful builder or a good identification leaves. Within it a number is a nuisance, free in
+//! every hypothesis and held by a prior of that width. An effect is named when its numbers must
+//! lie further off; its hypothesis takes them out of the tolerance and gives them a wide prior.
+
+use sitl::effects::{
+    AttitudeTrim, CommandDelay, Effect, EffectId, EffectSet, EstimatorLatency, Neutral, Parameter,
+    PdGain, RotorDrag, RotorLoss, Slots,
+};
+use sitl::physics::Physics;
+use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
+
+/// A nuisance stays within so many tolerances: what asks for more is an effect.
+const TOLERANCES_MAX: f64 = 3.0;
+
+/// Delays that a fit starts from: setpoints may keep step with the loop, and the cost then has many
+/// minima, s.
+const DELAYS_S: [f64; 19] = [
+    0.0, 0.004, 0.008, 0.012, 0.016, 0.02, 0.024, 0.028, 0.032, 0.036, 0.04, 0.044, 0.048, 0.052,
+    0.056, 0.06, 0.066, 0.072, 0.08,
+];
+/// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
+/// inertia per second.
+const DAMPING_TIME_S: f64 = 0.002;
+const DAMPING_RATE: f64 = 0.1;
+
+/// What a number of a hypothesis stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A slot of an effect. For rotor_loss: the scale of the given rotor.
+    Effect(EffectId, usize),
+    /// Scale of one rotor, in rotor_loss.
+    RotorScale(usize),
+    /// Factor on one rotor's thrust within its tolerance.
+    RotorGain(usize),
+    /// Moment against the body rate about one axis beyond the vehicle file's, N m s. Air does it,
+    /// and so do outputs that are logged less often than the loop ticks: between two of them the
+    /// desired attitude moves on, and the logged moment is off by kp times that.
+    Damping(usize),
+    /// How much later than logged the motor outputs act, without the lag, s.
+    OutputDelay,
+}
+
+/// A number that may be fitted.
+#[derive(Clone, Copy, Debug)]
+pub struct Number {
+    /// What it stands for.
+    pub target: Target,
+    /// What the vehicle file says, or the neutral value.
+    pub reference: f64,
+    /// Width of the prior within tolerance; 0 where the number stays at its reference unless its
+    /// effect is looked at.
+    pub tolerance: f64,
+    /// Width of the prior where its effect is looked at: a typical magnitude.
+    pub magnitude: f64,
+    /// Physical bounds.
+    pub bounds: [f64; 2],
+    /// Whether the effect grows with the square of the number: at 0 there is no slope.
+    pub quadratic: bool,
+}
+
+impl Number {
+    /// A step for numeric derivatives at `value`.
+    pub fn step(&self, value: f64) -> f64 {
+        // Over a typical magnitude, where an infinitesimal step would see nothing.
+        if self.quadratic && value == 0.0 { self.magnitude } else { 1e-3 * self.magnitude }
+    }
+}
+
+/// One explanation: an effect, or one way that it may act.
+#[derive(Clone, Debug)]
+pub struct Hypothesis {
+    /// The effect.
+    pub effect: EffectId,
+    /// Indices of its numbers.
+    pub numbers: Vec<usize>,
+    /// Values to start a fit from, each one for each number; the first is the nearest.
+    pub starts: Vec<Vec<f64>>,
+}
+
+/// All numbers and hypotheses for one vehicle and the channels of its logs.
+#[derive(Clone, Debug)]
+pub struct Catalogue {
+    /// The vehicle as shipped.
+    pub vehicle: VehicleParams,
+    /// Every number.
+    pub numbers: Vec<Number>,
+    /// Every hypothesis.
+    pub hypotheses: Vec<Hypothesis>,
+    /// Whether command_delay is from a logged output to its thrust, for want of setpoints.
+    pub outputs_late: bool,
+}
+
+/// Values of all numbers of a catalogue.
+pub type Values = Vec<f64>;
+
+impl Catalogue {
+    /// The catalogue for a vehicle. `setpoint_leg`: setpoints and the on-board law are known, so
+    /// that command_delay and pd_gain act there; else command_delay is from output to thrust.
+    pub fn new(vehicle: &VehicleParams, setpoint_leg: bool) -> Self {
+        let mut catalogue = Self {
+            vehicle: vehicle.clone(),
+            numbers: Vec::new(),
+            hypotheses: Vec::new(),
+            outputs_late: false,
+        };
+        let scales = Scales::of(vehicle);
+        for effect in EffectId::ALL {
+            let testable = match effect {
+                EffectId::PdGain => setpoint_leg,
+                EffectId::RotorGyroscopic => vehicle.rotor_max_rpm.is_some(),
+                // Told from what is left over, not by a regression.
+                EffectId::Gusts => false,
+                _ => true,
+            };
+            if !testable {
+                continue;
+            }
+            if effect == EffectId::RotorLoss {
+                for rotor in 0..ROTORS {
+                    let number = Number {
+                        target: Target::RotorScale(rotor),
+                        reference: modelled_scale(vehicle, rotor),
+                        tolerance: 0.0,
+                        magnitude: 0.15,
+                        bounds: [0.05, 1.0],
+                        quadratic: false,
+                    };
+                    let index = catalogue.add(number);
+                    catalogue.hypothesis(effect, vec![index], &[]);
+                }
+                continue;
+            }
+            if effect == EffectId::CommandDelay && !setpoint_leg {
+                let index = catalogue.add(Number {
+                    target: Target::OutputDelay,
+                    reference: reference(vehicle, effect, 0),
+                    tolerance: 0.002,
+                    magnitude: 0.02,
+                    bounds: [-0.03, 0.15],
+                    quadratic: false,
+                });
+                catalogue.hypothesis(effect, vec![index], &[0.01, 0.03, 0.06]);
+                catalogue.outputs_late = true;
+                continue;
+            }
+            let mut numbers = Vec::new();
+            for slot in effect.spec().slots() {
+                let Some([tolerance, magnitude]) = scales.of_slot(effect, slot.index) else {
+                    continue;
+                };
+                let reference = reference(vehicle, effect, slot.index);
+                let parameter = slot.parameter;
+                numbers.push(catalogue.add(Number {
+                    target: Target::Effect(effect, slot.index),
+                    reference,
+                    tolerance,
+                    magnitude,
+                    bounds: bounds(effect, parameter),
+                    quadratic: effect == EffectId::GroundEffect,
+                }));
+            }
+            let starts: &[f64] = match effect {
+                EffectId::EstimatorLatency => &[0.02, 0.05, 0.09],
+                EffectId::CommandDelay => &DELAYS_S,
+                EffectId::MotorLag => &[0.015, 0.03, 0.06, 0.1],
+                EffectId::GroundEffect => &[2.0, 4.0, 8.0],
+                _ => &[],
+            };
+            catalogue.hypothesis(effect, numbers, starts);
+        }
+        if setpoint_leg {
+            catalogue.add(Number {
+                target: Target::OutputDelay,
+                reference: 0.0,
+                tolerance: 0.002,
+                magnitude: 0.01,
+                bounds: [-0.03, 0.15],
+                quadratic: false,
+            });
+        }
+        for axis in 0..3 {
+            let kp = vehicle.attitude_pd.map_or(0.0, |pd| pd.kp[axis]);
+            catalogue.add(Number {
+                target: Target::Damping(axis),
+                reference: 0.0,
+                tolerance: (DAMPING_TIME_S * kp).max(DAMPING_RATE * vehicle.inertia[axis]),
+                magnitude: vehicle.inertia[axis],
+                bounds: [-10.0 * vehicle.inertia[axis], 10.0 * vehicle.inertia[axis]],
+                quadratic: false,
+            });
+        }
+        for rotor in 0..ROTORS {
+            catalogue.add(Number {
+                target: Target::RotorGain(rotor),
+                reference: 1.0,
+                tolerance: 0.003,
+                magnitude: 0.1,
+                bounds: [0.5, 2.0],
+                quadratic: false,
+            });
+        }
+        catalogue
+    }
+
+    fn add(&mut self, number: Number) -> usize {
+        self.numbers.push(number);
+        self.numbers.len() - 1
+    }
+
+    /// Adds a hypothesis that starts at its references or from `starts`: further values of its
+    /// first number (for ground_effect in rotor radii, where the reference says nothing).
+    fn hypothesis(&mut self, effect: EffectId, numbers: Vec<usize>, starts: &[f64]) {
+        let at_reference: Vec<f64> = numbers.iter().map(|i| self.numbers[*i].reference).collect();
+        let unit = if effect == EffectId::GroundEffect { self.vehicle.rotor_radius_m } else { 1.0 };
+        let mut all = Vec::new();
+        // Where the effect grows with the square of its number there is no slope at 0.
+        if effect != EffectId::GroundEffect || at_reference[0] > 0.0 {
+            all.push(at_reference.clone());
+        }
+        for start in starts {
+            let mut values = at_reference.clone();
+            values[0] = start * unit;
+            all.push(values);
+        }
+        self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
+    }
+
+    /// Every number at its reference.
+    pub fn references(&self) -> Values {
+        self.numbers.iter().map(|number| number.reference).collect()
+    }
+
+    /// Where a number may lie: within its physical bounds if it is active, else near its
+    /// reference.
+    pub fn limits(&self, number: usize, active: &[usize]) -> [f64; 2] {
+        let Number { reference, tolerance, bounds: [low, high], .. } = self.numbers[number];
+        if active.contains(&number) {
+            return [low, high];
+        }
+        let width = TOLERANCES_MAX * tolerance;
+        [(reference - width).max(low), (reference + width).min(high)]
+    }
+
+    /// Numbers with a tolerance: the nuisances.
+    pub fn nuisances(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.numbers.len()).filter(|i| self.numbers[*i].tolerance > 0.0)
+    }
+
+    /// The effects that `values` stand for beyond the vehicle file, restricted to `which` if
+    /// given: those with a number off its reference.
+    pub fn effects(&self, values: &[f64], which: Option<&[EffectId]>) -> EffectSet {
+        let mut set = EffectSet::new();
+        for effect in EffectId::ALL {
+            if which.is_some_and(|which| !which.contains(&effect)) {
+                continue;
+            }
+            let mut slots = base_slots(&self.vehicle, effect);
+            let mut off = false;
+            for (number, value) in self.numbers.iter().zip(values) {
+                match number.target {
+                    Target::Effect(id, slot) if id == effect => {
+                        off |= *value != number.reference;
+                        slots[slot] = *value;
+                    }
+                    Target::RotorScale(rotor)
+                        if effect == EffectId::RotorLoss && *value != number.reference =>
+                    {
+                        off = true;
+                        slots[0] = rotor as f64;
+                        slots[1] = *value;
+                    }
+                    Target::OutputDelay
+                        if effect == EffectId::CommandDelay
+                            && self.outputs_late
+                            && *value != number.reference =>
+                    {
+                        off = true;
+                        slots[0] = value.max(0.0);
+                    }
+                    _ => {}
+                }
+            }
+            if off {
+                // A number outside of the accepted range leaves the file's in force.
+                let _ = set.insert(effect, slots);
+            }
+        }
+        set
+    }
+
+    /// The vehicle that `values` stand for.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
+        let mut vehicle = self.vehicle.clone();
+        let mut output_delay = 0.0;
+        for (number, value) in self.numbers.iter().zip(values) {
+            match number.target {
+                Target::RotorGain(rotor) => vehicle.rotors[rotor].thrust_max_n *= value,
+                Target::OutputDelay => output_delay = *value,
+                Target::Damping(axis) if *value != 0.0 => {
+                    vehicle.angular_damping_nms.get_or_insert_default()[axis] += value;
+                }
+                _ => {}
+            }
+        }
+        let overlay = self.effects(values, None);
+        let effects = vehicle.modelled_effects.overlay(&overlay);
+        let physics = Physics::new(&vehicle, &overlay)?;
+        Ok(Candidate {
+            output_delay,
+            lag: physics.constants().motor_time_constant,
+            latency: effects.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
+            trim: effects.get::<AttitudeTrim>(),
+            command_delay: effects
+                .get::<CommandDelay>()
+                .map_or(self.vehicle.command_delay_s, |e| e.delay_s),
+            gains: effects.get::<PdGain>(),
+            physics,
+        })
+    }
+}
+
+/// A vehicle to explain flights with.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// Forces and moments.
+    pub physics: Physics,
+    /// From a logged output to when it acts, s.
+    pub output_delay: f64,
+    /// First-order lag behind it, s.
+    pub lag: f64,
+    /// How late pose is reported, s.
+    pub latency: f64,
+    /// How attitude is reported.
+    pub trim: Option<AttitudeTrim>,
+    /// From sending a setpoint to its use, s.
+    pub command_delay: f64,
+    /// The on-board gains' scales.
+    pub gains: Option<PdGain>,
+}
+
+/// The slots of an effect as the vehicle file or the neutral values have them.
+fn base_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
+    let mut slots = Slots::default();
+    for slot in effect.spec().slots() {
+        slots[slot.index] = reference(vehicle, effect, slot.index);
+    }
+    slots
+}
+
+/// Where a number may physically lie: rotors flap away from the wind, and packs sag as they empty.
+fn bounds(effect: EffectId, parameter: &Parameter) -> [f64; 2] {
+    let low = match effect {
+        EffectId::BladeFlapping | EffectId::BatterySag => 0.0,
+        _ => parameter.min,
+    };
+    [low, parameter.max]
+}
+
+/// What the vehicle file says of a slot: its modelled value, else the neutral one.
+pub fn reference(vehicle: &VehicleParams, effect: EffectId, slot: usize) -> f64 {
+    if effect == RotorDrag::ID
+        && let Some(drag) = vehicle.linear_drag_n_per_m_s
+    {
+        return drag;
+    }
+    if let Some(slots) = vehicle.modelled_effects.slots(effect) {
+        return slots[slot];
+    }
+    let found = effect.spec().slots().find(|s| s.index == slot);
+    found.map_or(0.0, |s| match s.parameter.neutral {
+        Neutral::Value(value) => value,
+        Neutral::Vehicle(value) => value(vehicle),
+        Neutral::None => s.parameter.default.unwrap_or(0.0),
+    })
+}
+
+fn modelled_scale(vehicle: &VehicleParams, rotor: usize) -> f64 {
+    let loss = vehicle.modelled_effects.get::<RotorLoss>();
+    loss.filter(|loss| loss.rotor == rotor).map_or(1.0, |loss| loss.scale)
+}
+
+/// Sizes that turn dimensionless tolerances and magnitudes into a vehicle's units.
+struct Scales {
+    mass: f64,
+    arm: f64,
+    weight: f64,
+    yaw_inertia: f64,
+    drag_modelled: Option<[f64; 2]>,
+    parasitic_modelled: Option<f64>,
+    sag_modelled: Option<f64>,
+    curve_modelled: Option<f64>,
+    rotor_radius: f64,
+    air_density: f64,
+    rotor_speed_max: f64,
+}
+
+/// Vehicle files round to four digits or so; this share of a modelled value is its tolerance.
+const MODELLED_TOLERANCE: f64 = 0.03;
+
+impl Scales {
+    fn of(vehicle: &VehicleParams) -> Self {
+        let arms = vehicle.rotors.map(|r| r.position_m[0].hypot(r.position_m[1]));
+        let effects = &vehicle.modelled_effects;
+        let value = |id, slot: usize| effects.slots(id).map(|slots| slots[slot]);
+        Self {
+            mass: vehicle.mass,
+            arm: arms.iter().sum::<f64>() / ROTORS as f64,
+            weight: vehicle.mass * vehicle.gravity,
+            yaw_inertia: vehicle.inertia[2],
+            // The exact linear drag is not a tolerance of rotor_drag's.
+            drag_modelled: vehicle
+                .linear_drag_n_per_m_s
+                .is_none()
+                .then(|| effects.slots(EffectId::RotorDrag).map(|s| [s[0], s[1]]))
+                .flatten(),
+            parasitic_modelled: value(EffectId::ParasiticDrag, 0),
+            sag_modelled: value(EffectId::BatterySag, 0),
+            curve_modelled: value(EffectId::ThrustCurve, 0),
+            rotor_radius: vehicle.rotor_radius_m,
+            air_density: vehicle.air_density,
+            rotor_speed_max: vehicle.rotor_max_rpm.unwrap_or(0.0) * std::f64::consts::TAU / 60.0,
+        }
+    }
+
+    /// Tolerance and magnitude of a slot that may be fitted.
+    fn of_slot(&self, effect: EffectId, slot: usize) -> Option<[f64; 2]> {
+        use EffectId::*;
+        let modelled = |value: Option<f64>| value.map_or(0.0, |v| MODELLED_TOLERANCE * v.abs());
+        Some(match (effect, slot) {
+            (ThrustScale, 0) => [0.003, 0.15],
+            (Mass, 0) => [0.0, 0.15 * self.mass],
+            (ThrustCurve, 0) => [modelled(self.curve_modelled), 0.4],
+            (BatterySag, 0) => [modelled(self.sag_modelled), 1.5],
+            (MotorLag, 0) => [0.001, 0.04],
+            (CommandDelay, 0) => [0.0015, 0.03],
+            // A time constant of drag of three seconds.
+            (RotorDrag, 0) => [modelled(self.drag_modelled.map(|d| d[0])), self.mass / 3.0],
+            (RotorDrag, 1) => [modelled(self.drag_modelled.map(|d| d[1])), self.mass / 6.0],
+            // A tenth of the weight at 8 m/s.
+            (ParasiticDrag, 0) => [
+                modelled(self.parasitic_modelled),
+                0.1 * self.weight / (0.5 * self.air_density * 64.0),
+            ],
+            (Wind, 0 | 1) => [0.03, 4.0],
+            // A steady wind blows along the floor.
+            (Wind, 2) => [0.03, 0.2],
+            (GroundEffect, 0) => [0.0, 4.0 * self.rotor_radius],
+            (TranslationalLift, 0) => [0.0, 0.005],
+            // A tenth of the weight at a tenth of the arm per m/s.
+            (BladeFlapping, 0) => [0.0, 0.01 * self.weight * self.arm],
+            (BladeFlapping, 1) => [0.0, 0.01],
+            (VortexRing, 0) => [0.0, 0.3],
+            (Inertia, 0..=2) => [0.017, 0.35],
+            (ComOffset, 0 | 1) => [0.001 * self.arm, 0.05 * self.arm],
+            // The four rotors from rest to full speed against the yaw inertia: 30 rad/s of yaw.
+            (RotorGyroscopic, 0) => [0.0, 7.5 * self.yaw_inertia / self.rotor_speed_max],
+            (YawTorque, 0) => [0.01, 0.35],
+            (AttitudeTrim, 0 | 1) => [0.0007, 0.03],
+            (AttitudeTrim, 2) => [0.002, 0.03],
+            (EstimatorLatency, 0) => [0.0007, 0.04],
+            (PdGain, 0..=5) => [0.01, 0.3],
+            _ => return None,
+        })
+    }
+}

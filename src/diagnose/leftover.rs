@@ -1,0 +1,159 @@
+//! What is left of the forces after the best explanation.
+//!
+//! Velocity and accelerometer see the same force through noises that have nothing in common: the
+//! product of what each leaves unexplained is, on average, the power of forces that no hypothesis
+//! has, free of both noises.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::fit::Observed;
+use super::hypothesis::Candidate;
+use super::residuals::{Evaluator, FORCE, Groups, VELOCITY};
+use super::spectrum::{BANDS, CELL_S, CosineTransform, band, frequency};
+use sitl::frame::{Attitude, Frd};
+
+/// Forces are looked at up to here, Hz: above, rotors and delays that are not quite right show.
+const FORCE_MAX_HZ: f64 = 4.5;
+/// From there to here the noise that both share is looked for, Hz.
+const NOISE_MAX_HZ: f64 = 11.5;
+/// Shared noise is not white for sure: below, so much of it may be.
+const SHARED_FACTOR: f64 = 3.0;
+/// The least, Hz: the accelerometer's bias wanders below.
+const FORCE_MIN_HZ: f64 = 0.1;
+
+/// Force per mass that nothing explains.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct UnmodelledForce {
+    /// Mean square over 0.1 to 4.5 Hz, along north, east, down, m^2/s^4; below 0 by chance only.
+    pub mean_square: [f64; 3],
+    /// Standard error of the sum of the three.
+    pub error: f64,
+    /// Of the sum, by band: from, to [Hz] and mean square [m^2/s^4].
+    pub bands: Vec<[f64; 3]>,
+}
+
+impl UnmodelledForce {
+    /// The sum over the axes, m^2/s^4.
+    pub fn total(&self) -> f64 {
+        self.mean_square.iter().sum()
+    }
+
+    /// Root mean square, m/s^2.
+    pub fn rms(&self) -> f64 {
+        self.total().max(0.0).sqrt()
+    }
+
+    /// Standard errors above 0.
+    pub fn significance(&self) -> f64 {
+        if self.error > 0.0 { self.total() / self.error } else { 0.0 }
+    }
+}
+
+/// Force that `candidate` leaves unexplained; `None` where the logs lack accelerometer or velocity.
+pub fn unmodelled_force(
+    observed: &Observed<'_>,
+    evaluator: &Evaluator,
+    candidate: &Candidate,
+) -> Option<UnmodelledForce> {
+    let transform = CosineTransform::default();
+    // Of each band and axis: products, squares of both, number.
+    let tasks: Vec<_> = observed
+        .flights
+        .iter()
+        .zip(&observed.layouts)
+        .filter(|(_, layout)| layout.has(VELOCITY) && layout.has(FORCE))
+        .flat_map(|(flight, layout)| flight.blocks.iter().map(move |block| (flight, layout, block)))
+        .collect();
+    if tasks.is_empty() {
+        return None;
+    }
+    let sums: Vec<[[[f64; 4]; 3]; BANDS.len()]> = tasks
+        .par_iter()
+        .map(|(flight, layout, block)| {
+            let series = evaluator.series(flight, layout, block, candidate, Groups::ALL);
+            let n = block.cells;
+            let mean: [f64; 3] =
+                std::array::from_fn(|i| series[FORCE + i].iter().sum::<f64>() / n as f64);
+            let mut world: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(n));
+            let mut attitude = flight.attitude.cursor();
+            let [front, right, down] = [0, 1, 2].map(|i| &series[FORCE + i]);
+            for (k, ((f, r), d)) in front.iter().zip(right).zip(down).enumerate() {
+                let [w, x, y, z] = attitude.at(block.middle(k) + candidate.latency);
+                let force = [f - mean[0], r - mean[1], d - mean[2]];
+                let turned = Attitude { w, x, y, z }.normalized().to_world(Frd::from(force));
+                for (axis, value) in world.iter_mut().zip(turned.to_array()) {
+                    axis.push(value);
+                }
+            }
+            let mut scratch = Vec::new();
+            let mut sums = [[[0.0; 4]; 3]; BANDS.len()];
+            for axis in 0..3 {
+                let mut v = series[VELOCITY + axis].clone();
+                transform.apply(&mut v, &mut scratch);
+                transform.apply(&mut world[axis], &mut scratch);
+                for k in 0..n {
+                    let f = frequency(k, n);
+                    if !(FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&f) {
+                        continue;
+                    }
+                    let Some(band) = band(f) else { continue };
+                    let (a, b) = (v[k], world[axis][k]);
+                    let [product, left, right, count] = &mut sums[band][axis];
+                    *product += a * b;
+                    *left += a * a;
+                    *right += b * b;
+                    *count += 1.0;
+                }
+            }
+            sums
+        })
+        .collect();
+    let mut total = [[[0.0; 4]; 3]; BANDS.len()];
+    for block in &sums {
+        for (total, part) in
+            total.iter_mut().flatten().flatten().zip(block.iter().flatten().flatten())
+        {
+            *total += part;
+        }
+    }
+    let mut force = UnmodelledForce { mean_square: [0.0; 3], error: 0.0, bands: Vec::new() };
+    let mut variance = 0.0;
+    for (band, axes) in total.iter().enumerate() {
+        let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
+        if lower >= FORCE_MAX_HZ {
+            break;
+        }
+        let width = BANDS[band] - lower;
+        let mut in_band = 0.0;
+        for (axis, [product, left, right, count]) in axes.iter().enumerate() {
+            if *count < 1.0 {
+                continue;
+            }
+            // Power per coefficient to mean square: a share of the cells' Nyquist band.
+            let share = 2.0 * CELL_S * width / count;
+            let power = (product - SHARED_FACTOR * count * shared_noise(&total, axis)) * share;
+            force.mean_square[axis] += power;
+            in_band += power;
+            variance += share * share * left * right / count;
+        }
+        if axes[0][3] > 0.0 {
+            force.bands.push([lower, BANDS[band], in_band]);
+        }
+    }
+    force.error = variance.sqrt();
+    Some(force)
+}
+
+/// Product of both per coefficient above the forces' band: an estimator that integrates the
+/// accelerometer puts its white noise into the velocity too.
+fn shared_noise(total: &[[[f64; 4]; 3]; BANDS.len()], axis: usize) -> f64 {
+    let (mut product, mut count) = (0.0, 0.0);
+    for (band, axes) in total.iter().enumerate() {
+        if band > 0 && BANDS[band - 1] >= FORCE_MAX_HZ {
+            product += axes[axis][0];
+            count += axes[axis][3];
+        }
+    }
+    if count > 0.0 { (product / count).max(0.0) } else { 0.0 }
+}

@@ -1,0 +1,227 @@
+//! Where the gap lies: what the simulator as shipped leaves unexplained, by channel and time
+//! scale, by frame and by regime, against the floor.
+
+use rayon::prelude::*;
+use serde::Serialize;
+use sitl::frame::{Attitude, Ned};
+
+use super::fit::Observed;
+use super::hypothesis::Candidate;
+use super::preparation::PreparedFlight;
+use super::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, Groups, VELOCITY};
+use super::spectrum::{BANDS, CELL_S};
+
+/// Time scales: name and upper end, Hz.
+const SCALES: [(&str, f64); 3] = [("slow", 0.35), ("middle", 2.2), ("fast", 20.0)];
+/// Cells of time that a regime's samples are averaged over: 0.25 s.
+const SAMPLE_CELLS: usize = 25;
+
+/// One channel at one time scale.
+#[derive(Clone, Debug, Serialize)]
+pub struct Cell {
+    /// Which equation.
+    pub channel: &'static str,
+    /// `slow` (below 0.35 Hz), `middle` (to 2.2 Hz), `fast`.
+    pub scale: &'static str,
+    /// Root mean square that the shipped simulator leaves, in the channel's SI unit.
+    pub rms: f64,
+    /// The same of the floor: what the best explanation leaves.
+    pub floor: f64,
+    /// Excess over the floor in units of it: (rms^2 - floor^2) / floor^2.
+    pub excess: f64,
+}
+
+/// How the unexplained acceleration goes with one quantity.
+#[derive(Clone, Debug, Serialize)]
+pub struct Regime {
+    /// The quantity.
+    pub quantity: &'static str,
+    /// Bounds of its quarters: least, quartiles, largest.
+    pub bounds: [f64; 5],
+    /// Root mean square of the unexplained acceleration in each quarter, m/s^2.
+    pub rms: [f64; 4],
+}
+
+/// The map.
+#[derive(Clone, Debug, Serialize)]
+pub struct ResidualMap {
+    /// Channels and time scales, the largest excess first.
+    pub cells: Vec<Cell>,
+    /// Unexplained acceleration that is constant in the world: north, east, down, m/s^2.
+    pub constant_in_world: Option<[f64; 3]>,
+    /// And in the body: front, right, down, m/s^2.
+    pub constant_in_body: Option<[f64; 3]>,
+    /// Regimes, the steepest first.
+    pub regimes: Vec<Regime>,
+    /// In words.
+    pub sentence: String,
+}
+
+/// Maps what `shipped` leaves of flights; `power` is that of the shipped simulator, `floor` what
+/// the best explanation leaves, by place.
+pub fn map(
+    observed: &Observed<'_>,
+    evaluator: &Evaluator,
+    shipped: &Candidate,
+    power: &[f64],
+    floor: &[f64],
+) -> ResidualMap {
+    let mut cells = Vec::new();
+    for (channel, name) in CHANNEL_NAMES.iter().enumerate().take(CHANNELS) {
+        let mut lower = 0.0;
+        for (scale, upper) in SCALES {
+            let (mut before, mut after, mut counted) = (0.0, 0.0, false);
+            for band in 0..BANDS.len() {
+                let from = if band == 0 { 0.0 } else { BANDS[band - 1] };
+                let place = channel * BANDS.len() + band;
+                let n = observed.counts()[place];
+                if n > 0.0 && from >= lower && BANDS[band] <= upper {
+                    let share = 2.0 * CELL_S * (BANDS[band] - from) / n;
+                    before += power[place] * share;
+                    after += floor[place] * share;
+                    counted = true;
+                }
+            }
+            lower = upper;
+            if counted && after > 0.0 {
+                let excess = (before - after) / after;
+                let (rms, floor) = (before.sqrt(), after.sqrt());
+                cells.push(Cell { channel: name, scale, rms, floor, excess });
+            }
+        }
+    }
+    cells.sort_by(|a, b| b.excess.total_cmp(&a.excess).then(a.channel.cmp(b.channel)));
+    let samples = samples(observed, evaluator, shipped);
+    let mean = |of: fn(&Sample) -> [f64; 3]| -> Option<[f64; 3]> {
+        (!samples.is_empty()).then(|| {
+            let n = samples.len() as f64;
+            std::array::from_fn(|i| samples.iter().map(|s| of(s)[i]).sum::<f64>() / n)
+        })
+    };
+    let mut regimes: Vec<Regime> = QUANTITIES
+        .iter()
+        .enumerate()
+        .filter_map(|(index, quantity)| regime(&samples, index, quantity))
+        .collect();
+    regimes.sort_by(|a, b| steepness(b).total_cmp(&steepness(a)));
+    let constant_in_world = mean(|s| s.world);
+    let constant_in_body = mean(|s| s.body);
+    let sentence = sentence(&cells, &regimes);
+    ResidualMap { cells, constant_in_world, constant_in_body, regimes, sentence }
+}
+
+/// What regimes are told by.
+const QUANTITIES: [&str; 6] =
+    ["speed [m/s]", "climb [m/s]", "height [m]", "throttle [0..1]", "voltage [V]", "turn [rad/s]"];
+
+/// A quarter of a second.
+struct Sample {
+    world: [f64; 3],
+    body: [f64; 3],
+    quantities: [f64; QUANTITIES.len()],
+}
+
+fn samples(observed: &Observed<'_>, evaluator: &Evaluator, shipped: &Candidate) -> Vec<Sample> {
+    let tasks: Vec<_> = observed
+        .flights
+        .iter()
+        .zip(&observed.layouts)
+        .filter(|(flight, layout)| layout.has(VELOCITY) && flight.channels.attitude)
+        .flat_map(|(flight, layout)| flight.blocks.iter().map(move |block| (flight, layout, block)))
+        .collect();
+    let groups = Groups { dynamics: true, kinematics: false, command: false };
+    tasks
+        .par_iter()
+        .flat_map_iter(|(flight, layout, block)| {
+            let series = evaluator.series(flight, layout, block, shipped, groups);
+            (0..block.cells / SAMPLE_CELLS)
+                .map(|k| {
+                    let cells = k * SAMPLE_CELLS..(k + 1) * SAMPLE_CELLS;
+                    let time = block.edge(cells.start) + 0.5 * SAMPLE_CELLS as f64 * CELL_S;
+                    let world: [f64; 3] = std::array::from_fn(|i| {
+                        series[VELOCITY + i][cells.clone()].iter().sum::<f64>()
+                            / SAMPLE_CELLS as f64
+                    });
+                    sample(flight, time, world)
+                })
+                .collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+fn sample(flight: &PreparedFlight, time: f64, world: [f64; 3]) -> Sample {
+    let [w, x, y, z] = flight.attitude.at(time);
+    let attitude = Attitude { w, x, y, z }.normalized();
+    let [vn, ve, vd] = flight.velocity.at(time);
+    let [.., down] = flight.position.at(time);
+    let [p, q, r] = flight.body_rate.at(time);
+    Sample {
+        world,
+        body: attitude.to_body(Ned::from(world)).to_array(),
+        quantities: [
+            (vn * vn + ve * ve + vd * vd).sqrt(),
+            -vd,
+            -down,
+            flight.outputs.at(time).iter().sum::<f64>() / 4.0,
+            flight.voltage.at(time)[0],
+            (p * p + q * q + r * r).sqrt(),
+        ],
+    }
+}
+
+fn regime(samples: &[Sample], index: usize, quantity: &'static str) -> Option<Regime> {
+    let mut order: Vec<&Sample> = samples.iter().collect();
+    order.sort_by(|a, b| a.quantities[index].total_cmp(&b.quantities[index]));
+    let n = order.len();
+    let (first, last) = (order.first()?.quantities[index], order.last()?.quantities[index]);
+    if n < 16 || last <= first {
+        return None;
+    }
+    let at = |quarter: usize| order[(quarter * n / 4).min(n - 1)].quantities[index];
+    let rms = std::array::from_fn(|quarter| {
+        let part = &order[quarter * n / 4..(quarter + 1) * n / 4];
+        let square: f64 = part.iter().flat_map(|s| s.world).map(|x| x * x).sum();
+        (square / part.len() as f64).sqrt()
+    });
+    Some(Regime { quantity, bounds: std::array::from_fn(at), rms })
+}
+
+/// Largest over smallest quarter.
+fn steepness(regime: &Regime) -> f64 {
+    let most = regime.rms.iter().copied().fold(0.0, f64::max);
+    let least = regime.rms.iter().copied().fold(f64::INFINITY, f64::min);
+    most / least.max(1e-9)
+}
+
+/// Excess that is worth a word.
+const EXCESS_MIN: f64 = 0.3;
+/// A regime is worth a word if its quarters differ by this factor.
+const STEEP: f64 = 2.0;
+
+fn sentence(cells: &[Cell], regimes: &[Regime]) -> String {
+    let shown: Vec<&Cell> = cells.iter().filter(|cell| cell.excess > EXCESS_MIN).take(3).collect();
+    if shown.is_empty() {
+        return "Nothing stands out over the floor in any channel.".to_owned();
+    }
+    let list: Vec<String> = shown
+        .iter()
+        .map(|cell| {
+            let factor = (1.0 + cell.excess).sqrt();
+            format!("{} ({}, {factor:.1} times the floor)", cell.channel, cell.scale)
+        })
+        .collect();
+    let mut sentence = format!("The gap is largest in {}", list.join(", "));
+    if let Some(regime) = regimes.first().filter(|regime| steepness(regime) > STEEP) {
+        let (most, least) = (steepness(regime), regime.quantity);
+        let rises = regime.rms[3] > regime.rms[0];
+        sentence += &format!(
+            "; the unexplained acceleration {} with {least}, by a factor of {most:.1} between quarters",
+            if rises { "grows" } else { "falls" }
+        );
+    }
+    let command = shown.iter().all(|cell| CHANNEL_NAMES[COMMAND..].contains(&cell.channel));
+    if command {
+        sentence += "; it lies between setpoint and motor output, not in the motion";
+    }
+    sentence + "."
+}

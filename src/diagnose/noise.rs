@@ -1,0 +1,109 @@
+//! The noise of what is reported, from what no model of the vehicle explains at high frequency.
+
+use super::fit::Fit;
+use super::gap::ReportNoise;
+use super::preparation::PreparedFlight;
+use super::residuals::{ATTITUDE, VELOCITY};
+use super::spectrum::{BANDS, CELL_S};
+
+/// Below this gyro and accelerometer wander, and forces act, Hz.
+const ATTITUDE_FROM_HZ: f64 = 0.35;
+/// Above this a vehicle's velocity and body rate are mostly noise, Hz.
+const WHITE_FROM_HZ: f64 = 8.0;
+
+/// Noise of the reports, from the spectrum that a fit leaves.
+pub fn report_noise(flights: &[PreparedFlight], fit: &Fit, counts: &[f64]) -> ReportNoise {
+    let variance = fit.noise(counts);
+    let rate = |of: fn(&PreparedFlight) -> f64| {
+        flights.iter().map(of).sum::<f64>() / flights.len().max(1) as f64
+    };
+    let velocity = white(&variance, VELOCITY, rate(|f| f.velocity.rate()));
+    let body_rate = second_differences(flights);
+    ReportNoise {
+        position: position(flights, velocity),
+        velocity,
+        attitude: attitude(&variance),
+        body_rate,
+    }
+}
+
+/// Power gain of the increment over a cell at a frequency, 1/s^2.
+fn increment_gain(frequency_hz: f64) -> f64 {
+    (2.0 * (std::f64::consts::PI * frequency_hz * CELL_S).sin() / CELL_S).powi(2)
+}
+
+fn middle(band: usize) -> f64 {
+    let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
+    0.5 * (lower + BANDS[band])
+}
+
+/// Deviation of white noise at `rate` samples per second whose increments are seen in three
+/// channels from `first` on. The median over bands and axes: vibration and motion only add.
+fn white(variance: &[f64], first: usize, rate: f64) -> f64 {
+    let mut found: Vec<f64> = (first..first + 3)
+        .flat_map(|channel| (0..BANDS.len()).map(move |band| (channel, band)))
+        .filter(|(_, band)| middle(*band) > WHITE_FROM_HZ)
+        .map(|(channel, band)| {
+            variance[channel * BANDS.len() + band] / increment_gain(middle(band)) * rate * CELL_S
+        })
+        .filter(|v| *v > 0.0)
+        .collect();
+    found.sort_by(f64::total_cmp);
+    found.get(found.len() / 2).map_or(0.0, |v| v.sqrt())
+}
+
+/// Deviation of the body rate's white noise, by the median of its second differences: a body turns
+/// smoothly over three samples, most of the time.
+fn second_differences(flights: &[PreparedFlight]) -> f64 {
+    let mut squares: Vec<f64> = Vec::new();
+    for flight in flights {
+        let times = flight.body_rate.times();
+        for (t, w) in times.windows(3).zip(flight.body_rate.values().windows(3)) {
+            if flight.spans.iter().any(|s| s.contains(&t[1])) {
+                squares.extend((0..3).map(|i| (w[0][i] - 2.0 * w[1][i] + w[2][i]).powi(2)));
+            }
+        }
+    }
+    if squares.is_empty() {
+        return 0.0;
+    }
+    squares.sort_by(f64::total_cmp);
+    // The median of a squared standard normal number is 0.455.
+    (squares[squares.len() / 2] / (6.0 * 0.455)).sqrt()
+}
+
+/// Deviation of the attitude's coloured noise: its power summed over the bands.
+fn attitude(variance: &[f64]) -> f64 {
+    let mut sum = 0.0;
+    for channel in ATTITUDE..ATTITUDE + 3 {
+        for band in 1..BANDS.len() {
+            let lower = BANDS[band - 1];
+            if lower >= ATTITUDE_FROM_HZ {
+                let density = variance[channel * BANDS.len() + band] / increment_gain(middle(band));
+                sum += density * 2.0 * CELL_S * (BANDS[band] - lower);
+            }
+        }
+    }
+    (sum / 3.0).sqrt()
+}
+
+/// Deviation of the position's noise: its increments against the velocity's integral.
+fn position(flights: &[PreparedFlight], velocity_noise: f64) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for flight in flights {
+        for pair in flight.position.times().windows(2) {
+            let step = pair[1] - pair[0];
+            if step > 0.05 || !flight.spans.iter().any(|s| s.contains(&pair[0])) {
+                continue;
+            }
+            let (a, b) = (flight.position.at(pair[0]), flight.position.at(pair[1]));
+            let (v, w) = (flight.velocity.at(pair[0]), flight.velocity.at(pair[1]));
+            for i in 0..3 {
+                let miss = b[i] - a[i] - 0.5 * step * (v[i] + w[i]);
+                sum += miss * miss - 0.5 * (step * velocity_noise).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    (0.5 * sum / f64::max(count, 1.0)).max(0.0).sqrt()
+}

@@ -1,0 +1,107 @@
+//! The vehicle's own attitude loop: what it makes of logged setpoints.
+
+use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
+use sitl::autopilot::pd::AttitudeLoop;
+use sitl::effects::PdGain;
+use sitl::frame::{Attitude, Frd};
+use sitl::rotor::Allocation;
+use sitl::vehicle::{AttitudePd, VehicleParams};
+
+use super::preparation::PreparedFlight;
+
+/// A setpoint older than this no longer rules, s.
+const AGE_MAX_S: f64 = 0.1;
+/// Mean of the link's jitter, s: the exponential part of a delay of at least that.
+const JITTER_MEAN_S: f64 = 0.001;
+/// Setpoints whose arrival may still be awaited at a tick.
+const UNDER_WAY: usize = 3;
+/// The law with its mixer, as the vehicle file states them.
+#[derive(Clone, Debug)]
+pub struct OnboardLaw {
+    pd: AttitudePd,
+    allocation: Allocation,
+}
+
+/// When a law's command was given and what it sees then.
+#[derive(Clone, Copy, Debug)]
+pub struct Timing {
+    /// From sending a setpoint to its use, s.
+    pub command_delay: f64,
+    /// How late the logged attitude is against what is used on board, s.
+    pub latency: f64,
+}
+
+impl OnboardLaw {
+    /// The law of a vehicle that states it.
+    pub fn new(vehicle: &VehicleParams) -> Option<Self> {
+        Some(Self { pd: vehicle.attitude_pd?, allocation: vehicle.allocation().ok()? })
+    }
+
+    /// The firmware's mixer.
+    pub fn allocation(&self) -> &Allocation {
+        &self.allocation
+    }
+
+    /// Time of the loop's latest tick at `time`.
+    pub fn tick(&self, time: f64) -> f64 {
+        ((time + 1e-6) * self.pd.rate_hz).floor() / self.pd.rate_hz
+    }
+
+    /// The loop with its gains scaled.
+    pub fn with_gains(&self, gains: Option<PdGain>) -> AttitudeLoop {
+        AttitudeLoop::new(gains.map_or(self.pd, |gains| gains.apply(&self.pd)), self.allocation)
+    }
+
+    /// What `law` gives at the tick `tick` of a flight, on average over the link's jitter; `None`
+    /// where no setpoint rules.
+    pub fn outputs(
+        &self,
+        law: &AttitudeLoop,
+        flight: &PreparedFlight,
+        tick: f64,
+        timing: Timing,
+    ) -> Option<[f64; 4]> {
+        let [w, x, y, z] = flight.attitude.at(tick + timing.latency);
+        let reported = Attitude { w, x, y, z }.normalized().euler();
+        let rate = Frd::from(flight.body_rate.at(tick));
+        let constant = (timing.command_delay - JITTER_MEAN_S).max(0.0);
+        let newest = flight.setpoint.index_at(tick - constant)?;
+        let mut outputs = [0.0; 4];
+        // Probability that none of the newer setpoints has arrived.
+        let mut none_yet = 1.0;
+        for index in (newest.saturating_sub(UNDER_WAY)..=newest).rev() {
+            let under_way = tick - constant - flight.setpoint.times()[index];
+            let arrived = 1.0 - (-under_way / JITTER_MEAN_S).exp();
+            let share = none_yet * arrived;
+            if share > 1e-3 {
+                let asked = setpoint(flight, index, tick)?;
+                let by_law = law.outputs(&asked, reported, rate);
+                outputs.iter_mut().zip(by_law).for_each(|(sum, u)| *sum += share * u);
+            }
+            none_yet -= share;
+            if none_yet < 1e-3 {
+                break;
+            }
+        }
+        Some(outputs.map(|u| u / (1.0 - none_yet)))
+    }
+}
+
+/// The setpoint of this index, unless it is stale at `time` or does not say how much thrust.
+fn setpoint(flight: &PreparedFlight, index: usize, time: f64) -> Option<OnboardSetpoint> {
+    if time - flight.setpoint.times()[index] > AGE_MAX_S {
+        return None;
+    }
+    let setpoint = &flight.setpoint.values()[index];
+    Some(OnboardSetpoint {
+        attitude: setpoint.attitude.map(|attitude| attitude.euler()),
+        body_rate: setpoint.body_rate.unwrap_or(Frd::zero()),
+        thrust: setpoint.thrust?.clamp(0.0, 1.0),
+        type_mask: wire::dialect::AttitudeTargetTypemask::empty(),
+    })
+}
+
+/// The setpoint in force that was sent by `sent`.
+pub fn setpoint_at(flight: &PreparedFlight, sent: f64) -> Option<OnboardSetpoint> {
+    setpoint(flight, flight.setpoint.index_at(sent)?, sent)
+}

@@ -1,0 +1,395 @@
+//! Flights made ready: streams as plain numbers, and the blocks of airborne time to look at.
+
+use std::ops::Range;
+
+use sitl::frame::Attitude;
+use sitl::vehicle::VehicleParams;
+
+use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
+use crate::learn::segments::Segments;
+use crate::log::import::{AttitudeSetpoint, Flight, Stream, UnitUnknown};
+
+/// Streams faster than this are averaged over [`SMOOTHING_S`] first, Hz: what lies above the bands
+/// would fold into them.
+const RATE_MAX_HZ: f64 = 260.0;
+const SMOOTHING_S: f64 = 0.005;
+/// Share of the hover output above which a vehicle without a word on it is in the air.
+const LIFTS: f64 = 0.5;
+/// Shorter drops of the output are manoeuvres, s.
+const DROP_MAX_S: f64 = 0.7;
+/// Time before a block from which rotors and delays reach into it, s.
+const MARGIN_S: f64 = 0.35;
+
+/// Samples of N numbers over time, read linearly between them.
+#[derive(Clone, Debug, Default)]
+pub struct Series<const N: usize> {
+    times: Vec<f64>,
+    values: Vec<[f64; N]>,
+}
+
+impl<const N: usize> Series<N> {
+    fn of<T>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -> Self {
+        Self { times: stream.times().to_vec(), values: stream.values().iter().map(value).collect() }
+            .smoothed(stream.rate())
+    }
+
+    /// Moving average over [`SMOOTHING_S`] of a stream that is too fast.
+    fn smoothed(self, rate: f64) -> Self {
+        if rate <= RATE_MAX_HZ {
+            return self;
+        }
+        let half = ((0.5 * SMOOTHING_S * rate).round() as usize).max(1);
+        let n = self.values.len();
+        let values = (0..n)
+            .map(|i| {
+                let window = &self.values[i.saturating_sub(half)..(i + half + 1).min(n)];
+                let count = window.len() as f64;
+                std::array::from_fn(|c| window.iter().map(|v| v[c]).sum::<f64>() / count)
+            })
+            .collect();
+        Self { values, ..self }
+    }
+
+    /// Whether there are no samples.
+    pub fn is_empty(&self) -> bool {
+        self.times.is_empty()
+    }
+
+    /// Samples per second.
+    pub fn rate(&self) -> f64 {
+        match self.times.as_slice() {
+            [first, .., last] => (self.times.len() - 1) as f64 / (last - first),
+            _ => 0.0,
+        }
+    }
+
+    /// Times, s.
+    pub fn times(&self) -> &[f64] {
+        &self.times
+    }
+
+    /// Values, one for each time.
+    pub fn values(&self) -> &[[f64; N]] {
+        &self.values
+    }
+
+    /// A reader for ascending times.
+    pub fn cursor(&self) -> Cursor<'_, N> {
+        Cursor { series: self, index: 0 }
+    }
+
+    /// The value at `time`; the nearest sample's beyond the ends.
+    pub fn at(&self, time: f64) -> [f64; N] {
+        let index = self.times.partition_point(|t| *t <= time).saturating_sub(1);
+        self.between(index, time)
+    }
+
+    fn between(&self, index: usize, time: f64) -> [f64; N] {
+        let Some(before) = self.values.get(index) else { return [0.0; N] };
+        let Some(after) = self.values.get(index + 1) else { return *before };
+        let (t0, t1) = (self.times[index], self.times[index + 1]);
+        let share = ((time - t0) / (t1 - t0)).clamp(0.0, 1.0);
+        std::array::from_fn(|i| before[i] + share * (after[i] - before[i]))
+    }
+}
+
+/// Reads a [`Series`] at times that mostly ascend, without a search.
+#[derive(Clone, Debug)]
+pub struct Cursor<'a, const N: usize> {
+    series: &'a Series<N>,
+    index: usize,
+}
+
+impl<const N: usize> Cursor<'_, N> {
+    /// The value at `time`; the nearest sample's beyond the ends.
+    pub fn at(&mut self, time: f64) -> [f64; N] {
+        let times = &self.series.times;
+        if self.index > 0 && times[self.index] > time {
+            self.index = times.partition_point(|t| *t <= time).saturating_sub(1);
+        }
+        while self.index + 1 < times.len() && times[self.index + 1] <= time {
+            self.index += 1;
+        }
+        self.series.between(self.index, time)
+    }
+}
+
+/// Airborne time that is looked at as one: `cells` of [`CELL_S`] from `start`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Block {
+    /// Start of the first cell, s.
+    pub start: f64,
+    /// Number of cells, a power of two.
+    pub cells: usize,
+}
+
+impl Block {
+    /// The edge before cell `index`.
+    pub fn edge(&self, index: usize) -> f64 {
+        self.start + index as f64 * CELL_S
+    }
+
+    /// The middle of cell `index`.
+    pub fn middle(&self, index: usize) -> f64 {
+        self.start + (index as f64 + 0.5) * CELL_S
+    }
+
+    /// The block's end.
+    pub fn end(&self) -> f64 {
+        self.edge(self.cells)
+    }
+}
+
+/// What a flight's log holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Channels {
+    /// Position and velocity.
+    pub velocity: bool,
+    /// Attitude.
+    pub attitude: bool,
+    /// Body rate.
+    pub body_rate: bool,
+    /// Specific force.
+    pub specific_force: bool,
+    /// Motor outputs.
+    pub outputs: bool,
+    /// Setpoints with attitude and thrust, where the on-board law is known.
+    pub setpoint: bool,
+    /// Pack voltage.
+    pub voltage: bool,
+    /// Rotor speeds.
+    pub rotor_speed: bool,
+}
+
+/// A flight ready to be looked at.
+#[derive(Clone, Debug)]
+pub struct PreparedFlight {
+    /// File name without extension.
+    pub name: String,
+    /// What its log holds.
+    pub channels: Channels,
+    /// Position, m, NED.
+    pub position: Series<3>,
+    /// Velocity, m/s, NED.
+    pub velocity: Series<3>,
+    /// Attitude as a quaternion whose sign does not jump.
+    pub attitude: Series<4>,
+    /// Body rate, rad/s.
+    pub body_rate: Series<3>,
+    /// Specific force, m/s^2.
+    pub specific_force: Series<3>,
+    /// Motor outputs, 0..1.
+    pub outputs: Series<4>,
+    /// Pack voltage, V.
+    pub voltage: Series<1>,
+    /// Setpoints as sent.
+    pub setpoint: Stream<AttitudeSetpoint>,
+    /// Airborne time without gaps, s.
+    pub spans: Vec<Range<f64>>,
+    /// The same as blocks.
+    pub blocks: Vec<Block>,
+}
+
+/// Why a flight cannot be looked at.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NotPrepared {
+    /// Nothing drives the plant.
+    #[error(
+        "the log has no motor outputs (and no rotor speeds with rotor_max_rpm), which drive the model"
+    )]
+    NoOutputs,
+    /// Nothing answers.
+    #[error("the log has neither velocity nor specific force nor body rate")]
+    NoMotion,
+    /// Its motor outputs mean nothing.
+    #[error(transparent)]
+    Unit(#[from] UnitUnknown),
+    /// It hardly flies.
+    #[error("only {0:.1} s of it are in the air without gaps; at least {min:.1} s are needed", min = BLOCK_MIN as f64 * CELL_S)]
+    TooShort(f64),
+}
+
+impl PreparedFlight {
+    /// Makes `flight` of `vehicle` ready.
+    ///
+    /// # Errors
+    /// [`NotPrepared`].
+    pub fn new(mut flight: Flight, vehicle: &VehicleParams) -> Result<Self, NotPrepared> {
+        flight.normalise_outputs(vehicle)?;
+        let mut outputs = Series::of(&flight.outputs, |u: &[f64; 4]| *u);
+        if outputs.is_empty()
+            && let Some(rpm) = vehicle.rotor_max_rpm
+        {
+            let most = rpm * std::f64::consts::TAU / 60.0;
+            outputs = Series::of(&flight.rotor_speed, |w: &[f64; 4]| w.map(|w| (w / most).powi(2)));
+        }
+        if outputs.is_empty() {
+            return Err(NotPrepared::NoOutputs);
+        }
+        let velocity = Series::of(&flight.velocity, |v| v.to_array());
+        let specific_force = Series::of(&flight.specific_force, |f| f.to_array());
+        let body_rate = Series::of(&flight.body_rate, |w| w.to_array());
+        if velocity.is_empty() && specific_force.is_empty() && body_rate.is_empty() {
+            return Err(NotPrepared::NoMotion);
+        }
+        let mut last: Option<[f64; 4]> = None;
+        let mut attitude = Series { times: flight.attitude.times().to_vec(), values: Vec::new() };
+        for Attitude { w, x, y, z } in flight.attitude.values() {
+            let q = [*w, *x, *y, *z];
+            let flips =
+                last.is_some_and(|l| l.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() < 0.0);
+            let q = if flips { q.map(|c| -c) } else { q };
+            attitude.values.push(q);
+            last = Some(q);
+        }
+        let complete = |s: &AttitudeSetpoint| {
+            s.thrust.is_some() && (s.attitude.is_some() || s.body_rate.is_some())
+        };
+        let channels = Channels {
+            velocity: !velocity.is_empty(),
+            attitude: !attitude.is_empty(),
+            body_rate: !body_rate.is_empty(),
+            specific_force: !specific_force.is_empty(),
+            outputs: !flight.outputs.is_empty(),
+            setpoint: vehicle.attitude_pd.is_some()
+                && !attitude.is_empty()
+                && !body_rate.is_empty()
+                && flight.setpoint.values().iter().filter(|s| complete(s)).count() * 2
+                    > flight.setpoint.len().max(20),
+            voltage: !flight.voltage.is_empty(),
+            rotor_speed: !flight.rotor_speed.is_empty(),
+        };
+        let spans = airborne(&flight, &outputs, vehicle);
+        let blocks = blocks(&spans);
+        if blocks.is_empty() {
+            return Err(NotPrepared::TooShort(spans.iter().map(|s| s.end - s.start).sum()));
+        }
+        Ok(Self {
+            name: flight.origin.run.clone(),
+            channels,
+            position: Series::of(&flight.position, |p| p.to_array()),
+            velocity,
+            attitude,
+            body_rate,
+            specific_force,
+            outputs,
+            voltage: Series::of(&flight.voltage, |v| [*v]),
+            setpoint: flight.setpoint,
+            spans,
+            blocks,
+        })
+    }
+
+    /// Time looked at, s.
+    pub fn seconds(&self) -> f64 {
+        self.blocks.iter().map(|block| block.cells as f64 * CELL_S).sum()
+    }
+
+    /// The first and the last half of the airborne time, `guard_s` apart; `None` where either has
+    /// no block.
+    pub fn split(&self, guard_s: f64) -> Option<(Self, Self)> {
+        let (first, last) = (self.spans.first()?.start, self.spans.last()?.end);
+        let half = 0.5 * (first + last);
+        let part = |range: Range<f64>, name: &str| -> Option<Self> {
+            let within = |span: &Range<f64>| {
+                let both = span.start.max(range.start)..span.end.min(range.end);
+                (both.start < both.end).then_some(both)
+            };
+            let spans: Vec<_> = self.spans.iter().filter_map(within).collect();
+            let blocks = blocks(&spans);
+            let name = format!("{} ({name} half)", self.name);
+            (!blocks.is_empty()).then(|| Self { name, spans, blocks, ..self.clone() })
+        };
+        Some((
+            part(first..half - 0.5 * guard_s, "first")?,
+            part(half + 0.5 * guard_s..last, "second")?,
+        ))
+    }
+}
+
+/// When the vehicle flew and every stream that it has goes on.
+fn airborne(flight: &Flight, outputs: &Series<4>, vehicle: &VehicleParams) -> Vec<Range<f64>> {
+    // Where the vehicle says it, and the log has a pose, learning's own rules hold.
+    if !flight.in_air.is_empty()
+        && let Ok(segments) = Segments::of(flight)
+    {
+        return segments.spans;
+    }
+    let (Some(first), Some(last)) = (outputs.times().first(), outputs.times().last()) else {
+        return Vec::new();
+    };
+    let mut range = *first..*last;
+    for [start, end] in [
+        ends(flight.velocity.times()),
+        ends(flight.attitude.times()),
+        ends(flight.body_rate.times()),
+        ends(flight.specific_force.times()),
+    ]
+    .into_iter()
+    .flatten()
+    {
+        range = range.start.max(start)..range.end.min(end);
+    }
+    // The hover output in u: the share of thrust, bent by the curve that the file models.
+    let hover = vehicle.hover_thrust;
+    let mut spans: Vec<Range<f64>> = Vec::new();
+    for (time, u) in outputs.times().iter().zip(outputs.values()) {
+        if u.iter().sum::<f64>() < 4.0 * LIFTS * hover || !range.contains(time) {
+            continue;
+        }
+        match spans.last_mut() {
+            Some(span) if time - span.end < DROP_MAX_S => span.end = *time,
+            _ => spans.push(*time..*time),
+        }
+    }
+    spans
+}
+
+fn ends(times: &[f64]) -> Option<[f64; 2]> {
+    Some([*times.first()?, *times.last()?])
+}
+
+/// The longest blocks that fit, one after another.
+fn blocks(spans: &[Range<f64>]) -> Vec<Block> {
+    let mut found = Vec::new();
+    for span in spans {
+        let mut start = span.start + MARGIN_S;
+        let end = span.end - MARGIN_S;
+        let mut cells = BLOCK_MAX;
+        while cells >= BLOCK_MIN {
+            if start + cells as f64 * CELL_S <= end {
+                found.push(Block { start, cells });
+                start += cells as f64 * CELL_S;
+            } else {
+                cells /= 2;
+            }
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_fill_a_span_without_overlap() {
+        let found = blocks(&[0.0..22.5]);
+        let cells: Vec<_> = found.iter().map(|block| block.cells).collect();
+        assert_eq!(cells, [1024, 1024, 128]);
+        for pair in found.windows(2) {
+            assert!((pair[0].end() - pair[1].start).abs() < 1e-9);
+        }
+        assert!(blocks(&[0.0..1.5]).is_empty());
+    }
+
+    #[test]
+    fn a_cursor_reads_what_a_search_reads() {
+        let series = Series { times: vec![0.0, 1.0, 3.0], values: vec![[0.0], [2.0], [0.0]] };
+        let mut cursor = series.cursor();
+        for time in [-1.0, 0.5, 1.0, 2.0, 2.9, 5.0, 0.25] {
+            assert_eq!(cursor.at(time), series.at(time), "{time}");
+        }
+        assert_eq!(series.at(2.0), [1.0]);
+    }
+}

@@ -1,0 +1,483 @@
+//! What a candidate vehicle leaves unexplained of a flight, by channel and frequency.
+//!
+//! Each channel is an equation of motion or of measurement over a cell of [`CELL_S`], evaluated at
+//! what was reported, with the delays and trims that the candidate has:
+//!
+//! | channel | residual |
+//! |---|---|
+//! | velocity | increment of the velocity minus the acceleration of the forces, world axes |
+//! | specific force | accelerometer minus the forces over mass, body axes |
+//! | rate | increment of the body rate minus the angular acceleration of the moments |
+//! | attitude | turn of the attitude minus the body rate: kinematics, no vehicle model |
+//! | command | collective and moments of the logged outputs minus the on-board law's |
+//!
+//! The accelerometer's and the gyro's constant biases fall out with the blocks' means.
+
+use sitl::frame::{Attitude, Frd, Ned};
+use sitl::physics::{Loads, Physics};
+use sitl::rigid_body::State;
+use sitl::rotor::Lag;
+use sitl::vehicle::{ROTORS, VehicleParams};
+
+use sitl::effects::EffectId;
+
+use super::hypothesis::{Candidate, Target};
+use super::onboard::{OnboardLaw, Timing};
+use super::preparation::{Block, PreparedFlight};
+use super::spectrum::{BANDS, CELL_S, CosineTransform, band, frequency};
+
+/// Number of channels.
+pub const CHANNELS: usize = 16;
+/// First channels of the groups, in the order of [`CHANNEL_NAMES`].
+pub const VELOCITY: usize = 0;
+/// See [`VELOCITY`].
+pub const FORCE: usize = 3;
+/// See [`VELOCITY`].
+pub const RATE: usize = 6;
+/// See [`VELOCITY`].
+pub const ATTITUDE: usize = 9;
+/// See [`VELOCITY`].
+pub const COMMAND: usize = 12;
+
+/// Names of the channels.
+pub const CHANNEL_NAMES: [&str; CHANNELS] = [
+    "acceleration north",
+    "acceleration east",
+    "acceleration down",
+    "specific force front",
+    "specific force right",
+    "specific force down",
+    "angular acceleration roll",
+    "angular acceleration pitch",
+    "angular acceleration yaw",
+    "attitude rate roll",
+    "attitude rate pitch",
+    "attitude rate yaw",
+    "commanded thrust",
+    "commanded roll moment",
+    "commanded pitch moment",
+    "commanded yaw moment",
+];
+
+/// Sub-steps of the rotors' lag in a cell.
+const SUBSTEPS: usize = 4;
+/// The rotors' states are followed from this many time constants before a block, at most
+/// [`WARM_UP_MAX_S`].
+const WARM_UP: f64 = 6.0;
+const WARM_UP_MAX_S: f64 = 0.5;
+/// Share of a stream's rate up to which it is looked at: a linear interpolation between samples
+/// holds to that.
+const RATE_SHARE: f64 = 0.3;
+/// The body rate is looked at up to here, Hz: above, the gyro's noise is both in its increments and,
+/// by feedback, in the outputs, and their correlation would pass for a delay.
+const RATE_MAX_HZ: f64 = 6.0;
+/// The command is looked at up to here, Hz: feedback puts noise into every setpoint, and above this
+/// it outweighs what is asked for; a jitter of the link then looks like a lower gain.
+const COMMAND_MAX_HZ: f64 = 2.5;
+/// Without an attitude only what lasts is looked at, and the vehicle is taken to be level, Hz.
+const LEVEL_MAX_HZ: f64 = 0.25;
+
+/// Place of a coefficient: its channel and band.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place(u16);
+
+impl Place {
+    /// Number of places.
+    pub const COUNT: usize = CHANNELS * BANDS.len();
+
+    fn new(channel: usize, band: usize) -> Self {
+        Self((channel * BANDS.len() + band) as u16)
+    }
+
+    /// Its channel.
+    pub fn channel(self) -> usize {
+        self.index() / BANDS.len()
+    }
+
+    /// Index in 0..[`Place::COUNT`].
+    pub fn index(self) -> usize {
+        usize::from(self.0)
+    }
+}
+
+/// The coefficients that a flight is looked at by.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    /// Of each coefficient its place.
+    pub places: Vec<Place>,
+    /// First coefficient of each block, and the end.
+    pub blocks: Vec<usize>,
+    /// Of each channel, the frequency up to which it is looked at; 0 where the log lacks it, Hz.
+    limits: [f64; CHANNELS],
+}
+
+impl Layout {
+    /// What can be looked at in a flight.
+    pub fn new(flight: &PreparedFlight) -> Self {
+        let channels = &flight.channels;
+        let has_pose = channels.attitude && channels.body_rate;
+        let input = flight.outputs.rate();
+        let limit = |rates: &[f64]| rates.iter().fold(input, |a, b| a.min(*b)) * RATE_SHARE;
+        let mut limits = [0.0; CHANNELS];
+        let mut group = |start: usize, count: usize, limit: f64| {
+            limits[start..start + count].fill(limit);
+        };
+        if channels.velocity && channels.attitude {
+            group(VELOCITY, 3, limit(&[flight.velocity.rate(), flight.attitude.rate()]));
+        }
+        if channels.specific_force {
+            // Without a velocity drag is not known; the thrust is.
+            group(FORCE, 3, limit(&[flight.specific_force.rate()]));
+        }
+        if channels.body_rate {
+            group(RATE, 3, limit(&[flight.body_rate.rate()]).min(RATE_MAX_HZ));
+        }
+        if has_pose {
+            let rates = [flight.attitude.rate(), flight.body_rate.rate()];
+            group(ATTITUDE, 3, rates[0].min(rates[1]) * RATE_SHARE);
+        }
+        if channels.setpoint {
+            let rates = [flight.attitude.rate(), flight.body_rate.rate()];
+            group(COMMAND, 4, limit(&rates).min(COMMAND_MAX_HZ));
+        }
+        if !channels.attitude && channels.velocity && !channels.body_rate {
+            // Position and outputs alone: hovering on average, it neither climbs nor turns.
+            limits[VELOCITY + 2] = LEVEL_MAX_HZ;
+            limits[RATE..RATE + 3].fill(LEVEL_MAX_HZ);
+        }
+        let mut layout = Self { places: Vec::new(), blocks: vec![0], limits };
+        for block in &flight.blocks {
+            for channel in 0..CHANNELS {
+                for index in layout.used(channel, block) {
+                    if let Some(band) = band(frequency(index, block.cells)) {
+                        layout.places.push(Place::new(channel, band));
+                    }
+                }
+            }
+            layout.blocks.push(layout.places.len());
+        }
+        layout
+    }
+
+    /// Whether any flight time of this channel is looked at.
+    pub fn has(&self, channel: usize) -> bool {
+        self.limits[channel] > 0.0
+    }
+
+    /// Indices of a block's coefficients that are looked at.
+    fn used(&self, channel: usize, block: &Block) -> std::ops::Range<usize> {
+        // Biases of accelerometer and gyro are the means of their channels.
+        let first = usize::from(
+            (FORCE..FORCE + 3).contains(&channel) || (ATTITUDE..ATTITUDE + 3).contains(&channel),
+        );
+        let upper = self.limits[channel].min(BANDS[BANDS.len() - 1]);
+        let mut end = first;
+        while end < block.cells && frequency(end, block.cells) < upper {
+            end += 1;
+        }
+        first..end
+    }
+}
+
+/// Groups of channels that a candidate is compared in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Groups {
+    /// Velocity, specific force, rate.
+    pub dynamics: bool,
+    /// Attitude.
+    pub kinematics: bool,
+    /// Command.
+    pub command: bool,
+}
+
+impl Groups {
+    /// All of them.
+    pub const ALL: Self = Self { dynamics: true, kinematics: true, command: true };
+
+    /// Those in which a number shows.
+    pub fn of(target: Target) -> Self {
+        let [dynamics, kinematics, command] = match target {
+            Target::Effect(EffectId::PdGain | EffectId::CommandDelay, _) => [false, false, true],
+            Target::Effect(EffectId::EstimatorLatency, _) => [true, true, true],
+            Target::Effect(EffectId::AttitudeTrim, _) => [true, true, false],
+            _ => [true, false, false],
+        };
+        Self { dynamics, kinematics, command }
+    }
+
+    /// Whether a channel belongs to them.
+    pub fn has(self, channel: usize) -> bool {
+        match channel {
+            0..ATTITUDE => self.dynamics,
+            ATTITUDE..COMMAND => self.kinematics,
+            _ => self.command,
+        }
+    }
+}
+
+/// What every evaluation needs.
+#[derive(Clone, Debug)]
+pub struct Evaluator {
+    vehicle: VehicleParams,
+    onboard: Option<OnboardLaw>,
+    transform: CosineTransform,
+}
+
+/// Motion over a block as the candidate takes it to have been.
+struct Motion {
+    /// At the edges.
+    velocity: Vec<Ned>,
+    attitude: Vec<Attitude>,
+    body_rate: Vec<Frd>,
+    /// Over the cells.
+    states: Vec<State>,
+    specific_force: Vec<Frd>,
+}
+
+impl Evaluator {
+    /// For flights of a vehicle.
+    pub fn new(vehicle: &VehicleParams) -> Self {
+        Self {
+            vehicle: vehicle.clone(),
+            onboard: OnboardLaw::new(vehicle),
+            transform: CosineTransform::default(),
+        }
+    }
+
+    /// The coefficients of what `candidate` leaves unexplained of `flight`, in `layout`'s order;
+    /// 0 in other groups than the given ones.
+    pub fn residuals(
+        &self,
+        flight: &PreparedFlight,
+        layout: &Layout,
+        candidate: &Candidate,
+        groups: Groups,
+    ) -> Vec<f64> {
+        let mut out = Vec::with_capacity(layout.places.len());
+        let mut scratch = Vec::new();
+        for block in &flight.blocks {
+            let mut series = self.series(flight, layout, block, candidate, groups);
+            for (channel, values) in series.iter_mut().enumerate() {
+                let used = layout.used(channel, block);
+                if used.is_empty() || !layout.has(channel) {
+                    continue;
+                }
+                if groups.has(channel) {
+                    self.transform.apply(values, &mut scratch);
+                }
+                out.extend(used.filter_map(|index| {
+                    band(frequency(index, block.cells)).map(|_| values[index])
+                }));
+            }
+        }
+        out
+    }
+
+    /// The residuals of a block over time, one series a channel.
+    pub fn series(
+        &self,
+        flight: &PreparedFlight,
+        layout: &Layout,
+        block: &Block,
+        candidate: &Candidate,
+        groups: Groups,
+    ) -> [Vec<f64>; CHANNELS] {
+        let mut series: [Vec<f64>; CHANNELS] = std::array::from_fn(|_| vec![0.0; block.cells]);
+        if groups.dynamics || groups.kinematics {
+            self.motion(flight, block, candidate, &mut series);
+        }
+        if groups.command && layout.has(COMMAND) {
+            self.command(flight, block, candidate, &mut series);
+        }
+        series
+    }
+
+    /// Velocity, specific force, rate and attitude.
+    fn motion(
+        &self,
+        flight: &PreparedFlight,
+        block: &Block,
+        candidate: &Candidate,
+        series: &mut [Vec<f64>; CHANNELS],
+    ) {
+        let motion = motion(flight, block, candidate);
+        let rotors = rotors(flight, block, candidate);
+        let physics = &candidate.physics;
+        let loads = self.loads(flight, block, physics, &rotors);
+        let mut voltage = flight.voltage.cursor();
+        let gravity = Ned::new(0.0, 0.0, physics.body().gravity());
+        for (k, (state, loads)) in motion.states.iter().zip(&loads).enumerate() {
+            let [volts] = voltage.at(block.middle(k));
+            let volts = if flight.channels.voltage { volts } else { self.vehicle.battery.full_v };
+            let environment = physics.environment(volts, Ned::zero());
+            let (linear, angular) = physics.accelerations_under(state, loads, &environment);
+            let gained = (motion.velocity[k + 1] - motion.velocity[k]) * (1.0 / CELL_S);
+            put(series, VELOCITY, k, (gained - linear).to_array());
+            let force = state.attitude.to_body(linear - gravity);
+            put(series, FORCE, k, (motion.specific_force[k] - force).to_array());
+            let turned = (motion.body_rate[k + 1] - motion.body_rate[k]) * (1.0 / CELL_S);
+            put(series, RATE, k, (turned - angular).to_array());
+            let turn = motion.attitude[k].inverse().compose(motion.attitude[k + 1]).canonical();
+            let turn = Frd::new(turn.x, turn.y, turn.z) * (2.0 / CELL_S);
+            put(series, ATTITUDE, k, (turn - state.body_rate).to_array());
+        }
+    }
+
+    /// Loads over each cell, with the reaction to the rotors' change of speed.
+    fn loads(
+        &self,
+        flight: &PreparedFlight,
+        block: &Block,
+        physics: &Physics,
+        rotors: &[[f64; ROTORS]],
+    ) -> Vec<Loads<f64>> {
+        let mut voltage = flight.voltage.cursor();
+        let loads: Vec<Loads<f64>> = (0..block.cells)
+            .map(|k| {
+                let [volts] = voltage.at(block.middle(k));
+                let volts =
+                    if flight.channels.voltage { volts } else { self.vehicle.battery.full_v };
+                physics.loads(&rotors[k], &physics.environment(volts, Ned::zero()))
+            })
+            .collect();
+        if !physics.has_spin_momentum() {
+            return loads;
+        }
+        let last = block.cells - 1;
+        (0..block.cells)
+            .map(|k| {
+                let (a, b) = (k.saturating_sub(1), (k + 1).min(last));
+                let change = loads[b].spin_momentum() - loads[a].spin_momentum();
+                loads[k].with_spin_momentum_rate(change / ((b - a) as f64 * CELL_S))
+            })
+            .collect()
+    }
+
+    /// Logged outputs minus the on-board law's, as collective and moments.
+    fn command(
+        &self,
+        flight: &PreparedFlight,
+        block: &Block,
+        candidate: &Candidate,
+        series: &mut [Vec<f64>; CHANNELS],
+    ) {
+        let Some(onboard) = &self.onboard else { return };
+        let law = onboard.with_gains(candidate.gains);
+        let timing = Timing { command_delay: candidate.command_delay, latency: candidate.latency };
+        let (first, last) = (block.start - 2.0 * CELL_S, block.end() + 2.0 * CELL_S);
+        let times = flight.outputs.times();
+        let from = times.partition_point(|t| *t < first);
+        let to = times.partition_point(|t| *t <= last);
+        let mut found: Vec<(f64, [f64; 4])> = Vec::with_capacity(to - from);
+        for (time, logged) in times[from..to].iter().zip(&flight.outputs.values()[from..to]) {
+            // The output in force is of the loop's latest tick.
+            let tick = onboard.tick(*time);
+            if let Some(by_law) = onboard.outputs(&law, flight, tick, timing) {
+                let difference = std::array::from_fn(|i| logged[i] - by_law[i]);
+                found.push((*time, onboard.allocation().wrench(difference)));
+            }
+        }
+        if found.len() < 2 {
+            return;
+        }
+        let mut index = 0;
+        for k in 0..block.cells {
+            let time = block.middle(k);
+            while index + 2 < found.len() && found[index + 1].0 <= time {
+                index += 1;
+            }
+            let ((t0, a), (t1, b)) = (found[index], found[index + 1]);
+            let share = ((time - t0) / (t1 - t0)).clamp(0.0, 1.0);
+            put(
+                series,
+                COMMAND,
+                k,
+                std::array::from_fn::<f64, 4, _>(|i| a[i] + share * (b[i] - a[i])),
+            );
+        }
+    }
+}
+
+fn put<const N: usize>(
+    series: &mut [Vec<f64>; CHANNELS],
+    first: usize,
+    k: usize,
+    values: [f64; N],
+) {
+    for (channel, value) in series[first..first + N].iter_mut().zip(values) {
+        channel[k] = value;
+    }
+}
+
+fn quaternion([w, x, y, z]: [f64; 4]) -> Attitude {
+    Attitude { w, x, y, z }.normalized()
+}
+
+/// The motion as reported, with the candidate's latency and trim undone.
+fn motion(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Motion {
+    let channels = &flight.channels;
+    let untrim = candidate.trim.map(|trim| trim.rotation().inverse());
+    let n = block.cells;
+    let late = candidate.latency;
+    let attitude_at = |raw: [f64; 4]| match (channels.attitude, untrim) {
+        (false, _) => Attitude::default(),
+        (true, None) => quaternion(raw),
+        (true, Some(untrim)) => quaternion(raw).compose(untrim),
+    };
+    let mut cursor = flight.attitude.cursor();
+    let attitude: Vec<Attitude> =
+        (0..=n).map(|k| attitude_at(cursor.at(block.edge(k) + late))).collect();
+    let mut cursor = flight.attitude.cursor();
+    let middle: Vec<Attitude> =
+        (0..n).map(|k| attitude_at(cursor.at(block.middle(k) + late))).collect();
+    let mut cursor = flight.velocity.cursor();
+    let velocity: Vec<Ned> = (0..=n).map(|k| Ned::from(cursor.at(block.edge(k) + late))).collect();
+    let mut cursor = flight.body_rate.cursor();
+    let body_rate: Vec<Frd> = (0..=n).map(|k| Frd::from(cursor.at(block.edge(k)))).collect();
+    let mut rate = flight.body_rate.cursor();
+    let mut position = flight.position.cursor();
+    let mut force = flight.specific_force.cursor();
+    let (mut states, mut specific_force) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    for k in 0..n {
+        let time = block.middle(k);
+        let ends = body_rate[k] + body_rate[k + 1];
+        states.push(State {
+            position: position.at(time + late).into(),
+            velocity: (velocity[k] + velocity[k + 1]) * 0.5,
+            attitude: middle[k],
+            // Simpson's mean over the cell.
+            body_rate: (ends + Frd::from(rate.at(time)) * 4.0) * (1.0 / 6.0),
+        });
+        specific_force.push(Frd::from(force.at(time)));
+    }
+    Motion { velocity, attitude, body_rate, states, specific_force }
+}
+
+/// Mean states of the rotors over each cell.
+fn rotors(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Vec<[f64; ROTORS]> {
+    let step = CELL_S / SUBSTEPS as f64;
+    let lag = Lag::new(candidate.lag, step);
+    let warm = (WARM_UP * candidate.lag).min(WARM_UP_MAX_S);
+    let warm_steps = (warm / step).ceil() as usize;
+    let start = block.start - warm_steps as f64 * step;
+    let mut outputs = flight.outputs.cursor();
+    let at = |k: usize| start + (k as f64 + 0.5) * step - candidate.output_delay;
+    let mut state = outputs.at(at(0));
+    let mut means = Vec::with_capacity(block.cells);
+    let mut sum = [0.0; ROTORS];
+    for k in 0..warm_steps + block.cells * SUBSTEPS {
+        let u = outputs.at(at(k));
+        let [middle, end] = lag.advance(&state, &u);
+        state = end;
+        if k < warm_steps {
+            continue;
+        }
+        for (sum, s) in sum.iter_mut().zip(middle) {
+            *sum += s / SUBSTEPS as f64;
+        }
+        if (k - warm_steps) % SUBSTEPS == SUBSTEPS - 1 {
+            means.push(std::mem::replace(&mut sum, [0.0; ROTORS]));
+        }
+    }
+    means
+}

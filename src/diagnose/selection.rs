@@ -1,0 +1,375 @@
+//! Which effects: every hypothesis alone, then more at once, then without each.
+//!
+//! Forward selection is greedy and can be misled by two effects that mask one another, so that all
+//! pairs of the best single ones are tried as well; what is no longer needed is dropped again. A
+//! hypothesis is taken up only if it raises the evidence on the flights of the fit *and* the
+//! density of the flights that were held out.
+
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
+use sitl::effects::EffectId;
+
+use super::fit::{Fit, Linearised, Observed, fit};
+use super::gap::{Errors, Simulator, improvement};
+use super::hypothesis::{Catalogue, Hypothesis};
+
+/// Most effects at once.
+pub const EFFECTS_MAX: usize = 3;
+/// Hypotheses that are fitted in full after a screening.
+const SURVIVORS: usize = 8;
+/// Least gain of evidence in the linearised problem that is worth a fit, nats.
+const SCREENED_MIN: f64 = 2.0;
+/// Of the best, so many are tried until one is taken up.
+const TRIED: usize = 4;
+/// Single hypotheses whose pairs are all tried.
+const PAIRED: usize = 4;
+
+/// A fit with its score on the flights that were held out.
+#[derive(Clone, Debug)]
+pub struct Scored {
+    /// The fit.
+    pub fit: Fit,
+    /// Log density of each block held out, nats.
+    pub density: Vec<f64>,
+    /// Open-loop errors of its effects alone on all flights, window by window.
+    windows: OnceLock<Windows>,
+}
+
+/// Errors by window, horizon and quantity.
+type Windows = Vec<[[f64; 4]; 3]>;
+
+impl Scored {
+    /// How much likelier it makes the flights held out than `other`: nats, and the standard error
+    /// by the scatter between blocks.
+    pub fn gain_over(&self, other: &Scored) -> (f64, f64) {
+        let gains: Vec<f64> = self.density.iter().zip(&other.density).map(|(a, b)| a - b).collect();
+        let n = gains.len() as f64;
+        let mean = gains.iter().sum::<f64>() / n.max(1.0);
+        let variance = gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+        (mean * n, (variance * n).sqrt())
+    }
+
+    /// Evidence and held-out density together.
+    pub fn score(&self) -> f64 {
+        self.fit.evidence + self.density.iter().sum::<f64>()
+    }
+}
+
+/// What is asked of a hypothesis before it is taken up.
+#[derive(Clone, Copy, Debug)]
+pub struct Thresholds {
+    /// Least gain of evidence, nats.
+    pub evidence: f64,
+    /// Least gain of held-out density, nats.
+    pub held_out: f64,
+    /// Least gain of the open loop, in squares of its floor, and in its standard errors.
+    pub open_loop: [f64; 2],
+}
+
+/// How a hypothesis fared against the others in its place.
+#[derive(Clone, Debug)]
+pub struct Rival {
+    /// Index of the hypothesis.
+    pub hypothesis: usize,
+    /// With the rest of the set.
+    pub scored: Scored,
+}
+
+/// The outcome.
+#[derive(Clone, Debug)]
+pub struct Selection {
+    /// Nuisances alone.
+    pub null: Scored,
+    /// Each hypothesis alone, the best first.
+    pub singles: Vec<Rival>,
+    /// The chosen set; the null where nothing was chosen.
+    pub best: Scored,
+    /// For each hypothesis of the set: the set without it, and those that were tried in its place.
+    pub places: Vec<(Scored, Vec<Rival>)>,
+}
+
+/// The search.
+#[derive(Debug)]
+pub struct Selector<'a> {
+    /// Flights of the fit.
+    pub fitted: &'a Observed<'a>,
+    /// Flights held out.
+    pub held_out: &'a Observed<'a>,
+    /// The catalogue.
+    pub catalogue: &'a Catalogue,
+    /// Whether simulators are driven by setpoints.
+    pub setpoint_leg: bool,
+    /// What is asked.
+    pub thresholds: Thresholds,
+    /// The open loop's floor, where it has windows.
+    pub floor: Option<Errors>,
+}
+
+impl Selector<'_> {
+    fn all_numbers(&self) -> Vec<usize> {
+        (0..self.catalogue.numbers.len()).collect()
+    }
+
+    /// Scores a fit on what was held out.
+    pub fn scored(&self, fit: Fit) -> Option<Scored> {
+        let residuals = self.held_out.residuals(&fit.values)?;
+        let noise = fit.noise(self.fitted.counts());
+        let density = self.held_out.log_density(&residuals, &noise);
+        Some(Scored { fit, density, windows: OnceLock::new() })
+    }
+
+    /// Nuisances alone, and the derivatives there.
+    pub fn null(&self) -> Option<(Scored, Linearised)> {
+        let numbers = self.all_numbers();
+        let first = Linearised::new(self.fitted, &self.catalogue.references(), &numbers)?;
+        let null = fit(self.fitted, &first, &[], &[])?;
+        let about = Linearised::new(self.fitted, &null.values, &numbers)?;
+        Some((self.scored(null)?, about))
+    }
+
+    /// The hypotheses by how much evidence each adds to `active` in the linearised problem, the
+    /// best first.
+    pub fn screen(&self, about: &Linearised, set: &[usize]) -> Vec<(usize, f64)> {
+        let counts = self.fitted.counts();
+        let numbers = |set: &[usize]| -> Vec<usize> {
+            set.iter().flat_map(|h| self.hypothesis(*h).numbers.iter().copied()).collect()
+        };
+        let Some(base) = about.solve(self.catalogue, counts, &numbers(set)) else {
+            return Vec::new();
+        };
+        let mut gains: Vec<(usize, f64)> = (0..self.catalogue.hypotheses.len())
+            .into_par_iter()
+            .filter(|h| self.joins(*h, set))
+            .filter_map(|h| {
+                let mut joint = set.to_vec();
+                joint.push(h);
+                let solution = about.solve(self.catalogue, counts, &numbers(&joint))?;
+                Some((h, solution.evidence - base.evidence))
+            })
+            .collect();
+        gains.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        gains
+    }
+
+    fn hypothesis(&self, index: usize) -> &Hypothesis {
+        &self.catalogue.hypotheses[index]
+    }
+
+    /// Whether a hypothesis can join a set: each effect once, and one of mass and thrust_scale.
+    fn joins(&self, hypothesis: usize, set: &[usize]) -> bool {
+        let class = |h: usize| match self.hypothesis(h).effect {
+            EffectId::Mass => EffectId::ThrustScale,
+            effect => effect,
+        };
+        set.iter().all(|h| class(*h) != class(hypothesis))
+    }
+
+    /// Fits a set in full. The active numbers start where `from` has them, and the newest
+    /// hypothesis also at its own starts.
+    fn fitted(&self, about: &Linearised, set: &[usize], from: &[(usize, f64)]) -> Option<Scored> {
+        let newest = self.hypothesis(*set.last()?);
+        let starts: Vec<Vec<(usize, f64)>> = newest
+            .starts
+            .iter()
+            .map(|start| newest.numbers.iter().copied().zip(start.iter().copied()).collect())
+            .chain(std::iter::once(Vec::new()))
+            .map(|mut start: Vec<(usize, f64)>| {
+                start.extend(from.iter().copied());
+                start
+            })
+            .collect();
+        self.scored(fit(self.fitted, about, set, &starts)?)
+    }
+
+    fn numbers_of(&self, scored: &Scored) -> Vec<(usize, f64)> {
+        let set = scored.fit.hypotheses.iter();
+        set.flat_map(|h| &self.hypothesis(*h).numbers)
+            .map(|number| (*number, scored.fit.values[*number]))
+            .collect()
+    }
+
+    /// Whether `more` is worth its additional effect.
+    fn accepts(&self, more: &Scored, less: &Scored) -> bool {
+        let (gain, error) = more.gain_over(less);
+        // Without an open loop to judge by, the flights held out must be clear by themselves.
+        let clear = self.floor.is_some() || gain > error;
+        more.fit.evidence - less.fit.evidence > self.thresholds.evidence
+            && gain > self.thresholds.held_out
+            && clear
+            && self.predicts_better(more, less)
+    }
+
+    /// Whether the effects of `more` make better predictions than those of `less`, by an amount
+    /// that matters: in at least one quantity and horizon, and in no mean worse.
+    fn predicts_better(&self, more: &Scored, less: &Scored) -> bool {
+        let Some(floor) = &self.floor else { return true };
+        let gains = improvement(self.windows(less), self.windows(more), floor);
+        let [least, deviations] = self.thresholds.open_loop;
+        let clear = |[gain, error]: &[f64; 2]| *gain > least && *gain > deviations * error;
+        let sum: f64 = gains[1..].iter().flatten().map(|[gain, _]| gain).sum();
+        sum > 0.0 && gains.iter().flatten().any(clear)
+    }
+
+    /// Open-loop errors of a fit's effects, without its nuisances.
+    fn windows<'s>(&self, scored: &'s Scored) -> &'s Windows {
+        scored.windows.get_or_init(|| {
+            let named: Vec<EffectId> =
+                scored.fit.hypotheses.iter().map(|h| self.hypothesis(*h).effect).collect();
+            let effects = self.catalogue.effects(&scored.fit.values, Some(&named));
+            Simulator::new(&self.catalogue.vehicle, &effects, self.setpoint_leg)
+                .map(|simulator| {
+                    let simulator = simulator.guided();
+                    let mut windows = simulator.windows(self.fitted.flights);
+                    windows.extend(simulator.windows(self.held_out.flights));
+                    windows
+                })
+                .unwrap_or_default()
+        })
+    }
+
+    /// Hypotheses in addition to `set`, fitted together with it, the best first.
+    fn additions(&self, about: &Linearised, set: &Scored, count: usize) -> Vec<Rival> {
+        let from = self.numbers_of(set);
+        let screened = self.screen(about, &set.fit.hypotheses);
+        let mut rivals: Vec<Rival> = screened
+            .into_par_iter()
+            .enumerate()
+            // Alone, what the linearisation may not see at all is fitted as well.
+            .filter(|(rank, (h, gain))| {
+                let starts = set.fit.hypotheses.is_empty() && self.hypothesis(*h).starts.len() > 1;
+                *rank < count && *gain > SCREENED_MIN || starts
+            })
+            .filter_map(|(_, (h, _))| {
+                let mut joint = set.fit.hypotheses.clone();
+                joint.push(h);
+                Some(Rival { hypothesis: h, scored: self.fitted(about, &joint, &from)? })
+            })
+            .collect();
+        rivals.sort_by(|a, b| {
+            b.scored.score().total_cmp(&a.scored.score()).then(a.hypothesis.cmp(&b.hypothesis))
+        });
+        rivals
+    }
+
+    /// The search from the null on, with the derivatives there.
+    pub fn select(&self, null: Scored, about: &Linearised) -> Option<Selection> {
+        let singles = self.additions(about, &null, SURVIVORS);
+        let mut best = null.clone();
+        if let Some(first) =
+            singles.iter().take(TRIED).find(|rival| self.accepts(&rival.scored, &null))
+        {
+            best = first.scored.clone();
+        }
+        if !best.fit.hypotheses.is_empty() {
+            let single = best.clone();
+            for pair in self.pairs(about, &singles) {
+                if pair.score() > best.score() && self.accepts(&pair, &single) {
+                    best = pair;
+                }
+            }
+            while best.fit.hypotheses.len() < EFFECTS_MAX {
+                let about = Linearised::new(self.fitted, &best.fit.values, &self.all_numbers())?;
+                let more = self.additions(&about, &best, SURVIVORS / 2);
+                let taken =
+                    more.into_iter().take(TRIED).find(|more| self.accepts(&more.scored, &best));
+                match taken {
+                    Some(more) => best = more.scored,
+                    None => break,
+                }
+            }
+        }
+        // Without each: what no longer pays goes, the least first.
+        loop {
+            let without: Vec<Scored> = (0..best.fit.hypotheses.len())
+                .map(|i| self.without(about, &best, i, &null))
+                .collect::<Option<_>>()?;
+            let least = without
+                .iter()
+                .filter(|less| !self.accepts(&best, less))
+                .max_by(|a, b| a.score().total_cmp(&b.score()));
+            match least {
+                Some(less) => best = less.clone(),
+                None => {
+                    let places = without
+                        .into_iter()
+                        .map(|less| {
+                            let mut rivals = if less.fit.hypotheses.is_empty() {
+                                singles.clone()
+                            } else {
+                                self.rivals(&less)?
+                            };
+                            // Who would not have been taken up is no rival, and neither is who
+                            // stands beside the effect rather than in its place.
+                            rivals.retain(|rival| {
+                                rival.scored.fit.hypotheses != best.fit.hypotheses
+                                    && self.accepts(&rival.scored, &less)
+                                    && !self.stands_beside(about, rival, &best)
+                            });
+                            Some((less, rivals))
+                        })
+                        .collect::<Option<_>>()?;
+                    return Some(Selection { null, singles, best, places });
+                }
+            }
+        }
+    }
+
+    /// The set without its hypothesis number `index`, fitted again.
+    fn without(
+        &self,
+        about: &Linearised,
+        set: &Scored,
+        index: usize,
+        null: &Scored,
+    ) -> Option<Scored> {
+        let mut rest = set.fit.hypotheses.clone();
+        rest.remove(index);
+        if rest.is_empty() {
+            return Some(null.clone());
+        }
+        let mut from = self.numbers_of(set);
+        let kept =
+            |number: &usize| rest.iter().any(|h| self.hypothesis(*h).numbers.contains(number));
+        from.retain(|(number, _)| kept(number));
+        self.fitted(about, &rest, &from)
+    }
+
+    /// Whether the set's effect that `rival` is put in the place of is wanted beside it as well.
+    fn stands_beside(&self, about: &Linearised, rival: &Rival, set: &Scored) -> bool {
+        if !self.joins(rival.hypothesis, &set.fit.hypotheses) {
+            return false;
+        }
+        let mut from = self.numbers_of(&rival.scored);
+        from.extend(self.numbers_of(set));
+        let mut joint = set.fit.hypotheses.clone();
+        joint.push(rival.hypothesis);
+        let together = self.fitted(about, &joint, &from);
+        together.is_some_and(|both| self.accepts(&both, &rival.scored))
+    }
+
+    /// Hypotheses in addition to a set.
+    fn rivals(&self, set: &Scored) -> Option<Vec<Rival>> {
+        let about = Linearised::new(self.fitted, &set.fit.values, &self.all_numbers())?;
+        Some(self.additions(&about, set, SURVIVORS / 2))
+    }
+
+    /// All pairs of the best single hypotheses, fitted together.
+    fn pairs(&self, about: &Linearised, singles: &[Rival]) -> Vec<Scored> {
+        let top = &singles[..singles.len().min(PAIRED)];
+        let pairs: Vec<(&Rival, &Rival)> = top
+            .iter()
+            .enumerate()
+            .flat_map(|(i, a)| top[i + 1..].iter().map(move |b| (a, b)))
+            .filter(|(a, b)| self.joins(a.hypothesis, &[b.hypothesis]))
+            .collect();
+        pairs
+            .into_par_iter()
+            .filter_map(|(a, b)| {
+                let mut from = self.numbers_of(&a.scored);
+                from.extend(self.numbers_of(&b.scored));
+                self.fitted(about, &[a.hypothesis, b.hypothesis], &from)
+            })
+            .collect()
+    }
+}

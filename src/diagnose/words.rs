@@ -1,0 +1,123 @@
+//! The finding as a person would say it.
+
+use super::answer::{Answer, EffectAnswer, Gap, Parameter, Verdict};
+
+/// The full verdict of an answer, in a sentence or two.
+pub fn finding(answer: &Answer) -> String {
+    match answer.verdict {
+        Verdict::None => match &answer.gap {
+            Some(gap) => format!(
+                "No effect stands out: the simulator predicts the flights held out to {:.2} times \
+                 what noise alone leaves.",
+                gap.before / gap.floor.max(f64::MIN_POSITIVE)
+            ),
+            None => "No effect stands out in what these logs can show.".to_owned(),
+        },
+        Verdict::Effect => effect(answer),
+        Verdict::Unknown => {
+            let force = answer.unmodelled_force.as_ref().map_or(0.0, |[_, after]| after.rms());
+            format!(
+                "Something acts that no listed effect explains: {force:.2} m/s^2 of force per mass \
+                 that velocity and accelerometer agree on is left."
+            )
+        }
+    }
+}
+
+fn effect(answer: &Answer) -> String {
+    let named: Vec<String> =
+        answer.effects.iter().filter(|effect| effect.probability >= 0.5).map(one).collect();
+    let mut text = format!("Found: {}.", named.join(", and "));
+    if let Some(gap) = &answer.gap {
+        text += &shrinks(gap);
+    }
+    if !answer.ambiguous_with.is_empty() {
+        text += &format!(" It cannot be told from {}.", answer.ambiguous_with.join(", "));
+    }
+    text
+}
+
+fn shrinks(gap: &Gap) -> String {
+    let Some(closure) = gap.closure else { return String::new() };
+    format!(
+        " On the flights held out the gap shrinks from {:.2} to {:.2} times the noise: {:.0} % of \
+         what can be closed.",
+        gap.before,
+        gap.after,
+        100.0 * closure
+    )
+}
+
+/// An effect with its numbers.
+pub fn one(effect: &EffectAnswer) -> String {
+    let numbers: Vec<String> = effect
+        .parameters
+        .iter()
+        .map(|(name, value)| match value {
+            Parameter::Index(index) => format!("{name} {index}"),
+            Parameter::Number(number) => format!("{name} {}", short(*number)),
+            Parameter::Vector(numbers) => {
+                let list: Vec<String> = numbers.iter().map(|n| short(*n)).collect();
+                format!("{name} [{}]", list.join(", "))
+            }
+        })
+        .collect();
+    format!("{} ({})", effect.id, numbers.join(", "))
+}
+
+/// Four significant digits.
+fn short(number: f64) -> String {
+    if number == 0.0 {
+        return "0".to_owned();
+    }
+    let digits = 3 - number.abs().log10().floor() as i32;
+    format!("{number:.*}", usize::try_from(digits.clamp(0, 12)).unwrap_or(0))
+}
+
+/// The answer for a terminal: verdict first, then where, which, how far, and what these logs
+/// cannot tell.
+pub fn report(answer: &Answer) -> String {
+    let mut text = format!("{}\n\nwhere      {}\n", answer.finding, answer.map.sentence);
+    for (line, effect) in answer.effects.iter().enumerate() {
+        let head = if line == 0 { "which" } else { "" };
+        text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);
+        for (name, [low, high]) in &effect.intervals {
+            text += &format!("  {name} {} .. {}", short(*low), short(*high));
+        }
+        text += "\n";
+    }
+    if answer.effects.is_empty() {
+        for (line, tried) in answer.hypotheses.iter().take(3).enumerate() {
+            let head = if line == 0 { "nearest" } else { "" };
+            text += &format!("{head:10} {:18} {:.1} nats of evidence", tried.id, tried.evidence);
+            text += &format!(", {:.1} on the flights held out\n", tried.held_out[0]);
+        }
+    }
+    if let Some(gap) = &answer.gap {
+        text += &format!("how far    gap held out {:.2}", gap.before);
+        if let Some(nuisances) = gap.nuisances_only {
+            text += &format!(", {nuisances:.2} with nuisances alone");
+        }
+        text += &format!(", {:.2} with the effects, {:.2} of noise alone\n", gap.after, gap.floor);
+    }
+    if let Some([before, after]) = &answer.unmodelled_force {
+        text += &format!(
+            "left over  {:.3} m/s^2 of force per mass, {:.3} before\n",
+            after.rms(),
+            before.rms()
+        );
+    }
+    if !answer.not_testable.is_empty() {
+        let ids: Vec<&str> = answer.not_testable.iter().map(|effect| effect.id).collect();
+        text += &format!("not shown  {}\n", ids.join(", "));
+    }
+    if let Some(twins) = &answer.twins {
+        text += &format!(
+            "chance     {} twins without an effect: evidence up to {:.1}, asked for {:.1}\n",
+            twins.count,
+            twins.largest.last().copied().unwrap_or(0.0),
+            answer.evidence_asked
+        );
+    }
+    text
+}

@@ -1,0 +1,308 @@
+//! The page of a diagnosis: verdict first, then where, which, how far, what the logs cannot tell.
+
+use std::fmt::Write;
+
+use super::axis::significant;
+use super::page::{Mood, Page, escape};
+use super::table::{Table, definitions};
+use crate::diagnose::answer::{Answer, Gap, Verdict};
+use crate::diagnose::gap::{HORIZONS_S, QUANTITIES};
+use crate::diagnose::map::Regime;
+use crate::diagnose::words::one;
+
+/// Size of a drawing, pixels.
+const WIDTH: f64 = 640.0;
+const ROW: f64 = 26.0;
+/// Where bars begin, pixels.
+const LEFT: f64 = 250.0;
+/// Cells of the map and hypotheses that are drawn.
+const SHOWN: usize = 10;
+
+/// The whole page, self-contained.
+pub fn html(answer: &Answer, vehicle: &str) -> String {
+    let seconds: f64 = answer.flights.iter().map(|flight| flight.seconds).sum();
+    let subtitle = format!("{} flights, {seconds:.0} s in the air", answer.flights.len());
+    let mut page = Page::new(&format!("Diagnosis: {vehicle}"), &subtitle);
+    verdict(answer, &mut page);
+    page.section("Where", &answer.map.sentence, &place(answer));
+    page.section(
+        "Which",
+        "Evidence that each hypothesis adds to the nuisances (delay, lag, thrust, trims, biases within their tolerances), on the flights of the fit; and how much likelier it makes the flights held out. An effect must also make better open-loop predictions.",
+        &which(answer),
+    );
+    if let Some(gap) = &answer.gap {
+        page.section(
+            "How far",
+            "Open-loop predictions of the flights held out, from every quarter of a second: root mean square errors with the vehicle file as shipped, with the effects, and what noise alone leaves.",
+            &how_far(gap),
+        );
+    }
+    page.section("What these logs cannot tell", "", &untold(answer));
+    page.section("How this was computed", "", &provenance(answer));
+    page.into_html()
+}
+
+fn verdict(answer: &Answer, page: &mut Page) {
+    let mood = match answer.verdict {
+        Verdict::None => Mood::Good,
+        Verdict::Effect => Mood::Plain,
+        Verdict::Unknown => Mood::Warning,
+    };
+    let named = answer.effects.iter().filter(|effect| effect.probability >= 0.5);
+    let reasons: Vec<String> = named
+        .map(|effect| format!("{}: probability {:.0} %", one(effect), 100.0 * effect.probability))
+        .collect();
+    page.verdict(mood, &answer.finding, &reasons);
+    if let Some(gap) = &answer.gap {
+        let mut figures = vec![
+            ("gap before", significant(gap.before), Mood::Plain),
+            ("gap after", significant(gap.after), Mood::Plain),
+            ("noise alone", significant(gap.floor), Mood::Plain),
+        ];
+        if let Some(closure) = gap.closure {
+            figures.push(("closed", format!("{:.0} %", 100.0 * closure), Mood::Good));
+        }
+        page.figures(&figures);
+    }
+}
+
+/// Horizontal bars: label, length, and a mark; all in one unit.
+fn bars(rows: &[(String, f64, f64)], unit: &str) -> String {
+    let most = rows.iter().flat_map(|(_, a, b)| [*a, *b]).fold(0.0, f64::max);
+    if rows.is_empty() || most <= 0.0 {
+        return String::new();
+    }
+    let scale = (WIDTH - LEFT - 80.0) / most;
+    let height = ROW * rows.len() as f64 + 6.0;
+    let mut svg = format!(
+        "<svg viewBox=\"0 0 {WIDTH} {height}\" width=\"100%\" role=\"img\" font-size=\"13\">"
+    );
+    for (row, (label, value, mark)) in rows.iter().enumerate() {
+        let y = ROW * row as f64 + 4.0;
+        let (length, at) = (value.max(0.0) * scale, LEFT + mark.max(0.0) * scale);
+        let (text, end) = (escape(label), LEFT + length + 6.0);
+        let base = y + 14.0;
+        let bottom = y + ROW - 6.0;
+        let number = significant(*value);
+        let _ = write!(
+            svg,
+            "<text x=\"{}\" y=\"{base:.1}\" text-anchor=\"end\" fill=\"currentColor\">{text}</text>\
+             <rect x=\"{LEFT}\" y=\"{y:.1}\" width=\"{length:.1}\" height=\"{:.1}\" fill=\"var(--c1)\"/>\
+             <line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{y:.1}\" y2=\"{bottom:.1}\" stroke=\"var(--c2)\" stroke-width=\"2\"/>\
+             <text x=\"{end:.1}\" y=\"{base:.1}\" fill=\"currentColor\">{number} {unit}</text>",
+            LEFT - 8.0,
+            ROW - 10.0,
+        );
+    }
+    svg + "</svg>"
+}
+
+fn place(answer: &Answer) -> String {
+    let rows: Vec<(String, f64, f64)> = answer
+        .map
+        .cells
+        .iter()
+        .take(SHOWN)
+        .map(|cell| {
+            let label = format!("{}, {}", cell.channel, cell.scale);
+            (label, (1.0 + cell.excess.max(-1.0)).sqrt(), 1.0)
+        })
+        .collect();
+    let mut html = String::from(
+        "<h3>Root mean square as shipped, in units of the floor (mark: the floor)</h3>",
+    );
+    html += &bars(&rows, "");
+    if let Some((world, body)) = answer.map.constant_in_world.zip(answer.map.constant_in_body) {
+        let list = |v: [f64; 3]| v.map(|x| format!("{x:.3}")).join(", ");
+        html += &definitions([
+            ("constant in the world, N E D (m/s\u{b2})", list(world).as_str()),
+            ("constant in the body, F R D (m/s\u{b2})", list(body).as_str()),
+        ]);
+    }
+    if !answer.map.regimes.is_empty() {
+        html += "<h3>Unexplained acceleration by regime (m/s\u{b2}), in quarters of the time</h3>";
+        let mut table = Table::new(&[
+            ("quantity", false),
+            ("range", true),
+            ("1st quarter", true),
+            ("2nd", true),
+            ("3rd", true),
+            ("4th", true),
+        ]);
+        for Regime { quantity, bounds, rms } in &answer.map.regimes {
+            let range = format!("{} .. {}", significant(bounds[0]), significant(bounds[4]));
+            let mut cells = vec![(*quantity).to_owned(), range];
+            cells.extend(rms.iter().map(|x| significant(*x)));
+            table.row(Mood::Plain, &cells);
+        }
+        html += &table.into_html();
+    }
+    html
+}
+
+fn which(answer: &Answer) -> String {
+    let rows: Vec<(String, f64, f64)> = answer
+        .hypotheses
+        .iter()
+        .take(SHOWN)
+        .map(|h| (h.id.to_owned(), h.evidence, answer.evidence_asked))
+        .collect();
+    let mut html =
+        String::from("<h3>Evidence of each effect alone, nats (mark: what is asked of one)</h3>");
+    html += &bars(&rows, "");
+    let mut table = Table::new(&[
+        ("effect", false),
+        ("evidence", true),
+        ("held out", true),
+        ("\u{b1}", true),
+        ("fitted numbers", false),
+    ]);
+    for h in &answer.hypotheses {
+        let numbers: Vec<String> = h.numbers.iter().map(|x| significant(*x)).collect();
+        let named = answer.effects.iter().any(|e| e.id == h.id && e.probability >= 0.5);
+        let mood = if named { Mood::Good } else { Mood::Plain };
+        table.row(
+            mood,
+            &[
+                h.id.to_owned(),
+                format!("{:.1}", h.evidence),
+                format!("{:.1}", h.held_out[0]),
+                format!("{:.1}", h.held_out[1]),
+                numbers.join(", "),
+            ],
+        );
+    }
+    html += &table.into_html();
+    if !answer.effects.is_empty() {
+        html += "<h3>Named and considered</h3>";
+        let mut table =
+            Table::new(&[("effect", false), ("probability", true), ("90 % intervals", false)]);
+        for effect in &answer.effects {
+            let intervals: Vec<String> = effect
+                .intervals
+                .iter()
+                .map(|(name, [low, high])| {
+                    format!("{name} {} .. {}", significant(*low), significant(*high))
+                })
+                .collect();
+            table.row(
+                Mood::Plain,
+                &[
+                    one(effect),
+                    format!("{:.1} %", 100.0 * effect.probability),
+                    intervals.join("; "),
+                ],
+            );
+        }
+        html += &table.into_html();
+    }
+    html
+}
+
+fn how_far(gap: &Gap) -> String {
+    let mut rows = vec![
+        ("as shipped".to_owned(), gap.before, gap.floor),
+        ("with the effects".to_owned(), gap.after, gap.floor),
+        ("noise alone".to_owned(), gap.floor, gap.floor),
+    ];
+    if let Some(nuisances) = gap.nuisances_only {
+        rows.insert(1, ("nuisances alone".to_owned(), nuisances, gap.floor));
+    }
+    let mut html = String::from(
+        "<h3>Mean of position, velocity and attitude at 0.5 and 1 s, in units of the noise</h3>",
+    );
+    html += &bars(&rows, "");
+    let mut table = Table::new(&[
+        ("quantity", false),
+        ("as shipped", true),
+        ("with the effects", true),
+        ("noise alone", true),
+    ]);
+    let [before, after, floor] = &gap.errors;
+    for (q, quantity) in QUANTITIES.iter().enumerate() {
+        for (h, horizon) in HORIZONS_S.iter().enumerate() {
+            let cells = [before, after, floor].map(|errors| significant(errors.0[h][q]));
+            let mut row = vec![format!("{quantity} after {horizon} s")];
+            row.extend(cells);
+            table.row(Mood::Plain, &row);
+        }
+    }
+    html + &table.into_html()
+}
+
+fn untold(answer: &Answer) -> String {
+    let mut table = Table::new(&[("effect", false), ("why", false)]);
+    for effect in &answer.not_testable {
+        table.row(Mood::Plain, &[effect.id.to_owned(), effect.reason.clone()]);
+    }
+    for id in &answer.ambiguous_with {
+        table.row(Mood::Warning, &[(*id).to_owned(), "cannot be told from what is named".into()]);
+    }
+    let mut html = String::new();
+    if answer.not_testable.is_empty() && answer.ambiguous_with.is_empty() {
+        html +=
+            "<p>Every effect of the catalogue that was looked for can be seen in these logs.</p>";
+    } else {
+        html += &table.into_html();
+    }
+    if let Some([before, after]) = &answer.unmodelled_force {
+        let _ = write!(
+            html,
+            "<p>Force per mass that velocity and accelerometer agree on and nothing explains, 0.1 to 4.5 Hz: \
+             {} m/s\u{b2} before, {} m/s\u{b2} after.</p>",
+            significant(before.rms()),
+            significant(after.rms())
+        );
+    }
+    html
+}
+
+fn provenance(answer: &Answer) -> String {
+    let mut table = Table::new(&[
+        ("flight", false),
+        ("part", false),
+        ("looked at (s)", true),
+        ("log holds", false),
+    ]);
+    for flight in &answer.flights {
+        let c = &flight.channels;
+        let holds: Vec<&str> = [
+            (c.velocity, "position and velocity"),
+            (c.attitude, "attitude"),
+            (c.body_rate, "body rate"),
+            (c.specific_force, "accelerometer"),
+            (c.outputs, "motor outputs"),
+            (c.setpoint, "setpoints"),
+            (c.voltage, "voltage"),
+            (c.rotor_speed, "rotor speeds"),
+        ]
+        .into_iter()
+        .filter_map(|(has, name)| has.then_some(name))
+        .collect();
+        let part = if flight.held_out { "held out" } else { "fitted" };
+        table.row(
+            Mood::Plain,
+            &[
+                flight.name.clone(),
+                part.to_owned(),
+                format!("{:.1}", flight.seconds),
+                holds.join(", "),
+            ],
+        );
+    }
+    let mut html = table.into_html();
+    html += "<p>Each equation of motion and measurement is compared with the reports over cells of 10 ms and \
+             weighed by frequency with the noise that is left, whose spectrum is not assumed. Every hypothesis is \
+             fitted with the same nuisances; several effects at once by forward selection, pairs and pruning.</p>";
+    if let Some(twins) = &answer.twins {
+        let _ = write!(
+            html,
+            "<p>{} twins of the flights without any effect reached evidence of up to {:.1} nats; {:.1} is asked of an \
+             effect.</p>",
+            twins.count,
+            twins.largest.last().copied().unwrap_or(0.0),
+            answer.evidence_asked
+        );
+    }
+    html
+}
