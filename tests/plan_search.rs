@@ -113,9 +113,7 @@ fn the_plan_is_what_its_model_does_with_its_inputs() {
             for (next, planned) in next.iter().zip(&pair[1]) {
                 assert!((next - planned).abs() <= 1e-6, "{name}: {next} {planned}");
             }
-            for i in 0..7 {
-                assert!(problem.inputs.lower[i] <= input[i] && input[i] <= problem.inputs.upper[i]);
-            }
+            assert_eq!(problem.inputs.clamp(*input), *input, "{name}");
         }
         // The first state that may be moved is the second; the search has followed the rest.
         let guess = Iterate { states: desire.states.clone(), inputs: desire.inputs.clone() };

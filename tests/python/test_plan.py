@@ -49,7 +49,7 @@ def test_the_file_holds_the_plan(planned):
     plan = json.loads(path.read_text())
     assert (plan["schema"], plan["schema_version"]) == ("downwash.plan", 1)
     assert plan["vehicle"] == "crazyflie" and plan["model"] == {"kind": "nominal", "sha256": None}
-    assert len(plan["states"]) == len(plan["desired"]) == len(plan["inputs"]) + 1 == 301
+    assert len(plan["states"]) == len(plan["desired"]) == len(plan["inputs"]) + 1 == 351
     assert {len(state) for state in plan["states"]} == {12}
     assert {len(one) for one in plan["inputs"]} == {7}
     assert plan["violation"]["defect"] <= 1e-6 and plan["violation"]["overrun"] <= 1e-4
@@ -124,7 +124,7 @@ def test_an_interrupt_leaves_the_best_plan_so_far(program, tmp_path):
     summary = json.loads(text)
     plan = json.loads(out.read_text())
     assert summary["status"] == plan["status"] == "stopped"
-    assert len(plan["inputs"]) == 3000
+    assert len(plan["inputs"]) == 3050
 
 
 @pytest.mark.parametrize(
