@@ -12,6 +12,8 @@ use sitl::effects::{
 use sitl::physics::Physics;
 use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
 
+use super::tolerances::Scales;
+
 /// A nuisance stays within so many tolerances: what asks for more is an effect.
 const TOLERANCES_MAX: f64 = 3.0;
 
@@ -20,6 +22,13 @@ const TOLERANCES_MAX: f64 = 3.0;
 const DELAYS_S: [f64; 19] = [
     0.0, 0.004, 0.008, 0.012, 0.016, 0.02, 0.024, 0.028, 0.032, 0.036, 0.04, 0.044, 0.048, 0.052,
     0.056, 0.06, 0.066, 0.072, 0.08,
+];
+/// Latencies that a fit starts from. Between two samples of a stream its noise is averaged, so that
+/// the cost ripples with the stream's period, s.
+const LATENCIES_S: [f64; 32] = [
+    0.0, 0.0025, 0.005, 0.0075, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.0225, 0.025, 0.0275, 0.03,
+    0.0325, 0.035, 0.0375, 0.04, 0.0425, 0.045, 0.0475, 0.05, 0.0525, 0.055, 0.0575, 0.06, 0.065,
+    0.07, 0.075, 0.08, 0.09, 0.1, 0.12,
 ];
 /// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
 /// inertia per second.
@@ -163,7 +172,7 @@ impl Catalogue {
                 }));
             }
             let starts: &[f64] = match effect {
-                EffectId::EstimatorLatency => &[0.02, 0.05, 0.09],
+                EffectId::EstimatorLatency => &LATENCIES_S,
                 EffectId::CommandDelay => &DELAYS_S,
                 EffectId::MotorLag => &[0.015, 0.03, 0.06, 0.1],
                 EffectId::GroundEffect => &[2.0, 4.0, 8.0],
@@ -385,87 +394,72 @@ fn modelled_scale(vehicle: &VehicleParams, rotor: usize) -> f64 {
     loss.filter(|loss| loss.rotor == rotor).map_or(1.0, |loss| loss.scale)
 }
 
-/// Sizes that turn dimensionless tolerances and magnitudes into a vehicle's units.
-struct Scales {
-    mass: f64,
-    arm: f64,
-    weight: f64,
-    yaw_inertia: f64,
-    drag_modelled: Option<[f64; 2]>,
-    parasitic_modelled: Option<f64>,
-    sag_modelled: Option<f64>,
-    curve_modelled: Option<f64>,
-    rotor_radius: f64,
-    air_density: f64,
-    rotor_speed_max: f64,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Vehicle files round to four digits or so; this share of a modelled value is its tolerance.
-const MODELLED_TOLERANCE: f64 = 0.03;
+    fn vehicle() -> VehicleParams {
+        let text = include_str!("../../config/vehicles/quad1200.toml");
+        VehicleParams::from_toml_str(text).unwrap()
+    }
 
-impl Scales {
-    fn of(vehicle: &VehicleParams) -> Self {
-        let arms = vehicle.rotors.map(|r| r.position_m[0].hypot(r.position_m[1]));
-        let effects = &vehicle.modelled_effects;
-        let value = |id, slot: usize| effects.slots(id).map(|slots| slots[slot]);
-        Self {
-            mass: vehicle.mass,
-            arm: arms.iter().sum::<f64>() / ROTORS as f64,
-            weight: vehicle.mass * vehicle.gravity,
-            yaw_inertia: vehicle.inertia[2],
-            // The exact linear drag is not a tolerance of rotor_drag's.
-            drag_modelled: vehicle
-                .linear_drag_n_per_m_s
-                .is_none()
-                .then(|| effects.slots(EffectId::RotorDrag).map(|s| [s[0], s[1]]))
-                .flatten(),
-            parasitic_modelled: value(EffectId::ParasiticDrag, 0),
-            sag_modelled: value(EffectId::BatterySag, 0),
-            curve_modelled: value(EffectId::ThrustCurve, 0),
-            rotor_radius: vehicle.rotor_radius_m,
-            air_density: vehicle.air_density,
-            rotor_speed_max: vehicle.rotor_max_rpm.unwrap_or(0.0) * std::f64::consts::TAU / 60.0,
+    #[test]
+    fn every_effect_but_gusts_is_a_hypothesis() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        for effect in EffectId::ALL {
+            let found = catalogue.hypotheses.iter().filter(|h| h.effect == effect).count();
+            let expected = match effect {
+                EffectId::RotorLoss => ROTORS,
+                EffectId::Gusts => 0,
+                _ => 1,
+            };
+            assert_eq!(found, expected, "{effect}");
         }
     }
 
-    /// Tolerance and magnitude of a slot that may be fitted.
-    fn of_slot(&self, effect: EffectId, slot: usize) -> Option<[f64; 2]> {
-        use EffectId::*;
-        let modelled = |value: Option<f64>| value.map_or(0.0, |v| MODELLED_TOLERANCE * v.abs());
-        Some(match (effect, slot) {
-            (ThrustScale, 0) => [0.003, 0.15],
-            (Mass, 0) => [0.0, 0.15 * self.mass],
-            (ThrustCurve, 0) => [modelled(self.curve_modelled), 0.4],
-            (BatterySag, 0) => [modelled(self.sag_modelled), 1.5],
-            (MotorLag, 0) => [0.001, 0.04],
-            (CommandDelay, 0) => [0.0015, 0.03],
-            // A time constant of drag of three seconds.
-            (RotorDrag, 0) => [modelled(self.drag_modelled.map(|d| d[0])), self.mass / 3.0],
-            (RotorDrag, 1) => [modelled(self.drag_modelled.map(|d| d[1])), self.mass / 6.0],
-            // A tenth of the weight at 8 m/s.
-            (ParasiticDrag, 0) => [
-                modelled(self.parasitic_modelled),
-                0.1 * self.weight / (0.5 * self.air_density * 64.0),
-            ],
-            (Wind, 0 | 1) => [0.03, 4.0],
-            // A steady wind blows along the floor.
-            (Wind, 2) => [0.03, 0.2],
-            (GroundEffect, 0) => [0.0, 4.0 * self.rotor_radius],
-            (TranslationalLift, 0) => [0.0, 0.005],
-            // A tenth of the weight at a tenth of the arm per m/s.
-            (BladeFlapping, 0) => [0.0, 0.01 * self.weight * self.arm],
-            (BladeFlapping, 1) => [0.0, 0.01],
-            (VortexRing, 0) => [0.0, 0.3],
-            (Inertia, 0..=2) => [0.017, 0.35],
-            (ComOffset, 0 | 1) => [0.001 * self.arm, 0.05 * self.arm],
-            // The four rotors from rest to full speed against the yaw inertia: 30 rad/s of yaw.
-            (RotorGyroscopic, 0) => [0.0, 7.5 * self.yaw_inertia / self.rotor_speed_max],
-            (YawTorque, 0) => [0.01, 0.35],
-            (AttitudeTrim, 0 | 1) => [0.0007, 0.03],
-            (AttitudeTrim, 2) => [0.002, 0.03],
-            (EstimatorLatency, 0) => [0.0007, 0.04],
-            (PdGain, 0..=5) => [0.01, 0.3],
-            _ => return None,
-        })
+    #[test]
+    fn references_stand_for_the_vehicle_file() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let references = catalogue.references();
+        assert!(catalogue.effects(&references, None).is_empty());
+        for (number, value) in catalogue.numbers.iter().zip(&references) {
+            let [low, high] = number.bounds;
+            assert!((low..=high).contains(value), "{number:?}");
+        }
+    }
+
+    #[test]
+    fn a_number_off_its_reference_is_its_effect_and_only_if_asked_for() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let mut values = catalogue.references();
+        let target = Target::Effect(EffectId::YawTorque, 0);
+        let number = catalogue.numbers.iter().position(|n| n.target == target).unwrap();
+        values[number] = 1.3;
+        let set = catalogue.effects(&values, None);
+        assert_eq!(set.value(EffectId::YawTorque, "scale", 0), Some(1.3));
+        assert!(catalogue.effects(&values, Some(&[EffectId::Mass])).is_empty());
+    }
+
+    #[test]
+    fn a_nuisance_keeps_to_its_tolerance_and_an_active_number_to_its_bounds() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let target = Target::Effect(EffectId::Inertia, 0);
+        let number = catalogue.numbers.iter().position(|n| n.target == target).unwrap();
+        let [low, high] = catalogue.limits(number, &[]);
+        assert!(low > 0.9 && high < 1.1);
+        assert_eq!(catalogue.limits(number, &[number]), catalogue.numbers[number].bounds);
+    }
+
+    #[test]
+    fn without_setpoints_command_delay_is_from_output_to_thrust() {
+        let catalogue = Catalogue::new(&vehicle(), false);
+        let mut values = catalogue.references();
+        let number =
+            catalogue.numbers.iter().position(|n| n.target == Target::OutputDelay).unwrap();
+        values[number] = 0.031;
+        assert_eq!(catalogue.candidate(&values).unwrap().output_delay, 0.031);
+        let set = catalogue.effects(&values, Some(&[EffectId::CommandDelay]));
+        assert_eq!(set.value(EffectId::CommandDelay, "delay_s", 0), Some(0.031));
+        assert!(catalogue.hypotheses.iter().all(|h| h.effect != EffectId::PdGain));
     }
 }

@@ -7,8 +7,8 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::fit::Observed;
 use super::hypothesis::Candidate;
+use super::observed::Observed;
 use super::residuals::{Evaluator, FORCE, Groups, VELOCITY};
 use super::spectrum::{BANDS, CELL_S, CosineTransform, band, frequency};
 use sitl::frame::{Attitude, Frd};

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sitl::frame::{Attitude, Ned};
 
-use super::fit::Observed;
 use super::hypothesis::Candidate;
+use super::observed::Observed;
 use super::preparation::PreparedFlight;
 use super::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, Groups, VELOCITY};
 use super::spectrum::{BANDS, CELL_S};
@@ -114,14 +114,33 @@ pub fn map(
 const QUANTITIES: [&str; 6] =
     ["speed [m/s]", "climb [m/s]", "height [m]", "throttle [0..1]", "voltage [V]", "turn [rad/s]"];
 
-/// A quarter of a second.
-struct Sample {
-    world: [f64; 3],
-    body: [f64; 3],
+/// What is unexplained over a quarter of a second, and how the vehicle moved then.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Unexplained acceleration along north, east, down, m/s^2.
+    pub world: [f64; 3],
+    /// The same along front, right, down of the body.
+    pub body: [f64; 3],
+    /// Velocity in body axes, m/s.
+    pub body_velocity: [f64; 3],
+    /// Body rate, rad/s.
+    pub body_rate: [f64; 3],
     quantities: [f64; QUANTITIES.len()],
 }
 
-fn samples(observed: &Observed<'_>, evaluator: &Evaluator, shipped: &Candidate) -> Vec<Sample> {
+impl Sample {
+    /// Mean motor output.
+    pub fn throttle(&self) -> f64 {
+        self.quantities[3]
+    }
+}
+
+/// What `candidate` leaves unexplained of the acceleration, by the quarter of a second.
+pub fn samples(
+    observed: &Observed<'_>,
+    evaluator: &Evaluator,
+    candidate: &Candidate,
+) -> Vec<Sample> {
     let tasks: Vec<_> = observed
         .flights
         .iter()
@@ -133,7 +152,7 @@ fn samples(observed: &Observed<'_>, evaluator: &Evaluator, shipped: &Candidate) 
     tasks
         .par_iter()
         .flat_map_iter(|(flight, layout, block)| {
-            let series = evaluator.series(flight, layout, block, shipped, groups);
+            let series = evaluator.series(flight, layout, block, candidate, groups);
             (0..block.cells / SAMPLE_CELLS)
                 .map(|k| {
                     let cells = k * SAMPLE_CELLS..(k + 1) * SAMPLE_CELLS;
@@ -158,6 +177,8 @@ fn sample(flight: &PreparedFlight, time: f64, world: [f64; 3]) -> Sample {
     Sample {
         world,
         body: attitude.to_body(Ned::from(world)).to_array(),
+        body_velocity: attitude.to_body(Ned::new(vn, ve, vd)).to_array(),
+        body_rate: [p, q, r],
         quantities: [
             (vn * vn + ve * ve + vd * vd).sqrt(),
             -vd,

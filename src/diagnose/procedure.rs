@@ -6,38 +6,29 @@ use sitl::effects::{EffectId, EffectSet};
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::answer::{
-    Answer, EffectAnswer, FlightAnswer, Gap, HypothesisAnswer, NotTestable, Verdict, parameters,
+    Answer, EffectAnswer, FlightAnswer, Gap, HypothesisAnswer, Verdict, parameters,
 };
-use super::fit::Observed;
 use super::gap::{ReportNoise, Simulator};
-use super::hypothesis::{Catalogue, Target};
+use super::hypothesis::Catalogue;
 use super::leftover::{UnmodelledForce, unmodelled_force};
-use super::map::map;
+use super::map::{map, samples};
+use super::naming::{as_good, named_effects, not_testable};
 use super::noise::report_noise;
+use super::observed::Observed;
 use super::preparation::PreparedFlight;
 use super::residuals::{Evaluator, VELOCITY};
-use super::selection::{Rival, Scored, Selection, Selector, Thresholds};
+use super::selection::{Scored, Selection, Selector, Thresholds};
 use super::spectrum::{BANDS, CELL_S};
+use super::turbulence::gusts;
 use super::twins::twins;
 use super::words::finding;
 
 /// Least gain of evidence that is asked of an effect, whatever the twins say: posterior odds of
 /// twenty thousand to one, for a model that is never quite right, nats.
 const EVIDENCE_MIN: f64 = 10.0;
-/// Differences of scores count by this share: channels share noise that the scores take to be
-/// independent.
-const TEMPER: f64 = 0.25;
-/// No flight makes anything more certain than this: the catalogue itself may be wrong.
-const CERTAIN: f64 = 0.995;
-/// Least probability of an effect that the answer mentions.
-const MENTIONED: f64 = 0.01;
-/// Least probability of a rival that cannot be told apart.
-const AMBIGUOUS: f64 = 0.1;
 /// What changes the level of the thrust: only the pack's voltage tells them apart.
 const THRUST_LEVEL: [EffectId; 3] =
     [EffectId::BatterySag, EffectId::ThrustCurve, EffectId::ThrustScale];
-/// Quantile of the normal distribution for 90 % intervals.
-const Z90: f64 = 1.645;
 
 /// What is to be diagnosed.
 #[derive(Debug)]
@@ -144,15 +135,33 @@ pub fn diagnose(
     let effects = catalogue.effects(&selection.best.fit.values, Some(&named));
     let gap = gap(case, &catalogue, &selection, &fitted, &effects, leg, settings)?;
 
-    let verdict = verdict(
-        &selection,
-        unmodelled.as_ref(),
-        explained(&selection, fitted.counts()),
-        &noise,
-        case.vehicle.gravity,
-    );
+    let left = unmodelled
+        .as_ref()
+        .filter(|[_, after]| is_of_practical_size(after, &noise, case.vehicle.gravity));
+    let turbulence = left.and_then(|[_, after]| {
+        let candidate = catalogue.candidate(&selection.best.fit.values).ok()?;
+        gusts(case.vehicle, &effects, after, &samples(&fitted, &evaluator, &candidate))
+    });
+    let explained = explained(&selection, fitted.counts());
+    let found = !named.is_empty();
+    let verdict = match left {
+        _ if turbulence.is_some() => Verdict::Effect,
+        Some([_, after]) if !found || after.total() > LEFT_MAX * (after.total() + explained) => {
+            Verdict::Unknown
+        }
+        _ if found => Verdict::Effect,
+        _ => Verdict::None,
+    };
+    let mut effects = effects;
     let (effects_answer, ambiguous_with) = if verdict == Verdict::Effect {
-        let (effects, mut ambiguous) = named_effects(&catalogue, &selection);
+        let (mut answers, mut ambiguous) = named_effects(&catalogue, &selection);
+        if let Some(slots) = turbulence {
+            let _ = effects.insert(EffectId::Gusts, slots);
+            let parameters = parameters(&effects, EffectId::Gusts);
+            let intervals = BTreeMap::new();
+            let (id, probability) = (EffectId::Gusts.name(), GUSTS_PROBABILITY);
+            answers.push(EffectAnswer { id, probability, parameters, intervals });
+        }
         let voltage = case.fitted.iter().all(|flight| flight.channels.voltage);
         if !voltage && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
@@ -161,7 +170,7 @@ pub fn diagnose(
         ambiguous.extend(as_good(&catalogue, &selection));
         ambiguous.sort_unstable();
         ambiguous.dedup();
-        (effects, ambiguous)
+        (answers, ambiguous)
     } else {
         (Vec::new(), Vec::new())
     };
@@ -217,31 +226,16 @@ const FORCE_TIME_S: f64 = 0.5;
 const FORCE_MIN_WEIGHTS: f64 = 0.01;
 /// Standard errors by which an unmodelled force must stand out.
 const FORCE_SIGNIFICANCE: f64 = 5.0;
+/// Probability of gusts where what is left looks like turbulence: other forces may.
+const GUSTS_PROBABILITY: f64 = 0.8;
 /// Share of the unmodelled power that a set of effects may leave and still be the explanation.
 const LEFT_MAX: f64 = 0.3;
 
-/// An effect was found if it leaves no force of practical size, or little of what there was: a
-/// force is of practical size where within half a second it moves the velocity by more than the
-/// reports of start and end are uncertain.
-fn verdict(
-    selection: &Selection,
-    unmodelled: Option<&[UnmodelledForce; 2]>,
-    explained: f64,
-    noise: &ReportNoise,
-    gravity: f64,
-) -> Verdict {
-    let found = !selection.best.fit.hypotheses.is_empty();
+/// Whether an unmodelled force is more than noise and large enough to matter: within half a second
+/// it moves the velocity by more than the reports of start and end are uncertain.
+fn is_of_practical_size(force: &UnmodelledForce, noise: &ReportNoise, gravity: f64) -> bool {
     let least = (6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S).max(FORCE_MIN_WEIGHTS * gravity);
-    let left = unmodelled.is_some_and(|[_, after]| {
-        after.rms() > least
-            && after.significance() > FORCE_SIGNIFICANCE
-            && (!found || after.total() > LEFT_MAX * (after.total() + explained))
-    });
-    match (left, found) {
-        (true, _) => Verdict::Unknown,
-        (false, true) => Verdict::Effect,
-        (false, false) => Verdict::None,
-    }
+    force.rms() > least && force.significance() > FORCE_SIGNIFICANCE
 }
 
 /// Mean square of the acceleration that the chosen effects explain and the nuisances do not,
@@ -290,153 +284,4 @@ fn gap(
         errors: [before, after, floor],
         noise,
     }))
-}
-
-/// The effects of the chosen set and their rivals, with probabilities, and those that cannot be
-/// told apart.
-fn named_effects(
-    catalogue: &Catalogue,
-    selection: &Selection,
-) -> (Vec<EffectAnswer>, Vec<&'static str>) {
-    let mut found: BTreeMap<EffectId, (f64, Scored)> = BTreeMap::new();
-    // How much the set would lose without an effect.
-    let mut losses: BTreeMap<&str, f64> = BTreeMap::new();
-    let mut ambiguous = Vec::new();
-    for (place, (without, rivals)) in selection.places.iter().enumerate() {
-        let own = selection.best.fit.hypotheses[place];
-        let loss = selection.best.score() - without.score();
-        losses.insert(catalogue.hypotheses[own].effect.name(), loss);
-        let mut options: Vec<(Option<usize>, Scored)> = vec![(None, without.clone())];
-        options.extend(
-            rivals
-                .iter()
-                .filter(|rival| rival.hypothesis != own)
-                .map(|Rival { hypothesis, scored }| (Some(*hypothesis), scored.clone())),
-        );
-        options.push((Some(own), selection.best.clone()));
-        let top = options.iter().map(|(_, s)| s.score()).fold(f64::NEG_INFINITY, f64::max);
-        let weights: Vec<f64> =
-            options.iter().map(|(_, s)| (TEMPER * (s.score() - top)).exp()).collect();
-        let sum: f64 = weights.iter().sum();
-        for ((hypothesis, scored), weight) in options.into_iter().zip(weights) {
-            let Some(hypothesis) = hypothesis else { continue };
-            let effect = catalogue.hypotheses[hypothesis].effect;
-            let probability = CERTAIN * weight / sum;
-            let own_effect = effect == catalogue.hypotheses[own].effect;
-            if probability > AMBIGUOUS && !own_effect {
-                ambiguous.push(effect.name());
-            }
-            let entry = found.entry(effect).or_insert((0.0, scored.clone()));
-            entry.0 = (entry.0 + probability).min(1.0);
-            if hypothesis == own || scored.score() > entry.1.score() {
-                entry.1 = scored;
-            }
-        }
-    }
-    let mut answers: Vec<EffectAnswer> = found
-        .into_iter()
-        .filter(|(_, (probability, _))| *probability > MENTIONED)
-        .map(|(effect, (probability, scored))| {
-            let set = catalogue.effects(&scored.fit.values, Some(&[effect]));
-            EffectAnswer {
-                id: effect.name(),
-                probability,
-                parameters: parameters(&set, effect),
-                intervals: intervals(catalogue, &scored, effect),
-            }
-        })
-        .collect();
-    let loss = |answer: &EffectAnswer| losses.get(answer.id).copied().unwrap_or(0.0);
-    answers.sort_by(|a, b| {
-        let certain = |answer: &EffectAnswer| answer.probability.min(CERTAIN);
-        certain(b).total_cmp(&certain(a)).then(loss(b).total_cmp(&loss(a))).then(a.id.cmp(b.id))
-    });
-    (answers, ambiguous)
-}
-
-/// Share of the evidence of the best single effect with which another explains as much: on real
-/// flights no model is exact, and nats beyond that are of other things.
-const AS_GOOD: f64 = 0.85;
-
-/// Effects that by themselves explain about as much as the one that is named alone.
-fn as_good(catalogue: &Catalogue, selection: &Selection) -> Vec<&'static str> {
-    let class = |h: usize| match catalogue.hypotheses[h].effect {
-        EffectId::Mass => EffectId::ThrustScale,
-        effect => effect,
-    };
-    let evidence = |rival: &Rival| rival.scored.fit.evidence - selection.null.fit.evidence;
-    let named: Vec<EffectId> = selection.best.fit.hypotheses.iter().map(|h| class(*h)).collect();
-    let own = selection.singles.iter().filter(|rival| named.contains(&class(rival.hypothesis)));
-    let most = own.map(evidence).fold(0.0, f64::max);
-    selection
-        .singles
-        .iter()
-        .filter(|rival| !named.contains(&class(rival.hypothesis)))
-        .filter(|rival| most > 0.0 && evidence(rival) > AS_GOOD * most)
-        .map(|rival| catalogue.hypotheses[rival.hypothesis].effect.name())
-        .collect()
-}
-
-/// 90 % intervals of an effect's fitted numbers.
-fn intervals(
-    catalogue: &Catalogue,
-    scored: &Scored,
-    effect: EffectId,
-) -> BTreeMap<String, [f64; 2]> {
-    let mut intervals = BTreeMap::new();
-    for hypothesis in &scored.fit.hypotheses {
-        let hypothesis = &catalogue.hypotheses[*hypothesis];
-        if hypothesis.effect != effect {
-            continue;
-        }
-        for number in &hypothesis.numbers {
-            let name = match catalogue.numbers[*number].target {
-                Target::Effect(id, slot) => {
-                    let Some(slot) = id.spec().slots().find(|s| s.index == slot) else { continue };
-                    match slot.parameter.kind.slots() {
-                        1 => slot.parameter.name.to_owned(),
-                        _ => format!("{}[{}]", slot.parameter.name, slot.component),
-                    }
-                }
-                Target::RotorScale(_) => "scale".to_owned(),
-                Target::OutputDelay => "delay_s".to_owned(),
-                Target::RotorGain(_) | Target::Damping(_) => continue,
-            };
-            let (value, deviation) = (scored.fit.values[*number], scored.fit.deviation[*number]);
-            intervals.insert(name, [value - Z90 * deviation, value + Z90 * deviation]);
-        }
-    }
-    intervals
-}
-
-/// Share of its prior's width that a number must be known to for its effect to be testable.
-const TESTABLE: f64 = 0.5;
-
-fn not_testable(catalogue: &Catalogue, selection: &Selection, leg: bool) -> Vec<NotTestable> {
-    let mut found = Vec::new();
-    for effect in EffectId::ALL {
-        let reason = if effect == EffectId::PdGain && !leg {
-            Some("setpoints or the on-board law's gains are not known".to_owned())
-        } else if effect == EffectId::RotorGyroscopic && catalogue.vehicle.rotor_max_rpm.is_none() {
-            Some("the vehicle file has no rotor_max_rpm".to_owned())
-        } else {
-            let tried: Vec<&Rival> = selection
-                .singles
-                .iter()
-                .filter(|rival| catalogue.hypotheses[rival.hypothesis].effect == effect)
-                .collect();
-            let seen = tried.iter().any(|rival| {
-                catalogue.hypotheses[rival.hypothesis].numbers.iter().any(|number| {
-                    rival.scored.fit.deviation[*number]
-                        < TESTABLE * catalogue.numbers[*number].magnitude
-                })
-            });
-            (!tried.is_empty() && !seen)
-                .then(|| "the motion and the channels of these logs do not show it".to_owned())
-        };
-        if let Some(reason) = reason {
-            found.push(NotTestable { id: effect.name(), reason });
-        }
-    }
-    found
 }

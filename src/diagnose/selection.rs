@@ -10,9 +10,11 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 use sitl::effects::EffectId;
 
-use super::fit::{Fit, Linearised, Observed, fit};
+use super::fit::{Fit, fit};
 use super::gap::{Errors, Simulator, improvement};
 use super::hypothesis::{Catalogue, Hypothesis};
+use super::linearised::Linearised;
+use super::observed::Observed;
 
 /// Most effects at once.
 pub const EFFECTS_MAX: usize = 3;

@@ -11,7 +11,8 @@ use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::fit::{Linearised, Residuals};
+use super::linearised::Linearised;
+use super::observed::Residuals;
 use super::selection::{Scored, Selector};
 
 /// Share of twins that may exceed the threshold.

@@ -189,9 +189,12 @@ impl Planner {
         Ok(Self { model, vehicle, settings })
     }
 
-    /// The same with other most subproblems.
-    pub fn with_subproblems_max(mut self, subproblems_max: usize) -> Self {
+    /// The same for plans that begin as the last one goes on: a small trust region, for they are
+    /// near already, and an end where little is gained.
+    pub fn replanning(mut self, subproblems_max: usize) -> Self {
         self.settings.subproblems_max = subproblems_max;
+        self.settings.trust = self.settings.trust.min(0.1);
+        self.settings.progress = self.settings.progress.max(1e-2);
         self
     }
 

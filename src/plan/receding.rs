@@ -156,7 +156,7 @@ impl Replanner {
             slots: [Mutex::new(None), Mutex::new(None)],
             newest: AtomicUsize::new(0),
         });
-        let planner = planner.with_subproblems_max(settings.subproblems_max);
+        let planner = planner.replanning(settings.subproblems_max);
         Self { planner, answer, settings, board }
     }
 

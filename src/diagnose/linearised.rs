@@ -1,0 +1,334 @@
+//! The cost of hypotheses about a point, from products of derivatives at each place.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::hypothesis::{Catalogue, Values};
+use super::layout::Place;
+use super::observed::{Observed, Residuals, noise_cost};
+
+/// Rounds of weights in a solve.
+const WEIGHT_ROUNDS: usize = 40;
+/// They end when one lowers the cost by less, nats.
+const COST_STEP_MIN: f64 = 2e-5;
+
+/// The residuals about a point as linear in some numbers, by their products at each place.
+#[derive(Clone, Debug)]
+pub struct Linearised {
+    /// The point.
+    pub values: Values,
+    /// The numbers.
+    pub numbers: Vec<usize>,
+    /// Derivatives of the residuals by each of them.
+    pub columns: Vec<Residuals>,
+    /// Products of the columns: upper triangle, row by row, of each place.
+    gram: Vec<Vec<f64>>,
+    /// Products of the columns with the residuals, at each place.
+    cross: Vec<Vec<f64>>,
+    /// Squares of the residuals at each place.
+    square: Vec<f64>,
+}
+
+fn triangle(i: usize, j: usize, n: usize) -> usize {
+    let (i, j) = if i <= j { (i, j) } else { (j, i) };
+    i * n - i * (i + 1) / 2 + j
+}
+
+impl Linearised {
+    /// About `values`, in `numbers`; those without a derivative are left out.
+    pub fn new(observed: &Observed<'_>, values: &[f64], numbers: &[usize]) -> Option<Self> {
+        let base = observed.residuals(values)?;
+        let columns: Vec<(usize, Residuals)> = numbers
+            .par_iter()
+            .filter_map(|n| Some((*n, observed.column(values, &base, *n)?)))
+            .collect();
+        let (numbers, columns): (Vec<_>, Vec<_>) = columns.into_iter().unzip();
+        Some(Self::from_columns(observed, values, &base, numbers, columns))
+    }
+
+    fn from_columns(
+        observed: &Observed<'_>,
+        values: &[f64],
+        base: &Residuals,
+        numbers: Vec<usize>,
+        columns: Vec<Residuals>,
+    ) -> Self {
+        let n = numbers.len();
+        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
+        let products: Vec<Vec<f64>> =
+            pairs.par_iter().map(|(i, j)| observed.dot(&columns[*i], &columns[*j])).collect();
+        let gram = (0..Place::COUNT)
+            .map(|place| products.iter().map(|product| product[place]).collect())
+            .collect();
+        let mut linearised = Self {
+            values: values.to_vec(),
+            numbers,
+            columns,
+            gram,
+            cross: Vec::new(),
+            square: Vec::new(),
+        };
+        linearised.rest_on(observed, base);
+        linearised
+    }
+
+    /// The same derivatives about other residuals.
+    pub fn rest_on(&mut self, observed: &Observed<'_>, base: &Residuals) {
+        let crosses: Vec<Vec<f64>> =
+            self.columns.par_iter().map(|column| observed.dot(column, base)).collect();
+        self.cross = (0..Place::COUNT)
+            .map(|place| crosses.iter().map(|cross| cross[place]).collect())
+            .collect();
+        self.square = observed.power(base);
+    }
+
+    /// The part with fewer numbers (those of `keep` that it has), extended by the columns of
+    /// others.
+    pub(super) fn with(
+        &self,
+        observed: &Observed<'_>,
+        values: &[f64],
+        base: &Residuals,
+        keep: &[usize],
+        fresh: Vec<(usize, Residuals)>,
+    ) -> Self {
+        let kept: Vec<usize> = (0..self.numbers.len())
+            .filter(|i| {
+                keep.contains(&self.numbers[*i])
+                    && fresh.iter().all(|(n, _)| *n != self.numbers[*i])
+            })
+            .collect();
+        let mut numbers: Vec<usize> = kept.iter().map(|i| self.numbers[*i]).collect();
+        let old = numbers.len();
+        let mut columns: Vec<&Residuals> = kept.iter().map(|i| &self.columns[*i]).collect();
+        numbers.extend(fresh.iter().map(|(n, _)| *n));
+        columns.extend(fresh.iter().map(|(_, column)| column));
+        let n = numbers.len();
+        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
+        let products: Vec<Option<Vec<f64>>> = pairs
+            .par_iter()
+            .map(|(i, j)| (*j >= old).then(|| observed.dot(columns[*i], columns[*j])))
+            .collect();
+        let gram = (0..Place::COUNT)
+            .map(|place| {
+                pairs
+                    .iter()
+                    .zip(&products)
+                    .map(|((i, j), product)| match product {
+                        Some(product) => product[place],
+                        None => self.gram[place][triangle(kept[*i], kept[*j], self.numbers.len())],
+                    })
+                    .collect()
+            })
+            .collect();
+        let crosses: Vec<Vec<f64>> =
+            columns.par_iter().map(|column| observed.dot(column, base)).collect();
+        let cross = (0..Place::COUNT)
+            .map(|place| crosses.iter().map(|cross| cross[place]).collect())
+            .collect();
+        let square = observed.power(base);
+        Self { values: values.to_vec(), numbers, columns: Vec::new(), gram, cross, square }
+    }
+
+    /// The least cost over `active` numbers, held by their wide priors, and all others with a
+    /// tolerance.
+    pub fn solve(
+        &self,
+        catalogue: &Catalogue,
+        counts: &[f64],
+        active: &[usize],
+    ) -> Option<Solution> {
+        let used: Vec<usize> = (0..self.numbers.len())
+            .filter(|i| {
+                let number = self.numbers[*i];
+                active.contains(&number) || catalogue.numbers[number].tolerance > 0.0
+            })
+            .collect();
+        let n = used.len();
+        let total = self.numbers.len();
+        let mut prior = DVector::zeros(n);
+        let mut off = DVector::zeros(n);
+        for (row, i) in used.iter().enumerate() {
+            let number = &catalogue.numbers[self.numbers[*i]];
+            let width = if active.contains(&self.numbers[*i]) {
+                number.magnitude
+            } else {
+                number.tolerance
+            };
+            prior[row] = width.powi(-2);
+            off[row] = self.values[self.numbers[*i]] - number.reference;
+        }
+        let places: Vec<usize> = (0..Place::COUNT).filter(|p| counts[*p] > 0.0).collect();
+        let power = |delta: &DVector<f64>| -> Vec<f64> {
+            let mut power = vec![0.0; Place::COUNT];
+            for place in &places {
+                let (gram, cross) = (&self.gram[*place], &self.cross[*place]);
+                let mut q = self.square[*place];
+                for (a, i) in used.iter().enumerate() {
+                    let d = delta[a];
+                    if d == 0.0 {
+                        continue;
+                    }
+                    let mut row = 0.0;
+                    for (b, j) in used.iter().enumerate() {
+                        row += gram[triangle(*i, *j, total)] * delta[b];
+                    }
+                    q += d * (2.0 * cross[*i] + row);
+                }
+                power[*place] = q.max(1e-9 * self.square[*place]).max(f64::MIN_POSITIVE);
+            }
+            power
+        };
+        let cost_of = |power: &[f64], delta: &DVector<f64>| {
+            let noise = noise_cost(power, counts);
+            let pulled: f64 = (0..n).map(|i| prior[i] * (off[i] + delta[i]).powi(2)).sum();
+            noise + 0.5 * pulled
+        };
+        let limits: Vec<[f64; 2]> = used
+            .iter()
+            .map(|i| {
+                let number = self.numbers[*i];
+                let value = self.values[number];
+                catalogue.limits(number, active).map(|limit| limit - value)
+            })
+            .collect();
+        let mut delta = DVector::from_fn(n, |i, _| 0.0_f64.clamp(limits[i][0], limits[i][1]));
+        let mut current = power(&delta);
+        let mut cost = cost_of(&current, &delta);
+        let mut factor = None;
+        let mut held = vec![false; n];
+        for _ in 0..WEIGHT_ROUNDS {
+            let mut normal = DMatrix::from_diagonal(&prior);
+            let mut gradient = DVector::from_fn(n, |i, _| prior[i] * off[i]);
+            for place in &places {
+                let weight = counts[*place] / current[*place];
+                let (gram, cross) = (&self.gram[*place], &self.cross[*place]);
+                for (a, i) in used.iter().enumerate() {
+                    gradient[a] += weight * cross[*i];
+                    for (b, j) in used.iter().enumerate().skip(a) {
+                        normal[(a, b)] += weight * gram[triangle(*i, *j, total)];
+                    }
+                }
+            }
+            for a in 0..n {
+                for b in 0..a {
+                    normal[(a, b)] = normal[(b, a)];
+                }
+            }
+            factor = Some(scaled_cholesky(&normal)?);
+            let target = bounded_minimum(&normal, &gradient, &limits, &mut held)?;
+            // Halved until the cost falls: far from the fixed point the weights may overshoot.
+            let mut share = 1.0;
+            let mut moved = false;
+            while share > 1e-3 {
+                let trial = &delta + (&target - &delta) * share;
+                let there = power(&trial);
+                let new = cost_of(&there, &trial);
+                if new < cost {
+                    moved = cost - new > COST_STEP_MIN;
+                    (delta, current, cost) = (trial, there, new);
+                    break;
+                }
+                share *= 0.5;
+            }
+            if !moved {
+                break;
+            }
+        }
+        let factor = factor?;
+        let evidence = -cost + 0.5 * prior.iter().map(|p| p.ln()).sum::<f64>()
+            - 0.5 * factor.log_determinant();
+        let mut values = self.values.clone();
+        let mut deviation = vec![0.0; catalogue.numbers.len()];
+        let covariance = factor.inverse();
+        for (a, i) in used.iter().enumerate() {
+            let number = self.numbers[*i];
+            values[number] += delta[a];
+            deviation[number] = covariance[(a, a)].max(0.0).sqrt();
+        }
+        Some(Solution { values, deviation, cost, evidence, power: current })
+    }
+}
+
+/// The minimum of a quadratic within limits: numbers that would leave theirs are held there.
+/// `held` carries over which.
+fn bounded_minimum(
+    normal: &DMatrix<f64>,
+    gradient: &DVector<f64>,
+    limits: &[[f64; 2]],
+    held: &mut [bool],
+) -> Option<DVector<f64>> {
+    let n = gradient.len();
+    held.fill(false);
+    let mut at = DVector::zeros(n);
+    for _ in 0..n {
+        let free: Vec<usize> = (0..n).filter(|i| !held[*i]).collect();
+        let matrix = DMatrix::from_fn(free.len(), free.len(), |a, b| normal[(free[a], free[b])]);
+        let right = DVector::from_fn(free.len(), |a, _| {
+            let i = free[a];
+            let fixed: f64 = (0..n).filter(|j| held[*j]).map(|j| normal[(i, j)] * at[j]).sum();
+            -gradient[i] - fixed
+        });
+        let solution = scaled_cholesky(&matrix)?.solve(&right);
+        let mut left = false;
+        for (a, i) in free.iter().enumerate() {
+            let [low, high] = limits[*i];
+            at[*i] = solution[a].clamp(low, high);
+            if solution[a] < low || solution[a] > high {
+                held[*i] = true;
+                left = true;
+            }
+        }
+        if !left {
+            break;
+        }
+    }
+    Some(at)
+}
+
+/// A Cholesky factor of a matrix scaled to a unit diagonal.
+struct ScaledCholesky {
+    factor: nalgebra::Cholesky<f64, nalgebra::Dyn>,
+    scale: DVector<f64>,
+}
+
+fn scaled_cholesky(matrix: &DMatrix<f64>) -> Option<ScaledCholesky> {
+    let scale = matrix.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
+    let scaled = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
+        matrix[(i, j)] * scale[i] * scale[j] + if i == j { 1e-12 } else { 0.0 }
+    });
+    Some(ScaledCholesky { factor: scaled.cholesky()?, scale })
+}
+
+impl ScaledCholesky {
+    fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
+        self.factor.solve(&right.component_mul(&self.scale)).component_mul(&self.scale)
+    }
+
+    fn inverse(&self) -> DMatrix<f64> {
+        let inverse = self.factor.inverse();
+        DMatrix::from_fn(inverse.nrows(), inverse.ncols(), |i, j| {
+            inverse[(i, j)] * self.scale[i] * self.scale[j]
+        })
+    }
+
+    fn log_determinant(&self) -> f64 {
+        let l = self.factor.l_dirty();
+        (0..self.scale.len()).map(|i| 2.0 * (l[(i, i)].ln() - self.scale[i].ln())).sum()
+    }
+}
+
+/// The minimum of a linearised cost.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// All numbers there.
+    pub values: Values,
+    /// Standard deviations of those that were free.
+    pub deviation: Vec<f64>,
+    /// Cost, nats.
+    pub cost: f64,
+    /// Log evidence.
+    pub evidence: f64,
+    /// Sum of squares left at each place.
+    pub power: Vec<f64>,
+}

@@ -1,0 +1,175 @@
+//! From the outcome of a search to named effects: probabilities, intervals, what cannot be told
+//! apart, and what the logs cannot show.
+
+use std::collections::BTreeMap;
+
+use sitl::effects::EffectId;
+
+use super::answer::{EffectAnswer, NotTestable, parameters};
+use super::hypothesis::{Catalogue, Target};
+use super::selection::{Rival, Scored, Selection};
+
+/// No flight makes anything more certain than this: the catalogue itself may be wrong.
+const CERTAIN: f64 = 0.995;
+/// Differences of scores count by this share: channels share noise that the scores take to be
+/// independent.
+const TEMPER: f64 = 0.25;
+/// Least probability of an effect that the answer mentions.
+const MENTIONED: f64 = 0.01;
+/// Least probability of a rival that cannot be told apart.
+const AMBIGUOUS: f64 = 0.1;
+/// Quantile of the normal distribution for 90 % intervals.
+const Z90: f64 = 1.645;
+
+/// The effects of the chosen set and their rivals, with probabilities, and those that cannot be
+/// told apart.
+pub(super) fn named_effects(
+    catalogue: &Catalogue,
+    selection: &Selection,
+) -> (Vec<EffectAnswer>, Vec<&'static str>) {
+    let mut found: BTreeMap<EffectId, (f64, Scored)> = BTreeMap::new();
+    // How much the set would lose without an effect.
+    let mut losses: BTreeMap<&str, f64> = BTreeMap::new();
+    let mut ambiguous = Vec::new();
+    for (place, (without, rivals)) in selection.places.iter().enumerate() {
+        let own = selection.best.fit.hypotheses[place];
+        let loss = selection.best.score() - without.score();
+        losses.insert(catalogue.hypotheses[own].effect.name(), loss);
+        let mut options: Vec<(Option<usize>, Scored)> = vec![(None, without.clone())];
+        options.extend(
+            rivals
+                .iter()
+                .filter(|rival| rival.hypothesis != own)
+                .map(|Rival { hypothesis, scored }| (Some(*hypothesis), scored.clone())),
+        );
+        options.push((Some(own), selection.best.clone()));
+        let top = options.iter().map(|(_, s)| s.score()).fold(f64::NEG_INFINITY, f64::max);
+        let weights: Vec<f64> =
+            options.iter().map(|(_, s)| (TEMPER * (s.score() - top)).exp()).collect();
+        let sum: f64 = weights.iter().sum();
+        for ((hypothesis, scored), weight) in options.into_iter().zip(weights) {
+            let Some(hypothesis) = hypothesis else { continue };
+            let effect = catalogue.hypotheses[hypothesis].effect;
+            let probability = CERTAIN * weight / sum;
+            let own_effect = effect == catalogue.hypotheses[own].effect;
+            if probability > AMBIGUOUS && !own_effect {
+                ambiguous.push(effect.name());
+            }
+            let entry = found.entry(effect).or_insert((0.0, scored.clone()));
+            entry.0 = (entry.0 + probability).min(1.0);
+            if hypothesis == own || scored.score() > entry.1.score() {
+                entry.1 = scored;
+            }
+        }
+    }
+    let mut answers: Vec<EffectAnswer> = found
+        .into_iter()
+        .filter(|(_, (probability, _))| *probability > MENTIONED)
+        .map(|(effect, (probability, scored))| {
+            let set = catalogue.effects(&scored.fit.values, Some(&[effect]));
+            EffectAnswer {
+                id: effect.name(),
+                probability,
+                parameters: parameters(&set, effect),
+                intervals: intervals(catalogue, &scored, effect),
+            }
+        })
+        .collect();
+    let loss = |answer: &EffectAnswer| losses.get(answer.id).copied().unwrap_or(0.0);
+    answers.sort_by(|a, b| {
+        let certain = |answer: &EffectAnswer| answer.probability.min(CERTAIN);
+        certain(b).total_cmp(&certain(a)).then(loss(b).total_cmp(&loss(a))).then(a.id.cmp(b.id))
+    });
+    (answers, ambiguous)
+}
+
+/// Share of the evidence of the best single effect with which another explains as much: on real
+/// flights no model is exact, and nats beyond that are of other things.
+const AS_GOOD: f64 = 0.85;
+
+/// Effects that by themselves explain about as much as the one that is named alone.
+pub(super) fn as_good(catalogue: &Catalogue, selection: &Selection) -> Vec<&'static str> {
+    let class = |h: usize| match catalogue.hypotheses[h].effect {
+        EffectId::Mass => EffectId::ThrustScale,
+        effect => effect,
+    };
+    let evidence = |rival: &Rival| rival.scored.fit.evidence - selection.null.fit.evidence;
+    let named: Vec<EffectId> = selection.best.fit.hypotheses.iter().map(|h| class(*h)).collect();
+    let own = selection.singles.iter().filter(|rival| named.contains(&class(rival.hypothesis)));
+    let most = own.map(evidence).fold(0.0, f64::max);
+    selection
+        .singles
+        .iter()
+        .filter(|rival| !named.contains(&class(rival.hypothesis)))
+        .filter(|rival| most > 0.0 && evidence(rival) > AS_GOOD * most)
+        .map(|rival| catalogue.hypotheses[rival.hypothesis].effect.name())
+        .collect()
+}
+
+/// 90 % intervals of an effect's fitted numbers.
+fn intervals(
+    catalogue: &Catalogue,
+    scored: &Scored,
+    effect: EffectId,
+) -> BTreeMap<String, [f64; 2]> {
+    let mut intervals = BTreeMap::new();
+    for hypothesis in &scored.fit.hypotheses {
+        let hypothesis = &catalogue.hypotheses[*hypothesis];
+        if hypothesis.effect != effect {
+            continue;
+        }
+        for number in &hypothesis.numbers {
+            let name = match catalogue.numbers[*number].target {
+                Target::Effect(id, slot) => {
+                    let Some(slot) = id.spec().slots().find(|s| s.index == slot) else { continue };
+                    match slot.parameter.kind.slots() {
+                        1 => slot.parameter.name.to_owned(),
+                        _ => format!("{}[{}]", slot.parameter.name, slot.component),
+                    }
+                }
+                Target::RotorScale(_) => "scale".to_owned(),
+                Target::OutputDelay => "delay_s".to_owned(),
+                Target::RotorGain(_) | Target::Damping(_) => continue,
+            };
+            let (value, deviation) = (scored.fit.values[*number], scored.fit.deviation[*number]);
+            intervals.insert(name, [value - Z90 * deviation, value + Z90 * deviation]);
+        }
+    }
+    intervals
+}
+
+/// Share of its prior's width that a number must be known to for its effect to be testable.
+const TESTABLE: f64 = 0.5;
+
+pub(super) fn not_testable(
+    catalogue: &Catalogue,
+    selection: &Selection,
+    leg: bool,
+) -> Vec<NotTestable> {
+    let mut found = Vec::new();
+    for effect in EffectId::ALL {
+        let reason = if effect == EffectId::PdGain && !leg {
+            Some("setpoints or the on-board law's gains are not known".to_owned())
+        } else if effect == EffectId::RotorGyroscopic && catalogue.vehicle.rotor_max_rpm.is_none() {
+            Some("the vehicle file has no rotor_max_rpm".to_owned())
+        } else {
+            let tried: Vec<&Rival> = selection
+                .singles
+                .iter()
+                .filter(|rival| catalogue.hypotheses[rival.hypothesis].effect == effect)
+                .collect();
+            let seen = tried.iter().any(|rival| {
+                catalogue.hypotheses[rival.hypothesis].numbers.iter().any(|number| {
+                    rival.scored.fit.deviation[*number]
+                        < TESTABLE * catalogue.numbers[*number].magnitude
+                })
+            });
+            (!tried.is_empty() && !seen)
+                .then(|| "the motion and the channels of these logs do not show it".to_owned())
+        };
+        if let Some(reason) = reason {
+            found.push(NotTestable { id: effect.name(), reason });
+        }
+    }
+    found
+}

@@ -1,0 +1,200 @@
+//! Flights as what is looked at in them: coefficients by place, their products and derivatives.
+
+use rayon::prelude::*;
+
+use super::hypothesis::Catalogue;
+use super::layout::{Layout, Place};
+use super::preparation::PreparedFlight;
+use super::residuals::{CHANNELS, Evaluator, Groups};
+use super::spectrum::BANDS;
+
+/// Flights with what is looked at in them.
+#[derive(Debug)]
+pub struct Observed<'a> {
+    /// The flights.
+    pub flights: &'a [PreparedFlight],
+    /// What is looked at, for each.
+    pub layouts: Vec<Layout>,
+    evaluator: &'a Evaluator,
+    pub(super) catalogue: &'a Catalogue,
+    /// Runs of coefficients of one place: flight, place, start, end.
+    runs: Vec<Run>,
+    pub(super) counts: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    flight: usize,
+    block: usize,
+    place: usize,
+    start: usize,
+    end: usize,
+}
+
+/// Residuals of every flight.
+pub type Residuals = Vec<Vec<f64>>;
+
+impl<'a> Observed<'a> {
+    /// Looks at flights.
+    pub fn new(
+        flights: &'a [PreparedFlight],
+        evaluator: &'a Evaluator,
+        catalogue: &'a Catalogue,
+    ) -> Self {
+        let layouts: Vec<Layout> = flights.iter().map(Layout::new).collect();
+        let mut runs: Vec<Run> = Vec::new();
+        let mut counts = vec![0.0; Place::COUNT];
+        for (flight, layout) in layouts.iter().enumerate() {
+            for (block, ends) in layout.blocks.windows(2).enumerate() {
+                let mut start = ends[0];
+                while start < ends[1] {
+                    let place = layout.places[start].index();
+                    let mut end = start + 1;
+                    while end < ends[1] && layout.places[end].index() == place {
+                        end += 1;
+                    }
+                    counts[place] += (end - start) as f64;
+                    runs.push(Run { flight, block, place, start, end });
+                    start = end;
+                }
+            }
+        }
+        Self { flights, layouts, evaluator, catalogue, runs, counts }
+    }
+
+    /// Number of coefficients at each place.
+    pub fn counts(&self) -> &[f64] {
+        &self.counts
+    }
+
+    /// What `values` leave unexplained; `None` for a vehicle that the physics refuses.
+    pub fn residuals(&self, values: &[f64]) -> Option<Residuals> {
+        self.residuals_in(values, Groups::ALL)
+    }
+
+    fn residuals_in(&self, values: &[f64], groups: Groups) -> Option<Residuals> {
+        let candidate = self.catalogue.candidate(values).ok()?;
+        Some(
+            self.flights
+                .par_iter()
+                .zip(&self.layouts)
+                .map(|(flight, layout)| {
+                    self.evaluator.residuals(flight, layout, &candidate, groups)
+                })
+                .collect(),
+        )
+    }
+
+    /// Sum of squares at each place.
+    pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
+        let mut power = vec![0.0; Place::COUNT];
+        for run in &self.runs {
+            let part = &residuals[run.flight][run.start..run.end];
+            power[run.place] += part.iter().map(|r| r * r).sum::<f64>();
+        }
+        power
+    }
+
+    /// Log density of each block in nats, without constants, under noise whose spectrum has the
+    /// shape of `noise` in every channel and whose strength in the block is not known: a flight
+    /// held out may be rougher than the fitted ones, and a bump does not decide.
+    pub fn log_density(&self, residuals: &Residuals, noise: &[f64]) -> Vec<f64> {
+        let mut first = 0;
+        let mut density = Vec::new();
+        // Of each channel in a block: number, sum of squares in units of the noise.
+        let mut sums = [[0.0; 2]; CHANNELS];
+        let strength = |sums: &mut [[f64; 2]; CHANNELS]| -> f64 {
+            std::mem::take(sums)
+                .iter()
+                .filter(|[n, _]| *n > 0.0)
+                .map(|[n, q]| 0.5 * n * (q / n).max(f64::MIN_POSITIVE).ln())
+                .sum()
+        };
+        for (index, run) in self.runs.iter().enumerate() {
+            if index == 0
+                || (run.flight, run.block) != (self.runs[first].flight, self.runs[first].block)
+            {
+                if let Some(last) = density.last_mut() {
+                    *last -= strength(&mut sums);
+                }
+                density.push(0.0);
+                first = index;
+            }
+            let variance = noise[run.place];
+            if variance <= 0.0 {
+                continue;
+            }
+            let part = &residuals[run.flight][run.start..run.end];
+            let n = (run.end - run.start) as f64;
+            let [count, square] = &mut sums[run.place / BANDS.len()];
+            *count += n;
+            *square += part.iter().map(|r| r * r).sum::<f64>() / variance;
+            if let Some(last) = density.last_mut() {
+                *last -= 0.5 * n * variance.ln();
+            }
+        }
+        if let Some(last) = density.last_mut() {
+            *last -= strength(&mut sums);
+        }
+        density
+    }
+
+    /// Derivatives of the residuals with respect to one number at `values`, where they are
+    /// `base`.
+    pub fn column(&self, values: &[f64], base: &Residuals, number: usize) -> Option<Residuals> {
+        let described = &self.catalogue.numbers[number];
+        let step = described.step(values[number]);
+        let groups = Groups::of(described.target);
+        let moved = |by: f64| {
+            let mut moved = values.to_vec();
+            moved[number] += by;
+            self.residuals_in(&moved, groups)
+        };
+        let up = values[number] + 2.0 * step <= described.bounds[1];
+        let sign = if up { 1.0 } else { -1.0 };
+        // An effect that is on where it was off may replace another: both points have it on.
+        let switches = values[number] == described.reference
+            && self.catalogue.vehicle.linear_drag_n_per_m_s.is_some();
+        let (near, far) = if switches {
+            (moved(sign * step)?, moved(2.0 * sign * step)?)
+        } else {
+            (base.clone(), moved(sign * step)?)
+        };
+        let scale = sign / step;
+        let column = near
+            .iter()
+            .zip(&far)
+            .zip(&self.layouts)
+            .map(|((a, b), layout)| {
+                let difference = a.iter().zip(b).zip(&layout.places);
+                difference
+                    .map(
+                        |((a, b), place)| {
+                            if groups.has(place.channel()) { (b - a) * scale } else { 0.0 }
+                        },
+                    )
+                    .collect()
+            })
+            .collect();
+        Some(column)
+    }
+
+    pub(super) fn dot(&self, a: &Residuals, b: &Residuals) -> Vec<f64> {
+        let mut sums = vec![0.0; Place::COUNT];
+        for run in &self.runs {
+            let (a, b) = (&a[run.flight][run.start..run.end], &b[run.flight][run.start..run.end]);
+            sums[run.place] += a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        }
+        sums
+    }
+}
+
+/// Cost of sums of squares, in nats.
+pub(super) fn noise_cost(power: &[f64], counts: &[f64]) -> f64 {
+    power
+        .iter()
+        .zip(counts)
+        .filter(|(_, n)| **n > 0.0)
+        .map(|(q, n)| 0.5 * n * (q.max(f64::MIN_POSITIVE) / n).ln())
+        .sum()
+}

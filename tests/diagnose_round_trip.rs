@@ -1,0 +1,201 @@
+//! From a simulated vehicle with a hidden effect to the effect's name and numbers.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use sitl::effects::{EffectSet, ParameterValue};
+
+const NANO: &str = "crazyflie.toml";
+const QUAD: &str = "quad1200.toml";
+
+fn vehicle(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles").join(name)
+}
+
+/// An empty folder of the test's own.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("diagnose").join(name);
+    let _ = fs::remove_dir_all(&path);
+    fs::create_dir_all(&path).expect("a folder");
+    path
+}
+
+fn downwash(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
+    command.env("XDG_CONFIG_HOME", folder);
+    command
+}
+
+/// Flies a programme of `seconds` with hidden effects; the logs in order.
+fn fly(name: &str, vehicle_file: &str, seconds: u32, effects: &[&str]) -> Vec<PathBuf> {
+    let folder = folder(name);
+    let mut command = downwash(&folder);
+    command.args(["collect", "--seconds", &seconds.to_string(), "--vehicle"]);
+    command.arg(vehicle(vehicle_file)).arg("--out").arg(&folder);
+    for effect in effects {
+        command.args(["--effect", effect]);
+    }
+    let output = command.output().expect("the command runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let entries = fs::read_dir(&folder).expect("the folder");
+    let mut logs: Vec<PathBuf> = entries.map(|entry| entry.expect("an entry").path()).collect();
+    logs.sort();
+    logs
+}
+
+fn diagnose(name: &str, vehicle_file: &str, logs: &[PathBuf], more: &[&str]) -> Output {
+    downwash(&folder(&format!("{name}-diagnosis")))
+        .args(["diagnose", "--json", "--vehicle"])
+        .arg(vehicle(vehicle_file))
+        .args(logs)
+        .args(more)
+        .output()
+        .expect("the command runs")
+}
+
+fn answer(output: &Output) -> Value {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {errors}"))
+}
+
+fn named(answer: &Value) -> Vec<&str> {
+    let effects = answer["effects"].as_array().expect("effects");
+    effects
+        .iter()
+        .filter(|effect| effect["probability"].as_f64().is_some_and(|p| p >= 0.5))
+        .filter_map(|effect| effect["id"].as_str())
+        .collect()
+}
+
+#[test]
+fn drag_is_named_with_its_number_and_closes_the_gap_in_the_improved_file() {
+    let logs = fly("drag", NANO, 60, &["rotor_drag:d_xy=0.01,d_z=0.004"]);
+    let improved = folder("drag-improved").join("improved.toml");
+    let out = improved.to_str().expect("a path in UTF-8");
+    let answer = answer(&diagnose("drag", NANO, &logs, &["--twins", "10", "-o", out]));
+    assert_eq!(answer["verdict"], "effect", "{}", answer["finding"]);
+    assert_eq!(named(&answer), ["rotor_drag"]);
+    let d_xy = answer["effects"][0]["parameters"]["d_xy"].as_f64().expect("d_xy");
+    assert!((d_xy / 0.01 - 1.0).abs() < 0.05, "{d_xy}");
+    assert!(answer["gap"]["closure"].as_f64().expect("a closure") > 0.9, "{}", answer["gap"]);
+
+    let improved = sitl::vehicle::VehicleParams::load(&improved).expect("the improved file");
+    let written = improved.modelled_effects.value(sitl::effects::EffectId::RotorDrag, "d_xy", 0);
+    assert!(written.is_some_and(|written| (written - d_xy).abs() < 1e-12));
+}
+
+#[test]
+fn a_vehicle_without_effects_is_found_to_have_none() {
+    let logs = fly("null", QUAD, 40, &[]);
+    let output = diagnose("null", QUAD, &logs, &["--twins", "10", "--fail-on", "gap"]);
+    let answer = answer(&output);
+    assert_eq!(answer["verdict"], "none", "{}", answer["finding"]);
+    assert!(named(&answer).is_empty());
+}
+
+#[test]
+fn the_exit_code_tells_what_it_was_asked_for() {
+    let logs = fly("fail-on", QUAD, 40, &["thrust_scale:scale=0.93"]);
+    let output = diagnose("fail-on", QUAD, &logs, &["--twins", "0", "--fail-on", "effect"]);
+    assert_eq!(output.status.code(), Some(10), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn bad_logs_are_refused_and_nothing_is_written() {
+    let own = folder("bad");
+    let (empty, foreign) = (own.join("empty.tlog"), own.join("foreign.tlog"));
+    fs::write(&empty, []).expect("a file");
+    fs::write(&foreign, "not a log").expect("a file");
+    let improved = own.join("improved.toml");
+    let out = improved.to_str().expect("a path in UTF-8");
+    let output = diagnose("bad", NANO, &[empty, foreign], &["-o", out]);
+    assert_eq!(output.status.code(), Some(2));
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(errors.contains("empty.tlog") && errors.contains("foreign.tlog"), "{errors}");
+    assert!(!improved.exists());
+}
+
+/// Every effect at three magnitudes on both vehicles; prints what was found. Takes long: run it
+/// with `--ignored --nocapture` and an optimised build.
+#[test]
+#[ignore = "takes an hour"]
+fn every_effect_is_named_at_three_magnitudes() {
+    // Full magnitudes: nano, quad.
+    let effects: [(&str, [&str; 2]); 20] = [
+        ("thrust_scale", ["scale=0.9", "scale=1.1"]),
+        ("mass", ["mass_kg=*1.1", "mass_kg=*1.1"]),
+        ("thrust_curve", ["a=0.3", "a=0.3"]),
+        ("battery_sag", ["exponent=1.5", "exponent=1.5"]),
+        ("rotor_loss", ["rotor=1,scale=0.9", "rotor=2,scale=0.9"]),
+        ("motor_lag", ["tau_s=0.06", "tau_s=0.05"]),
+        ("command_delay", ["delay_s=0.03", "delay_s=0.03"]),
+        ("rotor_drag", ["d_xy=0.01,d_z=0.004", "d_xy=0.3,d_z=0.1"]),
+        ("parasitic_drag", ["cda_m2=0.004", "cda_m2=0.04"]),
+        ("ground_effect", ["r_eff_m=0.3", "r_eff_m=0.8"]),
+        ("translational_lift", ["k_s2_m2=0.01", "k_s2_m2=0.01"]),
+        (
+            "blade_flapping",
+            ["moment_Nms_m=0.0003,tilt_rad_s_m=0.01", "moment_Nms_m=0.05,tilt_rad_s_m=0.01"],
+        ),
+        ("vortex_ring", ["loss_max=0.3", "loss_max=0.3"]),
+        ("inertia", ["scale=[1.4,1.4,1.3]", "scale=[1.4,1.4,1.3]"]),
+        ("com_offset", ["x_m=0.002,y_m=-0.001", "x_m=0.005,y_m=-0.004"]),
+        ("rotor_gyroscopic", ["rotor_inertia_kgm2=4e-8", "rotor_inertia_kgm2=4e-5"]),
+        ("yaw_torque", ["scale=1.4", "scale=1.4"]),
+        ("attitude_trim", ["roll_rad=0.02,pitch_rad=-0.015", "roll_rad=0.02,pitch_rad=-0.015"]),
+        ("estimator_latency", ["latency_s=0.04", "latency_s=0.04"]),
+        (
+            "pd_gain",
+            [
+                "kp_scale=[0.7,0.7,0.8],kd_scale=[0.8,0.8,1.0]",
+                "kp_scale=[0.7,0.7,0.8],kd_scale=[0.8,0.8,1.0]",
+            ],
+        ),
+    ];
+    let mut wrong = 0;
+    for (id, full) in effects {
+        for (vehicle_file, text) in [NANO, QUAD].into_iter().zip(full) {
+            for share in [0.5, 1.0, 1.5] {
+                let argument = scaled(vehicle_file, id, text, share);
+                let name = format!("campaign-{id}-{vehicle_file}-{share}");
+                let logs = fly(&name, vehicle_file, 80, &[&argument]);
+                let answer = answer(&diagnose(&name, vehicle_file, &logs, &[]));
+                let found = named(&answer);
+                let right = found.first().is_some_and(|found| {
+                    *found == id
+                        || [*found, id].iter().all(|e| ["mass", "thrust_scale"].contains(e))
+                });
+                wrong += usize::from(!right);
+                println!("{} {argument}: {}", if right { "ok" } else { "--" }, answer["finding"]);
+            }
+        }
+    }
+    println!("{wrong} of 120 not named first");
+}
+
+/// An effect's argument with its numbers at `share` of the way from neutral to `full`.
+fn scaled(vehicle_file: &str, id: &str, full: &str, share: f64) -> String {
+    let params = sitl::vehicle::VehicleParams::load(vehicle(vehicle_file)).expect("a vehicle");
+    let mut set = EffectSet::new();
+    let full = full.replace("mass_kg=*1.1", &format!("mass_kg={}", 1.1 * params.mass));
+    set.insert_argument(&format!("{id}:{full}")).expect("an effect");
+    let effect: sitl::effects::EffectId = id.parse().expect("an effect");
+    let slots = set.slots(effect).expect("it is on");
+    let mut parts = Vec::new();
+    for slot in effect.spec().slots().filter(|slot| slot.component == 0) {
+        let neutral = downwash::diagnose::hypothesis::reference(&params, effect, slot.index);
+        let toward = |index: usize| {
+            let fixed = matches!(slot.parameter.neutral, sitl::effects::Neutral::None);
+            if fixed { slots[index] } else { neutral + share * (slots[index] - neutral) }
+        };
+        let value = match slot.parameter.kind.slots() {
+            1 => ParameterValue::Number(toward(slot.index)),
+            n => ParameterValue::Vector((slot.index..slot.index + n).map(toward).collect()),
+        };
+        parts.push(format!("{}={value}", slot.parameter.name));
+    }
+    format!("{id}:{}", parts.join(","))
+}
