@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::model::file::ModelKind;
+use crate::plan::planner::SolverChoice;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
 ///
 /// Results go to stdout, progress and messages to stderr. Exit codes: 0 done, 1 failed while
 /// running, 2 bad flags or files, 3 no vehicle heard or link lost, 4 preflight or vehicle refused,
-/// 5 flight ended early by a safety reaction or by the pilot, 130 interrupted after a clean stop.
+/// 5 flight ended early by a safety reaction or by the pilot, 10 a check failed that was asked for, 130 interrupted after a clean stop.
 #[derive(Debug, Parser)]
 #[command(version, max_term_width = 100)]
 pub struct Cli {
@@ -43,6 +44,8 @@ pub enum Command {
     /// Looks at, judges, runs and exports a learned model.
     #[command(subcommand)]
     Model(ModelCommand),
+    /// Plans a trajectory through a model: a reference that `fly` takes.
+    Plan(PlanArgs),
     /// Says where a simulator and flights part, which effect causes it, and how far it shrinks.
     Diagnose(DiagnoseArgs),
     /// Shows every setting and where its value comes from.
@@ -52,13 +55,22 @@ pub enum Command {
 /// Flags of `demo`.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// Folder for report.html, summary.json and the flight log; made if missing.
+    /// Folder for report.html, summary.json, the logs, the model and the plans; made if missing.
     #[arg(long, default_value = "demo-out")]
     pub out: PathBuf,
+    /// What flies the trajectory: feedback alone, or plans through these models of what was learned.
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = Contestant::PAPER)]
+    pub fly: Vec<Contestant>,
+    /// Length of the flights that the models are learned from, s.
+    #[arg(long, value_name = "SECONDS", default_value_t = 900.0)]
+    pub learn: f64,
+    /// Flights of each, with seeds from --seed on.
+    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
+    pub flights: u64,
     /// Vehicle file [default: a built-in nano quadrotor].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
-    /// Trajectory file [default: the built-in sinusoid-yaw].
+    /// Trajectory file, or with --fly model-free a plan [default: the built-in sinusoid-yaw].
     #[arg(long)]
     pub trajectory: Option<PathBuf>,
     /// The simulated vehicle.
@@ -75,8 +87,52 @@ pub struct DemoArgs {
     pub json: bool,
 }
 
+/// What flies a trajectory in `demo`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Contestant {
+    /// The desired trajectory as the reference, hover as the feed-forward.
+    ModelFree,
+    /// A plan through the learned networks.
+    Net,
+    /// A plan through the fitted physics.
+    Physics,
+    /// A plan through physics and networks together.
+    Hybrid,
+    /// Plans through physics and networks together, made anew in flight.
+    Replanned,
+}
+
+impl Contestant {
+    /// The paper's, in the order of the report.
+    pub const PAPER: [Self; 4] = [Self::ModelFree, Self::Net, Self::Physics, Self::Hybrid];
+
+    /// The model that it plans through.
+    pub fn model(self) -> Option<ModelKind> {
+        match self {
+            Self::ModelFree => None,
+            Self::Net => Some(ModelKind::Net),
+            Self::Physics => Some(ModelKind::Physics),
+            Self::Hybrid | Self::Replanned => Some(ModelKind::Hybrid),
+        }
+    }
+
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Replanned => "replanned",
+            _ => self.model().map_or("model-free", ModelKind::name),
+        }
+    }
+}
+
+impl std::fmt::Display for Contestant {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
 /// What of the simulated vehicle the vehicle file does not say.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct SimulationArgs {
     /// The simulated vehicle's own configuration: sensors, pack, start.
     #[arg(long)]
@@ -135,7 +191,7 @@ pub struct CollectArgs {
 /// Flags of `fly`.
 #[derive(Debug, Args)]
 pub struct FlyArgs {
-    /// Trajectory file (TOML or CSV).
+    /// Trajectory file (TOML or CSV), or a plan (.json).
     pub trajectory: PathBuf,
     /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
     #[arg(long, value_name = "URL")]
@@ -143,6 +199,16 @@ pub struct FlyArgs {
     /// Vehicle file.
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
+    /// Plans anew in flight, through the model of --model. Where the trajectory's file changes in
+    /// flight, the vehicle is led over to what it then says.
+    #[arg(long)]
+    pub replan: bool,
+    /// Model file to replan through [default: the vehicle file's own physics].
+    #[arg(long, value_name = "FILE", requires = "replan")]
+    pub model: Option<PathBuf>,
+    /// Which of its models [default: the one that predicted best].
+    #[arg(long, value_enum, requires = "model")]
+    pub kind: Option<ModelKind>,
     /// Folder for the flight log.
     #[arg(long)]
     pub log_dir: Option<PathBuf>,
@@ -153,6 +219,40 @@ pub struct FlyArgs {
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Prints the flight's summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Flags of `plan`.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// Desired trajectory (TOML or CSV).
+    pub trajectory: PathBuf,
+    /// Model file of `train` [default: the vehicle file's own physics].
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Which of its models [default: the one that predicted best].
+    #[arg(long, value_enum, requires = "model")]
+    pub kind: Option<ModelKind>,
+    /// Vehicle file [default: the model's vehicle, else a built-in nano quadrotor].
+    #[arg(long)]
+    pub vehicle: Option<PathBuf>,
+    /// The plan to write.
+    #[arg(short, long, value_name = "FILE", default_value = "plan.json")]
+    pub out: PathBuf,
+    /// Folder for report.html and report.json; made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// What solves the subproblems.
+    #[arg(long, value_enum)]
+    pub solver: Option<SolverChoice>,
+    /// Ends the search after this time with the best plan so far.
+    #[arg(long, value_name = "SECONDS")]
+    pub time_limit: Option<f64>,
+    /// Configuration file.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints the summary as JSON.
     #[arg(long)]
     pub json: bool,
 }
@@ -196,8 +296,8 @@ pub enum LogCommand {
     },
     /// Reads any flight log, and writes it as one of this program's, each stream at its own rate.
     ///
-    /// Takes telemetry logs (.tlog), own logs (.mcap) and tables (.csv), told by their content. A
-    /// table needs a mapping file, which names columns, units, frames and orders; nothing of these
+    /// Takes telemetry logs (.tlog), own logs (.mcap), logs of PX4 (.ulg) and ArduPilot (.bin), and
+    /// tables (.csv), told by their content. A table needs a mapping file, which names columns, units, frames and orders; nothing of these
     /// is guessed, and config/mappings/motion-capture.toml is one to start from.
     Import {
         /// Flight log.
@@ -208,6 +308,23 @@ pub enum LogCommand {
         /// The log to write (.mcap).
         #[arg(short, long, value_name = "OUT")]
         out: PathBuf,
+        /// Prints what was found as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Says what is wrong with flight logs before any physics: gaps, frozen or impossible values,
+    /// late or turned streams, biased sensors, flights that are there twice; and what the log's
+    /// channels cannot show.
+    Audit {
+        /// Flight logs of any kind that `log import` takes.
+        #[arg(required = true)]
+        logs: Vec<PathBuf>,
+        /// What the columns of a table are (TOML).
+        #[arg(long, value_name = "MAP")]
+        mapping: Option<PathBuf>,
+        /// Ends with exit code 10 if anything this bad, or worse, is found.
+        #[arg(long, value_enum)]
+        fail_on: Option<FailOnFinding>,
         /// Prints what was found as JSON.
         #[arg(long)]
         json: bool,
@@ -225,10 +342,19 @@ pub enum LogCommand {
     },
 }
 
+/// Findings that end `log audit` with exit code 10.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FailOnFinding {
+    /// Faults of the data.
+    Fault,
+    /// These, and flaws of the measurement.
+    Measurement,
+}
+
 /// Flags of `train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
-    /// Flight logs: .mcap, .tlog, or .csv with --mapping.
+    /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
     #[arg(required = true)]
     pub logs: Vec<PathBuf>,
     /// Vehicle file.
@@ -306,7 +432,7 @@ pub struct DiagnoseArgs {
     pub seed: u64,
     /// Ends with exit code 10 on this verdict.
     #[arg(long, value_enum, value_name = "VERDICT")]
-    pub fail_on: Option<FailOn>,
+    pub fail_on: Option<FailOnVerdict>,
     /// Prints the answer as JSON.
     #[arg(long)]
     pub json: bool,
@@ -314,7 +440,7 @@ pub struct DiagnoseArgs {
 
 /// Verdicts that a command may fail on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum FailOn {
+pub enum FailOnVerdict {
     /// An effect was named.
     Effect,
     /// There is a gap, explained or not.
@@ -356,7 +482,7 @@ pub enum ModelCommand {
     },
     /// Judges a model on flight logs: accelerations and open-loop predictions.
     Eval {
-        /// Flight logs: .mcap, .tlog, or .csv with --mapping.
+        /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
         #[arg(required = true)]
         logs: Vec<PathBuf>,
         /// Model file.
@@ -377,7 +503,7 @@ pub enum ModelCommand {
     /// Columns run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz; world NED, body FRD, SI. A sample
     /// is a row of a CSV log, or of the 100 Hz grid of any other.
     Predict {
-        /// Flight log: .mcap, .tlog, or .csv with --mapping.
+        /// Flight log: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
         log: PathBuf,
         /// Model file.
         #[arg(long)]

@@ -11,6 +11,7 @@ use toml::{Table, Value};
 use crate::control::LqrSettings;
 use crate::pilot::PilotSettings;
 use crate::plan::FlightEnvelope;
+use crate::plan::planner::PlanSettings;
 use crate::plan::programme::ProgrammeSettings;
 
 /// Version of the configuration's schema.
@@ -36,6 +37,8 @@ pub struct Settings {
     pub envelope: FlightEnvelope,
     /// Flights that a model is learned from.
     pub collect: ProgrammeSettings,
+    /// Plans through a model.
+    pub plan: PlanSettings,
     /// The feedback. Its rate is that of the control ticks.
     pub control: LqrSettings,
     /// Telemetry, flight states, reactions to faults, take-off, limits of the setpoint.
@@ -105,6 +108,7 @@ impl Default for Settings {
             link: LinkSettings::default(),
             envelope: FlightEnvelope::default(),
             collect: ProgrammeSettings::default(),
+            plan: PlanSettings::default(),
             control: LqrSettings::default(),
             pilot: PilotSettings::default(),
         }

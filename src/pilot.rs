@@ -3,6 +3,8 @@
 
 mod guidance;
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use self::guidance::Guidance;
@@ -46,6 +48,8 @@ pub struct Airframe {
     pub hover: HoverVehicle,
     /// Thrust of all rotors at full output, N.
     pub thrust_full_n: f64,
+    /// The pack's voltage when full, V.
+    pub battery_full_v: f64,
     /// The autopilot's modes.
     pub modes: ModeMap,
 }
@@ -154,7 +158,10 @@ impl Pilot {
 
         let phase = self.supervisor.state();
         let guided = self.guidance.guide(phase, &sample, self.airborne());
-        let reference = guided.reference;
+        let mut reference = guided.reference;
+        if guided.feedback {
+            reference.feedforward.thrust_n *= self.voltage_gain();
+        }
         let (feedback, cut) = if guided.feedback {
             self.lqr.feedback(&sample.state, &reference)
         } else {
@@ -278,9 +285,9 @@ impl Pilot {
                 distance,
                 now,
             ));
-            failed
+            Cow::Owned(failed)
         } else {
-            self.standing_checks.clone()
+            Cow::Borrowed(self.standing_checks.as_slice())
         };
         let from_anchor = match (here, self.guidance.anchor()) {
             (Some(here), Some(anchor)) => here.position - anchor,
@@ -288,19 +295,20 @@ impl Pilot {
         };
         let jumped = std::mem::take(&mut self.jumped);
         let status = self.telemetry.status();
-        let stale_after_s = self.settings.safety.stale_after_s;
+        let tick_rate_min = self.settings.preflight.tick_rate_min
+            * if before.precedes_stream() { 1.0 } else { STREAMING_RATE_SHARE };
         let observation = Observation {
             status,
             airborne: self.airborne(),
-            telemetry_ready: age_s < stale_after_s
-                && self.telemetry.tick_rate_hz() >= self.settings.preflight.tick_rate_min * rate_hz,
+            telemetry_ready: age_s < self.settings.safety.stale_after_s
+                && self.telemetry.tick_rate_hz() >= tick_rate_min * rate_hz,
             preflight: &failed,
             condition: FlightCondition {
                 sample_age_s: age_s,
                 jumped,
                 tracking_error_m: self.tracking_error,
                 tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
-                radius_m: from_anchor.north().hypot(from_anchor.east()),
+                radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
                 height_m: -from_anchor.down(),
                 battery: status.battery.remaining,
             },
@@ -322,6 +330,15 @@ impl Pilot {
         }
     }
 
+    /// How much more thrust must be asked for than a full pack would give.
+    fn voltage_gain(&self) -> f64 {
+        let voltage = self.telemetry.status().battery.voltage;
+        voltage.map_or(1.0, |voltage| {
+            let ratio = voltage / self.airframe.battery_full_v;
+            ratio.powf(-self.guidance.voltage_exponent()).clamp(1.0, VOLTAGE_GAIN_MAX)
+        })
+    }
+
     /// Off the ground, by the vehicle's own word, or by height where it has none.
     fn airborne(&self) -> bool {
         let status = self.telemetry.status();
@@ -338,6 +355,13 @@ impl Pilot {
         }
     }
 }
+
+/// Share of the tick rate asked for at first that must be kept while a hold is streamed, so that a
+/// pause which is not stale yet does not end the stream.
+const STREAMING_RATE_SHARE: f64 = 0.6;
+
+/// The most that an empty pack, or a voltage that is misread, adds to the thrust.
+const VOLTAGE_GAIN_MAX: f64 = 1.4;
 
 /// Height above the ground that counts as flight where the vehicle does not say, m.
 const AIRBORNE_HEIGHT_M: f64 = 0.3;

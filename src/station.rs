@@ -1,59 +1,32 @@
 //! The ground station, sans I/O: a session with one vehicle, the pilot that flies it, and what the
 //! flight's log is told. A driver moves the bytes and the clock.
 
+mod attitude_loop;
 mod records;
+mod settings;
 mod status;
 
 use std::sync::Arc;
 
-use sitl::vehicle::AttitudePd;
 use wire::transport::Peer;
 
+use self::attitude_loop::{assumption, attitude_loop};
 use self::records::{LinkMeter, record_of, tick_record};
+pub use self::settings::StationSettings;
 pub use self::status::Status;
 use crate::clock::HostTime;
-use crate::control::{Actuation, AttitudeLoop, DesignError, HoverVehicle, Lqr, LqrSettings};
+use crate::control::{DesignError, Lqr};
 use crate::link::counters::LinkState;
 use crate::link::message::Inbound;
-use crate::link::profile::{AttitudeTargetForm, Mode, Profile};
+use crate::link::profile::{Mode, Profile};
 use crate::link::request::{FlightMode, Outcome, Request};
 use crate::link::session::{self, Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
-use crate::pilot::{Airframe, LinkEvent, Pilot, PilotSettings, Tick};
-use crate::plan::reference::ReferenceSource;
+use crate::pilot::{Airframe, LinkEvent, Pilot, Tick};
 use crate::supervisor::{Action, EngagePolicy, FlightState, ModeMap, PreflightCheck};
 
 /// Period of the link's counters in the log.
 const STATS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
-
-/// Rate loops of autopilots follow a body rate about this quickly, s: roll, pitch, yaw.
-const RATE_TIME_CONSTANT_S: [f64; 3] = [0.05, 0.05, 0.1];
-
-/// What a station needs to fly a vehicle.
-#[derive(Clone)]
-pub struct StationSettings {
-    /// The session.
-    pub session: session::Settings,
-    /// The pilot's parts.
-    pub pilot: PilotSettings,
-    /// The feedback.
-    pub lqr: LqrSettings,
-    /// Who decides that a flight begins.
-    pub policy: EngagePolicy,
-    /// Effective mass, inertia and gravity.
-    pub hover: HoverVehicle,
-    /// Thrust of all rotors at full output, N.
-    pub thrust_full_n: f64,
-    /// The on-board loop as it is, whatever of the setpoint it is sent; `None` where it is the
-    /// autopilot's own.
-    pub attitude_pd: Option<AttitudePd>,
-    /// How late the vehicle answers.
-    pub actuation: Actuation,
-    /// What is flown.
-    pub reference: Arc<dyn ReferenceSource + Send + Sync>,
-    /// Time to hear a vehicle in, s; `None` waits for ever.
-    pub search_timeout_s: Option<f64>,
-}
 
 /// Why a station stopped.
 #[derive(Clone, Debug, PartialEq)]
@@ -403,6 +376,10 @@ impl Station {
         if self.pilot.is_some() && known.as_ref() == Some(&profile) {
             return;
         }
+        let response = self.settings.lqr.attitude_response_rad_s;
+        if let Some(assumed) = assumption(&profile, self.settings.attitude_pd, response) {
+            self.tell(now, Severity::Notice, assumed);
+        }
         match self.make_pilot(now, &profile) {
             Ok(Some(pilot)) => self.pilot = Some(pilot),
             Ok(None) => {
@@ -422,25 +399,13 @@ impl Station {
         let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
         let modes = (word(profile.modes.offboard), word(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
-        let attitude_loop = match (profile.attitude_target, self.settings.attitude_pd) {
-            (AttitudeTargetForm::AttitudeRatesThrust, Some(pd)) => pd.into(),
-            (AttitudeTargetForm::AttitudeThrust, Some(AttitudePd { kp, kd, .. })) => {
-                AttitudeLoop::AttitudePd { kp, kd }
-            }
-            (AttitudeTargetForm::RatesThrust { gain }, Some(AttitudePd { kd, .. })) => {
-                AttitudeLoop::RatePd { gain, kd }
-            }
-            (AttitudeTargetForm::RatesThrust { gain }, None) => {
-                AttitudeLoop::Rates { gain, time_constant_s: RATE_TIME_CONSTANT_S }
-            }
-            _ if profile.name == Profile::ARDUCOPTER.name => AttitudeLoop::ARDUCOPTER,
-            _ => AttitudeLoop::PX4,
-        };
-        let StationSettings { actuation, hover, lqr, .. } = &self.settings;
+        let StationSettings { actuation, hover, lqr, attitude_pd, .. } = &self.settings;
+        let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
         let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
+            battery_full_v: self.settings.battery_full_v,
             modes: ModeMap {
                 offboard,
                 hold: word(profile.modes.hold),

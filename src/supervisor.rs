@@ -16,6 +16,7 @@
 
 mod preflight;
 mod safety;
+mod settings;
 mod table;
 
 use std::collections::BTreeMap;
@@ -26,6 +27,7 @@ use serde::{Deserialize, Serialize};
 pub use self::preflight::{PreflightCheck, PreflightSettings, RequiredParameter, preflight};
 use self::safety::FAULTS;
 pub use self::safety::{Fault, FlightCondition, Reaction, SafetySettings};
+pub use self::settings::SupervisorSettings;
 pub use self::table::{FlightState, STATES, TRIGGERS, Trigger};
 use crate::clock::HostTime;
 use crate::telemetry::VehicleStatus;
@@ -65,55 +67,6 @@ impl ModeMap {
     /// ArduCopter: GUIDED, BRAKE and LAND.
     pub const ARDUCOPTER: Self =
         Self { offboard: 4, hold: Some(17), land: 9, reports_intended: false };
-}
-
-/// Times of the flight's states.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SupervisorSettings {
-    /// Silence of the link that is a loss, s.
-    pub link_lost_after_s: f64,
-    /// Time for which another mode must have been seen before streaming, s.
-    pub release_s: f64,
-    /// Time to be ready for a flight when one was commanded, s.
-    pub ready_timeout_s: f64,
-    /// Hold streamed before OFFBOARD is asked for, s.
-    pub stream_before_engage_s: f64,
-    /// Time for the mode to read OFFBOARD, s.
-    pub engage_timeout_s: f64,
-    /// Time for the motors to be armed when the daemon arms, s.
-    pub arm_timeout_s: f64,
-    /// Time for take-off, and for the approach, s.
-    pub take_off_timeout_s: f64,
-    /// Time for landing, s.
-    pub land_timeout_s: f64,
-    /// Time that control goes on after asking for landing, until the vehicle has taken over, s.
-    pub land_handover_s: f64,
-    /// Hold after the trajectory or after a fault, s.
-    pub hold_s: f64,
-    /// Time on the ground after which disarming is asked for, s.
-    pub disarm_after_s: f64,
-    /// Requests without effect are repeated this often, s.
-    pub retry_s: f64,
-}
-
-impl Default for SupervisorSettings {
-    fn default() -> Self {
-        Self {
-            link_lost_after_s: 2.5,
-            release_s: 1.0,
-            ready_timeout_s: 60.0,
-            stream_before_engage_s: 0.5,
-            engage_timeout_s: 5.0,
-            arm_timeout_s: 5.0,
-            take_off_timeout_s: 30.0,
-            land_timeout_s: 60.0,
-            land_handover_s: 2.0,
-            hold_s: 2.0,
-            disarm_after_s: 4.0,
-            retry_s: 1.0,
-        }
-    }
 }
 
 /// A request to the vehicle.

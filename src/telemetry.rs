@@ -1,6 +1,7 @@
 //! The vehicle's state from its messages: which message fires a control tick, what of it is
 //! believed, and what else is known about the vehicle.
 
+mod fault;
 mod rate;
 mod status;
 
@@ -8,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::rigid_body::State;
 
+pub use self::fault::TelemetryFault;
 use self::rate::RateMeter;
 pub use self::status::{Battery, VehicleStatus};
 use crate::clock::{HostTime, VehicleTime};
@@ -50,12 +52,10 @@ const ACCELERATION_MAX: f64 = 40.0;
 const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
 /// The least delay seen grows by this much per second, so that a skew of the clocks is followed.
 const DELAY_LEAK: f64 = 5e-4;
-/// ODOMETRY drives the ticks while it comes at this share of the control rate.
-const ODOMETRY_SHARE: f64 = 0.9;
+/// A source keeps to a rate while it comes at this share of it.
+const KEEPS_TO: f64 = 0.9;
 /// Samples are thinned where they come at more than this many times the control rate.
 const THIN_ABOVE: f64 = 1.25;
-/// Silence of a source, s, after which another takes its place.
-const SOURCE_SILENT_S: f64 = 0.2;
 /// Longest tolerated distance of a pair's stamps while a rate is not measured yet, s.
 const PAIR_GAP_MAX_S: f64 = 0.05;
 
@@ -81,60 +81,6 @@ pub enum SampleSource {
     Odometry,
     /// LOCAL_POSITION_NED and one of the attitude messages.
     Pair(AttitudeSource),
-}
-
-/// Telemetry that was not acted upon, and why.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum TelemetryFault {
-    /// NaN, infinite, or a quaternion that is not a rotation.
-    #[error("telemetry with a value that is not finite")]
-    NotFinite,
-    /// A stamp that is not after the one before.
-    #[error("telemetry out of order or twice")]
-    OutOfOrder,
-    /// It waited somewhere on its way.
-    #[error("telemetry {seconds:.3} s late")]
-    Late {
-        /// Beyond the least delay.
-        seconds: f64,
-    },
-    /// The position or velocity is not where it was heading.
-    #[error("position estimate jumped by {metres:.2} m or its velocity by {metres_per_s:.2} m/s")]
-    PositionJump {
-        /// Step beyond what velocity explains.
-        metres: f64,
-        /// Step of the velocity.
-        metres_per_s: f64,
-    },
-    /// The attitude is not where it was turning to.
-    #[error("attitude estimate jumped by {radians:.2} rad")]
-    AttitudeJump {
-        /// Step beyond what the body rate explains.
-        radians: f64,
-    },
-    /// ODOMETRY.reset_counter changed.
-    #[error("the vehicle reset its estimate")]
-    EstimateReset,
-    /// The vehicle's clock stepped forward.
-    #[error("the vehicle's clock jumped by {seconds:.1} s")]
-    ClockJump {
-        /// Beyond the host's time passed.
-        seconds: f64,
-    },
-    /// The vehicle's clock went back: it restarted.
-    #[error("the vehicle restarted: its clock went back by {seconds:.1} s")]
-    Reboot {
-        /// By how much.
-        seconds: f64,
-    },
-}
-
-impl TelemetryFault {
-    /// Whether the estimate is no longer the one that control was relying on, rather than one
-    /// message being of no use.
-    pub fn is_jump(&self) -> bool {
-        !matches!(self, Self::NotFinite | Self::OutOfOrder | Self::Late { .. })
-    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -176,9 +122,10 @@ pub struct Telemetry {
     attitude_source: Option<AttitudeSource>,
     odometry: Stream<(Pose, Turn)>,
     reset_counter: Option<u8>,
-    clock: Option<(HostTime, VehicleTime)>,
-    /// Least host minus vehicle time, s, against `clock`'s first pair.
+    newest_stamp: Option<VehicleTime>,
+    /// When the first message came, and its stamp.
     origin: Option<(HostTime, VehicleTime)>,
+    /// Least delay of a message over that of the first, s; negative where one was quicker.
     least_delay_s: f64,
     due: Option<VehicleTime>,
     last: Option<Sample>,
@@ -196,7 +143,7 @@ impl Telemetry {
             attitude_source: None,
             odometry: Stream::default(),
             reset_counter: None,
-            clock: None,
+            newest_stamp: None,
             origin: None,
             least_delay_s: 0.0,
             due: None,
@@ -221,11 +168,7 @@ impl Telemetry {
 
     /// Measured rates in Hz of ODOMETRY, of the attitude source in use, and of position.
     pub fn rates_hz(&self) -> [f64; 3] {
-        let attitude = match self.attitude_source {
-            Some(AttitudeSource::Euler) => &self.euler.rate,
-            _ => &self.quaternion.rate,
-        };
-        [self.odometry.rate.hz(), attitude.hz(), self.position.rate.hz()]
+        [self.odometry.rate.hz(), self.attitude_rate().hz(), self.position.rate.hz()]
     }
 
     /// Rate in Hz at which the messages can fire ticks: the control rate or what limits it.
@@ -314,25 +257,27 @@ impl Telemetry {
     }
 
     /// Checks the vehicle's clock against the host's; the message's excess delay in s.
+    ///
+    /// Queues make messages late by any amount, and let the next ones come at once: that is no jump
+    /// of the clock. None comes before it was sent, so less delay than ever before is one.
     fn advance_clock(&mut self, host: HostTime, stamp: VehicleTime) -> Result<f64, TelemetryFault> {
         let limit = self.settings.clock_jump_s;
-        let (host_before, before) = self.clock.unwrap_or((host, stamp));
-        let passed = stamp.seconds_since(before);
-        let beyond = passed - host.since(host_before).as_secs_f64();
+        let passed = self.newest_stamp.map_or(0.0, |newest| stamp.seconds_since(newest));
+        let (host_origin, origin) = self.origin.unwrap_or((host, stamp));
+        let delay = host.since(host_origin).as_secs_f64() - stamp.seconds_since(origin);
+        let beyond = self.least_delay_s - delay;
         if passed < -limit || beyond > limit {
             self.forget();
-            self.clock = Some((host, stamp));
+            self.newest_stamp = Some(stamp);
+            self.origin = Some((host, stamp));
             return Err(if passed < 0.0 {
                 TelemetryFault::Reboot { seconds: -passed }
             } else {
                 TelemetryFault::ClockJump { seconds: beyond }
             });
         }
-        if passed >= 0.0 {
-            self.clock = Some((host, stamp));
-        }
-        let (host_origin, origin) = *self.origin.get_or_insert((host, stamp));
-        let delay = host.since(host_origin).as_secs_f64() - stamp.seconds_since(origin);
+        self.newest_stamp = self.newest_stamp.max(Some(stamp));
+        self.origin = Some((host_origin, origin));
         self.least_delay_s = (self.least_delay_s + DELAY_LEAK * passed.max(0.0)).min(delay);
         Ok(delay - self.least_delay_s)
     }
@@ -358,20 +303,26 @@ impl Telemetry {
             AttitudeSource::Quaternion => (&self.quaternion, &self.euler),
             AttitudeSource::Euler => (&self.euler, &self.quaternion),
         };
-        let silent =
-            mine.newest.is_none_or(|turn| stamp.seconds_since(turn.stamp) > SOURCE_SILENT_S);
-        let wanted = ODOMETRY_SHARE * self.settings.rate_hz;
-        if silent || (mine.rate.hz() < wanted && other.rate.hz() >= wanted) {
+        let wanted = KEEPS_TO * self.settings.rate_hz;
+        if mine.rate.is_silent(stamp) || (mine.rate.hz() < wanted && other.rate.hz() >= wanted) {
             self.attitude_source = Some(heard);
         }
     }
 
+    /// Whether the ticks are ODOMETRY's: while it keeps to the control rate, or where the pair is
+    /// no quicker. One rate is judged by the other because a pause of the vehicle slows both.
     fn odometry_drives(&self, stamp: VehicleTime) -> bool {
-        let live = self
-            .odometry
-            .newest
-            .is_some_and(|(pose, _)| stamp.seconds_since(pose.stamp) < SOURCE_SILENT_S);
-        live && self.odometry.rate.hz() >= ODOMETRY_SHARE * self.settings.rate_hz
+        let odometry = self.odometry.rate.live_hz(stamp);
+        let attitude = self.attitude_rate().live_hz(stamp);
+        let pair = attitude.min(self.position.rate.live_hz(stamp));
+        odometry > 0.0 && odometry >= KEEPS_TO * pair.min(self.settings.rate_hz)
+    }
+
+    fn attitude_rate(&self) -> &RateMeter {
+        match self.attitude_source {
+            Some(AttitudeSource::Euler) => &self.euler.rate,
+            _ => &self.quaternion.rate,
+        }
     }
 
     /// The newest attitude and position, if neither was used, their stamps are at most one period

@@ -12,14 +12,14 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("link", &["clock", "setpoint"]),
         ("telemetry", &["clock", "setpoint", "link"]),
         ("control", &["clock", "setpoint"]),
-        ("plan", &["setpoint"]),
+        ("plan", &["control", "model", "setpoint"]),
         ("supervisor", &["clock", "setpoint", "link", "telemetry"]),
         ("pilot", &["clock", "setpoint", "link", "telemetry", "control", "plan", "supervisor"]),
         ("log", &["clock", "setpoint", "link"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
-        ("diagnose", &["learn", "log"]),
-        ("report", &["clock", "setpoint", "diagnose", "learn", "log", "model"]),
+        ("diagnose", &["learn", "log", "model", "pilot"]),
+        ("report", &["clock", "control", "setpoint", "diagnose", "learn", "log", "model", "plan"]),
         (
             "station",
             &[

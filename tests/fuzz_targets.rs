@@ -117,6 +117,25 @@ proptest! {
     }
 
     #[test]
+    fn no_bytes_break_an_onboard_log(
+        rows in prop::collection::vec(
+            (prop::sample::select(vec![b'D', b'A', b'F', b'S', 0x95]), prop::collection::vec(any::<u8>(), 0..40)),
+            0..60,
+        ),
+    ) {
+        let mut ulog = Vec::new();
+        let mut dataflash = Vec::new();
+        for (kind, body) in rows {
+            ulog.extend([body.len() as u8, 0, kind]);
+            ulog.extend(&body);
+            dataflash.extend([0xA3, 0x95, 1]);
+            dataflash.extend(&body[..body.len().min(14)]);
+        }
+        fuzz::onboard(&ulog);
+        fuzz::onboard(&dataflash);
+    }
+
+    #[test]
     fn no_table_breaks_the_import(
         rows in prop::collection::vec("[-0-9.,einfa\"]{0,40}|[0-9]{1,3}(,[-0-9.]{1,6}){18}", 0..20),
     ) {

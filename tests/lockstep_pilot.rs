@@ -59,6 +59,21 @@ fn pilots_switch_engages_takes_back_and_engages_again() {
 }
 
 #[test]
+fn a_pause_of_the_link_costs_the_streamed_hold_no_more_than_itself() {
+    let mut bench = waiting();
+    bench.until(FlightState::Standby, 10.0);
+    bench.run(2.0);
+    bench.downlink = Box::new(|_, _| Vec::new());
+    bench.run(0.3);
+    let resumed_us = bench.now_us();
+    bench.downlink = Box::new(|_, frame| vec![frame.to_vec()]);
+    bench.run(0.5);
+    let setpoints = bench.setpoints_after(resumed_us);
+    assert!((48..=51).contains(&setpoints), "{setpoints} setpoints in half a second");
+    assert_eq!(bench.phase(), Some(FlightState::Standby));
+}
+
+#[test]
 fn vehicle_in_offboard_at_connect_is_left_alone() {
     let params = params(NANO);
     let mut bench = waiting();

@@ -97,6 +97,72 @@ fn slow_odometry_leaves_the_ticks_to_the_pair() {
     assert!(samples.iter().all(|sample| sample.source == pair));
 }
 
+/// Samples before a stream's rate is known.
+const UNMEASURED: usize = 5;
+
+/// The ticks that fire at `rate_hz` on ODOMETRY of these stamps, us, each with its delay, us.
+fn ticks_of(rate_hz: f64, stamps: impl IntoIterator<Item = (u64, u64)>) -> Vec<u64> {
+    let mut telemetry = Telemetry::new(TelemetrySettings { rate_hz, ..Default::default() });
+    let mut ticks = Vec::new();
+    for (us, delay_us) in stamps {
+        let mut message = odometry(us);
+        message.host = message.host + Duration::from_micros(delay_us);
+        if telemetry.update(&message).expect("sound").is_some() {
+            ticks.push(us);
+        }
+    }
+    ticks
+}
+
+/// Evenly spread over 0 to 1, and the same in every run.
+fn noise(k: u64) -> f64 {
+    (k as f64 * 0.618_033_988_749_894_9).fract()
+}
+
+#[test]
+fn at_the_control_rate_every_sample_is_answered_whatever_the_jitter() {
+    for rate_hz in [100.0, 500.0] {
+        let period_us = 1e6 / rate_hz;
+        // Each stamp off by up to a fifth of a period, each arrival by up to two periods.
+        let stamps = (1..20_000).map(|k| {
+            let us = (k as f64 + 0.4 * (noise(k) - 0.5)) * period_us;
+            (us as u64, (2.0 * noise(k * k) * period_us) as u64)
+        });
+        assert_eq!(ticks_of(rate_hz, stamps).len(), 19_999 - UNMEASURED, "{rate_hz} Hz");
+    }
+}
+
+#[test]
+fn a_pause_of_the_vehicle_costs_no_tick_after_it() {
+    for rate_hz in [100.0, 500.0] {
+        let period_us = (1e6 / rate_hz) as u64;
+        // Every 100 samples the vehicle stalls for eight periods.
+        let stamps: Vec<_> = (1..5_000).map(|k| ((k + 8 * (k / 100)) * period_us, 0)).collect();
+        let ticks = ticks_of(rate_hz, stamps.iter().copied());
+        assert_eq!(ticks.len(), stamps.len() - UNMEASURED, "{rate_hz} Hz");
+    }
+}
+
+#[test]
+fn quicker_odometry_is_thinned_to_the_rate_on_average() {
+    // 4 ms, and 7.5 ms in turns of 7 and 8.
+    let even = (1..=2_500).map(|k| (k * 4_000, 0));
+    let uneven = (1..=1_333).map(|k| (k * 7_500 / 1000 * 1000, 0));
+    for ticks in [ticks_of(100.0, even), ticks_of(100.0, uneven)] {
+        for second in 1..9 {
+            let of_it = ticks.iter().filter(|us| **us / 1_000_000 == second).count();
+            assert!((99..=101).contains(&of_it), "{of_it} in second {second}");
+        }
+    }
+}
+
+#[test]
+fn slow_odometry_fires_where_there_is_nothing_better() {
+    let samples = run(&mut telemetry(), &[(12_000, odometry), (50_000, position)], 3_000_000);
+    assert!(samples.len() >= 240, "{}", samples.len());
+    assert!(samples.iter().all(|sample| sample.source == SampleSource::Odometry));
+}
+
 #[test]
 fn pair_is_carried_to_the_newer_stamp() {
     // Attitude 3 ms before or after the position.
@@ -167,6 +233,37 @@ fn message_that_waited_on_its_way_is_not_acted_upon() {
     let mut late = odometry(1_010_000);
     late.host = late.host + Duration::from_millis(300);
     assert!(matches!(telemetry.update(&late), Err(TelemetryFault::Late { .. })));
+}
+
+#[test]
+fn a_queue_that_overflows_is_no_jump_of_the_clock() {
+    let mut telemetry = telemetry();
+    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
+    // Nothing is read for 1.5 s. What is old then comes at once; what the queue could not hold is
+    // missing; and the newest follows.
+    let read = START + Duration::from_micros(2_500_000);
+    for us in (1_010_000..1_100_000).step_by(10_000) {
+        let late = telemetry.update(&Received { host: read, ..odometry(us) });
+        assert!(matches!(late, Err(TelemetryFault::Late { .. })), "{late:?}");
+    }
+    let fresh = telemetry.update(&Received { host: read, ..odometry(2_490_000) });
+    assert!(matches!(fresh, Ok(Some(_))), "{fresh:?}");
+}
+
+#[test]
+fn a_clock_that_steps_forward_is_told_once() {
+    let mut telemetry = telemetry();
+    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
+    let stepped = |us: u64| Received {
+        host: START + Duration::from_micros(us + 2000),
+        ..odometry(us + 1_200_000)
+    };
+    let jump = telemetry.update(&stepped(1_010_000));
+    assert!(
+        matches!(jump, Err(TelemetryFault::ClockJump { seconds }) if (seconds - 1.2).abs() < 0.01),
+        "{jump:?}"
+    );
+    assert!(telemetry.update(&stepped(1_020_000)).is_ok());
 }
 
 proptest! {

@@ -5,6 +5,7 @@ use std::io;
 use std::time::Duration;
 
 use downwash::clock::HostTime;
+use downwash::diagnose::audit::Audit;
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::request::{FlightMode, Request};
 use downwash::link::session::{Heard, Session, Settings};
@@ -111,6 +112,30 @@ pub fn import(data: &[u8]) {
         check(&flight.truth);
         for rows in flight.rows.iter() {
             assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));
+        }
+    }
+}
+
+/// What follows the first bytes of a PX4 or an ArduPilot log: a message definition or two, then
+/// anything. What can be read is audited too.
+pub fn onboard(data: &[u8]) {
+    const ULOG: &[u8] = b"ULog\x01\x12\x35\x01\0\0\0\0\0\0\0\0\x2F\0Fvehicle_attitude:\
+        uint64_t timestamp;float[4] q;\x13\0A\0\0\0vehicle_attitude";
+    // FMT for itself, then for ATT with its stamp, roll, pitch and yaw.
+    let definition = |kind: u8, length: u8, texts: [&str; 3]| {
+        let mut bytes = vec![0xA3, 0x95, 128, kind, length];
+        for (text, size) in texts.into_iter().zip([4, 16, 64]) {
+            bytes.extend(text.bytes().chain(std::iter::repeat(0)).take(size));
+        }
+        bytes
+    };
+    let itself = definition(128, 89, ["FMT", "BBnNZ", "Type,Length,Name,Format,Columns"]);
+    let attitude = definition(1, 17, ["ATT", "Qccc", "TimeUS,Roll,Pitch,Yaw"]);
+    for log in [[ULOG, data].concat(), [&itself, &attitude, data].concat()] {
+        import(&log);
+        for flight in read_bytes(&log, "") {
+            let audit = Audit::of(&flight);
+            assert!(audit.findings.iter().all(|finding| !finding.to_string().is_empty()));
         }
     }
 }

@@ -321,7 +321,8 @@ impl Attitude {
 
     /// Angle between body down and world down, in [0, pi], in radians.
     pub fn tilt(self) -> f64 {
-        (1.0 - 2.0 * (self.x * self.x + self.y * self.y)).clamp(-1.0, 1.0).acos()
+        let (across, along) = (self.x.powi(2) + self.y.powi(2), self.w.powi(2) + self.z.powi(2));
+        2.0 * across.sqrt().atan2(along.sqrt())
     }
 
     /// Angle of the rotation from `self` to `other`, in [0, pi], in radians.

@@ -13,12 +13,13 @@ use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use tokio::signal::unix::{SignalKind, signal};
 
+use super::course::Course;
 use super::demo::progress_bar;
 use super::fly::{Flown, baud, endpoint, fly_once};
 use super::setup::{VehicleFile, capability, required, run_info, station_settings};
 use super::simulation::{SimulatedFlight, Truth};
+use super::stop::StopSignals;
 use super::{Exit, ExitContext, config, print_json, print_text, say, summary, write_file};
 use crate::cli::CollectArgs;
 use crate::config::Config;
@@ -37,10 +38,12 @@ const FINGERPRINT: &str = "collect_flight";
 const MISSING_MAX_S: f64 = 0.25;
 /// How often signals are looked at while flights are simulated.
 const WATCH_PERIOD: Duration = Duration::from_millis(50);
+/// How long a signal is waited for before each flight with a vehicle.
+const BETWEEN_FLIGHTS: Duration = Duration::from_millis(1);
 
 /// The JSON of `collect`.
 #[derive(Serialize)]
-struct CollectSummary {
+pub(super) struct CollectSummary {
     schema: &'static str,
     schema_version: u32,
     vehicle: String,
@@ -122,10 +125,25 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
         }
         (None, None) => VehicleFile::built_in()?,
     };
+    let (summary, exit) = gather(args, &config, &vehicle)?;
+    if args.json {
+        print_json(&summary)?
+    } else {
+        print_text(&table(&summary))?
+    }
+    Ok(exit)
+}
+
+/// Flies what of the programme has no whole log yet, or only lists it.
+pub(super) fn gather(
+    args: &CollectArgs,
+    config: &Config,
+    vehicle: &VehicleFile,
+) -> anyhow::Result<(CollectSummary, Exit)> {
     let flights = programme(
         &config.settings.collect,
         &config.settings.envelope,
-        &capability(&vehicle.params)?,
+        &capability(&vehicle.params, &config.settings.control)?,
         args.seconds,
         args.combined,
         args.seed,
@@ -142,7 +160,7 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
     } else if args.list {
         (flights.iter().map(FlightRow::planned).collect(), Exit::Ok)
     } else {
-        fly(args, &config, &vehicle, &flights)?
+        fly(args, config, vehicle, &flights)?
     };
     let summary = CollectSummary {
         schema: "downwash.collect",
@@ -156,12 +174,14 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
         wall_s: started.elapsed().as_secs_f64(),
         flights: rows,
     };
-    if args.json {
-        print_json(&summary)?
-    } else {
-        print_text(&table(&summary))?
+    Ok((summary, exit))
+}
+
+impl CollectSummary {
+    /// The logs that were flown or kept.
+    pub fn logs(&self) -> Vec<PathBuf> {
+        self.flights.iter().filter_map(|flight| flight.log.clone()).collect()
     }
-    Ok(exit)
 }
 
 /// Flies what has no whole log yet. Every flight of the programme gets a row, and the worst end
@@ -172,6 +192,7 @@ fn fly(
     vehicle: &VehicleFile,
     flights: &[ProgrammeFlight],
 ) -> anyhow::Result<(Vec<FlightRow>, Exit)> {
+    let mut signals = StopSignals::new()?;
     fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     let truth = args.connect.is_none().then(|| Truth::load(&args.simulation)).transpose()?;
@@ -208,11 +229,11 @@ fn fly(
                 stopping: AtomicBool::new(false),
             };
             let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, usize::from);
-            let flown = simulator.fly_all(flights, &ahead, jobs);
+            let flown = simulator.fly_all(flights, &ahead, jobs, &mut signals);
             simulator.progress.finish_and_clear();
             flown?
         }
-        None => fly_vehicle(&args.out, config, vehicle, flights, &ahead)?,
+        None => fly_vehicle(&args.out, config, vehicle, flights, &ahead, &mut signals)?,
     };
     for (index, row) in flown {
         rows[index] = row;
@@ -228,7 +249,7 @@ fn gravity(exit: Exit) -> u8 {
         Exit::Aborted => 1,
         Exit::Refused => 2,
         Exit::Link => 3,
-        Exit::Usage | Exit::Failure | Exit::Found => 4,
+        Exit::Check | Exit::Usage | Exit::Failure | Exit::Model => 4,
         Exit::Interrupted => 5,
     }
 }
@@ -335,6 +356,7 @@ impl Simulator<'_> {
         flights: &[ProgrammeFlight],
         ahead: &[(usize, String)],
         jobs: usize,
+        signals: &mut StopSignals,
     ) -> anyhow::Result<Vec<(usize, FlightRow)>> {
         let next = AtomicUsize::new(0);
         let rows = Mutex::new(Vec::new());
@@ -349,20 +371,24 @@ impl Simulator<'_> {
             }
             Ok(())
         };
-        let interrupted = thread::scope(|scope| {
+        thread::scope(|scope| {
             let workers: Vec<_> = (0..jobs.min(ahead.len())).map(|_| scope.spawn(worker)).collect();
-            let interrupted = self.watch_signals(|| workers.iter().all(|w| w.is_finished()));
+            while !workers.iter().all(|worker| worker.is_finished()) {
+                if signals.wait(WATCH_PERIOD).is_some() {
+                    self.stopping.store(true, Ordering::Release);
+                }
+            }
             for worker in workers {
                 match worker.join() {
                     Ok(result) => result?,
                     Err(panic) => std::panic::resume_unwind(panic),
                 }
             }
-            interrupted
+            Ok::<_, anyhow::Error>(())
         })?;
         let mut rows = rows.into_inner().unwrap_or_default();
         rows.sort_by_key(|(index, _)| *index);
-        if interrupted {
+        if signals.first().is_some() {
             let flown: Vec<usize> = rows.iter().map(|(index, _)| *index).collect();
             for (index, _) in ahead.iter().filter(|(index, _)| !flown.contains(index)) {
                 let row = FlightRow::planned(&flights[*index]);
@@ -370,31 +396,6 @@ impl Simulator<'_> {
             }
         }
         Ok(rows)
-    }
-
-    /// Waits until `is_done`. Returns whether Ctrl-C or SIGTERM came before that.
-    fn watch_signals(&self, is_done: impl Fn() -> bool) -> anyhow::Result<bool> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .context("cannot start the runtime that watches signals")?;
-        let watch = async {
-            let mut interrupt = signal(SignalKind::interrupt())?;
-            let mut terminate = signal(SignalKind::terminate())?;
-            while !is_done() {
-                tokio::select! {
-                    _ = interrupt.recv() => self.stopping.store(true, Ordering::Release),
-                    _ = terminate.recv() => self.stopping.store(true, Ordering::Release),
-                    () = tokio::time::sleep(WATCH_PERIOD) => {}
-                }
-            }
-            Ok::<_, std::io::Error>(self.stopping.load(Ordering::Acquire))
-        };
-        let watched = runtime.block_on(watch).context("cannot watch signals");
-        if watched.is_err() {
-            self.stopping.store(true, Ordering::Release);
-        }
-        watched
     }
 
     fn fly(
@@ -411,7 +412,7 @@ impl Simulator<'_> {
             config: self.config,
             vehicle: self.vehicle,
             truth: &truth,
-            trajectory: flight.trajectory.clone(),
+            course: &Course::Desired(flight.trajectory.clone()),
             run: &flight.name,
             seed: flight.seed,
             extra,
@@ -447,23 +448,30 @@ fn fly_vehicle(
     vehicle: &VehicleFile,
     flights: &[ProgrammeFlight],
     ahead: &[(usize, String)],
+    signals: &mut StopSignals,
 ) -> anyhow::Result<Vec<(usize, FlightRow)>> {
     let url = required(&config.settings.connect, "--connect", "connect")?;
     let mut rows = Vec::new();
     for (turn, (index, fingerprint)) in ahead.iter().enumerate() {
         let flight = &flights[*index];
+        // What came after the last flight's end.
+        if signals.wait(BETWEEN_FLIGHTS).is_some() {
+            let row = FlightRow::planned(flight);
+            rows.push((*index, FlightRow { exit: Exit::Interrupted, ..row }));
+            break;
+        }
         say(format_args!("flight {} of {}: {}", turn + 1, ahead.len(), flight.name));
         let endpoint = endpoint(&url)?;
         let settings = station_settings(
             config,
             vehicle,
-            flight.trajectory.clone(),
+            &Course::Desired(flight.trajectory.clone()),
             EngagePolicy::Command,
             baud(&endpoint),
         )?;
         let mut info = run_info(config, vehicle, &flight.name, false, None);
         info.extra = metadata(flight, fingerprint);
-        let Flown { end, exit, log } = fly_once(settings, endpoint, folder, &info, None)?;
+        let Flown { end, exit, log } = fly_once(settings, endpoint, folder, &info, None, signals)?;
         let log = log.as_deref().map(LogOf::read).transpose()?.map(|(_, log)| log);
         let log = log.ok_or_else(|| anyhow!("{}: its log was not written", flight.name))?;
         rows.push((*index, FlightRow::flown(flight, &end, exit, Some(&log))));

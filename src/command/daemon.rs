@@ -5,14 +5,15 @@ use std::time::Instant;
 
 use anyhow::Context;
 
-use super::fly::{Stop, baud, endpoint, tee, watch};
-use super::setup::{VehicleFile, checked_trajectory, required, run_info, station_settings};
-use super::{Exit, ExitContext, config, say, summary};
+use super::course::Course;
+use super::fly::{baud, endpoint, tee, watch};
+use super::setup::{VehicleFile, required, run_info, station_settings};
+use super::stop::{Stop, StopSignals};
+use super::{Exit, config, say, summary};
 use crate::cli::DaemonArgs;
 use crate::daemon::{self, HostClock};
 use crate::link::connection::Connection;
 use crate::log::{LogSink, LogWriter};
-use crate::plan::Trajectory;
 use crate::station::Station;
 use crate::supervisor::EngagePolicy;
 
@@ -22,13 +23,12 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let vehicle = VehicleFile::load(&required(&settings.vehicle, "vehicle", "vehicle")?)?;
     let endpoint = endpoint(&required(&settings.connect, "connect", "connect")?)?;
     let file = required(&settings.trajectory, "trajectory", "trajectory")?;
-    let trajectory = Trajectory::load(&file).or_exit(Exit::Usage)?;
-    let (trajectory, _) = checked_trajectory(trajectory, &vehicle.params, &config)?;
-    let name = trajectory.name().to_owned();
+    let course = Course::load(&file, &vehicle, &config)?;
+    let name = course.name().to_owned();
     let policy = EngagePolicy::PilotSwitch;
-    let station_settings =
-        station_settings(&config, &vehicle, trajectory, policy, baud(&endpoint))?;
+    let station_settings = station_settings(&config, &vehicle, &course, policy, baud(&endpoint))?;
 
+    let mut signals = StopSignals::new()?;
     let clock = HostClock::start();
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
@@ -40,11 +40,11 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let station = Station::new(station_settings, clock.now());
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
-    let (finished, stop) = watch(running)?;
+    let finished = watch(running, &mut signals);
     if let Err(error) = finished.log {
         say(format_args!("{error}"));
     }
-    let (end, exit) = match stop {
+    let (end, exit) = match signals.first() {
         // How a service manager ends a service: nothing failed.
         Some(Stop::Terminate) => ("stopped".to_owned(), Exit::Ok),
         stop => summary::end_in_words(finished.end.as_ref(), stop),

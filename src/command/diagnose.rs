@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use sitl::vehicle::VehicleParams;
 
 use super::{Exit, ExitContext, print_json, print_text, say, write_file};
-use crate::cli::{DiagnoseArgs, FailOn};
+use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::Verdict;
 use crate::diagnose::preparation::PreparedFlight;
 use crate::diagnose::procedure::{Case, Settings, diagnose};
@@ -75,8 +75,8 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         print_text(&report(answer))?;
     }
     Ok(match args.fail_on {
-        Some(FailOn::Effect) if answer.verdict == Verdict::Effect => Exit::Found,
-        Some(FailOn::Gap) if answer.verdict != Verdict::None => Exit::Found,
+        Some(FailOnVerdict::Effect) if answer.verdict == Verdict::Effect => Exit::Check,
+        Some(FailOnVerdict::Gap) if answer.verdict != Verdict::None => Exit::Check,
         _ => Exit::Ok,
     })
 }

@@ -17,8 +17,10 @@ pub enum Exit {
     Refused,
     /// The flight was ended early: a safety reaction, or the pilot took over.
     Aborted,
-    /// A verdict that `--fail-on` asked for.
-    Found,
+    /// No plan or model that may be used was found.
+    Model,
+    /// A check that was asked for failed.
+    Check,
     /// Ended by Ctrl-C or SIGTERM, after a clean stop.
     Interrupted,
 }
@@ -32,7 +34,8 @@ impl From<Exit> for ExitCode {
             Exit::Link => 3,
             Exit::Refused => 4,
             Exit::Aborted => 5,
-            Exit::Found => 10,
+            Exit::Model => 6,
+            Exit::Check => 10,
             Exit::Interrupted => 130,
         })
     }

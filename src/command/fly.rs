@@ -3,25 +3,28 @@
 use std::fs::File;
 use std::io::{BufWriter, IsTerminal};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use serde::Serialize;
-use tokio::signal::unix::{SignalKind, signal};
 use wire::Endpoint;
 
+use super::course::Course;
 use super::demo::report;
-use super::setup::{
-    VehicleFile, checked_trajectory, path_flag, required, run_info, station_settings,
-};
+use super::goal_file::GoalFile;
+use super::setup::{VehicleFile, path_flag, required, run_info, station_settings};
 use super::status_line::StatusLine;
-use super::{Exit, ExitContext, config, print_json, print_text, say, summary};
+use super::stop::StopSignals;
+use super::{Exit, ExitContext, config, plan, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
+use crate::config::Config;
 use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
 use crate::log::{LogSink, LogWriter, RunInfo};
 use crate::plan::Trajectory;
+use crate::plan::receding::RecedingReference;
 use crate::report::flight::FlightSummary;
 use crate::station::{Station, StationSettings};
 use crate::supervisor::EngagePolicy;
@@ -51,17 +54,22 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let settings = &config.settings;
     let vehicle = VehicleFile::load(&required(&settings.vehicle, "--vehicle", "vehicle")?)?;
     let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
-    let trajectory = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
-    let (trajectory, _) = checked_trajectory(trajectory, &vehicle.params, &config)?;
-    let name = trajectory.name().to_owned();
+    let (course, _goal_file) = if args.replan {
+        let (course, file) = replanned(args, &vehicle, &config)?;
+        (course, Some(file))
+    } else {
+        (Course::load(&args.trajectory, &vehicle, &config)?, None)
+    };
+    let name = course.name().to_owned();
     let policy = EngagePolicy::Command;
-    let station_settings =
-        station_settings(&config, &vehicle, trajectory, policy, baud(&endpoint))?;
+    let station_settings = station_settings(&config, &vehicle, &course, policy, baud(&endpoint))?;
 
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
     let tee = args.tlog.as_deref().map(tee).transpose()?;
-    let Flown { end, exit, log } = fly_once(station_settings, endpoint, &log_dir, &info, tee)?;
+    let mut signals = StopSignals::new()?;
+    let Flown { end, exit, log } =
+        fly_once(station_settings, endpoint, &log_dir, &info, tee, &mut signals)?;
     let flight = log.as_deref().map(report).transpose()?.map(|report| report.summary().clone());
     if exit != Exit::Ok {
         say(format_args!("flight {end}"));
@@ -83,6 +91,29 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     Ok(exit)
 }
 
+/// The trajectory as a goal that is planned to in flight, and that its file moves.
+fn replanned(
+    args: &FlyArgs,
+    vehicle: &VehicleFile,
+    config: &Config,
+) -> anyhow::Result<(Course, GoalFile)> {
+    let goal = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
+    let through = plan::model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
+    let (planner, answer) = plan::planner(&vehicle.params, &through, config)?;
+    let settings = config.settings.plan.receding;
+    let reference = RecedingReference::threaded(goal.clone(), planner, answer, settings)
+        .context("cannot start the planning thread")?;
+    let file = GoalFile::watch(
+        &args.trajectory,
+        reference.goal(),
+        config.settings.envelope,
+        vehicle.params.gravity,
+    )?;
+    let course = Course::Receding { goal, reference: Arc::new(reference) };
+    course.check(vehicle, config)?;
+    Ok((course, file))
+}
+
 /// How a flight went.
 pub(super) struct Flown {
     /// The end in words.
@@ -99,6 +130,7 @@ pub(super) fn fly_once(
     log_dir: &Path,
     info: &RunInfo,
     tee: Option<TeeThread>,
+    signals: &mut StopSignals,
 ) -> anyhow::Result<Flown> {
     let clock = HostClock::start();
     let writer = LogWriter::create(log_dir, info, clock.now(), Instant::now())?;
@@ -107,7 +139,7 @@ pub(super) fn fly_once(
     let station = Station::new(settings, clock.now());
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
-    let (finished, stop) = watch(running)?;
+    let finished = watch(running, signals);
     let log = match finished.log {
         Ok(_) => Some(path),
         Err(error) => {
@@ -115,53 +147,27 @@ pub(super) fn fly_once(
             None
         }
     };
-    let (end, exit) = summary::end_in_words(finished.end.as_ref(), stop);
+    let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
     Ok(Flown { end, exit, log })
 }
 
-/// What asked for the end.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Stop {
-    /// Ctrl-C.
-    Interrupt,
-    /// SIGTERM.
-    Terminate,
-}
-
 /// Shows the status and waits for the end. The first Ctrl-C or SIGTERM asks for landing, the
-/// second drops the stream. Returns the first.
-pub(super) fn watch(running: Running) -> anyhow::Result<(Finished, Option<Stop>)> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the runtime that watches signals")?;
-    let stop = runtime.block_on(async {
-        let mut interrupt = signal(SignalKind::interrupt())?;
-        let mut terminate = signal(SignalKind::terminate())?;
-        let line = StatusLine::new(std::io::stderr().is_terminal());
-        let mut stop = None;
-        while !running.is_done() {
-            let asked = tokio::select! {
-                _ = interrupt.recv() => Some(Stop::Interrupt),
-                _ = terminate.recv() => Some(Stop::Terminate),
-                () = tokio::time::sleep(WATCH_PERIOD) => None,
-            };
-            if asked.is_some() {
-                if stop.is_none() {
-                    tracing::warn!(
-                        "stopping: in flight the vehicle lands; again to drop the stream"
-                    );
-                }
-                stop = stop.or(asked);
-                running.stop();
+/// second drops the stream.
+pub(super) fn watch(running: Running, signals: &mut StopSignals) -> Finished {
+    let line = StatusLine::new(std::io::stderr().is_terminal());
+    let mut stopping = false;
+    while !running.is_done() {
+        if signals.wait(WATCH_PERIOD).is_some() {
+            if !stopping {
+                tracing::warn!("stopping: in flight the vehicle lands; again to drop the stream");
             }
-            line.show(&running.status());
+            stopping = true;
+            running.stop();
         }
-        line.finish();
-        Ok::<_, std::io::Error>(stop)
-    });
-    let stop = stop.context("cannot watch signals")?;
-    Ok((running.join(), stop))
+        line.show(&running.status());
+    }
+    line.finish();
+    running.join()
 }
 
 /// Parses the URL of a vehicle.

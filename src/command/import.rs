@@ -5,7 +5,10 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::{Exit, ExitContext, print_json, print_text};
-use crate::log::import::{self, Clock, Flight, MotorSource, MotorUnit, Stream};
+use crate::diagnose::audit::{Channels, Tier};
+use crate::log::import::{
+    self, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleFacts,
+};
 
 /// The JSON of `log import`.
 #[derive(Serialize)]
@@ -21,7 +24,11 @@ struct Summary {
     clock_delay_s: Option<f64>,
     motor_unit: &'static str,
     motor_source: &'static str,
+    setpoint_source: &'static str,
+    /// `T0` to `T3`; none without a pose.
+    tier: Option<Tier>,
     has_vehicle_file: bool,
+    vehicle: VehicleFacts,
     streams: Vec<StreamSummary>,
     left_out: Vec<LeftOut>,
     out: String,
@@ -104,6 +111,9 @@ fn summary(flight: &Flight, out: &Path, messages: u64) -> Summary {
     let motor_source = match flight.motor_source {
         MotorSource::ActuatorOutputStatus => "ACTUATOR_OUTPUT_STATUS",
         MotorSource::ServoOutputRaw => "SERVO_OUTPUT_RAW",
+        MotorSource::ActuatorMotors => "actuator_motors",
+        MotorSource::ActuatorOutputs => "actuator_outputs",
+        MotorSource::Rcou => "RCOU",
         MotorSource::Table => "table",
     };
     let streams = vec![
@@ -131,6 +141,12 @@ fn summary(flight: &Flight, out: &Path, messages: u64) -> Summary {
         clock_delay_s,
         motor_unit,
         motor_source,
+        setpoint_source: match flight.setpoint_source {
+            SetpointSource::Ground => "ground",
+            SetpointSource::Onboard => "autopilot",
+        },
+        tier: Tier::of(&Channels::of(flight)),
+        vehicle: flight.facts.clone(),
         has_vehicle_file: flight.vehicle_file.is_some(),
         streams,
         left_out: left_out
@@ -165,9 +181,33 @@ fn text(summary: &Summary) -> String {
     let delay = summary.clock_delay_s.map_or(String::new(), |s| format!(" ({:.1} ms)", s * 1e3));
     lines.push(format!("  clocks: {}{delay}", summary.clock));
     lines.push(format!("  motor outputs: {}, from {}", summary.motor_unit, summary.motor_source));
+    let tier = summary.tier.map_or("none: no whole pose".to_owned(), |tier| tier.to_string());
+    lines.push(format!("  tier: {tier}"));
+    lines.extend(vehicle(&summary.vehicle));
     for LeftOut { what, count } in &summary.left_out {
         lines.push(format!("  left out: {count} x {what}"));
     }
     lines.push(format!("{}: {} messages", summary.out, summary.messages));
     lines.join("\n") + "\n"
+}
+
+/// What the log says about its vehicle.
+fn vehicle(facts: &VehicleFacts) -> Vec<String> {
+    let mut lines = Vec::new();
+    if let Some(autopilot) = &facts.autopilot {
+        lines.push(format!("  autopilot: {autopilot}"));
+    }
+    let motors = facts.motors.map(|motors| format!("{motors} motors"));
+    let frame: Vec<String> = [facts.frame.clone(), motors].into_iter().flatten().collect();
+    if !frame.is_empty() {
+        lines.push(format!("  frame: {}", frame.join(", ")));
+    }
+    let spin = |spin: i8| if spin > 0 { "turning the body right" } else { "turning the body left" };
+    for (motor, rotor) in facts.rotors.iter().enumerate() {
+        let (front, right) = (rotor.front, rotor.right);
+        let spin = spin(rotor.spin);
+        lines.push(format!("  motor {}: front {front:.2}, right {right:.2}, {spin}", motor + 1));
+    }
+    lines.extend(facts.notes.iter().map(|note| format!("  {note}")));
+    lines
 }

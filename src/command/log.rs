@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use super::{Exit, ExitContext, import, print_json, write_file};
+use super::{Exit, ExitContext, audit, import, print_json, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
@@ -60,6 +60,9 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
         }
         LogCommand::Import { file, mapping, out, json } => {
             import::run(&file, mapping.as_deref(), &out, json)
+        }
+        LogCommand::Audit { logs, mapping, fail_on, json } => {
+            audit::run(&logs, mapping.as_deref(), fail_on, json)
         }
         LogCommand::Report { file, out, json } => {
             let mut reader = LogReader::open(&file).or_exit(Exit::Usage)?;

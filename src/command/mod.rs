@@ -1,21 +1,26 @@
 //! The commands: validated options, then work, then an exit code.
 
+mod audit;
 mod collect;
 mod config;
+mod course;
 mod daemon;
 mod demo;
 mod diagnose;
 mod exit;
 mod fly;
+mod goal_file;
 mod import;
 mod log;
 mod logs;
 mod messages;
 mod model;
+mod plan;
 mod setup;
 mod simulation;
 mod sitl;
 mod status_line;
+mod stop;
 mod summary;
 mod train;
 
@@ -52,6 +57,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
             end_on_broken_pipe();
             model::run(command)
         }
+        Command::Plan(args) => plan::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
         Command::Config(args) => {
             end_on_broken_pipe();

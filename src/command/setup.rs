@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
@@ -11,16 +10,16 @@ use sitl::frame::Frd;
 use sitl::physics::Physics;
 use sitl::vehicle::{AttitudePd, VehicleParams};
 
+use super::course::Course;
 use super::{Exit, ExitContext};
 use crate::config::{Config, FormSetting};
-use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr};
+use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr, LqrSettings};
 use crate::link::attitude_target::ThrustMap;
 use crate::link::profile::FormChoice;
 use crate::link::session;
 use crate::log::RunInfo;
+use crate::plan::Trajectory;
 use crate::plan::programme::Capability;
-use crate::plan::reference::ReferenceSource;
-use crate::plan::{Feasibility, ModelFreeReference, Trajectory};
 use crate::station::StationSettings;
 use crate::supervisor::EngagePolicy;
 
@@ -96,13 +95,16 @@ impl EffectiveVehicle {
 }
 
 /// What a programme of flights may ask of the vehicle.
-pub(super) fn capability(params: &VehicleParams) -> anyhow::Result<Capability> {
+pub(super) fn capability(
+    params: &VehicleParams,
+    settings: &LqrSettings,
+) -> anyhow::Result<Capability> {
     let effective = EffectiveVehicle::new(params)?;
     let inertia: [f64; 3] = effective.hover.inertia;
     let bandwidth = match effective.attitude_pd {
         Some(pd) => std::array::from_fn(|axis| (pd.kp[axis] / inertia[axis]).sqrt()),
         // A loop that is not known is taken to be the slowest of those that are.
-        None => SLOWEST_LOOP_RAD_S,
+        None => settings.attitude_response_rad_s.unwrap_or(AttitudeLoop::PX4_RAD_S),
     };
     let [roll, pitch, yaw] = bandwidth;
     Ok(Capability {
@@ -113,25 +115,11 @@ pub(super) fn capability(params: &VehicleParams) -> anyhow::Result<Capability> {
     })
 }
 
-/// Natural frequencies of [`AttitudeLoop::PX4`], rad/s.
-const SLOWEST_LOOP_RAD_S: [f64; 3] = [7.6, 7.6, 3.1];
-
-/// A trajectory within the envelope, with the most that it asks for.
-pub(super) fn checked_trajectory(
-    trajectory: Trajectory,
-    params: &VehicleParams,
-    config: &Config,
-) -> anyhow::Result<(Trajectory, Feasibility)> {
-    let feasibility =
-        config.settings.envelope.check(&trajectory, params.gravity).or_exit(Exit::Refused)?;
-    Ok((trajectory, feasibility))
-}
-
 /// A station's settings.
 pub(super) fn station_settings(
     config: &Config,
     vehicle: &VehicleFile,
-    trajectory: Trajectory,
+    course: &Course,
     policy: EngagePolicy,
     baud: Option<u32>,
 ) -> anyhow::Result<StationSettings> {
@@ -153,8 +141,6 @@ pub(super) fn station_settings(
         baud,
         ..session::Settings::new(effective.thrust)
     };
-    let reference: Arc<dyn ReferenceSource + Send + Sync> =
-        Arc::new(ModelFreeReference::new(trajectory, effective.hover.hover_thrust_n()));
     let mut pilot = settings.pilot.clone();
     pilot.telemetry.rate_hz = settings.control.rate_hz;
     Ok(StationSettings {
@@ -164,9 +150,10 @@ pub(super) fn station_settings(
         policy,
         hover: effective.hover,
         thrust_full_n: effective.thrust_full_n,
+        battery_full_v: vehicle.params.battery.full_v,
         attitude_pd: effective.attitude_pd,
         actuation: effective.actuation,
-        reference,
+        reference: course.reference(effective.hover.hover_thrust_n()),
         search_timeout_s: (policy == EngagePolicy::Command).then_some(link.search_timeout_s),
     })
 }

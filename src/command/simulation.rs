@@ -9,13 +9,13 @@ use sitl::autopilot::Vehicle;
 use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
 
+use super::course::Course;
 use super::setup::{VehicleFile, run_info, station_settings};
 use super::{Exit, ExitContext};
 use crate::cli::SimulationArgs;
 use crate::config::Config;
 use crate::lockstep;
 use crate::log::LogWriter;
-use crate::plan::Trajectory;
 use crate::station::{End, Station, Status};
 use crate::supervisor::EngagePolicy;
 
@@ -66,7 +66,7 @@ pub(super) struct SimulatedFlight<'a> {
     pub config: &'a Config,
     pub vehicle: &'a VehicleFile,
     pub truth: &'a Truth,
-    pub trajectory: Trajectory,
+    pub course: &'a Course,
     /// What the run is called in the log and in its file's name.
     pub run: &'a str,
     pub seed: u64,
@@ -85,13 +85,13 @@ impl SimulatedFlight<'_> {
     /// Flies from connecting to disarming. `watch` sees the status about every 10 ms of simulated
     /// time.
     pub fn fly(self, folder: &Path, mut watch: impl FnMut(&Status)) -> anyhow::Result<Simulated> {
-        let limit_s = self.trajectory.duration() + AROUND_S;
+        let limit_s = self.course.duration() + AROUND_S;
         let params = self.vehicle.params.clone();
         let truth = self.truth.clone();
         let mut vehicle =
             Vehicle::new(params, truth.effects, truth.config, self.seed).or_exit(Exit::Usage)?;
         let policy = EngagePolicy::Command;
-        let settings = station_settings(self.config, self.vehicle, self.trajectory, policy, None)?;
+        let settings = station_settings(self.config, self.vehicle, self.course, policy, None)?;
         let mut info = run_info(self.config, self.vehicle, self.run, true, Some(self.seed));
         info.extra = self.extra;
         info.extra.insert("effects".to_owned(), self.truth.effects_text()?);

@@ -1,7 +1,7 @@
 //! How a flight ended, for people.
 
 use super::Exit;
-use super::fly::Stop;
+use super::stop::Stop;
 use crate::report::flight::FlightSummary;
 use crate::station::End;
 

@@ -25,6 +25,31 @@ use crate::model::file::ModelFile;
 use crate::model::learned::Features;
 
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
+    let Some(Trained { summary, report }) = learn(args)? else {
+        return Ok(Exit::Interrupted);
+    };
+    if args.json {
+        print_json(&summary)?;
+    } else {
+        let mut text = model::summary_in_words(&summary);
+        text += &format!("model   {}\n", args.out.display());
+        if let Some(page) = report {
+            text += &format!("report  {}\n", page.display());
+        }
+        print_text(&text)?;
+    }
+    Ok(Exit::Ok)
+}
+
+/// What a training leaves beside its model file.
+pub(super) struct Trained {
+    pub summary: TrainingSummary,
+    /// The report's page, where one was asked for.
+    pub report: Option<PathBuf>,
+}
+
+/// Trains, and writes the model file and the report; nothing where it was interrupted.
+pub(super) fn learn(args: &TrainArgs) -> anyhow::Result<Option<Trained>> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
     if let Some(weight) = args.regularization.iter().find(|w| !(w.is_finite() && **w >= 0.0)) {
@@ -54,7 +79,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
                     "interrupted; the same command with --resume goes on from {}",
                     checkpoint_path.display()
                 ));
-                return Ok(Exit::Interrupted);
+                return Ok(None);
             }
             Outcome::Done(done) => {
                 let standing = standing(&done.1);
@@ -86,17 +111,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
         write_file(&folder.join("report.json"), &json)?;
         report = Some(page);
     }
-    if args.json {
-        print_json(&summary)?;
-    } else {
-        let mut text = model::summary_in_words(&summary);
-        text += &format!("model   {}\n", args.out.display());
-        if let Some(page) = report {
-            text += &format!("report  {}\n", page.display());
-        }
-        print_text(&text)?;
-    }
-    Ok(Exit::Ok)
+    Ok(Some(Trained { summary, report }))
 }
 
 /// Trains with labels of one window. Takes `progress` if it is of this training.
@@ -143,7 +158,8 @@ fn train_with(
     train(&set, &settings, windows, logs.refused, own, bar).or_exit(Exit::Usage)
 }
 
-fn checkpoint_path(out: &Path) -> PathBuf {
+/// Where an interrupted training of a model file is kept.
+pub(super) fn checkpoint_path(out: &Path) -> PathBuf {
     let mut path = out.as_os_str().to_owned();
     path.push(".checkpoint");
     PathBuf::from(path)

@@ -61,14 +61,24 @@ impl From<AttitudePd> for AttitudeLoop {
 }
 
 impl AttitudeLoop {
-    /// PX4's own attitude loop. An 8 degree step reached 63 % after 281 ms, as a critically damped
-    /// response of wn = 2.146 / 0.281 s does. Yaw is slower: PX4 weighs it by MC_YAW_WEIGHT 0.4.
-    pub const PX4: Self =
-        Self::Attitude { natural_frequency: [7.6, 7.6, 3.1], damping: [1.0, 1.0, 1.0] };
+    /// Natural frequencies of PX4's own attitude loop, rad/s. An 8 degree step reached 63 % after
+    /// 281 ms, as a critically damped response of wn = 2.146 / 0.281 s does. Yaw is slower: PX4
+    /// weighs it by MC_YAW_WEIGHT 0.4.
+    pub const PX4_RAD_S: [f64; 3] = [7.6, 7.6, 3.1];
 
-    /// ArduCopter's own attitude loop: 63 % after 209 ms, see [`AttitudeLoop::PX4`].
-    pub const ARDUCOPTER: Self =
-        Self::Attitude { natural_frequency: [10.3, 10.3, 4.1], damping: [1.0, 1.0, 1.0] };
+    /// The same of ArduCopter's: 63 % after 209 ms.
+    pub const ARDUCOPTER_RAD_S: [f64; 3] = [10.3, 10.3, 4.1];
+
+    /// PX4's own attitude loop, as measured.
+    pub const PX4: Self = Self::responding_at(Self::PX4_RAD_S);
+
+    /// ArduCopter's own attitude loop, as measured.
+    pub const ARDUCOPTER: Self = Self::responding_at(Self::ARDUCOPTER_RAD_S);
+
+    /// A critically damped attitude loop of these natural frequencies, rad/s.
+    pub const fn responding_at(natural_frequency: [f64; 3]) -> Self {
+        Self::Attitude { natural_frequency, damping: [1.0; 3] }
+    }
 
     /// Whether its gains make moments that the rotors then follow with their lag. The others were
     /// measured from the setpoint to the vehicle's answer, rotors included.

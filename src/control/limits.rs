@@ -111,7 +111,7 @@ impl Limits {
         let (sin_roll, cos_roll) = roll.sin_cos();
         let (sin_pitch, cos_pitch) = pitch.sin_cos();
         let (x, y, z) = (sin_pitch * cos_roll, -sin_roll, cos_pitch * cos_roll);
-        let horizontal = x.hypot(y);
+        let horizontal = (x * x + y * y).sqrt();
         if horizontal.atan2(z) <= self.tilt_max_rad {
             return (roll, pitch);
         }

@@ -40,6 +40,11 @@ pub struct LqrSettings {
     pub attitude_command_rad: [f64; 3],
     /// Acceptable correction of the desired body rate, rad/s.
     pub body_rate_command_rad_s: [f64; 3],
+    /// How quickly the vehicle's own attitude loop answers about roll, pitch and yaw: the natural
+    /// frequency of its response, taken to be critically damped, rad/s. For a vehicle that is sent
+    /// attitude and thrust and whose file has no gains; none takes the slowest that its autopilot
+    /// is expected to fly with.
+    pub attitude_response_rad_s: Option<[f64; 3]>,
     /// The feedback sees at most this horizontal position error, so that a reference far away is
     /// approached at a bounded speed, m.
     pub horizontal_error_max_m: f64,
@@ -58,6 +63,7 @@ impl Default for LqrSettings {
             thrust: 0.35,
             attitude_command_rad: [0.25, 0.25, 0.3],
             body_rate_command_rad_s: [0.05, 0.05, 0.05],
+            attitude_response_rad_s: None,
             horizontal_error_max_m: 1.0,
             vertical_error_max_m: 0.6,
         }
@@ -215,7 +221,7 @@ impl Lqr {
 
     /// The position error with its horizontal part and its height within bounds.
     fn bounded(&self, error: Ned) -> (Ned, bool) {
-        let horizontal = error.north().hypot(error.east());
+        let horizontal = (error.north().powi(2) + error.east().powi(2)).sqrt();
         let scale = (self.horizontal_error_max_m / horizontal).min(1.0);
         let down = error.down().clamp(-self.vertical_error_max_m, self.vertical_error_max_m);
         let bounded = if scale < 1.0 {

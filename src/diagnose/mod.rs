@@ -2,6 +2,7 @@
 //! how far it shrinks.
 
 pub mod answer;
+pub mod audit;
 pub mod fit;
 pub mod gap;
 pub mod hypothesis;

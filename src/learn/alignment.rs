@@ -48,7 +48,7 @@ impl Alignment {
 }
 
 /// The attitude at `time`, between its neighbours; `None` outside of the stream.
-pub(super) fn interpolated(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
+pub fn interpolated(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
     let index = stream.index_at(time)?;
     let (times, values) = (stream.times(), stream.values());
     let (a, b) = (values[index], *values.get(index + 1)?);

@@ -96,6 +96,9 @@ impl Guidance {
         hover_thrust_n: f64,
         trajectory: Box<dyn ReferenceSource + Send>,
     ) -> Self {
+        // A model that knows better what holds the vehicle up is believed, within reason.
+        let hover_thrust_n =
+            trajectory.start_thrust_n().clamp(0.75 * hover_thrust_n, 1.25 * hover_thrust_n);
         Self {
             settings,
             hover_thrust_n,
@@ -115,6 +118,11 @@ impl Guidance {
     /// Where the trajectory's origin is, once the flight has begun.
     pub fn anchor(&self) -> Option<Ned> {
         self.anchor
+    }
+
+    /// As the reference has it.
+    pub fn voltage_exponent(&self) -> f64 {
+        self.trajectory.voltage_exponent()
     }
 
     /// Where the vehicle was last seen on the ground.
@@ -142,7 +150,7 @@ impl Guidance {
         let mut guided = match state {
             FlightState::TakeOff => self.take_off(t, here),
             FlightState::Approach => self.approach(t, sample),
-            FlightState::Track => self.track(t),
+            FlightState::Track => self.track(t, here),
             FlightState::Hold | FlightState::Land => Guided::fly(self.hold(here)),
             _ if airborne => Guided::fly(self.stay(here)),
             _ => self.idle(self.settings.idle_thrust, here),
@@ -265,9 +273,11 @@ impl Guidance {
         }
     }
 
-    fn track(&self, t: f64) -> Guided {
+    fn track(&self, t: f64, here: &State) -> Guided {
+        let anchor = self.anchor.unwrap_or_default();
+        self.trajectory.observe(t, &State { position: here.position - anchor, ..*here });
         let mut reference = self.trajectory.sample(t);
-        reference.position += self.anchor.unwrap_or_default();
+        reference.position += anchor;
         let over = t >= self.trajectory.duration();
         Guided {
             trajectory_time: Some(t),

@@ -1,8 +1,10 @@
 //! Whether a trajectory asks for more than the vehicle may be asked, before it is armed.
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::Ned;
+use sitl::frame::{Euler, Frd, Ned};
 
+use super::planned::Plan;
+use super::problem::YAW;
 use super::trajectory::Trajectory;
 
 /// What a trajectory may ask for at most.
@@ -72,6 +74,33 @@ pub struct Feasibility {
 /// Times at which a trajectory is looked at are this far apart, s.
 const SPACING_S: f64 = 0.01;
 
+/// What one instant asks for.
+struct Demand {
+    at_s: f64,
+    speed_m_s: f64,
+    tilt_deg: f64,
+    thrust_g: f64,
+    yaw_rate_deg_s: f64,
+    radius_m: f64,
+    height_m: f64,
+}
+
+impl Demand {
+    /// Of a place with a velocity and a specific force, world axes.
+    fn new(at_s: f64, position: Ned, velocity: Ned, force: Ned, gravity: f64) -> Self {
+        let horizontal = force.north().hypot(force.east());
+        Self {
+            at_s,
+            speed_m_s: velocity.norm(),
+            tilt_deg: horizontal.atan2(-force.down()).to_degrees(),
+            thrust_g: force.norm() / gravity,
+            yaw_rate_deg_s: 0.0,
+            radius_m: position.north().hypot(position.east()),
+            height_m: -position.down(),
+        }
+    }
+}
+
 impl FlightEnvelope {
     /// The trajectory's largest demands, if none breaks a limit.
     ///
@@ -85,25 +114,60 @@ impl FlightEnvelope {
         trajectory: &Trajectory,
         gravity: f64,
     ) -> Result<Feasibility, InfeasibleTrajectory> {
-        let mut demands = Feasibility::default();
-        let mut worst: Option<(f64, InfeasibleTrajectory)> = None;
         let steps = (trajectory.duration() / SPACING_S).ceil() as usize;
-        for step in 0..=steps {
+        let demands = (0..=steps).map(|step| {
             let at_s = (step as f64 * SPACING_S).min(trajectory.duration());
             let point = trajectory.sample(at_s);
-            let specific = point.acceleration - Ned::new(0.0, 0.0, gravity);
-            let horizontal = specific.north().hypot(specific.east());
-            let tilt_deg = horizontal.atan2(-specific.down()).to_degrees();
-            let thrust_g = specific.norm() / gravity;
-            let radius_m = point.position.north().hypot(point.position.east());
-            let height_m = -point.position.down();
-            let speed_m_s = point.velocity.norm();
+            let force = point.acceleration - Ned::new(0.0, 0.0, gravity);
             let yaw_rate_deg_s = point.yaw_rate.abs().to_degrees();
-            demands.speed_m_s = demands.speed_m_s.max(speed_m_s);
-            demands.tilt_deg = demands.tilt_deg.max(tilt_deg);
-            demands.yaw_rate_deg_s = demands.yaw_rate_deg_s.max(yaw_rate_deg_s);
-            demands.radius_m = demands.radius_m.max(radius_m);
-            demands.height_m = demands.height_m.max(height_m);
+            let demand = Demand::new(at_s, point.position, point.velocity, force, gravity);
+            Demand { yaw_rate_deg_s, ..demand }
+        });
+        self.judge(trajectory.name(), demands)
+    }
+
+    /// The largest demands of a plan, if none breaks a limit: what its states and thrusts are.
+    ///
+    /// # Errors
+    /// As [`FlightEnvelope::check`].
+    pub fn check_plan(
+        &self,
+        plan: &Plan,
+        mass_kg: f64,
+        gravity: f64,
+    ) -> Result<Feasibility, InfeasibleTrajectory> {
+        let demands =
+            plan.inputs.iter().zip(&plan.states).enumerate().map(|(n, (input, state))| {
+                let [x, y, z, vx, vy, vz, roll, pitch, yaw, ..] = *state;
+                let attitude = Euler::new(roll, pitch, yaw).attitude();
+                let force = attitude.to_world(Frd::new(0.0, 0.0, -input[0] / mass_kg));
+                let (position, velocity) = (Ned::new(x, y, z), Ned::new(vx, vy, vz));
+                let next_yaw = plan.states[n + 1][YAW];
+                let demand =
+                    Demand::new(n as f64 * plan.period_s, position, velocity, force, gravity);
+                Demand {
+                    yaw_rate_deg_s: ((next_yaw - yaw) / plan.period_s).abs().to_degrees(),
+                    ..demand
+                }
+            });
+        self.judge(&plan.trajectory, demands)
+    }
+
+    fn judge(
+        &self,
+        trajectory: &str,
+        demands: impl Iterator<Item = Demand>,
+    ) -> Result<Feasibility, InfeasibleTrajectory> {
+        let mut largest = Feasibility::default();
+        let mut worst: Option<(f64, InfeasibleTrajectory)> = None;
+        for demand in demands {
+            let Demand { at_s, speed_m_s, tilt_deg, thrust_g, yaw_rate_deg_s, radius_m, height_m } =
+                demand;
+            largest.speed_m_s = largest.speed_m_s.max(speed_m_s);
+            largest.tilt_deg = largest.tilt_deg.max(tilt_deg);
+            largest.yaw_rate_deg_s = largest.yaw_rate_deg_s.max(yaw_rate_deg_s);
+            largest.radius_m = largest.radius_m.max(radius_m);
+            largest.height_m = largest.height_m.max(height_m);
             let rows = [
                 ("speed", "m/s", speed_m_s, self.speed_max_m_s),
                 ("tilt", "deg", tilt_deg, self.tilt_max_deg),
@@ -112,9 +176,8 @@ impl FlightEnvelope {
                 ("distance from the take-off point", "m", radius_m, self.radius_max_m),
                 ("height", "m", height_m, self.height_max_m),
             ];
-            let name = trajectory.name();
             let broken = |quantity, unit, found, limit| InfeasibleTrajectory {
-                trajectory: name.to_owned(),
+                trajectory: trajectory.to_owned(),
                 quantity,
                 unit,
                 found,
@@ -132,7 +195,7 @@ impl FlightEnvelope {
                 worst = Some((1.0, broken("lowest height", "m", height_m, self.height_min_m)));
             }
         }
-        worst.map_or(Ok(demands), |(_, error)| Err(error))
+        worst.map_or(Ok(largest), |(_, error)| Err(error))
     }
 }
 

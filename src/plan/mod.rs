@@ -1,13 +1,25 @@
-//! Trajectories: what the vehicle is asked to do, and the reference made of it.
+//! Trajectories: what the vehicle is asked to do, and the reference made of it: as it is, or
+//! planned through a model.
 
+pub mod conic;
 mod curve;
+pub mod desire;
+mod detour;
+pub mod discretisation;
 mod feasibility;
 mod file;
+pub mod interior_point;
 mod model_free;
 mod multisine;
 mod path;
+pub mod planned;
+pub mod planner;
+pub mod problem;
 pub mod programme;
+pub mod receding;
 pub mod reference;
+pub mod scp;
+pub mod subproblem;
 mod table;
 pub mod trajectory;
 

@@ -28,15 +28,20 @@ impl ReferenceSource for ModelFreeReference {
     }
 
     fn sample(&self, t: f64) -> Reference {
-        let point = self.trajectory.sample(t);
-        let attitude = Euler::new(0.0, 0.0, wrap_angle(point.yaw));
-        let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
-        Reference {
-            position: point.position,
-            velocity: point.velocity,
-            attitude,
-            body_rate,
-            feedforward: Setpoint { thrust_n: self.hover_thrust_n, attitude, body_rate },
-        }
+        model_free(&self.trajectory, t, self.hover_thrust_n)
+    }
+}
+
+/// The reference at `t` seconds.
+pub(super) fn model_free(trajectory: &Trajectory, t: f64, hover_thrust_n: f64) -> Reference {
+    let point = trajectory.sample(t);
+    let attitude = Euler::new(0.0, 0.0, wrap_angle(point.yaw));
+    let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
+    Reference {
+        position: point.position,
+        velocity: point.velocity,
+        attitude,
+        body_rate,
+        feedforward: Setpoint { thrust_n: hover_thrust_n, attitude, body_rate },
     }
 }

@@ -127,7 +127,7 @@ fn path(report: &FlightReport) -> String {
     };
     let flown: Vec<Ned> = report.rows.iter().map(flown).collect();
     let desired: Vec<Ned> = report.rows.iter().map(desired).collect();
-    Scene { flown: &flown, desired: &desired }.to_html()
+    Scene { paths: &[("flown", &flown)], desired: &desired }.to_html()
 }
 
 /// What the charts over time share.

@@ -2,11 +2,14 @@
 
 mod axis;
 pub mod chart;
+pub mod comparison;
 pub mod diagnosis;
+pub mod experiment;
 pub mod flight;
 mod flight_page;
 pub mod histogram;
 pub mod page;
+pub mod plan;
 pub mod scene;
 pub mod table;
 pub mod training;

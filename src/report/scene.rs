@@ -15,19 +15,23 @@ const POINTS: usize = 1500;
 const AZIMUTH: f64 = 0.6;
 const ELEVATION: f64 = 0.5;
 
-/// Flown and desired paths with their shadows on the ground.
+/// Paths beside the desired one, the first with its shadow on the ground.
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
-    /// Where the vehicle was, m; points that are not finite break the path.
-    pub flown: &'a [Ned],
-    /// Where it should have been.
+    /// What is drawn in colours 1 to 4: name, and positions in m; points that are not finite break
+    /// the path.
+    pub paths: &'a [(&'a str, &'a [Ned])],
+    /// Where they should have led.
     pub desired: &'a [Ned],
 }
 
 impl Scene<'_> {
     /// The figure.
     pub fn to_html(&self) -> String {
-        let all = || self.flown.iter().chain(self.desired).filter(|p| p.is_finite());
+        let all = || {
+            let paths = self.paths.iter().flat_map(|(_, path)| path.iter());
+            paths.chain(self.desired).filter(|p| p.is_finite())
+        };
         let Some(first) = all().next() else {
             return String::from("<p class=\"note\">No positions.</p>");
         };
@@ -51,26 +55,39 @@ impl Scene<'_> {
         });
         let view = View::fit(all().copied().chain(corners));
 
-        let mut svg = format!(
-            "<div class=\"legend\"><span><svg viewBox=\"0 0 24 10\"><path class=\"curve c1\" d=\"M0 5H24\"/></svg>flown</span>\
-             <span><svg viewBox=\"0 0 24 10\"><path class=\"curve ref\" d=\"M0 5H24\"/></svg>desired</span>\
+        let mut svg = String::from("<div class=\"legend\">");
+        for ((name, _), colour) in self.paths.iter().zip(1..) {
+            let _ = write!(
+                svg,
+                "<span><svg viewBox=\"0 0 24 10\"><path class=\"curve c{colour}\" d=\"M0 5H24\"/></svg>{name}</span>"
+            );
+        }
+        let _ = write!(
+            svg,
+            "<span><svg viewBox=\"0 0 24 10\"><path class=\"curve ref\" d=\"M0 5H24\"/></svg>desired</span>\
              <span><svg viewBox=\"0 0 24 10\"><path class=\"shadow\" d=\"M0 5H24\"/></svg>shadow on the lowest plane</span></div>\
              <svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"3D path\">"
         );
         ground(&view, grid, floor, step, &mut svg);
-        let shadow: Vec<Ned> =
-            self.flown.iter().map(|p| Ned::new(p.north(), p.east(), floor)).collect();
-        polyline(&view, &shadow, "shadow", &mut svg);
+        if let Some((_, path)) = self.paths.first() {
+            let shadow: Vec<Ned> =
+                path.iter().map(|p| Ned::new(p.north(), p.east(), floor)).collect();
+            polyline(&view, &shadow, "shadow", &mut svg);
+        }
         polyline(&view, self.desired, "curve ref", &mut svg);
-        polyline(&view, self.flown, "curve c1", &mut svg);
+        // The first is drawn last, on top.
+        for (colour, (_, path)) in self.paths.iter().enumerate().rev() {
+            polyline(&view, path, &format!("curve c{}", colour + 1), &mut svg);
+        }
         self.ends(&view, &mut svg);
         svg.push_str("</svg>");
         svg
     }
 
-    /// Marks where the flown path begins and ends, under one name where that is the same place.
+    /// Marks where the first path begins and ends, under one name where that is the same place.
     fn ends(&self, view: &View, svg: &mut String) {
-        let mut finite = self.flown.iter().filter(|p| p.is_finite());
+        let first = self.paths.first().map_or(&[][..], |(_, path)| path);
+        let mut finite = first.iter().filter(|p| p.is_finite());
         let Some(start) = finite.next() else { return };
         let end = finite.next_back().unwrap_or(start);
         let ((x1, y1), (x2, y2)) = (view.at(*start), view.at(*end));
@@ -209,7 +226,7 @@ mod tests {
     #[test]
     fn single_point_and_none_draw_without_nan() {
         for flown in [vec![], vec![Ned::zero()], vec![Ned::new(f64::NAN, 0.0, 0.0)]] {
-            let html = Scene { flown: &flown, desired: &[] }.to_html();
+            let html = Scene { paths: &[("flown", &flown)], desired: &[] }.to_html();
             assert!(!html.contains("NaN") && !html.contains("inf"));
         }
     }

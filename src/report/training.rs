@@ -5,7 +5,7 @@ use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
 use super::table::{Table, definitions};
 use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
-use crate::learn::summary::{LearningCurve, TrainingSummary};
+use crate::learn::summary::{LearningCurve, Series, TrainingSummary};
 use crate::model::file::ModelKind;
 
 /// Parts of the rows, in the order of the summary.
@@ -34,7 +34,7 @@ pub fn html(summary: &TrainingSummary) -> String {
     page.section(
         "Observed and predicted",
         "Accelerations of a test flight, which no model was fitted on: the label, and what each model says at the same state and input.",
-        &series(summary),
+        &series(summary, &[0, 1, 2, 3, 4, 5]),
     );
     page.section(
         "One step",
@@ -118,24 +118,32 @@ fn percent(share: f64) -> String {
     format!("{} %", significant(100.0 * share))
 }
 
-fn series(summary: &TrainingSummary) -> String {
+/// Charts of these accelerations, as far as the summary has them, in this order.
+pub(super) fn series(summary: &TrainingSummary, shown: &[usize]) -> String {
     let mut html = String::new();
-    for series in &summary.series {
-        let mut curves = vec![Curve {
-            name: "observed".into(),
-            style: Style::Reference,
-            y: series.observed.clone(),
-        }];
-        for ((kind, y), colour) in ModelKind::ALL.iter().zip(&series.predicted).zip(1..) {
-            let name = kind.name().into();
-            curves.push(Curve { name, style: Style::Colour(colour), y: y.clone() });
+    for acceleration in shown {
+        let all = summary.series.iter();
+        for series in all.filter(|series| series.acceleration == *acceleration) {
+            html += &one_series(series);
         }
-        let name = format!("{} in {}", AXES[series.acceleration], series.run);
-        let (x_label, x) = ("time (s)", series.time_s.as_slice());
-        let panels = vec![Panel { name, curves }];
-        html += &Chart { x_label, x, bands: &[], height: 190.0, panels }.to_html();
     }
     html
+}
+
+fn one_series(series: &Series) -> String {
+    let mut curves = vec![Curve {
+        name: "observed".into(),
+        style: Style::Reference,
+        y: series.observed.clone(),
+    }];
+    for ((kind, y), colour) in ModelKind::ALL.iter().zip(&series.predicted).zip(1..) {
+        let name = kind.name().into();
+        curves.push(Curve { name, style: Style::Colour(colour), y: y.clone() });
+    }
+    let name = format!("{} in {}", AXES[series.acceleration], series.run);
+    let (x_label, x) = ("time (s)", series.time_s.as_slice());
+    let panels = vec![Panel { name, curves }];
+    Chart { x_label, x, bands: &[], height: 190.0, panels }.to_html()
 }
 
 fn one_step(summary: &TrainingSummary) -> String {

@@ -91,6 +91,7 @@ pub fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettin
         policy: EngagePolicy::Command,
         hover,
         thrust_full_n,
+        battery_full_v: params.battery.full_v,
         attitude_pd: params.attitude_pd,
         actuation: Actuation {
             command_delay_s: params.command_delay_s,

@@ -11,8 +11,9 @@ import sys
 import threading
 import tty
 
-# So many bytes wait for a line that nobody reads; what comes after them is lost, as on a serial port.
-BACKLOG_MAX = 1 << 20
+# So many bytes wait for a line that nobody reads, and what comes after them is lost, as on a serial port: a longer
+# queue would make a reader that was held up for a moment late for good.
+BACKLOG_MAX = 1 << 12
 
 
 class SerialCable:
@@ -31,7 +32,9 @@ class SerialCable:
         self._start()
 
     def url(self, end):
-        return f"serial:{self.paths[end]}:921600"
+        # The speed decides what the daemon asks for. A terminal holds a tenth of a second of what it asks for at
+        # 921600 baud, and then loses what a vehicle sends that had to wait for its processor.
+        return f"serial:{self.paths[end]}:230400"
 
     def plug(self, end):
         self._halt()
@@ -88,6 +91,11 @@ class SerialCable:
 
 def relay(masters, copies):
     """Moves bytes between two terminals (-1: pulled) until stdin is closed; `copies` puts each piece on stdout too."""
+    try:
+        # A cable takes no processor, so it has not to wait for one either.
+        os.nice(-20)
+    except PermissionError:
+        pass
     stdin, stdout = 0, 1
     os.set_blocking(stdout, False)
     # What waits for each terminal, and for stdout.

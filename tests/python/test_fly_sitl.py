@@ -76,7 +76,7 @@ def test_a_flight_over(flights, transport):
     # What a user is told: who was heard, at what rate, and each phase; nothing chatty.
     first = next(line for line in program.lines if "heard" in line)
     assert "system 1 component 1: autopilot PX4 (12), type quadrotor (2)" in first
-    assert any(re.search(r"receiving attitude at [12]\d\d Hz, position at \d+ Hz", line) for line in program.lines), program.err
+    assert any(re.search(r"receiving attitude at \d+ Hz, position at \d+ Hz", line) for line in program.lines), program.err
     for phase in ("standby", "take_off", "track", "land", "done"):
         assert f" {phase}: " in program.err
     assert len(program.lines) < 40, program.err
@@ -86,7 +86,8 @@ def test_a_flight_over(flights, transport):
         counts = {}
         for _, channel, _ in make_reader(file, validate_crcs=True).iter_messages():
             counts[channel.topic] = counts.get(channel.topic, 0) + 1
-    assert counts["/setpoint"] > 500 and counts["/mavlink/rx"] > 5000
+    # A serial line is asked for as much as it carries.
+    assert counts["/setpoint"] > 500 and counts["/mavlink/rx"] > (2000 if transport == "serial" else 5000)
     from pymavlink import mavutil
 
     tlog = mavutil.mavlink_connection(str(folder / "link.tlog"))

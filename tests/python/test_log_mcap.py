@@ -43,7 +43,7 @@ pytestmark = pytest.mark.xdist_group("log")
 def log(tmp_path_factory):
     if program := os.environ.get("DOWNWASH_BIN"):
         out = tmp_path_factory.mktemp("demo")
-        subprocess.run([program, "demo", "--out", str(out)], check=True, timeout=300)
+        subprocess.run([program, "demo", "--fly", "model-free", "--out", str(out)], check=True, timeout=300)
         (path,) = out.glob("**/*.mcap")
         return path
     if path := os.environ.get("DOWNWASH_LOG"):

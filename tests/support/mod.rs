@@ -49,6 +49,7 @@ pub fn airframe(numbers: &Numbers) -> Airframe {
     Airframe {
         hover: HoverVehicle { mass_kg: numbers.mass, inertia: numbers.inertia, gravity: 9.81 },
         thrust_full_n: numbers.thrust_full,
+        battery_full_v: 4.2,
         modes: MODES,
     }
 }

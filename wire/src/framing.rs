@@ -16,6 +16,8 @@ use crate::dialect::MavMessage;
 
 /// Longest MAVLink frame: a signed MAVLink 2 frame with a 32-bit system id.
 const FRAME_LEN_MAX: usize = 283;
+/// Longest payload.
+const PAYLOAD_LEN_MAX: usize = 255;
 
 /// One frame whose checksum is right.
 pub struct Frame {
@@ -32,8 +34,8 @@ impl Frame {
     /// The frame at the front of `bytes`, if a whole and sound one is there.
     fn at_front(bytes: &[u8]) -> Option<Self> {
         let (version, len) = extent(bytes).ok()?;
-        let (raw, is_valid) = raw(version, bytes.get(..len)?);
-        (is_valid && known_extra_crc(raw.message_id()).is_some()).then_some(Self { raw })
+        let (raw, check) = raw(version, bytes.get(..len)?);
+        (check == Check::Passed).then_some(Self { raw })
     }
 
     /// MAVLink message id.
@@ -256,9 +258,10 @@ impl Encoder {
     pub fn encode(&mut self, message: &MavMessage, out: &mut Vec<u8>) -> bool {
         match self.version {
             MavlinkVersion::V2 => {
-                let mut raw = MAVLinkV2MessageRaw::new();
-                raw.serialize_message(self.header, message);
-                out.extend_from_slice(raw.raw_bytes());
+                let id = message.message_id();
+                self.write(id, MavMessage::extra_crc(id), out, |payload| {
+                    message.ser(MavlinkVersion::V2, payload)
+                });
             }
             MavlinkVersion::V1 if message.message_id() > u8::MAX.into() => return false,
             MavlinkVersion::V1 => {
@@ -276,9 +279,9 @@ impl Encoder {
     pub fn encode_data<D: MessageData>(&mut self, data: &D, out: &mut Vec<u8>) -> bool {
         match self.version {
             MavlinkVersion::V2 => {
-                let mut raw = MAVLinkV2MessageRaw::new();
-                raw.serialize_message_data(self.header, data);
-                out.extend_from_slice(raw.raw_bytes());
+                self.write(D::ID, D::EXTRA_CRC, out, |payload| {
+                    data.ser(MavlinkVersion::V2, payload)
+                });
             }
             MavlinkVersion::V1 if D::ID > u8::MAX.into() => return false,
             MavlinkVersion::V1 => {
@@ -290,6 +293,35 @@ impl Encoder {
         self.header.sequence = self.header.sequence.wrapping_add(1);
         true
     }
+
+    /// Appends a MAVLink 2 frame whose payload `serialize` writes; it returns its length.
+    fn write(
+        &self,
+        id: u32,
+        extra_crc: u8,
+        out: &mut Vec<u8>,
+        serialize: impl FnOnce(&mut [u8]) -> usize,
+    ) {
+        let mut payload = [0; PAYLOAD_LEN_MAX];
+        let len = serialize(&mut payload);
+        let MavHeader { system_id, component_id, sequence } = self.header;
+        let [a, b, c, _] = id.to_le_bytes();
+        let start = out.len() + 1;
+        out.extend([MAV_STX_V2, len as u8, 0, 0, sequence, system_id as u8, component_id, a, b, c]);
+        out.extend_from_slice(&payload[..len]);
+        let crc = checksum(&out[start..], extra_crc);
+        out.extend(crc.to_le_bytes());
+    }
+}
+
+/// The checksum of a frame's bytes after its marker: CRC-16/MCRF4XX, closed by the message's own
+/// byte. It needs no table: one would be fetched anew for every frame that comes after a pause.
+fn checksum(bytes: &[u8], extra_crc: u8) -> u16 {
+    bytes.iter().chain([&extra_crc]).fold(0xFFFF, |crc: u16, byte| {
+        let low = byte ^ crc as u8;
+        let low = u16::from(low ^ (low << 4));
+        (crc >> 8) ^ (low << 8) ^ (low << 3) ^ (low >> 4)
+    })
 }
 
 /// What the first bytes of a slice are.
@@ -314,11 +346,10 @@ pub(crate) fn front(bytes: &[u8]) -> Front {
     let Some(bytes) = bytes.get(..len) else {
         return Front::Incomplete;
     };
-    let (raw, is_valid) = raw(version, bytes);
-    match (known_extra_crc(raw.message_id()), is_valid) {
-        (Some(_), true) => Front::Frame(len),
-        (Some(_), false) => Front::Other,
-        (None, _) => Front::Unknown(len),
+    match raw(version, bytes).1 {
+        Check::Passed => Front::Frame(len),
+        Check::Failed => Front::Other,
+        Check::Unknown => Front::Unknown(len),
     }
 }
 
@@ -339,20 +370,36 @@ fn extent(bytes: &[u8]) -> Result<(MavlinkVersion, usize), Front> {
     }
 }
 
+/// What a frame's checksum says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Check {
+    Passed,
+    Failed,
+    /// The dialect does not have the message, so that it cannot be checked.
+    Unknown,
+}
+
 /// The bytes of what would be a frame, and whether its checksum is right.
-fn raw(version: MavlinkVersion, bytes: &[u8]) -> (MAVLinkMessageRaw, bool) {
+fn raw(version: MavlinkVersion, bytes: &[u8]) -> (MAVLinkMessageRaw, Check) {
+    let check = |id: u32, stated: u16, end: usize| match known_extra_crc(id) {
+        Some(extra_crc) if stated == checksum(&bytes[1..end], extra_crc) => Check::Passed,
+        Some(_) => Check::Failed,
+        None => Check::Unknown,
+    };
+    // The checksum is over everything between the marker and itself.
     match version {
         MavlinkVersion::V1 => {
             let mut raw = MAVLinkV1MessageRaw::new();
             raw.as_mut_slice()[..bytes.len()].copy_from_slice(bytes);
-            let is_valid = raw.has_valid_crc::<MavMessage>();
-            (MAVLinkMessageRaw::V1(raw), is_valid)
+            let check = check(raw.message_id().into(), raw.checksum(), bytes.len() - 2);
+            (MAVLinkMessageRaw::V1(raw), check)
         }
         MavlinkVersion::V2 => {
             let mut raw = MAVLinkV2MessageRaw::new();
             raw.as_mut_slice()[..bytes.len()].copy_from_slice(bytes);
-            let is_valid = raw.has_valid_crc::<MavMessage>();
-            (MAVLinkMessageRaw::V2(raw), is_valid)
+            let end = 1 + raw.header().len() + raw.payload().len();
+            let check = check(raw.message_id(), raw.checksum(), end);
+            (MAVLinkMessageRaw::V2(raw), check)
         }
     }
 }

@@ -49,6 +49,8 @@ const WINDOW: f64 = 1.0;
 const WINDOW_MESSAGES: u32 = 50;
 /// Fastest that one clock runs away from the other. Simulations that cannot keep up reach 0.01.
 const SKEW_MAX: f64 = 0.02;
+/// A skew shows over no less time than this, s: a least delay is known to a millisecond or two.
+const SKEW_SPAN_MIN: f64 = 10.0;
 /// Jump of the envelope that is a step of the ground's clock, s.
 const STEP: f64 = 0.25;
 /// Windows on both sides of a step that must agree on it: a link that stalls for less is no step.
@@ -160,6 +162,17 @@ impl ClockMap {
         let points = thinned(&points);
         let pieces = split_at_steps(&points).into_iter().map(Piece::new).collect();
         Self { pieces, delay: assumed_delay }
+    }
+
+    /// By how much of itself the ground's clock ran faster than the vehicle's, from the ends of the
+    /// longest piece; `None` where it is too short to tell.
+    pub fn skew(&self) -> Option<f64> {
+        let spans = self.pieces.iter().filter_map(|piece| {
+            let (first, last) = (piece.knots.first()?, piece.knots.last()?);
+            Some((last.vehicle - first.vehicle, last.ground - first.ground))
+        });
+        let (vehicle, ground) = spans.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        (vehicle >= SKEW_SPAN_MIN).then(|| ground / vehicle - 1.0)
     }
 
     /// Number of steps of the ground's clock.

@@ -61,7 +61,8 @@ pub enum ImportError {
 }
 
 /// What is read.
-const EXPECTED: &str = "a log of this program (.mcap), a telemetry log (.tlog) or a table (.csv)";
+const EXPECTED: &str = "a log of this program (.mcap), a telemetry log (.tlog), a log of PX4 (.ulg) or \
+                        ArduPilot (.bin), or a table (.csv)";
 
 impl ImportError {
     pub(super) fn not_a_log(path: &Path, found: String) -> Self {

@@ -8,7 +8,9 @@ use std::path::{Path, PathBuf};
 use prost::Message as _;
 use sitl::frame::{Attitude, Frd, Ned};
 
-use super::flight::{AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, Stream, TruthSample};
+use super::flight::{
+    AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, TruthSample,
+};
 use crate::log::mcap_file::{McapFile, Times};
 use crate::log::reader::Message;
 use crate::log::schema::{
@@ -223,6 +225,9 @@ const UNIT: &str = "imported_motor_unit";
 const MOTORS: &str = "imported_motor_source";
 const TABLE: &str = "imported_table";
 const LEFT_OUT: &str = "imported_left_out";
+const SETPOINTS: &str = "imported_setpoint_source";
+const SKEW: &str = "imported_ground_skew";
+const VEHICLE: &str = "imported_vehicle_facts";
 
 const CLOCKS: [&str; 3] = ["single", "synchronised", "least delay"];
 const UNITS: [(&str, MotorUnit); 3] = [
@@ -230,11 +235,16 @@ const UNITS: [(&str, MotorUnit); 3] = [
     ("vehicle file", MotorUnit::VehicleFile),
     ("newton", MotorUnit::Newton),
 ];
-const SOURCES: [(&str, MotorSource); 3] = [
+const SOURCES: [(&str, MotorSource); 6] = [
     ("ACTUATOR_OUTPUT_STATUS", MotorSource::ActuatorOutputStatus),
     ("SERVO_OUTPUT_RAW", MotorSource::ServoOutputRaw),
+    ("actuator_motors", MotorSource::ActuatorMotors),
+    ("actuator_outputs", MotorSource::ActuatorOutputs),
+    ("RCOU", MotorSource::Rcou),
     ("table", MotorSource::Table),
 ];
+/// What the metadata call setpoints of the autopilot.
+const ONBOARD: &str = "onboard";
 
 fn name_in<T: PartialEq>(table: &[(&'static str, T)], value: &T) -> &'static str {
     table.iter().find(|(_, known)| known == value).map_or("", |(name, _)| name)
@@ -247,6 +257,7 @@ fn facts(flight: &Flight) -> BTreeMap<String, String> {
         Clock::LeastDelay { assumed_s } => (CLOCKS[2], Some(assumed_s.to_string())),
     };
     let file = flight.origin.path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let vehicle = !flight.facts.is_empty();
     let entries = [
         ("log_version", Some(LOG_VERSION.to_owned())),
         ("frames", Some("world NED, body FRD".to_owned())),
@@ -262,6 +273,12 @@ fn facts(flight: &Flight) -> BTreeMap<String, String> {
         (UNIT, Some(name_in(&UNITS, &flight.motor_unit).to_owned())),
         (MOTORS, Some(name_in(&SOURCES, &flight.motor_source).to_owned())),
         (TABLE, flight.rows.is_some().then(|| "true".to_owned())),
+        (
+            SETPOINTS,
+            (flight.setpoint_source == SetpointSource::Onboard).then(|| ONBOARD.to_owned()),
+        ),
+        (SKEW, flight.ground_skew.map(|skew| skew.to_string())),
+        (VEHICLE, vehicle.then(|| serde_json::to_string(&flight.facts).ok()).flatten()),
         (LEFT_OUT, serde_json::to_string(&flight.left_out).ok()),
     ];
     entries.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))).collect()
@@ -287,6 +304,13 @@ pub(super) fn take_facts(run: &BTreeMap<String, String>, flight: &mut Flight) ->
     if get(TABLE).is_some() {
         flight.rows.get_or_insert_default();
     }
+    if get(SETPOINTS) == Some(ONBOARD) {
+        flight.setpoint_source = SetpointSource::Onboard;
+    }
+    flight.ground_skew =
+        get(SKEW).and_then(|text| text.parse().ok()).filter(|skew: &f64| skew.is_finite());
+    flight.facts =
+        get(VEHICLE).and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default();
     let left_out = get(LEFT_OUT).and_then(|text| serde_json::from_str(text).ok());
     flight.left_out.splice(0..0, left_out.unwrap_or_else(Vec::new));
     true

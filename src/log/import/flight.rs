@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::vehicle::VehicleParams;
 
+use super::facts::VehicleFacts;
+
 /// Samples of one quantity, in the order of their times.
 ///
 /// Times are seconds of the vehicle's clock. They are finite and strictly increasing; whatever
@@ -116,7 +118,7 @@ impl<T> Stream<T> {
     }
 }
 
-/// What the ground asked for: SET_ATTITUDE_TARGET as sent, each part where its mask keeps it.
+/// What was asked of the attitude loop, as by SET_ATTITUDE_TARGET: each part where it was.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeSetpoint {
     /// Desired body to world.
@@ -163,9 +165,26 @@ pub enum MotorSource {
     ActuatorOutputStatus,
     /// SERVO_OUTPUT_RAW, its first four.
     ServoOutputRaw,
+    /// PX4's topic actuator_motors, motors 1 to 4.
+    ActuatorMotors,
+    /// PX4's topic actuator_outputs, those of motors 1 to 4: what ACTUATOR_OUTPUT_STATUS carries.
+    ActuatorOutputs,
+    /// ArduPilot's message RCOU, those of motors 1 to 4: what SERVO_OUTPUT_RAW carries.
+    Rcou,
     /// No message: columns of a table, in the order of the vehicle file's rotors.
     #[default]
     Table,
+}
+
+/// Who wrote [`Flight::setpoint`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SetpointSource {
+    /// The ground, by SET_ATTITUDE_TARGET, stamped when it was sent.
+    #[default]
+    Ground,
+    /// The autopilot: what its attitude loop follows, stamped when that began. The way from the
+    /// ground is not in it, and the autopilot may have shaped it.
+    Onboard,
 }
 
 /// How times of the ground's clock came onto the vehicle's.
@@ -191,7 +210,7 @@ pub struct Origin {
     pub run: String,
     /// SHA-256 of the file, lower-case hexadecimal.
     pub sha256: String,
-    /// `mcap`, `tlog`, `csv`.
+    /// `mcap`, `tlog`, `ulog`, `dataflash`, `csv`.
     pub format: &'static str,
 }
 
@@ -204,6 +223,8 @@ pub struct Flight {
     pub vehicle_file: Option<String>,
     /// How clocks were tied.
     pub clock: Clock,
+    /// By how much of itself the ground's clock ran faster than the vehicle's, where both stamp.
+    pub ground_skew: Option<f64>,
     /// Reported attitude, body to world.
     pub attitude: Stream<Attitude>,
     /// Reported position, m.
@@ -222,8 +243,10 @@ pub struct Flight {
     pub motor_source: MotorSource,
     /// Rotor speeds, rad/s, at least 0.
     pub rotor_speed: Stream<[f64; 4]>,
-    /// Setpoints as the ground sent them, on the vehicle's clock.
+    /// Setpoints on the vehicle's clock.
     pub setpoint: Stream<AttitudeSetpoint>,
+    /// Who wrote them.
+    pub setpoint_source: SetpointSource,
     /// Pack voltage, V.
     pub voltage: Stream<f64>,
     /// Whether the vehicle says that it is in the air; empty where it does not say.
@@ -232,6 +255,8 @@ pub struct Flight {
     pub truth: Stream<TruthSample>,
     /// Whether rows of the source are one regular table (CSV): then a sample is a row.
     pub rows: Option<Vec<f64>>,
+    /// What the log says about its vehicle.
+    pub facts: VehicleFacts,
     /// What was left out of the file and why, with counts; empty for a sound file.
     pub left_out: Vec<(String, u64)>,
 }
@@ -243,6 +268,7 @@ impl Flight {
             origin,
             vehicle_file: None,
             clock,
+            ground_skew: None,
             attitude: Stream::default(),
             position: Stream::default(),
             velocity: Stream::default(),
@@ -253,10 +279,12 @@ impl Flight {
             motor_source: MotorSource::default(),
             rotor_speed: Stream::default(),
             setpoint: Stream::default(),
+            setpoint_source: SetpointSource::default(),
             voltage: Stream::default(),
             in_air: Stream::default(),
             truth: Stream::default(),
             rows: None,
+            facts: VehicleFacts::default(),
             left_out: Vec::new(),
         }
     }

@@ -2,37 +2,43 @@
 
 mod clocks;
 mod csv;
+mod dataflash;
 mod epoch;
 mod error;
+mod facts;
 mod flat;
 mod flight;
 mod frames;
 pub mod mapping;
 mod mcap;
+mod onboard;
 mod source;
 mod tally;
 mod tlog;
+mod ulog;
 mod vehicle;
 
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read};
 use std::path::Path;
 
 pub use error::ImportError;
+pub use facts::{RotorFact, VehicleFacts};
 pub use flat::write;
 pub use flight::{
-    AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, Origin, Stream, TruthSample,
-    UnitUnknown,
+    AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, Origin, SetpointSource, Stream,
+    TruthSample, UnitUnknown,
 };
 
 use super::reader::{LogReader, ReadError};
 use csv::TableError;
 use mapping::Mapping;
 use source::Format;
+use ulog::UlogError;
 
 /// Reads a flight log, whatever it is, told by its content: an own log (.mcap), a telemetry log
-/// (.tlog), or a table (.csv) with the mapping file that says what its columns are. Damage within a
-/// log, and what does not belong to the flight, is counted in [`Flight::left_out`]; a log without
+/// (.tlog), a log of PX4 (ULog) or ArduPilot (DataFlash), or a table (.csv) with the mapping file
+/// that says what its columns are. Damage within a log, and what does not belong to the flight, is counted in [`Flight::left_out`]; a log without
 /// a usable sample is an empty flight.
 ///
 /// # Errors
@@ -54,8 +60,8 @@ pub fn open(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> 
     let source = BufReader::with_capacity(1 << 16, file);
     match mapping {
         None => read(source, format, &mut flight).map_err(|error| match error {
-            ReadError::Io(source) => io(source),
-            other => ImportError::not_a_log(path, other.to_string()),
+            LogFault::Io(source) => io(source),
+            LogFault::Foreign(found) => ImportError::not_a_log(path, found),
         })?,
         Some((file, mapping)) => {
             csv::read(source, &mapping, &mut flight).map_err(|error| match error {
@@ -71,10 +77,46 @@ pub fn open(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> 
     Ok(flight)
 }
 
-/// Reads a log of frames into `flight`.
-fn read(source: impl Read, format: Format, flight: &mut Flight) -> Result<(), ReadError> {
+/// Why a log that describes itself is not read.
+enum LogFault {
+    Io(io::Error),
+    /// It is something else; in words.
+    Foreign(String),
+}
+
+impl From<io::Error> for LogFault {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl From<ReadError> for LogFault {
+    fn from(error: ReadError) -> Self {
+        match error {
+            ReadError::Io(error) => Self::Io(error),
+            other => Self::Foreign(other.to_string()),
+        }
+    }
+}
+
+impl From<UlogError> for LogFault {
+    fn from(error: UlogError) -> Self {
+        match error {
+            UlogError::Io(error) => Self::Io(error),
+            UlogError::Foreign(found) => Self::Foreign(found),
+        }
+    }
+}
+
+/// Reads a log that describes itself into `flight`.
+fn read(source: impl Read, format: Format, flight: &mut Flight) -> Result<(), LogFault> {
     match format {
-        Format::Mcap => mcap::read(&mut LogReader::new(source)?, flight),
+        Format::Mcap => Ok(mcap::read(&mut LogReader::new(source)?, flight)?),
+        Format::Ulog => Ok(ulog::read(source, flight)?),
+        Format::DataFlash => match dataflash::read(source, flight)? {
+            0 => Err(LogFault::Foreign("no whole message of a DataFlash log".into())),
+            _ => Ok(()),
+        },
         Format::Tlog | Format::Csv => Ok(tlog::read(source, flight)?),
     }
 }
@@ -91,7 +133,7 @@ pub fn read_bytes(bytes: &[u8], mapping: &str) -> Vec<Flight> {
     };
     let flight = || Flight::empty(origin.clone(), Clock::Single);
     let mut flights = Vec::new();
-    for format in [Format::Mcap, Format::Tlog] {
+    for format in [Format::Mcap, Format::Tlog, Format::Ulog, Format::DataFlash] {
         let mut flight = flight();
         if read(bytes, format, &mut flight).is_ok() {
             flights.push(flight);

@@ -9,6 +9,7 @@ use wire::tlog::Reader;
 
 use super::error::ImportError;
 use super::flight::Origin;
+use super::{dataflash, ulog};
 use crate::log::descriptor::hex;
 
 /// How much of a file tells what it is.
@@ -19,6 +20,8 @@ const HEAD: u64 = 256 * 1024;
 pub(super) enum Format {
     Mcap,
     Tlog,
+    Ulog,
+    DataFlash,
     Csv,
 }
 
@@ -27,6 +30,8 @@ impl Format {
         match self {
             Self::Mcap => "mcap",
             Self::Tlog => "tlog",
+            Self::Ulog => "ulog",
+            Self::DataFlash => "dataflash",
             Self::Csv => "csv",
         }
     }
@@ -54,23 +59,22 @@ pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
             _ => Err(ImportError::not_a_log(path, "an empty file".into())),
         };
     }
-    let found = match head.as_slice() {
-        [b'U', b'L', b'o', b'g', ..] => "a PX4 ULog",
-        [0xA3, 0x95, ..] => "an ArduPilot DataFlash log",
-        head => {
-            let mut entries = Reader::new(head);
-            while let Ok(Some(entry)) = entries.read() {
-                if entry.time_us.is_some() {
-                    return Ok(Format::Tlog);
-                }
-            }
-            if is_text(head) {
-                return Ok(Format::Csv);
-            }
-            "other data"
+    if head.starts_with(&ulog::MAGIC) {
+        return Ok(Format::Ulog);
+    }
+    if dataflash::begins(&head) {
+        return Ok(Format::DataFlash);
+    }
+    let mut entries = Reader::new(head.as_slice());
+    while let Ok(Some(entry)) = entries.read() {
+        if entry.time_us.is_some() {
+            return Ok(Format::Tlog);
         }
-    };
-    Err(ImportError::not_a_log(path, found.into()))
+    }
+    if is_text(&head) {
+        return Ok(Format::Csv);
+    }
+    Err(ImportError::not_a_log(path, "other data".into()))
 }
 
 /// Whether the bytes are text with more than one line or one field: control characters and bytes

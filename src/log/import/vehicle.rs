@@ -252,6 +252,7 @@ impl VehicleLog {
         } else {
             Clock::LeastDelay { assumed_s: assumed }
         };
+        flight.ground_skew = map.skew();
         tally.add("step of the ground's clock (its stamps were tied anew)", map.steps());
         place(&map, battery, &mut flight.voltage, "BATTERY_STATUS", &mut tally);
         place(&map, landed, &mut flight.in_air, "EXTENDED_SYS_STATE", &mut tally);

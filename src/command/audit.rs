@@ -1,0 +1,104 @@
+//! `downwash log audit`: what is wrong with logs before any physics.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{Exit, ExitContext, print_json, print_text};
+use crate::cli::FailOnFinding;
+use crate::diagnose::audit::{Agreement, Audit, Severity};
+use crate::log::import::{self, Flight};
+
+/// The JSON of `log audit`.
+#[derive(Serialize)]
+struct Summary<'a> {
+    schema: &'static str,
+    schema_version: u32,
+    logs: &'a [Audit],
+}
+
+pub(super) fn run(
+    files: &[PathBuf],
+    mapping: Option<&Path>,
+    fail_on: Option<FailOnFinding>,
+    json: bool,
+) -> anyhow::Result<Exit> {
+    let flights: Result<Vec<Flight>, _> =
+        files.par_iter().map(|file| import::open(file, mapping)).collect();
+    let audits = Audit::of_all(&flights.or_exit(Exit::Usage)?);
+    if json {
+        print_json(&Summary { schema: "downwash.log.audit", schema_version: 1, logs: &audits })?;
+    } else {
+        print_text(&audits.iter().map(text).collect::<Vec<_>>().join("\n"))?;
+    }
+    let limit = fail_on.map(|limit| match limit {
+        FailOnFinding::Fault => Severity::Fault,
+        FailOnFinding::Measurement => Severity::Measurement,
+    });
+    let is_failed = |audit: &Audit| {
+        limit.is_some_and(|limit| audit.findings.iter().any(|f| f.severity >= limit))
+    };
+    Ok(if audits.iter().any(is_failed) { Exit::Check } else { Exit::Ok })
+}
+
+fn text(audit: &Audit) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let _ = print(audit, &mut text);
+    text
+}
+
+fn print(audit: &Audit, out: &mut String) -> std::fmt::Result {
+    writeln!(out, "{}: {} log", audit.file, audit.format)?;
+    match audit.tier {
+        Some(tier) => writeln!(out, "  tier {tier}")?,
+        None => writeln!(out, "  no tier: position, velocity and attitude are not all logged")?,
+    }
+    for timing in &audit.streams {
+        writeln!(
+            out,
+            "  {:<15} {:>7} samples at {:>6.1} Hz, longest gap {:.3} s, {:.1} % missing",
+            timing.stream,
+            timing.samples,
+            timing.rate_hz,
+            timing.longest_gap_s.unwrap_or(0.0),
+            100.0 * timing.lost
+        )?;
+    }
+    let kinematics = &audit.kinematics;
+    agreement(out, "attitude against gyro", kinematics.attitude.as_ref(), "rad/s")?;
+    agreement(out, "position against velocity", kinematics.position.as_ref(), "m/s")?;
+    agreement(out, "velocity against accelerometer", kinematics.velocity.as_ref(), "m/s^2")?;
+    for finding in &audit.findings {
+        writeln!(out, "  {finding}")?;
+    }
+    if audit.findings.is_empty() {
+        writeln!(out, "  nothing found")?;
+    }
+    for untestable in &audit.untestable {
+        writeln!(out, "  cannot show {}: {}", untestable.effect, untestable.reason)?;
+    }
+    Ok(())
+}
+
+fn agreement(
+    out: &mut String,
+    name: &str,
+    agreement: Option<&Agreement>,
+    unit: &str,
+) -> std::fmt::Result {
+    let Some(agreement) = agreement else {
+        return writeln!(out, "  {name}: not shown by this log");
+    };
+    let Agreement { delay_s, rotation_rad, bias, explained, .. } = agreement;
+    write!(out, "  {name}: {:+.1} +- {:.1} ms", 1e3 * delay_s.value, 1e3 * delay_s.half_width)?;
+    let [x, y, z] = rotation_rad.map(|r| r.value.to_degrees());
+    let [bx, by, bz] = bias.map(|b| b.value);
+    writeln!(
+        out,
+        ", turned ({x:+.2}, {y:+.2}, {z:+.2}) deg, bias ({bx:+.3}, {by:+.3}, {bz:+.3}) {unit}, {:.1} % explained",
+        100.0 * explained
+    )
+}

@@ -1,0 +1,112 @@
+//! What a flight is given to follow: a desired trajectory as it is, or a plan.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow};
+
+use super::setup::{EffectiveVehicle, VehicleFile};
+use super::{Exit, ExitContext};
+use crate::config::Config;
+use crate::plan::planned::{Plan, PlannedReference};
+use crate::plan::receding::RecedingReference;
+use crate::plan::reference::ReferenceSource;
+use crate::plan::{ModelFreeReference, Trajectory};
+
+/// A desired trajectory, or a plan that leads along one.
+#[derive(Clone)]
+pub(super) enum Course {
+    /// Followed by feedback alone.
+    Desired(Trajectory),
+    /// Followed with its inputs.
+    Planned(Arc<Plan>),
+    /// Planned anew in flight.
+    Receding {
+        /// Where it begins.
+        goal: Trajectory,
+        /// What plans it.
+        reference: Arc<RecedingReference>,
+    },
+}
+
+impl Course {
+    /// Reads a trajectory file or a plan, and checks that the vehicle may be asked to fly it.
+    pub fn load(path: &Path, vehicle: &VehicleFile, config: &Config) -> anyhow::Result<Self> {
+        let course = if Plan::is_plan(path) {
+            Self::Planned(Arc::new(Plan::load(path).or_exit(Exit::Usage)?))
+        } else {
+            Self::Desired(Trajectory::load(path).or_exit(Exit::Usage)?)
+        };
+        course.check(vehicle, config).with_context(|| path.display().to_string())?;
+        Ok(course)
+    }
+
+    /// Whether the envelope allows it, and a plan is one for this vehicle that holds.
+    pub fn check(&self, vehicle: &VehicleFile, config: &Config) -> anyhow::Result<()> {
+        let envelope = &config.settings.envelope;
+        let params = &vehicle.params;
+        match self {
+            Self::Desired(trajectory) | Self::Receding { goal: trajectory, .. } => {
+                envelope.check(trajectory, params.gravity).or_exit(Exit::Refused)?;
+            }
+            Self::Planned(plan) => {
+                let effective = EffectiveVehicle::new(params)?;
+                if plan.vehicle != params.name {
+                    return Err(anyhow!(
+                        "the plan is for the vehicle {:?}, this is {:?}; plan it for this one",
+                        plan.vehicle,
+                        params.name
+                    ))
+                    .or_exit(Exit::Refused);
+                }
+                if effective.attitude_pd != Some(plan.answer.attitude_pd) {
+                    return Err(anyhow!(
+                        "the plan is for another on-board attitude loop than the vehicle file's; \
+                         plan it again"
+                    ))
+                    .or_exit(Exit::Refused);
+                }
+                plan.check_flyable().or_exit(Exit::Refused)?;
+                envelope
+                    .check_plan(plan, effective.hover.mass_kg, params.gravity)
+                    .or_exit(Exit::Refused)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What the first tick along it follows: before the first plan, the goal as it is.
+    pub fn at_start(&self) -> Self {
+        match self {
+            Self::Receding { goal, .. } => Self::Desired(goal.clone()),
+            course => course.clone(),
+        }
+    }
+
+    /// What it is called in logs and reports.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Desired(goal) | Self::Receding { goal, .. } => goal.name(),
+            Self::Planned(plan) => &plan.trajectory,
+        }
+    }
+
+    /// Length in s.
+    pub fn duration(&self) -> f64 {
+        match self {
+            Self::Desired(goal) | Self::Receding { goal, .. } => goal.duration(),
+            Self::Planned(plan) => plan.duration(),
+        }
+    }
+
+    /// What the pilot follows. `hover_thrust_n` is the vehicle's effective weight.
+    pub fn reference(&self, hover_thrust_n: f64) -> Arc<dyn ReferenceSource + Send + Sync> {
+        match self {
+            Self::Desired(trajectory) => {
+                Arc::new(ModelFreeReference::new(trajectory.clone(), hover_thrust_n))
+            }
+            Self::Planned(plan) => Arc::new(PlannedReference::new(plan)),
+            Self::Receding { reference, .. } => Arc::clone(reference) as _,
+        }
+    }
+}

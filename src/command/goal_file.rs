@@ -1,0 +1,75 @@
+//! The trajectory's file as the goal of a flight: what it says anew is followed from then on.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, SystemTime};
+
+use anyhow::Context;
+
+use crate::plan::receding::Goal;
+use crate::plan::{FlightEnvelope, Trajectory};
+
+/// How often the file is looked at.
+const PERIOD: Duration = Duration::from_millis(100);
+
+/// A thread that looks at the file until this is dropped.
+pub(super) struct GoalFile {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl GoalFile {
+    /// Moves `goal` to what the file at `path` says whenever it changes to a trajectory within the
+    /// envelope.
+    pub fn watch(
+        path: &Path,
+        goal: Goal,
+        envelope: FlightEnvelope,
+        gravity: f64,
+    ) -> anyhow::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (path, stopping) = (path.to_owned(), Arc::clone(&stop));
+        let mut last = modified(&path);
+        let look = move || {
+            while !stopping.load(Ordering::Relaxed) {
+                thread::sleep(PERIOD);
+                let now = modified(&path);
+                if now.is_some() && now != last {
+                    last = now;
+                    take(&path, &goal, &envelope, gravity);
+                }
+            }
+        };
+        let thread = thread::Builder::new().name("goal".to_owned()).spawn(look);
+        Ok(Self { stop, thread: Some(thread.context("cannot start the goal's thread")?) })
+    }
+}
+
+impl Drop for GoalFile {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn modified(path: &PathBuf) -> Option<SystemTime> {
+    std::fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
+}
+
+/// A file that is being written, or asks for too much, changes nothing.
+fn take(path: &Path, goal: &Goal, envelope: &FlightEnvelope, gravity: f64) {
+    match Trajectory::load(path) {
+        Err(error) => tracing::warn!("the goal stays as it is: {error}"),
+        Ok(trajectory) => match envelope.check(&trajectory, gravity) {
+            Err(error) => tracing::warn!("the goal stays as it is: {error}"),
+            Ok(_) => {
+                tracing::info!("new goal: {}", trajectory.name());
+                goal.move_to(trajectory);
+            }
+        },
+    }
+}

@@ -1,0 +1,279 @@
+//! `downwash plan`: a feasible reference near a desired trajectory, through a model.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use sitl::vehicle::VehicleParams;
+
+use super::setup::{EffectiveVehicle, VehicleFile};
+use super::{Exit, ExitContext, config, on_interrupt, print_json, print_text, say, write_file};
+use crate::cli::PlanArgs;
+use crate::config::Config;
+use crate::model::Model;
+use crate::model::file::{ModelFile, ModelKind};
+use crate::model::physics::{PhysicsModel, PhysicsParameters};
+use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
+use crate::plan::planner::{PlannedVehicle, Planner};
+use crate::plan::scp::{Record, Status, Violation};
+use crate::plan::{Feasibility, Trajectory};
+use crate::report::plan as page;
+
+/// A model to plan through, with what a plan says about it.
+pub(super) struct PlanModel {
+    model: Arc<dyn Model>,
+    note: PlannedThrough,
+    /// Delay and lag from a setpoint to what acts, s.
+    delay_s: f64,
+    lag_s: f64,
+    voltage_exponent: f64,
+}
+
+impl PlanModel {
+    /// The vehicle file's own physics.
+    pub fn nominal(vehicle: &VehicleParams) -> anyhow::Result<Self> {
+        let effective = EffectiveVehicle::new(vehicle)?;
+        let model =
+            PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
+        Ok(Self {
+            model: Arc::new(model),
+            note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
+            delay_s: effective.actuation.command_delay_s,
+            lag_s: effective.actuation.motor_time_constant_s,
+            voltage_exponent: 0.0,
+        })
+    }
+
+    /// One of a model file's models.
+    pub fn learned(file: &ModelFile, kind: ModelKind, sha256: &str) -> anyhow::Result<Self> {
+        Ok(Self {
+            model: file.model(kind).or_exit(Exit::Usage)?.into(),
+            note: PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) },
+            delay_s: file.actuation.delay_s,
+            lag_s: file.actuation.lag_s,
+            voltage_exponent: file.actuation.voltage_exponent,
+        })
+    }
+}
+
+/// The model of a file, else the vehicle's own physics.
+pub(super) fn model_for(
+    vehicle: &VehicleParams,
+    model: Option<&Path>,
+    kind: Option<ModelKind>,
+) -> anyhow::Result<PlanModel> {
+    let Some(path) = model else { return PlanModel::nominal(vehicle) };
+    let file = ModelFile::load(path).or_exit(Exit::Usage)?;
+    file.check_vehicle(vehicle, path).or_exit(Exit::Usage)?;
+    PlanModel::learned(&file, kind.unwrap_or(file.preferred), &sha256_of(path)?)
+}
+
+/// SHA-256 of a file, in hexadecimal.
+pub(super) fn sha256_of(path: &Path) -> anyhow::Result<String> {
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Ok(Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// What plans for a vehicle, and how the vehicle answers the plans' inputs.
+pub(super) fn planner(
+    vehicle: &VehicleParams,
+    through: &PlanModel,
+    config: &Config,
+) -> anyhow::Result<(Planner, Answer)> {
+    let effective = EffectiveVehicle::new(vehicle)?;
+    let attitude_pd = effective
+        .attitude_pd
+        .ok_or_else(|| {
+            anyhow!(
+                "vehicle {}: a plan needs the on-board attitude loop, and the file has no \
+                 attitude_pd; add its gains, or fly the trajectory without a plan",
+                vehicle.name
+            )
+        })
+        .or_exit(Exit::Usage)?;
+    let planned = PlannedVehicle {
+        mass_kg: effective.hover.mass_kg,
+        gravity: effective.hover.gravity,
+        thrust_full_n: effective.thrust_full_n,
+        attitude_pd,
+        limits: config.settings.pilot.limits,
+    };
+    let settings = config.settings.plan.clone();
+    let planner = Planner::new(Arc::clone(&through.model), planned, settings);
+    let answer = Answer {
+        delay_s: through.delay_s,
+        lag_s: through.lag_s,
+        voltage_exponent: through.voltage_exponent,
+        attitude_pd,
+    };
+    Ok((planner.or_exit(Exit::Usage)?, answer))
+}
+
+/// Plans a trajectory for a vehicle. `watch` is shown the subproblems, and ends the search.
+pub(super) fn plan_trajectory(
+    trajectory: &Trajectory,
+    vehicle: &VehicleParams,
+    through: &PlanModel,
+    config: &Config,
+    watch: &dyn Fn(&[Record]) -> bool,
+) -> anyhow::Result<Plan> {
+    let (planner, answer) = planner(vehicle, through, config)?;
+    let desire = planner.desire(trajectory).or_exit(Exit::Usage)?;
+    let mut start = desire.states[0];
+    // The vehicle begins at rest, where the desired trajectory does.
+    start[3..8].fill(0.0);
+    start[9..].fill(0.0);
+    let outcome = planner.plan(&desire, start, None, watch);
+    let found = Found {
+        trajectory: trajectory.name().to_owned(),
+        vehicle: vehicle.name.clone(),
+        model: through.note.clone(),
+        period_s: planner.period_s(),
+        answer,
+        desired: desire.states,
+    };
+    Ok(Plan::new(found, outcome))
+}
+
+/// The JSON of `plan`.
+#[derive(Serialize)]
+struct PlanSummary<'a> {
+    schema: &'static str,
+    schema_version: u32,
+    trajectory: &'a str,
+    vehicle: &'a str,
+    model: &'a PlannedThrough,
+    status: Status,
+    /// Why it may not be flown; null where it may.
+    not_flyable: Option<String>,
+    cost: f64,
+    violation: Violation,
+    subproblems: usize,
+    periods: usize,
+    seconds: f64,
+    wall_s: f64,
+    /// Distance between planned and desired positions, m.
+    position_rms_m: f64,
+    position_max_m: f64,
+    feasibility: Option<Feasibility>,
+    plan: &'a Path,
+}
+
+pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
+    let mut config = config::load(args.config.as_deref(), vec![])?;
+    if let Some(solver) = args.solver {
+        config.settings.plan.solver = solver;
+    }
+    if let Some(limit) = args.time_limit {
+        config.settings.plan.time_limit_s = limit;
+    }
+    let vehicle = match (&args.vehicle, &args.model) {
+        (Some(path), _) => VehicleParams::load(path).or_exit(Exit::Usage)?,
+        (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
+        (None, None) => VehicleFile::built_in()?.params,
+    };
+    let through = model_for(&vehicle, args.model.as_deref(), args.kind)?;
+    let trajectory = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
+
+    let interrupted = Arc::new(AtomicBool::new(false));
+    on_interrupt(&interrupted)?;
+    say(format_args!(
+        "planning {} ({:.1} s) through the {} model",
+        trajectory.name(),
+        trajectory.duration(),
+        through.note.kind
+    ));
+    let began = Instant::now();
+    let limit =
+        Duration::try_from_secs_f64(config.settings.plan.time_limit_s).unwrap_or(Duration::MAX);
+    let bar = ProgressBar::new_spinner();
+    let style = ProgressStyle::with_template("{spinner} {pos} subproblems  {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+    let plan = plan_trajectory(&trajectory, &vehicle, &through, &config, &|records| {
+        bar.set_position(records.len() as u64);
+        if let Some(record) = records.last() {
+            bar.set_message(format!("cost {:.4}", record.cost));
+        }
+        interrupted.load(Ordering::Relaxed) || began.elapsed() > limit
+    })?;
+    bar.finish_and_clear();
+    let wall_s = began.elapsed().as_secs_f64();
+
+    let flyable = plan.check_flyable();
+    let effective = EffectiveVehicle::new(&vehicle)?;
+    let demands = config.settings.envelope.check_plan(
+        &plan,
+        effective.hover.mass_kg,
+        effective.hover.gravity,
+    );
+    write_file(&args.out, plan.to_json().context("the plan")?.as_bytes())?;
+    let distances = plan.distances();
+    let count = distances.len() as f64;
+    let summary = PlanSummary {
+        schema: "downwash.plan.summary",
+        schema_version: 1,
+        trajectory: &plan.trajectory,
+        vehicle: &plan.vehicle,
+        model: &plan.model,
+        status: plan.status,
+        not_flyable: match (&flyable, &demands) {
+            (Err(reason), _) => Some(reason.to_string()),
+            (_, Err(reason)) => Some(reason.to_string()),
+            _ => None,
+        },
+        cost: plan.cost,
+        violation: plan.violation,
+        subproblems: plan.records.len(),
+        periods: plan.inputs.len(),
+        seconds: plan.duration(),
+        wall_s,
+        position_rms_m: (distances.iter().map(|d| d * d).sum::<f64>() / count).sqrt(),
+        position_max_m: distances.iter().copied().fold(0.0, f64::max),
+        feasibility: demands.ok(),
+        plan: &args.out,
+    };
+    if let Some(folder) = &args.report {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make {}", folder.display()))?;
+        let limits = &config.settings.pilot.limits;
+        let html = page::html(&plan, summary.not_flyable.as_deref(), limits);
+        write_file(&folder.join("report.html"), html.as_bytes())?;
+        let json = serde_json::to_vec_pretty(&summary).context("report.json")?;
+        write_file(&folder.join("report.json"), &json)?;
+    }
+    if args.json {
+        print_json(&summary)?;
+    } else {
+        print_text(&format!(
+            "plan        {} s through the {} model: {}\n\
+             cost        {:.4} after {} subproblems in {:.2} s\n\
+             violation   dynamics {:.1e}, bounds {:.1e}\n\
+             from the desired position {:.3} m RMS, {:.3} m at most\n\
+             plan        {}\n",
+            summary.seconds,
+            plan.model.kind,
+            plan.status.in_words(),
+            plan.cost,
+            summary.subproblems,
+            wall_s,
+            plan.violation.defect,
+            plan.violation.overrun,
+            summary.position_rms_m,
+            summary.position_max_m,
+            args.out.display()
+        ))?;
+    }
+    if let Some(reason) = &summary.not_flyable {
+        say(format_args!("this plan may not be flown: {reason}"));
+    }
+    Ok(match (interrupted.load(Ordering::Relaxed), &summary.not_flyable) {
+        (true, _) => Exit::Interrupted,
+        (false, Some(_)) => Exit::Model,
+        (false, None) => Exit::Ok,
+    })
+}

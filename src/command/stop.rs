@@ -1,0 +1,77 @@
+//! Requests of the user, or of a service manager, to stop.
+
+use std::time::Duration;
+
+use anyhow::Context;
+use tokio::runtime::Runtime;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+
+/// What asked for the end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stop {
+    /// Ctrl-C.
+    Interrupt,
+    /// SIGTERM.
+    Terminate,
+}
+
+/// The requests to stop since this was made. None is lost while nobody waits, as between two
+/// flights; several of one kind that come at once count as one.
+pub(super) struct StopSignals {
+    runtime: Runtime,
+    interrupt: Signal,
+    terminate: Signal,
+    first: Option<Stop>,
+}
+
+impl StopSignals {
+    /// From now on no such signal ends the program by itself.
+    pub fn new() -> anyhow::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .context("cannot start the runtime that watches signals")?;
+        let watch = |kind| {
+            let _inside = runtime.enter();
+            signal(kind).context("cannot watch signals")
+        };
+        let (interrupt, terminate) =
+            (watch(SignalKind::interrupt())?, watch(SignalKind::terminate())?);
+        Ok(Self { runtime, interrupt, terminate, first: None })
+    }
+
+    /// Waits for the next request, for at most `period`.
+    pub fn wait(&mut self, period: Duration) -> Option<Stop> {
+        let Self { runtime, interrupt, terminate, first } = self;
+        let asked = runtime.block_on(async {
+            tokio::select! {
+                _ = interrupt.recv() => Some(Stop::Interrupt),
+                _ = terminate.recv() => Some(Stop::Terminate),
+                () = tokio::time::sleep(period) => None,
+            }
+        });
+        *first = first.or(asked);
+        asked
+    }
+
+    /// The first request, of all that [`wait`](Self::wait) has seen.
+    pub fn first(&self) -> Option<Stop> {
+        self.first
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn request_that_comes_while_nobody_waits_is_kept() {
+        let mut signals = StopSignals::new().expect("signals");
+        assert_eq!(signals.wait(Duration::from_millis(1)), None);
+        // SAFETY: sends this process a signal that it handles.
+        assert_eq!(unsafe { libc::raise(libc::SIGTERM) }, 0);
+        assert_eq!(signals.wait(Duration::from_secs(10)), Some(Stop::Terminate));
+        assert_eq!(signals.wait(Duration::from_millis(1)), None, "once");
+        assert_eq!(signals.first(), Some(Stop::Terminate));
+    }
+}

@@ -1,0 +1,125 @@
+//! Files that are one flight twice: the same bytes, the same samples under another name, or a
+//! part of another; and two recordings of one flight.
+
+use std::collections::BTreeSet;
+
+use super::{Audit, Finding, Severity};
+use crate::learn::alignment::interpolated;
+use crate::log::import::Flight;
+
+/// Fewer distinct samples than this tell nothing.
+const SAMPLES_MIN: usize = 100;
+/// Share of a flight's samples that another has too: chance shares hardly any.
+const SHARED_MAX: f64 = 0.2;
+/// Two recorders of one flight differ by less than this in attitude, rad, and position, m, root
+/// mean square: flights of one reference, on clocks that start with each, differ by more.
+const SAME_ATTITUDE: f64 = 0.006;
+const SAME_POSITION: f64 = 0.01;
+/// Motion that two flights cannot share by chance: spread of the attitude, rad.
+const SPREAD_MIN: f64 = 0.1;
+/// Instants at which two recordings are compared.
+const INSTANTS: usize = 200;
+
+/// Finds pairs; of each the later is at fault.
+pub(super) fn check(flights: &[Flight], audits: &mut [Audit]) {
+    let prints: Vec<BTreeSet<[u64; 4]>> = flights.iter().map(samples).collect();
+    for (b, audit) in audits.iter_mut().enumerate() {
+        for a in 0..b {
+            let (first, second) = (&flights[a], &flights[b]);
+            let name = first.origin.path.display();
+            let finding = |severity, found, what, advice| Finding {
+                severity,
+                check: "duplicate",
+                stream: None,
+                found,
+                expected: 0.0,
+                unit: "",
+                what,
+                advice,
+            };
+            let is_same_file =
+                !first.origin.sha256.is_empty() && first.origin.sha256 == second.origin.sha256;
+            let shared = shared(&prints[a], &prints[b]);
+            let found = if is_same_file {
+                let what = format!("the same file as {name}");
+                finding(Severity::Fault, 1.0, what, "leave one of them out")
+            } else if shared > SHARED_MAX {
+                let what = format!("{:.0} % of its samples are those of {name}", 100.0 * shared);
+                finding(Severity::Fault, shared, what, "leave one of them out")
+            } else if is_same_flight(first, second) {
+                let what = format!("another recording of the flight in {name}");
+                let advice =
+                    "use one of them: they are not independent, nor a hold-out of each other";
+                finding(Severity::Fault, 1.0, what, advice)
+            } else {
+                continue;
+            };
+            audit.findings.push(found);
+            break;
+        }
+    }
+}
+
+/// The distinct samples of a flight: its attitudes, else its positions, else its specific forces.
+fn samples(flight: &Flight) -> BTreeSet<[u64; 4]> {
+    let attitudes = flight.attitude.values().iter().map(|q| [q.w, q.x, q.y, q.z].map(f64::to_bits));
+    let vector = |v: [f64; 3]| [v[0].to_bits(), v[1].to_bits(), v[2].to_bits(), 0];
+    let positions = flight.position.values().iter().map(|p| vector(p.to_array()));
+    let forces = flight.specific_force.values().iter().map(|f| vector(f.to_array()));
+    match (flight.attitude.is_empty(), flight.position.is_empty()) {
+        (false, _) => attitudes.collect(),
+        (true, false) => positions.collect(),
+        (true, true) => forces.collect(),
+    }
+}
+
+/// Share of the smaller set that both have.
+fn shared(a: &BTreeSet<[u64; 4]>, b: &BTreeSet<[u64; 4]>) -> f64 {
+    let least = a.len().min(b.len());
+    if least < SAMPLES_MIN {
+        return 0.0;
+    }
+    a.intersection(b).count() as f64 / least as f64
+}
+
+/// The position between two samples.
+fn place(flight: &Flight, time: f64) -> Option<[f64; 3]> {
+    let at = flight.position.index_at(time)?;
+    let (times, values) = (flight.position.times(), flight.position.values());
+    let share = (time - times[at]) / (times.get(at + 1)? - times[at]);
+    Some((values[at] + (*values.get(at + 1)? - values[at]) * share).to_array())
+}
+
+/// Whether two logs on one clock show one motion.
+fn is_same_flight(a: &Flight, b: &Flight) -> bool {
+    let ends = |flight: &Flight| {
+        Some((*flight.attitude.times().first()?, *flight.attitude.times().last()?))
+    };
+    let (Some(first), Some(second)) = (ends(a), ends(b)) else { return false };
+    let (from, to) = (first.0.max(second.0), first.1.min(second.1));
+    let shorter = (first.1 - first.0).min(second.1 - second.0);
+    if to - from < 0.5 * shorter || to - from < 5.0 {
+        return false;
+    }
+    let (mut apart, mut spread, mut count) = (0.0, 0.0, 0.0);
+    let (mut away, mut places) = (0.0, 0.0);
+    let mut start = None;
+    for k in 0..INSTANTS {
+        let time = from + (to - from) * (k as f64 + 0.5) / INSTANTS as f64;
+        let (Some(p), Some(q)) = (interpolated(&a.attitude, time), interpolated(&b.attitude, time))
+        else {
+            continue;
+        };
+        let start = *start.get_or_insert(p);
+        apart += p.angle_to(q).powi(2);
+        spread += p.angle_to(start).powi(2);
+        count += 1.0;
+        if let (Some(p), Some(q)) = (place(a, time), place(b, time)) {
+            away += (0..3).map(|i| (p[i] - q[i]).powi(2)).sum::<f64>();
+            places += 1.0;
+        }
+    }
+    let rms = |sum: f64, count: f64| (sum / count).sqrt();
+    let is_near = places == 0.0 || rms(away, places) < SAME_POSITION;
+    count > 20.0 && is_near && rms(apart, count) < SAME_ATTITUDE && rms(spread, count) > SPREAD_MIN
+}

@@ -1,0 +1,203 @@
+//! Rates, gaps, jitter and clocks.
+
+use serde::Serialize;
+
+use super::{Audit, Finding, Severity, UnusableSpan};
+use crate::log::import::{Flight, Stream};
+
+/// More than this many periods between samples is a gap.
+const GAP_PERIODS: f64 = 3.0;
+/// A gap of this length cannot be bridged, s.
+const GAP_LONG: f64 = 0.5;
+/// Lost samples that are worth a word, and those that are a flaw of the measurement.
+const LOST_NOTE: f64 = 0.01;
+const LOST_MUCH: f64 = 0.05;
+/// Half of the range of nine tenths of the intervals, over the period: above, stamps are uneven.
+const JITTER_MAX: f64 = 0.35;
+/// Skew of the ground's clock that is worth a word: ordinary quartz stays below 1e-4.
+const SKEW_MAX: f64 = 1e-3;
+/// Samples that were left out as damaged, over all: more is no log to conclude from.
+const DAMAGED_MAX: f64 = 0.1;
+
+/// How a stream's samples lie in time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StreamTiming {
+    /// The stream.
+    pub stream: &'static str,
+    /// Samples.
+    pub samples: usize,
+    /// Samples per second over the whole span.
+    pub rate_hz: f64,
+    /// Median interval, s.
+    pub period_s: Option<f64>,
+    /// Half of the range that holds nine tenths of the intervals, s.
+    pub jitter_s: Option<f64>,
+    /// Intervals of more than three periods.
+    pub gaps: usize,
+    /// The longest interval, s.
+    pub longest_gap_s: Option<f64>,
+    /// Samples missing in the gaps, over those expected.
+    pub lost: f64,
+}
+
+/// Streams that are sampled at a rate, with their times. Others, as the voltage, may come when
+/// they change.
+fn sampled(flight: &Flight) -> [(&'static str, &[f64]); 8] {
+    [
+        ("attitude", flight.attitude.times()),
+        ("position", flight.position.times()),
+        ("velocity", flight.velocity.times()),
+        ("body_rate", flight.body_rate.times()),
+        ("specific_force", flight.specific_force.times()),
+        ("outputs", flight.outputs.times()),
+        ("rotor_speed", flight.rotor_speed.times()),
+        ("setpoint", flight.setpoint.times()),
+    ]
+}
+
+/// All streams that were logged.
+pub(super) fn streams(flight: &Flight) -> Vec<StreamTiming> {
+    let all = sampled(flight).into_iter().chain([("voltage", flight.voltage.times())]);
+    all.filter(|(_, times)| !times.is_empty()).map(|(name, times)| timing(name, times)).collect()
+}
+
+fn timing(stream: &'static str, times: &[f64]) -> StreamTiming {
+    let mut intervals: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    intervals.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let last = intervals.len().checked_sub(1)?;
+        intervals.get((share * last as f64).round() as usize).copied()
+    };
+    let period = quantile(0.5);
+    let mut beyond = Vec::new();
+    if let Some(period) = period {
+        beyond.extend(intervals.iter().copied().filter(|gap| *gap > GAP_PERIODS * period));
+    }
+    let missing = beyond.iter().fold(0.0, |sum, gap| sum + gap / period.unwrap_or(*gap) - 1.0);
+    let span = intervals.iter().sum::<f64>();
+    StreamTiming {
+        stream,
+        samples: times.len(),
+        rate_hz: if span > 0.0 { intervals.len() as f64 / span } else { 0.0 },
+        period_s: period,
+        jitter_s: quantile(0.95).zip(quantile(0.05)).map(|(high, low)| 0.5 * (high - low)),
+        gaps: beyond.len(),
+        longest_gap_s: intervals.last().copied(),
+        lost: missing / (missing + times.len() as f64),
+    }
+}
+
+pub(super) fn check(flight: &Flight, audit: &mut Audit) {
+    for (name, times) in sampled(flight) {
+        let Some(timing) = audit.streams.iter().find(|timing| timing.stream == name).cloned()
+        else {
+            continue;
+        };
+        check_gaps(name, times, &timing, audit);
+        check_jitter(&timing, audit);
+    }
+    check_clocks(flight, audit);
+    check_left_out(flight, audit);
+}
+
+fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &mut Audit) {
+    let (Some(period), Some(longest)) = (timing.period_s, timing.longest_gap_s) else { return };
+    let limit = GAP_LONG.max(GAP_PERIODS * period);
+    for pair in times.windows(2).filter(|pair| pair[1] - pair[0] > limit) {
+        let reason = "no samples";
+        audit.unusable.push(UnusableSpan { stream: name, from_s: pair[0], to_s: pair[1], reason });
+    }
+    let StreamTiming { gaps, lost, .. } = *timing;
+    if gaps == 0 || lost < LOST_NOTE && longest <= limit {
+        return;
+    }
+    let much = lost > LOST_MUCH || longest > limit;
+    audit.findings.push(Finding {
+        severity: if much { Severity::Measurement } else { Severity::Note },
+        check: "gap",
+        stream: Some(name),
+        found: longest,
+        expected: period,
+        unit: "s",
+        what: format!(
+            "{gaps} gaps, the longest {longest:.3} s at a period of {:.4} s; {:.1} % of the samples are missing",
+            period,
+            100.0 * lost
+        ),
+        advice: "windows over long gaps are left out; look for what held the logger or the link up",
+    });
+}
+
+fn check_jitter(timing: &StreamTiming, audit: &mut Audit) {
+    let (Some(period), Some(jitter)) = (timing.period_s, timing.jitter_s) else { return };
+    if jitter <= JITTER_MAX * period || timing.samples < 50 {
+        return;
+    }
+    audit.findings.push(Finding {
+        severity: Severity::Note,
+        check: "jitter",
+        stream: Some(timing.stream),
+        found: jitter,
+        expected: JITTER_MAX * period,
+        unit: "s",
+        what: format!(
+            "samples are unevenly spaced: {:.1} ms about a period of {:.1} ms",
+            1e3 * jitter,
+            1e3 * period
+        ),
+        advice: "stamps are used as they are, never a nominal rate",
+    });
+}
+
+fn check_clocks(flight: &Flight, audit: &mut Audit) {
+    let Some(skew) = flight.ground_skew.filter(|skew| skew.abs() > SKEW_MAX) else { return };
+    audit.findings.push(Finding {
+        severity: Severity::Measurement,
+        check: "clock_skew",
+        stream: None,
+        found: skew,
+        expected: 0.0,
+        unit: "",
+        what: format!(
+            "the ground's clock ran {:.2} % {} than the vehicle's",
+            100.0 * skew.abs(),
+            if skew > 0.0 { "faster" } else { "slower" }
+        ),
+        advice: "all times are the vehicle's; what only the ground stamped was mapped piece by piece",
+    });
+}
+
+/// Damage that the importer met.
+fn check_left_out(flight: &Flight, audit: &mut Audit) {
+    let samples: usize = audit.streams.iter().map(|timing| timing.samples).sum();
+    // What belongs to others, or to another sensor, is nothing lost.
+    let is_foreign = |reason: &str| {
+        ["of instance", "another vehicle", "setpoint from", "by its own flags"]
+            .iter()
+            .any(|words| reason.contains(words))
+    };
+    for (reason, count) in &flight.left_out {
+        let share = *count as f64 / (samples as f64 + *count as f64).max(1.0);
+        // Counts of bytes are no counts of samples.
+        let is_much = share > DAMAGED_MAX && !reason.contains("byte");
+        audit.findings.push(Finding {
+            severity: match (is_foreign(reason), is_much) {
+                (true, _) => Severity::Note,
+                (false, false) => Severity::Measurement,
+                (false, true) => Severity::Fault,
+            },
+            check: "left_out",
+            stream: None,
+            found: *count as f64,
+            expected: 0.0,
+            unit: "",
+            what: format!("{count} x {reason}"),
+            advice: "left out by the importer; copy the log anew if the file was damaged on the way",
+        });
+    }
+}
+
+/// Whether a stream moves at all: its median interval is known and it has more than a few samples.
+pub(super) fn is_logged<T>(stream: &Stream<T>) -> bool {
+    stream.len() >= 20
+}

@@ -1,0 +1,247 @@
+//! Kinematics in weak form: what a stream's derivative must be, without differentiating it.
+//!
+//! For a bump phi that vanishes with its slope at both ends, `int phi dx/dt = -int phi' x`. The
+//! left side is a weighted mean of the derivative, as another sensor measures it; the right side
+//! needs only the stream itself. Shifting the bump of one side in time tries a delay.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::log::import::Stream;
+
+/// A bump `(1 - s^2)^3` with `s = (t - centre) / half`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bump {
+    pub centre: f64,
+    pub half: f64,
+}
+
+impl Bump {
+    fn value(self, time: f64) -> f64 {
+        let s = (time - self.centre) / self.half;
+        (1.0 - s * s).max(0.0).powi(3)
+    }
+
+    fn slope(self, time: f64) -> f64 {
+        let s = (time - self.centre) / self.half;
+        -6.0 * s * (1.0 - s * s).max(0.0).powi(2) / self.half
+    }
+
+    /// The bump `by` seconds later.
+    pub fn shifted(self, by: f64) -> Self {
+        Self { centre: self.centre + by, ..self }
+    }
+
+    /// The bump's own integral.
+    pub fn area(self) -> f64 {
+        self.half * 32.0 / 35.0
+    }
+}
+
+/// Integrals of a signal under a bump and under its slope.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Weighed<const N: usize> {
+    pub value: SVector<f64, N>,
+    pub slope: SVector<f64, N>,
+}
+
+/// Longest gap within a bump, of its half width: beyond, a line between the ends is a guess.
+const GAP_MAX: f64 = 0.5;
+
+/// Weighs a signal, which runs straight from sample to sample; `None` where the samples do not
+/// cover the bump.
+pub(super) fn weigh<V, const N: usize>(
+    stream: &Stream<V>,
+    bump: Bump,
+    mut signal: impl FnMut(f64, &V) -> Option<SVector<f64, N>>,
+) -> Option<Weighed<N>> {
+    let (from, to) = (bump.centre - bump.half, bump.centre + bump.half);
+    let mut at = stream.index_at(from)?;
+    let times = stream.times();
+    let mut weighed = Weighed { value: SVector::zeros(), slope: SVector::zeros() };
+    let mut left = signal(times[at], &stream.values()[at])?;
+    while times[at] < to {
+        let (a, b) = (times[at], *times.get(at + 1)?);
+        if b - a > GAP_MAX * bump.half {
+            return None;
+        }
+        let right = signal(b, &stream.values()[at + 1])?;
+        // Simpson's rule on the straight piece, within the bump.
+        let (start, end) = (a.max(from), b.min(to));
+        let middle = 0.5 * (start + end);
+        let line = |t: f64| left + (right - left) * ((t - a) / (b - a));
+        for (time, weight) in [(start, 1.0), (middle, 4.0), (end, 1.0)] {
+            let share = weight * (end - start) / 6.0;
+            weighed.value += line(time) * (share * bump.value(time));
+            weighed.slope += line(time) * (share * bump.slope(time));
+        }
+        left = right;
+        at += 1;
+    }
+    Some(weighed)
+}
+
+/// Bumps over samples, each beginning at the middle of the one before; none where no sample is,
+/// however long a log pauses.
+pub(super) fn bumps(times: &[f64], half: f64) -> Vec<Bump> {
+    let Some(start) = times.first() else { return Vec::new() };
+    let mut last = 0.0;
+    let mut bumps = Vec::new();
+    for time in times {
+        let number = ((time - start) / half).floor();
+        if number > last {
+            bumps.push(Bump { centre: start + number * half, half });
+            last = number;
+        }
+    }
+    bumps
+}
+
+/// One bump's misfit and how the unknowns change what is expected there.
+pub(super) struct Row<const P: usize> {
+    /// What is seen.
+    pub seen: SVector<f64, 3>,
+    /// Seen minus expected.
+    pub misfit: SVector<f64, 3>,
+    /// Slope of what is expected.
+    pub slopes: SMatrix<f64, 3, P>,
+}
+
+/// Unknowns found, and how well.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Fit<const P: usize> {
+    pub value: [f64; P],
+    /// Standard deviations.
+    pub deviation: [f64; P],
+    /// Share of what is seen that is explained.
+    pub explained: f64,
+    /// Bumps used.
+    pub bumps: usize,
+}
+
+/// Fewest bumps that anything is concluded from.
+const BUMPS_MIN: usize = 12;
+/// Rows whose misfits hang together are taken as one of this many bumps.
+const BLOCK: usize = 6;
+/// Misfits beyond this many typical ones count linearly.
+const HUBER: f64 = 2.5;
+/// Iterations.
+const ITERATIONS: usize = 12;
+
+/// Finds the unknowns by Gauss-Newton from `start`; wild misfits count less. The deviations hold
+/// for misfits that hang together over [`BLOCK`] bumps.
+pub(super) fn fit<const P: usize>(
+    start: [f64; P],
+    rows: impl Fn(&[f64; P]) -> Vec<Row<P>>,
+) -> Option<Fit<P>> {
+    let mut value = start;
+    let mut step_before = f64::INFINITY;
+    for _ in 0..ITERATIONS {
+        let rows = rows(&value);
+        let (gram, gradient, _) = normal(&rows)?;
+        let step = gram.try_inverse()? * gradient;
+        for (value, step) in value.iter_mut().zip(&step) {
+            *value += step;
+        }
+        let size = step.norm();
+        if !size.is_finite() {
+            return None;
+        }
+        if size < 1e-9 || size >= step_before && size < 1e-6 {
+            break;
+        }
+        step_before = size;
+    }
+    let rows = rows(&value);
+    let (gram, _, weights) = normal(&rows)?;
+    let inverse = gram.try_inverse()?;
+    let blocks = rows.len().div_ceil(BLOCK);
+    let mut spread = SMatrix::<f64, P, P>::zeros();
+    for (block, weights) in rows.chunks(BLOCK).zip(weights.chunks(BLOCK)) {
+        let score = block.iter().zip(weights).fold(SVector::<f64, P>::zeros(), |sum, (row, w)| {
+            sum + row.slopes.transpose() * row.misfit * *w
+        });
+        spread += score * score.transpose();
+    }
+    let few = blocks as f64 / blocks.saturating_sub(P).max(1) as f64;
+    let covariance = inverse * spread * inverse * few;
+    let mean = rows.iter().map(|row| row.seen).sum::<SVector<f64, 3>>() / rows.len() as f64;
+    let sum = |of: &dyn Fn(&Row<P>) -> f64| -> f64 {
+        rows.iter().zip(&weights).map(|(row, w)| w * of(row)).sum()
+    };
+    let total = sum(&|row| (row.seen - mean).norm_squared());
+    let left = sum(&|row| row.misfit.norm_squared());
+    Some(Fit {
+        value,
+        deviation: std::array::from_fn(|i| covariance[(i, i)].max(0.0).sqrt()),
+        explained: if total > 0.0 { 1.0 - left / total } else { 0.0 },
+        bumps: rows.len(),
+    })
+}
+
+/// Matrix and right side of the normal equations, and the weight of each row.
+type Normal<const P: usize> = (SMatrix<f64, P, P>, SVector<f64, P>, Vec<f64>);
+
+fn normal<const P: usize>(rows: &[Row<P>]) -> Option<Normal<P>> {
+    if rows.len() < BUMPS_MIN.max(P) {
+        return None;
+    }
+    let mut sizes: Vec<f64> = rows.iter().map(|row| row.misfit.norm()).collect();
+    let middle = sizes.len() / 2;
+    let typical = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let weight = |row: &Row<P>| {
+        let size = row.misfit.norm();
+        if size > HUBER * typical { HUBER * typical / size } else { 1.0 }
+    };
+    let weights: Vec<f64> = rows.iter().map(weight).collect();
+    let (mut gram, mut gradient) = (SMatrix::zeros(), SVector::zeros());
+    for (row, weight) in rows.iter().zip(&weights) {
+        gram += row.slopes.transpose() * row.slopes * *weight;
+        gradient += row.slopes.transpose() * row.misfit * *weight;
+    }
+    Some((gram, gradient, weights))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sampled(f: impl Fn(f64) -> f64) -> Stream<f64> {
+        let mut stream = Stream::default();
+        for k in 0..2000 {
+            // Uneven, as the stamps of real loggers are.
+            let t = 0.01 * f64::from(k) + 0.003 * (f64::from(k) * 1.7).sin();
+            stream.push(t, f(t));
+        }
+        stream
+    }
+
+    #[test]
+    fn a_bump_weighs_a_derivative_without_taking_it() {
+        let (x, v) = (sampled(|t| (3.0 * t).sin()), sampled(|t| 3.0 * (3.0 * t).cos()));
+        let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
+        for bump in &bumps(x.times(), 0.25)[1..70] {
+            let seen = -weigh(&x, *bump, of).expect("samples").slope[0];
+            let expected = weigh(&v, *bump, of).expect("samples").value[0];
+            assert!((seen - expected).abs() < 1e-3, "{seen} {expected}");
+        }
+        let one = weigh(&sampled(|_| 1.0), Bump { centre: 5.0, half: 0.3 }, of).expect("samples");
+        let area = Bump { centre: 0.0, half: 0.3 }.area();
+        assert!((one.value[0] - area).abs() < 1e-4 && one.slope[0].abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_pause_of_ages_has_no_bumps() {
+        let times = [0.0, 0.1, 0.2, 0.3, 1e12, 1e12 + 0.1, 1e12 + 0.4];
+        assert!(bumps(&times, 0.1).len() < times.len());
+    }
+
+    #[test]
+    fn no_bump_reaches_over_a_gap_or_an_end() {
+        let x = sampled(|t| t).filter_map(|t| (!(5.0..5.3).contains(t)).then_some(*t));
+        let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
+        assert!(weigh(&x, Bump { centre: 5.0, half: 0.25 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 0.1, half: 0.25 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 19.9, half: 0.25 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 8.0, half: 0.25 }, of).is_some());
+    }
+}

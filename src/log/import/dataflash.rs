@@ -1,0 +1,152 @@
+//! ArduPilot logs (DataFlash, .bin) into flights.
+//!
+//! The file defines its own messages and their units. The stamps are the vehicle's clock, in us
+//! since its start.
+
+mod ardupilot;
+mod layout;
+mod reader;
+
+use std::collections::BTreeMap;
+use std::io::{self, Read};
+
+use super::flight::Flight;
+use super::onboard::{Topics, Wanted};
+use super::tally::Tally;
+use layout::{Access, Layout, Units};
+pub(super) use reader::MARKS;
+use reader::{Message, Reader};
+
+/// Texts that are kept.
+const TEXTS_MAX: usize = 40;
+/// Fields that tell several sensors, cores or packs of one message apart.
+const INSTANCES: [&str; 4] = ["I", "C", "Instance", "Inst"];
+
+/// What is read of one message: its fields, and what a number of each is in SI where the log does
+/// not say.
+#[derive(Clone, Copy, Debug)]
+struct Source {
+    wanted: Wanted,
+    unsaid: &'static [f64],
+    has_instances: bool,
+}
+
+/// A message that rows are kept of.
+#[derive(Clone, Debug)]
+struct Kept {
+    source: Source,
+    /// The stamp, and what it is in s.
+    stamp: (Access, f64),
+    instance: Option<Access>,
+    fields: Vec<Option<(Access, f64)>>,
+}
+
+impl Kept {
+    fn new(kind: u8, layout: &Layout, units: &Units) -> Option<Self> {
+        let source = ardupilot::SOURCES.iter().find(|s| s.wanted.topic == layout.name)?;
+        let stamp = match layout.field(&["TimeUS"]) {
+            Some(field) => (field, 1e-6),
+            None => (layout.field(&["TimeMS"])?, 1e-3),
+        };
+        let named = source.wanted.fields.iter().zip(source.unsaid);
+        let found = |(name, unsaid): (&&'static str, &f64)| {
+            let access = layout.field(&[*name])?;
+            Some((access, units.factor(kind, access, *unsaid)))
+        };
+        let instance = if source.has_instances { layout.field(&INSTANCES) } else { None };
+        Some(Self { source: *source, stamp, instance, fields: named.map(found).collect() })
+    }
+}
+
+/// What is read of a file, before it is a flight.
+#[derive(Debug, Default)]
+struct Contents {
+    topics: Topics,
+    /// Last value of each parameter.
+    parameters: BTreeMap<String, f64>,
+    texts: Vec<String>,
+    units: Units,
+    tally: Tally,
+}
+
+/// Whether bytes begin with a message that DataFlash logs begin with, its own definition.
+pub(super) fn begins(head: &[u8]) -> bool {
+    head.strip_prefix(&MARKS)
+        .is_some_and(|rest| rest.first().is_none_or(|kind| *kind == layout::FMT))
+}
+
+/// Reads a whole log into `flight`. Returns the number of messages: none where it is no log.
+///
+/// # Errors
+/// Those of `source`. Damage within the file is counted, and is no error.
+pub(super) fn read(source: impl Read, flight: &mut Flight) -> io::Result<u64> {
+    let mut reader = Reader::new(source);
+    let mut contents = Contents::default();
+    let mut kept: BTreeMap<u8, Option<Kept>> = BTreeMap::new();
+    let mut values = Vec::new();
+    while let Some(message) = reader.next()? {
+        if contents.add_definition(&message) {
+            continue;
+        }
+        let Message { kind, layout, body } = message;
+        let units = &contents.units;
+        let Some(kept) = kept.entry(kind).or_insert_with(|| Kept::new(kind, layout, units)) else {
+            continue;
+        };
+        let number = |access: Access| access.number(body).unwrap_or(f64::NAN);
+        let (stamp, seconds) = kept.stamp;
+        let instance = kept.instance.map_or(0, |instance| number(instance) as u8);
+        values.clear();
+        values.extend(
+            kept.fields
+                .iter()
+                .map(|field| field.map_or(f64::NAN, |(access, factor)| number(access) * factor)),
+        );
+        contents.topics.push(kept.source.wanted, instance, number(stamp) * seconds, &values);
+    }
+    let (messages, damage) = (reader.messages, reader.damage);
+    contents.tally.add("byte that belongs to no whole message", damage.bytes);
+    contents.tally.add("damaged or contradictory definition of a message", damage.definitions);
+    contents.fill(flight);
+    Ok(messages)
+}
+
+impl Contents {
+    /// Takes in what says something about other messages or the vehicle. Returns whether it is so.
+    fn add_definition(&mut self, message: &Message<'_>) -> bool {
+        let Message { layout, body, .. } = message;
+        let number = |name: &str| layout.field(&[name]).and_then(|f| f.number(body));
+        let text = |name: &str| layout.field(&[name]).and_then(|f| f.text(body));
+        match layout.name.as_str() {
+            "PARM" => {
+                if let (Some(name), Some(value)) = (text("Name"), number("Value")) {
+                    self.parameters.insert(name.to_owned(), value);
+                }
+            }
+            "MSG" => {
+                if let (Some(text), true) = (text("Message"), self.texts.len() < TEXTS_MAX) {
+                    let time = number("TimeUS").unwrap_or(f64::NAN) * 1e-6;
+                    self.texts.push(format!("{time:.3} s: {text}"));
+                }
+            }
+            "UNIT" => {
+                if let (Some(id), Some(label)) = (number("Id"), text("Label")) {
+                    self.units.add_label(id, label);
+                }
+            }
+            "MULT" => {
+                if let (Some(id), Some(multiplier)) = (number("Id"), number("Mult")) {
+                    self.units.add_multiplier(id, multiplier);
+                }
+            }
+            "FMTU" => {
+                let ids = (text("UnitIds"), text("MultIds"));
+                if let (Some(kind), (Some(units), Some(multipliers))) = (number("FmtType"), ids) {
+                    self.units.add_fields(kind, units, multipliers);
+                }
+            }
+            _ => return false,
+        }
+        true
+    }
+}

@@ -1,0 +1,43 @@
+//! What an autopilot's own log says about its vehicle.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+/// Facts that a log states, or that its reader found in it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct VehicleFacts {
+    /// Autopilot and its version.
+    pub autopilot: Option<String>,
+    /// Frame, as the autopilot names it.
+    pub frame: Option<String>,
+    /// Motors that the autopilot drives.
+    pub motors: Option<u32>,
+    /// Where the autopilot believes its rotors to be, in the order of the outputs.
+    pub rotors: Vec<RotorFact>,
+    /// Parameters that say what outputs, thrust and estimates mean.
+    pub parameters: BTreeMap<String, f64>,
+    /// Which topic each stream is from, and what it means where that is not plain.
+    pub notes: Vec<String>,
+    /// Texts of the log for a person, each with its time.
+    pub texts: Vec<String>,
+}
+
+/// Where the autopilot believes a rotor to be.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RotorFact {
+    /// Towards the front, in the autopilot's unit: only its sign and ratio to others are meant.
+    pub front: f64,
+    /// Towards the right, likewise.
+    pub right: f64,
+    /// +1 if the rotor's drag torque on the body is about +z body (down), else -1.
+    pub spin: i8,
+}
+
+impl VehicleFacts {
+    /// Whether nothing is known.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}

@@ -1,0 +1,286 @@
+//! Rows of a log that an autopilot wrote itself: topics of named numbers, each row with a stamp of
+//! the vehicle's clock.
+//!
+//! Neither format has a checksum, so a damaged byte may sit in any number. A damaged stamp would
+//! otherwise cost all that follows it: rows are first held against the clock of their neighbours
+//! in the file, and of those that remain the longest ascending sequence is kept.
+
+use std::collections::BTreeMap;
+
+use super::flight::Stream;
+use super::tally::Tally;
+
+/// Neighbours on each side in the file that tell what the clock read.
+const NEIGHBOURS: usize = 15;
+/// A stamp further than this from the clock on both sides is damaged, s.
+const OFF_CLOCK: f64 = 10.0;
+
+/// What is read of one topic: its name, and the fields of a row in their order.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Wanted {
+    pub topic: &'static str,
+    pub fields: &'static [&'static str],
+}
+
+/// A row: the number that a field has, NaN where the log has no such field.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row<'a> {
+    fields: &'static [&'static str],
+    values: &'a [f64],
+}
+
+impl Row<'_> {
+    pub fn get(&self, field: &str) -> f64 {
+        let at = self.fields.iter().position(|known| *known == field);
+        at.and_then(|at| self.values.get(at)).copied().unwrap_or(f64::NAN)
+    }
+
+    pub fn all<const N: usize>(&self, fields: [&str; N]) -> [f64; N] {
+        fields.map(|field| self.get(field))
+    }
+
+    /// The same, `None` unless all are finite.
+    pub fn finite<const N: usize>(&self, fields: [&str; N]) -> Option<[f64; N]> {
+        let values = self.all(fields);
+        values.iter().all(|value| value.is_finite()).then_some(values)
+    }
+}
+
+/// Rows of one topic and instance, in the order of the file.
+#[derive(Clone, Debug)]
+pub(super) struct Topic {
+    name: &'static str,
+    fields: &'static [&'static str],
+    values: Vec<f64>,
+    /// Number of each row among all of the file.
+    numbers: Vec<u32>,
+}
+
+impl Topic {
+    pub fn len(&self) -> usize {
+        self.numbers.len()
+    }
+
+    pub fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        let rows = self.values.chunks_exact(self.fields.len());
+        rows.map(|values| Row { fields: self.fields, values })
+    }
+
+    /// Whether any row has a number in `field`.
+    pub fn has(&self, field: &str) -> bool {
+        self.rows().any(|row| row.get(field).is_finite())
+    }
+
+    /// The number most rows have in `field`.
+    pub fn most_frequent(&self, field: &str) -> Option<f64> {
+        let mut counts: BTreeMap<u64, usize> = BTreeMap::new();
+        for value in self.rows().map(|row| row.get(field)).filter(|value| value.is_finite()) {
+            *counts.entry(value.to_bits()).or_default() += 1;
+        }
+        counts.into_iter().max_by_key(|(_, count)| *count).map(|(bits, _)| f64::from_bits(bits))
+    }
+}
+
+/// What becomes of a row.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Sample<T> {
+    /// A sample with its time, s.
+    Keep(f64, T),
+    /// Nothing of this stream, and nothing lost.
+    Skip,
+    /// Left out, for this reason.
+    Refuse(&'static str),
+}
+
+impl<T> Sample<T> {
+    /// A sample, if its numbers are.
+    pub fn of(time: f64, value: Option<T>) -> Self {
+        match value {
+            Some(value) => Self::Keep(time, value),
+            None => Self::Refuse("not finite, or impossible"),
+        }
+    }
+}
+
+/// All topics of a log.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Topics {
+    /// Stamps of all rows in the order of the file, s.
+    clock: Vec<f64>,
+    topics: BTreeMap<(&'static str, u8), Topic>,
+}
+
+impl Topics {
+    /// Takes in a row of `wanted`: its stamp in s and its numbers.
+    pub fn push(&mut self, wanted: Wanted, instance: u8, time: f64, values: &[f64]) {
+        let Ok(number) = u32::try_from(self.clock.len()) else { return };
+        debug_assert_eq!(values.len(), wanted.fields.len());
+        self.clock.push(time);
+        let fresh = || Topic {
+            name: wanted.topic,
+            fields: wanted.fields,
+            values: Vec::new(),
+            numbers: Vec::new(),
+        };
+        let topic = self.topics.entry((wanted.topic, instance)).or_insert_with(fresh);
+        topic.values.extend_from_slice(values);
+        topic.numbers.push(number);
+    }
+
+    /// One instance of a topic.
+    pub fn instance(&self, name: &'static str, instance: u8) -> Option<&Topic> {
+        self.topics.get(&(name, instance))
+    }
+
+    /// All instances of a topic.
+    pub fn instances(&self, name: &'static str) -> impl Iterator<Item = (u8, &Topic)> {
+        self.topics
+            .range((name, 0)..=(name, u8::MAX))
+            .map(|((_, instance), topic)| (*instance, topic))
+    }
+
+    /// The primary instance of a topic if it was logged, else the first; the rest is counted.
+    pub fn primary(&self, name: &'static str, primary: u8, tally: &mut Tally) -> Option<&Topic> {
+        let (chosen, topic) = match self.instance(name, primary) {
+            Some(topic) => (primary, topic),
+            None => self.instances(name).next()?,
+        };
+        for (instance, topic) in self.instances(name).filter(|(instance, _)| *instance != chosen) {
+            let reason = format!("{name}: of instance {instance}, where {chosen} is used");
+            tally.add(&reason, topic.len() as u64);
+        }
+        Some(topic)
+    }
+
+    /// Makes a stream of a topic's rows.
+    pub fn stream<T>(
+        &self,
+        topic: &Topic,
+        tally: &mut Tally,
+        mut sample: impl FnMut(Row<'_>) -> Sample<T>,
+    ) -> Stream<T> {
+        let mut samples = Vec::with_capacity(topic.len());
+        let (mut refused, mut off) = (BTreeMap::new(), 0);
+        for (row, number) in topic.rows().zip(&topic.numbers) {
+            match sample(row) {
+                Sample::Keep(time, value) if self.is_on_clock(*number, time) => {
+                    samples.push((time, value));
+                }
+                Sample::Keep(..) => off += 1,
+                Sample::Skip => {}
+                Sample::Refuse(reason) => *refused.entry(reason).or_insert(0) += 1,
+            }
+        }
+        let name = topic.name;
+        tally.add(&format!("{name}: its stamp is off the log's clock"), off);
+        for (reason, count) in refused {
+            tally.add(&format!("{name}: {reason}"), count);
+        }
+        let (stream, unordered) = ordered(samples);
+        tally.add(&format!("{name}: sent again or out of order"), unordered);
+        stream
+    }
+
+    /// Whether a time fits the stamps before or after it in the file.
+    fn is_on_clock(&self, number: u32, time: f64) -> bool {
+        let number = number as usize;
+        let median = |stamps: &[f64]| {
+            let mut stamps: Vec<f64> = stamps.iter().copied().filter(|t| t.is_finite()).collect();
+            let middle = stamps.len() / 2;
+            let is_any = !stamps.is_empty();
+            is_any.then(|| *stamps.select_nth_unstable_by(middle, f64::total_cmp).1)
+        };
+        let before = median(&self.clock[number.saturating_sub(NEIGHBOURS)..number]);
+        let after_end = self.clock.len().min(number + 1 + NEIGHBOURS);
+        let after = median(&self.clock[number + 1..after_end]);
+        let fits = |stamp: Option<f64>| stamp.is_some_and(|stamp| (stamp - time).abs() < OFF_CLOCK);
+        time.is_finite() && (fits(before) || fits(after) || (before, after) == (None, None))
+    }
+}
+
+/// The longest sequence of samples whose times ascend, and how many are not in it.
+fn ordered<T>(samples: Vec<(f64, T)>) -> (Stream<T>, u64) {
+    // By length of a sequence, the sample that ends such a one earliest; and before each sample
+    // the one that precedes it.
+    let mut ends: Vec<usize> = Vec::new();
+    let mut previous: Vec<Option<usize>> = Vec::with_capacity(samples.len());
+    for (at, (time, _)) in samples.iter().enumerate() {
+        let length = ends.partition_point(|end| samples[*end].0 < *time);
+        previous.push(length.checked_sub(1).map(|before| ends[before]));
+        match ends.get_mut(length) {
+            Some(end) => *end = at,
+            None => ends.push(at),
+        }
+    }
+    let mut keep = vec![false; samples.len()];
+    let mut next = ends.last().copied();
+    while let Some(at) = next {
+        keep[at] = true;
+        next = previous[at];
+    }
+    let mut stream = Stream::default();
+    let mut left_out = 0;
+    for ((time, value), keep) in samples.into_iter().zip(keep) {
+        if !(keep && stream.push(time, value)) {
+            left_out += 1;
+        }
+    }
+    (stream, left_out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WANTED: Wanted = Wanted { topic: "topic", fields: &["x"] };
+
+    fn stream(stamps: &[f64]) -> (Vec<f64>, Vec<(String, u64)>) {
+        let mut topics = Topics::default();
+        for stamp in stamps {
+            topics.push(WANTED, 0, *stamp, &[*stamp]);
+        }
+        let mut tally = Tally::default();
+        let topic = topics.primary("topic", 0, &mut tally).expect("rows");
+        let stream = topics.stream(topic, &mut tally, |row| {
+            let x = row.get("x");
+            Sample::of(x, x.is_finite().then_some(()))
+        });
+        (stream.times().to_vec(), tally.into_vec())
+    }
+
+    #[test]
+    fn one_damaged_stamp_costs_one_row() {
+        let mut stamps: Vec<f64> = (0..50).map(f64::from).map(|k| 100.0 + 0.1 * k).collect();
+        let sound = stamps.clone();
+        for damaged in [1e9, -3.0, 104.9, f64::NAN] {
+            stamps[20] = damaged;
+            let (times, left_out) = stream(&stamps);
+            assert_eq!(times.len(), 49, "{damaged}");
+            assert_eq!(left_out.iter().map(|(_, count)| count).sum::<u64>(), 1);
+            assert!(times.iter().all(|time| sound.contains(time)));
+        }
+        stamps = sound.clone();
+        stamps[49] = 1e9;
+        assert_eq!(stream(&stamps).0, sound[..49]);
+    }
+
+    #[test]
+    fn a_pause_of_the_logger_is_no_damage() {
+        let stamps: Vec<f64> =
+            (0..40).map(|k| f64::from(k) + if k < 20 { 0.0 } else { 600.0 }).collect();
+        let (times, left_out) = stream(&stamps);
+        assert_eq!((times, left_out), (stamps, vec![]));
+    }
+
+    #[test]
+    fn other_instances_are_counted() {
+        let mut topics = Topics::default();
+        for instance in [1, 2, 2] {
+            topics.push(WANTED, instance, 0.0, &[0.0]);
+        }
+        let mut tally = Tally::default();
+        assert_eq!(topics.primary("topic", 2, &mut tally).map(Topic::len), Some(2));
+        assert_eq!(topics.primary("topic", 7, &mut tally).map(Topic::len), Some(1));
+        assert_eq!(tally.into_vec().len(), 2);
+    }
+}

@@ -1,0 +1,142 @@
+//! PX4 logs (ULog) into flights.
+//!
+//! The file defines its own topics, so that fields are found by name in logs old and new. The
+//! stamps are the vehicle's clock, in us since its start.
+
+mod format;
+mod px4;
+mod reader;
+
+use std::collections::BTreeMap;
+use std::io::Read;
+
+use super::flight::Flight;
+use super::onboard::{Topics, Wanted};
+use super::tally::Tally;
+use format::Place;
+pub(super) use reader::{MAGIC, UlogError};
+use reader::{Reader, Record, Subscription};
+
+/// Messages of the log's own text that are kept, worst included.
+const TEXTS_MAX: usize = 40;
+/// Texts at this level of syslog and worse are warnings.
+const WARNING: u8 = b'4';
+
+/// What is read of a file, before it is a flight.
+#[derive(Debug, Default)]
+struct Contents {
+    topics: Topics,
+    /// Last value of each parameter.
+    parameters: BTreeMap<String, f64>,
+    /// Parameters that changed during the log.
+    changed: BTreeMap<String, f64>,
+    /// `sys_name` and others.
+    info: BTreeMap<String, String>,
+    texts: Vec<String>,
+    tally: Tally,
+}
+
+/// A topic that rows are kept of.
+struct Kept {
+    wanted: Wanted,
+    stamp: Place,
+    places: Vec<Option<Place>>,
+}
+
+impl Kept {
+    fn new(topic: &Subscription) -> Option<Self> {
+        let wanted = px4::WANTED.iter().find(|wanted| wanted.topic == topic.name)?;
+        let layout = topic.layout.as_ref()?;
+        let places = wanted.fields.iter().map(|field| layout.place(field)).collect();
+        Some(Self { wanted: *wanted, stamp: layout.place("timestamp")?, places })
+    }
+}
+
+/// Reads a whole log into `flight`.
+///
+/// # Errors
+/// [`UlogError`]. Damage within the file is counted, and is no error.
+pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<(), UlogError> {
+    let contents = Contents::read(source)?;
+    contents.fill(flight);
+    Ok(())
+}
+
+impl Contents {
+    fn read(source: impl Read) -> Result<Self, UlogError> {
+        let mut reader = Reader::new(source)?;
+        let mut contents = Self::default();
+        let mut kept: BTreeMap<u16, Option<Kept>> = BTreeMap::new();
+        let mut values = Vec::new();
+        let (mut rows, mut dropouts, mut dropout_ms) = (0_u64, 0, 0_u64);
+        while let Some(record) = reader.next()? {
+            match record {
+                Record::Row { number, topic, bytes } => {
+                    rows += 1;
+                    if topic.layout.is_none() {
+                        let reason = format!("row of {}, whose format the file lacks", topic.name);
+                        contents.tally.add(&reason, 1);
+                    }
+                    let Some(kept) = kept.entry(number).or_insert_with(|| Kept::new(topic)) else {
+                        continue;
+                    };
+                    let read = |place: &Place| place.read(bytes).unwrap_or(f64::NAN);
+                    values.clear();
+                    values.extend(
+                        kept.places.iter().map(|place| place.as_ref().map_or(f64::NAN, read)),
+                    );
+                    let time = read(&kept.stamp) * 1e-6;
+                    contents.topics.push(kept.wanted, topic.instance, time, &values);
+                }
+                Record::Parameter { name, value } => {
+                    let before = contents.parameters.insert(name.to_owned(), value);
+                    if rows > 0 && before.is_some_and(|before| before != value) {
+                        contents.changed.insert(name.to_owned(), value);
+                    }
+                }
+                Record::Info { key, value } => contents.add_info(key, value),
+                Record::Text { level, time_us, text } => {
+                    let is_warning = level <= WARNING;
+                    if is_warning || contents.texts.len() < TEXTS_MAX / 2 {
+                        let time = time_us as f64 * 1e-6;
+                        contents.add_text(format!("{time:.3} s: {}", text.trim()));
+                    }
+                }
+                Record::Dropout { ms } => {
+                    dropouts += 1;
+                    dropout_ms += u64::from(ms);
+                }
+                Record::Other => {}
+            }
+        }
+        let damage = reader.damage;
+        let tally = &mut contents.tally;
+        tally.add("damaged byte between messages", damage.bytes);
+        tally.add("damaged or contradictory message", damage.messages);
+        tally.add("byte of a message that the file ends within (it was cut short)", damage.cut);
+        if dropouts > 0 {
+            let reason = format!("dropout of the logger, {:.3} s in all", dropout_ms as f64 * 1e-3);
+            tally.add(&reason, dropouts);
+        }
+        Ok(contents)
+    }
+
+    fn add_info(&mut self, key: &str, value: &[u8]) {
+        let Some((kind, name)) = key.split_once(' ') else { return };
+        let text = match (kind, value) {
+            ("uint32_t", [a, b, c, d]) => u32::from_le_bytes([*a, *b, *c, *d]).to_string(),
+            ("int32_t", [a, b, c, d]) => i32::from_le_bytes([*a, *b, *c, *d]).to_string(),
+            (kind, value) if kind.starts_with("char[") => {
+                String::from_utf8_lossy(value).trim_end_matches('\0').to_owned()
+            }
+            _ => return,
+        };
+        self.info.insert(name.to_owned(), text);
+    }
+
+    fn add_text(&mut self, text: String) {
+        if self.texts.len() < TEXTS_MAX {
+            self.texts.push(text);
+        }
+    }
+}

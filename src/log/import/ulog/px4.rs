@@ -1,0 +1,513 @@
+//! Topics of PX4 as the streams of a flight. All are NED and FRD, SI and radians already; what
+//! must be chosen is which of several topics a stream is from, and what the motor outputs mean.
+
+use std::collections::BTreeMap;
+
+use sitl::frame::{Attitude, Euler, Frd, Ned};
+
+use super::Contents;
+use crate::log::import::facts::{RotorFact, VehicleFacts};
+use crate::log::import::flight::{
+    AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream,
+};
+use crate::log::import::onboard::{Row, Sample, Topics, Wanted};
+use crate::log::import::tally::Tally;
+
+/// Of two topics of one quantity the second is taken only where it is this much more frequent.
+const CLEARLY_MORE: f64 = 1.05;
+/// Outputs beyond this are no fractions.
+const FRACTION_MAX: f64 = 2.0;
+/// Function of an output that drives the first motor.
+const MOTOR_1: f64 = 101.0;
+/// Groups of outputs that drive motors, in the order in which they are looked through.
+const GROUPS: [&str; 5] = ["PWM_MAIN", "PWM_AUX", "UAVCAN_EC", "HIL_ACT", "SIM_GZ_EC"];
+/// Outputs of a group.
+const OUTPUTS: usize = 16;
+/// A damaged log may state any number of changes.
+const NOTES_MAX: usize = 60;
+/// Radians per second in one revolution per minute.
+const RPM: f64 = std::f64::consts::TAU / 60.0;
+/// Where the topic has no stamp of its accelerometer, this says so.
+const NO_STAMP: f64 = i32::MAX as f64;
+
+macro_rules! wanted {
+    ($($topic:literal: [$($field:literal),* $(,)?]),* $(,)?) => {
+        /// What is read of a log.
+        pub(super) const WANTED: &[Wanted] =
+            &[$(Wanted { topic: $topic, fields: &["timestamp", $($field),*] }),*];
+    };
+}
+
+wanted! {
+    "vehicle_attitude": ["timestamp_sample", "q[0]", "q[1]", "q[2]", "q[3]", "rollspeed", "pitchspeed",
+        "yawspeed"],
+    "vehicle_angular_velocity": ["timestamp_sample", "xyz[0]", "xyz[1]", "xyz[2]"],
+    "vehicle_acceleration": ["timestamp_sample", "xyz[0]", "xyz[1]", "xyz[2]"],
+    "sensor_combined": ["gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]", "gyro_integral_dt",
+        "accelerometer_timestamp_relative", "accelerometer_m_s2[0]", "accelerometer_m_s2[1]",
+        "accelerometer_m_s2[2]", "accelerometer_integral_dt"],
+    "vehicle_local_position": ["timestamp_sample", "x", "y", "z", "vx", "vy", "vz", "xy_valid",
+        "z_valid", "v_xy_valid", "v_z_valid", "xy_reset_counter", "z_reset_counter",
+        "vxy_reset_counter", "vz_reset_counter"],
+    "actuator_motors": ["control[0]", "control[1]", "control[2]", "control[3]", "control[4]"],
+    "actuator_outputs": ["noutputs", "output[0]", "output[1]", "output[2]", "output[3]",
+        "output[4]", "output[5]", "output[6]", "output[7]", "output[8]", "output[9]", "output[10]",
+        "output[11]", "output[12]", "output[13]", "output[14]", "output[15]"],
+    "vehicle_attitude_setpoint": ["q_d[0]", "q_d[1]", "q_d[2]", "q_d[3]", "roll_body",
+        "pitch_body", "yaw_body", "thrust_body[0]", "thrust_body[1]", "thrust_body[2]", "thrust"],
+    "vehicle_rates_setpoint": ["roll", "pitch", "yaw", "thrust_body[0]", "thrust_body[1]",
+        "thrust_body[2]", "thrust"],
+    "battery_status": ["voltage_v", "connected"],
+    "esc_status": ["esc_count", "esc[0].esc_rpm", "esc[1].esc_rpm", "esc[2].esc_rpm",
+        "esc[3].esc_rpm", "esc[0].actuator_function", "esc[1].actuator_function",
+        "esc[2].actuator_function", "esc[3].actuator_function"],
+    "vehicle_land_detected": ["landed", "maybe_landed", "ground_contact"],
+    "vehicle_status": ["arming_state", "nav_state"],
+}
+
+/// When a row was stamped, s.
+fn stamp(row: &Row<'_>) -> f64 {
+    row.get("timestamp") * 1e-6
+}
+
+/// When a row's sample was taken, s; older logs have only its stamp.
+fn sampled(row: &Row<'_>) -> f64 {
+    let sampled = row.get("timestamp_sample");
+    if sampled > 0.0 { sampled * 1e-6 } else { stamp(row) }
+}
+
+/// The middle of the interval of `field` us before `time`, which the sample is a mean of.
+fn middle(row: &Row<'_>, time: f64, field: &str) -> f64 {
+    let interval = row.get(field);
+    if interval.is_finite() { time - 0.5e-6 * interval } else { time }
+}
+
+fn attitude(components: [f64; 4]) -> Option<Attitude> {
+    Attitude::from_wire(components.map(|c| c as f32))
+}
+
+impl Contents {
+    /// Fills the streams of `flight`.
+    pub(super) fn fill(mut self, flight: &mut Flight) {
+        let mut tally = std::mem::take(&mut self.tally);
+        let mut facts = self.facts();
+        let topics = &self.topics;
+        flight.clock = Clock::Single;
+        fill_attitude(topics, flight, &mut facts, &mut tally);
+        fill_sensors(topics, flight, &mut facts, &mut tally);
+        fill_position(topics, flight, &mut facts, &mut tally);
+        fill_setpoint(topics, flight, &mut facts, &mut tally);
+        self.fill_outputs(flight, &mut facts, &mut tally);
+        self.fill_states(flight, &mut tally);
+        self.note_modes(&mut facts);
+        facts.texts = std::mem::take(&mut self.texts);
+        flight.facts = facts;
+        flight.left_out.extend(tally.into_vec());
+    }
+
+    fn facts(&self) -> VehicleFacts {
+        let parameter = |name: &str| self.parameters.get(name).copied();
+        let motors = parameter("CA_ROTOR_COUNT").filter(|count| (1.0..=64.0).contains(count));
+        let rotor = |at: u32| {
+            let number = |axis: &str| parameter(&format!("CA_ROTOR{at}_{axis}"));
+            let moment = number("KM")?;
+            // A rotor whose coefficient is positive turns anticlockwise, seen from above, and
+            // turns the body clockwise: about +z.
+            let spin = if moment >= 0.0 { 1 } else { -1 };
+            Some(RotorFact { front: number("PX")?, right: number("PY")?, spin })
+        };
+        let count = motors.unwrap_or(0.0) as u32;
+        let rotors: Option<Vec<RotorFact>> = (0..count).map(rotor).collect();
+        let autopilot = self.info.get("sys_name").map(|name| {
+            let version = self.info.get("ver_sw").map(|hash| hash.chars().take(8).collect());
+            let release = self.info.get("ver_sw_release").and_then(|n| n.parse::<u32>().ok());
+            let release =
+                release.map(|n| format!("{}.{}.{}", n >> 24, n >> 16 & 0xFF, n >> 8 & 0xFF));
+            let parts: Vec<String> =
+                [Some(name.clone()), release, version].into_iter().flatten().collect();
+            parts.join(" ")
+        });
+        let kept = |name: &str| {
+            let exact =
+                ["THR_MDL_FAC", "MC_BAT_SCALE_EN", "MPC_THR_HOVER", "SYS_AUTOSTART", "MAV_TYPE"];
+            exact.contains(&name) || name.starts_with("IMU_GYRO_CUTOFF") || name == "CA_AIRFRAME"
+        };
+        let parameters = self.parameters.iter().filter(|(name, _)| kept(name));
+        let mut facts = VehicleFacts {
+            autopilot,
+            frame: parameter("CA_AIRFRAME").map(|class| match class {
+                0.0 => "multirotor".to_owned(),
+                class => format!("airframe class {class}, no multirotor"),
+            }),
+            motors: motors.map(|count| count as u32),
+            rotors: rotors.unwrap_or_default(),
+            parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
+            ..VehicleFacts::default()
+        };
+        for (name, value) in &self.changed {
+            facts.notes.push(format!("parameter {name} was changed to {value} during the log"));
+        }
+        facts
+    }
+
+    /// Motor commands, of the topic that says what they mean before the one that does not.
+    fn fill_outputs(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
+        if let Some(topic) = self.topics.primary("actuator_motors", 0, tally) {
+            flight.outputs = self.topics.stream(topic, tally, |row| {
+                let controls = row.all(["control[0]", "control[1]", "control[2]", "control[3]"]);
+                // A motor that is switched off has none.
+                let outputs = controls.map(|u| if u.is_nan() { 0.0 } else { u });
+                Sample::of(stamp(&row), outputs.iter().all(|u| u.is_finite()).then_some(outputs))
+            });
+            if topic.has("control[4]") {
+                let count = facts.motors.map_or("more than 4".to_owned(), |n| n.to_string());
+                facts
+                    .notes
+                    .push(format!("the vehicle has {count} motors; outputs are its first 4"));
+            }
+            flight.motor_source = MotorSource::ActuatorMotors;
+            flight.motor_unit = MotorUnit::ThrustFraction;
+            if self.parameters.get("THR_MDL_FAC").is_some_and(|factor| *factor != 0.0) {
+                facts.notes.push(
+                    "THR_MDL_FAC is not 0: outputs are thrusts asked for, before the autopilot's own thrust \
+                     curve"
+                        .to_owned(),
+                );
+            }
+        } else {
+            self.fill_driver_outputs(flight, facts, tally);
+        }
+        self.fill_rotor_speed(flight, tally);
+    }
+
+    /// What was sent to the drivers: pulses or fractions, by the parameters of the outputs.
+    fn fill_driver_outputs(
+        &self,
+        flight: &mut Flight,
+        facts: &mut VehicleFacts,
+        tally: &mut Tally,
+    ) {
+        let instances: Vec<u8> =
+            self.topics.instances("actuator_outputs").map(|(i, _)| i).collect();
+        let Some(first) = instances.first() else { return };
+        let mapped = self.motor_outputs();
+        // A group with motors is one of the instances, which come in the order of the groups; logs
+        // of one instance leave no choice.
+        let Some(topic) = self.topics.primary("actuator_outputs", *first, tally) else { return };
+        let channels = mapped.as_ref().map_or([0, 1, 2, 3], |(_, channels)| *channels);
+        const NAMES: [&str; OUTPUTS] = [
+            "output[0]",
+            "output[1]",
+            "output[2]",
+            "output[3]",
+            "output[4]",
+            "output[5]",
+            "output[6]",
+            "output[7]",
+            "output[8]",
+            "output[9]",
+            "output[10]",
+            "output[11]",
+            "output[12]",
+            "output[13]",
+            "output[14]",
+            "output[15]",
+        ];
+        let names = channels.map(|channel| NAMES[channel.min(OUTPUTS - 1)]);
+        flight.outputs =
+            self.topics.stream(topic, tally, |row| Sample::of(stamp(&row), row.finite(names)));
+        flight.motor_source = MotorSource::ActuatorOutputs;
+        let is_fraction = |u: &&[f64; 4]| u.iter().all(|u| (0.0..=FRACTION_MAX).contains(u));
+        let fractions = flight.outputs.values().iter().filter(is_fraction).count();
+        if 2 * fractions > flight.outputs.len() {
+            flight.motor_unit = MotorUnit::ThrustFraction;
+            return;
+        }
+        let group = mapped.map(|(group, _)| group);
+        match self.pulse_ranges(group, channels) {
+            Some((ranges, said)) => {
+                flight.outputs = flight.outputs.map(|pulses| {
+                    std::array::from_fn(|i| {
+                        let [zero, one] = ranges[i];
+                        ((pulses[i] - zero) / (one - zero)).clamp(0.0, 1.0)
+                    })
+                });
+                flight.motor_unit = MotorUnit::ThrustFraction;
+                facts.notes.push(format!("outputs over the range that the log's {said} state"));
+            }
+            None => flight.motor_unit = MotorUnit::VehicleFile,
+        }
+        if group.is_none() {
+            facts.notes.push(
+                "no parameter says which output drives which motor: outputs 1 to 4 are taken as motors 1 to 4"
+                    .to_owned(),
+            );
+        }
+    }
+
+    /// The group of outputs that drives motors 1 to 4, and its channels that do.
+    fn motor_outputs(&self) -> Option<(&'static str, [usize; 4])> {
+        GROUPS.into_iter().find_map(|group| {
+            let channel = |motor: f64| {
+                (0..OUTPUTS).find(|channel| {
+                    let name = format!("{group}_FUNC{}", channel + 1);
+                    self.parameters.get(&name) == Some(&(MOTOR_1 + motor))
+                })
+            };
+            let channels = [channel(0.0)?, channel(1.0)?, channel(2.0)?, channel(3.0)?];
+            Some((group, channels))
+        })
+    }
+
+    /// Pulses at no and at full output of each motor, and which parameters say so.
+    fn pulse_ranges(
+        &self,
+        group: Option<&str>,
+        channels: [usize; 4],
+    ) -> Option<([[f64; 2]; 4], String)> {
+        let range = |low: &str, high: &str| {
+            let range = [*self.parameters.get(low)?, *self.parameters.get(high)?];
+            (range[1] > range[0]).then_some(range)
+        };
+        if let Some(group) = group {
+            let own = channels.map(|channel| {
+                let name = |end: &str| format!("{group}_{end}{}", channel + 1);
+                range(&name("MIN"), &name("MAX"))
+            });
+            if let [Some(a), Some(b), Some(c), Some(d)] = own {
+                return Some(([a, b, c, d], format!("{group}_MINn and {group}_MAXn")));
+            }
+        }
+        for (low, high) in [("PWM_MAIN_MIN", "PWM_MAIN_MAX"), ("PWM_MIN", "PWM_MAX")] {
+            if let Some(range) = range(low, high) {
+                return Some(([range; 4], format!("{low} and {high}")));
+            }
+        }
+        None
+    }
+
+    fn fill_rotor_speed(&self, flight: &mut Flight, tally: &mut Tally) {
+        let Some(topic) = self.topics.primary("esc_status", 0, tally) else { return };
+        flight.rotor_speed = self.topics.stream(topic, tally, |row| {
+            if row.get("esc_count") < 4.0 {
+                return Sample::Skip;
+            }
+            let rpm = row.finite([
+                "esc[0].esc_rpm",
+                "esc[1].esc_rpm",
+                "esc[2].esc_rpm",
+                "esc[3].esc_rpm",
+            ]);
+            // The function of each controller tells its motor, where it is logged.
+            let functions = row.all([
+                "esc[0].actuator_function",
+                "esc[1].actuator_function",
+                "esc[2].actuator_function",
+                "esc[3].actuator_function",
+            ]);
+            let of_motor = |motor: usize| {
+                functions.iter().position(|f| *f == MOTOR_1 + motor as f64).unwrap_or(motor)
+            };
+            let speeds = rpm.map(|rpm| std::array::from_fn(|i| rpm[of_motor(i)].abs() * RPM));
+            Sample::of(stamp(&row), speeds)
+        });
+    }
+
+    /// When the vehicle was armed, and in which modes it was.
+    fn note_modes(&self, facts: &mut VehicleFacts) {
+        const ARMED: f64 = 2.0;
+        let Some((_, topic)) = self.topics.instances("vehicle_status").next() else { return };
+        let mut last = [f64::NAN; 2];
+        for row in topic.rows() {
+            let now = row.all(["arming_state", "nav_state"]);
+            if now[0] != last[0] && (now[0] == ARMED || last[0] == ARMED) {
+                let state = if now[0] == ARMED { "armed" } else { "disarmed" };
+                facts.notes.push(format!("{state} at {:.2} s", stamp(&row)));
+            }
+            if now[1] != last[1] {
+                facts.notes.push(format!("mode {} from {:.2} s", mode(now[1]), stamp(&row)));
+            }
+            last = now;
+            if facts.notes.len() > NOTES_MAX {
+                break;
+            }
+        }
+    }
+
+    fn fill_states(&self, flight: &mut Flight, tally: &mut Tally) {
+        if let Some(topic) = self.topics.primary("battery_status", 0, tally) {
+            flight.voltage = self.topics.stream(topic, tally, |row| {
+                let voltage = row.get("voltage_v");
+                if row.get("connected") == 0.0 || voltage == 0.0 {
+                    return Sample::Skip;
+                }
+                Sample::of(stamp(&row), (voltage > 0.0 && voltage < 1e3).then_some(voltage))
+            });
+        }
+        if let Some(topic) = self.topics.primary("vehicle_land_detected", 0, tally) {
+            flight.in_air = self.topics.stream(topic, tally, |row| {
+                let touches = ["landed", "maybe_landed", "ground_contact"].map(|f| row.get(f));
+                Sample::of(stamp(&row), touches[0].is_finite().then(|| !touches.contains(&1.0)))
+            });
+        }
+    }
+}
+
+/// Name of a `nav_state`.
+fn mode(state: f64) -> String {
+    let name = match state {
+        0.0 => "manual",
+        1.0 => "altitude",
+        2.0 => "position",
+        3.0 => "mission",
+        4.0 => "hold",
+        5.0 => "return",
+        10.0 => "acro",
+        12.0 => "descend",
+        14.0 => "offboard",
+        15.0 => "stabilized",
+        17.0 => "take-off",
+        18.0 => "land",
+        state => return format!("{state}"),
+    };
+    name.to_owned()
+}
+
+fn fill_attitude(
+    topics: &Topics,
+    flight: &mut Flight,
+    facts: &mut VehicleFacts,
+    tally: &mut Tally,
+) {
+    let Some(topic) = topics.primary("vehicle_attitude", 0, tally) else { return };
+    flight.attitude = topics.stream(topic, tally, |row| {
+        Sample::of(sampled(&row), attitude(row.all(["q[0]", "q[1]", "q[2]", "q[3]"])))
+    });
+    if topics.instances("vehicle_angular_velocity").next().is_none() && topic.has("rollspeed") {
+        flight.body_rate = topics.stream(topic, tally, |row| {
+            let rate = row.finite(["rollspeed", "pitchspeed", "yawspeed"]);
+            Sample::of(sampled(&row), rate.map(Frd::from))
+        });
+        facts.notes.push("body rate from vehicle_attitude".to_owned());
+    }
+}
+
+/// Body rate and specific force, of the more frequent of the filtered and the raw topics.
+fn fill_sensors(topics: &Topics, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
+    const XYZ: [&str; 3] = ["xyz[0]", "xyz[1]", "xyz[2]"];
+    let filtered = |name: &'static str, tally: &mut Tally| -> Stream<Frd> {
+        topics.primary(name, 0, tally).map_or_else(Stream::default, |topic| {
+            topics.stream(topic, tally, |row| {
+                Sample::of(sampled(&row), row.finite(XYZ).map(Frd::from))
+            })
+        })
+    };
+    let rate = filtered("vehicle_angular_velocity", tally);
+    let force = filtered("vehicle_acceleration", tally);
+    let (mut raw_rate, mut raw_force) = (Stream::default(), Stream::default());
+    if let Some(topic) = topics.primary("sensor_combined", 0, tally) {
+        raw_rate = topics.stream(topic, tally, |row| {
+            let rate = row.finite(["gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"]);
+            Sample::of(middle(&row, stamp(&row), "gyro_integral_dt"), rate.map(Frd::from))
+        });
+        raw_force = topics.stream(topic, tally, |row| {
+            let later = row.get("accelerometer_timestamp_relative");
+            if later == NO_STAMP {
+                return Sample::Skip;
+            }
+            let later = if later.is_finite() { 1e-6 * later } else { 0.0 };
+            let time = middle(&row, stamp(&row) + later, "accelerometer_integral_dt");
+            let force = row.finite([
+                "accelerometer_m_s2[0]",
+                "accelerometer_m_s2[1]",
+                "accelerometer_m_s2[2]",
+            ]);
+            Sample::of(time, force.map(Frd::from))
+        });
+    }
+    let mut choose = |filtered: Stream<Frd>, raw: Stream<Frd>, of: &str, topic: &str| {
+        let is_raw = raw.rate() > CLEARLY_MORE * filtered.rate();
+        let chosen = if is_raw { raw } else { filtered };
+        if !chosen.is_empty() {
+            let topic = if is_raw { "sensor_combined" } else { topic };
+            facts.notes.push(format!("{of} from {topic}"));
+        }
+        chosen
+    };
+    let rate = choose(rate, raw_rate, "body rate", "vehicle_angular_velocity");
+    if !rate.is_empty() {
+        flight.body_rate = rate;
+    }
+    flight.specific_force = choose(force, raw_force, "specific force", "vehicle_acceleration");
+}
+
+fn fill_position(
+    topics: &Topics,
+    flight: &mut Flight,
+    facts: &mut VehicleFacts,
+    tally: &mut Tally,
+) {
+    let Some(topic) = topics.primary("vehicle_local_position", 0, tally) else { return };
+    // A flag that is not logged does not forbid.
+    let is_valid = |row: &Row<'_>, flags: [&str; 2]| flags.iter().all(|flag| row.get(flag) != 0.0);
+    flight.position = topics.stream(topic, tally, |row| {
+        if !is_valid(&row, ["xy_valid", "z_valid"]) {
+            return Sample::Refuse("position not valid, by its own flags");
+        }
+        Sample::of(sampled(&row), row.finite(["x", "y", "z"]).map(Ned::from))
+    });
+    flight.velocity = topics.stream(topic, tally, |row| {
+        if !is_valid(&row, ["v_xy_valid", "v_z_valid"]) {
+            return Sample::Refuse("velocity not valid, by its own flags");
+        }
+        Sample::of(sampled(&row), row.finite(["vx", "vy", "vz"]).map(Ned::from))
+    });
+    let counters = ["xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter"];
+    let mut resets: BTreeMap<&str, u32> = BTreeMap::new();
+    let mut last: Option<[f64; 4]> = None;
+    for now in topic.rows().filter_map(|row| row.finite(counters)) {
+        for (i, name) in counters.into_iter().enumerate() {
+            if last.is_some_and(|last| last[i] != now[i]) {
+                *resets.entry(name).or_default() += 1;
+            }
+        }
+        last = Some(now);
+    }
+    for (name, count) in resets {
+        facts.notes.push(format!("{count} resets of the estimate, by {name}"));
+    }
+}
+
+/// What the autopilot's attitude loop was to follow: the ground's own in OFFBOARD.
+fn fill_setpoint(
+    topics: &Topics,
+    flight: &mut Flight,
+    facts: &mut VehicleFacts,
+    tally: &mut Tally,
+) {
+    let thrust = |row: &Row<'_>| {
+        let body = row.finite(["thrust_body[0]", "thrust_body[1]", "thrust_body[2]"]);
+        let thrust = body.map_or(row.get("thrust"), |[x, y, z]| x.hypot(y).hypot(z));
+        thrust.is_finite().then_some(thrust)
+    };
+    flight.setpoint_source = SetpointSource::Onboard;
+    if let Some(topic) = topics.primary("vehicle_attitude_setpoint", 0, tally) {
+        flight.setpoint = topics.stream(topic, tally, |row| {
+            let euler = row.finite(["roll_body", "pitch_body", "yaw_body"]);
+            let quaternion = attitude(row.all(["q_d[0]", "q_d[1]", "q_d[2]", "q_d[3]"]));
+            let attitude = quaternion
+                .or(euler.map(|[roll, pitch, yaw]| Euler::new(roll, pitch, yaw).attitude()));
+            let setpoint = AttitudeSetpoint { attitude, body_rate: None, thrust: thrust(&row) };
+            let is_any = setpoint.attitude.is_some() || setpoint.thrust.is_some();
+            Sample::of(stamp(&row), is_any.then_some(setpoint))
+        });
+        facts.notes.push("setpoints from vehicle_attitude_setpoint".to_owned());
+    } else if let Some(topic) = topics.primary("vehicle_rates_setpoint", 0, tally) {
+        flight.setpoint = topics.stream(topic, tally, |row| {
+            let body_rate = row.finite(["roll", "pitch", "yaw"]).map(Frd::from);
+            let setpoint = AttitudeSetpoint { attitude: None, body_rate, thrust: thrust(&row) };
+            Sample::of(stamp(&row), body_rate.map(|_| setpoint))
+        });
+        facts.notes.push("setpoints from vehicle_rates_setpoint".to_owned());
+    }
+}

@@ -1,0 +1,674 @@
+//! A primal-dual interior point for the subproblem, stage by stage.
+//!
+//! The norm is taken to second order, so the subproblem is a quadratic program whose Newton
+//! system is that of a linear-quadratic regulator: a Riccati recursion solves it in one sweep
+//! back and one forth, and the work grows with the horizon as that of no general factorisation
+//! does (Rao, Wright and Rawlings 1998, "Application of interior-point methods to model
+//! predictive control"). Predictor and corrector are Mehrotra's (1992).
+
+// Matrix algebra reads by its indices.
+#![allow(clippy::needless_range_loop)]
+
+use super::problem::{STATES, StateRow, StateVector};
+use super::subproblem::{
+    DynamicsForm, QuadraticNorm, Solution, Stage, Subproblem, SubproblemError, SubproblemSolver,
+};
+
+type Matrix<const R: usize, const C: usize> = [[f64; C]; R];
+
+/// Iterations after which the solver gives up.
+const ITERATIONS_MAX: usize = 60;
+/// Share of the way to the nearest bound that a step goes at most.
+const TO_BOUNDARY: f64 = 0.995;
+/// Complementarity at the start, in units of the cost.
+const START: f64 = 0.1;
+/// Distance between the bounds of an input, at least.
+const LEAST_ROOM: f64 = 1e-9;
+/// Curvature that each scaled input has at least.
+const LEAST_INPUT_CURVATURE: f64 = 1e-9;
+
+/// The solver with its workspace.
+#[derive(Clone, Debug, Default)]
+pub struct InteriorPoint<const INPUTS: usize> {
+    work: Vec<Work<INPUTS>>,
+}
+
+/// A complementary pair: a slack and its multiplier, both above 0.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pair {
+    slack: f64,
+    multiplier: f64,
+    /// Of the current Newton direction.
+    slack_step: f64,
+    multiplier_step: f64,
+}
+
+impl Pair {
+    fn new(slack: f64) -> Self {
+        Self { slack, multiplier: START / slack, ..Self::default() }
+    }
+
+    /// multiplier / slack.
+    #[inline(always)]
+    fn ratio(&self) -> f64 {
+        self.multiplier / self.slack
+    }
+
+    /// The multiplier that complementarity `target` asks for, before the slack moves.
+    #[inline(always)]
+    fn aim(&self, target: f64) -> f64 {
+        target / self.slack
+    }
+
+    /// Sets the direction: the slack moves by `step`, the multiplier as complementarity asks.
+    #[inline(always)]
+    fn point(&mut self, step: f64, target: f64) {
+        self.slack_step = step;
+        self.multiplier_step = self.aim(target) - self.ratio() * step - self.multiplier;
+    }
+
+    /// Longest share of the direction that keeps both above 0.
+    #[inline(always)]
+    fn reach(&self) -> f64 {
+        let share = |value: f64, step: f64| if step < 0.0 { -value / step } else { f64::INFINITY };
+        share(self.slack, self.slack_step).min(share(self.multiplier, self.multiplier_step))
+    }
+
+    /// Complementarity after a share of the direction.
+    #[inline(always)]
+    fn after(&self, share: f64) -> f64 {
+        (self.slack + share * self.slack_step) * (self.multiplier + share * self.multiplier_step)
+    }
+
+    /// What the corrector aims at: `centre` less the predictor's second-order term.
+    #[inline(always)]
+    fn corrected(&self, centre: f64) -> f64 {
+        centre - self.slack_step * self.multiplier_step
+    }
+
+    #[inline(always)]
+    fn advance(&mut self, share: f64) {
+        self.slack += share * self.slack_step;
+        self.multiplier += share * self.multiplier_step;
+    }
+}
+
+/// A bound of the state with its slack: `excess + gradient . d <= overrun`, `overrun >= 0`.
+#[derive(Clone, Copy, Debug)]
+struct SoftRow {
+    row: StateRow,
+    /// Room below the bound, and the bound's force.
+    room: Pair,
+    /// The overrun, and what is left of the penalty.
+    overrun: Pair,
+    room_target: f64,
+    overrun_target: f64,
+}
+
+#[derive(Clone, Debug)]
+struct Work<const INPUTS: usize> {
+    /// Quadratic model of the cost at the end of the period.
+    cost: QuadraticNorm,
+    rows: Vec<SoftRow>,
+    /// Current point.
+    state: StateVector,
+    input: [f64; INPUTS],
+    lower: [Pair; INPUTS],
+    upper: [Pair; INPUTS],
+    lower_target: [f64; INPUTS],
+    upper_target: [f64; INPUTS],
+    /// Newton's point.
+    next_state: StateVector,
+    next_input: [f64; INPUTS],
+    /// Factorisation: gain K, Cholesky factor of `R + B' P B`, and `P c`.
+    gain: Matrix<INPUTS, STATES>,
+    factor: Matrix<INPUTS, INPUTS>,
+    pushed_offset: StateVector,
+    /// Feed-forward k.
+    constant: [f64; INPUTS],
+}
+
+impl<const INPUTS: usize> Default for Work<INPUTS> {
+    fn default() -> Self {
+        Self {
+            cost: QuadraticNorm::default(),
+            rows: Vec::new(),
+            state: [0.0; STATES],
+            input: [0.0; INPUTS],
+            lower: [Pair::default(); INPUTS],
+            upper: [Pair::default(); INPUTS],
+            lower_target: [0.0; INPUTS],
+            upper_target: [0.0; INPUTS],
+            next_state: [0.0; STATES],
+            next_input: [0.0; INPUTS],
+            gain: [[0.0; STATES]; INPUTS],
+            factor: [[0.0; INPUTS]; INPUTS],
+            pushed_offset: [0.0; STATES],
+            constant: [0.0; INPUTS],
+        }
+    }
+}
+
+impl<const INPUTS: usize> SubproblemSolver<INPUTS> for InteriorPoint<INPUTS> {
+    fn dynamics(&self, _penalty: f64, _trust: f64) -> DynamicsForm {
+        DynamicsForm::Equations
+    }
+
+    fn solve(
+        &mut self,
+        problem: &Subproblem<INPUTS>,
+        solution: &mut Solution<INPUTS>,
+    ) -> Result<(), SubproblemError> {
+        if problem.dynamics != DynamicsForm::Equations {
+            return Err(SubproblemError::Form);
+        }
+        self.work.resize_with(problem.stages.len(), Work::default);
+        let iterations = iterate(&mut self.work, problem)?;
+        solution.iterations = iterations;
+        solution.states.clear();
+        solution.inputs.clear();
+        solution.gains.clear();
+        for work in &self.work {
+            solution.states.push(work.state);
+            solution.inputs.push(work.input);
+            solution.gains.push(work.gain);
+        }
+        let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
+        if self.work.iter().all(|work| finite(&work.state) && finite(&work.input)) {
+            Ok(())
+        } else {
+            Err(SubproblemError::NotFinite)
+        }
+    }
+}
+
+/// Solves the problem in `work`; returns the number of iterations.
+fn iterate<const INPUTS: usize>(
+    work: &mut [Work<INPUTS>],
+    problem: &Subproblem<INPUTS>,
+) -> Result<usize, SubproblemError> {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        // SAFETY: the machine has the instructions, as just asked.
+        return unsafe { iterate_avx2(work, problem) };
+    }
+    iterate_with::<false, INPUTS>(work, problem)
+}
+
+/// [`iterate`] for machines with AVX2 and FMA, which this package is not compiled for.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn iterate_avx2<const INPUTS: usize>(
+    work: &mut [Work<INPUTS>],
+    problem: &Subproblem<INPUTS>,
+) -> Result<usize, SubproblemError> {
+    iterate_with::<true, INPUTS>(work, problem)
+}
+
+#[inline(always)]
+fn iterate_with<const FUSED: bool, const INPUTS: usize>(
+    work: &mut [Work<INPUTS>],
+    problem: &Subproblem<INPUTS>,
+) -> Result<usize, SubproblemError> {
+    let mut pairs = 0;
+    for (work, stage) in work.iter_mut().zip(&problem.stages) {
+        work.start(stage, problem);
+        pairs += 2 * (INPUTS + work.rows.len());
+    }
+    let pairs = pairs as f64;
+    // The dynamics hold from the first full step on; until then a step leaves its share open.
+    let mut open = 1.0;
+    for iteration in 1..=ITERATIONS_MAX {
+        let gap: f64 = work.iter().map(|work| work.gap(0.0)).sum();
+        if !gap.is_finite() {
+            return Err(SubproblemError::NotFinite);
+        }
+        if gap <= problem.tolerance && open < 1e-9 {
+            return Ok(iteration - 1);
+        }
+        // Predictor: aims at complementarity 0.
+        work.iter_mut().for_each(Work::aim_at_zero);
+        factorise::<FUSED, INPUTS>(work, &problem.stages)?;
+        solve::<FUSED, INPUTS>(work, &problem.stages);
+        let share = reach(work).min(1.0);
+        let ahead: f64 = work.iter().map(|work| work.gap(share)).sum();
+        let centring = (ahead / gap).powi(3).min(1.0);
+        // Corrector.
+        let centre = centring * gap / pairs;
+        work.iter_mut().for_each(|work| work.aim_at(centre));
+        solve::<FUSED, INPUTS>(work, &problem.stages);
+        let share = (TO_BOUNDARY * reach(work)).min(1.0);
+        work.iter_mut().for_each(|work| work.advance(share));
+        open *= 1.0 - share;
+    }
+    Err(SubproblemError::Solver("its iteration limit".to_owned()))
+}
+
+#[inline(always)]
+fn reach<const INPUTS: usize>(work: &[Work<INPUTS>]) -> f64 {
+    work.iter().map(Work::reach).fold(f64::INFINITY, f64::min)
+}
+
+impl<const INPUTS: usize> Work<INPUTS> {
+    /// Puts the point inside the bounds.
+    #[inline(always)]
+    fn start(&mut self, stage: &Stage<INPUTS>, problem: &Subproblem<INPUTS>) {
+        self.cost = QuadraticNorm::new(&stage.error, &problem.state_weight);
+        self.state = [0.0; STATES];
+        for i in 0..INPUTS {
+            // An input that is fixed is let move by nothing that matters.
+            let lower = stage.lower[i];
+            let upper = stage.upper[i].max(lower + LEAST_ROOM);
+            // As near to no deviation as a tenth of the way between the bounds allows.
+            let inset = 0.1 * (upper - lower);
+            self.input[i] = 0.0_f64.max(lower + inset).min(upper - inset);
+            self.lower[i] = Pair::new(self.input[i] - lower);
+            self.upper[i] = Pair::new(upper - self.input[i]);
+        }
+        self.rows.clear();
+        self.rows.extend(stage.rows.iter().map(|row| {
+            let overrun = row.excess.max(0.0) + 0.1;
+            let half = 0.5 * problem.row_penalty;
+            let pair = |slack| Pair { slack, multiplier: half, ..Pair::default() };
+            SoftRow {
+                row: *row,
+                room: pair(overrun - row.excess),
+                overrun: pair(overrun),
+                room_target: 0.0,
+                overrun_target: 0.0,
+            }
+        }));
+    }
+
+    /// Sum of the complementarities after a share of the direction.
+    #[inline(always)]
+    fn gap(&self, share: f64) -> f64 {
+        let mut sum = 0.0;
+        for i in 0..INPUTS {
+            sum += self.lower[i].after(share) + self.upper[i].after(share);
+        }
+        for row in &self.rows {
+            sum += row.room.after(share) + row.overrun.after(share);
+        }
+        sum
+    }
+
+    /// Longest share of the direction that keeps every pair above 0.
+    #[inline(always)]
+    fn reach(&self) -> f64 {
+        let mut share = f64::INFINITY;
+        for i in 0..INPUTS {
+            share = share.min(self.lower[i].reach()).min(self.upper[i].reach());
+        }
+        for row in &self.rows {
+            share = share.min(row.room.reach()).min(row.overrun.reach());
+        }
+        share
+    }
+
+    #[inline(always)]
+    fn aim_at_zero(&mut self) {
+        self.lower_target = [0.0; INPUTS];
+        self.upper_target = [0.0; INPUTS];
+        for row in &mut self.rows {
+            (row.room_target, row.overrun_target) = (0.0, 0.0);
+        }
+    }
+
+    #[inline(always)]
+    fn aim_at(&mut self, centre: f64) {
+        for i in 0..INPUTS {
+            self.lower_target[i] = self.lower[i].corrected(centre);
+            self.upper_target[i] = self.upper[i].corrected(centre);
+        }
+        for row in &mut self.rows {
+            row.room_target = row.room.corrected(centre);
+            row.overrun_target = row.overrun.corrected(centre);
+        }
+    }
+
+    /// Newton's gradient by the input, at `w = 0`.
+    #[inline(always)]
+    fn input_gradient(&self, stage: &Stage<INPUTS>) -> [f64; INPUTS] {
+        let mut gradient = stage.input_gradient;
+        for i in 0..INPUTS {
+            let (lower, upper) = (&self.lower[i], &self.upper[i]);
+            gradient[i] += upper.aim(self.upper_target[i])
+                - lower.aim(self.lower_target[i])
+                - (lower.ratio() + upper.ratio()) * self.input[i];
+        }
+        gradient
+    }
+
+    /// Newton's curvature by the input.
+    #[inline(always)]
+    fn input_curvature(&self, stage: &Stage<INPUTS>, i: usize) -> f64 {
+        stage.input_curvature
+            + LEAST_INPUT_CURVATURE
+            + self.lower[i].ratio()
+            + self.upper[i].ratio()
+    }
+
+    /// Newton's gradient by the state, at `d = 0`.
+    #[inline(always)]
+    fn state_gradient(&self) -> StateVector {
+        let mut gradient = self.cost.gradient;
+        for row in &self.rows {
+            let force = row.force() - row.curvature() * dot(&row.row.gradient, &self.state);
+            for (sum, slope) in gradient.iter_mut().zip(&row.row.gradient) {
+                *sum += force * slope;
+            }
+        }
+        gradient
+    }
+
+    /// Adds Newton's curvature by the state.
+    #[inline(always)]
+    fn add_state_curvature<const FUSED: bool>(&self, sums: &mut Matrix<STATES, STATES>) {
+        let QuadraticNorm { diagonal, ray, .. } = &self.cost;
+        for i in 0..STATES {
+            add_scaled::<FUSED, STATES>(&mut sums[i], -ray[i], ray);
+            sums[i][i] += diagonal[i];
+        }
+        for row in &self.rows {
+            let curvature = row.curvature();
+            for (sums, slope) in sums.iter_mut().zip(&row.row.gradient) {
+                if *slope != 0.0 {
+                    add_scaled::<FUSED, STATES>(sums, curvature * slope, &row.row.gradient);
+                }
+            }
+        }
+    }
+
+    /// Turns Newton's point into the direction of every pair.
+    #[inline(always)]
+    fn point(&mut self) {
+        for i in 0..INPUTS {
+            let step = self.next_input[i] - self.input[i];
+            self.lower[i].point(step, self.lower_target[i]);
+            self.upper[i].point(-step, self.upper_target[i]);
+        }
+        for row in &mut self.rows {
+            let slope = &row.row.gradient;
+            row.point(dot(slope, &self.next_state) - dot(slope, &self.state));
+        }
+    }
+
+    #[inline(always)]
+    fn advance(&mut self, share: f64) {
+        for i in 0..STATES {
+            self.state[i] += share * (self.next_state[i] - self.state[i]);
+        }
+        for i in 0..INPUTS {
+            self.input[i] += share * (self.next_input[i] - self.input[i]);
+            self.lower[i].advance(share);
+            self.upper[i].advance(share);
+        }
+        for row in &mut self.rows {
+            row.room.advance(share);
+            row.overrun.advance(share);
+        }
+    }
+}
+
+impl SoftRow {
+    /// By how much more the two multipliers' targets ask than the penalty gives, over the sum of
+    /// their ratios: the overrun's step where the state does not move.
+    fn relaxation(&self) -> f64 {
+        let penalty = self.room.multiplier + self.overrun.multiplier;
+        let aimed = self.room.aim(self.room_target) + self.overrun.aim(self.overrun_target);
+        (aimed - penalty) / (self.room.ratio() + self.overrun.ratio())
+    }
+
+    /// Newton's multiplier where the state does not move.
+    fn force(&self) -> f64 {
+        self.room.aim(self.room_target) - self.room.ratio() * self.relaxation()
+    }
+
+    /// Change of Newton's multiplier with the excess.
+    fn curvature(&self) -> f64 {
+        let (room, overrun) = (self.room.ratio(), self.overrun.ratio());
+        room * overrun / (room + overrun)
+    }
+
+    /// Sets the directions for a change of the excess.
+    fn point(&mut self, moved: f64) {
+        let (room, overrun) = (self.room.ratio(), self.overrun.ratio());
+        let step = self.relaxation() + room / (room + overrun) * moved;
+        self.overrun.point(step, self.overrun_target);
+        self.room.point(step - moved, self.room_target);
+    }
+}
+
+/// The backward sweep: gains and factors of every stage.
+#[inline(always)]
+fn factorise<const FUSED: bool, const INPUTS: usize>(
+    work: &mut [Work<INPUTS>],
+    stages: &[Stage<INPUTS>],
+) -> Result<(), SubproblemError> {
+    let mut value = [[0.0; STATES]; STATES];
+    for (work, stage) in work.iter_mut().zip(stages).rev() {
+        // P of the period's end, from what the stages after it left.
+        work.add_state_curvature::<FUSED>(&mut value);
+        let (a, b) = (&stage.step.state, &stage.step.input);
+        work.pushed_offset = times_vector::<FUSED, STATES, STATES>(&value, &stage.step.next);
+        let value_a = product::<FUSED, STATES, STATES, STATES>(&value, a);
+        // P is symmetric: B' P = (P B)'.
+        let value_b = product::<FUSED, STATES, STATES, INPUTS>(&value, b);
+        let mut factor = transposed_product::<FUSED, STATES, INPUTS, INPUTS>(b, &value_b);
+        for (i, row) in factor.iter_mut().enumerate() {
+            row[i] += work.input_curvature(stage, i);
+        }
+        let cross = transposed_product::<FUSED, STATES, INPUTS, STATES>(b, &value_a);
+        cholesky(&mut factor)?;
+        let mut gain = cross.map(|row| row.map(|entry| -entry));
+        solve_rows::<FUSED, INPUTS, STATES>(&factor, &mut gain);
+        value = transposed_product::<FUSED, STATES, STATES, STATES>(a, &value_a);
+        for (cross, gain) in cross.iter().zip(&gain) {
+            for (value, cross) in value.iter_mut().zip(cross) {
+                add_scaled::<FUSED, STATES>(value, *cross, gain);
+            }
+        }
+        // Rounding must not make P lopsided over a thousand stages.
+        for i in 0..STATES {
+            for j in 0..i {
+                let mean = 0.5 * (value[i][j] + value[j][i]);
+                (value[i][j], value[j][i]) = (mean, mean);
+            }
+        }
+        work.gain = gain;
+        work.factor = factor;
+    }
+    Ok(())
+}
+
+/// Newton's point for the current targets, by the factorisation.
+#[inline(always)]
+fn solve<const FUSED: bool, const INPUTS: usize>(
+    work: &mut [Work<INPUTS>],
+    stages: &[Stage<INPUTS>],
+) {
+    let mut costate = [0.0; STATES];
+    for (work, stage) in work.iter_mut().zip(stages).rev() {
+        let mut pushed = work.state_gradient();
+        for i in 0..STATES {
+            pushed[i] += work.pushed_offset[i] + costate[i];
+        }
+        let mut slope = work.input_gradient(stage);
+        transposed_times::<FUSED, STATES, INPUTS>(&stage.step.input, &pushed, &mut slope);
+        costate = [0.0; STATES];
+        transposed_times::<FUSED, STATES, STATES>(&stage.step.state, &pushed, &mut costate);
+        transposed_times::<FUSED, INPUTS, STATES>(&work.gain, &slope, &mut costate);
+        work.constant = slope.map(|slope| -slope);
+        solve_vector(&work.factor, &mut work.constant);
+    }
+    let mut state = [0.0; STATES];
+    for (work, stage) in work.iter_mut().zip(stages) {
+        let fed_back = times_vector::<FUSED, INPUTS, STATES>(&work.gain, &state);
+        for i in 0..INPUTS {
+            work.next_input[i] = work.constant[i] + fed_back[i];
+        }
+        let by_state = times_vector::<FUSED, STATES, STATES>(&stage.step.state, &state);
+        let by_input = times_vector::<FUSED, STATES, INPUTS>(&stage.step.input, &work.next_input);
+        for i in 0..STATES {
+            state[i] = by_state[i] + by_input[i] + stage.step.next[i];
+        }
+        work.next_state = state;
+        work.point();
+    }
+}
+
+/// `a b + sum`.
+#[inline(always)]
+fn product_sum<const FUSED: bool>(a: f64, b: f64, sum: f64) -> f64 {
+    if FUSED { a.mul_add(b, sum) } else { a * b + sum }
+}
+
+#[inline(always)]
+fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[inline(always)]
+fn add_scaled<const FUSED: bool, const C: usize>(sums: &mut [f64; C], scale: f64, row: &[f64; C]) {
+    for (sum, entry) in sums.iter_mut().zip(row) {
+        *sum = product_sum::<FUSED>(scale, *entry, *sum);
+    }
+}
+
+/// Rows whose sums stay in registers together.
+const BLOCK: usize = 4;
+
+/// `X Y`.
+#[inline(always)]
+fn product<const FUSED: bool, const R: usize, const M: usize, const C: usize>(
+    x: &Matrix<R, M>,
+    y: &Matrix<M, C>,
+) -> Matrix<R, C> {
+    let mut out = [[0.0; C]; R];
+    for (out, x) in out.chunks_mut(BLOCK).zip(x.chunks(BLOCK)) {
+        let mut sums = [[0.0; C]; BLOCK];
+        for (k, y) in y.iter().enumerate() {
+            for (sums, x) in sums.iter_mut().zip(x) {
+                add_scaled::<FUSED, C>(sums, x[k], y);
+            }
+        }
+        out.copy_from_slice(&sums[..out.len()]);
+    }
+    out
+}
+
+/// `X' Y`.
+#[inline(always)]
+fn transposed_product<const FUSED: bool, const M: usize, const R: usize, const C: usize>(
+    x: &Matrix<M, R>,
+    y: &Matrix<M, C>,
+) -> Matrix<R, C> {
+    let mut out = [[0.0; C]; R];
+    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+        let mut sums = [[0.0; C]; BLOCK];
+        for (x, y) in x.iter().zip(y) {
+            for (sums, x) in sums.iter_mut().zip(&x[block * BLOCK..]) {
+                add_scaled::<FUSED, C>(sums, *x, y);
+            }
+        }
+        out.copy_from_slice(&sums[..out.len()]);
+    }
+    out
+}
+
+/// `X v`.
+#[inline(always)]
+fn times_vector<const FUSED: bool, const R: usize, const C: usize>(
+    x: &Matrix<R, C>,
+    v: &[f64; C],
+) -> [f64; R] {
+    let mut out = [0.0; R];
+    for (out, row) in out.iter_mut().zip(x) {
+        let mut sums = [0.0; 4];
+        for (row, v) in row.chunks(4).zip(v.chunks(4)) {
+            for ((sum, entry), v) in sums.iter_mut().zip(row).zip(v) {
+                *sum = product_sum::<FUSED>(*entry, *v, *sum);
+            }
+        }
+        *out = (sums[0] + sums[2]) + (sums[1] + sums[3]);
+    }
+    out
+}
+
+/// Adds `X' v`.
+#[inline(always)]
+fn transposed_times<const FUSED: bool, const R: usize, const C: usize>(
+    x: &Matrix<R, C>,
+    v: &[f64; R],
+    sums: &mut [f64; C],
+) {
+    for (row, v) in x.iter().zip(v) {
+        add_scaled::<FUSED, C>(sums, *v, row);
+    }
+}
+
+/// The lower Cholesky factor in place, its diagonal inverted.
+#[inline(always)]
+fn cholesky<const N: usize>(matrix: &mut Matrix<N, N>) -> Result<(), SubproblemError> {
+    for j in 0..N {
+        let mut pivot = matrix[j][j];
+        for k in 0..j {
+            pivot -= matrix[j][k] * matrix[j][k];
+        }
+        if pivot.is_nan() || pivot <= 0.0 {
+            return Err(SubproblemError::NotFinite);
+        }
+        let inverse = 1.0 / pivot.sqrt();
+        matrix[j][j] = inverse;
+        for i in j + 1..N {
+            let mut entry = matrix[i][j];
+            for k in 0..j {
+                entry -= matrix[i][k] * matrix[j][k];
+            }
+            matrix[i][j] = entry * inverse;
+        }
+    }
+    Ok(())
+}
+
+/// Solves `L L' X = Y` in place.
+#[inline(always)]
+fn solve_rows<const FUSED: bool, const N: usize, const C: usize>(
+    factor: &Matrix<N, N>,
+    rows: &mut Matrix<N, C>,
+) {
+    for i in 0..N {
+        let mut row = rows[i];
+        for k in 0..i {
+            add_scaled::<FUSED, C>(&mut row, -factor[i][k], &rows[k]);
+        }
+        rows[i] = row.map(|entry| entry * factor[i][i]);
+    }
+    for i in (0..N).rev() {
+        let mut row = rows[i];
+        for k in i + 1..N {
+            add_scaled::<FUSED, C>(&mut row, -factor[k][i], &rows[k]);
+        }
+        rows[i] = row.map(|entry| entry * factor[i][i]);
+    }
+}
+
+/// Solves `L L' x = y` in place.
+#[inline(always)]
+fn solve_vector<const N: usize>(factor: &Matrix<N, N>, y: &mut [f64; N]) {
+    for i in 0..N {
+        let mut entry = y[i];
+        for k in 0..i {
+            entry -= factor[i][k] * y[k];
+        }
+        y[i] = entry * factor[i][i];
+    }
+    for i in (0..N).rev() {
+        let mut entry = y[i];
+        for k in i + 1..N {
+            entry -= factor[k][i] * y[k];
+        }
+        y[i] = entry * factor[i][i];
+    }
+}

@@ -1,0 +1,431 @@
+//! From a desired trajectory and a model to a plan.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::Ned;
+use sitl::vehicle::AttitudePd;
+
+use super::conic::Conic;
+use super::desire::{Desire, Weight};
+use super::detour::bend;
+use super::discretisation::CommandedDynamics;
+use super::interior_point::InteriorPoint;
+use super::problem::{
+    ANGLE, InputBounds, InputPreference, KeepOut, Problem, STATES, StateLimits, StateVector, YAW,
+};
+use super::receding::RecedingSettings;
+use super::scp::{Iterate, Outcome, Record, ScpSettings, search};
+use super::subproblem::SubproblemSolver;
+use super::trajectory::{DesiredPoint, Trajectory};
+use crate::control::Limits;
+use crate::model::Model;
+
+/// How plans are made. Weights are per m, m/s, rad and rad/s.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PlanSettings {
+    /// Planned states a second.
+    pub rate_hz: f64,
+    /// What solves the subproblems.
+    pub solver: SolverChoice,
+    /// Weights of position, velocity, attitude and body rate in the distance to the desired state.
+    pub weight: [f64; 4],
+    /// Weight of the inputs' distance to those that the desired trajectory would need without air.
+    pub input_weight: f64,
+    /// Most subproblems.
+    pub subproblems_max: usize,
+    /// First trust region, in units of the inputs' typical sizes.
+    pub trust: f64,
+    /// The search ends where four subproblems together improve the cost by less than this share.
+    pub progress: f64,
+    /// The search ends with what it has after this time, s.
+    pub time_limit_s: f64,
+    /// Plans that are made anew in flight.
+    pub receding: RecedingSettings,
+    /// Regions that the vehicle keeps out of, relative to the take-off point.
+    pub keep_out: Vec<KeepOutSetting>,
+    /// Least and greatest north, east and down of the plan, relative to the take-off point, m.
+    pub box_m: Option<[[f64; 3]; 2]>,
+}
+
+/// What solves the subproblems of a search.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum SolverChoice {
+    /// The Riccati interior point.
+    #[default]
+    InteriorPoint,
+    /// Clarabel, the dynamics as equations.
+    Clarabel,
+    /// Clarabel, the dynamics with an l1 penalty (Schulman et al. 2013; Bansal et al. 2016).
+    Penalty,
+}
+
+/// A region to keep out of. Exactly one of the two is given.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum KeepOutSetting {
+    /// A ball.
+    Sphere {
+        /// North, east, down, m.
+        centre_m: [f64; 3],
+        /// m
+        radius_m: f64,
+    },
+    /// A box along the world's axes.
+    Box {
+        /// Least north, east, down, m.
+        lower_m: [f64; 3],
+        /// Greatest north, east, down, m.
+        upper_m: [f64; 3],
+    },
+}
+
+impl Default for PlanSettings {
+    fn default() -> Self {
+        Self {
+            rate_hz: 100.0,
+            solver: SolverChoice::default(),
+            weight: [1.0, 0.5, 0.2, 0.05],
+            input_weight: 1e-3,
+            subproblems_max: 60,
+            trust: 0.5,
+            progress: 1e-3,
+            time_limit_s: 60.0,
+            receding: RecedingSettings::default(),
+            keep_out: Vec::new(),
+            box_m: None,
+        }
+    }
+}
+
+impl PlanSettings {
+    /// The settings of the search.
+    pub fn search(&self) -> ScpSettings {
+        ScpSettings {
+            subproblems_max: self.subproblems_max,
+            trust: self.trust,
+            progress: self.progress,
+            ..ScpSettings::default()
+        }
+    }
+}
+
+/// Why no plan can be searched.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PlannerError {
+    /// A number of the settings is impossible.
+    #[error("[plan] {field}: expected {expected}, found {found}")]
+    Setting {
+        /// The field.
+        field: &'static str,
+        /// What would be right.
+        expected: &'static str,
+        /// What is there.
+        found: f64,
+    },
+    /// The trajectory has numbers that are none.
+    #[error("trajectory {trajectory}: the desired state at {at_s:.2} s is not finite")]
+    NotFinite {
+        /// The trajectory.
+        trajectory: String,
+        /// When.
+        at_s: f64,
+    },
+    /// The trajectory is longer than can be planned at once.
+    #[error(
+        "trajectory {trajectory}: expected at most {limit_s:.0} s to plan, found {found_s:.0} s"
+    )]
+    TooLong {
+        /// The trajectory.
+        trajectory: String,
+        /// Longest.
+        limit_s: f64,
+        /// Its length.
+        found_s: f64,
+    },
+}
+
+/// What plans are made for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlannedVehicle {
+    /// Effective mass, kg.
+    pub mass_kg: f64,
+    /// m/s^2
+    pub gravity: f64,
+    /// Thrust of all rotors at full output, N.
+    pub thrust_full_n: f64,
+    /// The on-board loop.
+    pub attitude_pd: AttitudePd,
+    /// Bounds of the setpoint.
+    pub limits: Limits,
+}
+
+/// Makes plans for one vehicle through one model.
+#[derive(Clone)]
+pub struct Planner {
+    model: Arc<dyn Model>,
+    vehicle: PlannedVehicle,
+    settings: PlanSettings,
+}
+
+/// Most periods of a plan.
+const PERIODS_MAX: usize = 100_000;
+/// How far the planned yaw and the commanded one may leave the range of the desired, rad.
+const YAW_ROOM: f64 = 1.0;
+
+impl Planner {
+    /// A planner.
+    ///
+    /// # Errors
+    /// [`PlannerError::Setting`].
+    pub fn new(
+        model: Arc<dyn Model>,
+        vehicle: PlannedVehicle,
+        settings: PlanSettings,
+    ) -> Result<Self, PlannerError> {
+        settings.check()?;
+        Ok(Self { model, vehicle, settings })
+    }
+
+    /// The same for plans that begin as the last one goes on: a small trust region, for they are
+    /// near already, and an end where little is gained.
+    pub fn replanning(mut self, subproblems_max: usize) -> Self {
+        self.settings.subproblems_max = subproblems_max;
+        self.settings.trust = self.settings.trust.min(0.1);
+        self.settings.progress = self.settings.progress.max(1e-2);
+        self
+    }
+
+    /// What is planned through.
+    pub fn model(&self) -> &dyn Model {
+        self.model.as_ref()
+    }
+
+    /// The vehicle's effective weight m g, N.
+    pub fn hover_thrust_n(&self) -> f64 {
+        self.vehicle.mass_kg * self.vehicle.gravity
+    }
+
+    /// Time between states, s.
+    pub fn period_s(&self) -> f64 {
+        1.0 / self.settings.rate_hz
+    }
+
+    /// The desired states of a trajectory.
+    ///
+    /// # Errors
+    /// A trajectory that is too long, or with numbers that are not finite.
+    pub fn desire(&self, trajectory: &Trajectory) -> Result<Desire, PlannerError> {
+        let limit_s = PERIODS_MAX as f64 * self.period_s();
+        if trajectory.duration() > limit_s {
+            return Err(PlannerError::TooLong {
+                trajectory: trajectory.name().to_owned(),
+                limit_s,
+                found_s: trajectory.duration(),
+            });
+        }
+        let periods = ((trajectory.duration() / self.period_s()).round() as usize).max(1);
+        self.desire_from(trajectory, 0.0, periods)
+    }
+
+    /// The desired states of a part of a trajectory, which is held at its end.
+    ///
+    /// # Errors
+    /// Numbers that are not finite.
+    pub fn desire_from(
+        &self,
+        trajectory: &Trajectory,
+        from_s: f64,
+        periods: usize,
+    ) -> Result<Desire, PlannerError> {
+        let desire = Desire::new(trajectory, from_s, self.period_s(), periods, &self.weight());
+        let bad = desire.states.iter().position(|state| !state.iter().all(|v| v.is_finite()));
+        match bad {
+            None => Ok(desire),
+            Some(n) => Err(PlannerError::NotFinite {
+                trajectory: trajectory.name().to_owned(),
+                at_s: from_s + n as f64 * self.period_s(),
+            }),
+        }
+    }
+
+    fn weight(&self) -> Weight {
+        Weight {
+            mass_kg: self.vehicle.mass_kg,
+            gravity: self.vehicle.gravity,
+            tilt_max_rad: self.vehicle.limits.tilt_max_rad,
+        }
+    }
+
+    /// Where a search begins: the desired states and inputs, or where they cross a region to keep
+    /// out of, those of a path round it.
+    fn guess(&self, desire: &Desire, problem: &Problem<7>) -> Iterate<7> {
+        let (mut states, period_s) = (desire.states.clone(), self.period_s());
+        if !bend(&mut states, period_s, &problem.keep_out, &problem.limits) {
+            return Iterate { states, inputs: desire.inputs.clone() };
+        }
+        let velocity = |n: usize| Ned::new(states[n][3], states[n][4], states[n][5]);
+        let last = states.len() - 1;
+        let points = (0..states.len()).map(|n| {
+            let state = &states[n];
+            DesiredPoint {
+                position: Ned::new(state[0], state[1], state[2]),
+                velocity: velocity(n),
+                acceleration: (velocity((n + 1).min(last)) - velocity(n)) * (1.0 / period_s),
+                yaw: state[YAW],
+                yaw_rate: 0.0, // follows from yaw
+            }
+        });
+        let Desire { states, inputs } = Desire::along(points, period_s, &self.weight());
+        Iterate { states, inputs }
+    }
+
+    /// The problem of following desired states from `start`.
+    pub fn problem(&self, desire: &Desire, start: StateVector) -> Problem<7> {
+        let [position, velocity, attitude, rate] = self.settings.weight;
+        let mut state_weight = [0.0; STATES];
+        for (weights, weight) in
+            state_weight.chunks_mut(3).zip([position, velocity, attitude, rate])
+        {
+            weights.fill(weight);
+        }
+        Problem {
+            start,
+            desired: desire.states[1..].to_vec(),
+            state_weight,
+            inputs: self.bounds(desire),
+            preference: Some(InputPreference {
+                weight: self.settings.input_weight,
+                inputs: desire.inputs.clone(),
+            }),
+            limits: StateLimits {
+                tilt_max_rad: Some(self.vehicle.limits.tilt_max_rad),
+                body_rate_max_rad_s: Some([self.vehicle.limits.body_rate_max_rad_s; 3]),
+                position: self.settings.box_m.map(|[lower, upper]| (ned(lower), ned(upper))),
+            },
+            keep_out: self.settings.keep_out.iter().map(|region| KeepOut::from(*region)).collect(),
+        }
+    }
+
+    fn bounds(&self, desire: &Desire) -> InputBounds<7> {
+        let Limits {
+            thrust_min, thrust_max, tilt_max_rad: tilt, body_rate_max_rad_s: rate, ..
+        } = self.vehicle.limits;
+        let full = self.vehicle.thrust_full_n;
+        let yaws = desire.states.iter().map(|state| state[ANGLE + 2]);
+        let (least, most) = yaws.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), yaw| {
+            (least.min(yaw), most.max(yaw))
+        });
+        let (least, most) = (least - YAW_ROOM, most + YAW_ROOM);
+        let hover = self.hover_thrust_n();
+        InputBounds {
+            lower: [thrust_min * full, -tilt, -tilt, least, -rate, -rate, -rate],
+            upper: [thrust_max * full, tilt, tilt, most, rate, rate, rate],
+            scale: [hover, ANGLE_SIZE, ANGLE_SIZE, ANGLE_SIZE, RATE_SIZE, RATE_SIZE, RATE_SIZE],
+        }
+    }
+
+    /// Searches the inputs that lead along desired states from `start`. `guess` is where the
+    /// search begins, of the same length; without one, the desired states, bent round the regions
+    /// to keep out of, and the desired inputs.
+    pub fn plan(
+        &self,
+        desire: &Desire,
+        start: StateVector,
+        guess: Option<Iterate<7>>,
+        stop: &dyn Fn(&[Record]) -> bool,
+    ) -> Outcome<7> {
+        let problem = self.problem(desire, start);
+        let dynamics =
+            CommandedDynamics::new(self.model(), self.vehicle.attitude_pd, self.period_s());
+        let mut guess = guess.unwrap_or_else(|| self.guess(desire, &problem));
+        guess.states[0] = start;
+        for input in &mut guess.inputs {
+            *input = problem.inputs.clamp(*input);
+        }
+        let mut solver: Box<dyn SubproblemSolver<7>> = match self.settings.solver {
+            SolverChoice::InteriorPoint => Box::new(InteriorPoint::default()),
+            SolverChoice::Clarabel => Box::new(Conic::equations()),
+            SolverChoice::Penalty => Box::new(Conic::penalised()),
+        };
+        search(&problem, &dynamics, solver.as_mut(), &self.settings.search(), guess, stop)
+    }
+}
+
+/// Typical sizes of the attitude and body rate setpoints, rad and rad/s.
+const ANGLE_SIZE: f64 = 0.3;
+const RATE_SIZE: f64 = 3.0;
+
+fn ned([n, e, d]: [f64; 3]) -> Ned {
+    Ned::new(n, e, d)
+}
+
+impl From<KeepOutSetting> for KeepOut {
+    fn from(setting: KeepOutSetting) -> Self {
+        match setting {
+            KeepOutSetting::Sphere { centre_m, radius_m } => {
+                Self::Sphere { centre: ned(centre_m), radius: radius_m }
+            }
+            KeepOutSetting::Box { lower_m, upper_m } => {
+                Self::Box { lower: ned(lower_m), upper: ned(upper_m) }
+            }
+        }
+    }
+}
+
+impl PlanSettings {
+    fn check(&self) -> Result<(), PlannerError> {
+        let within = |field, value: f64, least: f64, most: f64, expected| {
+            if (least..=most).contains(&value) {
+                Ok(())
+            } else {
+                Err(PlannerError::Setting { field, expected, found: value })
+            }
+        };
+        within("rate_hz", self.rate_hz, 1.0, 1000.0, "1 to 1000 Hz")?;
+        within("input_weight", self.input_weight, 1e-9, 1e9, "a weight above 0")?;
+        within("trust", self.trust, 1e-6, 1e3, "a size above 0")?;
+        within("progress", self.progress, 0.0, 1.0, "a share")?;
+        let RecedingSettings { period_s, horizon_s, lead_s, subproblems_max } = self.receding;
+        within("receding.period_s", period_s, 1e-3, 10.0, "1 ms to 10 s")?;
+        within("receding.horizon_s", horizon_s, 0.05, 60.0, "0.05 to 60 s")?;
+        within("receding.lead_s", lead_s, 0.0, 0.5 * horizon_s, "at most half the horizon")?;
+        within("receding.subproblems_max", subproblems_max as f64, 1.0, 1e4, "1 or more")?;
+        within("subproblems_max", self.subproblems_max as f64, 1.0, 1e6, "1 or more")?;
+        within("time_limit_s", self.time_limit_s, 0.0, 1e9, "a time of at least 0")?;
+        for weight in self.weight {
+            within("weight", weight, 0.0, 1e6, "weights of at least 0")?;
+        }
+        if self.weight.iter().all(|weight| *weight == 0.0) {
+            return Err(PlannerError::Setting {
+                field: "weight",
+                expected: "a weight above 0",
+                found: 0.0,
+            });
+        }
+        if let Some([lower, upper]) = self.box_m {
+            for (lower, upper) in lower.into_iter().zip(upper) {
+                within("box_m", upper - lower, 0.0, f64::MAX, "a greatest not below the least")?;
+            }
+        }
+        for region in &self.keep_out {
+            match region {
+                KeepOutSetting::Sphere { centre_m, radius_m } => {
+                    within("keep_out.sphere", *radius_m, 0.0, 1e6, "a radius of at least 0")?;
+                    for c in centre_m {
+                        within("keep_out.sphere", *c, -1e6, 1e6, "a position")?;
+                    }
+                }
+                KeepOutSetting::Box { lower_m, upper_m } => {
+                    for (lower, upper) in lower_m.iter().zip(upper_m) {
+                        within("keep_out.box", upper - lower, 0.0, 1e6, "upper not below lower")?;
+                        within("keep_out.box", *lower, -1e6, 1e6, "a position")?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,361 @@
+//! A plan that is made anew while it is flown: from where the vehicle is, over a horizon that
+//! recedes.
+//!
+//! The control tick only ever reads the newest plan that is ready and hands over where the vehicle
+//! is; it never waits. A plan that is late is used as far as it still reaches, one that fails is
+//! not used, and where none reaches to, the desired trajectory itself is the reference.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use serde::{Deserialize, Serialize};
+use sitl::rigid_body::State;
+
+use super::discretisation::{CommandedDynamics, Dynamics};
+use super::model_free::model_free;
+use super::planned::{Answer, NotFlyable, PlannedReference, check_violation};
+use super::planner::Planner;
+use super::problem::{STATES, StateVector, YAW};
+use super::reference::ReferenceSource;
+use super::scp::{Iterate, Outcome};
+use super::trajectory::Trajectory;
+use crate::setpoint::Reference;
+
+/// How plans follow one another.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecedingSettings {
+    /// Time from one plan to the next, s.
+    pub period_s: f64,
+    /// Length of a plan, s.
+    pub horizon_s: f64,
+    /// From the state that a plan is made from to where the plan begins, s: the time that planning
+    /// may take.
+    pub lead_s: f64,
+    /// Most subproblems of a plan.
+    pub subproblems_max: usize,
+}
+
+impl Default for RecedingSettings {
+    fn default() -> Self {
+        Self { period_s: 0.1, horizon_s: 1.0, lead_s: 0.05, subproblems_max: 6 }
+    }
+}
+
+/// A plan from a time on.
+#[derive(Clone, Debug)]
+struct Stretch {
+    /// Seconds into the trajectory at which it begins.
+    from_s: f64,
+    reference: PlannedReference,
+    iterate: Iterate<7>,
+}
+
+impl Stretch {
+    fn reaches(&self, t: f64) -> bool {
+        (self.from_s..self.from_s + self.reference.duration()).contains(&t)
+    }
+}
+
+/// What is to be followed, and the stretches that were planned: the one in use and the next.
+struct Board {
+    goal: Mutex<Arc<Trajectory>>,
+    /// The newest stretch is at `newest`; the other one is older. A reader never waits for a
+    /// writer: while one slot is written, the other is read.
+    slots: [Mutex<Option<Arc<Stretch>>>; 2],
+    newest: AtomicUsize,
+}
+
+impl Board {
+    /// The newest stretch that reaches to `t`.
+    fn at(&self, t: f64) -> Option<Arc<Stretch>> {
+        let newest = self.newest.load(Ordering::Acquire);
+        [newest, 1 - newest].into_iter().find_map(|slot| {
+            let stretch = self.slots[slot].try_lock().ok()?.clone()?;
+            stretch.reaches(t).then_some(stretch)
+        })
+    }
+
+    fn publish(&self, stretch: Stretch) {
+        let older = 1 - self.newest.load(Ordering::Acquire);
+        if let Ok(mut slot) = self.slots[older].lock() {
+            *slot = Some(Arc::new(stretch));
+        }
+        self.newest.store(older, Ordering::Release);
+    }
+
+    fn clear(&self) {
+        for slot in &self.slots {
+            if let Ok(mut slot) = slot.lock() {
+                *slot = None;
+            }
+        }
+    }
+
+    fn goal(&self) -> Option<Arc<Trajectory>> {
+        self.goal.lock().ok().map(|goal| Arc::clone(&goal))
+    }
+}
+
+/// Makes plans from states; the work behind a [`RecedingReference`].
+struct Replanner {
+    planner: Planner,
+    answer: Answer,
+    settings: RecedingSettings,
+    board: Arc<Board>,
+}
+
+/// Where the vehicle was seen.
+#[derive(Clone, Copy, Debug)]
+struct Sighting {
+    /// Seconds into the trajectory.
+    t: f64,
+    state: StateVector,
+}
+
+/// When the next plan is due.
+#[derive(Clone, Copy, Debug, Default)]
+struct Due {
+    last_s: f64,
+    next_s: f64,
+}
+
+impl Due {
+    fn is_due(&mut self, t: f64, replanner: &Replanner) -> bool {
+        if t < self.last_s {
+            // Another flight begins.
+            replanner.board.clear();
+            self.next_s = t;
+        }
+        self.last_s = t;
+        let is_due = t >= self.next_s;
+        if is_due {
+            self.next_s = t + replanner.settings.period_s;
+        }
+        is_due
+    }
+}
+
+/// Why no plan was made from a state.
+#[derive(Debug, thiserror::Error)]
+enum ReplanError {
+    #[error(transparent)]
+    Planner(#[from] super::planner::PlannerError),
+    #[error(transparent)]
+    NotFlyable(#[from] NotFlyable),
+    #[error("there is no goal")]
+    NoGoal,
+}
+
+impl Replanner {
+    fn new(goal: Trajectory, planner: Planner, answer: Answer, settings: RecedingSettings) -> Self {
+        let board = Arc::new(Board {
+            goal: Mutex::new(Arc::new(goal)),
+            slots: [Mutex::new(None), Mutex::new(None)],
+            newest: AtomicUsize::new(0),
+        });
+        let planner = planner.replanning(settings.subproblems_max);
+        Self { planner, answer, settings, board }
+    }
+
+    /// Plans from a state, and publishes the plan if it holds.
+    fn replan(&self, seen: &Sighting) -> Result<(), ReplanError> {
+        let goal = self.board.goal().ok_or(ReplanError::NoGoal)?;
+        let period = self.planner.period_s();
+        let lead = (self.settings.lead_s / period).round() as usize;
+        let from_s = seen.t + lead as f64 * period;
+        let periods = (self.settings.horizon_s / period).round().max(1.0) as usize;
+        let desire = self.planner.desire_from(&goal, from_s, periods)?;
+
+        let before = self.board.at(seen.t);
+        let start = self.foreseen(seen, lead, before.as_deref(), &desire.states[0]);
+        // The last plan, as far as it reaches into this one.
+        let guess = before.map(|stretch| {
+            let mut guess =
+                Iterate { states: desire.states.clone(), inputs: desire.inputs.clone() };
+            let skipped = ((from_s - stretch.from_s) / period).round() as usize;
+            let old = &stretch.iterate;
+            for (input, old) in guess.inputs.iter_mut().zip(old.inputs.iter().skip(skipped)) {
+                *input = *old;
+            }
+            for (state, old) in guess.states.iter_mut().zip(old.states.iter().skip(skipped)) {
+                *state = *old;
+            }
+            guess
+        });
+        let outcome: Outcome<7> = self.planner.plan(&desire, start, guess, &|_| false);
+        check_violation(outcome.status, &outcome.violation)?;
+        let Outcome { iterate, .. } = outcome;
+        let reference =
+            PlannedReference::of(&iterate.states, &iterate.inputs, period, &self.answer);
+        self.board.publish(Stretch { from_s, reference, iterate });
+        Ok(())
+    }
+
+    /// The state some periods after it was seen, by the model and the inputs that are being sent.
+    /// Yaw is brought to the turn of the desired one.
+    fn foreseen(
+        &self,
+        seen: &Sighting,
+        periods: usize,
+        stretch: Option<&Stretch>,
+        desired: &StateVector,
+    ) -> StateVector {
+        let mut state = seen.state;
+        let turn = std::f64::consts::TAU;
+        state[YAW] += ((desired[YAW] - state[YAW]) / turn).round() * turn;
+        let Some(stretch) = stretch else { return state };
+        let dynamics = CommandedDynamics::new(
+            self.planner.model(),
+            self.answer.attitude_pd,
+            self.planner.period_s(),
+        );
+        let first = ((seen.t - stretch.from_s) / self.planner.period_s()).round() as usize;
+        for input in stretch.iterate.inputs.iter().skip(first).take(periods) {
+            state = dynamics.step(&state, input);
+        }
+        state
+    }
+}
+
+/// Who makes the plans.
+enum Work {
+    /// The caller, when a plan is due: for flights on a virtual clock, where planning takes no time.
+    Inline { replanner: Box<Replanner>, due: Mutex<Due> },
+    /// A thread of its own, which is told where the vehicle is.
+    Thread(SyncSender<Sighting>),
+}
+
+/// A reference that follows a desired trajectory by plans that are made anew in flight.
+pub struct RecedingReference {
+    board: Arc<Board>,
+    work: Work,
+    hover_thrust_n: f64,
+    voltage_exponent: f64,
+}
+
+/// Moves the goal of a [`RecedingReference`] in flight.
+#[derive(Clone)]
+pub struct Goal {
+    board: Arc<Board>,
+}
+
+impl Goal {
+    /// From the next plan on, another trajectory is followed, at the same time along it.
+    pub fn move_to(&self, trajectory: Trajectory) {
+        if let Ok(mut goal) = self.board.goal.lock() {
+            *goal = Arc::new(trajectory);
+        }
+    }
+}
+
+impl RecedingReference {
+    /// Plans on a thread of its own, which ends with the reference.
+    ///
+    /// # Errors
+    /// Where the system gives no thread.
+    pub fn threaded(
+        goal: Trajectory,
+        planner: Planner,
+        answer: Answer,
+        settings: RecedingSettings,
+    ) -> std::io::Result<Self> {
+        let hover_thrust_n = planner.hover_thrust_n();
+        let replanner = Replanner::new(goal, planner, answer, settings);
+        let board = Arc::clone(&replanner.board);
+        // Room for one: while a plan is made, what else is seen is dropped.
+        let (sender, receiver) = sync_channel(1);
+        thread::Builder::new()
+            .name("replanning".to_owned())
+            .spawn(move || work(&replanner, &receiver))?;
+        let voltage_exponent = answer.voltage_exponent;
+        Ok(Self { board, work: Work::Thread(sender), hover_thrust_n, voltage_exponent })
+    }
+
+    /// Plans inside of [`ReferenceSource::observe`], on the clock that the times are of.
+    pub fn inline(
+        goal: Trajectory,
+        planner: Planner,
+        answer: Answer,
+        settings: RecedingSettings,
+    ) -> Self {
+        let hover_thrust_n = planner.hover_thrust_n();
+        let replanner = Box::new(Replanner::new(goal, planner, answer, settings));
+        Self {
+            board: Arc::clone(&replanner.board),
+            work: Work::Inline { replanner, due: Mutex::new(Due::default()) },
+            hover_thrust_n,
+            voltage_exponent: answer.voltage_exponent,
+        }
+    }
+
+    /// What moves the goal in flight.
+    pub fn goal(&self) -> Goal {
+        Goal { board: Arc::clone(&self.board) }
+    }
+}
+
+/// Makes plans from what is seen, until nobody sees any more. Between two plans is at least the
+/// period, in the vehicle's time.
+fn work(replanner: &Replanner, seen: &Receiver<Sighting>) {
+    let mut due = Due::default();
+    while let Ok(sighting) = seen.recv() {
+        if !due.is_due(sighting.t, replanner) {
+            continue;
+        }
+        if let Err(error) = replanner.replan(&sighting) {
+            tracing::warn!("no new plan at {:.2} s: {error}", sighting.t);
+        }
+    }
+}
+
+impl ReferenceSource for RecedingReference {
+    fn duration(&self) -> f64 {
+        self.board.goal().map_or(0.0, |goal| goal.duration())
+    }
+
+    fn sample(&self, t: f64) -> Reference {
+        if let Some(stretch) = self.board.at(t) {
+            return stretch.reference.sample(t - stretch.from_s);
+        }
+        match self.board.goal() {
+            Some(goal) => model_free(&goal, t, self.hover_thrust_n),
+            None => Reference::default(),
+        }
+    }
+
+    fn voltage_exponent(&self) -> f64 {
+        self.voltage_exponent
+    }
+
+    fn observe(&self, t: f64, state: &State) {
+        let sighting = Sighting { t, state: state_vector(state) };
+        match &self.work {
+            Work::Inline { replanner, due } => {
+                if !due.lock().is_ok_and(|mut due| due.is_due(t, replanner)) {
+                    return;
+                }
+                if let Err(error) = replanner.replan(&sighting) {
+                    tracing::warn!("no new plan at {t:.2} s: {error}");
+                }
+            }
+            Work::Thread(sender) => match sender.try_send(sighting) {
+                // Full: the planner is at work. Gone: it can only have panicked; the desired
+                // trajectory is what is left.
+                Ok(()) | Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {}
+            },
+        }
+    }
+}
+
+fn state_vector(state: &State) -> StateVector {
+    let mut vector = [0.0; STATES];
+    let angles = state.attitude.euler();
+    vector[..3].copy_from_slice(&state.position.to_array());
+    vector[3..6].copy_from_slice(&state.velocity.to_array());
+    vector[6..9].copy_from_slice(&[angles.roll, angles.pitch, angles.yaw]);
+    vector[9..].copy_from_slice(&state.body_rate.to_array());
+    vector
+}

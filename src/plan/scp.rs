@@ -1,0 +1,520 @@
+//! Sequential convex programming: a feasible plan near a desired trajectory, through a model.
+//!
+//! Around an iterate the dynamics are linear and the subproblem convex; its solution is tried, and
+//! a trust region grows or shrinks by how well the prediction came true (Schulman et al. 2013,
+//! "Finding locally optimal, collision-free trajectories with sequential convex optimization").
+//! Two ways to try a solution:
+//!
+//! - where the solver gives feedback gains, the inputs are rolled out through the model under that
+//!   feedback, so that every iterate obeys the dynamics to rounding, also where the vehicle is
+//!   unstable in open loop;
+//! - where it does not, states and inputs are taken as they are, and what they miss of the dynamics
+//!   costs an l1 penalty that is raised until nothing is missed: the paper's form.
+
+use serde::{Deserialize, Serialize};
+
+use super::discretisation::Dynamics;
+use super::problem::{Problem, STATES, StateVector};
+use super::subproblem::{
+    DynamicsForm, Solution, Stage, Subproblem, SubproblemError, SubproblemSolver, TRUST_SHAPE,
+};
+
+/// How a plan is searched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScpSettings {
+    /// Most subproblems.
+    pub subproblems_max: usize,
+    /// Size of the first trust region, in scaled inputs.
+    pub trust: f64,
+    /// The search ends where a subproblem promises less than this share of the cost,
+    pub tolerance: f64,
+    /// or where four subproblems together improve by less than this share.
+    pub progress: f64,
+    /// Largest defect of the dynamics, in any state, of a plan that is called feasible.
+    pub defect_max: f64,
+    /// Largest overrun of a bound of the state (m, rad, rad/s) of such a plan.
+    pub overrun_max: f64,
+}
+
+impl Default for ScpSettings {
+    fn default() -> Self {
+        Self {
+            subproblems_max: 60,
+            trust: 0.5,
+            tolerance: 1e-6,
+            progress: 1e-3,
+            defect_max: 1e-6,
+            overrun_max: 1e-4,
+        }
+    }
+}
+
+/// How a search ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Status {
+    /// No subproblem promises to improve the plan.
+    Converged,
+    /// No step improves the plan, though the subproblem promises it: the best this search finds.
+    /// Plans through networks end so, at the kinks of their units.
+    Stalled,
+    /// The most subproblems were solved.
+    SubproblemLimit,
+    /// It was told to stop.
+    Stopped,
+    /// A subproblem could not be solved.
+    Failed,
+}
+
+impl Status {
+    /// For people.
+    pub fn in_words(self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::Stalled => "as good as this search finds",
+            Self::SubproblemLimit => "the best of the subproblems allowed",
+            Self::Stopped => "the best before it was stopped",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// States and inputs over the horizon.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Iterate<const INPUTS: usize> {
+    /// `s_0 .. s_N`.
+    pub states: Vec<StateVector>,
+    /// `u_0 .. u_{N-1}`.
+    pub inputs: Vec<[f64; INPUTS]>,
+}
+
+/// What an iterate misses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Violation {
+    /// Largest defect of the dynamics in any state.
+    pub defect: f64,
+    /// Largest overrun of the state's bounds, summed over a state's bounds (m, rad, rad/s).
+    pub overrun: f64,
+}
+
+/// One subproblem of a search.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Cost after it.
+    pub cost: f64,
+    /// Violation after it.
+    pub violation: Violation,
+    /// Trust region of the subproblem.
+    pub trust: f64,
+    /// Improvement that the subproblem promised, penalties included.
+    pub promised: f64,
+    /// Improvement that was found.
+    pub found: f64,
+    /// Share of the step that was taken; 0 where it was refused.
+    pub share: f64,
+    /// Iterations of the subproblem's solver.
+    pub solver_iterations: usize,
+}
+
+/// The result of a search: an outcome, not an error.
+#[derive(Clone, Debug)]
+pub struct Outcome<const INPUTS: usize> {
+    /// Why it ended.
+    pub status: Status,
+    /// The best iterate.
+    pub iterate: Iterate<INPUTS>,
+    /// Its cost.
+    pub cost: f64,
+    /// Its violation.
+    pub violation: Violation,
+    /// The subproblems, in order.
+    pub records: Vec<Record>,
+}
+
+/// Shares of a step that are tried under feedback.
+const SHARES: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
+/// A step counts as good from this share of the promised improvement on.
+const GOOD: f64 = 0.5;
+/// A step is taken from this share of the promised improvement on.
+const ENOUGH: f64 = 1e-2;
+/// Share of the last slopes that is kept where they did not promise well: at a kink of a network's
+/// unit the slopes of either side promise what their mean does not (the idea of bundle methods).
+const MEMORY: f64 = 0.5;
+/// Subproblems whose improvements are looked at together.
+const PATIENCE: usize = 4;
+/// Change of the trust region where a step is refused.
+const SHRINK: f64 = 0.25;
+/// The search ends where the trust region is smaller.
+const TRUST_MIN: f64 = 1e-6;
+const TRUST_MAX: f64 = 1e3;
+/// Trust region below which a subproblem that cannot be solved ends the search.
+const GIVE_UP: f64 = 1e-3;
+/// Least trust region after the penalties were raised.
+const AFRESH: f64 = 1e-2;
+/// Cost of a unit of overrun at first, and below what it is raised to at most.
+const ROW_PENALTY: f64 = 10.0;
+/// The same where there are regions to keep out of: to cut through a thin one must cost more than
+/// to go round it.
+const REGION_PENALTY: f64 = 100.0;
+const ROW_PENALTY_MAX: f64 = 1e5;
+
+impl<const INPUTS: usize> Iterate<INPUTS> {
+    /// The desired states with one input throughout.
+    pub fn desired(problem: &Problem<INPUTS>, input: [f64; INPUTS]) -> Self {
+        let mut states = vec![problem.start];
+        states.extend_from_slice(&problem.desired);
+        Self { states, inputs: vec![input; problem.horizon()] }
+    }
+
+    fn cost(&self, problem: &Problem<INPUTS>) -> f64 {
+        (0..self.inputs.len()).map(|n| problem.cost(n, &self.states[n + 1], &self.inputs[n])).sum()
+    }
+
+    fn overrun(&self, problem: &Problem<INPUTS>) -> (f64, f64) {
+        let each = self.states[1..].iter().map(|state| problem.excess(state));
+        each.fold((0.0, 0.0), |(sum, most), one| (sum + one, f64::max(most, one)))
+    }
+
+    /// Sum and largest of the defects' components.
+    fn defect(&self, dynamics: &impl Dynamics<INPUTS>) -> (f64, f64) {
+        let (mut sum, mut most) = (0.0, 0.0_f64);
+        for (pair, input) in self.states.windows(2).zip(&self.inputs) {
+            let next = dynamics.step(&pair[0], input);
+            for (next, state) in next.iter().zip(&pair[1]) {
+                let defect = (next - state).abs();
+                sum += defect;
+                most = if defect.is_nan() { f64::NAN } else { most.max(defect) };
+            }
+        }
+        (sum, most)
+    }
+}
+
+/// The search's state.
+struct Search<'a, const INPUTS: usize, D> {
+    problem: &'a Problem<INPUTS>,
+    dynamics: &'a D,
+    iterate: Iterate<INPUTS>,
+    cost: f64,
+    /// Sum of overruns, and of defects, with their penalties.
+    overrun: f64,
+    defect: f64,
+    row_penalty: f64,
+    defect_penalty: f64,
+}
+
+/// Searches a plan from `guess`.
+///
+/// `stop` is shown the subproblems so far before each new one, and ends the search.
+pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
+    problem: &Problem<INPUTS>,
+    dynamics: &D,
+    solver: &mut dyn SubproblemSolver<INPUTS>,
+    settings: &ScpSettings,
+    guess: Iterate<INPUTS>,
+    stop: &dyn Fn(&[Record]) -> bool,
+) -> Outcome<INPUTS> {
+    let mut search = Search::new(problem, dynamics, guess);
+    let mut subproblem = search.subproblem();
+    let mut solution = Solution::default();
+    let mut records: Vec<Record> = Vec::new();
+    let mut trust = settings.trust;
+    let mut status = Status::SubproblemLimit;
+    let (mut moved, mut memory) = (true, 0.0);
+    // Subproblems before the penalties were last raised.
+    let mut earlier = 0;
+    while records.len() < settings.subproblems_max {
+        if stop(&records) {
+            status = Status::Stopped;
+            break;
+        }
+        if moved {
+            search.linearize(&mut subproblem, memory);
+        }
+        let last = records.last().map_or(0.0, |record| record.found);
+        search.bound(&mut subproblem, trust, solver, settings.tolerance, last);
+        if let Err(error) = solver.solve(&subproblem, &mut solution) {
+            records.push(search.record(trust, Attempt::default(), 0));
+            if trust < GIVE_UP || error == SubproblemError::Form {
+                status = Status::Failed;
+                break;
+            }
+            (trust, moved) = (SHRINK * trust, false);
+            continue;
+        }
+        let step = size(&solution);
+        let tried = search.attempt(&subproblem, &solution);
+        records.push(search.record(trust, tried, solution.iterations));
+        let Attempt { promised, found, share } = tried;
+        moved = share > 0.0;
+        let good = found > GOOD * promised;
+        memory = if good || records.len() < PATIENCE { 0.0 } else { MEMORY };
+        if !moved {
+            trust = SHRINK * step.min(trust);
+        } else if share < 1.0 {
+            trust = trust.min(share * step);
+        } else if good && step > 0.9 * trust {
+            trust = (2.0 * trust).min(TRUST_MAX);
+        }
+        let unit = 1.0 + search.cost;
+        let done = promised.abs() < settings.tolerance * unit
+            || slow(&records[earlier..], settings.progress * unit);
+        if done || trust < TRUST_MIN {
+            if search.is_violated(settings) && search.raise() {
+                (trust, moved, earlier) = (trust.max(AFRESH), true, records.len());
+                continue;
+            }
+            status = if done { Status::Converged } else { Status::Stalled };
+            break;
+        }
+    }
+    let (_, defect) = search.iterate.defect(dynamics);
+    let (_, overrun) = search.iterate.overrun(problem);
+    Outcome {
+        status,
+        cost: search.cost,
+        violation: Violation { defect, overrun },
+        iterate: search.iterate,
+        records,
+    }
+}
+
+/// Whether the last subproblems together improved by less than `least`.
+fn slow(records: &[Record], least: f64) -> bool {
+    let taken = |record: &Record| if record.share > 0.0 { record.found } else { 0.0 };
+    let last = records.len().checked_sub(PATIENCE).and_then(|first| records.get(first..));
+    last.is_some_and(|last| last.iter().map(taken).sum::<f64>() < least)
+}
+
+/// What came of a subproblem's solution.
+#[derive(Clone, Copy, Debug, Default)]
+struct Attempt {
+    /// Improvement of the merit that the subproblem promised.
+    promised: f64,
+    /// And that was found.
+    found: f64,
+    /// Share of the step that was taken; 0 where it was refused.
+    share: f64,
+}
+
+impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
+    fn new(problem: &'a Problem<INPUTS>, dynamics: &'a D, iterate: Iterate<INPUTS>) -> Self {
+        let cost = iterate.cost(problem);
+        let (overrun, _) = iterate.overrun(problem);
+        let (defect, _) = iterate.defect(dynamics);
+        Self {
+            problem,
+            dynamics,
+            iterate,
+            cost,
+            overrun,
+            defect,
+            row_penalty: if problem.keep_out.is_empty() { ROW_PENALTY } else { REGION_PENALTY },
+            // Above the largest multiplier: a defect of the first step is paid in every later one.
+            defect_penalty: 2.0 * problem.horizon() as f64,
+        }
+    }
+
+    /// A subproblem of the right size.
+    fn subproblem(&self) -> Subproblem<INPUTS> {
+        let stage = Stage {
+            step: self.dynamics.linearize(&self.iterate.states[0], &self.iterate.inputs[0]),
+            error: [0.0; STATES],
+            input_gradient: [0.0; INPUTS],
+            input_curvature: 0.0,
+            lower: [0.0; INPUTS],
+            upper: [0.0; INPUTS],
+            rows: Vec::new(),
+        };
+        Subproblem {
+            stages: vec![stage; self.problem.horizon()],
+            state_weight: self.problem.state_weight,
+            row_penalty: self.row_penalty,
+            dynamics: DynamicsForm::Equations,
+            tolerance: 0.0,
+        }
+    }
+
+    /// Puts the subproblem around the iterate. `memory` is the share of the last slopes that is
+    /// kept.
+    fn linearize(&self, subproblem: &mut Subproblem<INPUTS>, memory: f64) {
+        let Iterate { states, inputs } = &self.iterate;
+        let scale = &self.problem.inputs.scale;
+        for (n, stage) in subproblem.stages.iter_mut().enumerate() {
+            let before = stage.step;
+            let step = &mut stage.step;
+            *step = self.dynamics.linearize(&states[n], &inputs[n]);
+            let end = &states[n + 1];
+            for (i, end) in end.iter().enumerate() {
+                step.next[i] -= end;
+                for (entry, scale) in step.input[i].iter_mut().zip(scale) {
+                    *entry *= scale;
+                }
+                if memory > 0.0 {
+                    blend(&mut step.state[i], &before.state[i], memory);
+                    blend(&mut step.input[i], &before.input[i], memory);
+                }
+            }
+            let desired = &self.problem.desired[n];
+            stage.error =
+                std::array::from_fn(|i| self.problem.state_weight[i] * (end[i] - desired[i]));
+            if let Some(preference) = &self.problem.preference {
+                stage.input_curvature = preference.weight;
+                stage.input_gradient = std::array::from_fn(|i| {
+                    preference.weight * (inputs[n][i] - preference.inputs[n][i]) / scale[i]
+                });
+            }
+            self.problem.rows_near(end, &mut stage.rows);
+        }
+    }
+
+    /// Sets the trust region and the penalties. `last` is the improvement of the last subproblem:
+    /// the next need not be solved to much less.
+    fn bound(
+        &self,
+        subproblem: &mut Subproblem<INPUTS>,
+        trust: f64,
+        solver: &dyn SubproblemSolver<INPUTS>,
+        tolerance: f64,
+        last: f64,
+    ) {
+        let bounds = &self.problem.inputs;
+        for (stage, input) in subproblem.stages.iter_mut().zip(&self.iterate.inputs) {
+            for (i, input) in input.iter().enumerate() {
+                stage.lower[i] = ((bounds.lower[i] - input) / bounds.scale[i]).clamp(-trust, 0.0);
+                stage.upper[i] = ((bounds.upper[i] - input) / bounds.scale[i]).clamp(0.0, trust);
+            }
+        }
+        subproblem.row_penalty = self.row_penalty;
+        subproblem.dynamics = solver.dynamics(self.defect_penalty, trust);
+        subproblem.tolerance = 0.1 * (tolerance * (1.0 + self.cost)).max(0.1 * last);
+    }
+
+    fn merit(&self) -> f64 {
+        self.cost + self.row_penalty * self.overrun + self.defect_penalty * self.defect
+    }
+
+    /// Tries a solution, and moves there if it is an improvement.
+    fn attempt(&mut self, subproblem: &Subproblem<INPUTS>, solution: &Solution<INPUTS>) -> Attempt {
+        let promised = self.defect_penalty * (self.defect - subproblem.defect(solution))
+            - subproblem.change(solution);
+        let has_feedback = !solution.gains.is_empty();
+        let shares = if has_feedback { SHARES.as_slice() } else { &SHARES[..1] };
+        let mut most = f64::NEG_INFINITY;
+        for share in shares {
+            let (iterate, defect) = if has_feedback {
+                let Some(iterate) = self.rolled_out(solution, *share) else { continue };
+                (iterate, 0.0)
+            } else {
+                let iterate = self.shifted(solution);
+                let (defect, _) = iterate.defect(self.dynamics);
+                (iterate, defect)
+            };
+            let candidate = Self {
+                cost: iterate.cost(self.problem),
+                overrun: iterate.overrun(self.problem).0,
+                defect,
+                iterate,
+                ..*self
+            };
+            let found = self.merit() - candidate.merit();
+            most = most.max(found);
+            // A promise below 0 is the quadratic model's fault: what was found then decides.
+            if found > ENOUGH * share * promised.max(0.0) && found.is_finite() {
+                *self = candidate;
+                return Attempt { promised, found, share: *share };
+            }
+        }
+        Attempt { promised, found: most.max(f64::MIN), share: 0.0 }
+    }
+
+    /// The solution taken as it is, inputs within their bounds.
+    fn shifted(&self, solution: &Solution<INPUTS>) -> Iterate<INPUTS> {
+        let mut iterate = self.iterate.clone();
+        for (state, d) in iterate.states[1..].iter_mut().zip(&solution.states) {
+            for (state, d) in state.iter_mut().zip(d) {
+                *state += d;
+            }
+        }
+        let bounds = &self.problem.inputs;
+        for (input, w) in iterate.inputs.iter_mut().zip(&solution.inputs) {
+            *input = bounds.clamp(std::array::from_fn(|i| input[i] + bounds.scale[i] * w[i]));
+        }
+        iterate
+    }
+
+    /// The inputs of a share of the solution, rolled out through the dynamics under its feedback;
+    /// nothing where the states leave every measure.
+    fn rolled_out(&self, solution: &Solution<INPUTS>, share: f64) -> Option<Iterate<INPUTS>> {
+        let bounds = &self.problem.inputs;
+        let mut states = Vec::with_capacity(self.iterate.states.len());
+        let mut inputs = Vec::with_capacity(self.iterate.inputs.len());
+        let mut state = self.problem.start;
+        states.push(state);
+        for n in 0..self.iterate.inputs.len() {
+            let ahead: StateVector = std::array::from_fn(|i| {
+                let d = if n > 0 { solution.states[n - 1][i] } else { 0.0 };
+                state[i] - self.iterate.states[n][i] - share * d
+            });
+            let input = std::array::from_fn(|i| {
+                let fed_back: f64 =
+                    solution.gains[n][i].iter().zip(&ahead).map(|(gain, ahead)| gain * ahead).sum();
+                self.iterate.inputs[n][i]
+                    + bounds.scale[i] * (share * solution.inputs[n][i] + fed_back)
+            });
+            let input = bounds.clamp(input);
+            state = self.dynamics.step(&state, &input);
+            if !state.iter().all(|value| value.abs() < BEYOND_MEASURE) {
+                return None;
+            }
+            states.push(state);
+            inputs.push(input);
+        }
+        Some(Iterate { states, inputs })
+    }
+
+    /// Whether the iterate is not yet feasible.
+    fn is_violated(&self, settings: &ScpSettings) -> bool {
+        let (_, defect) = self.iterate.defect(self.dynamics);
+        let (_, overrun) = self.iterate.overrun(self.problem);
+        defect > settings.defect_max || overrun > settings.overrun_max
+    }
+
+    /// Raises the penalties; false where they are as high as is of use.
+    fn raise(&mut self) -> bool {
+        if self.row_penalty >= ROW_PENALTY_MAX {
+            return false;
+        }
+        self.row_penalty *= 10.0;
+        self.defect_penalty *= 10.0;
+        true
+    }
+
+    fn record(&self, trust: f64, tried: Attempt, solver_iterations: usize) -> Record {
+        let (_, overrun) = self.iterate.overrun(self.problem);
+        let Attempt { promised, found, share } = tried;
+        let violation = Violation { defect: self.defect, overrun };
+        Record { cost: self.cost, violation, trust, promised, found, share, solver_iterations }
+    }
+}
+
+/// Moves values to `share` of others.
+fn blend<const N: usize>(values: &mut [f64; N], others: &[f64; N], share: f64) {
+    for (value, other) in values.iter_mut().zip(others) {
+        *value += share * (other - *value);
+    }
+}
+
+/// A roll-out with a state beyond this (m, m/s, rad, rad/s) is given up.
+const BEYOND_MEASURE: f64 = 1e4;
+
+/// Size of a step, in units of the trust region.
+fn size<const INPUTS: usize>(solution: &Solution<INPUTS>) -> f64 {
+    let inputs = solution.inputs.iter().flatten().fold(0.0_f64, |most, w| most.max(w.abs()));
+    if !solution.gains.is_empty() {
+        return inputs; // the states follow from them
+    }
+    solution.states.iter().fold(inputs, |most, d| {
+        d.iter().zip(&TRUST_SHAPE).fold(most, |most, (d, shape)| most.max(d.abs() / shape))
+    })
+}

@@ -1,0 +1,219 @@
+//! The page of a plan's report.
+
+use sitl::frame::Ned;
+
+use super::axis::significant;
+use super::chart::{Chart, Curve, Panel, Style};
+use super::page::{Mood, Page};
+use super::scene::Scene;
+use super::table::{Table, definitions};
+use crate::control::Limits;
+use crate::plan::planned::Plan;
+use crate::plan::problem::StateVector;
+
+const STATES: [&str; 12] = [
+    "north (m)",
+    "east (m)",
+    "down (m)",
+    "velocity north (m/s)",
+    "velocity east (m/s)",
+    "velocity down (m/s)",
+    "roll (deg)",
+    "pitch (deg)",
+    "yaw (deg)",
+    "roll rate (deg/s)",
+    "pitch rate (deg/s)",
+    "yaw rate (deg/s)",
+];
+const INPUTS: [&str; 7] = [
+    "thrust (N)",
+    "desired roll (deg)",
+    "desired pitch (deg)",
+    "desired yaw (deg)",
+    "desired roll rate (deg/s)",
+    "desired pitch rate (deg/s)",
+    "desired yaw rate (deg/s)",
+];
+const TIME: &str = "time since the start of the trajectory (s)";
+
+/// The whole page, self-contained. `not_flyable` says why the plan may not be flown.
+pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
+    let mut page = Page::new(
+        &format!("Plan: {}", plan.trajectory),
+        &format!("vehicle {}, through the {} model", plan.vehicle, plan.model.kind),
+    );
+    verdict(plan, not_flyable, &mut page);
+    let place = |state: &StateVector| Ned::new(state[0], state[1], state[2]);
+    let planned: Vec<Ned> = plan.states.iter().map(place).collect();
+    let desired: Vec<Ned> = plan.desired.iter().map(place).collect();
+    page.section(
+        "Path",
+        "The planned path against the desired one, to scale, seen from the south-west.",
+        &Scene { paths: &[("planned", &planned)], desired: &desired }.to_html(),
+    );
+    page.section(
+        "Planned and desired",
+        "World axes: north, east, down. Desired attitude and rates are those of a vehicle without drag.",
+        &states(plan),
+    );
+    page.section(
+        "Inputs",
+        "What the model is given to follow the plan; a flight sends it early by the vehicle's delay and lag.",
+        &inputs(plan),
+    );
+    page.section(
+        "Search",
+        "Subproblem by subproblem, logarithmic: the cost's distance to the end, and the step that could be taken.",
+        &search(plan),
+    );
+    page.section("How this was computed", "", &provenance(plan, limits));
+    page.into_html()
+}
+
+fn verdict(plan: &Plan, not_flyable: Option<&str>, page: &mut Page) {
+    let distances = plan.distances();
+    let most = distances.iter().copied().fold(0.0, f64::max);
+    let rms = (distances.iter().map(|d| d * d).sum::<f64>() / distances.len().max(1) as f64).sqrt();
+    let sentence = format!(
+        "A plan of {:.1} s that keeps {} m from the desired path, {} m at most.",
+        plan.duration(),
+        significant(rms),
+        significant(most)
+    );
+    let reasons: Vec<String> = not_flyable.map(str::to_owned).into_iter().collect();
+    let mood = if reasons.is_empty() { Mood::Good } else { Mood::Bad };
+    page.verdict(mood, &sentence, &reasons);
+    page.figures(&[
+        ("search", plan.status.in_words().to_owned(), Mood::Plain),
+        ("cost", significant(plan.cost), Mood::Plain),
+        ("subproblems", plan.records.len().to_string(), Mood::Plain),
+        ("largest defect of the dynamics", format!("{:.1e}", plan.violation.defect), Mood::Plain),
+        ("largest overrun of a bound", format!("{:.1e}", plan.violation.overrun), Mood::Plain),
+    ]);
+}
+
+/// Values of a row's column; angles in degrees.
+fn column<const N: usize>(rows: &[[f64; N]], index: usize, is_angle: bool) -> Vec<f64> {
+    let unit = if is_angle { 1_f64.to_degrees() } else { 1.0 };
+    rows.iter().map(|row| unit * row[index]).collect()
+}
+
+fn states(plan: &Plan) -> String {
+    let time: Vec<f64> = (0..plan.states.len()).map(|n| n as f64 * plan.period_s).collect();
+    let panels = STATES.iter().enumerate().map(|(i, name)| Panel {
+        name: (*name).to_owned(),
+        curves: vec![
+            Curve {
+                name: "planned".into(),
+                style: Style::Colour(1),
+                y: column(&plan.states, i, i >= 6),
+            },
+            Curve {
+                name: "desired".into(),
+                style: Style::Reference,
+                y: column(&plan.desired, i, i >= 6),
+            },
+        ],
+    });
+    let panels = panels.collect();
+    Chart { x_label: TIME, x: &time, bands: &[], height: 80.0, panels }.to_html()
+}
+
+fn inputs(plan: &Plan) -> String {
+    let time: Vec<f64> = (0..plan.inputs.len()).map(|n| n as f64 * plan.period_s).collect();
+    let panels = INPUTS.iter().enumerate().map(|(i, name)| Panel {
+        name: (*name).to_owned(),
+        curves: vec![Curve {
+            name: "planned".into(),
+            style: Style::Colour(1),
+            y: column(&plan.inputs, i, i >= 1),
+        }],
+    });
+    let panels = panels.collect();
+    Chart { x_label: TIME, x: &time, bands: &[], height: 80.0, panels }.to_html()
+}
+
+fn search(plan: &Plan) -> String {
+    let number: Vec<f64> = (1..=plan.records.len()).map(|n| n as f64).collect();
+    let log = |value: f64| if value > 0.0 { value.log10() } else { f64::NAN };
+    let above = plan.records.iter().map(|r| log(r.cost - plan.cost)).collect();
+    let trust = plan.records.iter().map(|r| log(r.trust)).collect();
+    let panels = vec![
+        Panel {
+            name: "log10 of cost above the end".into(),
+            curves: vec![Curve { name: "cost".into(), style: Style::Colour(1), y: above }],
+        },
+        Panel {
+            name: "log10 of the trust region".into(),
+            curves: vec![Curve { name: "trust".into(), style: Style::Colour(2), y: trust }],
+        },
+    ];
+    let mut html =
+        Chart { x_label: "subproblem", x: &number, bands: &[], height: 100.0, panels }.to_html();
+    let mut table = Table::new(&[
+        ("subproblem", true),
+        ("cost", true),
+        ("promised", true),
+        ("found", true),
+        ("share of the step", true),
+        ("trust region", true),
+        ("overrun", true),
+        ("solver's iterations", true),
+    ]);
+    for (n, record) in plan.records.iter().enumerate() {
+        let mood = if record.share > 0.0 { Mood::Plain } else { Mood::Warning };
+        table.row(
+            mood,
+            &[
+                (n + 1).to_string(),
+                format!("{:.4}", record.cost),
+                format!("{:.2e}", record.promised),
+                format!("{:.2e}", record.found),
+                record.share.to_string(),
+                format!("{:.2e}", record.trust),
+                format!("{:.1e}", record.violation.overrun),
+                record.solver_iterations.to_string(),
+            ],
+        );
+    }
+    html += &table.into_html();
+    html
+}
+
+fn provenance(plan: &Plan, limits: &Limits) -> String {
+    let entries = [
+        (
+            "model",
+            match &plan.model.sha256 {
+                Some(hash) => format!("{}, of the model file with SHA-256 {hash}", plan.model.kind),
+                None => format!("{}: the vehicle file's own physics", plan.model.kind),
+            },
+        ),
+        (
+            "dynamics",
+            format!(
+                "Euler steps of {:.1} ms with the on-board attitude loop inside",
+                1e3 * plan.period_s
+            ),
+        ),
+        (
+            "answer",
+            format!(
+                "delay {:.1} ms, first-order lag {:.1} ms",
+                1e3 * plan.answer.delay_s,
+                1e3 * plan.answer.lag_s
+            ),
+        ),
+        (
+            "bounds",
+            format!(
+                "tilt {:.0} deg, body rates {:.0} deg/s, thrust {} to {} of the rotors' maximum",
+                limits.tilt_max_rad.to_degrees(),
+                limits.body_rate_max_rad_s.to_degrees(),
+                limits.thrust_min,
+                limits.thrust_max
+            ),
+        ),
+    ];
+    definitions(entries.iter().map(|(term, value)| (*term, value.as_str())))
+}

@@ -1,0 +1,65 @@
+//! Which attitude loop the feedback is designed around, by what is known of the vehicle.
+
+use sitl::vehicle::AttitudePd;
+
+use crate::control::AttitudeLoop;
+use crate::link::profile::{AttitudeTargetForm, Profile};
+
+/// Rate loops of autopilots follow a body rate about this quickly, s: roll, pitch, yaw.
+const RATE_TIME_CONSTANT_S: [f64; 3] = [0.05, 0.05, 0.1];
+
+/// An attitude loop that nobody measured is taken to be so much slower than its autopilot's was on
+/// another vehicle. Feedback that counts on a quick loop makes a slow one swing; counting on a slow
+/// one costs some accuracy on a quick one. With this share a loop a third as quick as measured
+/// still flies.
+const UNMEASURED_SHARE: f64 = 0.6;
+
+/// The loop between setpoints in the form that `profile` takes and the vehicle's motion. `pd` is
+/// the on-board loop where the vehicle file has it, `response_rad_s` the setting for one that is
+/// the autopilot's own.
+pub(super) fn attitude_loop(
+    profile: &Profile,
+    pd: Option<AttitudePd>,
+    response_rad_s: Option<[f64; 3]>,
+) -> AttitudeLoop {
+    use AttitudeTargetForm::{AttitudeRatesThrust, AttitudeThrust, RatesThrust};
+    match (profile.attitude_target, pd) {
+        (AttitudeRatesThrust, Some(pd)) => pd.into(),
+        (AttitudeThrust, Some(AttitudePd { kp, kd, .. })) => AttitudeLoop::AttitudePd { kp, kd },
+        (RatesThrust { gain }, Some(AttitudePd { kd, .. })) => AttitudeLoop::RatePd { gain, kd },
+        (RatesThrust { gain }, None) => {
+            AttitudeLoop::Rates { gain, time_constant_s: RATE_TIME_CONSTANT_S }
+        }
+        _ => AttitudeLoop::responding_at(
+            response_rad_s.unwrap_or_else(|| unmeasured_response_rad_s(profile)),
+        ),
+    }
+}
+
+/// What is assumed of the loop, in words, where it is neither known nor set.
+pub(super) fn assumption(
+    profile: &Profile,
+    pd: Option<AttitudePd>,
+    response_rad_s: Option<[f64; 3]>,
+) -> Option<String> {
+    let is_known = pd.is_some()
+        || response_rad_s.is_some()
+        || matches!(profile.attitude_target, AttitudeTargetForm::RatesThrust { .. });
+    (!is_known).then(|| {
+        let [roll, pitch, yaw] = unmeasured_response_rad_s(profile);
+        format!(
+            "the vehicle's attitude loop is not known: taken to respond at {roll:.1}, {pitch:.1} and \
+             {yaw:.1} rad/s about roll, pitch and yaw; control.attitude_response_rad_s sets what \
+             it does"
+        )
+    })
+}
+
+fn unmeasured_response_rad_s(profile: &Profile) -> [f64; 3] {
+    let measured = if profile.name == Profile::ARDUCOPTER.name {
+        AttitudeLoop::ARDUCOPTER_RAD_S
+    } else {
+        AttitudeLoop::PX4_RAD_S
+    };
+    measured.map(|wn| UNMEASURED_SHARE * wn)
+}

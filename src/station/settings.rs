@@ -1,0 +1,39 @@
+//! What a station is made of.
+
+use std::sync::Arc;
+
+use sitl::vehicle::AttitudePd;
+
+use crate::control::{Actuation, HoverVehicle, LqrSettings};
+use crate::link::session;
+use crate::pilot::PilotSettings;
+use crate::plan::reference::ReferenceSource;
+use crate::supervisor::EngagePolicy;
+
+/// What a station needs to fly a vehicle.
+#[derive(Clone)]
+pub struct StationSettings {
+    /// The session.
+    pub session: session::Settings,
+    /// The pilot's parts.
+    pub pilot: PilotSettings,
+    /// The feedback.
+    pub lqr: LqrSettings,
+    /// Who decides that a flight begins.
+    pub policy: EngagePolicy,
+    /// Effective mass, inertia and gravity.
+    pub hover: HoverVehicle,
+    /// Thrust of all rotors at full output, N.
+    pub thrust_full_n: f64,
+    /// The pack's voltage when full, V.
+    pub battery_full_v: f64,
+    /// The on-board loop as it is, whatever of the setpoint it is sent; `None` where it is the
+    /// autopilot's own.
+    pub attitude_pd: Option<AttitudePd>,
+    /// How late the vehicle answers.
+    pub actuation: Actuation,
+    /// What is flown.
+    pub reference: Arc<dyn ReferenceSource + Send + Sync>,
+    /// Time to hear a vehicle in, s; `None` waits for ever.
+    pub search_timeout_s: Option<f64>,
+}

@@ -1,0 +1,404 @@
+//! What the audit finds in flights whose faults are known: those that were put in, and no others.
+
+mod damage;
+mod lockstep;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+
+use downwash::diagnose::audit::{Audit, Estimate, Severity, Tier};
+use downwash::log::import::{Flight, MotorUnit, Stream, open, write};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use serde_json::Value;
+use sitl::config::{ImuNoise, SensorConfig, SitlConfig};
+use sitl::frame::{Attitude, Euler, Frd, Ned};
+
+/// Turns and travels in every axis.
+const LIVELY: &str = r#"
+family = "multisine"
+altitude_m = 1.5
+duration_s = 24
+north = [{ amplitude_m = 0.5, period_s = 3.1 }, { amplitude_m = 0.1, period_s = 1.3 }]
+east = [{ amplitude_m = 0.6, period_s = 2.7 }, { amplitude_m = 0.1, period_s = 1.1, phase_deg = 40 }]
+up = [{ amplitude_m = 0.3, period_s = 2.3 }]
+yaw = [{ amplitude_deg = 60, period_s = 4.3 }]
+"#;
+
+fn place(name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("audit");
+    fs::create_dir_all(&directory).expect("a folder");
+    directory.join(name)
+}
+
+/// A flight of the nano quadrotor with sensor noise.
+fn fly(name: &str, trajectory: &str, config: SitlConfig, seed: u64) -> Flight {
+    let params = lockstep::params(lockstep::NANO);
+    let trajectory = lockstep::toml_trajectory(trajectory);
+    let settings = lockstep::settings(&params, trajectory);
+    let (_, records) = lockstep::fly(settings, &params, &lockstep::SLOW, config, seed);
+    let path = place(&format!("{name}-{seed}.tlog"));
+    damage::write_tlog(&path, &damage::entries(&records));
+    open(&path, None).expect("a flight")
+}
+
+/// Noise as usual, but no bias.
+fn unbiased() -> SitlConfig {
+    let usual = SensorConfig::default();
+    let unbiased = |imu: ImuNoise| ImuNoise { bias: 0.0, bias_walk: 0.0, ..imu };
+    let sensors = SensorConfig {
+        gyro: unbiased(usual.gyro),
+        accelerometer: unbiased(usual.accelerometer),
+        ..usual
+    };
+    SitlConfig { sensors, ..SitlConfig::default() }
+}
+
+static FLIGHT: LazyLock<Flight> = LazyLock::new(|| fly("lively", LIVELY, unbiased(), 7));
+
+fn trim() -> Attitude {
+    Euler::new(0.008, -0.014, 0.011).attitude()
+}
+
+/// The flight with streams that are late, turned and biased.
+fn spoiled(flight: &Flight) -> Flight {
+    let mut flight = flight.clone();
+    flight.attitude = flight.attitude.map(|q| q.compose(trim())).shifted(0.0173);
+    flight.position = flight.position.shifted(0.0264);
+    flight.velocity = flight.velocity.shifted(0.0231);
+    flight.body_rate = flight.body_rate.map(|w| *w + Frd::new(0.03, -0.02, 0.01));
+    flight.specific_force = flight.specific_force.map(|f| *f + Frd::new(0.12, -0.25, 0.3));
+    flight
+}
+
+/// A stream without a tenth of its samples, whichever.
+fn thinned<T: Clone>(stream: &Stream<T>, seed: u64) -> Stream<T> {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    stream.filter_map(|value| (random.random::<f64>() > 0.1).then(|| value.clone()))
+}
+
+fn assert_near(estimate: Estimate, expected: f64, most: f64, name: &str) {
+    assert!((estimate.value - expected).abs() < most, "{name}: {estimate:?}, expected {expected}");
+    assert!(estimate.half_width < 2.0 * most, "{name}: {estimate:?}");
+}
+
+/// Delay to 1 ms, rotation to 0.1 degree, bias to 0.02 m/s^2.
+fn assert_recovered(audit: &Audit) {
+    let kinematics = &audit.kinematics;
+    let attitude = kinematics.attitude.expect("the attitude turns");
+    assert_near(attitude.delay_s, 0.0173, 1e-3, "attitude delay");
+    for (found, expected) in attitude.rotation_rad.into_iter().zip([0.008, -0.014, 0.011]) {
+        assert_near(found, expected, 0.1_f64.to_radians(), "trim");
+    }
+    for (found, expected) in attitude.bias.into_iter().zip([0.03, -0.02, 0.01]) {
+        assert_near(found, expected, 2e-3, "gyro bias");
+    }
+    let position = kinematics.position.expect("the vehicle moves");
+    assert_near(position.delay_s, 0.0264 - 0.0231, 1e-3, "position delay");
+    let velocity = kinematics.velocity.expect("the vehicle moves");
+    assert_near(velocity.delay_s, 0.0231, 1e-3, "velocity delay");
+    for (found, expected) in velocity.bias.into_iter().zip([0.12, -0.25, 0.3]) {
+        assert_near(found, expected, 0.02, "accelerometer bias");
+    }
+}
+
+#[test]
+fn delays_rotations_and_biases_are_recovered() {
+    let audit = Audit::of(&spoiled(&FLIGHT));
+    assert_recovered(&audit);
+    assert!(!audit.is_faulty(), "{:#?}", audit.findings);
+    let found: Vec<(&str, Option<&str>)> =
+        audit.findings.iter().map(|finding| (finding.check, finding.stream)).collect();
+    for expected in [
+        ("delay", Some("attitude")),
+        ("rotation", Some("attitude")),
+        ("delay", Some("velocity")),
+        ("bias", Some("velocity")),
+    ] {
+        assert!(found.contains(&expected), "{expected:?} in {found:?}");
+    }
+}
+
+#[test]
+fn a_tenth_of_the_samples_lost_shifts_nothing() {
+    let mut flight = spoiled(&FLIGHT);
+    flight.attitude = thinned(&flight.attitude, 1);
+    flight.position = thinned(&flight.position, 2);
+    flight.velocity = thinned(&flight.velocity, 3);
+    flight.body_rate = thinned(&flight.body_rate, 4);
+    flight.specific_force = thinned(&flight.specific_force, 5);
+    let audit = Audit::of(&flight);
+    assert_recovered(&audit);
+    assert!(!audit.is_faulty(), "{:#?}", audit.findings);
+}
+
+#[test]
+fn a_heading_that_is_wrong_is_found() {
+    let mut flight = FLIGHT.clone();
+    let turn = Euler::new(0.0, 0.0, 0.15).attitude();
+    flight.attitude = flight.attitude.map(|q| turn.compose(*q));
+    let velocity = Audit::of(&flight).kinematics.velocity.expect("the vehicle moves");
+    assert_near(velocity.rotation_rad[2], 0.15, 0.01, "heading");
+}
+
+#[test]
+fn clocks_of_different_rates_are_found() {
+    let mut flight = FLIGHT.clone();
+    let mut drifting = Stream::default();
+    let start = flight.attitude.times()[0];
+    for (time, q) in flight.attitude.iter() {
+        drifting.push(time + 3e-3 * (time - start), *q);
+    }
+    flight.attitude = drifting;
+    let audit = Audit::of(&flight);
+    assert!(audit.findings.iter().any(|f| f.check == "clock_drift"), "{:#?}", audit.findings);
+}
+
+/// Flights of one kind after another, each with its own numbers.
+fn clean(seed: u64) -> Flight {
+    let kinds = [
+        LIVELY,
+        "family = \"sinusoid-yaw\"\naltitude_m = 1.0\nduration_s = 15\namplitude_m = 1.0\nperiod_s = 5.0\nyaw_period_s = 10.0\n",
+        "family = \"hover\"\naltitude_m = 1.0\nduration_s = 12\n",
+        "family = \"figure-8\"\naltitude_m = 1.0\nduration_s = 16\nlength_m = 3.0\nwidth_m = 1.5\nperiod_s = 8.0\nclimb_m = 0.6\n",
+    ];
+    fly("clean", kinds[seed as usize % kinds.len()], SitlConfig::default(), seed)
+}
+
+fn assert_no_alarm(seeds: std::ops::Range<u64>) {
+    use rayon::prelude::*;
+    let alarms: Vec<String> = seeds
+        .into_par_iter()
+        .flat_map_iter(|seed| {
+            let audit = Audit::of(&clean(seed));
+            let alarms = audit.findings.into_iter().filter(|f| f.severity > Severity::Note);
+            alarms.map(move |finding| format!("seed {seed}: {finding}")).collect::<Vec<_>>()
+        })
+        .collect();
+    assert!(alarms.is_empty(), "{}", alarms.join("\n"));
+}
+
+#[test]
+fn clean_flights_raise_no_alarm() {
+    assert_no_alarm(1000..1020);
+}
+
+#[test]
+#[ignore = "takes minutes; the test above is a sample of it"]
+fn two_hundred_clean_flights_raise_no_alarm() {
+    assert_no_alarm(0..200);
+}
+
+/// A check that ends in a fault.
+fn assert_fault(flight: &Flight, check: &str, words: &str) {
+    let audit = Audit::of(flight);
+    let found = audit.findings.iter().find(|f| f.check == check && f.severity == Severity::Fault);
+    let found = found.unwrap_or_else(|| panic!("{check}: {:#?}", audit.findings));
+    assert!(found.to_string().contains(words), "{found}");
+}
+
+#[test]
+fn wrong_units_are_found() {
+    let mut flight = FLIGHT.clone();
+    flight.body_rate = flight.body_rate.map(|w| *w * 1f64.to_degrees());
+    assert_fault(&flight, "unit", "degrees");
+    let mut flight = FLIGHT.clone();
+    flight.position = flight.position.map(|p| *p * 1e3);
+    assert_fault(&flight, "unit", "mm");
+    let mut flight = FLIGHT.clone();
+    flight.velocity = flight.velocity.map(|v| *v * 100.0);
+    assert_fault(&flight, "unit", "cm");
+    let mut flight = FLIGHT.clone();
+    flight.specific_force = flight.specific_force.map(|f| *f * (1.0 / 9.81));
+    assert_fault(&flight, "gravity", "in g");
+    let mut flight = FLIGHT.clone();
+    flight.voltage = flight.voltage.map(|v| v * 1e3);
+    assert_fault(&flight, "unit", "millivolts");
+}
+
+#[test]
+fn wrong_orders_and_axes_are_found() {
+    let mut flight = FLIGHT.clone();
+    flight.attitude = flight.attitude.map(|q| q.inverse());
+    assert_fault(&flight, "quaternion", "world to body");
+    let mut flight = FLIGHT.clone();
+    flight.attitude = flight.attitude.map(|q| Attitude { w: q.x, x: q.y, y: q.z, z: q.w });
+    assert_fault(&flight, "quaternion", "x, y, z, w");
+    let mut flight = FLIGHT.clone();
+    let swapped = |w: &Frd| {
+        let [x, y, z] = w.to_array();
+        Frd::new(x, -y, -z)
+    };
+    flight.specific_force = flight.specific_force.map(swapped);
+    assert_fault(&flight, "gravity", "front, left, up");
+    let mut flight = FLIGHT.clone();
+    flight.body_rate = flight.body_rate.map(swapped);
+    assert_fault(&flight, "axes", "degrees");
+    let mut flight = FLIGHT.clone();
+    flight.velocity = flight.velocity.map(|v| {
+        let [n, e, d] = v.to_array();
+        Ned::new(e, n, d)
+    });
+    assert_fault(&flight, "axes", "handedness");
+}
+
+#[test]
+fn motors_that_cannot_be_are_found() {
+    let mut flight = FLIGHT.clone();
+    flight.outputs = flight.outputs.map(|u| [u[0], u[1], u[2] * 2.2, u[3]]);
+    assert_fault(&flight, "illegal_output", "outside");
+    let mut flight = FLIGHT.clone();
+    flight.outputs = flight.outputs.map(|u| [u[0], 0.5, u[2], u[3]]);
+    assert_fault(&flight, "stuck_output", "output 2");
+    let mut flight = FLIGHT.clone();
+    flight.facts.motors = Some(6);
+    assert_fault(&flight, "motor_count", "6 motors");
+    let mut flight = FLIGHT.clone();
+    flight.motor_unit = MotorUnit::VehicleFile;
+    flight.outputs = flight.outputs.map(|u| u.map(|u| 1000.0 + 3000.0 * u));
+    assert_fault(&flight, "illegal_output", "2250");
+}
+
+#[test]
+fn outputs_in_another_order_are_found() {
+    use downwash::log::import::RotorFact;
+    let params = lockstep::params(lockstep::NANO);
+    let fact = |i: usize| {
+        let rotor = &params.rotors[i];
+        RotorFact { front: rotor.position_m[0], right: rotor.position_m[1], spin: rotor.spin }
+    };
+    let rotors: [RotorFact; 4] = std::array::from_fn(fact);
+    let effects = Audit::of(&FLIGHT).rotors.expect("the outputs turn the vehicle");
+    assert_eq!(effects.contradictions(&rotors), []);
+    let sure = effects.turning.iter().flatten().filter(|e| e.differs_from_zero(2.0)).count();
+    assert!(sure >= 8, "{effects:?}");
+
+    let mut flight = FLIGHT.clone();
+    flight.facts.rotors = rotors.to_vec();
+    assert!(!Audit::of(&flight).is_faulty());
+    flight.outputs = flight.outputs.map(|u| [u[1], u[2], u[3], u[0]]);
+    assert_fault(&flight, "motor_order", "order");
+}
+
+#[test]
+fn values_that_stand_still_jump_or_cannot_be_are_found() {
+    let mut flight = FLIGHT.clone();
+    let middle = flight.velocity.times()[flight.velocity.len() / 2];
+    let mut frozen = Stream::default();
+    let held = *flight.position.held_at(middle).expect("a position");
+    for (time, position) in flight.position.iter() {
+        let value = if (middle..middle + 1.0).contains(&time) { held } else { *position };
+        frozen.push(time, value);
+    }
+    flight.position = frozen;
+    assert_fault(&flight, "frozen", "stands still");
+
+    let mut flight = FLIGHT.clone();
+    let mut jumped = Stream::default();
+    for (time, position) in flight.position.iter() {
+        let east = if time > middle { 1.5 } else { 0.0 };
+        jumped.push(time, *position + Ned::new(0.0, east, 0.0));
+    }
+    flight.position = jumped;
+    let audit = Audit::of(&flight);
+    let step = audit.findings.iter().find(|f| f.check == "step").expect("a step");
+    assert!((step.found - 1.5).abs() < 0.2 && step.stream == Some("position"), "{step}");
+    let span = audit.unusable.iter().find(|span| span.stream == "position").expect("a span");
+    assert!((span.from_s - middle).abs() < 0.1, "{span:?}");
+
+    let mut flight = FLIGHT.clone();
+    let mut count = 0;
+    flight.body_rate = flight.body_rate.map(|w| {
+        count += 1;
+        if count % 50 == 0 { Frd::new(900.0, 0.0, 0.0) } else { *w }
+    });
+    assert_fault(&flight, "impossible", "no sensor");
+}
+
+#[test]
+fn a_flight_that_is_there_twice_is_found() {
+    let first = FLIGHT.clone();
+    // Another file with the same samples, at other times.
+    let mut second = FLIGHT.clone();
+    second.origin.sha256 = "other".into();
+    second.origin.path = "copy.tlog".into();
+    second.attitude = second.attitude.shifted(500.0);
+    let other = fly("other", LIVELY, unbiased(), 8);
+    let audits = Audit::of_all(&[first, second, other]);
+    let twins: Vec<usize> = audits
+        .iter()
+        .map(|audit| audit.findings.iter().filter(|f| f.check == "duplicate").count())
+        .collect();
+    assert_eq!(twins, [0, 1, 0]);
+}
+
+#[test]
+fn tiers_and_what_they_cannot_show() {
+    let audit = Audit::of(&FLIGHT);
+    assert!(audit.tier >= Some(Tier::T2), "{:?}", audit.channels);
+    let names = |audit: &Audit| -> Vec<&'static str> {
+        audit.untestable.iter().map(|untestable| untestable.effect).collect()
+    };
+    let whole = names(&audit);
+    assert!(!whole.contains(&"inertia") && !whole.contains(&"wind"), "{:?}", audit.untestable);
+
+    let mut slow = FLIGHT.clone();
+    let mut number = 0;
+    slow.outputs = slow.outputs.filter_map(|u| {
+        number += 1;
+        (number % 10 == 0).then_some(*u)
+    });
+    let audit = Audit::of(&slow);
+    let found = names(&audit);
+    assert!(["motor_lag", "inertia"].iter().all(|id| found.contains(id)), "{found:?}");
+    assert!(!found.contains(&"rotor_loss") && !found.contains(&"rotor_drag"), "{found:?}");
+
+    let mut blind = FLIGHT.clone();
+    blind.attitude = Stream::default();
+    blind.position = Stream::default();
+    blind.velocity = Stream::default();
+    let audit = Audit::of(&blind);
+    let found = names(&audit);
+    assert_eq!(audit.tier, None);
+    for id in ["wind", "rotor_drag", "ground_effect", "attitude_trim"] {
+        assert!(found.contains(&id), "{found:?}");
+    }
+    assert!(!found.contains(&"inertia") && !found.contains(&"motor_lag"), "{found:?}");
+
+    let mut poor = FLIGHT.clone();
+    poor.outputs = Stream::default();
+    poor.rotor_speed = Stream::default();
+    poor.voltage = Stream::default();
+    let audit = Audit::of(&poor);
+    let found = names(&audit);
+    assert_eq!(audit.tier, Some(Tier::T1));
+    for id in ["rotor_loss", "battery_sag", "yaw_torque"] {
+        assert!(found.contains(&id), "{found:?}");
+    }
+}
+
+#[test]
+fn the_command_prints_json_and_fails_only_where_asked() {
+    let path = place("faulty.mcap");
+    let mut flight = FLIGHT.clone();
+    flight.outputs = flight.outputs.map(|u| [u[0], 0.5, u[2], u[3]]);
+    write(&flight, &path).expect("a log");
+    let run = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
+        command.args(["log", "audit"]).arg(&path).args(arguments).output().expect("it runs")
+    };
+    let plain = run(&[]);
+    assert_eq!(plain.status.code(), Some(0));
+    assert!(String::from_utf8_lossy(&plain.stdout).contains("output 2 stands still"));
+    let json = run(&["--json"]);
+    let summary: Value = serde_json::from_slice(&json.stdout).expect("one object");
+    assert_eq!(summary["schema"], "downwash.log.audit");
+    let log = &summary["logs"][0];
+    assert_eq!(log["findings"][0]["severity"], "fault");
+    assert_eq!(log["findings"][0]["check"], "stuck_output");
+    assert!(log["kinematics"]["attitude"]["delay_s"]["value"].is_number(), "{log}");
+    assert_eq!(run(&["--fail-on", "fault"]).status.code(), Some(10));
+    assert_eq!(run(&["--fail-on", "nothing"]).status.code(), Some(2));
+}

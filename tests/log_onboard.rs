@@ -1,0 +1,374 @@
+//! Logs that autopilots wrote themselves become flights, whole, old or damaged; and the same
+//! flights as those that telemetry recorded.
+
+mod onboard_log;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use downwash::log::import::{
+    Flight, MotorSource, MotorUnit, SetpointSource, Stream, open, read_bytes, write,
+};
+use onboard_log::{DataFlash, Ulog, dataflash, floats, ulog};
+use proptest::prelude::*;
+use sitl::frame::{Attitude, Frd, Ned};
+use sitl::vehicle::VehicleParams;
+
+fn place(test: &str, name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("log_onboard").join(test);
+    fs::create_dir_all(&directory).expect("a folder");
+    directory.join(name)
+}
+
+fn import(test: &str, name: &str, bytes: &[u8]) -> Flight {
+    let path = place(test, name);
+    fs::write(&path, bytes).expect("a file");
+    open(&path, None).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn left_out(flight: &Flight, words: &str) -> u64 {
+    flight.left_out.iter().filter(|(reason, _)| reason.contains(words)).map(|(_, n)| n).sum()
+}
+
+fn assert_sound<T>(stream: &Stream<T>) {
+    assert!(stream.times().windows(2).all(|pair| pair[0] < pair[1]));
+    assert!(stream.times().iter().all(|time| time.is_finite()));
+}
+
+#[test]
+fn a_ulog_is_a_flight() {
+    // The name does not matter.
+    let flight = import("ulog", "flight.txt", &ulog(4.0).bytes);
+    assert_eq!(flight.origin.format, "ulog");
+    assert_eq!(
+        flight.left_out,
+        [
+            ("battery_status: of instance 1, where 0 is used".to_owned(), 20),
+            ("vehicle_local_position: velocity not valid, by its own flags".to_owned(), 11),
+        ]
+    );
+    assert_eq!((flight.attitude.len(), flight.body_rate.len()), (500, 1000));
+    assert_eq!((flight.position.len(), flight.velocity.len()), (100, 89));
+    // Samples are where they were taken: at their own stamp, or in the middle of their interval.
+    assert!((flight.attitude.times()[1] - 1.008).abs() < 1e-9);
+    assert!((flight.body_rate.times()[1] - 1.002).abs() < 1e-9);
+    assert!((flight.specific_force.times()[1] - 1.0025).abs() < 1e-9);
+    assert_eq!(flight.outputs.values()[7].map(|u| (10.0 * u).round()), [4.0, 5.0, 6.0, 7.0]);
+    assert_eq!((flight.motor_unit, flight.motor_source), {
+        (MotorUnit::ThrustFraction, MotorSource::ActuatorMotors)
+    });
+    let rpm = flight.rotor_speed.values()[0].map(|w| (w * 60.0 / std::f64::consts::TAU).round());
+    assert_eq!(rpm, [200.0, 100.0, 300.0, 400.0]);
+    assert!(!flight.in_air.values()[0] && flight.in_air.values()[19]);
+    assert!((flight.voltage.values()[3] - 15.5).abs() < 1e-6);
+    assert_eq!((flight.facts.autopilot.as_deref(), flight.facts.motors), (Some("PX4"), Some(4)));
+}
+
+#[test]
+fn a_dataflash_log_is_a_flight() {
+    let flight = import("dataflash", "flight.log", &dataflash(4.0).bytes);
+    assert_eq!(flight.origin.format, "dataflash");
+    assert_eq!(flight.left_out, [("IMU: of instance 1, where 0 is used".to_owned(), 400)]);
+    assert_eq!((flight.attitude.len(), flight.body_rate.len()), (200, 400));
+    let roll = flight.attitude.values()[100].euler().roll;
+    assert!((roll - 0.3 * 2_f64.sin()).abs() < 1e-4, "{roll}");
+    assert_eq!(flight.position.values()[9], Ned::new(1.0, 2.0, -3.0));
+    // Motors by the functions of the outputs, over the range that the parameters state.
+    let outputs = flight.outputs.values()[0].map(|u| (100.0 * u).round());
+    assert_eq!(outputs, [25.0, 50.0, 75.0, 100.0]);
+    assert_eq!((flight.motor_unit, flight.motor_source), {
+        (MotorUnit::ThrustFraction, MotorSource::Rcou)
+    });
+    let rpm = flight.rotor_speed.values()[0].map(|w| (w * 60.0 / std::f64::consts::TAU).round());
+    assert_eq!(rpm, [4000.0, 3000.0, 2000.0, 1000.0]);
+    assert_eq!(flight.in_air.values(), [true]);
+    assert_eq!(flight.facts.frame.as_deref(), Some("QUAD/X"));
+    let spins: Vec<i8> = flight.facts.rotors.iter().map(|rotor| rotor.spin).collect();
+    assert_eq!(spins, [1, 1, -1, -1]);
+    assert!(flight.facts.notes.iter().any(|note| note.contains("10 Hz")), "{:?}", flight.facts);
+}
+
+#[test]
+fn an_imported_log_reads_back_with_its_facts() {
+    for (name, bytes) in [("px4", ulog(2.0).bytes), ("copter", dataflash(2.0).bytes)] {
+        let flight = import("again", name, &bytes);
+        let path = place("again", &format!("{name}.mcap"));
+        write(&flight, &path).expect("a log");
+        let back = open(&path, None).expect("a flight");
+        assert_eq!((&back.facts, &back.left_out), (&flight.facts, &flight.left_out));
+        assert_eq!(back.setpoint_source, flight.setpoint_source);
+        assert_eq!((back.motor_unit, back.motor_source), (flight.motor_unit, flight.motor_source));
+        assert_eq!(back.attitude, flight.attitude);
+    }
+}
+
+#[test]
+fn older_layouts_are_read_too() {
+    let mut log = Ulog::new();
+    log.format("vehicle_attitude:uint64_t timestamp;float rollspeed;float pitchspeed;float yawspeed;float[4] q;");
+    log.format("actuator_outputs:uint64_t timestamp;uint32_t noutputs;float[16] output;");
+    log.format("vehicle_attitude_setpoint:uint64_t timestamp;float roll_body;float pitch_body;float yaw_body;float[3] thrust_body;");
+    log.parameter("PWM_MIN", 1000.0);
+    log.parameter("PWM_MAX", 2000.0);
+    let attitude = log.subscribe("vehicle_attitude", 0);
+    let outputs = log.subscribe("actuator_outputs", 0);
+    let setpoint = log.subscribe("vehicle_attitude_setpoint", 0);
+    for step in 0..50_u64 {
+        let us = 10_000 * (step + 1);
+        log.row(attitude, us, &floats(&[0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0]));
+        let mut pulses = [0.0; 16];
+        pulses[..4].copy_from_slice(&[1100.0, 1200.0, 1300.0, 900.0]);
+        log.row(outputs, us, &[&16_u32.to_le_bytes()[..], &floats(&pulses)].concat());
+        log.row(setpoint, us, &floats(&[0.1, 0.0, 0.0, 0.0, 0.0, -0.6]));
+    }
+    let flight = import("old", "flight.ulg", &log.bytes);
+    assert_eq!(flight.left_out, []);
+    assert_eq!(
+        flight.body_rate.values()[3].to_array().map(|w| (10.0 * w).round()),
+        [1.0, 2.0, 3.0]
+    );
+    assert_eq!(flight.outputs.values()[3].map(|u| (100.0 * u).round()), [10.0, 20.0, 30.0, 0.0]);
+    assert_eq!(flight.motor_unit, MotorUnit::ThrustFraction);
+    let asked = flight.setpoint.values()[3];
+    assert!((asked.attitude.expect("an attitude").euler().roll - 0.1).abs() < 1e-6);
+    assert!((asked.thrust.expect("a thrust") - 0.6).abs() < 1e-6);
+    assert_eq!(flight.setpoint_source, SetpointSource::Onboard);
+}
+
+#[test]
+fn pulses_without_a_stated_range_stay_pulses() {
+    let mut log = Ulog::new();
+    log.format("actuator_outputs:uint64_t timestamp;float[16] output;");
+    let outputs = log.subscribe("actuator_outputs", 0);
+    for step in 0..50_u64 {
+        log.row(outputs, 10_000 * step, &floats(&[1500.0; 16]));
+    }
+    let flight = import("pulses", "flight.ulg", &log.bytes);
+    assert_eq!(flight.motor_unit, MotorUnit::VehicleFile);
+    assert_eq!(flight.outputs.values()[0], [1500.0; 4]);
+    assert!(flight.facts.notes.iter().any(|note| note.contains("which motor")));
+}
+
+#[test]
+fn data_appended_after_a_crash_are_read() {
+    let mut log = ulog(1.0);
+    let cut = log.bytes.len() - 11;
+    let rest = ulog(1.5).bytes;
+    // The first part ends within a message; what follows begins at the stated offset.
+    let whole = log.bytes.len();
+    log.bytes.truncate(cut);
+    log.bytes.extend(&rest[whole..]);
+    let flags = 16 + 3;
+    log.bytes[flags + 8] = 1;
+    log.bytes[flags + 16..flags + 24].copy_from_slice(&(cut as u64).to_le_bytes());
+    let flight = import("appended", "flight.ulg", &log.bytes);
+    let all = import("appended", "whole.ulg", &rest);
+    assert!(flight.body_rate.len() + 2 >= all.body_rate.len(), "{}", flight.body_rate.len());
+    assert!(left_out(&flight, "byte") < 80, "{:?}", flight.left_out);
+}
+
+#[test]
+fn a_newer_kind_of_ulog_is_refused_by_name() {
+    let mut bytes = ulog(0.1).bytes;
+    bytes[16 + 3 + 8] = 2;
+    let path = place("newer", "flight.ulg");
+    fs::write(&path, &bytes).expect("a file");
+    let error = open(&path, None).expect_err("not read").to_string();
+    assert!(error.contains("newer kind") && error.contains("flight.ulg"), "{error}");
+}
+
+static ULOG: LazyLock<Vec<u8>> = LazyLock::new(|| ulog(1.0).bytes);
+static DATAFLASH: LazyLock<Vec<u8>> = LazyLock::new(|| dataflash(1.0).bytes);
+
+/// Reads bytes as any kind of log; streams stay sound, whatever they are.
+fn survives(bytes: &[u8]) -> Option<Flight> {
+    let flights = read_bytes(bytes, "");
+    for flight in &flights {
+        assert_sound(&flight.attitude);
+        assert_sound(&flight.body_rate);
+        assert_sound(&flight.specific_force);
+        assert_sound(&flight.position);
+        assert_sound(&flight.outputs);
+        assert_sound(&flight.rotor_speed);
+        assert_sound(&flight.setpoint);
+        assert_sound(&flight.voltage);
+        assert_sound(&flight.in_air);
+    }
+    flights.into_iter().max_by_key(|flight| flight.body_rate.len())
+}
+
+#[test]
+fn logs_cut_anywhere_are_read_up_to_the_cut() {
+    for bytes in [&*ULOG, &*DATAFLASH] {
+        let whole = survives(bytes).expect("a flight").body_rate.len();
+        let mut before = 0;
+        for length in (0..bytes.len()).step_by(37) {
+            let Some(flight) = survives(&bytes[..length]) else { continue };
+            let samples = flight.body_rate.len();
+            assert!(samples + 1 >= before && samples <= whole, "{length}");
+            before = samples;
+        }
+        assert!(before + 3 >= whole);
+    }
+}
+
+#[test]
+fn a_piece_cut_out_costs_only_itself() {
+    for bytes in [&*ULOG, &*DATAFLASH] {
+        let whole = survives(bytes).expect("a flight").body_rate.len();
+        let middle = bytes.len() / 2;
+        for length in [1, 2, 3, 5, 50, 333] {
+            let damaged = [&bytes[..middle], &bytes[middle + length..]].concat();
+            let flight = survives(&damaged).expect("a flight");
+            let lost = whole - flight.body_rate.len();
+            assert!(lost <= 4 + length / 20, "{lost} of {length} bytes");
+            assert!(left_out(&flight, "") > 0);
+            let foreign = [&bytes[..middle], &vec![0x41; length][..], &bytes[middle..]].concat();
+            let flight = survives(&foreign).expect("a flight");
+            assert!(whole - flight.body_rate.len() <= 3, "{length} foreign bytes");
+            assert!(left_out(&flight, "byte") + left_out(&flight, "damaged") > 0);
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_damage_breaks_an_onboard_log(
+        is_ulog in any::<bool>(),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..40),
+        length in any::<prop::sample::Index>(),
+    ) {
+        let mut log = if is_ulog { ULOG.clone() } else { DATAFLASH.clone() };
+        for (at, byte) in changes {
+            let at = at.index(log.len());
+            log[at] = byte;
+        }
+        log.truncate(length.index(log.len()) + 1);
+        survives(&log);
+    }
+
+    #[test]
+    fn few_damaged_bytes_cost_few_samples(
+        is_ulog in any::<bool>(),
+        // Behind the definitions, which all else hangs on.
+        changes in prop::collection::vec((0.2..1.0, any::<u8>()), 1..6),
+    ) {
+        let sound = if is_ulog { &*ULOG } else { &*DATAFLASH };
+        let mut log = sound.clone();
+        for (at, byte) in &changes {
+            let at = (at * log.len() as f64) as usize;
+            log[at] = *byte;
+        }
+        let whole = survives(sound).expect("a flight").body_rate.len();
+        let left = survives(&log).expect("a flight").body_rate.len();
+        prop_assert!(left + 6 * changes.len() >= whole, "{left} of {whole}");
+    }
+
+    #[test]
+    fn any_bytes_behind_a_magic_are_survived(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+        survives(&[&Ulog::new().bytes[..], &bytes].concat());
+        survives(&[&DataFlash::new().bytes[..], &bytes].concat());
+    }
+}
+
+/// The vehicle's own log, telemetry of the same flight, and the vehicle.
+fn practice() -> Vec<(PathBuf, PathBuf, VehicleParams)> {
+    let folder = match std::env::var_os("DOWNWASH_PRACTICE") {
+        Some(folder) => PathBuf::from(folder),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/practice-autopilot"),
+    };
+    let mut found = Vec::new();
+    for case in fs::read_dir(folder).into_iter().flatten().flatten() {
+        for file in fs::read_dir(case.path()).into_iter().flatten().flatten() {
+            let path = file.path();
+            let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+            let tlog = path.with_extension("tlog");
+            if ["ulg", "BIN"].contains(&extension) && tlog.exists() {
+                let vehicle = VehicleParams::load(case.path().join("vehicle.json"));
+                found.push((path, tlog, vehicle.expect("a vehicle")));
+            }
+        }
+    }
+    found.sort_by(|a, b| a.0.cmp(&b.0));
+    found
+}
+
+/// The delay of `b` against `a` at which their values differ least, and by how much they differ,
+/// root mean square and per component.
+fn apart<T>(
+    a: &Stream<T>,
+    b: &Stream<T>,
+    flying: std::ops::Range<f64>,
+    difference: impl Fn(&T, &T, &T, f64) -> f64,
+) -> (f64, f64) {
+    let mut best = (0.0, f64::INFINITY);
+    for step in -30..=30 {
+        let delay = 1e-3 * f64::from(step);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (time, value) in a.iter().filter(|(time, _)| flying.contains(time)) {
+            let Some(at) = b.index_at(time + delay) else { continue };
+            let (Some(before), Some(after)) = (b.values().get(at), b.values().get(at + 1)) else {
+                continue;
+            };
+            let share = (time + delay - b.times()[at]) / (b.times()[at + 1] - b.times()[at]);
+            sum += difference(value, before, after, share).powi(2);
+            count += 1.0;
+        }
+        let error = (sum / count).sqrt();
+        if error < best.1 {
+            best = (delay, error);
+        }
+    }
+    best
+}
+
+#[test]
+fn practice_logs_of_autopilots_agree_with_their_telemetry() {
+    let practice = practice();
+    if practice.is_empty() {
+        eprintln!(
+            "skipped: no practice flights of autopilots; set DOWNWASH_PRACTICE to their folder"
+        );
+        return;
+    }
+    for (own, tlog, vehicle) in practice {
+        let name = own.display();
+        let own = open(&own, None).expect("the vehicle's log");
+        let mut telemetry = open(&tlog, None).expect("telemetry");
+        telemetry.normalise_outputs(&vehicle).expect("a unit");
+        assert_eq!(own.motor_unit, MotorUnit::ThrustFraction, "{name}");
+        assert_eq!(left_out(&own, "byte") + left_out(&own, "order"), 0, "{:?}", own.left_out);
+        let flying = {
+            let times = telemetry.setpoint.times();
+            times[0] + 3.0..times[times.len() - 1] - 1.0
+        };
+        let mix = |a: f64, b: f64, share: f64| a + share * (b - a);
+        let ned =
+            |value: &Ned, a: &Ned, b: &Ned, share: f64| (*value - (*a + (*b - *a) * share)).norm();
+        let frd =
+            |value: &Frd, a: &Frd, b: &Frd, share: f64| (*value - (*a + (*b - *a) * share)).norm();
+        let turn = |value: &Attitude, a: &Attitude, b: &Attitude, share: f64| {
+            value.angle_to(if share < 0.5 { *a } else { *b }) - a.angle_to(*b) * 0.25
+        };
+        let outputs = |value: &[f64; 4], a: &[f64; 4], b: &[f64; 4], share: f64| {
+            let error = (0..4).map(|i| (value[i] - mix(a[i], b[i], share)).powi(2)).sum::<f64>();
+            (0.25 * error).sqrt()
+        };
+        let found = [
+            apart(&own.position, &telemetry.position, flying.clone(), ned),
+            apart(&own.velocity, &telemetry.velocity, flying.clone(), ned),
+            apart(&own.attitude, &telemetry.attitude, flying.clone(), turn),
+            apart(&own.body_rate, &telemetry.body_rate, flying.clone(), frd),
+            apart(&own.outputs, &telemetry.outputs, flying.clone(), outputs),
+        ];
+        println!(
+            "{name}: delay in s and difference of position, velocity, attitude, rate, outputs: {found:.4?}"
+        );
+        // Both logs are thinned: what moves fast between two samples differs by as much.
+        let most = [0.02, 0.03, 0.01, 0.12, 0.03];
+        for ((delay, error), most) in found.into_iter().zip(most) {
+            assert!(error < most && delay.abs() < 0.012, "{name}: {found:?}");
+        }
+    }
+}

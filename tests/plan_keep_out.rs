@@ -1,0 +1,131 @@
+//! Regions to keep out of: the plan goes round them, or as near as it can.
+
+mod planning;
+
+use std::sync::Arc;
+
+use downwash::plan::planner::{KeepOutSetting, PlanSettings};
+use downwash::plan::scp::{Outcome, Status};
+use planning::{physics, plan, planner, rest, straight};
+
+fn settings(regions: &[KeepOutSetting]) -> PlanSettings {
+    PlanSettings { keep_out: regions.to_vec(), rate_hz: 50.0, ..PlanSettings::default() }
+}
+
+fn ball(centre_m: [f64; 3], radius_m: f64) -> KeepOutSetting {
+    KeepOutSetting::Sphere { centre_m, radius_m }
+}
+
+fn block(lower_m: [f64; 3], upper_m: [f64; 3]) -> KeepOutSetting {
+    KeepOutSetting::Box { lower_m, upper_m }
+}
+
+/// Depth inside a region, negative outside, by the definition.
+fn depth(region: &KeepOutSetting, [x, y, z]: [f64; 3]) -> f64 {
+    match region {
+        KeepOutSetting::Sphere { centre_m: [a, b, c], radius_m } => {
+            radius_m - ((x - a).powi(2) + (y - b).powi(2) + (z - c).powi(2)).sqrt()
+        }
+        KeepOutSetting::Box { lower_m, upper_m } => [x, y, z]
+            .into_iter()
+            .zip(lower_m.iter().zip(upper_m))
+            .map(|(p, (lower, upper))| (p - lower).min(upper - p))
+            .fold(f64::INFINITY, f64::min),
+    }
+}
+
+fn goes_round(regions: &[KeepOutSetting]) -> Outcome<7> {
+    let outcome = plan(&straight(), &settings(regions));
+    let text = format!("{regions:?}: {:?} {:?}", outcome.status, outcome.violation);
+    assert_ne!(outcome.status, Status::Failed, "{text}");
+    assert!(outcome.violation.overrun <= 1e-4 && outcome.violation.defect <= 1e-6, "{text}");
+    for state in &outcome.iterate.states {
+        for region in regions {
+            assert!(depth(region, [state[0], state[1], state[2]]) <= 1e-4, "{text}");
+        }
+    }
+    let last = outcome.iterate.states.last().expect("a state");
+    let miss = ((last[0] - 2.0).powi(2) + last[1].powi(2) + (last[2] + 1.0).powi(2)).sqrt();
+    assert!(miss < 0.15, "{text}: ends {miss} m from the goal");
+    outcome
+}
+
+#[test]
+fn a_ball_beside_the_path() {
+    goes_round(&[ball([1.0, 0.1, -1.0], 0.3)]);
+}
+
+#[test]
+fn a_ball_on_the_path() {
+    goes_round(&[ball([1.0, 0.0, -1.0], 0.3)]);
+}
+
+#[test]
+fn a_box_beside_the_path() {
+    goes_round(&[block([0.8, -0.1, -2.0], [1.2, 0.4, -0.2])]);
+}
+
+#[test]
+fn a_box_on_the_path() {
+    goes_round(&[block([0.9, -0.3, -2.0], [1.1, 0.3, 0.0])]);
+}
+
+#[test]
+fn a_gate() {
+    let outcome = goes_round(&[
+        block([0.9, -2.0, -3.0], [1.1, 0.1, 1.0]),
+        block([0.9, 0.6, -3.0], [1.1, 2.0, 1.0]),
+    ]);
+    let through = outcome.iterate.states.iter().find(|state| state[0] > 1.0).expect("passes");
+    assert!((0.1..=0.6).contains(&through[1]), "east {} in the gate", through[1]);
+}
+
+#[test]
+fn a_region_far_away_changes_nothing() {
+    let free = plan(&straight(), &settings(&[]));
+    let far = plan(&straight(), &settings(&[ball([1.0, 8.0, -1.0], 1.0)]));
+    assert!((free.cost - far.cost).abs() < 1e-3 * free.cost, "{} and {}", free.cost, far.cost);
+}
+
+#[test]
+fn a_goal_inside_a_region_is_neared() {
+    let region = ball([2.0, 0.0, -1.0], 0.4);
+    let outcome = plan(&straight(), &settings(&[region]));
+    let text = format!("{:?} {:?}", outcome.status, outcome.violation);
+    assert!(outcome.violation.overrun <= 1e-4 && outcome.violation.defect <= 1e-6, "{text}");
+    let last = outcome.iterate.states.last().expect("a state");
+    let depth = depth(&region, [last[0], last[1], last[2]]);
+    assert!((-0.1..=1e-4).contains(&depth), "{depth} m inside at the end; {text}");
+}
+
+/// What cannot be is left as soon as the vehicle can, and is said.
+#[test]
+fn a_start_inside_a_region_is_left() {
+    let region = ball([0.0, 0.0, -1.0], 0.3);
+    let outcome = plan(&straight(), &settings(&[region]));
+    let text = format!("{:?} {:?}", outcome.status, outcome.violation);
+    assert!(outcome.violation.defect <= 1e-6, "{text}");
+    assert!(outcome.violation.overrun > 0.1, "{text}");
+    let inside = outcome
+        .iterate
+        .states
+        .iter()
+        .filter(|state| depth(&region, [state[0], state[1], state[2]]) > 1e-3)
+        .count();
+    assert!(inside < 50, "{inside} of {} states inside; {text}", outcome.iterate.states.len());
+}
+
+#[test]
+fn moved_a_little_the_guess_of_before_is_enough() {
+    let settings = settings(&[ball([1.0, 0.1, -1.0], 0.3)]);
+    let planner = planner(Arc::new(physics()), &settings);
+    let desire = planner.desire(&straight()).expect("desired states");
+    let start = rest(&desire.states[0]);
+    let first = planner.plan(&desire, start, None, &|_| false);
+    let mut moved = start;
+    moved[0] += 0.02;
+    moved[4] += 0.05;
+    let again = planner.plan(&desire, moved, Some(first.iterate), &|_| false);
+    assert!(again.violation.overrun <= 1e-4 && again.violation.defect <= 1e-6);
+    assert!(again.records.len() <= first.records.len());
+}

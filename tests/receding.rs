@@ -1,0 +1,225 @@
+//! Plans that are made anew in flight: disturbances, moved goals, planners that are late or fail.
+
+use std::path::Path;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
+
+use downwash::control::Limits;
+use downwash::model::physics::{PhysicsModel, PhysicsParameters};
+use downwash::model::{ACCELERATIONS, Jacobian, Model, Point};
+use downwash::plan::Trajectory;
+use downwash::plan::discretisation::{CommandedDynamics, Dynamics};
+use downwash::plan::planned::Answer;
+use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
+use downwash::plan::problem::StateVector;
+use downwash::plan::receding::{RecedingReference, RecedingSettings};
+use downwash::plan::reference::ReferenceSource;
+use downwash::setpoint::State;
+use sitl::frame::{Euler, Frd, Ned};
+use sitl::vehicle::VehicleParams;
+
+const PERIOD_S: f64 = 0.01;
+
+fn vehicle() -> VehicleParams {
+    VehicleParams::from_toml_str(include_str!("../config/vehicles/crazyflie.toml"))
+        .expect("a vehicle")
+}
+
+fn physics() -> Arc<dyn Model> {
+    Arc::new(PhysicsModel::new(&vehicle(), &PhysicsParameters::default()).expect("physics"))
+}
+
+/// Standing still a metre above the floor.
+fn hover_at(north_m: f64) -> Trajectory {
+    let point =
+        format!("{{ north_m = {north_m:?}, east_m = 0.0, altitude_m = 1.0, hold_s = 30.0 }}");
+    let text = format!("family = 'waypoints'\npoints = [{point}, {point}]");
+    Trajectory::parse(&text, Path::new("hover.toml")).expect("a trajectory")
+}
+
+/// A planner for the built-in vehicle through `model`, and a vehicle that answers at once.
+fn planner(model: Arc<dyn Model>) -> (Planner, Answer) {
+    let params = vehicle();
+    let attitude_pd = params.attitude_pd.expect("a loop");
+    let planned = PlannedVehicle {
+        mass_kg: params.mass,
+        gravity: params.gravity,
+        thrust_full_n: params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+        attitude_pd,
+        limits: Limits::default(),
+    };
+    let answer = Answer { delay_s: 0.0, lag_s: 0.0, voltage_exponent: 0.0, attitude_pd };
+    (Planner::new(model, planned, PlanSettings::default()).expect("a planner"), answer)
+}
+
+fn state_of(s: &StateVector) -> State {
+    State {
+        position: Ned::new(s[0], s[1], s[2]),
+        velocity: Ned::new(s[3], s[4], s[5]),
+        attitude: Euler::new(s[6], s[7], s[8]).attitude(),
+        body_rate: Frd::new(s[9], s[10], s[11]),
+    }
+}
+
+/// Follows the reference's inputs alone, without any feedback, through the physics it plans with.
+struct Follower {
+    model: Arc<dyn Model>,
+    state: StateVector,
+    tick: usize,
+}
+
+impl Follower {
+    fn hovering() -> Self {
+        let mut state = [0.0; 12];
+        state[2] = -1.0;
+        Self { model: physics(), state, tick: 0 }
+    }
+
+    fn time(&self) -> f64 {
+        self.tick as f64 * PERIOD_S
+    }
+
+    fn follow(&mut self, reference: &RecedingReference, seconds: f64) {
+        let (_, answer) = planner(physics());
+        let dynamics = CommandedDynamics::new(self.model.as_ref(), answer.attitude_pd, PERIOD_S);
+        for _ in 0..(seconds / PERIOD_S).round() as usize {
+            let t = self.time();
+            reference.observe(t, &state_of(&self.state));
+            let sent = reference.sample(t).feedforward;
+            let Euler { roll, pitch, yaw } = sent.attitude;
+            let [p, q, r] = sent.body_rate.to_array();
+            self.state = dynamics.step(&self.state, &[sent.thrust_n, roll, pitch, yaw, p, q, r]);
+            self.tick += 1;
+        }
+    }
+}
+
+fn inline(goal: Trajectory) -> RecedingReference {
+    let (planner, answer) = planner(physics());
+    RecedingReference::inline(goal, planner, answer, RecedingSettings::default())
+}
+
+#[test]
+fn a_kick_is_planned_back_from() {
+    let reference = inline(hover_at(0.0));
+    let mut follower = Follower::hovering();
+    follower.follow(&reference, 1.0);
+    assert!(follower.state[0].abs() < 1e-2, "{:?}", follower.state);
+    follower.state[3] += 0.6;
+    follower.state[6] += 0.2;
+    // The next plan begins where the vehicle then is.
+    follower.follow(&reference, 0.2);
+    let now = reference.sample(follower.time());
+    let here = state_of(&follower.state);
+    assert!((now.position - here.position).norm() < 0.03, "{now:?} {here:?}");
+    assert!((now.velocity - here.velocity).norm() < 0.3, "{now:?} {here:?}");
+    // Inputs alone lead back: every plan starts from what is seen.
+    follower.follow(&reference, 3.0);
+    let s = &follower.state;
+    assert!(s[0].hypot(s[1]) < 0.03 && (s[2] + 1.0).abs() < 0.03, "{s:?}");
+}
+
+#[test]
+fn a_moved_goal_is_followed_within_a_fraction_of_a_second() {
+    let reference = inline(hover_at(0.0));
+    let mut follower = Follower::hovering();
+    follower.follow(&reference, 1.0);
+    reference.goal().move_to(hover_at(0.5));
+    follower.follow(&reference, 0.3);
+    assert!(follower.state[3] > 0.1, "it is on its way: {:?}", follower.state);
+    follower.follow(&reference, 3.0);
+    let s = &follower.state;
+    assert!((s[0] - 0.5).abs() < 0.03 && s[1].abs() < 0.03, "{s:?}");
+}
+
+/// A model that answers only after it was let.
+struct Held {
+    model: Arc<dyn Model>,
+    gate: Mutex<Receiver<()>>,
+    entered: Sender<()>,
+}
+
+impl Held {
+    fn wait(&self) {
+        let _ = self.entered.send(());
+        // Open once the test drops the sender.
+        let _ = self.gate.lock().map(|gate| gate.recv());
+    }
+}
+
+impl Model for Held {
+    fn accelerations(&self, at: &Point) -> [f64; ACCELERATIONS] {
+        self.wait();
+        self.model.accelerations(at)
+    }
+
+    fn linearize(&self, at: &Point) -> ([f64; ACCELERATIONS], Jacobian) {
+        self.wait();
+        self.model.linearize(at)
+    }
+}
+
+#[test]
+fn a_planner_that_is_late_leaves_the_goal_as_the_reference_and_stalls_nothing() {
+    let (open, gate) = channel();
+    let (entered, planning) = channel();
+    let held = Held { model: physics(), gate: Mutex::new(gate), entered };
+    let (planner, answer) = planner(Arc::new(held));
+    let settings = RecedingSettings::default();
+    let reference =
+        RecedingReference::threaded(hover_at(0.25), planner, answer, settings).expect("a thread");
+    let hover = state_of(&Follower::hovering().state);
+    reference.observe(0.0, &hover);
+    planning.recv().expect("the planner is at work");
+    // It is now held; ticks go on, one observation waits, and more are dropped.
+    for tick in 0..200 {
+        let t = f64::from(tick) * PERIOD_S;
+        reference.observe(t, &hover);
+        let now = reference.sample(t);
+        assert_eq!(now.position, Ned::new(0.25, 0.0, -1.0));
+        assert!(now.feedforward.is_finite());
+    }
+    drop(open);
+}
+
+/// A model that broke.
+struct Broken;
+
+impl Model for Broken {
+    fn accelerations(&self, _: &Point) -> [f64; ACCELERATIONS] {
+        [f64::NAN; ACCELERATIONS]
+    }
+
+    fn linearize(&self, _: &Point) -> ([f64; ACCELERATIONS], Jacobian) {
+        ([f64::NAN; ACCELERATIONS], [[f64::NAN; 13]; ACCELERATIONS])
+    }
+}
+
+#[test]
+fn plans_that_fail_are_not_flown() {
+    let (planner, answer) = planner(Arc::new(Broken));
+    let reference =
+        RecedingReference::inline(hover_at(0.0), planner, answer, RecedingSettings::default());
+    let hover = state_of(&Follower::hovering().state);
+    for tick in 0..100 {
+        let t = f64::from(tick) * PERIOD_S;
+        reference.observe(t, &hover);
+        let now = reference.sample(t);
+        assert_eq!(now.position, Ned::new(0.0, 0.0, -1.0));
+        assert!(now.feedforward.is_finite());
+    }
+}
+
+#[test]
+fn another_flight_begins_without_the_last_ones_plans() {
+    let reference = inline(hover_at(0.0));
+    let mut follower = Follower::hovering();
+    follower.follow(&reference, 1.0);
+    let mut again = Follower::hovering();
+    again.state[0] = 0.4;
+    again.follow(&reference, 0.02);
+    // Nothing of the first flight reaches into this one: its own plan begins after the lead.
+    assert_eq!(reference.sample(0.0).position, Ned::new(0.0, 0.0, -1.0));
+    again.follow(&reference, 3.0);
+    assert!(again.state[0].abs() < 0.03, "{:?}", again.state);
+}
