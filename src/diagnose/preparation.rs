@@ -7,7 +7,7 @@ use sitl::vehicle::VehicleParams;
 
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
 use crate::learn::segments::Segments;
-use crate::log::import::{AttitudeSetpoint, Flight, Stream, UnitUnknown};
+use crate::log::import::{AttitudeSetpoint, Flight, SetpointSource, Stream, UnitUnknown};
 
 /// Streams faster than this are averaged over [`SMOOTHING_S`] first, Hz: what lies above the bands
 /// would fold into them.
@@ -252,6 +252,8 @@ impl PreparedFlight {
             specific_force: !specific_force.is_empty(),
             outputs: !flight.outputs.is_empty(),
             setpoint: vehicle.attitude_pd.is_some()
+                // An autopilot's own setpoints have not come over the link.
+                && flight.setpoint_source == SetpointSource::Ground
                 && !attitude.is_empty()
                 && !body_rate.is_empty()
                 && flight.setpoint.values().iter().filter(|s| complete(s)).count() * 2
