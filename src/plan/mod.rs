@@ -19,6 +19,7 @@ pub mod programme;
 pub mod receding;
 pub mod reference;
 pub mod scp;
+mod stage_algebra;
 pub mod subproblem;
 mod table;
 pub mod trajectory;

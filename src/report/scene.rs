@@ -187,7 +187,7 @@ fn ground(view: &View, [north, east]: [(f64, f64); 2], floor: f64, step: f64, sv
     let corner = Ned::new(north.1, east.0, floor);
     let top = Ned::new(north.1, east.0, floor - step);
     line(corner, top, "axis", svg);
-    label(top, (-6.0, 4.0), "end", format!("{} m up", number(step)), svg);
+    label(top, (8.0, 4.0), "start", format!("{} m up", number(step)), svg);
 }
 
 /// A path of at most [`POINTS`] points.
