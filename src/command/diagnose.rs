@@ -7,13 +7,13 @@ use anyhow::{Context, anyhow};
 use rayon::prelude::*;
 use sitl::vehicle::VehicleParams;
 
+use super::logs::open_for;
 use super::{Exit, ExitContext, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::Verdict;
 use crate::diagnose::preparation::PreparedFlight;
 use crate::diagnose::procedure::{Case, Settings, diagnose};
 use crate::diagnose::words::report;
-use crate::log::import;
 
 /// Guard between the halves of a single flight, s.
 const GUARD_S: f64 = 2.0;
@@ -86,18 +86,7 @@ fn prepare(
     mapping: Option<&Path>,
     vehicle: &VehicleParams,
 ) -> anyhow::Result<PreparedFlight> {
-    let flight = import::open(path, mapping)?;
-    if let Some(text) = &flight.vehicle_file {
-        let own = if text.trim_start().starts_with('{') {
-            VehicleParams::from_json_str(text)
-        } else {
-            VehicleParams::from_toml_str(text)
-        };
-        let own = own.context("the vehicle file inside the log")?;
-        if let Some(difference) = vehicle.difference(&own) {
-            anyhow::bail!("it is of another vehicle: {difference}");
-        }
-    }
+    let flight = open_for(path, mapping, vehicle)?;
     Ok(PreparedFlight::new(flight, vehicle)?)
 }
 

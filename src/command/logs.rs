@@ -12,7 +12,7 @@ use super::say;
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
 use crate::learn::summary::RefusedLog;
-use crate::log::import;
+use crate::log::import::{self, Flight};
 
 /// Flights to learn from, in the order of their names, and logs that were refused.
 pub(super) struct Logs {
@@ -69,13 +69,12 @@ impl Logs {
     }
 }
 
-fn observe(
+/// Reads a flight; one of another vehicle, by the file inside its log, is refused.
+pub(super) fn open_for(
     path: &Path,
     mapping: Option<&Path>,
     vehicle: &VehicleParams,
-    onboard: &Onboard,
-    windows: &WindowSettings,
-) -> anyhow::Result<ObservedFlight> {
+) -> anyhow::Result<Flight> {
     let flight = import::open(path, mapping)?;
     if let Some(text) = &flight.vehicle_file {
         let own = if text.trim_start().starts_with('{') {
@@ -88,6 +87,17 @@ fn observe(
             anyhow::bail!("it is of another vehicle: {difference}");
         }
     }
+    Ok(flight)
+}
+
+fn observe(
+    path: &Path,
+    mapping: Option<&Path>,
+    vehicle: &VehicleParams,
+    onboard: &Onboard,
+    windows: &WindowSettings,
+) -> anyhow::Result<ObservedFlight> {
+    let flight = open_for(path, mapping, vehicle)?;
     let observed = ObservedFlight::new(flight, vehicle, onboard, windows)?;
     observed.check_vehicle(vehicle, onboard)?;
     Ok(observed)

@@ -12,6 +12,7 @@ mod frames;
 pub mod mapping;
 mod mcap;
 mod onboard;
+mod read_ahead;
 mod source;
 mod tally;
 mod tlog;

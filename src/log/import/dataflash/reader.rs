@@ -6,6 +6,7 @@
 
 use std::io::{self, Read};
 
+use super::super::read_ahead::read_ahead;
 use super::layout::{FMT, FMT_LENGTH, HEAD, Layout};
 
 /// How every message begins.
@@ -129,23 +130,7 @@ impl<R: Read> Reader<R> {
         }
         self.buffer.drain(..self.start);
         self.start = 0;
-        let mut end = self.buffer.len();
-        self.buffer.resize(CHUNK, 0);
-        while end < self.buffer.len() {
-            match self.source.read(&mut self.buffer[end..]) {
-                Ok(0) => {
-                    self.ended = true;
-                    break;
-                }
-                Ok(count) => end += count,
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => {
-                    self.buffer.truncate(end);
-                    return Err(error);
-                }
-            }
-        }
-        self.buffer.truncate(end);
+        self.ended = read_ahead(&mut self.source, &mut self.buffer, CHUNK)?;
         Ok(())
     }
 }

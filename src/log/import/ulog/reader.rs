@@ -8,6 +8,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{self, Read};
 
+use super::super::read_ahead::read_ahead;
 use super::format::{Formats, Layout, is_name};
 
 /// The first bytes of a file; the version follows.
@@ -274,23 +275,7 @@ impl<R: Read> Reader<R> {
         }
         self.buffer.drain(..self.start);
         self.start = 0;
-        let mut end = self.buffer.len();
-        self.buffer.resize(wanted.max(4 * MESSAGE_MAX), 0);
-        while end < self.buffer.len() {
-            match self.source.read(&mut self.buffer[end..]) {
-                Ok(0) => {
-                    self.ended = true;
-                    break;
-                }
-                Ok(count) => end += count,
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => {
-                    self.buffer.truncate(end);
-                    return Err(error);
-                }
-            }
-        }
-        self.buffer.truncate(end);
+        self.ended = read_ahead(&mut self.source, &mut self.buffer, wanted.max(4 * MESSAGE_MAX))?;
         Ok(())
     }
 
