@@ -421,6 +421,12 @@ pub struct DiagnoseArgs {
     /// Folder for report.html and report.json; made if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
+    /// The trajectory file to write, of the flight that would best tell what these logs leave open.
+    #[arg(long, value_name = "FILE")]
+    pub next_flight: Option<PathBuf>,
+    /// Configuration file: room and envelope of the next flight.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
     /// What the columns of CSV logs mean.
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,

@@ -18,7 +18,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("log", &["clock", "setpoint", "link"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
-        ("diagnose", &["learn", "log", "model", "pilot"]),
+        ("diagnose", &["control", "learn", "log", "model", "pilot", "plan", "setpoint"]),
         ("report", &["clock", "control", "setpoint", "diagnose", "learn", "log", "model", "plan"]),
         (
             "station",

@@ -286,7 +286,10 @@ impl Demo<'_> {
     /// Flies every course as often as asked; nothing where it was interrupted.
     fn fly(&self, courses: &[(Contestant, Course)]) -> anyhow::Result<Option<Flown>> {
         let args = self.args;
-        let hover_thrust_n = EffectiveVehicle::new(&self.vehicle.params)?.hover.hover_thrust_n();
+        let hover_thrust_n = EffectiveVehicle::new(&self.vehicle.params)
+            .or_exit(Exit::Usage)?
+            .hover
+            .hover_thrust_n();
         let length: f64 = courses.iter().map(|(_, course)| course.duration()).sum();
         let progress = progress_bar(length * args.flights as f64);
         let mut flown = None;

@@ -8,12 +8,15 @@ use rayon::prelude::*;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
-use super::{Exit, ExitContext, print_json, print_text, say, write_file};
+use super::setup::capability;
+use super::{Exit, ExitContext, config, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::Verdict;
+use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
 use crate::diagnose::preparation::PreparedFlight;
-use crate::diagnose::procedure::{Case, Settings, diagnose};
+use crate::diagnose::procedure::{Case, Diagnosis, Settings, diagnose};
 use crate::diagnose::words::report;
+use crate::plan::manoeuvres::Room;
 
 /// Guard between the halves of a single flight, s.
 const GUARD_S: f64 = 2.0;
@@ -52,8 +55,17 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     }
     let case = Case { vehicle: &vehicle, fitted: &fitted, held_out: &held_out, blocked };
     let settings = Settings { seed: args.seed, twins: args.twins };
-    let diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
+    let mut diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
         .or_exit(Exit::Usage)?;
+    if let Some(path) = &args.next_flight {
+        say(format_args!("... which flight next"));
+        let next = propose(args, &vehicle, &diagnosis)?;
+        match &next {
+            Some(next) => write_file(path, next.file.as_bytes())?,
+            None => say(format_args!("no next flight is needed, or none would tell more")),
+        }
+        diagnosis.answer.next_flight = next;
+    }
     let answer = &diagnosis.answer;
     if let Some(folder) = &args.report {
         fs::create_dir_all(folder)
@@ -79,6 +91,26 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         Some(FailOnVerdict::Gap) if answer.verdict != Verdict::None => Exit::Check,
         _ => Exit::Ok,
     })
+}
+
+/// The flight that would tell what the logs leave open.
+fn propose(
+    args: &DiagnoseArgs,
+    vehicle: &VehicleParams,
+    diagnosis: &Diagnosis,
+) -> anyhow::Result<Option<NextFlight>> {
+    let settings = config::load(args.config.as_deref(), vec![])?.settings;
+    let capability = capability(vehicle, &settings.control)?;
+    let proposal = Proposal {
+        vehicle,
+        setpoint_leg: diagnosis.setpoint_leg,
+        noise: diagnosis.noise,
+        room: Room::new(&settings.collect, &settings.envelope, &capability),
+        envelope: settings.envelope,
+        seed: args.seed,
+    };
+    let [open, untested] = &diagnosis.open;
+    next_flight(&proposal, open, untested).or_exit(Exit::Usage)
 }
 
 fn prepare(

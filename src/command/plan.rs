@@ -37,7 +37,7 @@ pub(super) struct PlanModel {
 impl PlanModel {
     /// The vehicle file's own physics.
     pub fn nominal(vehicle: &VehicleParams) -> anyhow::Result<Self> {
-        let effective = EffectiveVehicle::new(vehicle)?;
+        let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
         let model =
             PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
         Ok(Self {
@@ -85,7 +85,7 @@ pub(super) fn planner(
     through: &PlanModel,
     config: &Config,
 ) -> anyhow::Result<(Planner, Answer)> {
-    let effective = EffectiveVehicle::new(vehicle)?;
+    let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
     let attitude_pd = effective
         .attitude_pd
         .ok_or_else(|| {
@@ -205,7 +205,7 @@ pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
     let wall_s = began.elapsed().as_secs_f64();
 
     let flyable = plan.check_flyable();
-    let effective = EffectiveVehicle::new(&vehicle)?;
+    let effective = EffectiveVehicle::new(&vehicle).or_exit(Exit::Usage)?;
     let demands = config.settings.envelope.check_plan(
         &plan,
         effective.hover.mass_kg,

@@ -8,7 +8,9 @@ use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 use super::gap::{Errors, ReportNoise};
 use super::leftover::UnmodelledForce;
 use super::map::ResidualMap;
+use super::next_flight::NextFlight;
 use super::preparation::Channels;
+use super::reflight::ClosedLoop;
 use super::twins::Twins;
 
 /// The verdict in three words.
@@ -132,6 +134,10 @@ pub struct Answer {
     pub effects: Vec<EffectAnswer>,
     /// The gap; missing where no window can start.
     pub gap: Option<Gap>,
+    /// The flights held out, flown again in simulation.
+    pub closed_loop: Option<ClosedLoop>,
+    /// Why they were not, where they were not.
+    pub closed_loop_missing: Option<String>,
     /// Effects that cannot be told from the named ones.
     pub ambiguous_with: Vec<&'static str>,
     /// The full verdict in words.
@@ -141,6 +147,8 @@ pub struct Answer {
     pub map: ResidualMap,
     /// Effects that these logs cannot show.
     pub not_testable: Vec<NotTestable>,
+    /// The flight that would tell what these logs cannot, where it was asked for.
+    pub next_flight: Option<NextFlight>,
     /// Force that nothing explains, before and after.
     pub unmodelled_force: Option<[UnmodelledForce; 2]>,
     /// Flights simulated without an effect.

@@ -13,7 +13,7 @@ use super::selection::{Rival, Scored, Selection};
 const CERTAIN: f64 = 0.995;
 /// Differences of scores count by this share: channels share noise that the scores take to be
 /// independent.
-const TEMPER: f64 = 0.25;
+pub(super) const TEMPER: f64 = 0.25;
 /// Least probability of an effect that the answer mentions.
 const MENTIONED: f64 = 0.01;
 /// Least probability of a rival that cannot be told apart.

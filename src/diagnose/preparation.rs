@@ -8,6 +8,7 @@ use sitl::vehicle::VehicleParams;
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
 use crate::learn::segments::Segments;
 use crate::log::import::{AttitudeSetpoint, Flight, SetpointSource, Stream, UnitUnknown};
+use crate::setpoint::Reference;
 
 /// Streams faster than this are averaged over [`SMOOTHING_S`] first, Hz: what lies above the bands
 /// would fold into them.
@@ -28,7 +29,7 @@ pub struct Series<const N: usize> {
 }
 
 impl<const N: usize> Series<N> {
-    fn of<T>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -> Self {
+    pub(super) fn of<T>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -> Self {
         Self { times: stream.times().to_vec(), values: stream.values().iter().map(value).collect() }
             .smoothed(stream.rate())
     }
@@ -184,6 +185,8 @@ pub struct PreparedFlight {
     pub voltage: Series<1>,
     /// Setpoints as sent.
     pub setpoint: Stream<AttitudeSetpoint>,
+    /// What was tracked, where the log holds it.
+    pub reference: Stream<Reference>,
     /// Airborne time without gaps, s.
     pub spans: Vec<Range<f64>>,
     /// The same as blocks.
@@ -277,6 +280,7 @@ impl PreparedFlight {
             outputs,
             voltage: Series::of(&flight.voltage, |v| [*v]),
             setpoint: flight.setpoint,
+            reference: flight.reference,
             spans,
             blocks,
         })

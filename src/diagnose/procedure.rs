@@ -13,9 +13,11 @@ use super::hypothesis::Catalogue;
 use super::leftover::{UnmodelledForce, unmodelled_force};
 use super::map::{map, samples};
 use super::naming::{as_good, named_effects, not_testable};
+use super::next_flight::{Live, live, untested};
 use super::noise::report_noise;
 use super::observed::Observed;
 use super::preparation::PreparedFlight;
+use super::reflight::reflight;
 use super::residuals::{Evaluator, VELOCITY};
 use super::selection::{Scored, Selection, Selector, Thresholds};
 use super::spectrum::{BANDS, CELL_S};
@@ -59,6 +61,13 @@ pub struct Diagnosis {
     pub answer: Answer,
     /// The named effects with the vehicle's true values.
     pub effects: EffectSet,
+    /// Explanations that are left open, and effects that these logs cannot show: what a next flight
+    /// is for.
+    pub open: [Vec<Live>; 2],
+    /// Whether the leg from setpoints to outputs was looked at.
+    pub setpoint_leg: bool,
+    /// Noise of the reports.
+    pub noise: ReportNoise,
 }
 
 /// Why there is no answer.
@@ -174,6 +183,12 @@ pub fn diagnose(
     } else {
         (Vec::new(), Vec::new())
     };
+    progress("flown again");
+    let reported = gap.as_ref().map_or(noise, |gap| gap.noise);
+    let (closed_loop, closed_loop_missing) = match reflight(case, &effects, &reported, settings) {
+        Ok(closed_loop) => (Some(closed_loop), None),
+        Err(reason) => (None, Some(reason.to_string())),
+    };
     let mut answer = Answer {
         verdict,
         finding: String::new(),
@@ -182,8 +197,11 @@ pub fn diagnose(
         evidence_asked: selector.thresholds.evidence,
         effects: effects_answer,
         gap,
+        closed_loop,
+        closed_loop_missing,
         ambiguous_with,
         not_testable: not_testable(&catalogue, &selection, leg),
+        next_flight: None,
         unmodelled_force: unmodelled,
         hypotheses: selection
             .singles
@@ -217,7 +235,8 @@ pub fn diagnose(
     };
     answer.finding = finding(&answer);
     let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
-    Ok(Diagnosis { answer, effects })
+    let open = [live(&catalogue, &selection, &answer), untested(&catalogue, &answer)];
+    Ok(Diagnosis { answer, effects, open, setpoint_leg: leg, noise: reported })
 }
 
 /// Time over which an unmodelled force is compared with the velocity's noise, s.
