@@ -64,6 +64,14 @@ pub struct DemoArgs {
     /// Length of the flights that the models are learned from, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 900.0)]
     pub learn: f64,
+    /// Closes the loop instead: the simulated vehicle hides an effect (--hidden, else drawn from the
+    /// seed), which is diagnosed from a short programme of flights; the trajectory is planned and
+    /// flown with the vehicle file as shipped and with the improved one.
+    #[arg(long, conflicts_with_all = ["fly", "learn"])]
+    pub diagnose: bool,
+    /// Length of the flights that are diagnosed, s.
+    #[arg(long, value_name = "SECONDS", default_value_t = 90.0, requires = "diagnose")]
+    pub excite: f64,
     /// Flights of each, with seeds from --seed on.
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
     pub flights: u64,
@@ -141,7 +149,7 @@ pub struct SimulationArgs {
     #[arg(long, value_name = "FILE")]
     pub effects: Option<PathBuf>,
     /// One such effect, over those of the file: id:key=value,...
-    #[arg(long, value_name = "EFFECT")]
+    #[arg(long, visible_alias = "hidden", value_name = "EFFECT")]
     pub effect: Vec<String>,
 }
 
@@ -415,6 +423,10 @@ pub struct DiagnoseArgs {
     /// of the logs; of a single one its second half].
     #[arg(long, value_name = "FILE")]
     pub holdout: Vec<PathBuf>,
+    /// A log of the flight that an earlier diagnosis asked for: part of the fit, never held out; may
+    /// be given again.
+    #[arg(long, value_name = "FILE")]
+    pub new: Vec<PathBuf>,
     /// The vehicle file to write, with the effects that were found.
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,

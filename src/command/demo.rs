@@ -16,6 +16,7 @@ use sitl::effects::EffectSet;
 
 use super::collect::gather;
 use super::course::Course;
+use super::demo_diagnose;
 use super::plan::{PlanModel, plan_trajectory, planner, sha256_of};
 use super::setup::{EffectiveVehicle, VehicleFile, built_in_trajectory};
 use super::simulation::{Simulated, SimulatedFlight, Truth};
@@ -109,6 +110,9 @@ struct Learned {
 }
 
 pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
+    if args.diagnose {
+        return demo_diagnose::run(args);
+    }
     let began = Instant::now();
     let config = config::load(args.config.as_deref(), vec![])?;
     let vehicle = match &args.vehicle {
@@ -305,6 +309,7 @@ impl Demo<'_> {
                 let flight = SimulatedFlight {
                     config: &self.config,
                     vehicle: &self.vehicle,
+                    airframe: &self.vehicle.params,
                     truth: &self.truth,
                     course,
                     run: &run_name(course, *contestant, seed, args),

@@ -29,16 +29,23 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
             paths.push(path.clone());
         }
     }
+    paths.retain(|path| !args.new.contains(path));
+    let old = paths.len();
+    paths.extend(args.new.iter().cloned());
     let mapping = args.mapping.as_deref();
     let read: Vec<anyhow::Result<PreparedFlight>> =
         paths.par_iter().map(|path| prepare(path, mapping, &vehicle)).collect();
-    let (mut fitted, mut held_out) = (Vec::new(), Vec::new());
-    for (path, flight) in paths.iter().zip(read) {
+    let (mut fitted, mut held_out, mut new) = (Vec::new(), Vec::new(), Vec::new());
+    for (index, (path, flight)) in paths.iter().zip(read).enumerate() {
         match flight {
+            Ok(flight) if index >= old => new.push(flight),
             Ok(flight) if args.holdout.contains(path) => held_out.push(flight),
             Ok(flight) => fitted.push(flight),
             Err(error) => say(format_args!("{}: left out: {error:#}", path.display())),
         }
+    }
+    if fitted.is_empty() {
+        fitted.append(&mut new);
     }
     if fitted.is_empty() && held_out.is_empty() {
         return Err(anyhow!("none of the {} logs can be used", paths.len())).or_exit(Exit::Usage);
@@ -53,6 +60,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         (fitted, held_out) = halves(&fitted[0]).or_exit(Exit::Usage)?;
         say(format_args!("one flight: its second part is held out, {GUARD_S} s after the first"));
     }
+    fitted.append(&mut new);
     let case = Case { vehicle: &vehicle, fitted: &fitted, held_out: &held_out, blocked };
     let settings = Settings { seed: args.seed, twins: args.twins };
     let mut diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))

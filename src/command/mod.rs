@@ -6,6 +6,7 @@ mod config;
 mod course;
 mod daemon;
 mod demo;
+mod demo_diagnose;
 mod diagnose;
 mod exit;
 mod fly;

@@ -9,6 +9,7 @@ use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use sitl::effects::BatterySag;
 use sitl::vehicle::VehicleParams;
 
 use super::setup::{EffectiveVehicle, VehicleFile};
@@ -45,7 +46,10 @@ impl PlanModel {
             note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
             delay_s: effective.actuation.command_delay_s,
             lag_s: effective.actuation.motor_time_constant_s,
-            voltage_exponent: 0.0,
+            voltage_exponent: vehicle
+                .modelled_effects
+                .get::<BatterySag>()
+                .map_or(0.0, |sag| sag.exponent),
         })
     }
 

@@ -287,3 +287,79 @@ impl Recorder {
         self.flight.setpoint.push(time, setpoint);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::setpoint::Setpoint;
+    use sitl::frame::{Euler, Frd, Ned};
+
+    fn nano() -> VehicleParams {
+        VehicleParams::from_toml_str(include_str!("../../config/vehicles/crazyflie.toml"))
+            .expect("a vehicle")
+    }
+
+    /// Hover a metre up for `seconds`, from rest there.
+    fn hover(vehicle: &VehicleParams, effects: &str, seconds: f64, seed: u64) -> Flight {
+        let control = GroundControl::new(vehicle).expect("feedback");
+        let mut set = EffectSet::new();
+        if !effects.is_empty() {
+            set.insert_argument(effects).expect("an effect");
+        }
+        let simulator = FlightSimulator::new(&control, vehicle, &set, SensorConfig::default())
+            .expect("a simulator");
+        let position = Ned::new(0.0, 0.0, -1.0);
+        let thrust_n = control.vehicle().hover.hover_thrust_n();
+        let reference = Reference {
+            position,
+            velocity: Ned::zero(),
+            attitude: Euler::default(),
+            body_rate: Frd::zero(),
+            feedforward: Setpoint { thrust_n, ..Setpoint::default() },
+        };
+        let ticks: Vec<(f64, Reference)> =
+            (0..(seconds * 100.0) as usize).map(|k| (5.0 + k as f64 * 0.01, reference)).collect();
+        let departure = Departure {
+            time: 5.0,
+            state: State { position, ..State::default() },
+            rotors: [vehicle.hover_thrust; ROTORS],
+        };
+        simulator.fly(&departure, &ticks, None, seed).expect("a flight")
+    }
+
+    #[test]
+    fn it_hovers_at_the_vehicles_rates_and_sinks_as_feedback_lets_a_heavy_one() {
+        let vehicle = nano();
+        let flight = hover(&vehicle, "", 6.0, 1);
+        let height = |flight: &Flight| -flight.position.values().last().expect("a position").down();
+        assert!((height(&flight) - 1.0).abs() < 0.02, "{}", height(&flight));
+        for (rate, expected) in [
+            (flight.attitude.rate(), 250.0),
+            (flight.position.rate(), 100.0),
+            (flight.outputs.rate(), 100.0),
+            (flight.setpoint.rate(), 100.0),
+        ] {
+            assert!((rate / expected - 1.0).abs() < 0.01, "{rate}");
+        }
+        let first = flight.attitude.times().first().expect("a sample");
+        assert!((first - 5.0).abs() < 1e-9);
+        // The gain of thrust by height holds up a twentieth of the weight after a few centimetres.
+        let heavy = height(&hover(&vehicle, "thrust_scale:scale=0.95", 6.0, 1));
+        assert!((0.9..0.985).contains(&heavy), "{heavy}");
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_flight() {
+        let vehicle = nano();
+        let of = |seed| hover(&vehicle, "", 1.0, seed).outputs;
+        assert_eq!(of(3), of(3));
+        assert_ne!(of(3), of(4));
+    }
+
+    #[test]
+    fn without_the_on_board_loop_nothing_is_flown_and_that_is_said() {
+        let vehicle = VehicleParams { attitude_pd: None, ..nano() };
+        let refused = GroundControl::new(&vehicle).expect_err("no loop").to_string();
+        assert!(refused.contains("attitude_pd"), "{refused}");
+    }
+}

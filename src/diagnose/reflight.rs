@@ -61,7 +61,7 @@ impl Difference {
     /// anything to close.
     pub fn closure(&self) -> Option<f64> {
         let closable = self.before - self.floor;
-        (closable > 0.05 * self.floor).then(|| (self.before - self.after) / closable)
+        (closable > 0.2 * self.floor).then(|| (self.before - self.after) / closable)
     }
 }
 
@@ -108,8 +108,8 @@ pub struct Traces {
 }
 
 /// Flies the flights held out again, with the vehicle as shipped and with `effects` put over it,
-/// under reports with this `noise`. Where a log holds what was tracked, that is tracked; else the
-/// flight as it was reported. Turbulence is left out: one draw is not another.
+/// under reports with this `noise`, along what [`ReferenceOrigin`] says. Turbulence is left out: one
+/// draw is not another.
 ///
 /// # Errors
 /// [`NotReflown`].
@@ -142,7 +142,12 @@ pub fn reflight(
             let fly = |simulator: &FlightSimulator<'_>, reports: &Reports, seed| {
                 let departure = reports.departure(flight, course.start());
                 let voltage = flight.channels.voltage.then_some(&flight.voltage);
-                let flown = simulator.fly(&departure, &course.ticks, voltage, seed);
+                let mut asked = course.clone();
+                for _ in 0..course.rounds() {
+                    let flown = simulator.fly(&departure, &asked.ticks, voltage, seed)?;
+                    asked = course.learned(&asked, &flown);
+                }
+                let flown = simulator.fly(&departure, &asked.ticks, voltage, seed);
                 flown.map(|flight| Motion::of_simulated(&flight, course, &allocation))
             };
             let log = Motion::of_logged(flight, course, &allocation);

@@ -88,6 +88,7 @@ pub fn next_flight(next: &NextFlight) -> String {
             rivals.join(", ")
         );
     }
+    text += " Diagnose the old and the new flight together, the new one given with --new.";
     text
 }
 

@@ -10,6 +10,7 @@ mod flight_page;
 pub mod histogram;
 pub mod page;
 pub mod plan;
+pub mod repair;
 pub mod scene;
 pub mod table;
 pub mod training;

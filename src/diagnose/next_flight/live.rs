@@ -63,7 +63,7 @@ pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Ve
     for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(&id.name()))
     {
         if !seen.contains(&effect) {
-            let usual = typical(catalogue, effect);
+            let usual = typical(catalogue, effect, 1.0);
             found.extend(usual.map(|usual| Live { probability: probability(effect), ..usual }));
         }
     }
@@ -77,24 +77,25 @@ pub fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
     let is_untested =
         |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == id.name());
     let ids = EffectId::ALL.into_iter().filter(is_untested);
-    ids.filter_map(|id| typical(catalogue, id)).collect()
+    ids.filter_map(|id| typical(catalogue, id, 1.0)).collect()
 }
 
 /// Least probability of an explanation that an answer mentions as possible.
 const LEAST: f64 = 0.1;
 
-/// An effect at its usual strength; `None` for one that a vehicle's file lacks a number for.
-pub fn typical(catalogue: &Catalogue, effect: EffectId) -> Option<Live> {
+/// An effect with its numbers at `strength` of their usual distance from what the vehicle file says;
+/// `None` for one that the file lacks a number for.
+pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option<Live> {
     let hypothesis = catalogue.hypotheses.iter().find(|h| h.effect == effect)?;
     let mut values = catalogue.references();
     for index in &hypothesis.numbers {
         let number = &catalogue.numbers[*index];
         let [low, high] = number.bounds;
-        let up = number.reference + number.magnitude;
-        let down = number.reference - number.magnitude;
+        let up = number.reference + strength * number.magnitude;
+        let down = number.reference - strength * number.magnitude;
         // A rotor only loses thrust.
         let falls = matches!(number.target, Target::RotorScale(_));
-        values[*index] = if !falls && up <= high { up } else { down.max(low) };
+        values[*index] = if falls || up > high { down } else { up }.clamp(low, high);
     }
     let effects = catalogue.effects(&values, Some(&[effect]));
     (!effects.is_empty()).then_some(Live { effects, probability: 0.5 })

@@ -43,6 +43,7 @@ pub(super) fn html(closed_loop: &ClosedLoop) -> String {
 fn picture(flight: &Reflown) -> String {
     let reference = match flight.reference {
         ReferenceOrigin::Logged => "the logged reference",
+        ReferenceOrigin::Setpoints => "the logged setpoints and the reported motion",
         ReferenceOrigin::Reported => "the flight as it was reported",
     };
     let heading =
