@@ -17,6 +17,7 @@ mod logs;
 mod messages;
 mod model;
 mod plan;
+mod sent_thrust;
 mod setup;
 mod simulation;
 mod sitl;

@@ -12,6 +12,7 @@ use sha2::{Digest, Sha256};
 use sitl::effects::BatterySag;
 use sitl::vehicle::VehicleParams;
 
+use super::sent_thrust::behind_the_map;
 use super::setup::{EffectiveVehicle, VehicleFile};
 use super::{Exit, ExitContext, config, on_interrupt, print_json, print_text, say, write_file};
 use crate::cli::PlanArgs;
@@ -42,7 +43,7 @@ impl PlanModel {
         let model =
             PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
         Ok(Self {
-            model: Arc::new(model),
+            model: behind_the_map(Arc::new(model), vehicle, &effective),
             note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
             delay_s: effective.actuation.command_delay_s,
             lag_s: effective.actuation.motor_time_constant_s,
@@ -55,8 +56,10 @@ impl PlanModel {
 
     /// One of a model file's models.
     pub fn learned(file: &ModelFile, kind: ModelKind, sha256: &str) -> anyhow::Result<Self> {
+        let effective = EffectiveVehicle::new(&file.vehicle).or_exit(Exit::Usage)?;
+        let model = file.model(kind).or_exit(Exit::Usage)?.into();
         Ok(Self {
-            model: file.model(kind).or_exit(Exit::Usage)?.into(),
+            model: behind_the_map(model, &file.vehicle, &effective),
             note: PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) },
             delay_s: file.actuation.delay_s,
             lag_s: file.actuation.lag_s,

@@ -24,7 +24,7 @@ use sitl::vehicle::VehicleParams;
 
 /// Evidence against every rival that is plenty: models are never quite right, so that it is far
 /// beyond what simulation says is needed, nats.
-const PLENTY: f64 = 60.0;
+const PLENTY: f64 = 100.0;
 /// Evidence that makes an effect visible, nats.
 const VISIBLE: f64 = 20.0;
 

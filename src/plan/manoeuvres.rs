@@ -297,8 +297,9 @@ fn tilt_chirp(room: &Room, turning: f64) -> String {
 }
 
 fn yaw_waves(room: &Room) -> Vec<YawWave> {
-    let periods = [4.1, 2.2, 1.3, 0.8];
-    let share = room.yaw_rate_deg_s / periods.len() as f64;
+    // Drag torques are small: rotors have little to yaw with.
+    let periods = [4.1, 2.6, 1.7, 1.1];
+    let share = 0.6 * room.yaw_rate_deg_s / periods.len() as f64;
     periods
         .iter()
         .enumerate()
