@@ -300,24 +300,32 @@ impl Catalogue {
         set
     }
 
-    /// The vehicle that `values` stand for.
-    ///
-    /// # Errors
-    /// A vehicle that the physics refuses.
-    pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
+    /// The vehicle file that `values` stand for, and the effects to put over it.
+    pub fn vehicle_of(&self, values: &[f64]) -> (VehicleParams, EffectSet) {
         let mut vehicle = self.vehicle.clone();
-        let mut output_delay = 0.0;
         for (number, value) in self.numbers.iter().zip(values) {
             match number.target {
                 Target::RotorGain(rotor) => vehicle.rotors[rotor].thrust_max_n *= value,
-                Target::OutputDelay => output_delay = *value,
                 Target::Damping(axis) if *value != 0.0 => {
                     vehicle.angular_damping_nms.get_or_insert_default()[axis] += value;
                 }
                 _ => {}
             }
         }
-        let overlay = self.effects(values, None);
+        (vehicle, self.effects(values, None))
+    }
+
+    /// The vehicle that `values` stand for, as what drives and reports it.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
+        let delays = self.numbers.iter().zip(values);
+        let output_delay = delays
+            .filter(|(number, _)| number.target == Target::OutputDelay)
+            .map(|(_, value)| *value)
+            .sum();
+        let (vehicle, overlay) = self.vehicle_of(values);
         let effects = vehicle.modelled_effects.overlay(&overlay);
         let physics = Physics::new(&vehicle, &overlay)?;
         Ok(Candidate {
