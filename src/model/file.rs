@@ -351,8 +351,8 @@ impl ModelFile {
         })
     }
 
-    /// Whether this model is for `vehicle`: mass, inertia, rotors and the on-board law are the
-    /// same. `path` is for the message.
+    /// Whether this model is for `vehicle`, by [`VehicleParams::difference`]. `path` is for the
+    /// message.
     ///
     /// # Errors
     /// [`ModelFileError::Vehicle`] with the first difference.
