@@ -16,6 +16,7 @@ mod logs;
 mod messages;
 mod model;
 mod plan;
+mod progress;
 mod setup;
 mod simulation;
 mod sitl;
