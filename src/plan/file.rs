@@ -31,7 +31,7 @@ pub enum TrajectoryError {
         message: String,
     },
     /// A value is impossible.
-    #[error("trajectory {path}: {field}: expected {expected}, found {found}")]
+    #[error("trajectory {path}: {field}: expected {expected}, found {found:?}")]
     Value {
         /// The file.
         path: PathBuf,
