@@ -84,6 +84,11 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
         let error = anyhow!("--window: expected 1 to 200 ms, found {window}");
         return Err(error).or_exit(Exit::Usage);
     }
+    // Before the training, not after it.
+    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        return Err(anyhow!("--out: there is no folder {}", folder.display())).or_exit(Exit::Usage);
+    }
     if let Some(threads) = args.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;
     }

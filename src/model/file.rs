@@ -361,7 +361,7 @@ impl ModelFile {
         vehicle: &VehicleParams,
         path: &Path,
     ) -> Result<(), ModelFileError> {
-        match self.vehicle.difference(vehicle) {
+        match vehicle.difference(&self.vehicle) {
             None => Ok(()),
             Some(difference) => Err(ModelFileError::Vehicle {
                 path: path.to_owned(),

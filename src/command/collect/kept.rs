@@ -8,9 +8,9 @@ use anyhow::Context;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
-use crate::command::say;
 use crate::command::setup::VehicleFile;
 use crate::command::simulation::Truth;
+use crate::command::{in_words, say};
 use crate::config::Config;
 use crate::log::LogReader;
 use crate::log::info::{LogInfo, TrackingInfo};
@@ -97,7 +97,9 @@ pub(super) fn logs_of_flights(folder: &Path) -> anyhow::Result<BTreeMap<String, 
         match read {
             Ok((Some(fingerprint), log)) => logs.entry(fingerprint).or_default().push(log),
             Ok((None, _)) => {}
-            Err(error) => say(format_args!("{}: left alone: {error:#}", path.display())),
+            Err(error) => {
+                say(format_args!("{}: left alone: {}", path.display(), in_words(&error)));
+            }
         }
     }
     Ok(logs)
