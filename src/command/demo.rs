@@ -80,7 +80,7 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
     let exit = demo.run(given, began)?;
     if exit == Exit::Interrupted {
         say(format_args!(
-            "interrupted; the same command goes on with the flights that are whole in {}",
+            "the same command goes on with the flights that are whole in {}",
             args.out.display()
         ));
     }

@@ -29,7 +29,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
         Learning::Done(trained) => trained,
         Learning::Interrupted(checkpoint) => {
             say(format_args!(
-                "interrupted; the same command with --resume goes on from {}",
+                "the same command with --resume goes on from {}",
                 checkpoint.display()
             ));
             return Ok(Exit::Interrupted);

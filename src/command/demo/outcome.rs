@@ -14,6 +14,7 @@ use crate::plan::scp::{Status, Violation};
 use crate::report::comparison::Contender;
 use crate::report::experiment::{self, Experiment};
 use crate::report::flight::FlightSummary;
+use crate::report::words::smallness;
 
 /// The JSON of `demo`, and its summary.json.
 #[derive(Serialize)]
@@ -148,19 +149,18 @@ impl Demo<'_> {
             notes.push((
                 row.contender,
                 format!(
-                    "plan: {}, {} subproblems in {:.2} s, largest defect {:.1e}",
+                    "plan: {}, {} subproblems in {:.2} s, largest defect {}",
                     row.status.in_words(),
                     row.subproblems,
                     row.wall_s,
-                    row.violation.defect
+                    smallness(row.violation.defect)
                 ),
             ));
         }
-        let effects = self.truth.effects_text()?;
         Ok(experiment::html(&Experiment {
             trajectory: self.desired.as_ref().map_or("plan", |desired| desired.name()),
             vehicle: &self.vehicle.params.name,
-            effects: if self.truth.effects.is_empty() { "no effects" } else { &effects },
+            effects: &self.truth.effects,
             training: learned.map(|learned| &learned.summary),
             contenders,
             files: &files,
