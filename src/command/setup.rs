@@ -19,6 +19,7 @@ use crate::link::profile::FormChoice;
 use crate::link::session;
 use crate::log::RunInfo;
 use crate::plan::Trajectory;
+use crate::plan::planned::PlannedBody;
 use crate::plan::programme::Capability;
 use crate::station::StationSettings;
 use crate::supervisor::EngagePolicy;
@@ -91,6 +92,12 @@ impl EffectiveVehicle {
                 motor_time_constant_s: constants.motor_time_constant,
             },
         })
+    }
+
+    /// What a plan says of its vehicle.
+    pub fn body(&self) -> PlannedBody {
+        let HoverVehicle { mass_kg, inertia, gravity } = self.hover;
+        PlannedBody { mass_kg, inertia, gravity, thrust_full_n: self.thrust_full_n }
     }
 }
 

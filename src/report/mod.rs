@@ -13,5 +13,6 @@ pub mod plan;
 pub mod scene;
 pub mod table;
 pub mod training;
+pub mod words;
 
 pub use flight::FlightReport;
