@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use sitl::effects::EffectId;
 
 use crate::model::file::ModelKind;
 use crate::plan::planner::SolverChoice;
@@ -430,6 +431,10 @@ pub struct DiagnoseArgs {
     /// Seed of the simulated flights.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// An effect that is not to be considered, nor another that acts in the same way; may be given
+    /// again. What the flights hold of it is then a cause outside of the catalogue.
+    #[arg(long, value_name = "EFFECT")]
+    pub without: Vec<EffectId>,
     /// Ends with exit code 10 on this verdict.
     #[arg(long, value_enum, value_name = "VERDICT")]
     pub fail_on: Option<FailOnVerdict>,

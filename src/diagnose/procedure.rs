@@ -41,6 +41,8 @@ pub struct Case<'a> {
     pub held_out: &'a [PreparedFlight],
     /// Whether these are parts of one flight.
     pub blocked: bool,
+    /// Effects that are not to be considered.
+    pub without: &'a [EffectId],
 }
 
 /// How.
@@ -82,7 +84,7 @@ pub fn diagnose(
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
     let leg = case.fitted.iter().chain(case.held_out).all(|flight| flight.channels.setpoint);
-    let catalogue = Catalogue::new(case.vehicle, leg);
+    let catalogue = Catalogue::new(case.vehicle, leg).without(case.without);
     catalogue.candidate(&catalogue.references())?;
     let evaluator = Evaluator::new(case.vehicle);
     let fitted = Observed::new(case.fitted, &evaluator, &catalogue);
@@ -138,7 +140,8 @@ pub fn diagnose(
     let left = unmodelled
         .as_ref()
         .filter(|[_, after]| is_of_practical_size(after, &noise, case.vehicle.gravity));
-    let turbulence = left.and_then(|[_, after]| {
+    let gusts_considered = !case.without.contains(&EffectId::Gusts);
+    let turbulence = left.filter(|_| gusts_considered).and_then(|[_, after]| {
         let candidate = catalogue.candidate(&selection.best.fit.values).ok()?;
         gusts(case.vehicle, &effects, after, &samples(&fitted, &evaluator, &candidate))
     });
@@ -165,6 +168,7 @@ pub fn diagnose(
         let voltage = case.fitted.iter().all(|flight| flight.channels.voltage);
         if !voltage && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
+            let others = others.filter(|effect| catalogue.considers(**effect));
             ambiguous.extend(others.map(|effect| effect.name()));
         }
         ambiguous.extend(as_good(&catalogue, &selection));
