@@ -23,6 +23,17 @@ pub enum Verdict {
     Unknown,
 }
 
+impl Verdict {
+    /// The word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Effect => "effect",
+            Self::None => "none",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
 /// An effect with its probability.
 #[derive(Clone, Debug, Serialize)]
 pub struct EffectAnswer {
