@@ -5,14 +5,17 @@ mod flight;
 mod log;
 mod model;
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use sitl::effects::EffectId;
 
 pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, FlyArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+use crate::exam::case::Kind;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
 ///
@@ -57,6 +60,8 @@ pub enum Command {
     Plan(PlanArgs),
     /// Says where a simulator and flights part, which effect causes it, and how far it shrinks.
     Diagnose(DiagnoseArgs),
+    /// Checks the diagnosis blindly, on simulated flights whose cause it is not told.
+    Exam(ExamArgs),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
 }
@@ -89,10 +94,53 @@ pub struct DiagnoseArgs {
     /// Seed of the simulated flights.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// An effect that is not to be considered, nor another that acts in the same way; may be given
+    /// again. What the flights hold of it is then a cause outside of the catalogue.
+    #[arg(long, value_name = "EFFECT")]
+    pub without: Vec<EffectId>,
     /// Ends with exit code 10 on this verdict.
     #[arg(long, value_enum, value_name = "VERDICT")]
     pub fail_on: Option<FailOnVerdict>,
     /// Prints the answer as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Flags of `exam`.
+#[derive(Debug, Args)]
+pub struct ExamArgs {
+    /// Cases with something to find.
+    #[arg(long, value_name = "COUNT", default_value_t = 60)]
+    pub cases: usize,
+    /// Cases with nothing to find.
+    #[arg(long, value_name = "COUNT", default_value_t = 20)]
+    pub nulls: usize,
+    /// Only cases of these kinds [default: all, in fixed shares].
+    #[arg(long, value_enum, value_delimiter = ',')]
+    pub kinds: Vec<Kind>,
+    /// Seed of everything that is drawn [default: from the system, and said].
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Length of each of a case's flights, s.
+    #[arg(long, default_value_t = 22.5)]
+    pub seconds: f64,
+    /// Simulated flights without any effect in each diagnosis [default: as `diagnose`].
+    #[arg(long, value_name = "COUNT")]
+    pub twins: Option<u32>,
+    /// Cases at once [default: one for each core].
+    #[arg(long, value_name = "COUNT")]
+    pub jobs: Option<NonZeroUsize>,
+    /// Folder for commitment.txt, the answers, key.json, summary.json and report.html; it must not
+    /// hold another exam.
+    #[arg(long, value_name = "DIR", default_value = "exam-out")]
+    pub out: PathBuf,
+    /// Keeps vehicle files and logs.
+    #[arg(long)]
+    pub keep: bool,
+    /// Ends with exit code 10 if a rate misses what is asked of it.
+    #[arg(long)]
+    pub fail_on_miss: bool,
+    /// Prints the result as JSON.
     #[arg(long)]
     pub json: bool,
 }

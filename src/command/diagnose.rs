@@ -50,7 +50,13 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         (fitted, held_out) = halves(&fitted[0]).or_exit(Exit::Usage)?;
         say(format_args!("one flight: its second part is held out, {GUARD_S} s after the first"));
     }
-    let case = Case { vehicle: &vehicle, fitted: &fitted, held_out: &held_out, blocked };
+    let case = Case {
+        vehicle: &vehicle,
+        fitted: &fitted,
+        held_out: &held_out,
+        blocked,
+        without: &args.without,
+    };
     let settings = Settings { seed: args.seed, twins: args.twins };
     let diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
         .or_exit(Exit::Usage)?;

@@ -7,6 +7,7 @@ mod course;
 mod daemon;
 mod demo;
 mod diagnose;
+mod exam;
 mod exit;
 mod fly;
 mod goal_file;
@@ -60,6 +61,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         }
         Command::Plan(args) => plan::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
+        Command::Exam(args) => exam::run(&args),
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)

@@ -214,6 +214,19 @@ impl Catalogue {
         catalogue
     }
 
+    /// The same without these effects and those that act in the same way. Their numbers stay free
+    /// within their tolerances.
+    pub fn without(mut self, effects: &[EffectId]) -> Self {
+        let left_out = |h: &Hypothesis| effects.iter().any(|effect| same_way(h.effect, *effect));
+        self.hypotheses.retain(|hypothesis| !left_out(hypothesis));
+        self
+    }
+
+    /// Whether an effect is a hypothesis.
+    pub fn considers(&self, effect: EffectId) -> bool {
+        self.hypotheses.iter().any(|hypothesis| hypothesis.effect == effect)
+    }
+
     fn add(&mut self, number: Number) -> usize {
         self.numbers.push(number);
         self.numbers.len() - 1
@@ -361,6 +374,12 @@ pub struct Candidate {
     pub gains: Option<PdGain>,
 }
 
+/// Whether no flight can tell two effects apart: mass and thrust act as their ratio.
+fn same_way(a: EffectId, b: EffectId) -> bool {
+    let class = |effect| if effect == EffectId::Mass { EffectId::ThrustScale } else { effect };
+    class(a) == class(b)
+}
+
 /// The slots of an effect as the vehicle file or the neutral values have them.
 fn base_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
     let mut slots = Slots::default();
@@ -423,6 +442,16 @@ mod tests {
             };
             assert_eq!(found, expected, "{effect}");
         }
+    }
+
+    #[test]
+    fn an_effect_left_out_takes_its_class_along() {
+        let whole = Catalogue::new(&vehicle(), true);
+        let rest = whole.clone().without(&[EffectId::Mass, EffectId::Wind]);
+        assert_eq!(rest.hypotheses.len(), whole.hypotheses.len() - 3);
+        let left_out = [EffectId::Mass, EffectId::ThrustScale, EffectId::Wind];
+        assert!(left_out.iter().all(|effect| !rest.considers(*effect)));
+        assert_eq!(rest.numbers.len(), whole.numbers.len());
     }
 
     #[test]

@@ -43,6 +43,8 @@ pub struct Case<'a> {
     pub held_out: &'a [PreparedFlight],
     /// Whether these are parts of one flight.
     pub blocked: bool,
+    /// Effects that are not to be considered.
+    pub without: &'a [EffectId],
 }
 
 /// How.
@@ -84,7 +86,7 @@ pub fn diagnose(
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
     let leg = case.fitted.iter().chain(case.held_out).all(|flight| flight.channels.setpoint);
-    let catalogue = Catalogue::new(case.vehicle, leg);
+    let catalogue = Catalogue::new(case.vehicle, leg).without(case.without);
     catalogue.candidate(&catalogue.references())?;
     let evaluator = Evaluator::new(case.vehicle).observing(case.fitted);
     let fitted = Observed::new(case.fitted, &evaluator, &catalogue);
@@ -167,8 +169,9 @@ pub fn diagnose(
         leftover.moment_size(case.vehicle, &noise, moment),
     ];
     let found = !named.is_empty();
+    let considered = !case.without.contains(&EffectId::Gusts);
     let turbulence =
-        leftover.force.as_ref().filter(|_| sizes[0].left > 1.0).and_then(|[_, after]| {
+        leftover.force.as_ref().filter(|_| considered && sizes[0].left > 1.0).and_then(|[_, after]| {
             let candidate = catalogue.candidate(&selection.best.fit.values).ok()?;
             gusts(case.vehicle, &effects, after, &samples(&fitted, &evaluator, &candidate))
         });
@@ -191,6 +194,7 @@ pub fn diagnose(
         let voltage = case.fitted.iter().all(|flight| flight.channels.voltage);
         if !voltage && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
+            let others = others.filter(|effect| catalogue.considers(**effect));
             ambiguous.extend(others.map(|effect| effect.name()));
         }
         ambiguous.extend(as_good(&catalogue, &selection));

@@ -4,6 +4,7 @@ mod axis;
 pub mod chart;
 pub mod comparison;
 pub mod diagnosis;
+pub mod exam;
 pub mod experiment;
 pub mod flight;
 mod flight_page;
