@@ -33,7 +33,7 @@ fn main() -> ExitCode {
     let result = command::run(cli);
     messages.flush();
     let exit = result.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+        eprintln!("error: {}", command::in_words(&error));
         command::exit_of(&error)
     });
     if exit == Exit::Interrupted {

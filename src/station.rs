@@ -2,28 +2,25 @@
 //! flight's log is told. A driver moves the bytes and the clock.
 
 mod attitude_loop;
+mod identification;
 mod records;
 mod settings;
 mod status;
 
-use std::sync::Arc;
-
 use wire::transport::Peer;
 
-use self::attitude_loop::{assumption, attitude_loop};
 use self::records::{LinkMeter, record_of, tick_record};
 pub use self::settings::StationSettings;
 pub use self::status::Status;
 use crate::clock::HostTime;
-use crate::control::{DesignError, Lqr};
 use crate::link::counters::LinkState;
 use crate::link::message::Inbound;
-use crate::link::profile::{Mode, Profile};
+use crate::link::profile::Profile;
 use crate::link::request::{FlightMode, Outcome, Request};
 use crate::link::session::{self, Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
-use crate::pilot::{Airframe, LinkEvent, Pilot, Tick};
-use crate::supervisor::{Action, EngagePolicy, FlightState, ModeMap, PreflightCheck};
+use crate::pilot::{LinkEvent, Pilot, Tick};
+use crate::supervisor::{Action, EngagePolicy, FlightState};
 
 /// Period of the link's counters in the log.
 const STATS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
@@ -352,95 +349,6 @@ impl Station {
                 self.tell(now, Severity::Warning, text);
             }
         }
-    }
-
-    /// Now that it is known what the vehicle honours: design the feedback for it.
-    fn identified(&mut self, now: HostTime, profile: Profile, is_version_known: bool) {
-        let mask = profile.attitude_target.type_mask();
-        let silent = if is_version_known { "" } else { ", which does not tell its version" };
-        let text =
-            format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
-        self.tell(now, Severity::Info, text.clone());
-        let facts = [
-            ("autopilot".to_owned(), profile.name.to_owned()),
-            ("attitude_target_mask".to_owned(), format!("{mask:#04x}")),
-        ];
-        self.records.push(Record::Facts(Box::new(facts.into())));
-        for rule in profile.required.iter().chain(&profile.loss_timeout) {
-            self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
-        }
-        if let Some(name) = profile.loss_action {
-            self.session.request(now, Request::ReadParameter(name.to_owned()));
-        }
-        let known = self.profile.replace(profile.clone());
-        if self.pilot.is_some() && known.as_ref() == Some(&profile) {
-            return;
-        }
-        let response = self.settings.lqr.attitude_response_rad_s;
-        if let Some(assumed) = assumption(&profile, self.settings.attitude_pd, response) {
-            self.tell(now, Severity::Notice, assumed);
-        }
-        match self.make_pilot(now, &profile) {
-            Ok(Some(pilot)) => self.pilot = Some(pilot),
-            Ok(None) => {
-                let why = format!("the modes of autopilot {:?} are not known", profile.name);
-                self.tell(now, Severity::Error, why.clone());
-                self.end.get_or_insert(End::Refused(why));
-            }
-            Err(error) => {
-                self.tell(now, Severity::Error, error.to_string());
-                self.end.get_or_insert(End::Refused(error.to_string()));
-            }
-        }
-        self.check_parameters();
-    }
-
-    fn make_pilot(&self, now: HostTime, profile: &Profile) -> Result<Option<Pilot>, DesignError> {
-        let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
-        let modes = (word(profile.modes.offboard), word(profile.modes.land));
-        let (Some(offboard), Some(land)) = modes else { return Ok(None) };
-        let StationSettings { actuation, hover, lqr, attitude_pd, .. } = &self.settings;
-        let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
-        let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
-        let airframe = Airframe {
-            hover: self.settings.hover,
-            thrust_full_n: self.settings.thrust_full_n,
-            battery_full_v: self.settings.battery_full_v,
-            modes: ModeMap {
-                offboard,
-                hold: word(profile.modes.hold),
-                land,
-                reports_intended: profile.reports_intended_mode,
-            },
-        };
-        Ok(Some(Pilot::new(
-            self.settings.pilot.clone(),
-            self.settings.policy,
-            airframe,
-            lqr,
-            Box::new(Arc::clone(&self.settings.reference)),
-            Vec::new(),
-            now,
-        )))
-    }
-
-    /// The profile's rules about the vehicle's parameters, as preflight checks.
-    fn check_parameters(&mut self) {
-        let (Some(profile), Some(pilot)) = (&self.profile, &mut self.pilot) else { return };
-        let known = &pilot.telemetry().status().parameters;
-        let failed = profile
-            .required
-            .iter()
-            .filter_map(|rule| {
-                let found = known.get(rule.name);
-                (!found.is_some_and(|value| rule.holds(*value))).then(|| PreflightCheck {
-                    subject: format!("parameter {}", rule.name),
-                    expected: format!("{}, because {}", rule.rule, rule.why),
-                    found: found.map_or("no answer".to_owned(), f64::to_string),
-                })
-            })
-            .collect();
-        pilot.set_standing_checks(failed);
     }
 
     fn request_ended(&mut self, now: HostTime, request: &Request, outcome: &Outcome) {

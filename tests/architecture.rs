@@ -19,7 +19,11 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("model", &[]),
         ("learn", &["log", "model"]),
         ("diagnose", &["control", "learn", "log", "model", "pilot", "plan", "setpoint"]),
-        ("report", &["clock", "control", "setpoint", "diagnose", "learn", "log", "model", "plan"]),
+        ("exam", &["control", "diagnose", "plan", "setpoint"]),
+        (
+            "report",
+            &["clock", "control", "setpoint", "diagnose", "exam", "learn", "log", "model", "plan"],
+        ),
         (
             "station",
             &[

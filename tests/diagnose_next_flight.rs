@@ -124,6 +124,7 @@ fn suggested(vehicle_file: &str, pair: [&str; 2], seed: u64) -> NextFlight {
             velocity: sensors.velocity_noise_m_s,
             attitude: sensors.attitude_noise_rad,
             body_rate: sensors.gyro.noise,
+            specific_force: sensors.accelerometer.noise,
         },
         room: Room::new(&ProgrammeSettings::default(), &envelope, &capability),
         envelope,

@@ -5,11 +5,13 @@ mod planning;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use downwash::plan::planned::{Answer, Found, NotFlyable, Plan, PlannedReference, PlannedThrough};
+use downwash::plan::planned::{
+    Answer, Found, NotFlyable, Plan, PlannedBody, PlannedReference, PlannedThrough,
+};
 use downwash::plan::planner::PlanSettings;
 use downwash::plan::reference::ReferenceSource;
 use downwash::plan::scp::Status;
-use planning::{attitude_pd, physics, planner, rest, turning};
+use planning::{attitude_pd, physics, planned_vehicle, planner, rest, turning, vehicle};
 use proptest::prelude::*;
 
 fn a_plan() -> Plan {
@@ -20,6 +22,12 @@ fn a_plan() -> Plan {
     let found = Found {
         trajectory: "turning".to_owned(),
         vehicle: "crazyflie".to_owned(),
+        body: PlannedBody {
+            mass_kg: planned_vehicle().mass_kg,
+            inertia: vehicle().inertia,
+            gravity: planned_vehicle().gravity,
+            thrust_full_n: planned_vehicle().thrust_full_n,
+        },
         model: PlannedThrough { kind: "physics".to_owned(), sha256: Some("ab".repeat(32)) },
         period_s: planner.period_s(),
         answer: Answer {
@@ -79,7 +87,7 @@ fn damaged_plans_are_refused_with_the_reason() {
     };
     let cases = [
         ("empty", String::new(), "EOF"),
-        ("version", changed("\"schema_version\":1", "\"schema_version\":2"), "version 2"),
+        ("version", changed("\"schema_version\":2", "\"schema_version\":3"), "version 3"),
         ("schema", changed("downwash.plan", "downwash.plane"), "downwash.plane"),
         ("field", changed("\"cost\"", "\"price\""), "price"),
         ("period", changed("\"period_s\":0.02", "\"period_s\":0.0"), "times"),
@@ -115,6 +123,12 @@ fn plans_that_do_not_hold_are_not_flown() {
     assert!(matches!(plan.check_flyable(), Err(NotFlyable::Violated { .. })));
     plan.violation.overrun = 0.0;
     assert_eq!(plan.check_flyable(), Ok(()));
+    let mut torn = plan.clone();
+    torn.states[50][0] += 0.5;
+    assert!(matches!(torn.check_flyable(), Err(NotFlyable::Torn { .. })));
+    torn.states[50] = plan.states[50];
+    torn.states[70][8] = f64::INFINITY;
+    assert!(matches!(torn.check_flyable(), Err(NotFlyable::Torn { .. })));
     plan.status = Status::Failed;
     assert_eq!(plan.check_flyable(), Err(NotFlyable::Failed));
 }

@@ -241,8 +241,10 @@ impl VehicleParams {
         Ok(self)
     }
 
-    /// The first of the numbers by which vehicles are told apart that differs from `other`'s:
-    /// mass, inertia, rotors, on-board law, pack. Names and notes do not count.
+    /// The first of the numbers by which vehicles are told apart that differs from `other`'s: the
+    /// body, the rotors, the on-board law, the pack, what the motor outputs mean, and gravity. What
+    /// is only believed of one and the same vehicle does not count: names and notes, lag and delay,
+    /// the hover thrust, the air's density, and the modelled effects, which a diagnosis adds to.
     pub fn difference(&self, other: &Self) -> Option<Difference> {
         let pair = |field, a: &dyn std::fmt::Debug, b: &dyn std::fmt::Debug| Difference {
             field,
@@ -255,6 +257,16 @@ impl VehicleParams {
             pair("rotors", &self.rotors, &other.rotors),
             pair("attitude_pd", &self.attitude_pd, &other.attitude_pd),
             pair("battery", &self.battery, &other.battery),
+            pair("gravity", &self.gravity, &other.gravity),
+            pair("rotor_radius_m", &self.rotor_radius_m, &other.rotor_radius_m),
+            pair("rotor_max_rpm", &self.rotor_max_rpm, &other.rotor_max_rpm),
+            pair("motor_output", &self.motor_output, &other.motor_output),
+            pair(
+                "linear_drag_N_per_m_s",
+                &self.linear_drag_n_per_m_s,
+                &other.linear_drag_n_per_m_s,
+            ),
+            pair("angular_damping_Nms", &self.angular_damping_nms, &other.angular_damping_nms),
         ]
         .into_iter()
         .find(|difference| difference.this != difference.other)
@@ -483,6 +495,27 @@ pub(crate) mod tests {
             })
             .contains("rotor_max_rpm")
         );
+    }
+
+    #[test]
+    fn vehicles_differ_by_what_they_are_and_not_by_what_is_believed_of_them() {
+        let difference = |change: &dyn Fn(&mut VehicleParams)| {
+            let mut other = quad();
+            change(&mut other);
+            quad().difference(&other).map(|difference| difference.field)
+        };
+        assert_eq!(difference(&|v| v.gravity = 1.62), Some("gravity"));
+        assert_eq!(difference(&|v| v.mass = 1.3), Some("mass"));
+        assert_eq!(difference(&|v| v.rotors[1].spin = 1), Some("rotors"));
+        assert_eq!(difference(&|v| v.rotor_max_rpm = None), Some("rotor_max_rpm"));
+        let drag = difference(&|v| v.linear_drag_n_per_m_s = Some(0.1));
+        assert_eq!(drag, Some("linear_drag_N_per_m_s"));
+        let belief = difference(&|v| {
+            v.name.push('2');
+            v.command_delay_s = 0.02;
+            v.modelled_effects.insert_argument("motor_lag:tau_s=0.05").unwrap();
+        });
+        assert_eq!(belief, None);
     }
 
     #[test]

@@ -1,45 +1,31 @@
 //! `downwash collect`: a programme of flights that a model can be learned from, one log each.
 
-use std::collections::BTreeMap;
+mod kept;
+mod on_link;
+mod simulated;
+
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use anyhow::{Context, anyhow};
-use indicatif::ProgressBar;
-use rayon::prelude::*;
+use anyhow::Context;
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 
-use super::course::Course;
-use super::demo::progress_bar;
-use super::fly::{Flown, baud, endpoint, fly_once};
-use super::setup::{VehicleFile, capability, required, run_info, station_settings};
-use super::simulation::{SimulatedFlight, Truth};
+use self::kept::{Identity, LogOf, logs_of_flights};
+use self::on_link::fly_vehicle;
+use self::simulated::Simulator;
+use super::progress::flight_bar;
+use super::setup::{VehicleFile, capability, required};
+use super::simulation::Truth;
 use super::stop::StopSignals;
-use super::{Exit, ExitContext, config, print_json, print_text, say, summary, write_file};
+use super::{Exit, ExitContext, config, print_json, print_text, write_file};
 use crate::cli::CollectArgs;
 use crate::config::Config;
-use crate::log::LogReader;
-use crate::log::info::{LogInfo, TrackingInfo};
+use crate::log::info::TrackingInfo;
 use crate::plan::Feasibility;
 use crate::plan::programme::{FlightKind, ProgrammeFlight, programme};
-use crate::supervisor::EngagePolicy;
-
-/// Charge of the simulated pack at the start of each flight, over the configured one: what sags
-/// with the pack is seen from full to half empty.
-const CHARGES: [f64; 4] = [1.0, 0.7, 0.85, 0.55];
-/// Key of a log's metadata that says which flight of which programme it holds.
-const FINGERPRINT: &str = "collect_flight";
-/// A log is whole if it holds the trajectory but for so much, s.
-const MISSING_MAX_S: f64 = 0.25;
-/// How often signals are looked at while flights are simulated.
-const WATCH_PERIOD: Duration = Duration::from_millis(50);
-/// How long a signal is waited for before each flight with a vehicle.
-const BETWEEN_FLIGHTS: Duration = Duration::from_millis(1);
 
 /// The JSON of `collect`.
 #[derive(Serialize)]
@@ -182,6 +168,12 @@ impl CollectSummary {
     pub fn logs(&self) -> Vec<PathBuf> {
         self.flights.iter().filter_map(|flight| flight.log.clone()).collect()
     }
+
+    /// The flights that did not end as planned, in words.
+    pub fn troubles(&self) -> impl Iterator<Item = String> + '_ {
+        let ended = |row: &&FlightRow| !matches!(row.exit, Exit::Ok | Exit::Interrupted);
+        self.flights.iter().filter(ended).map(|row| format!("flight {}: {}", row.name, row.end))
+    }
 }
 
 /// Flies what has no whole log yet. Every flight of the programme gets a row, and the worst end
@@ -225,7 +217,7 @@ fn fly(
                 vehicle,
                 truth,
                 folder: &args.out,
-                progress: progress_bar(length),
+                progress: flight_bar(length),
                 stopping: AtomicBool::new(false),
             };
             let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, usize::from);
@@ -252,236 +244,6 @@ fn gravity(exit: Exit) -> u8 {
         Exit::Check | Exit::Usage | Exit::Failure | Exit::Model => 4,
         Exit::Interrupted => 5,
     }
-}
-
-/// What makes two flights the same.
-struct Identity<'a> {
-    config: &'a Config,
-    vehicle: &'a VehicleFile,
-    truth: Option<&'a Truth>,
-    seed: u64,
-}
-
-impl Identity<'_> {
-    /// A digest of everything that the flight depends on.
-    fn fingerprint(&self, flight: &ProgrammeFlight) -> anyhow::Result<String> {
-        let mut parts = vec![flight.name.clone(), flight.text.clone(), self.vehicle.text.clone()];
-        match self.truth {
-            Some(truth) => {
-                parts.push(self.seed.to_string());
-                parts.push(self.config.to_toml());
-                parts.push(truth.effects_text()?);
-                parts.push(toml::to_string(&truth.config).context("the SITL configuration")?);
-            }
-            // On another link or with other gains it still is this flight of this vehicle.
-            None => parts.push("real".to_owned()),
-        }
-        let mut digest = Sha256::new();
-        for part in &parts {
-            digest.update((part.len() as u64).to_le_bytes());
-            digest.update(part.as_bytes());
-        }
-        Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
-    }
-}
-
-/// What a log holds of a flight.
-struct LogOf {
-    path: PathBuf,
-    finished: bool,
-    tracked_s: f64,
-    tracking: Option<TrackingInfo>,
-}
-
-impl LogOf {
-    /// Reads a log.
-    fn read(path: &Path) -> anyhow::Result<(Option<String>, Self)> {
-        let mut reader = LogReader::open(path)?;
-        let info = LogInfo::read(&mut reader)?;
-        let track = info.phases.iter().filter(|phase| phase.name == "track");
-        let log = Self {
-            path: path.to_owned(),
-            finished: info.finished && info.damaged == 0,
-            // The empty sum of f64 is -0.
-            tracked_s: track.fold(0.0, |sum, phase| sum + phase.duration_s),
-            tracking: info.tracking,
-        };
-        Ok((info.run.get(FINGERPRINT).cloned(), log))
-    }
-
-    fn is_whole(&self, length_s: f64) -> bool {
-        self.finished && self.tracked_s >= length_s - MISSING_MAX_S
-    }
-}
-
-/// The logs in a folder that are of a programme's flights, by fingerprint, in order of their names.
-fn logs_of_flights(folder: &Path) -> anyhow::Result<BTreeMap<String, Vec<LogOf>>> {
-    let context = || format!("cannot read the folder {}", folder.display());
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(folder).with_context(context)? {
-        let path = entry.with_context(context)?.path();
-        if path.extension().is_some_and(|extension| extension == "mcap") {
-            paths.push(path);
-        }
-    }
-    paths.sort();
-    let mut logs: BTreeMap<String, Vec<LogOf>> = BTreeMap::new();
-    let read: Vec<_> = paths.par_iter().map(|path| LogOf::read(path)).collect();
-    for (path, read) in paths.iter().zip(read) {
-        match read {
-            Ok((Some(fingerprint), log)) => logs.entry(fingerprint).or_default().push(log),
-            Ok((None, _)) => {}
-            Err(error) => say(format_args!("{}: left alone: {error:#}", path.display())),
-        }
-    }
-    Ok(logs)
-}
-
-/// Flies the simulated vehicle.
-struct Simulator<'a> {
-    config: &'a Config,
-    vehicle: &'a VehicleFile,
-    truth: &'a Truth,
-    folder: &'a Path,
-    progress: ProgressBar,
-    /// No other flight begins.
-    stopping: AtomicBool,
-}
-
-impl Simulator<'_> {
-    /// Flies in `jobs` threads until all is flown or a signal asks for the end, which waits for
-    /// the flights that are in the air. Each row comes with its flight's index.
-    fn fly_all(
-        &self,
-        flights: &[ProgrammeFlight],
-        ahead: &[(usize, String)],
-        jobs: usize,
-        signals: &mut StopSignals,
-    ) -> anyhow::Result<Vec<(usize, FlightRow)>> {
-        let next = AtomicUsize::new(0);
-        let rows = Mutex::new(Vec::new());
-        let worker = || -> anyhow::Result<()> {
-            while !self.stopping.load(Ordering::Acquire) {
-                let turn = next.fetch_add(1, Ordering::Relaxed);
-                let Some((index, fingerprint)) = ahead.get(turn) else { break };
-                let row = self.fly(&flights[*index], *index, fingerprint)?;
-                if let Ok(mut rows) = rows.lock() {
-                    rows.push((*index, row));
-                }
-            }
-            Ok(())
-        };
-        thread::scope(|scope| {
-            let workers: Vec<_> = (0..jobs.min(ahead.len())).map(|_| scope.spawn(worker)).collect();
-            while !workers.iter().all(|worker| worker.is_finished()) {
-                if signals.wait(WATCH_PERIOD).is_some() {
-                    self.stopping.store(true, Ordering::Release);
-                }
-            }
-            for worker in workers {
-                match worker.join() {
-                    Ok(result) => result?,
-                    Err(panic) => std::panic::resume_unwind(panic),
-                }
-            }
-            Ok::<_, anyhow::Error>(())
-        })?;
-        let mut rows = rows.into_inner().unwrap_or_default();
-        rows.sort_by_key(|(index, _)| *index);
-        if signals.first().is_some() {
-            let flown: Vec<usize> = rows.iter().map(|(index, _)| *index).collect();
-            for (index, _) in ahead.iter().filter(|(index, _)| !flown.contains(index)) {
-                let row = FlightRow::planned(&flights[*index]);
-                rows.push((*index, FlightRow { exit: Exit::Interrupted, ..row }));
-            }
-        }
-        Ok(rows)
-    }
-
-    fn fly(
-        &self,
-        flight: &ProgrammeFlight,
-        index: usize,
-        fingerprint: &str,
-    ) -> anyhow::Result<FlightRow> {
-        let mut truth = self.truth.clone();
-        truth.config.battery.charge *= CHARGES[index % CHARGES.len()];
-        let mut extra = metadata(flight, fingerprint);
-        extra.insert("battery_charge".to_owned(), truth.config.battery.charge.to_string());
-        let simulated = SimulatedFlight {
-            config: self.config,
-            vehicle: self.vehicle,
-            airframe: &self.vehicle.params,
-            truth: &truth,
-            course: &Course::Desired(flight.trajectory.clone()),
-            run: &flight.name,
-            seed: flight.seed,
-            extra,
-        };
-        let mut shown = 0;
-        let flown = simulated.fly(self.folder, |status| {
-            let tenths = (status.progress.map_or(0.0, |(t, _)| t) * 10.0) as u64;
-            self.progress.inc(tenths.saturating_sub(shown));
-            shown = shown.max(tenths);
-        });
-        let flown = flown.with_context(|| flight.name.clone())?;
-        self.progress.set_message(flight.name.clone());
-        let (end, exit) = summary::end_in_words(Some(&flown.end), None);
-        let (_, log) = LogOf::read(&flown.log)?;
-        Ok(FlightRow::flown(flight, &end, exit, Some(&log)))
-    }
-}
-
-/// What a flight's log says about its place in the programme.
-fn metadata(flight: &ProgrammeFlight, fingerprint: &str) -> BTreeMap<String, String> {
-    BTreeMap::from([
-        (FINGERPRINT.to_owned(), fingerprint.to_owned()),
-        ("collect_kind".to_owned(), flight.kind.name().to_owned()),
-        ("trajectory".to_owned(), flight.text.clone()),
-    ])
-}
-
-/// Flies a vehicle on a link, one flight after the other. A flight that ends otherwise than
-/// planned ends the programme: somebody has to look at the vehicle first.
-fn fly_vehicle(
-    folder: &Path,
-    config: &Config,
-    vehicle: &VehicleFile,
-    flights: &[ProgrammeFlight],
-    ahead: &[(usize, String)],
-    signals: &mut StopSignals,
-) -> anyhow::Result<Vec<(usize, FlightRow)>> {
-    let url = required(&config.settings.connect, "--connect", "connect")?;
-    let mut rows = Vec::new();
-    for (turn, (index, fingerprint)) in ahead.iter().enumerate() {
-        let flight = &flights[*index];
-        // What came after the last flight's end.
-        if signals.wait(BETWEEN_FLIGHTS).is_some() {
-            let row = FlightRow::planned(flight);
-            rows.push((*index, FlightRow { exit: Exit::Interrupted, ..row }));
-            break;
-        }
-        say(format_args!("flight {} of {}: {}", turn + 1, ahead.len(), flight.name));
-        let endpoint = endpoint(&url)?;
-        let settings = station_settings(
-            config,
-            vehicle,
-            &Course::Desired(flight.trajectory.clone()),
-            EngagePolicy::Command,
-            baud(&endpoint),
-        )?;
-        let mut info = run_info(config, vehicle, &flight.name, false, None);
-        info.extra = metadata(flight, fingerprint);
-        let Flown { end, exit, log } = fly_once(settings, endpoint, folder, &info, None, signals)?;
-        let log = log.as_deref().map(LogOf::read).transpose()?.map(|(_, log)| log);
-        let log = log.ok_or_else(|| anyhow!("{}: its log was not written", flight.name))?;
-        rows.push((*index, FlightRow::flown(flight, &end, exit, Some(&log))));
-        if exit != Exit::Ok {
-            say(format_args!("flight {}: {end}; run the command again to go on", flight.name));
-            break;
-        }
-    }
-    Ok(rows)
 }
 
 fn table(summary: &CollectSummary) -> String {

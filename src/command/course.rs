@@ -59,6 +59,15 @@ impl Course {
                     ))
                     .or_exit(Exit::Refused);
                 }
+                if effective.body() != plan.body {
+                    return Err(anyhow!(
+                        "the plan is for another vehicle of this name: {:?} there and {:?} here; \
+                         plan it for this one",
+                        plan.body,
+                        effective.body()
+                    ))
+                    .or_exit(Exit::Refused);
+                }
                 if effective.attitude_pd != Some(plan.answer.attitude_pd) {
                     return Err(anyhow!(
                         "the plan is for another on-board attitude loop than the vehicle file's; \

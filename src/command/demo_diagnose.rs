@@ -19,7 +19,6 @@ use sitl::vehicle::VehicleParams;
 
 use super::collect::gather;
 use super::course::Course;
-use super::demo::report;
 use super::logs::open_for;
 use super::plan::{PlanModel, plan_trajectory};
 use super::setup::{EffectiveVehicle, VehicleFile, built_in_trajectory};
@@ -196,7 +195,7 @@ impl Loop<'_> {
             trajectory: self.desired.name().to_owned(),
             hidden: self.truth.effects.clone(),
             found: diagnosis.effects.clone(),
-            finding: answer.finding.clone(),
+            finding: answer.finding.sentence.clone(),
             excited_s: answer.flights.iter().map(|flight| flight.seconds).sum(),
             gap,
             contenders,
@@ -255,11 +254,12 @@ impl Loop<'_> {
             fitted: &fitted,
             held_out: &held_out,
             blocked: false,
+            without: &[],
         };
         let settings = Settings { seed: self.args.seed, twins: TWINS };
         let diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
             .or_exit(Exit::Usage)?;
-        say(format_args!("{}", diagnosis.answer.finding));
+        say(format_args!("{}", diagnosis.answer.finding.sentence));
         Ok(diagnosis)
     }
 
@@ -307,7 +307,7 @@ impl Loop<'_> {
                 extra: BTreeMap::from([("reference".to_owned(), name.to_owned())]),
             };
             let Simulated { end, log, .. } = flight.fly(&args.out, |_| {})?;
-            let report = report(&log)?;
+            let report = summary::report_on(&log)?;
             let reference = course.at_start().reference(hover_thrust_n);
             let track = Track::new(&report, &self.desired, reference.as_ref(), hover_thrust_n);
             tracks.extend((!track.is_empty()).then_some(track));
@@ -370,7 +370,12 @@ impl Loop<'_> {
             ("improved vehicle file".to_owned(), summary.improved.as_path()),
         ];
         files.extend(plans.iter().map(|(what, path)| (what.clone(), path.as_path())));
-        files.extend(summary.logs.iter().map(|log| ("flight".to_owned(), log.as_path())));
+        let of = |index: usize| {
+            let flights = summary.logs.len() / 2;
+            if index < flights { "flight as shipped" } else { "flight improved" }
+        };
+        let logs = summary.logs.iter().enumerate();
+        files.extend(logs.map(|(index, log)| (of(index).to_owned(), log.as_path())));
         let hidden = self.truth.effects_text()?;
         let notes = [
             (

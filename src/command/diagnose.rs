@@ -61,7 +61,13 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         say(format_args!("one flight: its second part is held out, {GUARD_S} s after the first"));
     }
     fitted.append(&mut new);
-    let case = Case { vehicle: &vehicle, fitted: &fitted, held_out: &held_out, blocked };
+    let case = Case {
+        vehicle: &vehicle,
+        fitted: &fitted,
+        held_out: &held_out,
+        blocked,
+        without: &args.without,
+    };
     let settings = Settings { seed: args.seed, twins: args.twins };
     let mut diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
         .or_exit(Exit::Usage)?;

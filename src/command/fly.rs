@@ -11,7 +11,6 @@ use serde::Serialize;
 use wire::Endpoint;
 
 use super::course::Course;
-use super::demo::report;
 use super::goal_file::GoalFile;
 use super::setup::{VehicleFile, path_flag, required, run_info, station_settings};
 use super::status_line::StatusLine;
@@ -70,7 +69,8 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let mut signals = StopSignals::new()?;
     let Flown { end, exit, log } =
         fly_once(station_settings, endpoint, &log_dir, &info, tee, &mut signals)?;
-    let flight = log.as_deref().map(report).transpose()?.map(|report| report.summary().clone());
+    let flight =
+        log.as_deref().map(summary::report_on).transpose()?.map(|report| report.summary().clone());
     if exit != Exit::Ok {
         say(format_args!("flight {end}"));
     }

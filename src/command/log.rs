@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
 use std::path::Path;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 
 use super::{Exit, ExitContext, audit, import, print_json, write_file};
 use crate::cli::{ExportFormat, LogCommand};
@@ -49,8 +49,7 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
                 }
                 (None, None) => {
                     let choice = "name one --topic, or a folder for all of them with --out";
-                    return Err(anyhow::anyhow!("nothing to export: {choice}"))
-                        .or_exit(Exit::Usage);
+                    return Err(anyhow!("nothing to export: {choice}")).or_exit(Exit::Usage);
                 }
             }
             if !reader.ending().finished {
@@ -65,8 +64,13 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
             audit::run(&logs, mapping.as_deref(), fail_on, json)
         }
         LogCommand::Report { file, out, json } => {
-            let mut reader = LogReader::open(&file).or_exit(Exit::Usage)?;
+            let mut reader = open(&file)?;
             let report = FlightReport::read(&mut reader)?;
+            if report.is_empty() {
+                let found = "expected the log of one of this program's flights, found no tick, link or \
+                             event; `log audit` looks at any other";
+                return Err(anyhow!("{}: {found}", file.display())).or_exit(Exit::Usage);
+            }
             let out = out.unwrap_or_else(|| file.with_extension("html"));
             write_file(&out, report.to_html().as_bytes())?;
             if json {

@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow};
 use rayon::prelude::*;
 use sitl::vehicle::VehicleParams;
 
-use super::say;
+use super::{in_words, say};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
 use crate::learn::summary::RefusedLog;
@@ -53,7 +53,7 @@ impl Logs {
             match kept {
                 Ok(flight) => logs.flights.push(flight),
                 Err(error) => {
-                    let reason = format!("{error:#}");
+                    let reason = in_words(&error);
                     say(format_args!("{}: left out: {reason}", path.display()));
                     logs.refused.push(RefusedLog { path: path.clone(), reason });
                 }

@@ -8,6 +8,7 @@ mod daemon;
 mod demo;
 mod demo_diagnose;
 mod diagnose;
+mod exam;
 mod exit;
 mod fly;
 mod goal_file;
@@ -17,6 +18,7 @@ mod logs;
 mod messages;
 mod model;
 mod plan;
+mod progress;
 mod sent_thrust;
 mod setup;
 mod simulation;
@@ -61,6 +63,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         }
         Command::Plan(args) => plan::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
+        Command::Exam(args) => exam::run(&args),
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)
@@ -70,7 +73,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
 
 /// An error that ends the command with a certain exit code.
 #[derive(Debug, thiserror::Error)]
-#[error("{error:#}")]
+#[error("{}", in_words(error))]
 struct Failed {
     exit: Exit,
     error: anyhow::Error,
@@ -86,6 +89,20 @@ impl<T, E: Into<anyhow::Error>> ExitContext<T> for Result<T, E> {
     fn or_exit(self, exit: Exit) -> anyhow::Result<T> {
         self.map_err(|error| Failed { exit, error: error.into() }.into())
     }
+}
+
+/// An error with its causes. What one says that its neighbour says too, is said once: many errors
+/// name their cause, or their file, themselves.
+pub fn in_words(error: &anyhow::Error) -> String {
+    let mut said: Vec<String> = Vec::new();
+    for cause in error.chain().map(ToString::to_string) {
+        match said.last_mut() {
+            Some(last) if last.contains(&cause) => {}
+            Some(last) if cause.contains(last.as_str()) => *last = cause,
+            _ => said.push(cause),
+        }
+    }
+    said.join(": ")
 }
 
 /// The exit code that goes with an error: the one attached to it, else [`Exit::Failure`].
@@ -142,4 +159,17 @@ fn write_file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(&partial, bytes)
         .and_then(|()| fs::rename(&partial, path))
         .with_context(|| format!("cannot write {}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_an_error_says_it_says_once() {
+        let cause = || anyhow::anyhow!("no such file").context("a.toml: no such file");
+        assert_eq!(in_words(&cause()), "a.toml: no such file");
+        assert_eq!(in_words(&cause().context("a.toml")), "a.toml: no such file");
+        assert_eq!(in_words(&cause().context("b.toml")), "b.toml: a.toml: no such file");
+    }
 }

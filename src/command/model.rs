@@ -11,7 +11,7 @@ use serde::Serialize;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::Logs;
-use super::train::Bar;
+use super::progress::StageBar;
 use super::{Exit, ExitContext, print_json, print_text, say, write_file};
 use crate::cli::ModelCommand;
 use crate::learn::commands::Onboard;
@@ -120,7 +120,7 @@ fn eval(
     let file = load(path, vehicle)?;
     let onboard = Onboard::new(&file.vehicle).or_exit(Exit::Usage)?;
     let windows = windows_of(&file);
-    let mut bar = Bar::new(Arc::default());
+    let mut bar = StageBar::new(Arc::default());
     bar.stage("logs", logs.len() as u64);
     let mut logs = Logs::read(logs, mapping, &file.vehicle, &onboard, &windows, |_| bar.step(""));
     if logs.flights.is_empty() {

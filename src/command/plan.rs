@@ -139,6 +139,7 @@ pub(super) fn plan_trajectory(
     let found = Found {
         trajectory: trajectory.name().to_owned(),
         vehicle: vehicle.name.clone(),
+        body: EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?.body(),
         model: through.note.clone(),
         period_s: planner.period_s(),
         answer,

@@ -1,8 +1,11 @@
 //! How a flight ended, for people.
 
+use std::path::Path;
+
 use super::Exit;
 use super::stop::Stop;
-use crate::report::flight::FlightSummary;
+use crate::log::LogReader;
+use crate::report::flight::{FlightReport, FlightSummary};
 use crate::station::End;
 
 /// The end in words, and its exit code. `stop`: the user asked for the end.
@@ -19,6 +22,12 @@ pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Ex
         Some(End::PilotTookOver) => ("the pilot took over".to_owned(), Exit::Aborted),
         None => ("stopped".to_owned(), Exit::Failure),
     }
+}
+
+/// The report on a log.
+pub(super) fn report_on(log: &Path) -> anyhow::Result<FlightReport> {
+    let mut reader = LogReader::open(log)?;
+    Ok(FlightReport::read(&mut reader)?)
 }
 
 /// The table that a flight leaves on stdout.

@@ -1,23 +1,22 @@
 //! `downwash train`: from flight logs to a model file and a report.
 
 use std::fs;
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, anyhow};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sitl::vehicle::VehicleParams;
 
 use super::logs::Logs;
+use super::progress::StageBar;
 use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
 use crate::learn::judgement::{Standing, standing};
 use crate::learn::networks::Progress;
-use crate::learn::procedure::{Outcome, TrainError, Watch, belongs, train};
+use crate::learn::procedure::{Outcome, TrainError, Watch as _, belongs, train};
 use crate::learn::summary::{TrainSettings, TrainingSummary};
 use crate::learn::training::Method;
 use crate::learn::training_set::TrainingSet;
@@ -25,8 +24,16 @@ use crate::model::file::ModelFile;
 use crate::model::learned::Features;
 
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
-    let Some(Trained { summary, report }) = learn(args)? else {
-        return Ok(Exit::Interrupted);
+    let resume = if args.resume { Resume::Always } else { Resume::Never };
+    let Trained { summary, report } = match learn(args, resume)? {
+        Learning::Done(trained) => trained,
+        Learning::Interrupted(checkpoint) => {
+            say(format_args!(
+                "the same command with --resume goes on from {}",
+                checkpoint.display()
+            ));
+            return Ok(Exit::Interrupted);
+        }
     };
     if args.json {
         print_json(&summary)?;
@@ -48,8 +55,25 @@ pub(super) struct Trained {
     pub report: Option<PathBuf>,
 }
 
-/// Trains, and writes the model file and the report; nothing where it was interrupted.
-pub(super) fn learn(args: &TrainArgs) -> anyhow::Result<Option<Trained>> {
+/// How a training ended.
+pub(super) enum Learning {
+    Done(Trained),
+    /// What was reached is in this checkpoint.
+    Interrupted(PathBuf),
+}
+
+/// Whether a training goes on from the checkpoint beside its model file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Resume {
+    Never,
+    /// One that is missing, damaged, or of another training is an error.
+    Always,
+    /// Where there is one of this training.
+    IfItBelongs,
+}
+
+/// Trains, and writes the model file and the report. `args.resume` is the caller's to read.
+pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
     if let Some(weight) = args.regularization.iter().find(|w| !(w.is_finite() && **w >= 0.0)) {
@@ -60,26 +84,31 @@ pub(super) fn learn(args: &TrainArgs) -> anyhow::Result<Option<Trained>> {
         let error = anyhow!("--window: expected 1 to 200 ms, found {window}");
         return Err(error).or_exit(Exit::Usage);
     }
+    // Before the training, not after it.
+    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        return Err(anyhow!("--out: there is no folder {}", folder.display())).or_exit(Exit::Usage);
+    }
     if let Some(threads) = args.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;
     }
     let checkpoint_path = checkpoint_path(&args.out);
-    let mut progress = if args.resume { Some(load_checkpoint(&checkpoint_path)?) } else { None };
+    let mut progress = match resume {
+        Resume::Never => None,
+        Resume::Always => Some(load_checkpoint(&checkpoint_path)?),
+        Resume::IfItBelongs => load_checkpoint(&checkpoint_path).ok(),
+    };
 
-    let mut bar = Bar::new(interrupt_flag()?);
+    let mut bar = StageBar::new(interrupt_flag()?);
     let mut best: Option<(Standing, Box<(ModelFile, TrainingSummary)>)> = None;
     for window in &args.window {
         let windows = WindowSettings { half_s: window * 1e-3, ..WindowSettings::default() };
-        match train_with(args, &vehicle, &onboard, &windows, &mut progress, &mut bar)? {
+        match train_with(args, &vehicle, &onboard, &windows, (resume, &mut progress), &mut bar)? {
             Outcome::Interrupted(progress) => {
                 bar.clear();
                 let json = serde_json::to_vec(&progress).context("checkpoint")?;
                 write_file(&checkpoint_path, &json)?;
-                say(format_args!(
-                    "interrupted; the same command with --resume goes on from {}",
-                    checkpoint_path.display()
-                ));
-                return Ok(None);
+                return Ok(Learning::Interrupted(checkpoint_path));
             }
             Outcome::Done(done) => {
                 let standing = standing(&done.1);
@@ -111,17 +140,17 @@ pub(super) fn learn(args: &TrainArgs) -> anyhow::Result<Option<Trained>> {
         write_file(&folder.join("report.json"), &json)?;
         report = Some(page);
     }
-    Ok(Some(Trained { summary, report }))
+    Ok(Learning::Done(Trained { summary, report }))
 }
 
-/// Trains with labels of one window. Takes `progress` if it is of this training.
+/// Trains with labels of one window. Takes the progress if it is of this training and window.
 fn train_with(
     args: &TrainArgs,
     vehicle: &VehicleParams,
     onboard: &Onboard,
     windows: &WindowSettings,
-    progress: &mut Option<Progress>,
-    bar: &mut Bar,
+    (resume, progress): (Resume, &mut Option<Progress>),
+    bar: &mut StageBar,
 ) -> anyhow::Result<Outcome> {
     let settings = TrainSettings {
         features: match args.features {
@@ -151,15 +180,18 @@ fn train_with(
     bar.stage("physics", 1);
     let set = TrainingSet::new(vehicle, onboard, &mut logs.flights).or_exit(Exit::Usage)?;
     if progress.as_ref().is_some_and(|progress| !belongs(progress, &set, &settings)) {
-        bar.clear();
-        return Err(TrainError::Checkpoint).or_exit(Exit::Usage);
+        if resume == Resume::Always {
+            bar.clear();
+            return Err(TrainError::Checkpoint).or_exit(Exit::Usage);
+        }
+        *progress = None;
     }
     let own = progress.take_if(|progress| progress.window_half_s() == settings.window_half_s);
     train(&set, &settings, windows, logs.refused, own, bar).or_exit(Exit::Usage)
 }
 
 /// Where an interrupted training of a model file is kept.
-pub(super) fn checkpoint_path(out: &Path) -> PathBuf {
+fn checkpoint_path(out: &Path) -> PathBuf {
     let mut path = out.as_os_str().to_owned();
     path.push(".checkpoint");
     PathBuf::from(path)
@@ -179,46 +211,4 @@ fn interrupt_flag() -> anyhow::Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     super::on_interrupt(&flag)?;
     Ok(flag)
-}
-
-/// A progress bar for each stage.
-pub(super) struct Bar {
-    bar: ProgressBar,
-    interrupted: Arc<AtomicBool>,
-}
-
-impl Bar {
-    pub fn new(interrupted: Arc<AtomicBool>) -> Self {
-        let terminal = std::io::stderr().is_terminal();
-        let target = if terminal {
-            ProgressDrawTarget::stderr_with_hz(10)
-        } else {
-            ProgressDrawTarget::hidden()
-        };
-        let bar = ProgressBar::with_draw_target(Some(1), target);
-        let style = ProgressStyle::with_template("{prefix:10} {bar:40} {percent:>3} %  {msg}");
-        let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-        Self { bar, interrupted }
-    }
-
-    pub fn clear(&self) {
-        self.bar.finish_and_clear();
-    }
-}
-
-impl Watch for Bar {
-    fn stage(&mut self, name: &str, steps: u64) {
-        self.bar.set_prefix(name.to_owned());
-        self.bar.set_length(steps);
-        self.bar.set_position(0);
-    }
-
-    fn step(&mut self, note: &str) {
-        self.bar.set_message(note.to_owned());
-        self.bar.inc(1);
-    }
-
-    fn interrupted(&self) -> bool {
-        self.interrupted.load(Ordering::Relaxed)
-    }
 }

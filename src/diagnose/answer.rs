@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
+use super::audit::Tier;
 use super::gap::{Errors, ReportNoise};
-use super::leftover::UnmodelledForce;
+use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::map::ResidualMap;
 use super::next_flight::NextFlight;
 use super::preparation::Channels;
@@ -23,6 +24,61 @@ pub enum Verdict {
     None,
     /// A gap that no effect of the catalogue explains.
     Unknown,
+}
+
+impl Verdict {
+    /// The word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Effect => "effect",
+            Self::None => "none",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+/// The full verdict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FullVerdict {
+    /// Effects of the catalogue, and no others in their place.
+    Named,
+    /// One of several effects: these flights do not tell which.
+    Ambiguous,
+    /// Nothing beyond noise and tolerances, and these flights would have shown it.
+    None,
+    /// Nothing stands out, but some effects could not have shown.
+    NotTestable,
+    /// What is left depends on how the vehicle flies, and no listed effect explains it.
+    UnknownStructured,
+    /// Something acts that the logs do not show.
+    UnobservedDisturbance,
+    /// The data are at fault: nothing was concluded.
+    DataFault,
+}
+
+/// The full verdict with its reasons.
+#[derive(Clone, Debug, Serialize)]
+pub struct Finding {
+    /// The verdict.
+    pub verdict: FullVerdict,
+    /// In a sentence or two.
+    pub sentence: String,
+    /// What a gap that nothing explains goes with.
+    pub depends_on: Vec<String>,
+}
+
+/// What the audit found in a log.
+#[derive(Clone, Debug, Serialize)]
+pub struct LogAnswer {
+    /// Its name.
+    pub name: String,
+    /// What was logged, as far as it decides what can be told.
+    pub tier: Option<Tier>,
+    /// Whether it was left out.
+    pub left_out: bool,
+    /// Faults of the data and of the measurement.
+    pub findings: Vec<String>,
 }
 
 /// An effect with its probability.
@@ -140,8 +196,10 @@ pub struct Answer {
     pub closed_loop_missing: Option<String>,
     /// Effects that cannot be told from the named ones.
     pub ambiguous_with: Vec<&'static str>,
-    /// The full verdict in words.
-    pub finding: String,
+    /// The full verdict.
+    pub finding: Finding,
+    /// What the audit found in each log.
+    pub logs: Vec<LogAnswer>,
     /// Where the gap lies.
     #[serde(rename = "where")]
     pub map: ResidualMap,
@@ -151,6 +209,8 @@ pub struct Answer {
     pub next_flight: Option<NextFlight>,
     /// Force that nothing explains, before and after.
     pub unmodelled_force: Option<[UnmodelledForce; 2]>,
+    /// Angular acceleration that nothing explains, before and after.
+    pub unmodelled_moment: Option<[UnmodelledMoment; 2]>,
     /// Flights simulated without an effect.
     pub twins: Option<Twins>,
     /// Evidence that was asked of an effect, nats.

@@ -74,6 +74,11 @@ impl<const N: usize> Series<N> {
         &self.values
     }
 
+    /// Values, to be changed in place.
+    pub fn values_mut(&mut self) -> &mut [[f64; N]] {
+        &mut self.values
+    }
+
     /// A reader for ascending times.
     pub fn cursor(&self) -> Cursor<'_, N> {
         Cursor { series: self, index: 0 }
@@ -286,6 +291,26 @@ impl PreparedFlight {
         })
     }
 
+    /// The flight without the given times, s.
+    ///
+    /// # Errors
+    /// [`NotPrepared::TooShort`] where too little is left.
+    pub fn excluding(mut self, times: &[Range<f64>]) -> Result<Self, NotPrepared> {
+        for cut in times {
+            let spans = std::mem::take(&mut self.spans);
+            for span in spans {
+                let parts =
+                    [span.start..cut.start.min(span.end), cut.end.max(span.start)..span.end];
+                self.spans.extend(parts.into_iter().filter(|part| part.start < part.end));
+            }
+        }
+        self.blocks = blocks(&self.spans);
+        if self.blocks.is_empty() {
+            return Err(NotPrepared::TooShort(self.spans.iter().map(|s| s.end - s.start).sum()));
+        }
+        Ok(self)
+    }
+
     /// Time looked at, s.
     pub fn seconds(&self) -> f64 {
         self.blocks.iter().map(|block| block.cells as f64 * CELL_S).sum()
@@ -375,6 +400,27 @@ fn blocks(spans: &[Range<f64>]) -> Vec<Block> {
 }
 
 #[cfg(test)]
+impl PreparedFlight {
+    /// A flight of which only the airborne time is known.
+    fn of_spans(spans: Vec<Range<f64>>) -> Self {
+        Self {
+            name: String::new(),
+            channels: Channels::default(),
+            position: Series::default(),
+            velocity: Series::default(),
+            attitude: Series::default(),
+            body_rate: Series::default(),
+            specific_force: Series::default(),
+            outputs: Series::default(),
+            voltage: Series::default(),
+            setpoint: Stream::default(),
+            blocks: blocks(&spans),
+            spans,
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 
@@ -387,6 +433,17 @@ mod tests {
             assert!((pair[0].end() - pair[1].start).abs() < 1e-9);
         }
         assert!(blocks(&[0.0..1.5]).is_empty());
+    }
+
+    #[test]
+    fn times_that_are_cut_out_are_in_no_span() {
+        let flight = PreparedFlight::of_spans(vec![0.0..10.0, 12.0..20.0]);
+        let cut = flight.clone().excluding(&[4.0..5.0, 9.0..13.0, 15.0..15.0]).unwrap();
+        assert_eq!(cut.spans, [0.0..4.0, 5.0..9.0, 13.0..15.0, 15.0..20.0]);
+        assert_eq!(
+            flight.excluding(&[0.0..20.0]).map(|flight| flight.spans),
+            Err(NotPrepared::TooShort(0.0))
+        );
     }
 
     #[test]

@@ -197,7 +197,7 @@ pub(super) fn sensors(noise: &ReportNoise) -> SensorConfig {
         attitude_noise_rad: noise.attitude,
         attitude_correlation_s: ATTITUDE_CORRELATION_S,
         gyro: ImuNoise { noise: noise.body_rate, ..ImuNoise::default() },
-        accelerometer: SensorConfig::default().accelerometer,
+        accelerometer: ImuNoise { noise: noise.specific_force, ..ImuNoise::default() },
     }
 }
 

@@ -121,7 +121,7 @@ fn short(number: f64) -> String {
 /// The answer for a terminal: verdict first, then where, which, how far, and what these logs
 /// cannot tell.
 pub fn report(answer: &Answer) -> String {
-    let mut text = format!("{}\n\nwhere      {}\n", answer.finding, answer.map.sentence);
+    let mut text = format!("{}\n\nwhere      {}\n", answer.finding.sentence, answer.map.sentence);
     for (line, effect) in answer.effects.iter().enumerate() {
         let head = if line == 0 { "which" } else { "" };
         text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);

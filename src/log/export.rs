@@ -48,7 +48,7 @@ pub enum ExportError {
     #[error("cannot write the export: {0}")]
     Write(#[from] io::Error),
     /// The log has no such topic.
-    #[error("no topic {topic} in the log; it has {}", known.join(", "))]
+    #[error("no topic {topic} in the log; it has {}", known_topics(known))]
     NoTopic {
         /// What was asked for.
         topic: String,
@@ -71,6 +71,10 @@ pub enum ExportError {
         /// Why.
         source: DescriptorError,
     },
+}
+
+fn known_topics(known: &[String]) -> String {
+    if known.is_empty() { "none".to_owned() } else { known.join(", ") }
 }
 
 /// Writes every message of `topic` to `out`; returns their number.

@@ -122,6 +122,11 @@ impl Stamp {
     pub fn new(host: HostTime, vehicle: VehicleTime, sampled: HostTime) -> Self {
         Self { host, vehicle: Some(vehicle), sampled }
     }
+
+    /// Microseconds of the vehicle's clock, 0 where the vehicle did not stamp the sample.
+    pub fn vehicle_time_us(&self) -> u64 {
+        self.vehicle.map_or(0, |t| t.as_us())
+    }
 }
 
 /// One control tick: what was known, wanted and sent.

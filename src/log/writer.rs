@@ -290,7 +290,7 @@ impl LogWriter {
                 self.put(Topic::Log, *host, *host, &message)
             }
             Record::Truth { stamp, truth } => {
-                let message = TruthMessage::new(*stamp, truth);
+                let message = TruthMessage::new(stamp.vehicle_time_us(), truth);
                 self.put(Topic::Truth, stamp.host, stamp.sampled, &message)
             }
             // Marks for sinks, not for files.

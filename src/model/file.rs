@@ -351,8 +351,8 @@ impl ModelFile {
         })
     }
 
-    /// Whether this model is for `vehicle`: mass, inertia, rotors and the on-board law are the
-    /// same. `path` is for the message.
+    /// Whether this model is for `vehicle`, by [`VehicleParams::difference`]. `path` is for the
+    /// message.
     ///
     /// # Errors
     /// [`ModelFileError::Vehicle`] with the first difference.
@@ -361,7 +361,7 @@ impl ModelFile {
         vehicle: &VehicleParams,
         path: &Path,
     ) -> Result<(), ModelFileError> {
-        match self.vehicle.difference(vehicle) {
+        match vehicle.difference(&self.vehicle) {
             None => Ok(()),
             Some(difference) => Err(ModelFileError::Vehicle {
                 path: path.to_owned(),

@@ -7,6 +7,7 @@ use sitl::vehicle::{AttitudePd, VehicleError, VehicleParams};
 
 use crate::control::{Actuation, HoverVehicle};
 use crate::link::attitude_target::{ThrustMap, ThrustMapError};
+use crate::plan::planned::PlannedBody;
 
 /// Why a vehicle file's vehicle cannot be controlled.
 #[derive(Debug, thiserror::Error)]
@@ -64,5 +65,11 @@ impl EffectiveVehicle {
                 motor_time_constant_s: constants.motor_time_constant,
             },
         })
+    }
+
+    /// What a plan says of its vehicle.
+    pub fn body(&self) -> PlannedBody {
+        let HoverVehicle { mass_kg, inertia, gravity } = self.hover;
+        PlannedBody { mass_kg, inertia, gravity, thrust_full_n: self.thrust_full_n }
     }
 }

@@ -113,6 +113,11 @@ fn point(state: &StateVector, wrench: &[f64; 4]) -> Point {
     }
 }
 
+/// The state a period later if nothing accelerated it.
+pub(super) fn coasted(state: &StateVector, period: f64) -> StateVector {
+    euler_step(state, &[0.0; ACCELERATIONS], period)
+}
+
 /// `s + h (v, a, W(zeta) omega, alpha)`.
 fn euler_step(
     state: &StateVector,

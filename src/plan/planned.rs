@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use sitl::frame::{Euler, Frd, Ned, wrap_angle};
 use sitl::vehicle::AttitudePd;
 
+use super::discretisation::coasted;
 use super::problem::{ANGLE, RATE, StateVector};
 use super::reference::ReferenceSource;
 use super::scp::{Record, Status, Violation};
@@ -14,7 +15,7 @@ use crate::setpoint::{Reference, Setpoint};
 /// What the file says that it is.
 const SCHEMA: &str = "downwash.plan";
 /// Version of the file's form; files of others are refused.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Longest plan that is read, in periods: three hours at 100 Hz.
 const PERIODS_MAX: usize = 1_080_000;
 
@@ -32,6 +33,8 @@ pub struct Plan {
     pub trajectory: String,
     /// Name of the vehicle.
     pub vehicle: String,
+    /// The vehicle's numbers.
+    pub body: PlannedBody,
     /// What it was planned through.
     pub model: PlannedThrough,
     /// Time between states, s.
@@ -52,6 +55,20 @@ pub struct Plan {
     pub states: Vec<StateVector>,
     /// The planned inputs.
     pub inputs: Vec<CommandedInput>,
+}
+
+/// What of its vehicle a plan's inputs hold for, the modelled effects applied.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlannedBody {
+    /// kg
+    pub mass_kg: f64,
+    /// Principal moments about body x, y, z, kg m^2.
+    pub inertia: [f64; 3],
+    /// m/s^2
+    pub gravity: f64,
+    /// Thrust of all rotors at full output, N.
+    pub thrust_full_n: f64,
 }
 
 /// The model of a plan.
@@ -121,6 +138,18 @@ pub enum NotFlyable {
         /// Largest overrun of a state's bounds (m, rad, rad/s).
         overrun: f64,
     },
+    /// Its states do not follow from one another.
+    #[error(
+        "the plan's position or attitude jumps by {jump:.1e} m or rad at {at_s:.2} s, where its \
+         velocity or body rate does not lead (at most {DEFECT_MAX:.0e}): the file was changed; plan \
+         it again"
+    )]
+    Torn {
+        /// The jump that was found first, m or rad.
+        jump: f64,
+        /// Where, s.
+        at_s: f64,
+    },
 }
 
 /// As [`Plan::check_flyable`], for an outcome.
@@ -142,6 +171,8 @@ pub struct Found {
     pub trajectory: String,
     /// Name of the vehicle.
     pub vehicle: String,
+    /// The vehicle's numbers.
+    pub body: PlannedBody,
     /// What it was planned through.
     pub model: PlannedThrough,
     /// Time between states, s.
@@ -155,12 +186,13 @@ pub struct Found {
 impl Plan {
     /// The plan of a search's outcome.
     pub fn new(found: Found, outcome: super::scp::Outcome<7>) -> Self {
-        let Found { trajectory, vehicle, model, period_s, answer, desired } = found;
+        let Found { trajectory, vehicle, body, model, period_s, answer, desired } = found;
         Self {
             schema: SCHEMA.to_owned(),
             schema_version: VERSION,
             trajectory,
             vehicle,
+            body,
             model,
             period_s,
             answer,
@@ -246,12 +278,23 @@ impl Plan {
     }
 
     /// Whether the plan holds what it says: a search that failed, or that ended with states that no
-    /// input leads through, is no plan to fly.
+    /// input leads through, is no plan to fly. What the model has no part in, that velocity and body
+    /// rate lead from state to state, is looked at again.
     ///
     /// # Errors
     /// What it misses, in words.
     pub fn check_flyable(&self) -> Result<(), NotFlyable> {
-        check_violation(self.status, &self.violation)
+        check_violation(self.status, &self.violation)?;
+        for (n, pair) in self.states.windows(2).enumerate() {
+            let [state, next] = pair else { continue };
+            let led = coasted(state, self.period_s);
+            let kinematic = (0..3).chain(ANGLE..RATE);
+            let jump = kinematic.map(|i| (next[i] - led[i]).abs()).fold(0.0, f64::max);
+            if !(jump <= DEFECT_MAX) {
+                return Err(NotFlyable::Torn { jump, at_s: n as f64 * self.period_s });
+            }
+        }
+        Ok(())
     }
 
     /// Length in s.

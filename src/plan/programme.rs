@@ -44,13 +44,16 @@ pub struct ProgrammeFlight {
 pub enum ProgrammeError {
     /// A length that makes no flights.
     #[error(
-        "a programme of {seconds} s has no room for its kinds of flight: expected at least {least} s"
+        "a programme of {seconds:?} s: expected at least {least} s, so that each kind of flight has \
+         room, and at most {most} s"
     )]
-    TooShort {
+    Length {
         /// What was asked for.
         seconds: f64,
         /// What there must be.
         least: f64,
+        /// What there may be.
+        most: f64,
     },
     /// Settings that leave no room to fly in.
     #[error(

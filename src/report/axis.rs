@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 /// Size of every chart and the room around its frame, in pixels.
 pub(super) const WIDTH: f64 = 900.0;
-pub(super) const LEFT: f64 = 56.0;
-pub(super) const RIGHT: f64 = 10.0;
+pub(super) const LEFT: f64 = 64.0;
+pub(super) const RIGHT: f64 = 16.0;
 pub(super) const TOP: f64 = 20.0;
 /// Room below a frame whose x axis has a name.
 pub(super) const LABELLED_BOTTOM: f64 = 40.0;

@@ -68,7 +68,7 @@ fn verdict(answer: &Answer, page: &mut Page) {
     let reasons: Vec<String> = named
         .map(|effect| format!("{}: probability {:.0} %", one(effect), 100.0 * effect.probability))
         .collect();
-    page.verdict(mood, &answer.finding, &reasons);
+    page.verdict(mood, &answer.finding.sentence, &reasons);
     if let Some(gap) = &answer.gap {
         let mut figures = vec![
             ("gap before", significant(gap.before), Mood::Plain),

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use sitl::effects::EffectSet;
 use sitl::frame::Ned;
 
 use super::axis::significant;
@@ -11,6 +12,7 @@ use super::page::{Mood, Page};
 use super::scene::Scene;
 use super::table::{Table, definitions};
 use super::training;
+use super::words::{effects, length};
 use crate::learn::summary::TrainingSummary;
 
 const TIME: &str = "time since the start of the trajectory (s)";
@@ -23,8 +25,8 @@ pub struct Experiment<'a> {
     pub trajectory: &'a str,
     /// Name of the vehicle.
     pub vehicle: &'a str,
-    /// What the simulated vehicle has and the vehicle file does not, in words.
-    pub effects: &'a str,
+    /// What the simulated vehicle has and the vehicle file does not.
+    pub effects: &'a EffectSet,
     /// The training, where a model was learned.
     pub training: Option<&'a TrainingSummary>,
     /// The controllers; the first is what the others are compared with.
@@ -39,7 +41,7 @@ pub struct Experiment<'a> {
 pub fn html(experiment: &Experiment<'_>) -> String {
     let mut page = Page::new(
         &format!("Experiment: {}", experiment.trajectory),
-        &format!("simulated vehicle {} with {}", experiment.vehicle, experiment.effects),
+        &format!("simulated vehicle {} with {}", experiment.vehicle, effects(experiment.effects)),
     );
     verdict(experiment, &mut page);
     page.section(
@@ -86,7 +88,7 @@ fn verdict(experiment: &Experiment<'_>, page: &mut Page) {
     let mut figures: Vec<(String, String, Mood)> = experiment
         .contenders
         .iter()
-        .map(|c| (format!("RMS error, {}", c.name), metres(c.mean.rmse_3d_m), Mood::Plain))
+        .map(|c| (format!("RMS error, {}", c.name), length(c.mean.rmse_3d_m), Mood::Plain))
         .collect();
     let best = others.iter().min_by(|a, b| a.mean.rmse_3d_m.total_cmp(&b.mean.rmse_3d_m));
     match best {
@@ -95,9 +97,9 @@ fn verdict(experiment: &Experiment<'_>, page: &mut Page) {
             let sentence = format!(
                 "Planned through the {} model, the flight keeps {} RMS from the desired trajectory; {} {}: {:.1} times as far.",
                 best.name,
-                metres(best.mean.rmse_3d_m),
+                length(best.mean.rmse_3d_m),
                 first.name,
-                metres(first.mean.rmse_3d_m),
+                length(first.mean.rmse_3d_m),
                 gain
             );
             let mood = if gain >= 1.0 { Mood::Good } else { Mood::Warning };
@@ -105,17 +107,13 @@ fn verdict(experiment: &Experiment<'_>, page: &mut Page) {
             figures.push(("gain".to_owned(), format!("{gain:.1}"), mood));
         }
         None => {
-            let error = metres(first.mean.rmse_3d_m);
+            let error = length(first.mean.rmse_3d_m);
             page.verdict(Mood::Plain, &format!("{}: {error} RMS.", first.name), &[]);
         }
     }
     let figures: Vec<(&str, String, Mood)> =
         figures.iter().map(|(name, value, mood)| (name.as_str(), value.clone(), *mood)).collect();
     page.figures(&figures);
-}
-
-fn metres(length: f64) -> String {
-    format!("{} m", significant(length))
 }
 
 fn comparison(experiment: &Experiment<'_>) -> String {

@@ -143,6 +143,11 @@ impl FlightReport {
         &self.summary
     }
 
+    /// Whether the log held nothing to report on: no tick, no link, no event.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty() && self.link.is_empty() && self.info.events_total == 0
+    }
+
     /// The page.
     pub fn to_html(&self) -> String {
         flight_page::html(self)

@@ -9,6 +9,7 @@ use super::histogram::Histogram;
 use super::page::{Mood, Page};
 use super::scene::Scene;
 use super::table::{Table, definitions};
+use super::words::length;
 use crate::log::schema::{
     ControlMessage, LinkStatsMessage, ReferenceMessage, SetpointMessage, StateMessage,
 };
@@ -386,15 +387,6 @@ fn provenance(report: &FlightReport) -> String {
 /// Seconds since the log's start.
 fn seconds(report: &FlightReport, log_ns: u64) -> f64 {
     log_ns.saturating_sub(report.info.start_ns) as f64 * 1e-9
-}
-
-/// A length for people.
-fn length(metres: f64) -> String {
-    match metres {
-        m if m < 0.001 => format!("{:.2} mm", m * 1e3),
-        m if m < 0.1 => format!("{:.1} mm", m * 1e3),
-        m => format!("{m:.3} m"),
-    }
 }
 
 /// A short duration for people.

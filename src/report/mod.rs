@@ -4,6 +4,7 @@ mod axis;
 pub mod chart;
 pub mod comparison;
 pub mod diagnosis;
+pub mod exam;
 pub mod experiment;
 pub mod flight;
 mod flight_page;
@@ -14,5 +15,6 @@ pub mod repair;
 pub mod scene;
 pub mod table;
 pub mod training;
+pub mod words;
 
 pub use flight::FlightReport;

@@ -128,7 +128,7 @@ border-radius:0 8px 8px 0}
 .figure b{display:block;font-size:19px;font-variant-numeric:tabular-nums;white-space:nowrap}
 .figure span{color:var(--soft);font-size:12.5px}
 .figure.good b{color:var(--good)}.figure.warning b{color:var(--warning)}.figure.bad b{color:var(--bad)}
-.legend{display:flex;flex-wrap:wrap;gap:4px 18px;font-size:13px;color:var(--soft);margin:4px 0 2px 56px}
+.legend{display:flex;flex-wrap:wrap;gap:4px 18px;font-size:13px;color:var(--soft);margin:4px 0 2px 64px}
 .legend svg{width:24px;height:10px;margin-right:6px;vertical-align:0}
 svg.chart{display:block;width:100%;height:auto;font:12px system-ui,-apple-system,'Segoe UI',Roboto,Arial,sans-serif}
 svg text{fill:var(--soft)}svg .name{fill:var(--ink);font-weight:600}
@@ -142,6 +142,7 @@ svg text{fill:var(--soft)}svg .name{fill:var(--ink);font-weight:600}
 .scroll{overflow-x:auto}
 table{border-collapse:collapse;font-size:14px;margin-top:8px;font-variant-numeric:tabular-nums}
 th,td{padding:4px 14px 4px 0;text-align:left;border-bottom:1px solid var(--grid);vertical-align:top}
+td.text:first-child,td.text:nth-child(2):not(:last-child){white-space:nowrap}
 th{color:var(--soft);font-weight:600;font-size:13px}td.num,th.num{text-align:right}
 td.good{color:var(--good)}td.warning{color:var(--warning)}td.bad{color:var(--bad)}
 dl{display:grid;grid-template-columns:max-content 1fr;gap:2px 18px;margin:8px 0;font-size:14px}

@@ -7,6 +7,7 @@ use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
 use super::scene::Scene;
 use super::table::{Table, definitions};
+use super::words::{length, smallness};
 use crate::control::Limits;
 use crate::plan::planned::Plan;
 use crate::plan::problem::StateVector;
@@ -75,10 +76,10 @@ fn verdict(plan: &Plan, not_flyable: Option<&str>, page: &mut Page) {
     let most = distances.iter().copied().fold(0.0, f64::max);
     let rms = (distances.iter().map(|d| d * d).sum::<f64>() / distances.len().max(1) as f64).sqrt();
     let sentence = format!(
-        "A plan of {:.1} s that keeps {} m from the desired path, {} m at most.",
+        "A plan of {:.1} s that keeps {} RMS from the desired path, {} at most.",
         plan.duration(),
-        significant(rms),
-        significant(most)
+        length(rms),
+        length(most)
     );
     let reasons: Vec<String> = not_flyable.map(str::to_owned).into_iter().collect();
     let mood = if reasons.is_empty() { Mood::Good } else { Mood::Bad };
@@ -87,8 +88,8 @@ fn verdict(plan: &Plan, not_flyable: Option<&str>, page: &mut Page) {
         ("search", plan.status.in_words().to_owned(), Mood::Plain),
         ("cost", significant(plan.cost), Mood::Plain),
         ("subproblems", plan.records.len().to_string(), Mood::Plain),
-        ("largest defect of the dynamics", format!("{:.1e}", plan.violation.defect), Mood::Plain),
-        ("largest overrun of a bound", format!("{:.1e}", plan.violation.overrun), Mood::Plain),
+        ("largest defect of the dynamics", smallness(plan.violation.defect), Mood::Plain),
+        ("largest overrun of a bound", smallness(plan.violation.overrun), Mood::Plain),
     ]);
 }
 
@@ -171,7 +172,7 @@ fn search(plan: &Plan) -> String {
                 format!("{:.2e}", record.found),
                 record.share.to_string(),
                 format!("{:.2e}", record.trust),
-                format!("{:.1e}", record.violation.overrun),
+                smallness(record.violation.overrun),
                 record.solver_iterations.to_string(),
             ],
         );

@@ -4,6 +4,7 @@ use super::axis::significant;
 use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
 use super::table::{Table, definitions};
+use super::words::{effects, smallness};
 use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
 use crate::learn::summary::{LearningCurve, Series, TrainingSummary};
 use crate::model::file::ModelKind;
@@ -100,9 +101,9 @@ fn verdict(summary: &TrainingSummary, page: &mut Page) {
     page.verdict(mood, &sentence, &reasons);
     let mut figures = Vec::new();
     for (errors, label) in summary.one_step.iter().zip([
-        ["net, linear", "net, angular"],
-        ["physics, linear", "physics, angular"],
-        ["hybrid, linear", "hybrid, angular"],
+        ["test error, net, linear", "test error, net, angular"],
+        ["test error, physics, linear", "test error, physics, angular"],
+        ["test error, hybrid, linear", "test error, hybrid, angular"],
     ]) {
         if let Some(test) = &errors.labels[2] {
             figures.push((label[0], significant(test.linear), Mood::Plain));
@@ -329,7 +330,11 @@ fn provenance(summary: &TrainingSummary) -> String {
         ),
         (
             "physics",
-            serde_json::to_string(&summary.physics).unwrap_or_else(|error| error.to_string()),
+            format!(
+                "{}; angular damping [{}] N m s",
+                effects(&summary.physics.effects),
+                summary.physics.angular_damping_nms.map(smallness).join(", ")
+            ),
         ),
         ("frames", "world north, east, down; body front, right, down; SI, rad".to_owned()),
     ];

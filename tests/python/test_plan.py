@@ -47,7 +47,7 @@ def planned(trajectory, tmp_path_factory):
 def test_the_file_holds_the_plan(planned):
     path, summary = planned
     plan = json.loads(path.read_text())
-    assert (plan["schema"], plan["schema_version"]) == ("downwash.plan", 1)
+    assert (plan["schema"], plan["schema_version"]) == ("downwash.plan", 2)
     assert plan["vehicle"] == "crazyflie" and plan["model"] == {"kind": "nominal", "sha256": None}
     assert len(plan["states"]) == len(plan["desired"]) == len(plan["inputs"]) + 1 == 351
     assert {len(state) for state in plan["states"]} == {12}

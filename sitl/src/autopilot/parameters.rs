@@ -276,12 +276,7 @@ impl Parameters {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::autopilot::testing;
-
-    fn parameters() -> Parameters {
-        let vehicle = testing::vehicle();
-        Parameters::new(&vehicle, &vehicle.attitude_pd.unwrap())
-    }
+    use crate::autopilot::testing::parameters;
 
     #[test]
     fn names_and_defaults_fit() {

@@ -132,14 +132,9 @@ impl PositionController {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::autopilot::testing;
+    use crate::autopilot::testing::parameters;
     use crate::frame::Frd;
     use proptest::prelude::*;
-
-    fn parameters() -> Parameters {
-        let vehicle = testing::vehicle();
-        Parameters::new(&vehicle, &vehicle.attitude_pd.unwrap())
-    }
 
     #[test]
     fn at_the_target_it_hovers_level() {

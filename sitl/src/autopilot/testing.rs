@@ -1,5 +1,6 @@
-//! A vehicle for the unit tests.
+//! A vehicle for the unit tests, and its parameters.
 
+use super::parameters::Parameters;
 use crate::vehicle::{AttitudePd, BatteryParams, RotorParams, VehicleParams};
 
 /// A quadrotor of half a kilogram, X configuration.
@@ -41,4 +42,10 @@ pub(crate) fn vehicle() -> VehicleParams {
         notes: Vec::new(),
         provenance: Default::default(),
     }
+}
+
+/// The parameters that it starts with.
+pub(crate) fn parameters() -> Parameters {
+    let vehicle = vehicle();
+    Parameters::new(&vehicle, &vehicle.attitude_pd.unwrap())
 }

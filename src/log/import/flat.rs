@@ -13,12 +13,14 @@ use super::flight::{
 };
 use crate::log::mcap_file::{McapFile, Times};
 use crate::log::reader::Message;
+use crate::log::record::Truth;
 use crate::log::schema::{
     AttitudeSample, AttitudeSetpointSample, BodyRateSample, Flat, InAirSample, OutputsSample,
     PositionSample, RotorSpeedSample, RowSample, SpecificForceSample, TruthMessage, VelocitySample,
     VoltageSample, descriptor,
 };
 use crate::log::writer::{LOG_VERSION, LogError};
+use crate::setpoint::State;
 
 /// A sample as a flat message, and back.
 trait Sample: Flat {
@@ -114,39 +116,15 @@ impl Sample for RowSample {
 impl Sample for TruthMessage {
     type Value = TruthSample;
     fn new(time: f64, truth: &TruthSample) -> Self {
-        let [p_n_m, p_e_m, p_d_m] = truth.position.to_array();
-        let [v_n_mps, v_e_mps, v_d_mps] = truth.velocity.to_array();
-        let [q_w, q_x, q_y, q_z] = quaternion(&truth.attitude);
-        let [p_radps, q_radps, r_radps] = truth.body_rate.to_array();
-        let [a_n_mps2, a_e_mps2, a_d_mps2] = truth.acceleration.to_array();
-        let [alpha_x_radps2, alpha_y_radps2, alpha_z_radps2] =
-            truth.angular_acceleration.to_array();
-        Self {
-            vehicle_time_us: (time * 1e6).round() as u64,
-            p_n_m,
-            p_e_m,
-            p_d_m,
-            v_n_mps,
-            v_e_mps,
-            v_d_mps,
-            q_w,
-            q_x,
-            q_y,
-            q_z,
-            p_radps,
-            q_radps,
-            r_radps,
-            a_n_mps2,
-            a_e_mps2,
-            a_d_mps2,
-            alpha_x_radps2,
-            alpha_y_radps2,
-            alpha_z_radps2,
-            rotor_1_n: f64::NAN,
-            rotor_2_n: f64::NAN,
-            rotor_3_n: f64::NAN,
-            rotor_4_n: f64::NAN,
-        }
+        let TruthSample { position, velocity, attitude, body_rate, .. } = *truth;
+        let truth = Truth {
+            state: State { position, velocity, attitude, body_rate },
+            acceleration: truth.acceleration,
+            angular_acceleration: truth.angular_acceleration,
+            // A flight does not keep it.
+            rotor_thrust: [f64::NAN; 4],
+        };
+        Self::new((time * 1e6).round() as u64, &truth)
     }
     fn read(&self) -> Option<(f64, TruthSample)> {
         let truth = TruthSample {

@@ -9,11 +9,6 @@ use super::{
 use crate::log::record::{FrameRecord, LinkStats, Stamp, Tick, TimesyncSample, Truth};
 use crate::setpoint::{Reference, Setpoint, State};
 
-/// Microseconds of the vehicle's clock, 0 where the vehicle did not stamp the sample.
-fn vehicle_time_us(stamp: Stamp) -> u64 {
-    stamp.vehicle.map_or(0, |t| t.as_us())
-}
-
 impl MavlinkFrameMessage {
     /// Takes over `record`, keeping the buffer.
     pub(in crate::log) fn assign(&mut self, record: &FrameRecord) {
@@ -34,7 +29,7 @@ impl StateMessage {
         let q = state.attitude.canonical();
         let Euler { roll, pitch, yaw } = q.euler();
         Self {
-            vehicle_time_us: vehicle_time_us(stamp),
+            vehicle_time_us: stamp.vehicle_time_us(),
             p_n_m,
             p_e_m,
             p_d_m,
@@ -152,7 +147,7 @@ impl ImuMessage {
     pub(in crate::log) fn new(stamp: Stamp, specific_force: Frd, body_rate: Frd) -> Self {
         let [f_x_mps2, f_y_mps2, f_z_mps2] = specific_force.to_array();
         let [p_radps, q_radps, r_radps] = body_rate.to_array();
-        let vehicle_time_us = vehicle_time_us(stamp);
+        let vehicle_time_us = stamp.vehicle_time_us();
         Self { vehicle_time_us, f_x_mps2, f_y_mps2, f_z_mps2, p_radps, q_radps, r_radps }
     }
 }
@@ -160,7 +155,7 @@ impl ImuMessage {
 impl ActuatorsMessage {
     pub(in crate::log) fn new(stamp: Stamp, outputs: [f32; 4]) -> Self {
         let [output_1, output_2, output_3, output_4] = outputs.map(f64::from);
-        Self { vehicle_time_us: vehicle_time_us(stamp), output_1, output_2, output_3, output_4 }
+        Self { vehicle_time_us: stamp.vehicle_time_us(), output_1, output_2, output_3, output_4 }
     }
 }
 
@@ -200,7 +195,7 @@ impl From<&TimesyncSample> for TimesyncMessage {
 }
 
 impl TruthMessage {
-    pub(in crate::log) fn new(stamp: Stamp, truth: &Truth) -> Self {
+    pub(in crate::log) fn new(vehicle_time_us: u64, truth: &Truth) -> Self {
         let state = &truth.state;
         let [p_n_m, p_e_m, p_d_m] = state.position.to_array();
         let [v_n_mps, v_e_mps, v_d_mps] = state.velocity.to_array();
@@ -211,7 +206,7 @@ impl TruthMessage {
         let [rotor_1_n, rotor_2_n, rotor_3_n, rotor_4_n] = truth.rotor_thrust;
         let q = state.attitude.canonical();
         Self {
-            vehicle_time_us: vehicle_time_us(stamp),
+            vehicle_time_us,
             p_n_m,
             p_e_m,
             p_d_m,

@@ -21,6 +21,8 @@ pub(super) const COMBINED_SHARES: [(FlightKind, f64); 3] = [
 
 /// Least length of a flight's trajectory: shorter ones are all ramp.
 const FLIGHT_MIN_S: f64 = 4.0;
+/// More than eleven days are a slip of the keyboard.
+const SECONDS_MAX: f64 = 1e6;
 
 /// Room for one flight.
 pub(super) struct Slot {
@@ -40,8 +42,15 @@ pub(super) fn slots(
 ) -> Result<Vec<Slot>, ProgrammeError> {
     let smallest = shares.iter().map(|(_, share)| *share).fold(1.0, f64::min);
     let least = FLIGHT_MIN_S / smallest;
-    if !(least..=1e6).contains(&seconds) || flight_s.is_nan() || flight_s < FLIGHT_MIN_S {
-        return Err(ProgrammeError::TooShort { seconds: seconds.min(flight_s), least });
+    if !(least..=SECONDS_MAX).contains(&seconds) {
+        return Err(ProgrammeError::Length { seconds, least, most: SECONDS_MAX });
+    }
+    if !(flight_s >= FLIGHT_MIN_S) {
+        return Err(ProgrammeError::NoRoom {
+            quantity: "a flight_s",
+            found: flight_s,
+            expected: "expected at least 4 s",
+        });
     }
     let of_kind = |&(kind, share): &(FlightKind, f64)| {
         let of = ((share * seconds / flight_s).round() as usize).max(1);

@@ -1,0 +1,110 @@
+//! Flags of what flies: one flight, a programme of flights, the daemon.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::model::file::ModelKind;
+
+/// Flags of `fly`.
+#[derive(Debug, Args)]
+pub struct FlyArgs {
+    /// Trajectory file (TOML or CSV), or a plan (.json).
+    pub trajectory: PathBuf,
+    /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
+    #[arg(long, value_name = "URL")]
+    pub connect: Option<String>,
+    /// Vehicle file.
+    #[arg(long)]
+    pub vehicle: Option<PathBuf>,
+    /// Plans anew in flight, through the model of --model. Where the trajectory's file changes in
+    /// flight, the vehicle is led over to what it then says.
+    #[arg(long)]
+    pub replan: bool,
+    /// Model file to replan through [default: the vehicle file's own physics].
+    #[arg(long, value_name = "FILE", requires = "replan")]
+    pub model: Option<PathBuf>,
+    /// Which of its models [default: the one that predicted best].
+    #[arg(long, value_enum, requires = "model")]
+    pub kind: Option<ModelKind>,
+    /// Folder for the flight log.
+    #[arg(long)]
+    pub log_dir: Option<PathBuf>,
+    /// Also writes every byte of the link to this .tlog.
+    #[arg(long)]
+    pub tlog: Option<PathBuf>,
+    /// Configuration file.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints the flight's summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Flags of `collect`.
+#[derive(Debug, Args)]
+pub struct CollectArgs {
+    /// Folder for the logs, one a flight; made if missing. Flights whose whole log is there are
+    /// not flown again.
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Vehicle file [default: in simulation a built-in nano quadrotor].
+    #[arg(long)]
+    pub vehicle: Option<PathBuf>,
+    /// Flies the vehicle there, one flight after the other, instead of the simulated one.
+    #[arg(long, value_name = "URL", conflicts_with_all = ["sitl_config", "effects", "effect", "jobs"])]
+    pub connect: Option<String>,
+    /// Length of the programme's trajectories, s; landings and take-offs are extra.
+    #[arg(long, value_name = "SECONDS", default_value_t = 2400.0)]
+    pub seconds: f64,
+    /// Adds flights that move and turn at once, to test a model on, s.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    pub combined: f64,
+    /// Seed of the programme and, in simulation, of noise, delays and gusts.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// The simulated vehicle.
+    #[command(flatten)]
+    pub simulation: SimulationArgs,
+    /// Simulated flights at once [default: one for each core]. The logs do not depend on it.
+    #[arg(long, value_name = "COUNT")]
+    pub jobs: Option<std::num::NonZeroUsize>,
+    /// Shows the programme and flies nothing.
+    #[arg(long)]
+    pub list: bool,
+    /// Writes the programme's trajectory files, which `fly` takes, into this folder and flies
+    /// nothing.
+    #[arg(long, value_name = "FOLDER")]
+    pub write_trajectories: Option<PathBuf>,
+    /// Configuration file; its [collect] says where and how boldly is flown.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints the flights as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What of the simulated vehicle the vehicle file does not say.
+#[derive(Clone, Debug, Args)]
+pub struct SimulationArgs {
+    /// The simulated vehicle's own configuration: sensors, pack, start.
+    #[arg(long)]
+    pub sitl_config: Option<PathBuf>,
+    /// Effects of the simulated vehicle that the daemon does not know: a TOML table for each id.
+    #[arg(long, value_name = "FILE")]
+    pub effects: Option<PathBuf>,
+    /// One such effect, over those of the file: id:key=value,...
+    #[arg(long, visible_alias = "hidden", value_name = "EFFECT")]
+    pub effect: Vec<String>,
+}
+
+/// Flags of `daemon`.
+#[derive(Debug, Args)]
+pub struct DaemonArgs {
+    /// Configuration file: vehicle, trajectory, connect, and more.
+    #[arg(long)]
+    pub config: PathBuf,
+    /// Also writes every byte of the link to this .tlog.
+    #[arg(long)]
+    pub tlog: Option<PathBuf>,
+}

@@ -1,0 +1,98 @@
+//! Commands on flight logs.
+
+use std::path::PathBuf;
+
+use clap::{Subcommand, ValueEnum};
+
+/// Commands on flight logs.
+#[derive(Debug, Subcommand)]
+pub enum LogCommand {
+    /// What is in a log, also in one that was cut short.
+    Info {
+        /// Flight logs (.mcap).
+        #[arg(required = true)]
+        files: Vec<PathBuf>,
+        /// Prints one JSON object a file.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Writes a topic as CSV or as JSON lines.
+    Export {
+        /// Flight log (.mcap).
+        file: PathBuf,
+        /// Topic, such as /state [default: every flat topic, one file each into the folder --out].
+        #[arg(long)]
+        topic: Option<String>,
+        /// Form of the rows.
+        #[arg(long, value_enum, default_value_t = ExportFormat::Csv)]
+        format: ExportFormat,
+        /// File for one topic, folder for all [default: stdout for one topic].
+        #[arg(short, long)]
+        out: Option<PathBuf>,
+    },
+    /// Reads any flight log, and writes it as one of this program's, each stream at its own rate.
+    ///
+    /// Takes telemetry logs (.tlog), own logs (.mcap), logs of PX4 (.ulg) and ArduPilot (.bin), and
+    /// tables (.csv), told by their content. A table needs a mapping file, which names columns, units,
+    /// frames and orders; nothing of these is guessed, and config/mappings/motion-capture.toml is one
+    /// to start from.
+    Import {
+        /// Flight log.
+        file: PathBuf,
+        /// What the columns of a table are (TOML).
+        #[arg(long, value_name = "MAP")]
+        mapping: Option<PathBuf>,
+        /// The log to write (.mcap).
+        #[arg(short, long, value_name = "OUT")]
+        out: PathBuf,
+        /// Prints what was found as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Says what is wrong with flight logs before any physics: gaps, frozen or impossible values,
+    /// late or turned streams, biased sensors, flights that are there twice; and what the log's
+    /// channels cannot show.
+    Audit {
+        /// Flight logs of any kind that `log import` takes.
+        #[arg(required = true)]
+        logs: Vec<PathBuf>,
+        /// What the columns of a table are (TOML).
+        #[arg(long, value_name = "MAP")]
+        mapping: Option<PathBuf>,
+        /// Ends with exit code 10 if anything this bad, or worse, is found.
+        #[arg(long, value_enum)]
+        fail_on: Option<FailOnFinding>,
+        /// Prints what was found as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Writes the report on a flight: path, tracking error, setpoints and timing, as one HTML file.
+    Report {
+        /// Flight log (.mcap).
+        file: PathBuf,
+        /// The report [default: beside the log, under its name].
+        #[arg(short, long)]
+        out: Option<PathBuf>,
+        /// Prints the numbers as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+/// Findings that end `log audit` with exit code 10.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FailOnFinding {
+    /// Faults of the data.
+    Fault,
+    /// These, and flaws of the measurement.
+    Measurement,
+}
+
+/// Forms of exported rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExportFormat {
+    /// Comma-separated values with a header.
+    Csv,
+    /// One JSON object a line; NaN is null.
+    Jsonl,
+}

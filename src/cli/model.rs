@@ -1,0 +1,187 @@
+//! Flags of what makes, judges and uses a learned model.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use crate::model::file::ModelKind;
+use crate::plan::planner::SolverChoice;
+
+/// Flags of `train`.
+#[derive(Debug, Args)]
+pub struct TrainArgs {
+    /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
+    #[arg(required = true)]
+    pub logs: Vec<PathBuf>,
+    /// Vehicle file.
+    #[arg(long)]
+    pub vehicle: PathBuf,
+    /// The model file to write.
+    #[arg(short, long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Folder for report.html and report.json; made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// What the columns of CSV logs mean.
+    #[arg(long, value_name = "FILE")]
+    pub mapping: Option<PathBuf>,
+    /// What the networks are given.
+    #[arg(long, value_enum, default_value_t = FeatureChoice::Heading)]
+    pub features: FeatureChoice,
+    /// How weights follow the gradient.
+    #[arg(long, value_enum, default_value_t = MethodChoice::Adam)]
+    pub method: MethodChoice,
+    /// Hidden units of each network.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub hidden: u16,
+    /// Passes through the training rows at most.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
+    pub passes: u32,
+    /// Weights of the squared weights to try; the validation rows decide.
+    #[arg(long, value_delimiter = ',', default_values_t = [1e-6, 1e-5, 1e-4])]
+    pub regularization: Vec<f64>,
+    /// Half widths of the window that makes labels, ms. A later one is tried only where the models
+    /// of the earlier do not predict better than holding the state.
+    #[arg(long, value_name = "MS", value_delimiter = ',', default_values_t = [22.0, 60.0])]
+    pub window: Vec<f64>,
+    /// Seed of the weights.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Threads [default: one for each core]. The model does not depend on it.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Goes on from the checkpoint that an interrupted training left beside --out.
+    #[arg(long)]
+    pub resume: bool,
+    /// Prints the summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What the networks are given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FeatureChoice {
+    /// As in the paper: all in world axes.
+    World,
+    /// Seen from the vehicle's heading, so that what holds at one heading holds at every other.
+    Heading,
+}
+
+/// How weights follow the gradient.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum MethodChoice {
+    /// Adam over shuffled batches: reaches lower errors in fewer passes.
+    Adam,
+    /// Resilient backpropagation over all rows at once, as in the paper.
+    Rprop,
+}
+
+/// Commands on model files.
+#[derive(Debug, Subcommand)]
+pub enum ModelCommand {
+    /// What is in a model file, and how it was trained.
+    Info {
+        /// Model file.
+        #[arg(required_unless_present = "model")]
+        file: Option<PathBuf>,
+        /// Model file.
+        #[arg(long, conflicts_with = "file")]
+        model: Option<PathBuf>,
+        /// Prints one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Judges a model on flight logs: accelerations and open-loop predictions.
+    Eval {
+        /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
+        #[arg(required = true)]
+        logs: Vec<PathBuf>,
+        /// Model file.
+        #[arg(long)]
+        model: PathBuf,
+        /// Vehicle file of the logs, to check that the model is for it.
+        #[arg(long)]
+        vehicle: Option<PathBuf>,
+        /// What the columns of CSV logs mean.
+        #[arg(long, value_name = "FILE")]
+        mapping: Option<PathBuf>,
+        /// Prints one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Writes open-loop predictions from every sample of a log as CSV.
+    ///
+    /// Columns run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz; world NED, body FRD, SI. A sample
+    /// is a row of a CSV log, or of the 100 Hz grid of any other.
+    Predict {
+        /// Flight log: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
+        log: PathBuf,
+        /// Model file.
+        #[arg(long)]
+        model: PathBuf,
+        /// How far to predict, s.
+        #[arg(long, default_value_t = 0.5)]
+        horizon: f64,
+        /// Which of the file's models [default: the one that did best in its validation].
+        #[arg(long, value_enum)]
+        kind: Option<ModelKind>,
+        /// Vehicle file of the log, to check that the model is for it.
+        #[arg(long)]
+        vehicle: Option<PathBuf>,
+        /// What the columns of a CSV log mean.
+        #[arg(long, value_name = "FILE")]
+        mapping: Option<PathBuf>,
+        /// The CSV to write [default: stdout].
+        #[arg(short, long)]
+        out: Option<PathBuf>,
+    },
+    /// Writes the networks for other programs.
+    Export {
+        /// Model file.
+        #[arg(required_unless_present = "model")]
+        file: Option<PathBuf>,
+        /// Model file.
+        #[arg(long, conflicts_with = "file")]
+        model: Option<PathBuf>,
+        /// The ONNX file to write.
+        #[arg(long, value_name = "FILE")]
+        onnx: PathBuf,
+        /// `net`, or `hybrid` for the networks on what the physics leaves over.
+        #[arg(long, value_enum, default_value_t = ModelKind::Net)]
+        kind: ModelKind,
+    },
+}
+
+/// Flags of `plan`.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// Desired trajectory (TOML or CSV).
+    pub trajectory: PathBuf,
+    /// Model file of `train` [default: the vehicle file's own physics].
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Which of its models [default: the one that predicted best].
+    #[arg(long, value_enum, requires = "model")]
+    pub kind: Option<ModelKind>,
+    /// Vehicle file [default: the model's vehicle, else a built-in nano quadrotor].
+    #[arg(long)]
+    pub vehicle: Option<PathBuf>,
+    /// The plan to write.
+    #[arg(short, long, value_name = "FILE", default_value = "plan.json")]
+    pub out: PathBuf,
+    /// Folder for report.html and report.json; made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// What solves the subproblems.
+    #[arg(long, value_enum)]
+    pub solver: Option<SolverChoice>,
+    /// Ends the search after this time with the best plan so far.
+    #[arg(long, value_name = "SECONDS")]
+    pub time_limit: Option<f64>,
+    /// Configuration file.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints the summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+}

@@ -1,0 +1,63 @@
+//! The programme flown by a vehicle on a link.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::anyhow;
+
+use super::FlightRow;
+use super::kept::{LogOf, metadata};
+use crate::command::course::Course;
+use crate::command::fly::{Flown, baud, endpoint, fly_once};
+use crate::command::setup::{VehicleFile, required, run_info, station_settings};
+use crate::command::stop::StopSignals;
+use crate::command::{Exit, say};
+use crate::config::Config;
+use crate::plan::programme::ProgrammeFlight;
+use crate::supervisor::EngagePolicy;
+
+/// How long a signal is waited for before each flight with a vehicle.
+const BETWEEN_FLIGHTS: Duration = Duration::from_millis(1);
+
+/// Flies a vehicle on a link, one flight after the other. A flight that ends otherwise than
+/// planned ends the programme: somebody has to look at the vehicle first.
+pub(super) fn fly_vehicle(
+    folder: &Path,
+    config: &Config,
+    vehicle: &VehicleFile,
+    flights: &[ProgrammeFlight],
+    ahead: &[(usize, String)],
+    signals: &mut StopSignals,
+) -> anyhow::Result<Vec<(usize, FlightRow)>> {
+    let url = required(&config.settings.connect, "--connect", "connect")?;
+    let mut rows = Vec::new();
+    for (turn, (index, fingerprint)) in ahead.iter().enumerate() {
+        let flight = &flights[*index];
+        // What came after the last flight's end.
+        if signals.wait(BETWEEN_FLIGHTS).is_some() {
+            let row = FlightRow::planned(flight);
+            rows.push((*index, FlightRow { exit: Exit::Interrupted, ..row }));
+            break;
+        }
+        say(format_args!("flight {} of {}: {}", turn + 1, ahead.len(), flight.name));
+        let endpoint = endpoint(&url)?;
+        let settings = station_settings(
+            config,
+            vehicle,
+            &Course::Desired(flight.trajectory.clone()),
+            EngagePolicy::Command,
+            baud(&endpoint),
+        )?;
+        let mut info = run_info(config, vehicle, &flight.name, false, None);
+        info.extra = metadata(flight, fingerprint);
+        let Flown { end, exit, log } = fly_once(settings, endpoint, folder, &info, None, signals)?;
+        let log = log.as_deref().map(LogOf::read).transpose()?.map(|(_, log)| log);
+        let log = log.ok_or_else(|| anyhow!("{}: its log was not written", flight.name))?;
+        rows.push((*index, FlightRow::flown(flight, &end, exit, Some(&log))));
+        if exit != Exit::Ok {
+            say(format_args!("flight {}: {end}; run the command again to go on", flight.name));
+            break;
+        }
+    }
+    Ok(rows)
+}

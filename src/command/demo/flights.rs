@@ -1,0 +1,117 @@
+//! The flights of the experiment: every course, with every seed.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use super::Demo;
+use super::outcome::LogRow;
+use crate::cli::{Contestant, DemoArgs};
+use crate::command::course::Course;
+use crate::command::progress::flight_bar;
+use crate::command::setup::EffectiveVehicle;
+use crate::command::simulation::{Simulated, SimulatedFlight};
+use crate::command::{Exit, ExitContext, say, summary};
+use crate::report::comparison::{Contender, Track};
+use crate::report::flight::FlightReport;
+use crate::station::End;
+
+/// The flights of a demo.
+pub(super) struct Flown {
+    /// The first, whole.
+    pub first: FlightReport,
+    pub end: String,
+    pub exit: Exit,
+    pub logs: Vec<LogRow>,
+    pub contenders: Vec<Contender>,
+    pub simulated_s: f64,
+    pub wall_s: f64,
+}
+
+impl Demo<'_> {
+    /// Flies every course as often as asked; nothing where it was interrupted.
+    pub(super) fn fly(&self, courses: &[(Contestant, Course)]) -> anyhow::Result<Option<Flown>> {
+        let args = self.args;
+        let hover_thrust_n = EffectiveVehicle::new(&self.vehicle.params)
+            .or_exit(Exit::Usage)?
+            .hover
+            .hover_thrust_n();
+        let length: f64 = courses.iter().map(|(_, course)| course.duration()).sum();
+        let progress = flight_bar(length * args.flights as f64);
+        let mut flown = None;
+        let mut before_s = 0.0;
+        let began = Instant::now();
+        let mut reading_s = 0.0;
+        for (contestant, course) in courses {
+            let mut tracks = Vec::new();
+            for seed in args.seed..args.seed.saturating_add(args.flights) {
+                if self.interrupted.load(Ordering::Relaxed) {
+                    return Ok(None);
+                }
+                let flight = SimulatedFlight {
+                    config: &self.config,
+                    vehicle: &self.vehicle,
+                    airframe: &self.vehicle.params,
+                    truth: &self.truth,
+                    course,
+                    run: &run_name(course, *contestant, seed, args),
+                    seed,
+                    extra: BTreeMap::from([("reference".to_owned(), contestant.name().to_owned())]),
+                };
+                let Simulated { end, log, simulated_s } = flight.fly(&args.out, |status| {
+                    let along_s = status.progress.map_or(0.0, |(t, _)| t);
+                    progress.set_position(((before_s + along_s) * 10.0) as u64);
+                    progress.set_message(format!(
+                        "{}: {}",
+                        contestant.name(),
+                        status.phase.map_or("connect", |phase| phase.name())
+                    ));
+                })?;
+                before_s += course.duration();
+                let reading = Instant::now();
+                let report = summary::report_on(&log)?;
+                if let Some(desired) = &self.desired {
+                    let reference = course.at_start().reference(hover_thrust_n);
+                    let track = Track::new(&report, desired, reference.as_ref(), hover_thrust_n);
+                    tracks.extend((!track.is_empty()).then_some(track));
+                }
+                reading_s += reading.elapsed().as_secs_f64();
+                let (words, exit) = summary::end_in_words(Some(&end), None);
+                if end != End::Done {
+                    say(format_args!("{} did not end as planned: {words}", contestant.name()));
+                }
+                let all = flown.get_or_insert_with(|| Flown {
+                    first: report,
+                    end: words.clone(),
+                    exit,
+                    logs: Vec::new(),
+                    contenders: Vec::new(),
+                    simulated_s: 0.0,
+                    wall_s: 0.0,
+                });
+                if all.exit == Exit::Ok {
+                    (all.end, all.exit) = (words, exit);
+                }
+                all.simulated_s += simulated_s;
+                all.logs.push(LogRow { contender: contestant.name(), seed, log });
+            }
+            if let Some(all) = &mut flown {
+                all.contenders.extend(Contender::new(contestant.name(), tracks));
+            }
+        }
+        progress.finish_and_clear();
+        Ok(flown.map(|flown| Flown { wall_s: began.elapsed().as_secs_f64() - reading_s, ..flown }))
+    }
+}
+
+/// What a flight is called in its log and in the log's name.
+fn run_name(course: &Course, contestant: Contestant, seed: u64, args: &DemoArgs) -> String {
+    let mut name = course.name().to_owned();
+    if args.fly.len() > 1 {
+        name += &format!("-{}", contestant.name());
+    }
+    if args.flights > 1 {
+        name += &format!("-{seed}");
+    }
+    name
+}

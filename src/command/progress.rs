@@ -1,0 +1,55 @@
+//! Progress bars on stderr, which show nothing where it is no terminal.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::learn::procedure::Watch;
+
+/// A bar of so many steps.
+fn bar(steps: u64, template: &str) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(steps), ProgressDrawTarget::stderr_with_hz(10));
+    let style = ProgressStyle::with_template(template);
+    bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+/// A bar over so many seconds of trajectory, in tenths.
+pub(super) fn flight_bar(length_s: f64) -> ProgressBar {
+    bar((length_s * 10.0) as u64, "{bar:40} {percent:>3} %  {msg}")
+}
+
+/// A bar for each stage of a training.
+pub(super) struct StageBar {
+    bar: ProgressBar,
+    interrupted: Arc<AtomicBool>,
+}
+
+impl StageBar {
+    /// `interrupted` ends the training.
+    pub fn new(interrupted: Arc<AtomicBool>) -> Self {
+        Self { bar: bar(1, "{prefix:10} {bar:40} {percent:>3} %  {msg}"), interrupted }
+    }
+
+    /// Takes it off the terminal.
+    pub fn clear(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+impl Watch for StageBar {
+    fn stage(&mut self, name: &str, steps: u64) {
+        self.bar.set_prefix(name.to_owned());
+        self.bar.set_length(steps);
+        self.bar.set_position(0);
+    }
+
+    fn step(&mut self, note: &str) {
+        self.bar.set_message(note.to_owned());
+        self.bar.inc(1);
+    }
+
+    fn interrupted(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed)
+    }
+}

@@ -1,0 +1,65 @@
+//! Quantities as people read them.
+
+use sitl::effects::{EffectSet, Kind};
+
+use super::axis::significant;
+
+/// A length.
+pub fn length(metres: f64) -> String {
+    match metres {
+        m if m < 0.001 => format!("{:.2} mm", m * 1e3),
+        m if m < 0.1 => format!("{:.1} mm", m * 1e3),
+        m => format!("{m:.3} m"),
+    }
+}
+
+/// What is nothing or nearly nothing.
+pub fn smallness(value: f64) -> String {
+    if value == 0.0 { "0".to_owned() } else { format!("{value:.1e}") }
+}
+
+/// Effects with their parameters, in the catalogue's order and units.
+pub fn effects(effects: &EffectSet) -> String {
+    let one = |(id, slots): (sitl::effects::EffectId, &sitl::effects::Slots)| {
+        let parameters: Vec<String> = id
+            .spec()
+            .slots()
+            .filter(|slot| slot.component == 0)
+            .map(|slot| {
+                let value = match slot.parameter.kind {
+                    Kind::Scalar | Kind::Index => significant(slots[slot.index]),
+                    Kind::Vec3 => {
+                        let axes = &slots[slot.index..slot.index + 3];
+                        format!(
+                            "[{}]",
+                            axes.iter().copied().map(significant).collect::<Vec<_>>().join(", ")
+                        )
+                    }
+                };
+                format!("{} {value}", slot.parameter.name)
+            })
+            .collect();
+        format!("{id} ({})", parameters.join(", "))
+    };
+    let all: Vec<String> = effects.iter().map(one).collect();
+    if all.is_empty() { "no effects".to_owned() } else { all.join(", ") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn effects_are_named_with_their_numbers() {
+        let mut set = EffectSet::new();
+        assert_eq!(effects(&set), "no effects");
+        set.insert_argument("rotor_drag:d_xy=0.012,d_z=0.008").expect("an effect");
+        set.insert_argument("inertia:scale=[1.2,1.1,1]").expect("an effect");
+        assert_eq!(
+            effects(&set),
+            "rotor_drag (d_xy 0.01200, d_z 0.008000), inertia (scale [1.200, 1.100, 1.000])"
+        );
+        assert_eq!((smallness(0.0), smallness(1.23e-9)), ("0".to_owned(), "1.2e-9".to_owned()));
+        assert_eq!((length(0.0047), length(0.299)), ("4.7 mm".to_owned(), "0.299 m".to_owned()));
+    }
+}

@@ -1,0 +1,105 @@
+//! What follows from knowing the vehicle: the feedback that is designed for it, and what its
+//! parameters must be.
+
+use std::sync::Arc;
+
+use super::attitude_loop::{assumption, attitude_loop};
+use super::{End, Station, StationSettings};
+use crate::clock::HostTime;
+use crate::control::{DesignError, Lqr};
+use crate::link::profile::{Mode, Profile};
+use crate::link::request::Request;
+use crate::log::record::{Record, Severity};
+use crate::pilot::{Airframe, Pilot};
+use crate::supervisor::{ModeMap, PreflightCheck};
+
+impl Station {
+    /// Now that it is known what the vehicle honours: design the feedback for it.
+    pub(super) fn identified(&mut self, now: HostTime, profile: Profile, is_version_known: bool) {
+        let mask = profile.attitude_target.type_mask();
+        let silent = if is_version_known { "" } else { ", which does not tell its version" };
+        let text =
+            format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
+        self.tell(now, Severity::Info, text.clone());
+        let facts = [
+            ("autopilot".to_owned(), profile.name.to_owned()),
+            ("attitude_target_mask".to_owned(), format!("{mask:#04x}")),
+        ];
+        self.records.push(Record::Facts(Box::new(facts.into())));
+        for rule in profile.required.iter().chain(&profile.loss_timeout) {
+            self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
+        }
+        if let Some(name) = profile.loss_action {
+            self.session.request(now, Request::ReadParameter(name.to_owned()));
+        }
+        let known = self.profile.replace(profile.clone());
+        if self.pilot.is_some() && known.as_ref() == Some(&profile) {
+            return;
+        }
+        let response = self.settings.lqr.attitude_response_rad_s;
+        if let Some(assumed) = assumption(&profile, self.settings.attitude_pd, response) {
+            self.tell(now, Severity::Notice, assumed);
+        }
+        match self.make_pilot(now, &profile) {
+            Ok(Some(pilot)) => self.pilot = Some(pilot),
+            Ok(None) => {
+                let why = format!("the modes of autopilot {:?} are not known", profile.name);
+                self.tell(now, Severity::Error, why.clone());
+                self.end.get_or_insert(End::Refused(why));
+            }
+            Err(error) => {
+                self.tell(now, Severity::Error, error.to_string());
+                self.end.get_or_insert(End::Refused(error.to_string()));
+            }
+        }
+        self.check_parameters();
+    }
+
+    fn make_pilot(&self, now: HostTime, profile: &Profile) -> Result<Option<Pilot>, DesignError> {
+        let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
+        let modes = (word(profile.modes.offboard), word(profile.modes.land));
+        let (Some(offboard), Some(land)) = modes else { return Ok(None) };
+        let StationSettings { actuation, hover, lqr, attitude_pd, .. } = &self.settings;
+        let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
+        let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
+        let airframe = Airframe {
+            hover: self.settings.hover,
+            thrust_full_n: self.settings.thrust_full_n,
+            battery_full_v: self.settings.battery_full_v,
+            modes: ModeMap {
+                offboard,
+                hold: word(profile.modes.hold),
+                land,
+                reports_intended: profile.reports_intended_mode,
+            },
+        };
+        Ok(Some(Pilot::new(
+            self.settings.pilot.clone(),
+            self.settings.policy,
+            airframe,
+            lqr,
+            Box::new(Arc::clone(&self.settings.reference)),
+            Vec::new(),
+            now,
+        )))
+    }
+
+    /// The profile's rules about the vehicle's parameters, as preflight checks.
+    pub(super) fn check_parameters(&mut self) {
+        let (Some(profile), Some(pilot)) = (&self.profile, &mut self.pilot) else { return };
+        let known = &pilot.telemetry().status().parameters;
+        let failed = profile
+            .required
+            .iter()
+            .filter_map(|rule| {
+                let found = known.get(rule.name);
+                (!found.is_some_and(|value| rule.holds(*value))).then(|| PreflightCheck {
+                    subject: format!("parameter {}", rule.name),
+                    expected: format!("{}, because {}", rule.rule, rule.why),
+                    found: found.map_or("no answer".to_owned(), f64::to_string),
+                })
+            })
+            .collect();
+        pilot.set_standing_checks(failed);
+    }
+}
