@@ -152,7 +152,7 @@ impl Row {
             covered,
             claimed_closure: given.ok().and_then(|given| given.gap?.closure()),
             true_closure,
-            finding: given.map_or_else(str::to_owned, |given| given.finding.clone()),
+            finding: given.map_or_else(str::to_owned, |given| given.finding.sentence.clone()),
             seconds,
             verdict,
             probabilities,
