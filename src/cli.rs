@@ -119,15 +119,19 @@ pub struct DiagnoseArgs {
 /// Flags of `exam`.
 #[derive(Debug, Args)]
 pub struct ExamArgs {
-    /// Cases with something to find.
-    #[arg(long, value_name = "COUNT", default_value_t = 60)]
-    pub cases: usize,
+    /// Cases with something to find [default: 60; of a round trip all].
+    #[arg(long, value_name = "COUNT")]
+    pub cases: Option<usize>,
     /// Cases with nothing to find.
     #[arg(long, value_name = "COUNT", default_value_t = 20)]
     pub nulls: usize,
     /// Only cases of these kinds [default: all, in fixed shares].
     #[arg(long, value_enum, value_delimiter = ',')]
     pub kinds: Vec<Kind>,
+    /// Instead: every effect at three strengths on both shipped vehicles, with logs as they are, at
+    /// half their rate, with stamps 5 ms off, and with a tenth lost. Takes an hour or more.
+    #[arg(long, conflicts_with = "kinds")]
+    pub round_trip: bool,
     /// Seed of everything that is drawn [default: from the system, and said].
     #[arg(long)]
     pub seed: Option<u64>,
