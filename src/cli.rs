@@ -37,8 +37,11 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Flies the bundled vehicle in lockstep, learns a model from the flights, plans through it, and
-    /// flies a trajectory with and without the plans; leaves a report, its numbers and the logs.
+    /// The whole experiment on the bundled vehicle, in lockstep: collect, learn, plan, fly, compare.
+    ///
+    /// Learns a model from flights of a vehicle with effects that its file does not say, plans a
+    /// trajectory through it, and flies it with and without the plans. Leaves a report, its
+    /// numbers, the model, the plans and the logs.
     Demo(DemoArgs),
     /// Connects to a vehicle, flies one trajectory from take-off to landing, and logs it.
     Fly(FlyArgs),
