@@ -171,6 +171,8 @@ pub struct Gap {
     pub closure: Option<f64>,
     /// With the nuisances within their tolerances alone.
     pub nuisances_only: Option<f64>,
+    /// With the named effects and the nuisances.
+    pub with_nuisances: Option<f64>,
     /// Errors by horizon and quantity: before, after, floor.
     pub errors: [Errors; 3],
     /// Noise of the reports.

@@ -250,6 +250,21 @@ impl Catalogue {
         self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
     }
 
+    /// The number of an effect's slot.
+    pub fn number_of(&self, effect: EffectId, slot: usize) -> Option<usize> {
+        self.numbers.iter().position(|number| number.target == Target::Effect(effect, slot))
+    }
+
+    /// The catalogue with command_delay tried at its reference and at `delay_s` alone.
+    pub fn with_delay(mut self, delay_s: f64) -> Self {
+        let delays = self.hypotheses.iter_mut().filter(|h| h.effect == EffectId::CommandDelay);
+        for hypothesis in delays {
+            hypothesis.starts.truncate(1);
+            hypothesis.starts.push(vec![delay_s]);
+        }
+        self
+    }
+
     /// Every number at its reference.
     pub fn references(&self) -> Values {
         self.numbers.iter().map(|number| number.reference).collect()

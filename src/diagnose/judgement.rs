@@ -6,6 +6,7 @@
 
 use sitl::vehicle::VehicleParams;
 
+use super::answer::Gap;
 use super::gap::ReportNoise;
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::observed::Observed;
@@ -64,16 +65,15 @@ impl Leftover {
     ) -> Size {
         let Some(pd) = vehicle.attitude_pd else { return Size::default() };
         let size = |angular_acceleration: [f64; 3]| -> f64 {
-            let mut square = 0.0;
-            for axis in 0..3 {
-                let moment = vehicle.inertia[axis] * angular_acceleration[axis];
-                let attitude = moment / pd.kp[axis].max(f64::MIN_POSITIVE);
-                let rate = moment / pd.kd[axis].max(f64::MIN_POSITIVE);
-                square += (attitude / noise.attitude.max(1e-9))
-                    .max(rate / noise.body_rate.max(1e-9))
-                    .powi(2);
-            }
-            (square / 3.0).sqrt()
+            let gains = pd.kp.into_iter().zip(pd.kd);
+            let off = angular_acceleration.into_iter().zip(vehicle.inertia).zip(gains).map(
+                |((acceleration, inertia), (kp, kd))| {
+                    let moment = inertia * acceleration;
+                    let attitude = moment / (kp * noise.attitude).max(f64::MIN_POSITIVE);
+                    attitude.max(moment / (kd * noise.body_rate).max(f64::MIN_POSITIVE))
+                },
+            );
+            (off.map(|off| off * off).sum::<f64>() / 3.0).sqrt()
         };
         let after = self.moment.as_ref().map(|[_, after]| after);
         let left = after.filter(|moment| moment.significance() > SIGNIFICANCE);
@@ -90,6 +90,20 @@ pub fn is_unexplained(sizes: [Size; 2], found: bool) -> bool {
     let left = sizes[0].left.max(sizes[1].left);
     let explained = if found { sizes[0].explained.max(sizes[1].explained) } else { 0.0 };
     left > 1.0 && left.powi(2) > LEFT_MAX * (left.powi(2) + explained.powi(2))
+}
+
+/// A gap on the flights held out that is worth an explanation, in units of the noise: predictions of
+/// vehicles without one stay within a fifth of what noise alone leaves.
+const GAP_MIN: f64 = 1.3;
+/// Share of a gap that effects must close to be its explanation.
+const CLOSED_MIN: f64 = 0.5;
+
+/// Whether the gap on the flights held out stays open: with the effects, and with the nuisances as
+/// well.
+pub fn is_open(gap: &Gap, found: bool) -> bool {
+    let left = gap.with_nuisances.map_or(gap.after, |with| with.min(gap.after));
+    let closed = gap.closure.filter(|_| found).unwrap_or(0.0);
+    left > GAP_MIN * gap.floor && closed < CLOSED_MIN
 }
 
 /// Mean square that the chosen effects explain and the nuisances do not: of the acceleration,

@@ -54,7 +54,7 @@ impl UnmodelledForce {
 /// Angular acceleration that nothing explains.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct UnmodelledMoment {
-    /// Mean square over 0.1 to 4.5 Hz beyond what the twins have, about front, right, down,
+    /// Mean square up to 4.5 Hz beyond what the twins have, about front, right, down,
     /// rad^2/s^4; below 0 by chance only.
     pub mean_square: [f64; 3],
     /// Standard error of the sum of the three.
@@ -86,14 +86,15 @@ pub fn unmodelled_moment(
     let mut variance = 0.0;
     let mut seen = false;
     for axis in 0..3 {
-        for (band, upper) in BANDS.iter().enumerate().skip(1) {
+        for (band, upper) in BANDS.iter().enumerate() {
             let place = (RATE + axis) * BANDS.len() + band;
             let n = observed.counts()[place];
             if n < 1.0 || *upper > FORCE_MAX_HZ || twins.power.is_empty() {
                 continue;
             }
             seen = true;
-            let share = 2.0 * CELL_S * (upper - BANDS[band - 1]) / n;
+            let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
+            let share = 2.0 * CELL_S * (upper - lower) / n;
             let [mean, deviation] = moments[place];
             moment.mean_square[axis] += (power[place] - mean) * share;
             variance += (share * deviation).powi(2);

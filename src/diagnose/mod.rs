@@ -2,6 +2,7 @@
 //! how far it shrinks.
 
 pub mod answer;
+mod arrival;
 pub mod audit;
 pub mod fit;
 pub mod flight_simulator;

@@ -9,9 +9,10 @@ use super::answer::{
     Answer, EffectAnswer, Finding, FlightAnswer, FullVerdict, Gap, HypothesisAnswer, Verdict,
     parameters,
 };
+use super::arrival::Delay;
 use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
-use super::judgement::{Leftover, explained, is_unexplained};
+use super::judgement::{Leftover, explained, is_open, is_unexplained};
 use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{depends_on, map, samples};
@@ -95,9 +96,14 @@ pub fn diagnose(
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
     let leg = case.fitted.iter().chain(case.held_out).all(|flight| flight.channels.setpoint);
-    let catalogue = Catalogue::new(case.vehicle, leg).without(case.without);
+    let mut catalogue = Catalogue::new(case.vehicle, leg).without(case.without);
     catalogue.candidate(&catalogue.references())?;
     let evaluator = Evaluator::new(case.vehicle).observing(case.fitted);
+    let onboard = evaluator.onboard().filter(|_| leg);
+    let arrival = onboard.and_then(|law| Delay::of(case.fitted, law));
+    if let Some(Delay { mean, .. }) = arrival {
+        catalogue = catalogue.with_delay(mean);
+    }
     let fitted = Observed::new(case.fitted, &evaluator, &catalogue);
     let held_out = Observed::new(case.held_out, &evaluator, &catalogue);
     let mut selector = Selector {
@@ -157,6 +163,12 @@ pub fn diagnose(
     if let Some(twins) = &of_best {
         correct(&mut selection.best, &catalogue, twins);
     }
+    if let Some((number, delay)) = catalogue.number_of(EffectId::CommandDelay, 0).zip(arrival) {
+        let best = &mut selection.best.fit;
+        if best.active(&catalogue).contains(&number) {
+            (best.values[number], best.deviation[number]) = (delay.mean, delay.deviation);
+        }
+    }
     let moment = twins_of_null.as_ref().filter(|_| leg).and_then(|of_null| {
         let before = unmodelled_moment(&fitted, &selection.null.fit.power, of_null)?;
         let of_best = of_best.as_ref().unwrap_or(of_null);
@@ -189,6 +201,8 @@ pub fn diagnose(
     let verdict = match turbulence {
         Some(_) => Verdict::Effect,
         None if is_unexplained(sizes, found) => Verdict::Unknown,
+        // Driven by outputs, an open loop strays from any cause.
+        None if leg && gap.as_ref().is_some_and(|gap| is_open(gap, found)) => Verdict::Unknown,
         None if found => Verdict::Effect,
         None => Verdict::None,
     };
@@ -331,6 +345,8 @@ fn gap(
     let repaired = Simulator::new(case.vehicle, effects, leg)?;
     let nuisances =
         Simulator::new(case.vehicle, &catalogue.effects(&selection.null.fit.values, None), leg)?;
+    let everything =
+        Simulator::new(case.vehicle, &catalogue.effects(&selection.best.fit.values, None), leg)?;
     let floor = repaired.floor(case.held_out, &noise, settings.seed);
     let (Some(floor), Some(before), Some(after)) =
         (floor, shipped.errors(case.held_out), repaired.errors(case.held_out))
@@ -345,6 +361,7 @@ fn gap(
         floor: f,
         closure: (b - f > 0.05).then(|| (b - a) / (b - f)),
         nuisances_only: nuisances.errors(case.held_out).map(|errors| errors.mean_over(&floor)),
+        with_nuisances: everything.errors(case.held_out).map(|errors| errors.mean_over(&floor)),
         errors: [before, after, floor],
         noise,
     }))

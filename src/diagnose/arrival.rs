@@ -1,0 +1,155 @@
+//! When setpoints arrive on board: read off the outputs, each of which answers one of them.
+//!
+//! The mixer passes the setpoint's thrust on as the collective, so that a logged output tells which
+//! setpoint was in force at its tick. How long each setpoint was under way at least, or at most, is
+//! then known without a model of the vehicle. A delay keeps step with the loop and the stream: over
+//! some milliseconds the same setpoints are in force, and a fit of the outputs finds any value
+//! between. The few that come late tell the rest.
+
+use super::onboard::OnboardLaw;
+use super::preparation::PreparedFlight;
+
+/// A collective that agrees so well with a setpoint's thrust is of it: single precision, twice.
+const AGREEMENT: f64 = 2e-6;
+/// And all others must be off by so much more.
+const DISTINCT: f64 = 20.0;
+/// Setpoints that may be in force at a tick: those sent within this time before, s.
+const AGE_MAX_S: f64 = 0.2;
+/// Outputs that answer a setpoint, for a delay to be told.
+const ANSWERS_MIN: usize = 200;
+/// Steps of the delay, s, and the jitters that are tried with it, s.
+const STEP_S: f64 = 2.5e-4;
+const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
+/// Probability of an arrival that the model of jitter does not know.
+const STRAY: f64 = 1e-3;
+/// Outputs one after the other answer the same setpoint: so many count as one.
+const CORRELATED: f64 = 4.0;
+
+/// From sending a setpoint to its use, on average.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Delay {
+    /// Mean, s.
+    pub mean: f64,
+    /// Its standard deviation, s.
+    pub deviation: f64,
+}
+
+/// What an output says: the ages at its tick of the setpoint that it answers and of the newer ones,
+/// which had not arrived, s.
+struct Answer {
+    in_force: f64,
+    newer: Vec<f64>,
+}
+
+impl Delay {
+    /// The delay in flights that `law` flew; `None` where too few outputs answer a setpoint.
+    pub fn of(flights: &[PreparedFlight], law: &OnboardLaw) -> Option<Self> {
+        let answers: Vec<Answer> = flights.iter().flat_map(|f| answers(f, law)).collect();
+        Self::between(&answers)
+    }
+
+    /// The posterior mean over constant delays with exponential jitter, all as likely before.
+    fn between(answers: &[Answer]) -> Option<Self> {
+        if answers.len() < ANSWERS_MIN {
+            return None;
+        }
+        let steps = (AGE_MAX_S / STEP_S) as usize;
+        let mut options: Vec<(f64, f64)> = Vec::with_capacity(steps * JITTERS_S.len());
+        for jitter in JITTERS_S {
+            for step in 0..steps {
+                let constant = step as f64 * STEP_S;
+                let density = answers.iter().map(|answer| answer.density(constant, jitter));
+                options.push((constant + jitter, density.sum::<f64>() / CORRELATED));
+            }
+        }
+        let most = options.iter().map(|(_, density)| *density).fold(f64::NEG_INFINITY, f64::max);
+        let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
+        for (delay, density) in options {
+            let weight = (density - most).exp();
+            sum += weight;
+            first += weight * delay;
+            second += weight * delay * delay;
+        }
+        let mean = first / sum;
+        let variance = (second / sum - mean * mean).max(0.0) + STEP_S.powi(2) / 12.0;
+        Some(Self { mean, deviation: variance.sqrt() })
+    }
+}
+
+impl Answer {
+    /// Log density of this answer, for a constant delay and a mean jitter.
+    fn density(&self, constant: f64, jitter: f64) -> f64 {
+        let under_way = |age: f64| (-(age - constant).max(0.0) / jitter).exp();
+        let arrived = 1.0 - under_way(self.in_force);
+        let none_newer: f64 = self.newer.iter().map(|age| under_way(*age)).product();
+        (arrived * none_newer + STRAY).ln()
+    }
+}
+
+/// What the outputs of a flight answer.
+fn answers(flight: &PreparedFlight, law: &OnboardLaw) -> Vec<Answer> {
+    let (sent, setpoints) = (flight.setpoint.times(), flight.setpoint.values());
+    let collective_max = law.allocation().collective_max();
+    let outputs = flight.outputs.times().iter().zip(flight.outputs.values());
+    outputs
+        .filter(|(time, _)| flight.spans.iter().any(|span| span.contains(time)))
+        // What saturates no longer tells the thrust.
+        .filter(|(_, u)| u.iter().all(|u| (0.01..0.99).contains(u)))
+        .filter_map(|(time, u)| {
+            let tick = law.tick_of_report(*time);
+            let collective = law.allocation().wrench(*u)[0] / collective_max;
+            let newest = sent.partition_point(|sent| *sent <= tick).checked_sub(1)?;
+            let oldest = sent.partition_point(|sent| *sent < tick - AGE_MAX_S);
+            let mut off: Vec<(f64, usize)> = (oldest..=newest)
+                .filter_map(|i| Some(((setpoints[i].thrust? - collective).abs(), i)))
+                .collect();
+            off.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let (best, index) = *off.first()?;
+            let is_distinct = off.get(1).is_none_or(|next| next.0 > DISTINCT * AGREEMENT);
+            let ages = |i: usize| tick - sent[i];
+            (best < AGREEMENT && is_distinct).then(|| Answer {
+                in_force: ages(index),
+                newer: (index + 1..=newest).map(ages).collect(),
+            })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Answers at ticks of 4 ms to setpoints every 10 ms that take `constant` and an exponential
+    /// jitter of 1 ms, by quantiles instead of draws.
+    fn flown(constant: f64) -> Vec<Answer> {
+        let late = |k: usize| -1e-3 * (1.0 - (k * 37 % 101) as f64 / 101.0).ln();
+        let arrives: Vec<f64> =
+            (0..4000).map(|k| k as f64 * 0.01 + 0.0013 + constant + late(k)).collect();
+        (100..3900)
+            .map(|k| {
+                let tick = (k as f64 * 0.01 / 0.004).floor() * 0.004;
+                let newest = ((tick - 0.0013) / 0.01).floor() as usize;
+                let mut index = newest;
+                while arrives[index] > tick {
+                    index -= 1;
+                }
+                let age = |i: usize| tick - (i as f64 * 0.01 + 0.0013);
+                Answer { in_force: age(index), newer: (index + 1..=newest).map(age).collect() }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_late_ones_tell_the_delay() {
+        for constant in [0.003, 0.0121, 0.0305] {
+            let delay = Delay::between(&flown(constant)).unwrap();
+            assert!((delay.mean - constant - 0.001).abs() < 5e-4, "{constant}: {delay:?}");
+            assert!(delay.deviation < 5e-4, "{delay:?}");
+        }
+    }
+
+    #[test]
+    fn few_answers_tell_nothing() {
+        assert_eq!(Delay::between(&flown(0.003)[..100]), None);
+    }
+}

@@ -1,0 +1,83 @@
+//! Twins of flights: simulated again, they leave what the flights leave.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use downwash::diagnose::hypothesis::Catalogue;
+use downwash::diagnose::noise::report_noise;
+use downwash::diagnose::observed::Observed;
+use downwash::diagnose::preparation::PreparedFlight;
+use downwash::diagnose::residuals::{CHANNEL_NAMES, Evaluator};
+use downwash::diagnose::selection::{Selector, Thresholds};
+use downwash::diagnose::spectrum::BANDS;
+use downwash::diagnose::twins::TwinFits;
+use downwash::log::import;
+use sitl::vehicle::VehicleParams;
+
+/// Flights of the shipped nano quadrotor without an effect.
+fn flights(vehicle: &Path) -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("diagnose-twins");
+    let _ = fs::remove_dir_all(&folder);
+    let output = Command::new(env!("CARGO_BIN_EXE_downwash"))
+        .env("XDG_CONFIG_HOME", &folder)
+        .args(["collect", "--seconds", "40", "--vehicle"])
+        .arg(vehicle)
+        .arg("--out")
+        .arg(&folder)
+        .output()
+        .expect("the command runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let entries = fs::read_dir(&folder).expect("the folder").map(|entry| entry.expect("it").path());
+    let mut logs: Vec<_> = entries.filter(|path| path.extension() == Some("mcap".as_ref())).collect();
+    logs.sort();
+    logs
+}
+
+#[test]
+fn twins_leave_what_the_flights_leave_in_every_channel() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml");
+    let vehicle = VehicleParams::load(&path).expect("the vehicle");
+    let prepared: Vec<PreparedFlight> = flights(&path)
+        .iter()
+        .map(|log| import::open(log, None).expect("a log"))
+        .map(|flight| PreparedFlight::new(flight, &vehicle).expect("a flight"))
+        .collect();
+    let catalogue = Catalogue::new(&vehicle, true);
+    let evaluator = Evaluator::new(&vehicle).observing(&prepared);
+    let observed = Observed::new(&prepared, &evaluator, &catalogue);
+    let thresholds =
+        Thresholds { evidence: 10.0, chance: Vec::new(), held_out: 1.0, open_loop: [0.05, 2.5] };
+    let selector = Selector {
+        fitted: &observed,
+        held_out: &observed,
+        catalogue: &catalogue,
+        setpoint_leg: true,
+        thresholds,
+        floor: None,
+    };
+    let (null, about) = selector.null().expect("a fit");
+    let noise = report_noise(&prepared, &null.fit.power, observed.counts());
+    let twins =
+        TwinFits::draw(&observed, &about, &[], &noise, true, (8, 1)).expect("a vehicle that flies");
+    let moments = twins.moments();
+    for (channel, name) in CHANNEL_NAMES.iter().enumerate() {
+        // Weighed by how much each band says: the mean of the logarithms of the ratios.
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for place in channel * BANDS.len()..(channel + 1) * BANDS.len() {
+            let (n, [mean, _]) = (observed.counts()[place], moments[place]);
+            if n > 0.0 && mean > 0.0 {
+                sum += n * (null.fit.power[place] / mean).ln();
+                weight += n;
+            }
+        }
+        assert!(weight > 0.0, "{name} was not looked at");
+        let ratio = (sum / weight).exp();
+        assert!((0.7..1.4).contains(&ratio), "{name}: {ratio:.2} times the twins'");
+    }
+    // What was flown is what is fitted: no number is off by more than its tolerance allows.
+    for (i, number) in catalogue.numbers.iter().enumerate().filter(|(_, n)| n.tolerance > 0.0) {
+        let off = (twins.truth[i] - number.reference) / number.tolerance;
+        assert!(off.abs() < 4.0, "{:?} is off by {off:.1} tolerances", number.target);
+    }
+}
