@@ -5,14 +5,17 @@ mod flight;
 mod log;
 mod model;
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use sitl::effects::EffectId;
 
 pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, FlyArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+use crate::exam::case::Kind;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
 ///
@@ -60,6 +63,8 @@ pub enum Command {
     Plan(PlanArgs),
     /// Says where a simulator and flights part, which effect causes it, and how far it shrinks.
     Diagnose(DiagnoseArgs),
+    /// Checks the diagnosis blindly, on simulated flights whose cause it is not told.
+    Exam(ExamArgs),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
 }
@@ -77,12 +82,22 @@ pub struct DiagnoseArgs {
     /// of the logs; of a single one its second half].
     #[arg(long, value_name = "FILE")]
     pub holdout: Vec<PathBuf>,
+    /// A log of the flight that an earlier diagnosis asked for: part of the fit, never held out; may
+    /// be given again.
+    #[arg(long, value_name = "FILE")]
+    pub new: Vec<PathBuf>,
     /// The vehicle file to write, with the effects that were found.
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Folder for report.html and report.json; made if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
+    /// The trajectory file to write, of the flight that would best tell what these logs leave open.
+    #[arg(long, value_name = "FILE")]
+    pub next_flight: Option<PathBuf>,
+    /// Configuration file: room and envelope of the next flight.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
     /// What the columns of CSV logs mean.
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
@@ -92,10 +107,57 @@ pub struct DiagnoseArgs {
     /// Seed of the simulated flights.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// An effect that is not to be considered, nor another that acts in the same way; may be given
+    /// again. What the flights hold of it is then a cause outside of the catalogue.
+    #[arg(long, value_name = "EFFECT")]
+    pub without: Vec<EffectId>,
     /// Ends with exit code 10 on this verdict.
     #[arg(long, value_enum, value_name = "VERDICT")]
     pub fail_on: Option<FailOnVerdict>,
     /// Prints the answer as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Flags of `exam`.
+#[derive(Debug, Args)]
+pub struct ExamArgs {
+    /// Cases with something to find [default: 60; of a round trip all].
+    #[arg(long, value_name = "COUNT")]
+    pub cases: Option<usize>,
+    /// Cases with nothing to find.
+    #[arg(long, value_name = "COUNT", default_value_t = 20)]
+    pub nulls: usize,
+    /// Only cases of these kinds [default: all, in fixed shares].
+    #[arg(long, value_enum, value_delimiter = ',')]
+    pub kinds: Vec<Kind>,
+    /// Instead: every effect at three strengths on both shipped vehicles, with logs as they are, at
+    /// half their rate, with stamps 5 ms off, and with a tenth lost. Takes an hour or more.
+    #[arg(long, conflicts_with = "kinds")]
+    pub round_trip: bool,
+    /// Seed of everything that is drawn [default: from the system, and said].
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Length of each of a case's flights, s.
+    #[arg(long, default_value_t = 22.5)]
+    pub seconds: f64,
+    /// Simulated flights without any effect in each diagnosis [default: as `diagnose`].
+    #[arg(long, value_name = "COUNT")]
+    pub twins: Option<u32>,
+    /// Cases at once [default: one for each core].
+    #[arg(long, value_name = "COUNT")]
+    pub jobs: Option<NonZeroUsize>,
+    /// Folder for commitment.txt, the answers, key.json, summary.json and report.html; it must not
+    /// hold another exam.
+    #[arg(long, value_name = "DIR", default_value = "exam-out")]
+    pub out: PathBuf,
+    /// Keeps vehicle files and logs.
+    #[arg(long)]
+    pub keep: bool,
+    /// Ends with exit code 10 if a rate misses what is asked of it.
+    #[arg(long)]
+    pub fail_on_miss: bool,
+    /// Prints the result as JSON.
     #[arg(long)]
     pub json: bool,
 }

@@ -8,6 +8,7 @@ pub mod setpoint;
 
 pub mod control;
 pub mod diagnose;
+pub mod exam;
 pub mod learn;
 pub mod link;
 pub mod log;

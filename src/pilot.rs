@@ -1,12 +1,14 @@
 //! The line from a message to a setpoint: state -> reference -> feedback -> limits -> supervisor.
 //! Pure: time comes with the messages, requests and setpoints are handed out.
 
+mod effective_vehicle;
 mod guidance;
 
 use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
 use self::guidance::Guidance;
 pub use self::guidance::GuidanceSettings;
 use sitl::frame::Ned;

@@ -18,8 +18,12 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("log", &["clock", "setpoint", "link"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
-        ("diagnose", &["learn", "log", "model", "pilot"]),
-        ("report", &["clock", "control", "setpoint", "diagnose", "learn", "log", "model", "plan"]),
+        ("diagnose", &["control", "learn", "log", "model", "pilot", "plan", "setpoint"]),
+        ("exam", &["control", "diagnose", "plan", "setpoint"]),
+        (
+            "report",
+            &["clock", "control", "setpoint", "diagnose", "exam", "learn", "log", "model", "plan"],
+        ),
         (
             "station",
             &[

@@ -10,6 +10,7 @@ pub mod cli;
 pub mod config;
 mod contact;
 pub mod effects;
+pub mod foreign;
 pub mod frame;
 pub mod physics;
 pub mod plant;

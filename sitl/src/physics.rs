@@ -98,6 +98,17 @@ pub struct Loads<T> {
 }
 
 impl<T: Scalar> Loads<T> {
+    /// Total thrust before aerodynamic factors, N.
+    pub fn thrust(&self) -> T {
+        self.thrust
+    }
+
+    /// Moments of the thrusts about front and right before aerodynamic factors, N m.
+    pub fn tilting_moments(&self) -> [T; 2] {
+        let [roll, pitch, _] = self.moment;
+        [roll, pitch]
+    }
+
     /// The rotors' angular momentum along down in N m s.
     pub fn spin_momentum(&self) -> T {
         self.spin_momentum

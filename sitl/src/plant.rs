@@ -7,6 +7,7 @@ use crate::battery::{Battery, PowerModel};
 use crate::config::SitlConfig;
 use crate::contact::Floor;
 use crate::effects::{EffectSet, Gusts, Turbulence, Wrench};
+use crate::foreign::{Active, Foreign, Scene};
 use crate::frame::{Euler, Frd, Ned};
 use crate::physics::{Environment, Loads, Physics};
 use crate::rigid_body::{Stage, State, rk4};
@@ -25,6 +26,9 @@ pub struct Plant {
     battery: Battery,
     power: PowerModel,
     turbulence: Option<(Turbulence, Pcg64Mcg)>,
+    foreign: Option<Box<Active>>,
+    gravity: f64,
+    full_voltage: f64,
     max_rpm: Option<f64>,
     spin: [f64; ROTORS],
     state: State,
@@ -72,6 +76,9 @@ impl Plant {
             power: PowerModel::new(vehicle),
             battery,
             turbulence,
+            foreign: None,
+            gravity: vehicle.gravity,
+            full_voltage: vehicle.battery.full_v,
             max_rpm: vehicle.rotor_max_rpm,
             spin: physics.constants().rotors.map(|rotor| rotor.spin),
             loads: physics.loads(&[0.0; ROTORS], &environment),
@@ -82,6 +89,45 @@ impl Plant {
             environment,
             steps: 0,
         })
+    }
+
+    /// Lets something from outside the catalogue act from now on; `seed` draws what of it is
+    /// random.
+    pub fn disturb(&mut self, foreign: Foreign, seed: u64) {
+        let mut active = Active::new(foreign, seed);
+        active.reset(&self.rotors);
+        self.foreign = Some(Box::new(active));
+        self.loads = self.loads_of(&self.rotors);
+    }
+
+    /// What rotors in states s_i do to the body.
+    #[inline]
+    fn loads_of(&self, rotors: &[f64; ROTORS]) -> Loads<f64> {
+        match &self.foreign {
+            None => self.physics.loads(rotors, &self.environment),
+            Some(foreign) => self.physics.loads(&foreign.bent(rotors), &self.environment),
+        }
+    }
+
+    /// The states that thrust and speed go with.
+    fn bent(&self) -> [f64; ROTORS] {
+        self.foreign.as_ref().map_or(self.rotors, |foreign| foreign.bent(&self.rotors))
+    }
+
+    fn advance_foreign(&mut self) {
+        let Some(foreign) = &mut self.foreign else { return };
+        let scene = Scene {
+            state: &self.state,
+            loads: &self.loads,
+            air_velocity: self.environment.air_velocity,
+            height: self.environment.floor - self.state.position.down(),
+            voltage: self.battery.voltage() / self.full_voltage,
+            gravity: self.gravity,
+        };
+        foreign.advance(&scene, Self::STEP);
+        if self.turbulence.is_none() {
+            self.environment.air_velocity = self.physics.wind() + foreign.air_velocity();
+        }
     }
 
     /// Advances by [`Plant::STEP`] with the motor outputs held. Outputs are clipped to 0..=1; one
@@ -95,18 +141,23 @@ impl Plant {
             turbulence.advance(rng);
             self.environment.air_velocity = self.physics.wind() + turbulence.velocity();
         }
+        self.advance_foreign();
         if self.steps.is_multiple_of(BATTERY_STEPS) {
             self.draw_power();
         }
-        self.state = if self.lag.is_none() {
-            let loads = self.physics.loads(&outputs, &self.environment);
+        let foreign_lag = self.foreign.as_mut().filter(|foreign| foreign.lags());
+        let followed =
+            foreign_lag.map(|foreign| foreign.follow(&self.rotors, &outputs, Self::STEP));
+        self.state = if self.lag.is_none() && followed.is_none() {
+            let loads = self.loads_of(&outputs);
             let change = loads.spin_momentum() - self.loads.spin_momentum();
             self.rotors = outputs;
             self.loads = loads;
             let loads = loads.with_spin_momentum_rate(change / Self::STEP);
             self.integrate(|_| &loads)
         } else {
-            let [middle, end] = self.lag.advance(&self.rotors, &outputs);
+            let [middle, end] =
+                followed.unwrap_or_else(|| self.lag.advance(&self.rotors, &outputs));
             let loads = self.lagged_loads(&middle, &end);
             self.rotors = end;
             self.loads = loads[2];
@@ -120,7 +171,7 @@ impl Plant {
     }
 
     fn draw_power(&mut self) {
-        let thrusts = self.physics.thrusts(&self.rotors, &self.environment);
+        let thrusts = self.rotor_thrusts();
         self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * Self::STEP);
         self.apply_voltage();
     }
@@ -129,15 +180,14 @@ impl Plant {
     fn apply_voltage(&mut self) {
         if self.physics.depends_on_voltage() {
             self.environment.voltage_factor = self.physics.voltage_factor(self.battery.voltage());
-            self.loads = self.physics.loads(&self.rotors, &self.environment);
+            self.loads = self.loads_of(&self.rotors);
         }
     }
 
     /// Loads with the rotors in the states of a step's start, middle and end.
     #[inline]
     fn lagged_loads(&self, middle: &[f64; ROTORS], end: &[f64; ROTORS]) -> [Loads<f64>; 3] {
-        let env = &self.environment;
-        let loads = [self.loads, self.physics.loads(middle, env), self.physics.loads(end, env)];
+        let loads = [self.loads, self.loads_of(middle), self.loads_of(end)];
         if !self.physics.has_spin_momentum() {
             return loads;
         }
@@ -151,7 +201,7 @@ impl Plant {
     /// The state one step later, under the loads of each stage.
     #[inline]
     fn integrate<'a>(&self, loads: impl Fn(Stage) -> &'a Loads<f64>) -> State {
-        if self.floor.is_clear(&self.state, Self::STEP) {
+        if self.foreign.is_none() && self.floor.is_clear(&self.state, Self::STEP) {
             rk4(&self.state, Self::STEP, |state, stage| {
                 self.physics.accelerations_under(state, loads(stage), &self.environment)
             })
@@ -165,6 +215,11 @@ impl Plant {
         let floor = self.floor.wrench(state);
         wrench.force += floor.force;
         wrench.moment += floor.moment;
+        if let Some(foreign) = &self.foreign {
+            let more = foreign.wrench();
+            wrench.force += more.force;
+            wrench.moment += more.moment;
+        }
         wrench
     }
 
@@ -199,7 +254,10 @@ impl Plant {
         let states = states.map(|s| s.max(0.0).min(1.0));
         self.rotors = states;
         self.outputs = states;
-        self.loads = self.physics.loads(&self.rotors, &self.environment);
+        if let Some(foreign) = &mut self.foreign {
+            foreign.reset(&states);
+        }
+        self.loads = self.loads_of(&states);
     }
 
     /// Holds the pack's terminal voltage at `voltage` [V] from now on, as a log says.
@@ -215,12 +273,12 @@ impl Plant {
 
     /// Thrust of each rotor before aerodynamic factors, N.
     pub fn rotor_thrusts(&self) -> [f64; ROTORS] {
-        self.physics.thrusts(&self.rotors, &self.environment)
+        self.physics.thrusts(&self.bent(), &self.environment)
     }
 
     /// n_i: the rotors' speeds as fractions of the maximum.
     pub fn rotor_speeds(&self) -> [f64; ROTORS] {
-        self.physics.rotor_speeds(&self.rotors, &self.environment)
+        self.physics.rotor_speeds(&self.bent(), &self.environment)
     }
 
     /// The rotors' speeds in 1/min with the sign of `spin`, if the vehicle file has

@@ -19,6 +19,14 @@ pub struct DemoArgs {
     /// Length of the flights that the models are learned from, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 900.0)]
     pub learn: f64,
+    /// Closes the loop instead: the simulated vehicle hides an effect (--hidden, else drawn from the
+    /// seed), which is diagnosed from a short programme of flights; the trajectory is planned and
+    /// flown with the vehicle file as shipped and with the improved one.
+    #[arg(long, conflicts_with_all = ["fly", "learn"])]
+    pub diagnose: bool,
+    /// Length of the flights that are diagnosed, s.
+    #[arg(long, value_name = "SECONDS", default_value_t = 90.0, requires = "diagnose")]
+    pub excite: f64,
     /// Flights of each, with seeds from --seed on.
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
     pub flights: u64,

@@ -94,7 +94,7 @@ pub struct SimulationArgs {
     #[arg(long, value_name = "FILE")]
     pub effects: Option<PathBuf>,
     /// One such effect, over those of the file: id:key=value,...
-    #[arg(long, value_name = "EFFECT")]
+    #[arg(long, visible_alias = "hidden", value_name = "EFFECT")]
     pub effect: Vec<String>,
 }
 

@@ -50,7 +50,7 @@ impl Course {
                 envelope.check(trajectory, params.gravity).or_exit(Exit::Refused)?;
             }
             Self::Planned(plan) => {
-                let effective = EffectiveVehicle::new(params)?;
+                let effective = EffectiveVehicle::new(params).or_exit(Exit::Usage)?;
                 if plan.vehicle != params.name {
                     return Err(anyhow!(
                         "the plan is for the vehicle {:?}, this is {:?}; plan it for this one",

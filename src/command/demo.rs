@@ -15,6 +15,7 @@ use anyhow::Context;
 use self::outcome::PlanRow;
 use super::collect::gather;
 use super::course::Course;
+use super::demo_diagnose;
 use super::plan::{PlanModel, plan_trajectory, planner, sha256_of};
 use super::setup::{VehicleFile, built_in_trajectory};
 use super::simulation::Truth;
@@ -50,6 +51,9 @@ struct Learned {
 }
 
 pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
+    if args.diagnose {
+        return demo_diagnose::run(args);
+    }
     let began = Instant::now();
     let config = config::load(args.config.as_deref(), vec![])?;
     let vehicle = match &args.vehicle {

@@ -1,19 +1,25 @@
 //! `downwash diagnose`: where the gap lies, which effect causes it, how far it shrinks.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
+use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
-use super::{Exit, ExitContext, print_json, print_text, say, write_file};
+use super::setup::capability;
+use super::{Exit, ExitContext, config, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
-use crate::diagnose::answer::Verdict;
+use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
+use crate::diagnose::audit::{Audit, UnusableSpan};
+use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
 use crate::diagnose::preparation::PreparedFlight;
-use crate::diagnose::procedure::{Case, Settings, diagnose};
+use crate::diagnose::procedure::{Case, Diagnosis, Settings, diagnose};
 use crate::diagnose::words::report;
+use crate::log::import::Flight;
+use crate::plan::manoeuvres::Room;
 
 /// Guard between the halves of a single flight, s.
 const GUARD_S: f64 = 2.0;
@@ -26,16 +32,26 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
             paths.push(path.clone());
         }
     }
-    let mapping = args.mapping.as_deref();
-    let read: Vec<anyhow::Result<PreparedFlight>> =
-        paths.par_iter().map(|path| prepare(path, mapping, &vehicle)).collect();
-    let (mut fitted, mut held_out) = (Vec::new(), Vec::new());
-    for (path, flight) in paths.iter().zip(read) {
-        match flight {
+    paths.retain(|path| !args.new.contains(path));
+    let old = paths.len();
+    paths.extend(args.new.iter().cloned());
+    let read = audited(&paths, args.mapping.as_deref(), &vehicle);
+    let (mut fitted, mut held_out, mut new) = (Vec::new(), Vec::new(), Vec::new());
+    let mut logs = Vec::new();
+    for (index, (path, log)) in paths.iter().zip(read).enumerate() {
+        match log.flight {
+            Ok(flight) if index >= old => new.push(flight),
             Ok(flight) if args.holdout.contains(path) => held_out.push(flight),
             Ok(flight) => fitted.push(flight),
             Err(error) => say(format_args!("{}: left out: {error:#}", path.display())),
         }
+        logs.extend(log.audit);
+    }
+    if fitted.is_empty() {
+        fitted.append(&mut new);
+    }
+    if fitted.is_empty() && held_out.is_empty() && logs.iter().any(LogAnswer::is_faulty) {
+        return tell(args, &vehicle, &Answer::data_fault(logs), &EffectSet::new());
     }
     if fitted.is_empty() && held_out.is_empty() {
         return Err(anyhow!("none of the {} logs can be used", paths.len())).or_exit(Exit::Usage);
@@ -50,11 +66,37 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         (fitted, held_out) = halves(&fitted[0]).or_exit(Exit::Usage)?;
         say(format_args!("one flight: its second part is held out, {GUARD_S} s after the first"));
     }
-    let case = Case { vehicle: &vehicle, fitted: &fitted, held_out: &held_out, blocked };
+    fitted.append(&mut new);
+    let case = Case {
+        vehicle: &vehicle,
+        fitted: &fitted,
+        held_out: &held_out,
+        blocked,
+        without: &args.without,
+    };
     let settings = Settings { seed: args.seed, twins: args.twins };
-    let diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
+    let mut diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
         .or_exit(Exit::Usage)?;
-    let answer = &diagnosis.answer;
+    if let Some(path) = &args.next_flight {
+        say(format_args!("... which flight next"));
+        let next = propose(args, &vehicle, &diagnosis)?;
+        match &next {
+            Some(next) => write_file(path, next.file.as_bytes())?,
+            None => say(format_args!("no next flight is needed, or none would tell more")),
+        }
+        diagnosis.answer.next_flight = next;
+    }
+    diagnosis.answer.take_up(logs);
+    tell(args, &vehicle, &diagnosis.answer, &diagnosis.effects)
+}
+
+/// Writes what was asked for, and prints the answer.
+fn tell(
+    args: &DiagnoseArgs,
+    vehicle: &VehicleParams,
+    answer: &Answer,
+    effects: &EffectSet,
+) -> anyhow::Result<Exit> {
     if let Some(folder) = &args.report {
         fs::create_dir_all(folder)
             .with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -65,7 +107,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     }
     if let Some(out) = &args.out {
         let mut improved = vehicle.clone();
-        improved.modelled_effects = vehicle.modelled_effects.overlay(&diagnosis.effects);
+        improved.modelled_effects = vehicle.modelled_effects.overlay(effects);
         let text = improved.to_toml().context("improved vehicle file")?;
         write_file(out, text.as_bytes())?;
     }
@@ -81,13 +123,74 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     })
 }
 
+/// The flight that would tell what the logs leave open.
+fn propose(
+    args: &DiagnoseArgs,
+    vehicle: &VehicleParams,
+    diagnosis: &Diagnosis,
+) -> anyhow::Result<Option<NextFlight>> {
+    let settings = config::load(args.config.as_deref(), vec![])?.settings;
+    let capability = capability(vehicle, &settings.control)?;
+    let proposal = Proposal {
+        vehicle,
+        setpoint_leg: diagnosis.setpoint_leg,
+        noise: diagnosis.noise,
+        room: Room::new(&settings.collect, &settings.envelope, &capability),
+        envelope: settings.envelope,
+        seed: args.seed,
+    };
+    let [open, untested] = &diagnosis.open;
+    next_flight(&proposal, open, untested).or_exit(Exit::Usage)
+}
+
+/// A log with what the audit found in it.
+struct AuditedLog {
+    flight: anyhow::Result<PreparedFlight>,
+    audit: Option<LogAnswer>,
+}
+
+/// Reads logs and audits them together. A log at fault is left out, and of others the times that
+/// cannot be used.
+fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -> Vec<AuditedLog> {
+    let read: Vec<anyhow::Result<Flight>> =
+        paths.par_iter().map(|path| open_for(path, mapping, vehicle)).collect();
+    let mut refused = Vec::new();
+    let mut flights = Vec::new();
+    for (index, flight) in read.into_iter().enumerate() {
+        match flight {
+            Ok(flight) => flights.push(flight),
+            Err(error) => refused.push((index, error)),
+        }
+    }
+    let audits = Audit::of_all(&flights);
+    let mut logs: Vec<AuditedLog> = flights
+        .into_par_iter()
+        .zip(audits)
+        .map(|(flight, audit)| AuditedLog {
+            flight: prepare(flight, &audit, vehicle),
+            audit: Some(LogAnswer::of(&audit)),
+        })
+        .collect();
+    for (index, error) in refused {
+        logs.insert(index, AuditedLog { flight: Err(error), audit: None });
+    }
+    logs
+}
+
 fn prepare(
-    path: &Path,
-    mapping: Option<&Path>,
+    flight: Flight,
+    audit: &Audit,
     vehicle: &VehicleParams,
 ) -> anyhow::Result<PreparedFlight> {
-    let flight = open_for(path, mapping, vehicle)?;
-    Ok(PreparedFlight::new(flight, vehicle)?)
+    if let Some(fault) = audit.faults().next() {
+        return Err(anyhow!("{fault}"));
+    }
+    let flight = PreparedFlight::new(flight, vehicle)?;
+    // Setpoints may pause where the outputs drive the plant.
+    let concerns = |span: &&UnusableSpan| span.stream != "setpoint" || flight.channels.setpoint;
+    let times = audit.unusable.iter().filter(concerns).map(|span| span.from_s..span.to_s);
+    let times: Vec<_> = times.collect();
+    Ok(flight.excluding(&times)?)
 }
 
 /// The first and the last part of one flight, with a guard between.

@@ -6,7 +6,9 @@ mod config;
 mod course;
 mod daemon;
 mod demo;
+mod demo_diagnose;
 mod diagnose;
+mod exam;
 mod exit;
 mod fly;
 mod goal_file;
@@ -17,6 +19,7 @@ mod messages;
 mod model;
 mod plan;
 mod progress;
+mod sent_thrust;
 mod setup;
 mod simulation;
 mod sitl;
@@ -60,6 +63,7 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         }
         Command::Plan(args) => plan::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
+        Command::Exam(args) => exam::run(&args),
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)

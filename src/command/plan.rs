@@ -9,8 +9,10 @@ use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use sitl::effects::BatterySag;
 use sitl::vehicle::VehicleParams;
 
+use super::sent_thrust::behind_the_map;
 use super::setup::{EffectiveVehicle, VehicleFile};
 use super::{Exit, ExitContext, config, on_interrupt, print_json, print_text, say, write_file};
 use crate::cli::PlanArgs;
@@ -37,22 +39,27 @@ pub(super) struct PlanModel {
 impl PlanModel {
     /// The vehicle file's own physics.
     pub fn nominal(vehicle: &VehicleParams) -> anyhow::Result<Self> {
-        let effective = EffectiveVehicle::new(vehicle)?;
+        let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
         let model =
             PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
         Ok(Self {
-            model: Arc::new(model),
+            model: behind_the_map(Arc::new(model), vehicle, &effective),
             note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
             delay_s: effective.actuation.command_delay_s,
             lag_s: effective.actuation.motor_time_constant_s,
-            voltage_exponent: 0.0,
+            voltage_exponent: vehicle
+                .modelled_effects
+                .get::<BatterySag>()
+                .map_or(0.0, |sag| sag.exponent),
         })
     }
 
     /// One of a model file's models.
     pub fn learned(file: &ModelFile, kind: ModelKind, sha256: &str) -> anyhow::Result<Self> {
+        let effective = EffectiveVehicle::new(&file.vehicle).or_exit(Exit::Usage)?;
+        let model = file.model(kind).or_exit(Exit::Usage)?.into();
         Ok(Self {
-            model: file.model(kind).or_exit(Exit::Usage)?.into(),
+            model: behind_the_map(model, &file.vehicle, &effective),
             note: PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) },
             delay_s: file.actuation.delay_s,
             lag_s: file.actuation.lag_s,
@@ -85,7 +92,7 @@ pub(super) fn planner(
     through: &PlanModel,
     config: &Config,
 ) -> anyhow::Result<(Planner, Answer)> {
-    let effective = EffectiveVehicle::new(vehicle)?;
+    let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
     let attitude_pd = effective
         .attitude_pd
         .ok_or_else(|| {
@@ -132,7 +139,7 @@ pub(super) fn plan_trajectory(
     let found = Found {
         trajectory: trajectory.name().to_owned(),
         vehicle: vehicle.name.clone(),
-        body: EffectiveVehicle::new(vehicle)?.body(),
+        body: EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?.body(),
         model: through.note.clone(),
         period_s: planner.period_s(),
         answer,
@@ -206,7 +213,7 @@ pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
     let wall_s = began.elapsed().as_secs_f64();
 
     let flyable = plan.check_flyable();
-    let effective = EffectiveVehicle::new(&vehicle)?;
+    let effective = EffectiveVehicle::new(&vehicle).or_exit(Exit::Usage)?;
     let demands = config.settings.envelope.check_plan(
         &plan,
         effective.hover.mass_kg,

@@ -5,21 +5,18 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use sitl::effects::{CommandDelay, EffectSet, PdGain, ThrustCurve};
 use sitl::frame::Frd;
-use sitl::physics::Physics;
 use sitl::vehicle::{AttitudePd, VehicleParams};
 
 use super::course::Course;
 use super::{Exit, ExitContext};
 use crate::config::{Config, FormSetting};
-use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr, LqrSettings};
-use crate::link::attitude_target::ThrustMap;
+use crate::control::{AttitudeLoop, Lqr, LqrSettings};
 use crate::link::profile::FormChoice;
 use crate::link::session;
 use crate::log::RunInfo;
+pub(super) use crate::pilot::EffectiveVehicle;
 use crate::plan::Trajectory;
-use crate::plan::planned::PlannedBody;
 use crate::plan::programme::Capability;
 use crate::station::StationSettings;
 use crate::supervisor::EngagePolicy;
@@ -55,58 +52,12 @@ pub(super) fn built_in_trajectory() -> anyhow::Result<Trajectory> {
     Ok(Trajectory::parse(text, Path::new("sinusoid-yaw.toml (built in)"))?)
 }
 
-/// What the vehicle file says the vehicle is, its modelled effects applied: what feedback, limits
-/// and feed-forward are made with.
-pub(super) struct EffectiveVehicle {
-    pub hover: HoverVehicle,
-    /// Thrust of all rotors at full output, N.
-    pub thrust_full_n: f64,
-    pub thrust: ThrustMap,
-    pub attitude_pd: Option<AttitudePd>,
-    pub actuation: Actuation,
-}
-
-impl EffectiveVehicle {
-    pub fn new(params: &VehicleParams) -> anyhow::Result<Self> {
-        let physics = Physics::new(params, &EffectSet::new()).or_exit(Exit::Usage)?;
-        let constants = physics.constants();
-        let thrust_full_n = constants.rotors.iter().map(|rotor| rotor.thrust_max).sum();
-        let gain = params.modelled_effects.get::<PdGain>();
-        let attitude_pd = params.attitude_pd.map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
-        // A mixer that is known is linear, and bends with the motors. An autopilot's own loop is
-        // taken to linearise them.
-        let bend = params.modelled_effects.get::<ThrustCurve>().filter(|_| attitude_pd.is_some());
-        let thrust = ThrustMap::curve(thrust_full_n, bend.map_or(0.0, |curve| curve.a));
-        let delay = params.modelled_effects.get::<CommandDelay>();
-        Ok(Self {
-            hover: HoverVehicle {
-                mass_kg: constants.mass,
-                inertia: constants.inertia,
-                gravity: params.gravity,
-            },
-            thrust_full_n,
-            thrust: thrust.or_exit(Exit::Usage)?,
-            attitude_pd,
-            actuation: Actuation {
-                command_delay_s: delay.map_or(params.command_delay_s, |delay| delay.delay_s),
-                motor_time_constant_s: constants.motor_time_constant,
-            },
-        })
-    }
-
-    /// What a plan says of its vehicle.
-    pub fn body(&self) -> PlannedBody {
-        let HoverVehicle { mass_kg, inertia, gravity } = self.hover;
-        PlannedBody { mass_kg, inertia, gravity, thrust_full_n: self.thrust_full_n }
-    }
-}
-
 /// What a programme of flights may ask of the vehicle.
 pub(super) fn capability(
     params: &VehicleParams,
     settings: &LqrSettings,
 ) -> anyhow::Result<Capability> {
-    let effective = EffectiveVehicle::new(params)?;
+    let effective = EffectiveVehicle::new(params).or_exit(Exit::Usage)?;
     let inertia: [f64; 3] = effective.hover.inertia;
     let bandwidth = match effective.attitude_pd {
         Some(pd) => std::array::from_fn(|axis| (pd.kp[axis] / inertia[axis]).sqrt()),
@@ -131,7 +82,7 @@ pub(super) fn station_settings(
     baud: Option<u32>,
 ) -> anyhow::Result<StationSettings> {
     let settings = &config.settings;
-    let effective = EffectiveVehicle::new(&vehicle.params)?;
+    let effective = EffectiveVehicle::new(&vehicle.params).or_exit(Exit::Usage)?;
     // The vehicle is not known yet, so neither is its loop; what no feedback can be designed with
     // is wrong with any.
     Lqr::design(&effective.hover, &AttitudeLoop::PX4, &settings.control).or_exit(Exit::Usage)?;

@@ -8,6 +8,7 @@ use anyhow::{Context, anyhow};
 use sitl::autopilot::Vehicle;
 use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
+use sitl::vehicle::VehicleParams;
 
 use super::course::Course;
 use super::setup::{VehicleFile, run_info, station_settings};
@@ -64,7 +65,10 @@ fn effects_file(path: &Path) -> anyhow::Result<EffectSet> {
 /// One flight to simulate.
 pub(super) struct SimulatedFlight<'a> {
     pub config: &'a Config,
+    /// What the daemon takes the vehicle for.
     pub vehicle: &'a VehicleFile,
+    /// What its firmware takes it for, and what the truth is put over.
+    pub airframe: &'a VehicleParams,
     pub truth: &'a Truth,
     pub course: &'a Course,
     /// What the run is called in the log and in its file's name.
@@ -86,7 +90,7 @@ impl SimulatedFlight<'_> {
     /// time.
     pub fn fly(self, folder: &Path, mut watch: impl FnMut(&Status)) -> anyhow::Result<Simulated> {
         let limit_s = self.course.duration() + AROUND_S;
-        let params = self.vehicle.params.clone();
+        let params = self.airframe.clone();
         let truth = self.truth.clone();
         let mut vehicle =
             Vehicle::new(params, truth.effects, truth.config, self.seed).or_exit(Exit::Usage)?;

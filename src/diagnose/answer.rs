@@ -5,10 +5,13 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
+use super::audit::{Audit, Severity, Tier, Untestable};
 use super::gap::{Errors, ReportNoise};
-use super::leftover::UnmodelledForce;
+use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::map::ResidualMap;
+use super::next_flight::NextFlight;
 use super::preparation::Channels;
+use super::reflight::ClosedLoop;
 use super::twins::Twins;
 
 /// The verdict in three words.
@@ -21,6 +24,83 @@ pub enum Verdict {
     None,
     /// A gap that no effect of the catalogue explains.
     Unknown,
+}
+
+impl Verdict {
+    /// The word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Effect => "effect",
+            Self::None => "none",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+/// The full verdict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FullVerdict {
+    /// Effects of the catalogue, and no others in their place.
+    Named,
+    /// One of several effects: these flights do not tell which.
+    Ambiguous,
+    /// Nothing beyond noise and tolerances, and these flights would have shown it.
+    None,
+    /// Nothing stands out, but some effects could not have shown.
+    NotTestable,
+    /// What is left depends on how the vehicle flies, and no listed effect explains it.
+    UnknownStructured,
+    /// Something acts that the logs do not show.
+    UnobservedDisturbance,
+    /// The data are at fault: nothing was concluded.
+    DataFault,
+}
+
+/// The full verdict with its reasons.
+#[derive(Clone, Debug, Serialize)]
+pub struct Finding {
+    /// The verdict.
+    pub verdict: FullVerdict,
+    /// In a sentence or two.
+    pub sentence: String,
+    /// What a gap that nothing explains goes with.
+    pub depends_on: Vec<String>,
+}
+
+/// What the audit found in a log.
+#[derive(Clone, Debug, Serialize)]
+pub struct LogAnswer {
+    /// Its name.
+    pub name: String,
+    /// What was logged, as far as it decides what can be told.
+    pub tier: Option<Tier>,
+    /// Faults of the data for which it was left out.
+    pub faults: Vec<String>,
+    /// What is at fault in the data and in the measurement, and what to do about it.
+    pub findings: Vec<String>,
+    /// Effects that its channels cannot show.
+    #[serde(skip)]
+    pub untestable: Vec<Untestable>,
+}
+
+impl LogAnswer {
+    /// What an audit found.
+    pub fn of(audit: &Audit) -> Self {
+        let worth_a_word = audit.findings.iter().filter(|f| f.severity > Severity::Note);
+        Self {
+            name: audit.run.clone(),
+            tier: audit.tier,
+            faults: audit.faults().map(|finding| finding.what.clone()).collect(),
+            findings: worth_a_word.map(ToString::to_string).collect(),
+            untestable: audit.untestable.clone(),
+        }
+    }
+
+    /// Whether the log was left out as faulty.
+    pub fn is_faulty(&self) -> bool {
+        !self.faults.is_empty()
+    }
 }
 
 /// An effect with its probability.
@@ -132,17 +212,27 @@ pub struct Answer {
     pub effects: Vec<EffectAnswer>,
     /// The gap; missing where no window can start.
     pub gap: Option<Gap>,
+    /// The flights held out, flown again in simulation.
+    pub closed_loop: Option<ClosedLoop>,
+    /// Why they were not, where they were not.
+    pub closed_loop_missing: Option<String>,
     /// Effects that cannot be told from the named ones.
     pub ambiguous_with: Vec<&'static str>,
-    /// The full verdict in words.
-    pub finding: String,
+    /// The full verdict.
+    pub finding: Finding,
+    /// What the audit found in each log.
+    pub logs: Vec<LogAnswer>,
     /// Where the gap lies.
     #[serde(rename = "where")]
     pub map: ResidualMap,
     /// Effects that these logs cannot show.
     pub not_testable: Vec<NotTestable>,
+    /// The flight that would tell what these logs cannot, where it was asked for.
+    pub next_flight: Option<NextFlight>,
     /// Force that nothing explains, before and after.
     pub unmodelled_force: Option<[UnmodelledForce; 2]>,
+    /// Angular acceleration that nothing explains, before and after.
+    pub unmodelled_moment: Option<[UnmodelledMoment; 2]>,
     /// Flights simulated without an effect.
     pub twins: Option<Twins>,
     /// Evidence that was asked of an effect, nats.
@@ -160,4 +250,60 @@ pub struct NotTestable {
     pub id: &'static str,
     /// Why.
     pub reason: String,
+}
+
+impl Answer {
+    /// The answer where every log is at fault.
+    pub fn data_fault(logs: Vec<LogAnswer>) -> Self {
+        let reasons: Vec<String> = logs
+            .iter()
+            .filter(|log| log.is_faulty())
+            .map(|log| format!("{}: {}", log.name, log.faults.join("; ")))
+            .collect();
+        let sentence = format!(
+            "The data are at fault, and nothing was concluded from them: {}.",
+            reasons.join(". ")
+        );
+        Self {
+            verdict: Verdict::Unknown,
+            effects: Vec::new(),
+            gap: None,
+            closed_loop: None,
+            closed_loop_missing: None,
+            ambiguous_with: Vec::new(),
+            finding: Finding { verdict: FullVerdict::DataFault, sentence, depends_on: Vec::new() },
+            logs,
+            map: ResidualMap::default(),
+            not_testable: Vec::new(),
+            next_flight: None,
+            unmodelled_force: None,
+            unmodelled_moment: None,
+            twins: None,
+            evidence_asked: 0.0,
+            hypotheses: Vec::new(),
+            flights: Vec::new(),
+        }
+    }
+
+    /// Takes up what the audit found: faults of some logs, and what no channel of any log shows.
+    pub fn take_up(&mut self, logs: Vec<LogAnswer>) {
+        let sound: Vec<&LogAnswer> = logs.iter().filter(|log| !log.is_faulty()).collect();
+        let untestable = |log: &LogAnswer, id: &str| log.untestable.iter().any(|u| u.effect == id);
+        if let Some(first) = sound.first() {
+            for Untestable { effect, reason } in &first.untestable {
+                let named = self.effects.iter().any(|e| e.id == *effect);
+                let known = self.not_testable.iter().any(|e| e.id == *effect);
+                if !named && !known && sound.iter().all(|log| untestable(log, effect)) {
+                    self.not_testable.push(NotTestable { id: effect, reason: reason.clone() });
+                }
+            }
+        }
+        self.logs = logs;
+        if self.finding.verdict == FullVerdict::None && !self.not_testable.is_empty() {
+            self.finding.verdict = FullVerdict::NotTestable;
+            let ids: Vec<&str> = self.not_testable.iter().map(|effect| effect.id).collect();
+            self.finding.sentence +=
+                &format!(" These flights and channels could not have shown {}.", ids.join(", "));
+        }
+    }
 }

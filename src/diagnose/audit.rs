@@ -111,6 +111,12 @@ impl Audit {
         self.findings.iter().any(|finding| finding.severity == Severity::Fault)
     }
 
+    /// Faults for which the whole log is left out: those that are not a matter of some times of it.
+    pub fn faults(&self) -> impl Iterator<Item = &Finding> {
+        let faults = self.findings.iter().filter(|f| f.severity == Severity::Fault);
+        faults.filter(|finding| finding.check != values::STOOD_STILL)
+    }
+
     fn sort(&mut self) {
         self.findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
         self.unusable.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));

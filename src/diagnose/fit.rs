@@ -8,7 +8,7 @@
 
 use rayon::prelude::*;
 
-use super::hypothesis::Values;
+use super::hypothesis::{Catalogue, Values};
 use super::linearised::Linearised;
 use super::observed::{Observed, Residuals, noise_cost};
 
@@ -36,6 +36,12 @@ pub struct Fit {
 }
 
 impl Fit {
+    /// The numbers of its hypotheses.
+    pub fn active(&self, catalogue: &Catalogue) -> Vec<usize> {
+        let hypotheses = self.hypotheses.iter();
+        hypotheses.flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()).collect()
+    }
+
     /// Variance of the noise at each place; 0 where nothing is looked at.
     pub fn noise(&self, counts: &[f64]) -> Vec<f64> {
         self.power.iter().zip(counts).map(|(q, n)| if *n > 0.0 { q / n } else { 0.0 }).collect()

@@ -61,6 +61,8 @@ pub struct ReportNoise {
     pub attitude: f64,
     /// Body rate, rad/s.
     pub body_rate: f64,
+    /// Specific force, m/s^2.
+    pub specific_force: f64,
 }
 
 /// A simulator: the vehicle file with effects put over it.
@@ -231,6 +233,40 @@ impl Simulator {
 }
 
 impl ReportNoise {
+    /// The mean of each number.
+    pub fn mean<'a>(all: impl Iterator<Item = &'a Self>) -> Self {
+        let (mut sum, mut n) = (Self::default(), 0.0);
+        for noise in all {
+            sum.position += noise.position;
+            sum.velocity += noise.velocity;
+            sum.attitude += noise.attitude;
+            sum.body_rate += noise.body_rate;
+            sum.specific_force += noise.specific_force;
+            n += 1.0;
+        }
+        let n = f64::max(n, 1.0);
+        Self {
+            position: sum.position / n,
+            velocity: sum.velocity / n,
+            attitude: sum.attitude / n,
+            body_rate: sum.body_rate / n,
+            specific_force: sum.specific_force / n,
+        }
+    }
+
+    /// Noise that would be found as `self`, where noise of `self` is found as `found`: what is found
+    /// holds motion as well.
+    pub fn matched(&self, found: &Self) -> Self {
+        let of = |own: f64, found: f64| if found > 0.0 { own * own / found } else { own };
+        Self {
+            position: of(self.position, found.position),
+            velocity: of(self.velocity, found.velocity),
+            attitude: of(self.attitude, found.attitude),
+            body_rate: of(self.body_rate, found.body_rate),
+            specific_force: of(self.specific_force, found.specific_force),
+        }
+    }
+
     fn applied(&self, state: &State, rng: &mut Pcg64Mcg) -> State {
         let mut draw = |deviation: f64| -> [f64; 3] {
             std::array::from_fn(|_| {

@@ -214,6 +214,19 @@ impl Catalogue {
         catalogue
     }
 
+    /// The same without these effects and those that act in the same way. Their numbers stay free
+    /// within their tolerances.
+    pub fn without(mut self, effects: &[EffectId]) -> Self {
+        let left_out = |h: &Hypothesis| effects.iter().any(|effect| same_way(h.effect, *effect));
+        self.hypotheses.retain(|hypothesis| !left_out(hypothesis));
+        self
+    }
+
+    /// Whether an effect is a hypothesis.
+    pub fn considers(&self, effect: EffectId) -> bool {
+        self.hypotheses.iter().any(|hypothesis| hypothesis.effect == effect)
+    }
+
     fn add(&mut self, number: Number) -> usize {
         self.numbers.push(number);
         self.numbers.len() - 1
@@ -300,24 +313,32 @@ impl Catalogue {
         set
     }
 
-    /// The vehicle that `values` stand for.
-    ///
-    /// # Errors
-    /// A vehicle that the physics refuses.
-    pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
+    /// The vehicle file that `values` stand for, and the effects to put over it.
+    pub fn vehicle_of(&self, values: &[f64]) -> (VehicleParams, EffectSet) {
         let mut vehicle = self.vehicle.clone();
-        let mut output_delay = 0.0;
         for (number, value) in self.numbers.iter().zip(values) {
             match number.target {
                 Target::RotorGain(rotor) => vehicle.rotors[rotor].thrust_max_n *= value,
-                Target::OutputDelay => output_delay = *value,
                 Target::Damping(axis) if *value != 0.0 => {
                     vehicle.angular_damping_nms.get_or_insert_default()[axis] += value;
                 }
                 _ => {}
             }
         }
-        let overlay = self.effects(values, None);
+        (vehicle, self.effects(values, None))
+    }
+
+    /// The vehicle that `values` stand for, as what drives and reports it.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
+        let delays = self.numbers.iter().zip(values);
+        let output_delay = delays
+            .filter(|(number, _)| number.target == Target::OutputDelay)
+            .map(|(_, value)| *value)
+            .sum();
+        let (vehicle, overlay) = self.vehicle_of(values);
         let effects = vehicle.modelled_effects.overlay(&overlay);
         let physics = Physics::new(&vehicle, &overlay)?;
         Ok(Candidate {
@@ -351,6 +372,12 @@ pub struct Candidate {
     pub command_delay: f64,
     /// The on-board gains' scales.
     pub gains: Option<PdGain>,
+}
+
+/// Whether no flight can tell two effects apart: mass and thrust act as their ratio.
+fn same_way(a: EffectId, b: EffectId) -> bool {
+    let class = |effect| if effect == EffectId::Mass { EffectId::ThrustScale } else { effect };
+    class(a) == class(b)
 }
 
 /// The slots of an effect as the vehicle file or the neutral values have them.
@@ -415,6 +442,16 @@ mod tests {
             };
             assert_eq!(found, expected, "{effect}");
         }
+    }
+
+    #[test]
+    fn an_effect_left_out_takes_its_class_along() {
+        let whole = Catalogue::new(&vehicle(), true);
+        let rest = whole.clone().without(&[EffectId::Mass, EffectId::Wind]);
+        assert_eq!(rest.hypotheses.len(), whole.hypotheses.len() - 3);
+        let left_out = [EffectId::Mass, EffectId::ThrustScale, EffectId::Wind];
+        assert!(left_out.iter().all(|effect| !rest.considers(*effect)));
+        assert_eq!(rest.numbers.len(), whole.numbers.len());
     }
 
     #[test]

@@ -9,8 +9,9 @@ use serde::Serialize;
 
 use super::hypothesis::Candidate;
 use super::observed::Observed;
-use super::residuals::{Evaluator, FORCE, Groups, VELOCITY};
+use super::residuals::{Evaluator, FORCE, Groups, RATE, VELOCITY};
 use super::spectrum::{BANDS, CELL_S, CosineTransform, band, frequency};
+use super::twins::TwinFits;
 use sitl::frame::{Attitude, Frd};
 
 /// Forces are looked at up to here, Hz: above, rotors and delays that are not quite right show.
@@ -48,6 +49,58 @@ impl UnmodelledForce {
     pub fn significance(&self) -> f64 {
         if self.error > 0.0 { self.total() / self.error } else { 0.0 }
     }
+}
+
+/// Angular acceleration that nothing explains.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct UnmodelledMoment {
+    /// Mean square over 0.1 to 4.5 Hz beyond what the twins have, about front, right, down,
+    /// rad^2/s^4; below 0 by chance only.
+    pub mean_square: [f64; 3],
+    /// Standard error of the sum of the three.
+    pub error: f64,
+}
+
+impl UnmodelledMoment {
+    /// Root mean square about each axis, rad/s^2.
+    pub fn rms(&self) -> [f64; 3] {
+        self.mean_square.map(|square| square.max(0.0).sqrt())
+    }
+
+    /// Standard errors above 0.
+    pub fn significance(&self) -> f64 {
+        if self.error > 0.0 { self.mean_square.iter().sum::<f64>() / self.error } else { 0.0 }
+    }
+}
+
+/// Angular acceleration that a fit leaves unexplained, `power` at each place, beyond what twins of
+/// its vehicle leave. The gyro alone shows it, so that the twins' noise stands for the second
+/// sensor. `None` where the logs lack the body rate, or there are no twins.
+pub fn unmodelled_moment(
+    observed: &Observed<'_>,
+    power: &[f64],
+    twins: &TwinFits,
+) -> Option<UnmodelledMoment> {
+    let moments = twins.moments();
+    let mut moment = UnmodelledMoment { mean_square: [0.0; 3], error: 0.0 };
+    let mut variance = 0.0;
+    let mut seen = false;
+    for axis in 0..3 {
+        for (band, upper) in BANDS.iter().enumerate().skip(1) {
+            let place = (RATE + axis) * BANDS.len() + band;
+            let n = observed.counts()[place];
+            if n < 1.0 || *upper > FORCE_MAX_HZ || twins.power.is_empty() {
+                continue;
+            }
+            seen = true;
+            let share = 2.0 * CELL_S * (upper - BANDS[band - 1]) / n;
+            let [mean, deviation] = moments[place];
+            moment.mean_square[axis] += (power[place] - mean) * share;
+            variance += (share * deviation).powi(2);
+        }
+    }
+    moment.error = variance.sqrt();
+    seen.then_some(moment)
 }
 
 /// Force that `candidate` leaves unexplained; `None` where the logs lack accelerometer or velocity.

@@ -34,6 +34,16 @@ fn triangle(i: usize, j: usize, n: usize) -> usize {
     i * n - i * (i + 1) / 2 + j
 }
 
+/// Products of columns with residuals, at each place.
+fn crosses<C>(observed: &Observed<'_>, columns: &[C], base: &Residuals) -> Vec<Vec<f64>>
+where
+    C: std::borrow::Borrow<Residuals> + Sync,
+{
+    let crosses: Vec<Vec<f64>> =
+        columns.par_iter().map(|column| observed.dot(column.borrow(), base)).collect();
+    (0..Place::COUNT).map(|place| crosses.iter().map(|cross| cross[place]).collect()).collect()
+}
+
 impl Linearised {
     /// About `values`, in `numbers`; those without a derivative are left out.
     pub fn new(observed: &Observed<'_>, values: &[f64], numbers: &[usize]) -> Option<Self> {
@@ -60,26 +70,26 @@ impl Linearised {
         let gram = (0..Place::COUNT)
             .map(|place| products.iter().map(|product| product[place]).collect())
             .collect();
-        let mut linearised = Self {
+        Self {
             values: values.to_vec(),
+            cross: crosses(observed, &columns, base),
+            square: observed.power(base),
             numbers,
             columns,
             gram,
-            cross: Vec::new(),
-            square: Vec::new(),
-        };
-        linearised.rest_on(observed, base);
-        linearised
+        }
     }
 
-    /// The same derivatives about other residuals.
-    pub fn rest_on(&mut self, observed: &Observed<'_>, base: &Residuals) {
-        let crosses: Vec<Vec<f64>> =
-            self.columns.par_iter().map(|column| observed.dot(column, base)).collect();
-        self.cross = (0..Place::COUNT)
-            .map(|place| crosses.iter().map(|cross| cross[place]).collect())
-            .collect();
-        self.square = observed.power(base);
+    /// The same derivatives about other residuals, to be solved only.
+    pub fn about(&self, observed: &Observed<'_>, base: &Residuals) -> Self {
+        Self {
+            values: self.values.clone(),
+            numbers: self.numbers.clone(),
+            columns: Vec::new(),
+            gram: self.gram.clone(),
+            cross: crosses(observed, &self.columns, base),
+            square: observed.power(base),
+        }
     }
 
     /// The part with fewer numbers (those of `keep` that it has), extended by the columns of
@@ -121,11 +131,7 @@ impl Linearised {
                     .collect()
             })
             .collect();
-        let crosses: Vec<Vec<f64>> =
-            columns.par_iter().map(|column| observed.dot(column, base)).collect();
-        let cross = (0..Place::COUNT)
-            .map(|place| crosses.iter().map(|cross| cross[place]).collect())
-            .collect();
+        let cross = crosses(observed, &columns, base);
         let square = observed.power(base);
         Self { values: values.to_vec(), numbers, columns: Vec::new(), gram, cross, square }
     }

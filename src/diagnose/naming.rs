@@ -13,7 +13,7 @@ use super::selection::{Rival, Scored, Selection};
 const CERTAIN: f64 = 0.995;
 /// Differences of scores count by this share: channels share noise that the scores take to be
 /// independent.
-const TEMPER: f64 = 0.25;
+pub(super) const TEMPER: f64 = 0.25;
 /// Least probability of an effect that the answer mentions.
 const MENTIONED: f64 = 0.01;
 /// Least probability of a rival that cannot be told apart.
@@ -95,7 +95,7 @@ const AS_GOOD: f64 = 0.85;
 /// Effects that by themselves explain about as much as the one that is named alone.
 pub(super) fn as_good(catalogue: &Catalogue, selection: &Selection) -> Vec<&'static str> {
     let class = |h: usize| class(catalogue.hypotheses[h].effect);
-    let evidence = |rival: &Rival| rival.scored.fit.evidence - selection.null.fit.evidence;
+    let evidence = |rival: &Rival| rival.scored.evidence - selection.null.evidence;
     let named: Vec<EffectId> = selection.best.fit.hypotheses.iter().map(|h| class(*h)).collect();
     let own = selection.singles.iter().filter(|rival| named.contains(&class(rival.hypothesis)));
     let most = own.map(evidence).fold(0.0, f64::max);

@@ -1,8 +1,7 @@
 //! The noise of what is reported, from what no model of the vehicle explains at high frequency.
 
-use super::fit::Fit;
 use super::gap::ReportNoise;
-use super::preparation::PreparedFlight;
+use super::preparation::{PreparedFlight, Series};
 use super::residuals::{ATTITUDE, VELOCITY};
 use super::spectrum::{BANDS, CELL_S};
 
@@ -11,19 +10,22 @@ const ATTITUDE_FROM_HZ: f64 = 0.35;
 /// Above this a vehicle's velocity and body rate are mostly noise, Hz.
 const WHITE_FROM_HZ: f64 = 8.0;
 
-/// Noise of the reports, from the spectrum that a fit leaves.
-pub fn report_noise(flights: &[PreparedFlight], fit: &Fit, counts: &[f64]) -> ReportNoise {
-    let variance = fit.noise(counts);
+/// Noise of the reports, from the sums of squares that a fit leaves at each place.
+pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -> ReportNoise {
+    let variance: Vec<f64> =
+        power.iter().zip(counts).map(|(q, n)| if *n > 0.0 { q / n } else { 0.0 }).collect();
     let rate = |of: fn(&PreparedFlight) -> f64| {
         flights.iter().map(of).sum::<f64>() / flights.len().max(1) as f64
     };
     let velocity = white(&variance, VELOCITY, rate(|f| f.velocity.rate()));
-    let body_rate = second_differences(flights);
+    let body_rate = second_differences(flights, |flight| &flight.body_rate);
+    let specific_force = second_differences(flights, |flight| &flight.specific_force);
     ReportNoise {
         position: position(flights, velocity),
         velocity,
         attitude: attitude(&variance),
         body_rate,
+        specific_force,
     }
 }
 
@@ -52,13 +54,16 @@ fn white(variance: &[f64], first: usize, rate: f64) -> f64 {
     found.get(found.len() / 2).map_or(0.0, |v| v.sqrt())
 }
 
-/// Deviation of the body rate's white noise, by the median of its second differences: a body turns
-/// smoothly over three samples, most of the time.
-fn second_differences(flights: &[PreparedFlight]) -> f64 {
+/// Deviation of a stream's white noise, by the median of its second differences: a body turns and
+/// its rotors push smoothly over three samples, most of the time.
+fn second_differences(
+    flights: &[PreparedFlight],
+    series: fn(&PreparedFlight) -> &Series<3>,
+) -> f64 {
     let mut squares: Vec<f64> = Vec::new();
     for flight in flights {
-        let times = flight.body_rate.times();
-        for (t, w) in times.windows(3).zip(flight.body_rate.values().windows(3)) {
+        let series = series(flight);
+        for (t, w) in series.times().windows(3).zip(series.values().windows(3)) {
             if flight.spans.iter().any(|s| s.contains(&t[1])) {
                 squares.extend((0..3).map(|i| (w[0][i] - 2.0 * w[1][i] + w[2][i]).powi(2)));
             }

@@ -15,7 +15,7 @@ pub struct Observed<'a> {
     pub flights: &'a [PreparedFlight],
     /// What is looked at, for each.
     pub layouts: Vec<Layout>,
-    evaluator: &'a Evaluator,
+    pub(super) evaluator: &'a Evaluator,
     pub(super) catalogue: &'a Catalogue,
     /// Runs of coefficients of one place: flight, place, start, end.
     runs: Vec<Run>,
@@ -60,6 +60,14 @@ impl<'a> Observed<'a> {
             }
         }
         Self { flights, layouts, evaluator, catalogue, runs, counts }
+    }
+
+    /// The same look at other flights.
+    pub fn like<'b>(&self, flights: &'b [PreparedFlight]) -> Observed<'b>
+    where
+        'a: 'b,
+    {
+        Observed::new(flights, self.evaluator, self.catalogue)
     }
 
     /// Number of coefficients at each place.

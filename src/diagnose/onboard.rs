@@ -8,11 +8,14 @@ use sitl::rotor::Allocation;
 use sitl::vehicle::{AttitudePd, VehicleParams};
 
 use super::preparation::PreparedFlight;
+use crate::log::import::AttitudeSetpoint;
 
 /// A setpoint older than this no longer rules, s.
-const AGE_MAX_S: f64 = 0.1;
+pub const AGE_MAX_S: f64 = 0.1;
 /// Mean of the link's jitter, s: the exponential part of a delay of at least that.
-const JITTER_MEAN_S: f64 = 0.001;
+pub const JITTER_MEAN_S: f64 = 0.001;
+/// Stamps are whole microseconds: to so much of a tick they are at the tick, s.
+const TICK_TOLERANCE_S: f64 = 1e-6;
 /// Setpoints whose arrival may still be awaited at a tick.
 const UNDER_WAY: usize = 3;
 /// The law with its mixer, as the vehicle file states them.
@@ -20,6 +23,9 @@ const UNDER_WAY: usize = 3;
 pub struct OnboardLaw {
     pd: AttitudePd,
     allocation: Allocation,
+    /// Outputs stamped at a tick are those of the tick before: vehicles differ in whether they
+    /// report before or after the loop.
+    reports_first: bool,
 }
 
 /// When a law's command was given and what it sees then.
@@ -34,7 +40,8 @@ pub struct Timing {
 impl OnboardLaw {
     /// The law of a vehicle that states it.
     pub fn new(vehicle: &VehicleParams) -> Option<Self> {
-        Some(Self { pd: vehicle.attitude_pd?, allocation: vehicle.allocation().ok()? })
+        let (pd, allocation) = (vehicle.attitude_pd?, vehicle.allocation().ok()?);
+        Some(Self { pd, allocation, reports_first: false })
     }
 
     /// The firmware's mixer.
@@ -42,9 +49,51 @@ impl OnboardLaw {
         &self.allocation
     }
 
+    /// The law, reporting as the outputs of `flights` do: before the loop or after it, whichever
+    /// explains their changes better.
+    pub fn observing(self, flights: &[PreparedFlight], timing: Timing) -> Self {
+        let reports_first = Self { reports_first: true, ..self.clone() };
+        let roughness = |law: &Self| -> f64 {
+            flights.iter().map(|flight| law.roughness(flight, timing)).sum()
+        };
+        if roughness(&reports_first) < roughness(&self) { reports_first } else { self }
+    }
+
+    /// Sum of the squared changes of the moments that the law leaves unexplained.
+    fn roughness(&self, flight: &PreparedFlight, timing: Timing) -> f64 {
+        let law = self.with_gains(None);
+        let (times, values) = (flight.outputs.times(), flight.outputs.values());
+        let mut last: Option<[f64; 4]> = None;
+        let mut sum = 0.0;
+        for (time, logged) in times.iter().zip(values) {
+            if !flight.spans.iter().any(|span| span.contains(time)) {
+                continue;
+            }
+            let by_law = self.outputs(&law, flight, self.tick_of_report(*time), timing);
+            let left = by_law.map(|by_law| {
+                self.allocation.wrench(std::array::from_fn(|i| logged[i] - by_law[i]))
+            });
+            if let Some((left, last)) = left.zip(last) {
+                sum += (1..4).map(|i| (left[i] - last[i]).powi(2)).sum::<f64>();
+            }
+            last = left;
+        }
+        sum
+    }
+
     /// Time of the loop's latest tick at `time`.
     pub fn tick(&self, time: f64) -> f64 {
-        ((time + 1e-6) * self.pd.rate_hz).floor() / self.pd.rate_hz
+        ((time + TICK_TOLERANCE_S) * self.pd.rate_hz).floor() / self.pd.rate_hz
+    }
+
+    /// Time of the tick whose outputs are reported at `time`.
+    pub fn tick_of_report(&self, time: f64) -> f64 {
+        if self.reports_first { self.tick(time - 2.0 * TICK_TOLERANCE_S) } else { self.tick(time) }
+    }
+
+    /// Whether outputs are reported before the loop's tick at the same time.
+    pub fn reports_first(&self) -> bool {
+        self.reports_first
     }
 
     /// The loop with its gains scaled.
@@ -92,7 +141,11 @@ fn setpoint(flight: &PreparedFlight, index: usize, time: f64) -> Option<OnboardS
     if time - flight.setpoint.times()[index] > AGE_MAX_S {
         return None;
     }
-    let setpoint = &flight.setpoint.values()[index];
+    as_onboard(&flight.setpoint.values()[index])
+}
+
+/// A setpoint as the loop takes it, unless it does not say how much thrust.
+pub fn as_onboard(setpoint: &AttitudeSetpoint) -> Option<OnboardSetpoint> {
     Some(OnboardSetpoint {
         attitude: setpoint.attitude.map(|attitude| attitude.euler()),
         body_rate: setpoint.body_rate.unwrap_or(Frd::zero()),

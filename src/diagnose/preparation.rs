@@ -8,6 +8,7 @@ use sitl::vehicle::VehicleParams;
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
 use crate::learn::segments::Segments;
 use crate::log::import::{AttitudeSetpoint, Flight, SetpointSource, Stream, UnitUnknown};
+use crate::setpoint::Reference;
 
 /// Streams faster than this are averaged over [`SMOOTHING_S`] first, Hz: what lies above the bands
 /// would fold into them.
@@ -28,7 +29,7 @@ pub struct Series<const N: usize> {
 }
 
 impl<const N: usize> Series<N> {
-    fn of<T>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -> Self {
+    pub(super) fn of<T>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -> Self {
         Self { times: stream.times().to_vec(), values: stream.values().iter().map(value).collect() }
             .smoothed(stream.rate())
     }
@@ -71,6 +72,11 @@ impl<const N: usize> Series<N> {
     /// Values, one for each time.
     pub fn values(&self) -> &[[f64; N]] {
         &self.values
+    }
+
+    /// Values, to be changed in place.
+    pub fn values_mut(&mut self) -> &mut [[f64; N]] {
+        &mut self.values
     }
 
     /// A reader for ascending times.
@@ -184,6 +190,8 @@ pub struct PreparedFlight {
     pub voltage: Series<1>,
     /// Setpoints as sent.
     pub setpoint: Stream<AttitudeSetpoint>,
+    /// What was tracked, where the log holds it.
+    pub reference: Stream<Reference>,
     /// Airborne time without gaps, s.
     pub spans: Vec<Range<f64>>,
     /// The same as blocks.
@@ -277,9 +285,30 @@ impl PreparedFlight {
             outputs,
             voltage: Series::of(&flight.voltage, |v| [*v]),
             setpoint: flight.setpoint,
+            reference: flight.reference,
             spans,
             blocks,
         })
+    }
+
+    /// The flight without the given times, s.
+    ///
+    /// # Errors
+    /// [`NotPrepared::TooShort`] where too little is left.
+    pub fn excluding(mut self, times: &[Range<f64>]) -> Result<Self, NotPrepared> {
+        for cut in times {
+            let spans = std::mem::take(&mut self.spans);
+            for span in spans {
+                let parts =
+                    [span.start..cut.start.min(span.end), cut.end.max(span.start)..span.end];
+                self.spans.extend(parts.into_iter().filter(|part| part.start < part.end));
+            }
+        }
+        self.blocks = blocks(&self.spans);
+        if self.blocks.is_empty() {
+            return Err(NotPrepared::TooShort(self.spans.iter().map(|s| s.end - s.start).sum()));
+        }
+        Ok(self)
     }
 
     /// Time looked at, s.
@@ -371,6 +400,28 @@ fn blocks(spans: &[Range<f64>]) -> Vec<Block> {
 }
 
 #[cfg(test)]
+impl PreparedFlight {
+    /// A flight of which only the airborne time is known.
+    fn of_spans(spans: Vec<Range<f64>>) -> Self {
+        Self {
+            name: String::new(),
+            channels: Channels::default(),
+            position: Series::default(),
+            velocity: Series::default(),
+            attitude: Series::default(),
+            body_rate: Series::default(),
+            specific_force: Series::default(),
+            outputs: Series::default(),
+            voltage: Series::default(),
+            reference: Stream::default(),
+            setpoint: Stream::default(),
+            blocks: blocks(&spans),
+            spans,
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 
@@ -383,6 +434,17 @@ mod tests {
             assert!((pair[0].end() - pair[1].start).abs() < 1e-9);
         }
         assert!(blocks(&[0.0..1.5]).is_empty());
+    }
+
+    #[test]
+    fn times_that_are_cut_out_are_in_no_span() {
+        let flight = PreparedFlight::of_spans(vec![0.0..10.0, 12.0..20.0]);
+        let cut = flight.clone().excluding(&[4.0..5.0, 9.0..13.0, 15.0..15.0]).unwrap();
+        assert_eq!(cut.spans, [0.0..4.0, 5.0..9.0, 13.0..15.0, 15.0..20.0]);
+        assert_eq!(
+            flight.excluding(&[0.0..20.0]).map(|flight| flight.spans),
+            Err(NotPrepared::TooShort(0.0))
+        );
     }
 
     #[test]

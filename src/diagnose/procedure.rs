@@ -6,21 +6,25 @@ use sitl::effects::{EffectId, EffectSet};
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::answer::{
-    Answer, EffectAnswer, FlightAnswer, Gap, HypothesisAnswer, Verdict, parameters,
+    Answer, EffectAnswer, Finding, FlightAnswer, FullVerdict, Gap, HypothesisAnswer, Verdict,
+    parameters,
 };
 use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
-use super::leftover::{UnmodelledForce, unmodelled_force};
-use super::map::{map, samples};
+use super::judgement::{Leftover, explained, is_unexplained};
+use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
+use super::linearised::Linearised;
+use super::map::{depends_on, map, samples};
 use super::naming::{as_good, named_effects, not_testable};
+use super::next_flight::{Live, live, untested};
 use super::noise::report_noise;
 use super::observed::Observed;
 use super::preparation::PreparedFlight;
-use super::residuals::{Evaluator, VELOCITY};
+use super::reflight::reflight;
+use super::residuals::Evaluator;
 use super::selection::{Scored, Selection, Selector, Thresholds};
-use super::spectrum::{BANDS, CELL_S};
 use super::turbulence::gusts;
-use super::twins::twins;
+use super::twins::{TwinFits, screened};
 use super::words::finding;
 
 /// Least gain of evidence that is asked of an effect, whatever the twins say: posterior odds of
@@ -41,6 +45,8 @@ pub struct Case<'a> {
     pub held_out: &'a [PreparedFlight],
     /// Whether these are parts of one flight.
     pub blocked: bool,
+    /// Effects that are not to be considered.
+    pub without: &'a [EffectId],
 }
 
 /// How.
@@ -59,6 +65,13 @@ pub struct Diagnosis {
     pub answer: Answer,
     /// The named effects with the vehicle's true values.
     pub effects: EffectSet,
+    /// Explanations that are left open, and effects that these logs cannot show: what a next flight
+    /// is for.
+    pub open: [Vec<Live>; 2],
+    /// Whether the leg from setpoints to outputs was looked at.
+    pub setpoint_leg: bool,
+    /// Noise of the reports.
+    pub noise: ReportNoise,
 }
 
 /// Why there is no answer.
@@ -82,9 +95,9 @@ pub fn diagnose(
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
     let leg = case.fitted.iter().chain(case.held_out).all(|flight| flight.channels.setpoint);
-    let catalogue = Catalogue::new(case.vehicle, leg);
+    let catalogue = Catalogue::new(case.vehicle, leg).without(case.without);
     catalogue.candidate(&catalogue.references())?;
-    let evaluator = Evaluator::new(case.vehicle);
+    let evaluator = Evaluator::new(case.vehicle).observing(case.fitted);
     let fitted = Observed::new(case.fitted, &evaluator, &catalogue);
     let held_out = Observed::new(case.held_out, &evaluator, &catalogue);
     let mut selector = Selector {
@@ -92,26 +105,35 @@ pub fn diagnose(
         held_out: &held_out,
         catalogue: &catalogue,
         setpoint_leg: leg,
-        thresholds: Thresholds { evidence: EVIDENCE_MIN, held_out: 1.0, open_loop: [0.05, 2.5] },
+        thresholds: Thresholds {
+            evidence: EVIDENCE_MIN,
+            chance: Vec::new(),
+            held_out: 1.0,
+            open_loop: [0.05, 2.5],
+        },
         floor: None,
     };
     progress("what nuisances explain");
     let (null, about) = selector.null().ok_or(DiagnoseError::Nothing)?;
-    let twins = (settings.twins > 0).then(|| {
+    let noise = report_noise(case.fitted, &null.fit.power, fitted.counts());
+    let (mut twins, mut twins_of_null) = (None, None);
+    if settings.twins > 0 {
         progress("twins without an effect");
-        twins(&selector, &null, &about, settings.twins, settings.seed)
-    });
-    if let Some(twins) = &twins {
-        selector.thresholds.evidence = twins.threshold.max(EVIDENCE_MIN);
+        let draws = (settings.twins, settings.seed);
+        let drawn = TwinFits::draw(&fitted, &about, &[], &noise, leg, draws)?;
+        let screened = screened(&selector, &null, &about, &drawn, settings.seed);
+        selector.thresholds.evidence = screened.threshold.max(EVIDENCE_MIN);
+        selector.thresholds.chance.clone_from(&screened.chance);
+        twins = Some(screened);
+        twins_of_null = Some(drawn);
     }
-    let noise = report_noise(case.fitted, &null.fit, fitted.counts());
     selector.floor = Simulator::new(case.vehicle, &EffectSet::new(), leg)?.guided().floor(
         case.fitted,
         &noise,
         settings.seed,
     );
     progress("which effect");
-    let selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
+    let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
 
     progress("where");
     let map = {
@@ -127,7 +149,22 @@ pub fn diagnose(
         let candidate = catalogue.candidate(&scored.fit.values).ok()?;
         unmodelled_force(&fitted, &evaluator, &candidate)
     };
-    let unmodelled = force_of(&selection.null).zip(force_of(&selection.best)).map(|(a, b)| [a, b]);
+    let of_best = twins_of_null.as_ref().filter(|_| !selection.best.fit.hypotheses.is_empty());
+    let of_best = of_best.and_then(|_| {
+        let draws = (TWINS_OF_BEST.min(settings.twins), settings.seed);
+        twins_of(&fitted, &catalogue, &selection.best, &noise, leg, draws)
+    });
+    if let Some(twins) = &of_best {
+        correct(&mut selection.best, &catalogue, twins);
+    }
+    let moment = twins_of_null.as_ref().filter(|_| leg).and_then(|of_null| {
+        let before = unmodelled_moment(&fitted, &selection.null.fit.power, of_null)?;
+        let of_best = of_best.as_ref().unwrap_or(of_null);
+        let after = unmodelled_moment(&fitted, &selection.best.fit.power, of_best)?;
+        Some([before, after])
+    });
+    let force = force_of(&selection.null).zip(force_of(&selection.best)).map(|(a, b)| [a, b]);
+    let leftover = Leftover { force, moment };
 
     progress("how far");
     let named: Vec<EffectId> =
@@ -135,22 +172,25 @@ pub fn diagnose(
     let effects = catalogue.effects(&selection.best.fit.values, Some(&named));
     let gap = gap(case, &catalogue, &selection, &fitted, &effects, leg, settings)?;
 
-    let left = unmodelled
-        .as_ref()
-        .filter(|[_, after]| is_of_practical_size(after, &noise, case.vehicle.gravity));
-    let turbulence = left.and_then(|[_, after]| {
-        let candidate = catalogue.candidate(&selection.best.fit.values).ok()?;
-        gusts(case.vehicle, &effects, after, &samples(&fitted, &evaluator, &candidate))
-    });
-    let explained = explained(&selection, fitted.counts());
+    let (force, moment) = explained(&selection, &fitted);
+    let sizes = [
+        leftover.force_size(case.vehicle, &noise, force),
+        leftover.moment_size(case.vehicle, &noise, moment),
+    ];
     let found = !named.is_empty();
-    let verdict = match left {
-        _ if turbulence.is_some() => Verdict::Effect,
-        Some([_, after]) if !found || after.total() > LEFT_MAX * (after.total() + explained) => {
-            Verdict::Unknown
-        }
-        _ if found => Verdict::Effect,
-        _ => Verdict::None,
+    let considered = !case.without.contains(&EffectId::Gusts);
+    let turbulence =
+        leftover.force.as_ref().filter(|_| considered && sizes[0].left > 1.0).and_then(
+            |[_, after]| {
+                let candidate = catalogue.candidate(&selection.best.fit.values).ok()?;
+                gusts(case.vehicle, &effects, after, &samples(&fitted, &evaluator, &candidate))
+            },
+        );
+    let verdict = match turbulence {
+        Some(_) => Verdict::Effect,
+        None if is_unexplained(sizes, found) => Verdict::Unknown,
+        None if found => Verdict::Effect,
+        None => Verdict::None,
     };
     let mut effects = effects;
     let (effects_answer, ambiguous_with) = if verdict == Verdict::Effect {
@@ -165,6 +205,7 @@ pub fn diagnose(
         let voltage = case.fitted.iter().all(|flight| flight.channels.voltage);
         if !voltage && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
+            let others = others.filter(|effect| catalogue.considers(**effect));
             ambiguous.extend(others.map(|effect| effect.name()));
         }
         ambiguous.extend(as_good(&catalogue, &selection));
@@ -174,17 +215,42 @@ pub fn diagnose(
     } else {
         (Vec::new(), Vec::new())
     };
+    let (full, depends_on) = match verdict {
+        Verdict::None => (FullVerdict::None, Vec::new()),
+        Verdict::Effect if ambiguous_with.is_empty() => (FullVerdict::Named, Vec::new()),
+        Verdict::Effect => (FullVerdict::Ambiguous, Vec::new()),
+        Verdict::Unknown => {
+            let candidate = catalogue.candidate(&selection.best.fit.values)?;
+            let depends_on = depends_on(&samples(&fitted, &evaluator, &candidate));
+            if depends_on.is_empty() {
+                (FullVerdict::UnobservedDisturbance, depends_on)
+            } else {
+                (FullVerdict::UnknownStructured, depends_on)
+            }
+        }
+    };
+    progress("flown again");
+    let reported = gap.as_ref().map_or(noise, |gap| gap.noise);
+    let (closed_loop, closed_loop_missing) = match reflight(case, &effects, &reported, settings) {
+        Ok(closed_loop) => (Some(closed_loop), None),
+        Err(reason) => (None, Some(reason.to_string())),
+    };
     let mut answer = Answer {
         verdict,
-        finding: String::new(),
+        finding: Finding { verdict: full, sentence: String::new(), depends_on },
+        logs: Vec::new(),
         map,
         twins,
         evidence_asked: selector.thresholds.evidence,
         effects: effects_answer,
         gap,
+        closed_loop,
+        closed_loop_missing,
         ambiguous_with,
         not_testable: not_testable(&catalogue, &selection, leg),
-        unmodelled_force: unmodelled,
+        next_flight: None,
+        unmodelled_force: leftover.force.clone(),
+        unmodelled_moment: leftover.moment.clone(),
         hypotheses: selection
             .singles
             .iter()
@@ -193,7 +259,7 @@ pub fn diagnose(
                 let hypothesis = &catalogue.hypotheses[rival.hypothesis];
                 HypothesisAnswer {
                     id: hypothesis.effect.name(),
-                    evidence: rival.scored.fit.evidence - selection.null.fit.evidence,
+                    evidence: rival.scored.evidence - selection.null.evidence,
                     held_out: [gain, error],
                     numbers: hypothesis
                         .numbers
@@ -215,42 +281,40 @@ pub fn diagnose(
             })
             .collect(),
     };
-    answer.finding = finding(&answer);
+    answer.finding.sentence = finding(&answer);
     let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
-    Ok(Diagnosis { answer, effects })
+    let open = [live(&catalogue, &selection, &answer), untested(&catalogue, &answer)];
+    Ok(Diagnosis { answer, effects, open, setpoint_leg: leg, noise: reported })
 }
 
-/// Time over which an unmodelled force is compared with the velocity's noise, s.
-const FORCE_TIME_S: f64 = 0.5;
-/// A smaller force matters to nobody, in units of the weight.
-const FORCE_MIN_WEIGHTS: f64 = 0.01;
-/// Standard errors by which an unmodelled force must stand out.
-const FORCE_SIGNIFICANCE: f64 = 5.0;
 /// Probability of gusts where what is left looks like turbulence: other forces may.
 const GUSTS_PROBABILITY: f64 = 0.8;
-/// Share of the unmodelled power that a set of effects may leave and still be the explanation.
-const LEFT_MAX: f64 = 0.3;
+/// Twins of the best explanation, against which what it leaves is compared.
+const TWINS_OF_BEST: u32 = 16;
 
-/// Whether an unmodelled force is more than noise and large enough to matter: within half a second
-/// it moves the velocity by more than the reports of start and end are uncertain.
-fn is_of_practical_size(force: &UnmodelledForce, noise: &ReportNoise, gravity: f64) -> bool {
-    let least = (6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S).max(FORCE_MIN_WEIGHTS * gravity);
-    force.rms() > least && force.significance() > FORCE_SIGNIFICANCE
+/// Twins of the vehicle of a fit.
+fn twins_of(
+    fitted: &Observed<'_>,
+    catalogue: &Catalogue,
+    scored: &Scored,
+    noise: &ReportNoise,
+    leg: bool,
+    draws: (u32, u64),
+) -> Option<TwinFits> {
+    let numbers: Vec<usize> = (0..catalogue.numbers.len()).collect();
+    let about = Linearised::new(fitted, &scored.fit.values, &numbers)?;
+    TwinFits::draw(fitted, &about, &scored.fit.active(catalogue), noise, leg, draws).ok()
 }
 
-/// Mean square of the acceleration that the chosen effects explain and the nuisances do not,
-/// m^2/s^4.
-fn explained(selection: &Selection, counts: &[f64]) -> f64 {
-    let (null, best) = (selection.null.fit.noise(counts), selection.best.fit.noise(counts));
-    let mut sum = 0.0;
-    for axis in VELOCITY..VELOCITY + 3 {
-        for band in 0..BANDS.len() {
-            let place = axis * BANDS.len() + band;
-            let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
-            sum += (null[place] - best[place]) * 2.0 * CELL_S * (BANDS[band] - lower);
-        }
+/// Takes off a fit's effects what its twins are off by, and gives them the twins' scatter.
+fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
+    let bias = twins.bias(catalogue);
+    for number in scored.fit.active(catalogue) {
+        let [low, high] = catalogue.numbers[number].bounds;
+        let value = &mut scored.fit.values[number];
+        *value = (*value - bias[number]).clamp(low, high);
+        scored.fit.deviation[number] = twins.deviation(number);
     }
-    sum.max(0.0)
 }
 
 fn gap(
@@ -262,7 +326,7 @@ fn gap(
     leg: bool,
     settings: &Settings,
 ) -> Result<Option<Gap>, DiagnoseError> {
-    let noise = report_noise(case.fitted, &selection.best.fit, fitted.counts());
+    let noise = report_noise(case.fitted, &selection.best.fit.power, fitted.counts());
     let shipped = Simulator::new(case.vehicle, &EffectSet::new(), leg)?;
     let repaired = Simulator::new(case.vehicle, effects, leg)?;
     let nuisances =

@@ -132,6 +132,19 @@ impl Evaluator {
         }
     }
 
+    /// The same, with outputs reported as `flights` report them.
+    pub fn observing(mut self, flights: &[PreparedFlight]) -> Self {
+        let (command_delay, latency) = (self.vehicle.command_delay_s, 0.0);
+        let timing = Timing { command_delay, latency };
+        self.onboard = self.onboard.map(|law| law.observing(flights, timing));
+        self
+    }
+
+    /// The on-board law, where the vehicle file states it.
+    pub fn onboard(&self) -> Option<&OnboardLaw> {
+        self.onboard.as_ref()
+    }
+
     /// The coefficients of what `candidate` leaves unexplained of `flight`, in `layout`'s order;
     /// 0 in other groups than the given ones.
     pub fn residuals(
@@ -259,7 +272,7 @@ impl Evaluator {
         let mut found: Vec<(f64, [f64; 4])> = Vec::with_capacity(to - from);
         for (time, logged) in times[from..to].iter().zip(&flight.outputs.values()[from..to]) {
             // The output in force is of the loop's latest tick.
-            let tick = onboard.tick(*time);
+            let tick = onboard.tick_of_report(*time);
             if let Some(by_law) = onboard.outputs(&law, flight, tick, timing) {
                 let difference = std::array::from_fn(|i| logged[i] - by_law[i]);
                 found.push((*time, onboard.allocation().wrench(difference)));

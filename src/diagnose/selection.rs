@@ -32,6 +32,8 @@ const PAIRED: usize = 4;
 pub struct Scored {
     /// The fit.
     pub fit: Fit,
+    /// Its log evidence without what chance gives its hypotheses, nats.
+    pub evidence: f64,
     /// Log density of each block held out, nats.
     pub density: Vec<f64>,
     /// Open-loop errors of its effects alone on all flights, window by window.
@@ -54,15 +56,17 @@ impl Scored {
 
     /// Evidence and held-out density together.
     pub fn score(&self) -> f64 {
-        self.fit.evidence + self.density.iter().sum::<f64>()
+        self.evidence + self.density.iter().sum::<f64>()
     }
 }
 
 /// What is asked of a hypothesis before it is taken up.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Thresholds {
-    /// Least gain of evidence, nats.
+    /// Least gain of evidence beyond chance, nats.
     pub evidence: f64,
+    /// Evidence that chance gives each hypothesis, nats.
+    pub chance: Vec<f64>,
     /// Least gain of held-out density, nats.
     pub held_out: f64,
     /// Least gain of the open loop, in squares of its floor, and in its standard errors.
@@ -117,8 +121,15 @@ impl Selector<'_> {
     pub fn scored(&self, fit: Fit) -> Option<Scored> {
         let residuals = self.held_out.residuals(&fit.values)?;
         let noise = fit.noise(self.fitted.counts());
-        let density = self.held_out.log_density(&residuals, &noise);
-        Some(Scored { fit, density, windows: OnceLock::new() })
+        let mut density = self.held_out.log_density(&residuals, &noise);
+        let of_one = |h: &usize| self.thresholds.chance.get(*h).copied().unwrap_or(0.0);
+        let chance: f64 = fit.hypotheses.iter().map(of_one).sum();
+        // What chance gives, it gives to every flight.
+        let size = |observed: &Observed<'_>| observed.counts().iter().sum::<f64>().max(1.0);
+        let of_block =
+            chance * size(self.held_out) / size(self.fitted) / density.len().max(1) as f64;
+        density.iter_mut().for_each(|density| *density -= of_block);
+        Some(Scored { evidence: fit.evidence - chance, fit, density, windows: OnceLock::new() })
     }
 
     /// Nuisances alone, and the derivatives there.
@@ -196,7 +207,7 @@ impl Selector<'_> {
         let (gain, error) = more.gain_over(less);
         // Without an open loop to judge by, the flights held out must be clear by themselves.
         let clear = self.floor.is_some() || gain > error;
-        more.fit.evidence - less.fit.evidence > self.thresholds.evidence
+        more.evidence - less.evidence > self.thresholds.evidence
             && gain > self.thresholds.held_out
             && clear
             && self.predicts_better(more, less)
@@ -233,7 +244,11 @@ impl Selector<'_> {
     /// Hypotheses in addition to `set`, fitted together with it, the best first.
     fn additions(&self, about: &Linearised, set: &Scored, count: usize) -> Vec<Rival> {
         let from = self.numbers_of(set);
-        let screened = self.screen(about, &set.fit.hypotheses);
+        let mut screened = self.screen(about, &set.fit.hypotheses);
+        for (hypothesis, gain) in &mut screened {
+            *gain -= self.thresholds.chance.get(*hypothesis).copied().unwrap_or(0.0);
+        }
+        screened.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         let mut rivals: Vec<Rival> = screened
             .into_par_iter()
             .enumerate()

@@ -1,6 +1,8 @@
 //! The finding as a person would say it.
 
 use super::answer::{Answer, EffectAnswer, Gap, Parameter, Verdict};
+use super::next_flight::NextFlight;
+use super::reflight::ClosedLoop;
 
 /// The full verdict of an answer, in a sentence or two.
 pub fn finding(answer: &Answer) -> String {
@@ -48,6 +50,48 @@ fn shrinks(gap: &Gap) -> String {
     )
 }
 
+/// How flights that are flown again in simulation differ from their logs.
+pub fn closed_loop(closed_loop: &ClosedLoop) -> String {
+    let ClosedLoop { position_m, thrust_n, moment_nm, .. } = closed_loop;
+    format!(
+        "Flown again with its feedback, the simulator differs from the flights held out by {} m in \
+         position, {} N in thrust and {} N m in moment; with the effects by {} m, {} N and {} N m; \
+         noise alone leaves {} m, {} N and {} N m.",
+        short(position_m.before),
+        short(thrust_n.before),
+        short(moment_nm.before),
+        short(position_m.after),
+        short(thrust_n.after),
+        short(moment_nm.after),
+        short(position_m.floor),
+        short(thrust_n.floor),
+        short(moment_nm.floor),
+    )
+}
+
+/// Which flight to fly next, why, and what is expected of it.
+pub fn next_flight(next: &NextFlight) -> String {
+    let mut text = format!("Fly {} ({:.0} s), {}.", next.manoeuvre, next.seconds, next.why);
+    let in_words =
+        |ids: &[&str]| if ids.is_empty() { "no effect".into() } else { ids.join(" and ") };
+    for outlook in &next.outlook {
+        let rivals: Vec<String> = outlook
+            .evidence
+            .iter()
+            .map(|rival| format!("{:.0} nats against {}", rival.nats, in_words(&rival.rival)))
+            .collect();
+        text += &format!(
+            " If {} is true, it is expected to have {:.0} % after it instead of {:.0} %: {}.",
+            in_words(&outlook.truth),
+            100.0 * outlook.expected,
+            100.0 * outlook.now,
+            rivals.join(", ")
+        );
+    }
+    text += " Diagnose the old and the new flight together, the new one given with --new.";
+    text
+}
+
 /// An effect with its numbers.
 pub fn one(effect: &EffectAnswer) -> String {
     let numbers: Vec<String> = effect
@@ -77,7 +121,7 @@ fn short(number: f64) -> String {
 /// The answer for a terminal: verdict first, then where, which, how far, and what these logs
 /// cannot tell.
 pub fn report(answer: &Answer) -> String {
-    let mut text = format!("{}\n\nwhere      {}\n", answer.finding, answer.map.sentence);
+    let mut text = format!("{}\n\nwhere      {}\n", answer.finding.sentence, answer.map.sentence);
     for (line, effect) in answer.effects.iter().enumerate() {
         let head = if line == 0 { "which" } else { "" };
         text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);
@@ -100,12 +144,33 @@ pub fn report(answer: &Answer) -> String {
         }
         text += &format!(", {:.2} with the effects, {:.2} of noise alone\n", gap.after, gap.floor);
     }
+    if let Some(ClosedLoop { position_m, thrust_n, moment_nm, .. }) = &answer.closed_loop {
+        for (line, (name, unit, difference)) in
+            [("position", "m", position_m), ("thrust", "N", thrust_n), ("moment", "N m", moment_nm)]
+                .into_iter()
+                .enumerate()
+        {
+            let head = if line == 0 { "again" } else { "" };
+            text += &format!(
+                "{head:10} {name} off by {} {unit}, {} with the effects, {} of noise alone\n",
+                short(difference.before),
+                short(difference.after),
+                short(difference.floor)
+            );
+        }
+    }
+    if let Some(missing) = &answer.closed_loop_missing {
+        text += &format!("again      not flown: {missing}\n");
+    }
     if let Some([before, after]) = &answer.unmodelled_force {
         text += &format!(
             "left over  {:.3} m/s^2 of force per mass, {:.3} before\n",
             after.rms(),
             before.rms()
         );
+    }
+    if let Some(next) = &answer.next_flight {
+        text += &format!("next       {}\n", next_flight(next));
     }
     if !answer.not_testable.is_empty() {
         let ids: Vec<&str> = answer.not_testable.iter().map(|effect| effect.id).collect();

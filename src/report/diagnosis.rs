@@ -1,5 +1,8 @@
 //! The page of a diagnosis: verdict first, then where, which, how far, what the logs cannot tell.
 
+mod next_flight;
+mod reflight;
+
 use std::fmt::Write;
 
 use super::axis::significant;
@@ -8,7 +11,7 @@ use super::table::{Table, definitions};
 use crate::diagnose::answer::{Answer, Gap, Verdict};
 use crate::diagnose::gap::{HORIZONS_S, QUANTITIES};
 use crate::diagnose::map::Regime;
-use crate::diagnose::words::one;
+use crate::diagnose::words::{self, closed_loop, one};
 
 /// Size of a drawing, pixels.
 const WIDTH: f64 = 640.0;
@@ -37,7 +40,20 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
             &how_far(gap),
         );
     }
+    if let Some(flown) = &answer.closed_loop {
+        page.section(
+            "Flown again",
+            &format!(
+                "{} Feedback hides a plant's errors in the trajectory and shows them in the commands.",
+                closed_loop(flown)
+            ),
+            &reflight::html(flown),
+        );
+    }
     page.section("What these logs cannot tell", "", &untold(answer));
+    if let Some(next) = &answer.next_flight {
+        page.section("Next flight", &words::next_flight(next), &next_flight::html(next));
+    }
     page.section("How this was computed", "", &provenance(answer));
     page.into_html()
 }
@@ -52,7 +68,7 @@ fn verdict(answer: &Answer, page: &mut Page) {
     let reasons: Vec<String> = named
         .map(|effect| format!("{}: probability {:.0} %", one(effect), 100.0 * effect.probability))
         .collect();
-    page.verdict(mood, &answer.finding, &reasons);
+    page.verdict(mood, &answer.finding.sentence, &reasons);
     if let Some(gap) = &answer.gap {
         let mut figures = vec![
             ("gap before", significant(gap.before), Mood::Plain),
@@ -244,6 +260,9 @@ fn untold(answer: &Answer) -> String {
             "<p>Every effect of the catalogue that was looked for can be seen in these logs.</p>";
     } else {
         html += &table.into_html();
+    }
+    if let Some(reason) = &answer.closed_loop_missing {
+        let _ = write!(html, "<p>Not flown again in closed loop: {}.</p>", escape(reason));
     }
     if let Some([before, after]) = &answer.unmodelled_force {
         let _ = write!(

@@ -59,12 +59,12 @@ pub fn html(experiment: &Experiment<'_>) -> String {
     page.section(
         "Trajectories",
         "The first flight of each controller, to scale, seen from the south-west.",
-        &trajectories(experiment),
+        &trajectories(experiment.contenders),
     );
     page.section(
         "Tracking error",
         "Absolute error against the desired trajectory, first flight of each controller.",
-        &errors(experiment),
+        &errors(experiment.contenders),
     );
     page.section(
         "Open loop and feedback",
@@ -143,16 +143,15 @@ fn comparison(experiment: &Experiment<'_>) -> String {
     table.into_html()
 }
 
-fn trajectories(experiment: &Experiment<'_>) -> String {
-    let flown: Vec<(&str, Vec<Ned>)> = experiment
-        .contenders
+/// The first flight of each controller, drawn.
+pub(super) fn trajectories(contenders: &[Contender]) -> String {
+    let flown: Vec<(&str, Vec<Ned>)> = contenders
         .iter()
         .map(|c| (c.name.as_str(), c.first.instants.iter().map(|i| i.flown).collect()))
         .collect();
     let paths: Vec<(&str, &[Ned])> =
         flown.iter().map(|(name, path)| (*name, path.as_slice())).collect();
-    let desired: Vec<Ned> = experiment
-        .contenders
+    let desired: Vec<Ned> = contenders
         .first()
         .map(|c| c.first.instants.iter().map(|i| i.desired).collect())
         .unwrap_or_default();
@@ -160,9 +159,9 @@ fn trajectories(experiment: &Experiment<'_>) -> String {
 }
 
 /// Curves of a figure for every controller, on the ticks of the first.
-fn panel(experiment: &Experiment<'_>, name: &str, value: impl Fn(&Instant) -> f64) -> Panel {
-    let ticks = experiment.contenders.first().map_or(0, |c| c.first.instants.len());
-    let curves = experiment.contenders.iter().zip(1..).map(|(contender, colour)| {
+fn panel(contenders: &[Contender], name: &str, value: impl Fn(&Instant) -> f64) -> Panel {
+    let ticks = contenders.first().map_or(0, |c| c.first.instants.len());
+    let curves = contenders.iter().zip(1..).map(|(contender, colour)| {
         let mut y: Vec<f64> = contender.first.instants.iter().map(&value).collect();
         y.resize(ticks, f64::NAN);
         Curve { name: contender.name.clone(), style: Style::Colour(colour), y }
@@ -170,16 +169,17 @@ fn panel(experiment: &Experiment<'_>, name: &str, value: impl Fn(&Instant) -> f6
     Panel { name: name.to_owned(), curves: curves.collect() }
 }
 
-fn errors(experiment: &Experiment<'_>) -> String {
-    let Some(first) = experiment.contenders.first() else { return String::new() };
+/// The tracking error over time, first flight of each controller.
+pub(super) fn errors(contenders: &[Contender]) -> String {
+    let Some(first) = contenders.first() else { return String::new() };
     let time: Vec<f64> = first.first.instants.iter().map(|i| i.time_s).collect();
     let axis = |axis: usize| move |i: &Instant| (i.flown - i.desired).to_array()[axis].abs();
     let panels = vec![
-        panel(experiment, "north (m)", axis(0)),
-        panel(experiment, "east (m)", axis(1)),
-        panel(experiment, "down (m)", axis(2)),
-        panel(experiment, "distance (m)", |i| (i.flown - i.desired).norm()),
-        panel(experiment, "yaw (deg)", |i| i.yaw_error_rad.abs().to_degrees()),
+        panel(contenders, "north (m)", axis(0)),
+        panel(contenders, "east (m)", axis(1)),
+        panel(contenders, "down (m)", axis(2)),
+        panel(contenders, "distance (m)", |i| (i.flown - i.desired).norm()),
+        panel(contenders, "yaw (deg)", |i| i.yaw_error_rad.abs().to_degrees()),
     ];
     Chart { x_label: TIME, x: &time, bands: &[], height: 100.0, panels }.to_html()
 }

@@ -2,6 +2,7 @@
 
 use crate::config::SitlConfig;
 use crate::effects::EffectSet;
+use crate::foreign::Foreign;
 use crate::plant::Plant;
 use crate::sensors::{Readings, Sensors};
 use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
@@ -48,6 +49,10 @@ impl Airframe {
         let readings = sensors.sample(&plant);
         let cells = vehicle.battery.cells;
         Ok(Self { plant, sensors, readings, airborne, cells, consumed_ah: 0.0 })
+    }
+
+    pub(super) fn disturb(&mut self, foreign: Foreign, seed: u64) {
+        self.plant.disturb(foreign, seed);
     }
 
     pub(super) fn airborne(&self) -> bool {

@@ -40,6 +40,7 @@ use self::link::Receiver;
 use self::protocol::Protocol;
 use crate::config::SitlConfig;
 use crate::effects::{CommandDelay, EffectSet, PdGain};
+use crate::foreign::Foreign;
 use crate::plant::Plant;
 use crate::vehicle::{VehicleError, VehicleParams};
 
@@ -120,6 +121,12 @@ impl Vehicle {
             loop_hz: nominal.rate_hz,
             ticks: 0,
         })
+    }
+
+    /// Lets something from outside the catalogue act on the vehicle from now on; `seed` draws what
+    /// of it is random.
+    pub fn disturb(&mut self, foreign: Foreign, seed: u64) {
+        self.airframe.disturb(foreign, seed);
     }
 
     /// Begins to serve a peer: streams go to it before it says anything. A peer that is already

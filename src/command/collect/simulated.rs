@@ -99,6 +99,7 @@ impl Simulator<'_> {
         let simulated = SimulatedFlight {
             config: self.config,
             vehicle: self.vehicle,
+            airframe: &self.vehicle.params,
             truth: &truth,
             course: &Course::Desired(flight.trajectory.clone()),
             run: &flight.name,

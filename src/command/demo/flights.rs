@@ -11,7 +11,7 @@ use crate::command::course::Course;
 use crate::command::progress::flight_bar;
 use crate::command::setup::EffectiveVehicle;
 use crate::command::simulation::{Simulated, SimulatedFlight};
-use crate::command::{Exit, say, summary};
+use crate::command::{Exit, ExitContext, say, summary};
 use crate::report::comparison::{Contender, Track};
 use crate::report::flight::FlightReport;
 use crate::station::End;
@@ -32,7 +32,10 @@ impl Demo<'_> {
     /// Flies every course as often as asked; nothing where it was interrupted.
     pub(super) fn fly(&self, courses: &[(Contestant, Course)]) -> anyhow::Result<Option<Flown>> {
         let args = self.args;
-        let hover_thrust_n = EffectiveVehicle::new(&self.vehicle.params)?.hover.hover_thrust_n();
+        let hover_thrust_n = EffectiveVehicle::new(&self.vehicle.params)
+            .or_exit(Exit::Usage)?
+            .hover
+            .hover_thrust_n();
         let length: f64 = courses.iter().map(|(_, course)| course.duration()).sum();
         let progress = flight_bar(length * args.flights as f64);
         let mut flown = None;
@@ -48,6 +51,7 @@ impl Demo<'_> {
                 let flight = SimulatedFlight {
                     config: &self.config,
                     vehicle: &self.vehicle,
+                    airframe: &self.vehicle.params,
                     truth: &self.truth,
                     course,
                     run: &run_name(course, *contestant, seed, args),

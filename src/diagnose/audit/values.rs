@@ -3,6 +3,9 @@
 use sitl::frame::{Frd, Ned};
 
 use super::{Audit, Finding, Severity, UnusableSpan};
+
+/// A stream that stood still for some time.
+pub(super) const STOOD_STILL: &str = "frozen";
 use crate::log::import::{Flight, Stream};
 
 /// A share of samples that only repeat the one before which is worth a word.
@@ -98,7 +101,7 @@ fn repeated<T>(
     if !frozen.is_empty() {
         audit.findings.push(Finding {
             severity: Severity::Fault,
-            check: "frozen",
+            check: STOOD_STILL,
             stream: Some(name),
             found: stopped,
             expected: 0.0,

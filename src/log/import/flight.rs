@@ -6,6 +6,7 @@ use sitl::frame::{Attitude, Frd, Ned};
 use sitl::vehicle::VehicleParams;
 
 use super::facts::VehicleFacts;
+use crate::setpoint::Reference;
 
 /// Samples of one quantity, in the order of their times.
 ///
@@ -247,6 +248,8 @@ pub struct Flight {
     pub setpoint: Stream<AttitudeSetpoint>,
     /// Who wrote them.
     pub setpoint_source: SetpointSource,
+    /// What the daemon tracked, where it wrote the log and setpoints were sent.
+    pub reference: Stream<Reference>,
     /// Pack voltage, V.
     pub voltage: Stream<f64>,
     /// Whether the vehicle says that it is in the air; empty where it does not say.
@@ -280,6 +283,7 @@ impl Flight {
             rotor_speed: Stream::default(),
             setpoint: Stream::default(),
             setpoint_source: SetpointSource::default(),
+            reference: Stream::default(),
             voltage: Stream::default(),
             in_air: Stream::default(),
             truth: Stream::default(),

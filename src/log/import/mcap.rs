@@ -8,6 +8,7 @@ use wire::Frame;
 use super::flat::{self, Taken};
 use super::flight::Flight;
 use super::frames::Frames;
+use super::references::References;
 use super::tally::Tally;
 use crate::log::reader::{LogReader, ReadError};
 use crate::log::schema::{Flat, MavlinkFrameMessage};
@@ -24,6 +25,7 @@ pub(super) fn read(
     flight: &mut Flight,
 ) -> Result<(), ReadError> {
     let mut frames: Option<Frames> = None;
+    let mut references = References::default();
     let mut tally = Tally::default();
     while let Some(message) = reader.next_message()? {
         if message.channel.schema == MavlinkFrameMessage::NAME {
@@ -35,6 +37,8 @@ pub(super) fn read(
                 }
                 None => tally.add("frame that is damaged or unknown to the dialect", 1),
             }
+        } else if references.take(&message, &mut flight.reference) {
+            // One of the messages of a control tick.
         } else if flat::take(&message, flight) == Taken::Refused {
             let topic = &message.channel.topic;
             tally.add(&format!("{topic}: not finite or out of order"), 1);

@@ -13,6 +13,7 @@ pub mod mapping;
 mod mcap;
 mod onboard;
 mod read_ahead;
+mod references;
 mod source;
 mod tally;
 mod tlog;

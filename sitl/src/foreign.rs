@@ -1,0 +1,397 @@
+//! What the catalogue of effects does not have: disturbances from outside, and other laws than the
+//! catalogue's for causes that it knows. Checks of a diagnosis are made with them; a simulated
+//! vehicle has one at most.
+
+use std::f64::consts::TAU;
+
+use rand::{Rng, SeedableRng};
+use rand_distr::{Distribution, Exp1, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+
+use crate::effects::Wrench;
+use crate::frame::{Frd, Ned};
+use crate::physics::Loads;
+use crate::rigid_body::State;
+use crate::vehicle::ROTORS;
+
+/// Height at which [`Foreign::WindShear`] blows with its stated velocity, m.
+const SHEAR_HEIGHT: f64 = 3.0;
+/// Least height that the shear is taken at, m.
+const SHEAR_HEIGHT_MIN: f64 = 0.1;
+
+/// A disturbance, or another law.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Foreign {
+    /// A load that is part of the vehicle's mass but swings on a line. With w^2 = g / l,
+    /// r'' = -(w^2 r + 2 c w r' + a), r its horizontal place under the vehicle and a the vehicle's
+    /// horizontal acceleration; against a fixed load it adds the force m (w^2 r + a).
+    SlungLoad {
+        /// m, kg.
+        mass_kg: f64,
+        /// l, m.
+        length_m: f64,
+        /// c, the damping ratio.
+        damping: f64,
+    },
+    /// A line to a place in the world that pulls like a spring where it is taut.
+    Tether {
+        /// North, east, down, m.
+        anchor_m: [f64; 3],
+        /// Length at which it begins to pull, m.
+        slack_m: f64,
+        /// N/m
+        stiffness_n_m: f64,
+    },
+    /// A force in the world that swings, whatever the vehicle does.
+    Periodic {
+        /// North, east, down, N.
+        force_n: [f64; 3],
+        /// s
+        period_s: f64,
+    },
+    /// A force in the world around a place, as of a fan: by exp(-(d / radius)^2) of the horizontal
+    /// distance d.
+    Jet {
+        /// North, east, m.
+        centre_m: [f64; 2],
+        /// m
+        radius_m: f64,
+        /// North, east, down, N.
+        force_n: [f64; 3],
+    },
+    /// Pushes in random directions at random times.
+    Bumps {
+        /// N
+        force_n: f64,
+        /// s
+        duration_s: f64,
+        /// Mean time between them, s.
+        interval_s: f64,
+    },
+    /// One rotor loses thrust for moments at random times.
+    ThrustBursts {
+        /// Which.
+        rotor: usize,
+        /// Share that is lost.
+        loss: f64,
+        /// s
+        duration_s: f64,
+        /// Mean time between them, s.
+        interval_s: f64,
+    },
+    /// A force to the right of the body that grows with the yaw rate.
+    YawRateForce {
+        /// N s/rad
+        force_ns: f64,
+    },
+    /// Drag that grows with another power of the speed: F = -c |v|^(p - 1) v on the velocity
+    /// relative to the air.
+    DragPower {
+        /// c, N / (m/s)^p.
+        coefficient: f64,
+        /// p
+        exponent: f64,
+    },
+    /// Quadratic drag of a body that is not a sphere: F_i = -q_i |v| v_i, with a cross term that
+    /// lifts it: F_z += -x |v_h|^2.
+    DragBody {
+        /// q along body front, right, down, N s^2/m^2.
+        quadratic: [f64; 3],
+        /// x, N s^2/m^2.
+        cross: f64,
+    },
+    /// Rotors that follow by two equal lags in a row.
+    LagSecondOrder {
+        /// Each, s.
+        tau_s: f64,
+    },
+    /// Rotors that spin down more slowly than up.
+    LagAsymmetric {
+        /// s
+        up_s: f64,
+        /// s
+        down_s: f64,
+    },
+    /// Thrust near the floor times 1 + gain exp(-h / length).
+    GroundExponential {
+        /// -
+        gain: f64,
+        /// m
+        length_m: f64,
+    },
+    /// Thrust times (V / full)^exponent, V the terminal voltage behind a first-order lag: the pack
+    /// recovers.
+    SagRecovery {
+        /// -
+        exponent: f64,
+        /// s
+        recovery_s: f64,
+    },
+    /// Thrust by s + b (s^3 - s).
+    CurveCubic {
+        /// b
+        b: f64,
+    },
+    /// Wind that grows with height by a power law: v (h / 3 m)^exponent.
+    WindShear {
+        /// North, east at 3 m, m/s.
+        velocity_m_s: [f64; 2],
+        /// -
+        exponent: f64,
+    },
+}
+
+impl Foreign {
+    /// Its kind in files.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::SlungLoad { .. } => "slung_load",
+            Self::Tether { .. } => "tether",
+            Self::Periodic { .. } => "periodic",
+            Self::Jet { .. } => "jet",
+            Self::Bumps { .. } => "bumps",
+            Self::ThrustBursts { .. } => "thrust_bursts",
+            Self::YawRateForce { .. } => "yaw_rate_force",
+            Self::DragPower { .. } => "drag_power",
+            Self::DragBody { .. } => "drag_body",
+            Self::LagSecondOrder { .. } => "lag_second_order",
+            Self::LagAsymmetric { .. } => "lag_asymmetric",
+            Self::GroundExponential { .. } => "ground_exponential",
+            Self::SagRecovery { .. } => "sag_recovery",
+            Self::CurveCubic { .. } => "curve_cubic",
+            Self::WindShear { .. } => "wind_shear",
+        }
+    }
+}
+
+/// What a foreign thing sees of the plant at the start of a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scene<'a> {
+    pub state: &'a State,
+    pub loads: &'a Loads<f64>,
+    pub air_velocity: Ned,
+    /// Above the floor, m.
+    pub height: f64,
+    /// Terminal voltage over the full one.
+    pub voltage: f64,
+    pub gravity: f64,
+}
+
+/// A foreign thing at work.
+#[derive(Clone, Debug)]
+pub(crate) struct Active {
+    law: Foreign,
+    rng: Pcg64Mcg,
+    time: f64,
+    wrench: Wrench<f64>,
+    air: Ned,
+    /// Factor on each rotor's thrust.
+    factors: [f64; ROTORS],
+    swing: Swing,
+    moment: Moment,
+    /// Rotors' states between two lags.
+    between: [f64; ROTORS],
+    slow_voltage: Option<f64>,
+}
+
+/// A load under the vehicle: north and east.
+#[derive(Clone, Copy, Debug, Default)]
+struct Swing {
+    place: [f64; 2],
+    rate: [f64; 2],
+    velocity: Option<Ned>,
+}
+
+/// Something that lasts for a moment, at random times.
+#[derive(Clone, Copy, Debug)]
+struct Moment {
+    begins: f64,
+    ends: f64,
+    direction: Ned,
+}
+
+impl Active {
+    pub fn new(law: Foreign, seed: u64) -> Self {
+        Self {
+            rng: Pcg64Mcg::seed_from_u64(seed ^ 0xf0_4e16),
+            time: 0.0,
+            wrench: Wrench { force: Frd::zero(), moment: Frd::zero() },
+            air: Ned::zero(),
+            factors: [1.0; ROTORS],
+            swing: Swing::default(),
+            moment: Moment { begins: 0.0, ends: 0.0, direction: Ned::zero() },
+            between: [0.0; ROTORS],
+            slow_voltage: None,
+            law,
+        }
+    }
+
+    /// Force and moment over this step.
+    pub fn wrench(&self) -> Wrench<f64> {
+        self.wrench
+    }
+
+    /// Velocity of the air beside the plant's own, m/s.
+    pub fn air_velocity(&self) -> Ned {
+        self.air
+    }
+
+    /// The states that thrust and speed go with.
+    pub fn bent(&self, states: &[f64; ROTORS]) -> [f64; ROTORS] {
+        std::array::from_fn(|i| {
+            let s = states[i];
+            let bent = match self.law {
+                Foreign::CurveCubic { b } => s + b * (s * s * s - s),
+                _ => s,
+            };
+            bent * self.factors[i]
+        })
+    }
+
+    /// Whether the rotors follow by a law of its own.
+    pub fn lags(&self) -> bool {
+        matches!(self.law, Foreign::LagSecondOrder { .. } | Foreign::LagAsymmetric { .. })
+    }
+
+    /// The rotors' states half way and at the end of a step.
+    pub fn follow(
+        &mut self,
+        states: &[f64; ROTORS],
+        outputs: &[f64; ROTORS],
+        step: f64,
+    ) -> [[f64; ROTORS]; 2] {
+        let toward =
+            |from: f64, to: f64, tau: f64, time: f64| to + (from - to) * (-time / tau).exp();
+        match self.law {
+            Foreign::LagSecondOrder { tau_s } => {
+                let before = self.between;
+                for (between, output) in self.between.iter_mut().zip(outputs) {
+                    *between = toward(*between, *output, tau_s, step);
+                }
+                let target: [f64; ROTORS] =
+                    std::array::from_fn(|i| 0.5 * (before[i] + self.between[i]));
+                [0.5 * step, step]
+                    .map(|time| std::array::from_fn(|i| toward(states[i], target[i], tau_s, time)))
+            }
+            Foreign::LagAsymmetric { up_s, down_s } => [0.5 * step, step].map(|time| {
+                std::array::from_fn(|i| {
+                    let tau = if outputs[i] > states[i] { up_s } else { down_s };
+                    toward(states[i], outputs[i], tau, time)
+                })
+            }),
+            _ => [*outputs; 2],
+        }
+    }
+
+    /// The rotors were put into these states.
+    pub fn reset(&mut self, states: &[f64; ROTORS]) {
+        self.between = *states;
+    }
+
+    /// Lets a step begin.
+    pub fn advance(&mut self, scene: &Scene<'_>, step: f64) {
+        self.time += step;
+        let state = scene.state;
+        let to_body = |force: Ned| state.attitude.to_body(force);
+        let relative = to_body(state.velocity - scene.air_velocity);
+        let mut force = Frd::zero();
+        let mut moment = Frd::zero();
+        match self.law.clone() {
+            Foreign::SlungLoad { mass_kg, length_m, damping } => {
+                let [n, e] = self.swing.advance(state, scene.gravity / length_m, damping, step);
+                force = to_body(Ned::new(mass_kg * n, mass_kg * e, 0.0));
+            }
+            Foreign::Tether { anchor_m, slack_m, stiffness_n_m } => {
+                let line = Ned::from(anchor_m) - state.position;
+                let length = line.norm();
+                if length > slack_m {
+                    force = to_body(line * (stiffness_n_m * (length - slack_m) / length));
+                }
+            }
+            Foreign::Periodic { force_n, period_s } => {
+                force = to_body(Ned::from(force_n) * (TAU * self.time / period_s).sin());
+            }
+            Foreign::Jet { centre_m: [north, east], radius_m, force_n } => {
+                let [n, e, _] = state.position.to_array();
+                let distance2 = (n - north).powi(2) + (e - east).powi(2);
+                let share = (-distance2 / (radius_m * radius_m)).exp();
+                force = to_body(Ned::from(force_n) * share);
+            }
+            Foreign::Bumps { force_n, duration_s, interval_s } => {
+                if self.in_moment(duration_s, interval_s) {
+                    let phase = (self.time - self.moment.begins) / duration_s;
+                    let size = force_n * (0.5 * TAU * phase).sin();
+                    force = to_body(self.moment.direction * size);
+                }
+            }
+            Foreign::ThrustBursts { rotor, loss, duration_s, interval_s } => {
+                let lost = if self.in_moment(duration_s, interval_s) { loss } else { 0.0 };
+                self.factors[rotor.min(ROTORS - 1)] = 1.0 - lost;
+            }
+            Foreign::YawRateForce { force_ns } => {
+                let [_, _, yaw_rate] = state.body_rate.to_array();
+                force = Frd::new(0.0, force_ns * yaw_rate, 0.0);
+            }
+            Foreign::DragPower { coefficient, exponent } => {
+                let speed = relative.norm().max(1e-9);
+                force = relative * (-coefficient * speed.powf(exponent - 1.0));
+            }
+            Foreign::DragBody { quadratic, cross } => {
+                let [x, y, _] = relative.to_array();
+                force = relative.scale_by(quadratic) * -relative.norm();
+                force += Frd::new(0.0, 0.0, -cross * (x * x + y * y));
+            }
+            Foreign::GroundExponential { gain, length_m } => {
+                let more = gain * (-scene.height.max(0.0) / length_m).exp();
+                let [roll, pitch] = scene.loads.tilting_moments();
+                force = Frd::new(0.0, 0.0, -more * scene.loads.thrust());
+                moment = Frd::new(more * roll, more * pitch, 0.0);
+            }
+            Foreign::SagRecovery { exponent, recovery_s } => {
+                let slow = self.slow_voltage.get_or_insert(scene.voltage);
+                *slow += (scene.voltage - *slow) * (step / recovery_s).min(1.0);
+                self.factors = [slow.powf(exponent); ROTORS];
+            }
+            Foreign::WindShear { velocity_m_s: [north, east], exponent } => {
+                let height = scene.height.max(SHEAR_HEIGHT_MIN) / SHEAR_HEIGHT;
+                self.air = Ned::new(north, east, 0.0) * height.powf(exponent);
+            }
+            Foreign::LagSecondOrder { .. }
+            | Foreign::LagAsymmetric { .. }
+            | Foreign::CurveCubic { .. } => {}
+        }
+        self.wrench = Wrench { force, moment };
+    }
+
+    /// Whether one of the moments is now; the next is drawn where one has passed.
+    fn in_moment(&mut self, duration_s: f64, interval_s: f64) -> bool {
+        if self.time >= self.moment.ends {
+            let wait: f64 = Exp1.sample(&mut self.rng);
+            let begins = self.time + interval_s * wait;
+            let direction: [f64; 3] =
+                std::array::from_fn(|_| self.rng.sample::<f64, _>(StandardNormal));
+            let direction = Ned::from(direction);
+            let direction = direction * direction.norm().max(1e-9).recip();
+            self.moment = Moment { begins, ends: begins + duration_s, direction };
+        }
+        self.time >= self.moment.begins
+    }
+}
+
+impl Swing {
+    /// The force over the load's mass, north and east.
+    fn advance(&mut self, state: &State, stiffness: f64, damping: f64, step: f64) -> [f64; 2] {
+        let before = self.velocity.replace(state.velocity).unwrap_or(state.velocity);
+        let [n, e, _] = ((state.velocity - before) * step.recip()).to_array();
+        let friction = 2.0 * damping * stiffness.sqrt();
+        let acceleration = [n, e];
+        std::array::from_fn(|i| {
+            let (place, rate) = (&mut self.place[i], &mut self.rate[i]);
+            *rate += step * (-stiffness * *place - friction * *rate - acceleration[i]);
+            *place += step * *rate;
+            stiffness * *place + acceleration[i]
+        })
+    }
+}

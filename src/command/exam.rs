@@ -1,0 +1,323 @@
+//! `downwash exam`: the blind check of the diagnosis, as a command.
+//!
+//! Everything is flown first; the key's hash is written then, and only then is each case diagnosed,
+//! by a process of its own whose folder and environment hold nothing but that case's files. The
+//! key stays in this process until the last answer is in.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::num::NonZeroUsize;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::Instant;
+
+use anyhow::{Context, anyhow, bail};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde::Serialize;
+use sitl::effects::EffectSet;
+use sitl::vehicle::VehicleParams;
+
+use super::logs::open_for;
+use super::{Exit, on_interrupt, print_json, print_text, say, write_file};
+use crate::cli::ExamArgs;
+use crate::diagnose::gap::ReportNoise;
+use crate::diagnose::preparation::PreparedFlight;
+use crate::exam::answer::Given;
+use crate::exam::case::{Case, Kind, Order, RoundTrip, Settings};
+use crate::exam::closure::closure;
+use crate::exam::draw::Draw;
+use crate::exam::key::{Key, KeyEntry, commitment, entropy};
+use crate::exam::score::Row;
+use crate::exam::summary::Summary;
+use crate::report::exam;
+
+/// Stream of the exam's seed that the kinds and their order are drawn from.
+const ORDER: u64 = 0;
+/// Cases with something to find, where nothing else is asked for.
+const CASES: usize = 60;
+/// The vehicles of a round trip.
+const SHIPPED: [&str; 2] = [
+    include_str!("../../config/vehicles/crazyflie.toml"),
+    include_str!("../../config/vehicles/quad1200.toml"),
+];
+
+/// The JSON of `exam`, and its summary.json.
+#[derive(Serialize)]
+struct ExamSummary<'a> {
+    schema: &'static str,
+    schema_version: u32,
+    seed: u64,
+    commitment: &'a str,
+    /// Cases that were asked for and were not diagnosed.
+    left_out: usize,
+    /// Wall time of the flights, and of the diagnoses, s.
+    wall_s: [f64; 2],
+    #[serde(flatten)]
+    summary: &'a Summary,
+    cases: &'a [Row],
+}
+
+/// A case whose logs are on disk, with what stays in memory.
+struct Flown {
+    name: String,
+    nominal: VehicleParams,
+    truth: EffectSet,
+    key: KeyEntry,
+    noise: ReportNoise,
+    logs: usize,
+}
+
+pub(super) fn run(args: &ExamArgs) -> anyhow::Result<Exit> {
+    let seed = args.seed.unwrap_or_else(entropy);
+    say(format_args!("seed {seed}"));
+    let interrupted = Arc::new(AtomicBool::new(false));
+    on_interrupt(&interrupted)?;
+    fs::create_dir_all(&args.out)
+        .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    // The processes that diagnose have other working directories.
+    let out = args.out.canonicalize().with_context(|| args.out.display().to_string())?;
+    let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
+    let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
+    let orders = orders(args, seed)?;
+    let began = Instant::now();
+    let flown = hall.fly(&orders)?;
+    if flown.is_empty() {
+        return Ok(if interrupted.load(Ordering::Relaxed) { Exit::Interrupted } else { Exit::Ok });
+    }
+    let entries = flown.iter().map(|case| (case.name.clone(), case.key.clone())).collect();
+    let key = Key::new(seed, entries).bytes().context("the key")?;
+    let hash = commitment(&key);
+    write_file(&out.join("commitment.txt"), format!("{hash}  key.json\n").as_bytes())?;
+    let flights_s = began.elapsed().as_secs_f64();
+    let rows = hall.diagnose(&flown)?;
+    write_file(&out.join("key.json"), &key)?;
+    let summary = Summary::new(&rows);
+    let wall_s = [flights_s, began.elapsed().as_secs_f64() - flights_s];
+    let provenance = exam::Provenance { seed, commitment: &hash, wall_s };
+    let whole = ExamSummary {
+        schema: "downwash.exam",
+        schema_version: 1,
+        seed,
+        commitment: &hash,
+        left_out: orders.len() - rows.len(),
+        wall_s,
+        summary: &summary,
+        cases: &rows,
+    };
+    let json = serde_json::to_vec_pretty(&whole).context("summary.json")?;
+    write_file(&out.join("summary.json"), &json)?;
+    write_file(&out.join("report.html"), exam::html(&summary, &rows, &provenance).as_bytes())?;
+    if args.json {
+        print_json(&whole)?;
+    } else {
+        print_text(&exam::text(&summary, &rows))?;
+    }
+    say(format_args!("report: {}", out.join("report.html").display()));
+    Ok(if interrupted.load(Ordering::Relaxed) {
+        Exit::Interrupted
+    } else if args.fail_on_miss && summary.failures().next().is_some() {
+        Exit::Check
+    } else {
+        Exit::Ok
+    })
+}
+
+/// What each case asks, in an order that its name gives nothing away of.
+fn orders(args: &ExamArgs, seed: u64) -> anyhow::Result<Vec<Order>> {
+    let mut draw = Draw::new(seed, ORDER);
+    let mut orders = if args.round_trip {
+        let vehicles: Vec<VehicleParams> = SHIPPED
+            .iter()
+            .map(|text| VehicleParams::from_toml_str(text))
+            .collect::<Result<_, _>>()
+            .context("a built-in vehicle")?;
+        RoundTrip::all(&vehicles)
+    } else {
+        kinds(args).into_iter().map(Order::from).collect()
+    };
+    draw.shuffle(&mut orders);
+    if args.round_trip {
+        orders.truncate(args.cases.unwrap_or(usize::MAX));
+    }
+    Ok(orders)
+}
+
+fn kinds(args: &ExamArgs) -> Vec<Kind> {
+    let wanted: Vec<(Kind, f64)> = Kind::SHARES
+        .into_iter()
+        .filter(|(kind, _)| args.kinds.is_empty() || args.kinds.contains(kind))
+        .collect();
+    let total: f64 = wanted.iter().map(|(_, share)| share).sum();
+    let count = args.cases.unwrap_or(CASES) as f64;
+    let mut kinds = vec![Kind::Null; args.nulls];
+    let (mut due, mut before) = (0.0, 0);
+    for (kind, share) in wanted {
+        due += share / total * count;
+        let upto = f64::round(due) as usize;
+        kinds.extend(std::iter::repeat_n(kind, upto - before));
+        before = upto;
+    }
+    kinds
+}
+
+/// Where an exam is held.
+struct Hall<'a> {
+    args: &'a ExamArgs,
+    out: &'a Path,
+    seed: u64,
+    jobs: usize,
+    interrupted: &'a AtomicBool,
+}
+
+impl Hall<'_> {
+    /// Does `work` for each of `count` in `jobs` threads, until done or interrupted; what it gives
+    /// in order.
+    fn each<T: Send>(
+        &self,
+        count: usize,
+        what: &'static str,
+        work: impl Fn(usize) -> anyhow::Result<T> + Sync,
+    ) -> anyhow::Result<Vec<T>> {
+        let progress = progress_bar(count as u64, what);
+        let next = AtomicUsize::new(0);
+        let done = Mutex::new(BTreeMap::new());
+        let worker = || -> anyhow::Result<()> {
+            while !self.interrupted.load(Ordering::Relaxed) {
+                let turn = next.fetch_add(1, Ordering::Relaxed);
+                if turn >= count {
+                    break;
+                }
+                let result = work(turn)?;
+                progress.inc(1);
+                if let Ok(mut done) = done.lock() {
+                    done.insert(turn, result);
+                }
+            }
+            Ok(())
+        };
+        thread::scope(|scope| {
+            let workers: Vec<_> = (0..self.jobs.min(count)).map(|_| scope.spawn(worker)).collect();
+            workers.into_iter().try_for_each(|worker| match worker.join() {
+                Ok(result) => result,
+                Err(panic) => std::panic::resume_unwind(panic),
+            })
+        })?;
+        progress.finish_and_clear();
+        Ok(done.into_inner().unwrap_or_default().into_values().collect())
+    }
+
+    fn folder(&self, name: &str) -> PathBuf {
+        self.out.join("cases").join(name)
+    }
+
+    fn fly(&self, orders: &[Order]) -> anyhow::Result<Vec<Flown>> {
+        let settings = Settings { seconds: self.args.seconds, ..Settings::default() };
+        let cases = self.out.join("cases");
+        if cases.exists() {
+            bail!("{} exists already: give an exam an --out of its own", cases.display());
+        }
+        self.each(orders.len(), "flying", |number| {
+            let name = format!("case_{number:03}");
+            let case = Case::fly(&settings, self.seed, number as u64, &name, &orders[number])
+                .with_context(|| name.clone())?;
+            let folder = self.folder(&name);
+            fs::create_dir_all(&folder)
+                .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+            let vehicle = serde_json::to_vec_pretty(&case.nominal).context("vehicle.json")?;
+            write_file(&folder.join("vehicle.json"), &vehicle)?;
+            for (log, bytes) in log_names(case.logs.len()).zip(&case.logs) {
+                write_file(&folder.join(log), bytes)?;
+            }
+            Ok(Flown {
+                name,
+                nominal: case.nominal,
+                truth: case.truth,
+                key: case.key,
+                noise: case.noise,
+                logs: case.logs.len(),
+            })
+        })
+    }
+
+    fn diagnose(&self, flown: &[Flown]) -> anyhow::Result<Vec<Row>> {
+        let answers = self.out.join("answers");
+        fs::create_dir_all(&answers)
+            .with_context(|| format!("cannot create the folder {}", answers.display()))?;
+        self.each(flown.len(), "diagnosing", |number| {
+            let case = &flown[number];
+            let began = Instant::now();
+            let answer = self.answer(case);
+            let seconds = began.elapsed().as_secs_f64();
+            let given = answer.and_then(|bytes| {
+                write_file(&answers.join(format!("{}.json", case.name)), &bytes)?;
+                serde_json::from_slice::<Given>(&bytes).context("its answer")
+            });
+            let closed = given.as_ref().ok().and_then(|given| self.closed(case, given));
+            if !self.args.keep {
+                let _ = fs::remove_dir_all(self.folder(&case.name));
+            }
+            let given = given.as_ref().map_err(|error| format!("{error:#}"));
+            let given = given.as_ref().map(|given| *given).map_err(String::as_str);
+            Ok(Row::new(&case.name, &case.key, given, closed, seconds))
+        })
+    }
+
+    /// What a process that sees nothing but the case's files answers.
+    fn answer(&self, case: &Flown) -> anyhow::Result<Vec<u8>> {
+        let program = std::env::current_exe().context("this program's own file")?;
+        let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        let mut command = Command::new(program);
+        command
+            .env_clear()
+            .env("RAYON_NUM_THREADS", (cores / self.jobs).max(1).to_string())
+            .current_dir(self.folder(&case.name))
+            // Ctrl-C is for this process: the diagnosis at hand is ended and scored.
+            .process_group(0)
+            .stdin(Stdio::null())
+            .args(["diagnose", "--json", "--vehicle", "vehicle.json"])
+            .args(log_names(case.logs));
+        if let Some(twins) = self.args.twins {
+            command.args(["--twins", &twins.to_string()]);
+        }
+        for effect in &case.key.without {
+            command.args(["--without", effect]);
+        }
+        let output = command.output().context("cannot start the diagnosis")?;
+        if !output.status.success() {
+            let errors = String::from_utf8_lossy(&output.stderr);
+            let last = errors.lines().last().unwrap_or_default();
+            return Err(anyhow!("the diagnosis ended with {}: {last}", output.status));
+        }
+        Ok(output.stdout)
+    }
+
+    /// What the answer truly closes on the flight held out; of an answer that names nothing, or
+    /// where the truth is outside of the catalogue, nothing can be said.
+    fn closed(&self, case: &Flown, given: &Given) -> Option<f64> {
+        let last = log_names(case.logs).last()?;
+        if case.truth.is_empty() || given.verdict != "effect" {
+            return None;
+        }
+        let flight = open_for(&self.folder(&case.name).join(last), None, &case.nominal).ok()?;
+        let held_out = [PreparedFlight::new(flight, &case.nominal).ok()?];
+        closure(&case.nominal, &case.truth, &given.effect_set(), &held_out, &case.noise).ok()?
+    }
+}
+
+fn log_names(count: usize) -> impl Iterator<Item = String> {
+    (1..=count).map(|number| format!("flight_{number}.tlog"))
+}
+
+fn progress_bar(length: u64, what: &'static str) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
+    let template = "{msg} {bar:40} {pos}/{len} cases, {eta} left";
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar.set_message(what);
+    bar
+}

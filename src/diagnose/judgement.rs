@@ -1,0 +1,129 @@
+//! The verdict: whether what was named explains what was seen.
+//!
+//! A force or a moment that is left counts if it is more than chance leaves and of practical size:
+//! if, within the time that a planner looks ahead, it moves the vehicle by more than the reports are
+//! uncertain. Both are told in that unit, so that forces and moments can be compared.
+
+use sitl::vehicle::VehicleParams;
+
+use super::gap::ReportNoise;
+use super::leftover::{UnmodelledForce, UnmodelledMoment};
+use super::observed::Observed;
+use super::residuals::{RATE, VELOCITY};
+use super::selection::Selection;
+use super::spectrum::{BANDS, CELL_S};
+
+/// Time over which a force is compared with the velocity's noise, s.
+const FORCE_TIME_S: f64 = 0.5;
+/// A smaller force matters to nobody, in units of the weight.
+const FORCE_MIN_WEIGHTS: f64 = 0.01;
+/// Standard errors by which what is left must stand out.
+const SIGNIFICANCE: f64 = 5.0;
+/// Share of what is unmodelled, in power, that effects may leave and still be the explanation.
+const LEFT_MAX: f64 = 0.3;
+
+/// Something unmodelled in units of what matters.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Size {
+    /// What is left after the best explanation; 0 where it may be chance.
+    pub left: f64,
+    /// What the explanation explains.
+    pub explained: f64,
+}
+
+/// What is left of forces and moments.
+#[derive(Clone, Debug)]
+pub struct Leftover {
+    /// Force before and after the best explanation, where two sensors see it.
+    pub force: Option<[UnmodelledForce; 2]>,
+    /// Moment before and after, where the on-board law is known.
+    pub moment: Option<[UnmodelledMoment; 2]>,
+}
+
+impl Leftover {
+    /// The force in units of what matters.
+    pub fn force_size(&self, vehicle: &VehicleParams, noise: &ReportNoise, explained: f64) -> Size {
+        // Over the time, the difference of two noisy velocities; three axes.
+        let unit = (6.0_f64.sqrt() * noise.velocity / FORCE_TIME_S)
+            .max(FORCE_MIN_WEIGHTS * vehicle.gravity);
+        let after = self.force.as_ref().map(|[_, after]| after);
+        let left = after.filter(|force| force.significance() > SIGNIFICANCE);
+        Size {
+            left: left.map_or(0.0, |force| force.rms() / unit),
+            explained: explained.max(0.0).sqrt() / unit,
+        }
+    }
+
+    /// The moment in units of what matters: the attitude or the body rate that it holds the vehicle
+    /// off its setpoint by, against the on-board loop, over their noise.
+    pub fn moment_size(
+        &self,
+        vehicle: &VehicleParams,
+        noise: &ReportNoise,
+        explained: [f64; 3],
+    ) -> Size {
+        let Some(pd) = vehicle.attitude_pd else { return Size::default() };
+        let size = |angular_acceleration: [f64; 3]| -> f64 {
+            let mut square = 0.0;
+            for axis in 0..3 {
+                let moment = vehicle.inertia[axis] * angular_acceleration[axis];
+                let attitude = moment / pd.kp[axis].max(f64::MIN_POSITIVE);
+                let rate = moment / pd.kd[axis].max(f64::MIN_POSITIVE);
+                square += (attitude / noise.attitude.max(1e-9))
+                    .max(rate / noise.body_rate.max(1e-9))
+                    .powi(2);
+            }
+            (square / 3.0).sqrt()
+        };
+        let after = self.moment.as_ref().map(|[_, after]| after);
+        let left = after.filter(|moment| moment.significance() > SIGNIFICANCE);
+        Size {
+            left: left.map_or(0.0, |moment| size(moment.rms())),
+            explained: size(explained.map(|square| square.max(0.0).sqrt())),
+        }
+    }
+}
+
+/// Whether what is left outweighs what is explained: of practical size, and more than a share of
+/// the whole.
+pub fn is_unexplained(sizes: [Size; 2], found: bool) -> bool {
+    let left = sizes[0].left.max(sizes[1].left);
+    let explained = if found { sizes[0].explained.max(sizes[1].explained) } else { 0.0 };
+    left > 1.0 && left.powi(2) > LEFT_MAX * (left.powi(2) + explained.powi(2))
+}
+
+/// Mean square that the chosen effects explain and the nuisances do not: of the acceleration,
+/// m^2/s^4, and of the angular acceleration about each axis, rad^2/s^4.
+pub fn explained(selection: &Selection, observed: &Observed<'_>) -> (f64, [f64; 3]) {
+    let counts = observed.counts();
+    let (null, best) = (selection.null.fit.noise(counts), selection.best.fit.noise(counts));
+    let of_channel = |channel: usize| -> f64 {
+        (0..BANDS.len())
+            .map(|band| {
+                let place = channel * BANDS.len() + band;
+                let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
+                (null[place] - best[place]) * 2.0 * CELL_S * (BANDS[band] - lower)
+            })
+            .sum()
+    };
+    let force = (VELOCITY..VELOCITY + 3).map(of_channel).sum();
+    (force, std::array::from_fn(|axis| of_channel(RATE + axis)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_left_must_matter_and_outweigh_what_is_explained() {
+        let size = |left, explained| Size { left, explained };
+        let none = Size::default();
+        assert!(!is_unexplained([size(0.9, 0.0), none], false));
+        assert!(is_unexplained([size(1.1, 0.0), none], false));
+        assert!(is_unexplained([none, size(1.1, 0.0)], false));
+        assert!(!is_unexplained([size(1.1, 9.0), none], true));
+        assert!(is_unexplained([size(8.0, 9.0), none], true));
+        // Nothing was found: what a larger model would explain does not count.
+        assert!(is_unexplained([size(1.1, 9.0), none], false));
+    }
+}

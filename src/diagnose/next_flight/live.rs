@@ -1,0 +1,102 @@
+//! Hypotheses that are still alive.
+
+use std::collections::BTreeSet;
+
+use sitl::effects::{EffectId, EffectSet};
+
+use super::super::answer::Answer;
+use super::super::hypothesis::{Catalogue, Target};
+use super::super::selection::{Scored, Selection};
+
+/// An explanation that may be true: effects with their numbers.
+#[derive(Clone, Debug)]
+pub struct Live {
+    /// The effects, with the vehicle's true values.
+    pub effects: EffectSet,
+    /// Its probability.
+    pub probability: f64,
+}
+
+impl Live {
+    /// No effect at all.
+    pub fn none(probability: f64) -> Self {
+        Self { effects: EffectSet::new(), probability }
+    }
+
+    /// Ids of its effects.
+    pub fn names(&self) -> Vec<&'static str> {
+        self.effects.iter().map(|(id, _)| id.name()).collect()
+    }
+}
+
+/// The explanations that an answer leaves open: the chosen set, and for each effect that it cannot
+/// be told from the set with that effect in the place of the one it stands for. Probabilities are in
+/// the proportion of those in the answer.
+pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Vec<Live> {
+    if answer.ambiguous_with.is_empty() {
+        return Vec::new();
+    }
+    let set = |scored: &Scored| {
+        let ids: Vec<EffectId> =
+            scored.fit.hypotheses.iter().map(|h| catalogue.hypotheses[*h].effect).collect();
+        catalogue.effects(&scored.fit.values, Some(&ids))
+    };
+    let probability = |id: EffectId| {
+        let found = answer.effects.iter().find(|effect| effect.id == id.name());
+        found.map_or(LEAST, |effect| effect.probability.max(LEAST))
+    };
+    let best = set(&selection.best);
+    let named = best.iter().map(|(id, _)| probability(id)).fold(f64::INFINITY, f64::min);
+    let mut found = vec![Live { effects: best, probability: named.min(1.0) }];
+    let mut seen = BTreeSet::new();
+    let in_place = selection.places.iter().flat_map(|(_, rivals)| rivals);
+    for rival in in_place.chain(&selection.singles) {
+        let effect = catalogue.hypotheses[rival.hypothesis].effect;
+        if answer.ambiguous_with.contains(&effect.name()) && seen.insert(effect) {
+            let effects = set(&rival.scored);
+            if !effects.is_empty() {
+                found.push(Live { effects, probability: probability(effect) });
+            }
+        }
+    }
+    // What was not fitted in full is taken at its usual strength.
+    for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(&id.name()))
+    {
+        if !seen.contains(&effect) {
+            let usual = typical(catalogue, effect, 1.0);
+            found.extend(usual.map(|usual| Live { probability: probability(effect), ..usual }));
+        }
+    }
+    let sum: f64 = found.iter().map(|live| live.probability).sum();
+    found.iter_mut().for_each(|live| live.probability /= sum);
+    found
+}
+
+/// Effects that an answer calls not testable for want of motion, each at its usual strength.
+pub fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
+    let is_untested =
+        |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == id.name());
+    let ids = EffectId::ALL.into_iter().filter(is_untested);
+    ids.filter_map(|id| typical(catalogue, id, 1.0)).collect()
+}
+
+/// Least probability of an explanation that an answer mentions as possible.
+const LEAST: f64 = 0.1;
+
+/// An effect with its numbers at `strength` of their usual distance from what the vehicle file says;
+/// `None` for one that the file lacks a number for.
+pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option<Live> {
+    let hypothesis = catalogue.hypotheses.iter().find(|h| h.effect == effect)?;
+    let mut values = catalogue.references();
+    for index in &hypothesis.numbers {
+        let number = &catalogue.numbers[*index];
+        let [low, high] = number.bounds;
+        let up = number.reference + strength * number.magnitude;
+        let down = number.reference - strength * number.magnitude;
+        // A rotor only loses thrust.
+        let falls = matches!(number.target, Target::RotorScale(_));
+        values[*index] = if falls || up > high { down } else { up }.clamp(low, high);
+    }
+    let effects = catalogue.effects(&values, Some(&[effect]));
+    (!effects.is_empty()).then_some(Live { effects, probability: 0.5 })
+}

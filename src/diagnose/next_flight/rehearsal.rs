@@ -1,0 +1,208 @@
+//! A manoeuvre flown in simulation with one hypothesis true, and what the others make of it.
+
+use sitl::effects::{EffectId, EffectSet};
+use sitl::frame::{Euler, Ned};
+use sitl::physics::Physics;
+use sitl::rigid_body::State;
+
+use super::super::fit::fit;
+use super::super::flight_simulator::{Departure, FlightSimulator, GroundControl, NotSimulated};
+use super::super::hypothesis::{Catalogue, Target};
+use super::super::linearised::Linearised;
+use super::super::observed::Observed;
+use super::super::preparation::PreparedFlight;
+use super::super::reflight::sensors;
+use super::super::residuals::Evaluator;
+use super::{Live, Proposal};
+use crate::log::import::Flight;
+use crate::plan::ModelFreeReference;
+use crate::plan::manoeuvres::Manoeuvre;
+use crate::plan::reference::ReferenceSource;
+use crate::setpoint::Reference;
+
+/// Hover before the manoeuvre, in which the vehicle settles, s.
+const LEAD_S: f64 = 4.0;
+/// Period of the ground's ticks, s.
+const TICK_S: f64 = 0.01;
+/// A vehicle that tilts further is not flown safely, rad.
+const TILT_MAX_RAD: f64 = 0.75;
+/// Share of the time that a motor output may spend at a stop.
+const SATURATED_MAX: f64 = 0.01;
+/// What counts as a stop.
+const STOPS: [f64; 2] = [0.001, 0.999];
+/// Distance beyond the manoeuvre's own that a vehicle which is not what it was taken for may stray,
+/// m; and its least height over that which is asked for, share.
+const STRAY_MAX_M: f64 = 1.5;
+const HEIGHT_SHARE: f64 = 0.35;
+
+/// What one flight says if a hypothesis is true.
+pub(super) struct Rehearsal {
+    /// Which.
+    pub truth: usize,
+    /// Evidence for it against each rival, nats.
+    pub evidence: Vec<(usize, f64)>,
+}
+
+impl Rehearsal {
+    /// The least evidence against a rival.
+    pub fn least(&self) -> f64 {
+        self.evidence.iter().map(|(_, nats)| *nats).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// A live hypothesis in the catalogue's terms.
+struct Posed {
+    /// Indices of its hypotheses.
+    own: Vec<usize>,
+    /// Numbers with their values, to start its fit from.
+    from: Vec<(usize, f64)>,
+}
+
+/// What every rehearsal needs.
+pub(super) struct Stage<'a> {
+    proposal: &'a Proposal<'a>,
+    hypotheses: &'a [Live],
+    control: GroundControl,
+    catalogue: Catalogue,
+    evaluator: Evaluator,
+    posed: Vec<Posed>,
+    /// Nuisances, and what the hypotheses have.
+    numbers: Vec<usize>,
+}
+
+impl<'a> Stage<'a> {
+    pub fn new(proposal: &'a Proposal<'a>, hypotheses: &'a [Live]) -> Result<Self, NotSimulated> {
+        let catalogue = Catalogue::new(proposal.vehicle, proposal.setpoint_leg);
+        let posed: Vec<Posed> =
+            hypotheses.iter().map(|live| Posed::new(&catalogue, &live.effects)).collect();
+        let mut numbers: Vec<usize> = catalogue.nuisances().collect();
+        let active = posed.iter().flat_map(|posed| &posed.own);
+        numbers.extend(active.flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()));
+        numbers.sort_unstable();
+        numbers.dedup();
+        Ok(Self {
+            control: GroundControl::new(proposal.vehicle)?,
+            evaluator: Evaluator::new(proposal.vehicle),
+            proposal,
+            hypotheses,
+            catalogue,
+            posed,
+            numbers,
+        })
+    }
+
+    /// Flies `manoeuvre` with hypothesis `truth` true and fits all of them to it; `None` where the
+    /// vehicle would break a limit, or nothing can be fitted.
+    pub fn rehearse(&self, manoeuvre: &Manoeuvre, truth: usize) -> Option<Rehearsal> {
+        let flight = self.fly(manoeuvre, &self.hypotheses[truth].effects)?;
+        if !is_safe(&flight, manoeuvre) {
+            return None;
+        }
+        let flights = [PreparedFlight::new(flight, self.proposal.vehicle).ok()?];
+        let observed = Observed::new(&flights, &self.evaluator, &self.catalogue);
+        let references = self.catalogue.references();
+        let first = Linearised::new(&observed, &references, &self.numbers)?;
+        let null = fit(&observed, &first, &[], &[])?;
+        let about = Linearised::new(&observed, &null.values, &self.numbers)?;
+        let evidence: Vec<f64> = self
+            .posed
+            .iter()
+            .map(|posed| {
+                if posed.own.is_empty() {
+                    return Some(null.evidence);
+                }
+                Some(fit(&observed, &about, &posed.own, &self.starts(posed))?.evidence)
+            })
+            .collect::<Option<_>>()?;
+        let rivals = (0..evidence.len()).filter(|rival| *rival != truth);
+        let evidence = rivals.map(|rival| (rival, evidence[truth] - evidence[rival])).collect();
+        Some(Rehearsal { truth, evidence })
+    }
+
+    /// Where fits of a set start: at what was found, and at every hypothesis' own starts.
+    fn starts(&self, Posed { own, from }: &Posed) -> Vec<Vec<(usize, f64)>> {
+        let mut starts = vec![from.clone(), Vec::new()];
+        for hypothesis in own.iter().map(|h| &self.catalogue.hypotheses[*h]) {
+            starts.extend(hypothesis.starts.iter().map(|start| {
+                let numbers = hypothesis.numbers.iter().copied();
+                let mut values = from.clone();
+                values.extend(numbers.zip(start.iter().copied()));
+                values
+            }));
+        }
+        starts
+    }
+
+    fn fly(&self, manoeuvre: &Manoeuvre, effects: &EffectSet) -> Option<Flight> {
+        let vehicle = self.proposal.vehicle;
+        let sensors = sensors(&self.proposal.noise);
+        let simulator = FlightSimulator::new(&self.control, vehicle, effects, sensors).ok()?;
+        let hover_thrust_n = self.control.vehicle().hover.hover_thrust_n();
+        let course = ModelFreeReference::new(manoeuvre.trajectory.clone(), hover_thrust_n);
+        let count = ((LEAD_S + course.duration()) / TICK_S) as usize;
+        let ticks: Vec<(f64, Reference)> = (0..count)
+            .map(|k| {
+                let time = k as f64 * TICK_S;
+                (time, course.sample(time - LEAD_S))
+            })
+            .collect();
+        let start = ticks.first()?.1;
+        let physics = Physics::new(vehicle, effects).ok()?;
+        let collective = physics.hover_collective(&physics.calm())?;
+        let departure = Departure {
+            time: 0.0,
+            state: State {
+                position: start.position,
+                attitude: Euler::new(0.0, 0.0, start.attitude.yaw).attitude(),
+                ..State::default()
+            },
+            rotors: physics.rotors_for_wrench(&[collective, 0.0, 0.0, 0.0]),
+        };
+        simulator.fly(&departure, &ticks, None, self.proposal.seed).ok()
+    }
+}
+
+impl Posed {
+    fn new(catalogue: &Catalogue, effects: &EffectSet) -> Self {
+        let (mut own, mut from) = (Vec::new(), Vec::new());
+        for (id, slots) in effects.iter() {
+            let found = catalogue.hypotheses.iter().position(|hypothesis| {
+                let is_of_rotor = |number: &usize| match catalogue.numbers[*number].target {
+                    Target::RotorScale(rotor) => rotor as f64 == slots[0],
+                    _ => true,
+                };
+                hypothesis.effect == id && hypothesis.numbers.iter().all(is_of_rotor)
+            });
+            let Some(index) = found else { continue };
+            own.push(index);
+            for number in &catalogue.hypotheses[index].numbers {
+                let value = match catalogue.numbers[*number].target {
+                    Target::Effect(_, slot) => slots[slot],
+                    Target::RotorScale(_) => slots[1],
+                    Target::OutputDelay if id == EffectId::CommandDelay => slots[0],
+                    _ => continue,
+                };
+                from.push((*number, value));
+            }
+        }
+        Self { own, from }
+    }
+}
+
+/// Whether a simulated flight keeps to its limits.
+fn is_safe(flight: &Flight, manoeuvre: &Manoeuvre) -> bool {
+    let stray = manoeuvre.demands.radius_m + STRAY_MAX_M;
+    let steps = (manoeuvre.trajectory.duration() / 0.1) as usize;
+    let asked = (0..=steps).map(|k| -manoeuvre.trajectory.sample(k as f64 * 0.1).position.down());
+    let floor = HEIGHT_SHARE * asked.fold(f64::INFINITY, f64::min);
+    let ceiling = manoeuvre.demands.height_m + STRAY_MAX_M;
+    let is_inside = |p: &Ned| {
+        let height = -p.down();
+        p.north().hypot(p.east()) <= stray && height >= floor && height <= ceiling
+    };
+    let at_stop = |u: &&[f64; 4]| u.iter().any(|u| *u < STOPS[0] || *u > STOPS[1]);
+    let saturated = flight.outputs.values().iter().filter(at_stop).count() as f64;
+    flight.position.values().iter().all(is_inside)
+        && flight.attitude.values().iter().all(|attitude| attitude.tilt() <= TILT_MAX_RAD)
+        && saturated <= SATURATED_MAX * flight.outputs.len() as f64
+}

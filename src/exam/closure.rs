@@ -1,0 +1,36 @@
+//! What an answer truly closes of the gap, whatever it claims.
+
+use sitl::effects::EffectSet;
+use sitl::vehicle::{VehicleError, VehicleParams};
+
+use crate::diagnose::gap::{ReportNoise, Simulator};
+use crate::diagnose::preparation::PreparedFlight;
+
+/// Least gap that can be closed, in units of the noise.
+const GAP_MIN: f64 = 0.05;
+
+/// (before - after) / (before - least): errors of the vehicle file as shipped, with the answer's
+/// effects, and with the true ones, by the metric `mean`. `None` where there is no gap.
+///
+/// # Errors
+/// A vehicle that the physics refuses.
+pub fn closure(
+    nominal: &VehicleParams,
+    truth: &EffectSet,
+    answer: &EffectSet,
+    held_out: &[PreparedFlight],
+    noise: &ReportNoise,
+) -> Result<Option<f64>, VehicleError> {
+    let leg = held_out.iter().all(|flight| flight.channels.setpoint);
+    let simulator = |effects: &EffectSet| Simulator::new(nominal, effects, leg);
+    let best = simulator(truth)?;
+    let Some(floor) = best.floor(held_out, noise, 1) else { return Ok(None) };
+    let mean = |simulator: &Simulator| Some(simulator.errors(held_out)?.mean_over(&floor));
+    let (Some(least), Some(before), Some(after)) =
+        (mean(&best), mean(&simulator(&EffectSet::new())?), mean(&simulator(answer)?))
+    else {
+        return Ok(None);
+    };
+    let gap = before - least;
+    Ok((gap > GAP_MIN).then(|| (before - after) / gap))
+}

@@ -1,0 +1,115 @@
+//! The key of an exam, and the commitment to it: its hash is published before the first diagnosis,
+//! the key after the last.
+
+use std::collections::BTreeMap;
+use std::hash::{BuildHasher, Hasher, RandomState};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use sitl::effects::ParameterValue;
+use sitl::foreign::Foreign;
+
+use super::case::Kind;
+use super::condition::Condition;
+use super::strength::Strength;
+
+/// An effect that the vehicle has beyond its file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrueEffect {
+    /// Id.
+    pub id: String,
+    /// The vehicle's values.
+    pub parameters: BTreeMap<String, ParameterValue>,
+    /// What the vehicle file says, or the neutral values.
+    pub neutral: BTreeMap<String, ParameterValue>,
+    /// How strongly it shows by itself.
+    pub ratio: f64,
+}
+
+/// The right answer to a case, and what was flown.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KeyEntry {
+    /// What it asks.
+    pub kind: Kind,
+    /// State of the logs.
+    pub condition: Condition,
+    /// The right verdict.
+    pub verdict: String,
+    /// The effects that the vehicle has beyond its file, by their causes' ids.
+    pub effects: Vec<TrueEffect>,
+    /// Further ids that name the cause as well.
+    pub also_right: Vec<String>,
+    /// What these flights cannot tell apart; none of a trap that hides its effect.
+    pub candidates: Vec<String>,
+    /// What the catalogue does not have.
+    pub foreign: Option<Foreign>,
+    /// Effects that the diagnosis is to do without.
+    pub without: Vec<String>,
+    /// How strongly all of it shows.
+    pub snr: Strength,
+    /// Whether it shows less than noise.
+    pub is_weak: bool,
+    /// Mass in the vehicle file, kg.
+    pub nominal_mass_kg: f64,
+    /// Kind and notes.
+    pub tags: Vec<String>,
+}
+
+/// The key: by case.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Key {
+    /// Seed of the exam.
+    pub seed: u64,
+    /// A number that nobody can guess, so that the hash gives nothing away.
+    pub nonce: String,
+    /// Effects that no flight can tell apart.
+    pub equivalence_classes: Vec<Vec<String>>,
+    /// By the case's name.
+    pub cases: BTreeMap<String, KeyEntry>,
+}
+
+impl Key {
+    /// The key of `cases`, with a nonce from the system.
+    pub fn new(seed: u64, cases: BTreeMap<String, KeyEntry>) -> Self {
+        let nonce = format!("{:016x}{:016x}", entropy(), entropy());
+        let class = ["thrust_scale", "mass"].map(str::to_owned).to_vec();
+        Self { seed, nonce, equivalence_classes: vec![class], cases }
+    }
+
+    /// The bytes of key.json.
+    ///
+    /// # Errors
+    /// None that a key can cause.
+    pub fn bytes(&self) -> serde_json::Result<Vec<u8>> {
+        serde_json::to_vec(self)
+    }
+}
+
+/// What is published beforehand: the SHA-256 of key.json, in hexadecimal digits.
+pub fn commitment(key: &[u8]) -> String {
+    Sha256::digest(key).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A number from the system's entropy.
+pub fn entropy() -> u64 {
+    RandomState::new().build_hasher().finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commitment_is_the_hash_of_the_file() {
+        assert_eq!(
+            commitment(b"abc"),
+            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+        );
+        let key = Key::new(1, BTreeMap::new());
+        let bytes = key.bytes().expect("JSON");
+        assert_eq!(serde_json::from_slice::<Key>(&bytes).expect("a key"), key);
+        // Even an empty key with the same seed hashes differently every time.
+        let other = Key::new(1, BTreeMap::new()).bytes().expect("JSON");
+        assert_ne!(commitment(&bytes), commitment(&other));
+    }
+}

@@ -1,0 +1,21 @@
+//! The blind check of the diagnosis: vehicles, effects and flights drawn from a seed, flown in
+//! simulation, diagnosed without the key, and scored.
+
+pub mod airframe;
+pub mod answer;
+pub mod case;
+pub mod closure;
+pub mod condition;
+pub mod draw;
+pub mod flight;
+pub mod ground;
+pub mod interval;
+pub mod key;
+pub mod magnitude;
+pub mod motion;
+pub mod programme;
+pub mod score;
+pub mod stranger;
+pub mod strength;
+pub mod summary;
+pub mod trap;

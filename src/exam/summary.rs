@@ -1,0 +1,345 @@
+//! All answers of an exam against its key.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::case::Kind;
+use super::condition::Condition;
+use super::interval::{Rate, median};
+use super::score::Row;
+
+/// An effect is to be named from this strength on.
+pub const DETECTABLE: f64 = 2.0;
+/// Borders between strengths in detection curves.
+pub const STRENGTHS: [f64; 8] = [0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0];
+/// Borders between probabilities in the reliability table.
+pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
+
+/// A rate that something is asked of.
+#[derive(Clone, Debug, Serialize)]
+pub struct Measure {
+    /// What is counted.
+    pub name: &'static str,
+    /// The rate.
+    #[serde(flatten)]
+    pub rate: Rate,
+    /// What it is to be at least, or at most.
+    pub wanted: Option<Bound>,
+}
+
+/// A bound on a rate.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Bound {
+    /// No less.
+    AtLeast(f64),
+    /// No more.
+    AtMost(f64),
+}
+
+impl Measure {
+    /// Whether the rate as measured keeps its bound; true without one, or of nothing.
+    pub fn holds(&self) -> bool {
+        match (self.rate.rate, self.wanted) {
+            (Some(rate), Some(Bound::AtLeast(least))) => rate >= least,
+            (Some(rate), Some(Bound::AtMost(most))) => rate <= most,
+            _ => true,
+        }
+    }
+}
+
+/// Share named at one strength.
+#[derive(Clone, Debug, Serialize)]
+pub struct Detection {
+    /// Strengths from and to.
+    pub strengths: [f64; 2],
+    /// Share named rightly.
+    pub named: Rate,
+    /// Share with any verdict other than none.
+    pub noticed: Rate,
+}
+
+/// How often what is given this probability is true.
+#[derive(Clone, Debug, Serialize)]
+pub struct Reliability {
+    /// Probabilities from and to.
+    pub probabilities: [f64; 2],
+    /// Mean of those given.
+    pub mean: f64,
+    /// Share that is true.
+    pub is_true: Rate,
+}
+
+/// How one effect fared where it shows.
+#[derive(Clone, Debug, Serialize)]
+pub struct EffectSummary {
+    /// Id.
+    pub id: String,
+    /// Detectable singles of it that were named.
+    pub named: Rate,
+    /// Median relative error of its parameters where it is detectable.
+    pub error: Option<f64>,
+    /// 90 % intervals that hold the truth.
+    pub covered: Rate,
+    /// By strength.
+    pub detection: Vec<Detection>,
+}
+
+/// How one effect fared with logs in one state.
+#[derive(Clone, Debug, Serialize)]
+pub struct ConditionSummary {
+    /// Id.
+    pub id: String,
+    /// State of the logs.
+    pub condition: Condition,
+    /// Share named first.
+    pub named: Rate,
+    /// 90 % intervals that hold the truth.
+    pub covered: Rate,
+}
+
+/// The whole result.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// Rates.
+    pub measures: Vec<Measure>,
+    /// Mean Brier score; to be at most 0.08.
+    pub brier: Option<f64>,
+    /// Median relative error of parameters.
+    pub error: Option<f64>,
+    /// 90 % intervals that hold the truth.
+    pub covered: Rate,
+    /// Median closure as claimed, and as it is.
+    pub closure: [Option<f64>; 2],
+    /// Median of the difference between both.
+    pub closure_off: Option<f64>,
+    /// Reliability.
+    pub reliability: Vec<Reliability>,
+    /// Detection, all effects together.
+    pub detection: Vec<Detection>,
+    /// By effect.
+    pub effects: Vec<EffectSummary>,
+    /// By effect and state of the logs, in a round trip.
+    pub conditions: Vec<ConditionSummary>,
+    /// Median time of a diagnosis, s.
+    pub seconds: Option<f64>,
+}
+
+impl Summary {
+    /// Of all rows.
+    pub fn new(rows: &[Row]) -> Self {
+        let of = |kind: Kind| rows.iter().filter(move |row| row.kind == kind);
+        let detectable = |row: &&Row| row.ratio >= DETECTABLE;
+        let all_singles = || of(Kind::Single).chain(of(Kind::Modelled)).chain(of(Kind::RoundTrip));
+        let singles = || all_singles().filter(detectable);
+        let known = || {
+            rows.iter()
+                .filter(|row| !matches!(row.kind, Kind::LeftOut | Kind::Trap))
+                .filter(detectable)
+        };
+        let measure =
+            |name, outcomes: Vec<bool>, wanted| Measure { name, rate: Rate::of(outcomes), wanted };
+        let at_least = |bound| Some(Bound::AtLeast(bound));
+        let at_most = |bound| Some(Bound::AtMost(bound));
+        let measures = vec![
+            measure(
+                "verdict right",
+                rows.iter()
+                    .filter(|row| row.ratio >= 1.0 || row.kind == Kind::Null)
+                    .map(Row::verdict_right)
+                    .collect(),
+                at_least(0.9),
+            ),
+            measure(
+                "top-1, detectable singles",
+                singles().map(|r| r.top_right).collect(),
+                at_least(0.95),
+            ),
+            measure(
+                "truth in the named or ambiguous set",
+                singles().map(|r| r.in_set).collect(),
+                at_least(0.99),
+            ),
+            measure(
+                "named without ambiguity",
+                singles().map(|r| r.is_definite).collect(),
+                at_least(0.8),
+            ),
+            measure(
+                "confidently wrong, detectable singles",
+                singles().map(|r| r.confidently_wrong.is_some()).collect(),
+                at_most(0.03),
+            ),
+            measure(
+                "confidently wrong, everything",
+                rows.iter().map(|r| r.confidently_wrong.is_some()).collect(),
+                at_most(0.03),
+            ),
+            measure(
+                "top-1, wrong values in the file",
+                of(Kind::Modelled).filter(detectable).map(|r| r.top_right).collect(),
+                None,
+            ),
+            measure(
+                "pairs, both named",
+                of(Kind::Pair).map(|r| r.all_named).collect(),
+                at_least(0.8),
+            ),
+            measure("pairs, exactly these", of(Kind::Pair).map(|r| r.exact).collect(), None),
+            measure(
+                "false alarms on nulls",
+                of(Kind::Null).map(|r| r.verdict != "none").collect(),
+                at_most(0.01),
+            ),
+            measure(
+                "left out: unknown or ambiguous",
+                of(Kind::LeftOut).filter(detectable).map(Row::admits_ignorance).collect(),
+                at_least(0.85),
+            ),
+            measure(
+                "left out: unknown",
+                of(Kind::LeftOut).filter(detectable).map(|r| r.verdict == "unknown").collect(),
+                None,
+            ),
+            measure(
+                "out of the catalogue: unknown",
+                of(Kind::Foreign).filter(detectable).map(|r| r.verdict == "unknown").collect(),
+                at_least(0.9),
+            ),
+            measure(
+                "top-1, other laws",
+                of(Kind::OtherLaw).filter(detectable).map(|r| r.top_right).collect(),
+                at_least(0.9),
+            ),
+            measure(
+                "traps: ambiguous or not testable",
+                of(Kind::Trap).map(|r| r.trap_right).collect(),
+                at_least(0.95),
+            ),
+            measure(
+                "no answer",
+                rows.iter().map(|r| r.verdict == "missing").collect(),
+                at_most(0.0),
+            ),
+        ];
+        let errors = |rows: &mut dyn Iterator<Item = &Row>| -> Option<f64> {
+            median(rows.flat_map(|row| row.errors.values().flatten().copied()).collect())
+        };
+        let covered = |rows: &mut dyn Iterator<Item = &Row>| {
+            Rate::of(rows.flat_map(|row| row.covered.values().flatten().copied()))
+        };
+        let closures = |of: fn(&Row) -> Option<f64>| median(known().filter_map(of).collect());
+        let briers: Vec<f64> = rows.iter().map(|row| row.brier).collect();
+        let off = known()
+            .filter_map(|row| Some((row.claimed_closure? - row.true_closure?).abs()))
+            .collect();
+        Self {
+            measures,
+            brier: (!briers.is_empty()).then(|| briers.iter().sum::<f64>() / briers.len() as f64),
+            error: errors(&mut known().filter(|row| row.top_right)),
+            covered: covered(&mut known()),
+            closure: [closures(|row| row.claimed_closure), closures(|row| row.true_closure)],
+            closure_off: median(off),
+            reliability: reliability(rows),
+            detection: detection(&all_singles().collect::<Vec<_>>()),
+            effects: effects(rows),
+            conditions: conditions(rows),
+            seconds: median(rows.iter().map(|row| row.seconds).collect()),
+        }
+    }
+
+    /// The measures that do not keep their bounds.
+    pub fn failures(&self) -> impl Iterator<Item = &Measure> {
+        self.measures.iter().filter(|measure| !measure.holds())
+    }
+}
+
+fn effects(rows: &[Row]) -> Vec<EffectSummary> {
+    let mut by_effect: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
+    for row in rows
+        .iter()
+        .filter(|row| matches!(row.kind, Kind::Single | Kind::Modelled | Kind::RoundTrip))
+    {
+        for id in &row.truth {
+            by_effect.entry(id).or_default().push(row);
+        }
+    }
+    by_effect
+        .into_iter()
+        .map(|(id, rows)| {
+            let seen = || rows.iter().filter(|row| row.ratio >= DETECTABLE);
+            let found = seen().filter(|row| row.top_right);
+            EffectSummary {
+                named: Rate::of(seen().map(|row| row.top_right)),
+                error: median(
+                    found.flat_map(|row| row.errors.values().flatten().copied()).collect(),
+                ),
+                covered: Rate::of(seen().flat_map(|row| row.covered.values().flatten().copied())),
+                detection: detection(&rows),
+                id: id.to_owned(),
+            }
+        })
+        .collect()
+}
+
+fn conditions(rows: &[Row]) -> Vec<ConditionSummary> {
+    let mut groups: BTreeMap<(&str, Condition), Vec<&Row>> = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.kind == Kind::RoundTrip) {
+        for id in &row.truth {
+            groups.entry((id, row.condition)).or_default().push(row);
+        }
+    }
+    groups
+        .into_iter()
+        .map(|((id, condition), rows)| ConditionSummary {
+            id: id.to_owned(),
+            condition,
+            named: Rate::of(rows.iter().map(|row| row.top_right)),
+            covered: Rate::of(rows.iter().flat_map(|row| row.covered.values().flatten().copied())),
+        })
+        .collect()
+}
+
+/// Ranges between borders; the last has no end.
+fn ranges(borders: &[f64]) -> impl Iterator<Item = [f64; 2]> + '_ {
+    let ends = borders.iter().skip(1).copied().chain([f64::INFINITY]);
+    borders.iter().copied().zip(ends).map(|(low, high)| [low, high])
+}
+
+fn detection(rows: &[&Row]) -> Vec<Detection> {
+    ranges(&STRENGTHS)
+        .map(|[low, high]| {
+            let here = || rows.iter().filter(move |row| (low..high).contains(&row.ratio));
+            Detection {
+                strengths: [low, high],
+                named: Rate::of(here().map(|row| row.top_right)),
+                noticed: Rate::of(here().map(|row| row.verdict != "none")),
+            }
+        })
+        .filter(|detection| detection.named.of > 0)
+        .collect()
+}
+
+fn reliability(rows: &[Row]) -> Vec<Reliability> {
+    let given: Vec<(f64, bool)> = rows
+        .iter()
+        .flat_map(|row| {
+            let is_true = |id: &String| row.kind != Kind::LeftOut && row.is_right(id);
+            row.probabilities.iter().map(move |(id, p)| (*p, is_true(id))).collect::<Vec<_>>()
+        })
+        .collect();
+    ranges(&PROBABILITIES)
+        .filter_map(|[low, high]| {
+            let here: Vec<_> = given.iter().filter(|(p, _)| (low..high).contains(p)).collect();
+            if here.is_empty() {
+                return None;
+            }
+            Some(Reliability {
+                probabilities: [low, high.min(1.0)],
+                mean: here.iter().map(|(p, _)| p).sum::<f64>() / here.len() as f64,
+                is_true: Rate::of(here.iter().map(|(_, is_true)| *is_true)),
+            })
+        })
+        .collect()
+}

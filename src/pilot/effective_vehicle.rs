@@ -1,0 +1,75 @@
+//! What a vehicle file says the vehicle is, its modelled effects applied: what feedback, limits and
+//! feed-forward are made with.
+
+use sitl::effects::{CommandDelay, EffectSet, PdGain, ThrustCurve};
+use sitl::physics::Physics;
+use sitl::vehicle::{AttitudePd, VehicleError, VehicleParams};
+
+use crate::control::{Actuation, HoverVehicle};
+use crate::link::attitude_target::{ThrustMap, ThrustMapError};
+use crate::plan::planned::PlannedBody;
+
+/// Why a vehicle file's vehicle cannot be controlled.
+#[derive(Debug, thiserror::Error)]
+pub enum Uncontrollable {
+    /// Its physics are refused.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleError),
+    /// Its thrust cannot be asked for.
+    #[error(transparent)]
+    Thrust(#[from] ThrustMapError),
+}
+
+/// The vehicle as its file says it is.
+#[derive(Clone, Copy, Debug)]
+pub struct EffectiveVehicle {
+    /// Mass, inertia and gravity.
+    pub hover: HoverVehicle,
+    /// Thrust of all rotors at full output, N.
+    pub thrust_full_n: f64,
+    /// From thrust to what is sent.
+    pub thrust: ThrustMap,
+    /// The on-board loop, where the file has it.
+    pub attitude_pd: Option<AttitudePd>,
+    /// How late a setpoint acts.
+    pub actuation: Actuation,
+}
+
+impl EffectiveVehicle {
+    /// The vehicle of a file.
+    ///
+    /// # Errors
+    /// [`Uncontrollable`].
+    pub fn new(params: &VehicleParams) -> Result<Self, Uncontrollable> {
+        let physics = Physics::new(params, &EffectSet::new())?;
+        let constants = physics.constants();
+        let thrust_full_n = constants.rotors.iter().map(|rotor| rotor.thrust_max).sum();
+        let gain = params.modelled_effects.get::<PdGain>();
+        let attitude_pd = params.attitude_pd.map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
+        // A mixer that is known is linear, and bends with the motors. An autopilot's own loop is
+        // taken to linearise them.
+        let bend = params.modelled_effects.get::<ThrustCurve>().filter(|_| attitude_pd.is_some());
+        let thrust = ThrustMap::curve(thrust_full_n, bend.map_or(0.0, |curve| curve.a))?;
+        let delay = params.modelled_effects.get::<CommandDelay>();
+        Ok(Self {
+            hover: HoverVehicle {
+                mass_kg: constants.mass,
+                inertia: constants.inertia,
+                gravity: params.gravity,
+            },
+            thrust_full_n,
+            thrust,
+            attitude_pd,
+            actuation: Actuation {
+                command_delay_s: delay.map_or(params.command_delay_s, |delay| delay.delay_s),
+                motor_time_constant_s: constants.motor_time_constant,
+            },
+        })
+    }
+
+    /// What a plan says of its vehicle.
+    pub fn body(&self) -> PlannedBody {
+        let HoverVehicle { mass_kg, inertia, gravity } = self.hover;
+        PlannedBody { mass_kg, inertia, gravity, thrust_full_n: self.thrust_full_n }
+    }
+}

@@ -1,0 +1,51 @@
+//! The loop closed on one command: hide an effect, find it, and fly better with what was found.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+use sitl::vehicle::VehicleParams;
+
+fn run(name: &str, arguments: &[&str]) -> (PathBuf, Value) {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("demo-diagnose").join(name);
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).expect("a folder");
+    let output = Command::new(env!("CARGO_BIN_EXE_downwash"))
+        .env("XDG_CONFIG_HOME", &folder)
+        .args(["demo", "--diagnose", "--json", "--excite", "60", "--out"])
+        .arg(&folder)
+        .args(arguments)
+        .output()
+        .expect("the command runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    (folder, serde_json::from_slice(&output.stdout).expect("a summary"))
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or(f64::NAN)
+}
+
+#[test]
+fn drag_is_found_and_the_flight_planned_with_it_is_closer() {
+    let (folder, summary) = run("drag", &["--hidden", "rotor_drag:d_xy=0.012,d_z=0.006"]);
+    assert_eq!(summary["end"], "done");
+    let found = number(&summary["found"]["rotor_drag"]["d_xy"]);
+    assert!((found / 0.012 - 1.0).abs() < 0.05, "{found}");
+    let (before, after) = (number(&summary["gap"]["before"]), number(&summary["gap"]["after"]));
+    assert!(after < 0.4 * before, "gap {before} -> {after}");
+    let error = |index: usize| number(&summary["contenders"][index]["mean"]["rmse_3d_m"]);
+    assert!(error(1) < 0.3 * error(0), "error {} -> {}", error(0), error(1));
+    assert!(VehicleParams::load(folder.join("improved.toml")).is_ok());
+    for page in ["report.html", "diagnosis.html"] {
+        let html = fs::read_to_string(folder.join(page)).expect("a page");
+        assert!(html.contains("rotor_drag"), "{page}");
+    }
+}
+
+#[test]
+fn weak_rotors_are_made_up_for_once_by_the_improved_file() {
+    let (_, summary) = run("weak", &["--hidden", "thrust_scale:scale=0.92"]);
+    let error = |index: usize| number(&summary["contenders"][index]["mean"]["rmse_3d_m"]);
+    assert!(error(1) < 0.3 * error(0), "error {} -> {}", error(0), error(1));
+}

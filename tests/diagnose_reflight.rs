@@ -1,0 +1,77 @@
+//! Flights held out, flown again in closed loop with what was found.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+
+/// An empty folder of the test's own.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("reflight").join(name);
+    let _ = fs::remove_dir_all(&path);
+    fs::create_dir_all(&path).expect("a folder");
+    path
+}
+
+fn run(folder: &Path, arguments: &[&str]) -> Value {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
+    command.env("XDG_CONFIG_HOME", folder).args(arguments);
+    let output = command.output().expect("the command runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+fn vehicle() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a path in UTF-8")
+}
+
+/// Logs of a short programme with a hidden effect.
+fn fly(folder: &Path, effect: &str) -> Vec<PathBuf> {
+    let out = folder.join("flown");
+    let (vehicle, out_text) = (vehicle(), text(&out).to_owned());
+    run(
+        folder,
+        &[
+            "collect",
+            "--json",
+            "--seconds",
+            "40",
+            "--vehicle",
+            text(&vehicle),
+            "--out",
+            &out_text,
+            "--effect",
+            effect,
+        ],
+    );
+    let entries = fs::read_dir(&out).expect("the folder");
+    let mut logs: Vec<PathBuf> = entries.map(|entry| entry.expect("an entry").path()).collect();
+    logs.sort();
+    logs
+}
+
+fn difference(answer: &Value, quantity: &str) -> [f64; 3] {
+    ["before", "after", "floor"]
+        .map(|of| answer["closed_loop"][quantity][of].as_f64().unwrap_or(f64::NAN))
+}
+
+#[test]
+fn a_heavy_vehicle_shows_in_the_thrust_and_is_repaired_in_both() {
+    let folder = folder("heavy");
+    let logs = fly(&folder, "thrust_scale:scale=0.9");
+    let vehicle = vehicle();
+    let mut arguments = vec!["diagnose", "--json", "--twins", "0", "--vehicle", text(&vehicle)];
+    arguments.extend(logs.iter().map(|log| text(log)));
+    let answer = run(&folder, &arguments);
+    assert_eq!(answer["closed_loop"]["flights"][0]["reference"], "logged");
+    for quantity in ["position_m", "thrust_n", "output"] {
+        let [before, after, floor] = difference(&answer, quantity);
+        assert!(before > 2.0 * floor, "{quantity}: {before} {floor}");
+        assert!(after < 1.3 * floor, "{quantity}: {after} {floor}");
+    }
+}
