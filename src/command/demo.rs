@@ -19,7 +19,7 @@ use super::demo_diagnose;
 use super::plan::{PlanModel, plan_trajectory, planner, sha256_of};
 use super::setup::{VehicleFile, built_in_trajectory};
 use super::simulation::Truth;
-use super::train::{Learning, Resume, Trained, learn};
+use super::train::{Learning, Resume, learn};
 use super::{Exit, ExitContext, config, on_interrupt, say, write_file};
 use crate::cli::{
     CollectArgs, Contestant, DemoArgs, FeatureChoice, MethodChoice, SimulationArgs, TrainArgs,
@@ -183,11 +183,11 @@ impl Demo<'_> {
             resume: false,
             json: false,
         };
-        let Learning::Done(Trained { summary, .. }) = learn(&train, Resume::IfItBelongs)? else {
+        let Learning::Done(trained) = learn(&train, Resume::IfItBelongs)? else {
             return Ok(Err(Exit::Interrupted));
         };
         let file = ModelFile::load(&path)?;
-        Ok(Ok(Learned { file, path, summary, seconds: args.learn }))
+        Ok(Ok(Learned { file, path, summary: trained.summary, seconds: args.learn }))
     }
 
     /// Plans the trajectory through one of the models.

@@ -26,7 +26,7 @@ use crate::model::learned::Features;
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
     let resume = if args.resume { Resume::Always } else { Resume::Never };
     let Trained { summary, report } = match learn(args, resume)? {
-        Learning::Done(trained) => trained,
+        Learning::Done(trained) => *trained,
         Learning::Interrupted(checkpoint) => {
             say(format_args!(
                 "the same command with --resume goes on from {}",
@@ -57,7 +57,7 @@ pub(super) struct Trained {
 
 /// How a training ended.
 pub(super) enum Learning {
-    Done(Trained),
+    Done(Box<Trained>),
     /// What was reached is in this checkpoint.
     Interrupted(PathBuf),
 }
@@ -140,7 +140,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
         write_file(&folder.join("report.json"), &json)?;
         report = Some(page);
     }
-    Ok(Learning::Done(Trained { summary, report }))
+    Ok(Learning::Done(Box::new(Trained { summary, report })))
 }
 
 /// Trains with labels of one window. Takes the progress if it is of this training and window.

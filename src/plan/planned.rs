@@ -289,8 +289,8 @@ impl Plan {
             let [state, next] = pair else { continue };
             let led = coasted(state, self.period_s);
             let kinematic = (0..3).chain(ANGLE..RATE);
-            let jump = kinematic.map(|i| (next[i] - led[i]).abs()).fold(0.0, f64::max);
-            if !(jump <= DEFECT_MAX) {
+            let mut jumps = kinematic.map(|i| (next[i] - led[i]).abs());
+            if let Some(jump) = jumps.find(|jump| jump.is_nan() || *jump > DEFECT_MAX) {
                 return Err(NotFlyable::Torn { jump, at_s: n as f64 * self.period_s });
             }
         }

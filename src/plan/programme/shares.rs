@@ -45,7 +45,7 @@ pub(super) fn slots(
     if !(least..=SECONDS_MAX).contains(&seconds) {
         return Err(ProgrammeError::Length { seconds, least, most: SECONDS_MAX });
     }
-    if !(flight_s >= FLIGHT_MIN_S) {
+    if flight_s.is_nan() || flight_s < FLIGHT_MIN_S {
         return Err(ProgrammeError::NoRoom {
             quantity: "a flight_s",
             found: flight_s,
