@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
-use sitl::effects::{EffectSet, ParameterValue};
 
 const NANO: &str = "crazyflie.toml";
 const QUAD: &str = "quad1200.toml";
@@ -116,86 +115,4 @@ fn bad_logs_are_refused_and_nothing_is_written() {
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(errors.contains("empty.tlog") && errors.contains("foreign.tlog"), "{errors}");
     assert!(!improved.exists());
-}
-
-/// Every effect at three magnitudes on both vehicles; prints what was found. Takes long: run it
-/// with `--ignored --nocapture` and an optimised build.
-#[test]
-#[ignore = "takes an hour"]
-fn every_effect_is_named_at_three_magnitudes() {
-    // Full magnitudes: nano, quad.
-    let effects: [(&str, [&str; 2]); 20] = [
-        ("thrust_scale", ["scale=0.9", "scale=1.1"]),
-        ("mass", ["mass_kg=*1.1", "mass_kg=*1.1"]),
-        ("thrust_curve", ["a=0.3", "a=0.3"]),
-        ("battery_sag", ["exponent=1.5", "exponent=1.5"]),
-        ("rotor_loss", ["rotor=1,scale=0.9", "rotor=2,scale=0.9"]),
-        ("motor_lag", ["tau_s=0.06", "tau_s=0.05"]),
-        ("command_delay", ["delay_s=0.03", "delay_s=0.03"]),
-        ("rotor_drag", ["d_xy=0.01,d_z=0.004", "d_xy=0.3,d_z=0.1"]),
-        ("parasitic_drag", ["cda_m2=0.004", "cda_m2=0.04"]),
-        ("ground_effect", ["r_eff_m=0.3", "r_eff_m=0.8"]),
-        ("translational_lift", ["k_s2_m2=0.01", "k_s2_m2=0.01"]),
-        (
-            "blade_flapping",
-            ["moment_Nms_m=0.0003,tilt_rad_s_m=0.01", "moment_Nms_m=0.05,tilt_rad_s_m=0.01"],
-        ),
-        ("vortex_ring", ["loss_max=0.3", "loss_max=0.3"]),
-        ("inertia", ["scale=[1.4,1.4,1.3]", "scale=[1.4,1.4,1.3]"]),
-        ("com_offset", ["x_m=0.002,y_m=-0.001", "x_m=0.005,y_m=-0.004"]),
-        ("rotor_gyroscopic", ["rotor_inertia_kgm2=4e-8", "rotor_inertia_kgm2=4e-5"]),
-        ("yaw_torque", ["scale=1.4", "scale=1.4"]),
-        ("attitude_trim", ["roll_rad=0.02,pitch_rad=-0.015", "roll_rad=0.02,pitch_rad=-0.015"]),
-        ("estimator_latency", ["latency_s=0.04", "latency_s=0.04"]),
-        (
-            "pd_gain",
-            [
-                "kp_scale=[0.7,0.7,0.8],kd_scale=[0.8,0.8,1.0]",
-                "kp_scale=[0.7,0.7,0.8],kd_scale=[0.8,0.8,1.0]",
-            ],
-        ),
-    ];
-    let mut wrong = 0;
-    for (id, full) in effects {
-        for (vehicle_file, text) in [NANO, QUAD].into_iter().zip(full) {
-            for share in [0.5, 1.0, 1.5] {
-                let argument = scaled(vehicle_file, id, text, share);
-                let name = format!("campaign-{id}-{vehicle_file}-{share}");
-                let logs = fly(&name, vehicle_file, 80, &[&argument]);
-                let answer = answer(&diagnose(&name, vehicle_file, &logs, &[]));
-                let found = named(&answer);
-                let right = found.first().is_some_and(|found| {
-                    *found == id
-                        || [*found, id].iter().all(|e| ["mass", "thrust_scale"].contains(e))
-                });
-                wrong += usize::from(!right);
-                println!("{} {argument}: {}", if right { "ok" } else { "--" }, answer["finding"]);
-            }
-        }
-    }
-    println!("{wrong} of 120 not named first");
-}
-
-/// An effect's argument with its numbers at `share` of the way from neutral to `full`.
-fn scaled(vehicle_file: &str, id: &str, full: &str, share: f64) -> String {
-    let params = sitl::vehicle::VehicleParams::load(vehicle(vehicle_file)).expect("a vehicle");
-    let mut set = EffectSet::new();
-    let full = full.replace("mass_kg=*1.1", &format!("mass_kg={}", 1.1 * params.mass));
-    set.insert_argument(&format!("{id}:{full}")).expect("an effect");
-    let effect: sitl::effects::EffectId = id.parse().expect("an effect");
-    let slots = set.slots(effect).expect("it is on");
-    let mut parts = Vec::new();
-    for slot in effect.spec().slots().filter(|slot| slot.component == 0) {
-        let neutral = downwash::diagnose::hypothesis::reference(&params, effect, slot.index);
-        let toward = |index: usize| {
-            let fixed = matches!(slot.parameter.neutral, sitl::effects::Neutral::None);
-            if fixed { slots[index] } else { neutral + share * (slots[index] - neutral) }
-        };
-        let value = match slot.parameter.kind.slots() {
-            1 => ParameterValue::Number(toward(slot.index)),
-            n => ParameterValue::Vector((slot.index..slot.index + n).map(toward).collect()),
-        };
-        parts.push(format!("{}={value}", slot.parameter.name));
-    }
-    format!("{id}:{}", parts.join(","))
 }

@@ -220,10 +220,16 @@ impl Hall<'_> {
         if cases.exists() {
             bail!("{} exists already: give an exam an --out of its own", cases.display());
         }
-        self.each(orders.len(), "flying", |number| {
+        let flown = self.each(orders.len(), "flying", |number| {
             let name = format!("case_{number:03}");
-            let case = Case::fly(&settings, self.seed, number as u64, &name, &orders[number])
-                .with_context(|| name.clone())?;
+            let case = match Case::fly(&settings, self.seed, number as u64, &name, &orders[number])
+            {
+                Ok(case) => case,
+                Err(error) => {
+                    say(format_args!("{name}: left out: {error}"));
+                    return Ok(None);
+                }
+            };
             let folder = self.folder(&name);
             fs::create_dir_all(&folder)
                 .with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -232,15 +238,16 @@ impl Hall<'_> {
             for (log, bytes) in log_names(case.logs.len()).zip(&case.logs) {
                 write_file(&folder.join(log), bytes)?;
             }
-            Ok(Flown {
+            Ok(Some(Flown {
                 name,
                 nominal: case.nominal,
                 truth: case.truth,
                 key: case.key,
                 noise: case.noise,
                 logs: case.logs.len(),
-            })
-        })
+            }))
+        })?;
+        Ok(flown.into_iter().flatten().collect())
     }
 
     fn diagnose(&self, flown: &[Flown]) -> anyhow::Result<Vec<Row>> {

@@ -73,8 +73,15 @@ impl Kind {
     }
 
     /// Every kind but nulls, with its share of the cases.
-    pub const SHARES: [(Kind, f64); 4] =
-        [(Kind::Single, 0.5), (Kind::Pair, 0.15), (Kind::Modelled, 0.15), (Kind::LeftOut, 0.2)];
+    pub const SHARES: [(Kind, f64); 7] = [
+        (Kind::Single, 0.4),
+        (Kind::Pair, 0.12),
+        (Kind::Modelled, 0.08),
+        (Kind::LeftOut, 0.12),
+        (Kind::Foreign, 0.1),
+        (Kind::OtherLaw, 0.1),
+        (Kind::Trap, 0.08),
+    ];
 }
 
 /// A case to be flown.

@@ -1,0 +1,89 @@
+//! The blind exam, end to end on a handful of cases: what is committed to is what is opened, and
+//! each case is diagnosed and scored.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use downwash::exam::case::{Case, Kind, Order, Settings};
+use downwash::exam::key::{Key, commitment};
+use serde_json::Value;
+
+/// A folder of the test's own that does not exist yet.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("exam").join(name);
+    let _ = fs::remove_dir_all(&path);
+    path
+}
+
+fn exam(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
+    command.args(["exam", "--json", "--seconds", "12", "--twins", "0", "--out"]).arg(folder);
+    command.args(arguments).output().expect("the command runs")
+}
+
+fn summary(output: &Output) -> Value {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {errors}"))
+}
+
+fn names(folder: &Path) -> BTreeSet<String> {
+    let entries = fs::read_dir(folder).expect("the folder");
+    entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into()).collect()
+}
+
+#[test]
+fn every_case_is_answered_and_the_key_is_the_one_committed_to() {
+    let out = folder("drawn");
+    let arguments = ["--cases", "2", "--nulls", "1", "--kinds", "single", "--seed", "5"];
+    let summary = summary(&exam(&out, &arguments));
+    let key = fs::read(out.join("key.json")).expect("the key");
+    let committed = fs::read_to_string(out.join("commitment.txt")).expect("the commitment");
+    assert_eq!(committed.split_whitespace().next(), Some(commitment(&key).as_str()));
+    assert_eq!(summary["commitment"], commitment(&key).as_str());
+
+    let key: Key = serde_json::from_slice(&key).expect("a key");
+    let kinds: Vec<Kind> = key.cases.values().map(|case| case.kind).collect();
+    assert_eq!(kinds.iter().filter(|kind| **kind == Kind::Null).count(), 1);
+    assert_eq!(kinds.iter().filter(|kind| **kind == Kind::Single).count(), 2);
+    let answers = ["case_000.json", "case_001.json", "case_002.json"].map(str::to_owned);
+    assert_eq!(names(&out.join("answers")), BTreeSet::from(answers));
+    // Logs go when they are diagnosed.
+    assert!(names(&out.join("cases")).is_empty());
+    let rows = summary["cases"].as_array().expect("rows");
+    assert_eq!(rows.len(), 3);
+    assert!(rows.iter().all(|row| row["verdict"] != "missing"), "{rows:?}");
+    let page = fs::read_to_string(out.join("report.html")).expect("the report");
+    assert!(page.contains(&commitment(&fs::read(out.join("key.json")).expect("the key"))));
+
+    let again = exam(&out, &arguments);
+    assert!(!again.status.success(), "another exam's folder is taken");
+}
+
+#[test]
+fn round_trip_names_its_effect() {
+    let out = folder("round-trip");
+    // The first of this seed is strong and plain.
+    let summary = summary(&exam(&out, &["--round-trip", "--cases", "1", "--seed", "3", "--keep"]));
+    let row = &summary["cases"][0];
+    assert_eq!(row["kind"], "round-trip");
+    assert_eq!(row["verdict"], "effect", "{row}");
+    assert_eq!(row["top_right"], true, "{row}");
+    let kept = names(&out.join("cases/case_000"));
+    assert!(kept.contains("vehicle.json") && kept.contains("flight_4.tlog"), "{kept:?}");
+}
+
+#[test]
+fn same_seed_gives_the_same_case() {
+    let settings = Settings { flights: 2, seconds: 6.0, ..Settings::default() };
+    for kind in [Kind::Single, Kind::Foreign, Kind::OtherLaw, Kind::Trap] {
+        let fly =
+            |number| Case::fly(&settings, 9, number, "case", &Order::from(kind)).expect("a case");
+        let (one, same, other) = (fly(1), fly(1), fly(2));
+        assert_eq!(one.key, same.key, "{kind:?}");
+        assert_eq!(one.logs, same.logs);
+        assert_ne!(one.nominal, other.nominal);
+    }
+}
