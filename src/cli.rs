@@ -37,8 +37,11 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Flies the bundled vehicle in lockstep, learns a model from the flights, plans through it, and
-    /// flies a trajectory with and without the plans; leaves a report, its numbers and the logs.
+    /// The whole experiment on the bundled vehicle, in lockstep: collect, learn, plan, fly, compare.
+    ///
+    /// Learns a model from flights of a vehicle with effects that its file does not say, plans a
+    /// trajectory through it, and flies it with and without the plans. Leaves a report, its
+    /// numbers, the model, the plans and the logs.
     Demo(DemoArgs),
     /// Connects to a vehicle, flies one trajectory from take-off to landing, and logs it.
     Fly(FlyArgs),
@@ -119,15 +122,19 @@ pub struct DiagnoseArgs {
 /// Flags of `exam`.
 #[derive(Debug, Args)]
 pub struct ExamArgs {
-    /// Cases with something to find.
-    #[arg(long, value_name = "COUNT", default_value_t = 60)]
-    pub cases: usize,
+    /// Cases with something to find [default: 60; of a round trip all].
+    #[arg(long, value_name = "COUNT")]
+    pub cases: Option<usize>,
     /// Cases with nothing to find.
     #[arg(long, value_name = "COUNT", default_value_t = 20)]
     pub nulls: usize,
     /// Only cases of these kinds [default: all, in fixed shares].
     #[arg(long, value_enum, value_delimiter = ',')]
     pub kinds: Vec<Kind>,
+    /// Instead: every effect at three strengths on both shipped vehicles, with logs as they are, at
+    /// half their rate, with stamps 5 ms off, and with a tenth lost. Takes an hour or more.
+    #[arg(long, conflicts_with = "kinds")]
+    pub round_trip: bool,
     /// Seed of everything that is drawn [default: from the system, and said].
     #[arg(long)]
     pub seed: Option<u64>,

@@ -24,9 +24,9 @@ const SHEAR_HEIGHT_MIN: f64 = 0.1;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Foreign {
-    /// A load that is part of the vehicle's mass but swings on a line: r'' = -(g / l) r
-    /// - 2 c sqrt(g / l) r' - a, r its horizontal place under the vehicle, a the vehicle's
-    /// horizontal acceleration; against a fixed load it adds the force m (g / l) r + m a.
+    /// A load that is part of the vehicle's mass but swings on a line. With w^2 = g / l,
+    /// r'' = -(w^2 r + 2 c w r' + a), r its horizontal place under the vehicle and a the vehicle's
+    /// horizontal acceleration; against a fixed load it adds the force m (w^2 r + a).
     SlungLoad {
         /// m, kg.
         mass_kg: f64,

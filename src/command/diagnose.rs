@@ -1,21 +1,24 @@
 //! `downwash diagnose`: where the gap lies, which effect causes it, how far it shrinks.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
+use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
 use super::setup::capability;
 use super::{Exit, ExitContext, config, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
-use crate::diagnose::answer::Verdict;
+use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
+use crate::diagnose::audit::{Audit, UnusableSpan};
 use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
 use crate::diagnose::preparation::PreparedFlight;
 use crate::diagnose::procedure::{Case, Diagnosis, Settings, diagnose};
 use crate::diagnose::words::report;
+use crate::log::import::Flight;
 use crate::plan::manoeuvres::Room;
 
 /// Guard between the halves of a single flight, s.
@@ -32,20 +35,23 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     paths.retain(|path| !args.new.contains(path));
     let old = paths.len();
     paths.extend(args.new.iter().cloned());
-    let mapping = args.mapping.as_deref();
-    let read: Vec<anyhow::Result<PreparedFlight>> =
-        paths.par_iter().map(|path| prepare(path, mapping, &vehicle)).collect();
+    let read = audited(&paths, args.mapping.as_deref(), &vehicle);
     let (mut fitted, mut held_out, mut new) = (Vec::new(), Vec::new(), Vec::new());
-    for (index, (path, flight)) in paths.iter().zip(read).enumerate() {
-        match flight {
+    let mut logs = Vec::new();
+    for (index, (path, log)) in paths.iter().zip(read).enumerate() {
+        match log.flight {
             Ok(flight) if index >= old => new.push(flight),
             Ok(flight) if args.holdout.contains(path) => held_out.push(flight),
             Ok(flight) => fitted.push(flight),
             Err(error) => say(format_args!("{}: left out: {error:#}", path.display())),
         }
+        logs.extend(log.audit);
     }
     if fitted.is_empty() {
         fitted.append(&mut new);
+    }
+    if fitted.is_empty() && held_out.is_empty() && logs.iter().any(LogAnswer::is_faulty) {
+        return tell(args, &vehicle, &Answer::data_fault(logs), &EffectSet::new());
     }
     if fitted.is_empty() && held_out.is_empty() {
         return Err(anyhow!("none of the {} logs can be used", paths.len())).or_exit(Exit::Usage);
@@ -80,7 +86,17 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         }
         diagnosis.answer.next_flight = next;
     }
-    let answer = &diagnosis.answer;
+    diagnosis.answer.take_up(logs);
+    tell(args, &vehicle, &diagnosis.answer, &diagnosis.effects)
+}
+
+/// Writes what was asked for, and prints the answer.
+fn tell(
+    args: &DiagnoseArgs,
+    vehicle: &VehicleParams,
+    answer: &Answer,
+    effects: &EffectSet,
+) -> anyhow::Result<Exit> {
     if let Some(folder) = &args.report {
         fs::create_dir_all(folder)
             .with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -91,7 +107,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     }
     if let Some(out) = &args.out {
         let mut improved = vehicle.clone();
-        improved.modelled_effects = vehicle.modelled_effects.overlay(&diagnosis.effects);
+        improved.modelled_effects = vehicle.modelled_effects.overlay(effects);
         let text = improved.to_toml().context("improved vehicle file")?;
         write_file(out, text.as_bytes())?;
     }
@@ -127,13 +143,54 @@ fn propose(
     next_flight(&proposal, open, untested).or_exit(Exit::Usage)
 }
 
+/// A log with what the audit found in it.
+struct AuditedLog {
+    flight: anyhow::Result<PreparedFlight>,
+    audit: Option<LogAnswer>,
+}
+
+/// Reads logs and audits them together. A log at fault is left out, and of others the times that
+/// cannot be used.
+fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -> Vec<AuditedLog> {
+    let read: Vec<anyhow::Result<Flight>> =
+        paths.par_iter().map(|path| open_for(path, mapping, vehicle)).collect();
+    let mut refused = Vec::new();
+    let mut flights = Vec::new();
+    for (index, flight) in read.into_iter().enumerate() {
+        match flight {
+            Ok(flight) => flights.push(flight),
+            Err(error) => refused.push((index, error)),
+        }
+    }
+    let audits = Audit::of_all(&flights);
+    let mut logs: Vec<AuditedLog> = flights
+        .into_par_iter()
+        .zip(audits)
+        .map(|(flight, audit)| AuditedLog {
+            flight: prepare(flight, &audit, vehicle),
+            audit: Some(LogAnswer::of(&audit)),
+        })
+        .collect();
+    for (index, error) in refused {
+        logs.insert(index, AuditedLog { flight: Err(error), audit: None });
+    }
+    logs
+}
+
 fn prepare(
-    path: &Path,
-    mapping: Option<&Path>,
+    flight: Flight,
+    audit: &Audit,
     vehicle: &VehicleParams,
 ) -> anyhow::Result<PreparedFlight> {
-    let flight = open_for(path, mapping, vehicle)?;
-    Ok(PreparedFlight::new(flight, vehicle)?)
+    if let Some(fault) = audit.faults().next() {
+        return Err(anyhow!("{fault}"));
+    }
+    let flight = PreparedFlight::new(flight, vehicle)?;
+    // Setpoints may pause where the outputs drive the plant.
+    let concerns = |span: &&UnusableSpan| span.stream != "setpoint" || flight.channels.setpoint;
+    let times = audit.unusable.iter().filter(concerns).map(|span| span.from_s..span.to_s);
+    let times: Vec<_> = times.collect();
+    Ok(flight.excluding(&times)?)
 }
 
 /// The first and the last part of one flight, with a guard between.

@@ -27,7 +27,7 @@ use crate::cli::ExamArgs;
 use crate::diagnose::gap::ReportNoise;
 use crate::diagnose::preparation::PreparedFlight;
 use crate::exam::answer::Given;
-use crate::exam::case::{Case, Kind, Settings};
+use crate::exam::case::{Case, Kind, Order, RoundTrip, Settings};
 use crate::exam::closure::closure;
 use crate::exam::draw::Draw;
 use crate::exam::key::{Key, KeyEntry, commitment, entropy};
@@ -37,6 +37,13 @@ use crate::report::exam;
 
 /// Stream of the exam's seed that the kinds and their order are drawn from.
 const ORDER: u64 = 0;
+/// Cases with something to find, where nothing else is asked for.
+const CASES: usize = 60;
+/// The vehicles of a round trip.
+const SHIPPED: [&str; 2] = [
+    include_str!("../../config/vehicles/crazyflie.toml"),
+    include_str!("../../config/vehicles/quad1200.toml"),
+];
 
 /// The JSON of `exam`, and its summary.json.
 #[derive(Serialize)]
@@ -75,9 +82,9 @@ pub(super) fn run(args: &ExamArgs) -> anyhow::Result<Exit> {
     let out = args.out.canonicalize().with_context(|| args.out.display().to_string())?;
     let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
     let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
-    let kinds = kinds(args, seed);
+    let orders = orders(args, seed)?;
     let began = Instant::now();
-    let flown = hall.fly(&kinds)?;
+    let flown = hall.fly(&orders)?;
     if flown.is_empty() {
         return Ok(if interrupted.load(Ordering::Relaxed) { Exit::Interrupted } else { Exit::Ok });
     }
@@ -89,19 +96,21 @@ pub(super) fn run(args: &ExamArgs) -> anyhow::Result<Exit> {
     let rows = hall.diagnose(&flown)?;
     write_file(&out.join("key.json"), &key)?;
     let summary = Summary::new(&rows);
+    let wall_s = [flights_s, began.elapsed().as_secs_f64() - flights_s];
+    let provenance = exam::Provenance { seed, commitment: &hash, wall_s };
     let whole = ExamSummary {
         schema: "downwash.exam",
         schema_version: 1,
         seed,
         commitment: &hash,
-        left_out: kinds.len() - rows.len(),
-        wall_s: [flights_s, began.elapsed().as_secs_f64() - flights_s],
+        left_out: orders.len() - rows.len(),
+        wall_s,
         summary: &summary,
         cases: &rows,
     };
     let json = serde_json::to_vec_pretty(&whole).context("summary.json")?;
     write_file(&out.join("summary.json"), &json)?;
-    write_file(&out.join("report.html"), exam::html(&summary, &rows, seed, &hash).as_bytes())?;
+    write_file(&out.join("report.html"), exam::html(&summary, &rows, &provenance).as_bytes())?;
     if args.json {
         print_json(&whole)?;
     } else {
@@ -118,22 +127,40 @@ pub(super) fn run(args: &ExamArgs) -> anyhow::Result<Exit> {
 }
 
 /// What each case asks, in an order that its name gives nothing away of.
-fn kinds(args: &ExamArgs, seed: u64) -> Vec<Kind> {
+fn orders(args: &ExamArgs, seed: u64) -> anyhow::Result<Vec<Order>> {
     let mut draw = Draw::new(seed, ORDER);
+    let mut orders = if args.round_trip {
+        let vehicles: Vec<VehicleParams> = SHIPPED
+            .iter()
+            .map(|text| VehicleParams::from_toml_str(text))
+            .collect::<Result<_, _>>()
+            .context("a built-in vehicle")?;
+        RoundTrip::all(&vehicles)
+    } else {
+        kinds(args).into_iter().map(Order::from).collect()
+    };
+    draw.shuffle(&mut orders);
+    if args.round_trip {
+        orders.truncate(args.cases.unwrap_or(usize::MAX));
+    }
+    Ok(orders)
+}
+
+fn kinds(args: &ExamArgs) -> Vec<Kind> {
     let wanted: Vec<(Kind, f64)> = Kind::SHARES
         .into_iter()
         .filter(|(kind, _)| args.kinds.is_empty() || args.kinds.contains(kind))
         .collect();
     let total: f64 = wanted.iter().map(|(_, share)| share).sum();
+    let count = args.cases.unwrap_or(CASES) as f64;
     let mut kinds = vec![Kind::Null; args.nulls];
     let (mut due, mut before) = (0.0, 0);
     for (kind, share) in wanted {
-        due += share / total * args.cases as f64;
-        let upto = due.round() as usize;
+        due += share / total * count;
+        let upto = f64::round(due) as usize;
         kinds.extend(std::iter::repeat_n(kind, upto - before));
         before = upto;
     }
-    draw.shuffle(&mut kinds);
     kinds
 }
 
@@ -187,15 +214,15 @@ impl Hall<'_> {
         self.out.join("cases").join(name)
     }
 
-    fn fly(&self, kinds: &[Kind]) -> anyhow::Result<Vec<Flown>> {
+    fn fly(&self, orders: &[Order]) -> anyhow::Result<Vec<Flown>> {
         let settings = Settings { seconds: self.args.seconds, ..Settings::default() };
         let cases = self.out.join("cases");
         if cases.exists() {
             bail!("{} exists already: give an exam an --out of its own", cases.display());
         }
-        self.each(kinds.len(), "flying", |number| {
+        self.each(orders.len(), "flying", |number| {
             let name = format!("case_{number:03}");
-            let case = Case::fly(&settings, self.seed, number as u64, &name, kinds[number])
+            let case = Case::fly(&settings, self.seed, number as u64, &name, &orders[number])
                 .with_context(|| name.clone())?;
             let folder = self.folder(&name);
             fs::create_dir_all(&folder)

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
-use super::audit::Tier;
+use super::audit::{Audit, Severity, Tier, Untestable};
 use super::gap::{Errors, ReportNoise};
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::map::ResidualMap;
@@ -75,10 +75,32 @@ pub struct LogAnswer {
     pub name: String,
     /// What was logged, as far as it decides what can be told.
     pub tier: Option<Tier>,
-    /// Whether it was left out.
-    pub left_out: bool,
-    /// Faults of the data and of the measurement.
+    /// Faults of the data for which it was left out.
+    pub faults: Vec<String>,
+    /// What is at fault in the data and in the measurement, and what to do about it.
     pub findings: Vec<String>,
+    /// Effects that its channels cannot show.
+    #[serde(skip)]
+    pub untestable: Vec<Untestable>,
+}
+
+impl LogAnswer {
+    /// What an audit found.
+    pub fn of(audit: &Audit) -> Self {
+        let worth_a_word = audit.findings.iter().filter(|f| f.severity > Severity::Note);
+        Self {
+            name: audit.run.clone(),
+            tier: audit.tier,
+            faults: audit.faults().map(|finding| finding.what.clone()).collect(),
+            findings: worth_a_word.map(ToString::to_string).collect(),
+            untestable: audit.untestable.clone(),
+        }
+    }
+
+    /// Whether the log was left out as faulty.
+    pub fn is_faulty(&self) -> bool {
+        !self.faults.is_empty()
+    }
 }
 
 /// An effect with its probability.
@@ -228,4 +250,60 @@ pub struct NotTestable {
     pub id: &'static str,
     /// Why.
     pub reason: String,
+}
+
+impl Answer {
+    /// The answer where every log is at fault.
+    pub fn data_fault(logs: Vec<LogAnswer>) -> Self {
+        let reasons: Vec<String> = logs
+            .iter()
+            .filter(|log| log.is_faulty())
+            .map(|log| format!("{}: {}", log.name, log.faults.join("; ")))
+            .collect();
+        let sentence = format!(
+            "The data are at fault, and nothing was concluded from them: {}.",
+            reasons.join(". ")
+        );
+        Self {
+            verdict: Verdict::Unknown,
+            effects: Vec::new(),
+            gap: None,
+            closed_loop: None,
+            closed_loop_missing: None,
+            ambiguous_with: Vec::new(),
+            finding: Finding { verdict: FullVerdict::DataFault, sentence, depends_on: Vec::new() },
+            logs,
+            map: ResidualMap::default(),
+            not_testable: Vec::new(),
+            next_flight: None,
+            unmodelled_force: None,
+            unmodelled_moment: None,
+            twins: None,
+            evidence_asked: 0.0,
+            hypotheses: Vec::new(),
+            flights: Vec::new(),
+        }
+    }
+
+    /// Takes up what the audit found: faults of some logs, and what no channel of any log shows.
+    pub fn take_up(&mut self, logs: Vec<LogAnswer>) {
+        let sound: Vec<&LogAnswer> = logs.iter().filter(|log| !log.is_faulty()).collect();
+        let untestable = |log: &LogAnswer, id: &str| log.untestable.iter().any(|u| u.effect == id);
+        if let Some(first) = sound.first() {
+            for Untestable { effect, reason } in &first.untestable {
+                let named = self.effects.iter().any(|e| e.id == *effect);
+                let known = self.not_testable.iter().any(|e| e.id == *effect);
+                if !named && !known && sound.iter().all(|log| untestable(log, effect)) {
+                    self.not_testable.push(NotTestable { id: effect, reason: reason.clone() });
+                }
+            }
+        }
+        self.logs = logs;
+        if self.finding.verdict == FullVerdict::None && !self.not_testable.is_empty() {
+            self.finding.verdict = FullVerdict::NotTestable;
+            let ids: Vec<&str> = self.not_testable.iter().map(|effect| effect.id).collect();
+            self.finding.sentence +=
+                &format!(" These flights and channels could not have shown {}.", ids.join(", "));
+        }
+    }
 }

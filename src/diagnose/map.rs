@@ -43,7 +43,7 @@ pub struct Regime {
 }
 
 /// The map.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct ResidualMap {
     /// Channels and time scales, the largest excess first.
     pub cells: Vec<Cell>,
@@ -114,6 +114,17 @@ pub fn map(
 const QUANTITIES: [&str; 6] =
     ["speed [m/s]", "climb [m/s]", "height [m]", "throttle [0..1]", "voltage [V]", "turn [rad/s]"];
 
+/// And of the body's motion and of place and time, for what goes with them.
+const OF_BODY: [&str; 6] = [
+    "velocity to the front [m/s]",
+    "velocity to the right [m/s]",
+    "velocity down [m/s]",
+    "roll rate [rad/s]",
+    "pitch rate [rad/s]",
+    "yaw rate [rad/s]",
+];
+const OF_PLACE: [&str; 4] = ["place, north [m]", "place, east [m]", "heading [rad]", "time [s]"];
+
 /// What is unexplained over a quarter of a second, and how the vehicle moved then.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
@@ -126,6 +137,7 @@ pub struct Sample {
     /// Body rate, rad/s.
     pub body_rate: [f64; 3],
     quantities: [f64; QUANTITIES.len()],
+    place: [f64; OF_PLACE.len()],
 }
 
 impl Sample {
@@ -172,13 +184,14 @@ fn sample(flight: &PreparedFlight, time: f64, world: [f64; 3]) -> Sample {
     let [w, x, y, z] = flight.attitude.at(time);
     let attitude = Attitude { w, x, y, z }.normalized();
     let [vn, ve, vd] = flight.velocity.at(time);
-    let [.., down] = flight.position.at(time);
+    let [north, east, down] = flight.position.at(time);
     let [p, q, r] = flight.body_rate.at(time);
     Sample {
         world,
         body: attitude.to_body(Ned::from(world)).to_array(),
         body_velocity: attitude.to_body(Ned::new(vn, ve, vd)).to_array(),
         body_rate: [p, q, r],
+        place: [north, east, attitude.yaw(), time],
         quantities: [
             (vn * vn + ve * ve + vd * vd).sqrt(),
             -vd,
@@ -205,6 +218,58 @@ fn regime(samples: &[Sample], index: usize, quantity: &'static str) -> Option<Re
         (square / part.len() as f64).sqrt()
     });
     Some(Regime { quantity, bounds: std::array::from_fn(at), rms })
+}
+
+/// Parts of the time that a dependence is looked for in.
+const PARTS: usize = 8;
+/// Share of the unexplained acceleration that goes with a quantity, for it to be worth a word.
+const SHARE_MIN: f64 = 0.2;
+/// Samples of a quarter of a second that count as one: what is unexplained lasts.
+const CORRELATED: f64 = 4.0;
+
+/// What the unexplained acceleration goes with: quantities of which its mean, in world or body axes,
+/// depends, the strongest first. By the correlation ratio (Pearson 1905) in eighths of the time, less
+/// what chance gives.
+pub fn depends_on(samples: &[Sample]) -> Vec<String> {
+    let of_sample = |sample: &Sample| -> Vec<f64> {
+        let own = sample.quantities.iter().chain(&sample.body_velocity).chain(&sample.body_rate);
+        own.chain(&sample.place).copied().collect()
+    };
+    let names = QUANTITIES.iter().chain(&OF_BODY).chain(&OF_PLACE);
+    let mut found: Vec<(f64, &str)> = names
+        .enumerate()
+        .map(|(index, name)| {
+            let value = |sample: &Sample| of_sample(sample).get(index).copied().unwrap_or(0.0);
+            let mut order: Vec<&Sample> = samples.iter().collect();
+            order.sort_by(|a, b| value(a).total_cmp(&value(b)));
+            let share = |of: fn(&Sample) -> [f64; 3]| correlation_ratio(&order, of);
+            (share(|s| s.world).max(share(|s| s.body)), *name)
+        })
+        .filter(|(share, _)| *share > SHARE_MIN)
+        .collect();
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found.into_iter().map(|(share, name)| format!("{name}: {:.0} %", 100.0 * share)).collect()
+}
+
+/// Share of a vector's variance that lies between [`PARTS`] of samples in their order.
+fn correlation_ratio(order: &[&Sample], of: fn(&Sample) -> [f64; 3]) -> f64 {
+    let n = order.len();
+    if n < 4 * PARTS {
+        return 0.0;
+    }
+    let mean = |part: &[&Sample]| -> [f64; 3] {
+        std::array::from_fn(|i| part.iter().map(|s| of(s)[i]).sum::<f64>() / part.len() as f64)
+    };
+    let square =
+        |a: [f64; 3], b: [f64; 3]| -> f64 { a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum() };
+    let all = mean(order);
+    let total: f64 = order.iter().map(|s| square(of(s), all)).sum();
+    let between: f64 = (0..PARTS)
+        .map(|k| &order[k * n / PARTS..(k + 1) * n / PARTS])
+        .map(|part| part.len() as f64 * square(mean(part), all))
+        .sum();
+    let chance = (PARTS - 1) as f64 / (n as f64 / CORRELATED - 1.0).max(1.0);
+    if total > 0.0 { between / total - chance } else { 0.0 }
 }
 
 /// Largest over smallest quarter.

@@ -413,6 +413,7 @@ impl PreparedFlight {
             specific_force: Series::default(),
             outputs: Series::default(),
             voltage: Series::default(),
+            reference: Stream::default(),
             setpoint: Stream::default(),
             blocks: blocks(&spans),
             spans,

@@ -14,7 +14,7 @@ use super::hypothesis::Catalogue;
 use super::judgement::{Leftover, explained, is_unexplained};
 use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
-use super::map::{map, samples};
+use super::map::{depends_on, map, samples};
 use super::naming::{as_good, named_effects, not_testable};
 use super::next_flight::{Live, live, untested};
 use super::noise::report_noise;
@@ -215,6 +215,20 @@ pub fn diagnose(
     } else {
         (Vec::new(), Vec::new())
     };
+    let (full, depends_on) = match verdict {
+        Verdict::None => (FullVerdict::None, Vec::new()),
+        Verdict::Effect if ambiguous_with.is_empty() => (FullVerdict::Named, Vec::new()),
+        Verdict::Effect => (FullVerdict::Ambiguous, Vec::new()),
+        Verdict::Unknown => {
+            let candidate = catalogue.candidate(&selection.best.fit.values)?;
+            let depends_on = depends_on(&samples(&fitted, &evaluator, &candidate));
+            if depends_on.is_empty() {
+                (FullVerdict::UnobservedDisturbance, depends_on)
+            } else {
+                (FullVerdict::UnknownStructured, depends_on)
+            }
+        }
+    };
     progress("flown again");
     let reported = gap.as_ref().map_or(noise, |gap| gap.noise);
     let (closed_loop, closed_loop_missing) = match reflight(case, &effects, &reported, settings) {
@@ -223,11 +237,7 @@ pub fn diagnose(
     };
     let mut answer = Answer {
         verdict,
-        finding: Finding {
-            verdict: FullVerdict::None,
-            sentence: String::new(),
-            depends_on: Vec::new(),
-        },
+        finding: Finding { verdict: full, sentence: String::new(), depends_on },
         logs: Vec::new(),
         map,
         twins,

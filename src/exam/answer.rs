@@ -28,9 +28,20 @@ pub struct Given {
     /// Effects that the logs cannot show.
     #[serde(default)]
     pub not_testable: Vec<Untestable>,
-    /// In words.
+    /// The full verdict.
     #[serde(default)]
-    pub finding: String,
+    pub finding: GivenFinding,
+}
+
+/// The full verdict of an answer.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub struct GivenFinding {
+    /// In a word.
+    #[serde(default)]
+    pub verdict: String,
+    /// In a sentence or two.
+    #[serde(default)]
+    pub sentence: String,
 }
 
 /// An effect of an answer.

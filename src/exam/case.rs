@@ -9,6 +9,7 @@ use sitl::foreign::Foreign;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::airframe;
+use super::condition::Condition;
 use super::draw::{Draw, rounded};
 use super::flight::{FlightError, Link, Sortie, Track};
 use super::ground::Rates;
@@ -45,12 +46,85 @@ pub enum Kind {
     OtherLaw,
     /// One effect on flights that cannot tell it from another, or cannot show it.
     Trap,
+    /// One effect on a shipped vehicle, at one of three strengths, with logs in some state.
+    #[value(skip)]
+    RoundTrip,
 }
 
 impl Kind {
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Null => "null",
+            Self::Single => "single",
+            Self::Pair => "pair",
+            Self::Modelled => "modelled",
+            Self::LeftOut => "left-out",
+            Self::Foreign => "foreign",
+            Self::OtherLaw => "other-law",
+            Self::Trap => "trap",
+            Self::RoundTrip => "round-trip",
+        }
+    }
+
+    /// Whether its flights hide or confound the effect.
+    pub fn is_trap(self) -> bool {
+        self == Self::Trap
+    }
+
     /// Every kind but nulls, with its share of the cases.
     pub const SHARES: [(Kind, f64); 4] =
         [(Kind::Single, 0.5), (Kind::Pair, 0.15), (Kind::Modelled, 0.15), (Kind::LeftOut, 0.2)];
+}
+
+/// A case to be flown.
+#[derive(Clone, Debug)]
+pub struct Order {
+    /// What it asks.
+    pub kind: Kind,
+    /// Of a round trip: which.
+    pub round_trip: Option<RoundTrip>,
+}
+
+impl From<Kind> for Order {
+    fn from(kind: Kind) -> Self {
+        Self { kind, round_trip: None }
+    }
+}
+
+/// A case of the round trip.
+#[derive(Clone, Debug)]
+pub struct RoundTrip {
+    /// The vehicle, without the name that it has.
+    pub vehicle: VehicleParams,
+    /// Its effect.
+    pub effect: EffectId,
+    /// How strongly it is to show.
+    pub ratio: f64,
+    /// State of its logs.
+    pub condition: Condition,
+}
+
+impl RoundTrip {
+    /// Strengths of a round trip.
+    pub const RATIOS: [f64; 3] = [3.0, 6.0, 12.0];
+
+    /// Every effect of the catalogue at every strength on every vehicle with logs in every state.
+    pub fn all(vehicles: &[VehicleParams]) -> Vec<Order> {
+        let mut orders = Vec::new();
+        for vehicle in vehicles {
+            for effect in EffectId::ALL {
+                for ratio in Self::RATIOS {
+                    for condition in Condition::ALL {
+                        let vehicle = vehicle.clone();
+                        let trip = Self { vehicle, effect, ratio, condition };
+                        orders.push(Order { kind: Kind::RoundTrip, round_trip: Some(trip) });
+                    }
+                }
+            }
+        }
+        orders
+    }
 }
 
 /// What is the same in every case.
@@ -112,6 +186,8 @@ const FOREIGN_RATIOS: [f64; 2] = [1.0, 10.0];
 const TRAP_RATIOS: [f64; 2] = [3.0, 12.0];
 /// Effects that act on the velocity relative to the air.
 const DRAGS: [EffectId; 2] = [EffectId::RotorDrag, EffectId::ParasiticDrag];
+/// And those that act through them.
+const NEED_DRAG: [EffectId; 2] = [EffectId::Wind, EffectId::Gusts];
 
 impl Case {
     /// Case `number` of the exam with this seed.
@@ -123,12 +199,12 @@ impl Case {
         seed: u64,
         number: u64,
         name: &str,
-        kind: Kind,
+        order: &Order,
     ) -> Result<Self, CaseError> {
         let mut last = FlightError::Lost(0.0);
         for attempt in 0..ATTEMPTS {
             let mut draw = Draw::new(seed, number * ATTEMPTS + attempt + 1);
-            match Bench::draw(&mut draw, settings, name, kind)?.case(&mut draw, kind) {
+            match Bench::draw(&mut draw, settings, name, order)?.case(&mut draw, order) {
                 Ok(case) => return Ok(case),
                 Err(error) => last = error,
             }
@@ -177,12 +253,22 @@ impl Bench {
         draw: &mut Draw,
         settings: &Settings,
         name: &str,
-        kind: Kind,
+        order: &Order,
     ) -> Result<Self, VehicleError> {
+        let kind = order.kind;
         let mut nominal = airframe::vehicle(draw, name);
         let mut notes = Vec::new();
+        if let Some(trip) = &order.round_trip {
+            nominal = VehicleParams { name: name.to_owned(), ..trip.vehicle.clone() };
+        }
         let trap = (kind == Kind::Trap).then(|| &TRAPS[draw.below(TRAPS.len())]);
-        if kind == Kind::Modelled || trap.is_some_and(|trap| trap.models_drag) || draw.chance(0.2) {
+        let must = kind == Kind::Modelled || trap.is_some_and(|trap| trap.models_drag);
+        let is_free = order.round_trip.is_none();
+        let lacks = order.round_trip.as_ref().is_some_and(|trip| {
+            NEED_DRAG.contains(&trip.effect)
+                && !DRAGS.iter().any(|drag| nominal.modelled_effects.contains(*drag))
+        });
+        if must || lacks || is_free && draw.chance(0.2) {
             let drag = if draw.chance(0.7) { DRAGS[0] } else { DRAGS[1] };
             let size = draw.within([0.15, 0.5]);
             nominal.modelled_effects = Direction::draw(draw, &nominal, drag).at(size);
@@ -331,7 +417,8 @@ impl Bench {
         Ok(self.sized(judge, &at, 1.0, draw.log_within(ratios))?.0)
     }
 
-    fn case(mut self, draw: &mut Draw, kind: Kind) -> Result<Case, FlightError> {
+    fn case(mut self, draw: &mut Draw, order: &Order) -> Result<Case, FlightError> {
+        let kind = order.kind;
         let Ok(Some(predictor)) = Predictor::new(&self.nominal, self.configs[0].sensors) else {
             return Err(FlightError::Lost(0.0));
         };
@@ -365,7 +452,7 @@ impl Bench {
                 ratios.insert(effect, ratio);
             }
             _ => {
-                for (effect, range) in self.wanted(draw, kind) {
+                for (effect, range) in self.wanted(draw, order) {
                     let (sized, ratio) = self.sized_effect(draw, &judge, effect, range)?;
                     truth.effects = truth.effects.overlay(&sized);
                     ratios.insert(effect, ratio);
@@ -373,10 +460,11 @@ impl Bench {
             }
         }
         let snr = self.strength(&judge, &truth)?;
+        let condition = order.round_trip.as_ref().map_or(Condition::Plain, |trip| trip.condition);
         let logs = self
             .sorties(&truth, false)
-            .map(|sortie| sortie.fly().map(|flown| flown.tlog))
-            .collect::<Result<_, _>>()?;
+            .map(|sortie| Ok(condition.apply(&sortie.fly()?.tlog, sortie.seed)))
+            .collect::<Result<_, FlightError>>()?;
         let verdict = match kind {
             Kind::Null => Verdict::None,
             Kind::Trap if candidates.is_empty() => Verdict::None,
@@ -397,6 +485,7 @@ impl Bench {
         let sensors = self.configs[0].sensors;
         let key = KeyEntry {
             kind,
+            condition,
             verdict: verdict.name().to_owned(),
             effects,
             also_right: names(causes.get(1..).unwrap_or_default()),
@@ -419,9 +508,12 @@ impl Bench {
     }
 
     /// The effects of a case, and how strongly each is to show.
-    fn wanted(&self, draw: &mut Draw, kind: Kind) -> Vec<(EffectId, [f64; 2])> {
+    fn wanted(&self, draw: &mut Draw, order: &Order) -> Vec<(EffectId, [f64; 2])> {
+        if let Some(trip) = &order.round_trip {
+            return vec![(trip.effect, [trip.ratio; 2])];
+        }
         let first = self.effect(draw, |_| true);
-        match kind {
+        match order.kind {
             Kind::LeftOut => vec![(first, LEFT_OUT_RATIOS)],
             Kind::Pair => {
                 let second = self.effect(draw, |other| class(other) != class(first));
@@ -446,7 +538,7 @@ impl Bench {
         loop {
             let effect = EffectId::ALL[draw.below(EffectId::ALL.len())];
             let possible = match effect {
-                EffectId::Wind | EffectId::Gusts => has_drag,
+                _ if NEED_DRAG.contains(&effect) => has_drag,
                 EffectId::RotorGyroscopic => self.nominal.rotor_max_rpm.is_some(),
                 _ => !self.nominal.modelled_effects.contains(effect),
             };

@@ -74,7 +74,7 @@ mod tests {
     #[test]
     fn five_digits_are_kept() {
         assert_eq!(rounded(0.0123456789), 0.012346);
-        assert_eq!(rounded(-9.80665), -9.8067);
+        assert_eq!(rounded(-9.80661), -9.8066);
         assert_eq!(rounded(0.0), 0.0);
     }
 }

@@ -192,8 +192,8 @@ impl Sortie<'_> {
         let away = (state.position - self.motion.sample(time).position).norm();
         let lost = plant.on_ground()
             || state.attitude.tilt() > LOST_TILT
-            // Also when it is not a number.
-            || !(away < LOST_DISTANCE_M);
+            || away.is_nan()
+            || away > LOST_DISTANCE_M;
         if lost {
             return Err(FlightError::Lost(time));
         }

@@ -10,6 +10,7 @@ use sitl::effects::ParameterValue;
 use sitl::foreign::Foreign;
 
 use super::case::Kind;
+use super::condition::Condition;
 use super::strength::Strength;
 
 /// An effect that the vehicle has beyond its file.
@@ -30,6 +31,8 @@ pub struct TrueEffect {
 pub struct KeyEntry {
     /// What it asks.
     pub kind: Kind,
+    /// State of the logs.
+    pub condition: Condition,
     /// The right verdict.
     pub verdict: String,
     /// The effects that the vehicle has beyond its file, by their causes' ids.

@@ -103,7 +103,7 @@ impl Direction {
         // Off a modelled value in either direction, but never to the other side of nothing.
         if modelled && draw.chance(0.5) {
             for (step, base) in step.iter_mut().zip(base) {
-                *step = if base > 0.0 { step.abs().min(base) * -1.0 } else { -*step };
+                *step = if base > 0.0 { -step.abs().min(base) } else { -*step };
             }
         }
         Self { effect, base, step, quadratic: effect == GroundEffect && !modelled }

@@ -5,6 +5,7 @@ pub mod airframe;
 pub mod answer;
 pub mod case;
 pub mod closure;
+pub mod condition;
 pub mod draw;
 pub mod flight;
 pub mod ground;

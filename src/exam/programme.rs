@@ -199,8 +199,8 @@ impl Composer<'_> {
         to[2] -= 1.0;
         self.motion.hurry_to(to, self.vigour.speed, self.vigour.acceleration);
         let half = 0.5 * (seconds - self.motion.duration());
-        for shape in [2.0, 1.0] {
-            let long = self.tone(0, [0.7, 1.0]);
+        for (shape, share) in [(2.0, [0.4, 0.55]), (1.0, [0.6, 0.85])] {
+            let long = self.tone(0, share);
             let short = Tone {
                 axis: 1,
                 amplitude: long.amplitude / shape,

@@ -7,6 +7,7 @@ use sitl::effects::ParameterValue;
 
 use super::answer::{Given, NAMED, class_of};
 use super::case::Kind;
+use super::condition::Condition;
 use super::key::{KeyEntry, TrueEffect};
 
 /// A wrong name from this probability on does harm.
@@ -46,6 +47,8 @@ pub struct Row {
     pub case: String,
     /// What it asked.
     pub kind: Kind,
+    /// State of its logs.
+    pub condition: Condition,
     /// The true effects.
     pub truth: Vec<String>,
     /// Classes of effects that are right to name.
@@ -133,6 +136,7 @@ impl Row {
         Self {
             case: case.to_owned(),
             kind: key.kind,
+            condition: key.condition,
             truth: truth_in_words(key),
             right: truth.iter().chain(&also).cloned().collect(),
             ratio: key.snr.ratio,
@@ -152,7 +156,7 @@ impl Row {
             covered,
             claimed_closure: given.ok().and_then(|given| given.gap?.closure()),
             true_closure,
-            finding: given.map_or_else(str::to_owned, |given| given.finding.clone()),
+            finding: given.map_or_else(str::to_owned, |given| given.finding.sentence.clone()),
             seconds,
             verdict,
             probabilities,

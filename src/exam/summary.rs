@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::case::Kind;
+use super::condition::Condition;
 use super::interval::{Rate, median};
 use super::score::Row;
 
@@ -85,6 +86,19 @@ pub struct EffectSummary {
     pub detection: Vec<Detection>,
 }
 
+/// How one effect fared with logs in one state.
+#[derive(Clone, Debug, Serialize)]
+pub struct ConditionSummary {
+    /// Id.
+    pub id: String,
+    /// State of the logs.
+    pub condition: Condition,
+    /// Share named first.
+    pub named: Rate,
+    /// 90 % intervals that hold the truth.
+    pub covered: Rate,
+}
+
 /// The whole result.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
@@ -106,6 +120,8 @@ pub struct Summary {
     pub detection: Vec<Detection>,
     /// By effect.
     pub effects: Vec<EffectSummary>,
+    /// By effect and state of the logs, in a round trip.
+    pub conditions: Vec<ConditionSummary>,
     /// Median time of a diagnosis, s.
     pub seconds: Option<f64>,
 }
@@ -115,7 +131,8 @@ impl Summary {
     pub fn new(rows: &[Row]) -> Self {
         let of = |kind: Kind| rows.iter().filter(move |row| row.kind == kind);
         let detectable = |row: &&Row| row.ratio >= DETECTABLE;
-        let singles = || of(Kind::Single).chain(of(Kind::Modelled)).filter(detectable);
+        let all_singles = || of(Kind::Single).chain(of(Kind::Modelled)).chain(of(Kind::RoundTrip));
+        let singles = || all_singles().filter(detectable);
         let known = || {
             rows.iter()
                 .filter(|row| !matches!(row.kind, Kind::LeftOut | Kind::Trap))
@@ -225,8 +242,9 @@ impl Summary {
             closure: [closures(|row| row.claimed_closure), closures(|row| row.true_closure)],
             closure_off: median(off),
             reliability: reliability(rows),
-            detection: detection(&of(Kind::Single).chain(of(Kind::Modelled)).collect::<Vec<_>>()),
+            detection: detection(&all_singles().collect::<Vec<_>>()),
             effects: effects(rows),
+            conditions: conditions(rows),
             seconds: median(rows.iter().map(|row| row.seconds).collect()),
         }
     }
@@ -239,7 +257,10 @@ impl Summary {
 
 fn effects(rows: &[Row]) -> Vec<EffectSummary> {
     let mut by_effect: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
-    for row in rows.iter().filter(|row| matches!(row.kind, Kind::Single | Kind::Modelled)) {
+    for row in rows
+        .iter()
+        .filter(|row| matches!(row.kind, Kind::Single | Kind::Modelled | Kind::RoundTrip))
+    {
         for id in &row.truth {
             by_effect.entry(id).or_default().push(row);
         }
@@ -258,6 +279,24 @@ fn effects(rows: &[Row]) -> Vec<EffectSummary> {
                 detection: detection(&rows),
                 id: id.to_owned(),
             }
+        })
+        .collect()
+}
+
+fn conditions(rows: &[Row]) -> Vec<ConditionSummary> {
+    let mut groups: BTreeMap<(&str, Condition), Vec<&Row>> = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.kind == Kind::RoundTrip) {
+        for id in &row.truth {
+            groups.entry((id, row.condition)).or_default().push(row);
+        }
+    }
+    groups
+        .into_iter()
+        .map(|((id, condition), rows)| ConditionSummary {
+            id: id.to_owned(),
+            condition,
+            named: Rate::of(rows.iter().map(|row| row.top_right)),
+            covered: Rate::of(rows.iter().flat_map(|row| row.covered.values().flatten().copied())),
         })
         .collect()
 }

@@ -1,100 +1,349 @@
-//! An exam's result: a table for the terminal and a page.
+//! An exam's result: a table for the terminal, and a page with the reliability picture and the
+//! detection curves.
 
+use std::fmt::Write;
+
+use super::axis::{Axis, LABELLED_BOTTOM, LEFT, RIGHT, TOP, WIDTH, grid};
+use super::page::{Mood, Page, escape};
+use super::table::{Table, definitions};
 use crate::exam::interval::Rate;
 use crate::exam::score::Row;
-use crate::exam::summary::{Bound, Summary};
+use crate::exam::summary::{Bound, Detection, Measure, Summary};
+
+/// Height of a figure's frame, pixels.
+const HEIGHT: f64 = 220.0;
+
+/// Where an exam's numbers come from.
+#[derive(Clone, Copy, Debug)]
+pub struct Provenance<'a> {
+    /// Seed of the exam.
+    pub seed: u64,
+    /// SHA-256 of the key.
+    pub commitment: &'a str,
+    /// Wall time of the flights and of the diagnoses, s.
+    pub wall_s: [f64; 2],
+}
 
 /// The table for the terminal.
 pub fn text(summary: &Summary, rows: &[Row]) -> String {
     let mut text = String::new();
     for row in rows {
-        let found: Vec<String> = row
-            .probabilities
-            .iter()
-            .filter(|(_, p)| *p >= 0.05)
-            .map(|(id, p)| format!("{id} {p:.2}"))
-            .collect();
-        let right = if row.verdict_right() && (row.truth.is_empty() || row.top_right) {
-            "ok"
-        } else {
-            "--"
-        };
-        text += &format!(
-            "{right} {} {:9} {:28} snr {:6.2}  {:7} {}{}\n",
-            row.case,
-            name(row),
-            row.truth.join("+"),
-            row.ratio,
-            row.verdict,
-            found.join(", "),
-            if row.ambiguous_with.is_empty() {
-                String::new()
-            } else {
-                format!("  or {}", row.ambiguous_with.join(", "))
-            },
-        );
+        let [case, kind, truth, ratio, verdict, found] = cells(row);
+        let mark = if is_right(row) { "ok" } else { "--" };
+        let _ = writeln!(text, "{mark} {case} {kind:9} {truth:30} {ratio:>6}  {verdict:7} {found}");
     }
-    text += "\n";
+    text.push('\n');
     for measure in &summary.measures {
-        let wanted = match measure.wanted {
-            Some(Bound::AtLeast(least)) => format!(">= {:.0} %", 100.0 * least),
-            Some(Bound::AtMost(most)) => format!("<= {:.0} %", 100.0 * most),
-            None => String::new(),
-        };
         let mark = if measure.holds() { "" } else { "  missed" };
-        text += &format!("{:42} {:30} {wanted}{mark}\n", measure.name, percent(&measure.rate));
+        let (name, rate) = (measure.name, percent(&measure.rate));
+        let _ = writeln!(text, "{name:42} {rate:30} {}{mark}", wanted(measure));
     }
-    let number = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.3}"));
-    text += &format!("{:42} {}  (<= 0.08)\n", "Brier", number(summary.brier));
-    text += &format!("{:42} {}\n", "median relative parameter error", number(summary.error));
-    text += &format!("{:42} {}\n", "90 % intervals that hold", percent(&summary.covered));
-    text += &format!(
-        "{:42} {} claimed, {} true, {} apart\n",
-        "median closure",
-        number(summary.closure[0]),
-        number(summary.closure[1]),
-        number(summary.closure_off)
-    );
+    for (name, value) in numbers(summary) {
+        let _ = writeln!(text, "{name:42} {value}");
+    }
     text += "\nprobability     mean   true\n";
     for line in &summary.reliability {
         let [low, high] = line.probabilities;
-        text += &format!("{low:.2} - {high:.2}   {:.3}   {}\n", line.mean, percent(&line.is_true));
+        let share = percent(&line.is_true);
+        let _ = writeln!(text, "{low:.2} - {high:.2}   {:.3}   {share}", line.mean);
     }
     text += "\nstrength        named                           noticed\n";
     for line in &summary.detection {
-        let [low, high] = line.strengths;
-        let range = format!("{low:.1} - {high:.1}");
-        text += &format!("{range:14}  {:30}  {}\n", percent(&line.named), percent(&line.noticed));
+        let (named, noticed) = (percent(&line.named), percent(&line.noticed));
+        let _ = writeln!(text, "{:14}  {named:30}  {noticed}", strengths(line));
     }
     text +=
         "\neffect              named where detectable          error   90 % intervals that hold\n";
     for effect in &summary.effects {
-        text += &format!(
-            "{:18}  {:30}  {:6}  {}\n",
-            effect.id,
-            percent(&effect.named),
-            number(effect.error),
-            percent(&effect.covered)
-        );
+        let (named, covered) = (percent(&effect.named), percent(&effect.covered));
+        let error = number(effect.error);
+        let _ = writeln!(text, "{:18}  {named:30}  {error:6}  {covered}", effect.id);
+    }
+    if summary.conditions.iter().any(|line| line.condition != summary.conditions[0].condition) {
+        text += "\nround trip                        named                           90 % intervals that hold\n";
+        for line in &summary.conditions {
+            let (named, covered) = (percent(&line.named), percent(&line.covered));
+            let _ = writeln!(
+                text,
+                "{:18} {:12}  {named:30}  {covered}",
+                line.id,
+                line.condition.name()
+            );
+        }
     }
     text
 }
 
-/// The page.
-pub fn html(summary: &Summary, rows: &[Row], seed: u64, commitment: &str) -> String {
-    format!(
-        "<!doctype html><meta charset=utf-8><title>exam</title><p>seed {seed}, key {commitment}</p><pre>{}</pre>",
-        text(summary, rows)
-    )
+/// The page, self-contained.
+pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> String {
+    let failures: Vec<String> = summary
+        .failures()
+        .map(|measure| {
+            format!("{}: {} ({})", measure.name, percent(&measure.rate), wanted(measure))
+        })
+        .collect();
+    let subtitle = format!("{} cases, seed {}", rows.len(), provenance.seed);
+    let mut page = Page::new("Exam of the diagnosis", &subtitle);
+    if failures.is_empty() {
+        page.verdict(Mood::Good, "Every rate keeps what is asked of it.", &[]);
+    } else {
+        let count = failures.len();
+        page.verdict(Mood::Warning, &format!("{count} rates miss what is asked."), &failures);
+    }
+    page.section(
+        "Rates",
+        "As counted, with Wilson's 95 % interval. Singles are detectable where they cause twice the prediction error that noise alone does.",
+        &measures(summary),
+    );
+    page.section(
+        "Reliability",
+        "How often an effect that is given a probability is there: on the line, probabilities are what they say.",
+        &reliability(summary),
+    );
+    page.section(
+        "Detection",
+        "Share of single effects that are named first, by how strongly they show; at 1 the nominal simulator's prediction error due to the effect equals that of noise.",
+        &detection(summary),
+    );
+    page.section("By effect", "Singles; errors and intervals where detectable.", &effects(summary));
+    if !summary.conditions.is_empty() {
+        page.section("By effect and state of the log", "", &conditions(summary));
+    }
+    page.section("Cases", "", &cases(rows));
+    let [flying, diagnosing] = provenance.wall_s.map(|s| format!("{s:.0} s"));
+    let check =
+        "sha256sum key.json: the same digits stood in commitment.txt before the first diagnosis";
+    page.section(
+        "How it was held",
+        "Each case was diagnosed by a process of its own, in a folder that held only that case's vehicle file and logs.",
+        &definitions([
+            ("key", provenance.commitment),
+            ("to check", check),
+            ("flying took", flying.as_str()),
+            ("diagnosing took", diagnosing.as_str()),
+        ]),
+    );
+    page.into_html()
 }
 
-fn name(row: &Row) -> String {
-    format!("{:?}", row.kind).to_lowercase()
+fn is_right(row: &Row) -> bool {
+    let names_what_it_must = row.right.is_empty() || row.top_right;
+    row.trap_right && row.kind.is_trap() || row.verdict_right() && names_what_it_must
 }
 
-/// A rate with its counts and its interval.
+/// Case, kind, truth, strength, verdict, what was found.
+fn cells(row: &Row) -> [String; 6] {
+    let mut found: Vec<String> = row
+        .probabilities
+        .iter()
+        .filter(|(_, p)| *p >= 0.05)
+        .map(|(id, p)| format!("{id} {p:.2}"))
+        .collect();
+    if !row.ambiguous_with.is_empty() {
+        found.push(format!("or {}", row.ambiguous_with.join(", ")));
+    }
+    if row.verdict == "missing" {
+        found.push(row.finding.clone());
+    }
+    [
+        row.case.clone(),
+        row.kind.name().to_owned(),
+        row.truth.join(" + "),
+        format!("{:.2}", row.ratio),
+        row.verdict.clone(),
+        found.join(", "),
+    ]
+}
+
+fn wanted(measure: &Measure) -> String {
+    match measure.wanted {
+        Some(Bound::AtLeast(least)) => format!(">= {:.0} %", 100.0 * least),
+        Some(Bound::AtMost(most)) => format!("<= {:.0} %", 100.0 * most),
+        None => String::new(),
+    }
+}
+
+fn number(value: Option<f64>) -> String {
+    value.map_or("-".to_owned(), |v| format!("{v:.3}"))
+}
+
+fn numbers(summary: &Summary) -> [(&'static str, String); 5] {
+    let [claimed, truly] = summary.closure.map(number);
+    let apart = number(summary.closure_off);
+    [
+        ("Brier score (<= 0.08)", number(summary.brier)),
+        ("median relative parameter error", number(summary.error)),
+        ("90 % intervals that hold", percent(&summary.covered)),
+        ("median closure", format!("{claimed} claimed, {truly} true, {apart} apart")),
+        ("median time of a diagnosis, s", number(summary.seconds)),
+    ]
+}
+
+/// A rate with its interval and its counts.
 fn percent(rate: &Rate) -> String {
     let Some(value) = rate.rate else { return "-".to_owned() };
     let [low, high] = rate.interval.map(|bound| 100.0 * bound);
-    format!("{:5.1} % [{low:.1}, {high:.1}] {}/{}", 100.0 * value, rate.count, rate.of)
+    format!("{:.1} % [{low:.1}, {high:.1}] {}/{}", 100.0 * value, rate.count, rate.of)
+}
+
+fn strengths(line: &Detection) -> String {
+    let [low, high] = line.strengths;
+    if high.is_finite() { format!("{low:.1} - {high:.1}") } else { format!("{low:.1} -") }
+}
+
+fn measures(summary: &Summary) -> String {
+    let mut table = Table::new(&[("", false), ("measured", false), ("asked", false)]);
+    for measure in &summary.measures {
+        let mood = match (measure.wanted, measure.rate.of) {
+            (None, _) | (_, 0) => Mood::Plain,
+            _ if measure.holds() => Mood::Good,
+            _ => Mood::Bad,
+        };
+        let cells = [measure.name.to_owned(), percent(&measure.rate), wanted(measure)];
+        table.row(mood, &cells);
+    }
+    for (name, value) in numbers(summary) {
+        table.row(Mood::Plain, &[name.to_owned(), value, String::new()]);
+    }
+    table.into_html()
+}
+
+/// A point of a figure with its interval.
+struct Point {
+    x: f64,
+    rate: Rate,
+    label: String,
+}
+
+/// Shares over something, with their intervals, and a dashed line to compare them with.
+fn figure(name: &str, x_label: &str, x: Axis, points: &[Point], line: [[f64; 2]; 2]) -> String {
+    let y = Axis::exact(Some((0.0, 1.0)), TOP + HEIGHT, TOP);
+    let height = TOP + HEIGHT + LABELLED_BOTTOM;
+    let mut svg = format!(
+        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{}\">",
+        escape(name)
+    );
+    grid(&x, &y, &mut svg);
+    let [[x0, y0], [x1, y1]] = line;
+    let _ = write!(
+        svg,
+        "<path class=\"curve ref\" d=\"M{:.1} {:.1}L{:.1} {:.1}\"/>",
+        x.at(x0),
+        y.at(y0),
+        x.at(x1),
+        y.at(y1)
+    );
+    let mut path = String::new();
+    for (number, point) in points.iter().enumerate() {
+        let Some(rate) = point.rate.rate else { continue };
+        let (at, height) = (x.at(point.x), y.at(rate));
+        let [low, high] = point.rate.interval.map(|bound| y.at(bound));
+        let _ = write!(path, "{}{at:.1} {height:.1}", if number == 0 { 'M' } else { 'L' });
+        let _ = write!(
+            svg,
+            "<path class=\"curve c2\" d=\"M{at:.1} {low:.1}V{high:.1}M{:.1} {low:.1}h8M{:.1} {high:.1}h8\"/>\
+             <circle cx=\"{at:.1}\" cy=\"{height:.1}\" r=\"4.5\" class=\"mark\"><title>{}</title></circle>",
+            at - 4.0,
+            at - 4.0,
+            escape(&format!("{}: {}", point.label, percent(&point.rate)))
+        );
+    }
+    let _ = write!(
+        svg,
+        "<path class=\"curve c1\" d=\"{path}\"/><text class=\"name\" x=\"{LEFT}\" y=\"{}\">{}</text>\
+         <text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text></svg>",
+        TOP - 7.0,
+        escape(name),
+        (LEFT + WIDTH - RIGHT) / 2.0,
+        height - 5.0,
+        escape(x_label)
+    );
+    svg
+}
+
+fn reliability(summary: &Summary) -> String {
+    let points: Vec<Point> = summary
+        .reliability
+        .iter()
+        .map(|line| {
+            let [low, high] = line.probabilities;
+            Point { x: line.mean, rate: line.is_true, label: format!("{low:.2} to {high:.2}") }
+        })
+        .collect();
+    let x = Axis::exact(Some((0.0, 1.0)), LEFT, WIDTH - RIGHT);
+    let line = [[0.0, 0.0], [1.0, 1.0]];
+    figure("share that is true", "probability given, mean", x, &points, line)
+}
+
+fn detection(summary: &Summary) -> String {
+    let points: Vec<Point> = summary
+        .detection
+        .iter()
+        .map(|line| {
+            let [low, high] = line.strengths;
+            let middle = (low * if high.is_finite() { high } else { 2.0 * low }).sqrt();
+            Point { x: middle.log10(), rate: line.named, label: strengths(line) }
+        })
+        .collect();
+    let x = Axis::exact(Some((-0.5, 1.0)), LEFT, WIDTH - RIGHT);
+    let threshold = [[2.0_f64.log10(), 0.0], [2.0_f64.log10(), 1.0]];
+    let label = "strength, log10 of signal over noise (dashed: twice the threshold)";
+    figure("share named first", label, x, &points, threshold)
+}
+
+fn effects(summary: &Summary) -> String {
+    let curves: Vec<String> =
+        summary.detection.iter().map(|line| format!("at {}", strengths(line))).collect();
+    let mut columns = vec![
+        ("", false),
+        ("named where detectable", false),
+        ("median error", true),
+        ("90 % intervals that hold", false),
+    ];
+    columns.extend(curves.iter().map(|heading| (heading.as_str(), true)));
+    let mut table = Table::new(&columns);
+    for effect in &summary.effects {
+        let mut cells = vec![
+            effect.id.clone(),
+            percent(&effect.named),
+            number(effect.error),
+            percent(&effect.covered),
+        ];
+        for pooled in &summary.detection {
+            let own = effect.detection.iter().find(|line| line.strengths == pooled.strengths);
+            cells.push(
+                own.map_or(String::new(), |line| format!("{}/{}", line.named.count, line.named.of)),
+            );
+        }
+        table.row(Mood::Plain, &cells);
+    }
+    table.into_html()
+}
+
+fn conditions(summary: &Summary) -> String {
+    let columns =
+        [("", false), ("log", false), ("named", false), ("90 % intervals that hold", false)];
+    let mut table = Table::new(&columns);
+    for line in &summary.conditions {
+        let condition = line.condition.name().to_owned();
+        let cells = [line.id.clone(), condition, percent(&line.named), percent(&line.covered)];
+        table.row(Mood::Plain, &cells);
+    }
+    table.into_html()
+}
+
+fn cases(rows: &[Row]) -> String {
+    let columns = [
+        ("case", false),
+        ("asks", false),
+        ("truth", false),
+        ("strength", true),
+        ("verdict", false),
+        ("found", false),
+    ];
+    let mut table = Table::new(&columns);
+    for row in rows {
+        table.row(if is_right(row) { Mood::Good } else { Mood::Bad }, &cells(row));
+    }
+    table.into_html()
 }

@@ -18,6 +18,15 @@ pub fn smallness(value: f64) -> String {
     if value == 0.0 { "0".to_owned() } else { format!("{value:.1e}") }
 }
 
+/// Four significant digits, without zeros that say nothing.
+fn short(value: f64) -> String {
+    let text = significant(value);
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}
+
 /// Effects with their parameters, in the catalogue's order and units.
 pub fn effects(effects: &EffectSet) -> String {
     let one = |(id, slots): (sitl::effects::EffectId, &sitl::effects::Slots)| {
@@ -27,12 +36,12 @@ pub fn effects(effects: &EffectSet) -> String {
             .filter(|slot| slot.component == 0)
             .map(|slot| {
                 let value = match slot.parameter.kind {
-                    Kind::Scalar | Kind::Index => significant(slots[slot.index]),
+                    Kind::Scalar | Kind::Index => short(slots[slot.index]),
                     Kind::Vec3 => {
                         let axes = &slots[slot.index..slot.index + 3];
                         format!(
                             "[{}]",
-                            axes.iter().copied().map(significant).collect::<Vec<_>>().join(", ")
+                            axes.iter().copied().map(short).collect::<Vec<_>>().join(", ")
                         )
                     }
                 };
@@ -57,7 +66,7 @@ mod tests {
         set.insert_argument("inertia:scale=[1.2,1.1,1]").expect("an effect");
         assert_eq!(
             effects(&set),
-            "rotor_drag (d_xy 0.01200, d_z 0.008000), inertia (scale [1.200, 1.100, 1.000])"
+            "rotor_drag (d_xy 0.012, d_z 0.008), inertia (scale [1.2, 1.1, 1])"
         );
         assert_eq!((smallness(0.0), smallness(1.23e-9)), ("0".to_owned(), "1.2e-9".to_owned()));
         assert_eq!((length(0.0047), length(0.299)), ("4.7 mm".to_owned(), "0.299 m".to_owned()));

@@ -95,7 +95,7 @@ def test_a_plan_that_misses_its_dynamics_is_not_flown(planned, tmp_path):
 def test_damaged_plans_are_refused(planned, tmp_path):
     text = planned[0].read_text()
     damaged = tmp_path / "damaged.json"
-    for change in (text[: len(text) // 2], text.replace('"schema_version":1', '"schema_version":9')):
+    for change in (text[: len(text) // 2], text.replace('"schema_version":2', '"schema_version":9')):
         damaged.write_text(change)
         error = fly(damaged, tmp_path, code=2)
         assert "damaged.json" in error and "plan it again" in error
