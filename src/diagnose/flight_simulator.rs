@@ -1,6 +1,8 @@
 //! Whole flights of a vehicle under the daemon's feedback, as SITL flies them: plant, sensors, link
 //! delay, on-board loop and the ground's LQR on one clock, without the bytes in between.
 
+use std::f64::consts::{FRAC_PI_2, PI};
+
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use sitl::autopilot::offboard::{AttitudeSetpoint as OnboardSetpoint, OffboardStream};
@@ -68,6 +70,19 @@ impl GroundControl {
         let settings = LqrSettings::default();
         let lqr = Lqr::design_for(&vehicle.actuation, &vehicle.hover, &attitude_loop, &settings)?;
         Ok(Self { vehicle, lqr, limits: Limits::default() })
+    }
+
+    /// The same without the daemon's limits on what it asks for: for setpoints of others, who had
+    /// their own.
+    pub fn without_limits(&self) -> Self {
+        let limits = Limits {
+            thrust_min: 0.0,
+            thrust_max: 1.0,
+            tilt_max_rad: FRAC_PI_2,
+            body_rate_max_rad_s: f64::INFINITY,
+            yaw_error_max_rad: PI,
+        };
+        Self { limits, ..self.clone() }
     }
 
     /// The vehicle as its file says it is.

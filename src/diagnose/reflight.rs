@@ -123,9 +123,12 @@ pub fn reflight(
     let mut calm = effects.clone();
     calm.remove(Gusts::ID);
     let sensors = sensors(noise);
-    let simulator =
-        |effects: &EffectSet| FlightSimulator::new(&control, case.vehicle, effects, sensors);
-    let (shipped, repaired) = (simulator(&EffectSet::new())?, simulator(&calm)?);
+    let simulators = |control| -> Result<[FlightSimulator<'_>; 2], NotSimulated> {
+        let simulator = |effects| FlightSimulator::new(control, case.vehicle, effects, sensors);
+        Ok([simulator(&EffectSet::new())?, simulator(&calm)?])
+    };
+    let free = control.without_limits();
+    let (limited, unlimited) = (simulators(&control)?, simulators(&free)?);
     let allocation = case.vehicle.allocation().map_err(NotSimulated::from)?;
     let reports = [&EffectSet::new(), &calm].map(|effects| Reports::of(case.vehicle, effects));
     let parts: Vec<(&PreparedFlight, Course)> = case
@@ -151,9 +154,13 @@ pub fn reflight(
                 flown.map(|flight| Motion::of_simulated(&flight, course, &allocation))
             };
             let log = Motion::of_logged(flight, course, &allocation);
-            let before = fly(&shipped, &reports[0], seed).map_err(NotSimulated::from)?;
-            let after = fly(&repaired, &reports[1], seed).map_err(NotSimulated::from)?;
-            let again = fly(&repaired, &reports[1], !seed).map_err(NotSimulated::from)?;
+            let [shipped, repaired] = match course.origin {
+                ReferenceOrigin::Setpoints => &unlimited,
+                ReferenceOrigin::Logged | ReferenceOrigin::Reported => &limited,
+            };
+            let before = fly(shipped, &reports[0], seed).map_err(NotSimulated::from)?;
+            let after = fly(repaired, &reports[1], seed).map_err(NotSimulated::from)?;
+            let again = fly(repaired, &reports[1], !seed).map_err(NotSimulated::from)?;
             let sums = [log.against(&before), log.against(&after), after.against(&again)];
             let reflown = Reflown {
                 name: flight.name.clone(),

@@ -64,10 +64,8 @@ pub(super) struct Stage<'a> {
     hypotheses: &'a [Live],
     control: GroundControl,
     catalogue: Catalogue,
-    evaluator: Evaluator,
     posed: Vec<Posed>,
-    /// Nuisances, and what the hypotheses have.
-    numbers: Vec<usize>,
+    nuisances: Vec<usize>,
 }
 
 impl<'a> Stage<'a> {
@@ -75,19 +73,13 @@ impl<'a> Stage<'a> {
         let catalogue = Catalogue::new(proposal.vehicle, proposal.setpoint_leg);
         let posed: Vec<Posed> =
             hypotheses.iter().map(|live| Posed::new(&catalogue, &live.effects)).collect();
-        let mut numbers: Vec<usize> = catalogue.nuisances().collect();
-        let active = posed.iter().flat_map(|posed| &posed.own);
-        numbers.extend(active.flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()));
-        numbers.sort_unstable();
-        numbers.dedup();
         Ok(Self {
             control: GroundControl::new(proposal.vehicle)?,
-            evaluator: Evaluator::new(proposal.vehicle),
             proposal,
             hypotheses,
+            nuisances: catalogue.nuisances().collect(),
             catalogue,
             posed,
-            numbers,
         })
     }
 
@@ -99,19 +91,17 @@ impl<'a> Stage<'a> {
             return None;
         }
         let flights = [PreparedFlight::new(flight, self.proposal.vehicle).ok()?];
-        let observed = Observed::new(&flights, &self.evaluator, &self.catalogue);
+        let evaluator = Evaluator::new(self.proposal.vehicle).observing(&flights);
+        let observed = Observed::new(&flights, &evaluator, &self.catalogue);
         let references = self.catalogue.references();
-        let first = Linearised::new(&observed, &references, &self.numbers)?;
-        let null = fit(&observed, &first, &[], &[])?;
-        let about = Linearised::new(&observed, &null.values, &self.numbers)?;
+        // Nuisances within their tolerances are nearly linear; active numbers get columns of their own.
+        let about = Linearised::new(&observed, &references, &self.nuisances)?;
         let evidence: Vec<f64> = self
             .posed
             .iter()
             .map(|posed| {
-                if posed.own.is_empty() {
-                    return Some(null.evidence);
-                }
-                Some(fit(&observed, &about, &posed.own, &self.starts(posed))?.evidence)
+                let fitted = fit(&observed, &about, &posed.own, &self.starts(posed))?;
+                Some(fitted.evidence)
             })
             .collect::<Option<_>>()?;
         let rivals = (0..evidence.len()).filter(|rival| *rival != truth);
