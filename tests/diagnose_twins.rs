@@ -29,7 +29,8 @@ fn flights(vehicle: &Path) -> Vec<PathBuf> {
         .expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let entries = fs::read_dir(&folder).expect("the folder").map(|entry| entry.expect("it").path());
-    let mut logs: Vec<_> = entries.filter(|path| path.extension() == Some("mcap".as_ref())).collect();
+    let mut logs: Vec<_> =
+        entries.filter(|path| path.extension() == Some("mcap".as_ref())).collect();
     logs.sort();
     logs
 }
@@ -64,10 +65,12 @@ fn twins_leave_what_the_flights_leave_in_every_channel() {
     for (channel, name) in CHANNEL_NAMES.iter().enumerate() {
         // Weighed by how much each band says: the mean of the logarithms of the ratios.
         let (mut sum, mut weight) = (0.0, 0.0);
-        for place in channel * BANDS.len()..(channel + 1) * BANDS.len() {
-            let (n, [mean, _]) = (observed.counts()[place], moments[place]);
-            if n > 0.0 && mean > 0.0 {
-                sum += n * (null.fit.power[place] / mean).ln();
+        let places = channel * BANDS.len()..(channel + 1) * BANDS.len();
+        let of_flights =
+            null.fit.power[places.clone()].iter().zip(&observed.counts()[places.clone()]);
+        for ((power, n), [mean, _]) in of_flights.zip(&moments[places]) {
+            if *n > 0.0 && *mean > 0.0 {
+                sum += n * (power / mean).ln();
                 weight += n;
             }
         }
