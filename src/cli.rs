@@ -141,6 +141,10 @@ pub struct ExamArgs {
     /// Length of each of a case's flights, s.
     #[arg(long, default_value_t = 22.5)]
     pub seconds: f64,
+    /// How strongly single effects show, least and most: prediction errors that they cause over
+    /// those of noise.
+    #[arg(long, value_name = "RATIO", num_args = 2, default_values_t = [0.3, 30.0])]
+    pub strengths: Vec<f64>,
     /// Simulated flights without any effect in each diagnosis [default: as `diagnose`].
     #[arg(long, value_name = "COUNT")]
     pub twins: Option<u32>,

@@ -22,7 +22,7 @@ use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
-use super::{Exit, on_interrupt, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, on_interrupt, print_json, print_text, say, write_file};
 use crate::cli::ExamArgs;
 use crate::diagnose::gap::ReportNoise;
 use crate::diagnose::preparation::PreparedFlight;
@@ -215,7 +215,14 @@ impl Hall<'_> {
     }
 
     fn fly(&self, orders: &[Order]) -> anyhow::Result<Vec<Flown>> {
-        let settings = Settings { seconds: self.args.seconds, ..Settings::default() };
+        let ratios = match self.args.strengths.as_slice() {
+            &[least, most] if least > 0.0 && most >= least => [least, most],
+            other => {
+                return Err(anyhow!("--strengths: expected two ratios above 0, found {other:?}"))
+                    .or_exit(Exit::Usage);
+            }
+        };
+        let settings = Settings { seconds: self.args.seconds, ratios, ..Settings::default() };
         let cases = self.out.join("cases");
         if cases.exists() {
             bail!("{} exists already: give an exam an --out of its own", cases.display());

@@ -147,7 +147,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { flights: 4, seconds: 22.5, ratios: [0.3, 8.0] }
+        Self { flights: 4, seconds: 22.5, ratios: [0.3, 30.0] }
     }
 }
 

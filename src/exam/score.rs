@@ -150,7 +150,7 @@ impl Row {
                 .iter()
                 .find(|(id, p)| says_effect && *p > CONFIDENT && !is_true(id))
                 .map(|(id, _)| id.clone()),
-            trap_right: trap_right(key, &verdict, &set, &named),
+            trap_right: trap_right(key, given.ok(), &set, &named),
             brier: brier(&probabilities, &truth, &also),
             errors,
             covered,
@@ -187,14 +187,22 @@ fn truth_in_words(key: &KeyEntry) -> Vec<String> {
     key.effects.iter().map(|effect| effect.id.clone()).chain(foreign).collect()
 }
 
-/// In a trap the right answer is a set that holds the truth, or nothing. Where the effect is
-/// hidden, to name it by luck is no harm.
-fn trap_right(key: &KeyEntry, verdict: &str, set: &[&String], named: &[&String]) -> bool {
+/// In a trap that confounds, the right answer is a set that holds the truth and what looks like it,
+/// or that these logs cannot show it. Where the effect is hidden the right answer is none, and to
+/// name it by luck is no harm.
+fn trap_right(key: &KeyEntry, given: Option<&Given>, set: &[&String], named: &[&String]) -> bool {
+    let Some(given) = given else { return false };
     let truth: Vec<String> = key.effects.iter().map(|effect| class_of(&effect.id)).collect();
-    match verdict {
-        "none" => true,
-        "effect" if key.candidates.is_empty() => named.iter().all(|id| truth.contains(id)),
-        "effect" => set.len() > 1 && truth.iter().all(|id| set.contains(&id)),
+    let is_truth = |id: &String| truth.contains(id);
+    match given.verdict.as_str() {
+        "none" if key.candidates.is_empty() => true,
+        "none" => given.not_testable.iter().any(|effect| is_truth(&class_of(&effect.id))),
+        "effect" if key.candidates.is_empty() => named.iter().all(|id| is_truth(id)),
+        "effect" => {
+            let candidates: Vec<String> = key.candidates.iter().map(|id| class_of(id)).collect();
+            set.iter().any(|id| is_truth(id))
+                && set.iter().any(|id| candidates.contains(id) && !is_truth(id))
+        }
         _ => false,
     }
 }
@@ -286,4 +294,119 @@ fn coverage(given: &Given, truth: &TrueEffect) -> Vec<bool> {
             Some((*low..=*high).contains(&right))
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::exam::strength::Strength;
+
+    fn parameters(text: &str) -> Parameters {
+        serde_json::from_str(text).expect("parameters")
+    }
+
+    fn key(kind: Kind, effects: &[(&str, &str, &str)]) -> KeyEntry {
+        let effects = effects.iter().map(|(id, truth, neutral)| TrueEffect {
+            id: (*id).to_owned(),
+            parameters: parameters(truth),
+            neutral: parameters(neutral),
+            ratio: 5.0,
+        });
+        KeyEntry {
+            kind,
+            condition: Condition::Plain,
+            verdict: "effect".to_owned(),
+            effects: effects.collect(),
+            also_right: Vec::new(),
+            candidates: Vec::new(),
+            foreign: None,
+            without: Vec::new(),
+            snr: Strength { ratio: 5.0, channel: String::new() },
+            is_weak: false,
+            nominal_mass_kg: 1.2,
+            tags: Vec::new(),
+        }
+    }
+
+    fn row(key: &KeyEntry, answer: &str) -> Row {
+        let given: Given = serde_json::from_str(answer).expect("an answer");
+        Row::new("case", key, Ok(&given), None, 1.0)
+    }
+
+    #[test]
+    fn right_effect_is_scored_by_its_numbers_and_intervals() {
+        let key = key(
+            Kind::Single,
+            &[("wind", r#"{"north_m_s":3,"east_m_s":4}"#, r#"{"north_m_s":0,"east_m_s":0}"#)],
+        );
+        let row = row(
+            &key,
+            r#"{"verdict":"effect","effects":[{"id":"wind","probability":0.9,
+            "parameters":{"north_m_s":3.0,"east_m_s":3.5},
+            "intervals":{"north_m_s":[2.9,3.1],"east_m_s":[3.4,3.6]}}]}"#,
+        );
+        assert!(row.top_right && row.in_set && row.is_definite && row.exact);
+        assert!((row.errors["wind"][0] - 0.1).abs() < 1e-12);
+        assert_eq!(row.covered["wind"], [false, true]);
+        assert!((row.brier - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn equivalent_name_is_right_and_its_number_is_converted() {
+        let key = key(Kind::Single, &[("mass", r#"{"mass_kg":1.5}"#, r#"{"mass_kg":1.2}"#)]);
+        let row = row(
+            &key,
+            r#"{"verdict":"effect","effects":[
+            {"id":"thrust_scale","probability":0.95,"parameters":{"scale":0.8}}]}"#,
+        );
+        assert!(row.top_right && row.errors["mass"][0] < 1e-9, "{row:?}");
+    }
+
+    #[test]
+    fn wrong_name_with_confidence_is_told_from_ambiguity() {
+        let key = key(Kind::Single, &[("wind", "{}", "{}")]);
+        let wrong = row(
+            &key,
+            r#"{"verdict":"effect",
+            "effects":[{"id":"attitude_trim","probability":0.97}]}"#,
+        );
+        assert_eq!(wrong.confidently_wrong.as_deref(), Some("attitude_trim"));
+        assert!(!wrong.in_set && !wrong.admits_ignorance());
+        let unsure = row(
+            &key,
+            r#"{"verdict":"effect","ambiguous_with":["wind"],
+            "effects":[{"id":"attitude_trim","probability":0.6}]}"#,
+        );
+        assert!(unsure.in_set && !unsure.top_right && unsure.admits_ignorance());
+        assert!(unsure.confidently_wrong.is_none());
+    }
+
+    #[test]
+    fn effect_that_the_catalogue_lacks_is_right_to_name_by_nobody() {
+        let mut key = key(Kind::LeftOut, &[("wind", "{}", "{}")]);
+        key.without = vec!["wind".to_owned()];
+        key.verdict = "unknown".to_owned();
+        let named =
+            row(&key, r#"{"verdict":"effect","effects":[{"id":"wind","probability":0.9}]}"#);
+        assert_eq!(named.confidently_wrong.as_deref(), Some("wind"));
+        let unknown = row(&key, r#"{"verdict":"unknown"}"#);
+        assert!(unknown.verdict_right() && unknown.admits_ignorance() && unknown.brier == 0.0);
+    }
+
+    #[test]
+    fn trap_wants_the_truth_beside_what_looks_like_it() {
+        let mut key = key(Kind::Trap, &[("wind", "{}", "{}")]);
+        key.candidates = ["wind", "attitude_trim"].map(str::to_owned).to_vec();
+        let is_right = |answer: &str| row(&key, answer).trap_right;
+        assert!(is_right(
+            r#"{"verdict":"effect","ambiguous_with":["wind"],
+            "effects":[{"id":"attitude_trim","probability":0.6}]}"#
+        ));
+        assert!(is_right(r#"{"verdict":"none","not_testable":[{"id":"wind"}]}"#));
+        assert!(!is_right(r#"{"verdict":"none"}"#));
+        assert!(!is_right(
+            r#"{"verdict":"effect","ambiguous_with":["gusts"],
+            "effects":[{"id":"wind","probability":0.9}]}"#
+        ));
+    }
 }

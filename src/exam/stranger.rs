@@ -19,11 +19,12 @@ pub struct Stranger {
 
 /// Kinds of disturbances from outside.
 const DISTURBANCES: usize = 7;
-/// Kinds of other laws.
-const LAWS: usize = 8;
+/// Kinds of other laws without a modelled drag, and how many of them are drags.
+const LAWS: usize = 7;
+const DRAGS: usize = 2;
 
 impl Stranger {
-    /// A disturbance from outside. `north`, `east`, `down` is where the flights are, m.
+    /// A disturbance from outside.
     pub fn disturbance(draw: &mut Draw, vehicle: &VehicleParams) -> Self {
         let weight = vehicle.mass * vehicle.gravity;
         let push = |draw: &mut Draw, share: f64| -> [f64; 3] {
@@ -74,11 +75,12 @@ impl Stranger {
         Self { full, causes: &[] }
     }
 
-    /// Another law for a cause that the catalogue has. Wind needs a modelled drag.
+    /// Another law for a cause that the catalogue has. Wind needs a drag in the vehicle file; beside
+    /// that drag no other is drawn.
     pub fn law(draw: &mut Draw, vehicle: &VehicleParams, has_drag: bool) -> Self {
         use EffectId::*;
         let weight = vehicle.mass * vehicle.gravity;
-        let number = if has_drag { LAWS } else { draw.below(LAWS) };
+        let number = if has_drag { DRAGS + draw.below(LAWS + 1 - DRAGS) } else { draw.below(LAWS) };
         let (full, causes): (Foreign, &[EffectId]) = match number {
             0 => {
                 let exponent = rounded(draw.within([1.3, 1.7]));
@@ -111,7 +113,7 @@ impl Stranger {
                 let recovery_s = rounded(draw.within([1.0, 4.0]));
                 (Foreign::SagRecovery { exponent: 2.5, recovery_s }, &[BatterySag])
             }
-            6 | 7 => (Foreign::CurveCubic { b: 0.5 }, &[ThrustCurve]),
+            6 => (Foreign::CurveCubic { b: 0.5 }, &[ThrustCurve]),
             _ => {
                 let direction = draw.within([0.0, TAU]);
                 let full = Foreign::WindShear {

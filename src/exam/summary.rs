@@ -12,7 +12,7 @@ use super::score::Row;
 /// An effect is to be named from this strength on.
 pub const DETECTABLE: f64 = 2.0;
 /// Borders between strengths in detection curves.
-pub const STRENGTHS: [f64; 8] = [0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0];
+pub const STRENGTHS: [f64; 9] = [0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0, 8.0, 15.0];
 /// Borders between probabilities in the reliability table.
 pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
 
@@ -216,6 +216,11 @@ impl Summary {
                 "traps: ambiguous or not testable",
                 of(Kind::Trap).map(|r| r.trap_right).collect(),
                 at_least(0.95),
+            ),
+            measure(
+                "confidently wrong, traps",
+                of(Kind::Trap).map(|r| r.confidently_wrong.is_some()).collect(),
+                at_most(0.03),
             ),
             measure(
                 "no answer",

@@ -281,11 +281,11 @@ fn detection(summary: &Summary) -> String {
         .iter()
         .map(|line| {
             let [low, high] = line.strengths;
-            let middle = (low * if high.is_finite() { high } else { 2.0 * low }).sqrt();
+            let middle = (low.max(0.35) * if high.is_finite() { high } else { 2.0 * low }).sqrt();
             Point { x: middle.log10(), rate: line.named, label: strengths(line) }
         })
         .collect();
-    let x = Axis::exact(Some((-0.5, 1.0)), LEFT, WIDTH - RIGHT);
+    let x = Axis::exact(Some((-0.5, 1.4)), LEFT, WIDTH - RIGHT);
     let threshold = [[2.0_f64.log10(), 0.0], [2.0_f64.log10(), 1.0]];
     let label = "strength, log10 of signal over noise (dashed: twice the threshold)";
     figure("share named first", label, x, &points, threshold)
