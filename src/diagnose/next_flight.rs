@@ -17,7 +17,7 @@ pub use self::live::{Live, live, typical, untested};
 use self::rehearsal::{Rehearsal, Stage};
 use super::flight_simulator::NotSimulated;
 use super::gap::ReportNoise;
-use super::naming::TEMPER;
+use super::naming::{CERTAIN, TEMPER};
 use crate::plan::FlightEnvelope;
 use crate::plan::manoeuvres::{Manoeuvre, Room, library};
 use sitl::vehicle::VehicleParams;
@@ -232,7 +232,7 @@ fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
     Outlook {
         truth: truth.names(),
         now: truth.probability,
-        expected: 1.0 / (1.0 + others),
+        expected: CERTAIN / (1.0 + others),
         evidence: rehearsal
             .evidence
             .iter()
