@@ -5,6 +5,9 @@ use downwash::plan::manoeuvres::{Room, library};
 use downwash::plan::programme::{Capability, ProgrammeSettings};
 use proptest::prelude::*;
 
+/// What waypoints are rounded to, m.
+const MILLIMETRE: f64 = 1e-3;
+
 fn capability(thrust_to_weight: f64) -> Capability {
     let (tilt_bandwidth, yaw_bandwidth) = (17.0, 8.0);
     Capability { gravity: 9.80665, thrust_to_weight, tilt_bandwidth, yaw_bandwidth }
@@ -46,12 +49,12 @@ proptest! {
             let demands = manoeuvre.demands;
             let name = manoeuvre.name;
             prop_assert!(demands.speed_m_s <= speed_max_m_s + 1e-3, "{name} {demands:?}");
-            prop_assert!(demands.height_m <= ceiling + 1e-6, "{name} {demands:?}");
+            prop_assert!(demands.height_m <= ceiling + MILLIMETRE, "{name} {demands:?}");
             for step in 0..(manoeuvre.trajectory.duration() * 20.0) as usize {
                 let [north, east, down]: [f64; 3] =
                     manoeuvre.trajectory.sample(step as f64 * 0.05).position.into();
                 prop_assert!(north.abs() <= half * 2.0 && east.abs() <= half * 2.0, "{name}");
-                prop_assert!(-down >= room.lowest_m - 1e-6, "{name} at {down}");
+                prop_assert!(-down >= room.lowest_m - MILLIMETRE, "{name} at {down}");
             }
         }
     }
