@@ -10,7 +10,7 @@ use super::hypothesis::{Catalogue, Target};
 use super::selection::{Rival, Scored, Selection};
 
 /// No flight makes anything more certain than this: the catalogue itself may be wrong.
-const CERTAIN: f64 = 0.995;
+pub(super) const CERTAIN: f64 = 0.995;
 /// Differences of scores count by this share: channels share noise that the scores take to be
 /// independent.
 pub(super) const TEMPER: f64 = 0.25;

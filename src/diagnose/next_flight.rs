@@ -5,7 +5,7 @@
 //! every nuisance free: what the rivals can explain by other numbers counts for nothing (Atkinson
 //! and Fedorov's T-optimality), and nothing is taken for granted of old flights, whose wind and pack
 //! are not those of the new one. The manoeuvre whose least expected evidence against a rival is the
-//! largest is the best; of those with plenty, the shortest.
+//! largest is the best; of those with plenty, and with half of what the best has, the shortest.
 
 mod live;
 mod rehearsal;
@@ -17,7 +17,7 @@ pub use self::live::{Live, live, typical, untested};
 use self::rehearsal::{Rehearsal, Stage};
 use super::flight_simulator::NotSimulated;
 use super::gap::ReportNoise;
-use super::naming::TEMPER;
+use super::naming::{CERTAIN, TEMPER};
 use crate::plan::FlightEnvelope;
 use crate::plan::manoeuvres::{Manoeuvre, Room, library};
 use sitl::vehicle::VehicleParams;
@@ -25,6 +25,8 @@ use sitl::vehicle::VehicleParams;
 /// Evidence against every rival that is plenty: models are never quite right, so that it is far
 /// beyond what simulation says is needed, nats.
 const PLENTY: f64 = 100.0;
+/// Share of the most telling manoeuvre's evidence that a shorter one must have to be preferred.
+const COMPARABLE: f64 = 0.5;
 /// Evidence that makes an effect visible, nats.
 const VISIBLE: f64 = 20.0;
 
@@ -174,10 +176,10 @@ impl Judged {
         Some(rehearsals.map(Rehearsal::least).fold(f64::INFINITY, f64::min))
     }
 
-    /// With plenty of evidence the shorter flight is the better one; without, the more telling.
-    fn merit(&self, plenty: f64) -> (u8, f64) {
+    /// With enough evidence the shorter flight is the better one; without, the more telling.
+    fn merit(&self, enough: f64) -> (u8, f64) {
         match self.least() {
-            Some(nats) if nats >= plenty => (2, -self.manoeuvre.trajectory.duration()),
+            Some(nats) if nats >= enough => (2, -self.manoeuvre.trajectory.duration()),
             Some(nats) => (1, nats),
             None => (0, 0.0),
         }
@@ -195,8 +197,10 @@ fn judge(stage: &Stage<'_>, library: &[Manoeuvre], truths: &[usize]) -> Vec<Judg
 }
 
 fn choose(mut judged: Vec<Judged>, hypotheses: &[Live], plenty: f64) -> Option<NextFlight> {
+    let most = judged.iter().filter_map(Judged::least).fold(f64::NEG_INFINITY, f64::max);
+    let enough = plenty.max(COMPARABLE * most);
     judged.sort_by(|a, b| {
-        let (a, b) = (a.merit(plenty), b.merit(plenty));
+        let (a, b) = (a.merit(enough), b.merit(enough));
         b.0.cmp(&a.0).then(b.1.total_cmp(&a.1))
     });
     let tried = judged
@@ -232,7 +236,7 @@ fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
     Outlook {
         truth: truth.names(),
         now: truth.probability,
-        expected: 1.0 / (1.0 + others),
+        expected: CERTAIN / (1.0 + others),
         evidence: rehearsal
             .evidence
             .iter()
