@@ -250,6 +250,25 @@ impl Catalogue {
         self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
     }
 
+    /// The catalogue with the tolerances of the vehicle file's numbers times `share`; those of times,
+    /// which the clocks blur, and of the damping stay.
+    pub fn taken_at(mut self, share: f64) -> Self {
+        for number in &mut self.numbers {
+            let is_time = matches!(
+                number.target,
+                Target::Effect(
+                    EffectId::MotorLag | EffectId::CommandDelay | EffectId::EstimatorLatency,
+                    _
+                ) | Target::OutputDelay
+                    | Target::Damping(_)
+            );
+            if !is_time {
+                number.tolerance *= share;
+            }
+        }
+        self
+    }
+
     /// The number of an effect's slot.
     pub fn number_of(&self, effect: EffectId, slot: usize) -> Option<usize> {
         self.numbers.iter().position(|number| number.target == Target::Effect(effect, slot))
