@@ -179,6 +179,16 @@ pub struct Gap {
     pub noise: ReportNoise,
 }
 
+impl Gap {
+    /// The largest error that is left, over all quantities and horizons, in units of what noise alone
+    /// leaves.
+    pub fn most_visible(&self) -> f64 {
+        let [_, after, floor] = &self.errors;
+        let pairs = after.0.iter().flatten().zip(floor.0.iter().flatten());
+        pairs.map(|(after, floor)| after / floor.max(1e-12)).fold(0.0, f64::max)
+    }
+}
+
 /// A hypothesis as it fared.
 #[derive(Clone, Debug, Serialize)]
 pub struct HypothesisAnswer {

@@ -98,17 +98,12 @@ const GAP_MIN: f64 = 1.3;
 /// Share of a gap that effects must close to be its explanation.
 const CLOSED_MIN: f64 = 0.5;
 
-/// Whether an error is visible over what noise alone leaves.
-pub fn is_visible(error: f64, floor: f64) -> bool {
-    error > GAP_MIN * floor
-}
-
 /// Whether the gap on the flights held out stays open: with the effects, and with the nuisances as
 /// well.
 pub fn is_open(gap: &Gap, found: bool) -> bool {
     let left = gap.with_nuisances.map_or(gap.after, |with| with.min(gap.after));
     let closed = gap.closure.filter(|_| found).unwrap_or(0.0);
-    is_visible(left, gap.floor) && closed < CLOSED_MIN
+    left > GAP_MIN * gap.floor && closed < CLOSED_MIN
 }
 
 /// Mean square that the chosen effects explain and the nuisances do not: of the acceleration,

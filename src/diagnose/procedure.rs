@@ -12,7 +12,7 @@ use super::answer::{
 use super::arrival::Delay;
 use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
-use super::judgement::{Leftover, explained, is_open, is_unexplained, is_visible};
+use super::judgement::{Leftover, explained, is_open, is_unexplained};
 use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{depends_on, map, samples};
@@ -100,19 +100,15 @@ pub fn diagnose(
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
     let tolerant = attempt(case, settings, 1.0, progress)?;
-    let gap_of =
-        |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(|gap| (gap.after, gap.floor));
-    let Some((open, _)) = gap_of(&tolerant)
-        .filter(|(after, floor)| tolerant.setpoint_leg && is_visible(*after, *floor))
-    else {
+    let open = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(Gap::most_visible);
+    let Some(left) = open(&tolerant).filter(|left| tolerant.setpoint_leg && *left > VISIBLE) else {
         return Ok(tolerant);
     };
     progress("again, with the vehicle file at its word");
     let strict = attempt(case, settings, STRICT, progress)?;
-    let closes = gap_of(&strict).is_some_and(|(after, floor)| {
-        strict.answer.verdict == Verdict::Effect && after - floor < CLOSES * (open - floor)
-    });
-    Ok(if closes { strict } else { tolerant })
+    let closes = open(&strict).is_some_and(|strictly| strictly - 1.0 < CLOSES * (left - 1.0));
+    let names = strict.answer.verdict == Verdict::Effect;
+    Ok(if names && closes { strict } else { tolerant })
 }
 
 /// One diagnosis, with the tolerances of the vehicle file's numbers times `tolerance`.
@@ -153,7 +149,12 @@ fn attempt(
     if settings.twins > 0 {
         progress("twins without an effect");
         let draws = (settings.twins, settings.seed);
-        let drawn = TwinFits::draw(&fitted, &about, &[], &noise, leg, draws)?;
+        let (drawn, about) = if leg {
+            (TwinFits::draw(&fitted, &about, &[], &noise, leg, draws)?, about.clone())
+        } else {
+            let drawn = TwinFits::of_noise(&fitted, &null.fit.power, draws);
+            (drawn, Linearised { values: catalogue.references(), ..about.clone() })
+        };
         let screened = screened(&selector, &null, &about, &drawn, settings.seed);
         selector.thresholds.evidence = screened.threshold.max(EVIDENCE_MIN);
         selector.thresholds.chance.clone_from(&screened.chance);
@@ -182,7 +183,8 @@ fn attempt(
         let candidate = catalogue.candidate(&scored.fit.values).ok()?;
         unmodelled_force(&fitted, &evaluator, &candidate)
     };
-    let of_best = twins_of_null.as_ref().filter(|_| !selection.best.fit.hypotheses.is_empty());
+    let is_null = selection.best.fit.hypotheses.is_empty();
+    let of_best = twins_of_null.as_ref().filter(|_| leg && !is_null);
     let of_best = of_best.and_then(|_| {
         let draws = (TWINS_OF_BEST.min(settings.twins), settings.seed);
         twins_of(&fitted, &catalogue, &selection.best, &noise, leg, draws)
@@ -332,6 +334,8 @@ fn attempt(
 const GUSTS_PROBABILITY: f64 = 0.8;
 /// Share of its usual tolerances that a vehicle file taken at its word has.
 const STRICT: f64 = 0.1;
+/// An error of some quantity and horizon that may be more than noise, in units of the noise.
+const VISIBLE: f64 = 1.15;
 /// Share of a visible gap that the strict look must not leave, to be preferred.
 const CLOSES: f64 = 0.6;
 /// Twins of the best explanation, against which what it leaves is compared.

@@ -99,6 +99,27 @@ impl TwinFits {
         twins(truth.collect(), &noise, count, seed)
     }
 
+    /// Twins where no on-board law is known to fly them by: the same motion with other noise, drawn
+    /// from the spectrum of what `power` leaves.
+    pub fn of_noise(observed: &Observed<'_>, power: &[f64], draws: (u32, u64)) -> Self {
+        let (count, seed) = draws;
+        let deviation: Vec<f64> =
+            power.iter().zip(observed.counts()).map(|(q, n)| (q / n.max(1.0)).sqrt()).collect();
+        let layouts = observed.layouts.iter();
+        let still: Residuals = layouts.map(|layout| vec![0.0; layout.places.len()]).collect();
+        let residuals: Vec<Residuals> = (0..count)
+            .into_par_iter()
+            .map(|twin| {
+                let mut residuals = still.clone();
+                add_noise(observed, &deviation, seed.wrapping_add(u64::from(twin)), &mut residuals);
+                residuals
+            })
+            .collect();
+        let power = residuals.iter().map(|residuals| observed.power(residuals)).collect();
+        let truth = observed.catalogue.references();
+        Self { truth, residuals, values: Vec::new(), noise: ReportNoise::default(), power }
+    }
+
     fn of(
         observed: &Observed<'_>,
         about: &Linearised,
@@ -194,14 +215,8 @@ pub fn screened(
         .par_iter()
         .enumerate()
         .map(|(twin, residuals)| {
-            let mut rng = Pcg64Mcg::seed_from_u64(seed.wrapping_add((twin as u64) << 20));
             let mut residuals = residuals.clone();
-            for (residuals, layout) in residuals.iter_mut().zip(&observed.layouts) {
-                for (residual, place) in residuals.iter_mut().zip(&layout.places) {
-                    let z: f64 = StandardNormal.sample(&mut rng);
-                    *residual += z * more[place.index()];
-                }
-            }
+            add_noise(observed, &more, seed.wrapping_add((twin as u64) << 20), &mut residuals);
             let about = about.about(observed, &residuals);
             let mut gains = vec![0.0; selector.catalogue.hypotheses.len()];
             for (hypothesis, gain) in selector.screen(&about, &[]) {
@@ -224,6 +239,17 @@ pub fn screened(
     largest.sort_by(f64::total_cmp);
     let threshold = threshold(&largest);
     Twins { count, largest, threshold, chance }
+}
+
+/// Adds noise with a deviation at each place.
+fn add_noise(observed: &Observed<'_>, deviation: &[f64], seed: u64, residuals: &mut Residuals) {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    for (residuals, layout) in residuals.iter_mut().zip(&observed.layouts) {
+        for (residual, place) in residuals.iter_mut().zip(&layout.places) {
+            let z: f64 = StandardNormal.sample(&mut rng);
+            *residual += z * deviation[place.index()];
+        }
+    }
 }
 
 /// The point that a share of [`EXCEEDED`] exceeds. The upper half of the maxima falls off
