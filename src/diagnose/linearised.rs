@@ -80,6 +80,11 @@ impl Linearised {
         }
     }
 
+    /// The same derivatives and residuals, taken to be at other values.
+    pub fn resting_at(&self, values: Values) -> Self {
+        Self { values, ..self.clone() }
+    }
+
     /// The same derivatives about other residuals, to be solved only.
     pub fn about(&self, observed: &Observed<'_>, base: &Residuals) -> Self {
         Self {

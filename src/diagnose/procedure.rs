@@ -153,7 +153,7 @@ fn attempt(
             (TwinFits::draw(&fitted, &about, &[], &noise, leg, draws)?, about.clone())
         } else {
             let drawn = TwinFits::of_noise(&fitted, &null.fit.power, draws);
-            (drawn, Linearised { values: catalogue.references(), ..about.clone() })
+            (drawn, about.resting_at(catalogue.references()))
         };
         let screened = screened(&selector, &null, &about, &drawn, settings.seed);
         selector.thresholds.evidence = screened.threshold.max(EVIDENCE_MIN);
@@ -254,6 +254,9 @@ fn attempt(
         ambiguous.extend(as_good(&catalogue, &selection));
         ambiguous.sort_unstable();
         ambiguous.dedup();
+        // The first is the answer; the others are what it cannot be told from.
+        let first = answers.first().map(|answer| answer.id);
+        ambiguous.retain(|id| Some(*id) != first);
         (answers, ambiguous)
     } else {
         (Vec::new(), Vec::new())

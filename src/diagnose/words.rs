@@ -26,10 +26,19 @@ pub fn finding(answer: &Answer) -> String {
     }
 }
 
+/// Least probability of an effect that is worth a word where none is named.
+const LIKELY: f64 = 0.1;
+
 fn effect(answer: &Answer) -> String {
     let named: Vec<String> =
         answer.effects.iter().filter(|effect| effect.probability >= 0.5).map(one).collect();
-    let mut text = format!("Found: {}.", named.join(", and "));
+    let mut text = if named.is_empty() {
+        let likely = answer.effects.iter().filter(|effect| effect.probability >= LIKELY);
+        let likely: Vec<String> = likely.map(one).collect();
+        format!("One of these acts, and these flights do not tell which: {}.", likely.join(", or "))
+    } else {
+        format!("Found: {}.", named.join(", and "))
+    };
     if let Some(gap) = &answer.gap {
         text += &shrinks(gap);
     }
