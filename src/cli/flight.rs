@@ -84,6 +84,26 @@ pub struct CollectArgs {
     pub json: bool,
 }
 
+impl CollectArgs {
+    /// A programme of `seconds` into the folder `out`, flown by the simulated vehicle.
+    pub fn simulated(out: PathBuf, seconds: f64, seed: u64, simulation: SimulationArgs) -> Self {
+        Self {
+            out,
+            vehicle: None,
+            connect: None,
+            seconds,
+            combined: 0.0,
+            seed,
+            simulation,
+            jobs: None,
+            list: false,
+            write_trajectories: None,
+            config: None,
+            json: false,
+        }
+    }
+}
+
 /// What of the simulated vehicle the vehicle file does not say.
 #[derive(Clone, Debug, Args)]
 pub struct SimulationArgs {

@@ -143,19 +143,10 @@ impl Demo<'_> {
         let vehicle = args.out.join("vehicle.toml");
         write_file(&vehicle, self.vehicle.text.as_bytes())?;
         say(format_args!("collecting {:.0} s of flight", args.learn));
+        let out = args.out.join("collected");
         let collect = CollectArgs {
-            out: args.out.join("collected"),
-            vehicle: None,
-            connect: None,
-            seconds: args.learn,
-            combined: 0.0,
-            seed: args.seed,
-            simulation: self.simulation.clone(),
-            jobs: None,
-            list: false,
-            write_trajectories: None,
             config: args.config.clone(),
-            json: false,
+            ..CollectArgs::simulated(out, args.learn, args.seed, self.simulation.clone())
         };
         let (collected, exit) = gather(&collect, &self.config, &self.vehicle)?;
         if exit != Exit::Ok {

@@ -213,19 +213,10 @@ impl Loop<'_> {
     fn excite(&self) -> anyhow::Result<Option<Vec<PathBuf>>> {
         let args = self.args;
         say(format_args!("flying {:.0} s to see what it does", args.excite));
+        let out = args.out.join("excited");
         let collect = CollectArgs {
-            out: args.out.join("excited"),
-            vehicle: None,
-            connect: None,
-            seconds: args.excite,
-            combined: 0.0,
-            seed: args.seed,
-            simulation: self.simulation.clone(),
-            jobs: None,
-            list: false,
-            write_trajectories: None,
             config: args.config.clone(),
-            json: false,
+            ..CollectArgs::simulated(out, args.excite, args.seed, self.simulation.clone())
         };
         let (collected, exit) = gather(&collect, &self.config, &self.shipped)?;
         Ok((exit == Exit::Ok).then(|| collected.logs()))
