@@ -4,11 +4,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use downwash::diagnose::arrival::Delay;
 use downwash::diagnose::hypothesis::Catalogue;
 use downwash::diagnose::noise::report_noise;
 use downwash::diagnose::observed::Observed;
 use downwash::diagnose::preparation::PreparedFlight;
-use downwash::diagnose::residuals::{ATTITUDE, CHANNEL_NAMES, COMMAND, Evaluator, RATE, VELOCITY};
+use downwash::diagnose::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, VELOCITY};
 use downwash::diagnose::selection::{Selector, Thresholds};
 use downwash::diagnose::spectrum::BANDS;
 use downwash::diagnose::twins::TwinFits;
@@ -21,7 +22,7 @@ fn flights(vehicle: &Path) -> Vec<PathBuf> {
     let _ = fs::remove_dir_all(&folder);
     let output = Command::new(env!("CARGO_BIN_EXE_downwash"))
         .env("XDG_CONFIG_HOME", &folder)
-        .args(["collect", "--seconds", "40", "--vehicle"])
+        .args(["collect", "--seconds", "90", "--vehicle"])
         .arg(vehicle)
         .arg("--out")
         .arg(&folder)
@@ -36,7 +37,7 @@ fn flights(vehicle: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn twins_leave_of_the_motion_what_the_flights_leave() {
+fn twins_leave_what_the_flights_leave() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml");
     let vehicle = VehicleParams::load(&path).expect("the vehicle");
     let prepared: Vec<PreparedFlight> = flights(&path)
@@ -44,23 +45,23 @@ fn twins_leave_of_the_motion_what_the_flights_leave() {
         .map(|log| import::open(log, None).expect("a log"))
         .map(|flight| PreparedFlight::new(flight, &vehicle).expect("a flight"))
         .collect();
-    let catalogue = Catalogue::new(&vehicle, true);
     let evaluator = Evaluator::new(&vehicle).observing(&prepared);
+    let law = evaluator.onboard().expect("the on-board law");
+    let delay = Delay::of(&prepared, law).expect("outputs that answer setpoints");
+    let catalogue = Catalogue::new(&vehicle, true).with_delay(&delay);
     let observed = Observed::new(&prepared, &evaluator, &catalogue);
-    let thresholds =
-        Thresholds { evidence: 10.0, chance: Vec::new(), held_out: 1.0, open_loop: [0.05, 2.5] };
     let selector = Selector {
         fitted: &observed,
         held_out: &observed,
         catalogue: &catalogue,
         setpoint_leg: true,
-        thresholds,
+        thresholds: Thresholds::default(),
         floor: None,
     };
     let (null, about) = selector.null().expect("a fit");
     let noise = report_noise(&prepared, &null.fit.power, observed.counts());
     let twins =
-        TwinFits::draw(&observed, &about, &[], &noise, true, (8, 1)).expect("a vehicle that flies");
+        TwinFits::draw(&observed, &about, &[], law, &noise, (8, 1)).expect("a vehicle that flies");
     let moments = twins.moments();
     let mut ratios = Vec::new();
     for (channel, name) in CHANNEL_NAMES.iter().enumerate() {
@@ -82,9 +83,9 @@ fn twins_leave_of_the_motion_what_the_flights_leave() {
     let within = |channels: std::ops::Range<usize>, most: f64| {
         ratios[channels].iter().all(|(_, ratio)| (1.0 / most..most).contains(ratio))
     };
-    assert!(within(VELOCITY..RATE, 1.3) && within(ATTITUDE..COMMAND, 1.3), "{ratios:.2?}");
-    // Of what the bundled vehicle's loop does between two reports, twins know less.
-    assert!(within(RATE..ATTITUDE, 2.5), "{ratios:.2?}");
+    assert!(within(VELOCITY..COMMAND, 1.3), "{ratios:.2?}");
+    // Few setpoints come late enough to show in a command: their number scatters.
+    assert!(within(COMMAND..CHANNELS, 1.6), "{ratios:.2?}");
     // What was flown is what is fitted: no number is off by more than its tolerance allows.
     for (i, number) in catalogue.numbers.iter().enumerate().filter(|(_, n)| n.tolerance > 0.0) {
         let off = (twins.truth[i] - number.reference) / number.tolerance;

@@ -7,11 +7,15 @@ use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
 use super::audit::{Audit, Severity, Tier, Untestable};
 use super::gap::{Errors, ReportNoise};
+use super::hypothesis::Catalogue;
+use super::judgement::Balance;
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::map::ResidualMap;
 use super::next_flight::NextFlight;
-use super::preparation::Channels;
+use super::preparation::{Channels, PreparedFlight};
+use super::procedure::Case;
 use super::reflight::ClosedLoop;
+use super::selection::{Rival, Selection, Thresholds};
 use super::twins::Twins;
 
 /// The verdict in three words.
@@ -194,12 +198,33 @@ impl Gap {
 pub struct HypothesisAnswer {
     /// The effect.
     pub id: &'static str,
-    /// Evidence over nuisances alone, nats.
+    /// Evidence over nuisances alone and beyond chance, nats.
     pub evidence: f64,
+    /// How much of it is asked, nats.
+    pub asked: f64,
     /// Density of the flights held out over nuisances alone, nats, and its standard error.
     pub held_out: [f64; 2],
     /// Fitted numbers.
     pub numbers: Vec<f64>,
+}
+
+impl HypothesisAnswer {
+    /// Every single hypothesis of a search, the best first.
+    pub fn all(catalogue: &Catalogue, selection: &Selection, thresholds: &Thresholds) -> Vec<Self> {
+        let of_one = |Rival { hypothesis, scored }: &Rival| {
+            let (gain, error) = scored.gain_over(&selection.null);
+            let asked = thresholds.asked_of(*hypothesis);
+            let hypothesis = &catalogue.hypotheses[*hypothesis];
+            Self {
+                id: hypothesis.effect.name(),
+                evidence: scored.evidence - selection.null.evidence,
+                asked,
+                held_out: [gain, error],
+                numbers: hypothesis.numbers.iter().map(|n| scored.fit.values[*n]).collect(),
+            }
+        };
+        selection.singles.iter().map(of_one).collect()
+    }
 }
 
 /// A flight that was looked at.
@@ -213,6 +238,22 @@ pub struct FlightAnswer {
     pub seconds: f64,
     /// What its log holds.
     pub channels: Channels,
+}
+
+impl FlightAnswer {
+    /// Every flight of a case.
+    pub fn all(case: &Case<'_>) -> Vec<Self> {
+        let of = |held_out: bool| {
+            move |flight: &PreparedFlight| Self {
+                name: flight.name.clone(),
+                held_out,
+                seconds: flight.seconds(),
+                channels: flight.channels,
+            }
+        };
+        let fitted = case.fitted.iter().map(of(false));
+        fitted.chain(case.held_out.iter().map(of(true))).collect()
+    }
 }
 
 /// The whole answer.
@@ -245,10 +286,10 @@ pub struct Answer {
     pub unmodelled_force: Option<[UnmodelledForce; 2]>,
     /// Angular acceleration that nothing explains, before and after.
     pub unmodelled_moment: Option<[UnmodelledMoment; 2]>,
+    /// What is left of forces and moments against what is explained, in units of what matters.
+    pub balance: Balance,
     /// Flights simulated without an effect.
     pub twins: Option<Twins>,
-    /// Evidence that was asked of an effect, nats.
-    pub evidence_asked: f64,
     /// Single hypotheses, the best first.
     pub hypotheses: Vec<HypothesisAnswer>,
     /// The flights.
@@ -264,7 +305,15 @@ pub struct NotTestable {
     pub reason: String,
 }
 
+/// An effect is named from this probability on.
+const NAMED: f64 = 0.5;
+
 impl Answer {
+    /// Ids of the effects that are named, the most probable first.
+    pub fn named(&self) -> impl Iterator<Item = &'static str> {
+        self.effects.iter().filter(|effect| effect.probability >= NAMED).map(|effect| effect.id)
+    }
+
     /// The answer where every log is at fault.
     pub fn data_fault(logs: Vec<LogAnswer>) -> Self {
         let reasons: Vec<String> = logs
@@ -290,8 +339,8 @@ impl Answer {
             next_flight: None,
             unmodelled_force: None,
             unmodelled_moment: None,
+            balance: Balance::default(),
             twins: None,
-            evidence_asked: 0.0,
             hypotheses: Vec::new(),
             flights: Vec::new(),
         }

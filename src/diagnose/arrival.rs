@@ -34,6 +34,8 @@ pub struct Delay {
     pub mean: f64,
     /// Its standard deviation, s.
     pub deviation: f64,
+    /// The same by the log's own stamps, between whose clocks there may be an offset, s.
+    pub by_stamps: f64,
 }
 
 /// What an output says: the ages at its tick of the setpoint that it answers and of the newer ones,
@@ -73,8 +75,8 @@ impl Delay {
             second += weight * delay * delay;
         }
         let mean = first / sum;
-        let variance = (second / sum - mean * mean).max(0.0) + CLOCK_TIE_S.powi(2);
-        Some(Self { mean, deviation: variance.sqrt() })
+        let by_stamps = (second / sum - mean * mean).max(STEP_S.powi(2) / 12.0).sqrt();
+        Some(Self { mean, deviation: by_stamps.hypot(CLOCK_TIE_S), by_stamps })
     }
 }
 

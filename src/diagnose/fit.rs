@@ -58,8 +58,8 @@ fn cost_at(observed: &Observed<'_>, values: &[f64], active: &[usize]) -> Option<
         .iter()
         .enumerate()
         .map(|(i, number)| {
-            let width = if active.contains(&i) { number.magnitude } else { number.tolerance };
-            let off = values[i] - number.reference;
+            let [middle, width] = number.prior(active.contains(&i));
+            let off = values[i] - middle;
             if off == 0.0 { 0.0 } else { (off / width).powi(2) }
         })
         .sum();

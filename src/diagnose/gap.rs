@@ -4,8 +4,8 @@
 //! through the on-board law (by the logged outputs where there is none), and is compared with what
 //! was reported after 0.1, 0.5 and 1 s.
 
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use rand::{Rng, SeedableRng};
+use rand_distr::{Distribution, Exp1, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -17,7 +17,7 @@ use sitl::plant::Plant;
 use sitl::rigid_body::State;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
-use super::onboard::setpoint_at;
+use super::onboard::{JITTER_MEAN_S, setpoint_at};
 use super::preparation::PreparedFlight;
 
 /// Horizons, s.
@@ -28,6 +28,8 @@ pub const QUANTITIES: [&str; 4] = ["pos", "vel", "att", "rate"];
 const SPACING_S: f64 = 0.25;
 /// Time before a window that delays and lags reach back to, s.
 const MARGIN_S: f64 = 0.4;
+/// Correlation time of an attitude's error, s: an estimator's.
+pub(super) const ATTITUDE_CORRELATION_S: f64 = 0.05;
 /// Rotors forget their states within this many time constants.
 const MEMORY: f64 = 6.0;
 
@@ -118,8 +120,14 @@ impl Simulator {
 
     /// What will be reported at `start` plus each horizon, from the reported state `from` at
     /// `start`. Latency and trim are undone at the start and applied again at the end. `None`
-    /// where no setpoint rules at the start.
-    fn predict(&self, flight: &PreparedFlight, start: f64, from: &State) -> Option<[State; 3]> {
+    /// where no setpoint rules at the start. `sensed`: the noise that the on-board loop flies with.
+    fn predict(
+        &self,
+        flight: &PreparedFlight,
+        start: f64,
+        from: &State,
+        mut sensed: Option<LoopNoise>,
+    ) -> Option<[State; 3]> {
         let start = start - self.latency;
         let mut plant = self.plant.clone();
         let tau = plant.physics().constants().motor_time_constant;
@@ -155,10 +163,18 @@ impl Simulator {
                     let tick = ((time + 1e-6) * rate_hz).floor();
                     if tick > last_tick || outputs.is_none() {
                         last_tick = tick;
-                        let asked = setpoint_at(flight, tick / rate_hz - self.command_delay)?;
                         let state = plant.state();
-                        let attitude = state.attitude.compose(self.trim).euler();
-                        outputs = Some(law.outputs(&asked, attitude, state.body_rate));
+                        let mut attitude = state.attitude.compose(self.trim);
+                        let mut rate = state.body_rate;
+                        let mut sent = tick / rate_hz - self.command_delay;
+                        if let Some(noise) = &mut sensed {
+                            attitude = attitude.compose(noise.attitude_error(1.0 / rate_hz));
+                            rate += noise.gyro_error();
+                            // Jitter is a part of the delay.
+                            sent -= noise.lateness().max(-self.command_delay);
+                        }
+                        let asked = setpoint_at(flight, sent)?;
+                        outputs = Some(law.outputs(&asked, attitude.euler(), rate));
                     }
                     outputs?
                 }
@@ -204,7 +220,7 @@ impl Simulator {
     pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<[[f64; 4]; 3]> {
         windows(flights, |flight, start| {
             let from = reported(flight, start, self.latency);
-            let predicted = self.predict(flight, start, &from)?;
+            let predicted = self.predict(flight, start, &from, None)?;
             Some(std::array::from_fn(|h| {
                 let there = reported(flight, start + HORIZONS_S[h], self.latency);
                 distance(&there, &predicted[h])
@@ -213,7 +229,8 @@ impl Simulator {
     }
 
     /// The errors that noise alone leaves: predictions from noisy starts, compared with noisy
-    /// reports of what the same simulator does from the start as it was.
+    /// reports of what the same simulator does from the start as it was, its on-board loop flying
+    /// with the sensors' noise and the link's jitter.
     pub fn floor(
         &self,
         flights: &[PreparedFlight],
@@ -223,13 +240,61 @@ impl Simulator {
         root_mean_square(&windows(flights, |flight, start| {
             let mut rng = Pcg64Mcg::seed_from_u64(seed ^ start.to_bits());
             let truth = reported(flight, start, self.latency);
-            let ends = self.predict(flight, start, &truth)?;
-            let predicted = self.predict(flight, start, &noise.applied(&truth, &mut rng))?;
+            let sensed = LoopNoise::new(noise, rng.random());
+            let ends = self.predict(flight, start, &truth, Some(sensed))?;
+            let predicted = self.predict(flight, start, &noise.applied(&truth, &mut rng), None)?;
             Some(std::array::from_fn(|h| {
                 distance(&noise.applied(&ends[h], &mut rng), &predicted[h])
             }))
         }))
     }
+}
+
+/// What disturbs the on-board loop: its sensors' noise and the link's jitter.
+struct LoopNoise {
+    attitude: f64,
+    body_rate: f64,
+    /// The attitude's present error about each axis, rad.
+    error: [f64; 3],
+    rng: Pcg64Mcg,
+}
+
+impl LoopNoise {
+    fn new(noise: &ReportNoise, seed: u64) -> Self {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let error = normals(&mut rng).map(|z| noise.attitude * z);
+        let ReportNoise { attitude, body_rate, .. } = *noise;
+        Self { attitude, body_rate, error, rng }
+    }
+
+    /// The attitude's error `elapsed` seconds after the last one.
+    fn attitude_error(&mut self, elapsed: f64) -> Attitude {
+        let decay = (-elapsed / ATTITUDE_CORRELATION_S).exp();
+        let fresh = self.attitude * (1.0 - decay * decay).sqrt();
+        for (error, z) in self.error.iter_mut().zip(normals(&mut self.rng)) {
+            *error = decay * *error + fresh * z;
+        }
+        small_rotation(self.error)
+    }
+
+    /// The gyro's, rad/s.
+    fn gyro_error(&mut self) -> Frd {
+        normals(&mut self.rng).map(|z| self.body_rate * z).into()
+    }
+
+    /// How much longer than on average the setpoint in force has been under way, s.
+    fn lateness(&mut self) -> f64 {
+        let jitter: f64 = Exp1.sample(&mut self.rng);
+        JITTER_MEAN_S * (jitter - 1.0)
+    }
+}
+
+fn small_rotation([roll, pitch, yaw]: [f64; 3]) -> Attitude {
+    Euler { roll, pitch, yaw }.attitude()
+}
+
+fn normals(rng: &mut Pcg64Mcg) -> [f64; 3] {
+    std::array::from_fn(|_| StandardNormal.sample(rng))
 }
 
 impl ReportNoise {
@@ -268,17 +333,12 @@ impl ReportNoise {
     }
 
     fn applied(&self, state: &State, rng: &mut Pcg64Mcg) -> State {
-        let mut draw = |deviation: f64| -> [f64; 3] {
-            std::array::from_fn(|_| {
-                let z: f64 = StandardNormal.sample(rng);
-                deviation * z
-            })
-        };
-        let [roll, pitch, yaw] = draw(self.attitude);
+        let mut draw = |deviation: f64| normals(rng).map(|z| deviation * z);
+        let turned = small_rotation(draw(self.attitude));
         State {
             position: state.position + Ned::from(draw(self.position)),
             velocity: state.velocity + Ned::from(draw(self.velocity)),
-            attitude: state.attitude.compose(Euler { roll, pitch, yaw }.attitude()),
+            attitude: state.attitude.compose(turned),
             body_rate: state.body_rate + Frd::from(draw(self.body_rate)),
         }
     }

@@ -5,13 +5,10 @@
 //! every hypothesis and held by a prior of that width. An effect is named when its numbers must
 //! lie further off; its hypothesis takes them out of the tolerance and gives them a wide prior.
 
-use sitl::effects::{
-    AttitudeTrim, CommandDelay, Effect, EffectId, EffectSet, EstimatorLatency, Neutral, Parameter,
-    PdGain, RotorDrag, RotorLoss, Slots,
-};
-use sitl::physics::Physics;
-use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
+use sitl::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
+use sitl::vehicle::{ROTORS, VehicleParams};
 
+use super::arrival::Delay;
 use super::tolerances::Scales;
 
 /// A nuisance stays within so many tolerances: what asks for more is an effect.
@@ -59,6 +56,8 @@ pub struct Number {
     pub target: Target,
     /// What the vehicle file says, or the neutral value.
     pub reference: f64,
+    /// Middle of the prior within tolerance: the reference, unless the logs say it directly.
+    pub expected: f64,
     /// Width of the prior within tolerance; 0 where the number stays at its reference unless its
     /// effect is looked at.
     pub tolerance: f64,
@@ -71,6 +70,11 @@ pub struct Number {
 }
 
 impl Number {
+    /// Middle and width of the prior: wide about the reference where its effect is looked at.
+    pub fn prior(&self, active: bool) -> [f64; 2] {
+        if active { [self.reference, self.magnitude] } else { [self.expected, self.tolerance] }
+    }
+
     /// A step for numeric derivatives at `value`.
     pub fn step(&self, value: f64) -> f64 {
         // Over a typical magnitude, where an infinitesimal step would see nothing.
@@ -132,6 +136,7 @@ impl Catalogue {
                     let number = Number {
                         target: Target::RotorScale(rotor),
                         reference: modelled_scale(vehicle, rotor),
+                        expected: modelled_scale(vehicle, rotor),
                         tolerance: 0.0,
                         magnitude: 0.15,
                         bounds: [0.05, 1.0],
@@ -146,6 +151,7 @@ impl Catalogue {
                 let index = catalogue.add(Number {
                     target: Target::OutputDelay,
                     reference: reference(vehicle, effect, 0),
+                    expected: reference(vehicle, effect, 0),
                     tolerance: 0.002,
                     magnitude: 0.02,
                     bounds: [-0.03, 0.15],
@@ -165,6 +171,7 @@ impl Catalogue {
                 numbers.push(catalogue.add(Number {
                     target: Target::Effect(effect, slot.index),
                     reference,
+                    expected: reference,
                     tolerance,
                     magnitude,
                     bounds: bounds(effect, parameter),
@@ -184,6 +191,7 @@ impl Catalogue {
             catalogue.add(Number {
                 target: Target::OutputDelay,
                 reference: 0.0,
+                expected: 0.0,
                 tolerance: 0.002,
                 magnitude: 0.01,
                 bounds: [-0.03, 0.15],
@@ -195,6 +203,7 @@ impl Catalogue {
             catalogue.add(Number {
                 target: Target::Damping(axis),
                 reference: 0.0,
+                expected: 0.0,
                 tolerance: (DAMPING_TIME_S * kp).max(DAMPING_RATE * vehicle.inertia[axis]),
                 magnitude: vehicle.inertia[axis],
                 bounds: [-10.0 * vehicle.inertia[axis], 10.0 * vehicle.inertia[axis]],
@@ -205,6 +214,7 @@ impl Catalogue {
             catalogue.add(Number {
                 target: Target::RotorGain(rotor),
                 reference: 1.0,
+                expected: 1.0,
                 tolerance: 0.003,
                 magnitude: 0.1,
                 bounds: [0.5, 2.0],
@@ -274,14 +284,28 @@ impl Catalogue {
         self.numbers.iter().position(|number| number.target == Target::Effect(effect, slot))
     }
 
-    /// The catalogue with command_delay tried at its reference and at `delay_s` alone.
-    pub fn with_delay(mut self, delay_s: f64) -> Self {
+    /// The catalogue with command_delay as it was read off the outputs: tried at its reference and
+    /// there alone, and expected there where the reference allows it.
+    pub fn with_delay(mut self, delay: &Delay) -> Self {
         let delays = self.hypotheses.iter_mut().filter(|h| h.effect == EffectId::CommandDelay);
         for hypothesis in delays {
             hypothesis.starts.truncate(1);
-            hypothesis.starts.push(vec![delay_s]);
+            hypothesis.starts.push(vec![delay.mean]);
+        }
+        if let Some(index) = self.number_of(EffectId::CommandDelay, 0) {
+            let [low, high] = self.limits(index, &[]);
+            let number = &mut self.numbers[index];
+            if (low..=high).contains(&delay.mean) {
+                number.expected = delay.mean;
+                number.tolerance = number.tolerance.min(delay.by_stamps);
+            }
         }
         self
+    }
+
+    /// Every number where it is expected.
+    pub fn expected(&self) -> Values {
+        self.numbers.iter().map(|number| number.expected).collect()
     }
 
     /// Every number at its reference.
@@ -289,138 +313,27 @@ impl Catalogue {
         self.numbers.iter().map(|number| number.reference).collect()
     }
 
-    /// Where a number may lie: within its physical bounds if it is active, else near its
-    /// reference.
+    /// Where a number may lie: within its physical bounds if it is active, else near where it is
+    /// expected.
     pub fn limits(&self, number: usize, active: &[usize]) -> [f64; 2] {
-        let Number { reference, tolerance, bounds: [low, high], .. } = self.numbers[number];
+        let Number { expected, tolerance, bounds: [low, high], .. } = self.numbers[number];
         if active.contains(&number) {
             return [low, high];
         }
         let width = TOLERANCES_MAX * tolerance;
-        [(reference - width).max(low), (reference + width).min(high)]
+        [(expected - width).max(low), (expected + width).min(high)]
     }
 
     /// Numbers with a tolerance: the nuisances.
     pub fn nuisances(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.numbers.len()).filter(|i| self.numbers[*i].tolerance > 0.0)
     }
-
-    /// The effects that `values` stand for beyond the vehicle file, restricted to `which` if
-    /// given: those with a number off its reference.
-    pub fn effects(&self, values: &[f64], which: Option<&[EffectId]>) -> EffectSet {
-        let mut set = EffectSet::new();
-        for effect in EffectId::ALL {
-            if which.is_some_and(|which| !which.contains(&effect)) {
-                continue;
-            }
-            let mut slots = base_slots(&self.vehicle, effect);
-            let mut off = false;
-            for (number, value) in self.numbers.iter().zip(values) {
-                match number.target {
-                    Target::Effect(id, slot) if id == effect => {
-                        off |= *value != number.reference;
-                        slots[slot] = *value;
-                    }
-                    Target::RotorScale(rotor)
-                        if effect == EffectId::RotorLoss && *value != number.reference =>
-                    {
-                        off = true;
-                        slots[0] = rotor as f64;
-                        slots[1] = *value;
-                    }
-                    Target::OutputDelay
-                        if effect == EffectId::CommandDelay
-                            && self.outputs_late
-                            && *value != number.reference =>
-                    {
-                        off = true;
-                        slots[0] = value.max(0.0);
-                    }
-                    _ => {}
-                }
-            }
-            if off {
-                // A number outside of the accepted range leaves the file's in force.
-                let _ = set.insert(effect, slots);
-            }
-        }
-        set
-    }
-
-    /// The vehicle file that `values` stand for, and the effects to put over it.
-    pub fn vehicle_of(&self, values: &[f64]) -> (VehicleParams, EffectSet) {
-        let mut vehicle = self.vehicle.clone();
-        for (number, value) in self.numbers.iter().zip(values) {
-            match number.target {
-                Target::RotorGain(rotor) => vehicle.rotors[rotor].thrust_max_n *= value,
-                Target::Damping(axis) if *value != 0.0 => {
-                    vehicle.angular_damping_nms.get_or_insert_default()[axis] += value;
-                }
-                _ => {}
-            }
-        }
-        (vehicle, self.effects(values, None))
-    }
-
-    /// The vehicle that `values` stand for, as what drives and reports it.
-    ///
-    /// # Errors
-    /// A vehicle that the physics refuses.
-    pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
-        let delays = self.numbers.iter().zip(values);
-        let output_delay = delays
-            .filter(|(number, _)| number.target == Target::OutputDelay)
-            .map(|(_, value)| *value)
-            .sum();
-        let (vehicle, overlay) = self.vehicle_of(values);
-        let effects = vehicle.modelled_effects.overlay(&overlay);
-        let physics = Physics::new(&vehicle, &overlay)?;
-        Ok(Candidate {
-            output_delay,
-            lag: physics.constants().motor_time_constant,
-            latency: effects.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
-            trim: effects.get::<AttitudeTrim>(),
-            command_delay: effects
-                .get::<CommandDelay>()
-                .map_or(self.vehicle.command_delay_s, |e| e.delay_s),
-            gains: effects.get::<PdGain>(),
-            physics,
-        })
-    }
-}
-
-/// A vehicle to explain flights with.
-#[derive(Clone, Debug)]
-pub struct Candidate {
-    /// Forces and moments.
-    pub physics: Physics,
-    /// From a logged output to when it acts, s.
-    pub output_delay: f64,
-    /// First-order lag behind it, s.
-    pub lag: f64,
-    /// How late pose is reported, s.
-    pub latency: f64,
-    /// How attitude is reported.
-    pub trim: Option<AttitudeTrim>,
-    /// From sending a setpoint to its use, s.
-    pub command_delay: f64,
-    /// The on-board gains' scales.
-    pub gains: Option<PdGain>,
 }
 
 /// Whether no flight can tell two effects apart: mass and thrust act as their ratio.
 fn same_way(a: EffectId, b: EffectId) -> bool {
     let class = |effect| if effect == EffectId::Mass { EffectId::ThrustScale } else { effect };
     class(a) == class(b)
-}
-
-/// The slots of an effect as the vehicle file or the neutral values have them.
-fn base_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
-    let mut slots = Slots::default();
-    for slot in effect.spec().slots() {
-        slots[slot.index] = reference(vehicle, effect, slot.index);
-    }
-    slots
 }
 
 /// Where a number may physically lie: rotors flap away from the wind, and packs sag as they empty.
@@ -500,15 +413,18 @@ mod tests {
     }
 
     #[test]
-    fn a_number_off_its_reference_is_its_effect_and_only_if_asked_for() {
+    fn a_delay_that_was_read_off_is_expected_where_the_file_allows_it() {
         let catalogue = Catalogue::new(&vehicle(), true);
-        let mut values = catalogue.references();
-        let target = Target::Effect(EffectId::YawTorque, 0);
-        let number = catalogue.numbers.iter().position(|n| n.target == target).unwrap();
-        values[number] = 1.3;
-        let set = catalogue.effects(&values, None);
-        assert_eq!(set.value(EffectId::YawTorque, "scale", 0), Some(1.3));
-        assert!(catalogue.effects(&values, Some(&[EffectId::Mass])).is_empty());
+        let index = catalogue.number_of(EffectId::CommandDelay, 0).unwrap();
+        let Number { reference, tolerance, .. } = catalogue.numbers[index];
+        let with = |off: f64| {
+            let delay = Delay { mean: reference + off, deviation: 7e-4, by_stamps: 1e-4 };
+            let number = catalogue.clone().with_delay(&delay).numbers[index];
+            [number.expected - reference, number.tolerance]
+        };
+        let [off, width] = with(0.001);
+        assert!((off - 0.001).abs() < 1e-12 && width < tolerance);
+        assert_eq!(with(0.02), [0.0, tolerance]);
     }
 
     #[test]
@@ -519,18 +435,5 @@ mod tests {
         let [low, high] = catalogue.limits(number, &[]);
         assert!(low > 0.9 && high < 1.1);
         assert_eq!(catalogue.limits(number, &[number]), catalogue.numbers[number].bounds);
-    }
-
-    #[test]
-    fn without_setpoints_command_delay_is_from_output_to_thrust() {
-        let catalogue = Catalogue::new(&vehicle(), false);
-        let mut values = catalogue.references();
-        let number =
-            catalogue.numbers.iter().position(|n| n.target == Target::OutputDelay).unwrap();
-        values[number] = 0.031;
-        assert_eq!(catalogue.candidate(&values).unwrap().output_delay, 0.031);
-        let set = catalogue.effects(&values, Some(&[EffectId::CommandDelay]));
-        assert_eq!(set.value(EffectId::CommandDelay, "delay_s", 0), Some(0.031));
-        assert!(catalogue.hypotheses.iter().all(|h| h.effect != EffectId::PdGain));
     }
 }

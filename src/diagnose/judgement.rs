@@ -4,6 +4,7 @@
 //! if, within the time that a planner looks ahead, it moves the vehicle by more than the reports are
 //! uncertain. Both are told in that unit, so that forces and moments can be compared.
 
+use serde::Serialize;
 use sitl::vehicle::VehicleParams;
 
 use super::answer::Gap;
@@ -24,12 +25,21 @@ const SIGNIFICANCE: f64 = 5.0;
 const LEFT_MAX: f64 = 0.3;
 
 /// Something unmodelled in units of what matters.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Size {
     /// What is left after the best explanation; 0 where it may be chance.
     pub left: f64,
     /// What the explanation explains.
     pub explained: f64,
+}
+
+/// What is left of forces and moments against what is explained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Balance {
+    /// Force per mass.
+    pub force: Size,
+    /// Moments.
+    pub moment: Size,
 }
 
 /// What is left of forces and moments.
@@ -86,9 +96,9 @@ impl Leftover {
 
 /// Whether what is left outweighs what is explained: of practical size, and more than a share of
 /// the whole.
-pub fn is_unexplained(sizes: [Size; 2], found: bool) -> bool {
-    let left = sizes[0].left.max(sizes[1].left);
-    let explained = if found { sizes[0].explained.max(sizes[1].explained) } else { 0.0 };
+pub fn is_unexplained(Balance { force, moment }: &Balance, found: bool) -> bool {
+    let left = force.left.max(moment.left);
+    let explained = if found { force.explained.max(moment.explained) } else { 0.0 };
     left > 1.0 && left.powi(2) > LEFT_MAX * (left.powi(2) + explained.powi(2))
 }
 
@@ -130,14 +140,15 @@ mod tests {
 
     #[test]
     fn what_is_left_must_matter_and_outweigh_what_is_explained() {
-        let size = |left, explained| Size { left, explained };
         let none = Size::default();
-        assert!(!is_unexplained([size(0.9, 0.0), none], false));
-        assert!(is_unexplained([size(1.1, 0.0), none], false));
-        assert!(is_unexplained([none, size(1.1, 0.0)], false));
-        assert!(!is_unexplained([size(1.1, 9.0), none], true));
-        assert!(is_unexplained([size(8.0, 9.0), none], true));
+        let force = |left, explained| Balance { force: Size { left, explained }, moment: none };
+        assert!(!is_unexplained(&force(0.9, 0.0), false));
+        assert!(is_unexplained(&force(1.1, 0.0), false));
+        let moment = Balance { force: none, moment: Size { left: 1.1, explained: 0.0 } };
+        assert!(is_unexplained(&moment, false));
+        assert!(!is_unexplained(&force(1.1, 9.0), true));
+        assert!(is_unexplained(&force(8.0, 9.0), true));
         // Nothing was found: what a larger model would explain does not count.
-        assert!(is_unexplained([size(1.1, 9.0), none], false));
+        assert!(is_unexplained(&force(1.1, 9.0), false));
     }
 }

@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::hypothesis::Candidate;
+use super::candidate::Candidate;
 use super::observed::Observed;
 use super::residuals::{Evaluator, FORCE, Groups, RATE, VELOCITY};
 use super::spectrum::{BANDS, CELL_S, CosineTransform, band, frequency};

@@ -149,6 +149,17 @@ impl Linearised {
         counts: &[f64],
         active: &[usize],
     ) -> Option<Solution> {
+        self.solve_from(catalogue, counts, active, &self.values)
+    }
+
+    /// The same, looked for from the values `start` on.
+    pub fn solve_from(
+        &self,
+        catalogue: &Catalogue,
+        counts: &[f64],
+        active: &[usize],
+        start: &[f64],
+    ) -> Option<Solution> {
         let used: Vec<usize> = (0..self.numbers.len())
             .filter(|i| {
                 let number = self.numbers[*i];
@@ -156,84 +167,39 @@ impl Linearised {
             })
             .collect();
         let n = used.len();
-        let total = self.numbers.len();
-        let mut prior = DVector::zeros(n);
-        let mut off = DVector::zeros(n);
+        let (mut prior, mut off) = (DVector::zeros(n), DVector::zeros(n));
+        let mut limits = Vec::with_capacity(n);
         for (row, i) in used.iter().enumerate() {
-            let number = &catalogue.numbers[self.numbers[*i]];
-            let width = if active.contains(&self.numbers[*i]) {
-                number.magnitude
-            } else {
-                number.tolerance
-            };
+            let number = self.numbers[*i];
+            let value = self.values[number];
+            let [middle, width] = catalogue.numbers[number].prior(active.contains(&number));
             prior[row] = width.powi(-2);
-            off[row] = self.values[self.numbers[*i]] - number.reference;
+            off[row] = value - middle;
+            limits.push(catalogue.limits(number, active).map(|limit| limit - value));
         }
-        let places: Vec<usize> = (0..Place::COUNT).filter(|p| counts[*p] > 0.0).collect();
-        let power = |delta: &DVector<f64>| -> Vec<f64> {
-            let mut power = vec![0.0; Place::COUNT];
-            for place in &places {
-                let (gram, cross) = (&self.gram[*place], &self.cross[*place]);
-                let mut q = self.square[*place];
-                for (a, i) in used.iter().enumerate() {
-                    let d = delta[a];
-                    if d == 0.0 {
-                        continue;
-                    }
-                    let mut row = 0.0;
-                    for (b, j) in used.iter().enumerate() {
-                        row += gram[triangle(*i, *j, total)] * delta[b];
-                    }
-                    q += d * (2.0 * cross[*i] + row);
-                }
-                power[*place] = q.max(1e-9 * self.square[*place]).max(f64::MIN_POSITIVE);
-            }
-            power
-        };
+        let quadratic = self.restricted(&used, counts);
         let cost_of = |power: &[f64], delta: &DVector<f64>| {
-            let noise = noise_cost(power, counts);
             let pulled: f64 = (0..n).map(|i| prior[i] * (off[i] + delta[i]).powi(2)).sum();
-            noise + 0.5 * pulled
+            noise_cost(power, counts) + 0.5 * pulled
         };
-        let limits: Vec<[f64; 2]> = used
-            .iter()
-            .map(|i| {
-                let number = self.numbers[*i];
-                let value = self.values[number];
-                catalogue.limits(number, active).map(|limit| limit - value)
-            })
-            .collect();
-        let mut delta = DVector::from_fn(n, |i, _| 0.0_f64.clamp(limits[i][0], limits[i][1]));
-        let mut current = power(&delta);
+        let mut delta = DVector::from_fn(n, |i, _| {
+            let number = self.numbers[used[i]];
+            (start[number] - self.values[number]).clamp(limits[i][0], limits[i][1])
+        });
+        let mut current = quadratic.power(&delta);
         let mut cost = cost_of(&current, &delta);
-        let mut factor = None;
         let mut held = vec![false; n];
+        let mut normal = DMatrix::zeros(n, n);
         for _ in 0..WEIGHT_ROUNDS {
-            let mut normal = DMatrix::from_diagonal(&prior);
-            let mut gradient = DVector::from_fn(n, |i, _| prior[i] * off[i]);
-            for place in &places {
-                let weight = counts[*place] / current[*place];
-                let (gram, cross) = (&self.gram[*place], &self.cross[*place]);
-                for (a, i) in used.iter().enumerate() {
-                    gradient[a] += weight * cross[*i];
-                    for (b, j) in used.iter().enumerate().skip(a) {
-                        normal[(a, b)] += weight * gram[triangle(*i, *j, total)];
-                    }
-                }
-            }
-            for a in 0..n {
-                for b in 0..a {
-                    normal[(a, b)] = normal[(b, a)];
-                }
-            }
-            factor = Some(scaled_cholesky(&normal)?);
+            let gradient;
+            (normal, gradient) = quadratic.normal_equations(&prior, &off, counts, &current);
             let target = bounded_minimum(&normal, &gradient, &limits, &mut held)?;
             // Halved until the cost falls: far from the fixed point the weights may overshoot.
             let mut share = 1.0;
             let mut moved = false;
             while share > 1e-3 {
                 let trial = &delta + (&target - &delta) * share;
-                let there = power(&trial);
+                let there = quadratic.power(&trial);
                 let new = cost_of(&there, &trial);
                 if new < cost {
                     moved = cost - new > COST_STEP_MIN;
@@ -246,7 +212,7 @@ impl Linearised {
                 break;
             }
         }
-        let factor = factor?;
+        let factor = scaled_cholesky(&normal)?;
         let evidence = -cost + 0.5 * prior.iter().map(|p| p.ln()).sum::<f64>()
             - 0.5 * factor.log_determinant();
         let mut values = self.values.clone();
@@ -258,6 +224,94 @@ impl Linearised {
             deviation[number] = covariance[(a, a)].max(0.0).sqrt();
         }
         Some(Solution { values, deviation, cost, evidence, power: current })
+    }
+
+    /// The products of the numbers `used` alone, where there is anything to look at.
+    fn restricted(&self, used: &[usize], counts: &[f64]) -> Quadratic {
+        let total = self.numbers.len();
+        let pairs: Vec<usize> = (0..used.len())
+            .flat_map(|a| (a..used.len()).map(move |b| (a, b)))
+            .map(|(a, b)| triangle(used[a], used[b], total))
+            .collect();
+        let places: Vec<usize> = (0..Place::COUNT).filter(|place| counts[*place] > 0.0).collect();
+        let of_places = |of: &[Vec<f64>], which: &[usize]| -> Vec<f64> {
+            places.iter().flat_map(|place| which.iter().map(|i| of[*place][*i])).collect()
+        };
+        Quadratic {
+            numbers: used.len(),
+            gram: of_places(&self.gram, &pairs),
+            cross: of_places(&self.cross, used),
+            square: places.iter().map(|place| self.square[*place]).collect(),
+            places,
+        }
+    }
+}
+
+/// The sum of squares at each place as a quadratic in a few numbers, packed for speed: a diagnosis
+/// solves a thousand of these.
+struct Quadratic {
+    numbers: usize,
+    places: Vec<usize>,
+    /// Upper triangles, row by row, of one place after another.
+    gram: Vec<f64>,
+    /// Products with the residuals, of one place after another.
+    cross: Vec<f64>,
+    square: Vec<f64>,
+}
+
+impl Quadratic {
+    /// Index, triangle and products of each place.
+    fn parts(&self) -> impl Iterator<Item = (usize, &[f64], &[f64])> {
+        let (n, size) = (self.numbers, self.numbers * (self.numbers + 1) / 2);
+        let of_place = move |(k, place): (usize, &usize)| {
+            (*place, &self.gram[k * size..(k + 1) * size], &self.cross[k * n..(k + 1) * n])
+        };
+        self.places.iter().enumerate().map(of_place)
+    }
+
+    /// What is left at each place, `delta` off the point.
+    fn power(&self, delta: &DVector<f64>) -> Vec<f64> {
+        let mut power = vec![0.0; Place::COUNT];
+        for ((place, gram, cross), square) in self.parts().zip(&self.square) {
+            let mut q = *square;
+            let mut rest = gram;
+            for (a, (d, cross)) in delta.iter().zip(cross).enumerate() {
+                let (row, below) = rest.split_at(self.numbers - a);
+                rest = below;
+                let products = row.iter().zip(delta.as_slice()[a..].iter());
+                let sum: f64 = products.map(|(g, d)| g * d).sum();
+                q += d * (2.0 * (cross + sum) - row[0] * d);
+            }
+            power[place] = q.max(1e-9 * square).max(f64::MIN_POSITIVE);
+        }
+        power
+    }
+
+    /// Matrix and gradient at the point with the noise that `power` leaves.
+    fn normal_equations(
+        &self,
+        prior: &DVector<f64>,
+        off: &DVector<f64>,
+        counts: &[f64],
+        power: &[f64],
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.numbers;
+        let mut triangle = vec![0.0; n * (n + 1) / 2];
+        let mut gradient = prior.component_mul(off);
+        for (place, gram, cross) in self.parts() {
+            let weight = counts[place] / power[place];
+            triangle.iter_mut().zip(gram).for_each(|(sum, g)| *sum += weight * g);
+            gradient.iter_mut().zip(cross).for_each(|(sum, c)| *sum += weight * c);
+        }
+        let mut normal = DMatrix::from_diagonal(prior);
+        let mut entries = triangle.into_iter();
+        for a in 0..n {
+            for b in a..n {
+                normal[(a, b)] += entries.next().unwrap_or(0.0);
+                normal[(b, a)] = normal[(a, b)];
+            }
+        }
+        (normal, gradient)
     }
 }
 

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sitl::frame::{Attitude, Ned};
 
-use super::hypothesis::Candidate;
+use super::candidate::Candidate;
 use super::observed::Observed;
 use super::preparation::PreparedFlight;
 use super::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, Groups, VELOCITY};

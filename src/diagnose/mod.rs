@@ -2,12 +2,14 @@
 //! how far it shrinks.
 
 pub mod answer;
-mod arrival;
+pub mod arrival;
 pub mod audit;
+pub mod candidate;
 pub mod fit;
 pub mod flight_simulator;
 pub mod gap;
 pub mod hypothesis;
+mod inquiry;
 pub mod judgement;
 pub mod layout;
 pub mod leftover;

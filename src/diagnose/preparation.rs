@@ -90,6 +90,18 @@ impl<const N: usize> Series<N> {
         self.between(index, time)
     }
 
+    /// The mean over `half` seconds to each side of `time`, by `samples` readings.
+    pub(super) fn mean_about(&self, time: f64, half: f64, samples: usize) -> [f64; N] {
+        let step = 2.0 * half / (samples.max(2) - 1) as f64;
+        let mut cursor = self.cursor();
+        let mut sum = [0.0; N];
+        for i in 0..samples {
+            let value = cursor.at(time - half + i as f64 * step);
+            sum.iter_mut().zip(value).for_each(|(sum, value)| *sum += value);
+        }
+        sum.map(|sum| sum / samples as f64)
+    }
+
     fn between(&self, index: usize, time: f64) -> [f64; N] {
         let Some(before) = self.values.get(index) else { return [0.0; N] };
         let Some(after) = self.values.get(index + 1) else { return *before };
@@ -445,6 +457,13 @@ mod tests {
             flight.excluding(&[0.0..20.0]).map(|flight| flight.spans),
             Err(NotPrepared::TooShort(0.0))
         );
+    }
+
+    #[test]
+    fn the_mean_about_a_time_of_a_line_is_its_value() {
+        let series = Series { times: vec![0.0, 1.0, 2.0], values: vec![[0.0], [3.0], [6.0]] };
+        let [mean] = series.mean_about(0.9, 0.4, 25);
+        assert!((mean - 2.7).abs() < 1e-12, "{mean}");
     }
 
     #[test]

@@ -18,7 +18,7 @@ use sitl::vehicle::VehicleParams;
 pub use self::course::ReferenceOrigin;
 use self::course::{Course, courses};
 use super::flight_simulator::{Departure, FlightSimulator, GroundControl, NotSimulated};
-use super::gap::ReportNoise;
+use super::gap::{ATTITUDE_CORRELATION_S, ReportNoise};
 use super::preparation::{PreparedFlight, Series};
 use super::procedure::{Case, Settings};
 use crate::log::import::{Flight, Stream};
@@ -29,8 +29,6 @@ const SPACING_S: f64 = 0.02;
 /// Commands are compared as means over this many of these times: the gyro's noise is in every
 /// output, and says nothing about the plant.
 const MEAN_OVER: usize = 5;
-/// Correlation time of the attitude's error that reports are given, s.
-const ATTITUDE_CORRELATION_S: f64 = 0.05;
 
 /// Why nothing was flown again.
 #[derive(Debug, thiserror::Error)]

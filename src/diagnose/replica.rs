@@ -1,10 +1,10 @@
 //! Replicas: flights as a candidate vehicle would have flown them.
 //!
 //! The plant flies the logged course in closed loop: the on-board law follows the setpoints as they
-//! were logged, and where no law is known the logged outputs drive the plant and a stiff attitude
-//! loop about the logged attitude keeps it upright. A soft loop about the logged position and
-//! velocity, slow against everything that is looked at, corrects the setpoints, so that model errors
-//! do not carry the replica off its course. Sensors report with noise at the very stamps of the log,
+//! were logged. A soft loop about the smoothed position and velocity of the log, slow against
+//! everything that is looked at, corrects the setpoints, so that model errors do not carry the
+//! replica off its course. Without the smoothing it would take out of the setpoints the noise that
+//! the ground's feedback put there. Sensors report with noise at the very stamps of the log,
 //! so that a replica goes through the same analysis as the flight: noise that feedback puts into the
 //! outputs, aliasing between rates and interpolation come along.
 
@@ -17,11 +17,10 @@ use sitl::effects::EffectSet;
 use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 use sitl::plant::Plant;
 use sitl::rigid_body::State;
-use sitl::rotor::Allocation;
 use sitl::sensors::{Readings, Sensors};
 use sitl::vehicle::{ROTORS, VehicleError};
 
-use super::gap::ReportNoise;
+use super::gap::{ATTITUDE_CORRELATION_S, ReportNoise};
 use super::hypothesis::Catalogue;
 use super::onboard::{AGE_MAX_S, JITTER_MEAN_S, OnboardLaw, as_onboard};
 use super::preparation::{PreparedFlight, Series};
@@ -30,14 +29,13 @@ use crate::log::import::AttitudeSetpoint;
 /// Bandwidth of the loop about the logged course, rad/s, and the most that it asks for, m/s^2.
 const COURSE_RAD_S: f64 = 1.0;
 const COURSE_MAX: f64 = 3.0;
-/// Bandwidth of the loop about the logged attitude where the on-board law is not known, rad/s.
-const ATTITUDE_RAD_S: f64 = 8.0;
+/// The course is the mean over so much time to each side, s, by so many readings.
+const COURSE_SMOOTHING_S: f64 = 0.12;
+const COURSE_READINGS: usize = 13;
 /// Gain from an attitude's error to a body rate where setpoints are body rates, 1/s.
 const RATE_GAIN: f64 = 4.0;
 /// Time from which rotors and delays reach into a span, s.
 const WARM_UP_S: f64 = 0.4;
-/// Correlation time of an attitude's error, s: an estimator's.
-const ATTITUDE_CORRELATION_S: f64 = 0.05;
 
 /// A vehicle that flies again what was logged.
 #[derive(Clone, Debug)]
@@ -45,11 +43,10 @@ pub struct Replica {
     plant: Plant,
     effects: EffectSet,
     config: SitlConfig,
-    law: Option<(AttitudeLoop, OnboardLaw)>,
-    allocation: Allocation,
+    attitude_loop: AttitudeLoop,
+    law: OnboardLaw,
     mass: f64,
     gravity: f64,
-    inertia: [f64; 3],
     command_delay: f64,
     output_delay: f64,
     latency: f64,
@@ -58,7 +55,7 @@ pub struct Replica {
 
 impl Replica {
     /// The vehicle that `values` stand for, whose sensors have `noise`. `onboard`: the law that
-    /// follows the setpoints, where it is known and they were logged.
+    /// follows the setpoints.
     ///
     /// # Errors
     /// A vehicle that the physics refuses.
@@ -66,7 +63,7 @@ impl Replica {
         catalogue: &Catalogue,
         values: &[f64],
         noise: &ReportNoise,
-        onboard: Option<&OnboardLaw>,
+        onboard: &OnboardLaw,
     ) -> Result<Self, VehicleError> {
         let candidate = catalogue.candidate(values)?;
         let nominal = &catalogue.vehicle;
@@ -83,16 +80,14 @@ impl Replica {
             },
             ..SitlConfig::default()
         };
-        let law = onboard.map(|law| (law.with_gains(candidate.gains), law.clone()));
         Ok(Self {
             plant: Plant::new(&vehicle, &overlay, &config, 0)?,
             effects: vehicle.modelled_effects.overlay(&overlay),
             config,
-            law,
-            allocation: nominal.allocation()?,
+            attitude_loop: onboard.with_gains(candidate.gains),
+            law: onboard.clone(),
             mass: nominal.mass,
             gravity: nominal.gravity,
-            inertia: nominal.inertia,
             command_delay: candidate.command_delay,
             output_delay: candidate.output_delay,
             latency: candidate.latency,
@@ -145,34 +140,29 @@ impl Replica {
                 plant.hold_voltage(voltage.at(time)[0]);
             }
             sensors.record(&plant);
-            let ticks = self.law.as_ref().is_some_and(|(_, law)| law.tick(time) > last_tick);
+            let ticks = self.law.tick(time) > last_tick;
             let readings =
                 (ticks || recorder.is_due(replica, time)).then(|| sensors.sample(&plant));
-            match &self.law {
-                Some((attitude_loop, law)) => {
-                    while let Some(index) = arrivals.sent(flight, time) {
-                        let wanted = self.course(flight, time);
-                        self.correct(&mut setpoints[index], &wanted, plant.state());
-                        arrivals.send(flight, index, self.command_delay, &mut rng);
-                    }
-                    if let Some(readings) = readings.as_ref().filter(|_| ticks) {
-                        last_tick = law.tick(time);
-                        let acting = arrivals.acting(time).filter(|index| {
-                            time - flight.setpoint.times()[*index] < self.command_delay + AGE_MAX_S
-                        });
-                        let asked = acting.and_then(|index| as_onboard(&setpoints[index]));
-                        let attitude = readings.onboard_attitude.euler();
-                        command = match asked {
-                            Some(asked) => attitude_loop.outputs(&asked, attitude, readings.gyro),
-                            None => flight.outputs.at(time),
-                        };
-                    }
-                }
-                None => command = self.upright(flight, time, plant.state()),
+            while let Some(index) = arrivals.sent(flight, time) {
+                self.correct(&mut setpoints[index], flight, time, plant.state());
+                arrivals.send(flight, index, self.command_delay, &mut rng);
             }
-            let first = self.law.as_ref().is_some_and(|(_, law)| law.reports_first());
-            let reported =
-                if first { commands.last().copied().unwrap_or(command) } else { command };
+            if let Some(readings) = readings.as_ref().filter(|_| ticks) {
+                last_tick = self.law.tick(time);
+                let acting = arrivals.acting(time).filter(|index| {
+                    time - flight.setpoint.times()[*index] < self.command_delay + AGE_MAX_S
+                });
+                let attitude = readings.onboard_attitude.euler();
+                command = match acting.and_then(|index| as_onboard(&setpoints[index])) {
+                    Some(asked) => self.attitude_loop.outputs(&asked, attitude, readings.gyro),
+                    None => flight.outputs.at(time),
+                };
+            }
+            let reported = if self.law.reports_first() {
+                commands.last().copied().unwrap_or(command)
+            } else {
+                command
+            };
             commands.push(command);
             if let Some(readings) = &readings {
                 recorder.write(replica, time, readings, &plant, reported);
@@ -196,18 +186,17 @@ impl Replica {
         plant.set_state(self.course(flight, start));
     }
 
-    /// Where the flight was at `time`: as reported, with the vehicle's latency and trim undone.
+    /// Where the flight was at `time`: as reported, smoothed where it is slow, with the vehicle's
+    /// latency and trim undone.
     fn course(&self, flight: &PreparedFlight, time: f64) -> State {
-        let [w, x, y, z] = flight.attitude.at(time + self.latency);
-        let attitude = if flight.channels.attitude {
-            Attitude { w, x, y, z }.normalized().compose(self.untrim)
-        } else {
-            Attitude::default()
-        };
+        let seen = time + self.latency;
+        let smoothed =
+            |series: &Series<3>| series.mean_about(seen, COURSE_SMOOTHING_S, COURSE_READINGS);
+        let [w, x, y, z] = flight.attitude.at(seen);
         State {
-            position: flight.position.at(time + self.latency).into(),
-            velocity: flight.velocity.at(time + self.latency).into(),
-            attitude,
+            position: smoothed(&flight.position).into(),
+            velocity: smoothed(&flight.velocity).into(),
+            attitude: Attitude { w, x, y, z }.normalized().compose(self.untrim),
             body_rate: flight.body_rate.at(time).into(),
         }
     }
@@ -228,11 +217,19 @@ impl Replica {
         [-front / self.gravity, right / self.gravity, -down * self.mass]
     }
 
-    /// Corrects a setpoint towards the course.
-    fn correct(&self, setpoint: &mut AttitudeSetpoint, wanted: &State, state: &State) {
-        let [pitch, roll, lift] = self.tilt(self.back(wanted, state), state.attitude.yaw());
+    /// Corrects a setpoint that is sent at `time` towards the course.
+    fn correct(
+        &self,
+        setpoint: &mut AttitudeSetpoint,
+        flight: &PreparedFlight,
+        time: f64,
+        state: &State,
+    ) {
+        let wanted = self.course(flight, time);
+        let [pitch, roll, lift] = self.tilt(self.back(&wanted, state), state.attitude.yaw());
         if let Some(thrust) = &mut setpoint.thrust {
-            *thrust = (*thrust + lift / self.allocation.collective_max()).clamp(0.0, 1.0);
+            let most = self.law.allocation().collective_max();
+            *thrust = (*thrust + lift / most).clamp(0.0, 1.0);
         }
         if let Some(attitude) = &mut setpoint.attitude {
             let Euler { roll: r, pitch: p, yaw } = attitude.euler();
@@ -245,21 +242,6 @@ impl Replica {
                 wrap_angle(to.yaw - is.yaw),
             ) * RATE_GAIN;
         }
-    }
-
-    /// The logged outputs with what keeps the attitude at the logged one.
-    fn upright(&self, flight: &PreparedFlight, time: f64, state: &State) -> [f64; ROTORS] {
-        let wanted = self.course(flight, time);
-        let [pitch, roll, lift] = self.tilt(self.back(&wanted, state), state.attitude.yaw());
-        let Euler { roll: r, pitch: p, yaw } = wanted.attitude.euler();
-        let target = Euler { roll: r + roll, pitch: p + pitch, yaw }.attitude();
-        let turn = state.attitude.inverse().compose(target).canonical();
-        let error = Frd::new(turn.x, turn.y, turn.z) * (2.0 * ATTITUDE_RAD_S.powi(2))
-            + (wanted.body_rate - state.body_rate) * (2.0 * ATTITUDE_RAD_S);
-        let [l, m, n] = error.scale_by(self.inertia).to_array();
-        let more = self.allocation.unclipped_outputs([lift, l, m, n]);
-        let logged = flight.outputs.at(time);
-        std::array::from_fn(|i| (logged[i] + more[i]).clamp(0.0, 1.0))
     }
 }
 

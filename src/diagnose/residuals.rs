@@ -21,7 +21,8 @@ use sitl::vehicle::{ROTORS, VehicleParams};
 
 use sitl::effects::EffectId;
 
-use super::hypothesis::{Candidate, Target};
+use super::candidate::Candidate;
+use super::hypothesis::Target;
 use super::layout::Layout;
 use super::onboard::{OnboardLaw, Timing};
 use super::preparation::{Block, PreparedFlight};

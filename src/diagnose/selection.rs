@@ -15,6 +15,7 @@ use super::gap::{Errors, Simulator, improvement};
 use super::hypothesis::{Catalogue, Hypothesis};
 use super::linearised::Linearised;
 use super::observed::Observed;
+use super::twins::EVIDENCE_MIN;
 
 /// Most effects at once.
 pub const EFFECTS_MAX: usize = 3;
@@ -27,6 +28,11 @@ const TRIED: usize = 4;
 /// Single hypotheses whose pairs are all tried.
 const PAIRED: usize = 4;
 
+/// Evidence from which on predictions need only be better by [`DEVIATIONS_MIN`] standard errors,
+/// nats.
+const BEYOND_DOUBT: f64 = 100.0;
+const DEVIATIONS_MIN: f64 = 1.2;
+
 /// A fit with its score on the flights that were held out.
 #[derive(Clone, Debug)]
 pub struct Scored {
@@ -36,8 +42,9 @@ pub struct Scored {
     pub evidence: f64,
     /// Log density of each block held out, nats.
     pub density: Vec<f64>,
-    /// Open-loop errors of its effects alone on all flights, window by window.
-    windows: OnceLock<Windows>,
+    /// Open-loop errors on all flights, window by window: of its effects alone, and with its
+    /// nuisances.
+    windows: [OnceLock<Windows>; 2],
 }
 
 /// Errors by window, horizon and quantity.
@@ -63,14 +70,28 @@ impl Scored {
 /// What is asked of a hypothesis before it is taken up.
 #[derive(Clone, Debug)]
 pub struct Thresholds {
-    /// Least gain of evidence beyond chance, nats.
-    pub evidence: f64,
+    /// Least gain of evidence beyond chance of each hypothesis, nats.
+    pub asked: Vec<f64>,
     /// Evidence that chance gives each hypothesis, nats.
     pub chance: Vec<f64>,
     /// Least gain of held-out density, nats.
     pub held_out: f64,
     /// Least gain of the open loop, in squares of its floor, and in its standard errors.
     pub open_loop: [f64; 2],
+}
+
+impl Default for Thresholds {
+    /// The least that is asked, for want of twins.
+    fn default() -> Self {
+        Self { asked: Vec::new(), chance: Vec::new(), held_out: 1.0, open_loop: [0.05, 2.5] }
+    }
+}
+
+impl Thresholds {
+    /// Evidence that is asked of a hypothesis beyond chance, nats.
+    pub fn asked_of(&self, hypothesis: usize) -> f64 {
+        self.asked.get(hypothesis).copied().unwrap_or(EVIDENCE_MIN)
+    }
 }
 
 /// How a hypothesis fared against the others in its place.
@@ -129,16 +150,24 @@ impl Selector<'_> {
         let of_block =
             chance * size(self.held_out) / size(self.fitted) / density.len().max(1) as f64;
         density.iter_mut().for_each(|density| *density -= of_block);
-        Some(Scored { evidence: fit.evidence - chance, fit, density, windows: OnceLock::new() })
+        Some(Scored { evidence: fit.evidence - chance, fit, density, windows: Default::default() })
     }
 
     /// Nuisances alone, and the derivatives there.
     pub fn null(&self) -> Option<(Scored, Linearised)> {
         let numbers = self.all_numbers();
-        let first = Linearised::new(self.fitted, &self.catalogue.references(), &numbers)?;
+        let first = Linearised::new(self.fitted, &self.catalogue.expected(), &numbers)?;
         let null = fit(self.fitted, &first, &[], &[])?;
         let about = Linearised::new(self.fitted, &null.values, &numbers)?;
         Some((self.scored(null)?, about))
+    }
+
+    /// The sum of squares that nuisances and the hypothesis with the most evidence leave at each place
+    /// in the linearised problem.
+    pub fn least_power(&self, about: &Linearised) -> Option<Vec<f64>> {
+        let (best, _) = *self.screen(about, &[]).first()?;
+        let numbers = &self.hypothesis(best).numbers;
+        Some(about.solve(self.catalogue, self.fitted.counts(), numbers)?.power)
     }
 
     /// The hypotheses by how much evidence each adds to `active` in the linearised problem, the
@@ -157,7 +186,8 @@ impl Selector<'_> {
             .filter_map(|h| {
                 let mut joint = set.to_vec();
                 joint.push(h);
-                let solution = about.solve(self.catalogue, counts, &numbers(&joint))?;
+                let joint = numbers(&joint);
+                let solution = about.solve_from(self.catalogue, counts, &joint, &base.values)?;
                 Some((h, solution.evidence - base.evidence))
             })
             .collect();
@@ -207,29 +237,41 @@ impl Selector<'_> {
         let (gain, error) = more.gain_over(less);
         // Without an open loop to judge by, the flights held out must be clear by themselves.
         let clear = self.floor.is_some() || gain > error;
-        more.evidence - less.evidence > self.thresholds.evidence
+        let added = more.fit.hypotheses.iter().filter(|h| !less.fit.hypotheses.contains(h));
+        let asked = added.map(|h| self.thresholds.asked_of(*h)).fold(EVIDENCE_MIN, f64::max);
+        more.evidence - less.evidence > asked
             && gain > self.thresholds.held_out
             && clear
             && self.predicts_better(more, less)
     }
 
     /// Whether the effects of `more` make better predictions than those of `less`, by an amount
-    /// that matters: in at least one quantity and horizon, and in no mean worse.
+    /// that matters: in at least one quantity and horizon, and in no mean worse. Of two effects that
+    /// mask one another neither does by itself, while one of them lies within its tolerance: then the
+    /// nuisances count on both sides.
     fn predicts_better(&self, more: &Scored, less: &Scored) -> bool {
         let Some(floor) = &self.floor else { return true };
-        let gains = improvement(self.windows(less), self.windows(more), floor);
-        let [least, deviations] = self.thresholds.open_loop;
-        let clear = |[gain, error]: &[f64; 2]| *gain > least && *gain > deviations * error;
-        let sum: f64 = gains[1..].iter().flatten().map(|[gain, _]| gain).sum();
-        sum > 0.0 && gains.iter().flatten().any(clear)
+        let [least, mut deviations] = self.thresholds.open_loop;
+        if more.evidence - less.evidence > BEYOND_DOUBT {
+            // What acts seldom, like a vortex ring, makes few windows better.
+            deviations = DEVIATIONS_MIN;
+        }
+        [false, true].into_iter().any(|nuisances| {
+            let (before, after) = (self.windows(less, nuisances), self.windows(more, nuisances));
+            let gains = improvement(before, after, floor);
+            let clear = |[gain, error]: &[f64; 2]| *gain > least && *gain > deviations * error;
+            let sum: f64 = gains[1..].iter().flatten().map(|[gain, _]| gain).sum();
+            sum > 0.0 && gains.iter().flatten().any(clear)
+        })
     }
 
-    /// Open-loop errors of a fit's effects, without its nuisances.
-    fn windows<'s>(&self, scored: &'s Scored) -> &'s Windows {
-        scored.windows.get_or_init(|| {
+    /// Open-loop errors of a fit's effects, with its nuisances or without.
+    fn windows<'s>(&self, scored: &'s Scored, nuisances: bool) -> &'s Windows {
+        scored.windows[usize::from(nuisances)].get_or_init(|| {
             let named: Vec<EffectId> =
                 scored.fit.hypotheses.iter().map(|h| self.hypothesis(*h).effect).collect();
-            let effects = self.catalogue.effects(&scored.fit.values, Some(&named));
+            let which = (!nuisances).then_some(named.as_slice());
+            let effects = self.catalogue.effects(&scored.fit.values, which);
             Simulator::new(&self.catalogue.vehicle, &effects, self.setpoint_leg)
                 .map(|simulator| {
                     let simulator = simulator.guided();

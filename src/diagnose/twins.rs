@@ -2,9 +2,9 @@
 //!
 //! A twin is a [`Replica`] of every flight that is fitted, of the vehicle with its nuisances, and
 //! goes through the same analysis. What the simulator's noise does not account for in the flights'
-//! residuals is drawn from its spectrum and put on top. The largest gain of evidence over the
-//! catalogue, over many twins, is what an effect must exceed: it holds the multiple tests, the
-//! noise that feedback puts into the outputs, and the excitation of these very flights.
+//! residuals is drawn from its spectrum and put on top. What a hypothesis gains of evidence in
+//! hardly any of many twins is what it must exceed: it holds the multiple tests, the noise that
+//! feedback puts into the outputs, and the excitation of these very flights.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -19,30 +19,39 @@ use super::layout::Place;
 use super::linearised::Linearised;
 use super::noise::report_noise;
 use super::observed::{Observed, Residuals};
+use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
 use super::replica::Replica;
 use super::selection::{Scored, Selector};
 
-/// Share of twins that may exceed the threshold.
+/// Share of twins in which any hypothesis may reach what is asked of it.
 const EXCEEDED: f64 = 0.01;
+/// Least gain of evidence that is asked of an effect, whatever the twins say: posterior odds of
+/// twenty thousand to one, for a model that is never quite right, nats.
+pub const EVIDENCE_MIN: f64 = 10.0;
 
 /// What the twins say.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Twins {
     /// How many there were.
     pub count: u32,
-    /// The largest gain of evidence of each, over what chance gives the hypothesis, ascending, nats.
+    /// The largest gain of evidence of each, over what is asked of its hypothesis, ascending.
     pub largest: Vec<f64>,
-    /// What one in a hundred exceeds: beyond the largest by the twins' exponential tail.
-    pub threshold: f64,
     /// Gain of evidence that half of the twins exceed, of each hypothesis of the catalogue: what a
-    /// fit that is off by itself gives away.
+    /// fit that is off by itself gives away, nats.
     #[serde(skip)]
     pub chance: Vec<f64>,
+    /// Gain beyond that which is asked of each hypothesis, nats. One that scatters from twin to twin
+    /// is asked for more; the others are not.
+    #[serde(skip)]
+    pub asked: Vec<f64>,
 }
 
 /// Twins that are flown to find how far a fit is off by itself.
 const PILOTS: u32 = 6;
+
+/// Nuisances of a vehicle without an effect lie within so many tolerances.
+const TOLERANCES_MAX: f64 = 1.5;
 
 /// Twins of flights, fitted as the flights were.
 #[derive(Clone, Debug)]
@@ -61,8 +70,8 @@ pub struct TwinFits {
 
 impl TwinFits {
     /// Flies twins of the vehicle that `about` was linearised about, and fits its nuisances and the
-    /// numbers `active` to each. `noise`: what is found in the flights' reports. `draws`: how many
-    /// twins, and a seed.
+    /// numbers `active` to each. `onboard`: the law that flies them. `noise`: what is found in the
+    /// flights' reports. `draws`: how many twins, and a seed.
     ///
     /// A fit is off by itself: outputs that are logged less often than the loop ticks are noisy
     /// inputs, which makes an inertia look larger; and what is found as noise holds motion. Pilot
@@ -75,26 +84,32 @@ impl TwinFits {
         observed: &Observed<'_>,
         about: &Linearised,
         active: &[usize],
+        onboard: &OnboardLaw,
         noise: &ReportNoise,
-        setpoint_leg: bool,
         (count, seed): (u32, u64),
     ) -> Result<Self, VehicleError> {
         let numbers = &observed.catalogue.numbers;
         let twins = |truth: Values, noise: &ReportNoise, count: u32, seed: u64| {
-            Self::of(observed, about, truth, active, (noise, setpoint_leg), (count, seed))
+            Self::of(observed, about, truth, active, (noise, onboard), (count, seed))
         };
         let plain: Values = numbers
             .iter()
             .enumerate()
-            .map(|(i, n)| if active.contains(&i) { about.values[i] } else { n.reference })
+            .map(|(i, n)| if active.contains(&i) { about.values[i] } else { n.expected })
             .collect();
         let pilots = PILOTS.min(count);
         let found = twins(plain.clone(), noise, pilots, !seed)?.noise;
         let noise = noise.matched(&found);
         let bias = twins(plain, &noise, pilots, seed ^ 0xb1a5)?.bias(observed.catalogue);
-        let truth = bias.iter().zip(&about.values).zip(numbers).map(|((bias, value), number)| {
+        let truth = numbers.iter().enumerate().map(|(i, number)| {
             let [low, high] = number.bounds;
-            (value - bias).clamp(low, high)
+            let value = (about.values[i] - bias[i]).clamp(low, high);
+            if active.contains(&i) {
+                return value;
+            }
+            // What the null pushes to its limit is an effect, which twins must not have.
+            let width = TOLERANCES_MAX * number.tolerance;
+            value.clamp(number.expected - width, number.expected + width)
         });
         twins(truth.collect(), &noise, count, seed)
     }
@@ -116,7 +131,7 @@ impl TwinFits {
             })
             .collect();
         let power = residuals.iter().map(|residuals| observed.power(residuals)).collect();
-        let truth = observed.catalogue.references();
+        let truth = observed.catalogue.expected();
         Self { truth, residuals, values: Vec::new(), noise: ReportNoise::default(), power }
     }
 
@@ -125,10 +140,9 @@ impl TwinFits {
         about: &Linearised,
         truth: Values,
         active: &[usize],
-        (noise, setpoint_leg): (&ReportNoise, bool),
+        (noise, onboard): (&ReportNoise, &OnboardLaw),
         (count, seed): (u32, u64),
     ) -> Result<Self, VehicleError> {
-        let onboard = observed.evaluator.onboard().filter(|_| setpoint_leg);
         let replica = Replica::new(observed.catalogue, &truth, noise, onboard)?;
         let mut twins = Self {
             truth,
@@ -201,13 +215,16 @@ pub fn screened(
     seed: u64,
 ) -> Twins {
     let observed = selector.fitted;
-    // Beyond the sensors' noise: turbulence, vibration, what the model lacks.
+    // Beyond the sensors' noise: turbulence, vibration, what the model lacks. What the best of the
+    // hypotheses explains is not noise: what lasts, like a moment, would pass for itself by chance.
+    let least = selector.least_power(about).unwrap_or_else(|| null.fit.power.clone());
     let more: Vec<f64> = twins
         .moments()
         .iter()
-        .zip(&null.fit.power)
+        .zip(null.fit.power.iter().zip(&least))
         .zip(observed.counts())
-        .map(|(([mean, _], found), n)| ((found - mean) / n.max(1.0)).max(0.0).sqrt())
+        .map(|(([mean, _], (null, best)), n)| (null.min(*best) - mean) / n.max(1.0))
+        .map(|variance| variance.max(0.0).sqrt())
         .collect();
     let count = twins.residuals.len() as u32;
     let gains: Vec<Vec<f64>> = twins
@@ -225,20 +242,23 @@ pub fn screened(
             gains
         })
         .collect();
-    let chance: Vec<f64> = (0..selector.catalogue.hypotheses.len())
+    let hypotheses = selector.catalogue.hypotheses.len();
+    let (chance, asked): (Vec<f64>, Vec<f64>) = (0..hypotheses)
         .map(|h| {
             let mut of_one: Vec<f64> = gains.iter().map(|gains| gains[h]).collect();
             of_one.sort_by(f64::total_cmp);
-            of_one.get(of_one.len() / 2).map_or(0.0, |gain| gain.max(0.0))
+            let chance = of_one.get(of_one.len() / 2).map_or(0.0, |gain| gain.max(0.0));
+            let reached = exceeded_by(&of_one, EXCEEDED / hypotheses as f64);
+            (chance, (reached - chance).max(EVIDENCE_MIN))
         })
-        .collect();
-    let mut largest: Vec<f64> = gains
-        .iter()
-        .map(|gains| gains.iter().zip(&chance).map(|(gain, c)| gain - c).fold(0.0, f64::max))
-        .collect();
+        .unzip();
+    let share = |gains: &Vec<f64>| {
+        let beyond = gains.iter().zip(chance.iter().zip(&asked));
+        beyond.map(|(gain, (chance, asked))| (gain - chance) / asked).fold(0.0, f64::max)
+    };
+    let mut largest: Vec<f64> = gains.iter().map(share).collect();
     largest.sort_by(f64::total_cmp);
-    let threshold = threshold(&largest);
-    Twins { count, largest, threshold, chance }
+    Twins { count, largest, chance, asked }
 }
 
 /// Adds noise with a deviation at each place.
@@ -252,17 +272,17 @@ fn add_noise(observed: &Observed<'_>, deviation: &[f64], seed: u64, residuals: &
     }
 }
 
-/// The point that a share of [`EXCEEDED`] exceeds. The upper half of the maxima falls off
+/// The point that a share of what `ascending` is drawn from exceeds. Its upper half falls off
 /// exponentially, and carries on so beyond the largest that was drawn.
-fn threshold(largest: &[f64]) -> f64 {
-    let n = largest.len();
+fn exceeded_by(ascending: &[f64], share: f64) -> f64 {
+    let n = ascending.len();
     if n < 2 {
         return 0.0;
     }
-    let median = largest[n / 2];
-    let upper = &largest[n / 2..];
+    let median = ascending[n / 2];
+    let upper = &ascending[n / 2..];
     let slope = upper.iter().map(|gain| gain - median).sum::<f64>() / upper.len() as f64;
-    median + slope * (0.5 / EXCEEDED).ln()
+    median + slope * (0.5 / share).ln()
 }
 
 #[cfg(test)]
@@ -270,12 +290,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_threshold_of_exponential_maxima_is_their_hundredth() {
+    fn what_a_hundredth_of_an_exponential_distribution_exceeds_is_found() {
         let n = 2000;
         // Quantiles of an exponential distribution with mean 3.
-        let largest: Vec<f64> =
+        let drawn: Vec<f64> =
             (0..n).map(|i| -3.0 * (1.0 - (f64::from(i) + 0.5) / f64::from(n)).ln()).collect();
         let expected = 3.0 * 100.0_f64.ln();
-        assert!((threshold(&largest) / expected - 1.0).abs() < 0.02, "{}", threshold(&largest));
+        let found = exceeded_by(&drawn, 0.01);
+        assert!((found / expected - 1.0).abs() < 0.02, "{found}");
     }
 }

@@ -1,6 +1,7 @@
 //! The finding as a person would say it.
 
 use super::answer::{Answer, EffectAnswer, Gap, Parameter, Verdict};
+use super::judgement::Balance;
 use super::next_flight::NextFlight;
 use super::reflight::ClosedLoop;
 
@@ -16,14 +17,33 @@ pub fn finding(answer: &Answer) -> String {
             None => "No effect stands out in what these logs can show.".to_owned(),
         },
         Verdict::Effect => effect(answer),
-        Verdict::Unknown => {
-            let force = answer.unmodelled_force.as_ref().map_or(0.0, |[_, after]| after.rms());
-            format!(
-                "Something acts that no listed effect explains: {force:.2} m/s^2 of force per mass \
-                 that velocity and accelerometer agree on is left."
-            )
-        }
+        Verdict::Unknown => unknown(answer),
     }
+}
+
+/// What is left that nothing explains: the larger of force and moment, or else the open gap.
+fn unknown(answer: &Answer) -> String {
+    let mut text = "Something acts that no listed effect explains".to_owned();
+    let Balance { force, moment } = answer.balance;
+    let of_force = answer.unmodelled_force.as_ref().filter(|_| force.left > 0.0);
+    let of_moment = answer.unmodelled_moment.as_ref().filter(|_| moment.left > force.left);
+    if let Some([_, after]) = of_moment {
+        let rms = after.rms().map(|rms| rms * rms).iter().sum::<f64>().sqrt();
+        text += &format!(
+            ": {rms:.2} rad/s^2 of angular acceleration beyond what the vehicle's noise makes is left"
+        );
+    } else if let Some([_, after]) = of_force {
+        text += &format!(
+            ": {:.2} m/s^2 of force per mass that velocity and accelerometer agree on is left",
+            after.rms()
+        );
+    } else if let Some(gap) = &answer.gap {
+        text += &format!(
+            ": the flights held out are predicted to {:.2} times what noise alone leaves",
+            gap.before / gap.floor.max(f64::MIN_POSITIVE)
+        );
+    }
+    text + "."
 }
 
 /// Least probability of an effect that is worth a word where none is named.
@@ -187,11 +207,33 @@ pub fn report(answer: &Answer) -> String {
     }
     if let Some(twins) = &answer.twins {
         text += &format!(
-            "chance     {} twins without an effect: evidence up to {:.1}, asked for {:.1}\n",
+            "chance     {} twins without an effect: up to {:.0} % of the evidence that is asked\n",
             twins.count,
-            twins.largest.last().copied().unwrap_or(0.0),
-            answer.evidence_asked
+            100.0 * twins.largest.last().copied().unwrap_or(0.0)
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::judgement::Size;
+    use super::super::leftover::{UnmodelledForce, UnmodelledMoment};
+    use super::*;
+
+    #[test]
+    fn what_nothing_explains_is_told_by_the_larger_of_force_and_moment() {
+        let force = UnmodelledForce { mean_square: [0.25, 0.0, 0.0], error: 0.01, bands: vec![] };
+        let moment = UnmodelledMoment { mean_square: [0.0, 4.0, 0.0], error: 0.1 };
+        let size = |left| Size { left, explained: 0.0 };
+        let mut answer = Answer {
+            unmodelled_force: Some([force.clone(), force]),
+            unmodelled_moment: Some([moment.clone(), moment]),
+            balance: Balance { force: size(3.0), moment: size(1.0) },
+            ..Answer::data_fault(Vec::new())
+        };
+        assert!(finding(&answer).contains("0.50 m/s^2"), "{}", finding(&answer));
+        answer.balance.moment = size(5.0);
+        assert!(finding(&answer).contains("2.00 rad/s^2"), "{}", finding(&answer));
+    }
 }

@@ -3,6 +3,7 @@
 
 pub mod airframe;
 pub mod answer;
+mod bench;
 pub mod case;
 pub mod closure;
 pub mod condition;

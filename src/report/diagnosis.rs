@@ -161,10 +161,10 @@ fn which(answer: &Answer) -> String {
         .hypotheses
         .iter()
         .take(SHOWN)
-        .map(|h| (h.id.to_owned(), h.evidence, answer.evidence_asked))
+        .map(|h| (h.id.to_owned(), h.evidence, h.asked))
         .collect();
     let mut html =
-        String::from("<h3>Evidence of each effect alone, nats (mark: what is asked of one)</h3>");
+        String::from("<h3>Evidence of each effect alone, nats (mark: what is asked of it)</h3>");
     html += &bars(&rows, "");
     let mut table = Table::new(&[
         ("effect", false),
@@ -316,11 +316,10 @@ fn provenance(answer: &Answer) -> String {
     if let Some(twins) = &answer.twins {
         let _ = write!(
             html,
-            "<p>{} twins of the flights without any effect reached evidence of up to {:.1} nats; {:.1} is asked of an \
+            "<p>{} twins of the flights without any effect reached up to {:.0} % of the evidence that is asked of an \
              effect.</p>",
             twins.count,
-            twins.largest.last().copied().unwrap_or(0.0),
-            answer.evidence_asked
+            100.0 * twins.largest.last().copied().unwrap_or(0.0)
         );
     }
     html

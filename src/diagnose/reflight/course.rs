@@ -196,15 +196,9 @@ fn reported(flight: &PreparedFlight, span: &Range<f64>, control: &GroundControl)
     Course { origin: ReferenceOrigin::Reported, ticks }
 }
 
-/// The mean of a series over `half` seconds to each side of `time`.
+/// The mean of a series about a time.
 fn smoothed(series: &Series<3>, time: f64, half: f64) -> Ned {
-    let step = 2.0 * half / (SMOOTHING_SAMPLES - 1) as f64;
-    let mut cursor = series.cursor();
-    let mut sum = Ned::zero();
-    for i in 0..SMOOTHING_SAMPLES {
-        sum += Ned::from(cursor.at(time - half + i as f64 * step));
-    }
-    sum * (1.0 / SMOOTHING_SAMPLES as f64)
+    series.mean_about(time, half, SMOOTHING_SAMPLES).into()
 }
 
 /// Roll and pitch that turn thrust along the specific force `force`, at a yaw.

@@ -1,0 +1,330 @@
+//! The steps of a diagnosis at one set of tolerances: what nuisances and chance explain, which
+//! effects are chosen and what they are off by, what is left over, and how far the gap shrinks.
+
+use std::collections::BTreeMap;
+
+use sitl::effects::{EffectId, EffectSet, Slots};
+use sitl::vehicle::VehicleError;
+
+use super::answer::{EffectAnswer, FullVerdict, Gap, Verdict, parameters};
+use super::arrival::Delay;
+use super::gap::{ReportNoise, Simulator};
+use super::hypothesis::Catalogue;
+use super::judgement::{Balance, Leftover, explained, is_open, is_unexplained};
+use super::leftover::{unmodelled_force, unmodelled_moment};
+use super::linearised::Linearised;
+use super::map::{ResidualMap, depends_on, map, samples};
+use super::naming::{as_good, named_effects};
+use super::noise::report_noise;
+use super::observed::Observed;
+use super::onboard::OnboardLaw;
+use super::procedure::{Case, DiagnoseError, Settings};
+use super::residuals::Evaluator;
+use super::selection::{Scored, Selection, Selector, Thresholds};
+use super::turbulence::gusts;
+use super::twins::{TwinFits, Twins, screened};
+
+/// Twins of the best explanation, against which what it leaves is compared.
+const TWINS_OF_BEST: u32 = 16;
+/// What changes the level of the thrust: only the pack's voltage tells them apart.
+const THRUST_LEVEL: [EffectId; 3] =
+    [EffectId::BatterySag, EffectId::ThrustCurve, EffectId::ThrustScale];
+/// Probability of gusts where what is left looks like turbulence: other forces may.
+const GUSTS_PROBABILITY: f64 = 0.8;
+
+/// What a diagnosis looks at.
+pub(super) struct Inquiry<'a> {
+    pub case: &'a Case<'a>,
+    pub settings: &'a Settings,
+    pub catalogue: &'a Catalogue,
+    pub evaluator: &'a Evaluator,
+    /// The flights of the fit.
+    pub fitted: Observed<'a>,
+    /// The flights held out.
+    pub held_out: Observed<'a>,
+    /// The law that made outputs of setpoints, where both were logged.
+    pub onboard: Option<&'a OnboardLaw>,
+    /// The setpoints' delay as read off the outputs.
+    pub arrival: Option<Delay>,
+}
+
+/// What was found.
+pub(super) struct Search {
+    /// The chosen effects, without what the fit is off by, and their rivals.
+    pub selection: Selection,
+    /// Noise of the reports.
+    pub noise: ReportNoise,
+    /// What twins without an effect have by chance.
+    pub twins: Option<Twins>,
+    /// What was asked of an effect.
+    pub thresholds: Thresholds,
+    /// Twins without an effect, and of the chosen effects where there are any.
+    of_null: Option<TwinFits>,
+    of_best: Option<TwinFits>,
+}
+
+impl Search {
+    /// The chosen effects.
+    pub fn named(&self, catalogue: &Catalogue) -> Vec<EffectId> {
+        let chosen = self.selection.best.fit.hypotheses.iter();
+        chosen.map(|h| catalogue.hypotheses[*h].effect).collect()
+    }
+}
+
+/// The verdict, and gusts where what is left looks like turbulence.
+pub(super) struct Judgement {
+    pub verdict: Verdict,
+    pub turbulence: Option<Slots>,
+}
+
+impl<'a> Inquiry<'a> {
+    /// Whether the leg from setpoints to outputs is looked at.
+    fn leg(&self) -> bool {
+        self.onboard.is_some()
+    }
+
+    /// Twins, and the search among the effects against what they say.
+    pub fn search(&self, progress: &dyn Fn(&str)) -> Result<Search, DiagnoseError> {
+        let Self { settings, fitted, catalogue, .. } = self;
+        let mut selector = Selector {
+            fitted,
+            held_out: &self.held_out,
+            catalogue,
+            setpoint_leg: self.leg(),
+            thresholds: Thresholds::default(),
+            floor: None,
+        };
+        progress("what nuisances explain");
+        let (null, about) = selector.null().ok_or(DiagnoseError::Nothing)?;
+        let noise = report_noise(self.case.fitted, &null.fit.power, fitted.counts());
+        let (mut twins, mut of_null) = (None, None);
+        if settings.twins > 0 {
+            progress("twins without an effect");
+            let draws = (settings.twins, settings.seed);
+            let (drawn, about) = match self.onboard {
+                Some(law) => {
+                    (TwinFits::draw(fitted, &about, &[], law, &noise, draws)?, about.clone())
+                }
+                None => (
+                    TwinFits::of_noise(fitted, &null.fit.power, draws),
+                    about.resting_at(catalogue.expected()),
+                ),
+            };
+            let screened = screened(&selector, &null, &about, &drawn, settings.seed);
+            selector.thresholds.asked.clone_from(&screened.asked);
+            selector.thresholds.chance.clone_from(&screened.chance);
+            twins = Some(screened);
+            of_null = Some(drawn);
+        }
+        selector.floor = self.simulator(&EffectSet::new())?.guided().floor(
+            self.case.fitted,
+            &noise,
+            settings.seed,
+        );
+        progress("which effect");
+        let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
+        let of_best = self.twins_of(&selection.best, &noise);
+        if let Some(twins) = &of_best {
+            correct(&mut selection.best, catalogue, twins);
+        }
+        self.take_up_delay(&mut selection.best);
+        Ok(Search { selection, noise, twins, thresholds: selector.thresholds, of_null, of_best })
+    }
+
+    /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by.
+    fn twins_of(&self, scored: &Scored, noise: &ReportNoise) -> Option<TwinFits> {
+        let law = self.onboard.filter(|_| !scored.fit.hypotheses.is_empty())?;
+        let count = TWINS_OF_BEST.min(self.settings.twins);
+        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
+        let about = Linearised::new(&self.fitted, &scored.fit.values, &numbers)?;
+        let active = scored.fit.active(self.catalogue);
+        let draws = (count, self.settings.seed);
+        let drawn = TwinFits::draw(&self.fitted, &about, &active, law, noise, draws);
+        drawn.ok().filter(|_| count > 0)
+    }
+
+    /// A command_delay that was chosen is as the outputs say, where they do.
+    fn take_up_delay(&self, best: &mut Scored) {
+        let number = self.catalogue.number_of(EffectId::CommandDelay, 0);
+        if let Some((number, delay)) = number.zip(self.arrival)
+            && best.fit.active(self.catalogue).contains(&number)
+        {
+            best.fit.values[number] = delay.mean;
+            best.fit.deviation[number] = delay.deviation;
+        }
+    }
+
+    /// Where the gap lies.
+    pub fn map(&self, selection: &Selection) -> Result<ResidualMap, DiagnoseError> {
+        let references = self.catalogue.references();
+        let shipped = self.catalogue.candidate(&references)?;
+        let residuals = self.fitted.residuals(&references).ok_or(DiagnoseError::Nothing)?;
+        let power = self.fitted.power(&residuals);
+        Ok(map(&self.fitted, self.evaluator, &shipped, &power, &selection.best.fit.power))
+    }
+
+    /// Forces and moments that are left, before and after the best explanation.
+    pub fn leftover(&self, search: &Search) -> Leftover {
+        let Search { selection, of_null, of_best, .. } = search;
+        let force = |scored: &Scored| {
+            let candidate = self.catalogue.candidate(&scored.fit.values).ok()?;
+            unmodelled_force(&self.fitted, self.evaluator, &candidate)
+        };
+        let of_null = of_null.as_ref().filter(|_| self.leg());
+        let moment = |scored: &Scored, twins: &TwinFits| {
+            unmodelled_moment(&self.fitted, &scored.fit.power, twins)
+        };
+        Leftover {
+            force: force(&selection.null).zip(force(&selection.best)).map(|(a, b)| [a, b]),
+            moment: of_null.and_then(|of_null| {
+                let after = moment(&selection.best, of_best.as_ref().unwrap_or(of_null));
+                moment(&selection.null, of_null).zip(after).map(|(a, b)| [a, b])
+            }),
+        }
+    }
+
+    /// What is left, and what the explanation explains, in units of what matters.
+    pub fn balance(&self, search: &Search, leftover: &Leftover) -> Balance {
+        let (force, moment) = explained(&search.selection, &self.fitted);
+        let vehicle = self.case.vehicle;
+        Balance {
+            force: leftover.force_size(vehicle, &search.noise, force),
+            moment: leftover.moment_size(vehicle, &search.noise, moment),
+        }
+    }
+
+    fn simulator(&self, effects: &EffectSet) -> Result<Simulator, VehicleError> {
+        Simulator::new(self.case.vehicle, effects, self.leg())
+    }
+
+    /// The gap on the flights held out without and with `effects`.
+    pub fn gap(
+        &self,
+        selection: &Selection,
+        effects: &EffectSet,
+    ) -> Result<Option<Gap>, DiagnoseError> {
+        let held_out = self.case.held_out;
+        let noise = report_noise(self.case.fitted, &selection.best.fit.power, self.fitted.counts());
+        let with_all =
+            |scored: &Scored| self.simulator(&self.catalogue.effects(&scored.fit.values, None));
+        let shipped = self.simulator(&EffectSet::new())?;
+        let repaired = self.simulator(effects)?;
+        let nuisances = with_all(&selection.null)?;
+        let everything = with_all(&selection.best)?;
+        let floor = repaired.floor(held_out, &noise, self.settings.seed);
+        let (Some(floor), Some(before), Some(after)) =
+            (floor, shipped.errors(held_out), repaired.errors(held_out))
+        else {
+            return Ok(None);
+        };
+        let mean = |simulator: &Simulator| {
+            simulator.errors(held_out).map(|errors| errors.mean_over(&floor))
+        };
+        let [b, a, f] = [before, after, floor].map(|errors| errors.mean_over(&floor));
+        Ok(Some(Gap {
+            metric: "mean",
+            before: b,
+            after: a,
+            floor: f,
+            closure: (b - f > 0.05).then(|| (b - a) / (b - f)),
+            nuisances_only: mean(&nuisances),
+            with_nuisances: mean(&everything),
+            errors: [before, after, floor],
+            noise,
+        }))
+    }
+
+    /// The verdict on what was found.
+    pub fn judge(
+        &self,
+        search: &Search,
+        effects: &EffectSet,
+        leftover: &Leftover,
+        balance: &Balance,
+        gap: Option<&Gap>,
+    ) -> Judgement {
+        let found = !search.selection.best.fit.hypotheses.is_empty();
+        let may_be_gusts = !self.case.without.contains(&EffectId::Gusts);
+        let force = leftover.force.as_ref().filter(|_| balance.force.left > 1.0 && may_be_gusts);
+        let turbulence = force.and_then(|[_, after]| {
+            let candidate = self.catalogue.candidate(&search.selection.best.fit.values).ok()?;
+            let samples = samples(&self.fitted, self.evaluator, &candidate);
+            gusts(self.case.vehicle, effects, after, &samples)
+        });
+        let verdict = match turbulence {
+            Some(_) => Verdict::Effect,
+            None if is_unexplained(balance, found) => Verdict::Unknown,
+            // Driven by outputs, an open loop strays from any cause.
+            None if self.leg() && gap.is_some_and(|gap| is_open(gap, found)) => Verdict::Unknown,
+            None if found => Verdict::Effect,
+            None => Verdict::None,
+        };
+        Judgement { verdict, turbulence }
+    }
+
+    /// The named effects, gusts among them if `turbulence`, and what they cannot be told from.
+    pub fn names(
+        &self,
+        search: &Search,
+        effects: &EffectSet,
+        turbulence: bool,
+    ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
+        let named = search.named(self.catalogue);
+        let (mut answers, mut ambiguous) = named_effects(self.catalogue, &search.selection);
+        if turbulence {
+            answers.push(EffectAnswer {
+                id: EffectId::Gusts.name(),
+                probability: GUSTS_PROBABILITY,
+                parameters: parameters(effects, EffectId::Gusts),
+                intervals: BTreeMap::new(),
+            });
+        }
+        let voltage = self.case.fitted.iter().all(|flight| flight.channels.voltage);
+        if !voltage && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
+            let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
+            let others = others.filter(|effect| self.catalogue.considers(**effect));
+            ambiguous.extend(others.map(|effect| effect.name()));
+        }
+        ambiguous.extend(as_good(self.catalogue, &search.selection));
+        ambiguous.sort_unstable();
+        ambiguous.dedup();
+        // The first is the answer; the others are what it cannot be told from.
+        let first = answers.first().map(|answer| answer.id);
+        ambiguous.retain(|id| Some(*id) != first);
+        (answers, ambiguous)
+    }
+
+    /// The full verdict, and what a gap that nothing explains goes with.
+    pub fn full_verdict(
+        &self,
+        search: &Search,
+        verdict: Verdict,
+        is_ambiguous: bool,
+    ) -> Result<(FullVerdict, Vec<String>), DiagnoseError> {
+        Ok(match verdict {
+            Verdict::None => (FullVerdict::None, Vec::new()),
+            Verdict::Effect if is_ambiguous => (FullVerdict::Ambiguous, Vec::new()),
+            Verdict::Effect => (FullVerdict::Named, Vec::new()),
+            Verdict::Unknown => {
+                let candidate = self.catalogue.candidate(&search.selection.best.fit.values)?;
+                let depends_on = depends_on(&samples(&self.fitted, self.evaluator, &candidate));
+                if depends_on.is_empty() {
+                    (FullVerdict::UnobservedDisturbance, depends_on)
+                } else {
+                    (FullVerdict::UnknownStructured, depends_on)
+                }
+            }
+        })
+    }
+}
+
+/// Takes off a fit's effects what its twins are off by, and gives them the twins' scatter.
+fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
+    let bias = twins.bias(catalogue);
+    for number in scored.fit.active(catalogue) {
+        let [low, high] = catalogue.numbers[number].bounds;
+        let value = &mut scored.fit.values[number];
+        *value = (*value - bias[number]).clamp(low, high);
+        scored.fit.deviation[number] = twins.deviation(number);
+    }
+}
