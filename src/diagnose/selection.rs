@@ -28,8 +28,8 @@ const TRIED: usize = 4;
 /// Single hypotheses whose pairs are all tried.
 const PAIRED: usize = 4;
 
-/// Evidence from which on predictions need only be better by [`DEVIATIONS_MIN`] standard errors,
-/// nats.
+/// Evidence from which on there is no doubt that something acts, nats, and the standard errors by
+/// which predictions must then be better.
 const BEYOND_DOUBT: f64 = 100.0;
 const DEVIATIONS_MIN: f64 = 1.2;
 
@@ -246,23 +246,24 @@ impl Selector<'_> {
     }
 
     /// Whether the effects of `more` make better predictions than those of `less`, by an amount
-    /// that matters: in at least one quantity and horizon, and in no mean worse. Of two effects that
-    /// mask one another neither does by itself, while one of them lies within its tolerance: then the
-    /// nuisances count on both sides.
+    /// that matters: in at least one quantity and horizon, and in no mean worse.
+    ///
+    /// Beyond doubt, less is asked: what acts seldom, like a vortex ring, makes few windows better;
+    /// and of two effects that mask one another neither does by itself where the other lies within
+    /// its tolerance, so that the nuisances may count on both sides.
     fn predicts_better(&self, more: &Scored, less: &Scored) -> bool {
         let Some(floor) = &self.floor else { return true };
-        let [least, mut deviations] = self.thresholds.open_loop;
-        if more.evidence - less.evidence > BEYOND_DOUBT {
-            // What acts seldom, like a vortex ring, makes few windows better.
-            deviations = DEVIATIONS_MIN;
-        }
-        [false, true].into_iter().any(|nuisances| {
+        let is_beyond_doubt = more.evidence - less.evidence > BEYOND_DOUBT;
+        let [least, deviations] = self.thresholds.open_loop;
+        let deviations = if is_beyond_doubt { DEVIATIONS_MIN } else { deviations };
+        let better = |nuisances: bool| {
             let (before, after) = (self.windows(less, nuisances), self.windows(more, nuisances));
             let gains = improvement(before, after, floor);
             let clear = |[gain, error]: &[f64; 2]| *gain > least && *gain > deviations * error;
             let sum: f64 = gains[1..].iter().flatten().map(|[gain, _]| gain).sum();
             sum > 0.0 && gains.iter().flatten().any(clear)
-        })
+        };
+        better(false) || is_beyond_doubt && better(true)
     }
 
     /// Open-loop errors of a fit's effects, with its nuisances or without.
