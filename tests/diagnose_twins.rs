@@ -84,8 +84,9 @@ fn twins_leave_what_the_flights_leave() {
         ratios[channels].iter().all(|(_, ratio)| (1.0 / most..most).contains(ratio))
     };
     assert!(within(VELOCITY..COMMAND, 1.3), "{ratios:.2?}");
-    // Few setpoints come late enough to show in a command: their number scatters.
-    assert!(within(COMMAND..CHANNELS, 1.6), "{ratios:.2?}");
+    // Few setpoints come late enough to show in a command: their number scatters. Those of the yaw
+    // hardly change, and little is left of them.
+    assert!(within(COMMAND..CHANNELS - 1, 1.5) && within(COMMAND..CHANNELS, 3.0), "{ratios:.2?}");
     // What was flown is what is fitted: no number is off by more than its tolerance allows.
     for (i, number) in catalogue.numbers.iter().enumerate().filter(|(_, n)| n.tolerance > 0.0) {
         let off = (twins.truth[i] - number.reference) / number.tolerance;

@@ -242,9 +242,12 @@ impl Simulator {
             let truth = reported(flight, start, self.latency);
             let sensed = LoopNoise::new(noise, rng.random());
             let ends = self.predict(flight, start, &truth, Some(sensed))?;
-            let predicted = self.predict(flight, start, &noise.applied(&truth, &mut rng), None)?;
+            let read = |time: f64| noise.read_at(flight, time, self.latency);
+            let begun = read(start).applied(&truth, &mut rng);
+            let predicted = self.predict(flight, start, &begun, None)?;
             Some(std::array::from_fn(|h| {
-                distance(&noise.applied(&ends[h], &mut rng), &predicted[h])
+                let there = read(start + HORIZONS_S[h]).applied(&ends[h], &mut rng);
+                distance(&there, &predicted[h])
             }))
         }))
     }
@@ -329,6 +332,16 @@ impl ReportNoise {
             attitude: of(self.attitude, found.attitude),
             body_rate: of(self.body_rate, found.body_rate),
             specific_force: of(self.specific_force, found.specific_force),
+        }
+    }
+
+    /// The noise of what is read off a flight at `time`: of white noise less between two samples.
+    fn read_at(&self, flight: &PreparedFlight, time: f64, latency: f64) -> Self {
+        Self {
+            position: self.position * flight.position.noise_share(time),
+            velocity: self.velocity * flight.velocity.noise_share(time),
+            body_rate: self.body_rate * flight.body_rate.noise_share(time - latency),
+            ..*self
         }
     }
 

@@ -90,6 +90,18 @@ impl<const N: usize> Series<N> {
         self.between(index, time)
     }
 
+    /// Deviation of white noise in a reading at `time` over that in a sample: between two samples a
+    /// reading is their weighted mean.
+    pub(super) fn noise_share(&self, time: f64) -> f64 {
+        let next = self.times.partition_point(|t| *t <= time);
+        let pair = next.checked_sub(1).zip(self.times.get(next));
+        let Some((before, after)) = pair.map(|(i, after)| (self.times[i], *after)) else {
+            return 1.0;
+        };
+        let share = (time - before) / (after - before);
+        share.hypot(1.0 - share)
+    }
+
     /// The mean over `half` seconds to each side of `time`, by `samples` readings.
     pub(super) fn mean_about(&self, time: f64, half: f64, samples: usize) -> [f64; N] {
         let step = 2.0 * half / (samples.max(2) - 1) as f64;
@@ -457,6 +469,13 @@ mod tests {
             flight.excluding(&[0.0..20.0]).map(|flight| flight.spans),
             Err(NotPrepared::TooShort(0.0))
         );
+    }
+
+    #[test]
+    fn noise_is_averaged_between_samples() {
+        let series = Series { times: vec![0.0, 1.0], values: vec![[0.0], [0.0]] };
+        let shares = [-0.5, 0.0, 0.5, 1.0].map(|time| series.noise_share(time));
+        assert_eq!(shares, [1.0, 1.0, 0.5_f64.sqrt(), 1.0]);
     }
 
     #[test]
