@@ -309,9 +309,9 @@ pub struct NotTestable {
 const NAMED: f64 = 0.5;
 
 impl Answer {
-    /// Ids of the effects that are named, the most probable first.
-    pub fn named(&self) -> impl Iterator<Item = &'static str> {
-        self.effects.iter().filter(|effect| effect.probability >= NAMED).map(|effect| effect.id)
+    /// The effects that are named, the most probable first.
+    pub fn named(&self) -> impl Iterator<Item = &EffectAnswer> {
+        self.effects.iter().filter(|effect| effect.probability >= NAMED)
     }
 
     /// The answer where every log is at fault.

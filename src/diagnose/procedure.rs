@@ -98,7 +98,7 @@ pub fn diagnose(
     let names = strict.answer.verdict == Verdict::Effect;
     let closes = open(&strict).is_some_and(|strictly| strictly - 1.0 < CLOSES * (left - 1.0));
     let is_more = tolerant.answer.verdict != Verdict::Unknown
-        && tolerant.answer.named().all(|id| strict.answer.named().any(|other| other == id));
+        && tolerant.answer.named().all(|old| strict.answer.named().any(|new| new.id == old.id));
     let after = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(|gap| gap.after);
     let is_better = after(&strict) < after(&tolerant);
     Ok(if names && (closes || is_more && is_better) { strict } else { tolerant })

@@ -50,8 +50,7 @@ fn unknown(answer: &Answer) -> String {
 const LIKELY: f64 = 0.1;
 
 fn effect(answer: &Answer) -> String {
-    let named: Vec<String> =
-        answer.effects.iter().filter(|effect| effect.probability >= 0.5).map(one).collect();
+    let named: Vec<String> = answer.named().map(one).collect();
     let mut text = if named.is_empty() {
         let likely = answer.effects.iter().filter(|effect| effect.probability >= LIKELY);
         let likely: Vec<String> = likely.map(one).collect();
