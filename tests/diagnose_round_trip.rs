@@ -80,6 +80,10 @@ fn drag_is_named_with_its_number_and_closes_the_gap_in_the_improved_file() {
     let d_xy = answer["effects"][0]["parameters"]["d_xy"].as_f64().expect("d_xy");
     assert!((d_xy / 0.01 - 1.0).abs() < 0.05, "{d_xy}");
     assert!(answer["gap"]["closure"].as_f64().expect("a closure") > 0.9, "{}", answer["gap"]);
+    // Drag is a function of the state: a learner finds it as well, whatever it is called.
+    let gap = |key: &str| answer["gap"][key].as_f64().unwrap_or_else(|| panic!("no {key}"));
+    let learner = gap("with_learner");
+    assert!(gap("before") - learner > 0.5 * (gap("before") - gap("floor")), "{}", answer["gap"]);
 
     let improved = sitl::vehicle::VehicleParams::load(&improved).expect("the improved file");
     let written = improved.modelled_effects.value(sitl::effects::EffectId::RotorDrag, "d_xy", 0);
@@ -93,6 +97,17 @@ fn a_vehicle_without_effects_is_found_to_have_none() {
     let answer = answer(&output);
     assert_eq!(answer["verdict"], "none", "{}", answer["finding"]);
     assert!(named(&answer).is_empty());
+}
+
+#[test]
+fn a_cause_that_the_catalogue_lacks_is_not_given_its_neighbours_name() {
+    let logs = fly("left-out", NANO, 60, &["command_delay:delay_s=0.025"]);
+    let with = answer(&diagnose("left-out", NANO, &logs, &["--twins", "10"]));
+    assert_eq!(named(&with), ["command_delay"], "{}", with["finding"]);
+    let more = ["--twins", "10", "--without", "command_delay"];
+    let without = answer(&diagnose("left-out", NANO, &logs, &more));
+    assert_eq!(without["verdict"], "unknown", "{}", without["finding"]);
+    assert!(named(&without).is_empty());
 }
 
 #[test]

@@ -11,6 +11,7 @@ use super::hypothesis::Catalogue;
 use super::judgement::Balance;
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::map::ResidualMap;
+use super::misfit::Misfit;
 use super::next_flight::NextFlight;
 use super::preparation::{Channels, PreparedFlight};
 use super::procedure::Case;
@@ -177,6 +178,8 @@ pub struct Gap {
     pub nuisances_only: Option<f64>,
     /// With the named effects and the nuisances.
     pub with_nuisances: Option<f64>,
+    /// As shipped with what a flexible learner adds that was taught on the flights of the fit.
+    pub with_learner: Option<f64>,
     /// Errors by horizon and quantity: before, after, floor.
     pub errors: [Errors; 3],
     /// Noise of the reports.
@@ -288,6 +291,8 @@ pub struct Answer {
     pub unmodelled_moment: Option<[UnmodelledMoment; 2]>,
     /// What is left of forces and moments against what is explained, in units of what matters.
     pub balance: Balance,
+    /// What the explanation leaves of each group of equations against what it explains.
+    pub misfit: Vec<Misfit>,
     /// Flights simulated without an effect.
     pub twins: Option<Twins>,
     /// Single hypotheses, the best first.
@@ -340,6 +345,7 @@ impl Answer {
             unmodelled_force: None,
             unmodelled_moment: None,
             balance: Balance::default(),
+            misfit: Vec::new(),
             twins: None,
             hypotheses: Vec::new(),
             flights: Vec::new(),

@@ -17,6 +17,7 @@ use sitl::plant::Plant;
 use sitl::rigid_body::State;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
+use super::learner::Learner;
 use super::onboard::{JITTER_MEAN_S, setpoint_at};
 use super::preparation::PreparedFlight;
 
@@ -30,6 +31,8 @@ const SPACING_S: f64 = 0.25;
 const MARGIN_S: f64 = 0.4;
 /// Correlation time of an attitude's error, s: an estimator's.
 pub(super) const ATTITUDE_CORRELATION_S: f64 = 0.05;
+/// Steps of the plant from one look of a learner to the next.
+const LEARNER_STEPS: usize = 10;
 /// Rotors forget their states within this many time constants.
 const MEMORY: f64 = 6.0;
 
@@ -77,6 +80,8 @@ pub struct Simulator {
     command_delay: f64,
     /// Position and velocity are predicted with the body turning as reported.
     guided: bool,
+    /// What is added to the plant's accelerations.
+    learner: Option<Learner>,
 }
 
 impl Simulator {
@@ -108,6 +113,7 @@ impl Simulator {
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
             command_delay: all.get::<CommandDelay>().map_or(vehicle.command_delay_s, |e| e.delay_s),
             guided: false,
+            learner: None,
         })
     }
 
@@ -116,6 +122,11 @@ impl Simulator {
     /// force would show beside it.
     pub fn guided(self) -> Self {
         Self { guided: self.law.is_none(), ..self }
+    }
+
+    /// The same simulator with what a learner adds to its accelerations.
+    pub fn with_learner(self, learner: Learner) -> Self {
+        Self { learner: Some(learner), ..self }
     }
 
     /// What will be reported at `start` plus each horizon, from the reported state `from` at
@@ -154,6 +165,7 @@ impl Simulator {
         let mut outputs = None;
         let mut last_tick = f64::NEG_INFINITY;
         let mut reported = [State::default(); 3];
+        let mut learned = None;
         let mut next = 0;
         for k in 0..steps {
             let time = start + k as f64 * Plant::STEP;
@@ -196,6 +208,20 @@ impl Simulator {
                 forced.step(acting);
             }
             plant.step(acting);
+            if let Some(learner) = &self.learner {
+                let state = *plant.state();
+                let State { velocity, attitude, body_rate, .. } = state;
+                if k % LEARNER_STEPS == 0 {
+                    learned = Some(learner.accelerations(velocity, attitude, body_rate, acting));
+                }
+                if let Some((linear, angular)) = learned {
+                    plant.set_state(State {
+                        velocity: velocity + linear * Plant::STEP,
+                        body_rate: body_rate + angular * Plant::STEP,
+                        ..state
+                    });
+                }
+            }
             if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
                 let state = *plant.state();
                 let moved = forced.as_ref().map_or(&state, |forced| forced.state());

@@ -10,11 +10,13 @@ use super::answer::{EffectAnswer, FullVerdict, Gap, Verdict, parameters};
 use super::arrival::Delay;
 use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
-use super::judgement::{Balance, Leftover, explained, is_open, is_unexplained};
+use super::judgement::{Balance, Leftover, SHARE_LEFT_MAX, explained, is_open, is_unexplained};
+use super::learner::Learner;
 use super::leftover::{unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
-use super::naming::{as_good, named_effects};
+use super::misfit::{Misfit, misfit, share_left};
+use super::naming::{as_good, credence, named_effects};
 use super::noise::report_noise;
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
@@ -193,6 +195,13 @@ impl<'a> Inquiry<'a> {
         }
     }
 
+    /// What the explanation leaves; nothing where there is none, or no twins of it can be flown.
+    pub fn misfit(&self, search: &Search) -> Vec<Misfit> {
+        let Search { selection: Selection { null, best, .. }, of_best, .. } = search;
+        let of_twins = |twins| misfit(&null.fit, &best.fit, twins, self.fitted.counts());
+        of_best.as_ref().map(of_twins).unwrap_or_default()
+    }
+
     fn simulator(&self, effects: &EffectSet) -> Result<Simulator, VehicleError> {
         Simulator::new(self.case.vehicle, effects, self.leg())
     }
@@ -229,9 +238,17 @@ impl<'a> Inquiry<'a> {
             closure: (b - f > 0.05).then(|| (b - a) / (b - f)),
             nuisances_only: mean(&nuisances),
             with_nuisances: mean(&everything),
+            with_learner: self.learner().and_then(|learner| mean(&shipped.with_learner(learner))),
             errors: [before, after, floor],
             noise,
         }))
+    }
+
+    /// Taught what the vehicle as shipped leaves of the flights of the fit.
+    fn learner(&self) -> Option<Learner> {
+        let shipped = self.catalogue.candidate(&self.catalogue.references()).ok()?;
+        let allocation = self.case.vehicle.allocation().ok()?;
+        Learner::of(&self.fitted, self.evaluator, &shipped, &allocation)
     }
 
     /// The verdict on what was found.
@@ -241,6 +258,7 @@ impl<'a> Inquiry<'a> {
         effects: &EffectSet,
         leftover: &Leftover,
         balance: &Balance,
+        misfit: &[Misfit],
         gap: Option<&Gap>,
     ) -> Judgement {
         let found = !search.selection.best.fit.hypotheses.is_empty();
@@ -254,6 +272,7 @@ impl<'a> Inquiry<'a> {
         let verdict = match turbulence {
             Some(_) => Verdict::Effect,
             None if is_unexplained(balance, found) => Verdict::Unknown,
+            None if found && share_left(misfit) > SHARE_LEFT_MAX => Verdict::Unknown,
             // Driven by outputs, an open loop strays from any cause.
             None if self.leg() && gap.is_some_and(|gap| is_open(gap, found)) => Verdict::Unknown,
             None if found => Verdict::Effect,
@@ -267,10 +286,13 @@ impl<'a> Inquiry<'a> {
         &self,
         search: &Search,
         effects: &EffectSet,
+        misfit: &[Misfit],
         turbulence: bool,
     ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
         let named = search.named(self.catalogue);
-        let (mut answers, mut ambiguous) = named_effects(self.catalogue, &search.selection);
+        let credence = credence(misfit);
+        let (mut answers, mut ambiguous) =
+            named_effects(self.catalogue, &search.selection, credence);
         if turbulence {
             answers.push(EffectAnswer {
                 id: EffectId::Gusts.name(),
@@ -285,7 +307,7 @@ impl<'a> Inquiry<'a> {
             let others = others.filter(|effect| self.catalogue.considers(**effect));
             ambiguous.extend(others.map(|effect| effect.name()));
         }
-        ambiguous.extend(as_good(self.catalogue, &search.selection));
+        ambiguous.extend(as_good(self.catalogue, &search.selection, !misfit.is_empty()));
         ambiguous.sort_unstable();
         ambiguous.dedup();
         // The first is the answer; the others are what it cannot be told from.

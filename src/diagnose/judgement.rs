@@ -24,6 +24,9 @@ const SIGNIFICANCE: f64 = 5.0;
 /// Share of what is unmodelled, in power, that effects may leave and still be the explanation.
 const LEFT_MAX: f64 = 0.3;
 
+/// The same of what could be explained at all, in nats, by equations that the effects answer for.
+pub const SHARE_LEFT_MAX: f64 = 0.3;
+
 /// Something unmodelled in units of what matters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Size {

@@ -7,10 +7,14 @@ use sitl::effects::EffectId;
 
 use super::answer::{EffectAnswer, NotTestable, parameters};
 use super::hypothesis::{Catalogue, Target};
+use super::misfit::{Misfit, share_left};
 use super::selection::{Rival, Scored, Selection};
 
-/// No flight makes anything more certain than this: the catalogue itself may be wrong.
-pub(super) const CERTAIN: f64 = 0.995;
+/// Log odds that what explains flights is also their cause, where nothing is left, and by how much
+/// they fall with the share that is left. By the answers of exams in which every eighth cause was none
+/// of the catalogue's and every tenth followed another law.
+const LOG_ODDS: f64 = 2.7;
+const LOG_ODDS_BY_SHARE: f64 = 8.0;
 /// Differences of scores count by this share: channels share noise that the scores take to be
 /// independent.
 pub(super) const TEMPER: f64 = 0.25;
@@ -21,11 +25,19 @@ const AMBIGUOUS: f64 = 0.1;
 /// Quantile of the normal distribution for 90 % intervals.
 const Z90: f64 = 1.645;
 
+/// Probability that what explains the flights is their cause, by what it leaves: the catalogue itself
+/// may lack the cause, and another effect stand in for it.
+pub(super) fn credence(misfits: &[Misfit]) -> f64 {
+    let log_odds = LOG_ODDS - LOG_ODDS_BY_SHARE * share_left(misfits);
+    1.0 / (1.0 + (-log_odds).exp())
+}
+
 /// The effects of the chosen set and their rivals, with probabilities, and those that cannot be
 /// told apart.
 pub(super) fn named_effects(
     catalogue: &Catalogue,
     selection: &Selection,
+    credence: f64,
 ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
     let mut found: BTreeMap<EffectId, (f64, Scored)> = BTreeMap::new();
     // How much the set would lose without an effect.
@@ -50,9 +62,9 @@ pub(super) fn named_effects(
         for ((hypothesis, scored), weight) in options.into_iter().zip(weights) {
             let Some(hypothesis) = hypothesis else { continue };
             let effect = catalogue.hypotheses[hypothesis].effect;
-            let probability = CERTAIN * weight / sum;
+            let probability = credence * weight / sum;
             let own_effect = class(effect) == class(catalogue.hypotheses[own].effect);
-            if probability > AMBIGUOUS && !own_effect {
+            if weight / sum > AMBIGUOUS && !own_effect {
                 ambiguous.push(effect.name());
             }
             let entry = found.entry(effect).or_insert((0.0, scored.clone()));
@@ -77,7 +89,7 @@ pub(super) fn named_effects(
         .collect();
     let loss = |answer: &EffectAnswer| losses.get(answer.id).copied().unwrap_or(0.0);
     answers.sort_by(|a, b| {
-        let certain = |answer: &EffectAnswer| answer.probability.min(CERTAIN);
+        let certain = |answer: &EffectAnswer| answer.probability.min(credence);
         certain(b).total_cmp(&certain(a)).then(loss(b).total_cmp(&loss(a))).then(a.id.cmp(b.id))
     });
     (answers, ambiguous)
@@ -89,11 +101,18 @@ fn class(effect: EffectId) -> EffectId {
 }
 
 /// Share of the evidence of the best single effect with which another explains as much: on real
-/// flights no model is exact, and nats beyond that are of other things.
+/// flights no model is exact, and nats beyond that are of other things; more so where no twins of the
+/// explanation can be flown to check it.
 const AS_GOOD: f64 = 0.85;
+const AS_GOOD_UNCHECKED: f64 = 2.0 / 3.0;
 
 /// Effects that by themselves explain about as much as the one that is named alone.
-pub(super) fn as_good(catalogue: &Catalogue, selection: &Selection) -> Vec<&'static str> {
+pub(super) fn as_good(
+    catalogue: &Catalogue,
+    selection: &Selection,
+    is_checked: bool,
+) -> Vec<&'static str> {
+    let share = if is_checked { AS_GOOD } else { AS_GOOD_UNCHECKED };
     let class = |h: usize| class(catalogue.hypotheses[h].effect);
     let evidence = |rival: &Rival| rival.scored.evidence - selection.null.evidence;
     let named: Vec<EffectId> = selection.best.fit.hypotheses.iter().map(|h| class(*h)).collect();
@@ -103,7 +122,7 @@ pub(super) fn as_good(catalogue: &Catalogue, selection: &Selection) -> Vec<&'sta
         .singles
         .iter()
         .filter(|rival| !named.contains(&class(rival.hypothesis)))
-        .filter(|rival| most > 0.0 && evidence(rival) > AS_GOOD * most)
+        .filter(|rival| most > 0.0 && evidence(rival) > share * most)
         .map(|rival| catalogue.hypotheses[rival.hypothesis].effect.name())
         .collect()
 }

@@ -17,7 +17,7 @@ pub use self::live::{Live, live, typical, untested};
 use self::rehearsal::{Rehearsal, Stage};
 use super::flight_simulator::NotSimulated;
 use super::gap::ReportNoise;
-use super::naming::{CERTAIN, TEMPER};
+use super::naming::{TEMPER, credence};
 use crate::plan::FlightEnvelope;
 use crate::plan::manoeuvres::{Manoeuvre, Room, library};
 use sitl::vehicle::VehicleParams;
@@ -236,7 +236,8 @@ fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
     Outlook {
         truth: truth.names(),
         now: truth.probability,
-        expected: CERTAIN / (1.0 + others),
+        // A flight tells hypotheses apart; whether the catalogue has the cause it does not.
+        expected: credence(&[]) / (1.0 + others),
         evidence: rehearsal
             .evidence
             .iter()

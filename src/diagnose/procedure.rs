@@ -137,17 +137,18 @@ fn attempt(
     progress("what is left over");
     let leftover = inquiry.leftover(&search);
     let balance = inquiry.balance(&search, &leftover);
+    let misfit = inquiry.misfit(&search);
     progress("how far");
     let mut effects =
         catalogue.effects(&selection.best.fit.values, Some(&search.named(&catalogue)));
     let gap = inquiry.gap(selection, &effects)?;
     let Judgement { verdict, turbulence } =
-        inquiry.judge(&search, &effects, &leftover, &balance, gap.as_ref());
+        inquiry.judge(&search, &effects, &leftover, &balance, &misfit, gap.as_ref());
     if let Some(slots) = turbulence {
         let _ = effects.insert(EffectId::Gusts, slots);
     }
     let (named, ambiguous_with) = match verdict {
-        Verdict::Effect => inquiry.names(&search, &effects, turbulence.is_some()),
+        Verdict::Effect => inquiry.names(&search, &effects, &misfit, turbulence.is_some()),
         _ => (Vec::new(), Vec::new()),
     };
     let (full, depends_on) = inquiry.full_verdict(&search, verdict, !ambiguous_with.is_empty())?;
@@ -173,6 +174,7 @@ fn attempt(
         unmodelled_force: leftover.force,
         unmodelled_moment: leftover.moment,
         balance,
+        misfit,
         hypotheses: HypothesisAnswer::all(&catalogue, selection, &search.thresholds),
         flights: FlightAnswer::all(case),
     };

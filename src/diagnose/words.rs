@@ -2,6 +2,7 @@
 
 use super::answer::{Answer, EffectAnswer, Gap, Parameter, Verdict};
 use super::judgement::Balance;
+use super::misfit::share_left;
 use super::next_flight::NextFlight;
 use super::reflight::ClosedLoop;
 
@@ -21,12 +22,14 @@ pub fn finding(answer: &Answer) -> String {
     }
 }
 
-/// What is left that nothing explains: the larger of force and moment, or else the open gap.
+/// What is left that nothing explains: the larger of force and moment, or what the nearest effects
+/// leave, or else the open gap.
 fn unknown(answer: &Answer) -> String {
     let mut text = "Something acts that no listed effect explains".to_owned();
+    let share = share_left(&answer.misfit);
     let Balance { force, moment } = answer.balance;
-    let of_force = answer.unmodelled_force.as_ref().filter(|_| force.left > 0.0);
-    let of_moment = answer.unmodelled_moment.as_ref().filter(|_| moment.left > force.left);
+    let of_force = answer.unmodelled_force.as_ref().filter(|_| force.left > 1.0);
+    let of_moment = answer.unmodelled_moment.as_ref().filter(|_| moment.left > force.left.max(1.0));
     if let Some([_, after]) = of_moment {
         let rms = after.rms().map(|rms| rms * rms).iter().sum::<f64>().sqrt();
         text += &format!(
@@ -36,6 +39,11 @@ fn unknown(answer: &Answer) -> String {
         text += &format!(
             ": {:.2} m/s^2 of force per mass that velocity and accelerometer agree on is left",
             after.rms()
+        );
+    } else if share > 0.0 {
+        let share = 100.0 * share;
+        text += &format!(
+            ": the nearest leaves {share:.0} % of the evidence that a full explanation would have"
         );
     } else if let Some(gap) = &answer.gap {
         text += &format!(
@@ -165,12 +173,20 @@ pub fn report(answer: &Answer) -> String {
             text += &format!(", {:.1} on the flights held out\n", tried.held_out[0]);
         }
     }
+    let with = match answer.verdict {
+        Verdict::Effect => "with the effects",
+        _ => "with what comes nearest",
+    };
     if let Some(gap) = &answer.gap {
         text += &format!("how far    gap held out {:.2}", gap.before);
         if let Some(nuisances) = gap.nuisances_only {
             text += &format!(", {nuisances:.2} with nuisances alone");
         }
-        text += &format!(", {:.2} with the effects, {:.2} of noise alone\n", gap.after, gap.floor);
+        text += &format!(", {:.2} {with}", gap.after);
+        if let Some(learner) = gap.with_learner {
+            text += &format!(", {learner:.2} with a flexible learner");
+        }
+        text += &format!(", {:.2} of noise alone\n", gap.floor);
     }
     if let Some(ClosedLoop { position_m, thrust_n, moment_nm, .. }) = &answer.closed_loop {
         for (line, (name, unit, difference)) in
@@ -180,7 +196,7 @@ pub fn report(answer: &Answer) -> String {
         {
             let head = if line == 0 { "again" } else { "" };
             text += &format!(
-                "{head:10} {name} off by {} {unit}, {} with the effects, {} of noise alone\n",
+                "{head:10} {name} off by {} {unit}, {} {with}, {} of noise alone\n",
                 short(difference.before),
                 short(difference.after),
                 short(difference.floor)
@@ -195,6 +211,13 @@ pub fn report(answer: &Answer) -> String {
             "left over  {:.3} m/s^2 of force per mass, {:.3} before\n",
             after.rms(),
             before.rms()
+        );
+    }
+    let share = share_left(&answer.misfit);
+    if share > 0.0 {
+        let share = 100.0 * share;
+        text += &format!(
+            "left over  {share:.0} % of the evidence that a full explanation would have\n"
         );
     }
     if let Some(next) = &answer.next_flight {

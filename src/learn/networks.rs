@@ -1,5 +1,6 @@
 //! The networks of a model: their data, and their trainings side by side.
 
+use std::ops::ControlFlow;
 use std::sync::Mutex;
 
 use rayon::prelude::*;
@@ -244,6 +245,42 @@ pub(super) fn models(networks: Vec<Network>, features: Features) -> Option<[Netw
     let [a, b, c, d] = <[Network; 4]>::try_from(networks).ok()?;
     let model = |linear, angular| NetworkModel { features, linear, angular };
     Some([model(a, b), model(c, d)])
+}
+
+/// Trains one model's two networks to the end, with every weight of `regularization`; validation
+/// decides.
+///
+/// # Errors
+/// [`TrainError::Network`], and [`TrainError::NoRegularization`] for an empty list.
+pub fn train_both(
+    features: Features,
+    [training, validation]: [&[&Row]; 2],
+    regularization: &[f64],
+    target: &Target<'_>,
+) -> Result<NetworkModel, TrainError> {
+    let lessons = Lesson::both(ModelKind::Hybrid, features, training, validation, target)?;
+    let networks: Vec<Network> = lessons
+        .into_par_iter()
+        .map(|Lesson { model, head, inputs, outputs, training, validation }| {
+            let trained = regularization.iter().map(|weight| {
+                let settings =
+                    training::Settings { regularization: *weight, ..training::Settings::default() };
+                training::train(&training, &validation, &settings, None, |_, _| {
+                    ControlFlow::Continue(())
+                })
+                .map(|training| training.network)
+                .map_err(|error| network_error(model, head, error.to_string()))
+            });
+            let trained: Vec<Mlp> = trained.collect::<Result<_, _>>()?;
+            let loss = |network: &Mlp| training::mean_squared_error(network, &validation);
+            let best = trained.into_iter().min_by(|a, b| loss(a).total_cmp(&loss(b)));
+            let mlp = best.ok_or(TrainError::NoRegularization)?;
+            Ok::<_, TrainError>(Network { inputs, outputs, mlp })
+        })
+        .collect::<Result<_, _>>()?;
+    let [linear, angular] =
+        <[Network; 2]>::try_from(networks).map_err(|_| TrainError::NoRegularization)?;
+    Ok(NetworkModel { features, linear, angular })
 }
 
 fn network_error(model: ModelKind, head: Head, reason: String) -> TrainError {

@@ -224,6 +224,9 @@ fn how_far(gap: &Gap) -> String {
     if let Some(nuisances) = gap.nuisances_only {
         rows.insert(1, ("nuisances alone".to_owned(), nuisances, gap.floor));
     }
+    if let Some(learner) = gap.with_learner {
+        rows.insert(rows.len() - 1, ("with a learner".to_owned(), learner, gap.floor));
+    }
     let mut html = String::from(
         "<h3>Mean of position, velocity and attitude at 0.5 and 1 s, in units of the noise</h3>",
     );

@@ -1,0 +1,97 @@
+//! Misfit: what an explanation leaves beyond what twins of its own vehicle leave, against what it
+//! explains.
+//!
+//! The cost of a fit is `sum n/2 ln(Q/n)` over channels and bands. Twins of the explanation's own
+//! vehicle say which cost noise alone would leave; what lies between is what a perfect explanation
+//! would still gain, in nats (a posterior predictive check; Gelman, Meng and Stern 1996). A neighbour
+//! of the true cause explains a part and leaves the rest; the cause itself leaves nothing.
+
+use serde::Serialize;
+
+use super::fit::Fit;
+use super::residuals::{CHANNELS, COMMAND, FORCE, RATE, VELOCITY};
+use super::spectrum::BANDS;
+use super::twins::TwinFits;
+
+/// Equations that are told apart: name, first channel and the end. The yaw moment that was commanded
+/// is left out: twins do not have all the noise that is in it.
+const GROUPS: [(&str, usize, usize); 4] = [
+    ("acceleration", VELOCITY, VELOCITY + 3),
+    ("specific force", FORCE, FORCE + 3),
+    ("angular acceleration", RATE, RATE + 3),
+    ("command", COMMAND, CHANNELS - 1),
+];
+/// Above this, sensors' noise and its colour outweigh any motion, Hz.
+const MAX_HZ: f64 = 3.2;
+/// Standard errors up to which it may be chance: the twins' own noise is not quite the flights'.
+const CHANCE: f64 = 3.0;
+/// An explanation is answerable for the equations that give it so much of its evidence.
+const ANSWERABLE: f64 = 0.1;
+
+/// Costs in one group of channels below [`MAX_HZ`], nats.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Misfit {
+    /// Which equations.
+    pub equations: &'static str,
+    /// What the explanation gains over the nuisances alone.
+    pub explained: f64,
+    /// What a perfect one would gain beyond it; below 0 by chance only.
+    pub left: f64,
+    /// Standard error of what is left.
+    pub error: f64,
+}
+
+/// The misfit of `best`, with `null` the fit of the nuisances alone and `twins` of the vehicle of
+/// `best`. `counts`: coefficients at each place.
+pub fn misfit(null: &Fit, best: &Fit, twins: &TwinFits, counts: &[f64]) -> Vec<Misfit> {
+    let moments = twins.moments();
+    let group = |(equations, first, end): (&'static str, usize, usize)| {
+        let mut misfit = Misfit { equations, explained: 0.0, left: 0.0, error: 0.0 };
+        let bands = BANDS.iter().filter(|upper| **upper <= MAX_HZ).count();
+        let places =
+            (first..end).flat_map(|channel| (0..bands).map(move |b| channel * BANDS.len() + b));
+        let mut variance = 0.0;
+        for place in places {
+            let (n, [mean, deviation]) = (counts[place], moments[place]);
+            if n < 1.0 || mean <= 0.0 {
+                continue;
+            }
+            let cost = |power: f64| 0.5 * n * (power.max(f64::MIN_POSITIVE) / mean).ln();
+            misfit.explained += cost(null.power[place]) - cost(best.power[place]);
+            misfit.left += cost(best.power[place]);
+            variance += (0.5 * n * deviation / mean).powi(2);
+        }
+        misfit.error = variance.sqrt();
+        misfit
+    };
+    GROUPS.map(group).into()
+}
+
+/// Share of what could be explained that is left, 0..1: in the equations that the explanation is
+/// answerable for, and beyond chance.
+pub fn share_left(misfits: &[Misfit]) -> f64 {
+    let total: f64 = misfits.iter().map(|misfit| misfit.explained.max(0.0)).sum();
+    let answerable = misfits.iter().filter(|misfit| misfit.explained > ANSWERABLE * total);
+    let left: f64 =
+        answerable.filter(|misfit| misfit.left > CHANCE * misfit.error).map(|m| m.left).sum();
+    if left > 0.0 { left / (left + total) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn misfit(equations: &'static str, explained: f64, left: f64) -> Misfit {
+        Misfit { equations, explained, left, error: 10.0 }
+    }
+
+    #[test]
+    fn what_is_left_counts_where_the_explanation_is_answerable() {
+        let forces = misfit("acceleration", 160.0, 40.0);
+        assert_eq!(share_left(std::slice::from_ref(&forces)), 0.2);
+        // Within three standard errors, or in an equation that it says nothing about.
+        assert_eq!(share_left(&[misfit("acceleration", 160.0, 29.0)]), 0.0);
+        assert_eq!(share_left(&[forces, misfit("command", 0.0, 500.0)]), 0.2);
+        assert_eq!(share_left(&[misfit("command", 0.0, 0.0)]), 0.0);
+    }
+}
