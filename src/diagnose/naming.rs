@@ -8,6 +8,7 @@ use sitl::effects::EffectId;
 use super::answer::{EffectAnswer, NotTestable, parameters};
 use super::hypothesis::{Catalogue, Target};
 use super::misfit::{Misfit, share_left};
+use super::residuals::Groups;
 use super::selection::{Rival, Scored, Selection};
 
 /// Log odds that what explains flights is also their cause, where nothing is left, and by how much
@@ -40,13 +41,12 @@ pub(super) fn named_effects(
     credence: f64,
 ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
     let mut found: BTreeMap<EffectId, (f64, Scored)> = BTreeMap::new();
-    // How much the set would lose without an effect.
-    let mut losses: BTreeMap<&str, f64> = BTreeMap::new();
+    let losses = losses(selection);
     let mut ambiguous = Vec::new();
     for (place, (without, rivals)) in selection.places.iter().enumerate() {
         let own = selection.best.fit.hypotheses[place];
-        let loss = selection.best.score() - without.score();
-        losses.insert(catalogue.hypotheses[own].effect.name(), loss);
+        let mends = mends_a_law(catalogue, &losses, place);
+        let credence = if mends { credence * MENDS_A_LAW } else { credence };
         let mut options: Vec<(Option<usize>, Scored)> = vec![(None, without.clone())];
         options.extend(
             rivals
@@ -64,7 +64,7 @@ pub(super) fn named_effects(
             let effect = catalogue.hypotheses[hypothesis].effect;
             let probability = credence * weight / sum;
             let own_effect = class(effect) == class(catalogue.hypotheses[own].effect);
-            if weight / sum > AMBIGUOUS && !own_effect {
+            if weight / sum > AMBIGUOUS && !own_effect && !mends {
                 ambiguous.push(effect.name());
             }
             let entry = found.entry(effect).or_insert((0.0, scored.clone()));
@@ -87,12 +87,41 @@ pub(super) fn named_effects(
             }
         })
         .collect();
-    let loss = |answer: &EffectAnswer| losses.get(answer.id).copied().unwrap_or(0.0);
+    let loss = |answer: &EffectAnswer| {
+        let own = |(hypothesis, _): &&(usize, f64)| {
+            catalogue.hypotheses[*hypothesis].effect.name() == answer.id
+        };
+        losses.iter().find(own).map_or(0.0, |(_, loss)| *loss)
+    };
     answers.sort_by(|a, b| {
         let certain = |answer: &EffectAnswer| answer.probability.min(credence);
         certain(b).total_cmp(&certain(a)).then(loss(b).total_cmp(&loss(a))).then(a.id.cmp(b.id))
     });
     (answers, ambiguous)
+}
+
+/// No law is right to more than this share of its evidence: an effect with less, beside another in the
+/// same equations, may but mend that one's law. In exams whose causes follow other laws than the
+/// catalogue's it did so every time.
+const LAW_ERROR: f64 = 0.15;
+/// Share of its probability that such an effect keeps.
+const MENDS_A_LAW: f64 = 0.45;
+
+/// The hypotheses of the chosen set, and how much its score would lose without each, nats.
+fn losses(selection: &Selection) -> Vec<(usize, f64)> {
+    let chosen = selection.best.fit.hypotheses.iter().zip(&selection.places);
+    chosen.map(|(h, (without, _))| (*h, selection.best.score() - without.score())).collect()
+}
+
+/// Whether the effect at a place of the set may only mend the law of another.
+fn mends_a_law(catalogue: &Catalogue, losses: &[(usize, f64)], place: usize) -> bool {
+    let groups = |hypothesis: usize| {
+        let numbers = &catalogue.hypotheses[hypothesis].numbers;
+        numbers.first().map(|number| Groups::of(catalogue.numbers[*number].target))
+    };
+    let (own, loss) = losses[place];
+    let beside = losses.iter().filter(|(other, _)| *other != own && groups(*other) == groups(own));
+    loss < LAW_ERROR * beside.map(|(_, loss)| *loss).fold(0.0, f64::max)
 }
 
 /// Mass and thrust act as their ratio: one name stands for both.
