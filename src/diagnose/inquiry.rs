@@ -307,7 +307,7 @@ impl<'a> Inquiry<'a> {
             let others = others.filter(|effect| self.catalogue.considers(**effect));
             ambiguous.extend(others.map(|effect| effect.name()));
         }
-        ambiguous.extend(as_good(self.catalogue, &search.selection, !misfit.is_empty()));
+        ambiguous.extend(as_good(self.catalogue, &search.selection, self.leg()));
         ambiguous.sort_unstable();
         ambiguous.dedup();
         // The first is the answer; the others are what it cannot be told from.

@@ -86,10 +86,20 @@ impl Learner {
             return None;
         }
         let parts = [training.as_slice(), validation.as_slice()];
-        let networks =
-            train_both(Features::Heading, parts, &REGULARIZATION, &|row| row.label).ok()?;
-        let shares = Head::BOTH.map(|head| share(&networks, head, &validation));
-        Some(Self { networks: networks.scaled(shares), allocation: *allocation })
+        // A force may be tied to the body, or to the world.
+        [Features::Heading, Features::World]
+            .into_iter()
+            .filter_map(|features| {
+                let networks =
+                    train_both(features, parts, &REGULARIZATION, &|row| row.label).ok()?;
+                let shares = Head::BOTH.map(|head| share(&networks, head, &validation));
+                let networks = networks.scaled(shares);
+                let left: f64 =
+                    Head::BOTH.iter().map(|head| left(&networks, *head, &validation)).sum();
+                Some((left, Self { networks, allocation: *allocation }))
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, learner)| learner)
     }
 
     /// Acceleration and angular acceleration to add to the simulator's.
@@ -123,6 +133,19 @@ fn point(flight: &PreparedFlight, block: &Block, first: usize, allocation: &Allo
         attitude: Attitude { w, x, y, z }.normalized().euler(),
         input: allocation.wrench(outputs),
     }
+}
+
+/// Share of the rows' mean square that a network leaves.
+fn left(networks: &NetworkModel, head: Head, rows: &[&Row]) -> f64 {
+    let (mut after, mut before) = (0.0, 0.0);
+    for row in rows {
+        let said: [f64; ACCELERATIONS] = networks.accelerations(&row.point);
+        for i in head.rows() {
+            after += (row.label[i] - said[i]).powi(2);
+            before += row.label[i].powi(2);
+        }
+    }
+    if before > 0.0 { after / before } else { 0.0 }
 }
 
 /// The share of what a network says that serves rows which it was not trained on best, 0..1.

@@ -130,8 +130,8 @@ fn class(effect: EffectId) -> EffectId {
 }
 
 /// Share of the evidence of the best single effect with which another explains as much: on real
-/// flights no model is exact, and nats beyond that are of other things; more so where no twins of the
-/// explanation can be flown to check it.
+/// flights no model is exact, and nats beyond that are of other things; more so where no on-board law
+/// is known, by which twins of the explanation could be flown to check it.
 const AS_GOOD: f64 = 0.85;
 const AS_GOOD_UNCHECKED: f64 = 2.0 / 3.0;
 

@@ -11,6 +11,7 @@ use super::table::{Table, definitions};
 use crate::diagnose::answer::{Answer, Gap, Verdict};
 use crate::diagnose::gap::{HORIZONS_S, QUANTITIES};
 use crate::diagnose::map::Regime;
+use crate::diagnose::misfit::Misfit;
 use crate::diagnose::words::{self, closed_loop, one};
 
 /// Size of a drawing, pixels.
@@ -36,7 +37,7 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
     if let Some(gap) = &answer.gap {
         page.section(
             "How far",
-            "Open-loop predictions of the flights held out, from every quarter of a second: root mean square errors with the vehicle file as shipped, with the effects, and what noise alone leaves.",
+            "Open-loop predictions of the flights held out, from every quarter of a second: root mean square errors with the vehicle file as shipped, with the effects, and what noise alone leaves. The learner is a network on what the vehicle file as shipped leaves of the fitted flights.",
             &how_far(gap),
         );
     }
@@ -212,7 +213,25 @@ fn which(answer: &Answer) -> String {
         }
         html += &table.into_html();
     }
-    html
+    html + &misfit(&answer.misfit)
+}
+
+/// What the explanation leaves in each group of equations.
+fn misfit(misfits: &[Misfit]) -> String {
+    if misfits.is_empty() {
+        return String::new();
+    }
+    let mut table =
+        Table::new(&[("equations", false), ("explained", true), ("left", true), ("\u{b1}", true)]);
+    for Misfit { equations, explained, left, error } in misfits {
+        let nats = [explained, left, error].map(|nats| format!("{nats:.0}"));
+        let mut row = vec![(*equations).to_owned()];
+        row.extend(nats);
+        table.row(Mood::Plain, &row);
+    }
+    let heading =
+        "<h3>What it explains and what it leaves beyond its twins, nats below 3.2 Hz</h3>";
+    heading.to_owned() + &table.into_html()
 }
 
 fn how_far(gap: &Gap) -> String {
