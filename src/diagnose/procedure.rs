@@ -3,7 +3,7 @@
 use sitl::effects::{EffectId, EffectSet};
 use sitl::vehicle::{VehicleError, VehicleParams};
 
-use super::answer::{Answer, Finding, FlightAnswer, Gap, HypothesisAnswer, Verdict};
+use super::answer::{Answer, Finding, FlightAnswer, FullVerdict, Gap, HypothesisAnswer, Verdict};
 use super::arrival::Delay;
 use super::gap::ReportNoise;
 use super::hypothesis::Catalogue;
@@ -89,6 +89,11 @@ pub fn diagnose(
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
     let tolerant = attempt(case, settings, 1.0, progress)?;
+    if let Some(plain) = without_moments(case, &tolerant) {
+        progress("again, with a plain drag");
+        return plain_drag(&plain, (case, settings), progress)
+            .map(|found| found.unwrap_or(tolerant));
+    }
     let open = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(Gap::most_visible);
     let Some(left) = open(&tolerant).filter(|left| tolerant.setpoint_leg && *left > VISIBLE) else {
         return Ok(tolerant);
@@ -102,6 +107,38 @@ pub fn diagnose(
     let after = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(|gap| gap.after);
     let is_better = after(&strict) < after(&tolerant);
     Ok(if names && (closes || is_more && is_better) { strict } else { tolerant })
+}
+
+/// Effects not to be considered, where blade flapping stands for what a plain drag of the rotors may
+/// be. Flapping is such a drag and a moment. Without a known on-board law nothing says how well the
+/// moments are modelled (inertias are often assumed), so that the simpler cause comes first if it
+/// explains about as much.
+fn without_moments(case: &Case<'_>, found: &Diagnosis) -> Option<Vec<EffectId>> {
+    let flaps = found.answer.named().any(|effect| effect.id == EffectId::BladeFlapping.name());
+    let is_drag = found.answer.ambiguous_with.contains(&EffectId::RotorDrag.name());
+    (!found.setpoint_leg && flaps && is_drag).then(|| {
+        let mut without = case.without.to_vec();
+        without.push(EffectId::BladeFlapping);
+        without
+    })
+}
+
+/// The diagnosis without blade flapping, if it names a drag of the rotors: it cannot be told from
+/// flapping then.
+fn plain_drag(
+    without: &[EffectId],
+    (case, settings): (&Case<'_>, &Settings),
+    progress: &dyn Fn(&str),
+) -> Result<Option<Diagnosis>, DiagnoseError> {
+    let mut plain = attempt(&Case { without, ..*case }, settings, 1.0, progress)?;
+    let answer = &mut plain.answer;
+    if !answer.named().any(|effect| effect.id == EffectId::RotorDrag.name()) {
+        return Ok(None);
+    }
+    answer.ambiguous_with.push(EffectId::BladeFlapping.name());
+    answer.finding.verdict = FullVerdict::Ambiguous;
+    answer.finding.sentence = finding(answer);
+    Ok(Some(plain))
 }
 
 /// One diagnosis, with the tolerances of the vehicle file's numbers times `tolerance`.

@@ -242,7 +242,19 @@ impl Selector<'_> {
         more.evidence - less.evidence > asked
             && gain > self.thresholds.held_out
             && clear
+            && self.is_along_the_floor(&more.fit)
             && self.predicts_better(more, less)
+    }
+
+    /// A steady wind blows along the floor: one that blows more downwards or upwards stands for
+    /// something else.
+    fn is_along_the_floor(&self, fit: &Fit) -> bool {
+        let blows = |h: &usize| self.hypothesis(*h).effect == EffectId::Wind;
+        let speed = |slot: usize| {
+            let number = self.catalogue.number_of(EffectId::Wind, slot);
+            number.map_or(0.0, |number| fit.values[number])
+        };
+        !fit.hypotheses.iter().any(blows) || speed(2).abs() <= speed(0).hypot(speed(1))
     }
 
     /// Whether the effects of `more` make better predictions than those of `less`, by an amount
