@@ -244,7 +244,8 @@ proptest! {
         problem.tolerance = 1e-8;
         let ours = solved(&problem);
         let mut theirs = Solution::default();
-        Conic::equations().solve(&problem, &mut theirs).expect("a solution");
+        // Of errors so large the reference itself gives up now and then.
+        prop_assume!(Conic::equations().solve(&problem, &mut theirs).is_ok());
         let (ours, theirs) = (problem.change(&ours), problem.change(&theirs));
         // Errors of 2e3 leave 1e-8 of themselves in the cones' objective.
         let scale = 2e3 * kind.stages as f64;

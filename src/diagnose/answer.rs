@@ -311,7 +311,7 @@ pub struct NotTestable {
 }
 
 /// An effect is named from this probability on.
-const NAMED: f64 = 0.5;
+pub(super) const NAMED: f64 = 0.5;
 
 impl Answer {
     /// The effects that are named, the most probable first.

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use sitl::effects::{EffectId, EffectSet, Slots};
 use sitl::vehicle::VehicleError;
 
-use super::answer::{EffectAnswer, FullVerdict, Gap, Verdict, parameters};
+use super::answer::{EffectAnswer, FullVerdict, Gap, NAMED, NotTestable, Verdict, parameters};
 use super::arrival::Delay;
 use super::gap::{ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
@@ -28,7 +28,7 @@ use super::twins::{TwinFits, Twins, screened};
 
 /// Twins of the best explanation, against which what it leaves is compared.
 const TWINS_OF_BEST: u32 = 16;
-/// What changes the level of the thrust: only the pack's voltage tells them apart.
+/// What changes the level of the thrust: only a pack's voltage that falls tells them apart.
 const THRUST_LEVEL: [EffectId; 3] =
     [EffectId::BatterySag, EffectId::ThrustCurve, EffectId::ThrustScale];
 /// Probability of gusts where what is left looks like turbulence: other forces may.
@@ -287,6 +287,7 @@ impl<'a> Inquiry<'a> {
         search: &Search,
         effects: &EffectSet,
         misfit: &[Misfit],
+        not_testable: &[NotTestable],
         turbulence: bool,
     ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
         let named = search.named(self.catalogue);
@@ -302,7 +303,9 @@ impl<'a> Inquiry<'a> {
             });
         }
         let voltage = self.case.fitted.iter().all(|flight| flight.channels.voltage);
-        if !voltage && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
+        let hides_sag = |untestable: &NotTestable| untestable.id == EffectId::BatterySag.name();
+        let shows_sag = voltage && !not_testable.iter().any(hides_sag);
+        if !shows_sag && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
             let others = others.filter(|effect| self.catalogue.considers(**effect));
             ambiguous.extend(others.map(|effect| effect.name()));
@@ -310,9 +313,12 @@ impl<'a> Inquiry<'a> {
         ambiguous.extend(as_good(self.catalogue, &search.selection, self.leg()));
         ambiguous.sort_unstable();
         ambiguous.dedup();
-        // The first is the answer; the others are what it cannot be told from.
-        let first = answers.first().map(|answer| answer.id);
-        ambiguous.retain(|id| Some(*id) != first);
+        // Those named are the answer, the first in any case; the others are what it cannot be told from.
+        let is_answer = |(place, answer): (usize, &EffectAnswer)| {
+            (place == 0 || answer.probability >= NAMED).then_some(answer.id)
+        };
+        let answer: Vec<&str> = answers.iter().enumerate().filter_map(is_answer).collect();
+        ambiguous.retain(|id| !answer.contains(id));
         (answers, ambiguous)
     }
 

@@ -106,8 +106,9 @@ pub fn is_unexplained(Balance { force, moment }: &Balance, found: bool) -> bool 
 }
 
 /// A gap on the flights held out that is worth an explanation, in units of the noise: predictions of
-/// vehicles without one stay within a fifth of what noise alone leaves.
-const GAP_MIN: f64 = 1.3;
+/// vehicles without one mostly stay within a fifth of what noise alone leaves; of three hundred of an exam
+/// four lay above 1.3, one above 1.4.
+const GAP_MIN: f64 = 1.38;
 /// Share of a gap that effects must close to be its explanation.
 const CLOSED_MIN: f64 = 0.5;
 

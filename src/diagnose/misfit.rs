@@ -26,7 +26,7 @@ const MAX_HZ: f64 = 3.2;
 /// Standard errors up to which it may be chance: the twins' own noise is not quite the flights'.
 const CHANCE: f64 = 3.0;
 /// An explanation is answerable for the equations that give it so much of its evidence.
-const ANSWERABLE: f64 = 0.1;
+const ANSWERABLE: f64 = 0.2;
 
 /// Costs in one group of channels below [`MAX_HZ`], nats.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -8,7 +8,6 @@ use sitl::effects::EffectId;
 use super::answer::{EffectAnswer, NotTestable, parameters};
 use super::hypothesis::{Catalogue, Target};
 use super::misfit::{Misfit, share_left};
-use super::residuals::Groups;
 use super::selection::{Rival, Scored, Selection};
 
 /// Log odds that what explains flights is also their cause, where nothing is left, and by how much
@@ -65,7 +64,8 @@ pub(super) fn named_effects(
             let probability = credence * weight / sum;
             let own_effect = class(effect) == class(catalogue.hypotheses[own].effect);
             if weight / sum > AMBIGUOUS && !own_effect && !mends {
-                ambiguous.push(effect.name());
+                // Either may come out first.
+                ambiguous.extend([effect.name(), catalogue.hypotheses[own].effect.name()]);
             }
             let entry = found.entry(effect).or_insert((0.0, scored.clone()));
             entry.0 = (entry.0 + probability).min(1.0);
@@ -100,10 +100,23 @@ pub(super) fn named_effects(
     (answers, ambiguous)
 }
 
-/// No law is right to more than this share of its evidence: an effect with less, beside another in the
-/// same equations, may but mend that one's law. In exams whose causes follow other laws than the
-/// catalogue's it did so every time.
+/// No law is right to more than this share of its evidence: an effect with less, beside another of its
+/// family, may but mend that one's law.
 const LAW_ERROR: f64 = 0.15;
+/// Families of effects: of the thrust's level, and of how moments turn the body.
+const FAMILIES: [&[EffectId]; 2] = [
+    &[
+        EffectId::ThrustScale,
+        EffectId::Mass,
+        EffectId::ThrustCurve,
+        EffectId::BatterySag,
+        EffectId::MotorLag,
+        EffectId::GroundEffect,
+        EffectId::RotorLoss,
+        EffectId::TranslationalLift,
+    ],
+    &[EffectId::MotorLag, EffectId::Inertia, EffectId::RotorGyroscopic, EffectId::BladeFlapping],
+];
 /// Share of its probability that such an effect keeps.
 const MENDS_A_LAW: f64 = 0.45;
 
@@ -115,12 +128,12 @@ fn losses(selection: &Selection) -> Vec<(usize, f64)> {
 
 /// Whether the effect at a place of the set may only mend the law of another.
 fn mends_a_law(catalogue: &Catalogue, losses: &[(usize, f64)], place: usize) -> bool {
-    let groups = |hypothesis: usize| {
-        let numbers = &catalogue.hypotheses[hypothesis].numbers;
-        numbers.first().map(|number| Groups::of(catalogue.numbers[*number].target))
-    };
+    let effect = |hypothesis: usize| catalogue.hypotheses[hypothesis].effect;
     let (own, loss) = losses[place];
-    let beside = losses.iter().filter(|(other, _)| *other != own && groups(*other) == groups(own));
+    let is_kin = |other: usize| {
+        FAMILIES.iter().any(|of| of.contains(&effect(own)) && of.contains(&effect(other)))
+    };
+    let beside = losses.iter().filter(|(other, _)| *other != own && is_kin(*other));
     loss < LAW_ERROR * beside.map(|(_, loss)| *loss).fold(0.0, f64::max)
 }
 

@@ -184,8 +184,11 @@ fn attempt(
     if let Some(slots) = turbulence {
         let _ = effects.insert(EffectId::Gusts, slots);
     }
+    let untestable = not_testable(&catalogue, selection, leg);
     let (named, ambiguous_with) = match verdict {
-        Verdict::Effect => inquiry.names(&search, &effects, &misfit, turbulence.is_some()),
+        Verdict::Effect => {
+            inquiry.names(&search, &effects, &misfit, &untestable, turbulence.is_some())
+        }
         _ => (Vec::new(), Vec::new()),
     };
     let (full, depends_on) = inquiry.full_verdict(&search, verdict, !ambiguous_with.is_empty())?;
@@ -206,7 +209,7 @@ fn attempt(
         closed_loop,
         closed_loop_missing,
         ambiguous_with,
-        not_testable: not_testable(&catalogue, selection, leg),
+        not_testable: untestable,
         next_flight: None,
         unmodelled_force: leftover.force,
         unmodelled_moment: leftover.moment,

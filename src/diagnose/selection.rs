@@ -28,6 +28,11 @@ const TRIED: usize = 4;
 /// Single hypotheses whose pairs are all tried.
 const PAIRED: usize = 4;
 
+/// The nuisances are fitted again, with derivatives where they ended, at most so often, and as long as
+/// that gains so much, nats.
+const NULL_REFITS: usize = 3;
+const NULL_GAIN_MIN: f64 = 1.0;
+
 /// Evidence from which on there is no doubt that something acts, nats, and the standard errors by
 /// which predictions must then be better.
 const BEYOND_DOUBT: f64 = 100.0;
@@ -157,8 +162,18 @@ impl Selector<'_> {
     pub fn null(&self) -> Option<(Scored, Linearised)> {
         let numbers = self.all_numbers();
         let first = Linearised::new(self.fitted, &self.catalogue.expected(), &numbers)?;
-        let null = fit(self.fitted, &first, &[], &[])?;
-        let about = Linearised::new(self.fitted, &null.values, &numbers)?;
+        let mut null = fit(self.fitted, &first, &[], &[])?;
+        let mut about = Linearised::new(self.fitted, &null.values, &numbers)?;
+        // Where derivatives far from the start are others, a fit stops short; what it lacks, any effect
+        // would seem to explain.
+        for _ in 0..NULL_REFITS {
+            let again = fit(self.fitted, &about, &[], &[])?;
+            if null.cost - again.cost < NULL_GAIN_MIN {
+                break;
+            }
+            about = Linearised::new(self.fitted, &again.values, &numbers)?;
+            null = again;
+        }
         Some((self.scored(null)?, about))
     }
 
