@@ -165,7 +165,7 @@ impl Simulator {
         let mut outputs = None;
         let mut last_tick = f64::NEG_INFINITY;
         let mut reported = [State::default(); 3];
-        let mut learned = None;
+        let mut learned = (Ned::zero(), Frd::zero());
         let mut next = 0;
         for k in 0..steps {
             let time = start + k as f64 * Plant::STEP;
@@ -210,17 +210,15 @@ impl Simulator {
             plant.step(acting);
             if let Some(learner) = &self.learner {
                 let state = *plant.state();
-                let State { velocity, attitude, body_rate, .. } = state;
                 if k % LEARNER_STEPS == 0 {
-                    learned = Some(learner.accelerations(velocity, attitude, body_rate, acting));
+                    learned = learner.accelerations(&state, acting);
                 }
-                if let Some((linear, angular)) = learned {
-                    plant.set_state(State {
-                        velocity: velocity + linear * Plant::STEP,
-                        body_rate: body_rate + angular * Plant::STEP,
-                        ..state
-                    });
-                }
+                let (linear, angular) = learned;
+                plant.set_state(State {
+                    velocity: state.velocity + linear * Plant::STEP,
+                    body_rate: state.body_rate + angular * Plant::STEP,
+                    ..state
+                });
             }
             if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
                 let state = *plant.state();

@@ -8,14 +8,13 @@ use sitl::vehicle::VehicleError;
 
 use super::answer::{EffectAnswer, FullVerdict, Gap, NAMED, NotTestable, Verdict, parameters};
 use super::arrival::Delay;
-use super::gap::{ReportNoise, Simulator};
+use super::gap::{Errors, ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
-use super::judgement::{Balance, Leftover, SHARE_LEFT_MAX, explained, is_open, is_unexplained};
-use super::learner::Learner;
+use super::judgement::{Balance, Leftover, explained, is_neighbour, is_open, is_unexplained};
 use super::leftover::{unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
-use super::misfit::{Misfit, misfit, share_left};
+use super::misfit::{Misfit, misfit};
 use super::naming::{as_good, credence, named_effects};
 use super::noise::report_noise;
 use super::observed::Observed;
@@ -48,6 +47,8 @@ pub(super) struct Inquiry<'a> {
     pub onboard: Option<&'a OnboardLaw>,
     /// The setpoints' delay as read off the outputs.
     pub arrival: Option<Delay>,
+    /// Errors on the flights held out with what a flexible learner adds.
+    pub learned: Option<Errors>,
 }
 
 /// What was found.
@@ -60,6 +61,8 @@ pub(super) struct Search {
     pub twins: Option<Twins>,
     /// What was asked of an effect.
     pub thresholds: Thresholds,
+    /// What the chosen effects leave; nothing where there are none, or no twins of them can be flown.
+    pub misfit: Vec<Misfit>,
     /// Twins without an effect, and of the chosen effects where there are any.
     of_null: Option<TwinFits>,
     of_best: Option<TwinFits>,
@@ -126,11 +129,15 @@ impl<'a> Inquiry<'a> {
         progress("which effect");
         let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
         let of_best = self.twins_of(&selection.best, &noise);
+        let of_twins =
+            |twins| misfit(&selection.null.fit, &selection.best.fit, twins, self.fitted.counts());
+        let misfit = of_best.as_ref().map(of_twins).unwrap_or_default();
         if let Some(twins) = &of_best {
             correct(&mut selection.best, catalogue, twins);
         }
         self.take_up_delay(&mut selection.best);
-        Ok(Search { selection, noise, twins, thresholds: selector.thresholds, of_null, of_best })
+        let thresholds = selector.thresholds;
+        Ok(Search { selection, noise, twins, thresholds, misfit, of_null, of_best })
     }
 
     /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by.
@@ -195,13 +202,6 @@ impl<'a> Inquiry<'a> {
         }
     }
 
-    /// What the explanation leaves; nothing where there is none, or no twins of it can be flown.
-    pub fn misfit(&self, search: &Search) -> Vec<Misfit> {
-        let Search { selection: Selection { null, best, .. }, of_best, .. } = search;
-        let of_twins = |twins| misfit(&null.fit, &best.fit, twins, self.fitted.counts());
-        of_best.as_ref().map(of_twins).unwrap_or_default()
-    }
-
     fn simulator(&self, effects: &EffectSet) -> Result<Simulator, VehicleError> {
         Simulator::new(self.case.vehicle, effects, self.leg())
     }
@@ -238,17 +238,10 @@ impl<'a> Inquiry<'a> {
             closure: (b - f > 0.05).then(|| (b - a) / (b - f)),
             nuisances_only: mean(&nuisances),
             with_nuisances: mean(&everything),
-            with_learner: self.learner().and_then(|learner| mean(&shipped.with_learner(learner))),
+            with_learner: self.learned.map(|errors| errors.mean_over(&floor)),
             errors: [before, after, floor],
             noise,
         }))
-    }
-
-    /// Taught what the vehicle as shipped leaves of the flights of the fit.
-    fn learner(&self) -> Option<Learner> {
-        let shipped = self.catalogue.candidate(&self.catalogue.references()).ok()?;
-        let allocation = self.case.vehicle.allocation().ok()?;
-        Learner::of(&self.fitted, self.evaluator, &shipped, &allocation)
     }
 
     /// The verdict on what was found.
@@ -258,7 +251,6 @@ impl<'a> Inquiry<'a> {
         effects: &EffectSet,
         leftover: &Leftover,
         balance: &Balance,
-        misfit: &[Misfit],
         gap: Option<&Gap>,
     ) -> Judgement {
         let found = !search.selection.best.fit.hypotheses.is_empty();
@@ -272,7 +264,7 @@ impl<'a> Inquiry<'a> {
         let verdict = match turbulence {
             Some(_) => Verdict::Effect,
             None if is_unexplained(balance, found) => Verdict::Unknown,
-            None if found && share_left(misfit) > SHARE_LEFT_MAX => Verdict::Unknown,
+            None if is_neighbour(&search.misfit) => Verdict::Unknown,
             // Driven by outputs, an open loop strays from any cause.
             None if self.leg() && gap.is_some_and(|gap| is_open(gap, found)) => Verdict::Unknown,
             None if found => Verdict::Effect,
@@ -286,12 +278,11 @@ impl<'a> Inquiry<'a> {
         &self,
         search: &Search,
         effects: &EffectSet,
-        misfit: &[Misfit],
         not_testable: &[NotTestable],
         turbulence: bool,
     ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
         let named = search.named(self.catalogue);
-        let credence = credence(misfit);
+        let credence = credence(&search.misfit);
         let (mut answers, mut ambiguous) =
             named_effects(self.catalogue, &search.selection, credence);
         if turbulence {

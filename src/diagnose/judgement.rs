@@ -10,6 +10,7 @@ use sitl::vehicle::VehicleParams;
 use super::answer::Gap;
 use super::gap::ReportNoise;
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
+use super::misfit::{Misfit, share_left};
 use super::observed::Observed;
 use super::residuals::{RATE, VELOCITY};
 use super::selection::Selection;
@@ -24,8 +25,8 @@ const SIGNIFICANCE: f64 = 5.0;
 /// Share of what is unmodelled, in power, that effects may leave and still be the explanation.
 const LEFT_MAX: f64 = 0.3;
 
-/// The same of what could be explained at all, in nats, by equations that the effects answer for.
-pub const SHARE_LEFT_MAX: f64 = 0.3;
+/// The same of the evidence: of what could be explained in the equations that the effects answer for.
+const EVIDENCE_LEFT_MAX: f64 = 0.3;
 
 /// Something unmodelled in units of what matters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -103,6 +104,11 @@ pub fn is_unexplained(Balance { force, moment }: &Balance, found: bool) -> bool 
     let left = force.left.max(moment.left);
     let explained = if found { force.explained.max(moment.explained) } else { 0.0 };
     left > 1.0 && left.powi(2) > LEFT_MAX * (left.powi(2) + explained.powi(2))
+}
+
+/// Whether the explanation leaves too much of what could be explained to be the cause.
+pub fn is_neighbour(misfits: &[Misfit]) -> bool {
+    share_left(misfits) > EVIDENCE_LEFT_MAX
 }
 
 /// A gap on the flights held out that is worth an explanation, in units of the noise: predictions of

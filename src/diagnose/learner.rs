@@ -7,15 +7,18 @@
 
 use rayon::prelude::*;
 use sitl::frame::{Attitude, Frd, Ned};
+use sitl::rigid_body::State;
 use sitl::rotor::Allocation;
 
 use super::candidate::Candidate;
 use super::observed::Observed;
 use super::preparation::{Block, PreparedFlight};
-use super::residuals::{Evaluator, Groups, RATE, VELOCITY};
+use super::residuals::{CHANNELS, Evaluator, Groups, RATE, VELOCITY};
 use super::spectrum::CELL_S;
 use crate::learn::dataset::Row;
 use crate::learn::networks::train_both;
+use crate::learn::summary::TrainSettings;
+use crate::learn::training;
 use crate::model::learned::{Features, Head, NetworkModel};
 use crate::model::{ACCELERATIONS, Model, Point};
 
@@ -37,42 +40,24 @@ pub struct Learner {
 }
 
 impl Learner {
-    /// Learns what `candidate` leaves of the flights of the fit. `None` where they are too few or
-    /// do not report velocity, attitude and body rate.
+    /// Learns what `candidate` leaves of the flights of the fit; `allocation`: the firmware's mixer.
+    /// `None` where they are too few or do not report velocity, attitude and body rate.
     pub fn of(
         observed: &Observed<'_>,
         evaluator: &Evaluator,
         candidate: &Candidate,
         allocation: &Allocation,
     ) -> Option<Self> {
-        let tasks: Vec<_> = observed
-            .flights
-            .iter()
-            .zip(&observed.layouts)
-            .filter(|(flight, layout)| {
-                layout.has(VELOCITY) && layout.has(RATE) && flight.channels.attitude
-            })
-            .flat_map(|(flight, layout)| flight.blocks.iter().map(move |b| (flight, layout, b)))
-            .collect();
+        let tasks = observed.blocks(|flight, layout| {
+            layout.has(VELOCITY) && layout.has(RATE) && flight.channels.attitude
+        });
         let groups = Groups { dynamics: true, kinematics: false, command: false };
         let rows: Vec<Vec<Row>> = tasks
             .par_iter()
             .map(|(flight, layout, block)| {
                 let series = evaluator.series(flight, layout, block, candidate, groups);
-                let mean = |channel: usize, first: usize| {
-                    series[channel][first..first + ROW_CELLS].iter().sum::<f64>() / ROW_CELLS as f64
-                };
                 let firsts = (0..=block.cells - ROW_CELLS).step_by(STRIDE_CELLS);
-                let row = |first: usize| Row {
-                    time: block.edge(first) + 0.5 * ROW_CELLS as f64 * CELL_S,
-                    point: point(flight, block, first, allocation),
-                    label: std::array::from_fn(|i| match i {
-                        0..3 => mean(VELOCITY + i, first),
-                        _ => mean(RATE + i - 3, first),
-                    }),
-                    truth: None,
-                };
-                firsts.map(row).collect()
+                firsts.map(|first| row(flight, block, first, &series, allocation)).collect()
             })
             .collect();
         let part = |validates: bool| -> Vec<&Row> {
@@ -85,78 +70,122 @@ impl Learner {
         if training.len() < ROWS_MIN || validation.len() < ROWS_MIN {
             return None;
         }
-        let parts = [training.as_slice(), validation.as_slice()];
         // A force may be tied to the body, or to the world.
         [Features::Heading, Features::World]
             .into_iter()
             .filter_map(|features| {
-                let networks =
-                    train_both(features, parts, &REGULARIZATION, &|row| row.label).ok()?;
-                let shares = Head::BOTH.map(|head| share(&networks, head, &validation));
-                let networks = networks.scaled(shares);
-                let left: f64 =
-                    Head::BOTH.iter().map(|head| left(&networks, *head, &validation)).sum();
+                let parts = [training.as_slice(), validation.as_slice()];
+                let networks = train_both(parts, &settings(features), &|row| row.label).ok()?;
+                let fits = Head::BOTH.map(|head| Fit::of(&networks, head, &validation));
+                let networks = networks.scaled(fits.map(|fit| fit.share));
+                let left: f64 = fits.iter().map(|fit| fit.left).sum();
                 Some((left, Self { networks, allocation: *allocation }))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
             .map(|(_, learner)| learner)
     }
 
-    /// Acceleration and angular acceleration to add to the simulator's.
-    pub fn accelerations(
-        &self,
-        velocity: Ned,
-        attitude: Attitude,
-        body_rate: Frd,
-        outputs: [f64; 4],
-    ) -> (Ned, Frd) {
-        let input = self.allocation.wrench(outputs);
-        let at = Point { velocity, body_rate, attitude: attitude.euler(), input };
+    /// Acceleration in world axes, m/s^2, and angular acceleration in body axes, rad/s^2, to add to
+    /// the simulator's. `outputs`: of the motors, 0..1.
+    pub fn accelerations(&self, state: &State, outputs: [f64; 4]) -> (Ned, Frd) {
+        let at = Point {
+            velocity: state.velocity,
+            body_rate: state.body_rate,
+            attitude: state.attitude.euler(),
+            input: self.allocation.wrench(outputs),
+        };
         let [n, e, d, p, q, r] = self.networks.accelerations(&at);
         (Ned::new(n, e, d), Frd::new(p, q, r))
     }
 }
 
-/// Where the vehicle is in the middle of a row, with the mean of the outputs.
-fn point(flight: &PreparedFlight, block: &Block, first: usize, allocation: &Allocation) -> Point {
-    let middle = block.edge(first) + 0.5 * ROW_CELLS as f64 * CELL_S;
-    let [w, x, y, z] = flight.attitude.at(middle);
+fn settings(features: Features) -> TrainSettings {
+    let training::Settings { hidden, passes, method, seed, .. } = training::Settings::default();
+    TrainSettings {
+        features,
+        hidden,
+        passes,
+        method,
+        regularization: REGULARIZATION.into(),
+        seed,
+        window_half_s: 0.5 * ROW_CELLS as f64 * CELL_S,
+    }
+}
+
+/// The row of the cells from `first` on: the middle's state, the mean of the outputs, and the means of
+/// what is left of the accelerations, `series` by channel.
+fn row(
+    flight: &PreparedFlight,
+    block: &Block,
+    first: usize,
+    series: &[Vec<f64>; CHANNELS],
+    allocation: &Allocation,
+) -> Row {
+    let cells = first..first + ROW_CELLS;
+    let time = block.edge(first) + 0.5 * ROW_CELLS as f64 * CELL_S;
+    let [w, x, y, z] = flight.attitude.at(time);
     let mut outputs = [0.0; 4];
-    for cell in first..first + ROW_CELLS {
+    for cell in cells.clone() {
         for (sum, output) in outputs.iter_mut().zip(flight.outputs.at(block.middle(cell))) {
             *sum += output / ROW_CELLS as f64;
         }
     }
-    Point {
-        velocity: flight.velocity.at(middle).into(),
-        body_rate: flight.body_rate.at(middle).into(),
-        attitude: Attitude { w, x, y, z }.normalized().euler(),
-        input: allocation.wrench(outputs),
+    let mean =
+        |channel: usize| series[channel][cells.clone()].iter().sum::<f64>() / ROW_CELLS as f64;
+    Row {
+        time,
+        point: Point {
+            velocity: flight.velocity.at(time).into(),
+            body_rate: flight.body_rate.at(time).into(),
+            attitude: Attitude { w, x, y, z }.normalized().euler(),
+            input: allocation.wrench(outputs),
+        },
+        label: std::array::from_fn(|i| mean(if i < 3 { VELOCITY + i } else { RATE + i - 3 })),
+        truth: None,
     }
 }
 
-/// Share of the rows' mean square that a network leaves.
-fn left(networks: &NetworkModel, head: Head, rows: &[&Row]) -> f64 {
-    let (mut after, mut before) = (0.0, 0.0);
-    for row in rows {
-        let said: [f64; ACCELERATIONS] = networks.accelerations(&row.point);
-        for i in head.rows() {
-            after += (row.label[i] - said[i]).powi(2);
-            before += row.label[i].powi(2);
-        }
-    }
-    if before > 0.0 { after / before } else { 0.0 }
+/// How far a network is right on rows that it was not trained on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Fit {
+    /// The share of what it says that serves best, 0..1, by least squares.
+    share: f64,
+    /// What that leaves of the labels' mean square, 0..1.
+    left: f64,
 }
 
-/// The share of what a network says that serves rows which it was not trained on best, 0..1.
-fn share(networks: &NetworkModel, head: Head, rows: &[&Row]) -> f64 {
-    let (mut product, mut square) = (0.0, 0.0);
-    for row in rows {
-        let said: [f64; ACCELERATIONS] = networks.accelerations(&row.point);
-        for i in head.rows() {
-            product += said[i] * row.label[i];
-            square += said[i] * said[i];
-        }
+impl Fit {
+    fn of(networks: &NetworkModel, head: Head, rows: &[&Row]) -> Self {
+        Self::between(rows.iter().flat_map(|row| {
+            let said: [f64; ACCELERATIONS] = networks.accelerations(&row.point);
+            head.rows().map(move |i| (said[i], row.label[i]))
+        }))
     }
-    if square > 0.0 { (product / square).clamp(0.0, 1.0) } else { 0.0 }
+
+    /// Of what is said to what was seen.
+    fn between(pairs: impl Iterator<Item = (f64, f64)>) -> Self {
+        let (mut product, mut said, mut seen) = (0.0, 0.0, 0.0);
+        for (x, y) in pairs {
+            product += x * y;
+            said += x * x;
+            seen += y * y;
+        }
+        let share = if said > 0.0 { (product / said).clamp(0.0, 1.0) } else { 0.0 };
+        let after = seen - 2.0 * share * product + share * share * said;
+        Self { share, left: if seen > 0.0 { after / seen } else { 0.0 } }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_network_says_twice_as_large_is_halved() {
+        let fit = Fit::between([(2.0, 1.0), (-4.0, -2.0)].into_iter());
+        assert_eq!(fit, Fit { share: 0.5, left: 0.0 });
+        // What goes against the labels is not taken, and what says nothing leaves all.
+        assert_eq!(Fit::between([(1.0, -1.0)].into_iter()), Fit { share: 0.0, left: 1.0 });
+        assert_eq!(Fit::between([(0.0, 1.0)].into_iter()), Fit { share: 0.0, left: 1.0 });
+    }
 }

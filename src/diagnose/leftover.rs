@@ -112,13 +112,7 @@ pub fn unmodelled_force(
 ) -> Option<UnmodelledForce> {
     let transform = CosineTransform::default();
     // Of each band and axis: products, squares of both, number.
-    let tasks: Vec<_> = observed
-        .flights
-        .iter()
-        .zip(&observed.layouts)
-        .filter(|(_, layout)| layout.has(VELOCITY) && layout.has(FORCE))
-        .flat_map(|(flight, layout)| flight.blocks.iter().map(move |block| (flight, layout, block)))
-        .collect();
+    let tasks = observed.blocks(|_, layout| layout.has(VELOCITY) && layout.has(FORCE));
     if tasks.is_empty() {
         return None;
     }

@@ -153,13 +153,7 @@ pub fn samples(
     evaluator: &Evaluator,
     candidate: &Candidate,
 ) -> Vec<Sample> {
-    let tasks: Vec<_> = observed
-        .flights
-        .iter()
-        .zip(&observed.layouts)
-        .filter(|(flight, layout)| layout.has(VELOCITY) && flight.channels.attitude)
-        .flat_map(|(flight, layout)| flight.blocks.iter().map(move |block| (flight, layout, block)))
-        .collect();
+    let tasks = observed.blocks(|flight, layout| layout.has(VELOCITY) && flight.channels.attitude);
     let groups = Groups { dynamics: true, kinematics: false, command: false };
     tasks
         .par_iter()

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::hypothesis::Catalogue;
 use super::layout::{Layout, Place};
-use super::preparation::PreparedFlight;
+use super::preparation::{Block, PreparedFlight};
 use super::residuals::{CHANNELS, Evaluator, Groups};
 use super::spectrum::BANDS;
 
@@ -68,6 +68,18 @@ impl<'a> Observed<'a> {
         'a: 'b,
     {
         Observed::new(flights, self.evaluator, self.catalogue)
+    }
+
+    /// The blocks of the flights that have what is asked for, in order.
+    pub fn blocks(
+        &self,
+        has: impl Fn(&PreparedFlight, &Layout) -> bool,
+    ) -> Vec<(&'a PreparedFlight, &Layout, &'a Block)> {
+        let flights = self.flights.iter().zip(&self.layouts);
+        flights
+            .filter(|(flight, layout)| has(flight, layout))
+            .flat_map(|(flight, layout)| flight.blocks.iter().map(move |b| (flight, layout, b)))
+            .collect()
     }
 
     /// Number of coefficients at each place.

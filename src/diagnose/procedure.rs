@@ -5,9 +5,10 @@ use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::answer::{Answer, Finding, FlightAnswer, FullVerdict, Gap, HypothesisAnswer, Verdict};
 use super::arrival::Delay;
-use super::gap::ReportNoise;
+use super::gap::{Errors, ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
+use super::learner::Learner;
 use super::naming::not_testable;
 use super::next_flight::{Live, live, untested};
 use super::observed::Observed;
@@ -88,18 +89,24 @@ pub fn diagnose(
     settings: &Settings,
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
-    let tolerant = attempt(case, settings, 1.0, progress)?;
-    if let Some(plain) = without_moments(case, &tolerant) {
+    let evaluator = Evaluator::new(case.vehicle).observing(case.fitted);
+    let leg = case.fitted.iter().chain(case.held_out).all(|flight| flight.channels.setpoint);
+    progress("what a learner can close");
+    let learned = learned(case, &evaluator, leg);
+    let grounds = Grounds { case, settings, evaluator: &evaluator, leg, learned };
+    let tolerant = grounds.attempt(1.0, progress)?;
+    if let Some(without) = without_moments(case, &tolerant) {
         progress("again, with a plain drag");
-        return plain_drag(&plain, (case, settings), progress)
-            .map(|found| found.unwrap_or(tolerant));
+        let case = Case { without: &without, ..*case };
+        let plain = Grounds { case: &case, ..grounds }.attempt(1.0, progress)?;
+        return Ok(as_drag(plain).unwrap_or(tolerant));
     }
     let open = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(Gap::most_visible);
     let Some(left) = open(&tolerant).filter(|left| tolerant.setpoint_leg && *left > VISIBLE) else {
         return Ok(tolerant);
     };
     progress("again, with the vehicle file at its word");
-    let strict = attempt(case, settings, STRICT, progress)?;
+    let strict = grounds.attempt(STRICT, progress)?;
     let names = strict.answer.verdict == Verdict::Effect;
     let closes = open(&strict).is_some_and(|strictly| strictly - 1.0 < CLOSES * (left - 1.0));
     let is_more = tolerant.answer.verdict != Verdict::Unknown
@@ -125,101 +132,115 @@ fn without_moments(case: &Case<'_>, found: &Diagnosis) -> Option<Vec<EffectId>> 
 
 /// The diagnosis without blade flapping, if it names a drag of the rotors: it cannot be told from
 /// flapping then.
-fn plain_drag(
-    without: &[EffectId],
-    (case, settings): (&Case<'_>, &Settings),
-    progress: &dyn Fn(&str),
-) -> Result<Option<Diagnosis>, DiagnoseError> {
-    let mut plain = attempt(&Case { without, ..*case }, settings, 1.0, progress)?;
+fn as_drag(mut plain: Diagnosis) -> Option<Diagnosis> {
     let answer = &mut plain.answer;
-    if !answer.named().any(|effect| effect.id == EffectId::RotorDrag.name()) {
-        return Ok(None);
-    }
+    let is_named = answer.named().any(|effect| effect.id == EffectId::RotorDrag.name());
     answer.ambiguous_with.push(EffectId::BladeFlapping.name());
     answer.finding.verdict = FullVerdict::Ambiguous;
     answer.finding.sentence = finding(answer);
-    Ok(Some(plain))
+    is_named.then_some(plain)
 }
 
-/// One diagnosis, with the tolerances of the vehicle file's numbers times `tolerance`.
-fn attempt(
-    case: &Case<'_>,
-    settings: &Settings,
-    tolerance: f64,
-    progress: &dyn Fn(&str),
-) -> Result<Diagnosis, DiagnoseError> {
-    let leg = case.fitted.iter().chain(case.held_out).all(|flight| flight.channels.setpoint);
-    let mut catalogue = Catalogue::new(case.vehicle, leg).without(case.without).taken_at(tolerance);
-    catalogue.candidate(&catalogue.references())?;
-    let evaluator = Evaluator::new(case.vehicle).observing(case.fitted);
-    let onboard = evaluator.onboard().filter(|_| leg);
-    let arrival = onboard.and_then(|law| Delay::of(case.fitted, law));
-    if let Some(delay) = &arrival {
-        catalogue = catalogue.with_delay(delay);
-    }
-    let inquiry = Inquiry {
-        case,
-        settings,
-        catalogue: &catalogue,
-        evaluator: &evaluator,
-        fitted: Observed::new(case.fitted, &evaluator, &catalogue),
-        held_out: Observed::new(case.held_out, &evaluator, &catalogue),
-        onboard,
-        arrival,
-    };
-    let search = inquiry.search(progress)?;
-    let selection = &search.selection;
-    progress("where");
-    let map = inquiry.map(selection)?;
-    progress("what is left over");
-    let leftover = inquiry.leftover(&search);
-    let balance = inquiry.balance(&search, &leftover);
-    let misfit = inquiry.misfit(&search);
-    progress("how far");
-    let mut effects =
-        catalogue.effects(&selection.best.fit.values, Some(&search.named(&catalogue)));
-    let gap = inquiry.gap(selection, &effects)?;
-    let Judgement { verdict, turbulence } =
-        inquiry.judge(&search, &effects, &leftover, &balance, &misfit, gap.as_ref());
-    if let Some(slots) = turbulence {
-        let _ = effects.insert(EffectId::Gusts, slots);
-    }
-    let untestable = not_testable(&catalogue, selection, leg);
-    let (named, ambiguous_with) = match verdict {
-        Verdict::Effect => {
-            inquiry.names(&search, &effects, &misfit, &untestable, turbulence.is_some())
+/// Errors on the flights held out of the simulator as shipped, with what a learner adds that was
+/// taught what it leaves of the flights of the fit.
+fn learned(case: &Case<'_>, evaluator: &Evaluator, leg: bool) -> Option<Errors> {
+    let catalogue = Catalogue::new(case.vehicle, leg);
+    let shipped = catalogue.candidate(&catalogue.references()).ok()?;
+    let allocation = case.vehicle.allocation().ok()?;
+    let fitted = Observed::new(case.fitted, evaluator, &catalogue);
+    let learner = Learner::of(&fitted, evaluator, &shipped, &allocation)?;
+    let simulator = Simulator::new(case.vehicle, &EffectSet::new(), leg).ok()?;
+    simulator.with_learner(learner).errors(case.held_out)
+}
+
+/// What every attempt at a diagnosis looks at.
+#[derive(Clone, Copy)]
+struct Grounds<'a> {
+    case: &'a Case<'a>,
+    settings: &'a Settings,
+    evaluator: &'a Evaluator,
+    /// Whether the leg from setpoints to outputs is looked at.
+    leg: bool,
+    /// Errors on the flights held out with what a flexible learner adds.
+    learned: Option<Errors>,
+}
+
+impl Grounds<'_> {
+    /// One diagnosis, with the tolerances of the vehicle file's numbers times `tolerance`.
+    fn attempt(&self, tolerance: f64, progress: &dyn Fn(&str)) -> Result<Diagnosis, DiagnoseError> {
+        let Grounds { case, settings, evaluator, leg, learned } = *self;
+        let mut catalogue =
+            Catalogue::new(case.vehicle, leg).without(case.without).taken_at(tolerance);
+        catalogue.candidate(&catalogue.references())?;
+        let onboard = evaluator.onboard().filter(|_| leg);
+        let arrival = onboard.and_then(|law| Delay::of(case.fitted, law));
+        if let Some(delay) = &arrival {
+            catalogue = catalogue.with_delay(delay);
         }
-        _ => (Vec::new(), Vec::new()),
-    };
-    let (full, depends_on) = inquiry.full_verdict(&search, verdict, !ambiguous_with.is_empty())?;
-    progress("flown again");
-    let reported = gap.as_ref().map_or(search.noise, |gap| gap.noise);
-    let (closed_loop, closed_loop_missing) = match reflight(case, &effects, &reported, settings) {
-        Ok(closed_loop) => (Some(closed_loop), None),
-        Err(reason) => (None, Some(reason.to_string())),
-    };
-    let mut answer = Answer {
-        verdict,
-        finding: Finding { verdict: full, sentence: String::new(), depends_on },
-        logs: Vec::new(),
-        map,
-        twins: search.twins.clone(),
-        effects: named,
-        gap,
-        closed_loop,
-        closed_loop_missing,
-        ambiguous_with,
-        not_testable: untestable,
-        next_flight: None,
-        unmodelled_force: leftover.force,
-        unmodelled_moment: leftover.moment,
-        balance,
-        misfit,
-        hypotheses: HypothesisAnswer::all(&catalogue, selection, &search.thresholds),
-        flights: FlightAnswer::all(case),
-    };
-    answer.finding.sentence = finding(&answer);
-    let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
-    let open = [live(&catalogue, selection, &answer), untested(&catalogue, &answer)];
-    Ok(Diagnosis { answer, effects, open, setpoint_leg: leg, noise: reported })
+        let inquiry = Inquiry {
+            case,
+            settings,
+            catalogue: &catalogue,
+            evaluator,
+            fitted: Observed::new(case.fitted, evaluator, &catalogue),
+            held_out: Observed::new(case.held_out, evaluator, &catalogue),
+            onboard,
+            arrival,
+            learned,
+        };
+        let search = inquiry.search(progress)?;
+        let selection = &search.selection;
+        progress("where");
+        let map = inquiry.map(selection)?;
+        progress("what is left over");
+        let leftover = inquiry.leftover(&search);
+        let balance = inquiry.balance(&search, &leftover);
+        progress("how far");
+        let mut effects =
+            catalogue.effects(&selection.best.fit.values, Some(&search.named(&catalogue)));
+        let gap = inquiry.gap(selection, &effects)?;
+        let Judgement { verdict, turbulence } =
+            inquiry.judge(&search, &effects, &leftover, &balance, gap.as_ref());
+        if let Some(slots) = turbulence {
+            let _ = effects.insert(EffectId::Gusts, slots);
+        }
+        let untestable = not_testable(&catalogue, selection, leg);
+        let (named, ambiguous_with) = match verdict {
+            Verdict::Effect => inquiry.names(&search, &effects, &untestable, turbulence.is_some()),
+            _ => (Vec::new(), Vec::new()),
+        };
+        let (full, depends_on) =
+            inquiry.full_verdict(&search, verdict, !ambiguous_with.is_empty())?;
+        progress("flown again");
+        let reported = gap.as_ref().map_or(search.noise, |gap| gap.noise);
+        let (closed_loop, closed_loop_missing) = match reflight(case, &effects, &reported, settings)
+        {
+            Ok(closed_loop) => (Some(closed_loop), None),
+            Err(reason) => (None, Some(reason.to_string())),
+        };
+        let mut answer = Answer {
+            verdict,
+            finding: Finding { verdict: full, sentence: String::new(), depends_on },
+            logs: Vec::new(),
+            map,
+            twins: search.twins.clone(),
+            effects: named,
+            gap,
+            closed_loop,
+            closed_loop_missing,
+            ambiguous_with,
+            not_testable: untestable,
+            next_flight: None,
+            unmodelled_force: leftover.force,
+            unmodelled_moment: leftover.moment,
+            balance,
+            misfit: search.misfit.clone(),
+            hypotheses: HypothesisAnswer::all(&catalogue, selection, &search.thresholds),
+            flights: FlightAnswer::all(case),
+        };
+        answer.finding.sentence = finding(&answer);
+        let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
+        let open = [live(&catalogue, selection, &answer), untested(&catalogue, &answer)];
+        Ok(Diagnosis { answer, effects, open, setpoint_leg: leg, noise: reported })
+    }
 }

@@ -86,12 +86,13 @@ fn shrinks(gap: &Gap) -> String {
     )
 }
 
-/// How flights that are flown again in simulation differ from their logs.
-pub fn closed_loop(closed_loop: &ClosedLoop) -> String {
+/// How flights that are flown again in simulation differ from their logs: as shipped, and with an
+/// [`explanation`].
+pub fn closed_loop(closed_loop: &ClosedLoop, explanation: &str) -> String {
     let ClosedLoop { position_m, thrust_n, moment_nm, .. } = closed_loop;
     format!(
         "Flown again with its feedback, the simulator differs from the flights held out by {} m in \
-         position, {} N in thrust and {} N m in moment; with the effects by {} m, {} N and {} N m; \
+         position, {} N in thrust and {} N m in moment; {explanation} by {} m, {} N and {} N m; \
          noise alone leaves {} m, {} N and {} N m.",
         short(position_m.before),
         short(thrust_n.before),
@@ -154,6 +155,14 @@ fn short(number: f64) -> String {
     format!("{number:.*}", usize::try_from(digits.clamp(0, 12)).unwrap_or(0))
 }
 
+/// What a gap after the search is told with: effects are only named where they explain it.
+pub fn explanation(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Effect => "with the effects",
+        Verdict::None | Verdict::Unknown => "with what comes nearest",
+    }
+}
+
 /// The answer for a terminal: verdict first, then where, which, how far, and what these logs
 /// cannot tell.
 pub fn report(answer: &Answer) -> String {
@@ -173,10 +182,7 @@ pub fn report(answer: &Answer) -> String {
             text += &format!(", {:.1} on the flights held out\n", tried.held_out[0]);
         }
     }
-    let with = match answer.verdict {
-        Verdict::Effect => "with the effects",
-        _ => "with what comes nearest",
-    };
+    let with = explanation(answer.verdict);
     if let Some(gap) = &answer.gap {
         text += &format!("how far    gap held out {:.2}", gap.before);
         if let Some(nuisances) = gap.nuisances_only {

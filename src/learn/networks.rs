@@ -1,6 +1,5 @@
 //! The networks of a model: their data, and their trainings side by side.
 
-use std::ops::ControlFlow;
 use std::sync::Mutex;
 
 use rayon::prelude::*;
@@ -247,37 +246,32 @@ pub(super) fn models(networks: Vec<Network>, features: Features) -> Option<[Netw
     Some([model(a, b), model(c, d)])
 }
 
-/// Trains one model's two networks to the end, with every weight of `regularization`; validation
-/// decides.
+/// A training that nobody watches.
+struct Unwatched;
+
+impl Watch for Unwatched {
+    fn stage(&mut self, _name: &str, _steps: u64) {}
+    fn step(&mut self, _note: &str) {}
+    fn interrupted(&self) -> bool {
+        false
+    }
+}
+
+/// Trains one model's two networks to the end; validation decides between the regularisations.
 ///
 /// # Errors
-/// [`TrainError::Network`], and [`TrainError::NoRegularization`] for an empty list.
+/// [`TrainError::Network`], and [`TrainError::NoRegularization`] where none is given to try.
 pub fn train_both(
-    features: Features,
     [training, validation]: [&[&Row]; 2],
-    regularization: &[f64],
+    settings: &TrainSettings,
     target: &Target<'_>,
 ) -> Result<NetworkModel, TrainError> {
+    let (features, regularization) = (settings.features, &settings.regularization);
     let lessons = Lesson::both(ModelKind::Hybrid, features, training, validation, target)?;
-    let networks: Vec<Network> = lessons
-        .into_par_iter()
-        .map(|Lesson { model, head, inputs, outputs, training, validation }| {
-            let trained = regularization.iter().map(|weight| {
-                let settings =
-                    training::Settings { regularization: *weight, ..training::Settings::default() };
-                training::train(&training, &validation, &settings, None, |_, _| {
-                    ControlFlow::Continue(())
-                })
-                .map(|training| training.network)
-                .map_err(|error| network_error(model, head, error.to_string()))
-            });
-            let trained: Vec<Mlp> = trained.collect::<Result<_, _>>()?;
-            let loss = |network: &Mlp| training::mean_squared_error(network, &validation);
-            let best = trained.into_iter().min_by(|a, b| loss(a).total_cmp(&loss(b)));
-            let mlp = best.ok_or(TrainError::NoRegularization)?;
-            Ok::<_, TrainError>(Network { inputs, outputs, mlp })
-        })
-        .collect::<Result<_, _>>()?;
+    let count = lessons.len() * regularization.len();
+    let mut progress = Progress::new(String::new(), settings.window_half_s, count);
+    progress.go_on(&lessons, settings, &mut Unwatched)?;
+    let (networks, _) = progress.networks(lessons.into(), regularization);
     let [linear, angular] =
         <[Network; 2]>::try_from(networks).map_err(|_| TrainError::NoRegularization)?;
     Ok(NetworkModel { features, linear, angular })

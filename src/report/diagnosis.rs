@@ -38,7 +38,7 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
         page.section(
             "How far",
             "Open-loop predictions of the flights held out, from every quarter of a second: root mean square errors with the vehicle file as shipped, with the effects, and what noise alone leaves. The learner is a network on what the vehicle file as shipped leaves of the fitted flights.",
-            &how_far(gap),
+            &how_far(gap, words::explanation(answer.verdict)),
         );
     }
     if let Some(flown) = &answer.closed_loop {
@@ -46,9 +46,9 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
             "Flown again",
             &format!(
                 "{} Feedback hides a plant's errors in the trajectory and shows them in the commands.",
-                closed_loop(flown)
+                closed_loop(flown, words::explanation(answer.verdict))
             ),
-            &reflight::html(flown),
+            &reflight::html(flown, words::explanation(answer.verdict)),
         );
     }
     page.section("What these logs cannot tell", "", &untold(answer));
@@ -65,8 +65,8 @@ fn verdict(answer: &Answer, page: &mut Page) {
         Verdict::Effect => Mood::Plain,
         Verdict::Unknown => Mood::Warning,
     };
-    let named = answer.effects.iter().filter(|effect| effect.probability >= 0.5);
-    let reasons: Vec<String> = named
+    let reasons: Vec<String> = answer
+        .named()
         .map(|effect| format!("{}: probability {:.0} %", one(effect), 100.0 * effect.probability))
         .collect();
     page.verdict(mood, &answer.finding.sentence, &reasons);
@@ -176,7 +176,7 @@ fn which(answer: &Answer) -> String {
     ]);
     for h in &answer.hypotheses {
         let numbers: Vec<String> = h.numbers.iter().map(|x| significant(*x)).collect();
-        let named = answer.effects.iter().any(|e| e.id == h.id && e.probability >= 0.5);
+        let named = answer.named().any(|effect| effect.id == h.id);
         let mood = if named { Mood::Good } else { Mood::Plain };
         table.row(
             mood,
@@ -234,10 +234,10 @@ fn misfit(misfits: &[Misfit]) -> String {
     heading.to_owned() + &table.into_html()
 }
 
-fn how_far(gap: &Gap) -> String {
+fn how_far(gap: &Gap, explanation: &str) -> String {
     let mut rows = vec![
         ("as shipped".to_owned(), gap.before, gap.floor),
-        ("with the effects".to_owned(), gap.after, gap.floor),
+        (explanation.to_owned(), gap.after, gap.floor),
         ("noise alone".to_owned(), gap.floor, gap.floor),
     ];
     if let Some(nuisances) = gap.nuisances_only {
@@ -253,7 +253,7 @@ fn how_far(gap: &Gap) -> String {
     let mut table = Table::new(&[
         ("quantity", false),
         ("as shipped", true),
-        ("with the effects", true),
+        (explanation, true),
         ("noise alone", true),
     ]);
     let [before, after, floor] = &gap.errors;

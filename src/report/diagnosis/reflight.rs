@@ -9,12 +9,12 @@ use crate::report::table::Table;
 /// Flights that are drawn.
 const DRAWN: usize = 2;
 
-/// The table and the pictures.
-pub(super) fn html(closed_loop: &ClosedLoop) -> String {
+/// The table and the pictures; `explanation`: what the second simulation has.
+pub(super) fn html(closed_loop: &ClosedLoop, explanation: &str) -> String {
     let mut table = Table::new(&[
         ("root mean square difference to the log", false),
         ("as shipped", true),
-        ("with the effects", true),
+        (explanation, true),
         ("noise alone", true),
         ("closed", true),
     ]);
@@ -35,12 +35,12 @@ pub(super) fn html(closed_loop: &ClosedLoop) -> String {
     }
     let mut html = table.into_html();
     for flight in flights.iter().take(DRAWN) {
-        html += &picture(flight);
+        html += &picture(flight, explanation);
     }
     html
 }
 
-fn picture(flight: &Reflown) -> String {
+fn picture(flight: &Reflown, explanation: &str) -> String {
     let reference = match flight.reference {
         ReferenceOrigin::Logged => "the logged reference",
         ReferenceOrigin::Setpoints => "the logged setpoints and the reported motion",
@@ -50,7 +50,7 @@ fn picture(flight: &Reflown) -> String {
         format!("<h3>{}, {:.0} s along {reference}</h3>", escape(&flight.name), flight.seconds);
     let curves = |[before, after]: &[Vec<f64>; 2]| {
         vec![
-            Curve { name: "with the effects".into(), style: Style::Colour(1), y: after.clone() },
+            Curve { name: explanation.into(), style: Style::Colour(1), y: after.clone() },
             Curve { name: "as shipped".into(), style: Style::Colour(2), y: before.clone() },
         ]
     };
