@@ -110,6 +110,26 @@ fn a_cause_that_the_catalogue_lacks_is_not_given_its_neighbours_name() {
     assert!(named(&without).is_empty());
 }
 
+/// Any delay between two ticks of the loop has the same setpoints in force: the fit's is as good as
+/// what the outputs tell, and twins of the wrong one would leave less than the flights do.
+#[test]
+fn a_delay_of_whole_ticks_is_named() {
+    let logs = fly("ticks", NANO, 40, &["command_delay:delay_s=0.012"]);
+    let answer = answer(&diagnose("ticks", NANO, &logs, &["--twins", "10"]));
+    assert_eq!(named(&answer), ["command_delay"], "{}", answer["finding"]);
+    let delay = answer["effects"][0]["parameters"]["delay_s"].as_f64().expect("delay_s");
+    assert!((delay - 0.012).abs() < 1.5e-3, "{delay}");
+}
+
+#[test]
+fn a_number_that_is_taken_out_and_off_by_no_more_than_files_are_is_no_clean_flight() {
+    let logs = fly("within", NANO, 40, &["thrust_scale:scale=0.985"]);
+    let out = ["--without", "thrust_scale", "--without", "mass", "--without", "thrust_curve"];
+    let more = [&["--twins", "10", "--without", "battery_sag"], out.as_slice()].concat();
+    let answer = answer(&diagnose("within", NANO, &logs, &more));
+    assert_eq!(answer["verdict"], "unknown", "{}", answer["finding"]);
+}
+
 #[test]
 fn the_exit_code_tells_what_it_was_asked_for() {
     let logs = fly("fail-on", QUAD, 40, &["thrust_scale:scale=0.93"]);

@@ -23,6 +23,7 @@ pub use finding::{Finding, Severity};
 pub use kinematics::{Agreement, Estimate, Kinematics};
 pub use rotors::{Contradiction, RotorEffects};
 pub use tier::{Channels, Tier, Untestable};
+pub(super) use tier::{is_flat, voltage_range};
 pub use timing::StreamTiming;
 
 /// A time within which a stream must not be used.

@@ -27,6 +27,13 @@ const LATENCIES_S: [f64; 32] = [
     0.0325, 0.035, 0.0375, 0.04, 0.0425, 0.045, 0.0475, 0.05, 0.0525, 0.055, 0.0575, 0.06, 0.065,
     0.07, 0.075, 0.08, 0.09, 0.1, 0.12,
 ];
+/// Lags that a fit starts from, s.
+const MOTOR_LAGS_S: [f64; 4] = [0.015, 0.03, 0.06, 0.1];
+/// Effective radii of the ground effect that a fit starts from, in rotor radii.
+const GROUND_RADII: [f64; 3] = [2.0, 4.0, 8.0];
+/// Winds that a fit starts from, north and east, m/s: where drag grows with the square of the
+/// airspeed, a hover has no slope in still air.
+const WINDS_M_S: [f64; 8] = [1.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, -1.0];
 /// A delay that was read off the outputs is the reference's within this: the clocks are tied by the
 /// least delay of the downlink, and the link's jitter may or may not be counted, s.
 const DELAY_READ_MAX_S: f64 = 0.0016;
@@ -160,7 +167,7 @@ impl Catalogue {
                     bounds: [-0.03, 0.15],
                     quadratic: false,
                 });
-                catalogue.hypothesis(effect, vec![index], &[0.01, 0.03, 0.06]);
+                catalogue.hypothesis(effect, vec![index], &[&[0.01], &[0.03], &[0.06]]);
                 catalogue.outputs_late = true;
                 continue;
             }
@@ -181,14 +188,15 @@ impl Catalogue {
                     quadratic: effect == EffectId::GroundEffect,
                 }));
             }
-            let starts: &[f64] = match effect {
-                EffectId::EstimatorLatency => &LATENCIES_S,
-                EffectId::CommandDelay => &DELAYS_S,
-                EffectId::MotorLag => &[0.015, 0.03, 0.06, 0.1],
-                EffectId::GroundEffect => &[2.0, 4.0, 8.0],
-                _ => &[],
+            let starts: Vec<&[f64]> = match effect {
+                EffectId::EstimatorLatency => LATENCIES_S.chunks(1).collect(),
+                EffectId::CommandDelay => DELAYS_S.chunks(1).collect(),
+                EffectId::MotorLag => MOTOR_LAGS_S.chunks(1).collect(),
+                EffectId::GroundEffect => GROUND_RADII.chunks(1).collect(),
+                EffectId::Wind => WINDS_M_S.chunks(2).collect(),
+                _ => Vec::new(),
             };
-            catalogue.hypothesis(effect, numbers, starts);
+            catalogue.hypothesis(effect, numbers, &starts);
         }
         if setpoint_leg {
             catalogue.add(Number {
@@ -246,8 +254,8 @@ impl Catalogue {
     }
 
     /// Adds a hypothesis that starts at its references or from `starts`: further values of its
-    /// first number (for ground_effect in rotor radii, where the reference says nothing).
-    fn hypothesis(&mut self, effect: EffectId, numbers: Vec<usize>, starts: &[f64]) {
+    /// first numbers (for ground_effect in rotor radii, where the reference says nothing).
+    fn hypothesis(&mut self, effect: EffectId, numbers: Vec<usize>, starts: &[&[f64]]) {
         let at_reference: Vec<f64> = numbers.iter().map(|i| self.numbers[*i].reference).collect();
         let unit = if effect == EffectId::GroundEffect { self.vehicle.rotor_radius_m } else { 1.0 };
         let mut all = Vec::new();
@@ -257,7 +265,7 @@ impl Catalogue {
         }
         for start in starts {
             let mut values = at_reference.clone();
-            values[0] = start * unit;
+            values.iter_mut().zip(*start).for_each(|(value, start)| *value = start * unit);
             all.push(values);
         }
         self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
@@ -404,6 +412,17 @@ mod tests {
         let left_out = [EffectId::Mass, EffectId::ThrustScale, EffectId::Wind];
         assert!(left_out.iter().all(|effect| !rest.considers(*effect)));
         assert_eq!(rest.numbers.len(), whole.numbers.len());
+    }
+
+    #[test]
+    fn a_wind_is_looked_for_in_all_directions_of_a_hover() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let wind = catalogue.hypotheses.iter().find(|h| h.effect == EffectId::Wind).unwrap();
+        for slot in 0..2 {
+            let tried = |sign: f64| wind.starts.iter().any(|start| sign * start[slot] > 0.5);
+            assert!(tried(1.0) && tried(-1.0), "{:?}", wind.starts);
+        }
+        assert!(wind.starts.iter().all(|start| start.len() == 3 && start[2] == 0.0));
     }
 
     #[test]

@@ -8,17 +8,19 @@ use sitl::vehicle::VehicleError;
 
 use super::answer::{EffectAnswer, FullVerdict, Gap, NAMED, NotTestable, Verdict, parameters};
 use super::arrival::Delay;
+use super::audit::{is_flat, voltage_range};
 use super::gap::{Errors, ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
 use super::judgement::{Balance, Leftover, explained, is_neighbour, is_open, is_unexplained};
 use super::leftover::{unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
-use super::misfit::{Misfit, misfit};
-use super::naming::{as_good, credence, named_effects};
+use super::misfit::{Misfit, misfit, share_left};
+use super::naming::{as_good, class, credence, named_effects};
 use super::noise::report_noise;
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
+use super::preparation::PreparedFlight;
 use super::procedure::{Case, DiagnoseError, Settings};
 use super::residuals::Evaluator;
 use super::selection::{Scored, Selection, Selector, Thresholds};
@@ -128,10 +130,19 @@ impl<'a> Inquiry<'a> {
         );
         progress("which effect");
         let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
-        let of_best = self.twins_of(&selection.best, &noise);
-        let of_twins =
-            |twins| misfit(&selection.null.fit, &selection.best.fit, twins, self.fitted.counts());
-        let misfit = of_best.as_ref().map(of_twins).unwrap_or_default();
+        // Within a tick of the loop a fit finds any delay, and the outputs tell about as much: which
+        // of the two was flown, twins of both must say.
+        let mut flown = vec![selection.best.clone()];
+        if self.take_up_delay(&mut selection.best) {
+            flown.push(selection.best.clone());
+        }
+        let checked = flown.iter().filter_map(|scored| {
+            let twins = self.twins_of(scored, &noise)?;
+            let (null, best) = (&selection.null.fit, &scored.fit);
+            Some((misfit(null, best, &twins, self.fitted.counts()), twins))
+        });
+        let checked = checked.min_by(|(a, _), (b, _)| share_left(a).total_cmp(&share_left(b)));
+        let (misfit, of_best) = checked.map_or((Vec::new(), None), |(m, twins)| (m, Some(twins)));
         if let Some(twins) = &of_best {
             correct(&mut selection.best, catalogue, twins);
         }
@@ -152,15 +163,14 @@ impl<'a> Inquiry<'a> {
         drawn.ok().filter(|_| count > 0)
     }
 
-    /// A command_delay that was chosen is as the outputs say, where they do.
-    fn take_up_delay(&self, best: &mut Scored) {
+    /// A command_delay that was chosen is as the outputs say, where they do. Whether it was.
+    fn take_up_delay(&self, best: &mut Scored) -> bool {
         let number = self.catalogue.number_of(EffectId::CommandDelay, 0);
-        if let Some((number, delay)) = number.zip(self.arrival)
-            && best.fit.active(self.catalogue).contains(&number)
-        {
-            best.fit.values[number] = delay.mean;
-            best.fit.deviation[number] = delay.deviation;
-        }
+        let chosen = number.filter(|n| best.fit.active(self.catalogue).contains(n));
+        let Some((number, delay)) = chosen.zip(self.arrival) else { return false };
+        best.fit.values[number] = delay.mean;
+        best.fit.deviation[number] = delay.deviation;
+        true
     }
 
     /// Where the gap lies.
@@ -293,9 +303,9 @@ impl<'a> Inquiry<'a> {
                 intervals: BTreeMap::new(),
             });
         }
-        let voltage = self.case.fitted.iter().all(|flight| flight.channels.voltage);
         let hides_sag = |untestable: &NotTestable| untestable.id == EffectId::BatterySag.name();
-        let shows_sag = voltage && !not_testable.iter().any(hides_sag);
+        let shows_sag = voltages_differ(self.case.fitted) && !not_testable.iter().any(hides_sag);
+        let named: Vec<EffectId> = named.into_iter().map(class).collect();
         if !shows_sag && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
             let others = others.filter(|effect| self.catalogue.considers(**effect));
@@ -335,6 +345,13 @@ impl<'a> Inquiry<'a> {
             }
         })
     }
+}
+
+/// Whether the pack's voltage goes far enough, within flights or from one to the next, for sag to be
+/// told from another level of the thrust.
+fn voltages_differ(flights: &[PreparedFlight]) -> bool {
+    let all = flights.iter().flat_map(|flight| flight.voltage.values().iter().map(|[v]| *v));
+    flights.iter().all(|flight| flight.channels.voltage) && !is_flat(voltage_range(all))
 }
 
 /// Takes off a fit's effects what its twins are off by, and gives them the twins' scatter.

@@ -19,7 +19,8 @@ use crate::learn::dataset::Row;
 use crate::learn::networks::train_both;
 use crate::learn::summary::TrainSettings;
 use crate::learn::training;
-use crate::model::learned::{Features, Head, NetworkModel};
+use crate::model::features::{Features, Head};
+use crate::model::learned::NetworkModel;
 use crate::model::{ACCELERATIONS, Model, Point};
 
 /// Cells that a row is the mean over, and from one row to the next.
@@ -71,7 +72,7 @@ impl Learner {
             return None;
         }
         // A force may be tied to the body, or to the world.
-        [Features::Heading, Features::World]
+        [Features::Body, Features::World]
             .into_iter()
             .filter_map(|features| {
                 let parts = [training.as_slice(), validation.as_slice()];

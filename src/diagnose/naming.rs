@@ -137,7 +137,7 @@ fn mends_a_law(catalogue: &Catalogue, losses: &[(usize, f64)], place: usize) -> 
 }
 
 /// Mass and thrust act as their ratio: one name stands for both.
-fn class(effect: EffectId) -> EffectId {
+pub(super) fn class(effect: EffectId) -> EffectId {
     if effect == EffectId::Mass { EffectId::ThrustScale } else { effect }
 }
 

@@ -50,10 +50,12 @@ impl OnboardLaw {
     }
 
     /// The law, reporting as the outputs of `flights` do: before the loop or after it, whichever
-    /// explains their changes better.
-    pub fn observing(self, flights: &[PreparedFlight], timing: Timing) -> Self {
+    /// explains their changes better. `timing`: what either says of the flights, for a delay that
+    /// is not known may look like the tick between the two.
+    pub fn observing(self, flights: &[PreparedFlight], timing: impl Fn(&Self) -> Timing) -> Self {
         let reports_first = Self { reports_first: true, ..self.clone() };
         let roughness = |law: &Self| -> f64 {
+            let timing = timing(law);
             flights.iter().map(|flight| law.roughness(flight, timing)).sum()
         };
         if roughness(&reports_first) < roughness(&self) { reports_first } else { self }

@@ -21,6 +21,7 @@ use sitl::vehicle::{ROTORS, VehicleParams};
 
 use sitl::effects::EffectId;
 
+use super::arrival::Delay;
 use super::candidate::Candidate;
 use super::hypothesis::Target;
 use super::layout::Layout;
@@ -135,8 +136,11 @@ impl Evaluator {
 
     /// The same, with outputs reported as `flights` report them.
     pub fn observing(mut self, flights: &[PreparedFlight]) -> Self {
-        let (command_delay, latency) = (self.vehicle.command_delay_s, 0.0);
-        let timing = Timing { command_delay, latency };
+        let shipped = self.vehicle.command_delay_s;
+        let timing = |law: &OnboardLaw| {
+            let command_delay = Delay::of(flights, law).map_or(shipped, |delay| delay.mean);
+            Timing { command_delay, latency: 0.0 }
+        };
         self.onboard = self.onboard.map(|law| law.observing(flights, timing));
         self
     }

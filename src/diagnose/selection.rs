@@ -261,15 +261,16 @@ impl Selector<'_> {
             && self.predicts_better(more, less)
     }
 
-    /// A steady wind blows along the floor: one that blows more downwards or upwards stands for
-    /// something else.
+    /// A steady wind blows along the floor: one that clearly blows more downwards or upwards stands
+    /// for something else.
     fn is_along_the_floor(&self, fit: &Fit) -> bool {
         let blows = |h: &usize| self.hypothesis(*h).effect == EffectId::Wind;
-        let speed = |slot: usize| {
+        let component = |slot: usize| {
             let number = self.catalogue.number_of(EffectId::Wind, slot);
-            number.map_or(0.0, |number| fit.values[number])
+            number.map_or([0.0, 0.0], |number| [fit.values[number], fit.deviation[number]])
         };
-        !fit.hypotheses.iter().any(blows) || speed(2).abs() <= speed(0).hypot(speed(1))
+        let [[north, _], [east, _], [down, error]] = [0, 1, 2].map(component);
+        !fit.hypotheses.iter().any(blows) || down.abs() - 2.0 * error <= north.hypot(east)
     }
 
     /// Whether the effects of `more` make better predictions than those of `less`, by an amount

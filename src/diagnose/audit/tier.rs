@@ -114,6 +114,16 @@ pub struct Untestable {
     pub reason: String,
 }
 
+/// Lowest and highest voltage, V.
+pub fn voltage_range(voltages: impl Iterator<Item = f64>) -> [f64; 2] {
+    voltages.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
+}
+
+/// Whether voltages within a range show no sag.
+pub fn is_flat([low, high]: [f64; 2]) -> bool {
+    high - low < VOLTAGE_RANGE * high
+}
+
 /// The effects of the catalogue that these channels cannot show, whatever was flown.
 pub(super) fn untestable(flight: &Flight, channels: &Channels) -> Vec<Untestable> {
     let missing = |id: EffectId| reason(id, flight, channels).map(|reason| (id, reason));
@@ -147,12 +157,8 @@ fn reason(id: EffectId, flight: &Flight, channels: &Channels) -> Option<String> 
     match id {
         E::ThrustScale | E::Mass | E::ThrustCurve => input().or_else(motion),
         E::BatterySag => {
-            let (low, high) = flight
-                .voltage
-                .values()
-                .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
-            let is_flat = channels.voltage && high - low < VOLTAGE_RANGE * high;
+            let range @ [low, high] = voltage_range(flight.voltage.values().iter().copied());
+            let is_flat = channels.voltage && is_flat(range);
             let flat = || format!("the voltage stays within {low:.2} to {high:.2} V in this log");
             input()
                 .or_else(motion)
