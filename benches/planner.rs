@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
 use downwash::control::Limits;
-use downwash::model::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
+use downwash::model::features::{FEATURES_MAX, Features, Head, OUTPUTS};
+use downwash::model::learned::{Network, NetworkModel};
 use downwash::model::net::{Mlp, Normalization};
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
 use downwash::model::{Model, Point, VARIABLES};

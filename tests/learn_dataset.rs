@@ -8,15 +8,19 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use downwash::learn::commands::Onboard;
-use downwash::learn::dataset::{ObservedFlight, WindowSettings};
+use downwash::learn::dataset::{ObservedFlight, Row, WindowSettings};
 use downwash::learn::networks::Progress;
 use downwash::learn::procedure::{Outcome, Watch, train};
+use downwash::learn::refine::network_open_loop;
 use downwash::learn::summary::TrainSettings;
 use downwash::learn::training::Method;
 use downwash::learn::training_set::TrainingSet;
 use downwash::log::import;
+use downwash::model::Model;
+use downwash::model::features::Features;
+use downwash::model::file::AccelerationSource::SpecificForce;
 use downwash::model::file::ModelFile;
-use downwash::model::learned::Features;
+use downwash::model::learned::NetworkModel;
 use learn::{logs, number};
 use serde_json::Value;
 use sitl::vehicle::VehicleParams;
@@ -125,6 +129,30 @@ fn threads_and_the_order_of_logs_do_not_change_a_byte() {
     let (_, other) = learn::train("other-seed", &SHORT, &["--seed", "2"]);
     let weights = |path| ModelFile::load(path).expect("a model").net;
     assert_ne!(weights(&first), weights(&other));
+}
+
+#[test]
+fn half_a_second_shows_gains_that_are_off() {
+    let vehicle = vehicle();
+    let onboard = Onboard::new(&vehicle).expect("a mixer");
+    let flights = observed(&SHORT);
+    let (_, path) = learn::train("to-be-spoiled", &SHORT, &[]);
+    let ModelFile { net, actuation, .. } = ModelFile::load(&path).expect("a model");
+    let angular = net.angular.corrected([0.7, 0.7, 0.7], [0.3, -0.3, 0.0], &[]);
+    let spoiled = NetworkModel { angular, ..net.clone() };
+    let spans: Vec<_> = flights.iter().map(|f| (f, f.segments.spans.clone())).collect();
+    let refined = network_open_loop(&spans, &onboard, &actuation, &spoiled).expect("windows");
+    let off = |model: &NetworkModel| -> f64 {
+        let rows = flights.iter().flat_map(|f| f.rows(&onboard, &actuation, SpecificForce));
+        let off = |row: Row| {
+            let pairs =
+                model.accelerations(&row.point).into_iter().zip(net.accelerations(&row.point));
+            pairs.skip(3).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
+        };
+        rows.map(off).sum()
+    };
+    let (before, after) = (off(&spoiled), off(&refined));
+    assert!(after < 0.1 * before, "{before} {after}");
 }
 
 /// Interrupts after a number of steps of the networks' training.

@@ -3,7 +3,7 @@
 mod planning;
 
 use downwash::model::Model;
-use downwash::model::learned::Features;
+use downwash::model::features::Features;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics, WrenchDynamics};
 use downwash::plan::problem::STATES;
 use proptest::prelude::*;

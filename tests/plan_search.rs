@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use downwash::control::Limits;
 use downwash::model::Model;
-use downwash::model::learned::Features;
+use downwash::model::features::Features;
 use downwash::plan::conic::Conic;
 use downwash::plan::desire::Desire;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics, WrenchDynamics};

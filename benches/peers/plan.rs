@@ -10,7 +10,8 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use downwash::model::learned::{Features, Network, NetworkModel};
+use downwash::model::features::Features;
+use downwash::model::learned::{Network, NetworkModel};
 use downwash::model::net::{Mlp, Normalization};
 use downwash::model::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
 use downwash::plan::discretisation::WrenchDynamics;

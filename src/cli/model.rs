@@ -26,7 +26,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
     /// What the networks are given.
-    #[arg(long, value_enum, default_value_t = FeatureChoice::Heading)]
+    #[arg(long, value_enum, default_value_t = FeatureChoice::Body)]
     pub features: FeatureChoice,
     /// How weights follow the gradient.
     #[arg(long, value_enum, default_value_t = MethodChoice::Adam)]
@@ -65,6 +65,8 @@ pub enum FeatureChoice {
     World,
     /// Seen from the vehicle's heading, so that what holds at one heading holds at every other.
     Heading,
+    /// Seen from the vehicle: velocity, down and linear acceleration in its axes.
+    Body,
 }
 
 /// How weights follow the gradient.

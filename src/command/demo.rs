@@ -163,7 +163,7 @@ impl Demo<'_> {
             out: path.clone(),
             report: Some(args.out.join("training")),
             mapping: None,
-            features: FeatureChoice::Heading,
+            features: FeatureChoice::Body,
             method: MethodChoice::Adam,
             hidden: 100,
             passes: 100,

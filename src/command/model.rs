@@ -84,7 +84,7 @@ fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
             schema: "downwash.model_info",
             schema_version: 1,
             vehicle: &file.vehicle.name,
-            features: crate::model::learned::Head::BOTH.map(|head| file.net.features.names(head)),
+            features: crate::model::features::Head::BOTH.map(|head| file.net.features.names(head)),
             hidden: [file.net.linear.mlp.hidden, file.net.angular.mlp.hidden],
             preferred: file.preferred,
             actuation: &file.actuation,

@@ -20,8 +20,8 @@ use crate::learn::procedure::{Outcome, TrainError, Watch as _, belongs, train};
 use crate::learn::summary::{TrainSettings, TrainingSummary};
 use crate::learn::training::Method;
 use crate::learn::training_set::TrainingSet;
+use crate::model::features::Features;
 use crate::model::file::ModelFile;
-use crate::model::learned::Features;
 
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
     let resume = if args.resume { Resume::Always } else { Resume::Never };
@@ -156,6 +156,7 @@ fn train_with(
         features: match args.features {
             FeatureChoice::World => Features::World,
             FeatureChoice::Heading => Features::Heading,
+            FeatureChoice::Body => Features::Body,
         },
         hidden: usize::from(args.hidden),
         passes: args.passes as usize,

@@ -9,6 +9,7 @@ use sitl::vehicle::{ROTORS, VehicleParams};
 use super::alignment::{Alignment, interpolated};
 use super::commands::{CommandSource, Onboard, OutputTrace, lerp};
 use super::segments::{Segments, Unusable};
+use super::split::Traits;
 use super::window::{BANDWIDTH, Sliding};
 use crate::log::import::{Flight, Stream};
 use crate::model::actuation::{Actuation, RotorState};
@@ -221,6 +222,27 @@ impl ObservedFlight {
         let bias = sum * (1.0 / count);
         for o in &mut self.observations {
             o.by_force = o.by_force.map(|force| force - o.attitude.to_world(bias));
+        }
+    }
+
+    /// How it was flown.
+    pub(super) fn traits(&self) -> Traits {
+        let count = self.observations.len().max(1) as f64;
+        let rms = |square: &dyn Fn(&Observation) -> f64| {
+            (self.observations.iter().map(square).sum::<f64>() / count).sqrt()
+        };
+        let voltages: Vec<f64> = self.observations.iter().filter_map(|o| o.voltage).collect();
+        Traits {
+            rows: self.observations.len(),
+            speeds_m_s: [
+                rms(&|o| o.velocity.north().powi(2) + o.velocity.east().powi(2)),
+                rms(&|o| o.velocity.down().powi(2)),
+            ],
+            rates_rad_s: [
+                rms(&|o| o.body_rate.front().powi(2) + o.body_rate.right().powi(2)),
+                rms(&|o| o.body_rate.down().powi(2)),
+            ],
+            voltage_v: voltages.iter().sum::<f64>() / voltages.len().max(1) as f64,
         }
     }
 

@@ -11,8 +11,9 @@ use super::samples::Samples;
 use super::summary::{LearningCurve, TrainSettings};
 use super::training::{self, Checkpoint, Stop, Trainer};
 use crate::model::ACCELERATIONS;
+use crate::model::features::{FEATURES_MAX, Features, Head, OUTPUTS};
 use crate::model::file::ModelKind;
-use crate::model::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
+use crate::model::learned::{Network, NetworkModel};
 use crate::model::net::{Mlp, Normalization};
 
 /// What a network learns of a row: accelerations in the frames of its label.
@@ -58,10 +59,11 @@ impl Lesson {
         let size = features.names(head).len();
         let mut extracted = [0.0; FEATURES_MAX];
         let mut raw = |row: &Row| -> ([f64; FEATURES_MAX], [f64; OUTPUTS]) {
-            features.extract(head, &row.point.to_array(), &mut extracted);
+            let at = row.point.to_array();
+            features.extract(head, &at, &mut extracted);
             let all = target(row);
             let own = std::array::from_fn(|i| all[head.rows().start + i]);
-            (extracted, features.target(head, row.point.attitude.yaw, own))
+            (extracted, features.target(head, &at, own))
         };
         let mut sums = [[0.0; 2]; FEATURES_MAX + OUTPUTS];
         for row in training {

@@ -113,7 +113,11 @@ pub fn train(
     let [net, residual] =
         models(networks, settings.features).ok_or(TrainError::NoRegularization)?;
 
-    watch.stage("errors", 12);
+    watch.stage("errors", 13);
+    let corrected = dataset.refine_net(&net);
+    let net_corrected = corrected.is_some();
+    let net = corrected.unwrap_or(net);
+    watch.step("open loop of the net");
     let residual = dataset.shrink(residual, &physics_model, watch);
     let mut file = ModelFile {
         vehicle: vehicle.clone(),
@@ -145,6 +149,7 @@ pub fn train(
         },
         actuation: dataset.actuation,
         physics: physics.clone(),
+        net_corrected,
         curves,
         preferred: judged.preferred,
         one_step: judged.one_step,

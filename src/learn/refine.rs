@@ -1,4 +1,4 @@
-//! Actuation and physics by their open loop: what leads to the right state after half a second.
+//! Actuation, physics and net by their open loop: what leads to the right state after half a second.
 //!
 //! One-step errors are dominated by fast noise, and feedback correlates input and noise; on real
 //! flights a model that is best over 10 ms may tumble over 500. Here the errors of whole
@@ -16,7 +16,9 @@ use super::evaluation::window_starts;
 use super::least_squares::{huber, least_squares};
 use super::physics_fit::{PARAMETERS, Parameters};
 use super::prediction::{Baseline, RecordedInputs};
+use crate::model::Model;
 use crate::model::actuation::Actuation;
+use crate::model::learned::{Network, NetworkModel};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
 /// Horizons whose errors count, s.
@@ -35,6 +37,9 @@ const BALANCE_RATE_MIN: f64 = 0.05;
 const DELAY_MAX_S: f64 = 0.1;
 const LAG_MAX_S: f64 = 0.2;
 
+/// Flights with the spans of them that may be used.
+type Flights<'a> = [(&'a ObservedFlight, Vec<std::ops::Range<f64>>)];
+
 /// Where predictions start, and what was reported.
 struct Window {
     flight: usize,
@@ -43,23 +48,69 @@ struct Window {
     reported: Vec<State>,
 }
 
+/// Predictions from a selection of windows, and what their errors are measured in.
+struct OpenLoops<'a> {
+    flights: Vec<&'a ObservedFlight>,
+    onboard: &'a Onboard,
+    windows: Vec<Window>,
+    /// Errors of holding the state.
+    scales: [[f64; ERRORS]; HORIZONS_S.len()],
+}
+
+impl<'a> OpenLoops<'a> {
+    /// `None` where there are no windows.
+    fn of(flights: &Flights<'a>, onboard: &'a Onboard, actuation: &Actuation) -> Option<Self> {
+        let stride = flights.len().div_ceil(FLIGHTS_MAX).max(1);
+        let flights: Vec<_> = flights.iter().step_by(stride).collect();
+        let windows = windows(&flights, onboard, actuation);
+        let scales = scales(&windows);
+        let flights = flights.into_iter().map(|(flight, _)| *flight).collect();
+        (!windows.is_empty()).then_some(Self { flights, onboard, windows, scales })
+    }
+
+    fn inputs<'b>(&'b self, actuation: &'b Actuation) -> Vec<RecordedInputs<'b>> {
+        let inputs = |flight: &&'a ObservedFlight| -> RecordedInputs<'b> {
+            RecordedInputs::new(flight, self.onboard, actuation)
+        };
+        self.flights.par_iter().map(inputs).collect()
+    }
+
+    /// What predictions of a model are off, in units of holding the state.
+    fn errors(&self, model: &dyn Model, inputs: &[RecordedInputs<'_>]) -> Vec<f64> {
+        self.windows
+            .par_iter()
+            .flat_map_iter(|window| {
+                let inputs = &inputs[window.flight];
+                let predicted = inputs.predict(model, window.start, window.state, &HORIZONS_S);
+                let mut errors = vec![0.0; HORIZONS_S.len() * ERRORS];
+                if let Some(predicted) = predicted {
+                    for (h, (a, b)) in window.reported.iter().zip(&predicted).enumerate() {
+                        for (i, error) in difference(a, b).into_iter().enumerate() {
+                            errors[h * ERRORS + i] = huber(error / self.scales[h][i]);
+                        }
+                    }
+                }
+                errors
+            })
+            .collect()
+    }
+
+    /// Weight of one prior, so that it yields to the errors where these say anything.
+    fn trust(&self) -> f64 {
+        (self.windows.len() * HORIZONS_S.len() * ERRORS) as f64 * 1e-5
+    }
+}
+
 /// Actuation and physics whose open loop over the given spans is best, from those of one step.
 /// `None` where there are no windows.
 pub fn open_loop(
-    flights: &[(&ObservedFlight, Vec<std::ops::Range<f64>>)],
+    flights: &Flights<'_>,
     onboard: &Onboard,
     vehicle: &VehicleParams,
     actuation: &Actuation,
     physics: &PhysicsParameters,
 ) -> Option<(Actuation, PhysicsParameters)> {
-    let stride = flights.len().div_ceil(FLIGHTS_MAX).max(1);
-    let flights: Vec<_> = flights.iter().step_by(stride).collect();
-    let windows = windows(&flights, onboard, actuation);
-    if windows.is_empty() {
-        return None;
-    }
-    let scales = scales(&windows);
-
+    let loops = OpenLoops::of(flights, onboard, actuation)?;
     let start = Parameters::fitted(physics, vehicle);
     let prior = Parameters::prior(vehicle);
     let mut numbers = [0.0; NUMBERS];
@@ -74,37 +125,72 @@ pub fn open_loop(
     // Delays act in steps of the grid: their derivative is taken over a few milliseconds.
     scale[PARAMETERS..].copy_from_slice(&[40.0, 20.0, 20.0]);
 
-    let trust = (windows.len() * HORIZONS_S.len() * ERRORS) as f64 * 1e-5;
+    let trust = loops.trust().sqrt();
     let residuals = |numbers: &[f64; NUMBERS]| {
         let (bounded, actuation, parameters) = unpack(numbers, actuation, vehicle);
         let physics = parameters.physics(vehicle);
         let Ok(model) = PhysicsModel::new(vehicle, &physics) else { return (bounded, None) };
-        let inputs: Vec<RecordedInputs<'_>> = flights
-            .par_iter()
-            .map(|(flight, _)| RecordedInputs::new(flight, onboard, &actuation))
-            .collect();
-        let mut out: Vec<f64> = windows
-            .par_iter()
-            .flat_map_iter(|window| {
-                let inputs = &inputs[window.flight];
-                let predicted = inputs.predict(&model, window.start, window.state, &HORIZONS_S);
-                let mut errors = vec![0.0; HORIZONS_S.len() * ERRORS];
-                if let Some(predicted) = predicted {
-                    for (h, (a, b)) in window.reported.iter().zip(&predicted).enumerate() {
-                        for (i, error) in difference(a, b).into_iter().enumerate() {
-                            errors[h * ERRORS + i] = huber(error / scales[h][i]);
-                        }
-                    }
-                }
-                errors
-            })
-            .collect();
-        out.extend((0..PARAMETERS).map(|i| (bounded[i] - start.0[i]) / prior[i] * trust.sqrt()));
+        let mut out = loops.errors(&model, &loops.inputs(&actuation));
+        out.extend((0..PARAMETERS).map(|i| (bounded[i] - start.0[i]) / prior[i] * trust));
         (bounded, Some(DVector::from_vec(out)))
     };
     let best = least_squares(numbers, &scale, residuals);
     let (_, actuation, parameters) = unpack(&best, actuation, vehicle);
     Some((actuation, parameters.physics(vehicle)))
+}
+
+/// A linear correction of a network's accelerations in its own, normalised features: for either
+/// head a constant and the slope along the own velocity or body rate, for the angular one also a
+/// gain and the slope along the own moment, for the linear one that of thrust along z.
+#[derive(Clone, Copy)]
+struct Correction([f64; CORRECTIONS]);
+
+/// Constants, slopes along the motion, gains, slopes along the moments, and that along thrust.
+const CORRECTIONS: usize = 6 + 6 + 3 + 3 + 1;
+/// What a number of a correction is about, in the spread of the labels.
+const CORRECTION: f64 = 0.2;
+
+impl Correction {
+    fn of(self, net: &NetworkModel) -> NetworkModel {
+        let Self(numbers) = self;
+        let (constants, rest) = numbers.split_at(6);
+        let (motions, rest) = rest.split_at(6);
+        let (gains, rest) = rest.split_at(3);
+        let (moments, thrust) = rest.split_at(3);
+        let first_input = |network: &Network, count| network.mlp.inputs - count;
+        let motion = |i: usize| (i, i % 3, motions[i]);
+        let mut linear: Vec<_> = (0..3).map(motion).collect();
+        linear.push((first_input(&net.linear, 1), 2, thrust[0]));
+        let mut angular: Vec<_> = (3..6).map(motion).collect();
+        angular.extend((0..3).map(|i| (first_input(&net.angular, 3) + i, i, moments[i])));
+        let turned = [1.0 + gains[0], 1.0 + gains[1], 1.0 + gains[2]];
+        let constant = |first: usize| std::array::from_fn(|i| constants[first + i]);
+        NetworkModel {
+            features: net.features,
+            linear: net.linear.corrected([1.0; 3], constant(0), &linear),
+            angular: net.angular.corrected(turned, constant(3), &angular),
+        }
+    }
+}
+
+/// The net with the linear correction that makes its open loop over the given spans best: one-step
+/// errors hardly see a gain, a damping or a moment's mean that is a little off, half a second does.
+/// `None` where there are no windows.
+pub fn network_open_loop(
+    flights: &Flights<'_>,
+    onboard: &Onboard,
+    actuation: &Actuation,
+    net: &NetworkModel,
+) -> Option<NetworkModel> {
+    let loops = OpenLoops::of(flights, onboard, actuation)?;
+    let inputs = loops.inputs(actuation);
+    let weight = loops.trust().sqrt() / CORRECTION;
+    let best = least_squares([0.0; CORRECTIONS], &[CORRECTION; CORRECTIONS], |numbers| {
+        let mut out = loops.errors(&Correction(*numbers).of(net), &inputs);
+        out.extend(numbers.map(|number| number * weight));
+        (*numbers, Some(DVector::from_vec(out)))
+    });
+    Some(Correction(best).of(net))
 }
 
 fn unpack(

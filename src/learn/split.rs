@@ -33,6 +33,12 @@ impl Part {
 
 /// Flights below which each is cut into blocks.
 const WHOLE_FLIGHTS_MIN: usize = 5;
+/// Flights that may change places in a split are at most this far apart: they are of one kind then.
+const NEIGHBOURS: usize = 8;
+/// Sweeps over all pairs of neighbours, at most.
+const SWEEPS_MAX: usize = 20;
+/// What a part's rows may be off is dear: a tenth of the share counts as one trait off by a deviation.
+const SHARE_WEIGHT: f64 = 100.0;
 /// Rows left out between blocks: windows and the vehicle's memory reach across a border.
 const BORDER_ROWS: usize = 100;
 
@@ -55,29 +61,157 @@ pub struct Split {
     pub flights: Vec<Vec<(Range<usize>, Part)>>,
 }
 
+/// What the parts of a split should have alike: of each flight its rows, and how it was flown.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Traits {
+    /// Rows.
+    pub rows: usize,
+    /// Root mean squares of horizontal and vertical speed, m/s.
+    pub speeds_m_s: [f64; 2],
+    /// Root mean squares of tilting and yawing rate, rad/s.
+    pub rates_rad_s: [f64; 2],
+    /// Mean voltage, V; 0 where it is not logged.
+    pub voltage_v: f64,
+}
+
 impl Split {
-    /// Splits flights of these numbers of rows. Flights of one kind should follow one another:
-    /// each goes to the part that lacks most, so that every kind comes into every part.
-    pub fn of(rows: &[usize]) -> Self {
-        if rows.len() < WHOLE_FLIGHTS_MIN {
-            let flights = rows.iter().map(|count| blocks(*count)).collect();
+    /// Splits flights. Those of one kind should follow one another: each goes to the part that
+    /// lacks most, so that every kind comes into every part. Then neighbours change places as long
+    /// as that makes the parts more alike in how they were flown: a part that has all the full
+    /// packs, or all the fast flights, would be another task.
+    pub fn of(flights: &[Traits]) -> Self {
+        if flights.len() < WHOLE_FLIGHTS_MIN {
+            let flights = flights.iter().map(|flight| blocks(flight.rows)).collect();
             return Self { kind: SplitKind::Blocks, flights };
         }
-        let (mut total, mut have) = (0.0, [0.0; 3]);
-        let flights = rows
-            .iter()
-            .map(|count| {
-                total += *count as f64;
-                let lack = |part: &Part| part.share() * total - have[*part as usize];
-                let part = Part::ALL
-                    .into_iter()
-                    .max_by(|a, b| lack(a).total_cmp(&lack(b)).then(b.cmp(a)))
-                    .unwrap_or(Part::Training);
-                have[part as usize] += *count as f64;
-                vec![(0..*count, part)]
-            })
-            .collect();
+        let mut parts = in_turn(flights);
+        balance(flights, &mut parts);
+        let flights = flights.iter().zip(parts).map(|(f, part)| vec![(0..f.rows, part)]).collect();
         Self { kind: SplitKind::WholeFlights, flights }
+    }
+}
+
+/// Each flight to the part that lacks most.
+fn in_turn(flights: &[Traits]) -> Vec<Part> {
+    let (mut total, mut have) = (0.0, [0.0; 3]);
+    flights
+        .iter()
+        .map(|flight| {
+            total += flight.rows as f64;
+            let lack = |part: &Part| part.share() * total - have[*part as usize];
+            let part = Part::ALL
+                .into_iter()
+                .max_by(|a, b| lack(a).total_cmp(&lack(b)).then(b.cmp(a)))
+                .unwrap_or(Part::Training);
+            have[part as usize] += flight.rows as f64;
+            part
+        })
+        .collect()
+}
+
+/// Means and mean squares of the traits.
+const MOMENTS: usize = 10;
+
+/// Swaps neighbours until no swap makes the parts more alike.
+fn balance(flights: &[Traits], parts: &mut [Part]) {
+    let moments = moments(flights);
+    let mut sums = Sums::default();
+    for ((flight, moments), part) in flights.iter().zip(&moments).zip(&*parts) {
+        sums.add(*part, flight.rows as f64, moments);
+    }
+    let mut least = sums.imbalance();
+    for _ in 0..SWEEPS_MAX {
+        let before = least;
+        for i in 0..flights.len() {
+            for j in i + 1..(i + NEIGHBOURS).min(flights.len()) {
+                if parts[i] == parts[j] {
+                    continue;
+                }
+                let mut swapped = sums;
+                for (from, to) in [(i, j), (j, i)] {
+                    let rows = flights[from].rows as f64;
+                    swapped.add(parts[from], -rows, &moments[from]);
+                    swapped.add(parts[to], rows, &moments[from]);
+                }
+                let imbalance = swapped.imbalance();
+                if imbalance < least - 1e-9 {
+                    (sums, least) = (swapped, imbalance);
+                    parts.swap(i, j);
+                }
+            }
+        }
+        if least == before {
+            break;
+        }
+    }
+}
+
+/// Each flight's traits, and their squares, over all flights with mean 0 and deviation 1.
+fn moments(flights: &[Traits]) -> Vec<[f64; MOMENTS]> {
+    let mut moments: Vec<[f64; MOMENTS]> = flights
+        .iter()
+        .map(|flight| {
+            let ([a, b], [c, d]) = (flight.speeds_m_s, flight.rates_rad_s);
+            let mut moments = [0.0; MOMENTS];
+            moments[..MOMENTS / 2].copy_from_slice(&[a, b, c, d, flight.voltage_v]);
+            moments
+        })
+        .collect();
+    for trait_of in 0..MOMENTS / 2 {
+        let square = trait_of + MOMENTS / 2;
+        standardise(&mut moments, trait_of);
+        for moments in &mut moments {
+            moments[square] = moments[trait_of].powi(2);
+        }
+        standardise(&mut moments, square);
+    }
+    moments
+}
+
+/// Brings a column to mean 0 and deviation 1; one that does not vary to 0.
+fn standardise(rows: &mut [[f64; MOMENTS]], column: usize) {
+    let count = rows.len() as f64;
+    let mean = rows.iter().map(|row| row[column]).sum::<f64>() / count;
+    let variance = rows.iter().map(|row| (row[column] - mean).powi(2)).sum::<f64>() / count;
+    let scale = if variance > 1e-18 { 1.0 / variance.sqrt() } else { 0.0 };
+    for row in rows {
+        row[column] = (row[column] - mean) * scale;
+    }
+}
+
+/// Sums over the flights of each part, rows as weights.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    rows: [f64; 3],
+    flights: [f64; 3],
+    moments: [[f64; MOMENTS]; 3],
+}
+
+impl Sums {
+    /// Adds a flight of `rows` rows; takes it away where they are negative.
+    fn add(&mut self, part: Part, rows: f64, moments: &[f64; MOMENTS]) {
+        let part = part as usize;
+        self.rows[part] += rows;
+        self.flights[part] += rows.signum();
+        for (sum, moment) in self.moments[part].iter_mut().zip(moments) {
+            *sum += rows * moment;
+        }
+    }
+
+    /// How far the parts are from having all alike, and their shares: of parts drawn by chance
+    /// every moment gives about one.
+    fn imbalance(&self) -> f64 {
+        let total: f64 = self.rows.iter().sum();
+        Part::ALL
+            .into_iter()
+            .map(|part| {
+                let (share, part) = (part.share(), part as usize);
+                let rows = self.rows[part].max(1.0);
+                let unlike = self.moments[part].iter().map(|sum| (sum / rows).powi(2)).sum::<f64>();
+                let off = self.rows[part] / total / share - 1.0;
+                self.flights[part] * unlike + SHARE_WEIGHT * off.powi(2)
+            })
+            .sum()
     }
 }
 
@@ -100,6 +234,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn flight(rows: usize) -> Traits {
+        Traits { rows, ..Traits::default() }
+    }
+
     fn shares(split: &Split) -> [f64; 3] {
         let mut have = [0.0; 3];
         for (range, part) in split.flights.iter().flatten() {
@@ -111,7 +249,7 @@ mod tests {
 
     #[test]
     fn many_flights_are_shared_as_the_paper_does() {
-        let [training, validation, test] = shares(&Split::of(&[6000; 40]));
+        let [training, validation, test] = shares(&Split::of(&[flight(6000); 40]));
         assert!((training - 0.60).abs() < 0.03);
         assert!((validation - 0.25).abs() < 0.03);
         assert!((test - 0.15).abs() < 0.03);
@@ -119,7 +257,7 @@ mod tests {
 
     #[test]
     fn every_kind_of_flight_comes_into_every_part() {
-        let split = Split::of(&[6000; 40]);
+        let split = Split::of(&[flight(6000); 40]);
         for kind in split.flights.chunks(8) {
             for part in Part::ALL {
                 assert!(kind.iter().flatten().any(|(_, p)| *p == part), "{part:?}");
@@ -127,10 +265,46 @@ mod tests {
         }
     }
 
+    /// Packs that are swapped in a cycle keep step with the parts' turns.
+    #[test]
+    fn what_goes_round_is_shared_alike() {
+        let packs = [12.6, 11.4, 12.0, 10.8];
+        let flights: Vec<Traits> =
+            (0..40).map(|i| Traits { voltage_v: packs[i % 4], ..flight(6000) }).collect();
+        let split = Split::of(&flights);
+        for part in Part::ALL {
+            let of_part = split.flights.iter().zip(&flights).filter(|(f, _)| f[0].1 == part);
+            let packs: Vec<f64> = of_part.map(|(_, flight)| flight.voltage_v).collect();
+            let mean = packs.iter().sum::<f64>() / packs.len() as f64;
+            let square = packs.iter().map(|pack| (pack - mean).powi(2)).sum::<f64>();
+            let deviation = (square / packs.len() as f64).sqrt();
+            assert!((mean - 11.7).abs() < 0.15 && (deviation - 0.67).abs() < 0.15, "{packs:?}");
+        }
+        assert_eq!(shares(&split), shares(&Split::of(&[flight(6000); 40])));
+    }
+
     proptest! {
         #[test]
+        fn no_split_is_far_from_its_shares(
+            flown in prop::collection::vec((3000usize..9000, 0.0..3.0_f64, 0.0..2.0_f64), 20..60),
+        ) {
+            let flights: Vec<Traits> = flown
+                .into_iter()
+                .map(|(rows, speed, rate)| Traits {
+                    rows,
+                    speeds_m_s: [speed, 0.3 * speed],
+                    rates_rad_s: [rate, 0.1],
+                    voltage_v: 12.0,
+                })
+                .collect();
+            for (share, part) in shares(&Split::of(&flights)).into_iter().zip(Part::ALL) {
+                prop_assert!((share - part.share()).abs() < 0.1, "{part:?} {share}");
+            }
+        }
+
+        #[test]
         fn blocks_of_one_flight_do_not_touch(count in 0usize..20_000) {
-            let split = Split::of(&[count]);
+            let split = Split::of(&[flight(count)]);
             let ranges = &split.flights[0];
             for pair in ranges.windows(2) {
                 prop_assert!(pair[0].0.end + BORDER_ROWS <= pair[1].0.start);

@@ -9,8 +9,8 @@ use super::split::{Part, SplitKind};
 use super::training::Method;
 use crate::model::ACCELERATIONS;
 use crate::model::actuation::Actuation;
+use crate::model::features::Features;
 use crate::model::file::{AccelerationSource, ModelKind};
-use crate::model::learned::Features;
 use crate::model::physics::PhysicsParameters;
 
 /// Everything about one training.
@@ -30,6 +30,9 @@ pub struct TrainingSummary {
     pub actuation: Actuation,
     /// The fitted physics.
     pub physics: PhysicsParameters,
+    /// Whether the net is corrected by its open loop.
+    #[serde(default)]
+    pub net_corrected: bool,
     /// Every training of a network.
     pub curves: Vec<LearningCurve>,
     /// The model that did best on the validation rows.

@@ -17,9 +17,10 @@ use super::split::{Part, Split};
 use super::summary::LogSummary;
 use crate::model::ACCELERATIONS;
 use crate::model::actuation::Actuation;
+use crate::model::features::Head;
 use crate::model::file::AccelerationSource;
 use crate::model::hybrid::Hybrid;
-use crate::model::learned::{Head, NetworkModel};
+use crate::model::learned::NetworkModel;
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
 /// Refined physics must lower the validation's score to this share to be taken.
@@ -53,8 +54,7 @@ impl<'a> TrainingSet<'a> {
         onboard: &'a Onboard,
         flights: &'a mut [ObservedFlight],
     ) -> Result<Self, TrainError> {
-        let counts: Vec<usize> = flights.iter().map(|f| f.observations.len()).collect();
-        let split = Split::of(&counts);
+        let split = Split::of(&flights.iter().map(ObservedFlight::traits).collect::<Vec<_>>());
         // Streams that are offset differently in each flight would blur the common delay.
         let source = AccelerationSource::VelocitySlope;
         let first = identify::actuation(&training_part(flights, &split), onboard, vehicle, source);
@@ -112,13 +112,7 @@ impl<'a> TrainingSet<'a> {
     /// Takes the actuation and physics whose open loop on the training part is best, if they
     /// also predict the validation part better.
     fn refine(&mut self) -> Result<(), VehicleError> {
-        let training: Vec<_> = self
-            .flights
-            .iter()
-            .enumerate()
-            .map(|(index, flight)| (flight, self.blocks(index, Part::Training)))
-            .filter(|(_, spans)| !spans.is_empty())
-            .collect();
+        let training = self.training_blocks();
         let refined = refine::open_loop(
             &training,
             self.onboard,
@@ -141,6 +135,25 @@ impl<'a> TrainingSet<'a> {
             (self.actuation, self.physics) = (actuation, physics);
         }
         Ok(())
+    }
+
+    /// The net with a correction that makes its open loop on the training part best, if that also
+    /// predicts the validation part better.
+    pub(super) fn refine_net(&self, net: &NetworkModel) -> Option<NetworkModel> {
+        let training = self.training_blocks();
+        let windows = self.windows(Part::Validation, &self.actuation);
+        let score = |net: &NetworkModel| score(&windows, &Predictor::Model(net));
+        refine::network_open_loop(&training, self.onboard, &self.actuation, net)
+            .filter(|refined| score(refined) < REFINED_MIN * score(net))
+    }
+
+    /// Usable times of the training part of each flight that has any.
+    fn training_blocks(&self) -> Vec<(&ObservedFlight, Vec<Range<f64>>)> {
+        let flights = self.flights.iter().enumerate();
+        flights
+            .map(|(index, flight)| (flight, self.blocks(index, Part::Training)))
+            .filter(|(_, spans)| !spans.is_empty())
+            .collect()
     }
 
     /// The rows of one part.

@@ -10,8 +10,9 @@ use sha2::{Digest, Sha256};
 use sitl::vehicle::{Difference, VehicleError, VehicleParams};
 
 use super::actuation::Actuation;
+use super::features::{FEATURES_MAX, Features, Head, OUTPUTS};
 use super::hybrid::Hybrid;
-use super::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
+use super::learned::{Network, NetworkModel};
 use super::net::{Mlp, Normalization};
 use super::physics::{PhysicsModel, PhysicsParameters};
 use super::{ACCELERATIONS, Model};

@@ -1,166 +1,11 @@
 //! Accelerations by two networks: NN1 gives the linear ones, NN2 the angular ones.
 
-use serde::{Deserialize, Serialize};
-
+use super::features::{Axes, FEATURES_MAX, Features, Head, OUTPUTS};
 use super::net::{Mlp, Normalization};
 use super::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
 
-/// Outputs of each network.
-pub const OUTPUTS: usize = ACCELERATIONS / 2;
-/// Most features of a network.
-pub const FEATURES_MAX: usize = 15;
-/// Where a [`Point`]'s variables begin in its array.
-const ANGLE: usize = 6;
-const YAW: usize = 8;
-const INPUT: usize = 9;
-
-/// Which of the two networks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Head {
-    /// NN1: linear acceleration, from the collective thrust.
-    Linear,
-    /// NN2: angular acceleration, from the moments.
-    Angular,
-}
-
-impl Head {
-    /// Both, in the order of the accelerations.
-    pub const BOTH: [Head; 2] = [Head::Linear, Head::Angular];
-
-    /// Its name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Head::Linear => "nn1",
-            Head::Angular => "nn2",
-        }
-    }
-
-    /// Its accelerations among all.
-    pub fn rows(self) -> std::ops::Range<usize> {
-        match self {
-            Head::Linear => 0..3,
-            Head::Angular => 3..6,
-        }
-    }
-
-    /// Its share of u.
-    fn inputs(self) -> std::ops::Range<usize> {
-        match self {
-            Head::Linear => INPUT..INPUT + 1,
-            Head::Angular => INPUT + 1..VARIABLES,
-        }
-    }
-}
-
-/// What a network is given of a [`Point`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Features {
-    /// (v, omega, sin zeta, cos zeta) and u1 or (u2, u3, u4), all in the frames of the point
-    /// (Bansal et al. 2016, section V-A).
-    #[default]
-    World,
-    /// The same seen from the vehicle's heading: v turned by -yaw, no yaw, and the linear
-    /// acceleration turned back by yaw. What holds at one heading then holds at every other.
-    Heading,
-}
-
-impl Features {
-    /// Names of the features, which are also their order.
-    pub fn names(self, head: Head) -> Vec<&'static str> {
-        let mut names = match self {
-            Features::World => vec!["v_n", "v_e", "v_d"],
-            Features::Heading => vec!["v_ahead", "v_right", "v_d"],
-        };
-        names.extend(["p", "q", "r"]);
-        names.extend(match self {
-            Features::World => {
-                ["sin_roll", "sin_pitch", "sin_yaw", "cos_roll", "cos_pitch", "cos_yaw"].as_slice()
-            }
-            Features::Heading => &["sin_roll", "sin_pitch", "cos_roll", "cos_pitch"],
-        });
-        names.extend(match head {
-            Head::Linear => ["u1"].as_slice(),
-            Head::Angular => &["u2", "u3", "u4"],
-        });
-        names
-    }
-
-    /// Angles that are features, as indices among roll, pitch and yaw.
-    fn angles(self) -> std::ops::Range<usize> {
-        match self {
-            Features::World => 0..3,
-            Features::Heading => 0..2,
-        }
-    }
-
-    /// Writes the features of a point to the front of `out`; returns how many there are.
-    pub fn extract(
-        self,
-        head: Head,
-        at: &[f64; VARIABLES],
-        out: &mut [f64; FEATURES_MAX],
-    ) -> usize {
-        out[..ANGLE].copy_from_slice(&at[..ANGLE]);
-        if self == Features::Heading {
-            let (sin, cos) = at[YAW].sin_cos();
-            out[0] = cos * at[0] + sin * at[1];
-            out[1] = cos * at[1] - sin * at[0];
-        }
-        let angles = self.angles();
-        let count = angles.len();
-        for i in angles {
-            let (sin, cos) = at[ANGLE + i].sin_cos();
-            out[ANGLE + i] = sin;
-            out[ANGLE + count + i] = cos;
-        }
-        let mut length = ANGLE + 2 * count;
-        for i in head.inputs() {
-            out[length] = at[i];
-            length += 1;
-        }
-        length
-    }
-
-    /// Derivatives with respect to the point's variables, from those with respect to the
-    /// features.
-    fn pull_back(self, head: Head, at: &[f64; VARIABLES], slope: &[f64]) -> [f64; VARIABLES] {
-        let mut row = [0.0; VARIABLES];
-        row[..ANGLE].copy_from_slice(&slope[..ANGLE]);
-        if self == Features::Heading {
-            let (sin, cos) = at[YAW].sin_cos();
-            row[0] = cos * slope[0] - sin * slope[1];
-            row[1] = sin * slope[0] + cos * slope[1];
-            // d(v_ahead)/d(yaw) = v_right, d(v_right)/d(yaw) = -v_ahead.
-            let (ahead, right) = (cos * at[0] + sin * at[1], cos * at[1] - sin * at[0]);
-            row[YAW] = slope[0] * right - slope[1] * ahead;
-        }
-        let angles = self.angles();
-        let count = angles.len();
-        for i in angles {
-            let (sin, cos) = at[ANGLE + i].sin_cos();
-            row[ANGLE + i] += cos * slope[ANGLE + i] - sin * slope[ANGLE + count + i];
-        }
-        for (i, slope) in head.inputs().zip(&slope[ANGLE + 2 * count..]) {
-            row[i] = *slope;
-        }
-        row
-    }
-
-    /// The target of training for an acceleration of this head: seen as the features are.
-    pub fn target(self, head: Head, yaw: f64, acceleration: [f64; OUTPUTS]) -> [f64; OUTPUTS] {
-        match (self, head) {
-            (Features::Heading, Head::Linear) => turned(acceleration, -yaw),
-            _ => acceleration,
-        }
-    }
-}
-
-/// A vector turned about down by `angle`.
-fn turned([x, y, z]: [f64; OUTPUTS], angle: f64) -> [f64; OUTPUTS] {
-    let (sin, cos) = angle.sin_cos();
-    [cos * x - sin * y, sin * x + cos * y, z]
-}
+/// Where roll, pitch and yaw are among a [`Point`]'s variables.
+const ANGLES: std::ops::Range<usize> = 6..9;
 
 /// A network with the normalisation of its inputs and outputs.
 #[derive(Clone, Debug, PartialEq)]
@@ -177,10 +22,12 @@ pub struct Network {
 macro_rules! sized {
     ($network:ident . $method:ident ($features:ident, $count:ident)) => {
         match $count {
+            10 => $network.$method::<10>($features),
             11 => $network.$method::<11>($features),
+            12 => $network.$method::<12>($features),
             13 => $network.$method::<13>($features),
             15 => $network.$method::<15>($features),
-            _ => unreachable!("features are 11, 13 or 15"),
+            _ => unreachable!("features are 10 to 13, or 15"),
         }
     };
 }
@@ -219,6 +66,57 @@ impl Network {
             }
         }
         (self.denormalised(y), slope)
+    }
+
+    /// This network with other gains of its accelerations, and with constants and linear terms
+    /// (feature, acceleration, slope) added, both in normalised units. A ReLU layer holds
+    /// `c x = c relu(x) - c relu(-x)` exactly: each term takes two more hidden units.
+    pub fn corrected(
+        &self,
+        gains: [f64; OUTPUTS],
+        constants: [f64; OUTPUTS],
+        terms: &[(usize, usize, f64)],
+    ) -> Self {
+        let Self { inputs, outputs, mlp } = self;
+        let units = mlp.hidden + 2 * terms.len();
+        let mut hidden_weights = mlp.hidden_weights.clone();
+        let mut output_weights = vec![0.0; OUTPUTS * units];
+        for (output, (new, old)) in
+            output_weights.chunks_mut(units).zip(mlp.output_weights.chunks(mlp.hidden)).enumerate()
+        {
+            for (new, old) in new.iter_mut().zip(old) {
+                *new = (gains[output] * f64::from(*old)) as f32;
+            }
+        }
+        for (term, (feature, output, slope)) in terms.iter().enumerate() {
+            for (unit, sign) in [1.0, -1.0].into_iter().enumerate() {
+                let mut row = vec![0.0; mlp.inputs];
+                row[*feature] = sign;
+                hidden_weights.extend(row);
+                let unit = mlp.hidden + 2 * term + unit;
+                output_weights[output * units + unit] = sign * *slope as f32;
+            }
+        }
+        let mut hidden_biases = mlp.hidden_biases.clone();
+        hidden_biases.resize(units, 0.0);
+        let bias = |i: usize| {
+            // The mean of the accelerations is part of what the gain acts on.
+            let mean = (gains[i] - 1.0) * outputs.mean[i] / outputs.deviation[i];
+            (gains[i] * f64::from(mlp.output_biases[i]) + constants[i] + mean) as f32
+        };
+        Self {
+            inputs: inputs.clone(),
+            outputs: outputs.clone(),
+            mlp: Mlp {
+                inputs: mlp.inputs,
+                hidden: units,
+                outputs: OUTPUTS,
+                hidden_weights,
+                hidden_biases,
+                output_weights,
+                output_biases: (0..OUTPUTS).map(bias).collect(),
+            },
+        }
     }
 
     fn denormalised(&self, y: [f64; OUTPUTS]) -> [f64; OUTPUTS] {
@@ -272,8 +170,8 @@ impl Model for NetworkModel {
         for head in Head::BOTH {
             let n = self.features.extract(head, &at, &mut features);
             let mut y = self.network(head).evaluate(&features, n);
-            if (self.features, head) == (Features::Heading, Head::Linear) {
-                y = turned(y, at[YAW]);
+            if head == Head::Linear {
+                y = Axes::of(self.features, &at).told(y);
             }
             out[head.rows()].copy_from_slice(&y);
         }
@@ -289,17 +187,21 @@ impl Model for NetworkModel {
             let n = self.features.extract(head, &at, &mut features);
             let (mut y, slope) = self.network(head).linearize(&features, n);
             let mut rows = slope.map(|row| self.features.pull_back(head, &at, &row[..n]));
-            if (self.features, head) == (Features::Heading, Head::Linear) {
-                y = turned(y, at[YAW]);
+            if head == Head::Linear {
+                let axes = Axes::of(self.features, &at);
                 for column in 0..VARIABLES {
-                    let turned = turned(rows.map(|row| row[column]), at[YAW]);
-                    for (row, value) in rows.iter_mut().zip(turned) {
+                    let told = axes.told(rows.map(|row| row[column]));
+                    for (row, value) in rows.iter_mut().zip(told) {
                         row[column] = value;
                     }
                 }
-                // Turning the output itself depends on yaw: d(R y)/d(yaw) = z x (R y).
-                rows[0][YAW] -= y[1];
-                rows[1][YAW] += y[0];
+                // The axes of the output turn with the angles themselves.
+                for (column, slope) in ANGLES.zip(axes.told_turning(y)) {
+                    for (row, value) in rows.iter_mut().zip(slope) {
+                        row[column] += value;
+                    }
+                }
+                y = axes.told(y);
             }
             value[head.rows()].copy_from_slice(&y);
             jacobian[head.rows()].copy_from_slice(&rows);

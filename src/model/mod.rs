@@ -5,6 +5,7 @@
 //! acts (delay, rotors' lag, saturation, voltage) is [`actuation`]'s.
 
 pub mod actuation;
+pub mod features;
 pub mod file;
 pub mod hybrid;
 pub mod learned;

@@ -6,8 +6,9 @@
 
 use prost::Message;
 
+use super::features::{Features, Head, OUTPUTS};
 use super::file::{ModelFile, ModelKind};
-use super::learned::{Features, Head, Network, NetworkModel, OUTPUTS};
+use super::learned::{Network, NetworkModel};
 
 /// Version of ONNX's file form and of its operators that the graph needs (onnx.ai, 2021).
 const IR_VERSION: i64 = 7;
@@ -52,6 +53,13 @@ pub fn encode(file: &ModelFile, kind: ModelKind) -> Result<Vec<u8>, OnnxError> {
     .encode_to_vec())
 }
 
+/// A rotation in a plane: from its first axis towards its second, sine and cosine of the angle.
+type Turn<'a> = ([usize; 2], &'a str, &'a str);
+
+const YAWED: [usize; 2] = [0, 1];
+const PITCHED: [usize; 2] = [2, 0];
+const ROLLED: [usize; 2] = [1, 2];
+
 /// A graph under construction.
 #[derive(Default)]
 struct Graph {
@@ -69,13 +77,27 @@ impl Graph {
         // Sine and cosine of roll, pitch, yaw.
         let sines: Vec<String> = (0..3).map(|i| angle(&mut graph, i, "Sin")).collect();
         let cosines: Vec<String> = (0..3).map(|i| angle(&mut graph, i, "Cos")).collect();
-        let (velocity, angles) = match model.features {
-            Features::World => ("velocity".to_owned(), 3),
-            Features::Heading => {
-                let parts: Vec<String> = (0..3).map(|i| graph.column("velocity", i)).collect();
-                let [ahead, right] = graph.turned(&parts, &sines[2], &cosines[2], false);
-                (graph.node("Concat", &[&ahead, &right, &parts[2]]), 2)
-            }
+        // Rotations that lead from the world to the features' axes, one after another.
+        let turns: Vec<Turn<'_>> = match model.features {
+            Features::World => Vec::new(),
+            Features::Heading => vec![(YAWED, &sines[2], &cosines[2])],
+            Features::Body => vec![
+                (YAWED, &sines[2], &cosines[2]),
+                (PITCHED, &sines[1], &cosines[1]),
+                (ROLLED, &sines[0], &cosines[0]),
+            ],
+        };
+        let velocity = turns
+            .iter()
+            .fold("velocity".to_owned(), |vector, turn| graph.turned(&vector, *turn, false));
+        let tilt: Vec<String> = match model.features {
+            Features::World => [&sines[..], &cosines[..]].concat(),
+            Features::Heading => [&sines[..2], &cosines[..2]].concat(),
+            Features::Body => vec![
+                graph.node("Neg", &[&sines[1]]),
+                graph.node("Mul", &[&cosines[1], &sines[0]]),
+                graph.node("Mul", &[&cosines[1], &cosines[0]]),
+            ],
         };
         let mut results = Vec::new();
         for (head, network) in [(Head::Linear, &model.linear), (Head::Angular, &model.angular)] {
@@ -85,16 +107,13 @@ impl Graph {
             };
             let input = graph.columns("input", columns);
             let mut parts = vec![velocity.as_str(), "body_rate"];
-            parts.extend(sines[..angles].iter().map(String::as_str));
-            parts.extend(cosines[..angles].iter().map(String::as_str));
+            parts.extend(tilt.iter().map(String::as_str));
             parts.push(&input);
             let features = graph.node("Concat", &parts);
             results.push(graph.network(network, &features));
         }
-        if model.features == Features::Heading {
-            let parts: Vec<String> = (0..3).map(|i| graph.column(&results[0], i)).collect();
-            let [north, east] = graph.turned(&parts, &sines[2], &cosines[2], true);
-            results[0] = graph.node("Concat", &[&north, &east, &parts[2]]);
+        for turn in turns.iter().rev() {
+            results[0] = graph.turned(&results[0], *turn, true);
         }
         let outputs = ["linear_acceleration", "angular_acceleration"];
         for (name, result) in outputs.iter().zip(&results) {
@@ -158,15 +177,18 @@ impl Graph {
         self.columns(of, &[column])
     }
 
-    /// x and y turned by yaw (`forwards`) or by -yaw.
-    fn turned(&mut self, parts: &[String], sin: &str, cos: &str, forwards: bool) -> [String; 2] {
-        let [x, y] = [parts[0].clone(), parts[1].clone()];
+    /// A vector turned in a plane, `forwards` or back.
+    fn turned(&mut self, vector: &str, (plane, sin, cos): Turn<'_>, forwards: bool) -> String {
+        let mut parts: [String; 3] = std::array::from_fn(|i| self.column(vector, i as i64));
+        let [x, y] = plane.map(|axis| parts[axis].clone());
         let cx = self.node("Mul", &[cos, &x]);
         let sy = self.node("Mul", &[sin, &y]);
         let cy = self.node("Mul", &[cos, &y]);
         let sx = self.node("Mul", &[sin, &x]);
         let (first, second) = if forwards { ("Sub", "Add") } else { ("Add", "Sub") };
-        [self.node(first, &[&cx, &sy]), self.node(second, &[&cy, &sx])]
+        parts[plane[0]] = self.node(first, &[&cx, &sy]);
+        parts[plane[1]] = self.node(second, &[&cy, &sx]);
+        self.node("Concat", &[&parts[0], &parts[1], &parts[2]])
     }
 
     fn network(&mut self, network: &Network, features: &str) -> String {

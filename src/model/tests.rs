@@ -8,8 +8,9 @@ use sitl::effects::EffectSet;
 use sitl::frame::{Attitude, Euler};
 use sitl::vehicle::VehicleParams;
 
+use super::features::{FEATURES_MAX, Features, Head, OUTPUTS};
 use super::hybrid::Hybrid;
-use super::learned::{FEATURES_MAX, Features, Head, Network, NetworkModel, OUTPUTS};
+use super::learned::{Network, NetworkModel};
 use super::net::{Mlp, Normalization};
 use super::physics::{PhysicsModel, PhysicsParameters};
 use super::{ACCELERATIONS, Model, Point, VARIABLES};
@@ -140,7 +141,7 @@ fn weights() -> impl Strategy<Value = Vec<f32>> {
 }
 
 fn features() -> impl Strategy<Value = Features> {
-    prop_oneof![Just(Features::World), Just(Features::Heading)]
+    prop::sample::select(&Features::ALL)
 }
 
 /// Turns north and east of a vector by `angle` about down.
@@ -225,10 +226,32 @@ proptest! {
     }
 
     #[test]
-    fn heading_features_and_physics_do_not_know_north(
+    fn a_corrected_network_is_the_old_one_and_a_linear_one(
+        at in points(), values in weights(), features in features(), slope in -1.0_f64..1.0,
+    ) {
+        let model = networks(features, 9, &values);
+        let (gains, constants) = ([1.2, 0.7, 1.0], [0.1, -0.3, 0.0]);
+        let angular = model.angular.corrected(gains, constants, &[(4, 1, slope)]);
+        let corrected = NetworkModel { angular, ..model.clone() };
+        holds_to_differences(&corrected, Some(&corrected), &at)?;
+        let at = Point::from_array(&at);
+        let (old, new) = (model.accelerations(&at), corrected.accelerations(&at));
+        let Normalization { mean, deviation } = &model.angular.inputs;
+        let pitch_rate = (at.body_rate.right() - mean[4]) / deviation[4];
+        for i in 0..3 {
+            let linear = constants[i] + if i == 1 { slope * pitch_rate } else { 0.0 };
+            let expected = gains[i] * old[3 + i] + linear * model.angular.outputs.deviation[i];
+            prop_assert!((new[3 + i] - expected).abs() < 1e-5 * (1.0 + expected.abs()));
+            prop_assert_eq!(new[i], old[i]);
+        }
+    }
+
+    #[test]
+    fn heading_and_body_features_and_physics_do_not_know_north(
         at in points(), values in weights(), angle in -PI..PI,
     ) {
         holds_at_every_heading(&networks(Features::Heading, 15, &values), &at, angle)?;
+        holds_at_every_heading(&networks(Features::Body, 15, &values), &at, angle)?;
         holds_at_every_heading(&physics(), &at, angle)?;
         let hybrid = Hybrid::new(physics(), networks(Features::Heading, 15, &values));
         holds_at_every_heading(&hybrid, &at, angle)?;

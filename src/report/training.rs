@@ -324,8 +324,13 @@ fn provenance(summary: &TrainingSummary) -> String {
         (
             "networks",
             format!(
-                "{} hidden units, {:?} features, at most {} passes of {:?}, seed {}",
-                settings.hidden, settings.features, settings.passes, settings.method, settings.seed
+                "{} hidden units, {:?} features, at most {} passes of {:?}, seed {}{}",
+                settings.hidden,
+                settings.features,
+                settings.passes,
+                settings.method,
+                settings.seed,
+                if summary.net_corrected { "; the net corrected by its open loop" } else { "" }
             ),
         ),
         (

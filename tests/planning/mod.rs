@@ -8,8 +8,9 @@ use std::sync::Arc;
 
 use downwash::control::Limits;
 use downwash::model::Model;
+use downwash::model::features::{Features, Head, OUTPUTS};
 use downwash::model::hybrid::Hybrid;
-use downwash::model::learned::{Features, Head, Network, NetworkModel, OUTPUTS};
+use downwash::model::learned::{Network, NetworkModel};
 use downwash::model::net::{Mlp, Normalization};
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
 use downwash::plan::Trajectory;

@@ -51,9 +51,10 @@ def flights(tmp_path_factory):
 def trained(flights, tmp_path_factory):
     """A model of each kind of features, and the report of the first."""
     folder = tmp_path_factory.mktemp("model")
-    models = {features: folder / f"{features}.safetensors" for features in ("world", "heading")}
+    models = {features: folder / f"{features}.safetensors" for features in ("world", "heading", "body")}
     train(models["world"], flights, "--features", "world", "--report", folder / "report")
     train(models["heading"], flights, "--features", "heading")
+    train(models["body"], flights, "--features", "body")
     return SimpleNamespace(world=models["world"], report=folder / "report", models=models)
 
 
@@ -78,33 +79,38 @@ def test_the_file_is_plain_safetensors(trained):
         assert file.get_tensor("residual.nn2.output.weight").shape == (3, 20)
 
 
+def rotations(roll, pitch, yaw):
+    """Matrices from body to world axes."""
+    zero, one = np.zeros_like(yaw), np.ones_like(yaw)
+    matrix = lambda rows: np.moveaxis(np.array(rows), -1, 0)
+    about_z = matrix([[np.cos(yaw), -np.sin(yaw), zero], [np.sin(yaw), np.cos(yaw), zero], [zero, zero, one]])
+    about_y = matrix([[np.cos(pitch), zero, np.sin(pitch)], [zero, one, zero], [-np.sin(pitch), zero, np.cos(pitch)]])
+    about_x = matrix([[one, zero, zero], [zero, np.cos(roll), -np.sin(roll)], [zero, np.sin(roll), np.cos(roll)]])
+    return about_z @ about_y @ about_x
+
+
 def by_hand(weights, model, features, velocity, body_rate, attitude, control):
     """Both networks in numpy, from the file's tensors and the definition of the features."""
-    yaw = attitude[:, 2]
-    c, s = np.cos(yaw), np.sin(yaw)
-    angles = attitude
-    if features == "heading":
-        ahead = c * velocity[:, 0] + s * velocity[:, 1]
-        right = c * velocity[:, 1] - s * velocity[:, 0]
-        velocity = np.stack([ahead, right, velocity[:, 2]], axis=1)
-        angles = attitude[:, :2]
+    turned = {"world": attitude * 0, "heading": attitude * [0, 0, 1], "body": attitude}[features]
+    to_world = rotations(*turned.T)
+    velocity = np.einsum("nij,ni->nj", to_world, velocity)
+    angles = attitude if features == "world" else attitude[:, :2]
+    tilt = np.hstack([np.sin(angles), np.cos(angles)])
+    if features == "body":
+        tilt = to_world[:, 2, :]
     results = []
     for name, inputs in (("nn1", control[:, :1]), ("nn2", control[:, 1:])):
         part = {key.split(".", 2)[2]: w.astype(float) for key, w in weights.items() if key.startswith(f"{model}.{name}.")}
-        x = np.hstack([velocity, body_rate, np.sin(angles), np.cos(angles), inputs])
+        x = np.hstack([velocity, body_rate, tilt, inputs])
         x = (x - part["input_mean"]) / part["input_deviation"]
         hidden = np.maximum(x @ part["hidden.weight"].T + part["hidden.bias"], 0)
         y = hidden @ part["output.weight"].T + part["output.bias"]
         results.append(y * part["output_deviation"] + part["output_mean"])
     linear, angular = results
-    if features == "heading":
-        north = c * linear[:, 0] - s * linear[:, 1]
-        east = s * linear[:, 0] + c * linear[:, 1]
-        linear = np.stack([north, east, linear[:, 2]], axis=1)
-    return linear, angular
+    return np.einsum("nij,nj->ni", to_world, linear), angular
 
 
-@pytest.mark.parametrize("features", ["world", "heading"])
+@pytest.mark.parametrize("features", ["world", "heading", "body"])
 @pytest.mark.parametrize("kind, model", [("net", "net"), ("hybrid", "residual")])
 def test_onnx_gives_what_the_weights_give(trained, tmp_path, features, kind, model):
     path, onnx = trained.models[features], tmp_path / "model.onnx"
