@@ -110,7 +110,17 @@ impl Features {
         at: &[f64; VARIABLES],
         out: &mut [f64; FEATURES_MAX],
     ) -> usize {
-        let axes = Axes::of(self, at);
+        self.extract_in(&Axes::of(self, at), head, at, out)
+    }
+
+    /// The same in the axes at the point, which both heads share.
+    pub(super) fn extract_in(
+        self,
+        axes: &Axes,
+        head: Head,
+        at: &[f64; VARIABLES],
+        out: &mut [f64; FEATURES_MAX],
+    ) -> usize {
         out[..3].copy_from_slice(&axes.seen([at[0], at[1], at[2]]));
         out[3..ANGLE].copy_from_slice(&at[3..ANGLE]);
         let mut length = ANGLE;
@@ -137,15 +147,15 @@ impl Features {
     }
 
     /// Derivatives with respect to the point's variables, from those with respect to the
-    /// features.
+    /// features; `axes`: those at the point.
     pub(super) fn pull_back(
         self,
+        axes: &Axes,
         head: Head,
         at: &[f64; VARIABLES],
         slope: &[f64],
     ) -> [f64; VARIABLES] {
         let mut row = [0.0; VARIABLES];
-        let axes = Axes::of(self, at);
         let (by_velocity, by_rate) = (&slope[..3], &slope[3..ANGLE]);
         row[..3].copy_from_slice(&axes.told([by_velocity[0], by_velocity[1], by_velocity[2]]));
         row[3..ANGLE].copy_from_slice(by_rate);
@@ -199,8 +209,11 @@ pub(super) struct Axes {
 
 impl Axes {
     pub fn of(features: Features, at: &[f64; VARIABLES]) -> Self {
-        let [roll, pitch, yaw] = [at[ANGLE], at[ANGLE + 1], at[ANGLE + 2]].map(f64::sin_cos);
-        let about_down = || Matrix3::new(yaw.1, -yaw.0, 0.0, yaw.0, yaw.1, 0.0, 0.0, 0.0, 1.0);
+        let turn = |i: usize| at[ANGLE + i].sin_cos();
+        let about_down = || {
+            let (sin, cos) = turn(2);
+            Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0)
+        };
         let still = Vector3::zeros();
         match features {
             Features::World => Self { to_world: Matrix3::identity(), turns: [still; 3] },
@@ -208,6 +221,7 @@ impl Axes {
                 Self { to_world: about_down(), turns: [still, still, Vector3::z()] }
             }
             Features::Body => {
+                let (roll, pitch) = (turn(0), turn(1));
                 let tilt = Matrix3::new(
                     pitch.1,
                     pitch.0 * roll.0,

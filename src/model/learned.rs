@@ -165,13 +165,14 @@ impl NetworkModel {
 impl Model for NetworkModel {
     fn accelerations(&self, at: &Point) -> [f64; ACCELERATIONS] {
         let at = at.to_array();
+        let axes = Axes::of(self.features, &at);
         let mut out = [0.0; ACCELERATIONS];
         let mut features = [0.0; FEATURES_MAX];
         for head in Head::BOTH {
-            let n = self.features.extract(head, &at, &mut features);
+            let n = self.features.extract_in(&axes, head, &at, &mut features);
             let mut y = self.network(head).evaluate(&features, n);
             if head == Head::Linear {
-                y = Axes::of(self.features, &at).told(y);
+                y = axes.told(y);
             }
             out[head.rows()].copy_from_slice(&y);
         }
@@ -180,15 +181,15 @@ impl Model for NetworkModel {
 
     fn linearize(&self, at: &Point) -> ([f64; ACCELERATIONS], Jacobian) {
         let at = at.to_array();
+        let axes = Axes::of(self.features, &at);
         let mut value = [0.0; ACCELERATIONS];
         let mut jacobian = [[0.0; VARIABLES]; ACCELERATIONS];
         let mut features = [0.0; FEATURES_MAX];
         for head in Head::BOTH {
-            let n = self.features.extract(head, &at, &mut features);
+            let n = self.features.extract_in(&axes, head, &at, &mut features);
             let (mut y, slope) = self.network(head).linearize(&features, n);
-            let mut rows = slope.map(|row| self.features.pull_back(head, &at, &row[..n]));
+            let mut rows = slope.map(|row| self.features.pull_back(&axes, head, &at, &row[..n]));
             if head == Head::Linear {
-                let axes = Axes::of(self.features, &at);
                 for column in 0..VARIABLES {
                     let told = axes.told(rows.map(|row| row[column]));
                     for (row, value) in rows.iter_mut().zip(told) {
