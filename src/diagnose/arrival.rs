@@ -6,6 +6,8 @@
 //! some milliseconds the same setpoints are in force, and a fit of the outputs finds any value
 //! between. The few that come late tell the rest.
 
+use rayon::prelude::*;
+
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
 
@@ -24,6 +26,8 @@ const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
 const STRAY: f64 = 1e-3;
 /// How well the clocks of ground and vehicle are tied by the least delay of the downlink, s.
 const CLOCK_TIE_S: f64 = 7e-4;
+/// Densities that are multiplied before their logarithm is taken: far from underflow.
+const MULTIPLIED: usize = 64;
 /// Outputs one after the other answer the same setpoint: so many count as one.
 const CORRELATED: f64 = 4.0;
 
@@ -58,14 +62,14 @@ impl Delay {
             return None;
         }
         let steps = (AGE_MAX_S / STEP_S) as usize;
-        let mut options: Vec<(f64, f64)> = Vec::with_capacity(steps * JITTERS_S.len());
-        for jitter in JITTERS_S {
-            for step in 0..steps {
-                let constant = step as f64 * STEP_S;
-                let density = answers.iter().map(|answer| answer.density(constant, jitter));
-                options.push((constant + jitter, density.sum::<f64>() / CORRELATED));
-            }
-        }
+        let options: Vec<(f64, f64)> = (0..steps * JITTERS_S.len())
+            .into_par_iter()
+            .map(|option| {
+                let constant = (option % steps) as f64 * STEP_S;
+                let jitter = JITTERS_S[option / steps];
+                (constant + jitter, log_density(answers, constant, jitter) / CORRELATED)
+            })
+            .collect();
         let most = options.iter().map(|(_, density)| *density).fold(f64::NEG_INFINITY, f64::max);
         let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
         for (delay, density) in options {
@@ -80,13 +84,25 @@ impl Delay {
     }
 }
 
+/// Log density of all answers, for a constant delay and a mean jitter.
+fn log_density(answers: &[Answer], constant: f64, jitter: f64) -> f64 {
+    let of_some = |answers: &[Answer]| {
+        answers.iter().map(|answer| answer.density(constant, jitter)).product::<f64>().ln()
+    };
+    answers.chunks(MULTIPLIED).map(of_some).sum()
+}
+
 impl Answer {
-    /// Log density of this answer, for a constant delay and a mean jitter.
+    /// Density of this answer, for a constant delay and a mean jitter; at least [`STRAY`].
     fn density(&self, constant: f64, jitter: f64) -> f64 {
-        let under_way = |age: f64| (-(age - constant).max(0.0) / jitter).exp();
-        let arrived = 1.0 - under_way(self.in_force);
-        let none_newer: f64 = self.newer.iter().map(|age| under_way(*age)).product();
-        (arrived * none_newer + STRAY).ln()
+        let waited = |age: f64| (age - constant).max(0.0) / jitter;
+        let arrived = 1.0 - (-waited(self.in_force)).exp();
+        // What is not yet due has not arrived, however long the newer ones take.
+        if arrived == 0.0 {
+            return STRAY;
+        }
+        let none_newer = (-self.newer.iter().map(|age| waited(*age)).sum::<f64>()).exp();
+        arrived * none_newer + STRAY
     }
 }
 

@@ -14,6 +14,8 @@ use crate::setpoint::Reference;
 /// would fold into them.
 const RATE_MAX_HZ: f64 = 260.0;
 const SMOOTHING_S: f64 = 0.005;
+/// Samples that a cursor passes one by one before it searches.
+const STEPS_MAX: usize = 8;
 /// Share of the hover output above which a vehicle without a word on it is in the air.
 const LIFTS: f64 = 0.5;
 /// Shorter drops of the output are manoeuvres, s.
@@ -134,7 +136,9 @@ impl<const N: usize> Cursor<'_, N> {
     /// The value at `time`; the nearest sample's beyond the ends.
     pub fn at(&mut self, time: f64) -> [f64; N] {
         let times = &self.series.times;
-        if self.index > 0 && times[self.index] > time {
+        let is_behind = self.index > 0 && times[self.index] > time;
+        let is_far_ahead = times.get(self.index + STEPS_MAX).is_some_and(|t| *t <= time);
+        if is_behind || is_far_ahead {
             self.index = times.partition_point(|t| *t <= time).saturating_sub(1);
         }
         while self.index + 1 < times.len() && times[self.index + 1] <= time {

@@ -93,7 +93,9 @@ pub fn diagnose(
     let leg = case.fitted.iter().chain(case.held_out).all(|flight| flight.channels.setpoint);
     progress("what a learner can close");
     let learned = learned(case, &evaluator, leg);
-    let grounds = Grounds { case, settings, evaluator: &evaluator, leg, learned };
+    let onboard = evaluator.onboard().filter(|_| leg);
+    let arrival = onboard.and_then(|law| Delay::of(case.fitted, law));
+    let grounds = Grounds { case, settings, evaluator: &evaluator, leg, arrival, learned };
     let tolerant = grounds.attempt(1.0, progress)?;
     if let Some(without) = without_moments(case, &tolerant) {
         progress("again, with a plain drag");
@@ -161,6 +163,8 @@ struct Grounds<'a> {
     evaluator: &'a Evaluator,
     /// Whether the leg from setpoints to outputs is looked at.
     leg: bool,
+    /// The setpoints' delay as read off the outputs.
+    arrival: Option<Delay>,
     /// Errors on the flights held out with what a flexible learner adds.
     learned: Option<Errors>,
 }
@@ -168,12 +172,11 @@ struct Grounds<'a> {
 impl Grounds<'_> {
     /// One diagnosis, with the tolerances of the vehicle file's numbers times `tolerance`.
     fn attempt(&self, tolerance: f64, progress: &dyn Fn(&str)) -> Result<Diagnosis, DiagnoseError> {
-        let Grounds { case, settings, evaluator, leg, learned } = *self;
+        let Grounds { case, settings, evaluator, leg, arrival, learned } = *self;
         let mut catalogue =
             Catalogue::new(case.vehicle, leg).without(case.without).taken_at(tolerance);
         catalogue.candidate(&catalogue.references())?;
         let onboard = evaluator.onboard().filter(|_| leg);
-        let arrival = onboard.and_then(|law| Delay::of(case.fitted, law));
         if let Some(delay) = &arrival {
             catalogue = catalogue.with_delay(delay);
         }
