@@ -114,6 +114,7 @@ fn inverse(mut a: [[f64; 4]; 4]) -> Option<[[f64; 4]; 4]> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
     tau: f64,
+    step: f64,
     half: f64,
     full: f64,
 }
@@ -122,7 +123,7 @@ impl Lag {
     /// A lag of `tau` seconds over steps of `step` seconds; `tau` = 0 follows at once.
     pub fn new(tau: f64, step: f64) -> Self {
         let decay = |time: f64| if tau > 0.0 { (-time / tau).exp() } else { 0.0 };
-        Self { tau, half: decay(0.5 * step), full: decay(step) }
+        Self { tau, step, half: decay(0.5 * step), full: decay(step) }
     }
 
     /// Whether the states follow at once.
@@ -136,6 +137,25 @@ impl Lag {
         let after =
             |decay: f64| std::array::from_fn(|i| outputs[i] + (states[i] - outputs[i]) * decay);
         [after(self.half), after(self.full)]
+    }
+
+    /// The states' mean over a step and those at its end, through which outputs move in a line from
+    /// the first to the last: smooth in tau down to 0, with r = (last - first) / h
+    /// s(t) = first + r (t - tau) + (s(0) - first + r tau) exp(-t / tau).
+    pub fn follow(
+        &self,
+        states: &[f64; ROTORS],
+        [first, last]: [&[f64; ROTORS]; 2],
+    ) -> [[f64; ROTORS]; 2] {
+        let late = self.tau / self.step;
+        let of_rotor = |i: usize| {
+            let change = (last[i] - first[i]) * late;
+            let off = states[i] - first[i] + change;
+            let mean = 0.5 * (first[i] + last[i]) - change + off * late * (1.0 - self.full);
+            [mean, last[i] - change + off * self.full]
+        };
+        let found: [[f64; 2]; ROTORS] = std::array::from_fn(of_rotor);
+        [found.map(|[mean, _]| mean), found.map(|[_, end]| end)]
     }
 }
 
@@ -203,6 +223,29 @@ mod tests {
         let expected = [1.0 - 0.8 * e, 0.2, 0.2 * e, 0.5 - 0.3 * e];
         for (s, expected) in states.iter().zip(expected) {
             assert!((s - expected).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn lag_follows_a_line_as_many_held_steps_would() {
+        let (first, last) = ([0.2, 0.5, 0.9, 0.4], [0.6, 0.5, 0.1, 0.5]);
+        let start = [0.3, 0.4, 0.9, 0.0];
+        for tau in [0.0, 1e-4, 0.003, 0.04] {
+            let [mean, end] = Lag::new(tau, 0.01).follow(&start, [&first, &last]);
+            let fine = Lag::new(tau, 1e-6);
+            let (mut state, mut sum) = (start, [0.0; 4]);
+            for k in 0..10_000 {
+                let share = (f64::from(k) + 0.5) * 1e-4;
+                let u = std::array::from_fn(|i| first[i] + share * (last[i] - first[i]));
+                let [middle, after] = fine.advance(&state, &u);
+                sum.iter_mut().zip(middle).for_each(|(sum, s)| *sum += s * 1e-4);
+                state = after;
+            }
+            for i in 0..4 {
+                // Without a lag the start counts for nothing.
+                assert!((mean[i] - sum[i]).abs() < 1e-5, "{tau}: {} {}", mean[i], sum[i]);
+                assert!((end[i] - state[i]).abs() < 1e-4, "{tau}");
+            }
         }
     }
 }

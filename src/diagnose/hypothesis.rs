@@ -28,7 +28,7 @@ const LATENCIES_S: [f64; 32] = [
     0.07, 0.075, 0.08, 0.09, 0.1, 0.12,
 ];
 /// Lags that a fit starts from, s.
-const MOTOR_LAGS_S: [f64; 4] = [0.015, 0.03, 0.06, 0.1];
+const MOTOR_LAGS_S: [f64; 6] = [0.004, 0.008, 0.015, 0.03, 0.06, 0.1];
 /// Effective radii of the ground effect that a fit starts from, in rotor radii.
 const GROUND_RADII: [f64; 3] = [2.0, 4.0, 8.0];
 /// Winds that a fit starts from, north and east, m/s: where drag grows with the square of the
@@ -99,8 +99,9 @@ pub struct Hypothesis {
     pub effect: EffectId,
     /// Indices of its numbers.
     pub numbers: Vec<usize>,
-    /// Values to start a fit from, each one for each number; the first is the nearest.
-    pub starts: Vec<Vec<f64>>,
+    /// Values to start a fit from, of its numbers and of nuisances that can take their part; the
+    /// first is the nearest.
+    pub starts: Vec<Vec<(usize, f64)>>,
 }
 
 /// All numbers and hypotheses for one vehicle and the channels of its logs.
@@ -199,7 +200,7 @@ impl Catalogue {
             catalogue.hypothesis(effect, numbers, &starts);
         }
         if setpoint_leg {
-            catalogue.add(Number {
+            let delay = catalogue.add(Number {
                 target: Target::OutputDelay,
                 reference: 0.0,
                 expected: 0.0,
@@ -208,6 +209,12 @@ impl Catalogue {
                 bounds: [-0.03, 0.15],
                 quadratic: false,
             });
+            // Where nuisances alone are fitted, the delay stands in for a lag.
+            for hypothesis in &mut catalogue.hypotheses {
+                if hypothesis.effect == EffectId::MotorLag {
+                    hypothesis.starts.iter_mut().for_each(|start| start.push((delay, 0.0)));
+                }
+            }
         }
         for axis in 0..3 {
             let kp = vehicle.attitude_pd.map_or(0.0, |pd| pd.kp[axis]);
@@ -256,16 +263,17 @@ impl Catalogue {
     /// Adds a hypothesis that starts at its references or from `starts`: further values of its
     /// first numbers (for ground_effect in rotor radii, where the reference says nothing).
     fn hypothesis(&mut self, effect: EffectId, numbers: Vec<usize>, starts: &[&[f64]]) {
-        let at_reference: Vec<f64> = numbers.iter().map(|i| self.numbers[*i].reference).collect();
+        let at_reference: Vec<(usize, f64)> =
+            numbers.iter().map(|i| (*i, self.numbers[*i].reference)).collect();
         let unit = if effect == EffectId::GroundEffect { self.vehicle.rotor_radius_m } else { 1.0 };
         let mut all = Vec::new();
         // Where the effect grows with the square of its number there is no slope at 0.
-        if effect != EffectId::GroundEffect || at_reference[0] > 0.0 {
+        if effect != EffectId::GroundEffect || at_reference[0].1 > 0.0 {
             all.push(at_reference.clone());
         }
         for start in starts {
             let mut values = at_reference.clone();
-            values.iter_mut().zip(*start).for_each(|(value, start)| *value = start * unit);
+            values.iter_mut().zip(*start).for_each(|((_, value), start)| *value = start * unit);
             all.push(values);
         }
         self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
@@ -299,12 +307,13 @@ impl Catalogue {
     /// there alone. Where the reference allows it, it is expected there; where it does not, the delay
     /// is known to be off and no nuisance.
     pub fn with_delay(mut self, delay: &Delay) -> Self {
+        let index = self.number_of(EffectId::CommandDelay, 0);
         let delays = self.hypotheses.iter_mut().filter(|h| h.effect == EffectId::CommandDelay);
         for hypothesis in delays {
             hypothesis.starts.truncate(1);
-            hypothesis.starts.push(vec![delay.mean]);
+            hypothesis.starts.extend(index.map(|index| vec![(index, delay.mean)]));
         }
-        if let Some(index) = self.number_of(EffectId::CommandDelay, 0) {
+        if let Some(index) = index {
             let number = &mut self.numbers[index];
             if (delay.mean - number.reference).abs() < DELAY_READ_MAX_S {
                 number.expected = delay.mean;
@@ -419,10 +428,10 @@ mod tests {
         let catalogue = Catalogue::new(&vehicle(), true);
         let wind = catalogue.hypotheses.iter().find(|h| h.effect == EffectId::Wind).unwrap();
         for slot in 0..2 {
-            let tried = |sign: f64| wind.starts.iter().any(|start| sign * start[slot] > 0.5);
+            let tried = |sign: f64| wind.starts.iter().any(|start| sign * start[slot].1 > 0.5);
             assert!(tried(1.0) && tried(-1.0), "{:?}", wind.starts);
         }
-        assert!(wind.starts.iter().all(|start| start.len() == 3 && start[2] == 0.0));
+        assert!(wind.starts.iter().all(|start| start.len() == 3 && start[2].1 == 0.0));
     }
 
     #[test]

@@ -367,18 +367,19 @@ fn rotors(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Vec<
     let warm_steps = (warm / step).ceil() as usize;
     let start = block.start - warm_steps as f64 * step;
     let mut outputs = flight.outputs.cursor();
-    let at = |k: usize| start + (k as f64 + 0.5) * step - candidate.output_delay;
-    let mut state = outputs.at(at(0));
+    let at = |k: usize| start + k as f64 * step - candidate.output_delay;
+    let mut before = outputs.at(at(0));
+    let mut state = before;
     let mut means = Vec::with_capacity(block.cells);
     let mut sum = [0.0; ROTORS];
     for k in 0..warm_steps + block.cells * SUBSTEPS {
-        let u = outputs.at(at(k));
-        let [middle, end] = lag.advance(&state, &u);
-        state = end;
+        let u = outputs.at(at(k + 1));
+        let [mean, end] = lag.follow(&state, [&before, &u]);
+        (before, state) = (u, end);
         if k < warm_steps {
             continue;
         }
-        for (sum, s) in sum.iter_mut().zip(middle) {
+        for (sum, s) in sum.iter_mut().zip(mean) {
             *sum += s / SUBSTEPS as f64;
         }
         if (k - warm_steps) % SUBSTEPS == SUBSTEPS - 1 {

@@ -230,9 +230,9 @@ impl Selector<'_> {
         let starts: Vec<Vec<(usize, f64)>> = newest
             .starts
             .iter()
-            .map(|start| newest.numbers.iter().copied().zip(start.iter().copied()).collect())
+            .cloned()
             .chain(std::iter::once(Vec::new()))
-            .map(|mut start: Vec<(usize, f64)>| {
+            .map(|mut start| {
                 start.extend(from.iter().copied());
                 start
             })

@@ -114,9 +114,8 @@ impl<'a> Stage<'a> {
         let mut starts = vec![from.clone(), Vec::new()];
         for hypothesis in own.iter().map(|h| &self.catalogue.hypotheses[*h]) {
             starts.extend(hypothesis.starts.iter().map(|start| {
-                let numbers = hypothesis.numbers.iter().copied();
                 let mut values = from.clone();
-                values.extend(numbers.zip(start.iter().copied()));
+                values.extend(start);
                 values
             }));
         }
