@@ -8,7 +8,7 @@ use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 use super::audit::{Audit, Severity, Tier, Untestable};
 use super::gap::{Errors, ReportNoise};
 use super::hypothesis::Catalogue;
-use super::judgement::Balance;
+use super::judgement::{Balance, Unexplained};
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::map::ResidualMap;
 use super::misfit::Misfit;
@@ -17,6 +17,7 @@ use super::preparation::{Channels, PreparedFlight};
 use super::procedure::Case;
 use super::reflight::ClosedLoop;
 use super::selection::{Rival, Selection, Thresholds};
+use super::strain::Strain;
 use super::twins::Twins;
 
 /// The verdict in three words.
@@ -69,6 +70,8 @@ pub struct Finding {
     pub verdict: FullVerdict,
     /// In a sentence or two.
     pub sentence: String,
+    /// Why what was seen counts as unexplained, where it does.
+    pub because: Option<Unexplained>,
     /// What a gap that nothing explains goes with.
     pub depends_on: Vec<String>,
 }
@@ -293,6 +296,8 @@ pub struct Answer {
     pub balance: Balance,
     /// What the explanation leaves of each group of equations against what it explains.
     pub misfit: Vec<Misfit>,
+    /// Numbers of the vehicle file that lie further off than files are, beside the explanation.
+    pub strained: Vec<Strain>,
     /// Flights simulated without an effect.
     pub twins: Option<Twins>,
     /// Single hypotheses, the best first.
@@ -337,7 +342,12 @@ impl Answer {
             closed_loop: None,
             closed_loop_missing: None,
             ambiguous_with: Vec::new(),
-            finding: Finding { verdict: FullVerdict::DataFault, sentence, depends_on: Vec::new() },
+            finding: Finding {
+                verdict: FullVerdict::DataFault,
+                sentence,
+                because: None,
+                depends_on: Vec::new(),
+            },
             logs,
             map: ResidualMap::default(),
             not_testable: Vec::new(),
@@ -346,6 +356,7 @@ impl Answer {
             unmodelled_moment: None,
             balance: Balance::default(),
             misfit: Vec::new(),
+            strained: Vec::new(),
             twins: None,
             hypotheses: Vec::new(),
             flights: Vec::new(),

@@ -9,13 +9,16 @@ use sitl::vehicle::VehicleError;
 use super::answer::{EffectAnswer, FullVerdict, Gap, NAMED, NotTestable, Verdict, parameters};
 use super::arrival::Delay;
 use super::audit::{is_flat, voltage_range};
+use super::fit::Fit;
 use super::gap::{Errors, ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
-use super::judgement::{Balance, Leftover, explained, is_neighbour, is_open, is_unexplained};
+use super::judgement::{
+    Balance, Leftover, Unexplained, explained, is_neighbour, is_open, is_unexplained,
+};
 use super::leftover::{unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
-use super::misfit::{Misfit, misfit, share_left};
+use super::misfit::{Misfit, misfit, share_left, standing_out};
 use super::naming::{as_good, class, credence, named_effects};
 use super::noise::report_noise;
 use super::observed::Observed;
@@ -24,6 +27,7 @@ use super::preparation::PreparedFlight;
 use super::procedure::{Case, DiagnoseError, Settings};
 use super::residuals::Evaluator;
 use super::selection::{Scored, Selection, Selector, Thresholds};
+use super::strain::{Strain, strains};
 use super::turbulence::gusts;
 use super::twins::{TwinFits, Twins, screened};
 
@@ -63,8 +67,11 @@ pub(super) struct Search {
     pub twins: Option<Twins>,
     /// What was asked of an effect.
     pub thresholds: Thresholds,
-    /// What the chosen effects leave; nothing where there are none, or no twins of them can be flown.
+    /// What the chosen effects leave, or the nuisances alone where there are none; nothing where no
+    /// twins can be flown.
     pub misfit: Vec<Misfit>,
+    /// Numbers that are strained beside the chosen effects.
+    pub strained: Vec<Strain>,
     /// Twins without an effect, and of the chosen effects where there are any.
     of_null: Option<TwinFits>,
     of_best: Option<TwinFits>,
@@ -78,9 +85,10 @@ impl Search {
     }
 }
 
-/// The verdict, and gusts where what is left looks like turbulence.
+/// The verdict, why it is unknown where it is, and gusts where what is left looks like turbulence.
 pub(super) struct Judgement {
     pub verdict: Verdict,
+    pub because: Option<Unexplained>,
     pub turbulence: Option<Slots>,
 }
 
@@ -136,19 +144,28 @@ impl<'a> Inquiry<'a> {
         if self.take_up_delay(&mut selection.best) {
             flown.push(selection.best.clone());
         }
-        let checked = flown.iter().filter_map(|scored| {
+        let null = &selection.null.fit;
+        let checked = |fit: &Fit, twins: &TwinFits| {
+            (misfit(null, fit, twins, fitted.counts()), strains(catalogue, fit, twins))
+        };
+        let of_flown = flown.iter().filter_map(|scored| {
             let twins = self.twins_of(scored, &noise)?;
-            let (null, best) = (&selection.null.fit, &scored.fit);
-            Some((misfit(null, best, &twins, self.fitted.counts()), twins))
+            Some((checked(&scored.fit, &twins), twins))
         });
-        let checked = checked.min_by(|(a, _), (b, _)| share_left(a).total_cmp(&share_left(b)));
-        let (misfit, of_best) = checked.map_or((Vec::new(), None), |(m, twins)| (m, Some(twins)));
+        let nearest =
+            of_flown.min_by(|((a, _), _), ((b, _), _)| share_left(a).total_cmp(&share_left(b)));
+        let found = !selection.best.fit.hypotheses.is_empty();
+        let alone = of_null.as_ref().filter(|_| !found && self.leg());
+        let ((misfit, strained), of_best) = match nearest {
+            Some((checked, twins)) => (checked, Some(twins)),
+            None => (alone.map(|twins| checked(null, twins)).unwrap_or_default(), None),
+        };
         if let Some(twins) = &of_best {
             correct(&mut selection.best, catalogue, twins);
         }
         self.take_up_delay(&mut selection.best);
         let thresholds = selector.thresholds;
-        Ok(Search { selection, noise, twins, thresholds, misfit, of_null, of_best })
+        Ok(Search { selection, noise, twins, thresholds, misfit, strained, of_null, of_best })
     }
 
     /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by.
@@ -271,16 +288,28 @@ impl<'a> Inquiry<'a> {
             let samples = samples(&self.fitted, self.evaluator, &candidate);
             gusts(self.case.vehicle, effects, after, &samples)
         });
-        let verdict = match turbulence {
-            Some(_) => Verdict::Effect,
-            None if is_unexplained(balance, found) => Verdict::Unknown,
-            None if is_neighbour(&search.misfit) => Verdict::Unknown,
-            // Driven by outputs, an open loop strays from any cause.
-            None if self.leg() && gap.is_some_and(|gap| is_open(gap, found)) => Verdict::Unknown,
-            None if found => Verdict::Effect,
+        let because = if turbulence.is_some() {
+            None
+        } else if is_unexplained(balance, found) {
+            Some(Unexplained::Leftover)
+        } else if is_neighbour(&search.misfit) {
+            Some(Unexplained::Neighbour)
+        // Driven by outputs, an open loop strays from any cause.
+        } else if self.leg() && gap.is_some_and(|gap| is_open(gap, found)) {
+            Some(Unexplained::OpenGap)
+        } else if !found && standing_out(&search.misfit).is_some() {
+            Some(Unexplained::Misfit)
+        } else if !found && !search.strained.is_empty() {
+            Some(Unexplained::Strain)
+        } else {
+            None
+        };
+        let verdict = match because {
+            Some(_) => Verdict::Unknown,
+            None if found || turbulence.is_some() => Verdict::Effect,
             None => Verdict::None,
         };
-        Judgement { verdict, turbulence }
+        Judgement { verdict, because, turbulence }
     }
 
     /// The named effects, gusts among them if `turbulence`, and what they cannot be told from.

@@ -28,6 +28,22 @@ const LEFT_MAX: f64 = 0.3;
 /// The same of the evidence: of what could be explained in the equations that the effects answer for.
 const EVIDENCE_LEFT_MAX: f64 = 0.3;
 
+/// Why what was seen counts as unexplained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Unexplained {
+    /// A force or a moment is left that outweighs what is explained.
+    Leftover,
+    /// The explanation leaves too much of the evidence: it is a neighbour of the cause.
+    Neighbour,
+    /// The gap on the flights held out stays open.
+    OpenGap,
+    /// With no effect found, some equations leave more than the vehicle's own noise would.
+    Misfit,
+    /// With no effect found, numbers of the vehicle file must be further off than files are.
+    Strain,
+}
+
 /// Something unmodelled in units of what matters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Size {

@@ -29,6 +29,7 @@ pub mod replica;
 pub mod residuals;
 pub mod selection;
 pub mod spectrum;
+pub mod strain;
 mod tolerances;
 pub mod turbulence;
 pub mod twins;

@@ -168,6 +168,33 @@ pub(super) fn as_good(
         .collect()
 }
 
+/// The name of a number within its effect: of its parameter, and the component where it has several.
+fn parameter_name(target: Target) -> String {
+    match target {
+        Target::Effect(id, slot) => match id.spec().slots().find(|s| s.index == slot) {
+            Some(slot) if slot.parameter.kind.slots() > 1 => {
+                format!("{}[{}]", slot.parameter.name, slot.component)
+            }
+            Some(slot) => slot.parameter.name.to_owned(),
+            None => slot.to_string(),
+        },
+        Target::RotorScale(_) => "scale".to_owned(),
+        Target::OutputDelay => "delay_s".to_owned(),
+        Target::RotorGain(rotor) => format!("thrust of rotor {rotor}"),
+        Target::Damping(axis) => format!("damping of the rate[{axis}]"),
+    }
+}
+
+/// The same with its effect before it, where it is an effect's.
+pub(super) fn parameter(target: Target) -> String {
+    let name = parameter_name(target);
+    match target {
+        Target::Effect(id, _) => format!("{} {name}", id.name()),
+        Target::OutputDelay => "delay of the outputs".to_owned(),
+        _ => name,
+    }
+}
+
 /// 90 % intervals of an effect's fitted numbers.
 fn intervals(
     catalogue: &Catalogue,
@@ -181,18 +208,7 @@ fn intervals(
             continue;
         }
         for number in &hypothesis.numbers {
-            let name = match catalogue.numbers[*number].target {
-                Target::Effect(id, slot) => {
-                    let Some(slot) = id.spec().slots().find(|s| s.index == slot) else { continue };
-                    match slot.parameter.kind.slots() {
-                        1 => slot.parameter.name.to_owned(),
-                        _ => format!("{}[{}]", slot.parameter.name, slot.component),
-                    }
-                }
-                Target::RotorScale(_) => "scale".to_owned(),
-                Target::OutputDelay => "delay_s".to_owned(),
-                Target::RotorGain(_) | Target::Damping(_) => continue,
-            };
+            let name = parameter_name(catalogue.numbers[*number].target);
             let (value, deviation) = (scored.fit.values[*number], scored.fit.deviation[*number]);
             intervals.insert(name, [value - Z90 * deviation, value + Z90 * deviation]);
         }

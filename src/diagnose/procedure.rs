@@ -8,6 +8,7 @@ use super::arrival::Delay;
 use super::gap::{Errors, ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
+use super::judgement::Unexplained;
 use super::learner::Learner;
 use super::naming::not_testable;
 use super::next_flight::{Live, live, untested};
@@ -111,7 +112,12 @@ pub fn diagnose(
     let strict = grounds.attempt(STRICT, progress)?;
     let names = strict.answer.verdict == Verdict::Effect;
     let closes = open(&strict).is_some_and(|strictly| strictly - 1.0 < CLOSES * (left - 1.0));
-    let is_more = tolerant.answer.verdict != Verdict::Unknown
+    // What nuisances alone cannot bear may be an effect within its usual tolerance.
+    let may_be_small = matches!(
+        tolerant.answer.finding.because,
+        None | Some(Unexplained::Misfit | Unexplained::Strain)
+    );
+    let is_more = may_be_small
         && tolerant.answer.named().all(|old| strict.answer.named().any(|new| new.id == old.id));
     let after = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(|gap| gap.after);
     let is_better = after(&strict) < after(&tolerant);
@@ -202,7 +208,7 @@ impl Grounds<'_> {
         let mut effects =
             catalogue.effects(&selection.best.fit.values, Some(&search.named(&catalogue)));
         let gap = inquiry.gap(selection, &effects)?;
-        let Judgement { verdict, turbulence } =
+        let Judgement { verdict, because, turbulence } =
             inquiry.judge(&search, &effects, &leftover, &balance, gap.as_ref());
         if let Some(slots) = turbulence {
             let _ = effects.insert(EffectId::Gusts, slots);
@@ -223,7 +229,7 @@ impl Grounds<'_> {
         };
         let mut answer = Answer {
             verdict,
-            finding: Finding { verdict: full, sentence: String::new(), depends_on },
+            finding: Finding { verdict: full, sentence: String::new(), because, depends_on },
             logs: Vec::new(),
             map,
             twins: search.twins.clone(),
@@ -238,6 +244,7 @@ impl Grounds<'_> {
             unmodelled_moment: leftover.moment,
             balance,
             misfit: search.misfit.clone(),
+            strained: search.strained.clone(),
             hypotheses: HypothesisAnswer::all(&catalogue, selection, &search.thresholds),
             flights: FlightAnswer::all(case),
         };

@@ -1,10 +1,11 @@
 //! The finding as a person would say it.
 
 use super::answer::{Answer, EffectAnswer, Gap, Parameter, Verdict};
-use super::judgement::Balance;
-use super::misfit::share_left;
+use super::judgement::{Balance, Unexplained};
+use super::misfit::{Misfit, share_left, standing_out};
 use super::next_flight::NextFlight;
 use super::reflight::ClosedLoop;
+use super::strain::Strain;
 
 /// The full verdict of an answer, in a sentence or two.
 pub fn finding(answer: &Answer) -> String {
@@ -22,36 +23,57 @@ pub fn finding(answer: &Answer) -> String {
     }
 }
 
-/// What is left that nothing explains: the larger of force and moment, or what the nearest effects
-/// leave, or else the open gap.
+/// Why what was seen counts as unexplained.
 fn unknown(answer: &Answer) -> String {
-    let mut text = "Something acts that no listed effect explains".to_owned();
-    let share = share_left(&answer.misfit);
+    let head = "Something acts that no listed effect explains";
+    let why = match answer.finding.because {
+        Some(Unexplained::Leftover) => leftover(answer),
+        Some(Unexplained::Neighbour) => Some(format!(
+            "the nearest leaves {:.0} % of the evidence that a full explanation would have",
+            100.0 * share_left(&answer.misfit)
+        )),
+        Some(Unexplained::OpenGap) => answer.gap.as_ref().map(|gap| {
+            format!(
+                "the flights held out are predicted to {:.2} times what noise alone leaves",
+                gap.before / gap.floor.max(f64::MIN_POSITIVE)
+            )
+        }),
+        Some(Unexplained::Misfit) => standing_out(&answer.misfit).map(|misfit| {
+            let Misfit { equations, left, error, .. } = misfit;
+            format!(
+                "in {equations} {left:.0} nats are left beyond what the vehicle's own noise makes, \
+                 give or take {error:.0}"
+            )
+        }),
+        Some(Unexplained::Strain) => {
+            answer.strained.first().map(|Strain { number, tolerances }| {
+                format!(
+                    "{number} of the vehicle file would have to be {tolerances:.1} tolerances off"
+                )
+            })
+        }
+        None => None,
+    };
+    why.map_or_else(|| format!("{head}."), |why| format!("{head}: {why}."))
+}
+
+/// What is left that nothing explains: the larger of force and moment.
+fn leftover(answer: &Answer) -> Option<String> {
     let Balance { force, moment } = answer.balance;
-    let of_force = answer.unmodelled_force.as_ref().filter(|_| force.left > 1.0);
-    let of_moment = answer.unmodelled_moment.as_ref().filter(|_| moment.left > force.left.max(1.0));
-    if let Some([_, after]) = of_moment {
+    if moment.left > force.left
+        && let Some([_, after]) = &answer.unmodelled_moment
+    {
         let rms = after.rms().map(|rms| rms * rms).iter().sum::<f64>().sqrt();
-        text += &format!(
-            ": {rms:.2} rad/s^2 of angular acceleration beyond what the vehicle's noise makes is left"
-        );
-    } else if let Some([_, after]) = of_force {
-        text += &format!(
-            ": {:.2} m/s^2 of force per mass that velocity and accelerometer agree on is left",
-            after.rms()
-        );
-    } else if share > 0.0 {
-        let share = 100.0 * share;
-        text += &format!(
-            ": the nearest leaves {share:.0} % of the evidence that a full explanation would have"
-        );
-    } else if let Some(gap) = &answer.gap {
-        text += &format!(
-            ": the flights held out are predicted to {:.2} times what noise alone leaves",
-            gap.before / gap.floor.max(f64::MIN_POSITIVE)
-        );
+        return Some(format!(
+            "{rms:.2} rad/s^2 of angular acceleration beyond what the vehicle's noise makes is left"
+        ));
     }
-    text + "."
+    answer.unmodelled_force.as_ref().map(|[_, after]| {
+        format!(
+            "{:.2} m/s^2 of force per mass that velocity and accelerometer agree on is left",
+            after.rms()
+        )
+    })
 }
 
 /// Least probability of an effect that is worth a word where none is named.
@@ -226,6 +248,9 @@ pub fn report(answer: &Answer) -> String {
             "left over  {share:.0} % of the evidence that a full explanation would have\n"
         );
     }
+    for Strain { number, tolerances } in &answer.strained {
+        text += &format!("strained   {number} by {tolerances:.1} tolerances\n");
+    }
     if let Some(next) = &answer.next_flight {
         text += &format!("next       {}\n", next_flight(next));
     }
@@ -260,8 +285,12 @@ mod tests {
             balance: Balance { force: size(3.0), moment: size(1.0) },
             ..Answer::data_fault(Vec::new())
         };
+        answer.finding.because = Some(Unexplained::Leftover);
         assert!(finding(&answer).contains("0.50 m/s^2"), "{}", finding(&answer));
         answer.balance.moment = size(5.0);
         assert!(finding(&answer).contains("2.00 rad/s^2"), "{}", finding(&answer));
+        answer.finding.because = Some(Unexplained::Strain);
+        answer.strained = vec![Strain { number: "mass mass_kg".to_owned(), tolerances: -2.8 }];
+        assert!(finding(&answer).contains("mass mass_kg"), "{}", finding(&answer));
     }
 }
