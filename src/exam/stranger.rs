@@ -17,6 +17,9 @@ pub struct Stranger {
     pub causes: &'static [EffectId],
 }
 
+/// Share of the thrust that an exponential ground effect adds on the floor at size 1: a rotor half a
+/// radius above it gains a third (Cheeseman and Bennett 1955), four side by side more.
+const GROUND_GAIN: f64 = 0.6;
 /// Kinds of disturbances from outside.
 const DISTURBANCES: usize = 7;
 /// Kinds of other laws without a modelled drag, and how many of them are drags.
@@ -105,7 +108,7 @@ impl Stranger {
             4 => {
                 let length = vehicle.rotor_radius_m * draw.within([1.5, 3.0]);
                 (
-                    Foreign::GroundExponential { gain: 1.5, length_m: rounded(length) },
+                    Foreign::GroundExponential { gain: GROUND_GAIN, length_m: rounded(length) },
                     &[GroundEffect],
                 )
             }

@@ -16,6 +16,9 @@ pub const STRENGTHS: [f64; 9] = [0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0, 8.0, 15.0];
 /// Borders between probabilities in the reliability table.
 pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
 
+/// The Brier score is to be at most this.
+pub const BRIER_MAX: f64 = 0.08;
+
 /// A rate that something is asked of.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measure {
@@ -104,7 +107,7 @@ pub struct ConditionSummary {
 pub struct Summary {
     /// Rates.
     pub measures: Vec<Measure>,
-    /// Mean Brier score; to be at most 0.08.
+    /// Mean Brier score; to be at most [`BRIER_MAX`].
     pub brier: Option<f64>,
     /// Median relative error of parameters.
     pub error: Option<f64>,
@@ -252,6 +255,11 @@ impl Summary {
             conditions: conditions(rows),
             seconds: median(rows.iter().map(|row| row.seconds).collect()),
         }
+    }
+
+    /// Whether the Brier score keeps its bound.
+    pub fn brier_holds(&self) -> bool {
+        self.brier.is_none_or(|brier| brier <= BRIER_MAX)
     }
 
     /// The measures that do not keep their bounds.

@@ -8,7 +8,7 @@ use super::page::{Mood, Page, escape};
 use super::table::{Table, definitions};
 use crate::exam::interval::Rate;
 use crate::exam::score::Row;
-use crate::exam::summary::{Bound, Detection, Measure, Summary};
+use crate::exam::summary::{BRIER_MAX, Bound, Detection, Measure, Summary};
 
 /// Height of a figure's frame, pixels.
 const HEIGHT: f64 = 220.0;
@@ -38,6 +38,8 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
         let (name, rate) = (measure.name, percent(&measure.rate));
         let _ = writeln!(text, "{name:42} {rate:30} {}{mark}", wanted(measure));
     }
+    let mark = if summary.brier_holds() { "" } else { "  missed" };
+    let _ = writeln!(text, "{:42} {}{mark}", brier_name(), number(summary.brier));
     for (name, value) in numbers(summary) {
         let _ = writeln!(text, "{name:42} {value}");
     }
@@ -76,19 +78,22 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
 
 /// The page, self-contained.
 pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> String {
-    let failures: Vec<String> = summary
+    let mut failures: Vec<String> = summary
         .failures()
         .map(|measure| {
             format!("{}: {} ({})", measure.name, percent(&measure.rate), wanted(measure))
         })
         .collect();
+    if !summary.brier_holds() {
+        failures.push(format!("{}: {}", brier_name(), number(summary.brier)));
+    }
     let subtitle = format!("{} cases, seed {}", rows.len(), provenance.seed);
     let mut page = Page::new("Exam of the diagnosis", &subtitle);
     if failures.is_empty() {
         page.verdict(Mood::Good, "Every rate keeps what is asked of it.", &[]);
     } else {
         let count = failures.len();
-        page.verdict(Mood::Warning, &format!("{count} rates miss what is asked."), &failures);
+        page.verdict(Mood::Warning, &format!("{count} figures miss what is asked."), &failures);
     }
     page.section(
         "Rates",
@@ -167,16 +172,20 @@ fn number(value: Option<f64>) -> String {
     value.map_or("-".to_owned(), |v| format!("{v:.3}"))
 }
 
-fn numbers(summary: &Summary) -> [(&'static str, String); 5] {
+fn brier_name() -> String {
+    format!("Brier score (<= {BRIER_MAX})")
+}
+
+fn numbers(summary: &Summary) -> [(String, String); 4] {
     let [claimed, truly] = summary.closure.map(number);
     let apart = number(summary.closure_off);
     [
-        ("Brier score (<= 0.08)", number(summary.brier)),
         ("median relative parameter error", number(summary.error)),
         ("90 % intervals that hold", percent(&summary.covered)),
         ("median closure", format!("{claimed} claimed, {truly} true, {apart} apart")),
         ("median time of a diagnosis, s", number(summary.seconds)),
     ]
+    .map(|(name, value)| (name.to_owned(), value))
 }
 
 /// A rate with its interval and its counts.
@@ -184,6 +193,11 @@ fn percent(rate: &Rate) -> String {
     let Some(value) = rate.rate else { return "-".to_owned() };
     let [low, high] = rate.interval.map(|bound| 100.0 * bound);
     format!("{:.1} % [{low:.1}, {high:.1}] {}/{}", 100.0 * value, rate.count, rate.of)
+}
+
+/// The same on one line of a page.
+fn unbroken(rate: &Rate) -> String {
+    percent(rate).replace(' ', "\u{a0}")
 }
 
 fn strengths(line: &Detection) -> String {
@@ -199,11 +213,13 @@ fn measures(summary: &Summary) -> String {
             _ if measure.holds() => Mood::Good,
             _ => Mood::Bad,
         };
-        let cells = [measure.name.to_owned(), percent(&measure.rate), wanted(measure)];
+        let cells = [measure.name.to_owned(), unbroken(&measure.rate), wanted(measure)];
         table.row(mood, &cells);
     }
+    let mood = if summary.brier_holds() { Mood::Good } else { Mood::Bad };
+    table.row(mood, &[brier_name(), number(summary.brier), String::new()]);
     for (name, value) in numbers(summary) {
-        table.row(Mood::Plain, &[name.to_owned(), value, String::new()]);
+        table.row(Mood::Plain, &[name, value, String::new()]);
     }
     table.into_html()
 }
@@ -305,9 +321,9 @@ fn effects(summary: &Summary) -> String {
     for effect in &summary.effects {
         let mut cells = vec![
             effect.id.clone(),
-            percent(&effect.named),
+            unbroken(&effect.named),
             number(effect.error),
-            percent(&effect.covered),
+            unbroken(&effect.covered),
         ];
         for pooled in &summary.detection {
             let own = effect.detection.iter().find(|line| line.strengths == pooled.strengths);
@@ -326,7 +342,7 @@ fn conditions(summary: &Summary) -> String {
     let mut table = Table::new(&columns);
     for line in &summary.conditions {
         let condition = line.condition.name().to_owned();
-        let cells = [line.id.clone(), condition, percent(&line.named), percent(&line.covered)];
+        let cells = [line.id.clone(), condition, unbroken(&line.named), unbroken(&line.covered)];
         table.row(Mood::Plain, &cells);
     }
     table.into_html()
