@@ -383,13 +383,12 @@ fn voltages_differ(flights: &[PreparedFlight]) -> bool {
     flights.iter().all(|flight| flight.channels.voltage) && !is_flat(voltage_range(all))
 }
 
-/// Takes off a fit's effects what its twins are off by, and gives them the twins' scatter.
+/// Takes off a fit's effects what its twins are off by, and gives them the twins' error.
 fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
-    let bias = twins.bias(catalogue);
     for number in scored.fit.active(catalogue) {
         let [low, high] = catalogue.numbers[number].bounds;
         let value = &mut scored.fit.values[number];
-        *value = (*value - bias[number]).clamp(low, high);
-        scored.fit.deviation[number] = twins.deviation(number);
+        *value = (*value - twins.bias[number]).clamp(low, high);
+        scored.fit.deviation[number] = twins.error(number);
     }
 }

@@ -30,7 +30,6 @@ pub struct Strain {
 
 /// The nuisances of a fit that are strained, the most first. `twins`: of the vehicle of that fit.
 pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain> {
-    let bias = twins.bias(catalogue);
     let active = fit.active(catalogue);
     let mut strained: Vec<Strain> = catalogue
         .numbers
@@ -39,12 +38,9 @@ pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain
         .filter(|(index, number)| number.tolerance > 0.0 && !active.contains(index))
         .filter_map(|(index, number)| {
             let width = number.tolerance;
-            let tolerances = (fit.values[index] - bias[index] - number.expected) / width;
-            let by_twins = (twins.truth[index] + bias[index] - number.expected) / width;
+            let tolerances = (fit.values[index] - twins.bias[index] - number.expected) / width;
             let is_known = fit.deviation[index] < KNOWN[0] * width
-                && twins.deviation(index) < KNOWN[1] * width
-                // At its limit a fit no longer tells what it is off by.
-                && by_twins.abs() < STRAINED;
+                && twins.deviation(index) < KNOWN[1] * width;
             (is_known && tolerances.abs() > STRAINED)
                 .then(|| Strain { number: parameter(number.target), tolerances })
         })
