@@ -55,6 +55,13 @@ pub struct KeyEntry {
     pub tags: Vec<String>,
 }
 
+impl KeyEntry {
+    /// Whether the flights do not show the effect at all, so that nothing must be named.
+    pub fn hides_its_effect(&self) -> bool {
+        self.kind.is_trap() && self.candidates.is_empty()
+    }
+}
+
 /// The key: by case.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Key {

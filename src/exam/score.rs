@@ -151,7 +151,10 @@ impl Row {
                 .find(|(id, p)| says_effect && *p > CONFIDENT && !is_true(id))
                 .map(|(id, _)| id.clone()),
             trap_right: trap_right(key, given.ok(), &set, &named),
-            brier: brier(&probabilities, &truth, &also),
+            brier: match key.hides_its_effect() {
+                true => brier(&probabilities, &[], &truth),
+                false => brier(&probabilities, &truth, &also),
+            },
             errors,
             covered,
             claimed_closure: given.ok().and_then(|given| given.gap?.closure()),
@@ -195,9 +198,9 @@ fn trap_right(key: &KeyEntry, given: Option<&Given>, set: &[&String], named: &[&
     let truth: Vec<String> = key.effects.iter().map(|effect| class_of(&effect.id)).collect();
     let is_truth = |id: &String| truth.contains(id);
     match given.verdict.as_str() {
-        "none" if key.candidates.is_empty() => true,
+        "none" if key.hides_its_effect() => true,
         "none" => given.not_testable.iter().any(|effect| is_truth(&class_of(&effect.id))),
-        "effect" if key.candidates.is_empty() => named.iter().all(|id| is_truth(id)),
+        "effect" if key.hides_its_effect() => named.iter().all(|id| is_truth(id)),
         "effect" => {
             let candidates: Vec<String> = key.candidates.iter().map(|id| class_of(id)).collect();
             set.iter().any(|id| is_truth(id))
@@ -207,7 +210,8 @@ fn trap_right(key: &KeyEntry, given: Option<&Given>, set: &[&String], named: &[&
     }
 }
 
-/// Where an effect has several right names, the best of them counts.
+/// Where an effect has several right names, the best of them counts; to name what is right `also` where
+/// nothing must be named is no harm.
 fn brier(probabilities: &[(String, f64)], truth: &[String], also: &[String]) -> f64 {
     let of =
         |id: &String| probabilities.iter().find(|(other, _)| other == id).map_or(0.0, |(_, p)| *p);
@@ -349,6 +353,17 @@ mod tests {
         assert!((row.errors["wind"][0] - 0.1).abs() < 1e-12);
         assert_eq!(row.covered["wind"], [false, true]);
         assert!((row.brier - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn who_does_not_name_what_flights_hide_is_sure_of_nothing_wrong() {
+        let key = key(Kind::Trap, &[("vortex_ring", r#"{"loss_max":0.2}"#, r#"{"loss_max":0}"#)]);
+        let none = row(&key, r#"{"verdict":"none","effects":[]}"#);
+        assert!(none.trap_right && none.brier == 0.0);
+        let by_luck = r#"{"verdict":"effect","effects":[{"id":"vortex_ring","probability":0.9}]}"#;
+        assert_eq!(row(&key, by_luck).brier, 0.0);
+        let other = r#"{"verdict":"effect","effects":[{"id":"wind","probability":0.9}]}"#;
+        assert!((row(&key, other).brier - 0.81).abs() < 1e-12);
     }
 
     #[test]

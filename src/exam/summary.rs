@@ -109,6 +109,9 @@ pub struct Summary {
     pub measures: Vec<Measure>,
     /// Mean Brier score; to be at most [`BRIER_MAX`].
     pub brier: Option<f64>,
+    /// The same where the cause is detectable, or there is none: no answer can be sure of what hardly
+    /// shows.
+    pub brier_detectable: Option<f64>,
     /// Median relative error of parameters.
     pub error: Option<f64>,
     /// 90 % intervals that hold the truth.
@@ -238,13 +241,18 @@ impl Summary {
             Rate::of(rows.flat_map(|row| row.covered.values().flatten().copied()))
         };
         let closures = |of: fn(&Row) -> Option<f64>| median(known().filter_map(of).collect());
-        let briers: Vec<f64> = rows.iter().map(|row| row.brier).collect();
+        let brier = |rows: &mut dyn Iterator<Item = &Row>| {
+            let briers: Vec<f64> = rows.map(|row| row.brier).collect();
+            (!briers.is_empty()).then(|| briers.iter().sum::<f64>() / briers.len() as f64)
+        };
+        let shows = |row: &&Row| row.ratio >= DETECTABLE || row.kind == Kind::Null;
         let off = known()
             .filter_map(|row| Some((row.claimed_closure? - row.true_closure?).abs()))
             .collect();
         Self {
             measures,
-            brier: (!briers.is_empty()).then(|| briers.iter().sum::<f64>() / briers.len() as f64),
+            brier: brier(&mut rows.iter()),
+            brier_detectable: brier(&mut rows.iter().filter(shows)),
             error: errors(&mut known().filter(|row| row.top_right)),
             covered: covered(&mut known()),
             closure: [closures(|row| row.claimed_closure), closures(|row| row.true_closure)],

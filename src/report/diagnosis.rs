@@ -12,6 +12,7 @@ use crate::diagnose::answer::{Answer, Gap, Verdict};
 use crate::diagnose::gap::{HORIZONS_S, QUANTITIES};
 use crate::diagnose::map::Regime;
 use crate::diagnose::misfit::Misfit;
+use crate::diagnose::strain::Strain;
 use crate::diagnose::words::{self, closed_loop, one};
 
 /// Size of a drawing, pixels.
@@ -213,25 +214,44 @@ fn which(answer: &Answer) -> String {
         }
         html += &table.into_html();
     }
-    html + &misfit(&answer.misfit)
+    html + &misfit(answer) + &strained(&answer.strained)
 }
 
-/// What the explanation leaves in each group of equations.
-fn misfit(misfits: &[Misfit]) -> String {
-    if misfits.is_empty() {
+/// What the explanation leaves in each group of equations, or the nuisances alone where there is none.
+fn misfit(answer: &Answer) -> String {
+    if answer.misfit.is_empty() {
         return String::new();
     }
-    let mut table =
-        Table::new(&[("equations", false), ("explained", true), ("left", true), ("\u{b1}", true)]);
-    for Misfit { equations, explained, left, error } in misfits {
-        let nats = [explained, left, error].map(|nats| format!("{nats:.0}"));
+    let explains = answer.misfit.iter().any(|misfit| misfit.explained != 0.0);
+    let mut columns = vec![("equations", false), ("left", true), ("\u{b1}", true)];
+    if explains {
+        columns.insert(1, ("explained", true));
+    }
+    let mut table = Table::new(&columns);
+    for Misfit { equations, explained, left, error } in &answer.misfit {
         let mut row = vec![(*equations).to_owned()];
-        row.extend(nats);
+        row.extend(explains.then(|| format!("{explained:.0}")));
+        row.extend([left, error].map(|nats| format!("{nats:.0}")));
         table.row(Mood::Plain, &row);
     }
-    let heading =
-        "<h3>What it explains and what it leaves beyond its twins, nats below 3.2 Hz</h3>";
+    let heading = if explains {
+        "<h3>What it explains and what it leaves beyond its twins, nats below 3.2 Hz</h3>"
+    } else {
+        "<h3>What nuisances alone leave beyond their twins, nats below 3.2 Hz</h3>"
+    };
     heading.to_owned() + &table.into_html()
+}
+
+/// Numbers of the vehicle file that lie further off than files are.
+fn strained(strains: &[Strain]) -> String {
+    if strains.is_empty() {
+        return String::new();
+    }
+    let mut table = Table::new(&[("number of the vehicle file", false), ("off, tolerances", true)]);
+    for Strain { number, tolerances } in strains {
+        table.row(Mood::Warning, &[number.clone(), format!("{tolerances:+.1}")]);
+    }
+    "<h3>Further off than files are</h3>".to_owned() + &table.into_html()
 }
 
 fn how_far(gap: &Gap, explanation: &str) -> String {

@@ -176,16 +176,16 @@ fn brier_name() -> String {
     format!("Brier score (<= {BRIER_MAX})")
 }
 
-fn numbers(summary: &Summary) -> [(String, String); 4] {
+fn numbers(summary: &Summary) -> [(&'static str, String); 5] {
     let [claimed, truly] = summary.closure.map(number);
     let apart = number(summary.closure_off);
     [
+        ("Brier score, detectable causes and nulls", number(summary.brier_detectable)),
         ("median relative parameter error", number(summary.error)),
         ("90 % intervals that hold", percent(&summary.covered)),
         ("median closure", format!("{claimed} claimed, {truly} true, {apart} apart")),
         ("median time of a diagnosis, s", number(summary.seconds)),
     ]
-    .map(|(name, value)| (name.to_owned(), value))
 }
 
 /// A rate with its interval and its counts.
@@ -219,7 +219,7 @@ fn measures(summary: &Summary) -> String {
     let mood = if summary.brier_holds() { Mood::Good } else { Mood::Bad };
     table.row(mood, &[brier_name(), number(summary.brier), String::new()]);
     for (name, value) in numbers(summary) {
-        table.row(Mood::Plain, &[name, value, String::new()]);
+        table.row(Mood::Plain, &[name.to_owned(), value, String::new()]);
     }
     table.into_html()
 }
