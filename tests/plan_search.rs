@@ -11,9 +11,10 @@ use downwash::plan::conic::Conic;
 use downwash::plan::desire::Desire;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics, WrenchDynamics};
 use downwash::plan::interior_point::InteriorPoint;
+use downwash::plan::iterate::Iterate;
 use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner, SolverChoice};
 use downwash::plan::problem::{InputBounds, Problem, STATES, StateLimits, StateVector};
-use downwash::plan::scp::{Iterate, Outcome, ScpSettings, Status, search};
+use downwash::plan::scp::{Outcome, ScpSettings, Status, search};
 use downwash::plan::subproblem::SubproblemSolver;
 use planning::{
     attitude_pd, hasty, hybrid, physics, plan, planned_vehicle, planner, rest, turning,

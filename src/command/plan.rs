@@ -20,9 +20,10 @@ use crate::config::Config;
 use crate::model::Model;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
+use crate::plan::iterate::Violation;
 use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
 use crate::plan::planner::{PlannedVehicle, Planner};
-use crate::plan::scp::{Record, Status, Violation};
+use crate::plan::scp::{Record, Status};
 use crate::plan::{Feasibility, Trajectory};
 use crate::report::plan as page;
 

@@ -9,6 +9,7 @@ pub mod discretisation;
 mod feasibility;
 mod file;
 pub mod interior_point;
+pub mod iterate;
 pub mod manoeuvres;
 mod model_free;
 mod multisine;

@@ -7,9 +7,10 @@ use sitl::frame::{Euler, Frd, Ned, wrap_angle};
 use sitl::vehicle::AttitudePd;
 
 use super::discretisation::coasted;
+use super::iterate::Violation;
 use super::problem::{ANGLE, RATE, StateVector};
 use super::reference::ReferenceSource;
-use super::scp::{Record, Status, Violation};
+use super::scp::{Record, Status};
 use crate::setpoint::{Reference, Setpoint};
 
 /// What the file says that it is.

@@ -11,11 +11,12 @@ use super::desire::{Desire, Weight};
 use super::detour::bend;
 use super::discretisation::CommandedDynamics;
 use super::interior_point::InteriorPoint;
+use super::iterate::Iterate;
 use super::problem::{
     ANGLE, InputBounds, InputPreference, KeepOut, Problem, STATES, StateLimits, StateVector, YAW,
 };
 use super::receding::RecedingSettings;
-use super::scp::{Iterate, Outcome, Record, ScpSettings, search};
+use super::scp::{Outcome, Record, ScpSettings, search};
 use super::subproblem::SubproblemSolver;
 use super::trajectory::{DesiredPoint, Trajectory};
 use crate::control::Limits;

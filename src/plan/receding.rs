@@ -14,12 +14,13 @@ use serde::{Deserialize, Serialize};
 use sitl::rigid_body::State;
 
 use super::discretisation::{CommandedDynamics, Dynamics};
+use super::iterate::Iterate;
 use super::model_free::model_free;
 use super::planned::{Answer, NotFlyable, PlannedReference, check_violation};
 use super::planner::Planner;
 use super::problem::{STATES, StateVector, YAW};
 use super::reference::ReferenceSource;
-use super::scp::{Iterate, Outcome};
+use super::scp::Outcome;
 use super::trajectory::Trajectory;
 use crate::setpoint::Reference;
 
