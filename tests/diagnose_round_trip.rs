@@ -130,6 +130,37 @@ fn a_number_that_is_taken_out_and_off_by_no_more_than_files_are_is_no_clean_flig
     assert_eq!(answer["verdict"], "unknown", "{}", answer["finding"]);
 }
 
+/// Over the frequencies that are looked at, a short lag and a delay of the outputs are much alike.
+#[test]
+fn a_lag_where_the_file_has_none_is_told_from_a_delay_of_the_outputs() {
+    let file = folder("lag-file").join("nano.toml");
+    let text = fs::read_to_string(vehicle(NANO)).expect("the vehicle file");
+    let without_lag = text.replace("motor_time_constant_s = 0.04", "motor_time_constant_s = 0.0");
+    assert_ne!(without_lag, text);
+    fs::write(&file, without_lag).expect("a file");
+    let file = file.to_str().expect("a path in UTF-8");
+    let logs = fly("lag", file, 40, &["motor_lag:tau_s=0.01"]);
+    let answer = answer(&diagnose("lag", file, &logs, &["--twins", "10"]));
+    assert_eq!(named(&answer), ["motor_lag"], "{}", answer["finding"]);
+    let tau = answer["effects"][0]["parameters"]["tau_s"].as_f64().expect("tau_s");
+    assert!((tau - 0.01).abs() < 2e-3, "{tau}");
+}
+
+/// Predictions from the flown state hardly show these: what tells is the commands, and how far the
+/// nuisances would have to be off.
+#[test]
+fn a_cause_that_nuisances_stand_in_for_is_unknown() {
+    for (effect, value) in
+        [("command_delay", "delay_s=0.009"), ("estimator_latency", "latency_s=0.004")]
+    {
+        let logs = fly(effect, NANO, 40, &[&format!("{effect}:{value}")]);
+        let more = ["--twins", "10", "--without", effect];
+        let answer = answer(&diagnose(effect, NANO, &logs, &more));
+        assert_eq!(answer["verdict"], "unknown", "{effect}: {}", answer["finding"]);
+        assert!(answer["finding"]["because"].is_string(), "{}", answer["finding"]);
+    }
+}
+
 #[test]
 fn the_exit_code_tells_what_it_was_asked_for() {
     let logs = fly("fail-on", QUAD, 40, &["thrust_scale:scale=0.93"]);

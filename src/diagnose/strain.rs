@@ -15,6 +15,8 @@ use super::twins::TwinFits;
 /// Tolerances from which on a number is strained. Of 120 flights without an effect in an exam none
 /// had a number beyond 2.
 const STRAINED: f64 = 2.4;
+/// The same of a number that its fit holds at its limit: it would lie further off.
+const STRAINED_AT_LIMIT: f64 = 1.8;
 /// A number that is known to this share of its tolerance is known well: by its fit, and by the scatter
 /// of its twins.
 const KNOWN: [f64; 2] = [0.15, 0.25];
@@ -41,7 +43,9 @@ pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain
             let tolerances = (fit.values[index] - twins.bias[index] - number.expected) / width;
             let is_known = fit.deviation[index] < KNOWN[0] * width
                 && twins.deviation(index) < KNOWN[1] * width;
-            (is_known && tolerances.abs() > STRAINED)
+            let is_held = catalogue.limits(index, &active).contains(&fit.values[index]);
+            let least = if is_held { STRAINED_AT_LIMIT } else { STRAINED };
+            (is_known && tolerances.abs() > least)
                 .then(|| Strain { number: parameter(number.target), tolerances })
         })
         .collect();
