@@ -190,6 +190,12 @@ pub struct Gap {
 }
 
 impl Gap {
+    /// What stays open with the named effects, with or without nuisances, in units of the noise.
+    pub fn open(&self) -> f64 {
+        let left = self.with_nuisances.map_or(self.after, |with| with.min(self.after));
+        left / self.floor.max(f64::MIN_POSITIVE)
+    }
+
     /// The largest error that is left, over all quantities and horizons, in units of what noise alone
     /// leaves.
     pub fn most_visible(&self) -> f64 {

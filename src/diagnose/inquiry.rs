@@ -19,7 +19,7 @@ use super::leftover::{unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
-use super::naming::{as_good, class, credence, named_effects};
+use super::naming::{as_good, class, credence, named_effects, single};
 use super::noise::report_noise;
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
@@ -27,7 +27,7 @@ use super::preparation::PreparedFlight;
 use super::procedure::{Case, DiagnoseError, Settings};
 use super::residuals::Evaluator;
 use super::selection::{Scored, Selection, Selector, Thresholds};
-use super::strain::{Strain, strains};
+use super::strain::{Strain, is_loop_held, strains};
 use super::turbulence::gusts;
 use super::twins::{TwinFits, Twins, screened};
 
@@ -36,6 +36,8 @@ const TWINS_OF_BEST: u32 = 16;
 /// What changes the level of the thrust: only a pack's voltage that falls tells them apart.
 const THRUST_LEVEL: [EffectId; 3] =
     [EffectId::BatterySag, EffectId::ThrustCurve, EffectId::ThrustScale];
+/// Share of its probability that the one of them keeps that is named, where nothing tells them apart.
+const LEVEL_SHARE: f64 = 0.6;
 /// Probability of gusts where what is left looks like turbulence: other forces may.
 const GUSTS_PROBABILITY: f64 = 0.8;
 
@@ -297,7 +299,13 @@ impl<'a> Inquiry<'a> {
         // Driven by outputs, an open loop strays from any cause.
         } else if self.leg() && gap.is_some_and(|gap| is_open(gap, found)) {
             Some(Unexplained::OpenGap)
-        } else if !found && standing_out(&search.misfit).is_some() {
+        } else if !found
+            && standing_out(
+                &search.misfit,
+                is_loop_held(self.catalogue, &search.selection.null.fit),
+            )
+            .is_some()
+        {
             Some(Unexplained::Misfit)
         } else if !found && !search.strained.is_empty() {
             Some(Unexplained::Strain)
@@ -312,16 +320,18 @@ impl<'a> Inquiry<'a> {
         Judgement { verdict, because, turbulence }
     }
 
-    /// The named effects, gusts among them if `turbulence`, and what they cannot be told from.
+    /// The named effects, gusts among them if `turbulence`, and what they cannot be told from. Seen:
+    /// what the logs cannot show, and the gap.
     pub fn names(
         &self,
         search: &Search,
         effects: &EffectSet,
-        not_testable: &[NotTestable],
+        (not_testable, gap): (&[NotTestable], Option<&Gap>),
         turbulence: bool,
     ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
         let named = search.named(self.catalogue);
-        let credence = credence(&search.misfit);
+        let open = gap.filter(|_| self.leg() && !turbulence).map(Gap::open);
+        let credence = credence(&search.misfit, open);
         let (mut answers, mut ambiguous) =
             named_effects(self.catalogue, &search.selection, credence);
         if turbulence {
@@ -338,7 +348,9 @@ impl<'a> Inquiry<'a> {
         if !shows_sag && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
             let others = others.filter(|effect| self.catalogue.considers(**effect));
-            ambiguous.extend(others.map(|effect| effect.name()));
+            let others: Vec<EffectId> = others.copied().collect();
+            share(&mut answers, self.catalogue, &search.selection, &others);
+            ambiguous.extend(others.iter().map(|effect| effect.name()));
         }
         ambiguous.extend(as_good(self.catalogue, &search.selection, self.leg()));
         ambiguous.sort_unstable();
@@ -373,6 +385,31 @@ impl<'a> Inquiry<'a> {
                 }
             }
         })
+    }
+}
+
+/// Gives a part of the probability of what changes the thrust's level to `others`, which change it as well.
+fn share(
+    answers: &mut Vec<EffectAnswer>,
+    catalogue: &Catalogue,
+    selection: &Selection,
+    others: &[EffectId],
+) {
+    let is_level = |answer: &EffectAnswer| {
+        let id = EffectId::ALL.into_iter().find(|effect| effect.name() == answer.id);
+        id.is_some_and(|id| THRUST_LEVEL.contains(&class(id)))
+    };
+    let Some(most) = answers.iter_mut().find(|answer| is_level(answer)) else { return };
+    let given = (1.0 - LEVEL_SHARE) * most.probability / others.len().max(1) as f64;
+    if !others.is_empty() {
+        most.probability *= LEVEL_SHARE;
+    }
+    for effect in others {
+        if let Some(answer) = answers.iter_mut().find(|answer| answer.id == effect.name()) {
+            answer.probability += given;
+        } else if let Some(answer) = single(catalogue, selection, *effect, given) {
+            answers.push(answer);
+        }
     }
 }
 

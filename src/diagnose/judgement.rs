@@ -141,8 +141,7 @@ pub fn is_open(gap: &Gap, found: bool) -> bool {
     if !found {
         return gap.before > GAP_MIN * gap.floor;
     }
-    let left = gap.with_nuisances.map_or(gap.after, |with| with.min(gap.after));
-    left > GAP_MIN * gap.floor && gap.closure.unwrap_or(0.0) < CLOSED_MIN
+    gap.open() > GAP_MIN && gap.closure.unwrap_or(0.0) < CLOSED_MIN
 }
 
 /// Mean square that the chosen effects explain and the nuisances do not: of the acceleration,

@@ -237,7 +237,7 @@ fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
         truth: truth.names(),
         now: truth.probability,
         // A flight tells hypotheses apart; whether the catalogue has the cause it does not.
-        expected: credence(&[]) / (1.0 + others),
+        expected: credence(&[], None) / (1.0 + others),
         evidence: rehearsal
             .evidence
             .iter()

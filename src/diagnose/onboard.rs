@@ -54,19 +54,20 @@ impl OnboardLaw {
     /// is not known may look like the tick between the two.
     pub fn observing(self, flights: &[PreparedFlight], timing: impl Fn(&Self) -> Timing) -> Self {
         let reports_first = Self { reports_first: true, ..self.clone() };
-        let roughness = |law: &Self| -> f64 {
+        // The median: what saturates or is lost on the way jumps, and may outweigh all else.
+        let roughness = |law: &Self| {
             let timing = timing(law);
-            flights.iter().map(|flight| law.roughness(flight, timing)).sum()
+            median(flights.iter().flat_map(|flight| law.changes(flight, timing)).collect())
         };
         if roughness(&reports_first) < roughness(&self) { reports_first } else { self }
     }
 
-    /// Sum of the squared changes of the moments that the law leaves unexplained.
-    fn roughness(&self, flight: &PreparedFlight, timing: Timing) -> f64 {
+    /// Squared changes of the moments that the law leaves unexplained, from one output to the next.
+    fn changes(&self, flight: &PreparedFlight, timing: Timing) -> Vec<f64> {
         let law = self.with_gains(None);
         let (times, values) = (flight.outputs.times(), flight.outputs.values());
         let mut last: Option<[f64; 4]> = None;
-        let mut sum = 0.0;
+        let mut changes = Vec::with_capacity(times.len());
         for (time, logged) in times.iter().zip(values) {
             if !flight.spans.iter().any(|span| span.contains(time)) {
                 continue;
@@ -76,11 +77,11 @@ impl OnboardLaw {
                 self.allocation.wrench(std::array::from_fn(|i| logged[i] - by_law[i]))
             });
             if let Some((left, last)) = left.zip(last) {
-                sum += (1..4).map(|i| (left[i] - last[i]).powi(2)).sum::<f64>();
+                changes.push((1..4).map(|i| (left[i] - last[i]).powi(2)).sum());
             }
             last = left;
         }
-        sum
+        changes
     }
 
     /// Time of the loop's latest tick at `time`.
@@ -159,4 +160,9 @@ pub fn as_onboard(setpoint: &AttitudeSetpoint) -> Option<OnboardSetpoint> {
 /// The setpoint in force that was sent by `sent`.
 pub fn setpoint_at(flight: &PreparedFlight, sent: f64) -> Option<OnboardSetpoint> {
     setpoint(flight, flight.setpoint.index_at(sent)?, sent)
+}
+/// The middle one of the values; 0 of none.
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }

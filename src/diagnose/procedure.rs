@@ -215,7 +215,10 @@ impl Grounds<'_> {
         }
         let untestable = not_testable(&catalogue, selection, leg);
         let (named, ambiguous_with) = match verdict {
-            Verdict::Effect => inquiry.names(&search, &effects, &untestable, turbulence.is_some()),
+            Verdict::Effect => {
+                let seen = (&untestable[..], gap.as_ref());
+                inquiry.names(&search, &effects, seen, turbulence.is_some())
+            }
             _ => (Vec::new(), Vec::new()),
         };
         let (full, depends_on) =

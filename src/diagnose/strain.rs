@@ -6,9 +6,10 @@
 //! inertia look larger): what remains is strain, and the nuisances have explained too much.
 
 use serde::Serialize;
+use sitl::effects::EffectId;
 
 use super::fit::Fit;
-use super::hypothesis::Catalogue;
+use super::hypothesis::{Catalogue, Target};
 use super::naming::parameter;
 use super::twins::TwinFits;
 
@@ -28,6 +29,24 @@ pub struct Strain {
     pub number: String,
     /// By how many of its tolerances it is off.
     pub tolerances: f64,
+}
+
+/// Whether a fit holds a number of the on-board loop at its limit.
+pub fn is_loop_held(catalogue: &Catalogue, fit: &Fit) -> bool {
+    let active = fit.active(catalogue);
+    let is_held = |number: usize| catalogue.limits(number, &active).contains(&fit.values[number]);
+    let is_of_loop = |target| {
+        matches!(
+            target,
+            Target::Effect(
+                EffectId::PdGain | EffectId::CommandDelay | EffectId::EstimatorLatency,
+                _
+            )
+        )
+    };
+    catalogue
+        .nuisances()
+        .any(|number| is_of_loop(catalogue.numbers[number].target) && is_held(number))
 }
 
 /// The nuisances of a fit that are strained, the most first. `twins`: of the vehicle of that fit.

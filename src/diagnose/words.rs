@@ -38,7 +38,9 @@ fn unknown(answer: &Answer) -> String {
                 gap.before / gap.floor.max(f64::MIN_POSITIVE)
             )
         }),
-        Some(Unexplained::Misfit) => standing_out(&answer.misfit).map(|misfit| {
+        Some(Unexplained::Misfit) => standing_out(&answer.misfit, false)
+            .or_else(|| standing_out(&answer.misfit, true))
+            .map(|misfit| {
             let Misfit { equations, left, error, .. } = misfit;
             format!(
                 "in {equations} {left:.0} nats are left beyond what the vehicle's own noise makes, \
