@@ -16,6 +16,8 @@ pub const AGE_MAX_S: f64 = 0.1;
 pub const JITTER_MEAN_S: f64 = 0.001;
 /// Stamps are whole microseconds: to so much of a tick they are at the tick, s.
 const TICK_TOLERANCE_S: f64 = 1e-6;
+/// Ratio of the outputs' unexplained changes below which one order of reports is told from another.
+const TOLD: f64 = 0.8;
 /// Setpoints whose arrival may still be awaited at a tick.
 const UNDER_WAY: usize = 3;
 /// The law with its mixer, as the vehicle file states them.
@@ -54,12 +56,18 @@ impl OnboardLaw {
     /// is not known may look like the tick between the two.
     pub fn observing(self, flights: &[PreparedFlight], timing: impl Fn(&Self) -> Timing) -> Self {
         let reports_first = Self { reports_first: true, ..self.clone() };
-        // The median: what saturates or is lost on the way jumps, and may outweigh all else.
-        let roughness = |law: &Self| {
+        let changes = |law: &Self| -> Vec<f64> {
             let timing = timing(law);
-            median(flights.iter().flat_map(|flight| law.changes(flight, timing)).collect())
+            flights.iter().flat_map(|flight| law.changes(flight, timing)).collect()
         };
-        if roughness(&reports_first) < roughness(&self) { reports_first } else { self }
+        let [first, later] = [changes(&reports_first), changes(&self)];
+        let sum = |changes: &[f64]| changes.iter().sum::<f64>();
+        let ratio = sum(&first) / sum(&later).max(f64::MIN_POSITIVE);
+        // Jumps tell it, where setpoints come seldom. Where neither order explains them, setpoints that
+        // were lost or late made them, and what lies between tells.
+        let is_told = !(TOLD..1.0 / TOLD).contains(&ratio);
+        let is_first = if is_told { ratio < 1.0 } else { median(first) < median(later) };
+        if is_first { reports_first } else { self }
     }
 
     /// Squared changes of the moments that the law leaves unexplained, from one output to the next.

@@ -31,22 +31,24 @@ pub struct Strain {
     pub tolerances: f64,
 }
 
-/// Whether a fit holds a number of the on-board loop at its limit.
+/// Whether a fit that looks at the numbers `active` holds another at its limit, off where it is expected.
+fn is_held(catalogue: &Catalogue, fit: &Fit, active: &[usize], number: usize) -> bool {
+    let width = catalogue.numbers[number].tolerance;
+    let value = fit.values[number];
+    let is_near = |limit: f64| (value - limit).abs() < 1e-3 * width;
+    let is_off = (value - catalogue.numbers[number].expected).abs() > width;
+    is_off && catalogue.limits(number, active).into_iter().any(is_near)
+}
+
+/// Whether a fit holds a gain of the on-board loop or its latency at its limit. The delay's tolerance
+/// is what the stamps tell, and says less.
 pub fn is_loop_held(catalogue: &Catalogue, fit: &Fit) -> bool {
     let active = fit.active(catalogue);
-    let is_held = |number: usize| catalogue.limits(number, &active).contains(&fit.values[number]);
-    let is_of_loop = |target| {
-        matches!(
-            target,
-            Target::Effect(
-                EffectId::PdGain | EffectId::CommandDelay | EffectId::EstimatorLatency,
-                _
-            )
-        )
-    };
-    catalogue
-        .nuisances()
-        .any(|number| is_of_loop(catalogue.numbers[number].target) && is_held(number))
+    let is_of_loop =
+        |target| matches!(target, Target::Effect(EffectId::PdGain | EffectId::EstimatorLatency, _));
+    catalogue.nuisances().any(|number| {
+        is_of_loop(catalogue.numbers[number].target) && is_held(catalogue, fit, &active, number)
+    })
 }
 
 /// The nuisances of a fit that are strained, the most first. `twins`: of the vehicle of that fit.
@@ -62,12 +64,57 @@ pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain
             let tolerances = (fit.values[index] - twins.bias[index] - number.expected) / width;
             let is_known = fit.deviation[index] < KNOWN[0] * width
                 && twins.deviation(index) < KNOWN[1] * width;
-            let is_held = catalogue.limits(index, &active).contains(&fit.values[index]);
-            let least = if is_held { STRAINED_AT_LIMIT } else { STRAINED };
+            let least =
+                if is_held(catalogue, fit, &active, index) { STRAINED_AT_LIMIT } else { STRAINED };
             (is_known && tolerances.abs() > least)
                 .then(|| Strain { number: parameter(number.target), tolerances })
         })
         .collect();
     strained.sort_by(|a, b| b.tolerances.abs().total_cmp(&a.tolerances.abs()));
     strained
+}
+
+#[cfg(test)]
+mod tests {
+    use sitl::vehicle::VehicleParams;
+
+    use super::*;
+
+    #[test]
+    fn a_number_is_strained_where_flights_know_it_and_the_method_is_not_off_by_itself() {
+        let text = include_str!("../../config/vehicles/quad1200.toml");
+        let vehicle = VehicleParams::from_toml_str(text).unwrap();
+        let catalogue = Catalogue::new(&vehicle, true);
+        let index = catalogue.number_of(EffectId::YawTorque, 0).unwrap();
+        let width = catalogue.numbers[index].tolerance;
+        // Fitted so many tolerances off, known to so many, by a method that is off by so many.
+        let strains = |off: f64, known: f64, bias: f64| {
+            let expected = catalogue.expected();
+            let with = |values: &[f64], more: f64| {
+                let mut values = values.to_vec();
+                values[index] += more * width;
+                values
+            };
+            let fit = Fit {
+                hypotheses: Vec::new(),
+                values: with(&expected, off),
+                deviation: with(&vec![0.0; expected.len()], known),
+                evidence: 0.0,
+                cost: 0.0,
+                power: Vec::new(),
+            };
+            let bias = with(&vec![0.0; expected.len()], bias);
+            let twins = TwinFits::alike(expected.clone(), expected, bias);
+            super::strains(&catalogue, &fit, &twins)
+        };
+        let strained = strains(-2.8, 0.05, 0.0);
+        assert_eq!(strained.len(), 1);
+        assert_eq!(strained[0].number, "yaw_torque scale");
+        assert!((strained[0].tolerances + 2.8).abs() < 1e-9);
+        assert!(strains(-2.8, 0.5, 0.0).is_empty());
+        assert!(strains(-2.8, 0.05, -2.0).is_empty());
+        // At its limit it would lie further off.
+        assert_eq!(strains(3.0, 0.05, 1.0).len(), 1);
+        assert!(strains(2.0, 0.05, 0.0).is_empty());
+    }
 }

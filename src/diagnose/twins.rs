@@ -200,6 +200,14 @@ impl TwinFits {
         Ok(twins)
     }
 
+    /// Twins of a vehicle, all fitted alike.
+    #[cfg(test)]
+    pub(super) fn alike(truth: Values, fitted: Values, bias: Values) -> Self {
+        let values = vec![fitted; 4];
+        let (residuals, power, noise) = (Vec::new(), Vec::new(), ReportNoise::default());
+        Self { truth, residuals, values, bias, pilots: 4, noise, power }
+    }
+
     /// By how much fits are off the truth on average, of each number.
     fn off_by(&self) -> Values {
         let n = self.values.len().max(1) as f64;
