@@ -22,6 +22,8 @@ const ROW: f64 = 26.0;
 const LEFT: f64 = 250.0;
 /// Cells of the map and hypotheses that are drawn.
 const SHOWN: usize = 10;
+/// Share of a gap from which on it counts as closed.
+const CLOSED: f64 = 0.5;
 
 /// The whole page, self-contained.
 pub fn html(answer: &Answer, vehicle: &str) -> String {
@@ -78,7 +80,8 @@ fn verdict(answer: &Answer, page: &mut Page) {
             ("noise alone", significant(gap.floor), Mood::Plain),
         ];
         if let Some(closure) = gap.closure {
-            figures.push(("closed", format!("{:.0} %", 100.0 * closure), Mood::Good));
+            let mood = if closure >= CLOSED { Mood::Good } else { Mood::Plain };
+            figures.push(("closed", format!("{:.0} %", 100.0 * closure), mood));
         }
         page.figures(&figures);
     }
