@@ -242,7 +242,6 @@ mod tests {
                 state = after;
             }
             for i in 0..4 {
-                // Without a lag the start counts for nothing.
                 assert!((mean[i] - sum[i]).abs() < 1e-5, "{tau}: {} {}", mean[i], sum[i]);
                 assert!((end[i] - state[i]).abs() < 1e-4, "{tau}");
             }

@@ -16,7 +16,7 @@ use sitl::sensors::{Readings, Sensors};
 use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
 use wire::dialect::AttitudeTargetTypemask;
 
-use super::preparation::Series;
+use super::series::Series;
 use crate::control::{AttitudeLoop, DesignError, Limits, Lqr, LqrSettings};
 use crate::log::import::{AttitudeSetpoint, Clock, Flight, Origin};
 use crate::pilot::{EffectiveVehicle, Uncontrollable};

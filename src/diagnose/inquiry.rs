@@ -290,6 +290,7 @@ impl<'a> Inquiry<'a> {
             let samples = samples(&self.fitted, self.evaluator, &candidate);
             gusts(self.case.vehicle, effects, after, &samples)
         });
+        let is_held = is_loop_held(self.catalogue, &search.selection.null.fit);
         let because = if turbulence.is_some() {
             None
         } else if is_unexplained(balance, found) {
@@ -299,15 +300,11 @@ impl<'a> Inquiry<'a> {
         // Driven by outputs, an open loop strays from any cause.
         } else if self.leg() && gap.is_some_and(|gap| is_open(gap, found)) {
             Some(Unexplained::OpenGap)
-        } else if !found
-            && standing_out(
-                &search.misfit,
-                is_loop_held(self.catalogue, &search.selection.null.fit),
-            )
-            .is_some()
-        {
+        } else if found {
+            None
+        } else if standing_out(&search.misfit, is_held).is_some() {
             Some(Unexplained::Misfit)
-        } else if !found && !search.strained.is_empty() {
+        } else if !search.strained.is_empty() {
             Some(Unexplained::Strain)
         } else {
             None
@@ -320,13 +317,13 @@ impl<'a> Inquiry<'a> {
         Judgement { verdict, because, turbulence }
     }
 
-    /// The named effects, gusts among them if `turbulence`, and what they cannot be told from. Seen:
-    /// what the logs cannot show, and the gap.
+    /// The named effects, gusts among them if `turbulence`, and what they cannot be told from.
     pub fn names(
         &self,
         search: &Search,
         effects: &EffectSet,
-        (not_testable, gap): (&[NotTestable], Option<&Gap>),
+        not_testable: &[NotTestable],
+        gap: Option<&Gap>,
         turbulence: bool,
     ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
         let named = search.named(self.catalogue);
@@ -388,7 +385,8 @@ impl<'a> Inquiry<'a> {
     }
 }
 
-/// Gives a part of the probability of what changes the thrust's level to `others`, which change it as well.
+/// Gives a part of the probability of what changes the thrust's level to `others`, which change it as
+/// well. The answers stay in order, the most probable first.
 fn share(
     answers: &mut Vec<EffectAnswer>,
     catalogue: &Catalogue,
@@ -411,6 +409,7 @@ fn share(
             answers.push(answer);
         }
     }
+    answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
 }
 
 /// Whether the pack's voltage goes far enough, within flights or from one to the next, for sag to be

@@ -27,8 +27,8 @@ const MAX_HZ: f64 = 3.2;
 /// Standard errors up to which it may be chance: the twins' own noise is not quite the flights'.
 const CHANCE: f64 = 3.0;
 /// Standard errors from which on what is left is a cause's: of 240 vehicles without an effect in two
-/// exams none had more than 6 outside of the commands, and in the commands five had 8 to 20; causes that
-/// nuisances had passed over began at 14.
+/// exams none had more than 5.2 outside of the commands, and in the commands four had 8 to 20; causes
+/// that nuisances had passed over began at 14.
 const STANDS_OUT: f64 = 12.0;
 /// An explanation is answerable for the equations that give it so much of its evidence.
 const ANSWERABLE: f64 = 0.2;

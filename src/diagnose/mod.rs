@@ -28,6 +28,7 @@ pub mod reflight;
 pub mod replica;
 pub mod residuals;
 pub mod selection;
+pub mod series;
 pub mod spectrum;
 pub mod strain;
 mod tolerances;

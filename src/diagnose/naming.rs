@@ -28,7 +28,7 @@ const MENTIONED: f64 = 0.01;
 /// Least probability of a rival that cannot be told apart.
 const AMBIGUOUS: f64 = 0.1;
 /// Quantile of the normal distribution for 90 % intervals.
-const Z90: f64 = 1.645;
+pub(super) const Z90: f64 = 1.645;
 
 /// Probability that what explains the flights is their cause, by what it leaves: the catalogue itself
 /// may lack the cause, and another effect stand in for it. `open`: what of the gap stays open on the

@@ -1,8 +1,9 @@
 //! The noise of what is reported, from what no model of the vehicle explains at high frequency.
 
 use super::gap::ReportNoise;
-use super::preparation::{PreparedFlight, Series};
+use super::preparation::PreparedFlight;
 use super::residuals::{ATTITUDE, VELOCITY};
+use super::series::Series;
 use super::spectrum::{BANDS, CELL_S};
 
 /// Below this gyro and accelerometer wander, and forces act, Hz.

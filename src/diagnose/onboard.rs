@@ -61,12 +61,16 @@ impl OnboardLaw {
             flights.iter().flat_map(|flight| law.changes(flight, timing)).collect()
         };
         let [first, later] = [changes(&reports_first), changes(&self)];
-        let sum = |changes: &[f64]| changes.iter().sum::<f64>();
-        let ratio = sum(&first) / sum(&later).max(f64::MIN_POSITIVE);
+        let sums = [&first, &later].map(|changes| changes.iter().sum::<f64>());
         // Jumps tell it, where setpoints come seldom. Where neither order explains them, setpoints that
         // were lost or late made them, and what lies between tells.
-        let is_told = !(TOLD..1.0 / TOLD).contains(&ratio);
-        let is_first = if is_told { ratio < 1.0 } else { median(first) < median(later) };
+        let is_first = if sums[0] < TOLD * sums[1] {
+            true
+        } else if sums[1] < TOLD * sums[0] {
+            false
+        } else {
+            median(first) < median(later)
+        };
         if is_first { reports_first } else { self }
     }
 

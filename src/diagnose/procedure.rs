@@ -216,8 +216,8 @@ impl Grounds<'_> {
         let untestable = not_testable(&catalogue, selection, leg);
         let (named, ambiguous_with) = match verdict {
             Verdict::Effect => {
-                let seen = (&untestable[..], gap.as_ref());
-                inquiry.names(&search, &effects, seen, turbulence.is_some())
+                let gusts = turbulence.is_some();
+                inquiry.names(&search, &effects, &untestable, gap.as_ref(), gusts)
             }
             _ => (Vec::new(), Vec::new()),
         };

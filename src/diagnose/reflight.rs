@@ -19,8 +19,9 @@ pub use self::course::ReferenceOrigin;
 use self::course::{Course, courses};
 use super::flight_simulator::{Departure, FlightSimulator, GroundControl, NotSimulated};
 use super::gap::{ATTITUDE_CORRELATION_S, ReportNoise};
-use super::preparation::{PreparedFlight, Series};
+use super::preparation::PreparedFlight;
 use super::procedure::{Case, Settings};
+use super::series::Series;
 use crate::log::import::{Flight, Stream};
 use rayon::prelude::*;
 

@@ -23,7 +23,8 @@ use sitl::vehicle::{ROTORS, VehicleError};
 use super::gap::{ATTITUDE_CORRELATION_S, ReportNoise};
 use super::hypothesis::Catalogue;
 use super::onboard::{AGE_MAX_S, JITTER_MEAN_S, OnboardLaw, as_onboard};
-use super::preparation::{PreparedFlight, Series};
+use super::preparation::PreparedFlight;
+use super::series::Series;
 use crate::log::import::AttitudeSetpoint;
 
 /// Bandwidth of the loop about the logged course, rad/s, and the most that it asks for, m/s^2.

@@ -17,6 +17,7 @@ use super::gap::ReportNoise;
 use super::hypothesis::Values;
 use super::layout::Place;
 use super::linearised::Linearised;
+use super::naming::Z90;
 use super::noise::report_noise;
 use super::observed::{Observed, Residuals};
 use super::onboard::OnboardLaw;
@@ -220,9 +221,8 @@ impl TwinFits {
     /// the mean's over the pilots, what twins lack, and that a few twins tell the scatter itself to within a tenth or
     /// so (the first term of Student's quantile at 95 % over the normal one, Cornish and Fisher 1938).
     pub fn error(&self, number: usize) -> f64 {
-        const Z95: f64 = 1.645;
         let freedom = (self.values.len() as f64 - 1.0).max(1.0);
-        let student = 1.0 + (Z95 * Z95 + 1.0) / (4.0 * freedom);
+        let student = 1.0 + (Z90 * Z90 + 1.0) / (4.0 * freedom);
         let mean = 1.0 + 1.0 / f64::from(self.pilots.max(1));
         self.deviation(number) * student * mean.sqrt() * BEYOND_TWINS
     }

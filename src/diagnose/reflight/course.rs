@@ -6,7 +6,8 @@ use serde::Serialize;
 use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 
 use super::super::flight_simulator::GroundControl;
-use super::super::preparation::{PreparedFlight, Series};
+use super::super::preparation::PreparedFlight;
+use super::super::series::Series;
 use crate::log::import::Flight;
 use crate::setpoint::{Reference, Setpoint};
 
