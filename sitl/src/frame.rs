@@ -325,6 +325,21 @@ impl Attitude {
         2.0 * across.sqrt().atan2(along.sqrt())
     }
 
+    /// A share of the short way to `other`: the normalised mean of the quaternions, which is the
+    /// rotation at constant rate for small angles.
+    pub fn between(self, other: Self, share: f64) -> Self {
+        let dot = self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z;
+        let to = if dot < 0.0 { -share } else { share };
+        let mix = |a: f64, b: f64| a * (1.0 - share) + b * to;
+        Self {
+            w: mix(self.w, other.w),
+            x: mix(self.x, other.x),
+            y: mix(self.y, other.y),
+            z: mix(self.z, other.z),
+        }
+        .normalized()
+    }
+
     /// Angle of the rotation from `self` to `other`, in [0, pi], in radians.
     pub fn angle_to(self, other: Self) -> f64 {
         let d = self.inverse().compose(other);

@@ -29,6 +29,7 @@ pub mod replica;
 pub mod residuals;
 pub mod selection;
 pub mod series;
+mod setpoints;
 pub mod spectrum;
 pub mod strain;
 mod tolerances;

@@ -6,6 +6,7 @@ use sitl::frame::Attitude;
 use sitl::vehicle::VehicleParams;
 
 use super::series::Series;
+use super::setpoints::completed;
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
 use crate::learn::segments::Segments;
 use crate::log::import::{AttitudeSetpoint, Flight, SetpointSource, Stream, UnitUnknown};
@@ -86,8 +87,10 @@ pub struct PreparedFlight {
     pub outputs: Series<4>,
     /// Pack voltage, V.
     pub voltage: Series<1>,
-    /// Setpoints as sent.
+    /// Setpoints as sent, with those between that the log lacks.
     pub setpoint: Stream<AttitudeSetpoint>,
+    /// Indices of those that the log lacks.
+    pub inferred: Vec<usize>,
     /// What was tracked, where the log holds it.
     pub reference: Stream<Reference>,
     /// Airborne time without gaps, s.
@@ -168,6 +171,7 @@ impl PreparedFlight {
             voltage: !flight.voltage.is_empty(),
             rotor_speed: !flight.rotor_speed.is_empty(),
         };
+        let (setpoint, inferred) = completed(&flight.setpoint, &flight.setpoints_missing);
         let spans = airborne(&flight, &outputs, vehicle);
         let blocks = blocks(&spans);
         if blocks.is_empty() {
@@ -183,7 +187,8 @@ impl PreparedFlight {
             specific_force,
             outputs,
             voltage: Series::of(&flight.voltage, |v| [*v]),
-            setpoint: flight.setpoint,
+            setpoint,
+            inferred,
             reference: flight.reference,
             spans,
             blocks,
@@ -314,6 +319,7 @@ impl PreparedFlight {
             voltage: Series::default(),
             reference: Stream::default(),
             setpoint: Stream::default(),
+            inferred: Vec::new(),
             blocks: blocks(&spans),
             spans,
         }

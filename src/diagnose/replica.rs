@@ -25,6 +25,7 @@ use super::hypothesis::Catalogue;
 use super::onboard::{AGE_MAX_S, JITTER_MEAN_S, OnboardLaw, as_onboard};
 use super::preparation::PreparedFlight;
 use super::series::Series;
+use super::setpoints::{Scatter, infer};
 use crate::log::import::AttitudeSetpoint;
 
 /// Bandwidth of the loop about the logged course, rad/s, and the most that it asks for, m/s^2.
@@ -100,10 +101,19 @@ impl Replica {
     pub fn fly(&self, flight: &PreparedFlight, seed: u64) -> PreparedFlight {
         let mut replica = flight.clone();
         let mut setpoints = flight.setpoint.values().to_vec();
+        if !flight.inferred.is_empty() {
+            let scatter = Scatter::of(&flight.setpoint, &flight.inferred);
+            let mut rng = Pcg64Mcg::seed_from_u64(!seed);
+            for index in &flight.inferred {
+                setpoints[*index] = scatter.draw(&setpoints[*index], &mut rng);
+            }
+        }
         for (index, span) in flight.spans.iter().enumerate() {
             let seed = seed.wrapping_add((index as u64) << 40);
             self.fly_span(flight, span.clone(), seed, &mut setpoints, &mut replica);
         }
+        // What the log lacks is on a line again.
+        infer(flight.setpoint.times(), &mut setpoints, &flight.inferred);
         let mut corrected = setpoints.into_iter();
         replica.setpoint = flight.setpoint.map(|logged| corrected.next().unwrap_or(*logged));
         replica

@@ -53,10 +53,7 @@ pub fn interpolated(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
     let (times, values) = (stream.times(), stream.values());
     let (a, b) = (values[index], *values.get(index + 1)?);
     let share = (time - times[index]) / (times[index + 1] - times[index]);
-    let sign = if a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z < 0.0 { -share } else { share };
-    let mix = |a: f64, b: f64| a * (1.0 - share) + b * sign;
-    let mixed = Attitude { w: mix(a.w, b.w), x: mix(a.x, b.x), y: mix(a.y, b.y), z: mix(a.z, b.z) };
-    Some(mixed.normalized())
+    Some(a.between(b, share))
 }
 
 /// The running integral of a stream.

@@ -124,6 +124,8 @@ pub fn encode(
 /// What a SET_ATTITUDE_TARGET asks for, each part where its mask keeps it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeTarget {
+    /// The sender's clock, ms; 0 where it has none.
+    pub time_boot_ms: u32,
     /// System that it is for, 0 for all.
     pub target_system: u8,
     /// Desired body to world.
@@ -160,7 +162,8 @@ pub fn decode(frame: &Frame) -> Result<Option<AttitudeTarget>, Refusal> {
         .transpose()?;
     let thrust =
         (mask & THRUST_IGNORED == 0).then(|| finite(f64::from(data.thrust))).transpose()?;
-    Ok(Some(AttitudeTarget { target_system: data.target_system, attitude, body_rate, thrust }))
+    let SET_ATTITUDE_TARGET_DATA { time_boot_ms, target_system, .. } = data;
+    Ok(Some(AttitudeTarget { time_boot_ms, target_system, attitude, body_rate, thrust }))
 }
 
 /// The rotation from one attitude to another as angle times axis, in body axes of the first, the

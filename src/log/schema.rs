@@ -342,6 +342,12 @@ flat_messages! {
         double thrust_ratio = 9;
     }
 
+    /// `/flight/setpoints_missing`: how many the log lacks before the setpoint of this time.
+    SetpointsMissingSample = "downwash.SetpointsMissingSample" {
+        double time_s = 1;
+        uint32 missing = 2;
+    }
+
     /// `/flight/voltage`.
     VoltageSample = "downwash.VoltageSample" {
         double time_s = 1;

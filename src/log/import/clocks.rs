@@ -217,6 +217,14 @@ impl ClockMap {
         near.contains(&heard.ground).then(|| piece.vehicle_at(heard.ground) + self.delay)
     }
 
+    /// The ground's clock at an instant of the vehicle's, as if messages took no time; `None` before
+    /// any message.
+    pub fn ground_time(&self, vehicle: f64) -> Option<f64> {
+        let begins = |piece: &Piece| piece.knots.first().is_some_and(|k| k.vehicle <= vehicle);
+        let at = self.pieces.partition_point(begins).saturating_sub(1);
+        self.pieces.get(at).map(|piece| piece.ground_at(vehicle))
+    }
+
     /// The piece that a frame lies in; the first and the last reach beyond their frames.
     fn piece(&self, index: u32) -> Option<&Piece> {
         let next = self.pieces.partition_point(|piece| piece.first <= index);
@@ -238,13 +246,23 @@ impl Piece {
 
     /// The vehicle's clock, as if messages took no time.
     fn vehicle_at(&self, ground: f64) -> f64 {
+        self.read(ground, |knot| [knot.ground, knot.vehicle])
+    }
+
+    /// The ground's clock, as if messages took no time.
+    fn ground_at(&self, vehicle: f64) -> f64 {
+        self.read(vehicle, |knot| [knot.vehicle, knot.ground])
+    }
+
+    /// One clock at `time` of the other; `clocks`: that other and the one asked for.
+    fn read(&self, time: f64, clocks: impl Fn(&Arrival) -> [f64; 2]) -> f64 {
         let Some(last) = self.knots.len().checked_sub(2) else {
-            return self.knots.first().map_or(f64::NAN, |only| ground - only.difference());
+            let only = self.knots.first().map(clocks);
+            return only.map_or(f64::NAN, |[from, to]| time - from + to);
         };
-        let a = self.knots.partition_point(|k| k.ground <= ground).saturating_sub(1).min(last);
-        let (a, b) = (self.knots[a], self.knots[a + 1]);
-        let share = (ground - a.ground) / (b.ground - a.ground);
-        a.vehicle + share * (b.vehicle - a.vehicle)
+        let a = self.knots.partition_point(|k| clocks(k)[0] <= time).saturating_sub(1).min(last);
+        let ([from, to], [next, beyond]) = (clocks(&self.knots[a]), clocks(&self.knots[a + 1]));
+        to + (time - from) / (next - from) * (beyond - to)
     }
 }
 

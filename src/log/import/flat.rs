@@ -16,8 +16,8 @@ use crate::log::reader::Message;
 use crate::log::record::Truth;
 use crate::log::schema::{
     AttitudeSample, AttitudeSetpointSample, BodyRateSample, Flat, InAirSample, OutputsSample,
-    PositionSample, RotorSpeedSample, RowSample, SpecificForceSample, TruthMessage, VelocitySample,
-    VoltageSample, descriptor,
+    PositionSample, RotorSpeedSample, RowSample, SetpointsMissingSample, SpecificForceSample,
+    TruthMessage, VelocitySample, VoltageSample, descriptor,
 };
 use crate::log::writer::{LOG_VERSION, LogError};
 use crate::setpoint::State;
@@ -90,6 +90,16 @@ impl Sample for AttitudeSetpointSample {
             thrust: self.thrust_ratio.is_finite().then_some(self.thrust_ratio),
         };
         Some((self.time_s, setpoint))
+    }
+}
+
+impl Sample for SetpointsMissingSample {
+    type Value = u32;
+    fn new(time: f64, missing: &u32) -> Self {
+        Self { time_s: time, missing: *missing }
+    }
+    fn read(&self) -> Option<(f64, u32)> {
+        Some((self.time_s, self.missing))
     }
 }
 
@@ -178,6 +188,9 @@ pub(super) fn take(message: &Message<'_>, flight: &mut Flight) -> Taken {
         RotorSpeedSample::NAME => push::<RotorSpeedSample>(message, &mut flight.rotor_speed),
         AttitudeSetpointSample::NAME => {
             push::<AttitudeSetpointSample>(message, &mut flight.setpoint)
+        }
+        SetpointsMissingSample::NAME => {
+            push::<SetpointsMissingSample>(message, &mut flight.setpoints_missing)
         }
         VoltageSample::NAME => push::<VoltageSample>(message, &mut flight.voltage),
         InAirSample::NAME => push::<InAirSample>(message, &mut flight.in_air),
@@ -366,6 +379,7 @@ fn write_to(flight: &Flight, out: impl io::Write) -> io::Result<u64> {
     stream_lane!("/flight/outputs", OutputsSample, outputs);
     stream_lane!("/flight/rotor_speed", RotorSpeedSample, rotor_speed);
     stream_lane!("/flight/setpoint", AttitudeSetpointSample, setpoint);
+    stream_lane!("/flight/setpoints_missing", SetpointsMissingSample, setpoints_missing);
     stream_lane!("/flight/voltage", VoltageSample, voltage);
     stream_lane!("/flight/in_air", InAirSample, in_air);
     stream_lane!("/sim/truth", TruthMessage, truth);

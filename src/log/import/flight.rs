@@ -130,6 +130,20 @@ pub struct AttitudeSetpoint {
     pub thrust: Option<f64>,
 }
 
+impl AttitudeSetpoint {
+    /// A share of the way to `other`, in the parts that both ask for.
+    pub fn between(&self, other: &Self, share: f64) -> Self {
+        let attitude = self.attitude.zip(other.attitude);
+        let body_rate = self.body_rate.zip(other.body_rate);
+        let thrust = self.thrust.zip(other.thrust);
+        Self {
+            attitude: attitude.map(|(a, b)| a.between(b, share)),
+            body_rate: body_rate.map(|(a, b)| a + (b - a) * share),
+            thrust: thrust.map(|(a, b)| a + (b - a) * share),
+        }
+    }
+}
+
 /// True state of a simulated vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthSample {
@@ -246,6 +260,8 @@ pub struct Flight {
     pub rotor_speed: Stream<[f64; 4]>,
     /// Setpoints on the vehicle's clock.
     pub setpoint: Stream<AttitudeSetpoint>,
+    /// How many the log lacks before one, at its time, where the sender's numbers say so.
+    pub setpoints_missing: Stream<u32>,
     /// Who wrote them.
     pub setpoint_source: SetpointSource,
     /// What the daemon tracked, where it wrote the log and setpoints were sent.
@@ -282,6 +298,7 @@ impl Flight {
             motor_source: MotorSource::default(),
             rotor_speed: Stream::default(),
             setpoint: Stream::default(),
+            setpoints_missing: Stream::default(),
             setpoint_source: SetpointSource::default(),
             reference: Stream::default(),
             voltage: Stream::default(),

@@ -10,39 +10,53 @@ use wire::dialect::{
 
 use super::clocks::{Exchange, Heard};
 use super::flight::{AttitudeSetpoint, Flight};
+use super::setpoints::Sent;
 use super::tally::Tally;
-use super::vehicle::{SentSetpoints, VehicleLog};
-use crate::link::attitude_target;
+use super::vehicle::VehicleLog;
+use crate::link::attitude_target::{self, AttitudeTarget};
 
 /// Senders that are followed; a log has a vehicle or two, and some ground stations.
 const SENDERS_MAX: usize = 32;
 /// A frame is only a repetition of one this many frames of its sender before, at most: half of
 /// what sequence numbers tell apart.
 const REPEATED_WITHIN: u64 = 128;
+/// More frames than this are not missing: the sender began anew, or numbers came out of order.
+const MISSING_MAX: u8 = 64;
 /// Requests of TIMESYNC that can still be answered.
 const OPEN_REQUESTS: usize = 16;
 
 /// System and component.
 type Sender = (u32, u8);
 
-/// Frames with the same content lately, to tell repetitions.
+/// One sender's numbers, to tell repetitions and what is missing.
 #[derive(Debug)]
-struct Repetitions {
+struct Numbers {
     count: u64,
     last: Option<(u8, u32)>,
     /// Whether different frames had one sequence number in a row: this sender does not count.
     uncounted: bool,
+    /// Of the newest frame that repeats none.
+    newest: Option<u8>,
+    /// Frames that are missing since the last setpoint.
+    missing: u32,
     /// By sequence number: number of the frame, and checksum of its bytes.
     recent: Box<[(u64, u32); 256]>,
 }
 
-impl Default for Repetitions {
+impl Default for Numbers {
     fn default() -> Self {
-        Self { count: 0, last: None, uncounted: false, recent: Box::new([(0, 0); 256]) }
+        Self {
+            count: 0,
+            last: None,
+            uncounted: false,
+            newest: None,
+            missing: 0,
+            recent: Box::new([(0, 0); 256]),
+        }
     }
 }
 
-impl Repetitions {
+impl Numbers {
     /// Whether the frame came before, with the same sequence number and content.
     fn is_repeated(&mut self, frame: &Frame) -> bool {
         let sequence = frame.sequence();
@@ -55,7 +69,12 @@ impl Repetitions {
         let slot = &mut self.recent[usize::from(sequence)];
         let (number, before) = std::mem::replace(slot, (self.count, hash));
         let is_recent = number > 0 && self.count - number <= REPEATED_WITHIN;
-        is_recent && before == hash && !self.uncounted
+        let is_repeated = is_recent && before == hash && !self.uncounted;
+        if !is_repeated && let Some(newest) = self.newest.replace(sequence) {
+            let skipped = sequence.wrapping_sub(newest).wrapping_sub(1);
+            self.missing += if skipped <= MISSING_MAX { u32::from(skipped) } else { 0 };
+        }
+        is_repeated
     }
 }
 
@@ -66,10 +85,10 @@ pub(super) struct Frames {
     /// First ground stamp, ns: ground times count from it.
     start_ns: Option<u64>,
     latest: f64,
-    repetitions: BTreeMap<Sender, Repetitions>,
+    numbers: BTreeMap<Sender, Numbers>,
     vehicles: BTreeMap<Sender, VehicleLog>,
     /// By sender and the system that they are for, 0 for all.
-    setpoints: BTreeMap<(Sender, u8), SentSetpoints>,
+    setpoints: BTreeMap<(Sender, u8), Vec<Sent>>,
     /// `ts1` of open requests of TIMESYNC and when they left.
     requests: VecDeque<(i64, f64)>,
     tally: Tally,
@@ -85,11 +104,11 @@ impl Frames {
         }
         let heard = Heard { index: self.index, ground: self.latest };
         let sender = (frame.system(), frame.component());
-        if !self.repetitions.contains_key(&sender) && self.repetitions.len() == SENDERS_MAX {
+        if !self.numbers.contains_key(&sender) && self.numbers.len() == SENDERS_MAX {
             self.tally.add("frame of one sender too many", 1);
             return;
         }
-        if self.repetitions.entry(sender).or_default().is_repeated(frame) {
+        if self.numbers.entry(sender).or_default().is_repeated(frame) {
             self.tally.add("duplicated frame", 1);
             return;
         }
@@ -112,11 +131,14 @@ impl Frames {
     fn add_setpoint(&mut self, heard: Heard, sender: Sender, frame: &Frame) {
         match attitude_target::decode(frame) {
             Ok(Some(target)) => {
-                let attitude_target::AttitudeTarget { target_system, attitude, body_rate, thrust } =
+                let AttitudeTarget { time_boot_ms, target_system, attitude, body_rate, thrust } =
                     target;
                 let setpoint = AttitudeSetpoint { attitude, body_rate, thrust };
+                let numbers = self.numbers.entry(sender).or_default();
+                let missing = std::mem::take(&mut numbers.missing);
+                let stamp_s = f64::from(time_boot_ms) * 1e-3;
                 let sent = self.setpoints.entry((sender, target_system)).or_default();
-                sent.push((heard, setpoint));
+                sent.push(Sent { heard, stamp_s, missing, setpoint });
             }
             Ok(None) => {}
             Err(refusal) => self.tally.add(&format!("SET_ATTITUDE_TARGET: {refusal}"), 1),

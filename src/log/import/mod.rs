@@ -14,6 +14,7 @@ mod mcap;
 mod onboard;
 mod read_ahead;
 mod references;
+mod setpoints;
 mod source;
 mod tally;
 mod tlog;

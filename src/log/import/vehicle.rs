@@ -10,7 +10,8 @@ use wire::dialect::*;
 
 use super::clocks::{Arrival, ClockMap, Exchange, Heard};
 use super::epoch::{Epoch, PoseSample, Source};
-use super::flight::{AttitudeSetpoint, Clock, Flight, Stream};
+use super::flight::{Clock, Flight, Stream};
+use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
 use crate::link::codec::Codec;
 use crate::link::message::{self, AttitudeSource, Inbound, LandedState};
@@ -37,9 +38,6 @@ pub(super) struct VehicleLog {
     messages: u64,
     tally: Tally,
 }
-
-/// Setpoints for one vehicle, as the ground sent them.
-pub(super) type SentSetpoints = Vec<(Heard, AttitudeSetpoint)>;
 
 impl VehicleLog {
     /// Whether a HEARTBEAT of an autopilot came from here.
@@ -209,7 +207,7 @@ impl VehicleLog {
 
     /// Fills `flight` with the epoch that holds most, and with the setpoints sent to it. Returns
     /// what was left out.
-    pub fn finish(mut self, setpoints: SentSetpoints, flight: &mut Flight) -> Tally {
+    pub fn finish(mut self, setpoints: Vec<Sent>, flight: &mut Flight) -> Tally {
         let mut tally = std::mem::take(&mut self.tally);
         let weight = |epoch: &Epoch| (epoch.attitudes(), epoch.messages());
         let order = |(a, x): &(usize, &Epoch), (b, y): &(usize, &Epoch)| {
@@ -233,7 +231,8 @@ impl VehicleLog {
         let exchanges: Vec<_> =
             self.exchanges.iter().filter(|e| in_epoch(&e.answered)).copied().collect();
         let all = setpoints.len();
-        let setpoints: Vec<_> = setpoints.into_iter().filter(|(h, _)| in_epoch(h)).collect();
+        let setpoints: Vec<_> =
+            setpoints.into_iter().filter(|sent| in_epoch(&sent.heard)).collect();
         let other = (all - setpoints.len()) as u64;
         tally.add("setpoint during another run of the vehicle's clock", other);
         let epoch = self.epochs.swap_remove(chosen);
@@ -256,7 +255,12 @@ impl VehicleLog {
         tally.add("step of the ground's clock (its stamps were tied anew)", map.steps());
         place(&map, battery, &mut flight.voltage, "BATTERY_STATUS", &mut tally);
         place(&map, landed, &mut flight.in_air, "EXTENDED_SYS_STATE", &mut tally);
-        place(&map, setpoints, &mut flight.setpoint, "SET_ATTITUDE_TARGET", &mut tally);
+        let setpoints = steadied(setpoints).into_iter();
+        let setpoints = setpoints.map(|sent| (sent.heard, (sent.setpoint, sent.missing))).collect();
+        let mut placed = Stream::default();
+        place(&map, setpoints, &mut placed, "SET_ATTITUDE_TARGET", &mut tally);
+        flight.setpoint = placed.map(|(setpoint, _)| *setpoint);
+        flight.setpoints_missing = placed.filter_map(|(_, n)| (*n > 0).then_some(*n));
         epoch.fill(shifts, flight);
         tally
     }

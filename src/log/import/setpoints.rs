@@ -1,0 +1,108 @@
+//! Setpoints as the ground sent them: when, and how many of them the log lacks.
+//!
+//! The log stamps a setpoint when it was written down. Where those stamps are rough (another
+//! process wrote the log, or a shared host), the ground's own stamp in the message is the better
+//! one, though it has whole milliseconds. Frames of one sender are numbered, so that those that the
+//! log lacks are known: the vehicle may have followed them.
+
+use super::clocks::{Arrival, ClockMap, Envelope, Heard};
+use super::flight::AttitudeSetpoint;
+
+/// Resolution of the ground's own stamps, s.
+const RESOLUTION_S: f64 = 1e-3;
+/// Half of the log's stamps are later than the earliest by more than this where they are rough, s.
+const ROUGH_S: f64 = 1.5e-3;
+
+/// A setpoint on its way to the vehicle.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sent {
+    /// By the log's stamp.
+    pub heard: Heard,
+    /// The ground's own stamp, s.
+    pub stamp_s: f64,
+    /// Frames of its sender that are missing since the last setpoint.
+    pub missing: u32,
+    /// What is asked for.
+    pub setpoint: AttitudeSetpoint,
+}
+
+/// The same setpoints, at their own stamps on the log's clock where the log's stamps are rough. As
+/// early as the log's clock is there at the least delay: so are the vehicle's messages, to which
+/// they are tied.
+pub(super) fn steadied(mut sent: Vec<Sent>) -> Vec<Sent> {
+    let goes_back = sent.windows(2).any(|pair| pair[1].stamp_s < pair[0].stamp_s);
+    let stands = sent.first().map(|s| s.stamp_s) == sent.last().map(|s| s.stamp_s);
+    if goes_back || stands {
+        return sent;
+    }
+    let mut envelope = Envelope::default();
+    for Sent { heard, stamp_s, .. } in &sent {
+        let (index, ground) = (heard.index, heard.ground);
+        envelope.add(Arrival { index, ground, vehicle: *stamp_s });
+    }
+    let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 0.0);
+    let earliest: Option<Vec<f64>> =
+        sent.iter().map(|sent| map.ground_time(sent.stamp_s)).collect();
+    let Some(earliest) = earliest.filter(|_| map.steps() == 0) else { return sent };
+    let mut late: Vec<f64> =
+        sent.iter().zip(&earliest).map(|(sent, earliest)| sent.heard.ground - earliest).collect();
+    let middle = late.len() / 2;
+    if late.is_empty() || *late.select_nth_unstable_by(middle, f64::total_cmp).1 < ROUGH_S {
+        return sent;
+    }
+    for (sent, earliest) in sent.iter_mut().zip(earliest) {
+        sent.heard.ground = earliest + 0.5 * RESOLUTION_S;
+    }
+    sent
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A minute at 100 Hz from a ground whose clock is 3 s behind and runs slower; the log's stamps
+    /// are up to `rough` s off.
+    fn flown(rough: f64) -> Vec<Sent> {
+        let setpoint = AttitudeSetpoint { attitude: None, body_rate: None, thrust: Some(0.5) };
+        (0..6000)
+            .map(|k| {
+                let time = 10.0 + f64::from(k) * 0.01 + 0.0004;
+                let off = rough * (f64::from(k * 7919 % 1000) / 499.5 - 1.0);
+                let own = (time - 3.0) * (1.0 - 1e-4);
+                Sent {
+                    heard: Heard { index: k as u32, ground: time + off },
+                    stamp_s: (own * 1e3).floor() * 1e-3,
+                    missing: 0,
+                    setpoint,
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn stamps_of_the_log_stay_where_they_are_good() {
+        let sent = flown(2e-4);
+        for (before, after) in sent.iter().zip(steadied(sent.clone())) {
+            assert_eq!(before.heard, after.heard);
+        }
+    }
+
+    #[test]
+    fn rough_stamps_give_way_to_the_grounds_own() {
+        let rough = 5e-3;
+        for (k, sent) in steadied(flown(rough)).into_iter().enumerate() {
+            let time = 10.0 + k as f64 * 0.01 + 0.0004;
+            let off = sent.heard.ground - (time - rough);
+            assert!(off.abs() < 8e-4, "{k}: {off}");
+        }
+    }
+
+    #[test]
+    fn a_ground_without_a_clock_has_the_logs_stamps() {
+        let mut sent = flown(5e-3);
+        sent.iter_mut().for_each(|sent| sent.stamp_s = 0.0);
+        for (before, after) in sent.iter().zip(steadied(sent.clone())) {
+            assert_eq!(before.heard, after.heard);
+        }
+    }
+}
