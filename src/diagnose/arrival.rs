@@ -4,12 +4,15 @@
 //! setpoint was in force at its tick. How long each setpoint was under way at least, or at most, is
 //! then known without a model of the vehicle. A delay keeps step with the loop and the stream: over
 //! some milliseconds the same setpoints are in force, and a fit of the outputs finds any value
-//! between. The few that come late tell the rest.
+//! between. The few that come late tell the rest. An output that answers no setpoint of the log
+//! answers one that the log lacks, where there is one: left out, the delays would be preferred that
+//! let setpoints of the log rule whenever an output was logged.
 
 use rayon::prelude::*;
 
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
+use super::setpoints::send_spread;
 
 /// A collective that agrees so well with a setpoint's thrust is of it: single precision, twice.
 const AGREEMENT: f64 = 2e-6;
@@ -26,6 +29,8 @@ const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
 const STRAY: f64 = 1e-3;
 /// How well the clocks of ground and vehicle are tied by the least delay of the downlink, s.
 const CLOCK_TIE_S: f64 = 7e-4;
+/// Probability that nothing newer has arrived from which on older ones do not matter.
+const NEGLIGIBLE: f64 = 1e-6;
 /// Densities that are multiplied before their logarithm is taken: far from underflow.
 const MULTIPLIED: usize = 64;
 /// Outputs one after the other answer the same setpoint: so many count as one.
@@ -42,12 +47,19 @@ pub struct Delay {
     pub by_stamps: f64,
 }
 
-/// What an output says: the ages at its tick of the setpoint that it answers and of the newer ones,
-/// which had not arrived, s.
-struct Answer {
-    in_force: f64,
-    newer: Vec<f64>,
+/// A setpoint that may be in force at a tick.
+struct Candidate {
+    /// Since it was sent, s.
+    age: f64,
+    /// Standard deviation of that: 0 of those in the log, s.
+    spread: f64,
+    /// Whether the output may answer it.
+    may_rule: bool,
 }
+
+/// What an output says: the newest setpoints at its tick, the newest first. The one in force had
+/// arrived, and none of those before it here had.
+struct Answer(Vec<Candidate>);
 
 impl Delay {
     /// The delay in flights that `law` flew; `None` where too few outputs answer a setpoint.
@@ -95,14 +107,34 @@ fn log_density(answers: &[Answer], constant: f64, jitter: f64) -> f64 {
 impl Answer {
     /// Density of this answer, for a constant delay and a mean jitter; at least [`STRAY`].
     fn density(&self, constant: f64, jitter: f64) -> f64 {
-        let waited = |age: f64| (age - constant).max(0.0) / jitter;
-        let arrived = 1.0 - (-waited(self.in_force)).exp();
-        // What is not yet due has not arrived, however long the newer ones take.
-        if arrived == 0.0 {
-            return STRAY;
+        let (mut density, mut none_newer) = (STRAY, 1.0);
+        for candidate in &self.0 {
+            let under_way = candidate.under_way(constant, jitter);
+            if candidate.may_rule {
+                density += none_newer * (1.0 - under_way);
+            }
+            none_newer *= under_way;
+            if none_newer < NEGLIGIBLE {
+                break;
+            }
         }
-        let none_newer = (-self.newer.iter().map(|age| waited(*age)).sum::<f64>()).exp();
-        arrived * none_newer + STRAY
+        density
+    }
+}
+
+impl Candidate {
+    /// Probability that it is still under way.
+    fn under_way(&self, constant: f64, jitter: f64) -> f64 {
+        let at = |age: f64| {
+            let waited = age - constant;
+            if waited > 0.0 { (-waited / jitter).exp() } else { 1.0 }
+        };
+        if self.spread == 0.0 {
+            return at(self.age);
+        }
+        // Gauss and Hermite's three points.
+        let far = 3.0_f64.sqrt() * self.spread;
+        (at(self.age - far) + 4.0 * at(self.age) + at(self.age + far)) / 6.0
     }
 }
 
@@ -110,6 +142,8 @@ impl Answer {
 fn answers(flight: &PreparedFlight, law: &OnboardLaw) -> Vec<Answer> {
     let (sent, setpoints) = (flight.setpoint.times(), flight.setpoint.values());
     let collective_max = law.allocation().collective_max();
+    let spread = send_spread(flight.setpoint.times(), &flight.inferred);
+    let is_inferred = |index: &usize| flight.inferred.binary_search(index).is_ok();
     let outputs = flight.outputs.times().iter().zip(flight.outputs.values());
     outputs
         .filter(|(time, _)| flight.spans.iter().any(|span| span.contains(time)))
@@ -121,16 +155,26 @@ fn answers(flight: &PreparedFlight, law: &OnboardLaw) -> Vec<Answer> {
             let newest = sent.partition_point(|sent| *sent <= tick).checked_sub(1)?;
             let oldest = sent.partition_point(|sent| *sent < tick - AGE_MAX_S);
             let mut off: Vec<(f64, usize)> = (oldest..=newest)
+                .filter(|index| !is_inferred(index))
                 .filter_map(|i| Some(((setpoints[i].thrust? - collective).abs(), i)))
                 .collect();
             off.sort_by(|a, b| a.0.total_cmp(&b.0));
             let (best, index) = *off.first()?;
             let is_distinct = off.get(1).is_none_or(|next| next.0 > DISTINCT * AGREEMENT);
-            let ages = |i: usize| tick - sent[i];
-            (best < AGREEMENT && is_distinct).then(|| Answer {
-                in_force: ages(index),
-                newer: (index + 1..=newest).map(ages).collect(),
-            })
+            let is_of_log = best < AGREEMENT && is_distinct;
+            // Neither a setpoint of the log nor one that it lacks.
+            if !is_of_log
+                && (best < DISTINCT * AGREEMENT || !(oldest..=newest).any(|i| is_inferred(&i)))
+            {
+                return None;
+            }
+            let candidate = |i: usize| Candidate {
+                age: tick - sent[i],
+                spread: if is_inferred(&i) { spread } else { 0.0 },
+                may_rule: if is_of_log { i == index } else { is_inferred(&i) },
+            };
+            let oldest = if is_of_log { index } else { oldest };
+            Some(Answer((oldest..=newest).rev().map(candidate).collect()))
         })
         .collect()
 }
@@ -153,8 +197,12 @@ mod tests {
                 while arrives[index] > tick {
                     index -= 1;
                 }
-                let age = |i: usize| tick - (i as f64 * 0.01 + 0.0013);
-                Answer { in_force: age(index), newer: (index + 1..=newest).map(age).collect() }
+                let candidate = |i: usize| Candidate {
+                    age: tick - (i as f64 * 0.01 + 0.0013),
+                    spread: 0.0,
+                    may_rule: i == index,
+                };
+                Answer((index..=newest).rev().map(candidate).collect())
             })
             .collect()
     }

@@ -20,6 +20,8 @@ use sitl::vehicle::{VehicleError, VehicleParams};
 use super::learner::Learner;
 use super::onboard::{JITTER_MEAN_S, setpoint_at};
 use super::preparation::PreparedFlight;
+use super::setpoints::as_flown;
+use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// Horizons, s.
 pub const HORIZONS_S: [f64; 3] = [0.1, 0.5, 1.0];
@@ -137,7 +139,7 @@ impl Simulator {
         flight: &PreparedFlight,
         start: f64,
         from: &State,
-        mut sensed: Option<LoopNoise>,
+        mut sensed: Option<LoopNoise<'_>>,
     ) -> Option<[State; 3]> {
         let start = start - self.latency;
         let mut plant = self.plant.clone();
@@ -185,7 +187,8 @@ impl Simulator {
                             // Jitter is a part of the delay.
                             sent -= noise.lateness().max(-self.command_delay);
                         }
-                        let asked = setpoint_at(flight, sent)?;
+                        let setpoints = sensed.as_ref().map_or(&flight.setpoint, |s| s.setpoints);
+                        let asked = setpoint_at(setpoints, sent)?;
                         outputs = Some(law.outputs(&asked, attitude.euler(), rate));
                     }
                     outputs?
@@ -242,7 +245,8 @@ impl Simulator {
 
     /// The errors of each window of flights, in order; not a number where one cannot be predicted.
     pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<[[f64; 4]; 3]> {
-        windows(flights, |flight, start| {
+        windows(flights, |index, start| {
+            let flight = &flights[index];
             let from = reported(flight, start, self.latency);
             let predicted = self.predict(flight, start, &from, None)?;
             Some(std::array::from_fn(|h| {
@@ -261,10 +265,13 @@ impl Simulator {
         noise: &ReportNoise,
         seed: u64,
     ) -> Option<Errors> {
-        root_mean_square(&windows(flights, |flight, start| {
+        let flown: Vec<_> =
+            flights.iter().map(|f| as_flown(&f.setpoint, &f.inferred, seed)).collect();
+        root_mean_square(&windows(flights, |index, start| {
+            let flight = &flights[index];
             let mut rng = Pcg64Mcg::seed_from_u64(seed ^ start.to_bits());
             let truth = reported(flight, start, self.latency);
-            let sensed = LoopNoise::new(noise, rng.random());
+            let sensed = LoopNoise::new(noise, &flown[index], rng.random());
             let ends = self.predict(flight, start, &truth, Some(sensed))?;
             let read = |time: f64| noise.read_at(flight, time, self.latency);
             let begun = read(start).applied(&truth, &mut rng);
@@ -277,8 +284,10 @@ impl Simulator {
     }
 }
 
-/// What disturbs the on-board loop: its sensors' noise and the link's jitter.
-struct LoopNoise {
+/// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the log
+/// lacks.
+struct LoopNoise<'a> {
+    setpoints: &'a Stream<AttitudeSetpoint>,
     attitude: f64,
     body_rate: f64,
     /// The attitude's present error about each axis, rad.
@@ -286,12 +295,12 @@ struct LoopNoise {
     rng: Pcg64Mcg,
 }
 
-impl LoopNoise {
-    fn new(noise: &ReportNoise, seed: u64) -> Self {
+impl<'a> LoopNoise<'a> {
+    fn new(noise: &ReportNoise, setpoints: &'a Stream<AttitudeSetpoint>, seed: u64) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let error = normals(&mut rng).map(|z| noise.attitude * z);
         let ReportNoise { attitude, body_rate, .. } = *noise;
-        Self { attitude, body_rate, error, rng }
+        Self { setpoints, attitude, body_rate, error, rng }
     }
 
     /// The attitude's error `elapsed` seconds after the last one.
@@ -418,17 +427,19 @@ fn starts(flight: &PreparedFlight) -> Vec<f64> {
     starts
 }
 
+/// `window` of the index of each flight and each start in it.
 fn windows(
     flights: &[PreparedFlight],
-    window: impl Fn(&PreparedFlight, f64) -> Option<[[f64; 4]; 3]> + Sync,
+    window: impl Fn(usize, f64) -> Option<[[f64; 4]; 3]> + Sync,
 ) -> Vec<[[f64; 4]; 3]> {
-    let windows: Vec<(&PreparedFlight, f64)> = flights
+    let windows: Vec<(usize, f64)> = flights
         .iter()
-        .flat_map(|flight| starts(flight).into_iter().map(move |start| (flight, start)))
+        .enumerate()
+        .flat_map(|(index, flight)| starts(flight).into_iter().map(move |start| (index, start)))
         .collect();
     windows
         .par_iter()
-        .map(|(flight, start)| window(flight, *start).unwrap_or([[f64::NAN; 4]; 3]))
+        .map(|(index, start)| window(*index, *start).unwrap_or([[f64::NAN; 4]; 3]))
         .collect()
 }
 

@@ -8,7 +8,7 @@ use sitl::rotor::Allocation;
 use sitl::vehicle::{AttitudePd, VehicleParams};
 
 use super::preparation::PreparedFlight;
-use crate::log::import::AttitudeSetpoint;
+use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// A setpoint older than this no longer rules, s.
 pub const AGE_MAX_S: f64 = 0.1;
@@ -129,16 +129,17 @@ impl OnboardLaw {
         let reported = Attitude { w, x, y, z }.normalized().euler();
         let rate = Frd::from(flight.body_rate.at(tick));
         let constant = (timing.command_delay - JITTER_MEAN_S).max(0.0);
-        let newest = flight.setpoint.index_at(tick - constant)?;
+        let setpoints = &flight.setpoint;
+        let newest = setpoints.index_at(tick - constant)?;
         let mut outputs = [0.0; 4];
         // Probability that none of the newer setpoints has arrived.
         let mut none_yet = 1.0;
         for index in (newest.saturating_sub(UNDER_WAY)..=newest).rev() {
-            let under_way = tick - constant - flight.setpoint.times()[index];
+            let under_way = tick - constant - setpoints.times()[index];
             let arrived = 1.0 - (-under_way / JITTER_MEAN_S).exp();
             let share = none_yet * arrived;
             if share > 1e-3 {
-                let asked = setpoint(flight, index, tick)?;
+                let asked = setpoint(setpoints, index, tick)?;
                 let by_law = law.outputs(&asked, reported, rate);
                 outputs.iter_mut().zip(by_law).for_each(|(sum, u)| *sum += share * u);
             }
@@ -152,11 +153,15 @@ impl OnboardLaw {
 }
 
 /// The setpoint of this index, unless it is stale at `time` or does not say how much thrust.
-fn setpoint(flight: &PreparedFlight, index: usize, time: f64) -> Option<OnboardSetpoint> {
-    if time - flight.setpoint.times()[index] > AGE_MAX_S {
+fn setpoint(
+    setpoints: &Stream<AttitudeSetpoint>,
+    index: usize,
+    time: f64,
+) -> Option<OnboardSetpoint> {
+    if time - setpoints.times()[index] > AGE_MAX_S {
         return None;
     }
-    as_onboard(&flight.setpoint.values()[index])
+    as_onboard(&setpoints.values()[index])
 }
 
 /// A setpoint as the loop takes it, unless it does not say how much thrust.
@@ -170,8 +175,8 @@ pub fn as_onboard(setpoint: &AttitudeSetpoint) -> Option<OnboardSetpoint> {
 }
 
 /// The setpoint in force that was sent by `sent`.
-pub fn setpoint_at(flight: &PreparedFlight, sent: f64) -> Option<OnboardSetpoint> {
-    setpoint(flight, flight.setpoint.index_at(sent)?, sent)
+pub fn setpoint_at(setpoints: &Stream<AttitudeSetpoint>, sent: f64) -> Option<OnboardSetpoint> {
+    setpoint(setpoints, setpoints.index_at(sent)?, sent)
 }
 /// The middle one of the values; 0 of none.
 fn median(mut values: Vec<f64>) -> f64 {

@@ -25,8 +25,8 @@ use super::hypothesis::Catalogue;
 use super::onboard::{AGE_MAX_S, JITTER_MEAN_S, OnboardLaw, as_onboard};
 use super::preparation::PreparedFlight;
 use super::series::Series;
-use super::setpoints::{Scatter, infer};
-use crate::log::import::AttitudeSetpoint;
+use super::setpoints::{as_flown, infer};
+use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// Bandwidth of the loop about the logged course, rad/s, and the most that it asks for, m/s^2.
 const COURSE_RAD_S: f64 = 1.0;
@@ -100,22 +100,15 @@ impl Replica {
     /// Flies `flight` again; outside of its airborne spans nothing changes.
     pub fn fly(&self, flight: &PreparedFlight, seed: u64) -> PreparedFlight {
         let mut replica = flight.clone();
-        let mut setpoints = flight.setpoint.values().to_vec();
-        if !flight.inferred.is_empty() {
-            let scatter = Scatter::of(&flight.setpoint, &flight.inferred);
-            let mut rng = Pcg64Mcg::seed_from_u64(!seed);
-            for index in &flight.inferred {
-                setpoints[*index] = scatter.draw(&setpoints[*index], &mut rng);
-            }
-        }
+        let mut flown = as_flown(&flight.setpoint, &flight.inferred, !seed);
         for (index, span) in flight.spans.iter().enumerate() {
             let seed = seed.wrapping_add((index as u64) << 40);
-            self.fly_span(flight, span.clone(), seed, &mut setpoints, &mut replica);
+            self.fly_span(flight, span.clone(), seed, &mut flown, &mut replica);
         }
         // What the log lacks is on a line again.
+        let mut setpoints = flown.into_values();
         infer(flight.setpoint.times(), &mut setpoints, &flight.inferred);
-        let mut corrected = setpoints.into_iter();
-        replica.setpoint = flight.setpoint.map(|logged| corrected.next().unwrap_or(*logged));
+        replica.setpoint = flight.setpoint.with_values(setpoints);
         replica
     }
 
@@ -124,7 +117,7 @@ impl Replica {
         flight: &PreparedFlight,
         span: std::ops::Range<f64>,
         seed: u64,
-        setpoints: &mut [AttitudeSetpoint],
+        setpoints: &mut Stream<AttitudeSetpoint>,
         replica: &mut PreparedFlight,
     ) {
         let steps_per_second = (1.0 / Plant::STEP).round();
@@ -139,7 +132,7 @@ impl Replica {
         self.settle(flight, start, &mut plant);
 
         let mut recorder = Recorder::new(flight, start);
-        let mut arrivals = Arrivals::new(flight, start - self.command_delay);
+        let mut arrivals = Arrivals::new(setpoints, start - self.command_delay);
         let mut commands: Vec<[f64; ROTORS]> = Vec::with_capacity(steps);
         let delay = (self.output_delay.max(0.0) / Plant::STEP).round() as usize;
         let mut voltage = flight.voltage.cursor();
@@ -154,17 +147,17 @@ impl Replica {
             let ticks = self.law.tick(time) > last_tick;
             let readings =
                 (ticks || recorder.is_due(replica, time)).then(|| sensors.sample(&plant));
-            while let Some(index) = arrivals.sent(flight, time) {
-                self.correct(&mut setpoints[index], flight, time, plant.state());
-                arrivals.send(flight, index, self.command_delay, &mut rng);
+            while let Some((index, sent)) = arrivals.sent(setpoints, time) {
+                self.correct(&mut setpoints.values_mut()[index], flight, time, plant.state());
+                arrivals.send(index, sent, self.command_delay, &mut rng);
             }
             if let Some(readings) = readings.as_ref().filter(|_| ticks) {
                 last_tick = self.law.tick(time);
                 let acting = arrivals.acting(time).filter(|index| {
-                    time - flight.setpoint.times()[*index] < self.command_delay + AGE_MAX_S
+                    time - setpoints.times()[*index] < self.command_delay + AGE_MAX_S
                 });
                 let attitude = readings.onboard_attitude.euler();
-                command = match acting.and_then(|index| as_onboard(&setpoints[index])) {
+                command = match acting.and_then(|index| as_onboard(&setpoints.values()[index])) {
                     Some(asked) => self.attitude_loop.outputs(&asked, attitude, readings.gyro),
                     None => flight.outputs.at(time),
                 };
@@ -266,21 +259,21 @@ struct Arrivals {
 }
 
 impl Arrivals {
-    fn new(flight: &PreparedFlight, from: f64) -> Self {
-        let next = flight.setpoint.index_at(from).unwrap_or(0);
+    fn new(setpoints: &Stream<AttitudeSetpoint>, from: f64) -> Self {
+        let next = setpoints.index_at(from).unwrap_or(0);
         Self { next, under_way: Vec::new(), acting: None }
     }
 
-    /// A setpoint that is sent by `time`.
-    fn sent(&mut self, flight: &PreparedFlight, time: f64) -> Option<usize> {
-        let sent = *flight.setpoint.times().get(self.next)?;
-        (sent <= time).then_some(self.next)
+    /// A setpoint that is sent by `time`, and when.
+    fn sent(&mut self, setpoints: &Stream<AttitudeSetpoint>, time: f64) -> Option<(usize, f64)> {
+        let sent = *setpoints.times().get(self.next)?;
+        (sent <= time).then_some((self.next, sent))
     }
 
-    fn send(&mut self, flight: &PreparedFlight, index: usize, delay: f64, rng: &mut Pcg64Mcg) {
+    fn send(&mut self, index: usize, sent: f64, delay: f64, rng: &mut Pcg64Mcg) {
         let jitter: f64 = Exp1.sample(rng);
         let constant = (delay - JITTER_MEAN_S).max(0.0);
-        let arrives = flight.setpoint.times()[index] + constant + JITTER_MEAN_S * jitter;
+        let arrives = sent + constant + JITTER_MEAN_S * jitter;
         self.under_way.push((arrives, index));
         self.next = index + 1;
     }

@@ -47,6 +47,16 @@ impl<T> Stream<T> {
         &self.values
     }
 
+    /// Values, to be changed in place.
+    pub(crate) fn values_mut(&mut self) -> &mut [T] {
+        &mut self.values
+    }
+
+    /// The values alone.
+    pub(crate) fn into_values(self) -> Vec<T> {
+        self.values
+    }
+
     /// Number of samples.
     pub fn len(&self) -> usize {
         self.times.len()
@@ -90,6 +100,12 @@ impl<T> Stream<T> {
         let kept = self.iter().filter_map(|(time, old)| Some((time, value(old)?)));
         let (times, values) = kept.unzip();
         Stream { times, values }
+    }
+
+    /// The same times with other values, as many.
+    pub(crate) fn with_values(&self, values: Vec<T>) -> Self {
+        debug_assert_eq!(values.len(), self.times.len());
+        Self { times: self.times.clone(), values }
     }
 
     /// The same values `by` seconds later.
