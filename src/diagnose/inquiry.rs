@@ -284,7 +284,11 @@ impl<'a> Inquiry<'a> {
     ) -> Judgement {
         let found = !search.selection.best.fit.hypotheses.is_empty();
         let may_be_gusts = !self.case.without.contains(&EffectId::Gusts);
-        let force = leftover.force.as_ref().filter(|_| balance.force.left > 1.0 && may_be_gusts);
+        // Driven by outputs, an open loop strays from any cause.
+        let stays_open = self.leg() && gap.is_some_and(|gap| is_open(gap, found));
+        // A force that is small by itself matters where it keeps the gap open.
+        let least = if stays_open { 0.0 } else { 1.0 };
+        let force = leftover.force.as_ref().filter(|_| balance.force.left > least && may_be_gusts);
         let turbulence = force.and_then(|[_, after]| {
             let candidate = self.catalogue.candidate(&search.selection.best.fit.values).ok()?;
             let samples = samples(&self.fitted, self.evaluator, &candidate);
@@ -297,8 +301,7 @@ impl<'a> Inquiry<'a> {
             Some(Unexplained::Leftover)
         } else if is_neighbour(&search.misfit) {
             Some(Unexplained::Neighbour)
-        // Driven by outputs, an open loop strays from any cause.
-        } else if self.leg() && gap.is_some_and(|gap| is_open(gap, found)) {
+        } else if stays_open {
             Some(Unexplained::OpenGap)
         } else if found {
             None
