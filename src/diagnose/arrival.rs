@@ -12,7 +12,6 @@ use rayon::prelude::*;
 
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
-use super::setpoints::send_spread;
 
 /// A collective that agrees so well with a setpoint's thrust is of it: single precision, twice.
 const AGREEMENT: f64 = 2e-6;
@@ -25,6 +24,13 @@ const ANSWERS_MIN: usize = 200;
 /// Steps of the delay, s, and the jitters that are tried with it, s.
 const STEP_S: f64 = 2.5e-4;
 const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
+/// Setpoints that a thinned log lacks were all sent as much later or earlier than inferred: every
+/// other one may be, where the ground answers a vehicle whose loop does not keep step. Standard
+/// deviation, and what is tried, s.
+const SHIFT_S: f64 = 1e-3;
+const SHIFTS_S: [f64; 6] = [-1.5e-3, -1e-3, -5e-4, 5e-4, 1e-3, 1.5e-3];
+/// Links are tried with shifts from so much below the likeliest without on, nats.
+const SHIFTED_FROM: f64 = 60.0;
 /// Probability of an arrival that the model of jitter does not know.
 const STRAY: f64 = 1e-3;
 /// How well the clocks of ground and vehicle are tied by the least delay of the downlink, s.
@@ -48,44 +54,54 @@ pub struct Delay {
 }
 
 /// A setpoint that may be in force at a tick.
-struct Candidate {
+struct Candidate<'a> {
     /// Since it was sent, s.
     age: f64,
-    /// Standard deviation of that: 0 of those in the log, s.
-    spread: f64,
+    /// How much later than that it may have been sent, where the log lacks it: as likely each, s.
+    lateness: &'a [f64],
     /// Whether the output may answer it.
     may_rule: bool,
 }
 
 /// What an output says: the newest setpoints at its tick, the newest first. The one in force had
 /// arrived, and none of those before it here had.
-struct Answer(Vec<Candidate>);
+struct Answer<'a>(Vec<Candidate<'a>>);
 
 impl Delay {
     /// The delay in flights that `law` flew; `None` where too few outputs answer a setpoint.
     pub fn of(flights: &[PreparedFlight], law: &OnboardLaw) -> Option<Self> {
-        let answers: Vec<Answer> = flights.iter().flat_map(|f| answers(f, law)).collect();
+        let answers: Vec<Answer<'_>> = flights.iter().flat_map(|f| answers(f, law)).collect();
         Self::between(&answers)
     }
 
     /// The posterior mean over constant delays with exponential jitter, all as likely before.
-    fn between(answers: &[Answer]) -> Option<Self> {
+    fn between(answers: &[Answer<'_>]) -> Option<Self> {
         if answers.len() < ANSWERS_MIN {
             return None;
         }
+        let weighed = |links: Vec<Link>| -> Vec<(Link, f64)> {
+            links.into_par_iter().map(|link| (link, link.log_posterior(answers))).collect()
+        };
         let steps = (AGE_MAX_S / STEP_S) as usize;
-        let options: Vec<(f64, f64)> = (0..steps * JITTERS_S.len())
-            .into_par_iter()
-            .map(|option| {
-                let constant = (option % steps) as f64 * STEP_S;
-                let jitter = JITTERS_S[option / steps];
-                (constant + jitter, log_density(answers, constant, jitter) / CORRELATED)
-            })
-            .collect();
-        let most = options.iter().map(|(_, density)| *density).fold(f64::NEG_INFINITY, f64::max);
+        let constants = (0..steps).map(|step| step as f64 * STEP_S);
+        let link = |constant| JITTERS_S.map(|jitter| Link { constant, jitter, shift: 0.0 });
+        let mut options = weighed(constants.flat_map(link).collect());
+        let most = |options: &[(Link, f64)]| {
+            options.iter().map(|(_, density)| *density).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let is_inferred = |candidate: &Candidate<'_>| !candidate.lateness.is_empty();
+        if answers.iter().any(|answer| answer.0.iter().any(is_inferred)) {
+            let least = most(&options) - SHIFTED_FROM;
+            let likely = options.iter().filter(|(_, density)| *density > least);
+            let shifted = likely
+                .flat_map(|(link, _)| SHIFTS_S.map(|shift| Link { shift, ..*link }))
+                .collect();
+            options.extend(weighed(shifted));
+        }
+        let most = most(&options);
         let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
-        for (delay, density) in options {
-            let weight = (density - most).exp();
+        for (link, density) in options {
+            let (weight, delay) = ((density - most).exp(), link.constant + link.jitter);
             sum += weight;
             first += weight * delay;
             second += weight * delay * delay;
@@ -96,20 +112,32 @@ impl Delay {
     }
 }
 
-/// Log density of all answers, for a constant delay and a mean jitter.
-fn log_density(answers: &[Answer], constant: f64, jitter: f64) -> f64 {
-    let of_some = |answers: &[Answer]| {
-        answers.iter().map(|answer| answer.density(constant, jitter)).product::<f64>().ln()
-    };
-    answers.chunks(MULTIPLIED).map(of_some).sum()
+/// The way of setpoints to the vehicle.
+#[derive(Clone, Copy, Debug)]
+struct Link {
+    /// Least delay, s.
+    constant: f64,
+    /// Mean of the exponential delay beyond it, s.
+    jitter: f64,
+    /// By how much later than inferred those were sent that the log lacks, s.
+    shift: f64,
 }
 
-impl Answer {
-    /// Density of this answer, for a constant delay and a mean jitter; at least [`STRAY`].
-    fn density(&self, constant: f64, jitter: f64) -> f64 {
+impl Link {
+    /// Log density of all answers and of the shift, without constants.
+    fn log_posterior(&self, answers: &[Answer<'_>]) -> f64 {
+        let of_some = |answers: &[Answer<'_>]| {
+            answers.iter().map(|answer| self.density(answer)).product::<f64>().ln()
+        };
+        let log_density: f64 = answers.chunks(MULTIPLIED).map(of_some).sum();
+        log_density / CORRELATED - 0.5 * (self.shift / SHIFT_S).powi(2)
+    }
+
+    /// Density of an answer; at least [`STRAY`].
+    fn density(&self, answer: &Answer<'_>) -> f64 {
         let (mut density, mut none_newer) = (STRAY, 1.0);
-        for candidate in &self.0 {
-            let under_way = candidate.under_way(constant, jitter);
+        for candidate in &answer.0 {
+            let under_way = self.under_way(candidate);
             if candidate.may_rule {
                 density += none_newer * (1.0 - under_way);
             }
@@ -120,30 +148,26 @@ impl Answer {
         }
         density
     }
-}
 
-impl Candidate {
-    /// Probability that it is still under way.
-    fn under_way(&self, constant: f64, jitter: f64) -> f64 {
+    /// Probability that a setpoint is still under way.
+    fn under_way(&self, Candidate { age, lateness, .. }: &Candidate<'_>) -> f64 {
         let at = |age: f64| {
-            let waited = age - constant;
-            if waited > 0.0 { (-waited / jitter).exp() } else { 1.0 }
+            let waited = age - self.constant;
+            if waited > 0.0 { (-waited / self.jitter).exp() } else { 1.0 }
         };
-        if self.spread == 0.0 {
-            return at(self.age);
+        if lateness.is_empty() {
+            return at(*age);
         }
-        // Gauss and Hermite's three points.
-        let far = 3.0_f64.sqrt() * self.spread;
-        (at(self.age - far) + 4.0 * at(self.age) + at(self.age + far)) / 6.0
+        let sum: f64 = lateness.iter().map(|late| at(age - late - self.shift)).sum();
+        sum / lateness.len() as f64
     }
 }
 
 /// What the outputs of a flight answer.
-fn answers(flight: &PreparedFlight, law: &OnboardLaw) -> Vec<Answer> {
+fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> {
     let (sent, setpoints) = (flight.setpoint.times(), flight.setpoint.values());
     let collective_max = law.allocation().collective_max();
-    let spread = send_spread(flight.setpoint.times(), &flight.inferred);
-    let is_inferred = |index: &usize| flight.inferred.binary_search(index).is_ok();
+    let inferred = &flight.inferred;
     let outputs = flight.outputs.times().iter().zip(flight.outputs.values());
     outputs
         .filter(|(time, _)| flight.spans.iter().any(|span| span.contains(time)))
@@ -155,7 +179,7 @@ fn answers(flight: &PreparedFlight, law: &OnboardLaw) -> Vec<Answer> {
             let newest = sent.partition_point(|sent| *sent <= tick).checked_sub(1)?;
             let oldest = sent.partition_point(|sent| *sent < tick - AGE_MAX_S);
             let mut off: Vec<(f64, usize)> = (oldest..=newest)
-                .filter(|index| !is_inferred(index))
+                .filter(|index| !inferred.has(*index))
                 .filter_map(|i| Some(((setpoints[i].thrust? - collective).abs(), i)))
                 .collect();
             off.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -164,14 +188,14 @@ fn answers(flight: &PreparedFlight, law: &OnboardLaw) -> Vec<Answer> {
             let is_of_log = best < AGREEMENT && is_distinct;
             // Neither a setpoint of the log nor one that it lacks.
             if !is_of_log
-                && (best < DISTINCT * AGREEMENT || !(oldest..=newest).any(|i| is_inferred(&i)))
+                && (best < DISTINCT * AGREEMENT || !(oldest..=newest).any(|i| inferred.has(i)))
             {
                 return None;
             }
             let candidate = |i: usize| Candidate {
                 age: tick - sent[i],
-                spread: if is_inferred(&i) { spread } else { 0.0 },
-                may_rule: if is_of_log { i == index } else { is_inferred(&i) },
+                lateness: if inferred.has(i) { inferred.lateness() } else { &[] },
+                may_rule: if is_of_log { i == index } else { inferred.has(i) },
             };
             let oldest = if is_of_log { index } else { oldest };
             Some(Answer((oldest..=newest).rev().map(candidate).collect()))
@@ -185,7 +209,7 @@ mod tests {
 
     /// Answers at ticks of 4 ms to setpoints every 10 ms that take `constant` and an exponential
     /// jitter of 1 ms, by quantiles instead of draws.
-    fn flown(constant: f64) -> Vec<Answer> {
+    fn flown(constant: f64) -> Vec<Answer<'static>> {
         let late = |k: usize| -1e-3 * (1.0 - (k * 37 % 101) as f64 / 101.0).ln();
         let arrives: Vec<f64> =
             (0..4000).map(|k| k as f64 * 0.01 + 0.0013 + constant + late(k)).collect();
@@ -199,7 +223,7 @@ mod tests {
                 }
                 let candidate = |i: usize| Candidate {
                     age: tick - (i as f64 * 0.01 + 0.0013),
-                    spread: 0.0,
+                    lateness: &[],
                     may_rule: i == index,
                 };
                 Answer((index..=newest).rev().map(candidate).collect())

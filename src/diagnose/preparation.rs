@@ -6,7 +6,7 @@ use sitl::frame::Attitude;
 use sitl::vehicle::VehicleParams;
 
 use super::series::Series;
-use super::setpoints::completed;
+use super::setpoints::{Inferred, completed};
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
 use crate::learn::segments::Segments;
 use crate::log::import::{AttitudeSetpoint, Flight, SetpointSource, Stream, UnitUnknown};
@@ -89,8 +89,8 @@ pub struct PreparedFlight {
     pub voltage: Series<1>,
     /// Setpoints as sent, with those between that the log lacks.
     pub setpoint: Stream<AttitudeSetpoint>,
-    /// Indices of those that the log lacks.
-    pub inferred: Vec<usize>,
+    /// Those that the log lacks.
+    pub inferred: Inferred,
     /// What was tracked, where the log holds it.
     pub reference: Stream<Reference>,
     /// Airborne time without gaps, s.
@@ -319,7 +319,7 @@ impl PreparedFlight {
             voltage: Series::default(),
             reference: Stream::default(),
             setpoint: Stream::default(),
-            inferred: Vec::new(),
+            inferred: Inferred::default(),
             blocks: blocks(&spans),
             spans,
         }

@@ -2,7 +2,8 @@
 //!
 //! A thinned log lacks setpoints that the vehicle followed. Where the numbers of their frames tell
 //! that they were, they are put on the line between their neighbours, from which each lay off by the
-//! noise that feedback puts into setpoints: replicas follow such ones, and log the line as well.
+//! noise that feedback puts into setpoints: replicas follow such ones, and log the line as well. When
+//! each was sent, the others tell: a ground sends at a period, and now and then a little late.
 
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -13,51 +14,175 @@ use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// Setpoints this far apart tell nothing of what was between, s.
 const APART_MAX_S: f64 = 0.1;
-/// Share of the time between two setpoints by which one may be late or early: they keep their order.
-const MOVED_MAX: f64 = 0.4;
+/// The period's phase is the least of so many setpoints to each side.
+const PHASE: usize = 25;
+/// Quantiles by which lateness is told.
+const LATENESS: usize = 6;
+/// Two setpoints are apart by so much of the period at least: they keep their order.
+const APART_MIN: f64 = 0.1;
+/// A setpoint is sent early or late by so much of the period at most, for its tick to be told.
+const EARLY_MAX: f64 = 0.3;
+const LATE_MAX: f64 = 0.6;
+/// Between ticks that have nothing to do with each other.
+const GAP_TICKS: u64 = 1 << 32;
 /// A change is a jump from so many deviations on beyond what the changes around it let expect.
 const JUMP: f64 = 10.0;
 /// Median of a squared standard normal number.
 const MEDIAN_SQUARE: f64 = 0.455;
 
-/// `logged` with those between that are `missing` (how many before each, at its time), and the
-/// indices of those.
+/// Which setpoints of a stream the log lacks.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Inferred {
+    /// Their indices, ascending.
+    indices: Vec<usize>,
+    /// How much later than expected they may have been sent, as equally likely quantiles, s.
+    lateness: [f64; LATENESS],
+}
+
+impl Inferred {
+    /// Whether the log lacks none.
+    pub fn is_empty(&self) -> bool {
+        self.indices.is_empty()
+    }
+
+    /// Whether the log lacks the setpoint at `index`.
+    pub(super) fn has(&self, index: usize) -> bool {
+        self.indices.binary_search(&index).is_ok()
+    }
+
+    /// How much later than expected one may have been sent: quantiles as likely, s.
+    pub(super) fn lateness(&self) -> &[f64] {
+        &self.lateness
+    }
+
+    /// Indices of the others among `count`.
+    fn logged(&self, count: usize) -> Vec<usize> {
+        (0..count).filter(|index| !self.has(*index)).collect()
+    }
+}
+
+/// `logged` with those between that are `missing` (how many before each, at its time).
 pub(super) fn completed(
     logged: &Stream<AttitudeSetpoint>,
     missing: &Stream<u32>,
-) -> (Stream<AttitudeSetpoint>, Vec<usize>) {
-    let (mut all, mut inferred) = (Stream::default(), Vec::new());
-    let mut missing = missing.iter().peekable();
-    let mut last: Option<(f64, &AttitudeSetpoint)> = None;
-    for (time, setpoint) in logged.iter() {
-        let mut count = 0;
-        while let Some((_, n)) = missing.next_if(|(at, _)| *at <= time) {
-            count = *n;
-        }
-        if let Some((before, earlier)) = last.filter(|(before, _)| time - before < APART_MAX_S) {
-            for k in 1..=count {
-                let share = f64::from(k) / f64::from(count + 1);
-                if all.push(before + share * (time - before), earlier.between(setpoint, share)) {
-                    inferred.push(all.len() - 1);
+) -> (Stream<AttitudeSetpoint>, Inferred) {
+    let times = logged.times();
+    let Some(ticks) = ticks(times, missing) else { return (logged.clone(), Inferred::default()) };
+    let period = ticks.period;
+    let late = ticks.late(times);
+    let mut ascending = late.clone();
+    ascending.sort_by(f64::total_cmp);
+    let mean = late.iter().sum::<f64>() / late.len().max(1) as f64;
+    let quantile = |i: usize| {
+        let share = (i as f64 + 0.5) / LATENESS as f64;
+        ascending.get((share * ascending.len() as f64) as usize).map_or(0.0, |late| late - mean)
+    };
+    let mut inferred = Inferred { indices: Vec::new(), lateness: std::array::from_fn(quantile) };
+    let mut all = Stream::default();
+    for (k, (time, setpoint)) in logged.iter().enumerate() {
+        if let Some(before) = k.checked_sub(1) {
+            let count = ticks.between(before);
+            let earlier = logged.values()[before];
+            for tick in 1..count {
+                let share = tick as f64 / count as f64;
+                // Where it would have been by what is before, and by what is after.
+                let by_before = times[before] - late[before] + tick as f64 * period;
+                let by_after = time - late[k] - (count - tick) as f64 * period;
+                let sent = 0.5 * (by_before + by_after) + mean;
+                let (low, high) = (tick as f64, (count - tick) as f64);
+                let apart = APART_MIN * (time - times[before]) / count as f64;
+                let sent = sent.clamp(times[before] + low * apart, time - high * apart);
+                if all.push(sent, earlier.between(setpoint, share)) {
+                    inferred.indices.push(all.len() - 1);
                 }
             }
         }
         all.push(time, *setpoint);
-        last = Some((time, setpoint));
     }
     (all, inferred)
 }
 
-/// Puts the setpoints at the indices `inferred`, ascending, on the line between those around them.
-pub(super) fn infer(times: &[f64], setpoints: &mut [AttitudeSetpoint], inferred: &[usize]) {
-    for run in inferred.chunk_by(|a, b| b - a == 1) {
+/// Logged setpoints as ticks of the period at which the ground sends.
+struct Ticks {
+    period: f64,
+    /// Number of each; behind a gap they go on far off.
+    numbers: Vec<u64>,
+}
+
+/// The ticks of setpoints at `times` between which some are `missing`; `None` where none are.
+fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
+    let mut missing = missing.iter().peekable();
+    let mut lacking = Vec::with_capacity(times.len());
+    for time in times {
+        let mut count = 0;
+        while let Some((_, n)) = missing.next_if(|(at, _)| at <= time) {
+            count = *n;
+        }
+        lacking.push(count);
+    }
+    if lacking.iter().all(|count| *count == 0) {
+        return None;
+    }
+    let near = |pair: &[f64]| pair[1] - pair[0] < APART_MAX_S;
+    let pairs = times.windows(2).zip(lacking.iter().skip(1));
+    let mut periods: Vec<f64> = pairs
+        .clone()
+        .filter(|(pair, _)| near(pair))
+        .map(|(pair, lacking)| (pair[1] - pair[0]) / f64::from(lacking + 1))
+        .collect();
+    let middle = periods.len() / 2;
+    if periods.is_empty() {
+        return None;
+    }
+    let period = *periods.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let (mut number, mut seconds) = (0, 0.0);
+    let mut numbers = vec![number];
+    for (pair, lacking) in pairs {
+        // Other messages of the ground may be what is missing: no more than there was time for.
+        let fit = ((pair[1] - pair[0]) / period - EARLY_MAX).ceil().max(1.0) as u64;
+        number += if near(pair) { fit.min(u64::from(*lacking) + 1) } else { GAP_TICKS };
+        seconds += if near(pair) { pair[1] - pair[0] } else { 0.0 };
+        numbers.push(number);
+    }
+    // What is counted from gap to gap telescopes, whatever the single intervals.
+    Some(Ticks { period: seconds / (number % GAP_TICKS) as f64, numbers })
+}
+
+impl Ticks {
+    /// Ticks from a logged setpoint to the next; 1 across a gap.
+    fn between(&self, index: usize) -> u64 {
+        let count = self.numbers[index + 1] - self.numbers[index];
+        if count < GAP_TICKS { count } else { 1 }
+    }
+
+    /// How much later than its tick each was sent, s: the tick is where the earliest of those around
+    /// would have it.
+    fn late(&self, times: &[f64]) -> Vec<f64> {
+        (0..times.len())
+            .map(|k| {
+                let around = k.saturating_sub(PHASE)..(k + PHASE + 1).min(times.len());
+                let by = |j: usize| {
+                    let ticks = self.numbers[k] as f64 - self.numbers[j] as f64;
+                    times[j] + ticks * self.period
+                };
+                // More than that is a tick that was not counted, or a gap.
+                let least = times[k] - LATE_MAX * self.period;
+                times[k] - around.map(by).filter(|at| *at > least).fold(times[k], f64::min)
+            })
+            .collect()
+    }
+}
+
+/// Puts the setpoints that are `inferred` on the line between those around them.
+pub(super) fn infer(setpoints: &mut [AttitudeSetpoint], inferred: &Inferred) {
+    for run in inferred.indices.chunk_by(|a, b| b - a == 1) {
         let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
         let Some((a, b)) = first.checked_sub(1).zip(setpoints.get(last + 1).map(|_| last + 1))
         else {
             continue;
         };
         for index in run {
-            let share = (times[*index] - times[a]) / (times[b] - times[a]);
+            let share = (index - a) as f64 / (b - a) as f64;
             setpoints[*index] = setpoints[a].between(&setpoints[b], share);
         }
     }
@@ -67,18 +192,16 @@ pub(super) fn infer(times: &[f64], setpoints: &mut [AttitudeSetpoint], inferred:
 /// as the others do, and where what is asked jumps between two of the log, it jumps somewhere between.
 pub(super) fn as_flown(
     setpoints: &Stream<AttitudeSetpoint>,
-    inferred: &[usize],
+    inferred: &Inferred,
     seed: u64,
 ) -> Stream<AttitudeSetpoint> {
     if inferred.is_empty() {
         return setpoints.clone();
     }
-    let is_logged = |index: &usize| inferred.binary_search(index).is_err();
-    let logged: Vec<usize> = (0..setpoints.len()).filter(is_logged).collect();
+    let logged = inferred.logged(setpoints.len());
     let (times, line) = (setpoints.times(), setpoints.values());
     let scatter = scatter(times, line, &logged);
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let spread = send_spread(times, inferred);
     let mut flown = Stream::default();
     if let Some(first) = logged.first() {
         flown.push(times[*first], line[*first]);
@@ -100,31 +223,22 @@ pub(super) fn as_flown(
             if jump.abs() > JUMP * scatter[i] { jump } else { 0.0 }
         });
         let at: f64 = rng.random();
-        let most = MOVED_MAX * (times[b] - times[a]) / (b - a) as f64;
+        // Between those around, in their order.
+        let room = APART_MIN * (times[b] - times[a]) / (b - a) as f64;
+        let mut last = times[a];
         for index in a + 1..b {
-            let share = (times[index] - times[a]) / (times[b] - times[a]);
+            let share = (index - a) as f64 / (b - a) as f64;
             let jumped = if share > at { 1.0 } else { 0.0 };
             let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
             let off = std::array::from_fn(|i| scatter[i] * normal() + (jumped - share) * jump[i]);
-            let late = (spread * normal()).clamp(-most, most);
-            flown.push(times[index] + late, moved(&line[index], off));
+            let late = inferred.lateness[rng.random_range(0..LATENESS)];
+            let latest = times[b] - (b - index) as f64 * room;
+            last = (times[index] + late).max(last + room).min(latest);
+            flown.push(last, moved(&line[index], off));
         }
         flown.push(times[b], line[b]);
     }
     flown
-}
-
-/// Standard deviation of the time at which a setpoint was sent that is `inferred`, from the middle
-/// between its neighbours, s: of intervals that scatter, half of a variance is each sending's.
-pub(super) fn send_spread(times: &[f64], inferred: &[usize]) -> f64 {
-    let is_logged = |index: &usize| inferred.binary_search(index).is_err();
-    let logged: Vec<f64> = (0..times.len()).filter(is_logged).map(|i| times[i]).collect();
-    let mut intervals: Vec<f64> = logged.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    intervals.sort_by(f64::total_cmp);
-    let quantile = |share: f64| intervals.get((share * intervals.len() as f64) as usize).copied();
-    // Of a normal distribution half lies within 0.674 standard deviations.
-    let half = quantile(0.75).zip(quantile(0.25)).map_or(0.0, |(high, low)| 0.5 * (high - low));
-    (1.5_f64 * 0.5).sqrt() * half / 0.674
 }
 
 /// Numbers of a setpoint: a small rotation [rad], the body rate [rad/s], the thrust.
@@ -198,7 +312,7 @@ mod tests {
         // Too far from the last to tell.
         missing.push(1.0, 95);
         let (all, inferred) = completed(&logged, &missing);
-        assert_eq!(inferred, [2, 3]);
+        assert_eq!(inferred.indices, [2, 3]);
         assert_eq!(all.len(), 6);
         for (time, setpoint) in all.iter().take(5) {
             assert!((setpoint.attitude.unwrap().euler().roll - 10.0 * time).abs() < 1e-3, "{time}");
@@ -206,13 +320,13 @@ mod tests {
         }
         let mut moved = all.values().to_vec();
         moved[2] = setpoint(-1.0, 0.0);
-        infer(all.times(), &mut moved, &inferred);
+        infer(&mut moved, &inferred);
         assert!((moved[2].thrust.unwrap() - 0.7).abs() < 1e-9);
         assert!(completed(&Stream::default(), &missing).1.is_empty());
     }
 
     /// Every other one is missing.
-    fn thinned(all: &Stream<AttitudeSetpoint>) -> (Stream<AttitudeSetpoint>, Vec<usize>) {
+    fn thinned(all: &Stream<AttitudeSetpoint>) -> (Stream<AttitudeSetpoint>, Inferred) {
         let (mut logged, mut missing) = (Stream::default(), Stream::default());
         for (time, setpoint) in all.iter().step_by(2) {
             logged.push(time, *setpoint);
@@ -231,11 +345,11 @@ mod tests {
             all.push(time, setpoint(0.3 * time.sin() + 0.01 * normal(), 0.5 + 0.02 * normal()));
         }
         let (line, inferred) = thinned(&all);
-        assert_eq!(inferred.len(), 4000);
+        assert_eq!(inferred.indices.len(), 4000);
         let flown = as_flown(&line, &inferred, 3);
         let off = |of: &Stream<AttitudeSetpoint>, number: usize| {
             let square = |i: &usize| offset(&line.values()[*i], &of.values()[*i])[number].powi(2);
-            (inferred.iter().map(square).sum::<f64>() / 4000.0).sqrt()
+            (inferred.indices.iter().map(square).sum::<f64>() / 4000.0).sqrt()
         };
         for number in [0, 3, 6] {
             let (truly, drawn) = (off(&all, number), off(&flown, number));
@@ -266,5 +380,48 @@ mod tests {
         let on_line = |r: f64| (r - 0.1).abs() < 0.02;
         let undecided = line.values().iter().filter(|s| on_line(s.attitude.unwrap().euler().roll));
         assert!(undecided.count() > 5);
+    }
+
+    #[test]
+    fn what_is_missing_was_sent_a_little_late_as_the_rest() {
+        let (mut logged, mut missing) = (Stream::default(), Stream::default());
+        let mut sent = Vec::new();
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        for k in 0..3000 {
+            let late: f64 = rand_distr::Exp1.sample(&mut rng);
+            let time = f64::from(k) * 0.010_001 + 0.003 + 1e-3 * late;
+            if k % 2 == 0 {
+                logged.push(time, setpoint(0.0, 0.5));
+                missing.push(time, 1);
+            }
+            sent.push(time);
+        }
+        let (all, inferred) = completed(&logged, &missing);
+        assert_eq!(inferred.indices.len(), 1499);
+        let late = |index: &usize| sent[*index] - all.times()[*index];
+        let mean = inferred.indices.iter().map(late).sum::<f64>() / 1499.0;
+        assert!(mean.abs() < 1e-4, "{mean}");
+        let spread = inferred.indices.iter().map(|i| late(i).powi(2)).sum::<f64>() / 1499.0;
+        assert!((spread.sqrt() - 1e-3).abs() < 1e-4, "{spread}");
+        // Sixths of an exponential distribution, about its mean.
+        for (k, quantile) in inferred.lateness().iter().enumerate() {
+            let expected = -1e-3 * (1.0 - (k as f64 + 0.5) / 6.0).ln() - 1e-3;
+            assert!((quantile - expected).abs() < 1.5e-4, "{k}: {quantile} for {expected}");
+        }
+    }
+
+    #[test]
+    fn no_more_is_missing_than_there_was_time_for() {
+        let (mut logged, mut missing) = (Stream::default(), Stream::default());
+        for k in 0..100 {
+            let time = f64::from(k) * 0.01 + if k < 50 { 0.0 } else { 0.02 };
+            logged.push(time, setpoint(0.0, 0.5));
+            // Heartbeats that are not setpoints, and two that are.
+            if k % 10 == 0 {
+                missing.push(time, 2);
+            }
+        }
+        let (all, inferred) = completed(&logged, &missing);
+        assert_eq!((all.len(), inferred.indices), (102, vec![50, 51]));
     }
 }
