@@ -9,10 +9,14 @@ use downwash::diagnose::hypothesis::Catalogue;
 use downwash::diagnose::noise::report_noise;
 use downwash::diagnose::observed::Observed;
 use downwash::diagnose::preparation::PreparedFlight;
-use downwash::diagnose::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, VELOCITY};
+use downwash::diagnose::residuals::{
+    ATTITUDE, CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, RATE, VELOCITY,
+};
 use downwash::diagnose::selection::{Selector, Thresholds};
 use downwash::diagnose::spectrum::BANDS;
 use downwash::diagnose::twins::TwinFits;
+use downwash::exam::case::{Case, Kind, Order, Settings};
+use downwash::exam::condition::Condition;
 use downwash::log::import;
 use sitl::vehicle::VehicleParams;
 
@@ -36,20 +40,18 @@ fn flights(vehicle: &Path) -> Vec<PathBuf> {
     logs
 }
 
-#[test]
-fn twins_leave_what_the_flights_leave() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml");
-    let vehicle = VehicleParams::load(&path).expect("the vehicle");
-    let prepared: Vec<PreparedFlight> = flights(&path)
-        .iter()
-        .map(|log| import::open(log, None).expect("a log"))
-        .map(|flight| PreparedFlight::new(flight, &vehicle).expect("a flight"))
-        .collect();
-    let evaluator = Evaluator::new(&vehicle).observing(&prepared);
+/// What the fit of the nuisances to flights leaves over what it leaves of their twins, by channel: the
+/// exponential of the mean logarithm, each band weighed by how much it says. And the numbers of the
+/// vehicle that the twins are of, in tolerances off the file's.
+fn ratios(
+    vehicle: &VehicleParams,
+    prepared: &[PreparedFlight],
+) -> (Vec<(&'static str, f64)>, Vec<f64>) {
+    let evaluator = Evaluator::new(vehicle).observing(prepared);
     let law = evaluator.onboard().expect("the on-board law");
-    let delay = Delay::of(&prepared, law).expect("outputs that answer setpoints");
-    let catalogue = Catalogue::new(&vehicle, true).with_delay(&delay);
-    let observed = Observed::new(&prepared, &evaluator, &catalogue);
+    let delay = Delay::of(prepared, law).expect("outputs that answer setpoints");
+    let catalogue = Catalogue::new(vehicle, true).with_delay(&delay);
+    let observed = Observed::new(prepared, &evaluator, &catalogue);
     let selector = Selector {
         fitted: &observed,
         held_out: &observed,
@@ -59,13 +61,12 @@ fn twins_leave_what_the_flights_leave() {
         floor: None,
     };
     let (null, about) = selector.null().expect("a fit");
-    let noise = report_noise(&prepared, &null.fit.power, observed.counts());
+    let noise = report_noise(prepared, &null.fit.power, observed.counts());
     let twins =
         TwinFits::draw(&observed, &about, &[], law, &noise, (8, 1)).expect("a vehicle that flies");
     let moments = twins.moments();
     let mut ratios = Vec::new();
     for (channel, name) in CHANNEL_NAMES.iter().enumerate() {
-        // Weighed by how much each band says: the mean of the logarithms of the ratios.
         let (mut sum, mut weight) = (0.0, 0.0);
         let places = channel * BANDS.len()..(channel + 1) * BANDS.len();
         let of_flights =
@@ -77,9 +78,25 @@ fn twins_leave_what_the_flights_leave() {
             }
         }
         assert!(weight > 0.0, "{name} was not looked at");
-        let ratio = (sum / weight).exp();
-        ratios.push((name, ratio));
+        ratios.push((*name, (sum / weight).exp()));
     }
+    let numbers = catalogue.numbers.iter().zip(&twins.truth);
+    let off = numbers
+        .filter(|(number, _)| number.tolerance > 0.0)
+        .map(|(number, truth)| (truth - number.reference) / number.tolerance);
+    (ratios, off.collect())
+}
+
+#[test]
+fn twins_leave_what_the_flights_leave() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml");
+    let vehicle = VehicleParams::load(&path).expect("the vehicle");
+    let prepared: Vec<PreparedFlight> = flights(&path)
+        .iter()
+        .map(|log| import::open(log, None).expect("a log"))
+        .map(|flight| PreparedFlight::new(flight, &vehicle).expect("a flight"))
+        .collect();
+    let (ratios, off) = ratios(&vehicle, &prepared);
     let within = |channels: std::ops::Range<usize>, most: f64| {
         ratios[channels].iter().all(|(_, ratio)| (1.0 / most..most).contains(ratio))
     };
@@ -88,8 +105,26 @@ fn twins_leave_what_the_flights_leave() {
     // hardly change, and little is left of them.
     assert!(within(COMMAND..CHANNELS - 1, 1.5) && within(COMMAND..CHANNELS, 3.0), "{ratios:.2?}");
     // What was flown is what is fitted: no number is off by more than its tolerance allows.
-    for (i, number) in catalogue.numbers.iter().enumerate().filter(|(_, n)| n.tolerance > 0.0) {
-        let off = (twins.truth[i] - number.reference) / number.tolerance;
-        assert!(off.abs() < 4.0, "{:?} is off by {off:.1} tolerances", number.target);
-    }
+    assert!(off.iter().all(|off| off.abs() < 4.0), "{off:.1?}");
+}
+
+/// Half of the setpoints that the vehicle followed are in no log: twins that held the others for
+/// longer would leave a third of the moments.
+#[test]
+fn twins_of_a_thinned_log_leave_what_it_leaves() {
+    let settings = Settings { flights: 2, ..Settings::default() };
+    let case = Case::fly(&settings, 3, 0, "thinned", &Order::from(Kind::Null)).expect("a case");
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("diagnose-twins-thinned");
+    fs::create_dir_all(&folder).expect("a folder");
+    let logs = case.logs.iter().enumerate().map(|(number, log)| {
+        let path = folder.join(format!("{number}.tlog"));
+        fs::write(&path, Condition::HalfRate.apply(log, 0)).expect("a file");
+        import::open(&path, None).expect("a log")
+    });
+    let prepared: Vec<PreparedFlight> =
+        logs.map(|flight| PreparedFlight::new(flight, &case.nominal).expect("a flight")).collect();
+    assert!(prepared.iter().all(|flight| !flight.inferred.is_empty()));
+    let (ratios, _) = ratios(&case.nominal, &prepared);
+    let moments = &ratios[RATE..ATTITUDE];
+    assert!(moments.iter().all(|(_, ratio)| (0.6..1.6).contains(ratio)), "{ratios:.2?}");
 }
