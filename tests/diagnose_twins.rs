@@ -113,7 +113,7 @@ fn twins_leave_what_the_flights_leave() {
 #[test]
 fn twins_of_a_thinned_log_leave_what_it_leaves() {
     let settings = Settings { flights: 2, ..Settings::default() };
-    let case = Case::fly(&settings, 3, 0, "thinned", &Order::from(Kind::Null)).expect("a case");
+    let case = Case::fly(&settings, 5, 0, "thinned", &Order::from(Kind::Null)).expect("a case");
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("diagnose-twins-thinned");
     fs::create_dir_all(&folder).expect("a folder");
     let logs = case.logs.iter().enumerate().map(|(number, log)| {
