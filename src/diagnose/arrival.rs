@@ -10,7 +10,7 @@
 
 use rayon::prelude::*;
 
-use super::onboard::OnboardLaw;
+use super::onboard::{JITTER_MEAN_S, OnboardLaw};
 use super::preparation::PreparedFlight;
 
 /// A collective that agrees so well with a setpoint's thrust is of it: single precision, twice.
@@ -74,7 +74,7 @@ impl Delay {
         Self::between(&answers)
     }
 
-    /// The posterior mean over constant delays with exponential jitter, all as likely before.
+    /// The posterior mean over constant delays, all as likely before, with exponential jitter.
     fn between(answers: &[Answer<'_>]) -> Option<Self> {
         if answers.len() < ANSWERS_MIN {
             return None;
@@ -124,13 +124,15 @@ struct Link {
 }
 
 impl Link {
-    /// Log density of all answers and of the shift, without constants.
+    /// Log density of all answers, of the jitter (within a factor of two of the usual one) and of
+    /// the shift, without constants.
     fn log_posterior(&self, answers: &[Answer<'_>]) -> f64 {
         let of_some = |answers: &[Answer<'_>]| {
             answers.iter().map(|answer| self.density(answer)).product::<f64>().ln()
         };
         let log_density: f64 = answers.chunks(MULTIPLIED).map(of_some).sum();
-        log_density / CORRELATED - 0.5 * (self.shift / SHIFT_S).powi(2)
+        let octaves = (self.jitter / JITTER_MEAN_S).log2();
+        log_density / CORRELATED - 0.5 * (octaves.powi(2) + (self.shift / SHIFT_S).powi(2))
     }
 
     /// Density of an answer; at least [`STRAY`].

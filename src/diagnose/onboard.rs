@@ -18,6 +18,8 @@ pub const JITTER_MEAN_S: f64 = 0.001;
 const TICK_TOLERANCE_S: f64 = 1e-6;
 /// Ratio of the outputs' unexplained changes below which one order of reports is told from another.
 const TOLD: f64 = 0.8;
+/// The same of the medians.
+const TIED: f64 = 0.9;
 /// Setpoints whose arrival may still be awaited at a tick.
 const UNDER_WAY: usize = 3;
 /// The law with its mixer, as the vehicle file states them.
@@ -63,13 +65,14 @@ impl OnboardLaw {
         let [first, later] = [changes(&reports_first), changes(&self)];
         let sums = [&first, &later].map(|changes| changes.iter().sum::<f64>());
         // Jumps tell it, where setpoints come seldom. Where neither order explains them, setpoints that
-        // were lost or late made them, and what lies between tells.
+        // were lost or late made them, and what lies between tells. Where that does not either, the
+        // output at a stamp is the one in force then, of the tick before.
         let is_first = if sums[0] < TOLD * sums[1] {
             true
         } else if sums[1] < TOLD * sums[0] {
             false
         } else {
-            median(first) < median(later)
+            median(later) > TIED * median(first)
         };
         if is_first { reports_first } else { self }
     }
