@@ -89,10 +89,13 @@ pub struct EffectSummary {
     pub detection: Vec<Detection>,
 }
 
-/// How one effect fared with logs in one state.
+/// What stands for all effects together.
+const EVERY_EFFECT: &str = "every effect";
+
+/// How one effect, or all of them together, fared with logs in one state.
 #[derive(Clone, Debug, Serialize)]
 pub struct ConditionSummary {
-    /// Id.
+    /// Id; `every effect` for all together.
     pub id: String,
     /// State of the logs.
     pub condition: Condition,
@@ -304,15 +307,19 @@ fn effects(rows: &[Row]) -> Vec<EffectSummary> {
         .collect()
 }
 
+/// Of every effect together first, then of each.
 fn conditions(rows: &[Row]) -> Vec<ConditionSummary> {
-    let mut groups: BTreeMap<(&str, Condition), Vec<&Row>> = BTreeMap::new();
+    let mut pooled: BTreeMap<(&str, Condition), Vec<&Row>> = BTreeMap::new();
+    let mut single = pooled.clone();
     for row in rows.iter().filter(|row| row.kind == Kind::RoundTrip) {
+        pooled.entry((EVERY_EFFECT, row.condition)).or_default().push(row);
         for id in &row.truth {
-            groups.entry((id, row.condition)).or_default().push(row);
+            single.entry((id, row.condition)).or_default().push(row);
         }
     }
-    groups
+    pooled
         .into_iter()
+        .chain(single)
         .map(|((id, condition), rows)| ConditionSummary {
             id: id.to_owned(),
             condition,

@@ -110,7 +110,11 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
         "Share of single effects that are named first, by how strongly they show; at 1 the nominal simulator's prediction error due to the effect equals that of noise.",
         &detection(summary),
     );
-    page.section("By effect", "Singles; errors and intervals where detectable.", &effects(summary));
+    page.section(
+        "By effect",
+        "Singles; errors and intervals where detectable. In the last columns how many were named first, by strength from the heading's on to the next.",
+        &effects(summary),
+    );
     if !summary.conditions.is_empty() {
         page.section("By effect and state of the log", "", &conditions(summary));
     }
@@ -309,7 +313,7 @@ fn detection(summary: &Summary) -> String {
 
 fn effects(summary: &Summary) -> String {
     let curves: Vec<String> =
-        summary.detection.iter().map(|line| format!("at {}", strengths(line))).collect();
+        summary.detection.iter().map(|line| format!("{:.1}+", line.strengths[0])).collect();
     let mut columns = vec![
         ("", false),
         ("named where detectable", false),
