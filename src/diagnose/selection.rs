@@ -254,8 +254,11 @@ impl Selector<'_> {
         let clear = self.floor.is_some() || gain > error;
         let added = more.fit.hypotheses.iter().filter(|h| !less.fit.hypotheses.contains(h));
         let asked = added.map(|h| self.thresholds.asked_of(*h)).fold(EVIDENCE_MIN, f64::max);
-        more.evidence - less.evidence > asked
-            && gain > self.thresholds.held_out
+        let evidence = more.evidence - less.evidence;
+        // Flights held out that do not go where it acts say nothing about what is beyond doubt.
+        let silent = evidence > BEYOND_DOUBT && gain.abs() < error;
+        evidence > asked
+            && (gain > self.thresholds.held_out || silent)
             && clear
             && self.is_along_the_floor(&more.fit)
             && self.predicts_better(more, less)
