@@ -13,9 +13,9 @@ use super::fit::Fit;
 use super::gap::{Errors, ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
 use super::judgement::{
-    Balance, Leftover, Unexplained, explained, is_neighbour, is_open, is_unexplained,
+    Balance, Leftover, SIGNIFICANCE, Unexplained, explained, is_neighbour, is_open, is_unexplained,
 };
-use super::leftover::{unmodelled_force, unmodelled_moment};
+use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
@@ -287,9 +287,11 @@ impl<'a> Inquiry<'a> {
         // Driven by outputs, an open loop strays from any cause.
         let stays_open = self.leg() && gap.is_some_and(|gap| is_open(gap, found));
         // A force that is small by itself matters where it keeps the gap open.
-        let least = if stays_open { 0.0 } else { 1.0 };
-        let force = leftover.force.as_ref().filter(|_| balance.force.left > least && may_be_gusts);
-        let turbulence = force.and_then(|[_, after]| {
+        let matters = |after: &UnmodelledForce| {
+            balance.force.left > 1.0 || stays_open && after.slow_significance > SIGNIFICANCE
+        };
+        let after = leftover.force.as_ref().map(|[_, after]| after);
+        let turbulence = after.filter(|after| may_be_gusts && matters(after)).and_then(|after| {
             let candidate = self.catalogue.candidate(&search.selection.best.fit.values).ok()?;
             let samples = samples(&self.fitted, self.evaluator, &candidate);
             gusts(self.case.vehicle, effects, after, &samples)

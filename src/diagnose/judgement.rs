@@ -21,7 +21,7 @@ const FORCE_TIME_S: f64 = 0.5;
 /// A smaller force matters to nobody, in units of the weight.
 const FORCE_MIN_WEIGHTS: f64 = 0.01;
 /// Standard errors by which what is left must stand out.
-const SIGNIFICANCE: f64 = 5.0;
+pub(super) const SIGNIFICANCE: f64 = 5.0;
 /// Share of what is unmodelled, in power, that effects may leave and still be the explanation.
 const LEFT_MAX: f64 = 0.3;
 

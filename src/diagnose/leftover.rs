@@ -30,6 +30,8 @@ pub struct UnmodelledForce {
     pub mean_square: [f64; 3],
     /// Standard error of the sum of the three.
     pub error: f64,
+    /// Standard errors above 0 of the sum up to some band, the most: what is slow stands out there.
+    pub slow_significance: f64,
     /// Of the sum, by band: from, to [Hz] and mean square [m^2/s^4].
     pub bands: Vec<[f64; 3]>,
 }
@@ -165,8 +167,13 @@ pub fn unmodelled_force(
             *total += part;
         }
     }
-    let mut force = UnmodelledForce { mean_square: [0.0; 3], error: 0.0, bands: Vec::new() };
-    let mut variance = 0.0;
+    let mut force = UnmodelledForce {
+        mean_square: [0.0; 3],
+        error: 0.0,
+        slow_significance: 0.0,
+        bands: Vec::new(),
+    };
+    let mut variance: f64 = 0.0;
     for (band, axes) in total.iter().enumerate() {
         let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
         if lower >= FORCE_MAX_HZ {
@@ -187,6 +194,8 @@ pub fn unmodelled_force(
         }
         if axes[0][3] > 0.0 {
             force.bands.push([lower, BANDS[band], in_band]);
+            let significance = force.total() / variance.sqrt().max(f64::MIN_POSITIVE);
+            force.slow_significance = force.slow_significance.max(significance);
         }
     }
     force.error = variance.sqrt();

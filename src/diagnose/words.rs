@@ -278,7 +278,12 @@ mod tests {
 
     #[test]
     fn what_nothing_explains_is_told_by_the_larger_of_force_and_moment() {
-        let force = UnmodelledForce { mean_square: [0.25, 0.0, 0.0], error: 0.01, bands: vec![] };
+        let force = UnmodelledForce {
+            mean_square: [0.25, 0.0, 0.0],
+            error: 0.01,
+            slow_significance: 25.0,
+            bands: vec![],
+        };
         let moment = UnmodelledMoment { mean_square: [0.0, 4.0, 0.0], error: 0.1 };
         let size = |left| Size { left, explained: 0.0 };
         let mut answer = Answer {
