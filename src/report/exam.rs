@@ -93,7 +93,8 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
         page.verdict(Mood::Good, "Every rate keeps what is asked of it.", &[]);
     } else {
         let count = failures.len();
-        page.verdict(Mood::Warning, &format!("{count} figures miss what is asked."), &failures);
+        let miss = if count == 1 { "figure misses" } else { "figures miss" };
+        page.verdict(Mood::Warning, &format!("{count} {miss} what is asked."), &failures);
     }
     page.section(
         "Rates",
