@@ -86,8 +86,9 @@ pub fn share_left(misfits: &[Misfit]) -> f64 {
 }
 
 /// The group of equations that stands out most by what is left there, where it stands out beyond what
-/// sets twins off from flights, alone or with the others. The command's counts where the on-board loop's numbers are at their
-/// limits as well (`is_loop_held`): a link or a clock that twins do not have is left there, too.
+/// sets twins off from flights, alone or with the others of the motion. The command's counts where the
+/// on-board loop's numbers are at their limits as well (`is_loop_held`): a link or a clock that twins
+/// do not have is left there, too.
 pub fn standing_out(misfits: &[Misfit], is_loop_held: bool) -> Option<&Misfit> {
     let in_errors = |misfit: &Misfit| misfit.left / misfit.error.max(f64::MIN_POSITIVE);
     let of_motion = misfits.iter().filter(|misfit| misfit.equations != COMMANDS);

@@ -182,7 +182,7 @@ pub fn setpoint_at(setpoints: &Stream<AttitudeSetpoint>, sent: f64) -> Option<On
     setpoint(setpoints, setpoints.index_at(sent)?, sent)
 }
 /// The middle one of the values; 0 of none.
-fn median(mut values: Vec<f64>) -> f64 {
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }

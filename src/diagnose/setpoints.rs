@@ -10,6 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use sitl::frame::{Attitude, Frd};
 
+use super::onboard::median;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// Setpoints this far apart tell nothing of what was between, s.
@@ -125,16 +126,15 @@ fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
     }
     let near = |pair: &[f64]| pair[1] - pair[0] < APART_MAX_S;
     let pairs = times.windows(2).zip(lacking.iter().skip(1));
-    let mut periods: Vec<f64> = pairs
+    let periods: Vec<f64> = pairs
         .clone()
         .filter(|(pair, _)| near(pair))
         .map(|(pair, lacking)| (pair[1] - pair[0]) / f64::from(lacking + 1))
         .collect();
-    let middle = periods.len() / 2;
     if periods.is_empty() {
         return None;
     }
-    let period = *periods.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let period = median(periods);
     let (mut number, mut seconds) = (0, 0.0);
     let mut numbers = vec![number];
     for (pair, lacking) in pairs {
@@ -280,14 +280,7 @@ fn scatter(times: &[f64], setpoints: &[AttitudeSetpoint], logged: &[usize]) -> [
         let off = offset(&setpoints[a].between(&setpoints[c], share), &setpoints[b]);
         squares.iter_mut().zip(off).for_each(|(squares, off)| squares.push(off * off));
     }
-    squares.map(|mut squares| {
-        let middle = squares.len() / 2;
-        if squares.is_empty() {
-            return 0.0;
-        }
-        let median = *squares.select_nth_unstable_by(middle, f64::total_cmp).1;
-        (median / MEDIAN_SQUARE).sqrt()
-    })
+    squares.map(|squares| (median(squares) / MEDIAN_SQUARE).sqrt())
 }
 
 #[cfg(test)]

@@ -93,24 +93,24 @@ impl Sample for AttitudeSetpointSample {
     }
 }
 
-impl Sample for SetpointsMissingSample {
-    type Value = u32;
-    fn new(time: f64, missing: &u32) -> Self {
-        Self { time_s: time, missing: *missing }
-    }
-    fn read(&self) -> Option<(f64, u32)> {
-        Some((self.time_s, self.missing))
-    }
+/// Implements [`Sample`] for messages with one field that is true whatever it holds.
+macro_rules! scalars {
+    ($($message:ident: $value:ty, $field:ident;)*) => {$(
+        impl Sample for $message {
+            type Value = $value;
+            fn new(time: f64, value: &$value) -> Self {
+                Self { time_s: time, $field: *value }
+            }
+            fn read(&self) -> Option<(f64, $value)> {
+                Some((self.time_s, self.$field))
+            }
+        }
+    )*};
 }
 
-impl Sample for InAirSample {
-    type Value = bool;
-    fn new(time: f64, in_air: &bool) -> Self {
-        Self { time_s: time, in_air: *in_air }
-    }
-    fn read(&self) -> Option<(f64, bool)> {
-        Some((self.time_s, self.in_air))
-    }
+scalars! {
+    SetpointsMissingSample: u32, missing;
+    InAirSample: bool, in_air;
 }
 
 impl Sample for RowSample {
