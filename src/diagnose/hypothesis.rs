@@ -298,6 +298,14 @@ impl Catalogue {
         self
     }
 
+    /// The catalogue with a nuisance as free as if its effect were looked at.
+    pub fn with_free(&self, number: usize) -> Self {
+        let mut free = self.clone();
+        let number = &mut free.numbers[number];
+        [number.expected, number.tolerance] = number.prior(true);
+        free
+    }
+
     /// The number of an effect's slot.
     pub fn number_of(&self, effect: EffectId, slot: usize) -> Option<usize> {
         self.numbers.iter().position(|number| number.target == Target::Effect(effect, slot))

@@ -219,7 +219,8 @@ impl Grounds<'_> {
                 let gusts = turbulence.is_some();
                 inquiry.names(&search, &effects, &untestable, gap.as_ref(), gusts)
             }
-            _ => (Vec::new(), Vec::new()),
+            Verdict::None => (inquiry.trace(&search).into_iter().collect(), Vec::new()),
+            Verdict::Unknown => (Vec::new(), Vec::new()),
         };
         let (full, depends_on) =
             inquiry.full_verdict(&search, verdict, !ambiguous_with.is_empty())?;
@@ -247,7 +248,7 @@ impl Grounds<'_> {
             unmodelled_moment: leftover.moment,
             balance,
             misfit: search.misfit.clone(),
-            strained: search.strained.clone(),
+            strained: search.level.iter().chain(&search.strained).cloned().collect(),
             hypotheses: HypothesisAnswer::all(&catalogue, selection, &search.thresholds),
             flights: FlightAnswer::all(case),
         };

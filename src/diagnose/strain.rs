@@ -8,10 +8,12 @@
 use serde::Serialize;
 use sitl::effects::EffectId;
 
-use super::fit::Fit;
+use super::fit::{Fit, fit};
 use super::hypothesis::{Catalogue, Target};
-use super::naming::parameter;
-use super::twins::TwinFits;
+use super::linearised::Linearised;
+use super::naming::{class, parameter};
+use super::observed::Observed;
+use super::twins::{EVIDENCE_MIN, TwinFits};
 
 /// Tolerances from which on a number is strained: of 240 flights without an effect in two exams none
 /// was.
@@ -21,6 +23,9 @@ const STRAINED_AT_LIMIT: f64 = 1.8;
 /// A number that is known to this share of its tolerance is known well: by its fit, and by the scatter
 /// of its twins.
 const KNOWN: [f64; 2] = [0.15, 0.25];
+
+/// Effects that near one throttle change little but the level of the thrust.
+const LIKE_THE_LEVEL: [EffectId; 2] = [EffectId::ThrustCurve, EffectId::BatterySag];
 
 /// A number that lies further off than files are.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -72,6 +77,36 @@ pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain
         .collect();
     strained.sort_by(|a, b| b.tolerances.abs().total_cmp(&a.tolerances.abs()));
     strained
+}
+
+/// The thrust's level, where a chosen effect explains nothing beside it once it is as free as an
+/// effect. Thrust to mass is off on any vehicle that carries something else than its file says; where
+/// it is no hypothesis itself, the effects that act near hover as it does would get its evidence.
+/// `about`: derivatives of the nuisances.
+pub fn level_in_place_of(best: &Fit, fitted: &Observed<'_>, about: &Linearised) -> Option<Strain> {
+    let catalogue = fitted.catalogue;
+    let is_like_it = |h: &usize| LIKE_THE_LEVEL.contains(&catalogue.hypotheses[*h].effect);
+    if catalogue.hypotheses.iter().any(|h| class(h.effect) == EffectId::ThrustScale)
+        || !best.hypotheses.iter().any(is_like_it)
+    {
+        return None;
+    }
+    let level = catalogue.number_of(EffectId::ThrustScale, 0)?;
+    let free = catalogue.with_free(level);
+    let observed = Observed::new(fitted.flights, fitted.evaluator, &free);
+    let start: Vec<(usize, f64)> =
+        best.active(catalogue).into_iter().map(|number| (number, best.values[number])).collect();
+    let rest: Vec<usize> = best.hypotheses.iter().copied().filter(|h| !is_like_it(h)).collect();
+    let numbers_of_rest: Vec<usize> =
+        rest.iter().flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()).collect();
+    let kept = start.iter().copied().filter(|(number, _)| numbers_of_rest.contains(number));
+    let without = fit(&observed, about, &rest, &[kept.collect()])?;
+    let with = fit(&observed, about, &best.hypotheses, &[Vec::new(), start])?;
+    let number = catalogue.numbers[level];
+    (with.evidence - without.evidence < EVIDENCE_MIN).then(|| Strain {
+        number: parameter(number.target),
+        tolerances: (without.values[level] - number.expected) / number.tolerance,
+    })
 }
 
 #[cfg(test)]

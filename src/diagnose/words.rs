@@ -10,17 +10,30 @@ use super::strain::Strain;
 /// The full verdict of an answer, in a sentence or two.
 pub fn finding(answer: &Answer) -> String {
     match answer.verdict {
-        Verdict::None => match &answer.gap {
-            Some(gap) => format!(
-                "No effect stands out: the simulator predicts the flights held out to {:.2} times \
-                 what noise alone leaves.",
-                gap.before / gap.floor.max(f64::MIN_POSITIVE)
-            ),
-            None => "No effect stands out in what these logs can show.".to_owned(),
-        },
+        Verdict::None => none(answer),
         Verdict::Effect => effect(answer),
         Verdict::Unknown => unknown(answer),
     }
+}
+
+fn none(answer: &Answer) -> String {
+    let mut text = match &answer.gap {
+        Some(gap) => format!(
+            "No effect stands out: the simulator predicts the flights held out to {:.2} times \
+             what noise alone leaves.",
+            gap.before / gap.floor.max(f64::MIN_POSITIVE)
+        ),
+        None => "No effect stands out in what these logs can show.".to_owned(),
+    };
+    let trace = answer.effects.first();
+    if let Some(tried) = trace.and_then(|t| answer.hypotheses.iter().find(|h| h.id == t.id)) {
+        text += &format!(
+            " There is a trace of {}: {:.0} nats of evidence where {:.0} are asked, in nothing that \
+             predictions would show.",
+            tried.id, tried.evidence, tried.asked
+        );
+    }
+    text
 }
 
 /// Why what was seen counts as unexplained.
@@ -192,7 +205,11 @@ pub fn explanation(verdict: Verdict) -> &'static str {
 pub fn report(answer: &Answer) -> String {
     let mut text = format!("{}\n\nwhere      {}\n", answer.finding.sentence, answer.map.sentence);
     for (line, effect) in answer.effects.iter().enumerate() {
-        let head = if line == 0 { "which" } else { "" };
+        let head = match (line, answer.verdict) {
+            (0, Verdict::None) => "trace",
+            (0, _) => "which",
+            _ => "",
+        };
         text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);
         for (name, [low, high]) in &effect.intervals {
             text += &format!("  {name} {} .. {}", short(*low), short(*high));
