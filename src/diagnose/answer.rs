@@ -250,21 +250,23 @@ pub struct FlightAnswer {
     pub seconds: f64,
     /// What its log holds.
     pub channels: Channels,
+    /// The gap of the simulator as shipped on this flight alone, in units of what noise alone leaves
+    /// (metric `mean`); missing where no window can start.
+    pub gap: Option<f64>,
 }
 
 impl FlightAnswer {
-    /// Every flight of a case.
-    pub fn all(case: &Case<'_>) -> Vec<Self> {
-        let of = |held_out: bool| {
-            move |flight: &PreparedFlight| Self {
-                name: flight.name.clone(),
-                held_out,
-                seconds: flight.seconds(),
-                channels: flight.channels,
-            }
+    /// Every flight of a case, with the gap of each as `gap` has it.
+    pub fn all(case: &Case<'_>, gap: impl Fn(&PreparedFlight) -> Option<f64>) -> Vec<Self> {
+        let of = |flight: &PreparedFlight, held_out: bool| Self {
+            name: flight.name.clone(),
+            held_out,
+            seconds: flight.seconds(),
+            channels: flight.channels,
+            gap: gap(flight),
         };
-        let fitted = case.fitted.iter().map(of(false));
-        fitted.chain(case.held_out.iter().map(of(true))).collect()
+        let fitted = case.fitted.iter().map(|flight| of(flight, false));
+        fitted.chain(case.held_out.iter().map(|flight| of(flight, true))).collect()
     }
 }
 

@@ -284,6 +284,18 @@ impl Simulator {
     }
 }
 
+/// The metric `mean` of a simulator on one flight, in units of what noise alone leaves; `None` without
+/// a window.
+pub fn gap_of(
+    simulator: &Simulator,
+    flight: &PreparedFlight,
+    noise: &ReportNoise,
+    seed: u64,
+) -> Option<f64> {
+    let flight = std::slice::from_ref(flight);
+    Some(simulator.errors(flight)?.mean_over(&simulator.floor(flight, noise, seed)?))
+}
+
 /// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the log
 /// lacks.
 struct LoopNoise<'a> {

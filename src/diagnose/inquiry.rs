@@ -6,11 +6,13 @@ use std::collections::BTreeMap;
 use sitl::effects::{EffectId, EffectSet, Slots};
 use sitl::vehicle::VehicleError;
 
-use super::answer::{EffectAnswer, FullVerdict, Gap, NAMED, NotTestable, Verdict, parameters};
+use super::answer::{
+    EffectAnswer, FlightAnswer, FullVerdict, Gap, NAMED, NotTestable, Verdict, parameters,
+};
 use super::arrival::Delay;
 use super::audit::{is_flat, voltage_range};
 use super::fit::Fit;
-use super::gap::{Errors, ReportNoise, Simulator};
+use super::gap::{Errors, ReportNoise, Simulator, gap_of};
 use super::hypothesis::Catalogue;
 use super::judgement::{
     Balance, Leftover, SIGNIFICANCE, Unexplained, explained, is_neighbour, is_open, is_unexplained,
@@ -289,6 +291,14 @@ impl<'a> Inquiry<'a> {
         }))
     }
 
+    /// The flights, with the gap of each as shipped.
+    pub fn flights(&self, search: &Search) -> Result<Vec<FlightAnswer>, VehicleError> {
+        let shipped = self.simulator(&EffectSet::new())?;
+        let gap =
+            |flight: &PreparedFlight| gap_of(&shipped, flight, &search.noise, self.settings.seed);
+        Ok(FlightAnswer::all(self.case, gap))
+    }
+
     /// The verdict on what was found.
     pub fn judge(
         &self,
@@ -297,11 +307,12 @@ impl<'a> Inquiry<'a> {
         leftover: &Leftover,
         balance: &Balance,
         gap: Option<&Gap>,
+        flights: &[FlightAnswer],
     ) -> Judgement {
         let found = !search.selection.best.fit.hypotheses.is_empty();
         let may_be_gusts = !self.case.without.contains(&EffectId::Gusts);
         // Driven by outputs, an open loop strays from any cause.
-        let stays_open = self.leg() && gap.is_some_and(|gap| is_open(gap, found));
+        let stays_open = self.leg() && gap.is_some_and(|gap| is_open(gap, flights, found));
         // A force that is small by itself matters where it keeps the gap open.
         let matters = |after: &UnmodelledForce| {
             balance.force.left > 1.0 || stays_open && after.slow_significance > SIGNIFICANCE

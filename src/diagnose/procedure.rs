@@ -3,12 +3,12 @@
 use sitl::effects::{EffectId, EffectSet};
 use sitl::vehicle::{VehicleError, VehicleParams};
 
-use super::answer::{Answer, Finding, FlightAnswer, FullVerdict, Gap, HypothesisAnswer, Verdict};
+use super::answer::{Answer, Finding, FullVerdict, Gap, HypothesisAnswer, Verdict};
 use super::arrival::Delay;
 use super::gap::{Errors, ReportNoise, Simulator};
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
-use super::judgement::Unexplained;
+use super::judgement::{Unexplained, is_open_on_one};
 use super::learner::Learner;
 use super::naming::not_testable;
 use super::next_flight::{Live, live, untested};
@@ -105,7 +105,9 @@ pub fn diagnose(
         return Ok(as_drag(plain).unwrap_or(tolerant));
     }
     let open = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(Gap::most_visible);
-    let Some(left) = open(&tolerant).filter(|left| tolerant.setpoint_leg && *left > VISIBLE) else {
+    let is_visible = |left: &f64| *left > VISIBLE || is_open_on_one(&tolerant.answer.flights);
+    let Some(left) = open(&tolerant).filter(|left| tolerant.setpoint_leg && is_visible(left))
+    else {
         return Ok(tolerant);
     };
     progress("again, with the vehicle file at its word");
@@ -208,8 +210,9 @@ impl Grounds<'_> {
         let mut effects =
             catalogue.effects(&selection.best.fit.values, Some(&search.named(&catalogue)));
         let gap = inquiry.gap(selection, &effects)?;
+        let flights = inquiry.flights(&search)?;
         let Judgement { verdict, because, turbulence } =
-            inquiry.judge(&search, &effects, &leftover, &balance, gap.as_ref());
+            inquiry.judge(&search, &effects, &leftover, &balance, gap.as_ref(), &flights);
         if let Some(slots) = turbulence {
             let _ = effects.insert(EffectId::Gusts, slots);
         }
@@ -250,7 +253,7 @@ impl Grounds<'_> {
             misfit: search.misfit.clone(),
             strained: search.level.iter().chain(&search.strained).cloned().collect(),
             hypotheses: HypothesisAnswer::all(&catalogue, selection, &search.thresholds),
-            flights: FlightAnswer::all(case),
+            flights,
         };
         answer.finding.sentence = finding(&answer);
         let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };

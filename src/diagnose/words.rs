@@ -46,10 +46,19 @@ fn unknown(answer: &Answer) -> String {
             100.0 * share_left(&answer.misfit)
         )),
         Some(Unexplained::OpenGap) => answer.gap.as_ref().map(|gap| {
-            format!(
-                "the flights held out are predicted to {:.2} times what noise alone leaves",
-                gap.before / gap.floor.max(f64::MIN_POSITIVE)
-            )
+            let held_out = gap.before / gap.floor.max(f64::MIN_POSITIVE);
+            let worst = answer.flights.iter().filter_map(|f| Some((f.gap?, &f.name)));
+            let worst = worst.max_by(|a, b| a.0.total_cmp(&b.0));
+            match worst.filter(|(worst, _)| *worst > held_out) {
+                Some((worst, name)) => format!(
+                    "{name} is predicted to {worst:.2} times what noise alone leaves, the flights \
+                     held out to {held_out:.2} times"
+                ),
+                None => format!(
+                    "the flights held out are predicted to {held_out:.2} times what noise alone \
+                     leaves"
+                ),
+            }
         }),
         Some(Unexplained::Misfit) => standing_out(&answer.misfit, false)
             .or_else(|| standing_out(&answer.misfit, true))

@@ -326,6 +326,7 @@ fn provenance(answer: &Answer) -> String {
         ("flight", false),
         ("part", false),
         ("looked at (s)", true),
+        ("gap as shipped", true),
         ("log holds", false),
     ]);
     for flight in &answer.flights {
@@ -350,6 +351,7 @@ fn provenance(answer: &Answer) -> String {
                 flight.name.clone(),
                 part.to_owned(),
                 format!("{:.1}", flight.seconds),
+                flight.gap.map_or_else(|| "-".to_owned(), |gap| format!("{gap:.2}")),
                 holds.join(", "),
             ],
         );
