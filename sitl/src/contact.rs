@@ -55,6 +55,11 @@ impl Floor {
         Self { down, feet, reach, stiffness, damping }
     }
 
+    /// The same floor out of reach.
+    pub fn out_of_reach(self) -> Self {
+        Self { down: f64::INFINITY, ..self }
+    }
+
     /// Whether no foot can reach the floor within `time` [s], a few milliseconds.
     #[inline]
     pub fn is_clear(&self, state: &State, time: f64) -> bool {

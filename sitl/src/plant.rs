@@ -91,6 +91,12 @@ impl Plant {
         })
     }
 
+    /// The vehicle without a floor to touch, for flights that are known to be in the air: where the
+    /// zero of a log's height lies is not known that well. Effects see the floor as before.
+    pub fn airborne(self) -> Self {
+        Self { floor: self.floor.out_of_reach(), ..self }
+    }
+
     /// Lets something from outside the catalogue act from now on; `seed` draws what of it is
     /// random.
     pub fn disturb(&mut self, foreign: Foreign, seed: u64) {

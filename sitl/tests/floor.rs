@@ -44,6 +44,17 @@ fn without_thrust_it_rests_at_the_floor_exactly() {
 }
 
 #[test]
+fn in_the_air_there_is_none() {
+    let mut plant = on_floor(&quad(), &EffectSet::new()).airborne();
+    for _ in 0..1000 {
+        plant.step([0.0; 4]);
+    }
+    let fallen = 0.5 * 9.80665;
+    assert!(!plant.on_ground());
+    assert!((plant.state().position.down() - fallen).abs() < 0.01 * fallen);
+}
+
+#[test]
 fn more_than_hover_thrust_takes_off() {
     let mut plant = on_floor(&quad(), &EffectSet::new());
     for _ in 0..1000 {

@@ -171,7 +171,7 @@ impl<'a> FlightSimulator<'a> {
         voltage: Option<&Series<1>>,
         seed: u64,
     ) -> Result<Flight, VehicleError> {
-        let mut plant = Plant::new(self.vehicle, &self.effects, &self.config, seed)?;
+        let mut plant = Plant::new(self.vehicle, &self.effects, &self.config, seed)?.airborne();
         plant.set_rotor_states(departure.rotors);
         plant.set_state(departure.state);
         let all = self.vehicle.modelled_effects.overlay(&self.effects);

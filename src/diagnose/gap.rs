@@ -109,7 +109,7 @@ impl Simulator {
             None => None,
         };
         Ok(Self {
-            plant: Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?,
+            plant: Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?.airborne(),
             law,
             trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),

@@ -83,7 +83,7 @@ impl Replica {
             ..SitlConfig::default()
         };
         Ok(Self {
-            plant: Plant::new(&vehicle, &overlay, &config, 0)?,
+            plant: Plant::new(&vehicle, &overlay, &config, 0)?.airborne(),
             effects: vehicle.modelled_effects.overlay(&overlay),
             config,
             attitude_loop: onboard.with_gains(candidate.gains),
