@@ -324,6 +324,9 @@ impl<'a> Inquiry<'a> {
             gusts(self.case.vehicle, effects, after, &samples)
         });
         let is_held = is_loop_held(self.catalogue, &search.selection.null.fit);
+        // What is left and what stays open may each be too little to say so, and together too much.
+        let open = gap.filter(|_| self.leg()).map(Gap::open);
+        let is_doubtful = credence(&search.misfit, open) < NAMED;
         let because = if turbulence.is_some() {
             None
         } else if is_unexplained(balance, found) {
@@ -332,6 +335,8 @@ impl<'a> Inquiry<'a> {
             Some(Unexplained::Neighbour)
         } else if stays_open {
             Some(Unexplained::OpenGap)
+        } else if found && is_doubtful {
+            Some(Unexplained::Neighbour)
         } else if found {
             search.level.is_some().then_some(Unexplained::Strain)
         } else if standing_out(&search.misfit, is_held).is_some() {

@@ -11,7 +11,7 @@ use sitl::effects::EffectId;
 use super::fit::{Fit, fit};
 use super::hypothesis::{Catalogue, Target};
 use super::linearised::Linearised;
-use super::naming::{class, parameter};
+use super::naming::parameter;
 use super::observed::Observed;
 use super::twins::{EVIDENCE_MIN, TwinFits};
 
@@ -26,6 +26,9 @@ const KNOWN: [f64; 2] = [0.15, 0.25];
 
 /// Effects that near one throttle change little but the level of the thrust.
 const LIKE_THE_LEVEL: [EffectId; 2] = [EffectId::ThrustCurve, EffectId::BatterySag];
+
+/// Tolerance of the thrust to mass, by whichever of the two it is told.
+const LEVEL_KNOWN: f64 = 0.003;
 
 /// A number that lies further off than files are.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -79,33 +82,32 @@ pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain
     strained
 }
 
-/// The thrust's level, where a chosen effect explains nothing beside it once it is as free as an
-/// effect. Thrust to mass is off on any vehicle that carries something else than its file says; where
-/// it is no hypothesis itself, the effects that act near hover as it does would get its evidence.
-/// `about`: derivatives of the nuisances.
+/// The thrust's level, by the thrust or by the mass, where the chosen effects that are much like it
+/// explain nothing beside it once it is as free as an effect. Thrust to mass is off on any vehicle that
+/// carries something else than its file says; where it is no hypothesis itself, they would get its
+/// evidence. `about`: derivatives of the nuisances.
 pub fn level_in_place_of(best: &Fit, fitted: &Observed<'_>, about: &Linearised) -> Option<Strain> {
     let catalogue = fitted.catalogue;
     let is_like_it = |h: &usize| LIKE_THE_LEVEL.contains(&catalogue.hypotheses[*h].effect);
-    if catalogue.hypotheses.iter().any(|h| class(h.effect) == EffectId::ThrustScale)
-        || !best.hypotheses.iter().any(is_like_it)
-    {
+    if catalogue.considers(EffectId::ThrustScale) || !best.hypotheses.iter().any(is_like_it) {
         return None;
     }
-    let level = catalogue.number_of(EffectId::ThrustScale, 0)?;
-    let free = catalogue.with_free(level);
-    let observed = Observed::new(fitted.flights, fitted.evaluator, &free);
-    let start: Vec<(usize, f64)> =
-        best.active(catalogue).into_iter().map(|number| (number, best.values[number])).collect();
+    let values_of = |hypotheses: &[usize]| -> Vec<(usize, f64)> {
+        let numbers = hypotheses.iter().flat_map(|h| &catalogue.hypotheses[*h].numbers);
+        numbers.map(|number| (*number, best.values[*number])).collect()
+    };
     let rest: Vec<usize> = best.hypotheses.iter().copied().filter(|h| !is_like_it(h)).collect();
-    let numbers_of_rest: Vec<usize> =
-        rest.iter().flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()).collect();
-    let kept = start.iter().copied().filter(|(number, _)| numbers_of_rest.contains(number));
-    let without = fit(&observed, about, &rest, &[kept.collect()])?;
-    let with = fit(&observed, about, &best.hypotheses, &[Vec::new(), start])?;
-    let number = catalogue.numbers[level];
-    (with.evidence - without.evidence < EVIDENCE_MIN).then(|| Strain {
-        number: parameter(number.target),
-        tolerances: (without.values[level] - number.expected) / number.tolerance,
+    let starts = [Vec::new(), values_of(&best.hypotheses)];
+    [EffectId::ThrustScale, EffectId::Mass].into_iter().find_map(|effect| {
+        let level = catalogue.number_of(effect, 0)?;
+        let free = catalogue.with_free(level);
+        let observed = Observed::new(fitted.flights, fitted.evaluator, &free);
+        let without = fit(&observed, about, &rest, &[values_of(&rest)])?;
+        let with = fit(&observed, about, &best.hypotheses, &starts)?;
+        let number = catalogue.numbers[level];
+        let share = (without.values[level] - number.expected) / number.reference;
+        (with.evidence - without.evidence < EVIDENCE_MIN)
+            .then(|| Strain { number: parameter(number.target), tolerances: share / LEVEL_KNOWN })
     })
 }
 
