@@ -9,6 +9,7 @@
 use serde::Serialize;
 
 use super::fit::Fit;
+use super::observed::noise_cost;
 use super::residuals::{CHANNELS, COMMAND, FORCE, RATE, VELOCITY};
 use super::spectrum::BANDS;
 use super::twins::TwinFits;
@@ -22,6 +23,9 @@ const GROUPS: [(&str, usize, usize); 4] = [
     (COMMANDS, COMMAND, CHANNELS - 1),
 ];
 const COMMANDS: &str = "command";
+/// What an explanation gains by leaving the vehicle file's numbers where they are: the nuisances alone
+/// may fit as well, but only by numbers that are further off than files are.
+const NUMBERS: &str = "numbers of the file";
 /// Above this, sensors' noise and its colour outweigh any motion, Hz.
 const MAX_HZ: f64 = 3.2;
 /// Standard errors up to which it may be chance: the twins' own noise is not quite the flights'.
@@ -39,7 +43,7 @@ const ANSWERABLE: f64 = 0.2;
 /// Costs in one group of channels below [`MAX_HZ`], nats.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Misfit {
-    /// Which equations.
+    /// Which equations, or that it is the numbers of the file.
     pub equations: &'static str,
     /// What the explanation gains over the nuisances alone.
     pub explained: f64,
@@ -72,7 +76,10 @@ pub fn misfit(null: &Fit, best: &Fit, twins: &TwinFits, counts: &[f64]) -> Vec<M
         misfit.error = variance.sqrt();
         misfit
     };
-    GROUPS.map(group).into()
+    let pulled = |fit: &Fit| fit.cost - noise_cost(&fit.power, counts);
+    let explained = pulled(null) - pulled(best);
+    let numbers = Misfit { equations: NUMBERS, explained, left: 0.0, error: 0.0 };
+    GROUPS.into_iter().map(group).chain((explained != 0.0).then_some(numbers)).collect()
 }
 
 /// Share of what could be explained that is left, 0..1: in the equations that the explanation is

@@ -102,6 +102,9 @@ pub struct PreparedFlight {
 /// Why a flight cannot be looked at.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotPrepared {
+    /// A recording that never began, or in which no vehicle was heard.
+    #[error("no motion and no motor outputs of a vehicle were recorded in it")]
+    Empty,
     /// Nothing drives the plant.
     #[error(
         "the log has no motor outputs (and no rotor speeds with rotor_max_rpm), which drive the model"
@@ -132,14 +135,15 @@ impl PreparedFlight {
             let most = rpm * std::f64::consts::TAU / 60.0;
             outputs = Series::of(&flight.rotor_speed, |w: &[f64; 4]| w.map(|w| (w / most).powi(2)));
         }
-        if outputs.is_empty() {
-            return Err(NotPrepared::NoOutputs);
-        }
         let velocity = Series::of(&flight.velocity, |v| v.to_array());
         let specific_force = Series::of(&flight.specific_force, |f| f.to_array());
         let body_rate = Series::of(&flight.body_rate, |w| w.to_array());
-        if velocity.is_empty() && specific_force.is_empty() && body_rate.is_empty() {
-            return Err(NotPrepared::NoMotion);
+        let moves = !(velocity.is_empty() && specific_force.is_empty() && body_rate.is_empty());
+        match (outputs.is_empty(), moves) {
+            (false, true) => {}
+            (true, true) => return Err(NotPrepared::NoOutputs),
+            (false, false) => return Err(NotPrepared::NoMotion),
+            (true, false) => return Err(NotPrepared::Empty),
         }
         let mut last: Option<[f64; 4]> = None;
         let mut quaternions = Vec::with_capacity(flight.attitude.len());

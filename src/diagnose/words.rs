@@ -212,7 +212,10 @@ pub fn explanation(verdict: Verdict) -> &'static str {
 /// The answer for a terminal: verdict first, then where, which, how far, and what these logs
 /// cannot tell.
 pub fn report(answer: &Answer) -> String {
-    let mut text = format!("{}\n\nwhere      {}\n", answer.finding.sentence, answer.map.sentence);
+    let mut text = format!("{}\n", answer.finding.sentence);
+    if !answer.map.sentence.is_empty() {
+        text += &format!("\nwhere      {}\n", answer.map.sentence);
+    }
     for (line, effect) in answer.effects.iter().enumerate() {
         let head = match (line, answer.verdict) {
             (0, Verdict::None) => "trace",
