@@ -105,7 +105,10 @@ pub fn diagnose(
         return Ok(as_drag(plain).unwrap_or(tolerant));
     }
     let open = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(Gap::most_visible);
-    let is_visible = |left: &f64| *left > VISIBLE || is_open_on_one(&tolerant.answer.flights);
+    // Effects that were found may have closed what is open as shipped.
+    let found = tolerant.answer.verdict == Verdict::Effect;
+    let stays_open = !found && is_open_on_one(&tolerant.answer.flights);
+    let is_visible = |left: &f64| *left > VISIBLE || stays_open;
     let Some(left) = open(&tolerant).filter(|left| tolerant.setpoint_leg && is_visible(left))
     else {
         return Ok(tolerant);
