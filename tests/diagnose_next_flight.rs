@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use downwash::diagnose::gap::ReportNoise;
 use downwash::diagnose::next_flight::{Live, NextFlight, Proposal, separating};
+use downwash::diagnose::noise::ReportNoise;
 use downwash::plan::FlightEnvelope;
 use downwash::plan::manoeuvres::Room;
 use downwash::plan::programme::{Capability, ProgrammeSettings};
@@ -193,7 +193,7 @@ fn wind_is_told_from_trim() {
 /// Every pair, with either truth and two seeds; prints what was found. Run it with `--ignored
 /// --nocapture` and an optimised build.
 #[test]
-#[ignore = "takes a quarter of an hour"]
+#[ignore = "takes six minutes"]
 fn the_suggested_flight_resolves_the_pairs() {
     let (mut resolved, mut count) = (0, 0);
     for (index, (vehicle_file, a, b)) in PAIRS.into_iter().enumerate() {

@@ -29,9 +29,10 @@ use super::{
 use crate::cli::{CollectArgs, DemoArgs, SimulationArgs};
 use crate::config::Config;
 use crate::diagnose::answer::Answer;
-use crate::diagnose::gap::{ReportNoise, Simulator};
+use crate::diagnose::gap::Simulator;
 use crate::diagnose::hypothesis::Catalogue;
 use crate::diagnose::next_flight::typical;
+use crate::diagnose::noise::ReportNoise;
 use crate::diagnose::preparation::PreparedFlight;
 use crate::diagnose::procedure::{Case, Diagnosis, Settings, diagnose};
 use crate::plan::Trajectory;

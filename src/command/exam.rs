@@ -24,7 +24,7 @@ use sitl::vehicle::VehicleParams;
 use super::logs::open_for;
 use super::{Exit, ExitContext, on_interrupt, print_json, print_text, say, write_file};
 use crate::cli::ExamArgs;
-use crate::diagnose::gap::ReportNoise;
+use crate::diagnose::noise::ReportNoise;
 use crate::diagnose::preparation::PreparedFlight;
 use crate::exam::answer::Given;
 use crate::exam::case::{Case, Kind, Order, RoundTrip, Settings};

@@ -6,13 +6,14 @@ use serde::Serialize;
 use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
 use super::audit::{Audit, Severity, Tier, Untestable};
-use super::gap::{Errors, ReportNoise};
+use super::gap::Errors;
 use super::hypothesis::Catalogue;
 use super::judgement::{Balance, Unexplained};
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::map::ResidualMap;
 use super::misfit::Misfit;
 use super::next_flight::NextFlight;
+use super::noise::ReportNoise;
 use super::preparation::{Channels, PreparedFlight};
 use super::procedure::Case;
 use super::reflight::ClosedLoop;

@@ -5,19 +5,20 @@
 //! was reported after 0.1, 0.5 and 1 s.
 
 use rand::{Rng, SeedableRng};
-use rand_distr::{Distribution, Exp1, StandardNormal};
+use rand_distr::{Distribution, Exp1};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::Serialize;
 use sitl::autopilot::pd::AttitudeLoop;
 use sitl::config::SitlConfig;
 use sitl::effects::{AttitudeTrim, CommandDelay, EffectSet, EstimatorLatency, Gusts, PdGain};
-use sitl::frame::{Attitude, Euler, Frd, Ned};
+use sitl::frame::{Attitude, Frd, Ned};
 use sitl::plant::Plant;
 use sitl::rigid_body::State;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::learner::Learner;
+use super::noise::{ReportNoise, normals, small_rotation};
 use super::onboard::{JITTER_MEAN_S, setpoint_at};
 use super::preparation::PreparedFlight;
 use super::setpoints::as_flown;
@@ -55,21 +56,6 @@ impl Errors {
         }
         sum / 6.0
     }
-}
-
-/// Standard deviations of what is reported, per axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct ReportNoise {
-    /// Position, m.
-    pub position: f64,
-    /// Velocity, m/s.
-    pub velocity: f64,
-    /// Attitude, rad.
-    pub attitude: f64,
-    /// Body rate, rad/s.
-    pub body_rate: f64,
-    /// Specific force, m/s^2.
-    pub specific_force: f64,
 }
 
 /// A simulator: the vehicle file with effects put over it.
@@ -282,18 +268,12 @@ impl Simulator {
             }))
         }))
     }
-}
 
-/// The metric `mean` of a simulator on one flight, in units of what noise alone leaves; `None` without
-/// a window.
-pub fn gap_of(
-    simulator: &Simulator,
-    flight: &PreparedFlight,
-    noise: &ReportNoise,
-    seed: u64,
-) -> Option<f64> {
-    let flight = std::slice::from_ref(flight);
-    Some(simulator.errors(flight)?.mean_over(&simulator.floor(flight, noise, seed)?))
+    /// The metric `mean` on one flight, in units of what noise alone leaves; `None` without a window.
+    pub fn gap(&self, flight: &PreparedFlight, noise: &ReportNoise, seed: u64) -> Option<f64> {
+        let flight = std::slice::from_ref(flight);
+        Some(self.errors(flight)?.mean_over(&self.floor(flight, noise, seed)?))
+    }
 }
 
 /// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the log
@@ -334,71 +314,6 @@ impl<'a> LoopNoise<'a> {
     fn lateness(&mut self) -> f64 {
         let jitter: f64 = Exp1.sample(&mut self.rng);
         JITTER_MEAN_S * (jitter - 1.0)
-    }
-}
-
-fn small_rotation([roll, pitch, yaw]: [f64; 3]) -> Attitude {
-    Euler { roll, pitch, yaw }.attitude()
-}
-
-fn normals(rng: &mut Pcg64Mcg) -> [f64; 3] {
-    std::array::from_fn(|_| StandardNormal.sample(rng))
-}
-
-impl ReportNoise {
-    /// The mean of each number.
-    pub fn mean<'a>(all: impl Iterator<Item = &'a Self>) -> Self {
-        let (mut sum, mut n) = (Self::default(), 0.0);
-        for noise in all {
-            sum.position += noise.position;
-            sum.velocity += noise.velocity;
-            sum.attitude += noise.attitude;
-            sum.body_rate += noise.body_rate;
-            sum.specific_force += noise.specific_force;
-            n += 1.0;
-        }
-        let n = f64::max(n, 1.0);
-        Self {
-            position: sum.position / n,
-            velocity: sum.velocity / n,
-            attitude: sum.attitude / n,
-            body_rate: sum.body_rate / n,
-            specific_force: sum.specific_force / n,
-        }
-    }
-
-    /// Noise that would be found as `self`, where noise of `self` is found as `found`: what is found
-    /// holds motion as well.
-    pub fn matched(&self, found: &Self) -> Self {
-        let of = |own: f64, found: f64| if found > 0.0 { own * own / found } else { own };
-        Self {
-            position: of(self.position, found.position),
-            velocity: of(self.velocity, found.velocity),
-            attitude: of(self.attitude, found.attitude),
-            body_rate: of(self.body_rate, found.body_rate),
-            specific_force: of(self.specific_force, found.specific_force),
-        }
-    }
-
-    /// The noise of what is read off a flight at `time`: of white noise less between two samples.
-    fn read_at(&self, flight: &PreparedFlight, time: f64, latency: f64) -> Self {
-        Self {
-            position: self.position * flight.position.noise_share(time),
-            velocity: self.velocity * flight.velocity.noise_share(time),
-            body_rate: self.body_rate * flight.body_rate.noise_share(time - latency),
-            ..*self
-        }
-    }
-
-    fn applied(&self, state: &State, rng: &mut Pcg64Mcg) -> State {
-        let mut draw = |deviation: f64| normals(rng).map(|z| deviation * z);
-        let turned = small_rotation(draw(self.attitude));
-        State {
-            position: state.position + Ned::from(draw(self.position)),
-            velocity: state.velocity + Ned::from(draw(self.velocity)),
-            attitude: state.attitude.compose(turned),
-            body_rate: state.body_rate + Frd::from(draw(self.body_rate)),
-        }
     }
 }
 

@@ -12,7 +12,7 @@ use super::answer::{
 use super::arrival::Delay;
 use super::audit::{is_flat, voltage_range};
 use super::fit::Fit;
-use super::gap::{Errors, ReportNoise, Simulator, gap_of};
+use super::gap::{Errors, Simulator};
 use super::hypothesis::Catalogue;
 use super::judgement::{
     Balance, Leftover, SIGNIFICANCE, Unexplained, explained, is_neighbour, is_open, is_unexplained,
@@ -21,8 +21,8 @@ use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
-use super::naming::{as_good, class, credence, named_effects, single};
-use super::noise::report_noise;
+use super::naming::{THRUST_LEVEL, as_good, class, credence, named_effects, single};
+use super::noise::{ReportNoise, report_noise};
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
@@ -35,9 +35,6 @@ use super::twins::{TwinFits, Twins, screened};
 
 /// Twins of the best explanation, against which what it leaves is compared.
 const TWINS_OF_BEST: u32 = 16;
-/// What changes the level of the thrust: only a pack's voltage that falls tells them apart.
-const THRUST_LEVEL: [EffectId; 3] =
-    [EffectId::BatterySag, EffectId::ThrustCurve, EffectId::ThrustScale];
 /// Share of its probability that the one of them keeps that is named, where nothing tells them apart.
 const LEVEL_SHARE: f64 = 0.6;
 /// Probability of gusts where what is left looks like turbulence: other forces may.
@@ -94,11 +91,15 @@ impl Search {
     }
 }
 
-/// The verdict, why it is unknown where it is, and gusts where what is left looks like turbulence.
+/// What is made of what was found.
 pub(super) struct Judgement {
     pub verdict: Verdict,
+    /// Why it is unknown, where it is.
     pub because: Option<Unexplained>,
+    /// Gusts, where what is left looks like turbulence.
     pub turbulence: Option<Slots>,
+    /// The probability that what was chosen holds the cause, as far as what it leaves tells.
+    pub credence: f64,
 }
 
 impl<'a> Inquiry<'a> {
@@ -294,8 +295,7 @@ impl<'a> Inquiry<'a> {
     /// The flights, with the gap of each as shipped.
     pub fn flights(&self, search: &Search) -> Result<Vec<FlightAnswer>, VehicleError> {
         let shipped = self.simulator(&EffectSet::new())?;
-        let gap =
-            |flight: &PreparedFlight| gap_of(&shipped, flight, &search.noise, self.settings.seed);
+        let gap = |flight: &PreparedFlight| shipped.gap(flight, &search.noise, self.settings.seed);
         Ok(FlightAnswer::all(self.case, gap))
     }
 
@@ -324,9 +324,9 @@ impl<'a> Inquiry<'a> {
             gusts(self.case.vehicle, effects, after, &samples)
         });
         let is_held = is_loop_held(self.catalogue, &search.selection.null.fit);
-        // What is left and what stays open may each be too little to say so, and together too much.
-        let open = gap.filter(|_| self.leg()).map(Gap::open);
-        let is_doubtful = credence(&search.misfit, open) < NAMED;
+        // Turbulence keeps a gap open that nothing closes.
+        let open = gap.filter(|_| self.leg() && turbulence.is_none()).map(Gap::open);
+        let credence = credence(&search.misfit, open);
         let because = if turbulence.is_some() {
             None
         } else if is_unexplained(balance, found) {
@@ -335,8 +335,8 @@ impl<'a> Inquiry<'a> {
             Some(Unexplained::Neighbour)
         } else if stays_open {
             Some(Unexplained::OpenGap)
-        } else if found && is_doubtful {
-            Some(Unexplained::Neighbour)
+        } else if found && credence < NAMED {
+            Some(Unexplained::Doubt)
         } else if found {
             search.level.is_some().then_some(Unexplained::Strain)
         } else if standing_out(&search.misfit, is_held).is_some() {
@@ -351,24 +351,21 @@ impl<'a> Inquiry<'a> {
             None if found || turbulence.is_some() => Verdict::Effect,
             None => Verdict::None,
         };
-        Judgement { verdict, because, turbulence }
+        Judgement { verdict, because, turbulence, credence }
     }
 
-    /// The named effects, gusts among them if `turbulence`, and what they cannot be told from.
+    /// The named effects, gusts among them if there is turbulence, and what they cannot be told from.
     pub fn names(
         &self,
         search: &Search,
         effects: &EffectSet,
         not_testable: &[NotTestable],
-        gap: Option<&Gap>,
-        turbulence: bool,
+        judgement: &Judgement,
     ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
         let named = search.named(self.catalogue);
-        let open = gap.filter(|_| self.leg() && !turbulence).map(Gap::open);
-        let credence = credence(&search.misfit, open);
         let (mut answers, mut ambiguous) =
-            named_effects(self.catalogue, &search.selection, credence);
-        if turbulence {
+            named_effects(self.catalogue, &search.selection, judgement.credence);
+        if judgement.turbulence.is_some() {
             answers.push(EffectAnswer {
                 id: EffectId::Gusts.name(),
                 probability: GUSTS_PROBABILITY,
@@ -403,9 +400,11 @@ impl<'a> Inquiry<'a> {
         let Search { selection, thresholds, .. } = search;
         let first = selection.singles.first()?;
         let evidence = first.scored.evidence - selection.null.evidence;
+        if evidence <= thresholds.asked_of(first.hypothesis) {
+            return None;
+        }
         let effect = self.catalogue.hypotheses[first.hypothesis].effect;
-        (evidence > thresholds.asked_of(first.hypothesis))
-            .then(|| single(self.catalogue, selection, effect, TRACE_PROBABILITY))?
+        single(self.catalogue, selection, effect, TRACE_PROBABILITY)
     }
 
     /// The full verdict, and what a gap that nothing explains goes with.

@@ -8,9 +8,9 @@ use serde::Serialize;
 use sitl::vehicle::VehicleParams;
 
 use super::answer::{FlightAnswer, Gap};
-use super::gap::ReportNoise;
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::misfit::{Misfit, share_left};
+use super::noise::ReportNoise;
 use super::observed::Observed;
 use super::residuals::{RATE, VELOCITY};
 use super::selection::Selection;
@@ -38,6 +38,9 @@ pub enum Unexplained {
     Neighbour,
     /// The gap on the flights held out stays open.
     OpenGap,
+    /// What is left of the evidence and of the gap is too little to say so by itself, and together too
+    /// much: the explanation is less likely than not to be the cause.
+    Doubt,
     /// With no effect found, some equations leave more than the vehicle's own noise would.
     Misfit,
     /// With no effect found, numbers of the vehicle file must be further off than files are.

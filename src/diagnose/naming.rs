@@ -168,6 +168,11 @@ pub(super) fn class(effect: EffectId) -> EffectId {
     if effect == EffectId::Mass { EffectId::ThrustScale } else { effect }
 }
 
+/// What changes the level of the thrust: near one throttle only a pack's voltage that falls
+/// tells them apart.
+pub(super) const THRUST_LEVEL: [EffectId; 3] =
+    [EffectId::BatterySag, EffectId::ThrustCurve, EffectId::ThrustScale];
+
 /// Share of the evidence of the best single effect with which another explains as much: on real
 /// flights no model is exact, and nats beyond that are of other things; more so where no on-board law
 /// is known, by which twins of the explanation could be flown to check it.

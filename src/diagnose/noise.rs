@@ -1,6 +1,11 @@
 //! The noise of what is reported, from what no model of the vehicle explains at high frequency.
 
-use super::gap::ReportNoise;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+use serde::Serialize;
+use sitl::frame::{Attitude, Euler, Frd, Ned};
+use sitl::rigid_body::State;
+
 use super::preparation::PreparedFlight;
 use super::residuals::{ATTITUDE, VELOCITY};
 use super::series::Series;
@@ -10,6 +15,79 @@ use super::spectrum::{BANDS, CELL_S};
 const ATTITUDE_FROM_HZ: f64 = 0.35;
 /// Above this a vehicle's velocity and body rate are mostly noise, Hz.
 const WHITE_FROM_HZ: f64 = 8.0;
+
+/// Standard deviations of what is reported, per axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ReportNoise {
+    /// Position, m.
+    pub position: f64,
+    /// Velocity, m/s.
+    pub velocity: f64,
+    /// Attitude, rad.
+    pub attitude: f64,
+    /// Body rate, rad/s.
+    pub body_rate: f64,
+    /// Specific force, m/s^2.
+    pub specific_force: f64,
+}
+
+impl ReportNoise {
+    /// The mean of each number.
+    pub fn mean<'a>(all: impl Iterator<Item = &'a Self>) -> Self {
+        let (mut sum, mut n) = (Self::default(), 0.0);
+        for noise in all {
+            sum.position += noise.position;
+            sum.velocity += noise.velocity;
+            sum.attitude += noise.attitude;
+            sum.body_rate += noise.body_rate;
+            sum.specific_force += noise.specific_force;
+            n += 1.0;
+        }
+        let n = f64::max(n, 1.0);
+        Self {
+            position: sum.position / n,
+            velocity: sum.velocity / n,
+            attitude: sum.attitude / n,
+            body_rate: sum.body_rate / n,
+            specific_force: sum.specific_force / n,
+        }
+    }
+
+    /// Noise that would be found as `self`, where noise of `self` is found as `found`: what is found
+    /// holds motion as well.
+    pub fn matched(&self, found: &Self) -> Self {
+        let of = |own: f64, found: f64| if found > 0.0 { own * own / found } else { own };
+        Self {
+            position: of(self.position, found.position),
+            velocity: of(self.velocity, found.velocity),
+            attitude: of(self.attitude, found.attitude),
+            body_rate: of(self.body_rate, found.body_rate),
+            specific_force: of(self.specific_force, found.specific_force),
+        }
+    }
+
+    /// The noise of what is read off a flight at `time`: of white noise less between two samples.
+    pub(super) fn read_at(&self, flight: &PreparedFlight, time: f64, latency: f64) -> Self {
+        Self {
+            position: self.position * flight.position.noise_share(time),
+            velocity: self.velocity * flight.velocity.noise_share(time),
+            body_rate: self.body_rate * flight.body_rate.noise_share(time - latency),
+            ..*self
+        }
+    }
+
+    /// A report of `state` with a draw of this noise.
+    pub(super) fn applied(&self, state: &State, rng: &mut Pcg64Mcg) -> State {
+        let mut draw = |deviation: f64| normals(rng).map(|z| deviation * z);
+        let turned = small_rotation(draw(self.attitude));
+        State {
+            position: state.position + Ned::from(draw(self.position)),
+            velocity: state.velocity + Ned::from(draw(self.velocity)),
+            attitude: state.attitude.compose(turned),
+            body_rate: state.body_rate + Frd::from(draw(self.body_rate)),
+        }
+    }
+}
 
 /// Noise of the reports, from the sums of squares that a fit leaves at each place.
 pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -> ReportNoise {
@@ -112,4 +190,14 @@ fn position(flights: &[PreparedFlight], velocity_noise: f64) -> f64 {
         }
     }
     (0.5 * sum / f64::max(count, 1.0)).max(0.0).sqrt()
+}
+
+/// A rotation by small angles about the body axes, rad.
+pub(super) fn small_rotation([roll, pitch, yaw]: [f64; 3]) -> Attitude {
+    Euler { roll, pitch, yaw }.attitude()
+}
+
+/// Three draws of the standard normal distribution.
+pub(super) fn normals(rng: &mut Pcg64Mcg) -> [f64; 3] {
+    std::array::from_fn(|_| StandardNormal.sample(rng))
 }

@@ -8,6 +8,7 @@ use sitl::rotor::Allocation;
 use sitl::vehicle::{AttitudePd, VehicleParams};
 
 use super::preparation::PreparedFlight;
+use super::series::median;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// A setpoint older than this no longer rules, s.
@@ -180,9 +181,4 @@ pub fn as_onboard(setpoint: &AttitudeSetpoint) -> Option<OnboardSetpoint> {
 /// The setpoint in force that was sent by `sent`.
 pub fn setpoint_at(setpoints: &Stream<AttitudeSetpoint>, sent: f64) -> Option<OnboardSetpoint> {
     setpoint(setpoints, setpoints.index_at(sent)?, sent)
-}
-/// The middle one of the values; 0 of none.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }

@@ -5,13 +5,14 @@ use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::answer::{Answer, Finding, FullVerdict, Gap, HypothesisAnswer, Verdict};
 use super::arrival::Delay;
-use super::gap::{Errors, ReportNoise, Simulator};
+use super::gap::{Errors, Simulator};
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
 use super::judgement::{Unexplained, is_open_on_one};
 use super::learner::Learner;
 use super::naming::not_testable;
 use super::next_flight::{Live, live, untested};
+use super::noise::ReportNoise;
 use super::observed::Observed;
 use super::preparation::PreparedFlight;
 use super::reflight::reflight;
@@ -214,17 +215,15 @@ impl Grounds<'_> {
             catalogue.effects(&selection.best.fit.values, Some(&search.named(&catalogue)));
         let gap = inquiry.gap(selection, &effects)?;
         let flights = inquiry.flights(&search)?;
-        let Judgement { verdict, because, turbulence } =
+        let judgement =
             inquiry.judge(&search, &effects, &leftover, &balance, gap.as_ref(), &flights);
-        if let Some(slots) = turbulence {
+        let Judgement { verdict, because, .. } = judgement;
+        if let Some(slots) = judgement.turbulence {
             let _ = effects.insert(EffectId::Gusts, slots);
         }
         let untestable = not_testable(&catalogue, selection, leg);
         let (named, ambiguous_with) = match verdict {
-            Verdict::Effect => {
-                let gusts = turbulence.is_some();
-                inquiry.names(&search, &effects, &untestable, gap.as_ref(), gusts)
-            }
+            Verdict::Effect => inquiry.names(&search, &effects, &untestable, &judgement),
             Verdict::None => (inquiry.trace(&search).into_iter().collect(), Vec::new()),
             Verdict::Unknown => (Vec::new(), Vec::new()),
         };

@@ -20,8 +20,9 @@ use sitl::rigid_body::State;
 use sitl::sensors::{Readings, Sensors};
 use sitl::vehicle::{ROTORS, VehicleError};
 
-use super::gap::{ATTITUDE_CORRELATION_S, ReportNoise};
+use super::gap::ATTITUDE_CORRELATION_S;
 use super::hypothesis::Catalogue;
+use super::noise::ReportNoise;
 use super::onboard::{AGE_MAX_S, JITTER_MEAN_S, OnboardLaw, as_onboard};
 use super::preparation::PreparedFlight;
 use super::series::Series;

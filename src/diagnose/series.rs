@@ -141,6 +141,12 @@ impl<const N: usize> Cursor<'_, N> {
     }
 }
 
+/// The middle one of the values; 0 of none.
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

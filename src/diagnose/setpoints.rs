@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use sitl::frame::{Attitude, Frd};
 
-use super::onboard::median;
+use super::series::median;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// Setpoints this far apart tell nothing of what was between, s.

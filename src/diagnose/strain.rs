@@ -11,7 +11,7 @@ use sitl::effects::EffectId;
 use super::fit::{Fit, fit};
 use super::hypothesis::{Catalogue, Target};
 use super::linearised::Linearised;
-use super::naming::parameter;
+use super::naming::{THRUST_LEVEL, parameter};
 use super::observed::Observed;
 use super::twins::{EVIDENCE_MIN, TwinFits};
 
@@ -23,12 +23,6 @@ const STRAINED_AT_LIMIT: f64 = 1.8;
 /// A number that is known to this share of its tolerance is known well: by its fit, and by the scatter
 /// of its twins.
 const KNOWN: [f64; 2] = [0.15, 0.25];
-
-/// Effects that near one throttle change little but the level of the thrust.
-const LIKE_THE_LEVEL: [EffectId; 2] = [EffectId::ThrustCurve, EffectId::BatterySag];
-
-/// Tolerance of the thrust to mass, by whichever of the two it is told.
-const LEVEL_KNOWN: f64 = 0.003;
 
 /// A number that lies further off than files are.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -88,7 +82,7 @@ pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain
 /// evidence. `about`: derivatives of the nuisances.
 pub fn level_in_place_of(best: &Fit, fitted: &Observed<'_>, about: &Linearised) -> Option<Strain> {
     let catalogue = fitted.catalogue;
-    let is_like_it = |h: &usize| LIKE_THE_LEVEL.contains(&catalogue.hypotheses[*h].effect);
+    let is_like_it = |h: &usize| THRUST_LEVEL.contains(&catalogue.hypotheses[*h].effect);
     if catalogue.considers(EffectId::ThrustScale) || !best.hypotheses.iter().any(is_like_it) {
         return None;
     }
@@ -98,6 +92,8 @@ pub fn level_in_place_of(best: &Fit, fitted: &Observed<'_>, about: &Linearised) 
     };
     let rest: Vec<usize> = best.hypotheses.iter().copied().filter(|h| !is_like_it(h)).collect();
     let starts = [Vec::new(), values_of(&best.hypotheses)];
+    // Thrust to mass is known as well as the thrust is, by whichever of the two it is told.
+    let tolerance = catalogue.numbers[catalogue.number_of(EffectId::ThrustScale, 0)?].tolerance;
     [EffectId::ThrustScale, EffectId::Mass].into_iter().find_map(|effect| {
         let level = catalogue.number_of(effect, 0)?;
         let free = catalogue.with_free(level);
@@ -107,7 +103,7 @@ pub fn level_in_place_of(best: &Fit, fitted: &Observed<'_>, about: &Linearised) 
         let number = catalogue.numbers[level];
         let share = (without.values[level] - number.expected) / number.reference;
         (with.evidence - without.evidence < EVIDENCE_MIN)
-            .then(|| Strain { number: parameter(number.target), tolerances: share / LEVEL_KNOWN })
+            .then(|| Strain { number: parameter(number.target), tolerances: share / tolerance })
     })
 }
 

@@ -13,12 +13,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sitl::vehicle::VehicleError;
 
-use super::gap::ReportNoise;
 use super::hypothesis::Values;
 use super::layout::Place;
 use super::linearised::Linearised;
 use super::naming::Z90;
-use super::noise::report_noise;
+use super::noise::{ReportNoise, report_noise};
 use super::observed::{Observed, Residuals};
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;

@@ -16,6 +16,7 @@ pub fn finding(answer: &Answer) -> String {
     }
 }
 
+/// That nothing stands out, how well the simulator predicts, and what leaves a trace all the same.
 fn none(answer: &Answer) -> String {
     let mut text = match &answer.gap {
         Some(gap) => format!(
@@ -45,6 +46,14 @@ fn unknown(answer: &Answer) -> String {
             "the nearest leaves {:.0} % of the evidence that a full explanation would have",
             100.0 * share_left(&answer.misfit)
         )),
+        Some(Unexplained::Doubt) => answer.gap.as_ref().map(|gap| {
+            format!(
+                "the nearest leaves {:.0} % of the evidence that a full explanation would have, and \
+                 predictions at {:.2} times what noise alone leaves: it is less likely than not",
+                100.0 * share_left(&answer.misfit),
+                gap.open()
+            )
+        }),
         Some(Unexplained::OpenGap) => answer.gap.as_ref().map(|gap| {
             let held_out = gap.before / gap.floor.max(f64::MIN_POSITIVE);
             let worst = answer.flights.iter().filter_map(|f| Some((f.gap?, &f.name)));

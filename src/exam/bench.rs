@@ -22,8 +22,8 @@ use super::stranger::Stranger;
 use super::strength::{Errors, Predictor, Strength};
 use super::trap::{STEADY_PACK, TRAPS, Trap};
 use crate::diagnose::answer::{Parameter, Verdict, parameters};
-use crate::diagnose::gap::ReportNoise;
 use crate::diagnose::hypothesis::reference;
+use crate::diagnose::noise::ReportNoise;
 
 /// Searches for a size of the wanted strength.
 const SEARCHES: usize = 4;

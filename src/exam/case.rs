@@ -9,7 +9,7 @@ use super::condition::Condition;
 use super::draw::Draw;
 use super::flight::FlightError;
 use super::key::KeyEntry;
-use crate::diagnose::gap::ReportNoise;
+use crate::diagnose::noise::ReportNoise;
 
 /// Draws until one flies.
 const ATTEMPTS: u64 = 8;
