@@ -33,36 +33,30 @@ pub struct ReportNoise {
 
 impl ReportNoise {
     /// The mean of each number.
-    pub fn mean<'a>(all: impl Iterator<Item = &'a Self>) -> Self {
-        let (mut sum, mut n) = (Self::default(), 0.0);
-        for noise in all {
-            sum.position += noise.position;
-            sum.velocity += noise.velocity;
-            sum.attitude += noise.attitude;
-            sum.body_rate += noise.body_rate;
-            sum.specific_force += noise.specific_force;
-            n += 1.0;
-        }
-        let n = f64::max(n, 1.0);
-        Self {
-            position: sum.position / n,
-            velocity: sum.velocity / n,
-            attitude: sum.attitude / n,
-            body_rate: sum.body_rate / n,
-            specific_force: sum.specific_force / n,
-        }
+    pub fn mean<'a>(all: impl Iterator<Item = &'a Self> + Clone) -> Self {
+        Self::each(|of| {
+            let count = all.clone().count().max(1) as f64;
+            all.clone().map(of).sum::<f64>() / count
+        })
     }
 
     /// Noise that would be found as `self`, where noise of `self` is found as `found`: what is found
     /// holds motion as well.
     pub fn matched(&self, found: &Self) -> Self {
-        let of = |own: f64, found: f64| if found > 0.0 { own * own / found } else { own };
+        Self::each(|own| {
+            let [own, found] = [own(self), own(found)];
+            if found > 0.0 { own * own / found } else { own }
+        })
+    }
+
+    /// Each number by `of`, which is given how to read it.
+    fn each(of: impl Fn(fn(&Self) -> f64) -> f64) -> Self {
         Self {
-            position: of(self.position, found.position),
-            velocity: of(self.velocity, found.velocity),
-            attitude: of(self.attitude, found.attitude),
-            body_rate: of(self.body_rate, found.body_rate),
-            specific_force: of(self.specific_force, found.specific_force),
+            position: of(|noise| noise.position),
+            velocity: of(|noise| noise.velocity),
+            attitude: of(|noise| noise.attitude),
+            body_rate: of(|noise| noise.body_rate),
+            specific_force: of(|noise| noise.specific_force),
         }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! A thinned log lacks setpoints that the vehicle followed. Where the numbers of their frames tell
 //! that they were, they are put on the line between their neighbours, from which each lay off by the
-//! noise that feedback puts into setpoints: replicas follow such ones, and log the line as well. When
+//! noise that feedback puts into setpoints, its own and the neighbours': replicas follow such ones, and log the line as well. When
 //! each was sent, the others tell: a ground sends at a period, and now and then a little late.
 
 use rand::{Rng, SeedableRng};
@@ -18,12 +18,13 @@ const APART_MAX_S: f64 = 0.1;
 /// The period's phase is the least of so many setpoints to each side.
 const PHASE: usize = 25;
 /// Quantiles by which lateness is told.
-const LATENESS: usize = 6;
+const LATENESS: usize = 16;
 /// Two setpoints are apart by so much of the period at least: they keep their order.
 const APART_MIN: f64 = 0.1;
-/// A setpoint is sent early or late by so much of the period at most, for its tick to be told.
+/// A setpoint is sent early by so much of the period at most, for its tick to be told.
 const EARLY_MAX: f64 = 0.3;
-const LATE_MAX: f64 = 0.6;
+/// Behind by more than that, its neighbours' ticks are no longer its own.
+const LATE_MAX: f64 = 0.75;
 /// Between ticks that have nothing to do with each other.
 const GAP_TICKS: u64 = 1 << 32;
 /// A change is a jump from so many deviations on beyond what the changes around it let expect.
@@ -135,15 +136,26 @@ fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
         return None;
     }
     let period = median(periods);
-    let (mut number, mut seconds) = (0, 0.0);
-    let mut numbers = vec![number];
-    for (pair, lacking) in pairs {
+    let mut seconds = 0.0;
+    let mut numbers: Vec<u64> = vec![0];
+    for (k, (pair, lacking)) in pairs.enumerate() {
+        let number = numbers[k];
+        if !near(pair) {
+            numbers.push(number + GAP_TICKS);
+            continue;
+        }
+        // Where the last one's tick was, by the earliest of those before: it may have been late itself.
+        let on_this_side = |j: &usize| number - numbers[*j] < GAP_TICKS;
+        let before = (k.saturating_sub(PHASE)..=k).filter(on_this_side);
+        let tick = before
+            .map(|j| times[j] + (number - numbers[j]) as f64 * period)
+            .fold(pair[0], f64::min);
         // Other messages of the ground may be what is missing: no more than there was time for.
-        let fit = ((pair[1] - pair[0]) / period - EARLY_MAX).ceil().max(1.0) as u64;
-        number += if near(pair) { fit.min(u64::from(*lacking) + 1) } else { GAP_TICKS };
-        seconds += if near(pair) { pair[1] - pair[0] } else { 0.0 };
-        numbers.push(number);
+        let fit = ((pair[1] - tick) / period + EARLY_MAX).floor().max(1.0) as u64;
+        numbers.push(number + fit.min(u64::from(*lacking) + 1));
+        seconds += pair[1] - pair[0];
     }
+    let number = numbers.last().copied().unwrap_or_default();
     // What is counted from gap to gap telescopes, whatever the single intervals.
     Some(Ticks { period: seconds / (number % GAP_TICKS) as f64, numbers })
 }
@@ -188,8 +200,9 @@ pub(super) fn infer(setpoints: &mut [AttitudeSetpoint], inferred: &Inferred) {
     }
 }
 
-/// The setpoints as the vehicle may have had them: those that are `inferred` scatter about the line
-/// as the others do, and where what is asked jumps between two of the log, it jumps somewhere between.
+/// The setpoints as the vehicle may have had them: those that are `inferred` have noise of their own,
+/// and the line that they are put on has that of the others, which is not in them. Where what is asked
+/// jumps between two of the log, it jumps somewhere between.
 pub(super) fn as_flown(
     setpoints: &Stream<AttitudeSetpoint>,
     inferred: &Inferred,
@@ -201,7 +214,10 @@ pub(super) fn as_flown(
     let logged = inferred.logged(setpoints.len());
     let (times, line) = (setpoints.times(), setpoints.values());
     let scatter = scatter(times, line, &logged);
+    // What is off the middle of two has its own noise and the mean of theirs.
+    let noise = scatter.map(|scatter| scatter / 1.5_f64.sqrt());
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let mut noise_before = normals(&mut rng);
     let mut flown = Stream::default();
     if let Some(first) = logged.first() {
         flown.push(times[*first], line[*first]);
@@ -226,19 +242,28 @@ pub(super) fn as_flown(
         // Between those around, in their order.
         let room = APART_MIN * (times[b] - times[a]) / (b - a) as f64;
         let mut last = times[a];
+        let noise_after = normals(&mut rng);
         for index in a + 1..b {
             let share = (index - a) as f64 / (b - a) as f64;
             let jumped = if share > at { 1.0 } else { 0.0 };
-            let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-            let off = std::array::from_fn(|i| scatter[i] * normal() + (jumped - share) * jump[i]);
+            let own = normals(&mut rng);
+            let off = std::array::from_fn(|i| {
+                let of_line = (1.0 - share) * noise_before[i] + share * noise_after[i];
+                noise[i] * (own[i] - of_line) + (jumped - share) * jump[i]
+            });
             let late = inferred.lateness[rng.random_range(0..LATENESS)];
             let latest = times[b] - (b - index) as f64 * room;
             last = (times[index] + late).max(last + room).min(latest);
             flown.push(last, moved(&line[index], off));
         }
         flown.push(times[b], line[b]);
+        noise_before = noise_after;
     }
     flown
+}
+
+fn normals(rng: &mut Pcg64Mcg) -> [f64; NUMBERS] {
+    std::array::from_fn(|_| StandardNormal.sample(rng))
 }
 
 /// Numbers of a setpoint: a small rotation [rad], the body rate [rad/s], the thrust.
@@ -333,22 +358,25 @@ mod tests {
         let mut rng = Pcg64Mcg::seed_from_u64(1);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let mut all = Stream::default();
-        for k in 0..8001 {
+        for k in 0..32_001 {
             let time = f64::from(k) * 0.01;
             all.push(time, setpoint(0.3 * time.sin() + 0.01 * normal(), 0.5 + 0.02 * normal()));
         }
         let (line, inferred) = thinned(&all);
-        assert_eq!(inferred.indices.len(), 4000);
+        assert_eq!(inferred.indices.len(), 16_000);
         let flown = as_flown(&line, &inferred, 3);
-        let off = |of: &Stream<AttitudeSetpoint>, number: usize| {
-            let square = |i: &usize| offset(&line.values()[*i], &of.values()[*i])[number].powi(2);
-            (inferred.indices.iter().map(square).sum::<f64>() / 4000.0).sqrt()
+        // By themselves, and on average over a while: the line lies off by what its ends have.
+        let off = |of: &Stream<AttitudeSetpoint>, number: usize, run: usize| {
+            let off = |i: &usize| offset(&line.values()[*i], &of.values()[*i])[number];
+            let mean = |run: &[usize]| run.iter().map(off).sum::<f64>() / run.len() as f64;
+            let runs = inferred.indices.chunks(run);
+            (runs.clone().map(|run| mean(run).powi(2)).sum::<f64>() / runs.len() as f64).sqrt()
         };
-        for number in [0, 3, 6] {
-            let (truly, drawn) = (off(&all, number), off(&flown, number));
-            assert!((drawn / truly - 1.0).abs() < 0.1, "{number}: {drawn} for {truly}");
+        for (number, run) in [(0, 1), (3, 1), (6, 1), (0, 8), (3, 8), (6, 8)] {
+            let (truly, drawn) = (off(&all, number, run), off(&flown, number, run));
+            assert!((drawn / truly - 1.0).abs() < 0.07, "{number}: {drawn} for {truly}");
         }
-        assert!(off(&flown, 1) < 1e-3);
+        assert!(off(&flown, 1, 1) < 1e-3);
         assert_eq!(flown.len(), line.len());
         assert_eq!(flown.values()[0], all.values()[0]);
     }
@@ -396,10 +424,30 @@ mod tests {
         assert!(mean.abs() < 1e-4, "{mean}");
         let spread = inferred.indices.iter().map(|i| late(i).powi(2)).sum::<f64>() / 1499.0;
         assert!((spread.sqrt() - 1e-3).abs() < 1e-4, "{spread}");
-        // Sixths of an exponential distribution, about its mean.
+        // Quantiles of an exponential distribution, about its mean.
         for (k, quantile) in inferred.lateness().iter().enumerate() {
-            let expected = -1e-3 * (1.0 - (k as f64 + 0.5) / 6.0).ln() - 1e-3;
-            assert!((quantile - expected).abs() < 1.5e-4, "{k}: {quantile} for {expected}");
+            let share = (k as f64 + 0.5) / LATENESS as f64;
+            let expected = -1e-3 * (1.0 - share).ln() - 1e-3;
+            assert!((quantile - expected).abs() < 3e-4, "{k}: {quantile} for {expected}");
+        }
+    }
+
+    #[test]
+    fn one_that_is_very_late_does_not_move_the_others() {
+        let (mut logged, mut missing) = (Stream::default(), Stream::default());
+        for k in 0..400 {
+            let late = if k == 200 { 7e-3 } else { 1e-4 * f64::from(k % 7) };
+            if k % 2 == 0 {
+                let time = f64::from(k) * 0.01 + late;
+                logged.push(time, setpoint(0.0, 0.5));
+                missing.push(time, 1);
+            }
+        }
+        let (all, inferred) = completed(&logged, &missing);
+        assert_eq!(inferred.indices.len(), 199);
+        for index in inferred.indices {
+            let off = all.times()[index] - 0.01 * index as f64;
+            assert!((0.0..1e-3).contains(&off), "{index}: {off}");
         }
     }
 
