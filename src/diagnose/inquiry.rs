@@ -15,7 +15,8 @@ use super::fit::Fit;
 use super::gap::{Errors, Simulator};
 use super::hypothesis::Catalogue;
 use super::judgement::{
-    Balance, Leftover, SIGNIFICANCE, Unexplained, explained, is_neighbour, is_open, is_unexplained,
+    Balance, Leftover, SIGNIFICANCE, Unexplained, explained, is_neighbour, is_open, is_open_on_one,
+    is_unexplained,
 };
 use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
@@ -312,10 +313,12 @@ impl<'a> Inquiry<'a> {
         let found = !search.selection.best.fit.hypotheses.is_empty();
         let may_be_gusts = !self.case.without.contains(&EffectId::Gusts);
         // Driven by outputs, an open loop strays from any cause.
-        let stays_open = self.leg() && gap.is_some_and(|gap| is_open(gap, flights, found));
+        let stays_open = self.leg() && gap.is_some_and(|gap| is_open(gap, found));
+        let is_on_one = self.leg() && !found && is_open_on_one(flights);
         // A force that is small by itself matters where it keeps the gap open.
         let matters = |after: &UnmodelledForce| {
-            balance.force.left > 1.0 || stays_open && after.slow_significance > SIGNIFICANCE
+            let is_open = stays_open || is_on_one;
+            balance.force.left > 1.0 || is_open && after.slow_significance > SIGNIFICANCE
         };
         let after = leftover.force.as_ref().map(|[_, after]| after);
         let turbulence = after.filter(|after| may_be_gusts && matters(after)).and_then(|after| {
@@ -335,6 +338,8 @@ impl<'a> Inquiry<'a> {
             Some(Unexplained::Neighbour)
         } else if stays_open {
             Some(Unexplained::OpenGap)
+        } else if is_on_one {
+            Some(Unexplained::OpenOnOne)
         } else if found && credence < NAMED {
             Some(Unexplained::Doubt)
         } else if found {

@@ -38,6 +38,8 @@ pub enum Unexplained {
     Neighbour,
     /// The gap on the flights held out stays open.
     OpenGap,
+    /// With no effect found, one of the flights shows an open gap by itself.
+    OpenOnOne,
     /// What is left of the evidence and of the gap is too little to say so by itself, and together too
     /// much: the explanation is less likely than not to be the cause.
     Doubt,
@@ -142,16 +144,16 @@ const CLOSED_MIN: f64 = 0.5;
 
 /// Whether the gap stays open on the flights held out: with the effects, and with the nuisances as
 /// well. Where no effect is found, the gap is as open as it was: nuisances that would close it are
-/// numbers of the file that are off, though by no more than files are, and no explanation; and as
-/// nothing was fitted, any flight may show it.
-pub fn is_open(gap: &Gap, flights: &[FlightAnswer], found: bool) -> bool {
+/// numbers of the file that are off, though by no more than files are, and no explanation.
+pub fn is_open(gap: &Gap, found: bool) -> bool {
     if !found {
-        return gap.before > GAP_MIN * gap.floor || is_open_on_one(flights);
+        return gap.before > GAP_MIN * gap.floor;
     }
     gap.open() > GAP_MIN && gap.closure.unwrap_or(0.0) < CLOSED_MIN
 }
 
-/// Whether the simulator as shipped leaves an open gap on any one of the flights.
+/// Whether the simulator as shipped leaves an open gap on any one of the flights: where nothing was
+/// fitted, those of the fit may show it as well.
 pub fn is_open_on_one(flights: &[FlightAnswer]) -> bool {
     flights.iter().filter_map(|flight| flight.gap).any(|gap| gap > GAP_MIN_OF_ONE)
 }

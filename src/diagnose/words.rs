@@ -55,20 +55,18 @@ fn unknown(answer: &Answer) -> String {
             )
         }),
         Some(Unexplained::OpenGap) => answer.gap.as_ref().map(|gap| {
-            let held_out = gap.before / gap.floor.max(f64::MIN_POSITIVE);
-            let worst = answer.flights.iter().filter_map(|f| Some((f.gap?, &f.name)));
-            let worst = worst.max_by(|a, b| a.0.total_cmp(&b.0));
-            match worst.filter(|(worst, _)| *worst > held_out) {
-                Some((worst, name)) => format!(
-                    "{name} is predicted to {worst:.2} times what noise alone leaves, the flights \
-                     held out to {held_out:.2} times"
-                ),
-                None => format!(
-                    "the flights held out are predicted to {held_out:.2} times what noise alone \
-                     leaves"
-                ),
-            }
+            format!(
+                "the flights held out are predicted to {:.2} times what noise alone leaves",
+                gap.before / gap.floor.max(f64::MIN_POSITIVE)
+            )
         }),
+        Some(Unexplained::OpenOnOne) => {
+            let flights = answer.flights.iter().filter_map(|f| Some((f.gap?, &f.name)));
+            let worst = flights.max_by(|a, b| a.0.total_cmp(&b.0));
+            worst.map(|(gap, name)| {
+                format!("{name} is predicted to {gap:.2} times what noise alone leaves")
+            })
+        }
         Some(Unexplained::Misfit) => standing_out(&answer.misfit, false)
             .or_else(|| standing_out(&answer.misfit, true))
             .map(|misfit| {
