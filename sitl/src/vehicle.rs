@@ -122,6 +122,21 @@ pub struct MotorOutput {
     pub disarmed: f64,
 }
 
+/// What makes two vehicles the same one, by its names in vehicle files.
+const PHYSICAL: [&str; 11] = [
+    "mass",
+    "inertia",
+    "rotors",
+    "attitude_pd",
+    "battery",
+    "gravity",
+    "rotor_radius_m",
+    "rotor_max_rpm",
+    "motor_output",
+    "linear_drag_N_per_m_s",
+    "angular_damping_Nms",
+];
+
 /// Where two vehicles differ.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field} is {other} there and {this} in the vehicle at hand")]
@@ -246,30 +261,17 @@ impl VehicleParams {
     /// is only believed of one and the same vehicle does not count: names and notes, lag and delay,
     /// the hover thrust, the air's density, and the modelled effects, which a diagnosis adds to.
     pub fn difference(&self, other: &Self) -> Option<Difference> {
-        let pair = |field, a: &dyn std::fmt::Debug, b: &dyn std::fmt::Debug| Difference {
-            field,
-            this: format!("{a:?}"),
-            other: format!("{b:?}"),
+        // As files have them, so that a message shows what to look for.
+        let [this, other] = [self, other].map(|v| serde_json::to_value(v).unwrap_or_default());
+        let told = |value: &serde_json::Value| match value {
+            serde_json::Value::Null => "not given".to_owned(),
+            value => value.to_string(),
         };
-        [
-            pair("mass", &self.mass, &other.mass),
-            pair("inertia", &self.inertia, &other.inertia),
-            pair("rotors", &self.rotors, &other.rotors),
-            pair("attitude_pd", &self.attitude_pd, &other.attitude_pd),
-            pair("battery", &self.battery, &other.battery),
-            pair("gravity", &self.gravity, &other.gravity),
-            pair("rotor_radius_m", &self.rotor_radius_m, &other.rotor_radius_m),
-            pair("rotor_max_rpm", &self.rotor_max_rpm, &other.rotor_max_rpm),
-            pair("motor_output", &self.motor_output, &other.motor_output),
-            pair(
-                "linear_drag_N_per_m_s",
-                &self.linear_drag_n_per_m_s,
-                &other.linear_drag_n_per_m_s,
-            ),
-            pair("angular_damping_Nms", &self.angular_damping_nms, &other.angular_damping_nms),
-        ]
-        .into_iter()
-        .find(|difference| difference.this != difference.other)
+        PHYSICAL.into_iter().find(|field| this[field] != other[field]).map(|field| Difference {
+            field,
+            this: told(&this[field]),
+            other: told(&other[field]),
+        })
     }
 
     /// Whether this vehicle has every number that `effects` need.

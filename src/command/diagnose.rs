@@ -10,7 +10,7 @@ use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
 use super::setup::capability;
-use super::{Exit, ExitContext, config, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
 use crate::diagnose::audit::{Audit, UnusableSpan};
@@ -43,7 +43,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
             Ok(flight) if index >= old => new.push(flight),
             Ok(flight) if args.holdout.contains(path) => held_out.push(flight),
             Ok(flight) => fitted.push(flight),
-            Err(error) => say(format_args!("{}: left out: {error:#}", path.display())),
+            Err(error) => say(format_args!("{}: left out: {}", path.display(), in_words(&error))),
         }
         logs.extend(log.audit);
     }

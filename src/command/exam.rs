@@ -22,7 +22,7 @@ use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
-use super::{Exit, ExitContext, on_interrupt, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, in_words, on_interrupt, print_json, print_text, say, write_file};
 use crate::cli::ExamArgs;
 use crate::diagnose::noise::ReportNoise;
 use crate::diagnose::preparation::PreparedFlight;
@@ -274,7 +274,7 @@ impl Hall<'_> {
             if !self.args.keep {
                 let _ = fs::remove_dir_all(self.folder(&case.name));
             }
-            let given = given.as_ref().map_err(|error| format!("{error:#}"));
+            let given = given.as_ref().map_err(in_words);
             let given = given.as_ref().map(|given| *given).map_err(String::as_str);
             Ok(Row::new(&case.name, &case.key, given, closed, seconds))
         })

@@ -1,11 +1,12 @@
 //! Flights as what is looked at in them: coefficients by place, their products and derivatives.
 
 use rayon::prelude::*;
+use sitl::vehicle::{ROTORS, VehicleParams};
 
 use super::hypothesis::Catalogue;
 use super::layout::{Layout, Place};
 use super::preparation::{Block, PreparedFlight};
-use super::residuals::{CHANNELS, Evaluator, Groups};
+use super::residuals::{CHANNELS, COMMAND, Evaluator, Groups, RATE, VELOCITY};
 use super::spectrum::BANDS;
 
 /// Flights with what is looked at in them.
@@ -20,6 +21,34 @@ pub struct Observed<'a> {
     /// Runs of coefficients of one place: flight, place, start, end.
     runs: Vec<Run>,
     pub(super) counts: Vec<f64>,
+    /// Sum of squares at each place that is left at least.
+    least: Vec<f64>,
+}
+
+/// No equation holds to better than this share of what the rotors can do. Over a short flight a place
+/// has few coefficients, which some numbers may explain to the last digit: without this the likelihood
+/// has no bound there.
+const EXACT: f64 = 1e-5;
+/// What a turn of the attitude is compared with, rad/s.
+const TURN: f64 = 1.0;
+
+/// The least that is left at each channel: its deviation.
+fn least_left(vehicle: &VehicleParams) -> [f64; CHANNELS] {
+    let mut most = [TURN; CHANNELS];
+    if let Ok(allocation) = vehicle.allocation() {
+        most[COMMAND..].fill(0.0);
+        for rotor in 0..ROTORS {
+            let alone = std::array::from_fn(|i| if i == rotor { 1.0 } else { 0.0 });
+            let wrench = allocation.wrench(alone);
+            most[COMMAND..].iter_mut().zip(wrench).for_each(|(sum, part)| *sum += part.abs());
+        }
+        let force = most[COMMAND];
+        most[VELOCITY..RATE].fill(force / vehicle.mass);
+        for (axis, inertia) in vehicle.inertia.iter().enumerate() {
+            most[RATE + axis] = most[COMMAND + 1 + axis] / inertia;
+        }
+    }
+    most.map(|most| EXACT * most)
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +88,11 @@ impl<'a> Observed<'a> {
                 }
             }
         }
-        Self { flights, layouts, evaluator, catalogue, runs, counts }
+        let deviation = least_left(&catalogue.vehicle);
+        let least = (0..Place::COUNT)
+            .map(|place| counts[place] * deviation[place / BANDS.len()].powi(2))
+            .collect();
+        Self { flights, layouts, evaluator, catalogue, runs, counts, least }
     }
 
     /// The same look at other flights.
@@ -105,9 +138,9 @@ impl<'a> Observed<'a> {
         )
     }
 
-    /// Sum of squares at each place.
+    /// Sum of squares at each place, with the least that is left.
     pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
-        let mut power = vec![0.0; Place::COUNT];
+        let mut power = self.least.clone();
         for run in &self.runs {
             let part = &residuals[run.flight][run.start..run.end];
             power[run.place] += part.iter().map(|r| r * r).sum::<f64>();
@@ -217,4 +250,23 @@ pub(super) fn noise_cost(power: &[f64], counts: &[f64]) -> f64 {
         .filter(|(_, n)| **n > 0.0)
         .map(|(q, n)| 0.5 * n * (q.max(f64::MIN_POSITIVE) / n).ln())
         .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::residuals::ATTITUDE;
+
+    #[test]
+    fn what_is_left_at_least_is_something_and_far_below_any_sensor() {
+        for text in [
+            include_str!("../../config/vehicles/crazyflie.toml"),
+            include_str!("../../config/vehicles/quad1200.toml"),
+        ] {
+            let least = least_left(&VehicleParams::from_toml_str(text).unwrap());
+            assert!(least.iter().all(|deviation| *deviation > 0.0), "{least:?}");
+            // m/s^2, rad/s^2, rad/s.
+            assert!(least[VELOCITY] < 1e-3 && least[RATE] < 2e-2 && least[ATTITUDE] < 1e-4);
+        }
+    }
 }
