@@ -88,7 +88,16 @@ impl<'a> Observed<'a> {
                 }
             }
         }
-        let deviation = least_left(&catalogue.vehicle);
+        // Without a pose equations are compared with rest, not with a reading: what brings a mean to
+        // rest to the last digit is no evidence by however much it is bounded, and has no fit there.
+        let is_posed = |flight: &PreparedFlight| {
+            flight.channels.attitude && (flight.channels.velocity || flight.channels.body_rate)
+        };
+        let deviation = if flights.iter().all(is_posed) {
+            least_left(&catalogue.vehicle)
+        } else {
+            [0.0; CHANNELS]
+        };
         let least = (0..Place::COUNT)
             .map(|place| counts[place] * deviation[place / BANDS.len()].powi(2))
             .collect();
