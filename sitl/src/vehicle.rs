@@ -7,6 +7,10 @@ use serde::{Deserialize, Serialize};
 use crate::effects::{Effect, EffectSet, RotorGyroscopic};
 use crate::rotor::Allocation;
 
+mod difference;
+
+pub use difference::Difference;
+
 /// Number of rotors; the project is about quadrotors.
 pub const ROTORS: usize = 4;
 
@@ -122,33 +126,6 @@ pub struct MotorOutput {
     pub disarmed: f64,
 }
 
-/// What makes two vehicles the same one, by its names in vehicle files.
-const PHYSICAL: [&str; 11] = [
-    "mass",
-    "inertia",
-    "rotors",
-    "attitude_pd",
-    "battery",
-    "gravity",
-    "rotor_radius_m",
-    "rotor_max_rpm",
-    "motor_output",
-    "linear_drag_N_per_m_s",
-    "angular_damping_Nms",
-];
-
-/// Where two vehicles differ.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field} is {other} there and {this} in the vehicle at hand")]
-pub struct Difference {
-    /// The field.
-    pub field: &'static str,
-    /// Its value in this vehicle.
-    pub this: String,
-    /// And in the other.
-    pub other: String,
-}
-
 /// Why a vehicle file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleError {
@@ -254,24 +231,6 @@ impl VehicleParams {
         self.check_battery()?;
         self.check_effects(&self.modelled_effects)?;
         Ok(self)
-    }
-
-    /// The first of the numbers by which vehicles are told apart that differs from `other`'s: the
-    /// body, the rotors, the on-board law, the pack, what the motor outputs mean, and gravity. What
-    /// is only believed of one and the same vehicle does not count: names and notes, lag and delay,
-    /// the hover thrust, the air's density, and the modelled effects, which a diagnosis adds to.
-    pub fn difference(&self, other: &Self) -> Option<Difference> {
-        // As files have them, so that a message shows what to look for.
-        let [this, other] = [self, other].map(|v| serde_json::to_value(v).unwrap_or_default());
-        let told = |value: &serde_json::Value| match value {
-            serde_json::Value::Null => "not given".to_owned(),
-            value => value.to_string(),
-        };
-        PHYSICAL.into_iter().find(|field| this[field] != other[field]).map(|field| Difference {
-            field,
-            this: told(&this[field]),
-            other: told(&other[field]),
-        })
     }
 
     /// Whether this vehicle has every number that `effects` need.
@@ -497,27 +456,6 @@ pub(crate) mod tests {
             })
             .contains("rotor_max_rpm")
         );
-    }
-
-    #[test]
-    fn vehicles_differ_by_what_they_are_and_not_by_what_is_believed_of_them() {
-        let difference = |change: &dyn Fn(&mut VehicleParams)| {
-            let mut other = quad();
-            change(&mut other);
-            quad().difference(&other).map(|difference| difference.field)
-        };
-        assert_eq!(difference(&|v| v.gravity = 1.62), Some("gravity"));
-        assert_eq!(difference(&|v| v.mass = 1.3), Some("mass"));
-        assert_eq!(difference(&|v| v.rotors[1].spin = 1), Some("rotors"));
-        assert_eq!(difference(&|v| v.rotor_max_rpm = None), Some("rotor_max_rpm"));
-        let drag = difference(&|v| v.linear_drag_n_per_m_s = Some(0.1));
-        assert_eq!(drag, Some("linear_drag_N_per_m_s"));
-        let belief = difference(&|v| {
-            v.name.push('2');
-            v.command_delay_s = 0.02;
-            v.modelled_effects.insert_argument("motor_lag:tau_s=0.05").unwrap();
-        });
-        assert_eq!(belief, None);
     }
 
     #[test]

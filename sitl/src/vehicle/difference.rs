@@ -1,0 +1,92 @@
+//! Where two vehicles differ.
+
+use serde::Serialize;
+
+use super::VehicleParams;
+
+/// Where two vehicles differ.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field} is {other} there and {this} in the vehicle at hand")]
+pub struct Difference {
+    /// The field, by its name in vehicle files.
+    pub field: &'static str,
+    /// Its value in this vehicle, as its file has it.
+    pub this: String,
+    /// And in the other.
+    pub other: String,
+}
+
+impl Difference {
+    fn of<T: PartialEq + Serialize>(field: &'static str, this: &T, other: &T) -> Option<Self> {
+        let told = |value: &T| match serde_json::to_value(value) {
+            Ok(serde_json::Value::Null) => "not given".to_owned(),
+            Ok(value) => value.to_string(),
+            Err(error) => format!("what no file can hold ({error})"),
+        };
+        (this != other).then(|| Self { field, this: told(this), other: told(other) })
+    }
+}
+
+impl VehicleParams {
+    /// The first of the numbers by which vehicles are told apart that differs from `other`'s: the
+    /// body, the rotors, the on-board law, the pack, what the motor outputs mean, and gravity. What
+    /// is only believed of one and the same vehicle does not count: names and notes, lag and delay,
+    /// the hover thrust, the air's density, and the modelled effects, which a diagnosis adds to.
+    pub fn difference(&self, other: &Self) -> Option<Difference> {
+        let (a, b) = (self, other);
+        let drag = [a, b].map(|v| v.linear_drag_n_per_m_s);
+        let damping = [a, b].map(|v| v.angular_damping_nms);
+        [
+            Difference::of("mass", &a.mass, &b.mass),
+            Difference::of("inertia", &a.inertia, &b.inertia),
+            Difference::of("rotors", &a.rotors, &b.rotors),
+            Difference::of("attitude_pd", &a.attitude_pd, &b.attitude_pd),
+            Difference::of("battery", &a.battery, &b.battery),
+            Difference::of("gravity", &a.gravity, &b.gravity),
+            Difference::of("rotor_radius_m", &a.rotor_radius_m, &b.rotor_radius_m),
+            Difference::of("rotor_max_rpm", &a.rotor_max_rpm, &b.rotor_max_rpm),
+            Difference::of("motor_output", &a.motor_output, &b.motor_output),
+            Difference::of("linear_drag_N_per_m_s", &drag[0], &drag[1]),
+            Difference::of("angular_damping_Nms", &damping[0], &damping[1]),
+        ]
+        .into_iter()
+        .flatten()
+        .next()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::vehicle::VehicleParams;
+    use crate::vehicle::tests::quad;
+
+    #[test]
+    fn vehicles_differ_by_what_they_are_and_not_by_what_is_believed_of_them() {
+        let difference = |change: &dyn Fn(&mut VehicleParams)| {
+            let mut other = quad();
+            change(&mut other);
+            quad().difference(&other).map(|difference| difference.field)
+        };
+        assert_eq!(difference(&|v| v.gravity = 1.62), Some("gravity"));
+        assert_eq!(difference(&|v| v.mass = 1.3), Some("mass"));
+        assert_eq!(difference(&|v| v.rotors[1].spin = 1), Some("rotors"));
+        assert_eq!(difference(&|v| v.rotor_max_rpm = None), Some("rotor_max_rpm"));
+        let drag = difference(&|v| v.linear_drag_n_per_m_s = Some(0.1));
+        assert_eq!(drag, Some("linear_drag_N_per_m_s"));
+        let belief = difference(&|v| {
+            v.name.push('2');
+            v.command_delay_s = 0.02;
+            v.modelled_effects.insert_argument("motor_lag:tau_s=0.05").unwrap();
+        });
+        assert_eq!(belief, None);
+    }
+
+    #[test]
+    fn a_difference_is_told_as_files_have_it() {
+        let mut other = quad();
+        other.rotor_max_rpm = None;
+        let difference = quad().difference(&other).map(|difference| difference.to_string());
+        let told = "rotor_max_rpm is not given there and 9000.0 in the vehicle at hand";
+        assert_eq!(difference.as_deref(), Some(told));
+    }
+}
