@@ -48,6 +48,8 @@ pub struct Layout {
     pub blocks: Vec<usize>,
     /// Of each channel, the frequency up to which it is looked at; 0 where the log lacks it, Hz.
     limits: [f64; CHANNELS],
+    /// Whether equations are compared with rest, which is believed, and not with what was read.
+    pub(super) is_at_rest: bool,
 }
 
 impl Layout {
@@ -79,12 +81,13 @@ impl Layout {
             let rates = [flight.attitude.rate(), flight.body_rate.rate()];
             group(COMMAND, 4, limit(&rates).min(COMMAND_MAX_HZ));
         }
-        if !channels.attitude && channels.velocity && !channels.body_rate {
+        let is_at_rest = !channels.attitude && channels.velocity && !channels.body_rate;
+        if is_at_rest {
             // Position and outputs alone: hovering on average, it neither climbs nor turns.
             limits[VELOCITY + 2] = LEVEL_MAX_HZ;
             limits[RATE..RATE + 3].fill(LEVEL_MAX_HZ);
         }
-        let mut layout = Self { places: Vec::new(), blocks: vec![0], limits };
+        let mut layout = Self { places: Vec::new(), blocks: vec![0], limits, is_at_rest };
         for block in &flight.blocks {
             for channel in 0..CHANNELS {
                 for index in layout.used(channel, block) {

@@ -88,15 +88,12 @@ impl<'a> Observed<'a> {
                 }
             }
         }
-        // Without a pose equations are compared with rest, not with a reading: what brings a mean to
-        // rest to the last digit is no evidence by however much it is bounded, and has no fit there.
-        let is_posed = |flight: &PreparedFlight| {
-            flight.channels.attitude && (flight.channels.velocity || flight.channels.body_rate)
-        };
-        let deviation = if flights.iter().all(is_posed) {
-            least_left(&catalogue.vehicle)
-        } else {
+        // How near a mean is to rest does not bound it: numbers that bring it there to the last digit
+        // explain nothing that was read, and their fit is to fail.
+        let deviation = if layouts.iter().any(|layout| layout.is_at_rest) {
             [0.0; CHANNELS]
+        } else {
+            least_left(&catalogue.vehicle)
         };
         let least = (0..Place::COUNT)
             .map(|place| counts[place] * deviation[place / BANDS.len()].powi(2))
