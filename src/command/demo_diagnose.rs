@@ -29,7 +29,7 @@ use super::{
 use crate::cli::{CollectArgs, DemoArgs, SimulationArgs};
 use crate::config::Config;
 use crate::diagnose::answer::Answer;
-use crate::diagnose::gap::Simulator;
+use crate::diagnose::gap::{Floor, Simulator};
 use crate::diagnose::hypothesis::Catalogue;
 use crate::diagnose::next_flight::typical;
 use crate::diagnose::noise::ReportNoise;
@@ -337,7 +337,7 @@ impl Loop<'_> {
             noise,
             self.args.seed,
         ));
-        Ok(errors.map(|((before, after), floor)| RepairedGap {
+        Ok(errors.map(|((before, after), Floor { errors: floor, .. })| RepairedGap {
             before: before.mean_over(&floor),
             after: after.mean_over(&floor),
             floor: floor.mean_over(&floor),

@@ -6,7 +6,7 @@ use serde::Serialize;
 use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
 use super::audit::{Audit, Severity, Tier, Untestable};
-use super::gap::Errors;
+use super::gap::{Errors, OverNoise};
 use super::hypothesis::Catalogue;
 use super::judgement::{Balance, Unexplained};
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
@@ -176,6 +176,8 @@ pub struct Gap {
     pub after: f64,
     /// What noise alone leaves.
     pub floor: f64,
+    /// By how much noise alone scatters what it leaves.
+    pub scatter: f64,
     /// (before - after) / (before - floor), where there is a gap.
     pub closure: Option<f64>,
     /// With the nuisances within their tolerances alone.
@@ -251,20 +253,20 @@ pub struct FlightAnswer {
     pub seconds: f64,
     /// What its log holds.
     pub channels: Channels,
-    /// The gap of the simulator as shipped on this flight alone, in units of what noise alone leaves
-    /// (metric `mean`); missing where no window can start.
-    pub gap: Option<f64>,
+    /// The gap of the simulator as shipped on this flight alone; missing where no window can start.
+    #[serde(flatten)]
+    pub over_noise: Option<OverNoise>,
 }
 
 impl FlightAnswer {
     /// Every flight of a case, with the gap of each as `gap` has it.
-    pub fn all(case: &Case<'_>, gap: impl Fn(&PreparedFlight) -> Option<f64>) -> Vec<Self> {
+    pub fn all(case: &Case<'_>, gap: impl Fn(&PreparedFlight) -> Option<OverNoise>) -> Vec<Self> {
         let of = |flight: &PreparedFlight, held_out: bool| Self {
             name: flight.name.clone(),
             held_out,
             seconds: flight.seconds(),
             channels: flight.channels,
-            gap: gap(flight),
+            over_noise: gap(flight),
         };
         let fitted = case.fitted.iter().map(|flight| of(flight, false));
         fitted.chain(case.held_out.iter().map(|flight| of(flight, true))).collect()

@@ -18,7 +18,7 @@ use sitl::rigid_body::State;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::learner::Learner;
-use super::noise::{ReportNoise, normals, small_rotation};
+use super::noise::{ReportNoise, gyro_bias, normals, small_rotation};
 use super::onboard::{JITTER_MEAN_S, setpoint_at};
 use super::preparation::PreparedFlight;
 use super::setpoints::as_flown;
@@ -56,6 +56,28 @@ impl Errors {
         }
         sum / 6.0
     }
+}
+
+/// What noise alone leaves of predictions.
+#[derive(Clone, Copy, Debug)]
+pub struct Floor {
+    /// Root mean squares over windows and draws of the noise.
+    pub errors: Errors,
+    /// By how much the metric `mean` of one draw scatters about 1: where the body turns fast, a few
+    /// windows are most of it.
+    pub scatter: f64,
+}
+
+/// Draws of the noise over flights.
+const FLOOR_DRAWS: u64 = 4;
+
+/// The metric `mean` in units of what noise alone leaves.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct OverNoise {
+    /// The metric.
+    pub gap: f64,
+    /// By how much noise alone scatters it.
+    pub scatter: f64,
 }
 
 /// A simulator: the vehicle file with effects put over it.
@@ -173,7 +195,8 @@ impl Simulator {
                             // Jitter is a part of the delay.
                             sent -= noise.lateness().max(-self.command_delay);
                         }
-                        let setpoints = sensed.as_ref().map_or(&flight.setpoint, |s| s.setpoints);
+                        let setpoints =
+                            sensed.as_ref().map_or(&flight.setpoint, |s| &s.draw.setpoints);
                         let asked = setpoint_at(setpoints, sent)?;
                         outputs = Some(law.outputs(&asked, attitude.euler(), rate));
                     }
@@ -244,70 +267,112 @@ impl Simulator {
 
     /// The errors that noise alone leaves: predictions from noisy starts, compared with noisy
     /// reports of what the same simulator does from the start as it was, its on-board loop flying
-    /// with the sensors' noise and the link's jitter.
+    /// with the sensors' noise, the gyro's bias and the link's jitter.
     pub fn floor(
         &self,
         flights: &[PreparedFlight],
         noise: &ReportNoise,
         seed: u64,
-    ) -> Option<Errors> {
-        let flown: Vec<_> =
-            flights.iter().map(|f| as_flown(&f.setpoint, &f.inferred, seed)).collect();
-        root_mean_square(&windows(flights, |index, start| {
-            let flight = &flights[index];
-            let mut rng = Pcg64Mcg::seed_from_u64(seed ^ start.to_bits());
-            let truth = reported(flight, start, self.latency);
-            let sensed = LoopNoise::new(noise, &flown[index], rng.random());
-            let ends = self.predict(flight, start, &truth, Some(sensed))?;
-            let read = |time: f64| noise.read_at(flight, time, self.latency);
-            let begun = read(start).applied(&truth, &mut rng);
-            let predicted = self.predict(flight, start, &begun, None)?;
-            Some(std::array::from_fn(|h| {
-                let there = read(start + HORIZONS_S[h]).applied(&ends[h], &mut rng);
-                distance(&there, &predicted[h])
-            }))
+    ) -> Option<Floor> {
+        let draws: Vec<_> = (0..FLOOR_DRAWS)
+            .map(|draw| {
+                let seed = seed.wrapping_add(draw << 32);
+                let draw = |flight| NoiseDraw::new(noise, flight, seed);
+                let draws: Vec<NoiseDraw<'_>> = flights.iter().map(draw).collect();
+                windows(flights, |index, start| {
+                    self.by_noise(&flights[index], start, &draws[index])
+                })
+            })
+            .collect();
+        let errors = root_mean_square(draws.iter().flatten())?;
+        let of_one = draws.iter().filter_map(root_mean_square);
+        let squares = of_one.map(|draw| (draw.mean_over(&errors) - 1.0).powi(2));
+        let scatter = (squares.sum::<f64>() / (FLOOR_DRAWS - 1) as f64).sqrt();
+        Some(Floor { errors, scatter })
+    }
+
+    /// The errors that noise alone leaves in the window of `flight` from `start`.
+    fn by_noise(
+        &self,
+        flight: &PreparedFlight,
+        start: f64,
+        draw: &NoiseDraw<'_>,
+    ) -> Option<[[f64; 4]; 3]> {
+        let mut rng = Pcg64Mcg::seed_from_u64(draw.seed ^ start.to_bits());
+        let bias = draw.gyro_bias;
+        let truth = turned_by(-bias, reported(flight, start, self.latency));
+        let sensed = LoopNoise::new(draw, rng.random());
+        let ends = self.predict(flight, start, &truth, Some(sensed))?;
+        let mut report = |time: f64, state: &State| {
+            let noise = draw.noise.read_at(flight, time, self.latency);
+            turned_by(bias, noise.applied(state, &mut rng))
+        };
+        let predicted = self.predict(flight, start, &report(start, &truth), None)?;
+        Some(std::array::from_fn(|h| {
+            distance(&report(start + HORIZONS_S[h], &ends[h]), &predicted[h])
         }))
     }
 
-    /// The metric `mean` on one flight, in units of what noise alone leaves; `None` without a window.
-    pub fn gap(&self, flight: &PreparedFlight, noise: &ReportNoise, seed: u64) -> Option<f64> {
+    /// The metric `mean` on one flight; `None` without a window.
+    pub fn gap(
+        &self,
+        flight: &PreparedFlight,
+        noise: &ReportNoise,
+        seed: u64,
+    ) -> Option<OverNoise> {
         let flight = std::slice::from_ref(flight);
-        Some(self.errors(flight)?.mean_over(&self.floor(flight, noise, seed)?))
+        let Floor { errors, scatter } = self.floor(flight, noise, seed)?;
+        Some(OverNoise { gap: self.errors(flight)?.mean_over(&errors), scatter })
+    }
+}
+
+/// A flight as it is under one draw of its noise.
+struct NoiseDraw<'a> {
+    noise: &'a ReportNoise,
+    /// What the gyro shows beyond the body rate.
+    gyro_bias: Frd,
+    /// The setpoints with a draw of those that the log lacks.
+    setpoints: Stream<AttitudeSetpoint>,
+    seed: u64,
+}
+
+impl<'a> NoiseDraw<'a> {
+    fn new(noise: &'a ReportNoise, flight: &PreparedFlight, seed: u64) -> Self {
+        let setpoints = as_flown(&flight.setpoint, &flight.inferred, seed);
+        Self { noise, gyro_bias: gyro_bias(flight), setpoints, seed }
     }
 }
 
 /// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the log
 /// lacks.
 struct LoopNoise<'a> {
-    setpoints: &'a Stream<AttitudeSetpoint>,
-    attitude: f64,
-    body_rate: f64,
+    draw: &'a NoiseDraw<'a>,
     /// The attitude's present error about each axis, rad.
-    error: [f64; 3],
+    attitude: [f64; 3],
     rng: Pcg64Mcg,
 }
 
 impl<'a> LoopNoise<'a> {
-    fn new(noise: &ReportNoise, setpoints: &'a Stream<AttitudeSetpoint>, seed: u64) -> Self {
+    fn new(draw: &'a NoiseDraw<'a>, seed: u64) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
-        let error = normals(&mut rng).map(|z| noise.attitude * z);
-        let ReportNoise { attitude, body_rate, .. } = *noise;
-        Self { setpoints, attitude, body_rate, error, rng }
+        let attitude = normals(&mut rng).map(|z| draw.noise.attitude * z);
+        Self { draw, attitude, rng }
     }
 
     /// The attitude's error `elapsed` seconds after the last one.
     fn attitude_error(&mut self, elapsed: f64) -> Attitude {
         let decay = (-elapsed / ATTITUDE_CORRELATION_S).exp();
-        let fresh = self.attitude * (1.0 - decay * decay).sqrt();
-        for (error, z) in self.error.iter_mut().zip(normals(&mut self.rng)) {
+        let fresh = self.draw.noise.attitude * (1.0 - decay * decay).sqrt();
+        for (error, z) in self.attitude.iter_mut().zip(normals::<3>(&mut self.rng)) {
             *error = decay * *error + fresh * z;
         }
-        small_rotation(self.error)
+        small_rotation(self.attitude)
     }
 
     /// The gyro's, rad/s.
     fn gyro_error(&mut self) -> Frd {
-        normals(&mut self.rng).map(|z| self.body_rate * z).into()
+        let deviation = self.draw.noise.body_rate;
+        self.draw.gyro_bias + Frd::from(normals(&mut self.rng).map(|z| deviation * z))
     }
 
     /// How much longer than on average the setpoint in force has been under way, s.
@@ -326,6 +391,11 @@ fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
         attitude: Attitude { w, x, y, z }.normalized(),
         body_rate: flight.body_rate.at(time - latency).into(),
     }
+}
+
+/// `state` with a body rate that is larger by `rate`.
+fn turned_by(rate: Frd, state: State) -> State {
+    State { body_rate: state.body_rate + rate, ..state }
 }
 
 fn distance(a: &State, b: &State) -> [f64; 4] {
@@ -370,11 +440,11 @@ fn windows(
         .collect()
 }
 
-fn root_mean_square(errors: &[[[f64; 4]; 3]]) -> Option<Errors> {
+fn root_mean_square<'a>(errors: impl IntoIterator<Item = &'a [[f64; 4]; 3]>) -> Option<Errors> {
     let finite = |e: &&[[f64; 4]; 3]| e.iter().flatten().all(|x| x.is_finite());
     let mut sums = [[0.0; 4]; 3];
     let mut count = 0.0;
-    for error in errors.iter().filter(finite) {
+    for error in errors.into_iter().filter(finite) {
         count += 1.0;
         for (sums, error) in sums.iter_mut().zip(error) {
             for (sum, error) in sums.iter_mut().zip(error) {

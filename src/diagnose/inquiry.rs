@@ -12,7 +12,7 @@ use super::answer::{
 use super::arrival::Delay;
 use super::audit::{is_flat, voltage_range};
 use super::fit::Fit;
-use super::gap::{Errors, Simulator};
+use super::gap::{Errors, Floor, Simulator};
 use super::hypothesis::Catalogue;
 use super::judgement::{
     Balance, Leftover, SIGNIFICANCE, Unexplained, explained, is_neighbour, is_open, is_open_on_one,
@@ -142,11 +142,9 @@ impl<'a> Inquiry<'a> {
             twins = Some(screened);
             of_null = Some(drawn);
         }
-        selector.floor = self.simulator(&EffectSet::new())?.guided().floor(
-            self.case.fitted,
-            &noise,
-            settings.seed,
-        );
+        let shipped = self.simulator(&EffectSet::new())?.guided();
+        selector.floor =
+            shipped.floor(self.case.fitted, &noise, settings.seed).map(|floor| floor.errors);
         progress("which effect");
         let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
         // Within a tick of the loop a fit finds any delay, and the outputs tell about as much: which
@@ -270,7 +268,7 @@ impl<'a> Inquiry<'a> {
         let nuisances = with_all(&selection.null)?;
         let everything = with_all(&selection.best)?;
         let floor = repaired.floor(held_out, &noise, self.settings.seed);
-        let (Some(floor), Some(before), Some(after)) =
+        let (Some(Floor { errors: floor, scatter }), Some(before), Some(after)) =
             (floor, shipped.errors(held_out), repaired.errors(held_out))
         else {
             return Ok(None);
@@ -284,6 +282,7 @@ impl<'a> Inquiry<'a> {
             before: b,
             after: a,
             floor: f,
+            scatter,
             closure: (b - f > 0.05).then(|| (b - a) / (b - f)),
             nuisances_only: mean(&nuisances),
             with_nuisances: mean(&everything),

@@ -133,12 +133,13 @@ pub fn is_neighbour(misfits: &[Misfit]) -> bool {
 }
 
 /// A gap on the flights held out that is worth an explanation, in units of the noise: predictions of
-/// vehicles without one mostly stay within a fifth of what noise alone leaves; of three hundred of an exam
-/// four lay above 1.3, one above 1.4.
-const GAP_MIN: f64 = 1.38;
-/// The same of the worst of all flights by themselves: of four hundred flights of a hundred vehicles
-/// without a gap none lay above 1.41.
-const GAP_MIN_OF_ONE: f64 = 1.48;
+/// vehicles without one mostly stay within a tenth of what noise alone leaves; of three hundred of an
+/// exam none lay above 1.16 but one whose noise scatters.
+const GAP_MIN: f64 = 1.15;
+/// The same of the worst of all flights by themselves: of 1200 flights of those none lay above 1.28.
+const GAP_MIN_OF_ONE: f64 = 1.22;
+/// Beyond it, in units of the scatter by noise alone.
+const GAP_SCATTERS: f64 = 4.0;
 /// Share of a gap that effects must close to be its explanation.
 const CLOSED_MIN: f64 = 0.5;
 
@@ -146,16 +147,18 @@ const CLOSED_MIN: f64 = 0.5;
 /// well. Where no effect is found, the gap is as open as it was: nuisances that would close it are
 /// numbers of the file that are off, though by no more than files are, and no explanation.
 pub fn is_open(gap: &Gap, found: bool) -> bool {
+    let least = GAP_MIN + GAP_SCATTERS * gap.scatter;
     if !found {
-        return gap.before > GAP_MIN * gap.floor;
+        return gap.before > least * gap.floor;
     }
-    gap.open() > GAP_MIN && gap.closure.unwrap_or(0.0) < CLOSED_MIN
+    gap.open() > least && gap.closure.unwrap_or(0.0) < CLOSED_MIN
 }
 
 /// Whether the simulator as shipped leaves an open gap on any one of the flights: where nothing was
 /// fitted, those of the fit may show it as well.
 pub fn is_open_on_one(flights: &[FlightAnswer]) -> bool {
-    flights.iter().filter_map(|flight| flight.gap).any(|gap| gap > GAP_MIN_OF_ONE)
+    let mut gaps = flights.iter().filter_map(|flight| flight.over_noise);
+    gaps.any(|over| over.gap > GAP_MIN_OF_ONE + GAP_SCATTERS * over.scatter)
 }
 
 /// Mean square that the chosen effects explain and the nuisances do not: of the acceleration,

@@ -102,6 +102,32 @@ pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -
     }
 }
 
+/// What the gyro shows on average beyond how the attitude turns, rad/s; nothing where either is not
+/// logged.
+pub(super) fn gyro_bias(flight: &PreparedFlight) -> Frd {
+    if !(flight.channels.attitude && flight.channels.body_rate) {
+        return Frd::zero();
+    }
+    let (mut sum, mut count) = (Frd::zero(), 0.0);
+    for block in &flight.blocks {
+        let (mut attitude, mut body_rate) = (flight.attitude.cursor(), flight.body_rate.cursor());
+        let mut read = |time: f64| {
+            let [w, x, y, z] = attitude.at(time);
+            (Attitude { w, x, y, z }.normalized(), Frd::from(body_rate.at(time)))
+        };
+        let mut before = read(block.start);
+        for k in 0..block.cells {
+            let after = read(block.edge(k + 1));
+            let turn = before.0.inverse().compose(after.0).canonical();
+            let turn = Frd::new(turn.x, turn.y, turn.z) * (2.0 / CELL_S);
+            sum += (before.1 + after.1) * 0.5 - turn;
+            count += 1.0;
+            before = after;
+        }
+    }
+    sum * (1.0 / f64::max(count, 1.0))
+}
+
 /// Power gain of the increment over a cell at a frequency, 1/s^2.
 fn increment_gain(frequency_hz: f64) -> f64 {
     (2.0 * (std::f64::consts::PI * frequency_hz * CELL_S).sin() / CELL_S).powi(2)
@@ -191,7 +217,7 @@ pub(super) fn small_rotation([roll, pitch, yaw]: [f64; 3]) -> Attitude {
     Euler { roll, pitch, yaw }.attitude()
 }
 
-/// Three draws of the standard normal distribution.
-pub(super) fn normals(rng: &mut Pcg64Mcg) -> [f64; 3] {
+/// Draws of the standard normal distribution.
+pub(super) fn normals<const N: usize>(rng: &mut Pcg64Mcg) -> [f64; N] {
     std::array::from_fn(|_| StandardNormal.sample(rng))
 }

@@ -121,7 +121,12 @@ pub fn diagnose(
     // What nuisances alone cannot bear may be an effect within its usual tolerance.
     let may_be_small = matches!(
         tolerant.answer.finding.because,
-        None | Some(Unexplained::OpenOnOne | Unexplained::Misfit | Unexplained::Strain)
+        None | Some(
+            Unexplained::OpenGap
+                | Unexplained::OpenOnOne
+                | Unexplained::Misfit
+                | Unexplained::Strain
+        )
     );
     let is_more = may_be_small
         && tolerant.answer.named().all(|old| strict.answer.named().any(|new| new.id == old.id));

@@ -2,14 +2,15 @@
 //!
 //! A thinned log lacks setpoints that the vehicle followed. Where the numbers of their frames tell
 //! that they were, they are put on the line between their neighbours, from which each lay off by the
-//! noise that feedback puts into setpoints, its own and the neighbours': replicas follow such ones, and log the line as well. When
-//! each was sent, the others tell: a ground sends at a period, and now and then a little late.
+//! noise that feedback puts into setpoints, its own and the neighbours': replicas follow such ones, and
+//! log the line as well. When each was sent, the others tell: a ground sends at a period, and now and
+//! then a little late.
 
 use rand::{Rng, SeedableRng};
-use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use sitl::frame::{Attitude, Frd};
 
+use super::noise::normals;
 use super::series::median;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
@@ -217,7 +218,7 @@ pub(super) fn as_flown(
     // What is off the middle of two has its own noise and the mean of theirs.
     let noise = scatter.map(|scatter| scatter / 1.5_f64.sqrt());
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let mut noise_before = normals(&mut rng);
+    let mut noise_before: [f64; NUMBERS] = normals(&mut rng);
     let mut flown = Stream::default();
     if let Some(first) = logged.first() {
         flown.push(times[*first], line[*first]);
@@ -242,11 +243,11 @@ pub(super) fn as_flown(
         // Between those around, in their order.
         let room = APART_MIN * (times[b] - times[a]) / (b - a) as f64;
         let mut last = times[a];
-        let noise_after = normals(&mut rng);
+        let noise_after: [f64; NUMBERS] = normals(&mut rng);
         for index in a + 1..b {
             let share = (index - a) as f64 / (b - a) as f64;
             let jumped = if share > at { 1.0 } else { 0.0 };
-            let own = normals(&mut rng);
+            let own: [f64; NUMBERS] = normals(&mut rng);
             let off = std::array::from_fn(|i| {
                 let of_line = (1.0 - share) * noise_before[i] + share * noise_after[i];
                 noise[i] * (own[i] - of_line) + (jumped - share) * jump[i]
@@ -260,10 +261,6 @@ pub(super) fn as_flown(
         noise_before = noise_after;
     }
     flown
-}
-
-fn normals(rng: &mut Pcg64Mcg) -> [f64; NUMBERS] {
-    std::array::from_fn(|_| StandardNormal.sample(rng))
 }
 
 /// Numbers of a setpoint: a small rotation [rad], the body rate [rad/s], the thrust.
@@ -310,6 +307,8 @@ fn scatter(times: &[f64], setpoints: &[AttitudeSetpoint], logged: &[usize]) -> [
 
 #[cfg(test)]
 mod tests {
+    use rand_distr::{Distribution, StandardNormal};
+
     use super::*;
     use rand::SeedableRng;
     use sitl::frame::Euler;
@@ -428,7 +427,9 @@ mod tests {
         for (k, quantile) in inferred.lateness().iter().enumerate() {
             let share = (k as f64 + 0.5) / LATENESS as f64;
             let expected = -1e-3 * (1.0 - share).ln() - 1e-3;
-            assert!((quantile - expected).abs() < 3e-4, "{k}: {quantile} for {expected}");
+            // The last ones are of few.
+            let close = if share < 0.9 { 1.5e-4 } else { 3e-4 };
+            assert!((quantile - expected).abs() < close, "{k}: {quantile} for {expected}");
         }
     }
 

@@ -61,7 +61,7 @@ fn unknown(answer: &Answer) -> String {
             )
         }),
         Some(Unexplained::OpenOnOne) => {
-            let flights = answer.flights.iter().filter_map(|f| Some((f.gap?, &f.name)));
+            let flights = answer.flights.iter().filter_map(|f| Some((f.over_noise?.gap, &f.name)));
             let worst = flights.max_by(|a, b| a.0.total_cmp(&b.0));
             worst.map(|(gap, name)| {
                 format!("{name} is predicted to {gap:.2} times what noise alone leaves")

@@ -26,7 +26,7 @@ pub fn closure(
     let simulator = |effects: &EffectSet| Simulator::new(nominal, effects, leg);
     let best = simulator(truth)?;
     let Some(floor) = best.floor(held_out, noise, 1) else { return Ok(None) };
-    let mean = |simulator: &Simulator| Some(simulator.errors(held_out)?.mean_over(&floor));
+    let mean = |simulator: &Simulator| Some(simulator.errors(held_out)?.mean_over(&floor.errors));
     let (Some(least), Some(before), Some(after)) =
         (mean(&best), mean(&simulator(&EffectSet::new())?), mean(&simulator(answer)?))
     else {

@@ -351,7 +351,7 @@ fn provenance(answer: &Answer) -> String {
                 flight.name.clone(),
                 part.to_owned(),
                 format!("{:.1}", flight.seconds),
-                flight.gap.map_or_else(|| "-".to_owned(), |gap| format!("{gap:.2}")),
+                flight.over_noise.map_or_else(|| "-".to_owned(), |over| format!("{:.2}", over.gap)),
                 holds.join(", "),
             ],
         );
