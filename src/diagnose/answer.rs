@@ -50,6 +50,9 @@ impl Verdict {
 pub enum FullVerdict {
     /// Effects of the catalogue, and no others in their place.
     Named,
+    /// An effect of the catalogue, by another law than the catalogue's: it is told by the evidence that
+    /// no other effect touches, and the gap stays open.
+    OtherLaw,
     /// One of several effects: these flights do not tell which.
     Ambiguous,
     /// Nothing beyond noise and tolerances, and these flights would have shown it.

@@ -22,7 +22,7 @@ use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
-use super::naming::{THRUST_LEVEL, as_good, class, credence, named_effects, single};
+use super::naming::{THRUST_LEVEL, alone, as_good, class, credence, named_effects, share, single};
 use super::noise::{ReportNoise, report_noise};
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
@@ -36,10 +36,11 @@ use super::twins::{TwinFits, Twins, screened};
 
 /// Twins of the best explanation, against which what it leaves is compared.
 const TWINS_OF_BEST: u32 = 16;
-/// Share of its probability that the one of them keeps that is named, where nothing tells them apart.
-const LEVEL_SHARE: f64 = 0.6;
 /// Probability of gusts where what is left looks like turbulence: other forces may.
 const GUSTS_PROBABILITY: f64 = 0.8;
+/// Probability of an effect that alone explains anything, where nothing closes the gap: of eight such in
+/// the exams so far all were true.
+const OTHER_LAW_PROBABILITY: f64 = 0.7;
 /// Probability of an effect that leaves a trace, though what it changes is below the noise of the
 /// predictions. In two exams two of three such were true; it is not named for all that.
 const TRACE_PROBABILITY: f64 = 0.45;
@@ -99,6 +100,8 @@ pub(super) struct Judgement {
     pub because: Option<Unexplained>,
     /// Gusts, where what is left looks like turbulence.
     pub turbulence: Option<Slots>,
+    /// The effect that acts by another law than the catalogue's, where nothing closes the gap.
+    pub by_another_law: Option<EffectId>,
     /// The probability that what was chosen holds the cause, as far as what it leaves tells.
     pub credence: f64,
 }
@@ -350,12 +353,18 @@ impl<'a> Inquiry<'a> {
         } else {
             None
         };
+        let is_unclosed = matches!(because, Some(Unexplained::OpenGap | Unexplained::OpenOnOne));
+        let chosen = search.named(self.catalogue);
+        let by_another_law = alone(self.catalogue, &search.selection, &search.thresholds)
+            .filter(|alone| is_unclosed && chosen.iter().all(|effect| effect == alone));
+        let because = because.filter(|_| by_another_law.is_none());
+        let names = found || turbulence.is_some() || by_another_law.is_some();
         let verdict = match because {
             Some(_) => Verdict::Unknown,
-            None if found || turbulence.is_some() => Verdict::Effect,
+            None if names => Verdict::Effect,
             None => Verdict::None,
         };
-        Judgement { verdict, because, turbulence, credence }
+        Judgement { verdict, because, turbulence, by_another_law, credence }
     }
 
     /// The named effects, gusts among them if there is turbulence, and what they cannot be told from.
@@ -366,6 +375,10 @@ impl<'a> Inquiry<'a> {
         not_testable: &[NotTestable],
         judgement: &Judgement,
     ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
+        if let Some(effect) = judgement.by_another_law {
+            let law = single(self.catalogue, &search.selection, effect, OTHER_LAW_PROBABILITY);
+            return (law.into_iter().collect(), Vec::new());
+        }
         let named = search.named(self.catalogue);
         let (mut answers, mut ambiguous) =
             named_effects(self.catalogue, &search.selection, judgement.credence);
@@ -415,11 +428,14 @@ impl<'a> Inquiry<'a> {
     pub fn full_verdict(
         &self,
         search: &Search,
-        verdict: Verdict,
+        judgement: &Judgement,
         is_ambiguous: bool,
     ) -> Result<(FullVerdict, Vec<String>), DiagnoseError> {
-        Ok(match verdict {
+        Ok(match judgement.verdict {
             Verdict::None => (FullVerdict::None, Vec::new()),
+            Verdict::Effect if judgement.by_another_law.is_some() => {
+                (FullVerdict::OtherLaw, Vec::new())
+            }
             Verdict::Effect if is_ambiguous => (FullVerdict::Ambiguous, Vec::new()),
             Verdict::Effect => (FullVerdict::Named, Vec::new()),
             Verdict::Unknown => {
@@ -433,33 +449,6 @@ impl<'a> Inquiry<'a> {
             }
         })
     }
-}
-
-/// Gives a part of the probability of what changes the thrust's level to `others`, which change it as
-/// well. The answers stay in order, the most probable first.
-fn share(
-    answers: &mut Vec<EffectAnswer>,
-    catalogue: &Catalogue,
-    selection: &Selection,
-    others: &[EffectId],
-) {
-    let is_level = |answer: &EffectAnswer| {
-        let id = EffectId::ALL.into_iter().find(|effect| effect.name() == answer.id);
-        id.is_some_and(|id| THRUST_LEVEL.contains(&class(id)))
-    };
-    let Some(most) = answers.iter_mut().find(|answer| is_level(answer)) else { return };
-    let given = (1.0 - LEVEL_SHARE) * most.probability / others.len().max(1) as f64;
-    if !others.is_empty() {
-        most.probability *= LEVEL_SHARE;
-    }
-    for effect in others {
-        if let Some(answer) = answers.iter_mut().find(|answer| answer.id == effect.name()) {
-            answer.probability += given;
-        } else if let Some(answer) = single(catalogue, selection, *effect, given) {
-            answers.push(answer);
-        }
-    }
-    answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
 }
 
 /// Whether the pack's voltage goes far enough, within flights or from one to the next, for sag to be

@@ -233,7 +233,7 @@ impl Grounds<'_> {
             Verdict::Unknown => (Vec::new(), Vec::new()),
         };
         let (full, depends_on) =
-            inquiry.full_verdict(&search, verdict, !ambiguous_with.is_empty())?;
+            inquiry.full_verdict(&search, &judgement, !ambiguous_with.is_empty())?;
         progress("flown again");
         let reported = gap.as_ref().map_or(search.noise, |gap| gap.noise);
         let (closed_loop, closed_loop_missing) = match reflight(case, &effects, &reported, settings)
@@ -263,7 +263,8 @@ impl Grounds<'_> {
             flights,
         };
         answer.finding.sentence = finding(&answer);
-        let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
+        let is_lawful = verdict == Verdict::Effect && judgement.by_another_law.is_none();
+        let effects = if is_lawful { effects } else { EffectSet::new() };
         let open = [live(&catalogue, selection, &answer), untested(&catalogue, &answer)];
         Ok(Diagnosis { answer, effects, open, setpoint_leg: leg, noise: reported })
     }

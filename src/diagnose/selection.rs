@@ -35,7 +35,7 @@ const NULL_GAIN_MIN: f64 = 1.0;
 
 /// Evidence from which on there is no doubt that something acts, nats, and the standard errors by
 /// which predictions must then be better.
-const BEYOND_DOUBT: f64 = 100.0;
+pub(super) const BEYOND_DOUBT: f64 = 100.0;
 const DEVIATIONS_MIN: f64 = 1.2;
 
 /// A fit with its score on the flights that were held out.
@@ -260,20 +260,8 @@ impl Selector<'_> {
         evidence > asked
             && (gain > self.thresholds.held_out || silent)
             && clear
-            && self.is_along_the_floor(&more.fit)
+            && is_along_the_floor(self.catalogue, &more.fit)
             && self.predicts_better(more, less)
-    }
-
-    /// A steady wind blows along the floor: one that clearly blows more downwards or upwards stands
-    /// for something else.
-    fn is_along_the_floor(&self, fit: &Fit) -> bool {
-        let blows = |h: &usize| self.hypothesis(*h).effect == EffectId::Wind;
-        let component = |slot: usize| {
-            let number = self.catalogue.number_of(EffectId::Wind, slot);
-            number.map_or([0.0, 0.0], |number| [fit.values[number], fit.deviation[number]])
-        };
-        let [[north, _], [east, _], [down, error]] = [0, 1, 2].map(component);
-        !fit.hypotheses.iter().any(blows) || down.abs() - 2.0 * error <= north.hypot(east)
     }
 
     /// Whether the effects of `more` make better predictions than those of `less`, by an amount
@@ -462,5 +450,36 @@ impl Selector<'_> {
                 self.fitted(about, &[a.hypothesis, b.hypothesis], &from)
             })
             .collect()
+    }
+}
+
+/// A steady wind blows along the floor: one that clearly blows more downwards or upwards stands for
+/// something else.
+pub(super) fn is_along_the_floor(catalogue: &Catalogue, fit: &Fit) -> bool {
+    let blows = |h: &usize| catalogue.hypotheses[*h].effect == EffectId::Wind;
+    if !fit.hypotheses.iter().any(blows) {
+        return true;
+    }
+    let component = |slot: usize| {
+        let number = catalogue.number_of(EffectId::Wind, slot);
+        number.map_or([0.0, 0.0], |number| [fit.values[number], fit.deviation[number]])
+    };
+    let [[north, _], [east, _], [down, error]] = [0, 1, 2].map(component);
+    down.abs() - 2.0 * error <= north.hypot(east)
+}
+
+#[cfg(test)]
+impl Scored {
+    /// Hypotheses of which only the evidence and the density are known.
+    pub(super) fn of(hypotheses: Vec<usize>, evidence: f64, density: Vec<f64>) -> Self {
+        let fit = Fit {
+            hypotheses,
+            values: Vec::new(),
+            deviation: Vec::new(),
+            evidence,
+            cost: 0.0,
+            power: Vec::new(),
+        };
+        Self { fit, evidence, density, windows: Default::default() }
     }
 }

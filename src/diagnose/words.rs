@@ -1,6 +1,6 @@
 //! The finding as a person would say it.
 
-use super::answer::{Answer, EffectAnswer, Gap, Parameter, Verdict};
+use super::answer::{Answer, EffectAnswer, FullVerdict, Gap, Parameter, Verdict};
 use super::judgement::{Balance, Unexplained};
 use super::misfit::{Misfit, share_left, standing_out};
 use super::next_flight::NextFlight;
@@ -119,6 +119,11 @@ fn effect(answer: &Answer) -> String {
     } else {
         format!("Found: {}.", named.join(", and "))
     };
+    if answer.finding.verdict == FullVerdict::OtherLaw {
+        return text
+            + " No other effect explains what it does, but the catalogue's law for it does not predict \
+               it: the gap stays open, and the vehicle file is left as it is.";
+    }
     if let Some(gap) = &answer.gap {
         text += &shrinks(gap);
     }
