@@ -338,6 +338,11 @@ impl Answer {
         self.effects.iter().filter(|effect| effect.probability >= NAMED)
     }
 
+    /// Whether effects were named that explain the gap.
+    pub fn explains(&self) -> bool {
+        matches!(self.finding.verdict, FullVerdict::Named | FullVerdict::Ambiguous)
+    }
+
     /// The answer where every log is at fault.
     pub fn data_fault(logs: Vec<LogAnswer>) -> Self {
         let reasons: Vec<String> = logs

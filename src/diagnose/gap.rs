@@ -277,8 +277,13 @@ impl Simulator {
         let draws: Vec<_> = (0..FLOOR_DRAWS)
             .map(|draw| {
                 let seed = seed.wrapping_add(draw << 32);
-                let draw = |flight| NoiseDraw::new(noise, flight, seed);
-                let draws: Vec<NoiseDraw<'_>> = flights.iter().map(draw).collect();
+                let draws: Vec<NoiseDraw<'_>> = (0_u64..)
+                    .zip(flights)
+                    .map(|(index, flight)| {
+                        let seed = seed.wrapping_add(index << 40);
+                        NoiseDraw::new(noise, flight, self.trim.inverse(), seed)
+                    })
+                    .collect();
                 windows(flights, |index, start| {
                     self.by_noise(&flights[index], start, &draws[index])
                 })
@@ -300,12 +305,12 @@ impl Simulator {
     ) -> Option<[[f64; 4]; 3]> {
         let mut rng = Pcg64Mcg::seed_from_u64(draw.seed ^ start.to_bits());
         let bias = draw.gyro_bias;
-        let truth = turned_by(-bias, reported(flight, start, self.latency));
+        let truth = turning_faster(-bias, reported(flight, start, self.latency));
         let sensed = LoopNoise::new(draw, rng.random());
         let ends = self.predict(flight, start, &truth, Some(sensed))?;
         let mut report = |time: f64, state: &State| {
             let noise = draw.noise.read_at(flight, time, self.latency);
-            turned_by(bias, noise.applied(state, &mut rng))
+            turning_faster(bias, noise.applied(state, &mut rng))
         };
         let predicted = self.predict(flight, start, &report(start, &truth), None)?;
         Some(std::array::from_fn(|h| {
@@ -337,9 +342,9 @@ struct NoiseDraw<'a> {
 }
 
 impl<'a> NoiseDraw<'a> {
-    fn new(noise: &'a ReportNoise, flight: &PreparedFlight, seed: u64) -> Self {
+    fn new(noise: &'a ReportNoise, flight: &PreparedFlight, untrim: Attitude, seed: u64) -> Self {
         let setpoints = as_flown(&flight.setpoint, &flight.inferred, seed);
-        Self { noise, gyro_bias: gyro_bias(flight), setpoints, seed }
+        Self { noise, gyro_bias: gyro_bias(flight, untrim), setpoints, seed }
     }
 }
 
@@ -394,7 +399,7 @@ fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
 }
 
 /// `state` with a body rate that is larger by `rate`.
-fn turned_by(rate: Frd, state: State) -> State {
+fn turning_faster(rate: Frd, state: State) -> State {
     State { body_rate: state.body_rate + rate, ..state }
 }
 

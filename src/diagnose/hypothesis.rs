@@ -45,7 +45,7 @@ const DAMPING_RATE: f64 = 0.1;
 /// What a number of a hypothesis stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// A slot of an effect. For rotor_loss: the scale of the given rotor.
+    /// A slot of an effect.
     Effect(EffectId, usize),
     /// Scale of one rotor, in rotor_loss.
     RotorScale(usize),

@@ -22,7 +22,9 @@ use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
-use super::naming::{THRUST_LEVEL, alone, as_good, class, credence, named_effects, share, single};
+use super::naming::{
+    THRUST_LEVEL, answer_of, as_good, class, credence, named_effects, share, single,
+};
 use super::noise::{ReportNoise, report_noise};
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
@@ -33,14 +35,15 @@ use super::selection::{Scored, Selection, Selector, Thresholds};
 use super::strain::{Strain, is_loop_held, level_in_place_of, strains};
 use super::turbulence::gusts;
 use super::twins::{TwinFits, Twins, screened};
+use super::unchosen::Unchosen;
 
 /// Twins of the best explanation, against which what it leaves is compared.
 const TWINS_OF_BEST: u32 = 16;
 /// Probability of gusts where what is left looks like turbulence: other forces may.
 const GUSTS_PROBABILITY: f64 = 0.8;
-/// Probability of an effect that alone explains anything, where nothing closes the gap: of eight such in
-/// the exams so far all were true.
-const OTHER_LAW_PROBABILITY: f64 = 0.7;
+/// Probability of an effect that was not chosen and that an open gap shows: of eight such in the exams
+/// so far all were true.
+const UNCHOSEN_PROBABILITY: f64 = 0.7;
 /// Probability of an effect that leaves a trace, though what it changes is below the noise of the
 /// predictions. In two exams two of three such were true; it is not named for all that.
 const TRACE_PROBABILITY: f64 = 0.45;
@@ -100,15 +103,22 @@ pub(super) struct Judgement {
     pub because: Option<Unexplained>,
     /// Gusts, where what is left looks like turbulence.
     pub turbulence: Option<Slots>,
-    /// The effect that acts by another law than the catalogue's, where nothing closes the gap.
-    pub by_another_law: Option<EffectId>,
+    /// What was not chosen and is named.
+    pub unchosen: Option<Unchosen>,
     /// The probability that what was chosen holds the cause, as far as what it leaves tells.
     pub credence: f64,
 }
 
+impl Judgement {
+    /// The judgement where `unchosen` acts.
+    pub fn naming(self, unchosen: Unchosen) -> Self {
+        Self { verdict: Verdict::Effect, because: None, unchosen: Some(unchosen), ..self }
+    }
+}
+
 impl<'a> Inquiry<'a> {
     /// Whether the leg from setpoints to outputs is looked at.
-    fn leg(&self) -> bool {
+    pub fn leg(&self) -> bool {
         self.onboard.is_some()
     }
 
@@ -252,7 +262,7 @@ impl<'a> Inquiry<'a> {
         }
     }
 
-    fn simulator(&self, effects: &EffectSet) -> Result<Simulator, VehicleError> {
+    pub fn simulator(&self, effects: &EffectSet) -> Result<Simulator, VehicleError> {
         Simulator::new(self.case.vehicle, effects, self.leg())
     }
 
@@ -353,18 +363,12 @@ impl<'a> Inquiry<'a> {
         } else {
             None
         };
-        let is_unclosed = matches!(because, Some(Unexplained::OpenGap | Unexplained::OpenOnOne));
-        let chosen = search.named(self.catalogue);
-        let by_another_law = alone(self.catalogue, &search.selection, &search.thresholds)
-            .filter(|alone| is_unclosed && chosen.iter().all(|effect| effect == alone));
-        let because = because.filter(|_| by_another_law.is_none());
-        let names = found || turbulence.is_some() || by_another_law.is_some();
         let verdict = match because {
             Some(_) => Verdict::Unknown,
-            None if names => Verdict::Effect,
+            None if found || turbulence.is_some() => Verdict::Effect,
             None => Verdict::None,
         };
-        Judgement { verdict, because, turbulence, by_another_law, credence }
+        Judgement { verdict, because, turbulence, unchosen: None, credence }
     }
 
     /// The named effects, gusts among them if there is turbulence, and what they cannot be told from.
@@ -375,9 +379,9 @@ impl<'a> Inquiry<'a> {
         not_testable: &[NotTestable],
         judgement: &Judgement,
     ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
-        if let Some(effect) = judgement.by_another_law {
-            let law = single(self.catalogue, &search.selection, effect, OTHER_LAW_PROBABILITY);
-            return (law.into_iter().collect(), Vec::new());
+        if let Some(Unchosen { effect, scored, .. }) = &judgement.unchosen {
+            let named = answer_of(self.catalogue, scored, *effect, UNCHOSEN_PROBABILITY);
+            return (vec![named], Vec::new());
         }
         let named = search.named(self.catalogue);
         let (mut answers, mut ambiguous) =
@@ -433,7 +437,9 @@ impl<'a> Inquiry<'a> {
     ) -> Result<(FullVerdict, Vec<String>), DiagnoseError> {
         Ok(match judgement.verdict {
             Verdict::None => (FullVerdict::None, Vec::new()),
-            Verdict::Effect if judgement.by_another_law.is_some() => {
+            Verdict::Effect
+                if judgement.unchosen.as_ref().is_some_and(|named| named.effects.is_empty()) =>
+            {
                 (FullVerdict::OtherLaw, Vec::new())
             }
             Verdict::Effect if is_ambiguous => (FullVerdict::Ambiguous, Vec::new()),

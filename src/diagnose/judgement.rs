@@ -8,6 +8,7 @@ use serde::Serialize;
 use sitl::vehicle::VehicleParams;
 
 use super::answer::{FlightAnswer, Gap};
+use super::gap::OverNoise;
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::misfit::{Misfit, share_left};
 use super::noise::ReportNoise;
@@ -141,7 +142,7 @@ const GAP_MIN_OF_ONE: f64 = 1.22;
 /// Beyond it, in units of the scatter by noise alone.
 const GAP_SCATTERS: f64 = 4.0;
 /// Share of a gap that effects must close to be its explanation.
-const CLOSED_MIN: f64 = 0.5;
+pub(super) const CLOSED_MIN: f64 = 0.5;
 
 /// Whether the gap stays open on the flights held out: with the effects, and with the nuisances as
 /// well. Where no effect is found, the gap is as open as it was: nuisances that would close it are
@@ -157,8 +158,12 @@ pub fn is_open(gap: &Gap, found: bool) -> bool {
 /// Whether the simulator as shipped leaves an open gap on any one of the flights: where nothing was
 /// fitted, those of the fit may show it as well.
 pub fn is_open_on_one(flights: &[FlightAnswer]) -> bool {
-    let mut gaps = flights.iter().filter_map(|flight| flight.over_noise);
-    gaps.any(|over| over.gap > GAP_MIN_OF_ONE + GAP_SCATTERS * over.scatter)
+    flights.iter().filter_map(|flight| flight.over_noise).any(|over| is_open_alone(&over))
+}
+
+/// Whether the gap on one flight by itself is open.
+pub(super) fn is_open_alone(over: &OverNoise) -> bool {
+    over.gap > GAP_MIN_OF_ONE + GAP_SCATTERS * over.scatter
 }
 
 /// Mean square that the chosen effects explain and the nuisances do not: of the acceleration,

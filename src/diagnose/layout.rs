@@ -16,6 +16,9 @@ const COMMAND_MAX_HZ: f64 = 2.5;
 /// Without an attitude only what lasts is looked at, and the vehicle is taken to be level, Hz.
 const LEVEL_MAX_HZ: f64 = 0.25;
 
+/// What is compared with rest there: the climb and the body rate.
+pub(super) const AT_REST: [usize; 4] = [VELOCITY + 2, RATE, RATE + 1, RATE + 2];
+
 /// Place of a coefficient: its channel and band.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place(u16);
@@ -84,8 +87,7 @@ impl Layout {
         let is_at_rest = !channels.attitude && channels.velocity && !channels.body_rate;
         if is_at_rest {
             // Position and outputs alone: hovering on average, it neither climbs nor turns.
-            limits[VELOCITY + 2] = LEVEL_MAX_HZ;
-            limits[RATE..RATE + 3].fill(LEVEL_MAX_HZ);
+            AT_REST.iter().for_each(|channel| limits[*channel] = LEVEL_MAX_HZ);
         }
         let mut layout = Self { places: Vec::new(), blocks: vec![0], limits, is_at_rest };
         for block in &flight.blocks {

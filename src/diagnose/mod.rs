@@ -35,4 +35,5 @@ pub mod strain;
 mod tolerances;
 pub mod turbulence;
 pub mod twins;
+mod unchosen;
 pub mod words;

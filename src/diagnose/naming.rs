@@ -8,7 +8,7 @@ use sitl::effects::EffectId;
 use super::answer::{EffectAnswer, NotTestable, parameters};
 use super::hypothesis::{Catalogue, Target};
 use super::misfit::{Misfit, share_left};
-use super::selection::{BEYOND_DOUBT, Rival, Scored, Selection, Thresholds, is_along_the_floor};
+use super::selection::{Rival, Scored, Selection};
 
 /// Log odds that what explains flights is also their cause, where nothing is left, and by how much
 /// they fall with the share that is left. By the answers of exams in which every eighth cause was none
@@ -110,7 +110,7 @@ pub(super) fn single(
 }
 
 /// An effect with its numbers as a fit has them.
-fn answer_of(
+pub(super) fn answer_of(
     catalogue: &Catalogue,
     scored: &Scored,
     effect: EffectId,
@@ -201,32 +201,6 @@ pub(super) fn share(
         }
     }
     answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
-}
-
-/// Share of the evidence of the effect that explains the most which others may have, for it to be alone.
-const BESIDE_MAX: f64 = 0.05;
-/// Standard errors by which the flights held out must confirm it, where it is not beyond doubt.
-const CONFIRMED: f64 = 3.0;
-
-/// The effect that explains what no other touches: it is the cause, though its law does not predict
-/// what it does. `None` where there is none, or where it may be chance.
-pub(super) fn alone(
-    catalogue: &Catalogue,
-    selection: &Selection,
-    thresholds: &Thresholds,
-) -> Option<EffectId> {
-    let effect = |rival: &Rival| catalogue.hypotheses[rival.hypothesis].effect;
-    let evidence = |rival: &Rival| rival.scored.evidence - selection.null.evidence;
-    let first = selection.singles.iter().max_by(|a, b| evidence(a).total_cmp(&evidence(b)))?;
-    let most = evidence(first);
-    let others =
-        selection.singles.iter().filter(|rival| class(effect(rival)) != class(effect(first)));
-    let is_alone = others.map(evidence).fold(0.0, f64::max) < BESIDE_MAX * most;
-    let (gain, error) = first.scored.gain_over(&selection.null);
-    let is_sure = most > BEYOND_DOUBT || gain > CONFIRMED * error;
-    let is_more = most > thresholds.asked_of(first.hypothesis);
-    let is_it = is_alone && is_sure && is_more && is_along_the_floor(catalogue, &first.scored.fit);
-    is_it.then(|| effect(first))
 }
 
 /// Share of the evidence of the best single effect with which another explains as much: on real
@@ -342,8 +316,6 @@ pub(super) fn not_testable(
 
 #[cfg(test)]
 mod tests {
-    use sitl::vehicle::VehicleParams;
-
     use super::super::answer::NAMED;
     use super::*;
 
@@ -355,33 +327,5 @@ mod tests {
         assert!(0.7 < open && open < closed);
         // Far off, something acts all the same: which effect it is must be told by its rivals.
         assert!(credence(&[], Some(5.0)) > NAMED);
-    }
-    #[test]
-    fn an_effect_is_alone_where_no_other_has_evidence_and_it_is_no_chance() {
-        let vehicle = include_str!("../../config/vehicles/quad1200.toml");
-        let catalogue = Catalogue::new(&VehicleParams::from_toml_str(vehicle).unwrap(), true);
-        let hypothesis = |effect: EffectId| {
-            catalogue.hypotheses.iter().position(|h| h.effect == effect).unwrap()
-        };
-        let rival = |(effect, evidence, gain): (EffectId, f64, f64)| {
-            let hypothesis = hypothesis(effect);
-            let density = vec![0.5 * gain - 1.0, 0.5 * gain + 1.0];
-            Rival { hypothesis, scored: Scored::of(vec![hypothesis], evidence, density) }
-        };
-        let found = |singles: &[(EffectId, f64, f64)]| {
-            let null = Scored::of(Vec::new(), 0.0, vec![0.0, 0.0]);
-            let singles = singles.iter().copied().map(rival).collect();
-            let selection = Selection { best: null.clone(), null, singles, places: Vec::new() };
-            alone(&catalogue, &selection, &Thresholds::default())
-        };
-        let (ground, lag) = (EffectId::GroundEffect, EffectId::MotorLag);
-        // Beyond doubt, even where the flights held out speak against its law.
-        assert_eq!(found(&[(ground, 150.0, -20.0), (lag, 3.0, 0.0)]), Some(ground));
-        // With less, they must confirm it.
-        assert_eq!(found(&[(ground, 60.0, 1.0)]), None);
-        assert_eq!(found(&[(ground, 60.0, 15.0)]), Some(ground));
-        // Another that explains a part of it leaves open which of the two acts.
-        assert_eq!(found(&[(ground, 150.0, 30.0), (lag, 30.0, 0.0)]), None);
-        assert_eq!(found(&[]), None);
     }
 }

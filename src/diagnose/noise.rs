@@ -103,8 +103,8 @@ pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -
 }
 
 /// What the gyro shows on average beyond how the attitude turns, rad/s; nothing where either is not
-/// logged.
-pub(super) fn gyro_bias(flight: &PreparedFlight) -> Frd {
+/// logged. `untrim` leads from the reported attitude to the true one.
+pub(super) fn gyro_bias(flight: &PreparedFlight, untrim: Attitude) -> Frd {
     if !(flight.channels.attitude && flight.channels.body_rate) {
         return Frd::zero();
     }
@@ -113,7 +113,8 @@ pub(super) fn gyro_bias(flight: &PreparedFlight) -> Frd {
         let (mut attitude, mut body_rate) = (flight.attitude.cursor(), flight.body_rate.cursor());
         let mut read = |time: f64| {
             let [w, x, y, z] = attitude.at(time);
-            (Attitude { w, x, y, z }.normalized(), Frd::from(body_rate.at(time)))
+            let true_attitude = Attitude { w, x, y, z }.normalized().compose(untrim);
+            (true_attitude, Frd::from(body_rate.at(time)))
         };
         let mut before = read(block.start);
         for k in 0..block.cells {

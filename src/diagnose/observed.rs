@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use sitl::vehicle::{ROTORS, VehicleParams};
 
 use super::hypothesis::Catalogue;
-use super::layout::{Layout, Place};
+use super::layout::{AT_REST, Layout, Place};
 use super::preparation::{Block, PreparedFlight};
 use super::residuals::{CHANNELS, COMMAND, Evaluator, Groups, RATE, VELOCITY};
 use super::spectrum::BANDS;
@@ -88,13 +88,12 @@ impl<'a> Observed<'a> {
                 }
             }
         }
+        let mut deviation = least_left(&catalogue.vehicle);
         // How near a mean is to rest does not bound it: numbers that bring it there to the last digit
         // explain nothing that was read, and their fit is to fail.
-        let deviation = if layouts.iter().any(|layout| layout.is_at_rest) {
-            [0.0; CHANNELS]
-        } else {
-            least_left(&catalogue.vehicle)
-        };
+        if layouts.iter().any(|layout| layout.is_at_rest) {
+            AT_REST.iter().for_each(|channel| deviation[*channel] = 0.0);
+        }
         let least = (0..Place::COUNT)
             .map(|place| counts[place] * deviation[place / BANDS.len()].powi(2))
             .collect();
@@ -254,7 +253,11 @@ pub(super) fn noise_cost(power: &[f64], counts: &[f64]) -> f64 {
         .iter()
         .zip(counts)
         .filter(|(_, n)| **n > 0.0)
-        .map(|(q, n)| 0.5 * n * (q.max(f64::MIN_POSITIVE) / n).ln())
+        // What is not a number is no fit at all.
+        .map(|(q, n)| match q.is_nan() {
+            true => f64::INFINITY,
+            false => 0.5 * n * (q.max(f64::MIN_POSITIVE) / n).ln(),
+        })
         .sum()
 }
 

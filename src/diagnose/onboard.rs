@@ -23,6 +23,9 @@ const TOLD: f64 = 0.8;
 const TIED: f64 = 0.9;
 /// Setpoints whose arrival may still be awaited at a tick.
 const UNDER_WAY: usize = 3;
+/// Probability that does not matter.
+const NEGLIGIBLE: f64 = 1e-3;
+
 /// The law with its mixer, as the vehicle file states them.
 #[derive(Clone, Debug)]
 pub struct OnboardLaw {
@@ -142,17 +145,19 @@ impl OnboardLaw {
             let under_way = tick - constant - setpoints.times()[index];
             let arrived = 1.0 - (-under_way / JITTER_MEAN_S).exp();
             let share = none_yet * arrived;
-            if share > 1e-3 {
+            if share > NEGLIGIBLE {
                 let asked = setpoint(setpoints, index, tick)?;
                 let by_law = law.outputs(&asked, reported, rate);
                 outputs.iter_mut().zip(by_law).for_each(|(sum, u)| *sum += share * u);
             }
             none_yet -= share;
-            if none_yet < 1e-3 {
+            if none_yet < NEGLIGIBLE {
                 break;
             }
         }
-        Some(outputs.map(|u| u / (1.0 - none_yet)))
+        // The log's first setpoint may not have arrived yet.
+        let arrived = 1.0 - none_yet;
+        (arrived > NEGLIGIBLE).then(|| outputs.map(|u| u / arrived))
     }
 }
 

@@ -3,7 +3,7 @@
 use sitl::effects::{EffectId, EffectSet};
 use sitl::vehicle::{VehicleError, VehicleParams};
 
-use super::answer::{Answer, Finding, FullVerdict, Gap, HypothesisAnswer, Verdict};
+use super::answer::{Answer, EffectAnswer, Finding, FullVerdict, Gap, HypothesisAnswer, Verdict};
 use super::arrival::Delay;
 use super::gap::{Errors, Simulator};
 use super::hypothesis::Catalogue;
@@ -107,8 +107,7 @@ pub fn diagnose(
     }
     let open = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(Gap::most_visible);
     // Effects that were found may have closed what is open as shipped.
-    let found = tolerant.answer.verdict == Verdict::Effect;
-    let stays_open = !found && is_open_on_one(&tolerant.answer.flights);
+    let stays_open = !tolerant.answer.explains() && is_open_on_one(&tolerant.answer.flights);
     let is_visible = |left: &f64| *left > VISIBLE || stays_open;
     let Some(left) = open(&tolerant).filter(|left| tolerant.setpoint_leg && is_visible(left))
     else {
@@ -116,8 +115,13 @@ pub fn diagnose(
     };
     progress("again, with the vehicle file at its word");
     let strict = grounds.attempt(STRICT, progress)?;
-    let names = strict.answer.verdict == Verdict::Effect;
     let closes = open(&strict).is_some_and(|strictly| strictly - 1.0 < CLOSES * (left - 1.0));
+    let is_preferred = strict.answer.explains() && (closes || adds(&strict, &tolerant));
+    Ok(if is_preferred { strict } else { tolerant })
+}
+
+/// Whether a strict look names more than a tolerant one, and predicts better.
+fn adds(strict: &Diagnosis, tolerant: &Diagnosis) -> bool {
     // What nuisances alone cannot bear may be an effect within its usual tolerance.
     let may_be_small = matches!(
         tolerant.answer.finding.because,
@@ -128,11 +132,9 @@ pub fn diagnose(
                 | Unexplained::Strain
         )
     );
-    let is_more = may_be_small
-        && tolerant.answer.named().all(|old| strict.answer.named().any(|new| new.id == old.id));
+    let keeps = |old: &EffectAnswer| strict.answer.named().any(|new| new.id == old.id);
     let after = |diagnosis: &Diagnosis| diagnosis.answer.gap.as_ref().map(|gap| gap.after);
-    let is_better = after(&strict) < after(&tolerant);
-    Ok(if names && (closes || is_more && is_better) { strict } else { tolerant })
+    may_be_small && tolerant.answer.named().all(keeps) && after(strict) < after(tolerant)
 }
 
 /// Effects not to be considered, where blade flapping stands for what a plain drag of the rotors may
@@ -218,10 +220,15 @@ impl Grounds<'_> {
         progress("how far");
         let mut effects =
             catalogue.effects(&selection.best.fit.values, Some(&search.named(&catalogue)));
-        let gap = inquiry.gap(selection, &effects)?;
+        let mut gap = inquiry.gap(selection, &effects)?;
         let flights = inquiry.flights(&search)?;
-        let judgement =
+        let mut judgement =
             inquiry.judge(&search, &effects, &leftover, &balance, gap.as_ref(), &flights);
+        if let Some(unchosen) = inquiry.unchosen(&search, &judgement) {
+            effects = unchosen.effects.clone();
+            gap = inquiry.gap(selection, &effects)?;
+            judgement = judgement.naming(unchosen);
+        }
         let Judgement { verdict, because, .. } = judgement;
         if let Some(slots) = judgement.turbulence {
             let _ = effects.insert(EffectId::Gusts, slots);
@@ -263,8 +270,7 @@ impl Grounds<'_> {
             flights,
         };
         answer.finding.sentence = finding(&answer);
-        let is_lawful = verdict == Verdict::Effect && judgement.by_another_law.is_none();
-        let effects = if is_lawful { effects } else { EffectSet::new() };
+        let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
         let open = [live(&catalogue, selection, &answer), untested(&catalogue, &answer)];
         Ok(Diagnosis { answer, effects, open, setpoint_leg: leg, noise: reported })
     }

@@ -62,7 +62,11 @@ impl Scored {
         let gains: Vec<f64> = self.density.iter().zip(&other.density).map(|(a, b)| a - b).collect();
         let n = gains.len() as f64;
         let mean = gains.iter().sum::<f64>() / n.max(1.0);
-        let variance = gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+        // One block does not tell how much blocks scatter.
+        if n < 2.0 {
+            return (mean, mean.abs());
+        }
+        let variance = gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0);
         (mean * n, (variance * n).sqrt())
     }
 

@@ -16,7 +16,7 @@ use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// Setpoints this far apart tell nothing of what was between, s.
 const APART_MAX_S: f64 = 0.1;
-/// The period's phase is the least of so many setpoints to each side.
+/// Where a tick was, the earliest of so many setpoints before it tells.
 const PHASE: usize = 25;
 /// Quantiles by which lateness is told.
 const LATENESS: usize = 16;
@@ -295,7 +295,7 @@ fn scatter(times: &[f64], setpoints: &[AttitudeSetpoint], logged: &[usize]) -> [
     let mut squares: [Vec<f64>; NUMBERS] = Default::default();
     for triple in logged.windows(3) {
         let &[a, b, c] = triple else { continue };
-        if times[c] - times[a] > APART_MAX_S {
+        if (times[b] - times[a]).max(times[c] - times[b]) >= APART_MAX_S {
             continue;
         }
         let share = (times[b] - times[a]) / (times[c] - times[a]);

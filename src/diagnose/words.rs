@@ -1,7 +1,7 @@
 //! The finding as a person would say it.
 
 use super::answer::{Answer, EffectAnswer, FullVerdict, Gap, Parameter, Verdict};
-use super::judgement::{Balance, Unexplained};
+use super::judgement::{Balance, Unexplained, is_open_alone};
 use super::misfit::{Misfit, share_left, standing_out};
 use super::next_flight::NextFlight;
 use super::reflight::ClosedLoop;
@@ -61,10 +61,11 @@ fn unknown(answer: &Answer) -> String {
             )
         }),
         Some(Unexplained::OpenOnOne) => {
-            let flights = answer.flights.iter().filter_map(|f| Some((f.over_noise?.gap, &f.name)));
-            let worst = flights.max_by(|a, b| a.0.total_cmp(&b.0));
-            worst.map(|(gap, name)| {
-                format!("{name} is predicted to {gap:.2} times what noise alone leaves")
+            let flights = answer.flights.iter().filter_map(|f| Some((f.over_noise?, &f.name)));
+            let open = flights.filter(|(over, _)| is_open_alone(over));
+            let worst = open.max_by(|(a, _), (b, _)| a.gap.total_cmp(&b.gap));
+            worst.map(|(over, name)| {
+                format!("{name} is predicted to {:.2} times what noise alone leaves", over.gap)
             })
         }
         Some(Unexplained::Misfit) => standing_out(&answer.misfit, false)
@@ -214,10 +215,10 @@ fn short(number: f64) -> String {
 }
 
 /// What a gap after the search is told with: effects are only named where they explain it.
-pub fn explanation(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Effect => "with the effects",
-        Verdict::None | Verdict::Unknown => "with what comes nearest",
+pub fn explanation(finding: FullVerdict) -> &'static str {
+    match finding {
+        FullVerdict::Named | FullVerdict::Ambiguous => "with the effects",
+        _ => "with what comes nearest",
     }
 }
 
@@ -247,7 +248,7 @@ pub fn report(answer: &Answer) -> String {
             text += &format!(", {:.1} on the flights held out\n", tried.held_out[0]);
         }
     }
-    let with = explanation(answer.verdict);
+    let with = explanation(answer.finding.verdict);
     if let Some(gap) = &answer.gap {
         text += &format!("how far    gap held out {:.2}", gap.before);
         if let Some(nuisances) = gap.nuisances_only {

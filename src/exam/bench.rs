@@ -206,7 +206,8 @@ impl Bench {
             let ratio = match self.strength(judge, &truth) {
                 Ok(strength) => strength.ratio,
                 Err(error) => {
-                    last = Err(error);
+                    // What flew before is kept.
+                    last = last.or(Err(error));
                     size *= 0.4;
                     continue;
                 }

@@ -243,22 +243,22 @@ impl Summary {
         let covered = |rows: &mut dyn Iterator<Item = &Row>| {
             Rate::of(rows.flat_map(|row| row.covered.values().flatten().copied()))
         };
-        let closures = |of: fn(&Row) -> Option<f64>| median(known().filter_map(of).collect());
+        // Of the same cases, so that they can be compared.
+        let closed = || known().filter_map(|row| Some([row.claimed_closure?, row.true_closure?]));
+        let closure = |i: usize| median(closed().map(|both| both[i]).collect());
         let brier = |rows: &mut dyn Iterator<Item = &Row>| {
             let briers: Vec<f64> = rows.map(|row| row.brier).collect();
             (!briers.is_empty()).then(|| briers.iter().sum::<f64>() / briers.len() as f64)
         };
         let shows = |row: &&Row| row.ratio >= DETECTABLE || row.kind == Kind::Null;
-        let off = known()
-            .filter_map(|row| Some((row.claimed_closure? - row.true_closure?).abs()))
-            .collect();
+        let off = closed().map(|[claimed, is]| (claimed - is).abs()).collect();
         Self {
             measures,
             brier: brier(&mut rows.iter()),
             brier_detectable: brier(&mut rows.iter().filter(shows)),
             error: errors(&mut known().filter(|row| row.top_right)),
             covered: covered(&mut known()),
-            closure: [closures(|row| row.claimed_closure), closures(|row| row.true_closure)],
+            closure: [closure(0), closure(1)],
             closure_off: median(off),
             reliability: reliability(rows),
             detection: detection(&all_singles().collect::<Vec<_>>()),

@@ -41,7 +41,7 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
         page.section(
             "How far",
             "Open-loop predictions of the flights held out, from every quarter of a second: root mean square errors with the vehicle file as shipped, with the effects, and what noise alone leaves. The learner is a network on what the vehicle file as shipped leaves of the fitted flights.",
-            &how_far(gap, words::explanation(answer.verdict)),
+            &how_far(gap, words::explanation(answer.finding.verdict)),
         );
     }
     if let Some(flown) = &answer.closed_loop {
@@ -49,9 +49,9 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
             "Flown again",
             &format!(
                 "{} Feedback hides a plant's errors in the trajectory and shows them in the commands.",
-                closed_loop(flown, words::explanation(answer.verdict))
+                closed_loop(flown, words::explanation(answer.finding.verdict))
             ),
-            &reflight::html(flown, words::explanation(answer.verdict)),
+            &reflight::html(flown, words::explanation(answer.finding.verdict)),
         );
     }
     page.section("What these logs cannot tell", "", &untold(answer));
