@@ -245,7 +245,8 @@ impl Catalogue {
     /// The same without these effects and those that act in the same way. Their numbers stay free
     /// within their tolerances.
     pub fn without(mut self, effects: &[EffectId]) -> Self {
-        let left_out = |h: &Hypothesis| effects.iter().any(|effect| same_way(h.effect, *effect));
+        let left_out =
+            |h: &Hypothesis| effects.iter().any(|effect| h.effect.class() == effect.class());
         self.hypotheses.retain(|hypothesis| !left_out(hypothesis));
         self
     }
@@ -358,12 +359,6 @@ impl Catalogue {
     pub fn nuisances(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.numbers.len()).filter(|i| self.numbers[*i].tolerance > 0.0)
     }
-}
-
-/// Whether no flight can tell two effects apart: mass and thrust act as their ratio.
-fn same_way(a: EffectId, b: EffectId) -> bool {
-    let class = |effect| if effect == EffectId::Mass { EffectId::ThrustScale } else { effect };
-    class(a) == class(b)
 }
 
 /// Where a number may physically lie: rotors flap away from the wind, and packs sag as they empty.

@@ -22,9 +22,7 @@ use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
-use super::naming::{
-    THRUST_LEVEL, answer_of, as_good, class, credence, named_effects, share, single,
-};
+use super::naming::{THRUST_LEVEL, answer_of, as_good, credence, named_effects, share, single};
 use super::noise::{ReportNoise, report_noise};
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
@@ -396,7 +394,7 @@ impl<'a> Inquiry<'a> {
         }
         let hides_sag = |untestable: &NotTestable| untestable.id == EffectId::BatterySag.name();
         let shows_sag = voltages_differ(self.case.fitted) && !not_testable.iter().any(hides_sag);
-        let named: Vec<EffectId> = named.into_iter().map(class).collect();
+        let named: Vec<EffectId> = named.into_iter().map(EffectId::class).collect();
         if !shows_sag && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
             let others = others.filter(|effect| self.catalogue.considers(**effect));

@@ -69,7 +69,7 @@ pub(super) fn named_effects(
             let Some(hypothesis) = hypothesis else { continue };
             let effect = catalogue.hypotheses[hypothesis].effect;
             let probability = credence * weight / sum;
-            let own_effect = class(effect) == class(catalogue.hypotheses[own].effect);
+            let own_effect = effect.class() == catalogue.hypotheses[own].effect.class();
             if weight / sum > AMBIGUOUS && !own_effect && !mends {
                 // Either may come out first.
                 ambiguous.extend([effect.name(), catalogue.hypotheses[own].effect.name()]);
@@ -163,11 +163,6 @@ fn mends_a_law(catalogue: &Catalogue, losses: &[(usize, f64)], place: usize) -> 
     loss < LAW_ERROR * beside.map(|(_, loss)| *loss).fold(0.0, f64::max)
 }
 
-/// Mass and thrust act as their ratio: one name stands for both.
-pub(super) fn class(effect: EffectId) -> EffectId {
-    if effect == EffectId::Mass { EffectId::ThrustScale } else { effect }
-}
-
 /// What changes the level of the thrust: near one throttle only a pack's voltage that falls
 /// tells them apart.
 pub(super) const THRUST_LEVEL: [EffectId; 3] =
@@ -186,7 +181,7 @@ pub(super) fn share(
 ) {
     let is_level = |answer: &EffectAnswer| {
         let id = EffectId::ALL.into_iter().find(|effect| effect.name() == answer.id);
-        id.is_some_and(|id| THRUST_LEVEL.contains(&class(id)))
+        id.is_some_and(|id| THRUST_LEVEL.contains(&id.class()))
     };
     let Some(most) = answers.iter_mut().find(|answer| is_level(answer)) else { return };
     let given = (1.0 - LEVEL_SHARE) * most.probability / others.len().max(1) as f64;
@@ -216,7 +211,7 @@ pub(super) fn as_good(
     is_checked: bool,
 ) -> Vec<&'static str> {
     let share = if is_checked { AS_GOOD } else { AS_GOOD_UNCHECKED };
-    let class = |h: usize| class(catalogue.hypotheses[h].effect);
+    let class = |h: usize| catalogue.hypotheses[h].effect.class();
     let evidence = |rival: &Rival| rival.scored.evidence - selection.null.evidence;
     let named: Vec<EffectId> = selection.best.fit.hypotheses.iter().map(|h| class(*h)).collect();
     let own = selection.singles.iter().filter(|rival| named.contains(&class(rival.hypothesis)));

@@ -138,10 +138,11 @@ pub fn reflight(
             courses(flight, &control).into_iter().map(move |course| (flight, course))
         })
         .collect();
-    let seed = settings.seed;
     let flown: Vec<(Reflown, [Sums; 3])> = parts
         .par_iter()
-        .map(|(flight, course)| {
+        .enumerate()
+        .map(|(part, (flight, course))| {
+            let seed = settings.seed.wrapping_add((part as u64) << 32);
             let fly = |simulator: &FlightSimulator<'_>, reports: &Reports, seed| {
                 let departure = reports.departure(flight, course.start());
                 let voltage = flight.channels.voltage.then_some(&flight.voltage);
@@ -196,7 +197,7 @@ pub fn reflight(
     })
 }
 
-/// Sensors with the noise that reports were found to have; biases are not known.
+/// Sensors with the noise that reports were found to have, and biases as sensors have them.
 pub(super) fn sensors(noise: &ReportNoise) -> SensorConfig {
     SensorConfig {
         position_noise_m: noise.position,

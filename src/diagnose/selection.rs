@@ -220,10 +220,7 @@ impl Selector<'_> {
 
     /// Whether a hypothesis can join a set: each effect once, and one of mass and thrust_scale.
     fn joins(&self, hypothesis: usize, set: &[usize]) -> bool {
-        let class = |h: usize| match self.hypothesis(h).effect {
-            EffectId::Mass => EffectId::ThrustScale,
-            effect => effect,
-        };
+        let class = |h: usize| self.hypothesis(h).effect.class();
         set.iter().all(|h| class(*h) != class(hypothesis))
     }
 

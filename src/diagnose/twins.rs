@@ -274,7 +274,7 @@ pub fn screened(
         .enumerate()
         .map(|(twin, residuals)| {
             let mut residuals = residuals.clone();
-            add_noise(observed, &more, seed.wrapping_add((twin as u64) << 20), &mut residuals);
+            add_noise(observed, &more, !seed.wrapping_add(twin as u64), &mut residuals);
             let about = about.about(observed, &residuals);
             let mut gains = vec![0.0; selector.catalogue.hypotheses.len()];
             for (hypothesis, gain) in selector.screen(&about, &[]) {

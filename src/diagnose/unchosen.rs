@@ -12,7 +12,6 @@ use super::gap::Errors;
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement, Search};
 use super::judgement::{CLOSED_MIN, Unexplained, is_open};
-use super::naming::class;
 use super::selection::{BEYOND_DOUBT, Rival, Scored, Selection, Thresholds, is_along_the_floor};
 
 /// Share of the evidence of the effect that explains the most which others may have, for it to be alone.
@@ -40,7 +39,7 @@ impl Inquiry<'_> {
         let effect = |hypothesis: usize| self.catalogue.hypotheses[hypothesis].effect;
         let chosen = &selection.best.fit.hypotheses;
         let replaces_none = |rival: &&Rival| {
-            chosen.iter().all(|chosen| class(effect(*chosen)) == class(effect(rival.hypothesis)))
+            chosen.iter().all(|chosen| effect(*chosen).class() == effect(rival.hypothesis).class())
         };
         let effects = |rival: &Rival| {
             let named = effect(rival.hypothesis);
@@ -94,7 +93,7 @@ fn alone<'s>(
     selection: &'s Selection,
     thresholds: &Thresholds,
 ) -> Option<&'s Rival> {
-    let class = |rival: &Rival| class(catalogue.hypotheses[rival.hypothesis].effect);
+    let class = |rival: &Rival| catalogue.hypotheses[rival.hypothesis].effect.class();
     let evidence = |rival: &Rival| rival.scored.evidence - selection.null.evidence;
     let first = selection.singles.iter().max_by(|a, b| evidence(a).total_cmp(&evidence(b)))?;
     let most = evidence(first);

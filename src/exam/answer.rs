@@ -6,8 +6,6 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use sitl::effects::{EffectId, EffectSet, ParameterValue};
 
-use super::case::class;
-
 /// Effects are named from this probability on.
 pub const NAMED: f64 = 0.5;
 
@@ -130,7 +128,7 @@ impl GivenGap {
 
 /// The id that stands for an effect's class.
 pub fn class_of(id: &str) -> String {
-    id.parse::<EffectId>().map_or_else(|_| id.to_owned(), |effect| class(effect).name().to_owned())
+    id.parse::<EffectId>().map_or_else(|_| id.to_owned(), |effect| effect.class().name().to_owned())
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use sitl::foreign::Foreign;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::airframe;
-use super::case::{Case, Kind, Order, Settings, class};
+use super::case::{Case, Kind, Order, Settings};
 use super::condition::Condition;
 use super::draw::{Draw, rounded};
 use super::flight::{FlightError, Link, Sortie, Track};
@@ -206,8 +206,7 @@ impl Bench {
             let ratio = match self.strength(judge, &truth) {
                 Ok(strength) => strength.ratio,
                 Err(error) => {
-                    // What flew before is kept.
-                    last = last.or(Err(error));
+                    last = Err(error);
                     size *= 0.4;
                     continue;
                 }
@@ -348,7 +347,7 @@ impl Bench {
         match order.kind {
             Kind::LeftOut => vec![(first, LEFT_OUT_RATIOS)],
             Kind::Pair => {
-                let second = self.effect(draw, |other| class(other) != class(first));
+                let second = self.effect(draw, |other| other.class() != first.class());
                 vec![(first, PAIR_RATIOS), (second, PAIR_RATIOS)]
             }
             Kind::Modelled => {

@@ -190,8 +190,3 @@ impl Case {
         Err(CaseError::Unflyable(last))
     }
 }
-
-/// Effects that no flight can tell apart count as one: mass and thrust act as their ratio.
-pub fn class(effect: EffectId) -> EffectId {
-    if effect == EffectId::Mass { EffectId::ThrustScale } else { effect }
-}

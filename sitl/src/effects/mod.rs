@@ -162,6 +162,12 @@ impl EffectId {
     pub fn name(self) -> &'static str {
         self.spec().id
     }
+
+    /// The effect that stands for all that no flight can tell from this one: mass and thrust act as
+    /// their ratio.
+    pub fn class(self) -> Self {
+        if self == Self::Mass { Self::ThrustScale } else { self }
+    }
 }
 
 impl fmt::Display for EffectId {
