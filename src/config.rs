@@ -1,13 +1,17 @@
 //! The configuration: TOML layers merged into each module's own settings, and where each value
 //! came from.
 
+mod check;
+
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
+use self::check::{check_numbers, check_pilot};
 use crate::control::LqrSettings;
 use crate::pilot::PilotSettings;
 use crate::plan::FlightEnvelope;
@@ -168,6 +172,26 @@ pub enum ConfigError {
         /// The version there.
         found: u32,
     },
+    /// A variable is not text.
+    #[error("configuration from {origin}: expected UTF-8 text, found {found:?}")]
+    NotText {
+        /// The variable.
+        origin: Origin,
+        /// What is there.
+        found: OsString,
+    },
+    /// A value with which no flight is possible.
+    #[error("configuration from {origin}: {setting}: expected {expected}, found {found:?}")]
+    Impossible {
+        /// The layer that set it, or what it contradicts.
+        origin: Origin,
+        /// The setting.
+        setting: &'static str,
+        /// What would be right.
+        expected: String,
+        /// What is there.
+        found: f64,
+    },
 }
 
 /// Settings and the origin of every value, by its dotted path.
@@ -191,17 +215,14 @@ impl Config {
     ///
     /// # Errors
     /// [`ConfigError`] names the layer that is wrong. The system's and the user's file may be
-    /// missing, `file` may not.
+    /// missing, `file` may not. Variables of other names may have any value.
     pub fn load(
         file: Option<&Path>,
-        environment: impl Iterator<Item = (String, String)>,
+        environment: impl Iterator<Item = (OsString, OsString)>,
         flags: Vec<(&'static str, &'static str, Value)>,
     ) -> Result<Self, ConfigError> {
         let mut config = Self::defaults();
-        let home = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
-        let user =
-            home("XDG_CONFIG_HOME").or_else(|| home("HOME").map(|home| home.join(".config")));
-        let standing = [Some(PathBuf::from("/etc")), user];
+        let standing = [Some(PathBuf::from("/etc")), user_folder(|name| std::env::var_os(name))];
         for folder in standing.into_iter().flatten() {
             let path = folder.join("downwash/config.toml");
             if path.is_file() {
@@ -212,11 +233,17 @@ impl Config {
             config.merge_file(path)?;
         }
         for (name, text) in environment {
+            // What is replaced in a name that is not UTF-8 makes it an unknown setting.
+            let name = name.to_string_lossy().into_owned();
             let Some(path) = name.strip_prefix(ENVIRONMENT_PREFIX) else { continue };
             if NOT_SETTINGS.contains(&name.as_str()) {
                 continue;
             }
             let path = path.to_lowercase().replace("__", ".");
+            let text = text.into_string().map_err(|found| ConfigError::NotText {
+                origin: Origin::Environment(name.clone()),
+                found,
+            })?;
             // A number or boolean where it reads as one, else a string.
             let value = text.parse::<Value>().unwrap_or_else(|_| Value::String(text.clone()));
             config.merge(nested(&path, value), &Origin::Environment(name))?;
@@ -224,6 +251,8 @@ impl Config {
         for (flag, path, value) in flags {
             config.merge(nested(path, value), &Origin::Flag(flag))?;
         }
+        // Last, because limits of one layer can fit those of another.
+        config.check()?;
         Ok(config)
     }
 
@@ -250,6 +279,19 @@ impl Config {
     /// The merged values as TOML, as attached to flight logs.
     pub fn to_toml(&self) -> String {
         toml::to_string(&self.merged).unwrap_or_default()
+    }
+
+    fn check(&self) -> Result<(), ConfigError> {
+        check_pilot(&self.settings.pilot).map_err(|impossible| {
+            let origins = impossible.settings.iter().filter_map(|path| self.origins.get(*path));
+            let origin = origins.into_iter().find(|origin| **origin != Origin::Default);
+            ConfigError::Impossible {
+                origin: origin.unwrap_or(&Origin::Default).clone(),
+                setting: impossible.settings.first().copied().unwrap_or_default(),
+                expected: impossible.expected,
+                found: impossible.found,
+            }
+        })
     }
 
     fn merge_file(&mut self, path: &Path) -> Result<(), ConfigError> {
@@ -288,20 +330,10 @@ impl Config {
     }
 }
 
-/// No setting is negative, and a limit that is NaN would limit nothing.
-fn check_numbers(path: &str, value: &Value) -> Result<(), String> {
-    let wrong = match value {
-        Value::Float(number) => !(number.is_finite() && *number >= 0.0),
-        Value::Integer(number) => *number < 0,
-        Value::Array(values) => {
-            return values.iter().try_for_each(|value| check_numbers(path, value));
-        }
-        _ => false,
-    };
-    if wrong {
-        return Err(format!("{path}: expected a finite number of at least 0, found {value}"));
-    }
-    Ok(())
+/// Folder of the user's configuration. A variable that is empty counts as unset.
+fn user_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+    let folder = |name| variable(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    folder("XDG_CONFIG_HOME").or_else(|| folder("HOME").map(|home| home.join(".config")))
 }
 
 fn nested(path: &str, value: Value) -> Table {
@@ -342,7 +374,7 @@ mod tests {
     use super::*;
 
     fn load(file: Option<&Path>, environment: &[(&str, &str)]) -> Result<Config, ConfigError> {
-        let environment = environment.iter().map(|(k, v)| (k.to_string(), v.to_string()));
+        let environment = environment.iter().map(|(k, v)| (k.into(), v.into()));
         Config::load(file, environment, vec![])
     }
 
@@ -398,6 +430,59 @@ mod tests {
             let message = load(None, &[(name, text)]).expect_err("refused").to_string();
             assert!(message.contains(name) && message.contains("at least 0"), "{message}");
         }
+    }
+
+    #[test]
+    fn positions_may_be_negative() {
+        let environment = [
+            ("DOWNWASH_PLAN__BOX_M", "[[-2.0, -2.0, -3.0], [2.0, 2.0, -0.3]]"),
+            ("DOWNWASH_COLLECT__HEADINGS_DEG", "[-90.0]"),
+        ];
+        let settings = load(None, &environment).expect("a configuration").settings;
+        assert_eq!(settings.plan.box_m, Some([[-2.0, -2.0, -3.0], [2.0, 2.0, -0.3]]));
+        assert_eq!(settings.collect.headings_deg, [-90.0]);
+    }
+
+    #[test]
+    fn impossible_values_are_refused_with_their_layer() {
+        for (name, text, setting) in [
+            ("DOWNWASH_PILOT__LIMITS__THRUST_MIN", "5.0", "pilot.limits.thrust_min"),
+            ("DOWNWASH_PILOT__LIMITS__THRUST_MAX", "0.03", "pilot.limits.thrust_min"),
+            ("DOWNWASH_PILOT__SUPERVISOR__RETRY_S", "1e300", "pilot.supervisor.retry_s"),
+        ] {
+            let message = load(None, &[(name, text)]).expect_err("refused").to_string();
+            assert!(message.contains(name) && message.contains(setting), "{message}");
+        }
+        let both = [
+            ("DOWNWASH_PILOT__LIMITS__THRUST_MIN", "0.95"),
+            ("DOWNWASH_PILOT__LIMITS__THRUST_MAX", "0.99"),
+        ];
+        load(None, &both).expect("the later limit fits the earlier");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn only_settings_must_be_utf_8() {
+        use std::os::unix::ffi::OsStringExt;
+
+        let load = |name: &str| {
+            let environment = [(OsString::from(name), OsString::from_vec(vec![b'1', 0xff]))];
+            Config::load(None, environment.into_iter(), vec![])
+        };
+        load("OTHER").expect("not a setting");
+        load("DOWNWASH_BIN").expect("not a setting");
+        let message = load("DOWNWASH_CONTROL__RATE_HZ").expect_err("refused").to_string();
+        assert!(message.contains("$DOWNWASH_CONTROL__RATE_HZ: expected UTF-8"), "{message}");
+    }
+
+    #[test]
+    fn empty_folders_are_unset() {
+        let user = |xdg: Option<&str>| {
+            user_folder(|name| if name == "HOME" { Some("/h".into()) } else { xdg.map(Into::into) })
+        };
+        assert_eq!(user(Some("/x")), Some(PathBuf::from("/x")));
+        assert_eq!(user(Some("")), Some(PathBuf::from("/h/.config")));
+        assert_eq!(user(None), Some(PathBuf::from("/h/.config")));
     }
 
     #[test]

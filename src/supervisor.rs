@@ -20,7 +20,6 @@ mod settings;
 mod table;
 
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -456,8 +455,8 @@ impl Supervisor {
             }
             _ => return,
         };
-        let retry = Duration::from_secs_f64(self.settings.retry_s);
-        if self.asked.is_none_or(|asked| now >= asked + retry) {
+        let retry_s = self.settings.retry_s;
+        if self.asked.is_none_or(|asked| now.since(asked).as_secs_f64() >= retry_s) {
             self.asked = Some(now);
             self.actions.push(action);
         }

@@ -28,7 +28,7 @@ pub(super) fn load(
     file: Option<&Path>,
     flags: Vec<(&'static str, &'static str, Value)>,
 ) -> anyhow::Result<Config> {
-    Config::load(file, std::env::vars(), flags).or_exit(Exit::Usage)
+    Config::load(file, std::env::vars_os(), flags).or_exit(Exit::Usage)
 }
 
 pub(super) fn run(args: &ConfigArgs) -> anyhow::Result<Exit> {

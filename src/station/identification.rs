@@ -32,6 +32,9 @@ impl Station {
         if let Some(name) = profile.loss_action {
             self.session.request(now, Request::ReadParameter(name.to_owned()));
         }
+        for parameter in &self.settings.pilot.preflight.parameters {
+            self.session.request(now, Request::ReadParameter(parameter.name.clone()));
+        }
         let known = self.profile.replace(profile.clone());
         if self.pilot.is_some() && known.as_ref() == Some(&profile) {
             return;

@@ -138,3 +138,24 @@ pub fn preflight(
     );
     failed
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::telemetry::TelemetrySettings;
+
+    #[test]
+    fn a_link_that_loses_too_much_is_refused() {
+        let telemetry = Telemetry::new(TelemetrySettings::default());
+        let link = |loss| {
+            let settings = PreflightSettings::default();
+            preflight(&settings, 100.0, &telemetry, loss, 0.0, HostTime::from_ns(0))
+                .into_iter()
+                .find(|check| check.subject == "link")
+                .map(|check| check.to_string())
+        };
+        assert_eq!((link(None), link(Some(0.05))), (None, None));
+        let expected = "link: expected at most 5 % of frames lost, found 20 %";
+        assert_eq!(link(Some(0.2)).as_deref(), Some(expected));
+    }
+}

@@ -1,0 +1,207 @@
+//! What no value may be, whichever layer it comes from.
+
+use std::time::Duration;
+
+use toml::Value;
+
+use crate::control::Limits;
+use crate::pilot::{GuidanceSettings, PilotSettings};
+use crate::supervisor::SupervisorSettings;
+
+/// Numbers that may be negative: down is negative in flight, and a heading may be to the west.
+const SIGNED: [&str; 3] = ["plan.box_m", "plan.keep_out", "collect.headings_deg"];
+
+/// The longest time that a state of the flight may last.
+const TIME_MAX: Duration = Duration::from_secs(24 * 60 * 60);
+
+/// Every number is finite, because a limit that is NaN would limit nothing, and none is negative
+/// but the [`SIGNED`] ones and those in tables of an array, such as positions and parameters.
+pub(super) fn check_numbers(path: &str, value: &Value) -> Result<(), String> {
+    check_number(path, value, SIGNED.contains(&path))
+}
+
+fn check_number(path: &str, value: &Value, is_signed: bool) -> Result<(), String> {
+    let (is_finite, is_negative) = match value {
+        Value::Float(number) => (number.is_finite(), *number < 0.0),
+        Value::Integer(number) => (true, *number < 0),
+        Value::Array(values) => {
+            return values.iter().try_for_each(|value| check_number(path, value, is_signed));
+        }
+        Value::Table(table) => {
+            return table
+                .iter()
+                .try_for_each(|(key, value)| check_number(&format!("{path}.{key}"), value, true));
+        }
+        _ => return Ok(()),
+    };
+    if is_finite && (is_signed || !is_negative) {
+        return Ok(());
+    }
+    let least = if is_signed { "" } else { " of at least 0" };
+    Err(format!("{path}: expected a finite number{least}, found {value}"))
+}
+
+/// A value with which no flight is possible.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Impossible {
+    /// The setting, and one that it contradicts, if any.
+    pub settings: &'static [&'static str],
+    /// What would be right.
+    pub expected: String,
+    /// What is there.
+    pub found: f64,
+}
+
+/// Whether the pilot's limits can be kept, and its times be counted.
+pub(super) fn check_pilot(settings: &PilotSettings) -> Result<(), Impossible> {
+    check_limits(&settings.limits)?;
+    let GuidanceSettings {
+        climb_speed_m_s,
+        approach_speed_m_s,
+        approach_yaw_rate_rad_s,
+        settle_speed_m_s,
+        ..
+    } = settings.guidance;
+    positive(&["pilot.guidance.climb_speed_m_s"], climb_speed_m_s)?;
+    positive(&["pilot.guidance.approach_speed_m_s"], approach_speed_m_s)?;
+    positive(&["pilot.guidance.approach_yaw_rate_rad_s"], approach_yaw_rate_rad_s)?;
+    positive(&["pilot.guidance.settle_speed_m_s"], settle_speed_m_s)?;
+    positive(&["pilot.safety.tilt_max_rad"], settings.safety.tilt_max_rad)?;
+    check_times(&settings.supervisor)
+}
+
+fn check_limits(limits: &Limits) -> Result<(), Impossible> {
+    let Limits { thrust_min, thrust_max, tilt_max_rad, body_rate_max_rad_s, yaw_error_max_rad } =
+        *limits;
+    require(thrust_max > 0.0 && thrust_max <= 1.0, || Impossible {
+        settings: &["pilot.limits.thrust_max"],
+        expected: "a share above 0 and at most 1".to_owned(),
+        found: thrust_max,
+    })?;
+    require(thrust_min >= 0.0 && thrust_min < thrust_max, || Impossible {
+        settings: &["pilot.limits.thrust_min", "pilot.limits.thrust_max"],
+        expected: format!("at least 0 and less than pilot.limits.thrust_max, {thrust_max}"),
+        found: thrust_min,
+    })?;
+    positive(&["pilot.limits.tilt_max_rad"], tilt_max_rad)?;
+    positive(&["pilot.limits.body_rate_max_rad_s"], body_rate_max_rad_s)?;
+    positive(&["pilot.limits.yaw_error_max_rad"], yaw_error_max_rad)
+}
+
+fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
+    // Named one by one, so that a new one is not forgotten.
+    let SupervisorSettings {
+        link_lost_after_s,
+        release_s,
+        ready_timeout_s,
+        stream_before_engage_s,
+        engage_timeout_s,
+        arm_timeout_s,
+        take_off_timeout_s,
+        land_timeout_s,
+        land_handover_s,
+        hold_s,
+        disarm_after_s,
+        retry_s,
+    } = *times;
+    time(&["pilot.supervisor.link_lost_after_s"], link_lost_after_s)?;
+    time(&["pilot.supervisor.release_s"], release_s)?;
+    time(&["pilot.supervisor.ready_timeout_s"], ready_timeout_s)?;
+    time(&["pilot.supervisor.stream_before_engage_s"], stream_before_engage_s)?;
+    time(&["pilot.supervisor.engage_timeout_s"], engage_timeout_s)?;
+    time(&["pilot.supervisor.arm_timeout_s"], arm_timeout_s)?;
+    time(&["pilot.supervisor.take_off_timeout_s"], take_off_timeout_s)?;
+    time(&["pilot.supervisor.land_timeout_s"], land_timeout_s)?;
+    time(&["pilot.supervisor.land_handover_s"], land_handover_s)?;
+    time(&["pilot.supervisor.hold_s"], hold_s)?;
+    time(&["pilot.supervisor.disarm_after_s"], disarm_after_s)?;
+    time(&["pilot.supervisor.retry_s"], retry_s)
+}
+
+fn positive(settings: &'static [&'static str], found: f64) -> Result<(), Impossible> {
+    require(found > 0.0, || Impossible { settings, expected: "a number above 0".to_owned(), found })
+}
+
+fn time(settings: &'static [&'static str], found: f64) -> Result<(), Impossible> {
+    let is_time = Duration::try_from_secs_f64(found).is_ok_and(|time| time <= TIME_MAX);
+    let expected = || format!("a time from 0 to {} s", TIME_MAX.as_secs());
+    require(is_time, || Impossible { settings, expected: expected(), found })
+}
+
+fn require(holds: bool, otherwise: impl FnOnce() -> Impossible) -> Result<(), Impossible> {
+    if holds { Ok(()) } else { Err(otherwise()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_built_in_is_possible() {
+        assert_eq!(check_pilot(&PilotSettings::default()), Ok(()));
+    }
+
+    #[test]
+    fn numbers_are_checked_wherever_they_are() {
+        let check = |path: &str, text: &str| check_numbers(path, &text.parse().expect("a value"));
+        for (path, text) in [
+            ("plan.box_m", "[[-2.0, -2.0, -3.0], [2.0, 2.0, -0.3]]"),
+            ("plan.keep_out", "[{ sphere = { centre_m = [1.0, 0.0, -1.0], radius_m = 0.3 } }]"),
+            ("collect.headings_deg", "[-90, 0.0, 90.0]"),
+            ("pilot.preflight.parameters", "[{ name = 'A', value = -1.0, reason = 'b' }]"),
+        ] {
+            assert_eq!(check(path, text), Ok(()), "{path}");
+        }
+        for (path, text, expected) in [
+            ("plan.box_m", "[[-inf, 0.0, 0.0], [1.0, 1.0, 1.0]]", "plan.box_m: expected a finite"),
+            (
+                "plan.keep_out",
+                "[{ sphere = { centre_m = [1.0, nan, 0.0], radius_m = 0.3 } }]",
+                "plan.keep_out.sphere.centre_m: expected a finite",
+            ),
+            ("collect.headings_deg", "[nan]", "collect.headings_deg: expected a finite"),
+            ("collect.half_size_m", "[2.0, -2]", "at least 0, found -2"),
+        ] {
+            let message = check(path, text).expect_err("refused");
+            assert!(message.contains(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn limits_that_contradict_each_other_are_refused() {
+        let refused = |limits: Limits| {
+            let settings = PilotSettings { limits, ..PilotSettings::default() };
+            check_pilot(&settings).expect_err("refused").settings[0]
+        };
+        let limits = Limits::default();
+        for thrust_min in [5.0, 0.9, -0.1, f64::NAN] {
+            assert_eq!(refused(Limits { thrust_min, ..limits }), "pilot.limits.thrust_min");
+        }
+        for thrust_max in [0.0, 1.1, f64::NAN] {
+            assert_eq!(refused(Limits { thrust_max, ..limits }), "pilot.limits.thrust_max");
+        }
+        let flat = Limits { tilt_max_rad: 0.0, ..limits };
+        assert_eq!(refused(flat), "pilot.limits.tilt_max_rad");
+    }
+
+    #[test]
+    fn speeds_of_zero_are_refused() {
+        let mut settings = PilotSettings::default();
+        settings.guidance.climb_speed_m_s = 0.0;
+        let impossible = check_pilot(&settings).expect_err("refused");
+        assert_eq!(impossible.settings, ["pilot.guidance.climb_speed_m_s"]);
+    }
+
+    #[test]
+    fn times_that_cannot_be_counted_are_refused() {
+        for retry_s in [1e300, 86_401.0, -1.0, f64::NAN, f64::INFINITY] {
+            let mut settings = PilotSettings::default();
+            settings.supervisor.retry_s = retry_s;
+            let impossible = check_pilot(&settings).expect_err("refused");
+            assert_eq!(impossible.settings, ["pilot.supervisor.retry_s"]);
+        }
+        let mut settings = PilotSettings::default();
+        settings.supervisor.hold_s = 86_400.0;
+        assert_eq!(check_pilot(&settings), Ok(()));
+    }
+}
