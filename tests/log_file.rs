@@ -5,6 +5,7 @@ mod log_flight;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use downwash::log::descriptor::Layout;
@@ -252,6 +253,49 @@ fn export_gives_csv_and_json_with_null_for_nan() {
     let mut reader = LogReader::open(&path).unwrap();
     let files = export_all(&mut reader, &directory("exported"), Format::Csv).unwrap();
     assert!(files.iter().any(|(path, rows)| path.ends_with("mavlink-rx.csv") && *rows == 800));
+}
+
+#[test]
+fn exports_never_destroy_a_file() {
+    let folder = directory("export_over");
+    let path = write(&folder, &records(0.5));
+    let whole = fs::read(&path).unwrap();
+    let keep = folder.join("keep.csv");
+    fs::write(&keep, "kept").unwrap();
+    let log = |arguments: &[&str], out: &Path| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
+        let output = command.args(["log", arguments[0]]).arg(&path).args(&arguments[1..]);
+        let output = output.arg("-o").arg(out).output().expect("it runs");
+        (output.status.code(), String::from_utf8(output.stderr).expect("words"))
+    };
+    for arguments in [&["export", "--topic", "/state"][..], &["report"]] {
+        let (code, words) = log(arguments, &path);
+        assert_eq!(code, Some(2), "{words}");
+        assert!(words.contains("choose another output"), "{words}");
+        assert!(fs::read(&path).unwrap() == whole, "{arguments:?}");
+    }
+    let (code, words) = log(&["export", "--topic", "/stat"], &keep);
+    assert_eq!(code, Some(2));
+    assert!(words.contains(path.to_str().unwrap()) && words.contains("/stat "), "{words}");
+    assert_eq!(fs::read(&keep).unwrap(), b"kept");
+    assert_eq!(log(&["export", "--topic", "/state"], &keep).0, Some(0));
+    assert!(fs::read_to_string(&keep).unwrap().starts_with("log_time_ns,"));
+    let left = fs::read_dir(&folder).unwrap().count();
+    assert_eq!(left, 2, "the log and the export, and no part of one");
+}
+
+#[test]
+fn an_export_tells_of_damage() {
+    let path = write_synced(&directory("export_damaged"), &records(0.5), 100);
+    let mut bytes = fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 8].iter_mut().for_each(|b| *b ^= 0xFF);
+    fs::write(&path, bytes).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
+    let output = command.args(["log", "export", "--topic", "/state"]).arg(&path).output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.contains("damaged") && words.contains("chunk at byte "), "{words}");
 }
 
 fn any_float() -> impl Strategy<Value = f64> {

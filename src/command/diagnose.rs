@@ -26,6 +26,16 @@ const GUARD_S: f64 = 2.0;
 
 pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    // What would fail after the work is tried before it.
+    let proposing = match (&args.next_flight, &args.config) {
+        (None, None) => None,
+        _ => Some(config::load(args.config.as_deref(), vec![])?.settings),
+    };
+    if let Some(folder) = &args.report {
+        fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create the folder {}", folder.display()))
+            .or_exit(Exit::Usage)?;
+    }
     let mut paths = args.logs.clone();
     for path in &args.holdout {
         if !paths.contains(path) {
@@ -77,9 +87,9 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     let settings = Settings { seed: args.seed, twins: args.twins };
     let mut diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
         .or_exit(Exit::Usage)?;
-    if let Some(path) = &args.next_flight {
+    if let Some((path, proposing)) = args.next_flight.as_ref().zip(proposing) {
         say(format_args!("... which flight next"));
-        let next = propose(args, &vehicle, &diagnosis)?;
+        let next = propose(args, &proposing, &vehicle, &diagnosis)?;
         match &next {
             Some(next) => write_file(path, next.file.as_bytes())?,
             None => say(format_args!("no next flight is needed, or none would tell more")),
@@ -98,8 +108,6 @@ fn tell(
     effects: &EffectSet,
 ) -> anyhow::Result<Exit> {
     if let Some(folder) = &args.report {
-        fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
         let page = crate::report::diagnosis::html(answer, &vehicle.name);
         write_file(&folder.join("report.html"), page.as_bytes())?;
         let json = serde_json::to_vec_pretty(answer).context("report.json")?;
@@ -126,10 +134,10 @@ fn tell(
 /// The flight that would tell what the logs leave open.
 fn propose(
     args: &DiagnoseArgs,
+    settings: &crate::config::Settings,
     vehicle: &VehicleParams,
     diagnosis: &Diagnosis,
 ) -> anyhow::Result<Option<NextFlight>> {
-    let settings = config::load(args.config.as_deref(), vec![])?.settings;
     let capability = capability(vehicle, &settings.control)?;
     let proposal = Proposal {
         vehicle,
@@ -168,7 +176,8 @@ fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -
         .zip(audits)
         .map(|(flight, audit)| AuditedLog {
             flight: prepare(flight, &audit, vehicle),
-            audit: Some(LogAnswer::of(&audit)),
+            // A log of nothing is no log, whose data could be at fault.
+            audit: (!audit.is_of_nothing()).then(|| LogAnswer::of(&audit)),
         })
         .collect();
     for (index, error) in refused {

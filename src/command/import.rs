@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
+use super::output::refuse_input;
 use super::{Exit, ExitContext, print_json, print_text};
 use crate::diagnose::audit::{Channels, Tier};
 use crate::log::import::{
@@ -72,11 +73,8 @@ pub(super) fn run(
     out: &Path,
     json: bool,
 ) -> anyhow::Result<Exit> {
+    refuse_input(out, std::iter::once(file).chain(mapping))?;
     let flight = import::open(file, mapping).or_exit(Exit::Usage)?;
-    if is_same_file(file, out) {
-        return Err(anyhow::anyhow!("{} is the log to read; choose another --out", out.display()))
-            .or_exit(Exit::Usage);
-    }
     let messages = import::write(&flight, out)?;
     let summary = summary(&flight, out, messages);
     if json {
@@ -85,14 +83,6 @@ pub(super) fn run(
         print_text(&text(&summary))?;
     }
     Ok(Exit::Ok)
-}
-
-/// Whether both are one file: writing would destroy what was read.
-fn is_same_file(a: &Path, b: &Path) -> bool {
-    match (a.canonicalize(), b.canonicalize()) {
-        (Ok(a), Ok(b)) => a == b,
-        _ => false,
-    }
 }
 
 fn summary(flight: &Flight, out: &Path, messages: u64) -> Summary {

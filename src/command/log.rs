@@ -1,12 +1,13 @@
 //! `downwash log`: what is in flight logs, and reports on them.
 
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter};
-use std::path::Path;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 
-use super::{Exit, ExitContext, audit, import, print_json, write_file};
+use super::output::{Output, refuse_input};
+use super::{Exit, ExitContext, audit, import, print_json, say, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
@@ -25,37 +26,11 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
             Ok(Exit::Ok)
         }
         LogCommand::Export { file, topic, format, out } => {
-            let mut reader = open(&file)?;
             let format = match format {
                 ExportFormat::Csv => Format::Csv,
                 ExportFormat::Jsonl => Format::JsonLines,
             };
-            match (topic, out) {
-                (Some(topic), None) => {
-                    let mut stdout = BufWriter::new(io::stdout().lock());
-                    export_topic(&mut reader, &topic, format, &mut stdout).or_exit(Exit::Usage)?;
-                }
-                (Some(topic), Some(path)) => {
-                    let created = File::create(&path);
-                    let mut sink = BufWriter::new(
-                        created.with_context(|| format!("cannot create {}", path.display()))?,
-                    );
-                    export_topic(&mut reader, &topic, format, &mut sink).or_exit(Exit::Usage)?;
-                }
-                (None, Some(folder)) => {
-                    for (path, rows) in export_all(&mut reader, &folder, format)? {
-                        eprintln!("{}: {rows} rows", path.display());
-                    }
-                }
-                (None, None) => {
-                    let choice = "name one --topic, or a folder for all of them with --out";
-                    return Err(anyhow!("nothing to export: {choice}")).or_exit(Exit::Usage);
-                }
-            }
-            if !reader.ending().finished {
-                eprintln!("{}: unfinished log, exported what is whole", file.display());
-            }
-            Ok(Exit::Ok)
+            export(&file, topic.as_deref(), format, out)
         }
         LogCommand::Import { file, mapping, out, json } => {
             import::run(&file, mapping.as_deref(), &out, json)
@@ -64,6 +39,8 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
             audit::run(&logs, mapping.as_deref(), fail_on, json)
         }
         LogCommand::Report { file, out, json } => {
+            let out = out.unwrap_or_else(|| file.with_extension("html"));
+            refuse_input(&out, [file.as_path()])?;
             let mut reader = open(&file)?;
             let report = FlightReport::read(&mut reader)?;
             if report.is_empty() {
@@ -71,7 +48,6 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
                              event; `log audit` looks at any other";
                 return Err(anyhow!("{}: {found}", file.display())).or_exit(Exit::Usage);
             }
-            let out = out.unwrap_or_else(|| file.with_extension("html"));
             write_file(&out, report.to_html().as_bytes())?;
             if json {
                 print_json(report.summary())?;
@@ -88,8 +64,65 @@ fn open(file: &Path) -> anyhow::Result<LogReader<BufReader<File>>> {
     let reader = LogReader::open(file);
     match reader {
         Err(error @ ReadError::Open { .. }) => Err(error).or_exit(Exit::Usage),
+        Err(error @ ReadError::NotMcap { .. }) => {
+            let file = file.display();
+            let advice = "`downwash log import` makes one of any other flight log";
+            Err(anyhow!("{file}: {error}; {advice}")).or_exit(Exit::Usage)
+        }
         reader => reader.with_context(|| file.display().to_string()).or_exit(Exit::Usage),
     }
+}
+
+/// Writes one topic to a file or to stdout, or all into a folder.
+fn export(
+    file: &Path,
+    topic: Option<&str>,
+    format: Format,
+    out: Option<PathBuf>,
+) -> anyhow::Result<Exit> {
+    let name = || file.display().to_string();
+    let mut reader = open(file)?;
+    let exported = match (topic, out) {
+        (Some(topic), out) => {
+            if let Some(out) = &out {
+                refuse_input(out, [file])?;
+            }
+            let mut sink = Output::to(out.as_deref())?;
+            let rows = export_topic(&mut reader, topic, format, &mut sink);
+            rows.with_context(name).or_exit(Exit::Usage).and_then(|_| sink.finish())
+        }
+        (None, Some(folder)) => {
+            // The files have names of topics: the log can only be one of them if it is named so.
+            let is_named_so =
+                file.extension().is_some_and(|e| ["csv", "jsonl", "part"].iter().any(|x| e == *x));
+            if let Some(name) = file.file_name().filter(|_| is_named_so) {
+                refuse_input(&folder.join(name), [file])?;
+            }
+            export_all(&mut reader, &folder, format).with_context(name).map(|written| {
+                for (path, rows) in written {
+                    say(format_args!("{}: {rows} rows", path.display()));
+                }
+            })
+        }
+        (None, None) => {
+            let choice = "name one --topic, or a folder for all of them with --out";
+            return Err(anyhow!("nothing to export: {choice}")).or_exit(Exit::Usage);
+        }
+    };
+    // Also where the export failed: the topic may have been in the damaged part.
+    let (file, ending) = (file.display(), reader.ending());
+    for damage in &ending.damages {
+        say(format_args!("{file}: damaged, its rows are left out: {damage}"));
+    }
+    let more = ending.damaged.saturating_sub(ending.damages.len() as u64);
+    if more > 0 {
+        say(format_args!("{file}: and {more} more damaged parts"));
+    }
+    exported?;
+    if !ending.finished {
+        say(format_args!("{file}: unfinished log, exported what is whole"));
+    }
+    Ok(Exit::Ok)
 }
 
 fn print_info(file: &Path, info: &LogInfo) {

@@ -17,6 +17,7 @@ mod log;
 mod logs;
 mod messages;
 mod model;
+mod output;
 mod plan;
 mod progress;
 mod sent_thrust;

@@ -1,7 +1,6 @@
 //! `downwash model`: what is in a model file, how good it is, what it predicts.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -11,6 +10,7 @@ use serde::Serialize;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::Logs;
+use super::output::{Output, refuse_input};
 use super::progress::StageBar;
 use super::{Exit, ExitContext, print_json, print_text, say, write_file};
 use crate::cli::ModelCommand;
@@ -36,11 +36,17 @@ pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
             eval(&model, &logs, vehicle.as_deref(), mapping.as_deref(), json)
         }
         ModelCommand::Predict { log, model, horizon, kind, vehicle, mapping, out } => {
+            if let Some(out) = &out {
+                let given = [vehicle.as_deref(), mapping.as_deref()];
+                let inputs = [log.as_path(), model.as_path()];
+                refuse_input(out, inputs.into_iter().chain(given.into_iter().flatten()))?;
+            }
             let file = load(&model, vehicle.as_deref())?;
             predict(&file, &log, mapping.as_deref(), horizon, kind, out.as_deref())
         }
         ModelCommand::Export { file, model, onnx, kind } => {
             let path = either(file, model)?;
+            refuse_input(&onnx, [path.as_path()])?;
             let model = load(&path, None)?;
             let bytes = onnx::encode(&model, kind).or_exit(Exit::Usage)?;
             write_file(&onnx, &bytes)?;
@@ -186,12 +192,7 @@ fn predict(
     let period = median_period(&samples);
     let steps = (horizon / period).round().max(1.0) as usize;
 
-    let mut sink: BufWriter<Box<dyn Write>> = BufWriter::new(match out {
-        Some(path) => Box::new(
-            File::create(path).with_context(|| format!("cannot create {}", path.display()))?,
-        ),
-        None => Box::new(io::stdout().lock()),
-    });
+    let mut sink = Output::to(out)?;
     let run = &observed.flight.origin.run;
     writeln!(sink, "run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz").context("predictions")?;
     let mut written = 0_u64;
@@ -213,7 +214,7 @@ fn predict(
             sink.write_all(text.as_bytes()).context("predictions")?;
         }
     }
-    sink.flush().context("predictions")?;
+    sink.finish()?;
     say(format_args!(
         "{}: {written} predictions, {steps} samples of {:.1} ms ahead",
         log.display(),

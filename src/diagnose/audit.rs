@@ -112,6 +112,11 @@ impl Audit {
         self.findings.iter().any(|finding| finding.severity == Severity::Fault)
     }
 
+    /// Whether the log holds nothing at all.
+    pub fn is_of_nothing(&self) -> bool {
+        self.faults().any(|fault| fault.check == timing::EMPTY)
+    }
+
     /// Faults for which the whole log is left out: those that are not a matter of some times of it.
     pub fn faults(&self) -> impl Iterator<Item = &Finding> {
         let faults = self.findings.iter().filter(|f| f.severity == Severity::Fault);

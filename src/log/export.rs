@@ -1,8 +1,8 @@
 //! Exports topics as CSV or JSON Lines.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Read, Write};
+use std::fs;
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -10,6 +10,7 @@ use serde::ser::{SerializeMap, Serializer};
 
 use super::descriptor::{DescriptorError, Layout, Value, hex};
 use super::name::sanitised;
+use super::partial::PartialFile;
 use super::reader::{Channel, LogReader, Message, ReadError};
 
 /// Output format.
@@ -113,7 +114,8 @@ pub fn export_topic<R: Read>(
 }
 
 /// Writes one file a protobuf topic into `directory`, named after the topic; returns each file
-/// with its number of rows. Topics in other encodings are left out.
+/// with its number of rows. Topics in other encodings are left out. A file that is there already is
+/// replaced once all are complete.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -124,7 +126,7 @@ pub fn export_all<R: Read>(
 ) -> Result<Vec<(PathBuf, u64)>, ExportError> {
     fs::create_dir_all(directory)
         .map_err(|source| ExportError::Create { path: directory.into(), source })?;
-    let mut tables: BTreeMap<String, (PathBuf, BufWriter<File>, Table, u64)> = BTreeMap::new();
+    let mut tables: BTreeMap<String, (PathBuf, PartialFile, Table, u64)> = BTreeMap::new();
     while let Some(message) = reader.next_message()? {
         let channel = &message.channel;
         if channel.message_encoding != "protobuf" {
@@ -133,9 +135,8 @@ pub fn export_all<R: Read>(
         if !tables.contains_key(&channel.topic) {
             let stem = sanitised(&channel.topic);
             let path = directory.join(format!("{stem}.{}", format.extension()));
-            let file = File::create(&path)
+            let mut out = PartialFile::create(&path)
                 .map_err(|source| ExportError::Create { path: path.clone(), source })?;
-            let mut out = BufWriter::new(file);
             let table = Table::new(channel, format, &mut out)?;
             tables.insert(channel.topic.clone(), (path, out, table, 0));
         }
@@ -145,8 +146,8 @@ pub fn export_all<R: Read>(
         }
     }
     let mut written = Vec::new();
-    for (path, mut out, _, rows) in tables.into_values() {
-        out.flush()?;
+    for (path, out, _, rows) in tables.into_values() {
+        out.finish().map_err(|source| ExportError::Create { path: path.clone(), source })?;
         written.push((path, rows));
     }
     Ok(written)

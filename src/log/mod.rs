@@ -23,6 +23,7 @@ pub mod info;
 mod lengths;
 mod mcap_file;
 mod name;
+pub mod partial;
 pub mod reader;
 pub mod record;
 pub mod schema;

@@ -80,7 +80,7 @@ impl RunInfo {
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The directory or the file could not be made.
-    #[error("cannot create the log {}: {source}; choose another --log-dir", path.display())]
+    #[error("cannot create the log {}: {source}; choose another folder", path.display())]
     Create {
         /// The file or directory.
         path: PathBuf,

@@ -88,6 +88,7 @@ fn timing(stream: &'static str, times: &[f64]) -> StreamTiming {
 }
 
 pub(super) fn check(flight: &Flight, audit: &mut Audit) {
+    check_recorded(flight, audit);
     for (name, times) in sampled(flight) {
         let Some(timing) = audit.streams.iter().find(|timing| timing.stream == name).cloned()
         else {
@@ -98,6 +99,32 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     }
     check_clocks(flight, audit);
     check_left_out(flight, audit);
+}
+
+/// Name of the check that a log holds anything.
+pub(super) const EMPTY: &str = "empty";
+
+/// A log of nothing is as wrong as one of nonsense.
+fn check_recorded(flight: &Flight, audit: &mut Audit) {
+    let is_empty = sampled(flight).iter().all(|(_, times)| times.is_empty())
+        && flight.setpoints_missing.is_empty()
+        && flight.reference.is_empty()
+        && flight.voltage.is_empty()
+        && flight.in_air.is_empty()
+        && flight.truth.is_empty();
+    if !is_empty {
+        return;
+    }
+    audit.findings.push(Finding {
+        severity: Severity::Fault,
+        check: EMPTY,
+        stream: None,
+        found: 0.0,
+        expected: 1.0,
+        unit: "",
+        what: "nothing was recorded: there is not one sample of any stream".into(),
+        advice: "copy the log anew, or look for what kept the logger from writing",
+    });
 }
 
 fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &mut Audit) {
@@ -200,4 +227,25 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
 /// Whether a stream moves at all: its median interval is known and it has more than a few samples.
 pub(super) fn is_logged<T>(stream: &Stream<T>) -> bool {
     stream.len() >= 20
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::import::{Clock, Origin};
+
+    #[test]
+    fn a_log_of_nothing_is_at_fault() {
+        let origin = Origin {
+            path: "nothing.tlog".into(),
+            run: "nothing".into(),
+            sha256: String::new(),
+            format: "tlog",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        let is_empty = |flight: &Flight| Audit::of(flight).faults().any(|f| f.check == EMPTY);
+        assert!(is_empty(&flight));
+        flight.voltage.push(0.0, 4.1);
+        assert!(!is_empty(&flight));
+    }
 }

@@ -1,0 +1,105 @@
+//! Where results go, and where they must not.
+
+use std::io::{self, BufWriter, StdoutLock, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+
+use super::{Exit, ExitContext};
+use crate::log::partial::{PartialFile, partial_path};
+
+/// Refuses an output that is one of the files to read, which writing would destroy.
+pub(super) fn refuse_input<'a>(
+    out: &Path,
+    inputs: impl IntoIterator<Item = &'a Path>,
+) -> anyhow::Result<()> {
+    for input in inputs {
+        if is_same_file(input, out) || is_same_file(input, &partial_path(out)) {
+            let (out, input) = (out.display(), input.display());
+            let error = anyhow!(
+                "cannot write {out}: it would destroy {input}, which is to be read; choose another \
+                 output"
+            );
+            return Err(error).or_exit(Exit::Usage);
+        }
+    }
+    Ok(())
+}
+
+/// Whether both are one file that exists.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
+}
+
+/// Where rows go: a file that takes its name once it is complete, or stdout.
+pub(super) enum Output {
+    File(PathBuf, PartialFile),
+    Stdout(BufWriter<StdoutLock<'static>>),
+}
+
+impl Output {
+    /// Opens `path`, or stdout without one.
+    pub fn to(path: Option<&Path>) -> anyhow::Result<Self> {
+        let Some(path) = path else {
+            return Ok(Self::Stdout(BufWriter::new(io::stdout().lock())));
+        };
+        let file = PartialFile::create(path)
+            .with_context(|| format!("cannot create {}", path.display()))?;
+        Ok(Self::File(path.to_owned(), file))
+    }
+
+    /// Ends the rows: a file that is not finished is not there.
+    pub fn finish(self) -> anyhow::Result<()> {
+        match self {
+            Self::File(path, file) => {
+                file.finish().with_context(|| format!("cannot write {}", path.display()))
+            }
+            Self::Stdout(mut out) => out.flush().context("standard output"),
+        }
+    }
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::File(_, file) => file.write(bytes),
+            Self::Stdout(out) => out.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::File(_, file) => file.flush(),
+            Self::Stdout(out) => out.flush(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn an_output_that_is_an_input_is_refused() -> anyhow::Result<()> {
+        let folder = std::env::temp_dir().join(format!("downwash-output-{}", std::process::id()));
+        fs::create_dir_all(&folder)?;
+        let [log, other, partial] = ["a.csv", "b.csv", "b.csv.part"].map(|name| folder.join(name));
+        fs::write(&log, "log")?;
+        fs::write(&partial, "log")?;
+        let refused = |out: &Path, input: &Path| refuse_input(out, [input]).is_err();
+        let found = [
+            refused(&log, &log),
+            refused(&folder.join(".").join("a.csv"), &log),
+            refused(&other, &partial),
+            refused(&other, &log),
+        ];
+        fs::remove_dir_all(&folder)?;
+        assert_eq!(found, [true, true, true, false]);
+        Ok(())
+    }
+}
