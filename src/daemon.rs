@@ -1,7 +1,7 @@
 //! Drives a station in real time: one thread with its own runtime, from socket to socket.
 
 use std::io;
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -58,7 +58,6 @@ struct Shared {
     status: Mutex<Status>,
     /// Requests to stop so far.
     stops: AtomicU8,
-    done: AtomicBool,
 }
 
 /// A station that runs in a thread of its own.
@@ -73,6 +72,8 @@ pub struct Finished {
     pub end: Option<End>,
     /// What the log says of itself.
     pub log: Result<Option<crate::log::writer::LogSummary>, crate::log::writer::LogError>,
+    /// How many entries the telemetry log lacks, if one was asked for.
+    pub tlog: Option<io::Result<u64>>,
 }
 
 /// Starts the control thread. It ends when the station's flight has ended, or after
@@ -95,8 +96,8 @@ pub fn start(
             Control { clock, connection, tee, sink, shared: &seen, open_failure: String::new() };
         let end = runtime.block_on(control.run(&mut station));
         let log = control.sink.finish();
-        seen.done.store(true, Ordering::Release);
-        (station, Finished { end, log })
+        let tlog = control.tee.map(TeeThread::finish);
+        (station, Finished { end, log, tlog })
     })?;
     Ok(Running { shared, thread })
 }
@@ -107,9 +108,9 @@ impl Running {
         self.shared.stops.fetch_add(1, Ordering::AcqRel);
     }
 
-    /// Whether the thread has ended.
+    /// Whether the thread has ended, be it by a panic.
     pub fn is_done(&self) -> bool {
-        self.shared.done.load(Ordering::Acquire)
+        self.thread.is_finished()
     }
 
     /// The latest status.

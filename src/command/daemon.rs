@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Context;
 
 use super::course::Course;
-use super::fly::{baud, endpoint, tee, watch};
+use super::fly::{baud, endpoint, tee, tell_tlog, watch};
 use super::setup::{VehicleFile, required, run_info, station_settings};
 use super::stop::{Stop, StopSignals};
 use super::{Exit, config, say, summary};
@@ -41,6 +41,7 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
     let finished = watch(running, &mut signals);
+    tell_tlog(finished.tlog);
     if let Err(error) = finished.log {
         say(format_args!("{error}"));
     }

@@ -166,7 +166,10 @@ fn hide(args: &DemoArgs, vehicle: &VehicleParams) -> anyhow::Result<SimulationAr
 impl Loop<'_> {
     fn run(self, began: Instant) -> anyhow::Result<Exit> {
         let args = self.args;
-        let Some(logs) = self.excite()? else { return Ok(Exit::Aborted) };
+        let logs = match self.excite()? {
+            Ok(logs) => logs,
+            Err(exit) => return Ok(exit),
+        };
         say(format_args!("diagnosing {} flights", logs.len()));
         let diagnosing = Instant::now();
         let diagnosis = self.diagnose(&logs)?;
@@ -210,8 +213,8 @@ impl Loop<'_> {
         Ok(exit)
     }
 
-    /// Flies what shows effects; nothing where a flight did not end as planned.
-    fn excite(&self) -> anyhow::Result<Option<Vec<PathBuf>>> {
+    /// Flies what shows effects; the exit code where a flight did not end as planned, which is told.
+    fn excite(&self) -> anyhow::Result<Result<Vec<PathBuf>, Exit>> {
         let args = self.args;
         say(format_args!("flying {:.0} s to see what it does", args.excite));
         let out = args.out.join("excited");
@@ -220,7 +223,13 @@ impl Loop<'_> {
             ..CollectArgs::simulated(out, args.excite, args.seed, self.simulation.clone())
         };
         let (collected, exit) = gather(&collect, &self.config, &self.shipped)?;
-        Ok((exit == Exit::Ok).then(|| collected.logs()))
+        for trouble in collected.troubles() {
+            say(format_args!("{trouble}"));
+        }
+        if exit == Exit::Interrupted {
+            say(format_args!("interrupted: the flights so far are in {}", args.out.display()));
+        }
+        Ok(if exit == Exit::Ok { Ok(collected.logs()) } else { Err(exit) })
     }
 
     fn prepare(&self, logs: &[PathBuf]) -> anyhow::Result<Vec<PreparedFlight>> {

@@ -83,6 +83,10 @@ pub(super) fn run(args: &ExamArgs) -> anyhow::Result<Exit> {
     let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
     let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
     let orders = orders(args, seed)?;
+    if orders.is_empty() {
+        return Err(anyhow!("--cases, --nulls: expected at least one case, found none"))
+            .or_exit(Exit::Usage);
+    }
     let began = Instant::now();
     let flown = hall.fly(&orders)?;
     if flown.is_empty() {

@@ -1,7 +1,8 @@
 //! `downwash fly`: one flight, from preflight to landing.
 
+use std::ffi::OsStr;
 use std::fs::File;
-use std::io::{BufWriter, IsTerminal};
+use std::io::{self, BufWriter, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -140,15 +141,17 @@ pub(super) fn fly_once(
     let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
         .context("cannot start the control thread")?;
     let finished = watch(running, signals);
-    let log = match finished.log {
-        Ok(_) => Some(path),
-        Err(error) => {
-            say(format_args!("{error}"));
-            None
-        }
-    };
+    tell_tlog(finished.tlog);
     let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
-    Ok(Flown { end, exit, log })
+    match finished.log {
+        Ok(_) => Ok(Flown { end, exit, log: Some(path) }),
+        Err(error) => {
+            say(format_args!("{error}; {} holds what was written before", path.display()));
+            // A flight without its log did not go well.
+            let exit = if exit == Exit::Ok { Exit::Failure } else { exit };
+            Ok(Flown { end, exit, log: None })
+        }
+    }
 }
 
 /// Shows the status and waits for the end. The first Ctrl-C or SIGTERM asks for landing, the
@@ -183,10 +186,66 @@ pub(super) fn baud(endpoint: &Endpoint) -> Option<u32> {
     }
 }
 
-/// Opens the .tlog that every byte of the link goes to.
+/// Says what a telemetry log lacks.
+pub(super) fn tell_tlog(tlog: Option<io::Result<u64>>) {
+    match tlog {
+        None | Some(Ok(0)) => {}
+        Some(Ok(dropped)) => say(format_args!(
+            "the telemetry log lacks {dropped} messages: its disk was slower than the link"
+        )),
+        Some(Err(error)) => say(format_args!("the telemetry log ends early: {error}")),
+    }
+}
+
+/// Opens the .tlog that every byte of the link goes to: beside one that is there already, which may
+/// hold a flight.
 pub(super) fn tee(path: &Path) -> anyhow::Result<TeeThread> {
-    let file = File::create(path)
+    let (file, at) = create_beside(path)
         .with_context(|| format!("cannot create the telemetry log {}", path.display()))
         .or_exit(Exit::Usage)?;
+    if at != path {
+        say(format_args!("{} is there already: writing {}", path.display(), at.display()));
+    }
     TeeThread::start(BufWriter::new(file)).context("cannot start the telemetry log's thread")
+}
+
+/// A new file at `path`, or with a number behind its name where there is one; a device or a pipe is
+/// taken as it is.
+fn create_beside(path: &Path) -> io::Result<(File, PathBuf)> {
+    let is_special = path.metadata().is_ok_and(|there| !there.is_file());
+    if is_special {
+        return Ok((File::create(path)?, path.to_owned()));
+    }
+    let mut number = 1u32;
+    loop {
+        let mut at = path.to_owned();
+        if number > 1 {
+            let name =
+                |part: Option<&OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+            let (stem, extension) = (name(path.file_stem()), name(path.extension()));
+            at.set_file_name(format!("{stem}-{number}.{extension}"));
+        }
+        match File::create_new(&at) {
+            Ok(file) => return Ok((file, at)),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_telemetry_log_that_is_there_is_kept() {
+        let name = format!("downwash-tlog-{}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("flight.tlog");
+        let names: Vec<PathBuf> = (0..3).map(|_| create_beside(&path).unwrap().1).collect();
+        let expected = ["flight.tlog", "flight-2.tlog", "flight-3.tlog"];
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert_eq!(names, expected.map(|name| folder.join(name)));
+    }
 }

@@ -10,7 +10,9 @@ use crate::station::End;
 
 /// The end in words, and its exit code. `stop`: the user asked for the end.
 pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
-    if stop.is_some() {
+    // What was asked for does not hide what became of the vehicle.
+    let is_lost = matches!(end, Some(End::LinkLost(_) | End::PilotTookOver));
+    if stop.is_some() && !is_lost {
         return ("interrupted".to_owned(), Exit::Interrupted);
     }
     match end {

@@ -85,6 +85,10 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
         return Err(error).or_exit(Exit::Usage);
     }
     // Before the training, not after it.
+    if args.out.is_dir() {
+        let error = anyhow!("--out: expected a file, found the folder {}", args.out.display());
+        return Err(error).or_exit(Exit::Usage);
+    }
     let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         return Err(anyhow!("--out: there is no folder {}", folder.display())).or_exit(Exit::Usage);
