@@ -61,7 +61,6 @@ struct Counts {
     host: HostTime,
     received_frames: u64,
     received_bytes: u64,
-    lost: u64,
     sent_frames: u64,
     sent_bytes: u64,
 }
@@ -74,14 +73,6 @@ impl LinkMeter {
     /// The endpoint was opened, for the first time or again.
     pub(super) fn opened(&mut self) {
         self.opened += 1;
-    }
-
-    /// Share of the senders' frames that were lost since the last [`LinkMeter::read`]; `None` if
-    /// nothing was received.
-    pub(super) fn loss(&self, stats: &counters::LinkStats) -> Option<f64> {
-        let received = stats.received.frames.saturating_sub(self.last.received_frames);
-        let lost = stats.lost.saturating_sub(self.last.lost);
-        (received > 0).then(|| lost as f64 / (lost as f64 + received as f64))
     }
 
     /// The link since the last call.
@@ -115,45 +106,9 @@ impl LinkMeter {
             host: now,
             received_frames: stats.received.frames,
             received_bytes: stats.received.bytes,
-            lost: stats.lost,
             sent_frames: stats.sent_frames,
             sent_bytes: stats.sent_bytes,
         };
         record
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::time::Duration;
-
-    use wire::DecoderStats;
-
-    use super::*;
-    use crate::link::counters::LinkState;
-
-    #[test]
-    fn loss_is_the_share_since_the_last_reading() {
-        let stats = |frames, lost| counters::LinkStats {
-            state: LinkState::Connected,
-            vehicle: None,
-            received: DecoderStats { frames, ..DecoderStats::default() },
-            foreign: 0,
-            stray: 0,
-            refused: 0,
-            lost,
-            sent_frames: 0,
-            sent_bytes: 0,
-            round_trip: None,
-            clock: None,
-            messages: Vec::new(),
-        };
-        let start = HostTime::from_ns(0);
-        let mut meter = LinkMeter::new(start);
-        assert_eq!(meter.loss(&stats(0, 0)), None);
-        assert_eq!(meter.loss(&stats(75, 25)), Some(0.25));
-        meter.read(start + Duration::from_secs(1), &stats(75, 25));
-        assert_eq!(meter.loss(&stats(75, 25)), None, "silence is no loss");
-        assert_eq!(meter.loss(&stats(175, 25)), Some(0.0));
     }
 }
