@@ -1,6 +1,5 @@
 //! `downwash fly`: one flight, from preflight to landing.
 
-use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{self, BufWriter, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -22,6 +21,7 @@ use crate::config::Config;
 use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
+use crate::log::writer::create_numbered;
 use crate::log::{LogSink, LogWriter, RunInfo};
 use crate::plan::Trajectory;
 use crate::plan::receding::RecedingReference;
@@ -197,55 +197,19 @@ pub(super) fn tell_tlog(tlog: Option<io::Result<u64>>) {
     }
 }
 
-/// Opens the .tlog that every byte of the link goes to: beside one that is there already, which may
-/// hold a flight.
+/// Opens the .tlog that every byte of the link goes to: beside one that is there already; a device or
+/// a pipe is taken as it is.
 pub(super) fn tee(path: &Path) -> anyhow::Result<TeeThread> {
-    let (file, at) = create_beside(path)
+    let is_special = path.metadata().is_ok_and(|there| !there.is_file());
+    let created = match is_special {
+        true => File::create(path).map(|file| (file, path.to_owned())),
+        false => create_numbered(path),
+    };
+    let (file, at) = created
         .with_context(|| format!("cannot create the telemetry log {}", path.display()))
         .or_exit(Exit::Usage)?;
     if at != path {
         say(format_args!("{} is there already: writing {}", path.display(), at.display()));
     }
     TeeThread::start(BufWriter::new(file)).context("cannot start the telemetry log's thread")
-}
-
-/// A new file at `path`, or with a number behind its name where there is one; a device or a pipe is
-/// taken as it is.
-fn create_beside(path: &Path) -> io::Result<(File, PathBuf)> {
-    let is_special = path.metadata().is_ok_and(|there| !there.is_file());
-    if is_special {
-        return Ok((File::create(path)?, path.to_owned()));
-    }
-    let mut number = 1u32;
-    loop {
-        let mut at = path.to_owned();
-        if number > 1 {
-            let name =
-                |part: Option<&OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
-            let (stem, extension) = (name(path.file_stem()), name(path.extension()));
-            at.set_file_name(format!("{stem}-{number}.{extension}"));
-        }
-        match File::create_new(&at) {
-            Ok(file) => return Ok((file, at)),
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
-            Err(error) => return Err(error),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_telemetry_log_that_is_there_is_kept() {
-        let name = format!("downwash-tlog-{}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
-        std::fs::create_dir_all(&folder).unwrap();
-        let path = folder.join("flight.tlog");
-        let names: Vec<PathBuf> = (0..3).map(|_| create_beside(&path).unwrap().1).collect();
-        let expected = ["flight.tlog", "flight-2.tlog", "flight-3.tlog"];
-        std::fs::remove_dir_all(&folder).unwrap();
-        assert_eq!(names, expected.map(|name| folder.join(name)));
-    }
 }

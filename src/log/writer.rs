@@ -380,17 +380,33 @@ impl LogWriter {
 fn create_file(directory: &Path, stem: &str) -> Result<(File, PathBuf), LogError> {
     fs::create_dir_all(directory)
         .map_err(|source| LogError::Create { path: directory.to_owned(), source })?;
+    let path = directory.join(format!("{stem}.mcap"));
+    create_numbered(&path).map_err(|source| LogError::Create { path, source })
+}
+
+/// A new file at `path`, or with a number behind its name where there is one already, which may hold
+/// a flight.
+///
+/// # Errors
+/// If none can be created.
+pub fn create_numbered(path: &Path) -> io::Result<(File, PathBuf)> {
+    let stem = path.file_stem().unwrap_or_default();
     let mut number = 1u32;
     loop {
-        let name = match number {
-            1 => format!("{stem}.mcap"),
-            n => format!("{stem}-{n}.mcap"),
-        };
-        let path = directory.join(name);
-        match OpenOptions::new().write(true).create_new(true).open(&path) {
-            Ok(file) => return Ok((file, path)),
+        let mut at = path.to_owned();
+        if number > 1 {
+            let mut name = stem.to_owned();
+            name.push(format!("-{number}"));
+            if let Some(extension) = path.extension() {
+                name.push(".");
+                name.push(extension);
+            }
+            at.set_file_name(name);
+        }
+        match OpenOptions::new().write(true).create_new(true).open(&at) {
+            Ok(file) => return Ok((file, at)),
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists && number < 10_000 => number += 1,
-            Err(source) => return Err(LogError::Create { path, source }),
+            Err(source) => return Err(source),
         }
     }
 }
@@ -443,4 +459,22 @@ fn write_preamble(
     ];
     mcap.flush()?;
     Ok(channels)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_there_is_kept() {
+        let name = format!("downwash-numbered-{}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
+        fs::create_dir_all(&folder).unwrap();
+        for expected in [["a.tlog", "a-2.tlog", "a-3.tlog"], ["a", "a-2", "a-3"]] {
+            let path = folder.join(expected[0]);
+            let names = [(); 3].map(|()| create_numbered(&path).unwrap().1);
+            assert_eq!(names, expected.map(|name| folder.join(name)));
+        }
+        fs::remove_dir_all(&folder).unwrap();
+    }
 }
