@@ -179,7 +179,7 @@ impl Control<'_> {
                 }
             }
             let out_of_time = stop_limit.is_some_and(|limit| now >= limit);
-            if station.end().is_some() || stops > 1 || out_of_time {
+            if station.is_over() || stops > 1 || out_of_time {
                 station.take_records(|record| self.sink.log(record));
                 let _ = sd_notify::notify(&[NotifyState::Stopping]);
                 return station.end().cloned();

@@ -34,8 +34,8 @@ pub fn host_time(us: u64) -> HostTime {
     EPOCH + Duration::from_micros(us)
 }
 
-/// Flies until the station's flight ends; every record goes to `log`, `watch` sees the station
-/// about every 10 ms of simulated time. Returns how it ended.
+/// Flies until the station's flight has ended and nothing more is to be recorded; every record goes
+/// to `log`, `watch` sees the station about every 10 ms of simulated time. Returns how it ended.
 ///
 /// # Errors
 /// [`Endless`] after `limit_s` of simulated time.
@@ -63,7 +63,9 @@ pub fn fly(
             watch(station, now);
         }
         station.take_records(&mut log);
-        if let Some(end) = station.end() {
+        if let Some(end) = station.end()
+            && (station.is_over() || now_us >= limit_us)
+        {
             return Ok(end.clone());
         }
         if now_us >= limit_us {

@@ -1,6 +1,7 @@
 //! The ground station, sans I/O: a session with one vehicle, the pilot that flies it, and what the
 //! flight's log is told. A driver moves the bytes and the clock.
 
+mod aftermath;
 mod attitude_loop;
 mod identification;
 mod records;
@@ -9,6 +10,7 @@ mod status;
 
 use wire::transport::Peer;
 
+use self::aftermath::Aftermath;
 use self::records::{LinkMeter, record_of, tick_record};
 pub use self::settings::StationSettings;
 pub use self::status::Status;
@@ -59,7 +61,12 @@ pub struct Station {
     tracking_error_m: f64,
     trajectory_time: Option<f64>,
     in_flight: bool,
+    /// Whether the flight at hand, or the last, left the ground.
     flown: bool,
+    /// The state in which that flight was over.
+    over_in: Option<FlightState>,
+    /// Since that flight ended early, until the vehicle is down.
+    aftermath: Option<Aftermath>,
     /// Why the flight was led another way than planned.
     last_trouble: Option<String>,
     /// The flight's state after the last event.
@@ -90,6 +97,8 @@ impl Station {
             trajectory_time: None,
             in_flight: false,
             flown: false,
+            over_in: None,
+            aftermath: None,
             last_trouble: None,
             event_state: FlightState::Connect,
             found: None,
@@ -124,6 +133,10 @@ impl Station {
             let mapped = stamp.vehicle.and_then(|vehicle| session.to_host(vehicle));
             // The clocks' estimate has an error; a sample is never newer than its arrival.
             stamp.sampled = mapped.map_or(stamp.host, |sampled| sampled.min(stamp.host));
+        }
+        // Whatever the pilot makes of what is heard afterwards: once it has ended nothing is sent.
+        if self.end.is_some() {
+            return;
         }
         // Of several samples in one datagram only the newest is acted upon.
         if let Some(setpoint) = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint) {
@@ -215,9 +228,11 @@ impl Station {
         self.session.peer_closed(peer);
     }
 
-    /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins.
+    /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins. After
+    /// a flight that ended early it ends what is still recorded.
     pub fn land(&mut self, now: HostTime) {
         self.is_stopping = true;
+        self.end_aftermath();
         if let Some(pilot) = &mut self.pilot
             && pilot.flight_state().is_flying()
         {
@@ -236,6 +251,12 @@ impl Station {
     /// How it ended, once it has.
     pub fn end(&self) -> Option<&End> {
         self.end.as_ref()
+    }
+
+    /// Whether it has ended and nothing more is to be recorded: a vehicle whose flight ended early
+    /// is watched until it is down, for at most ten seconds.
+    pub fn is_over(&self) -> bool {
+        self.end.is_some() && self.aftermath.is_none()
     }
 
     /// After the pilot has acted: ticks to the log, session's news to the pilot, the pilot's
@@ -271,22 +292,53 @@ impl Station {
                 self.last_trouble = Some(event.text.clone());
             }
             self.event_state = event.state;
+            if event.state.is_over() {
+                self.over_in = Some(event.state);
+            }
             self.tell(now, severity, format!("{}: {}", event.state.name(), event.text));
         }
         self.watch(now, state);
     }
 
-    /// Marks the flight's beginning and end in the log, and the end of a commanded flight.
-    fn watch(&mut self, now: HostTime, state: FlightState) {
-        let in_flight = state.is_in_control() || state == FlightState::Land;
-        if in_flight != self.in_flight {
-            self.in_flight = in_flight;
-            self.records.push(if in_flight {
-                Record::FlightBegins(now)
-            } else {
-                Record::FlightEnds
-            });
+    /// Marks the flight's beginning and end in the log.
+    fn mark_flight(&mut self, now: HostTime, state: FlightState) {
+        let was_in_flight = self.in_flight;
+        self.in_flight = state.is_in_control() || state == FlightState::Land;
+        if self.in_flight && !was_in_flight {
+            self.end_aftermath();
+            (self.flown, self.over_in) = (false, None);
+            self.records.push(Record::FlightBegins(now));
+        } else if was_in_flight && !self.in_flight {
+            let is_early =
+                matches!(self.over_in, Some(FlightState::Abort | FlightState::PilotControl));
+            if is_early {
+                // What was asked for in flight is not repeated to a vehicle that others lead now.
+                self.session.withdraw_requests();
+            }
+            if !(is_early && self.flown) {
+                return self.records.push(Record::FlightEnds);
+            }
+            self.aftermath = Some(Aftermath::new(now));
+            let limit_s = aftermath::LIMIT.as_secs();
+            let text =
+                format!("recording goes on until the vehicle is down, for at most {limit_s} s");
+            self.tell(now, Severity::Notice, text);
+        } else if let (Some(aftermath), Some(pilot)) = (&mut self.aftermath, &self.pilot)
+            && aftermath.is_over(now, pilot.telemetry().status())
+        {
+            self.end_aftermath();
         }
+    }
+
+    fn end_aftermath(&mut self) {
+        if self.aftermath.take().is_some() {
+            self.records.push(Record::FlightEnds);
+        }
+    }
+
+    /// Marks the flight in the log, and finds the end of a commanded one.
+    fn watch(&mut self, now: HostTime, state: FlightState) {
+        self.mark_flight(now, state);
         self.flown |= matches!(
             state,
             FlightState::TakeOff | FlightState::Approach | FlightState::Track | FlightState::Hold
@@ -362,7 +414,10 @@ impl Station {
             }
             return;
         }
-        if matches!(outcome, Outcome::Done | Outcome::Parameter(_) | Outcome::Superseded) {
+        if matches!(
+            outcome,
+            Outcome::Done | Outcome::Parameter(_) | Outcome::Superseded | Outcome::Withdrawn
+        ) {
             return;
         }
         let warning = self.pilot.as_ref().and_then(|pilot| {

@@ -229,6 +229,8 @@ impl Supervisor {
         self.faults.clear();
         if next.is_over() {
             self.engaged = false;
+            // Nothing is asked of a vehicle that is somebody else's now.
+            self.actions.clear();
         }
         self.tell(now, severity, refusal.unwrap_or_else(|| why.to_owned()));
     }

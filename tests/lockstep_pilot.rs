@@ -59,6 +59,17 @@ fn pilots_switch_engages_takes_back_and_engages_again() {
 }
 
 #[test]
+fn a_flights_log_goes_on_after_the_pilot_took_over() {
+    let mut bench = waiting();
+    engage(&mut bench);
+    bench.pilot_mode(Mode::Position);
+    bench.run(8.0);
+    assert!(!bench.told_end(), "still in the air");
+    bench.run(3.0);
+    assert!(bench.told_end());
+}
+
+#[test]
 fn a_pause_of_the_link_costs_the_streamed_hold_no_more_than_itself() {
     let mut bench = waiting();
     bench.until(FlightState::Standby, 10.0);

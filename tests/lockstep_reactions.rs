@@ -4,7 +4,10 @@ mod lockstep;
 
 use std::cell::Cell;
 use std::rc::Rc;
+use std::time::Duration;
 
+use downwash::lockstep::EPOCH;
+use downwash::log::record::Record;
 use downwash::station::End;
 use downwash::supervisor::{FlightState, Reaction};
 use lockstep::{Bench, NANO, QUAD, effects, hover, message_id, params, settings};
@@ -270,4 +273,100 @@ fn asked_to_land_it_lands() {
     assert_eq!(bench.vehicle.flight().mode(), Mode::Land);
     comes_down_silently(&mut bench);
     bench.until(FlightState::Done, 10.0);
+}
+
+/// Ticks after `us` of simulation: how many, how many of them with a setpoint, and the last height.
+fn recorded_after(bench: &Bench, us: u64) -> (usize, usize, f64) {
+    let after = EPOCH + Duration::from_micros(us);
+    let ticks = || {
+        bench.records.iter().filter_map(|record| match record {
+            Record::Tick(tick) if tick.stamp.host > after => Some(tick),
+            _ => None,
+        })
+    };
+    let height_m = ticks().last().map_or(f64::NAN, |tick| -tick.state.position.down());
+    (ticks().count(), ticks().filter(|tick| tick.setpoint.is_some()).count(), height_m)
+}
+
+/// A flight that tilts more than it may, and for which the stream stops then.
+fn stopped_in_flight() -> Bench {
+    let params = params(NANO);
+    let mut settings = settings(&params, lockstep::trajectory("steps.toml"));
+    settings.pilot.safety.tilt_max_rad = 0.1;
+    settings.pilot.safety.tilt_for_s = 0.05;
+    settings.pilot.safety.on_tilt = Reaction::Stop;
+    let mut bench = Bench::new(settings, &params);
+    bench.until(FlightState::Abort, 60.0);
+    bench
+}
+
+#[test]
+fn what_becomes_of_the_vehicle_after_an_abort_is_recorded() {
+    let mut bench = stopped_in_flight();
+    let aborted_us = bench.now_us();
+    let verdict = bench.station.end().cloned();
+    assert!(matches!(verdict, Some(End::Aborted(_))), "{verdict:?}");
+    assert!(!bench.station.is_over() && !bench.told_end());
+
+    bench.until_over(11.0);
+    assert!(bench.now_us() - aborted_us <= 10_020_000, "{:?}", bench.texts());
+    let (ticks, setpoints, height_m) = recorded_after(&bench, aborted_us);
+    assert!(ticks > 300 && height_m < 0.05, "{ticks} ticks down to {height_m} m");
+    assert_eq!((setpoints, bench.setpoints_after(aborted_us)), (0, 0));
+    assert!(bench.told_end());
+    assert_eq!(bench.station.end(), verdict.as_ref(), "what ended it stays told");
+}
+
+#[test]
+fn a_vehicle_that_the_pilot_flies_on_is_recorded_for_ten_seconds() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    bench.pilot_mode(Mode::Position);
+    bench.until(FlightState::PilotControl, 1.0);
+    let taken_us = bench.now_us();
+    bench.until_over(11.0);
+    let recorded_s = (bench.now_us() - taken_us) as f64 * 1e-6;
+    assert!((9.9..10.1).contains(&recorded_s), "{recorded_s} s");
+    assert!(bench.vehicle.flight().armed());
+    let (ticks, setpoints, _) = recorded_after(&bench, taken_us);
+    assert!(ticks > 900 && setpoints == 0, "{ticks} ticks, {setpoints} setpoints");
+    assert_eq!(bench.station.end(), Some(&End::PilotTookOver));
+}
+
+#[test]
+fn asked_to_stop_after_an_abort_it_stops_recording() {
+    let mut bench = stopped_in_flight();
+    let verdict = bench.station.end().cloned();
+    let now = bench.now();
+    bench.station.land(now);
+    assert!(bench.station.is_over());
+    assert_eq!(bench.station.end(), verdict.as_ref());
+}
+
+#[test]
+fn an_ordinary_landing_is_followed_by_nothing() {
+    let mut bench = Bench::hovering(NANO, 1.0);
+    bench.until(FlightState::Done, 60.0);
+    assert!(bench.station.is_over() && bench.station.end() == Some(&End::Done));
+}
+
+/// The vehicle starts again and does not tell its version, as a vehicle with another firmware.
+#[test]
+fn another_vehicle_that_is_heard_after_the_abort_is_not_flown() {
+    let params = params(NANO);
+    let mut bench = stopped_in_flight();
+    let aborted_us = bench.now_us();
+    // Up in the air for long, so that the recording is not over before it is identified.
+    bench.downlink = Box::new(|_, _| vec![]);
+    bench.run(0.1);
+    let fresh = Vehicle::new(params, effects(&[]), SitlConfig::default(), 2).expect("a vehicle");
+    bench.reboot(fresh);
+    const AUTOPILOT_VERSION: u32 = 148;
+    bench.downlink = Box::new(|_, frame| match message_id(frame) {
+        Some(AUTOPILOT_VERSION) => vec![],
+        _ => vec![frame.to_vec()],
+    });
+    bench.run(30.0);
+    assert!(bench.told("vehicle is PX4"), "{:#?}", bench.texts());
+    assert_eq!(bench.setpoints_after(aborted_us), 0, "{:#?}", bench.texts());
+    assert!(!bench.vehicle.flight().armed());
 }

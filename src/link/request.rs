@@ -80,6 +80,8 @@ pub enum Outcome {
     NotConnected,
     /// A newer request of the same kind took its place.
     Superseded,
+    /// It is not wanted any more.
+    Withdrawn,
 }
 
 /// What goes out for a request.
@@ -263,6 +265,11 @@ impl Requests {
         self.end_where(Outcome::NoAnswer, |_| true);
     }
 
+    /// Ends everything: it is not wanted any more.
+    pub(super) fn withdraw(&mut self) {
+        self.end_where(Outcome::Withdrawn, |_| true);
+    }
+
     /// The requests that ended since the last call.
     pub(super) fn take_ended(&mut self) -> impl Iterator<Item = Ended> + '_ {
         self.ended.drain(..)
@@ -399,6 +406,16 @@ mod tests {
         assert_eq!(outcomes(&mut requests), [Outcome::Superseded]);
         requests.mode(OFFBOARD);
         assert_eq!(outcomes(&mut requests), []);
+    }
+
+    #[test]
+    fn what_is_withdrawn_is_not_asked_again() {
+        let mut requests = Requests::default();
+        submit(&mut requests, Request::SetMode(FlightMode::Land));
+        assert_eq!(sent(&mut requests, START).len(), 1);
+        requests.withdraw();
+        assert_eq!(sent(&mut requests, at(1000)).len(), 0);
+        assert_eq!(outcomes(&mut requests), [Outcome::Withdrawn]);
     }
 
     #[test]

@@ -286,6 +286,12 @@ impl Session {
         id
     }
 
+    /// Ends the requests under way: none is repeated.
+    pub fn withdraw_requests(&mut self) {
+        self.core.requests.withdraw();
+        self.core.collect_ended();
+    }
+
     /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
     pub fn transmit(&mut self, mut send: impl FnMut(Option<Peer>, &[u8])) {
         let counters = &mut self.core.counters;

@@ -36,7 +36,9 @@ impl Station {
             self.session.request(now, Request::ReadParameter(parameter.name.clone()));
         }
         let known = self.profile.replace(profile.clone());
-        if self.pilot.is_some() && known.as_ref() == Some(&profile) {
+        let is_known = self.pilot.is_some() && known.as_ref() == Some(&profile);
+        // After the end there is nothing to fly: a new pilot would begin.
+        if is_known || self.end.is_some() {
             return;
         }
         let response = self.settings.lqr.attitude_response_rad_s;

@@ -294,6 +294,20 @@ impl Bench {
         }
     }
 
+    /// Runs until nothing more is to be recorded, at most `seconds`.
+    pub fn until_over(&mut self, seconds: f64) {
+        let limit_us = self.now_us() + (seconds * 1e6) as u64;
+        while !self.station.is_over() {
+            assert!(self.now_us() < limit_us, "still recording: {:#?}", self.texts());
+            self.turn(limit_us);
+        }
+    }
+
+    /// Whether sinks were told that the flight is over.
+    pub fn told_end(&self) -> bool {
+        self.records.iter().any(|record| matches!(record, Record::FlightEnds))
+    }
+
     pub fn position(&self) -> sitl::frame::Ned {
         self.vehicle.plant().state().position
     }
