@@ -5,9 +5,11 @@ mod log_flight;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use downwash::log::info::LogInfo;
+use downwash::log::record::{Severity, Source};
 use downwash::log::{LogReader, Record};
 use downwash::report::FlightReport;
-use log_flight::{records, write};
+use log_flight::{START, records, write};
 
 fn log(name: &str, records: &[Record]) -> PathBuf {
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("report_flight").join(name);
@@ -56,6 +58,24 @@ fn summary_counts_what_was_flown() {
     assert_eq!(json["schema"], "downwash.report.flight");
     assert_eq!(json["schema_version"], 1);
     assert!(json["tracking"]["rmse_3d_m"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn events_beyond_those_that_are_listed_are_counted_by_level() {
+    let event = |severity| Record::Event {
+        host: START,
+        severity,
+        source: Source::Vehicle,
+        text: "again".to_owned(),
+    };
+    let mut records = vec![event(Severity::Info); 1200];
+    records.extend(vec![event(Severity::Error); 7]);
+    let path = log("chatty", &records);
+    let report = report(&path);
+    assert_eq!((report.summary().events["info"], report.summary().events["error"]), (1200, 7));
+    assert!(report.to_html().contains("7 events of level error or worse"));
+    let info = LogInfo::read(&mut LogReader::open(&path).unwrap()).unwrap();
+    assert_eq!((info.events.len(), info.events_total), (1000, 1207));
 }
 
 #[test]

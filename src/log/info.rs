@@ -49,6 +49,8 @@ pub struct LogInfo {
     pub events: Vec<EventInfo>,
     /// Number of events.
     pub events_total: u64,
+    /// Number of events by level, listed or not.
+    pub events_by_level: BTreeMap<&'static str, u64>,
 }
 
 /// One topic.
@@ -172,7 +174,8 @@ impl LogInfo {
             tracking: scan.tracking.info(),
             battery: scan.battery,
             events: scan.events,
-            events_total: scan.events_total,
+            events_total: scan.events_by_level.values().sum(),
+            events_by_level: scan.events_by_level,
         })
     }
 }
@@ -247,7 +250,7 @@ struct Scan {
     tracking: TrackingSums,
     battery: Option<BatteryInfo>,
     events: Vec<EventInfo>,
-    events_total: u64,
+    events_by_level: BTreeMap<&'static str, u64>,
 }
 
 impl Scan {
@@ -270,7 +273,7 @@ impl Scan {
         } else if let Some(battery) = message.decode::<BatteryMessage>() {
             self.add_battery(&battery);
         } else if let Some(event) = event(message, start) {
-            self.events_total += 1;
+            *self.events_by_level.entry(event.level).or_insert(0) += 1;
             if self.events.len() < EVENTS_LISTED {
                 self.events.push(event);
             }

@@ -201,10 +201,6 @@ fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
 }
 
 fn summarise(info: &LogInfo, rows: &[Row], link: &[(u64, LinkStatsMessage)]) -> FlightSummary {
-    let mut events = BTreeMap::new();
-    for event in &info.events {
-        *events.entry(event.level).or_insert(0) += 1;
-    }
     FlightSummary {
         schema: "downwash.report.flight",
         schema_version: 1,
@@ -216,7 +212,7 @@ fn summarise(info: &LogInfo, rows: &[Row], link: &[(u64, LinkStatsMessage)]) -> 
         tracking: info.tracking,
         control: control_summary(rows),
         link: link_summary(link),
-        events,
+        events: info.events_by_level.clone(),
     }
 }
 
