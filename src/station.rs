@@ -42,6 +42,8 @@ pub enum End {
     LinkLost(String),
     /// The pilot took over.
     PilotTookOver,
+    /// It was asked to stop, and nothing else became of the vehicle.
+    Stopped,
 }
 
 /// A session, a pilot, and the records of both.
@@ -233,19 +235,20 @@ impl Station {
     pub fn land(&mut self, now: HostTime) {
         self.is_stopping = true;
         self.end_aftermath();
-        if let Some(pilot) = &mut self.pilot
-            && pilot.flight_state().is_flying()
-        {
+        let Some(pilot) = &mut self.pilot else {
+            self.end.get_or_insert(End::Stopped);
+            return;
+        };
+        let state = pilot.flight_state();
+        if state.is_flying() {
             pilot.land(now);
         }
-        self.follow_up(now);
-        if self.pilot.is_none() {
-            self.end_stopped();
+        // What became of an earlier flight is no news: but one that has not been left yet, because
+        // the link is silent since, is not over for whoever stops now.
+        if !self.in_flight && state != FlightState::Abort {
+            self.over_in = None;
         }
-    }
-
-    fn end_stopped(&mut self) {
-        self.end.get_or_insert_with(|| End::Aborted("stopped".to_owned()));
+        self.follow_up(now);
     }
 
     /// How it ended, once it has.
@@ -343,29 +346,42 @@ impl Station {
             state,
             FlightState::TakeOff | FlightState::Approach | FlightState::Track | FlightState::Hold
         );
+        if self.end.is_none() {
+            self.end = self.verdict(now, state);
+        }
+    }
+
+    /// How it ended, if it has: the commanded flight is over, or what was to stop has stopped. What
+    /// became of the vehicle meanwhile is told before what was asked for.
+    fn verdict(&self, now: HostTime, state: FlightState) -> Option<End> {
+        let is_commanded = self.settings.policy == EngagePolicy::Command;
         let is_airborne =
             state.is_flying() || matches!(state, FlightState::Land | FlightState::Disarm);
-        if self.is_stopping && !is_airborne {
-            self.end_stopped();
-        }
-        if self.settings.policy != EngagePolicy::Command || self.end.is_some() {
-            return;
+        let has_stopped = self.is_stopping && !is_airborne;
+        if !is_commanded && !has_stopped {
+            return None;
         }
         let trouble = || self.last_trouble.clone().unwrap_or_else(|| "no reason given".to_owned());
-        self.end = match state {
-            FlightState::Done if self.last_trouble.is_none() => Some(End::Done),
-            FlightState::Done => Some(End::Aborted(trouble())),
-            FlightState::Abort if !self.flown => Some(End::Refused(trouble())),
-            FlightState::Abort if self.session.state() != LinkState::Connected => {
+        match self.over_in {
+            Some(FlightState::PilotControl) => Some(End::PilotTookOver),
+            Some(FlightState::Abort) if self.flown && self.is_link_silent(now) => {
                 Some(End::LinkLost(trouble()))
             }
-            FlightState::Abort => Some(End::Aborted(trouble())),
-            FlightState::PilotControl => Some(End::PilotTookOver),
-            FlightState::Connect | FlightState::AwaitRelease if self.flown => {
-                Some(End::LinkLost(trouble()))
+            Some(FlightState::Abort) if self.flown => Some(End::Aborted(trouble())),
+            Some(FlightState::Abort) if is_commanded => Some(End::Refused(trouble())),
+            Some(FlightState::Done) if is_commanded && self.last_trouble.is_some() => {
+                Some(End::Aborted(trouble()))
             }
-            _ => None,
-        };
+            Some(FlightState::Done) if !self.is_stopping => Some(End::Done),
+            _ => has_stopped.then_some(End::Stopped),
+        }
+    }
+
+    fn is_link_silent(&self, now: HostTime) -> bool {
+        let limit_s = self.settings.pilot.supervisor.link_lost_after_s;
+        let heard = self.pilot.as_ref().and_then(|pilot| pilot.telemetry().status().heard);
+        self.session.state() != LinkState::Connected
+            || heard.is_none_or(|heard| now.since(heard).as_secs_f64() >= limit_s)
     }
 
     fn session_event(&mut self, now: HostTime, event: session::Event) {

@@ -59,6 +59,38 @@ fn pilots_switch_engages_takes_back_and_engages_again() {
 }
 
 #[test]
+fn a_stop_does_not_hide_what_became_of_the_flight() {
+    // The pilot takes over while the vehicle lands because of the stop.
+    let mut bench = waiting();
+    engage(&mut bench);
+    let now = bench.now();
+    bench.station.land(now);
+    bench.run(0.2);
+    bench.pilot_mode(Mode::Position);
+    bench.run(0.2);
+    assert_eq!(bench.station.end(), Some(&End::PilotTookOver));
+
+    // The link is silent since the flight.
+    let mut bench = waiting();
+    engage(&mut bench);
+    bench.downlink = Box::new(|_, _| vec![]);
+    bench.run(4.0);
+    assert_eq!(bench.station.end(), None, "it waits for the link");
+    let now = bench.now();
+    bench.station.land(now);
+    assert!(matches!(bench.station.end(), Some(End::LinkLost(_))), "{:?}", bench.station.end());
+
+    // All that is history.
+    let mut bench = waiting();
+    engage(&mut bench);
+    bench.pilot_mode(Mode::Position);
+    bench.until(FlightState::Standby, 5.0);
+    let now = bench.now();
+    bench.station.land(now);
+    assert_eq!(bench.station.end(), Some(&End::Stopped));
+}
+
+#[test]
 fn a_flights_log_goes_on_after_the_pilot_took_over() {
     let mut bench = waiting();
     engage(&mut bench);

@@ -273,6 +273,41 @@ fn asked_to_land_it_lands() {
     assert_eq!(bench.vehicle.flight().mode(), Mode::Land);
     comes_down_silently(&mut bench);
     bench.until(FlightState::Done, 10.0);
+    assert_eq!(bench.station.end(), Some(&End::Stopped));
+}
+
+fn cut(bench: &mut Bench) {
+    bench.downlink = Box::new(|_, _| vec![]);
+    bench.uplink = false;
+}
+
+#[test]
+fn a_link_that_falls_silent_is_told_before_the_request_to_stop() {
+    // Silence after the request, and the request in the silence.
+    for stops_first in [true, false] {
+        let mut bench = in_track(Bench::hovering(NANO, 30.0));
+        if !stops_first {
+            cut(&mut bench);
+            bench.run(1.0);
+        }
+        let now = bench.now();
+        bench.station.land(now);
+        cut(&mut bench);
+        bench.run(3.0);
+        let end = bench.station.end();
+        assert!(matches!(end, Some(End::LinkLost(_))), "{stops_first}: {end:?}");
+    }
+}
+
+#[test]
+fn a_link_that_counts_as_silent_early_is_lost() {
+    let params = params(NANO);
+    let mut settings = settings(&params, hover(30.0));
+    settings.pilot.supervisor.link_lost_after_s = 1.0;
+    let mut bench = in_track(Bench::new(settings, &params));
+    cut(&mut bench);
+    bench.until(FlightState::Abort, 1.5);
+    assert!(matches!(bench.station.end(), Some(End::LinkLost(_))), "{:?}", bench.station.end());
 }
 
 /// Ticks after `us` of simulation: how many, how many of them with a setpoint, and the last height.

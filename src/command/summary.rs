@@ -8,13 +8,9 @@ use crate::log::LogReader;
 use crate::report::flight::{FlightReport, FlightSummary};
 use crate::station::End;
 
-/// The end in words, and its exit code. `stop`: the user asked for the end.
+/// The end in words, and its exit code. `stop`: the user asked for the end, which does not hide what
+/// became of the vehicle.
 pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
-    // What was asked for does not hide what became of the vehicle.
-    let is_lost = matches!(end, Some(End::LinkLost(_) | End::PilotTookOver));
-    if stop.is_some() && !is_lost {
-        return ("interrupted".to_owned(), Exit::Interrupted);
-    }
     match end {
         Some(End::Done) => ("done".to_owned(), Exit::Ok),
         Some(End::NoVehicle) => ("no vehicle was heard".to_owned(), Exit::Link),
@@ -22,6 +18,9 @@ pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Ex
         Some(End::Aborted(why)) => (format!("ended early: {why}"), Exit::Aborted),
         Some(End::LinkLost(why)) => (format!("link lost: {why}"), Exit::Link),
         Some(End::PilotTookOver) => ("the pilot took over".to_owned(), Exit::Aborted),
+        Some(End::Stopped) => ("interrupted".to_owned(), Exit::Interrupted),
+        // The stream was dropped.
+        None if stop.is_some() => ("interrupted".to_owned(), Exit::Interrupted),
         None => ("stopped".to_owned(), Exit::Failure),
     }
 }
@@ -48,4 +47,21 @@ pub(super) fn flight_table(flight: &FlightSummary, end: &str) -> String {
         control.ticks, control.missed_ticks, control.setpoints, control.limited_ticks
     );
     table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_is_told_only_where_nothing_else_became_of_the_vehicle() {
+        let exit = |end: Option<End>| end_in_words(end.as_ref(), Some(Stop::Interrupt)).1;
+        assert_eq!(exit(Some(End::Stopped)), Exit::Interrupted);
+        assert_eq!(exit(None), Exit::Interrupted);
+        assert_eq!(exit(Some(End::LinkLost("silent".to_owned()))), Exit::Link);
+        assert_eq!(exit(Some(End::Aborted("tilted".to_owned()))), Exit::Aborted);
+        assert_eq!(exit(Some(End::PilotTookOver)), Exit::Aborted);
+        assert_eq!(exit(Some(End::Done)), Exit::Ok);
+        assert_eq!(end_in_words(None, None).1, Exit::Failure);
+    }
 }

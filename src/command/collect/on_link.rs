@@ -33,8 +33,9 @@ pub(super) fn fly_vehicle(
     let mut rows = Vec::new();
     for (turn, (index, fingerprint)) in ahead.iter().enumerate() {
         let flight = &flights[*index];
-        // What came after the last flight's end.
-        if signals.wait(BETWEEN_FLIGHTS).is_some() {
+        // What came at the last flight's end, or after it.
+        signals.wait(BETWEEN_FLIGHTS);
+        if signals.first().is_some() {
             let row = FlightRow::planned(flight);
             rows.push((*index, FlightRow { exit: Exit::Interrupted, ..row }));
             break;
