@@ -29,7 +29,6 @@ mod stop;
 mod summary;
 mod train;
 
-use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -39,6 +38,7 @@ use anyhow::Context;
 use serde::Serialize;
 
 use crate::cli::{Cli, Command};
+use crate::log::partial::PartialFile;
 pub use exit::Exit;
 pub use messages::Messages;
 
@@ -153,18 +153,52 @@ fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
     writeln!(out).context("standard output")
 }
 
-/// Writes a file whole or not at all.
+/// Writes a file whole or not at all; into what is no regular file, such as a pipe, as it is.
 fn write_file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".part");
-    fs::write(&partial, bytes)
-        .and_then(|()| fs::rename(&partial, path))
-        .with_context(|| format!("cannot write {}", path.display()))
+    let write = || {
+        let mut file = PartialFile::create(path)?;
+        file.write_all(bytes)?;
+        file.finish()
+    };
+    write().with_context(|| format!("cannot write {}", path.display()))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_is_written_into_and_stays_one() -> anyhow::Result<()> {
+        use std::ffi::CString;
+        use std::os::unix::ffi::OsStrExt;
+        use std::os::unix::fs::FileTypeExt;
+
+        let folder = std::env::temp_dir().join(format!("downwash-pipe-{}", std::process::id()));
+        fs::create_dir_all(&folder)?;
+        let pipe = folder.join("pipe");
+        let name = CString::new(pipe.as_os_str().as_bytes())?;
+        // SAFETY: the name is a string of the system's.
+        assert_eq!(unsafe { libc::mkfifo(name.as_ptr(), 0o600) }, 0);
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || fs::read(pipe)
+        });
+        let written = write_file(&pipe, b"results");
+        let kind = fs::metadata(&pipe)?.file_type();
+        if !kind.is_fifo() {
+            // So that the reader ends where nobody writes to it.
+            fs::remove_dir_all(&folder)?;
+            panic!("{written:?}: the pipe became {kind:?}");
+        }
+        let read = reader.join().expect("the reader ends")?;
+        fs::remove_dir_all(&folder)?;
+        written?;
+        assert_eq!(read, b"results");
+        Ok(())
+    }
 
     #[test]
     fn what_an_error_says_it_says_once() {

@@ -129,7 +129,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     let (_, done) = best.context("--window: expected at least one").or_exit(Exit::Usage)?;
     let (mut file, summary) = *done;
     file.training = serde_json::to_value(&summary).context("summary")?;
-    file.save(&args.out)?;
+    write_file(&args.out, &file.to_bytes().context("the model")?)?;
     if checkpoint_path.exists() {
         fs::remove_file(&checkpoint_path)
             .with_context(|| format!("cannot remove {}", checkpoint_path.display()))?;

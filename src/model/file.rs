@@ -200,21 +200,11 @@ impl ModelFile {
         })
     }
 
-    /// Writes the file whole or not at all. The same model gives the same bytes.
+    /// The file's bytes. The same model gives the same.
     ///
     /// # Errors
-    /// [`ModelFileError::Io`].
-    pub fn save(&self, path: &Path) -> Result<(), ModelFileError> {
-        let io = |source| ModelFileError::Io { path: path.to_owned(), source };
-        let bytes =
-            self.to_bytes().map_err(|error| io(std::io::Error::other(error.to_string())))?;
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(".partial");
-        std::fs::write(&partial, bytes).map_err(io)?;
-        std::fs::rename(&partial, path).map_err(io)
-    }
-
-    fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
+    /// A header that cannot be written.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
         let tensors = self.tensors();
         let mut header = Header {
             format: FORMAT.to_owned(),

@@ -1,9 +1,8 @@
 //! Imported flights as flat channels of an own log: one channel a stream, at its native rate.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, BufWriter};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
 
 use prost::Message as _;
 use sitl::frame::{Attitude, Frd, Ned};
@@ -12,6 +11,7 @@ use super::flight::{
     AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, TruthSample,
 };
 use crate::log::mcap_file::{McapFile, Times};
+use crate::log::partial::PartialFile;
 use crate::log::reader::Message;
 use crate::log::record::Truth;
 use crate::log::schema::{
@@ -324,18 +324,11 @@ struct Lane<'a> {
 /// # Errors
 /// [`LogError`] if the file cannot be created or written.
 pub fn write(flight: &Flight, path: &Path) -> Result<u64, LogError> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".part");
-    let partial = PathBuf::from(partial);
-    let file = File::create(&partial)
+    let mut file = PartialFile::create(path)
         .map_err(|source| LogError::Create { path: path.to_owned(), source })?;
-    let written = write_to(flight, BufWriter::new(file))
-        .and_then(|messages| fs::rename(&partial, path).map(|()| messages));
-    written.map_err(|source| {
-        // What is there of it is of no use; that it cannot be removed either changes nothing.
-        let _ = fs::remove_file(&partial);
-        LogError::Write { path: path.to_owned(), source }
-    })
+    write_to(flight, &mut file)
+        .and_then(|messages| file.finish().map(|()| messages))
+        .map_err(|source| LogError::Write { path: path.to_owned(), source })
 }
 
 fn write_to(flight: &Flight, out: impl io::Write) -> io::Result<u64> {
