@@ -5,6 +5,7 @@ use sitl::frame::Attitude;
 use super::kinematics::{Agreement, Estimate, Reading, turning_explained, turning_follows, turns};
 use super::timing::is_logged;
 use super::{Audit, Finding, Severity};
+use crate::diagnose::series::median;
 use crate::log::import::Flight;
 
 /// Rates, root mean square, at which a turning vehicle shows whether its attitude follows, rad/s.
@@ -267,10 +268,6 @@ fn check_force(flight: &Flight, audit: &mut Audit) {
     if !is_logged(&flight.specific_force) {
         return;
     }
-    let median = |mut values: Vec<f64>| {
-        let middle = values.len() / 2;
-        *values.select_nth_unstable_by(middle, f64::total_cmp).1
-    };
     let forces = flight.specific_force.values();
     let size = median(forces.iter().map(|f| f.norm()).collect());
     let down = median(forces.iter().map(|f| f.to_array()[2]).collect());

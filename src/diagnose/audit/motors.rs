@@ -1,6 +1,7 @@
 //! Motor outputs: legal values, channels that are stuck, and which rotor is where.
 
 use super::{Audit, Finding, Severity};
+use crate::diagnose::series::median;
 use crate::log::import::{Flight, MotorUnit};
 
 /// How far beyond 0..1 rounding may bring a fraction.
@@ -88,10 +89,8 @@ fn legal(flight: &Flight) -> Option<(f64, f64, &'static str)> {
         MotorUnit::ThrustFraction => Some((-ROUNDING, 1.0 + ROUNDING, "")),
         MotorUnit::Newton => Some((-ROUNDING, f64::INFINITY, "N")),
         MotorUnit::VehicleFile => {
-            let mut all: Vec<f64> = flight.outputs.values().iter().flatten().copied().collect();
-            let middle = all.len() / 2;
-            let median = *all.select_nth_unstable_by(middle, f64::total_cmp).1;
-            (median > PULSE_LIKE).then_some((*PULSES.start(), *PULSES.end(), "us"))
+            let all = flight.outputs.values().iter().flatten().copied().collect();
+            (median(all) > PULSE_LIKE).then_some((*PULSES.start(), *PULSES.end(), "us"))
         }
     }
 }

@@ -6,6 +6,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::diagnose::series::median;
 use crate::log::import::Stream;
 
 /// A bump `(1 - s^2)^3` with `s = (t - centre) / half`.
@@ -185,9 +186,7 @@ fn normal<const P: usize>(rows: &[Row<P>]) -> Option<Normal<P>> {
     if rows.len() < BUMPS_MIN.max(P) {
         return None;
     }
-    let mut sizes: Vec<f64> = rows.iter().map(|row| row.misfit.norm()).collect();
-    let middle = sizes.len() / 2;
-    let typical = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let typical = median(rows.iter().map(|row| row.misfit.norm()).collect());
     let weight = |row: &Row<P>| {
         let size = row.misfit.norm();
         if size > HUBER * typical { HUBER * typical / size } else { 1.0 }
