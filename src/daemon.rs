@@ -222,9 +222,19 @@ impl Control<'_> {
                     self.open_failure = failure;
                 }
             }
-            Input::Lost(error) => station.closed(now, &error.to_string()),
+            Input::Lost(error) => {
+                station.closed(now, &error.to_string());
+                if let Some(tee) = &mut self.tee {
+                    tee.transport_closed(now);
+                }
+            }
             Input::PeerOpened(_) => {}
-            Input::PeerClosed(peer) => station.peer_closed(peer),
+            Input::PeerClosed(peer) => {
+                station.peer_closed(now, peer);
+                if let Some(tee) = &mut self.tee {
+                    tee.peer_closed(now, peer);
+                }
+            }
         }
     }
 

@@ -226,8 +226,12 @@ impl Station {
     }
 
     /// A peer of the endpoint is gone.
-    pub fn peer_closed(&mut self, peer: Peer) {
-        self.session.peer_closed(peer);
+    pub fn peer_closed(&mut self, now: HostTime, peer: Peer) {
+        // Strangers come and go.
+        if self.session.peer_closed(peer) {
+            let text = "the vehicle's connection closed; waiting for it to connect again";
+            self.tell(now, Severity::Warning, text.to_owned());
+        }
     }
 
     /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins. After

@@ -114,7 +114,7 @@ fn silence_is_stale_then_lost_and_the_vehicle_is_found_again_elsewhere() {
 fn a_closed_connection_is_relearnt_at_once() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
-    world.session.peer_closed(VEHICLE);
+    assert!(!world.session.peer_closed(STRANGER) && world.session.peer_closed(VEHICLE));
     assert_eq!(
         world.session.send_setpoint(world.now, &Setpoint::default()),
         Err(SetpointError::NotConnected)

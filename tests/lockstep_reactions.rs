@@ -15,6 +15,7 @@ use sitl::autopilot::{COMPONENT_ID, Mode, SYSTEM_ID, Vehicle};
 use sitl::config::{BatteryConfig, SitlConfig};
 use wire::Encoder;
 use wire::dialect::*;
+use wire::transport::Peer;
 
 /// Messages of which the state is made.
 const STATE_MESSAGES: [u32; 4] = [30, 31, 32, 331];
@@ -319,7 +320,7 @@ fn recorded_after(bench: &Bench, us: u64) -> (usize, usize, f64) {
             _ => None,
         })
     };
-    let height_m = ticks().last().map_or(f64::NAN, |tick| -tick.state.position.down());
+    let height_m = ticks().next_back().map_or(f64::NAN, |tick| -tick.state.position.down());
     (ticks().count(), ticks().filter(|tick| tick.setpoint.is_some()).count(), height_m)
 }
 
@@ -404,4 +405,16 @@ fn another_vehicle_that_is_heard_after_the_abort_is_not_flown() {
     assert!(bench.told("vehicle is PX4"), "{:#?}", bench.texts());
     assert_eq!(bench.setpoints_after(aborted_us), 0, "{:#?}", bench.texts());
     assert!(!bench.vehicle.flight().armed());
+}
+
+#[test]
+fn a_closed_connection_is_told_if_it_was_the_vehicles() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let now = bench.now();
+    bench.station.peer_closed(now, Peer::new(7));
+    bench.run(0.1);
+    assert!(!bench.told("connection closed"));
+    bench.station.peer_closed(now, Peer::new(0));
+    bench.run(0.1);
+    assert!(bench.told("the vehicle's connection closed"), "{:#?}", bench.texts());
 }

@@ -44,6 +44,7 @@ pub fn link(data: &[u8]) {
         tee.received(now, peer, chunk, is_datagram).expect("memory takes everything");
         if control & 8 != 0 {
             session.peer_closed(peer);
+            tee.peer_closed(now, peer).expect("memory takes everything");
         }
         // From nothing to 8 s: past every time-out.
         now = now + Duration::from_millis(u64::from(control >> 4).pow(3) * 2);

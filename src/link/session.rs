@@ -228,14 +228,14 @@ impl Session {
         }
     }
 
-    /// A peer's connection closed. If it was the vehicle's, its next heartbeat tells the new one.
-    pub fn peer_closed(&mut self, peer: Peer) {
+    /// A peer's connection closed; whether it was the vehicle's, whose next heartbeat tells the new
+    /// one.
+    pub fn peer_closed(&mut self, peer: Peer) -> bool {
         for (_, decoder) in self.streams.extract_if(.., |(known, _)| *known == peer) {
             self.closed = sum(self.closed, decoder.stats());
         }
-        if let Some(vehicle) = &mut self.core.vehicle {
-            vehicle.peer = vehicle.peer.filter(|&known| known != peer);
-        }
+        let vehicle = self.core.vehicle.as_mut().filter(|vehicle| vehicle.peer == Some(peer));
+        vehicle.is_some_and(|vehicle| vehicle.peer.take().is_some())
     }
 
     /// The transport is gone: all peers are, and their numbers may be used anew.

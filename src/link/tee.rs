@@ -68,7 +68,15 @@ impl<W: Write> Tee<W> {
         self.finish_where(now, |known| known == peer)
     }
 
-    /// All peers are gone: what they left unfinished is written, and everything is flushed.
+    /// All peers are gone, and their numbers may be used anew: what they left unfinished is written.
+    ///
+    /// # Errors
+    /// Those of the writer.
+    pub fn transport_closed(&mut self, now: HostTime) -> io::Result<()> {
+        self.finish_where(now, |_| true)
+    }
+
+    /// The link is at its end: what is left unfinished is written, and everything is flushed.
     ///
     /// # Errors
     /// Those of the writer.
@@ -105,8 +113,21 @@ pub struct TeeThread {
 
 #[derive(Debug)]
 enum Entry {
-    Received { now: HostTime, peer: Peer, bytes: Vec<u8>, is_datagram: bool },
-    Sent { now: HostTime, frame: Vec<u8> },
+    Received {
+        now: HostTime,
+        peer: Peer,
+        bytes: Vec<u8>,
+        is_datagram: bool,
+    },
+    Sent {
+        now: HostTime,
+        frame: Vec<u8>,
+    },
+    /// `None` is every peer.
+    Closed {
+        now: HostTime,
+        peer: Option<Peer>,
+    },
 }
 
 impl TeeThread {
@@ -129,6 +150,8 @@ impl TeeThread {
                         last = now;
                         tee.sent(now, &frame)?;
                     }
+                    Entry::Closed { now, peer: Some(peer) } => tee.peer_closed(now, peer)?,
+                    Entry::Closed { now, peer: None } => tee.transport_closed(now)?,
                 }
             }
             tee.finish(last)
@@ -144,6 +167,16 @@ impl TeeThread {
     /// A frame that was sent.
     pub fn sent(&mut self, now: HostTime, frame: &[u8]) {
         self.put(Entry::Sent { now, frame: frame.to_vec() });
+    }
+
+    /// A peer is gone.
+    pub fn peer_closed(&mut self, now: HostTime, peer: Peer) {
+        self.put(Entry::Closed { now, peer: Some(peer) });
+    }
+
+    /// All peers are gone, and their numbers may be used anew.
+    pub fn transport_closed(&mut self, now: HostTime) {
+        self.put(Entry::Closed { now, peer: None });
     }
 
     fn put(&mut self, entry: Entry) {
@@ -203,5 +236,39 @@ mod tests {
         assert_eq!(log.len(), total + entries * 8);
         let frames: Vec<_> = Reader::new(&log[..]).map(|entry| entry.unwrap().frame).collect();
         assert_eq!(frames, [a, c, sent, b]);
+    }
+
+    /// A buffer that is read while a thread writes to it.
+    #[derive(Clone, Default)]
+    struct Shared(std::sync::Arc<std::sync::Mutex<Vec<u8>>>);
+
+    impl Write for Shared {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn what_a_closed_peer_left_unfinished_does_not_swallow_the_next_ones_frame() {
+        let mut encoder = Encoder::new(1, 1);
+        let mut frame = Vec::new();
+        encoder.encode(&MavMessage::HEARTBEAT(Default::default()), &mut frame);
+        let closes: [fn(&mut TeeThread, Peer); 2] =
+            [|tee, peer| tee.peer_closed(NOW, peer), |tee, _| tee.transport_closed(NOW)];
+        for close in closes {
+            let (log, peer) = (Shared::default(), Peer::new(0));
+            let mut tee = TeeThread::start(log.clone()).unwrap();
+            tee.received(NOW, peer, &frame[..10], false);
+            close(&mut tee, peer);
+            tee.received(NOW, peer, &frame, false);
+            assert_eq!(tee.finish().unwrap(), 0);
+            let log = log.0.lock().unwrap();
+            let frames: Vec<_> = Reader::new(&log[..]).map(|entry| entry.unwrap().frame).collect();
+            assert_eq!(frames, [&frame[..]]);
+        }
     }
 }
