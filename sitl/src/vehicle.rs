@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use self::required::MissingKey;
 use crate::effects::{Effect, EffectSet, RotorGyroscopic};
 use crate::rotor::Allocation;
 
 mod difference;
+mod required;
 
 pub use difference::Difference;
 
@@ -145,6 +147,21 @@ pub enum VehicleError {
         /// What the parser found and where.
         message: String,
     },
+    /// A key is missing.
+    #[error(
+        "vehicle file {path}: {} has no key {key}: expected {expected}; add it there",
+        table.as_deref().unwrap_or("the top level, before the first table,")
+    )]
+    Missing {
+        /// The file.
+        path: PathBuf,
+        /// The table as the file writes it; none at the top level.
+        table: Option<String>,
+        /// The key.
+        key: &'static str,
+        /// What its value would be.
+        expected: &'static str,
+    },
     /// A value is impossible.
     #[error("vehicle {vehicle}: {field}: expected {expected}, found {found}")]
     Value {
@@ -183,7 +200,9 @@ impl VehicleParams {
     /// # Errors
     /// As [`VehicleParams::load`], naming no file.
     pub fn from_toml_str(text: &str) -> Result<Self, VehicleError> {
-        toml::from_str::<Self>(text).map_err(|e| VehicleError::syntax(e.to_string()))?.checked()
+        toml::from_str::<Self>(text)
+            .map_err(|e| VehicleError::schema(e.to_string(), || toml::from_str(text).ok()))?
+            .checked()
     }
 
     /// A vehicle from JSON text.
@@ -192,7 +211,7 @@ impl VehicleParams {
     /// As [`VehicleParams::load`], naming no file.
     pub fn from_json_str(text: &str) -> Result<Self, VehicleError> {
         serde_json::from_str::<Self>(text)
-            .map_err(|e| VehicleError::syntax(e.to_string()))?
+            .map_err(|e| VehicleError::schema(e.to_string(), || serde_json::from_str(text).ok()))?
             .checked()
     }
 
@@ -363,10 +382,25 @@ impl VehicleError {
         Self::Syntax { path: PathBuf::from("(text)"), message }
     }
 
+    /// What the parser says, or which key is missing: of that it knows no better place than the
+    /// beginning of what lacks it.
+    fn schema(message: String, file: impl FnOnce() -> Option<serde_json::Value>) -> Self {
+        let is_missing = message.contains("missing field");
+        match is_missing.then(file).flatten().as_ref().and_then(required::missing) {
+            Some(MissingKey { table, key, expected }) => {
+                Self::Missing { path: PathBuf::from("(text)"), table, key, expected }
+            }
+            None => Self::syntax(message),
+        }
+    }
+
     /// The same error, naming the file.
     fn in_file(self, path: &Path) -> Self {
         match self {
             Self::Syntax { message, .. } => Self::Syntax { path: path.to_owned(), message },
+            Self::Missing { table, key, expected, .. } => {
+                Self::Missing { path: path.to_owned(), table, key, expected }
+            }
             Self::Value { vehicle, field, expected, found } => {
                 let vehicle = format!("{vehicle} ({})", path.display());
                 Self::Value { vehicle, field, expected, found }
@@ -463,6 +497,67 @@ pub(crate) mod tests {
         let mut vehicle = quad();
         vehicle.inertia = [1.0e-5, 1.0e-5, 2.03e-5];
         assert!(vehicle.checked().is_ok());
+    }
+
+    /// Every table with every key.
+    fn whole() -> serde_json::Value {
+        let vehicle = VehicleParams {
+            attitude_pd: Some(AttitudePd { kp: [1.0; 3], kd: [0.1; 3], rate_hz: 250.0 }),
+            motor_output: Some(MotorOutput {
+                message: "ACTUATOR_OUTPUT_STATUS".to_owned(),
+                fields: (0..ROTORS).map(|i| format!("actuator[{i}]")).collect(),
+                zero: 0.0,
+                one: 1.0,
+                disarmed: 0.0,
+            }),
+            ..quad()
+        };
+        serde_json::to_value(vehicle).unwrap()
+    }
+
+    /// The file without one key of the table that `pointer` leads to, as TOML and as JSON.
+    fn without(pointer: &str, key: &str) -> [Result<VehicleParams, VehicleError>; 2] {
+        let mut file = whole();
+        file.pointer_mut(pointer).unwrap().as_object_mut().unwrap().remove(key).unwrap();
+        [
+            VehicleParams::from_toml_str(&toml::to_string(&file).unwrap()),
+            VehicleParams::from_json_str(&file.to_string()),
+        ]
+    }
+
+    #[test]
+    fn a_missing_key_is_named_with_its_table() {
+        let places = [
+            ("", "the top level"),
+            ("/rotors/2", "[[rotors]] number 3"),
+            ("/attitude_pd", "[attitude_pd]"),
+            ("/battery", "[battery]"),
+            ("/motor_output", "[motor_output]"),
+        ];
+        let optional = ["attitude_pd", "rotor_max_rpm", "modelled_effects", "motor_output"];
+        for (pointer, table) in places {
+            let keys: Vec<String> =
+                whole().pointer(pointer).unwrap().as_object().unwrap().keys().cloned().collect();
+            for key in keys {
+                for found in without(pointer, &key) {
+                    if pointer.is_empty() && optional.contains(&key.as_str()) {
+                        assert!(found.is_ok(), "{key}: {found:?}");
+                        continue;
+                    }
+                    let error = found.unwrap_err().to_string();
+                    assert!(error.contains(table), "{error}");
+                    assert!(error.contains(&format!("has no key {key}: expected")), "{error}");
+                    assert!(!error.contains("line"), "{error}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_misspelt_key_is_told_where_it_is() {
+        let text = quad().to_toml().unwrap().replace("gravity", "gravitation");
+        let error = VehicleParams::from_toml_str(&text).unwrap_err().to_string();
+        assert!(error.contains("line") && error.contains("gravitation"), "{error}");
     }
 
     #[test]
