@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 
 use crate::model::file::ModelKind;
+use crate::model::onnx::Networks;
 use crate::plan::planner::SolverChoice;
 
 /// Flags of `train`.
@@ -148,9 +149,9 @@ pub enum ModelCommand {
         /// The ONNX file to write.
         #[arg(long, value_name = "FILE")]
         onnx: PathBuf,
-        /// `net`, or `hybrid` for the networks on what the physics leaves over.
-        #[arg(long, value_enum, default_value_t = ModelKind::Net)]
-        kind: ModelKind,
+        /// Whose networks; the physics has none.
+        #[arg(long, value_enum, default_value_t = Networks::Net)]
+        kind: Networks,
     },
 }
 

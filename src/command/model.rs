@@ -48,8 +48,7 @@ pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
             let path = either(file, model)?;
             refuse_input(&onnx, [path.as_path()])?;
             let model = load(&path, None)?;
-            let bytes = onnx::encode(&model, kind).or_exit(Exit::Usage)?;
-            write_file(&onnx, &bytes)?;
+            write_file(&onnx, &onnx::encode(&model, kind))?;
             print_text(&format!("{}\n", onnx.display()))?;
             Ok(Exit::Ok)
         }

@@ -7,7 +7,7 @@
 use prost::Message;
 
 use super::features::{Features, Head, OUTPUTS};
-use super::file::{ModelFile, ModelKind};
+use super::file::ModelFile;
 use super::learned::{Network, NetworkModel};
 
 /// Version of ONNX's file form and of its operators that the graph needs (onnx.ai, 2021).
@@ -16,24 +16,21 @@ const OPSET: i64 = 13;
 const FLOAT: i32 = 1;
 const INT64: i32 = 7;
 
-/// Why a model cannot be exported.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum OnnxError {
-    /// There is no network in it.
-    #[error("the physics model has no network; export `net`, or `hybrid` for what it leaves over")]
-    NoNetwork,
+/// Which of a file's models the networks are of; the physics has none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Networks {
+    /// The two networks alone.
+    Net,
+    /// The networks on what the physics leaves over.
+    Hybrid,
 }
 
-/// The networks of a model file as an ONNX file: of `net`, or those of `hybrid`, whose output is
-/// to be added to the physics'.
-///
-/// # Errors
-/// [`OnnxError::NoNetwork`] for the physics.
-pub fn encode(file: &ModelFile, kind: ModelKind) -> Result<Vec<u8>, OnnxError> {
-    let (model, meaning) = match kind {
-        ModelKind::Net => (&file.net, "accelerations"),
-        ModelKind::Hybrid => (&file.residual, "what is to be added to the physics' accelerations"),
-        ModelKind::Physics => return Err(OnnxError::NoNetwork),
+/// Networks of a model file as an ONNX file; the output of those of `hybrid` is to be added to the
+/// physics'.
+pub fn encode(file: &ModelFile, networks: Networks) -> Vec<u8> {
+    let (model, meaning) = match networks {
+        Networks::Net => (&file.net, "accelerations"),
+        Networks::Hybrid => (&file.residual, "what is to be added to the physics' accelerations"),
     };
     let metadata = [
         ("format", "downwash.model".to_owned()),
@@ -42,7 +39,7 @@ pub fn encode(file: &ModelFile, kind: ModelKind) -> Result<Vec<u8>, OnnxError> {
         ("frames", "world NED, body FRD, angles roll pitch yaw (z-y-x)".to_owned()),
         ("units", "SI, rad".to_owned()),
     ];
-    Ok(ModelProto {
+    ModelProto {
         ir_version: IR_VERSION,
         producer_name: "downwash".to_owned(),
         producer_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -50,7 +47,7 @@ pub fn encode(file: &ModelFile, kind: ModelKind) -> Result<Vec<u8>, OnnxError> {
         opset: vec![OpsetId { domain: String::new(), version: OPSET }],
         metadata: metadata.map(|(key, value)| Entry { key: key.to_owned(), value }).to_vec(),
     }
-    .encode_to_vec())
+    .encode_to_vec()
 }
 
 /// A rotation in a plane: from its first axis towards its second, sine and cosine of the angle.

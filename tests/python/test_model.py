@@ -136,7 +136,7 @@ def test_onnx_gives_what_the_weights_give(trained, tmp_path, features, kind, mod
 
 def test_physics_have_no_network_to_export(trained, tmp_path):
     done = run("model", "export", "--model", trained.world, "--onnx", tmp_path / "a.onnx", "--kind", "physics", code=2)
-    assert "network" in done.stderr and not (tmp_path / "a.onnx").exists()
+    assert "[possible values: net, hybrid]" in done.stderr and not (tmp_path / "a.onnx").exists()
 
 
 def predictions(path):
