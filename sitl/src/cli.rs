@@ -10,7 +10,7 @@ use wire::transport::OpenError;
 
 use crate::autopilot::{Vehicle, VehicleRefused};
 use crate::config::{ConfigError, SitlConfig};
-use crate::effects::{EffectError, EffectSet};
+use crate::effects::{EffectError, EffectSet, EffectsFileError};
 use crate::server::Server;
 use crate::vehicle::{VehicleError, VehicleParams};
 
@@ -25,7 +25,7 @@ pub struct SitlArgs {
     #[arg(long = "link", value_name = "URL", default_value = "udpin:127.0.0.1:14580")]
     pub links: Vec<Endpoint>,
     /// The simulation's own settings: sensors, battery, home, start (TOML)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, visible_alias = "sitl-config", value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Vehicle seconds per second. `downwash fly` and `downwash daemon` run in real time and need
     /// 1; other factors are for clients that go by the vehicle's own clock
@@ -34,10 +34,13 @@ pub struct SitlArgs {
     /// Seed of every random number
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Switch an effect on, such as motor_lag:tau_s=0.03 or inertia:scale=[1.2,1.1,1.0]; may be
-    /// given several times
-    #[arg(long = "effect", value_name = "ID:KEY=VALUE,...")]
-    pub effects: Vec<String>,
+    /// Effects to switch on: a TOML table of parameters for each id
+    #[arg(long, value_name = "FILE")]
+    pub effects: Option<PathBuf>,
+    /// One such effect, over those of the file, such as motor_lag:tau_s=0.03 or
+    /// inertia:scale=[1.2,1.1,1.0]; may be given several times
+    #[arg(long, value_name = "ID:KEY=VALUE,...")]
+    pub effect: Vec<String>,
 }
 
 /// Vehicle seconds per second, 0.01 to 1000.
@@ -74,6 +77,9 @@ pub enum SitlError {
     /// The settings file.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// The effects file.
+    #[error(transparent)]
+    Effects(#[from] EffectsFileError),
     /// An effect on the command line.
     #[error("--effect {argument}: {source}")]
     Effect {
@@ -94,7 +100,11 @@ impl SitlError {
     /// 2 for what was asked for, 3 for a link, 1 for the rest.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Vehicle(_) | Self::Refused(_) | Self::Config(_) | Self::Effect { .. } => 2,
+            Self::Vehicle(_)
+            | Self::Refused(_)
+            | Self::Config(_)
+            | Self::Effects(_)
+            | Self::Effect { .. } => 2,
             Self::Link(_) => 3,
             Self::Runtime(_) => 1,
         })
@@ -130,13 +140,21 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
         Some(path) => SitlConfig::load(path)?,
         None => SitlConfig::default(),
     };
-    let mut effects = EffectSet::default();
-    for argument in &args.effects {
+    Ok(Vehicle::new(params, effects(args)?, config, args.seed)?)
+}
+
+/// What the options say on top of the vehicle file.
+fn effects(args: &SitlArgs) -> Result<EffectSet, SitlError> {
+    let mut effects = match &args.effects {
+        Some(path) => EffectSet::load(path)?,
+        None => EffectSet::new(),
+    };
+    for argument in &args.effect {
         effects
             .insert_argument(argument)
             .map_err(|source| SitlError::Effect { argument: argument.clone(), source })?;
     }
-    Ok(Vehicle::new(params, effects, config, args.seed)?)
+    Ok(effects)
 }
 
 /// Runs the vehicle until a signal stops it. Says on stderr, a line for each link, where it can be
@@ -184,7 +202,40 @@ fn signals() -> std::io::Result<impl Future<Output = Stop>> {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+
     use super::*;
+    use crate::effects::{EffectId, MotorLag};
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: SitlArgs,
+    }
+
+    #[test]
+    fn effects_of_the_line_go_over_those_of_the_file() {
+        let folder = std::env::temp_dir().join(format!("sitl-effects-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let file = folder.join("effects.toml");
+        std::fs::write(&file, "[motor_lag]\ntau_s = 0.05\n[mass]\nmass_kg = 1.5\n").unwrap();
+        let asked = |more: &[&str]| {
+            let line = ["sitl", "--vehicle", "any", "--effects", file.to_str().unwrap()];
+            effects(&Line::try_parse_from(line.iter().chain(more)).unwrap().args)
+        };
+        let lag = |more: &[&str]| {
+            let effects = asked(more).unwrap();
+            assert!(effects.contains(EffectId::Mass));
+            effects.get::<MotorLag>().unwrap().tau_s
+        };
+        assert_eq!(lag(&[]), 0.05);
+        assert_eq!(lag(&["--effect", "motor_lag:tau_s=0.02"]), 0.02);
+
+        std::fs::write(&file, "[motor_lack]\n").unwrap();
+        let text = asked(&[]).unwrap_err().to_string();
+        assert!(text.contains("effects.toml") && text.contains("motor_lack"), "{text}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
 
     #[test]
     fn speeds_that_make_no_sense_are_refused() {

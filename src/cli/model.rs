@@ -147,8 +147,8 @@ pub enum ModelCommand {
         #[arg(long, conflicts_with = "file")]
         model: Option<PathBuf>,
         /// The ONNX file to write.
-        #[arg(long, value_name = "FILE")]
-        onnx: PathBuf,
+        #[arg(short, long, visible_alias = "onnx", value_name = "FILE")]
+        out: PathBuf,
         /// Whose networks; the physics has none.
         #[arg(long, value_enum, default_value_t = Networks::Net)]
         kind: Networks,

@@ -44,12 +44,12 @@ pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
             let file = load(&model, vehicle.as_deref())?;
             predict(&file, &log, mapping.as_deref(), horizon, kind, out.as_deref())
         }
-        ModelCommand::Export { file, model, onnx, kind } => {
+        ModelCommand::Export { file, model, out, kind } => {
             let path = either(file, model)?;
-            refuse_input(&onnx, [path.as_path()])?;
+            refuse_input(&out, [path.as_path()])?;
             let model = load(&path, None)?;
-            write_file(&onnx, &onnx::encode(&model, kind))?;
-            print_text(&format!("{}\n", onnx.display()))?;
+            write_file(&out, &onnx::encode(&model, kind))?;
+            print_text(&format!("{}\n", out.display()))?;
             Ok(Exit::Ok)
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use sitl::autopilot::Vehicle;
 use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
@@ -40,7 +40,7 @@ impl Truth {
             None => SitlConfig::default(),
         };
         let mut effects = match &args.effects {
-            Some(path) => effects_file(path).or_exit(Exit::Usage)?,
+            Some(path) => EffectSet::load(path).or_exit(Exit::Usage)?,
             None => EffectSet::new(),
         };
         for effect in &args.effect {
@@ -53,13 +53,6 @@ impl Truth {
     pub fn effects_text(&self) -> anyhow::Result<String> {
         serde_json::to_string(&self.effects).context("the effects")
     }
-}
-
-/// Reads effects: a TOML table of parameters for each id, as `[modelled_effects]` of a vehicle file.
-fn effects_file(path: &Path) -> anyhow::Result<EffectSet> {
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("effects file {}", path.display()))?;
-    toml::from_str(&text).map_err(|error| anyhow!("effects file {}: {error}", path.display()))
 }
 
 /// One flight to simulate.
