@@ -68,7 +68,7 @@ pub enum LinkEvent {
         /// Result and reason in words.
         text: String,
     },
-    /// Share of frames lost lately, 0..1.
+    /// Share of the vehicle's frames lost lately, 0..1.
     Quality {
         /// 0..1
         loss: f64,

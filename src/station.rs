@@ -470,7 +470,11 @@ impl Station {
     }
 
     fn record_stats(&mut self, now: HostTime) {
-        let stats = self.meter.read(now, &self.session.stats());
+        let counted = self.session.stats();
+        if let (Some(loss), Some(pilot)) = (self.meter.loss(&counted), &mut self.pilot) {
+            pilot.link_event(now, LinkEvent::Quality { loss });
+        }
+        let stats = self.meter.read(now, &counted);
         // The first period has what came before the intervals were asked for.
         if self.found.is_some_and(|found| now.since(found) >= 2 * STATS_PERIOD) {
             self.found = None;

@@ -418,3 +418,37 @@ fn a_closed_connection_is_told_if_it_was_the_vehicles() {
     bench.run(0.1);
     assert!(bench.told("the vehicle's connection closed"), "{:#?}", bench.texts());
 }
+
+#[test]
+fn a_link_that_loses_too_much_keeps_the_vehicle_on_the_ground() {
+    let params = params(NANO);
+    let mut settings = settings(&params, hover(5.0));
+    settings.pilot.supervisor.ready_timeout_s = 5.0;
+    let mut bench = Bench::new(settings, &params);
+    let mut count = 0_u32;
+    bench.downlink = Box::new(move |_, frame| {
+        count += 1;
+        if count.is_multiple_of(10) { vec![] } else { vec![frame.to_vec()] }
+    });
+    bench.until(FlightState::Abort, 30.0);
+    let Some(End::Refused(reason)) = bench.station.end() else {
+        panic!("{:?}", bench.station.end());
+    };
+    let expected = "link: expected at most 5 % of frames lost, found 10 %";
+    assert!(reason.contains(expected), "{reason}");
+}
+
+#[test]
+fn gaps_of_strangers_are_no_loss_of_the_link() {
+    let mut bench = Bench::hovering(NANO, 5.0);
+    let mut stranger = Encoder::new(9, 1);
+    bench.downlink = Box::new(move |_, frame| {
+        let mut bytes = Vec::new();
+        for _ in 0..4 {
+            bytes.clear();
+            stranger.encode(&MavMessage::ATTITUDE(Default::default()), &mut bytes);
+        }
+        vec![bytes, frame.to_vec()]
+    });
+    bench.until(FlightState::Track, 30.0);
+}

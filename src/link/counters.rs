@@ -2,17 +2,17 @@
 
 use std::time::Duration;
 
-use wire::{DecoderStats, Frame};
+use wire::DecoderStats;
 
 use super::timesync::ClockEstimate;
 use crate::clock::HostTime;
 
 /// Time over which rates are taken.
 pub const RATE_WINDOW: Duration = Duration::from_secs(1);
-/// Most senders whose sequence is followed.
-const SENDERS_MAX: usize = 32;
-/// A jump of the sequence beyond this is a restart or a swapped frame, not a loss.
-const GAP_MAX: u8 = 100;
+/// A step of the sequence beyond this is a restart, not a loss.
+const STEP_MAX: u8 = 101;
+/// Frames that were overtaken by up to so many others are late, not from a restart.
+const LATE_MAX: u8 = 16;
 
 /// How the link is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +42,9 @@ pub struct LinkStats {
     pub stray: u64,
     /// Frames of the vehicle whose content could not be true.
     pub refused: u64,
-    /// Frames lost on the way, by gaps in senders' sequences.
+    /// Frames of the vehicle that were heard.
+    pub heard: u64,
+    /// Frames of the vehicle that were lost on the way, by gaps in its sequence.
     pub lost: u64,
     /// Frames sent.
     pub sent_frames: u64,
@@ -73,14 +75,7 @@ struct Arrivals {
     in_window: u32,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Sender {
-    system: u32,
-    component: u8,
-    sequence: u8,
-}
-
-/// Counts frames of all senders and messages of the vehicle.
+/// Counts frames and messages of the vehicle, and what is not its own.
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     pub(super) foreign: u64,
@@ -88,33 +83,37 @@ pub(super) struct Counters {
     pub(super) refused: u64,
     pub(super) sent_frames: u64,
     pub(super) sent_bytes: u64,
+    heard: u64,
     lost: u64,
-    senders: Vec<Sender>,
+    /// That of the vehicle's newest frame.
+    sequence: Option<u8>,
     /// Sorted by id; the dialect bounds its length.
     arrivals: Vec<Arrivals>,
     window_start: HostTime,
 }
 
 impl Counters {
-    /// Follows the sender's sequence.
-    pub(super) fn sequence(&mut self, frame: &Frame) {
-        let (system, component, sequence) = (frame.system(), frame.component(), frame.sequence());
-        let is_room = self.senders.len() < SENDERS_MAX;
-        let known =
-            self.senders.iter_mut().find(|s| s.system == system && s.component == component);
-        match known {
-            Some(sender) => {
-                let gap = sequence.wrapping_sub(sender.sequence).wrapping_sub(1);
-                if gap <= GAP_MAX {
-                    self.lost += u64::from(gap);
-                }
-                sender.sequence = sequence;
+    /// Follows the vehicle's sequence. An autopilot numbers the frames of each link by itself, so that
+    /// nobody else's frames leave a gap.
+    pub(super) fn sequence(&mut self, sequence: u8) {
+        self.heard += 1;
+        let Some(last) = self.sequence.replace(sequence) else { return };
+        match sequence.wrapping_sub(last) {
+            // The same frame again.
+            0 => {}
+            step @ 1..=STEP_MAX => self.lost += u64::from(step) - 1,
+            // Overtaken, and counted as lost before.
+            step if step > u8::MAX - LATE_MAX => {
+                self.sequence = Some(last);
+                self.lost = self.lost.saturating_sub(1);
             }
-            None if is_room => {
-                self.senders.push(Sender { system, component, sequence });
-            }
-            None => {}
+            _ => {}
         }
+    }
+
+    /// The vehicle is heard another way now, on which frames have other numbers.
+    pub(super) fn rerouted(&mut self) {
+        self.sequence = None;
     }
 
     /// Counts a message of the vehicle.
@@ -141,6 +140,7 @@ impl Counters {
     /// Forgets the vehicle's messages.
     pub(super) fn restart(&mut self, now: HostTime) {
         self.arrivals.clear();
+        self.sequence = None;
         self.window_start = now;
     }
 
@@ -159,6 +159,10 @@ impl Counters {
         self.window_start = now;
     }
 
+    pub(super) fn heard(&self) -> u64 {
+        self.heard
+    }
+
     pub(super) fn lost(&self) -> u64 {
         self.lost
     }
@@ -170,32 +174,35 @@ impl Counters {
 
 #[cfg(test)]
 mod tests {
-    use wire::dialect::MavMessage;
-    use wire::{Decoder, Encoder};
-
     use super::*;
+
+    fn after(sequences: impl IntoIterator<Item = u8>) -> (u64, u64) {
+        let mut counters = Counters::default();
+        sequences.into_iter().for_each(|sequence| counters.sequence(sequence));
+        (counters.heard(), counters.lost())
+    }
 
     #[test]
     fn gaps_are_counted_over_the_wrap_and_restarts_are_not() {
-        let mut encoder = Encoder::new(1, 1);
+        let sent = (0..300_u32).filter(|k| ![100, 101, 255].contains(k));
+        assert_eq!(after(sent.map(|k| k as u8)), (297, 3));
+        assert_eq!(after([150, 151, 0, 1]), (4, 0), "a restart begins at zero");
+    }
+
+    #[test]
+    fn what_comes_late_or_twice_is_not_lost() {
+        assert_eq!(after([7, 8, 10, 9, 11]), (5, 0));
+        assert_eq!(after([254, 1, 255, 0, 2]), (5, 0));
+        assert_eq!(after([7, 8, 8, 9, 9]), (5, 0));
+    }
+
+    #[test]
+    fn another_way_has_other_numbers() {
         let mut counters = Counters::default();
-        let mut decoder = Decoder::new();
-        let heartbeat = MavMessage::HEARTBEAT(Default::default());
-        for k in 0..300 {
-            let mut bytes = Vec::new();
-            encoder.encode(&heartbeat, &mut bytes);
-            // Three frames are lost, one of them at the wrap.
-            if ![100, 101, 255].contains(&k) {
-                decoder.push(&bytes);
-                counters.sequence(&decoder.next_frame().unwrap());
-            }
-        }
-        assert_eq!(counters.lost(), 3);
-        let mut bytes = Vec::new();
-        Encoder::new(1, 1).encode(&heartbeat, &mut bytes);
-        decoder.push(&bytes);
-        counters.sequence(&decoder.next_frame().unwrap());
-        assert_eq!(counters.lost(), 3, "a restart begins at zero");
+        counters.sequence(10);
+        counters.rerouted();
+        counters.sequence(60);
+        assert_eq!(counters.lost(), 0);
     }
 
     #[test]

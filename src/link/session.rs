@@ -348,6 +348,7 @@ impl Session {
             foreign: core.counters.foreign,
             stray: core.counters.stray,
             refused: core.counters.refused,
+            heard: core.counters.heard(),
             lost: core.counters.lost(),
             sent_frames: core.counters.sent_frames,
             sent_bytes: core.counters.sent_bytes,

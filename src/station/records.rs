@@ -61,6 +61,9 @@ struct Counts {
     host: HostTime,
     received_frames: u64,
     received_bytes: u64,
+    unknown: u64,
+    heard: u64,
+    lost: u64,
     sent_frames: u64,
     sent_bytes: u64,
 }
@@ -73,6 +76,16 @@ impl LinkMeter {
     /// The endpoint was opened, for the first time or again.
     pub(super) fn opened(&mut self) {
         self.opened += 1;
+    }
+
+    /// Share of the vehicle's frames that were lost since the last [`LinkMeter::read`]; `None` if
+    /// nothing was heard of it.
+    pub(super) fn loss(&self, stats: &counters::LinkStats) -> Option<f64> {
+        let heard = stats.heard.saturating_sub(self.last.heard);
+        // A message that the dialect does not have leaves a gap too.
+        let unknown = stats.received.unknown.saturating_sub(self.last.unknown);
+        let lost = stats.lost.saturating_sub(self.last.lost).saturating_sub(unknown);
+        (heard > 0).then(|| lost as f64 / (lost as f64 + heard as f64))
     }
 
     /// The link since the last call.
@@ -106,9 +119,49 @@ impl LinkMeter {
             host: now,
             received_frames: stats.received.frames,
             received_bytes: stats.received.bytes,
+            unknown: stats.received.unknown,
+            heard: stats.heard,
+            lost: stats.lost,
             sent_frames: stats.sent_frames,
             sent_bytes: stats.sent_bytes,
         };
         record
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use wire::DecoderStats;
+
+    use super::*;
+    use crate::link::counters::LinkState;
+
+    #[test]
+    fn loss_is_the_share_of_the_vehicles_frames_since_the_last_reading() {
+        let stats = |heard, lost, unknown| counters::LinkStats {
+            state: LinkState::Connected,
+            vehicle: None,
+            received: DecoderStats { frames: 9000, unknown, ..DecoderStats::default() },
+            foreign: 0,
+            stray: 0,
+            refused: 0,
+            heard,
+            lost,
+            sent_frames: 0,
+            sent_bytes: 0,
+            round_trip: None,
+            clock: None,
+            messages: Vec::new(),
+        };
+        let start = HostTime::from_ns(0);
+        let mut meter = LinkMeter::new(start);
+        assert_eq!(meter.loss(&stats(0, 0, 0)), None);
+        assert_eq!(meter.loss(&stats(75, 25, 0)), Some(0.25));
+        meter.read(start + Duration::from_secs(1), &stats(75, 25, 0));
+        assert_eq!(meter.loss(&stats(75, 25, 0)), None, "silence is no loss");
+        assert_eq!(meter.loss(&stats(175, 25, 0)), Some(0.0));
+        assert_eq!(meter.loss(&stats(165, 35, 10)), Some(0.0), "the dialect's gaps are none");
     }
 }

@@ -19,7 +19,7 @@ pub struct PreflightSettings {
     pub battery_min: f64,
     /// Parameters of the vehicle that must have a value, with the reason in words.
     pub parameters: Vec<RequiredParameter>,
-    /// Largest share of frames that the link may lose, 0..1.
+    /// Largest share of the vehicle's frames that the link may lose within a second, 0..1.
     pub link_loss_max: f64,
     /// Largest horizontal distance from the vehicle to the trajectory's start, m.
     pub start_distance_max_m: f64,
@@ -69,7 +69,7 @@ impl fmt::Display for PreflightCheck {
 
 /// The checks that fail.
 ///
-/// `link_loss` is the share of frames that the link lost, where known; `start_distance_m` the
+/// `link_loss` is the share of the vehicle's frames that the link lost, where known; `start_distance_m` the
 /// horizontal distance from the vehicle to the trajectory's start.
 pub fn preflight(
     settings: &PreflightSettings,

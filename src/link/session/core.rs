@@ -98,7 +98,6 @@ impl Core {
         on: &mut impl FnMut(Heard<'_>),
     ) {
         on(Heard::Frame { peer, bytes: frame.bytes() });
-        self.counters.sequence(frame);
         if frame.id() == HEARTBEAT_DATA::ID {
             self.select(now, peer, frame);
         }
@@ -117,6 +116,7 @@ impl Core {
             return;
         }
         vehicle.last_heard = now;
+        self.counters.sequence(frame.sequence());
         self.counters.arrival(frame.id());
         self.set_state(LinkState::Connected);
         if frame.id() == TIMESYNC_DATA::ID {
@@ -155,6 +155,7 @@ impl Core {
                 if known.peer.is_none() || self.state == LinkState::Stale {
                     known.peer = Some(peer);
                     known.id.peer = peer;
+                    self.counters.rerouted();
                 }
             }
             _ => self.found(now, id),
