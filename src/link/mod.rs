@@ -22,7 +22,9 @@
 //!                 Heard::Message(_) => {} // kept for the pilot, whose setpoint goes out below
 //!             });
 //!         }
-//!         Ok(Input::PeerClosed(peer)) => drop(session.peer_closed(peer)),
+//!         Ok(Input::PeerClosed(peer)) => {
+//!             session.peer_closed(peer);
+//!         }
 //!         Ok(Input::Lost(_)) => session.transport_closed(),
 //!         Ok(Input::Opened | Input::Failed { .. } | Input::PeerOpened(_)) | Err(_) => {}
 //!     }
