@@ -17,6 +17,8 @@ const COST_STEP_MIN: f64 = 0.02;
 const STEPS_MAX: usize = 12;
 /// Starts that are followed to their end, of those that cost least.
 const STARTS_MAX: usize = 2;
+/// Starts are the same whose active numbers lie within this share of their magnitudes.
+const NEAR: f64 = 0.02;
 
 /// A hypothesis, or several, fitted without linearisation.
 #[derive(Clone, Debug)]
@@ -93,10 +95,22 @@ pub fn fit(
             Some(Begun { cost, values, residuals })
         })
         .collect();
+    // Two that lead to the same minimum would keep out a third that does not.
+    let is_near = |a: &Begun, b: &Begun| {
+        let mut numbers = 0..catalogue.numbers.len();
+        numbers.all(|n| {
+            let apart = (a.values[n] - b.values[n]).abs();
+            apart <= if active.contains(&n) { NEAR * catalogue.numbers[n].magnitude } else { 0.0 }
+        })
+    };
     begun.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    begun.dedup_by(|a, b| a.values == b.values);
-    begun.truncate(STARTS_MAX);
-    begun
+    let mut apart: Vec<Begun> = Vec::with_capacity(STARTS_MAX);
+    for start in begun {
+        if apart.len() < STARTS_MAX && !apart.iter().any(|other| is_near(&start, other)) {
+            apart.push(start);
+        }
+    }
+    apart
         .into_iter()
         .filter_map(|begun| descend(observed, about, hypotheses, (&active, &nuisances), begun))
         .min_by(|a, b| a.cost.total_cmp(&b.cost))

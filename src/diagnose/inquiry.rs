@@ -10,7 +10,7 @@ use super::answer::{
     EffectAnswer, FlightAnswer, FullVerdict, Gap, NAMED, NotTestable, Verdict, parameters,
 };
 use super::arrival::Delay;
-use super::audit::{is_flat, voltage_range};
+use super::excitation::{part_wind_from_trim, voltages_differ};
 use super::fit::Fit;
 use super::gap::{Errors, Floor, Simulator};
 use super::hypothesis::Catalogue;
@@ -22,7 +22,10 @@ use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
-use super::naming::{THRUST_LEVEL, answer_of, as_good, credence, named_effects, share, single};
+use super::naming::{
+    LEANS, THRUST_LEVEL, answer_of, as_good, credence, lean_in_place_of, named_effects, share,
+    single,
+};
 use super::noise::{ReportNoise, report_noise};
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
@@ -399,10 +402,17 @@ impl<'a> Inquiry<'a> {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
             let others = others.filter(|effect| self.catalogue.considers(**effect));
             let others: Vec<EffectId> = others.copied().collect();
-            share(&mut answers, self.catalogue, &search.selection, &others);
+            share(&mut answers, self.catalogue, &search.selection, &THRUST_LEVEL, &others);
             ambiguous.extend(others.iter().map(|effect| effect.name()));
         }
-        ambiguous.extend(as_good(self.catalogue, &search.selection, self.leg()));
+        let lean = lean_in_place_of(self.catalogue, &search.selection);
+        let lean = lean.filter(|lean| !ambiguous.contains(&lean.name()));
+        if let Some(lean) = lean.filter(|_| !part_wind_from_trim(self.case.fitted)) {
+            share(&mut answers, self.catalogue, &search.selection, &LEANS, &[lean]);
+            ambiguous.push(lean.name());
+        }
+        let Search { selection, thresholds, .. } = search;
+        ambiguous.extend(as_good(self.catalogue, selection, thresholds, self.leg()));
         ambiguous.sort_unstable();
         ambiguous.dedup();
         // Those named are the answer, the first in any case; the others are what it cannot be told from.
@@ -453,13 +463,6 @@ impl<'a> Inquiry<'a> {
             }
         })
     }
-}
-
-/// Whether the pack's voltage goes far enough, within flights or from one to the next, for sag to be
-/// told from another level of the thrust.
-fn voltages_differ(flights: &[PreparedFlight]) -> bool {
-    let all = flights.iter().flat_map(|flight| flight.voltage.values().iter().map(|[v]| *v));
-    flights.iter().all(|flight| flight.channels.voltage) && !is_flat(voltage_range(all))
 }
 
 /// Takes off a fit's effects what its twins are off by, and gives them the twins' error.

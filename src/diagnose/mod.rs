@@ -5,6 +5,7 @@ pub mod answer;
 pub mod arrival;
 pub mod audit;
 pub mod candidate;
+mod excitation;
 pub mod fit;
 pub mod flight_simulator;
 pub mod gap;

@@ -8,7 +8,7 @@ use sitl::effects::EffectId;
 use super::answer::{EffectAnswer, NotTestable, parameters};
 use super::hypothesis::{Catalogue, Target};
 use super::misfit::{Misfit, share_left};
-use super::selection::{Rival, Scored, Selection};
+use super::selection::{Rival, Scored, Selection, Thresholds};
 
 /// Log odds that what explains flights is also their cause, where nothing is left, and by how much
 /// they fall with the share that is left. By the answers of exams in which every eighth cause was none
@@ -171,19 +171,43 @@ pub(super) const THRUST_LEVEL: [EffectId; 3] =
 /// Share of its probability that the one of them keeps that is named, where nothing tells them apart.
 const LEVEL_SHARE: f64 = 0.6;
 
-/// Gives a part of the probability of what changes the thrust's level to `others`, which change it as
+/// What leans a hover at one heading: without an accelerometer only other headings tell them apart.
+pub(super) const LEANS: [EffectId; 2] = [EffectId::Wind, EffectId::AttitudeTrim];
+
+/// Share of the evidence of what is named alone from which on its rival is one, where the flights
+/// hold nothing that is made to tell them apart: what does so is then a model's small print.
+const RIVALS: f64 = 0.5;
+
+/// The effect that leans a vehicle as the one does that is named alone, and explains enough of it.
+pub(super) fn lean_in_place_of(catalogue: &Catalogue, selection: &Selection) -> Option<EffectId> {
+    let [named] = selection.best.fit.hypotheses[..] else { return None };
+    let effect = |hypothesis: usize| catalogue.hypotheses[hypothesis].effect;
+    let other = match LEANS.map(|lean| lean == effect(named)) {
+        [true, _] => LEANS[1],
+        [_, true] => LEANS[0],
+        _ => return None,
+    };
+    let evidence = |of: EffectId| {
+        let rival = selection.singles.iter().find(|rival| effect(rival.hypothesis) == of)?;
+        Some(rival.scored.evidence - selection.null.evidence)
+    };
+    (evidence(other)? > RIVALS * evidence(effect(named))?).then_some(other)
+}
+
+/// Gives a part of the probability of the first of a `family` to `others` of it, which would do as
 /// well. The answers stay in order, the most probable first.
 pub(super) fn share(
     answers: &mut Vec<EffectAnswer>,
     catalogue: &Catalogue,
     selection: &Selection,
+    family: &[EffectId],
     others: &[EffectId],
 ) {
-    let is_level = |answer: &EffectAnswer| {
+    let is_of_it = |answer: &EffectAnswer| {
         let id = EffectId::ALL.into_iter().find(|effect| effect.name() == answer.id);
-        id.is_some_and(|id| THRUST_LEVEL.contains(&id.class()))
+        id.is_some_and(|id| family.contains(&id.class()))
     };
-    let Some(most) = answers.iter_mut().find(|answer| is_level(answer)) else { return };
+    let Some(most) = answers.iter_mut().find(|answer| is_of_it(answer)) else { return };
     let given = (1.0 - LEVEL_SHARE) * most.probability / others.len().max(1) as f64;
     if !others.is_empty() {
         most.probability *= LEVEL_SHARE;
@@ -208,6 +232,7 @@ const AS_GOOD_UNCHECKED: f64 = 2.0 / 3.0;
 pub(super) fn as_good(
     catalogue: &Catalogue,
     selection: &Selection,
+    thresholds: &Thresholds,
     is_checked: bool,
 ) -> Vec<&'static str> {
     let share = if is_checked { AS_GOOD } else { AS_GOOD_UNCHECKED };
@@ -221,6 +246,7 @@ pub(super) fn as_good(
         .iter()
         .filter(|rival| !named.contains(&class(rival.hypothesis)))
         .filter(|rival| most > 0.0 && evidence(rival) > share * most)
+        .filter(|rival| evidence(rival) > thresholds.asked_of(rival.hypothesis))
         .map(|rival| catalogue.hypotheses[rival.hypothesis].effect.name())
         .collect()
 }

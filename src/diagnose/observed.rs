@@ -145,12 +145,12 @@ impl<'a> Observed<'a> {
 
     /// Sum of squares at each place, with the least that is left.
     pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
-        let mut power = self.least.clone();
-        for run in &self.runs {
-            let part = &residuals[run.flight][run.start..run.end];
-            power[run.place] += part.iter().map(|r| r * r).sum::<f64>();
-        }
-        power
+        self.least.iter().zip(self.power_of(residuals)).map(|(least, q)| least + q).collect()
+    }
+
+    /// Sum of squares at each place.
+    pub(super) fn power_of(&self, values: &Residuals) -> Vec<f64> {
+        self.dot(values, values)
     }
 
     /// Log density of each block in nats, without constants, under noise whose spectrum has the

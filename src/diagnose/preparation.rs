@@ -310,7 +310,7 @@ fn blocks(spans: &[Range<f64>]) -> Vec<Block> {
 #[cfg(test)]
 impl PreparedFlight {
     /// A flight of which only the airborne time is known.
-    fn of_spans(spans: Vec<Range<f64>>) -> Self {
+    pub(super) fn of_spans(spans: Vec<Range<f64>>) -> Self {
         Self {
             name: String::new(),
             channels: Channels::default(),

@@ -65,6 +65,8 @@ pub struct TwinFits {
     pub truth: Values,
     /// What each twin leaves at the values of the flights' fit.
     pub residuals: Vec<Residuals>,
+    /// Derivatives of each by the numbers whose derivatives are noisy.
+    own: Vec<Vec<(usize, Residuals)>>,
     /// The values that each is fitted with.
     pub values: Vec<Values>,
     /// By how much fits of pilots, whose nuisances are as expected, were off the truth on average,
@@ -100,8 +102,9 @@ impl TwinFits {
         (count, seed): (u32, u64),
     ) -> Result<Self, VehicleError> {
         let numbers = &observed.catalogue.numbers;
+        let noisy = Self::noisy(observed, about, (noise, onboard), !seed)?;
         let twins = |truth: Values, noise: &ReportNoise, count: u32, seed: u64| {
-            Self::of(observed, about, truth, active, (noise, onboard), (count, seed))
+            Self::of(observed, about, truth, (active, &noisy), (noise, onboard), (count, seed))
         };
         let plain: Values = numbers
             .iter()
@@ -127,6 +130,20 @@ impl TwinFits {
         Ok(Self { bias, pilots: of_bias, ..drawn })
     }
 
+    /// Numbers whose derivatives come out otherwise in a twin, by noise.
+    fn noisy(
+        observed: &Observed<'_>,
+        about: &Linearised,
+        (noise, onboard): (&ReportNoise, &OnboardLaw),
+        seed: u64,
+    ) -> Result<Vec<usize>, VehicleError> {
+        let replica = Replica::new(observed.catalogue, &about.values, noise, onboard)?;
+        let flights = replicas(&replica, observed.flights, seed);
+        let again = observed.like(&flights);
+        let base = again.residuals(&about.values);
+        Ok(base.map(|base| about.noisy(&again, &base)).unwrap_or_default())
+    }
+
     /// Twins where no on-board law is known to fly them by: the same motion with other noise, drawn
     /// from the spectrum of what `power` leaves.
     pub fn of_noise(observed: &Observed<'_>, power: &[f64], draws: (u32, u64)) -> Self {
@@ -149,6 +166,7 @@ impl TwinFits {
             bias: vec![0.0; truth.len()],
             pilots: 0,
             truth,
+            own: vec![Vec::new(); residuals.len()],
             residuals,
             values: Vec::new(),
             noise: ReportNoise::default(),
@@ -160,7 +178,7 @@ impl TwinFits {
         observed: &Observed<'_>,
         about: &Linearised,
         truth: Values,
-        active: &[usize],
+        (active, noisy): (&[usize], &[usize]),
         (noise, onboard): (&ReportNoise, &OnboardLaw),
         (count, seed): (u32, u64),
     ) -> Result<Self, VehicleError> {
@@ -170,32 +188,31 @@ impl TwinFits {
             pilots: 0,
             truth,
             residuals: Vec::new(),
+            own: Vec::new(),
             values: Vec::new(),
             power: Vec::new(),
             noise: *noise,
         };
-        let drawn: Vec<(Residuals, Values, Vec<f64>, ReportNoise)> = (0..count)
+        let drawn: Vec<_> = (0..count)
             .into_par_iter()
             .filter_map(|twin| {
                 let seed = seed.wrapping_add(u64::from(twin) << 20);
-                let flights: Vec<PreparedFlight> = observed
-                    .flights
-                    .iter()
-                    .enumerate()
-                    .map(|(index, flight)| replica.fly(flight, seed.wrapping_add(index as u64)))
-                    .collect();
-                let residuals = observed.like(&flights).residuals(&about.values)?;
-                let about = about.about(observed, &residuals);
+                let flights = replicas(&replica, observed.flights, seed);
+                let flown = observed.like(&flights);
+                let residuals = flown.residuals(&about.values)?;
+                let own = about.columns_of(&flown, &residuals, noisy);
+                let about = about.about_with(observed, &residuals, &own);
                 let fit = about.solve(observed.catalogue, observed.counts(), active)?;
                 let noise = report_noise(&flights, &fit.power, observed.counts());
-                Some((residuals, fit.values, fit.power, noise))
+                Some((residuals, own, fit, noise))
             })
             .collect();
         twins.noise = ReportNoise::mean(drawn.iter().map(|(.., noise)| noise));
-        for (residuals, values, power, _) in drawn {
+        for (residuals, own, fit, _) in drawn {
             twins.residuals.push(residuals);
-            twins.values.push(values);
-            twins.power.push(power);
+            twins.own.push(own);
+            twins.values.push(fit.values);
+            twins.power.push(fit.power);
         }
         Ok(twins)
     }
@@ -204,8 +221,9 @@ impl TwinFits {
     #[cfg(test)]
     pub(super) fn alike(truth: Values, fitted: Values, bias: Values) -> Self {
         let values = vec![fitted; 4];
-        let (residuals, power, noise) = (Vec::new(), Vec::new(), ReportNoise::default());
-        Self { truth, residuals, values, bias, pilots: 4, noise, power }
+        let (residuals, own, power) = (Vec::new(), Vec::new(), Vec::new());
+        let noise = ReportNoise::default();
+        Self { truth, residuals, own, values, bias, pilots: 4, noise, power }
     }
 
     /// By how much fits are off the truth on average, of each number.
@@ -271,11 +289,12 @@ pub fn screened(
     let gains: Vec<Vec<f64>> = twins
         .residuals
         .par_iter()
+        .zip(&twins.own)
         .enumerate()
-        .map(|(twin, residuals)| {
+        .map(|(twin, (residuals, own))| {
             let mut residuals = residuals.clone();
             add_noise(observed, &more, !seed.wrapping_add(twin as u64), &mut residuals);
-            let about = about.about(observed, &residuals);
+            let about = about.about_with(observed, &residuals, own);
             let mut gains = vec![0.0; selector.catalogue.hypotheses.len()];
             for (hypothesis, gain) in selector.screen(&about, &[]) {
                 gains[hypothesis] = gain;
@@ -300,6 +319,12 @@ pub fn screened(
     let mut largest: Vec<f64> = gains.iter().map(share).collect();
     largest.sort_by(f64::total_cmp);
     Twins { count, largest, chance, asked }
+}
+
+/// Flights as a replica flies them.
+fn replicas(replica: &Replica, flights: &[PreparedFlight], seed: u64) -> Vec<PreparedFlight> {
+    let seeds = (0..).map(|index| seed.wrapping_add(index));
+    flights.iter().zip(seeds).map(|(flight, seed)| replica.fly(flight, seed)).collect()
 }
 
 /// Adds noise with a deviation at each place.

@@ -1,9 +1,9 @@
-//! Effects that the search did not choose, and that an open gap shows all the same.
+//! Effects that the search did not choose, or chose and could not vouch for, and that act all the same.
 //!
 //! An effect is chosen if it explains what the equations leave and predicts flights better, beyond
 //! chance. Two kinds of causes fail that and are told by what stays open. One acts by another law than
 //! the catalogue's: it has all the evidence that there is, and its predictions are better here and
-//! worse there. The other is a lag of the rotors, for which the equations may put stamps of the outputs
+//! worse there; it may be chosen, and leave too much to be trusted. The other is a lag of the rotors, for which the equations may put stamps of the outputs
 //! that are late by as much: no stamp changes what setpoints bring about, and predictions tell.
 
 use sitl::effects::{EffectId, EffectSet};
@@ -31,10 +31,12 @@ pub(super) struct Unchosen {
 }
 
 impl Inquiry<'_> {
-    /// The effect that acts where the gap stays open: beside none, or in place of itself.
+    /// The effect that acts where the gap stays open or doubt remains: beside none, or in place of
+    /// itself.
     pub fn unchosen(&self, search: &Search, judgement: &Judgement) -> Option<Unchosen> {
         let is_open =
             matches!(judgement.because, Some(Unexplained::OpenGap | Unexplained::OpenOnOne));
+        let is_unexplained = is_open || judgement.because == Some(Unexplained::Doubt);
         let Search { selection, thresholds, .. } = search;
         let effect = |hypothesis: usize| self.catalogue.hypotheses[hypothesis].effect;
         let chosen = &selection.best.fit.hypotheses;
@@ -51,7 +53,7 @@ impl Inquiry<'_> {
             effects,
         };
         let alone = alone(self.catalogue, selection, thresholds);
-        if let Some(rival) = alone.filter(|rival| is_open && replaces_none(rival)) {
+        if let Some(rival) = alone.filter(|rival| is_unexplained && replaces_none(rival)) {
             let effects = Some(effects(rival)).filter(|effects| self.closes(search, effects));
             return Some(named(rival, effects.unwrap_or_default()));
         }
