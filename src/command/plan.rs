@@ -1,6 +1,6 @@
 //! `downwash plan`: a feasible reference near a desired trajectory, through a model.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -12,6 +12,7 @@ use sha2::{Digest, Sha256};
 use sitl::effects::BatterySag;
 use sitl::vehicle::VehicleParams;
 
+use super::output::refuse_input;
 use super::sent_thrust::behind_the_map;
 use super::setup::{EffectiveVehicle, VehicleFile};
 use super::{Exit, ExitContext, config, on_interrupt, print_json, print_text, say, write_file};
@@ -174,6 +175,8 @@ struct PlanSummary<'a> {
 }
 
 pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
+    let given = [&args.model, &args.vehicle, &args.config].into_iter().flatten();
+    refuse_input(&args.out, given.chain([&args.trajectory]).map(PathBuf::as_path))?;
     let mut config = config::load(args.config.as_deref(), vec![])?;
     if let Some(solver) = args.solver {
         config.settings.plan.solver = solver;

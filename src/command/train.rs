@@ -9,6 +9,7 @@ use anyhow::{Context, anyhow};
 use sitl::vehicle::VehicleParams;
 
 use super::logs::Logs;
+use super::output::refuse_input;
 use super::progress::StageBar;
 use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
@@ -74,6 +75,11 @@ pub(super) enum Resume {
 
 /// Trains, and writes the model file and the report. `args.resume` is the caller's to read.
 pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning> {
+    let checkpoint_path = checkpoint_path(&args.out);
+    let inputs = || args.logs.iter().chain([&args.vehicle]).chain(&args.mapping);
+    for out in [&args.out, &checkpoint_path] {
+        refuse_input(out, inputs().map(PathBuf::as_path))?;
+    }
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
     if let Some(weight) = args.regularization.iter().find(|w| !(w.is_finite() && **w >= 0.0)) {
@@ -96,7 +102,6 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     if let Some(threads) = args.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;
     }
-    let checkpoint_path = checkpoint_path(&args.out);
     let mut progress = match resume {
         Resume::Never => None,
         Resume::Always => Some(load_checkpoint(&checkpoint_path)?),

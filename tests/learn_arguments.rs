@@ -1,0 +1,64 @@
+//! What `train` and `plan` refuse before any work, by their arguments alone.
+
+mod learn;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use learn::{downwash, folder};
+
+/// Runs a command that must be refused as wrong usage; what it says.
+fn refused(folder: &Path, arguments: &[&Path]) -> String {
+    let output = downwash(folder).args(arguments).output().expect("the command runs");
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
+    errors
+}
+
+fn train(vehicle: &Path, out: &Path, more: &[&Path]) -> Vec<PathBuf> {
+    let words = ["train", "--vehicle"].map(Path::new);
+    let words = words.into_iter().chain([vehicle, Path::new("-o"), out]);
+    words.chain(more.iter().copied()).map(Path::to_owned).collect()
+}
+
+fn borrowed(arguments: &[PathBuf]) -> Vec<&Path> {
+    arguments.iter().map(PathBuf::as_path).collect()
+}
+
+#[test]
+fn what_is_read_is_not_written_over() {
+    let folder = folder("inputs");
+    let file = |name: &str| {
+        let path = folder.join(name);
+        fs::write(&path, name).expect("a file");
+        path
+    };
+    let names = ["a.mcap", "b.mcap", "v.toml", "m.toml", "o.checkpoint", "t.toml", "p.safetensors"];
+    let [first, second, vehicle, mapping, checkpoint, trajectory, model] = names.map(file);
+    let log = first.as_path();
+    let by_mapping = [log, Path::new("--mapping"), &mapping];
+    for arguments in [
+        train(&vehicle, log, &[log, &second]),
+        train(&vehicle, &second, &[log, &second]),
+        train(&vehicle, &vehicle, &[log]),
+        train(&vehicle, &mapping, &by_mapping),
+        train(&vehicle, &folder.join("o"), &[log, &checkpoint]),
+    ] {
+        let errors = refused(&folder, &borrowed(&arguments));
+        assert!(errors.contains("it would destroy"), "{arguments:?}: {errors}");
+    }
+    let [plan, out, with] = ["plan", "-o", "--model"].map(Path::new);
+    let (on, config) = (Path::new("--vehicle"), Path::new("--config"));
+    for arguments in [
+        vec![plan, &trajectory, out, &trajectory],
+        vec![plan, &trajectory, with, &model, out, &model],
+        vec![plan, &trajectory, on, &vehicle, out, &vehicle],
+        vec![plan, &trajectory, config, &mapping, out, &mapping],
+    ] {
+        let errors = refused(&folder, &arguments);
+        assert!(errors.contains("it would destroy"), "{arguments:?}: {errors}");
+    }
+    for name in names {
+        assert_eq!(fs::read_to_string(folder.join(name)).expect("the file"), name);
+    }
+}
