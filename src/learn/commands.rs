@@ -12,7 +12,7 @@ use sitl::rotor::Allocation;
 use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::alignment::interpolated;
-use crate::log::import::{Flight, Stream};
+use crate::log::import::{Flight, Stream, UnitUnknown};
 use crate::model::actuation::{Actuation, RotorState, RotorStep};
 
 /// Rate of the grid where the on-board law is not known, Hz.
@@ -93,11 +93,36 @@ impl Onboard {
         })
     }
 
+    /// Makes a flight's outputs thrust fractions. Where their unit is not known, and something
+    /// else says what the rotors were told, they are dropped and counted.
+    ///
+    /// # Errors
+    /// [`UnitUnknown`] where there is nothing else.
+    pub(super) fn normalise_outputs(
+        &self,
+        flight: &mut Flight,
+        vehicle: &VehicleParams,
+    ) -> Result<(), UnitUnknown> {
+        let Err(unknown) = flight.normalise_outputs(vehicle) else { return Ok(()) };
+        let by_speed = self.rotor_speed_max.is_some() && !flight.rotor_speed.is_empty();
+        if !(by_speed || self.is_commanded(flight)) {
+            return Err(unknown);
+        }
+        let count = flight.outputs.len() as u64;
+        flight.outputs = Stream::default();
+        flight.left_out.push(("motor outputs in a unit that nothing states".to_owned(), count));
+        Ok(())
+    }
+
+    /// Whether the law makes outputs of this flight's setpoints.
+    fn is_commanded(&self, flight: &Flight) -> bool {
+        self.law.is_some() && flight.setpoint.values().iter().any(|s| s.thrust.is_some())
+    }
+
     /// Which source this flight's u comes from, and how well the law explains the logged outputs:
     /// the root mean square difference, where both are logged.
     pub fn source(&self, flight: &Flight, attitude_latency: f64) -> (CommandSource, Option<f64>) {
-        let complete = flight.setpoint.values().iter().any(|s| s.thrust.is_some());
-        if self.law.is_none() || !complete {
+        if !self.is_commanded(flight) {
             let speeds = flight.outputs.is_empty() && !flight.rotor_speed.is_empty();
             let other =
                 if speeds { CommandSource::RotorSpeeds } else { CommandSource::MotorOutputs };

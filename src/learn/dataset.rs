@@ -98,15 +98,28 @@ pub struct Row {
     pub truth: Option<[f64; ACCELERATIONS]>,
 }
 
-/// The log cannot be of this vehicle.
+/// The log cannot be of this vehicle, or does not show that it is.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "its commands lift {found:.2} of the vehicle's weight on average, not about 1: it is of another \
-     vehicle, or the motors' unit is wrong"
-)]
-pub struct OtherVehicle {
-    /// Mean commanded thrust over the weight.
-    found: f64,
+pub enum Implausible {
+    /// Its commands do not lift the vehicle.
+    #[error(
+        "its commands lift {found:.2} of the vehicle's weight on average, not about 1: it is of \
+         another vehicle, or the motors' unit is wrong"
+    )]
+    OtherVehicle {
+        /// Mean commanded thrust over the weight.
+        found: f64,
+    },
+    /// At no usable time it is known what the rotors were told.
+    #[error(
+        "at none of its usable times it says what the rotors were told, by {}: log setpoints \
+         with thrust or motor outputs at 10 Hz or more",
+        by.name()
+    )]
+    NoInput {
+        /// What should have said it.
+        by: CommandSource,
+    },
 }
 
 impl ObservedFlight {
@@ -120,7 +133,7 @@ impl ObservedFlight {
         onboard: &Onboard,
         settings: &WindowSettings,
     ) -> Result<Self, Unusable> {
-        flight.normalise_outputs(vehicle)?;
+        onboard.normalise_outputs(&mut flight, vehicle)?;
         let segments = Segments::of(&flight)?;
         let alignment = Alignment::of(&flight);
         let (source, law_error) = onboard.source(&flight, alignment.attitude_s.unwrap_or(0.0));
@@ -188,12 +201,12 @@ impl ObservedFlight {
     /// within a factor of two of its weight.
     ///
     /// # Errors
-    /// [`OtherVehicle`] with what was found.
+    /// [`Implausible`] with what was found.
     pub fn check_vehicle(
         &self,
         vehicle: &VehicleParams,
         onboard: &Onboard,
-    ) -> Result<(), OtherVehicle> {
+    ) -> Result<(), Implausible> {
         let shipped = Actuation { lag_s: vehicle.motor_time_constant_s, ..Actuation::default() };
         let inputs = self.inputs(onboard, &shipped, 0..self.observations.len());
         let (mut lift, mut count) = (0.0, 0.0);
@@ -201,9 +214,11 @@ impl ObservedFlight {
             lift += input[0];
             count += 1.0;
         }
+        if count == 0.0 {
+            return Err(Implausible::NoInput { by: self.source });
+        }
         let found = lift / count / (vehicle.mass * vehicle.gravity);
-        let plausible = count == 0.0 || (0.5..2.0).contains(&found);
-        plausible.then_some(()).ok_or(OtherVehicle { found })
+        (0.5..2.0).contains(&found).then_some(()).ok_or(Implausible::OtherVehicle { found })
     }
 
     /// Takes out of the accelerometer what on average it has over the velocity's slope, in body

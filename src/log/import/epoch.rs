@@ -254,7 +254,10 @@ impl Epoch {
         if self.actuator_outputs.is_empty() {
             flight.outputs = self.servo_outputs.shifted(shift(Source::ServoOutputs));
             flight.motor_source = MotorSource::ServoOutputRaw;
-            flight.motor_unit = MotorUnit::VehicleFile;
+            // Of none there is nothing to know.
+            if !flight.outputs.is_empty() {
+                flight.motor_unit = MotorUnit::VehicleFile;
+            }
         } else {
             flight.outputs = self.actuator_outputs.shifted(shift(Source::ActuatorOutputs));
             flight.motor_source = MotorSource::ActuatorOutputStatus;

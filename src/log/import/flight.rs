@@ -326,7 +326,8 @@ impl Flight {
         }
     }
 
-    /// Makes outputs thrust fractions of `vehicle`. Returns why not, if its file does not say how.
+    /// Makes outputs thrust fractions of `vehicle`. Returns why not, if its file does not say how;
+    /// where there are none, there is nothing to say.
     ///
     /// # Errors
     /// [`UnitUnknown`] for outputs in the vehicle file's unit that has no `motor_output`.
@@ -334,6 +335,7 @@ impl Flight {
         let full = vehicle.rotors.map(|rotor| rotor.thrust_max_n);
         match (self.motor_unit, &vehicle.motor_output) {
             (MotorUnit::ThrustFraction, _) => {}
+            _ if self.outputs.is_empty() => {}
             (MotorUnit::Newton, _) => {
                 for outputs in &mut self.outputs.values {
                     *outputs = std::array::from_fn(|i| outputs[i] / full[i]);
@@ -363,6 +365,24 @@ pub struct UnitUnknown;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_outputs_need_no_unit() {
+        let origin = Origin {
+            path: "a.tlog".into(),
+            run: "a".into(),
+            sha256: String::new(),
+            format: "tlog",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/config/vehicles/crazyflie.toml");
+        let file = VehicleParams::load(file).expect("a vehicle");
+        let vehicle = VehicleParams { motor_output: None, ..file };
+        flight.motor_unit = MotorUnit::VehicleFile;
+        assert_eq!(flight.clone().normalise_outputs(&vehicle), Ok(()));
+        flight.outputs.push(0.0, [1500.0; 4]);
+        assert_eq!(flight.normalise_outputs(&vehicle), Err(UnitUnknown));
+    }
 
     #[test]
     fn a_stream_keeps_only_what_is_later_and_finite() {
