@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use downwash::log::import::mapping::{BodyFrame, Mapping, WorldFrame, attitude_to_ned};
-use downwash::log::import::{Flight, ImportError, MotorUnit, open, write};
+use downwash::log::import::{Flight, ImportError, MotorUnit, open, open_among, write};
 use proptest::prelude::*;
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 
@@ -161,6 +161,21 @@ fn a_table_written_as_a_log_reads_back_the_same() {
     assert_eq!(back.rows, flight.rows);
     assert_eq!((back.motor_unit, back.motor_source), (flight.motor_unit, flight.motor_source));
     assert!(open(&path, Some(&place("round_trip", "no.toml"))).is_err());
+}
+
+#[test]
+fn a_mapping_file_among_many_logs_is_for_the_tables() {
+    let flight = import("mixed", &table(300), SHIPPED).unwrap();
+    let (log, csv, map) = (
+        place("mixed", "flight.mcap"),
+        flight.origin.path.clone(),
+        place("mixed", "map-of-all.toml"),
+    );
+    write(&flight, &log).unwrap();
+    fs::write(&map, SHIPPED).unwrap();
+    assert_eq!(open_among(&log, Some(&map)).unwrap().attitude, flight.attitude);
+    assert_eq!(open_among(&csv, Some(&map)).unwrap().attitude, flight.attitude);
+    assert!(matches!(open_among(&csv, None), Err(ImportError::NoMapping { .. })));
 }
 
 fn any_rotation() -> impl Strategy<Value = Attitude> {

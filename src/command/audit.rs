@@ -26,7 +26,7 @@ pub(super) fn run(
     json: bool,
 ) -> anyhow::Result<Exit> {
     let flights: Result<Vec<Flight>, _> =
-        files.par_iter().map(|file| import::open(file, mapping)).collect();
+        files.par_iter().map(|file| import::open_among(file, mapping)).collect();
     let audits = Audit::of_all(&flights.or_exit(Exit::Usage)?);
     if json {
         print_json(&Summary { schema: "downwash.log.audit", schema_version: 1, logs: &audits })?;

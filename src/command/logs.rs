@@ -69,13 +69,13 @@ impl Logs {
     }
 }
 
-/// Reads a flight; one of another vehicle, by the file inside its log, is refused.
+/// Reads a flight, by the mapping if it is a table; one of another vehicle, by the file inside its log, is refused.
 pub(super) fn open_for(
     path: &Path,
     mapping: Option<&Path>,
     vehicle: &VehicleParams,
 ) -> anyhow::Result<Flight> {
-    let flight = import::open(path, mapping)?;
+    let flight = import::open_among(path, mapping)?;
     if let Some(text) = &flight.vehicle_file {
         let own = if text.trim_start().starts_with('{') {
             VehicleParams::from_json_str(text)

@@ -80,6 +80,15 @@ pub fn open(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> 
     Ok(flight)
 }
 
+/// As [`open`], of many logs with one mapping file: it is for the tables among them.
+///
+/// # Errors
+/// As of [`open`].
+pub fn open_among(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> {
+    let is_table = mapping.is_some() && source::recognise(path)? == Format::Csv;
+    open(path, mapping.filter(|_| is_table))
+}
+
 /// Why a log that describes itself is not read.
 enum LogFault {
     Io(io::Error),
