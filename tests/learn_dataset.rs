@@ -113,7 +113,7 @@ fn observed(logs: &[PathBuf]) -> Vec<ObservedFlight> {
     let onboard = Onboard::new(&vehicle).expect("a mixer");
     let observe = |path: &PathBuf| {
         let flight = import::open(path, None).expect("a log");
-        ObservedFlight::new(flight, &vehicle, &onboard, &WindowSettings::default())
+        ObservedFlight::new(flight, &vehicle, &onboard, &WindowSettings::default(), &[])
             .expect("a flight")
     };
     logs.iter().map(observe).collect()

@@ -98,7 +98,7 @@ fn observe(
     windows: &WindowSettings,
 ) -> anyhow::Result<ObservedFlight> {
     let flight = open_for(path, mapping, vehicle)?;
-    let observed = ObservedFlight::new(flight, vehicle, onboard, windows)?;
+    let observed = ObservedFlight::new(flight, vehicle, onboard, windows, &[])?;
     observed.check_vehicle(vehicle, onboard)?;
     Ok(observed)
 }

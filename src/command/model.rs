@@ -187,8 +187,8 @@ fn predict(
     align(file, &onboard, observed);
     let model = file.model(kind.unwrap_or(file.preferred)).or_exit(Exit::Usage)?;
     let inputs = RecordedInputs::new(observed, &onboard, &file.actuation);
-    let samples = samples(observed);
-    let period = median_period(&samples);
+    let samples = Samples::of(observed);
+    let period = samples.period();
     let steps = (horizon / period).round().max(1.0) as usize;
 
     let mut sink = Output::to(out)?;
@@ -196,16 +196,14 @@ fn predict(
     writeln!(sink, "run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz").context("predictions")?;
     let mut written = 0_u64;
     // Pieces keep memory small and the order of the file.
-    let starts: Vec<usize> = (0..samples.len()).collect();
+    let starts: Vec<usize> = (0..samples.times.len()).collect();
     for piece in starts.chunks(512) {
         let texts: Vec<String> = piece
             .par_iter()
             .map(|start| {
-                let last = (start + steps).min(samples.len() - 1);
-                // A horizon ends where the recording does.
-                let horizons: Vec<f64> =
-                    samples[start + 1..=last].iter().map(|t| t - samples[*start]).collect();
-                rows(&inputs, model.as_ref(), run, *start, samples[*start], &horizons)
+                let horizons = samples.ahead(*start, steps);
+                let (number, time) = samples.times[*start];
+                rows(&inputs, model.as_ref(), run, number, time, &horizons)
             })
             .collect();
         for text in texts {
@@ -252,22 +250,48 @@ fn rows(
     text
 }
 
-/// Instants of the samples: the rows of a table, else a 100 Hz grid over the flight.
-fn samples(observed: &ObservedFlight) -> Vec<f64> {
-    if let Some(rows) = &observed.flight.rows {
-        return rows.clone();
-    }
-    let times = observed.flight.attitude.times();
-    let (Some(first), Some(last)) = (times.first(), times.last()) else { return Vec::new() };
-    let first = (first * SAMPLE_RATE_HZ).ceil() as i64;
-    let last = (last * SAMPLE_RATE_HZ).floor() as i64;
-    (first..=last).map(|k| k as f64 / SAMPLE_RATE_HZ).collect()
+/// Instants from which is predicted, with their numbers: the rows of a table, else a 100 Hz grid
+/// over the flight's unbroken parts.
+struct Samples {
+    times: Vec<(usize, f64)>,
 }
 
-fn median_period(samples: &[f64]) -> f64 {
-    let mut gaps: Vec<f64> = samples.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    gaps.sort_by(f64::total_cmp);
-    gaps.get(gaps.len() / 2).copied().unwrap_or(1.0 / SAMPLE_RATE_HZ)
+impl Samples {
+    fn of(observed: &ObservedFlight) -> Self {
+        if let Some(rows) = &observed.flight.rows {
+            return Self { times: rows.iter().copied().enumerate().collect() };
+        }
+        let grid = |time: f64| time * SAMPLE_RATE_HZ;
+        let first = observed.flight.attitude.times().first().map_or(0.0, |t| grid(*t).ceil());
+        let mut times = Vec::new();
+        for span in observed.recorded() {
+            let (start, end) = (grid(span.start).ceil() as i64, grid(span.end).floor() as i64);
+            let samples = (start..=end)
+                .map(|k| ((k - first as i64).max(0) as usize, k as f64 / SAMPLE_RATE_HZ));
+            times.extend(samples);
+        }
+        Self { times }
+    }
+
+    /// Times from a sample to the next `steps` after it. A horizon ends where the recording does,
+    /// or pauses, or where open loop says nothing more.
+    fn ahead(&self, start: usize, steps: usize) -> Vec<f64> {
+        let Some(((number, time), later)) = self.times.get(start..).and_then(<[_]>::split_first)
+        else {
+            return Vec::new();
+        };
+        let next = later.iter().take(steps).zip(1..).take_while(|((other, at), ahead)| {
+            other - number == *ahead && at - time <= HORIZON_MAX_S
+        });
+        next.map(|((_, at), _)| at - time).collect()
+    }
+
+    /// Median time between samples, s.
+    fn period(&self) -> f64 {
+        let mut gaps: Vec<f64> = self.times.windows(2).map(|pair| pair[1].1 - pair[0].1).collect();
+        gaps.sort_by(f64::total_cmp);
+        gaps.get(gaps.len() / 2).copied().unwrap_or(1.0 / SAMPLE_RATE_HZ)
+    }
 }
 
 /// What a training found, for people.

@@ -12,13 +12,14 @@ use sitl::rotor::Allocation;
 use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::alignment::interpolated;
-use crate::log::import::{Flight, Stream, UnitUnknown};
+use super::segments::{unbroken, unbroken_over};
+use crate::log::import::{self, Flight, Stream, UnitUnknown};
 use crate::model::actuation::{Actuation, RotorState, RotorStep};
 
 /// Rate of the grid where the on-board law is not known, Hz.
 const OUTPUT_RATE_HZ: f64 = 250.0;
 /// A setpoint older than this no longer rules, s.
-const SETPOINT_AGE_MAX: f64 = 0.1;
+pub(super) const SETPOINT_AGE_MAX: f64 = 0.1;
 /// The law's outputs may differ from the logged ones by this much, root mean square: sampling at
 /// another instant costs a few hundredths.
 const LAW_ERROR_MAX: f64 = 0.08;
@@ -48,6 +49,48 @@ impl CommandSource {
             CommandSource::MotorOutputs => "motor outputs",
             CommandSource::RotorSpeeds => "rotor speeds",
         }
+    }
+
+    /// The stream of a log that says it.
+    pub(super) fn stream(self) -> &'static str {
+        match self {
+            CommandSource::OnboardLaw => "setpoints",
+            CommandSource::MotorOutputs => "motor outputs",
+            CommandSource::RotorSpeeds => "rotor speeds",
+        }
+    }
+
+    /// The parts of a flight in which this stream goes on. A setpoint rules until it is too old.
+    pub(super) fn unbroken(self, flight: &Flight) -> Vec<Range<f64>> {
+        match self {
+            CommandSource::OnboardLaw => unbroken_over(&flight.setpoint, SETPOINT_AGE_MAX),
+            CommandSource::MotorOutputs => unbroken(&flight.outputs),
+            CommandSource::RotorSpeeds => unbroken(&flight.rotor_speed),
+        }
+    }
+
+    /// The parts of a flight in which outputs can be told, were commands not delayed: the law asks
+    /// for attitudes, the others for themselves.
+    pub(super) fn traced(self, flight: &Flight) -> Vec<Range<f64>> {
+        match self {
+            CommandSource::OnboardLaw => unbroken(&flight.attitude),
+            _ => self.unbroken(flight),
+        }
+    }
+
+    /// Of the parts that are [`traced`](Self::traced) those within `span`, when commands take
+    /// `delay` seconds.
+    pub(super) fn within(
+        self,
+        traced: &[Range<f64>],
+        delay: f64,
+        span: &Range<f64>,
+    ) -> Vec<Range<f64>> {
+        let late = if self == CommandSource::OnboardLaw { 0.0 } else { delay };
+        let parts = traced
+            .iter()
+            .map(|part| (part.start + late).max(span.start)..(part.end + late).min(span.end));
+        parts.filter(|part| part.start < part.end).collect()
     }
 
     /// The rotors' lag behind this source: none behind their own speeds.
@@ -141,11 +184,11 @@ impl Onboard {
 
     /// The law's outputs against the logged ones at the delay that fits best.
     fn law_fit(&self, flight: &Flight, attitude_latency: f64) -> Option<LawFit> {
+        let source = CommandSource::OnboardLaw;
+        let traced = source.traced(flight);
         let fits = (0..12).filter_map(|k| {
             let delay = 0.005 * f64::from(k);
-            let source = CommandSource::OnboardLaw;
-            let trace =
-                OutputTrace::new(self, flight, source, delay, attitude_latency, &EVERYTHING);
+            let trace = OutputTrace::new(self, flight, source, delay, attitude_latency, &traced);
             let (mut error, mut count, mut cross, mut square) = (0.0, 0.0, 0.0, 0.0);
             for (time, logged) in flight.outputs.iter() {
                 let Some(law) = trace.at(time) else { continue };
@@ -165,7 +208,7 @@ impl Onboard {
     /// Outputs for a setpoint at a reported attitude and rate; `None` without a law.
     pub(super) fn law_outputs(
         &self,
-        setpoint: &crate::log::import::AttitudeSetpoint,
+        setpoint: &import::AttitudeSetpoint,
         attitude: sitl::frame::Attitude,
         body_rate: Frd,
     ) -> Option<[f64; ROTORS]> {
@@ -189,62 +232,62 @@ impl Onboard {
     }
 }
 
-/// Motor outputs on an even grid; `None` where nothing ruled.
+/// Motor outputs on even grids; `None` where nothing ruled.
 pub(super) struct OutputTrace {
-    start: f64,
     step: f64,
+    /// In the order of their times.
+    pieces: Vec<Piece>,
+}
+
+/// Outputs a step apart.
+struct Piece {
+    start: f64,
     outputs: Vec<Option<[f64; ROTORS]>>,
 }
 
 impl OutputTrace {
-    /// The outputs of a flight within `span` when commands take `delay` seconds and attitudes
-    /// are logged `attitude_latency` seconds late.
+    /// The outputs of a flight within `spans` when commands take `delay` seconds and attitudes
+    /// are logged `attitude_latency` seconds late. Pauses of the log lie between spans: a grid
+    /// over them could be of any size.
     pub fn new(
         onboard: &Onboard,
         flight: &Flight,
         source: CommandSource,
         delay: f64,
         attitude_latency: f64,
-        span: &Range<f64>,
+        spans: &[Range<f64>],
     ) -> Self {
         let step = 1.0 / onboard.rate_hz;
-        let (Some(first), Some(last)) =
-            (flight.attitude.times().first(), flight.attitude.times().last())
-        else {
-            return Self { start: 0.0, step, outputs: Vec::new() };
+        let by_law = |t: f64| {
+            let sent = t - delay;
+            let setpoint = fresh_setpoint(flight, sent)?;
+            // On board the estimate is not late.
+            let attitude = interpolated(&flight.attitude, t + attitude_latency)?;
+            let rate = lerp(&flight.body_rate, t)?;
+            onboard.law_outputs(setpoint, attitude, Frd::from(rate))
         };
-        let (first, last) = (first.max(span.start), last.min(span.end));
-        let start = (first / step).ceil() * step;
-        let count = ((last - start) / step).max(0.0) as usize;
-        let ticks = (0..count).map(|k| start + k as f64 * step);
-        let outputs = match source {
-            CommandSource::OnboardLaw => ticks
-                .map(|t| {
-                    let index = flight.setpoint.index_at(t - delay)?;
-                    let fresh = t - delay - flight.setpoint.times()[index] < SETPOINT_AGE_MAX;
-                    // On board the estimate is not late.
-                    let attitude = interpolated(&flight.attitude, t + attitude_latency)?;
-                    let rate = lerp(&flight.body_rate, t)?;
-                    let setpoint = &flight.setpoint.values()[index];
-                    fresh.then(|| onboard.law_outputs(setpoint, attitude, Frd::from(rate)))?
-                })
-                .collect(),
-            CommandSource::MotorOutputs => {
-                ticks.map(|t| lerp(&flight.outputs, t - delay)).collect()
+        let outputs = |t: f64| match source {
+            CommandSource::OnboardLaw => by_law(t),
+            CommandSource::MotorOutputs => lerp(&flight.outputs, t - delay),
+            CommandSource::RotorSpeeds => {
+                let speeds = lerp(&flight.rotor_speed, t - delay)?;
+                Some(speeds.map(|speed| onboard.state_at_speed(speed)))
             }
-            CommandSource::RotorSpeeds => ticks
-                .map(|t| {
-                    let speeds = lerp(&flight.rotor_speed, t - delay)?;
-                    Some(speeds.map(|speed| onboard.state_at_speed(speed)))
-                })
-                .collect(),
         };
-        Self { start, step, outputs }
+        let piece = |span: &Range<f64>| {
+            let start = (span.start / step).ceil() * step;
+            let count = ((span.end - start) / step).max(0.0) as usize;
+            let ticks = (0..count).map(|k| start + k as f64 * step);
+            Piece { start, outputs: ticks.map(outputs).collect() }
+        };
+        Self { step, pieces: spans.iter().map(piece).collect() }
     }
 
     fn at(&self, time: f64) -> Option<[f64; ROTORS]> {
-        let index = ((time - self.start) / self.step + 1e-6).floor();
-        (index >= 0.0).then(|| self.outputs.get(index as usize).copied().flatten())?
+        let before = self.pieces.partition_point(|piece| piece.start <= time + 1e-6 * self.step);
+        let piece = self.pieces.get(before.checked_sub(1)?)?;
+        let index = ((time - piece.start) / self.step + 1e-6).floor();
+        piece.outputs.get(index as usize).copied().flatten()
     }
 
     /// The rotors' states that follow these outputs: of each instant its now and its average.
@@ -254,22 +297,32 @@ impl OutputTrace {
         let mut states = Stream::default();
         // What came before the first output is not known; it fades within a few lags.
         let settling = 3.0 * lag_s;
-        let mut current: Option<(f64, RotorState)> = None;
-        for (k, outputs) in self.outputs.iter().enumerate() {
-            let time = self.start + k as f64 * self.step;
-            let Some(outputs) = outputs else {
-                current = None;
-                continue;
-            };
-            let (since, state) = current.unwrap_or((time, RotorState::settled(*outputs, balanced)));
-            let [_, after] = rotors.advance(&state, outputs);
-            current = Some((since, after));
-            if time - since >= settling {
-                states.push(time + self.step, after.into());
+        for piece in &self.pieces {
+            let mut current: Option<(f64, RotorState)> = None;
+            for (k, outputs) in piece.outputs.iter().enumerate() {
+                let time = piece.start + k as f64 * self.step;
+                let Some(outputs) = outputs else {
+                    current = None;
+                    continue;
+                };
+                let (since, state) =
+                    current.unwrap_or((time, RotorState::settled(*outputs, balanced)));
+                let [_, after] = rotors.advance(&state, outputs);
+                current = Some((since, after));
+                if time - since >= settling {
+                    states.push(time + self.step, after.into());
+                }
             }
         }
         states
     }
+}
+
+/// The setpoint that ruled what was sent at `sent`; `None` where the newest is too old to rule.
+pub(super) fn fresh_setpoint(flight: &Flight, sent: f64) -> Option<&import::AttitudeSetpoint> {
+    let index = flight.setpoint.index_at(sent)?;
+    let age = sent - flight.setpoint.times().get(index)?;
+    flight.setpoint.values().get(index).filter(|_| age < SETPOINT_AGE_MAX)
 }
 
 /// A vector stream between its neighbours; `None` outside of it.

@@ -8,7 +8,7 @@ use sitl::vehicle::{ROTORS, VehicleParams};
 
 use super::alignment::{Alignment, interpolated};
 use super::commands::{CommandSource, Onboard, OutputTrace, lerp};
-use super::segments::{Segments, Unusable};
+use super::segments::{Cut, Segments, Unusable, unbroken};
 use super::split::Traits;
 use super::window::{BANDWIDTH, Sliding};
 use crate::log::import::{Flight, Stream};
@@ -81,6 +81,8 @@ pub struct ObservedFlight {
     pub command_shift_s: f64,
     /// What was seen, in order.
     pub observations: Vec<Observation>,
+    /// Parts in which it can be told what the rotors were told.
+    traced: Vec<Range<f64>>,
     /// Half width of the windows, s.
     half_s: f64,
 }
@@ -123,7 +125,7 @@ pub enum Implausible {
 }
 
 impl ObservedFlight {
-    /// Observes a flight of a vehicle.
+    /// Observes a flight of a vehicle, without the times in `cuts`.
     ///
     /// # Errors
     /// [`Unusable`] if nothing can be learned from it.
@@ -132,11 +134,17 @@ impl ObservedFlight {
         vehicle: &VehicleParams,
         onboard: &Onboard,
         settings: &WindowSettings,
+        cuts: &[Cut],
     ) -> Result<Self, Unusable> {
         onboard.normalise_outputs(&mut flight, vehicle)?;
-        let segments = Segments::of(&flight)?;
+        Segments::check_streams(&flight)?;
+        if flight.position.is_empty() {
+            return Err(Unusable::Missing("position"));
+        }
         let alignment = Alignment::of(&flight);
         let (source, law_error) = onboard.source(&flight, alignment.attitude_s.unwrap_or(0.0));
+        let segments = Segments::driven(&flight, hover_output(vehicle), source, cuts)?;
+        let traced = source.traced(&flight);
         let attitude = flight.attitude.clone().shifted(-alignment.attitude_s.unwrap_or(0.0));
         let velocity = flight.velocity.clone().shifted(-alignment.velocity_s.unwrap_or(0.0));
 
@@ -191,10 +199,16 @@ impl ObservedFlight {
             law_error,
             command_shift_s: 0.0,
             observations,
+            traced,
             half_s,
         };
         observed.remove_accelerometer_bias();
         Ok(observed)
+    }
+
+    /// The parts of its log between the pauses of the attitude.
+    pub fn recorded(&self) -> Vec<Range<f64>> {
+        unbroken(&self.flight.attitude)
     }
 
     /// Whether commands and motion fit the vehicle at all: what the commands lift on average is
@@ -277,7 +291,8 @@ impl ObservedFlight {
         let lag_s = self.source.lag_s(actuation);
         let late = self.alignment.attitude_s.unwrap_or(0.0);
         let delay = self.delay_s(actuation);
-        OutputTrace::new(onboard, &self.flight, self.source, delay, late, span)
+        let spans = self.source.within(&self.traced, delay, span);
+        OutputTrace::new(onboard, &self.flight, self.source, delay, late, &spans)
             .states(actuation, lag_s)
     }
 
@@ -343,6 +358,12 @@ impl Observation {
             AccelerationSource::VelocitySlope => self.by_slope,
         }
     }
+}
+
+/// Mean output that carries the vehicle's weight.
+fn hover_output(vehicle: &VehicleParams) -> f64 {
+    let full: f64 = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
+    vehicle.mass * vehicle.gravity / full
 }
 
 /// Instants of the rows within a span.

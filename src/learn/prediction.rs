@@ -6,14 +6,17 @@ use sitl::rigid_body::{Stage, State, rk4};
 use sitl::vehicle::ROTORS;
 
 use super::alignment::interpolated;
-use super::commands::{CommandSource, EVERYTHING, Onboard, lerp};
+use super::commands::{CommandSource, EVERYTHING, Onboard, fresh_setpoint, lerp};
 use super::dataset::ObservedFlight;
+use super::segments::is_bridged;
 use crate::log::import::{Flight, Stream};
 use crate::model::actuation::{Actuation, RotorState, RotorStep};
 use crate::model::{Model, Point};
 
 /// Longest step of the integration, s.
 const STEP_MAX_S: f64 = 0.005;
+/// Steps of the on-board loop for which a rotor state is taken for the newest.
+const STATE_AGE_STEPS: f64 = 2.5;
 
 /// What is recorded of a flight's inputs.
 ///
@@ -29,6 +32,8 @@ pub struct RecordedInputs<'a> {
     delay_s: f64,
     lag_s: f64,
     step: f64,
+    /// Rotor states older than this say nothing of the rotors, s.
+    state_age_max: f64,
 }
 
 impl<'a> RecordedInputs<'a> {
@@ -49,11 +54,18 @@ impl<'a> RecordedInputs<'a> {
             delay_s: observed.delay_s(actuation),
             lag_s: source.lag_s(actuation),
             step: (1.0 / onboard.rate_hz / steps).max(0.004),
+            state_age_max: STATE_AGE_STEPS / onboard.rate_hz,
         }
     }
 
-    /// The reported state at `time`: each stream between its neighbours.
+    /// The reported state at `time`: each stream between its neighbours, if they are near.
     pub fn reported(&self, time: f64) -> Option<State> {
+        let flight = self.flight;
+        let is_known = is_bridged(&flight.position, time)
+            && is_bridged(&flight.velocity, time)
+            && is_bridged(&flight.attitude, time)
+            && is_bridged(&flight.body_rate, time);
+        is_known.then_some(())?;
         Some(State {
             position: lerp(&self.flight.position, time)?.into(),
             velocity: lerp(&self.flight.velocity, time)?.into(),
@@ -62,20 +74,29 @@ impl<'a> RecordedInputs<'a> {
         })
     }
 
+    /// The rotors' state at `time`, where the past that it follows from is recorded.
+    fn rotors(&self, time: f64) -> Option<RotorState> {
+        let index = self.rotor_states.index_at(time)?;
+        let age = time - self.rotor_states.times().get(index)?;
+        let states = self.rotor_states.values().get(index)?;
+        (age <= self.state_age_max).then(|| RotorState::from(*states))
+    }
+
     /// The outputs that rule the step from `time`, at a predicted state.
     fn outputs(&self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
         let sent = time - self.delay_s;
         match self.source {
             CommandSource::OnboardLaw => {
-                let setpoint = self.flight.setpoint.held_at(sent)?;
+                let setpoint = fresh_setpoint(self.flight, sent)?;
                 self.onboard.law_outputs(setpoint, state.attitude, state.body_rate)
             }
             // Commands change within the step; its middle stands for it.
-            CommandSource::MotorOutputs => lerp(&self.flight.outputs, sent + 0.5 * self.step),
-            CommandSource::RotorSpeeds => {
-                let states = self.rotor_states.held_at(time + 0.5 * self.step)?;
-                Some(RotorState::from(*states).now)
+            CommandSource::MotorOutputs => {
+                let middle = sent + 0.5 * self.step;
+                is_bridged(&self.flight.outputs, middle).then_some(())?;
+                lerp(&self.flight.outputs, middle)
             }
+            CommandSource::RotorSpeeds => Some(self.rotors(time + 0.5 * self.step)?.now),
         }
     }
 
@@ -89,8 +110,8 @@ impl<'a> RecordedInputs<'a> {
         state: State,
         horizons: &[f64],
     ) -> Option<Vec<State>> {
-        let mut rotors = match self.rotor_states.held_at(start) {
-            Some(states) => RotorState::from(*states),
+        let mut rotors = match self.rotors(start) {
+            Some(rotors) => rotors,
             None => {
                 let balanced = self.actuation.balance_s.is_some();
                 RotorState::settled(self.outputs(start, &state)?, balanced)

@@ -4,20 +4,30 @@ use std::ops::Range;
 
 use serde::Serialize;
 
+use super::commands::CommandSource;
 use crate::log::import::{Flight, Stream, UnitUnknown};
 
 /// A gap of this many periods ends a segment.
 const GAP_PERIODS: f64 = 4.0;
 /// And so does one of this many seconds, whatever the rate.
 const GAP_MAX_S: f64 = 0.2;
+/// But not one of fewer periods than this.
+const GAP_PERIODS_MIN: f64 = 1.5;
+/// Streams of longer periods show nothing of how a quadrotor moves, s.
+const PERIOD_MAX_S: f64 = 0.2;
+/// The longest time between two samples that may be told from them, s.
+const BRIDGE_MAX_S: f64 = GAP_PERIODS_MIN * PERIOD_MAX_S;
 /// Shorter pieces do not hold a window and what follows it, s.
 const SEGMENT_MIN_S: f64 = 1.0;
 /// Left out after take-off and before landing, s: the floor acts, and the stated time is rough.
 const EDGE_S: f64 = 0.5;
-/// Without a word from the vehicle, in the air means a mean output above this.
-const OUTPUT_IN_AIR: f64 = 0.15;
-/// And higher than this, m.
+/// Without a word from the vehicle, in the air means a mean output above this share of what
+/// hovers.
+const HOVER_SHARE_IN_AIR: f64 = 0.25;
+/// And higher than this over the lowest of the log, m.
 const HEIGHT_IN_AIR: f64 = 0.1;
+/// Windows reach this far into what lies beside a time, s.
+const CUT_MARGIN_S: f64 = 0.05;
 
 /// Time left out of a flight and why.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -28,17 +38,56 @@ pub struct Exclusion {
     pub seconds: f64,
 }
 
+/// A time that must not be used, whatever else is known of the flight.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cut {
+    /// The stream that is wrong in it, as the audit names it.
+    pub stream: &'static str,
+    /// What is wrong.
+    pub reason: &'static str,
+    /// When, s.
+    pub times: Range<f64>,
+}
+
+impl Cut {
+    /// Whether a flight whose u comes from `source` is learned from this stream.
+    fn concerns(&self, source: CommandSource) -> bool {
+        match self.stream {
+            "setpoint" => source == CommandSource::OnboardLaw,
+            "outputs" => source == CommandSource::MotorOutputs,
+            "rotor_speed" => source == CommandSource::RotorSpeeds,
+            _ => true,
+        }
+    }
+}
+
 /// Why nothing of a flight can be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Unusable {
     /// A stream that is needed is missing.
     #[error("the log has no {0}")]
     Missing(&'static str),
+    /// A stream is too slow.
+    #[error(
+        "its {stream} comes every {period_s:.3} s, and at least every {PERIOD_MAX_S} s is needed; \
+         log it faster, or mend the unit of its times"
+    )]
+    Slow {
+        /// The stream.
+        stream: &'static str,
+        /// Its median period, s.
+        period_s: f64,
+    },
     /// Its motor outputs mean nothing.
     #[error(transparent)]
     Unit(#[from] UnitUnknown),
     /// Nothing is left.
-    #[error("only {usable_s:.1} s of {total_s:.1} s are usable; at least {needed_s} s are needed")]
+    #[error(
+        "only {usable_s:.1} s of {total_s:.1} s are usable; at least {needed_s} s are needed{}",
+        most.as_ref().map_or(String::new(), |most| {
+            format!(" (left out the most: {}, {:.1} s)", most.reason, most.seconds)
+        })
+    )]
     TooShort {
         /// What is left, s.
         usable_s: f64,
@@ -46,6 +95,8 @@ pub enum Unusable {
         total_s: f64,
         /// What would do, s.
         needed_s: f64,
+        /// What was left out for the longest time.
+        most: Option<Exclusion>,
     },
 }
 
@@ -62,26 +113,74 @@ impl Segments {
     /// Least length of what is used of a flight, s.
     pub const USABLE_MIN_S: f64 = 3.0;
 
-    /// The flight's usable parts.
+    /// The flight's usable parts, by whichever stream of commands goes on. Where the vehicle does
+    /// not say when it flew, `hover` is the mean output that lifts it.
     ///
     /// # Errors
     /// [`Unusable`].
-    pub fn of(flight: &Flight) -> Result<Self, Unusable> {
-        let whole = span(&flight.attitude).ok_or(Unusable::Missing("attitude"))?;
+    pub fn of(flight: &Flight, hover: f64) -> Result<Self, Unusable> {
+        let mut segments = Self::of_motion(flight, hover)?;
+        let commands = [unbroken(&flight.setpoint), unbroken(&flight.outputs)].concat();
+        if !commands.is_empty() {
+            segments.keep(&merged(commands), "no setpoint and no motor output");
+        }
+        segments.checked(flight)
+    }
+
+    /// The parts of a flight that can be learned from when its u comes from `source`, without the
+    /// times in `cuts`.
+    ///
+    /// # Errors
+    /// [`Unusable`].
+    pub fn driven(
+        flight: &Flight,
+        hover: f64,
+        source: CommandSource,
+        cuts: &[Cut],
+    ) -> Result<Self, Unusable> {
+        let mut segments = Self::of_motion(flight, hover)?;
+        segments.keep(&source.unbroken(flight), &format!("gap in the {}", source.stream()));
+        for cut in cuts.iter().filter(|cut| cut.concerns(source)) {
+            let (start, end) = (cut.times.start - CUT_MARGIN_S, cut.times.end + CUT_MARGIN_S);
+            let rest = [f64::NEG_INFINITY..start, end..f64::INFINITY];
+            segments.keep(&rest, &format!("{}: {}", cut.stream.replace('_', " "), cut.reason));
+        }
+        segments.checked(flight)
+    }
+
+    /// Whether a flight has what is learned from, often enough.
+    ///
+    /// # Errors
+    /// [`Unusable::Missing`] and [`Unusable::Slow`].
+    pub fn check_streams(flight: &Flight) -> Result<(), Unusable> {
+        let commands =
+            span(&flight.setpoint).or(span(&flight.outputs)).or(span(&flight.rotor_speed));
         for (stream, name) in [
+            (span(&flight.attitude), "attitude"),
             (span(&flight.velocity), "velocity"),
             (span(&flight.body_rate), "body rate"),
-            (
-                span(&flight.setpoint).or(span(&flight.outputs)).or(span(&flight.rotor_speed)),
-                "attitude setpoint, motor output or rotor speed",
-            ),
+            (commands, "attitude setpoint, motor output or rotor speed"),
         ] {
             stream.ok_or(Unusable::Missing(name))?;
         }
-        let total_s = whole.end - whole.start;
-        let mut segments = Self { spans: vec![whole], excluded: Vec::new() };
+        for (period, stream) in [
+            (flight.attitude.period(), "attitude"),
+            (flight.velocity.period(), "velocity"),
+            (flight.body_rate.period(), "body rate"),
+        ] {
+            if let Some(period_s) = period.filter(|period| *period > PERIOD_MAX_S) {
+                return Err(Unusable::Slow { stream, period_s });
+            }
+        }
+        Ok(())
+    }
 
-        let in_air = in_air(flight);
+    /// When the vehicle flew and every stream of its motion goes on.
+    fn of_motion(flight: &Flight, hover: f64) -> Result<Self, Unusable> {
+        Self::check_streams(flight)?;
+        let whole = span(&flight.attitude).ok_or(Unusable::Missing("attitude"))?;
+        let mut segments = Self { spans: vec![whole], excluded: Vec::new() };
+        let in_air = in_air(flight, HOVER_SHARE_IN_AIR * hover);
         segments.keep(&in_air, "on the ground, taking off or landing");
         for (name, spans) in [
             ("attitude", unbroken(&flight.attitude)),
@@ -90,20 +189,26 @@ impl Segments {
         ] {
             segments.keep(&spans, &format!("gap in the {name}"));
         }
-        let commands = [unbroken(&flight.setpoint), unbroken(&flight.outputs)].concat();
-        if !commands.is_empty() {
-            segments.keep(&merged(commands), "no setpoint and no motor output");
-        }
-        let (long, short): (Vec<_>, Vec<_>) =
-            segments.spans.iter().cloned().partition(|span| span.end - span.start >= SEGMENT_MIN_S);
-        segments.spans = long;
-        segments.exclude("pieces of less than a second", length(&short));
-
-        let usable_s = length(&segments.spans);
-        if usable_s < Self::USABLE_MIN_S {
-            return Err(Unusable::TooShort { usable_s, total_s, needed_s: Self::USABLE_MIN_S });
-        }
         Ok(segments)
+    }
+
+    /// Without pieces that are too short, if enough is left.
+    fn checked(mut self, flight: &Flight) -> Result<Self, Unusable> {
+        let (long, short): (Vec<_>, Vec<_>) =
+            self.spans.iter().cloned().partition(|span| span.end - span.start >= SEGMENT_MIN_S);
+        self.spans = long;
+        self.exclude("pieces of less than a second", length(&short));
+        let usable_s = length(&self.spans);
+        if usable_s < Self::USABLE_MIN_S {
+            let most = self.excluded.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
+            return Err(Unusable::TooShort {
+                usable_s,
+                total_s: span(&flight.attitude).map_or(0.0, |whole| whole.end - whole.start),
+                needed_s: Self::USABLE_MIN_S,
+                most: most.cloned(),
+            });
+        }
+        Ok(self)
     }
 
     /// Keeps what lies in `spans` too.
@@ -124,8 +229,12 @@ impl Segments {
 
     /// Notes that `seconds` were left out.
     pub fn exclude(&mut self, reason: &str, seconds: f64) {
-        if seconds > 1e-9 {
-            self.excluded.push(Exclusion { reason: reason.to_owned(), seconds });
+        if seconds <= 1e-9 {
+            return;
+        }
+        match self.excluded.iter_mut().find(|known| known.reason == reason) {
+            Some(known) => known.seconds += seconds,
+            None => self.excluded.push(Exclusion { reason: reason.to_owned(), seconds }),
         }
     }
 
@@ -136,27 +245,65 @@ impl Segments {
 }
 
 fn length(spans: &[Range<f64>]) -> f64 {
-    spans.iter().map(|span| span.end - span.start).sum()
+    spans.iter().fold(0.0, |sum, span| sum + span.end - span.start)
 }
 
 fn span<T>(stream: &Stream<T>) -> Option<Range<f64>> {
     Some(*stream.times().first()?..*stream.times().last()?)
 }
 
-/// Parts of a stream between its gaps.
-fn unbroken<T>(stream: &Stream<T>) -> Vec<Range<f64>> {
-    let Some(period) = stream.period() else { return Vec::new() };
-    let limit = (GAP_PERIODS * period).min(GAP_MAX_S).max(1.5 * period);
+/// Parts of a stream between its gaps. No part has samples further apart than can be bridged.
+pub(super) fn unbroken<T>(stream: &Stream<T>) -> Vec<Range<f64>> {
+    unbroken_over(stream, 0.0)
+}
+
+/// The same where a gap of up to `least` seconds is none.
+pub(super) fn unbroken_over<T>(stream: &Stream<T>, least: f64) -> Vec<Range<f64>> {
+    let Some((&first, &last)) = stream.times().first().zip(stream.times().last()) else {
+        return Vec::new();
+    };
+    let Some(period) = spacing(stream.times()) else { return Vec::new() };
+    let limit = (GAP_PERIODS * period)
+        .min(GAP_MAX_S)
+        .max(GAP_PERIODS_MIN * period)
+        .max(least)
+        .min(BRIDGE_MAX_S);
     let mut spans = Vec::new();
-    let mut start = stream.times()[0];
+    let mut start = first;
     for pair in stream.times().windows(2) {
         if pair[1] - pair[0] > limit {
             spans.push(start..pair[0]);
             start = pair[1];
         }
     }
-    spans.push(start..stream.times()[stream.len() - 1]);
+    spans.push(start..last);
     spans
+}
+
+/// Time between samples: half of the time lies between samples that are at least so far apart. Of
+/// stamps in bursts that is the time between the bursts, of others the period. Pauses do not
+/// count.
+fn spacing(times: &[f64]) -> Option<f64> {
+    let mut gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    gaps.sort_by(f64::total_cmp);
+    let pauses = gaps.partition_point(|gap| *gap <= GAP_MAX_S);
+    let gaps = if pauses > 0 { &gaps[..pauses] } else { &gaps[..] };
+    let half = 0.5 * gaps.iter().sum::<f64>();
+    let mut passed = 0.0;
+    let mut beyond = gaps.iter().copied().skip_while(|gap| {
+        passed += gap;
+        passed < half
+    });
+    beyond.next()
+}
+
+/// Whether a value at `time` can be told from the samples around it.
+pub(super) fn is_bridged<T>(stream: &Stream<T>, time: f64) -> bool {
+    let times = stream.times();
+    stream.index_at(time).is_some_and(|index| {
+        let next = times.get(index + 1);
+        times[index] == time || next.is_some_and(|next| next - times[index] <= BRIDGE_MAX_S)
+    })
 }
 
 /// The union of spans, in order.
@@ -172,22 +319,27 @@ fn merged(mut spans: Vec<Range<f64>>) -> Vec<Range<f64>> {
     union
 }
 
-/// When the vehicle flew, without the edges. What it says itself wins.
-fn in_air(flight: &Flight) -> Vec<Range<f64>> {
-    let lowest = flight.position.values().iter().map(|p| -p.down()).fold(f64::INFINITY, f64::min);
+/// When the vehicle flew, without the edges. What it says itself wins; else a mean output above
+/// `lifts` does, where outputs are logged.
+fn in_air(flight: &Flight, lifts: f64) -> Vec<Range<f64>> {
     let mut said: Vec<(f64, bool)> = flight.in_air.iter().map(|(t, air)| (t, *air)).collect();
     let mut edge = EDGE_S;
     if said.is_empty() {
         // Logs that were cut to their flight have no ground to leave out.
         edge = 0.0;
+        let heights = flight.position.values().iter().map(|p| -p.down());
+        let lowest = heights.fold(f64::INFINITY, f64::min);
+        // The world's origin need not lie on the floor.
+        let floor = if lowest > HEIGHT_IN_AIR { f64::NEG_INFINITY } else { lowest };
+        let high = |height: f64| height > floor + HEIGHT_IN_AIR;
         said = if flight.outputs.is_empty() {
-            flight.position.iter().map(|(t, p)| (t, -p.down() > HEIGHT_IN_AIR)).collect()
+            flight.position.iter().map(|(t, p)| (t, high(-p.down()))).collect()
         } else {
             let height = |time| flight.position.held_at(time).map(|p| -p.down());
-            let high =
-                |time| lowest > HEIGHT_IN_AIR || height(time).is_none_or(|h| h > HEIGHT_IN_AIR);
-            let lifts = |u: &[f64; 4]| u.iter().sum::<f64>() > 4.0 * OUTPUT_IN_AIR;
-            flight.outputs.iter().map(|(t, u)| (t, lifts(u) && high(t))).collect()
+            let flies = |time, u: &[f64; 4]| {
+                u.iter().sum::<f64>() > 4.0 * lifts && height(time).is_none_or(high)
+            };
+            flight.outputs.iter().map(|(t, u)| (t, flies(t, u))).collect()
         };
     }
     let mut spans = Vec::new();
@@ -207,4 +359,146 @@ fn in_air(flight: &Flight) -> Vec<Range<f64>> {
     }
     spans.retain(|span| span.start < span.end);
     spans
+}
+
+#[cfg(test)]
+mod tests {
+    use sitl::frame::{Attitude, Frd, Ned};
+
+    use super::*;
+    use crate::log::import::{AttitudeSetpoint, Clock, Origin};
+
+    /// Mean output that hovers.
+    const HOVER: f64 = 0.5;
+
+    fn empty() -> Flight {
+        let origin =
+            Origin { path: "a.csv".into(), run: "a".into(), sha256: String::new(), format: "csv" };
+        Flight::empty(origin, Clock::Single)
+    }
+
+    /// A flight with a sample of everything at each of `times`, at `height` [m].
+    fn flight(times: impl Iterator<Item = f64>, height: f64) -> Flight {
+        let mut flight = empty();
+        let setpoint = AttitudeSetpoint {
+            attitude: Some(Attitude::IDENTITY),
+            body_rate: None,
+            thrust: Some(HOVER),
+        };
+        for time in times {
+            flight.attitude.push(time, Attitude::IDENTITY);
+            flight.position.push(time, Ned::new(0.0, 0.0, -height));
+            flight.velocity.push(time, Ned::zero());
+            flight.body_rate.push(time, Frd::zero());
+            flight.outputs.push(time, [HOVER; 4]);
+            flight.setpoint.push(time, setpoint);
+        }
+        flight
+    }
+
+    fn every_10_ms(seconds: u32) -> impl Iterator<Item = f64> {
+        (0..=100 * seconds).map(|k| f64::from(k) * 0.01)
+    }
+
+    fn driven(flight: &Flight, source: CommandSource) -> Result<Segments, Unusable> {
+        Segments::driven(flight, HOVER, source, &[])
+    }
+
+    fn without<T: Clone>(stream: &Stream<T>, times: Range<f64>) -> Stream<T> {
+        let mut kept = Stream::default();
+        for (time, value) in stream.iter().filter(|(time, _)| !times.contains(time)) {
+            kept.push(time, value.clone());
+        }
+        kept
+    }
+
+    #[test]
+    fn a_gap_in_the_input_is_cut_out_though_the_other_commands_go_on() {
+        for source in [CommandSource::OnboardLaw, CommandSource::MotorOutputs] {
+            let mut flight = flight(every_10_ms(20), 1.0);
+            match source {
+                CommandSource::OnboardLaw => {
+                    flight.setpoint = without(&flight.setpoint, 5.0..11.0);
+                }
+                _ => flight.outputs = without(&flight.outputs, 5.0..11.0),
+            }
+            let segments = driven(&flight, source).expect("enough");
+            assert_eq!(segments.spans.len(), 2, "{segments:?}");
+            assert!((segments.seconds() - 13.99).abs() < 0.03, "{segments:?}");
+            assert!(segments.excluded[0].reason.contains(source.stream()), "{segments:?}");
+            assert_eq!(Segments::of(&flight, HOVER).expect("enough").spans.len(), 1);
+        }
+    }
+
+    #[test]
+    fn a_setpoint_rules_until_it_is_too_old() {
+        let mut flight = flight(every_10_ms(10), 1.0);
+        flight.setpoint = without(&flight.setpoint, 5.005..5.075);
+        let law = |flight: &Flight| driven(flight, CommandSource::OnboardLaw).expect("enough");
+        assert_eq!(law(&flight).spans.len(), 1);
+        flight.setpoint = without(&flight.setpoint, 5.005..5.115);
+        assert_eq!(law(&flight).spans.len(), 2);
+    }
+
+    #[test]
+    fn stamps_in_bursts_are_no_gaps() {
+        let bursts = (0..300).flat_map(|k| [0.0, 0.001, 0.002].map(|at| f64::from(k) * 0.03 + at));
+        let segments = driven(&flight(bursts, 1.0), CommandSource::MotorOutputs);
+        assert_eq!(segments.expect("enough").spans.len(), 1);
+    }
+
+    #[test]
+    fn a_jump_of_the_clock_parts_a_flight_and_a_wrong_unit_is_named() {
+        let jump = every_10_ms(20).map(|t| if t < 10.0 { t } else { t + 1e9 });
+        let segments = driven(&flight(jump, 1.0), CommandSource::MotorOutputs).expect("enough");
+        assert_eq!(segments.spans.len(), 2);
+        assert!((segments.seconds() - 19.99).abs() < 0.01);
+        let milliseconds = every_10_ms(20).map(|t| 1e3 * t);
+        let error = driven(&flight(milliseconds, 1.0), CommandSource::MotorOutputs);
+        let error = error.expect_err("too slow").to_string();
+        assert!(error.contains("every 10.000 s") && error.contains("unit"), "{error}");
+    }
+
+    #[test]
+    fn the_floor_need_not_be_the_worlds_origin() {
+        let mut flight = flight(every_10_ms(10), 0.0);
+        let heights = flight.position.times().to_vec();
+        flight.position = Stream::default();
+        for time in heights {
+            let height = if time < 2.0 { -3.0 } else { -2.0 };
+            flight.position.push(time, Ned::new(0.0, 0.0, -height));
+        }
+        let segments = driven(&flight, CommandSource::MotorOutputs).expect("enough");
+        assert!((segments.seconds() - 8.0).abs() < 0.02, "{segments:?}");
+    }
+
+    #[test]
+    fn a_strong_vehicle_flies_on_little() {
+        let mut flight = flight(every_10_ms(10), 1.0);
+        flight.outputs = flight.outputs.map(|_| [0.12; 4]);
+        let seconds = |hover| {
+            let segments = Segments::driven(&flight, hover, CommandSource::MotorOutputs, &[]);
+            segments.map(|segments| segments.seconds())
+        };
+        assert!((seconds(0.12).expect("enough") - 10.0).abs() < 0.01);
+        let error = seconds(0.6).expect_err("on the ground").to_string();
+        assert!(error.starts_with("only 0.0 s of 10.0 s"), "{error}");
+        assert!(error.contains("on the ground, taking off or landing, 10.0 s"), "{error}");
+    }
+
+    #[test]
+    fn times_that_must_not_be_used_are_cut_where_their_stream_counts() {
+        let flight = flight(every_10_ms(20), 1.0);
+        let cut = |stream| Cut { stream, reason: "frozen", times: 5.0..8.0 };
+        let seconds = |stream| {
+            let source = CommandSource::OnboardLaw;
+            let segments = Segments::driven(&flight, HOVER, source, &[cut(stream)]);
+            let segments = segments.expect("enough");
+            (segments.seconds(), segments.excluded)
+        };
+        let (left, excluded) = seconds("body_rate");
+        assert!((left - (20.0 - 3.0 - 2.0 * CUT_MARGIN_S)).abs() < 0.01);
+        assert_eq!(excluded[0].reason, "body rate: frozen");
+        assert!((seconds("outputs").0 - 20.0).abs() < 0.01);
+    }
 }
