@@ -11,6 +11,9 @@ pub(super) use self::family::two_seconds;
 use super::table::Table;
 use super::trajectory::{Shape, Trajectory};
 
+/// The longest trajectory, s: what checks one looks at every moment of it.
+const DURATION_MAX_S: f64 = 86_400.0;
+
 /// Why a trajectory file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
@@ -50,6 +53,15 @@ pub(super) fn load(path: &Path) -> Result<Trajectory, TrajectoryError> {
     if path.extension().is_some_and(|extension| extension == "csv") {
         let table = Table::parse(&text)
             .map_err(|message| TrajectoryError::Syntax { path: path.into(), message })?;
+        let found = table.duration();
+        if found > DURATION_MAX_S {
+            return Err(TrajectoryError::Value {
+                path: path.into(),
+                field: "t_s",
+                expected: "at most 86400 s from the first row to the last, in seconds",
+                found,
+            });
+        }
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         return Ok(Trajectory::new(name, Shape::Table(table)));
     }
@@ -99,6 +111,19 @@ mod tests {
             error("family = 'random-waypoints'\naltitude_m = 1\nseed = 1\ncount = 2\nhalf_size_m = [1,1,1]\npace = {speeed_m_s = 2}")
                 .contains("speeed_m_s")
         );
+    }
+
+    #[test]
+    fn a_table_in_another_unit_of_time_is_refused() -> std::io::Result<()> {
+        let name = format!("downwash-table-{}.csv", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, "t_s,n_m,e_m,d_m\n0,0,0,-1\n20000000,1,0,-1\n")?;
+        let loaded = load(&path);
+        std::fs::remove_file(&path)?;
+        let error = loaded.expect_err("refused").to_string();
+        assert!(error.contains("t_s: expected at most 86400 s"), "{error}");
+        assert!(error.contains("found 20000000"), "{error}");
+        Ok(())
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! A trajectory given as rows of a CSV file.
 
-use sitl::frame::Ned;
+use std::f64::consts::PI;
+
+use sitl::frame::{Ned, wrap_angle};
 
 use super::trajectory::DesiredPoint;
 
@@ -22,6 +24,9 @@ struct Row {
 /// A column a CSV trajectory may have; `t_s` and the position must be there.
 const COLUMNS: [&str; 8] = ["t_s", "n_m", "e_m", "d_m", "yaw_rad", "v_n_mps", "v_e_mps", "v_d_mps"];
 
+/// Rounding of a written angle, rad.
+const WRAPPED_SLACK: f64 = 1e-3;
+
 impl Table {
     /// Parses CSV with a header of the names in [`COLUMNS`], in any order. Without velocity columns
     /// the velocity is the slope of the neighbouring rows, and zero at both ends. The error is a
@@ -34,13 +39,23 @@ impl Table {
             let column = COLUMNS.iter().position(|known| *known == name).ok_or_else(|| {
                 format!("unknown column {name:?}: expected some of {}", COLUMNS.join(", "))
             })?;
+            if order.contains(&column) {
+                return Err(format!("column {name} is there twice: expected it once"));
+            }
             order.push(column);
         }
         let has = |column: usize| order.contains(&column);
         if let Some(missing) = (0..4).find(|column| !has(*column)) {
             return Err(format!("column {} is missing", COLUMNS[missing]));
         }
-        let with_velocity = (5..8).all(has);
+        let with_velocity = has(5);
+        if let Some(odd) = (5..8).find(|column| has(*column) != with_velocity) {
+            let [there, missing] = if with_velocity { [5, odd] } else { [odd, 5] };
+            return Err(format!(
+                "column {} is there, and {} is missing: expected all three of the velocity, or none",
+                COLUMNS[there], COLUMNS[missing]
+            ));
+        }
         let mut rows: Vec<Row> = Vec::new();
         for (index, line) in lines {
             let mut cells = [0.0; COLUMNS.len()];
@@ -79,6 +94,7 @@ impl Table {
             _ => return Err(format!("expected at least two rows, found {}", rows.len())),
         };
         rows.iter_mut().for_each(|row| row.t -= start);
+        unwrap_yaw(&mut rows);
         if !with_velocity {
             let slopes: Vec<Ned> = rows
                 .windows(3)
@@ -126,6 +142,19 @@ impl Table {
     }
 }
 
+/// Makes a yaw that was written within half a turn of north go on where it jumps from one side to
+/// the other. One that was written beyond goes on already, and may turn by any angle in a row.
+fn unwrap_yaw(rows: &mut [Row]) {
+    if rows.iter().any(|row| row.yaw.abs() > PI + WRAPPED_SLACK) {
+        return;
+    }
+    let mut before = rows.first().map_or(0.0, |row| row.yaw);
+    for row in rows {
+        row.yaw = before + wrap_angle(row.yaw - before);
+        before = row.yaw;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -140,6 +169,30 @@ mod tests {
         let slope = (table.sample(1.0).position - table.sample(1.0 - h).position) * (1.0 / h);
         assert!((slope - table.sample(1.0).velocity).norm() < 1e-4);
         assert_eq!(table.sample(0.5).yaw_rate, 1.0);
+    }
+
+    #[test]
+    fn yaw_goes_on_through_half_a_turn() {
+        let yaw_rates = |yaws: [f64; 3]| {
+            let rows = yaws.iter().zip(0..).map(|(yaw, t)| format!("{t},0,0,-1,{yaw}\n"));
+            let text = format!("t_s,n_m,e_m,d_m,yaw_rad\n{}", rows.collect::<String>());
+            let table = Table::parse(&text).expect("a table");
+            [0.5, 1.5].map(|t| table.sample(t).yaw_rate)
+        };
+        for rate in yaw_rates([3.0, -3.0, -2.7]) {
+            assert!((rate - 0.29).abs() < 0.02, "{rate}");
+        }
+        // What is written continuously may turn by any angle.
+        assert_eq!(yaw_rates([0.0, 4.0, 8.0]), [4.0; 2]);
+    }
+
+    #[test]
+    fn columns_twice_and_parts_of_a_velocity_are_refused_by_name() {
+        let error = |text| Table::parse(text).expect_err("refused");
+        assert!(error("t_s,n_m,e_m,d_m,n_m\n").contains("n_m is there twice"));
+        let missing = error("t_s,n_m,e_m,d_m,v_n_mps,v_d_mps\n");
+        assert!(missing.contains("v_n_mps is there, and v_e_mps is missing"), "{missing}");
+        assert!(error("t_s,n_m,e_m,d_m,v_d_mps\n").contains("v_n_mps is missing"));
     }
 
     #[test]

@@ -6,13 +6,10 @@ use std::path::Path;
 use sitl::frame::Ned;
 
 use super::family::{Family, PaceFields, Sinusoid, Steps};
-use super::{TrajectoryError, load};
+use super::{DURATION_MAX_S, TrajectoryError, load};
 use crate::plan::curve::{Envelope, Harmonic, HarmonicCurve};
 use crate::plan::path::{MinimumJerkPath, Pace, Waypoint};
 use crate::plan::trajectory::{DesiredPoint, Shape, Trajectory};
-
-/// No flight lasts longer, s.
-const DURATION_MAX_S: f64 = 86_400.0;
 
 /// More random waypoints than this are a slip of the keyboard.
 const WAYPOINTS_MAX: usize = 10_000;
