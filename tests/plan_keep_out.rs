@@ -38,7 +38,8 @@ fn goes_round(regions: &[KeepOutSetting]) -> Outcome<7> {
     let outcome = plan(&straight(), &settings(regions));
     let text = format!("{regions:?}: {:?} {:?}", outcome.status, outcome.violation);
     assert_ne!(outcome.status, Status::Failed, "{text}");
-    assert!(outcome.violation.overrun <= 1e-4 && outcome.violation.defect <= 1e-6, "{text}");
+    // Between two states corners are cut by less than what may be flown.
+    assert!(outcome.violation.overrun <= 5e-4 && outcome.violation.defect <= 1e-6, "{text}");
     for state in &outcome.iterate.states {
         for region in regions {
             assert!(depth(region, [state[0], state[1], state[2]]) <= 1e-4, "{text}");
@@ -68,6 +69,22 @@ fn a_box_beside_the_path() {
 #[test]
 fn a_box_on_the_path() {
     goes_round(&[block([0.9, -0.3, -2.0], [1.1, 0.3, 0.0])]);
+}
+
+/// A step is longer than the wall is thick: a plan that leads through says so, and by how much.
+#[test]
+fn a_wall_of_a_few_millimetres_on_the_path() {
+    let wall = block([1.0, -0.3, -2.0], [1.004, 0.3, 0.0]);
+    let outcome = plan(&straight(), &settings(&[wall]));
+    let ways = outcome.iterate.states.windows(2).flat_map(|pair| {
+        (0..=200).map(|k| {
+            let share = f64::from(k) / 200.0;
+            depth(&wall, std::array::from_fn(|i| pair[0][i] + share * (pair[1][i] - pair[0][i])))
+        })
+    });
+    let deepest = ways.fold(0.0, f64::max);
+    let told = outcome.violation.trespass_m;
+    assert!((told - deepest).abs() < 2e-4, "{told} told, {deepest} found");
 }
 
 #[test]

@@ -36,6 +36,7 @@ fn wrench_problem() -> Problem<4> {
     let vehicle = planned_vehicle();
     let hover = vehicle.mass_kg * vehicle.gravity;
     Problem {
+        period_s: PERIOD,
         start: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         desired: (1..=100).map(point).collect(),
         state_weight: [1.0; STATES],

@@ -293,6 +293,7 @@ fn main() {
         for periods in [100, 300, 1000] {
             let course: Course = read(&options.problem, &format!("traj_sinyaw{periods}"));
             let mut problem = Problem {
+                period_s: course.dt,
                 start: course.s0,
                 desired: course.sd[1..].to_vec(),
                 state_weight: [1.0; STATES],

@@ -52,11 +52,21 @@ fn position(state: &StateVector) -> [f64; 3] {
 /// The first run of states inside, from one that is outside to one that is again, of those from
 /// `from` on.
 fn crossing(states: &[StateVector], region: &KeepOut, from: usize) -> Option<(usize, usize)> {
-    let inside = |state: &StateVector| region.depth(position(state)).0 > 0.0;
-    let outside = from + states[from..].iter().position(|state| !inside(state))?;
-    let first = outside + states[outside..].iter().position(inside)?;
-    let length = states[first..].iter().position(|state| !inside(state))?;
-    Some((first, first + length - 1))
+    // Both ends of a step that leads through count as inside.
+    let enters = |n: usize| {
+        let (at, next) = (states.get(n), states.get(n + 1));
+        at.zip(next)
+            .is_some_and(|(at, next)| region.depth_between(position(at), position(next)) > 0.0)
+    };
+    let inside = |n: &usize| {
+        region.depth(position(&states[*n])).0 > 0.0
+            || enters(*n)
+            || n.checked_sub(1).is_some_and(enters)
+    };
+    let outside = (from..states.len()).find(|n| !inside(n))?;
+    let first = (outside..states.len()).find(inside)?;
+    let after = (first..states.len()).find(|n| !inside(n))?;
+    Some((first, after - 1))
 }
 
 /// The shortest shift, to one side of the way through, that takes a crossing out of a region and
@@ -81,18 +91,32 @@ fn way_round(
             let size = size.fold(0.0, f64::max) + CLEARANCE;
             let mut shift = [0.0; 3];
             shift[axis] = sign * size;
-            let is_free = crossing.iter().all(|state| {
-                let mut moved = *state;
-                moved[axis] += shift[axis];
-                limits.allow_position(&moved)
-                    && regions.iter().all(|region| region.depth(position(&moved)).0 <= 0.0)
-            });
+            let moved: Vec<StateVector> = crossing
+                .iter()
+                .map(|state| {
+                    let mut moved = *state;
+                    moved[axis] += shift[axis];
+                    moved
+                })
+                .collect();
+            let is_free = moved.iter().all(|state| limits.allow_position(state))
+                && regions.iter().all(|region| is_clear_of(&moved, region));
             if is_free && best.is_none_or(|(least, _)| size < least) {
                 best = Some((size, shift));
             }
         }
     }
     best.map(|(_, shift)| shift)
+}
+
+/// Whether neither states nor the ways between them lie inside a region.
+fn is_clear_of(states: &[StateVector], region: &KeepOut) -> bool {
+    let free = |state: &StateVector| region.depth(position(state)).0 <= 0.0;
+    let ways = states.windows(2);
+    states.iter().all(free)
+        && ways
+            .into_iter()
+            .all(|pair| region.depth_between(position(&pair[0]), position(&pair[1])) <= 0.0)
 }
 
 /// Distance from a position inside a region to its surface, along an axis of the world.
@@ -199,6 +223,14 @@ mod tests {
         let ball = [KeepOut::Sphere { centre: Ned::new(1.0, 0.1, -1.0), radius: 0.3 }];
         let states = bent(&ball, &StateLimits::default());
         assert!(is_clear(&states, &ball) && states[20][1] < -0.2);
+    }
+
+    #[test]
+    fn a_wall_thinner_than_a_step_is_gone_round() {
+        let wall = [block([1.01, -0.4, -2.0], [1.02, 0.2, 0.5])];
+        let states = bent(&wall, &StateLimits::default());
+        assert!(is_clear_of(&states, &wall[0]));
+        assert!((states[20][1] - 0.22).abs() < 1e-9, "{:?}", states[20]);
     }
 
     #[test]

@@ -21,6 +21,9 @@ pub struct Violation {
     pub defect: f64,
     /// Largest overrun of the state's bounds, summed over a state's bounds (m, rad, rad/s).
     pub overrun: f64,
+    /// How far a position, of a state or between two, is at most where it must not be, m.
+    #[serde(default)]
+    pub trespass_m: f64,
 }
 
 impl<const INPUTS: usize> Iterate<INPUTS> {
@@ -38,8 +41,17 @@ impl<const INPUTS: usize> Iterate<INPUTS> {
 
     /// Sum over the horizon and largest of what states overrun their bounds by.
     pub(super) fn overrun(&self, problem: &Problem<INPUTS>) -> (f64, f64) {
-        let each = self.states[1..].iter().map(|state| problem.excess(state));
+        let states = self.states.iter().skip(1).enumerate();
+        let each = states.map(|(n, state)| problem.excess(n, state));
         each.fold((0.0, 0.0), |(sum, most), one| (sum + one, f64::max(most, one)))
+    }
+
+    /// What the iterate misses.
+    pub(super) fn violation(&self, problem: &Problem<INPUTS>, defect: f64) -> Violation {
+        let (_, overrun) = self.overrun(problem);
+        let states = self.states.iter().skip(1).enumerate();
+        let each = states.map(|(n, state)| problem.trespass(n, state));
+        Violation { defect, overrun, trespass_m: each.fold(0.0, f64::max) }
     }
 
     /// Sum and largest of the defects' components.

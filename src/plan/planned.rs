@@ -120,6 +120,8 @@ pub enum PlanError {
 /// Largest defect and overrun of a plan that is flown.
 const DEFECT_MAX: f64 = 1e-4;
 const OVERRUN_MAX: f64 = 1e-2;
+/// How far a position may be where it must not be, m.
+const TRESPASS_MAX_M: f64 = 1e-3;
 
 /// Why a plan is not flown.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -139,6 +141,15 @@ pub enum NotFlyable {
         /// Largest overrun of a state's bounds (m, rad, rad/s).
         overrun: f64,
     },
+    /// It leads where the vehicle must not be.
+    #[error(
+        "the plan leads {trespass_m:.4} m into a region to keep out of, or out of the box to stay in \
+         (at most {TRESPASS_MAX_M} m): change the trajectory, or [plan] in the configuration"
+    )]
+    Trespass {
+        /// How far at most, m.
+        trespass_m: f64,
+    },
     /// Its states do not follow from one another.
     #[error(
         "the plan's position or attitude jumps by {jump:.1e} m or rad at {at_s:.2} s, where its \
@@ -155,7 +166,7 @@ pub enum NotFlyable {
 
 /// As [`Plan::check_flyable`], for an outcome.
 pub(super) fn check_violation(status: Status, violation: &Violation) -> Result<(), NotFlyable> {
-    let Violation { defect, overrun } = *violation;
+    let Violation { defect, overrun, .. } = *violation;
     if status == Status::Failed {
         return Err(NotFlyable::Failed);
     }
@@ -278,7 +289,7 @@ impl Plan {
             .collect()
     }
 
-    /// Whether the plan holds what it says: a search that failed, or that ended with states that no
+    /// Whether the plan holds what it says, between its states as at them: a search that failed, or that ended with states that no
     /// input leads through, is no plan to fly. What the model has no part in, that velocity and body
     /// rate lead from state to state, is looked at again.
     ///
@@ -286,6 +297,10 @@ impl Plan {
     /// What it misses, in words.
     pub fn check_flyable(&self) -> Result<(), NotFlyable> {
         check_violation(self.status, &self.violation)?;
+        let trespass_m = self.violation.trespass_m;
+        if trespass_m.is_nan() || trespass_m > TRESPASS_MAX_M {
+            return Err(NotFlyable::Trespass { trespass_m });
+        }
         for (n, pair) in self.states.windows(2).enumerate() {
             let [state, next] = pair else { continue };
             let led = coasted(state, self.period_s);

@@ -293,6 +293,7 @@ impl Planner {
             weights.fill(weight);
         }
         Problem {
+            period_s: self.period_s(),
             start,
             desired: desire.states[1..].to_vec(),
             state_weight,

@@ -22,6 +22,8 @@ pub type StateVector = [f64; STATES];
 /// eq. 12), within the bounds.
 #[derive(Clone, Debug)]
 pub struct Problem<const INPUTS: usize> {
+    /// Length of a period, s.
+    pub period_s: f64,
     /// Where the vehicle starts.
     pub start: StateVector,
     /// `s_d,1 .. s_d,N`.
@@ -156,6 +158,78 @@ impl StateLimits {
 }
 
 impl KeepOut {
+    /// Share of the way from a position on by `way` at which it is deepest in the region, or
+    /// nearest to it.
+    fn deepest(&self, from: [f64; 3], way: [f64; 3]) -> f64 {
+        let mut best = (self.depth(from).0, 0.0);
+        let mut look = |share: f64| {
+            if (0.0..=1.0).contains(&share) {
+                let depth = self.depth(along(from, way, share)).0;
+                if depth > best.0 {
+                    best = (depth, share);
+                }
+            }
+        };
+        look(1.0);
+        match self {
+            Self::Sphere { centre, .. } => {
+                let off = std::array::from_fn(|i| from[i] - centre.to_array()[i]);
+                look(-dot(&off, &way) / dot(&way, &way));
+            }
+            Self::Box { lower, upper } => {
+                // Distances to the faces, positive inside, are linear along the way.
+                let (lower, upper) = (lower.to_array(), upper.to_array());
+                let faces: [[f64; 2]; 6] = std::array::from_fn(|face| match (face / 2, face % 2) {
+                    (i, 0) => [from[i] - lower[i], way[i]],
+                    (i, _) => [upper[i] - from[i], -way[i]],
+                });
+                // Inside, the least of them counts, which is greatest where two are equal.
+                for (k, [a, slope]) in faces.iter().enumerate() {
+                    faces[k + 1..].iter().for_each(|[b, other]| look((b - a) / (slope - other)));
+                }
+                // Outside, the sum of the squares of those below 0, between two crossings.
+                let mut ends =
+                    faces.map(
+                        |[a, slope]| {
+                            if slope == 0.0 { 0.0 } else { (-a / slope).clamp(0.0, 1.0) }
+                        },
+                    );
+                ends.sort_by(f64::total_cmp);
+                for (start, end) in [0.0].iter().chain(&ends).zip(ends.iter().chain(&[1.0])) {
+                    let middle = 0.5 * (start + end);
+                    let (mut cross, mut square) = (0.0, 0.0);
+                    for [a, slope] in faces.iter().filter(|[a, slope]| a + middle * slope < 0.0) {
+                        cross += a * slope;
+                        square += slope * slope;
+                    }
+                    look((-cross / square).clamp(*start, *end));
+                }
+            }
+        }
+        best.1
+    }
+
+    /// Depth of the deepest position between `from` and `to`, negative where all are outside.
+    pub(super) fn depth_between(&self, from: [f64; 3], to: [f64; 3]) -> f64 {
+        let way = std::array::from_fn(|i| to[i] - from[i]);
+        self.depth(along(from, way, self.deepest(from, way))).0
+    }
+
+    /// The bound of a state that goes on with its velocity for `ahead_s` seconds: between states
+    /// the vehicle must not be inside either.
+    fn row(&self, state: &StateVector, ahead_s: f64) -> StateRow {
+        let from = [state[0], state[1], state[2]];
+        let way = [3, 4, 5].map(|i| state[i] * ahead_s);
+        let share = self.deepest(from, way);
+        let (excess, out) = self.depth(along(from, way, share));
+        let mut gradient = [0.0; STATES];
+        for (i, out) in out.into_iter().enumerate() {
+            gradient[i] = out;
+            gradient[3 + i] = share * ahead_s * out;
+        }
+        StateRow { excess, gradient }
+    }
+
     /// Depth of a position inside the region [m], negative outside, and its gradient.
     pub(super) fn depth(&self, position: [f64; 3]) -> (f64, [f64; 3]) {
         match self {
@@ -192,8 +266,17 @@ impl KeepOut {
     }
 }
 
+/// A share of the way from a position.
+fn along(from: [f64; 3], way: [f64; 3], share: f64) -> [f64; 3] {
+    std::array::from_fn(|i| from[i] + share * way[i])
+}
+
+fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
 fn norm(v: &[f64; 3]) -> f64 {
-    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+    dot(v, v).sqrt()
 }
 
 impl<const INPUTS: usize> Problem<INPUTS> {
@@ -221,28 +304,44 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         self.distance(n, state) + pull
     }
 
-    /// Calls `visit` with every bound of the state.
-    pub(super) fn visit_bounds(&self, state: &StateVector, mut visit: impl FnMut(StateRow)) {
+    /// Calls `visit` with every bound of the state at the end of period `n`, and of the way on from
+    /// it: steps are Euler's, so the next position follows from this state alone.
+    pub(super) fn visit_bounds(
+        &self,
+        n: usize,
+        state: &StateVector,
+        mut visit: impl FnMut(StateRow),
+    ) {
         self.limits.visit(state, &mut visit);
+        let ahead_s = if n + 1 < self.horizon() { self.period_s } else { 0.0 };
         for region in &self.keep_out {
-            let (excess, [n, e, d]) = region.depth([state[0], state[1], state[2]]);
-            let mut gradient = [0.0; STATES];
-            gradient[..3].copy_from_slice(&[n, e, d]);
-            visit(StateRow { excess, gradient });
+            visit(region.row(state, ahead_s));
         }
     }
 
-    /// Sum of what the bounds of the state are broken by.
-    pub fn excess(&self, state: &StateVector) -> f64 {
+    /// Sum of what the bounds of the state at the end of period `n` are broken by.
+    pub fn excess(&self, n: usize, state: &StateVector) -> f64 {
         let mut sum = 0.0;
-        self.visit_bounds(state, |row| sum += row.excess.max(0.0));
+        self.visit_bounds(n, state, |row| sum += row.excess.max(0.0));
         sum
     }
 
-    /// The bounds that a step from `state` may meet.
-    pub(super) fn rows_near(&self, state: &StateVector, rows: &mut Vec<StateRow>) {
+    /// How far the position at the end of period `n`, and those on the way on from it, are where
+    /// they must not be, m.
+    pub(super) fn trespass(&self, n: usize, state: &StateVector) -> f64 {
+        let mut most = 0.0_f64;
+        self.visit_bounds(n, state, |row| {
+            if row.gradient[..3].iter().any(|slope| *slope != 0.0) {
+                most = most.max(row.excess);
+            }
+        });
+        most
+    }
+
+    /// The bounds that a step from the state at the end of period `n` may meet.
+    pub(super) fn rows_near(&self, n: usize, state: &StateVector, rows: &mut Vec<StateRow>) {
         rows.clear();
-        self.visit_bounds(state, |row| {
+        self.visit_bounds(n, state, |row| {
             if row.excess > -FAR {
                 rows.push(row);
             }
@@ -258,6 +357,7 @@ mod tests {
 
     fn problem(limits: StateLimits, keep_out: Vec<KeepOut>) -> Problem<4> {
         Problem {
+            period_s: 0.1,
             start: [0.0; STATES],
             desired: vec![[0.0; STATES]],
             state_weight: [1.0; STATES],
@@ -270,7 +370,7 @@ mod tests {
 
     fn rows(problem: &Problem<4>, state: &StateVector) -> Vec<StateRow> {
         let mut rows = Vec::new();
-        problem.visit_bounds(state, |row| rows.push(row));
+        problem.visit_bounds(0, state, |row| rows.push(row));
         rows
     }
 
@@ -299,6 +399,50 @@ mod tests {
     }
 
     #[test]
+    fn what_lies_between_two_states_is_looked_at() {
+        let [ball, block] = [regions()[0], regions()[1]];
+        // Along a face, or at rest on it.
+        assert_eq!(block.depth_between([-0.5, 0.0, 0.0], [-0.5, 0.3, 0.0]), 0.0);
+        assert_eq!(block.depth_between([-0.5, 0.0, 0.0], [-0.5, 0.0, 0.0]), 0.0);
+        // A wall of a few millimetres, far thinner than a step is long.
+        let wall =
+            KeepOut::Box { lower: Ned::new(0.0, -1.0, -1.0), upper: Ned::new(0.004, 1.0, 1.0) };
+        let through = wall.depth_between([-0.01, 0.0, 0.0], [0.03, 0.1, 0.0]);
+        assert!((through - 0.002).abs() < 1e-12, "{through}");
+        assert!(wall.depth_between([-0.03, 0.0, 0.0], [-0.01, 0.1, 0.0]) < 0.0);
+        let chord = ball.depth_between([-1.0, -0.2, 0.7], [1.5, -0.2, 0.7]);
+        assert!((chord - 0.1).abs() < 1e-12, "{chord}");
+        // A corner that is cut.
+        let cut = block.depth_between([0.1, 0.7, 0.0], [0.3, 0.5, 0.0]);
+        assert!(cut.abs() < 1e-9, "{cut}");
+        let cut = block.depth_between([0.0, 0.7, 0.0], [0.3, 0.4, 0.0]);
+        assert!((cut - 0.05).abs() < 1e-9, "{cut}");
+        let mut problem = problem(StateLimits::default(), vec![wall]);
+        problem.desired = vec![[0.0; STATES]; 2];
+        let mut state = [0.0; STATES];
+        (state[0], state[3]) = (-0.01, 0.4);
+        assert!((problem.trespass(0, &state) - 0.002).abs() < 1e-12);
+        // Nothing follows the last.
+        assert_eq!(problem.trespass(1, &state), 0.0);
+    }
+
+    proptest! {
+        #[test]
+        fn no_position_between_is_deeper(
+            from in prop::array::uniform3(-1.0_f64..1.0),
+            to in prop::array::uniform3(-1.0_f64..1.0),
+            share in 0.0_f64..1.0,
+        ) {
+            let way = std::array::from_fn(|i| to[i] - from[i]);
+            for region in regions() {
+                let here = region.depth(along(from, way, share)).0;
+                let deepest = region.depth_between(from, to);
+                prop_assert!(here <= deepest + 1e-12, "{here} {deepest}");
+            }
+        }
+    }
+
+    #[test]
     fn excess_is_what_each_bound_is_broken_by() {
         let limits = StateLimits {
             tilt_max_rad: Some(0.5),
@@ -306,13 +450,13 @@ mod tests {
             position: Some((Ned::new(-1.0, -1.0, -2.0), Ned::new(1.0, 1.0, 0.0))),
         };
         let problem = problem(limits, vec![]);
-        assert_eq!(problem.excess(&[0.0; STATES]), 0.0);
+        assert_eq!(problem.excess(0, &[0.0; STATES]), 0.0);
         let mut state = [0.0; STATES];
         (state[1], state[2], state[RATE + 1]) = (1.25, -2.5, -2.75);
-        assert!((problem.excess(&state) - (0.25 + 0.5 + 0.75)).abs() < 1e-12);
+        assert!((problem.excess(0, &state) - (0.25 + 0.5 + 0.75)).abs() < 1e-12);
         state = [0.0; STATES];
         state[ANGLE + 1] = 0.501;
-        assert!((problem.excess(&state) - 0.001).abs() < 1e-5);
+        assert!((problem.excess(0, &state) - 0.001).abs() < 1e-5);
     }
 
     proptest! {
@@ -325,7 +469,8 @@ mod tests {
                 body_rate_max_rad_s: Some([2.0; 3]),
                 position: Some((Ned::new(-0.5, -0.5, -0.5), Ned::new(0.5, 0.5, 0.5))),
             };
-            let problem = problem(limits, regions());
+            let mut problem = problem(limits, regions());
+            problem.desired = vec![[0.0; STATES]; 2];
             let state: StateVector = share;
             let here = rows(&problem, &state);
             let step = 1e-6;

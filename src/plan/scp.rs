@@ -220,11 +220,10 @@ pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
         }
     }
     let (_, defect) = search.iterate.defect(dynamics);
-    let (_, overrun) = search.iterate.overrun(problem);
     Outcome {
         status,
         cost: search.cost,
-        violation: Violation { defect, overrun },
+        violation: search.iterate.violation(problem, defect),
         iterate: search.iterate,
         records,
     }
@@ -315,7 +314,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
                     preference.weight * (inputs[n][i] - preference.inputs[n][i]) / scale[i]
                 });
             }
-            self.problem.rows_near(end, &mut stage.rows);
+            self.problem.rows_near(n, end, &mut stage.rows);
         }
     }
 
@@ -442,9 +441,8 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
     }
 
     fn record(&self, trust: f64, tried: Attempt, solver_iterations: usize) -> Record {
-        let (_, overrun) = self.iterate.overrun(self.problem);
         let Attempt { promised, found, share } = tried;
-        let violation = Violation { defect: self.defect, overrun };
+        let violation = self.iterate.violation(self.problem, self.defect);
         Record { cost: self.cost, violation, trust, promised, found, share, solver_iterations }
     }
 }
