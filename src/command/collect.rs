@@ -4,6 +4,7 @@ mod kept;
 mod on_link;
 mod simulated;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -20,7 +21,7 @@ use super::progress::flight_bar;
 use super::setup::{VehicleFile, capability, required};
 use super::simulation::Truth;
 use super::stop::StopSignals;
-use super::{Exit, ExitContext, config, print_json, print_text, write_file};
+use super::{Exit, ExitContext, config, print_json, print_text, say, write_file};
 use crate::cli::CollectArgs;
 use crate::config::Config;
 use crate::log::info::TrackingInfo;
@@ -190,6 +191,17 @@ fn fly(
     let truth = args.connect.is_none().then(|| Truth::load(&args.simulation)).transpose()?;
     let identity = Identity { config, vehicle, truth: truth.as_ref(), seed: args.seed };
     let logs = logs_of_flights(&args.out)?;
+    let own = flights.iter().map(|flight| identity.fingerprint(flight));
+    let own: BTreeSet<String> = own.collect::<Result<_, _>>()?;
+    let strange = logs.iter().filter(|(of, _)| !own.contains(*of)).map(|(_, logs)| logs.len());
+    let strange: usize = strange.sum();
+    if strange > 0 {
+        say(format_args!(
+            "{}: {strange} logs of another programme, vehicle or truth are there too, and a training \
+             on the whole folder learns from them as well",
+            args.out.display()
+        ));
+    }
     let (mut rows, mut ahead) = (Vec::new(), Vec::new());
     for (index, flight) in flights.iter().enumerate() {
         let fingerprint = identity.fingerprint(flight)?;

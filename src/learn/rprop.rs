@@ -1,5 +1,6 @@
-//! Resilient backpropagation: Riedmiller and Braun 1993, in the form without weight backtracking
-//! (Rprop-, Igel and Huesken 2000).
+//! Resilient backpropagation (Riedmiller and Braun 1993), improved and without weight backtracking:
+//! where a derivative changes its sign the step shrinks, is not taken, and is neither grown nor
+//! shrunk by the next one (iRprop-, Igel and Huesken 2000).
 
 use serde::{Deserialize, Serialize};
 

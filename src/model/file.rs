@@ -140,7 +140,7 @@ pub enum ModelFileError {
         /// Name of its vehicle.
         trained: String,
         /// What differs.
-        difference: Difference,
+        difference: Box<Difference>,
     },
     /// Its vehicle is impossible.
     #[error(transparent)]
@@ -357,7 +357,7 @@ impl ModelFile {
             Some(difference) => Err(ModelFileError::Vehicle {
                 path: path.to_owned(),
                 trained: self.vehicle.name.clone(),
-                difference,
+                difference: Box::new(difference),
             }),
         }
     }

@@ -1,15 +1,18 @@
 //! Where two vehicles differ.
 
 use serde::Serialize;
+use serde_json::Value;
 
 use super::VehicleParams;
 
 /// Where two vehicles differ.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field} is {other} there and {this} in the vehicle at hand")]
+#[error("{field}{place} is {other} there and {this} in the vehicle at hand")]
 pub struct Difference {
     /// The field, by its name in vehicle files.
     pub field: &'static str,
+    /// Where in it, as `[2].spin` of a list of rotors; empty where it is one value.
+    pub place: String,
     /// Its value in this vehicle, as its file has it.
     pub this: String,
     /// And in the other.
@@ -18,12 +21,42 @@ pub struct Difference {
 
 impl Difference {
     fn of<T: PartialEq + Serialize>(field: &'static str, this: &T, other: &T) -> Option<Self> {
+        if this == other {
+            return None;
+        }
         let told = |value: &T| match serde_json::to_value(value) {
-            Ok(serde_json::Value::Null) => "not given".to_owned(),
-            Ok(value) => value.to_string(),
-            Err(error) => format!("what no file can hold ({error})"),
+            Ok(value) => value,
+            Err(error) => format!("what no file can hold ({error})").into(),
         };
-        (this != other).then(|| Self { field, this: told(this), other: told(other) })
+        let (this, other) = (told(this), told(other));
+        let (place, this, other) = first_difference(&this, &other);
+        let told = |value: &Value| match value {
+            Value::Null => "not given".to_owned(),
+            value => value.to_string(),
+        };
+        Some(Self { field, place, this: told(this), other: told(other) })
+    }
+}
+
+/// The first part in which two values of one form differ, and where it is.
+fn first_difference<'a>(this: &'a Value, other: &'a Value) -> (String, &'a Value, &'a Value) {
+    let parts: Vec<(String, &Value, &Value)> = match (this, other) {
+        (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
+            let pairs = a.iter().zip(b).enumerate();
+            pairs.map(|(index, (a, b))| (format!("[{index}]"), a, b)).collect()
+        }
+        (Value::Object(a), Value::Object(b)) => {
+            let pairs = a.iter().filter_map(|(key, a)| Some((key, a, b.get(key)?)));
+            pairs.map(|(key, a, b)| (format!(".{key}"), a, b)).collect()
+        }
+        _ => Vec::new(),
+    };
+    match parts.into_iter().find(|(_, a, b)| a != b) {
+        Some((place, a, b)) => {
+            let (within, a, b) = first_difference(a, b);
+            (place + &within, a, b)
+        }
+        None => (String::new(), this, other),
     }
 }
 
@@ -59,6 +92,15 @@ impl VehicleParams {
 mod tests {
     use crate::vehicle::VehicleParams;
     use crate::vehicle::tests::quad;
+
+    #[test]
+    fn of_four_rotors_the_one_that_differs_is_named() {
+        let mut other = quad();
+        other.rotors[2].thrust_max_n = 7.5;
+        let told = quad().difference(&other).expect("a difference").to_string();
+        assert!(told.starts_with("rotors[2].thrust_max_N is 7.5 there and "), "{told}");
+        assert!(!told.contains('{'), "{told}");
+    }
 
     #[test]
     fn vehicles_differ_by_what_they_are_and_not_by_what_is_believed_of_them() {
