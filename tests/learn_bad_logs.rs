@@ -9,6 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use downwash::log::import::{self, Flight, MotorUnit, Stream};
 use downwash::log::record::Record;
 use serde_json::Value;
 use sitl::config::SitlConfig;
@@ -125,6 +126,64 @@ fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
     }
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(bad.iter().all(|path| told.contains(&*path.to_string_lossy())), "{told}");
+}
+
+/// A sound log as a flight, changed and written again.
+fn changed(folder: &Path, name: &str, change: impl FnOnce(&mut Flight)) -> PathBuf {
+    let mut flight = import::open(&SOUND[0], None).expect("a log");
+    change(&mut flight);
+    let path = folder.join(name);
+    import::write(&flight, &path).expect("a log");
+    path
+}
+
+/// The audit's word holds for training too.
+#[test]
+fn what_the_audit_calls_unusable_is_not_learned_from() {
+    let folder = learn::folder("audited");
+    let frozen = changed(&folder, "frozen.mcap", |flight| {
+        let mut stood = Stream::default();
+        let mut held = None;
+        for (time, rate) in flight.body_rate.iter() {
+            let from = *held.get_or_insert((time + 8.0, *rate));
+            let still = (from.0..from.0 + 2.0).contains(&time);
+            if !still && time < from.0 {
+                held = Some((from.0, *rate));
+            }
+            stood.push(time, if still { from.1 } else { *rate });
+        }
+        flight.body_rate = stood;
+    });
+    let turned = changed(&folder, "turned.mcap", |flight| {
+        flight.attitude = flight.attitude.map(|attitude| attitude.inverse());
+    });
+    let logs = [SOUND.as_slice(), &[frozen, turned]].concat();
+    let summary = learn::summary(&learn::train("audited-model", &logs, &[]).0);
+    let left_out = left_out(&summary, "frozen");
+    assert!(left_out.contains("body rate: frozen") && left_out.contains("2.1"), "{left_out}");
+    let refusal = refusal(&summary, "turned.mcap");
+    assert!(refusal.contains("attitude") && refusal.starts_with("fault"), "{refusal}");
+}
+
+/// The paper's own set-up: setpoints and a known law, and no motor outputs.
+#[test]
+fn flights_without_motor_outputs_are_learned_from() {
+    let folder = learn::folder("no-outputs");
+    let logs: Vec<PathBuf> = (0..SOUND.len())
+        .map(|index| {
+            let mut flight = import::open(&SOUND[index], None).expect("a log");
+            flight.outputs = Stream::default();
+            flight.motor_unit = MotorUnit::VehicleFile;
+            let path = folder.join(format!("{index}.mcap"));
+            import::write(&flight, &path).expect("a log");
+            path
+        })
+        .collect();
+    let summary = learn::summary(&learn::train("no-outputs-model", &logs, &[]).0);
+    assert_eq!(learn::logs(&summary).len(), SOUND.len(), "{}", summary["data"]["refused"]);
+    for log in learn::logs(&summary) {
+        assert_eq!(log["source"], "setpoints through the on-board law");
+    }
 }
 
 #[test]

@@ -9,8 +9,10 @@ use rayon::prelude::*;
 use sitl::vehicle::VehicleParams;
 
 use super::{in_words, say};
+use crate::diagnose::audit::{Audit, LEFT_OUT, NO_SAMPLES, UnusableSpan};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
+use crate::learn::segments::Cut;
 use crate::learn::summary::RefusedLog;
 use crate::log::import::{self, Flight};
 
@@ -30,6 +32,10 @@ impl Logs {
         windows: &WindowSettings,
         step: impl FnMut(&Path) + Send,
     ) -> Self {
+        // In one order, whatever that of the arguments: of a log that is there twice the first is
+        // taken.
+        let mut paths: Vec<&PathBuf> = paths.iter().collect();
+        paths.sort_by_key(|path| (path.file_stem(), *path));
         let step = Mutex::new(step);
         let read: Vec<anyhow::Result<ObservedFlight>> = paths
             .par_iter()
@@ -55,7 +61,7 @@ impl Logs {
                 Err(error) => {
                     let reason = in_words(&error);
                     say(format_args!("{}: left out: {reason}", path.display()));
-                    logs.refused.push(RefusedLog { path: path.clone(), reason });
+                    logs.refused.push(RefusedLog { path: path.to_path_buf(), reason });
                 }
             }
         }
@@ -90,6 +96,19 @@ pub(super) fn open_for(
     Ok(flight)
 }
 
+/// The times that the audit calls unusable. Gaps are cut by what is learned from.
+fn cuts(audit: &Audit) -> Vec<Cut> {
+    let spans = audit.unusable.iter().filter(|span| span.reason != NO_SAMPLES);
+    let cut = |span: &UnusableSpan| Cut {
+        stream: span.stream,
+        reason: span.reason,
+        times: span.from_s..span.to_s,
+    };
+    spans.map(cut).collect()
+}
+
+/// Reads and observes a flight. One whose data are at fault is refused; times of it that the audit
+/// calls unusable are cut out.
 fn observe(
     path: &Path,
     mapping: Option<&Path>,
@@ -98,7 +117,12 @@ fn observe(
     windows: &WindowSettings,
 ) -> anyhow::Result<ObservedFlight> {
     let flight = open_for(path, mapping, vehicle)?;
-    let observed = ObservedFlight::new(flight, vehicle, onboard, windows, &[])?;
+    let audit = Audit::of(&flight);
+    // What the importer left out is gone, and counted.
+    if let Some(fault) = audit.faults().find(|fault| fault.check != LEFT_OUT) {
+        return Err(anyhow!("{fault}"));
+    }
+    let observed = ObservedFlight::new(flight, vehicle, onboard, windows, &cuts(&audit))?;
     observed.check_vehicle(vehicle, onboard)?;
     Ok(observed)
 }

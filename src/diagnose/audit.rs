@@ -24,7 +24,7 @@ pub use kinematics::{Agreement, Estimate, Kinematics};
 pub use rotors::{Contradiction, RotorEffects};
 pub use tier::{Channels, Tier, Untestable};
 pub(super) use tier::{is_flat, voltage_range};
-pub use timing::StreamTiming;
+pub use timing::{LEFT_OUT, NO_SAMPLES, StreamTiming};
 
 /// A time within which a stream must not be used.
 #[derive(Clone, Debug, PartialEq, Serialize)]

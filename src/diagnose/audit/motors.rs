@@ -88,6 +88,7 @@ fn legal(flight: &Flight) -> Option<(f64, f64, &'static str)> {
     match flight.motor_unit {
         MotorUnit::ThrustFraction => Some((-ROUNDING, 1.0 + ROUNDING, "")),
         MotorUnit::Newton => Some((-ROUNDING, f64::INFINITY, "N")),
+        MotorUnit::VehicleFile if flight.outputs.is_empty() => None,
         MotorUnit::VehicleFile => {
             let all = flight.outputs.values().iter().flatten().copied().collect();
             (median(all) > PULSE_LIKE).then_some((*PULSES.start(), *PULSES.end(), "us"))

@@ -101,6 +101,10 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     check_left_out(flight, audit);
 }
 
+/// Name of the check of what the importer left out.
+pub const LEFT_OUT: &str = "left_out";
+/// Why a time between two samples is unusable.
+pub const NO_SAMPLES: &str = "no samples";
 /// Name of the check that a log holds anything.
 pub(super) const EMPTY: &str = "empty";
 
@@ -131,8 +135,12 @@ fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &
     let (Some(period), Some(longest)) = (timing.period_s, timing.longest_gap_s) else { return };
     let limit = GAP_LONG.max(GAP_PERIODS * period);
     for pair in times.windows(2).filter(|pair| pair[1] - pair[0] > limit) {
-        let reason = "no samples";
-        audit.unusable.push(UnusableSpan { stream: name, from_s: pair[0], to_s: pair[1], reason });
+        audit.unusable.push(UnusableSpan {
+            stream: name,
+            from_s: pair[0],
+            to_s: pair[1],
+            reason: NO_SAMPLES,
+        });
     }
     let StreamTiming { gaps, lost, .. } = *timing;
     if gaps == 0 || lost < LOST_NOTE && longest <= limit {
@@ -213,7 +221,7 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
                 (false, false) => Severity::Measurement,
                 (false, true) => Severity::Fault,
             },
-            check: "left_out",
+            check: LEFT_OUT,
             stream: None,
             found: *count as f64,
             expected: 0.0,
