@@ -62,3 +62,26 @@ fn what_is_read_is_not_written_over() {
         assert_eq!(fs::read_to_string(folder.join(name)).expect("the file"), name);
     }
 }
+
+#[test]
+fn what_cannot_be_is_refused_before_any_work() {
+    let folder = folder("arguments");
+    let report = folder.join("report");
+    fs::write(&report, "a file").expect("a file");
+    let (vehicle, out) = (learn::vehicle(), folder.join("model"));
+    let log = Path::new("no.mcap");
+    for (flag, value, words) in [
+        ("--regularization", "1e-5,1.5", "at least 0 and below 1, found 1.5"),
+        ("--threads", "100000", "100000"),
+        ("--threads", "0", "0"),
+        ("--report", &*report.to_string_lossy(), "--report: cannot create the folder"),
+    ] {
+        let arguments = train(&vehicle, &out, &[log, Path::new(flag), Path::new(value)]);
+        let errors = refused(&folder, &borrowed(&arguments));
+        assert!(errors.contains(words), "{flag} {value}: {errors}");
+    }
+    let trajectory = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/trajectories/hover.toml");
+    let words = ["plan", "--report", "-o"].map(Path::new);
+    let errors = refused(&folder, &[words[0], &trajectory, words[1], &report, words[2], &out]);
+    assert!(errors.contains("--report: cannot create the folder"), "{errors}");
+}

@@ -192,6 +192,7 @@ fn an_interrupted_training_ends_as_if_it_had_not_been() {
         regularization: vec![1e-6, 1e-4],
         seed: 1,
         window_half_s: windows.half_s,
+        windows_half_s: vec![windows.half_s],
     };
     let run = |settings: &TrainSettings, progress: Option<Progress>, steps: usize| {
         let mut watch = Patience { left: steps, training: false };
@@ -223,5 +224,9 @@ fn an_interrupted_training_ends_as_if_it_had_not_been() {
     let Ok(Outcome::Interrupted(progress)) = run(&settings, None, 5) else { panic!("done") };
     let other = TrainSettings { seed: 2, ..settings };
     let Err(error) = run(&other, Some(progress), 5) else { panic!("another training's") };
+    assert!(error.to_string().contains("--resume"), "{error}");
+    let Ok(Outcome::Interrupted(progress)) = run(&other, None, 5) else { panic!("done") };
+    let other = TrainSettings { windows_half_s: vec![0.06], ..other };
+    let Err(error) = run(&other, Some(progress), 5) else { panic!("other windows'") };
     assert!(error.to_string().contains("--resume"), "{error}");
 }

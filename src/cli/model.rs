@@ -49,8 +49,8 @@ pub struct TrainArgs {
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Threads [default: one for each core]. The model does not depend on it.
-    #[arg(long)]
-    pub threads: Option<usize>,
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
     /// Goes on from the checkpoint that an interrupted training left beside --out.
     #[arg(long)]
     pub resume: bool,

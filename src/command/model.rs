@@ -330,7 +330,14 @@ pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
         text += &one_step_line(name, "test, truth", errors.truth[2].as_ref());
     }
     text += &multi_step_table(&summary.multi_step);
-    text += &format!("best on validation: {}\n", summary.preferred.name());
+    text += &if summary.is_judged() {
+        format!("best on validation: {}\n", summary.preferred.name())
+    } else {
+        format!(
+            "not judged: no second of the validation part goes on without a gap; {} is taken\n",
+            summary.preferred.name()
+        )
+    };
     text
 }
 

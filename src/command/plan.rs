@@ -177,6 +177,11 @@ struct PlanSummary<'a> {
 pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
     let given = [&args.model, &args.vehicle, &args.config].into_iter().flatten();
     refuse_input(&args.out, given.chain([&args.trajectory]).map(PathBuf::as_path))?;
+    if let Some(folder) = &args.report {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("--report: cannot create the folder {}", folder.display()))
+            .or_exit(Exit::Usage)?;
+    }
     let mut config = config::load(args.config.as_deref(), vec![])?;
     if let Some(solver) = args.solver {
         config.settings.plan.solver = solver;
@@ -250,8 +255,6 @@ pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
         plan: &args.out,
     };
     if let Some(folder) = &args.report {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make {}", folder.display()))?;
         let limits = &config.settings.pilot.limits;
         let html = page::html(&plan, summary.not_flyable.as_deref(), limits);
         write_file(&folder.join("report.html"), html.as_bytes())?;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, anyhow};
+use sha2::{Digest, Sha256};
 use sitl::vehicle::VehicleParams;
 
 use super::logs::Logs;
@@ -15,7 +16,7 @@ use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
-use crate::learn::judgement::{Standing, standing};
+use crate::learn::judgement::{Best, Standing, standing};
 use crate::learn::networks::Progress;
 use crate::learn::procedure::{Outcome, TrainError, Watch as _, belongs, train};
 use crate::learn::summary::{TrainSettings, TrainingSummary};
@@ -82,8 +83,8 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     }
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
-    if let Some(weight) = args.regularization.iter().find(|w| !(w.is_finite() && **w >= 0.0)) {
-        let error = anyhow!("--regularization: expected numbers of at least 0, found {weight}");
+    if let Some(weight) = args.regularization.iter().find(|weight| !(0.0..1.0).contains(*weight)) {
+        let error = anyhow!("--regularization: expected at least 0 and below 1, found {weight}");
         return Err(error).or_exit(Exit::Usage);
     }
     if let Some(window) = args.window.iter().find(|w| !(1.0..=200.0).contains(*w)) {
@@ -99,7 +100,12 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         return Err(anyhow!("--out: there is no folder {}", folder.display())).or_exit(Exit::Usage);
     }
-    if let Some(threads) = args.threads {
+    if let Some(folder) = &args.report {
+        fs::create_dir_all(folder)
+            .with_context(|| format!("--report: cannot create the folder {}", folder.display()))
+            .or_exit(Exit::Usage)?;
+    }
+    if let Some(threads) = args.threads.map(usize::from) {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;
     }
     let mut progress = match resume {
@@ -116,7 +122,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
             Outcome::Interrupted(progress) => {
                 bar.clear();
                 let json = serde_json::to_vec(&progress).context("checkpoint")?;
-                write_file(&checkpoint_path, &json)?;
+                write_file(&checkpoint_path, &sealed(&json))?;
                 return Ok(Learning::Interrupted(checkpoint_path));
             }
             Outcome::Done(done) => {
@@ -131,7 +137,15 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
         }
     }
     bar.clear();
-    let (_, done) = best.context("--window: expected at least one").or_exit(Exit::Usage)?;
+    let (standing, done) = best.context("--window: expected at least one").or_exit(Exit::Usage)?;
+    match standing.best {
+        Best::NotFinite => return Err(TrainError::NotFinite).or_exit(Exit::Usage),
+        Best::NoBetterThanHolding => say(format_args!(
+            "warning: on the validation flights no model predicts better than that all stays as it \
+             is; look at the logs with `downwash log audit`, or give more flights"
+        )),
+        Best::NotJudged | Best::Better => {}
+    }
     let (mut file, summary) = *done;
     file.training = serde_json::to_value(&summary).context("summary")?;
     write_file(&args.out, &file.to_bytes().context("the model")?)?;
@@ -141,8 +155,6 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     }
     let mut report = None;
     if let Some(folder) = &args.report {
-        fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
         let page = folder.join("report.html");
         write_file(&page, crate::report::training::html(&summary).as_bytes())?;
         let json = serde_json::to_vec_pretty(&summary).context("report.json")?;
@@ -176,6 +188,7 @@ fn train_with(
         regularization: args.regularization.clone(),
         seed: args.seed,
         window_half_s: windows.half_s,
+        windows_half_s: args.window.iter().map(|window| window * 1e-3).collect(),
     };
     bar.stage("logs", args.logs.len() as u64);
     let mapping = args.mapping.as_deref();
@@ -211,9 +224,31 @@ fn load_checkpoint(path: &Path) -> anyhow::Result<Progress> {
     let bytes = fs::read(path)
         .with_context(|| format!("--resume: no checkpoint {}", path.display()))
         .or_exit(Exit::Usage)?;
-    serde_json::from_slice(&bytes)
-        .with_context(|| format!("checkpoint {} is damaged; train anew", path.display()))
-        .or_exit(Exit::Usage)
+    let damaged = || format!("checkpoint {} is damaged; train without --resume", path.display());
+    let json = unsealed(&bytes).with_context(damaged).or_exit(Exit::Usage)?;
+    serde_json::from_slice(json).with_context(damaged).or_exit(Exit::Usage)
+}
+
+/// A checkpoint's bytes: the SHA-256 of its content on a line of its own, then the content.
+fn sealed(content: &[u8]) -> Vec<u8> {
+    let mut bytes = seal(content).into_bytes();
+    bytes.push(b'\n');
+    bytes.extend_from_slice(content);
+    bytes
+}
+
+/// The content of a checkpoint's bytes, if it is what was sealed.
+fn unsealed(bytes: &[u8]) -> anyhow::Result<&[u8]> {
+    let end = bytes.iter().position(|byte| *byte == b'\n').context("it has no seal")?;
+    let (stated, content) = (&bytes[..end], &bytes[end + 1..]);
+    if stated != seal(content).as_bytes() {
+        return Err(anyhow!("its content is not what was written"));
+    }
+    Ok(content)
+}
+
+fn seal(content: &[u8]) -> String {
+    Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Set by the first Ctrl-C; the second ends the program at once.
@@ -221,4 +256,22 @@ fn interrupt_flag() -> anyhow::Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     super::on_interrupt(&flag)?;
     Ok(flag)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_of_which_a_bit_changed_is_damaged() {
+        let bytes = sealed(b"{\"weights\":[1,2]}");
+        assert_eq!(unsealed(&bytes).expect("whole"), b"{\"weights\":[1,2]}");
+        for at in 0..bytes.len() {
+            let mut changed = bytes.clone();
+            changed[at] ^= 1;
+            assert!(unsealed(&changed).is_err(), "byte {at}");
+        }
+        assert!(unsealed(&bytes[..bytes.len() - 1]).is_err());
+        assert!(unsealed(b"").is_err());
+    }
 }

@@ -110,6 +110,7 @@ fn settings(features: Features) -> TrainSettings {
         regularization: REGULARIZATION.into(),
         seed,
         window_half_s: 0.5 * ROW_CELLS as f64 * CELL_S,
+        windows_half_s: Vec::new(),
     }
 }
 

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use sitl::rigid_body::State;
 
 use super::dataset::Row;
+use super::not_finite;
 use super::prediction::{Baseline, RecordedInputs};
 use crate::model::{ACCELERATIONS, Model};
 
@@ -21,10 +22,13 @@ pub const ACCELERATION_NAMES: [&str; ACCELERATIONS] =
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OneStep {
     /// Of each acceleration.
+    #[serde(deserialize_with = "not_finite::array")]
     pub each: [f64; ACCELERATIONS],
     /// Mean of the linear ones.
+    #[serde(deserialize_with = "not_finite::number")]
     pub linear: f64,
     /// Mean of the angular ones.
+    #[serde(deserialize_with = "not_finite::number")]
     pub angular: f64,
     /// Rows.
     pub rows: usize,
@@ -80,13 +84,25 @@ impl OneStep {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StateError {
     /// Of position, m.
+    #[serde(deserialize_with = "not_finite::number")]
     pub position_m: f64,
     /// Of velocity, m/s.
+    #[serde(deserialize_with = "not_finite::number")]
     pub velocity_m_s: f64,
     /// Of attitude: the angle of rotation, rad.
+    #[serde(deserialize_with = "not_finite::number")]
     pub attitude_rad: f64,
     /// Of body rate, rad/s.
+    #[serde(deserialize_with = "not_finite::number")]
     pub rate_rad_s: f64,
+}
+
+impl StateError {
+    /// Whether all of it is a number.
+    pub fn is_finite(&self) -> bool {
+        let Self { position_m, velocity_m_s, attitude_rad, rate_rad_s } = self;
+        [position_m, velocity_m_s, attitude_rad, rate_rad_s].iter().all(|error| error.is_finite())
+    }
 }
 
 /// Errors at each of [`HORIZONS_S`].

@@ -7,7 +7,9 @@ use sitl::vehicle::VehicleError;
 
 use super::commands::Onboard;
 use super::dataset::{ObservedFlight, Row};
-use super::evaluation::{HORIZONS_S, MultiStep, OneStep, Predictor, multi_step, window_starts};
+use super::evaluation::{
+    HORIZONS_S, MultiStep, OneStep, Predictor, StateError, multi_step, window_starts,
+};
 use super::identify;
 use super::prediction::{Baseline, RecordedInputs};
 use super::procedure::{TrainError, Watch};
@@ -132,19 +134,26 @@ pub(super) fn judge(
     }
     let windows = dataset.windows(Part::Validation, &dataset.actuation);
     let validation = compare(&windows, &models, watch);
-    let hold = validation.iter().find(|summary| summary.predictor == HOLD);
-    let score = |kind: ModelKind| {
-        let errors = validation.iter().find(|summary| summary.predictor == kind.name());
-        errors.zip(hold).map_or(f64::INFINITY, |(a, b)| relative(&a.errors, &b.errors))
-    };
-    let preferred = ModelKind::ALL
-        .into_iter()
-        .min_by(|a, b| score(*a).total_cmp(&score(*b)))
-        .unwrap_or(ModelKind::Hybrid);
+    let preferred = preferred(&validation);
     let windows = dataset.windows(Part::Test, &dataset.actuation);
     let multi_step = compare(&windows, &models, watch);
     let series = series(dataset, &models);
     Ok(Judgement { preferred, one_step, validation, multi_step, series })
+}
+
+/// The model whose open loop is best; what the file says by default where none can be told.
+fn preferred(validation: &[MultiStepSummary]) -> ModelKind {
+    let errors = |name: &str| {
+        let found = validation.iter().find(|summary| summary.predictor == name);
+        found.map(|summary| &summary.errors)
+    };
+    let score = |kind: ModelKind| {
+        let pair = errors(kind.name()).zip(errors(HOLD));
+        pair.map_or(f64::INFINITY, |(model, hold)| relative(model, hold))
+    };
+    let scores = ModelKind::ALL.map(|kind| (kind, score(kind)));
+    let best = scores.into_iter().filter(|(_, score)| score.is_finite());
+    best.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(ModelKind::Hybrid, |(kind, _)| kind)
 }
 
 /// Errors at the middle horizons over those of holding the state, summed: lower is better.
@@ -156,10 +165,15 @@ pub(super) fn score(windows: &[(RecordedInputs<'_>, Vec<f64>)], predictor: &Pred
     }
 }
 
-/// Sum of errors at the middle horizons, over those of `hold`.
+/// Sum of errors at the middle horizons, over those of `hold`; infinite where an error at any
+/// horizon is no number.
 fn relative(errors: &MultiStep, hold: &MultiStep) -> f64 {
-    ratios(errors, hold).sum()
+    let sum: f64 = ratios(errors, hold).sum();
+    if sum.is_finite() && errors.iter().all(StateError::is_finite) { sum } else { f64::INFINITY }
 }
+
+/// How many errors at the middle horizons there are.
+const RATIOS: usize = 8;
 
 /// Each error at the middle horizons over that of `hold`.
 fn ratios<'a>(errors: &'a MultiStep, hold: &'a MultiStep) -> impl Iterator<Item = f64> + 'a {
@@ -179,24 +193,49 @@ pub struct Standing {
     /// Whether every model errs less than holding the state, in everything, at the middle
     /// horizons.
     pub settled: bool,
-    /// Sum of the models' errors over those of holding the state; lower is better.
+    /// Sum of the models' errors over those of holding the state; lower is better, and infinite
+    /// where they cannot be told or are no numbers.
     pub score: f64,
+    /// What was seen of the best model.
+    pub best: Best,
+}
+
+/// How the best of several models stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Best {
+    /// There is no window to judge by.
+    NotJudged,
+    /// Not one has errors that are numbers.
+    NotFinite,
+    /// It errs as much as holding the state, or more.
+    NoBetterThanHolding,
+    /// It errs less than holding the state.
+    Better,
 }
 
 /// The standing of a training's models.
 pub fn standing(summary: &TrainingSummary) -> Standing {
     let find = |name: &str| summary.validation.iter().find(|s| s.predictor == name);
-    let mut standing = Standing { settled: true, score: 0.0 };
+    let mut standing = Standing { settled: true, score: 0.0, best: Best::NotJudged };
+    let mut least: Option<f64> = None;
     for kind in ModelKind::ALL {
         match find(kind.name()).zip(find(HOLD)) {
             Some((errors, hold)) => {
                 standing.settled &= ratios(&errors.errors, &hold.errors).all(|ratio| ratio < 1.0);
-                standing.score += relative(&errors.errors, &hold.errors);
+                let score = relative(&errors.errors, &hold.errors);
+                standing.score += score;
+                least = Some(least.map_or(score, |least| least.min(score)));
             }
             // Nothing to tell by: nothing to improve by.
             None => standing.score = f64::INFINITY,
         }
     }
+    standing.best = match least {
+        None => Best::NotJudged,
+        Some(score) if !score.is_finite() => Best::NotFinite,
+        Some(score) if score >= RATIOS as f64 => Best::NoBetterThanHolding,
+        Some(_) => Best::Better,
+    };
     standing
 }
 
@@ -278,4 +317,57 @@ fn moments(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
 /// Labels against the simulator's truth.
 pub(super) fn label_error(rows: &[&Row], deviation: &[f64; ACCELERATIONS]) -> Option<OneStep> {
     OneStep::of_values(rows, deviation, |row| row.truth.map(|truth| (row.label, truth)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Errors of everything, at every horizon.
+    fn summary(predictor: &str, error: f64) -> MultiStepSummary {
+        let state = StateError {
+            position_m: error,
+            velocity_m_s: error,
+            attitude_rad: error,
+            rate_rad_s: error,
+        };
+        MultiStepSummary {
+            predictor: predictor.to_owned(),
+            errors: [state; HORIZONS_S.len()],
+            horizons_s: HORIZONS_S.to_vec(),
+            windows: 1,
+        }
+    }
+
+    #[test]
+    fn a_model_whose_errors_are_no_numbers_is_never_the_best() {
+        let seen = |net, physics, hybrid| {
+            let models = [("net", net), ("physics", physics), ("hybrid", hybrid), (HOLD, 1.0)];
+            preferred(&models.map(|(name, error)| summary(name, error)))
+        };
+        assert_eq!(seen(f64::NAN, 3.0, 2.0), ModelKind::Hybrid);
+        assert_eq!(seen(-f64::NAN, 2.0, f64::INFINITY), ModelKind::Physics);
+        assert_eq!(seen(0.5, 2.0, 1.0), ModelKind::Net);
+        assert_eq!(preferred(&[]), ModelKind::Hybrid);
+        // One that breaks down only later is no better.
+        let mut late = [summary("net", 0.1), summary("physics", 0.2), summary(HOLD, 1.0)];
+        late[0].errors[3].rate_rad_s = f64::NAN;
+        assert_eq!(preferred(&late), ModelKind::Physics);
+    }
+
+    #[test]
+    fn errors_that_are_no_numbers_can_be_read_again() {
+        for written in [summary("net", f64::NAN), summary("net", f64::INFINITY)] {
+            let text = serde_json::to_string(&written).expect("JSON");
+            let read: MultiStepSummary = serde_json::from_str(&text).expect("a summary");
+            assert_eq!(read, summary("net", f64::INFINITY));
+        }
+        let one_step = OneStep { each: [f64::NAN; 6], linear: f64::NAN, angular: 1.0, rows: 3 };
+        let text = serde_json::to_string(&one_step).expect("JSON");
+        let read: OneStep = serde_json::from_str(&text).expect("errors");
+        assert_eq!(
+            (read.each, read.linear, read.angular),
+            ([f64::INFINITY; 6], f64::INFINITY, 1.0)
+        );
+    }
 }

@@ -22,6 +22,7 @@ mod adam;
 mod kernel;
 mod lanes;
 mod least_squares;
+mod not_finite;
 mod objective;
 mod rprop;
 mod window;

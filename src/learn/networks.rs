@@ -136,6 +136,11 @@ impl Progress {
         self.window_half_s
     }
 
+    /// Whether it is of so many trainings.
+    pub(super) fn is_of_count(&self, count: usize) -> bool {
+        self.states.len() == count
+    }
+
     /// Whether this belongs to `fingerprint`.
     pub(super) fn is_of(&self, fingerprint: &str) -> bool {
         self.fingerprint == fingerprint
@@ -216,6 +221,8 @@ impl Progress {
             for weight in regularization {
                 let Some(State::Done { network, curve }) = states.next() else { continue };
                 let looks = curve.iter().filter_map(|pass| Some((pass.number, pass.validation?)));
+                // What is no number is no loss to choose by.
+                let looks = looks.filter(|(_, loss)| loss.is_finite());
                 let (best_pass, loss) =
                     looks.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY));
                 if best.as_ref().is_none_or(|(least, ..)| loss < *least) {

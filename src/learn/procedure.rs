@@ -27,14 +27,28 @@ pub trait Watch: Send {
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     /// Too little data.
-    #[error(
-        "only {found} rows to train on; at least {ROWS_MIN} are needed (5 s of flight), in \
-         training, validation and test parts that are not empty"
-    )]
+    #[error("only {found} rows to train on; at least {ROWS_MIN} are needed (5 s of flight)")]
     TooFewRows {
         /// Rows in the training part.
         found: usize,
     },
+    /// Nothing to choose or to judge by.
+    #[error(
+        "the {part} part has no rows: each part of a flight must be longer than {border_s} s, which \
+         are left out at its borders; give more or longer flights"
+    )]
+    EmptyPart {
+        /// `validation` or `test`.
+        part: &'static str,
+        /// What is left out between two parts, s.
+        border_s: f64,
+    },
+    /// Every model's open loop leads to what is no number.
+    #[error(
+        "no model predicts finite states on the validation flights; look at the logs with `downwash \
+         log audit`, or change --regularization, --features or --method"
+    )]
+    NotFinite,
     /// The vehicle's physics does not work.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
@@ -99,7 +113,11 @@ pub fn train(
 
     let count = all.len() * settings.regularization.len();
     let mut progress = match progress {
-        Some(progress) if progress.is_of(&fingerprint(dataset, settings)) => progress,
+        Some(progress)
+            if progress.is_of(&fingerprint(dataset, settings)) && progress.is_of_count(count) =>
+        {
+            progress
+        }
         Some(_) => return Err(TrainError::Checkpoint),
         None => {
             let fingerprint = fingerprint(dataset, settings);

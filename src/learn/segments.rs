@@ -370,6 +370,7 @@ mod tests {
 
     /// Mean output that hovers.
     const HOVER: f64 = 0.5;
+    const LEVEL: Attitude = Attitude { w: 1.0, x: 0.0, y: 0.0, z: 0.0 };
 
     fn empty() -> Flight {
         let origin =
@@ -380,13 +381,10 @@ mod tests {
     /// A flight with a sample of everything at each of `times`, at `height` [m].
     fn flight(times: impl Iterator<Item = f64>, height: f64) -> Flight {
         let mut flight = empty();
-        let setpoint = AttitudeSetpoint {
-            attitude: Some(Attitude::IDENTITY),
-            body_rate: None,
-            thrust: Some(HOVER),
-        };
+        let setpoint =
+            AttitudeSetpoint { attitude: Some(LEVEL), body_rate: None, thrust: Some(HOVER) };
         for time in times {
-            flight.attitude.push(time, Attitude::IDENTITY);
+            flight.attitude.push(time, LEVEL);
             flight.position.push(time, Ned::new(0.0, 0.0, -height));
             flight.velocity.push(time, Ned::zero());
             flight.body_rate.push(time, Frd::zero());

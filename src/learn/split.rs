@@ -5,6 +5,8 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use super::dataset::ROW_RATE_HZ;
+
 /// What rows are for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -20,6 +22,15 @@ pub enum Part {
 impl Part {
     /// All, in order.
     pub const ALL: [Part; 3] = [Part::Training, Part::Validation, Part::Test];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Part::Training => "training",
+            Part::Validation => "validation",
+            Part::Test => "test",
+        }
+    }
 
     /// Its share of the rows (Bansal et al. 2016, section V-A).
     fn share(self) -> f64 {
@@ -41,6 +52,10 @@ const SWEEPS_MAX: usize = 20;
 const SHARE_WEIGHT: f64 = 100.0;
 /// Rows left out between blocks: windows and the vehicle's memory reach across a border.
 const BORDER_ROWS: usize = 100;
+/// The same, s.
+pub(super) const BORDER_S: f64 = BORDER_ROWS as f64 / ROW_RATE_HZ;
+/// A part of whole flights has at least this much of its share of the rows.
+const OF_SHARE_MIN: f64 = 0.5;
 
 /// How rows were split.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,17 +93,34 @@ impl Split {
     /// Splits flights. Those of one kind should follow one another: each goes to the part that
     /// lacks most, so that every kind comes into every part. Then neighbours change places as long
     /// as that makes the parts more alike in how they were flown: a part that has all the full
-    /// packs, or all the fast flights, would be another task.
+    /// packs, or all the fast flights, would be another task. Where a part is left with hardly any
+    /// rows, as one flight is far longer than the others, each is cut into blocks after all.
     pub fn of(flights: &[Traits]) -> Self {
+        let by_blocks = || Self {
+            kind: SplitKind::Blocks,
+            flights: flights.iter().map(|flight| blocks(flight.rows)).collect(),
+        };
         if flights.len() < WHOLE_FLIGHTS_MIN {
-            let flights = flights.iter().map(|flight| blocks(flight.rows)).collect();
-            return Self { kind: SplitKind::Blocks, flights };
+            return by_blocks();
         }
         let mut parts = in_turn(flights);
         balance(flights, &mut parts);
+        if !is_shared(flights, &parts) {
+            return by_blocks();
+        }
         let flights = flights.iter().zip(parts).map(|(f, part)| vec![(0..f.rows, part)]).collect();
         Self { kind: SplitKind::WholeFlights, flights }
     }
+}
+
+/// Whether every part has its share of the rows, about.
+fn is_shared(flights: &[Traits], parts: &[Part]) -> bool {
+    let (mut total, mut have) = (0.0, [0.0; 3]);
+    for (flight, part) in flights.iter().zip(parts) {
+        total += flight.rows as f64;
+        have[*part as usize] += flight.rows as f64;
+    }
+    Part::ALL.iter().all(|part| have[*part as usize] >= OF_SHARE_MIN * part.share() * total)
 }
 
 /// Each flight to the part that lacks most.
@@ -263,6 +295,17 @@ mod tests {
                 assert!(kind.iter().flatten().any(|(_, p)| *p == part), "{part:?}");
             }
         }
+    }
+
+    #[test]
+    fn one_long_flight_among_short_ones_leaves_no_part_empty() {
+        let flights = [60_000, 700, 650, 600, 500].map(flight);
+        let split = Split::of(&flights);
+        assert_eq!(split.kind, SplitKind::Blocks);
+        for (share, part) in shares(&split).into_iter().zip(Part::ALL) {
+            assert!((share - part.share()).abs() < 0.05, "{part:?} {share}");
+        }
+        assert_eq!(Split::of(&[flight(6000); 5]).kind, SplitKind::WholeFlights);
     }
 
     /// Packs that are swapped in a cycle keep step with the parts' turns.

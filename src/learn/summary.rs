@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::evaluation::{MultiStep, OneStep};
+use super::not_finite;
 use super::split::{Part, SplitKind};
 use super::training::Method;
 use crate::model::ACCELERATIONS;
@@ -47,6 +48,13 @@ pub struct TrainingSummary {
     pub series: Vec<Series>,
 }
 
+impl TrainingSummary {
+    /// Whether the models' open loops were compared on the validation part.
+    pub fn is_judged(&self) -> bool {
+        !self.validation.is_empty()
+    }
+}
+
 /// How a training is done.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainSettings {
@@ -64,6 +72,9 @@ pub struct TrainSettings {
     pub seed: u64,
     /// Half width of the labels' window, s.
     pub window_half_s: f64,
+    /// All that may be tried, one after another, s.
+    #[serde(default)]
+    pub windows_half_s: Vec<f64>,
 }
 
 /// The data of a training.
@@ -142,6 +153,7 @@ pub struct LearningCurve {
     /// Pass whose weights were kept.
     pub best_pass: usize,
     /// Normalised mean squared error on the training rows, pass by pass.
+    #[serde(deserialize_with = "not_finite::numbers")]
     pub training: Vec<f64>,
     /// And on the validation rows, where it was looked at.
     pub validation: Vec<Option<f64>>,
@@ -183,5 +195,6 @@ pub struct Series {
     /// The label.
     pub observed: Vec<f64>,
     /// By each model, in the order of [`ModelKind::ALL`].
+    #[serde(deserialize_with = "not_finite::lists")]
     pub predicted: Vec<Vec<f64>>,
 }

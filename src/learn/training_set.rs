@@ -13,7 +13,7 @@ use super::physics_fit;
 use super::prediction::RecordedInputs;
 use super::procedure::{TrainError, Watch};
 use super::refine;
-use super::split::{Part, Split};
+use super::split::{BORDER_S, Part, Split};
 use super::summary::LogSummary;
 use crate::model::ACCELERATIONS;
 use crate::model::actuation::Actuation;
@@ -103,8 +103,11 @@ impl<'a> TrainingSet<'a> {
         }
         dataset.refine()?;
         let rows = Part::ALL.map(|part| dataset.part(part).len());
-        if rows[0] < ROWS_MIN || rows.contains(&0) {
+        if rows[0] < ROWS_MIN {
             return Err(TrainError::TooFewRows { found: rows[0] });
+        }
+        if let Some((part, _)) = Part::ALL.into_iter().zip(rows).find(|(_, rows)| *rows == 0) {
+            return Err(TrainError::EmptyPart { part: part.name(), border_s: BORDER_S });
         }
         Ok(dataset)
     }
@@ -238,6 +241,7 @@ impl TrainingSet<'_> {
                 shares[head as usize] = share;
                 let hybrid = Hybrid::new(physics.clone(), residual.scaled(shares));
                 let score = score(&windows, &Predictor::Model(&hybrid));
+                // What is no number is not less.
                 if score < best.0 {
                     best = (score, shares);
                 }

@@ -87,15 +87,20 @@ fn verdict(summary: &TrainingSummary, page: &mut Page) {
             }
         }
     }
+    let praise = if summary.is_judged() {
+        format!("The {} model predicts best on the validation flights", kind.name())
+    } else {
+        reasons.push("no second of the validation part goes on without a gap".to_owned());
+        format!("The models' predictions could not be judged; the {} model is taken", kind.name())
+    };
     let sentence = match tested(summary, kind) {
         Some((errors, truth)) => format!(
-            "The {} model predicts best on the validation flights; on the test flights it leaves {} of the variance of the linear and {} of the angular accelerations{}.",
-            kind.name(),
+            "{praise}; on the test flights it leaves {} of the variance of the linear and {} of the angular accelerations{}.",
             percent(errors.linear),
             percent(errors.angular),
             if truth { ", against the simulator's truth" } else { "" }
         ),
-        None => format!("The {} model predicts best on the validation flights.", kind.name()),
+        None => format!("{praise}."),
     };
     let mood = if reasons.is_empty() { Mood::Good } else { Mood::Warning };
     page.verdict(mood, &sentence, &reasons);
