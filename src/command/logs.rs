@@ -118,11 +118,12 @@ fn observe(
 ) -> anyhow::Result<ObservedFlight> {
     let flight = open_for(path, mapping, vehicle)?;
     let audit = Audit::of(&flight);
+    // Too little to learn from is said before what may be wrong with it.
+    let observed = ObservedFlight::new(flight, vehicle, onboard, windows, &cuts(&audit))?;
     // What the importer left out is gone, and counted.
     if let Some(fault) = audit.faults().find(|fault| fault.check != LEFT_OUT) {
         return Err(anyhow!("{fault}"));
     }
-    let observed = ObservedFlight::new(flight, vehicle, onboard, windows, &cuts(&audit))?;
     observed.check_vehicle(vehicle, onboard)?;
     Ok(observed)
 }

@@ -14,6 +14,8 @@ const TURNS: f64 = 0.2;
 const READS: f64 = 0.8;
 /// Less than this is no following at all, but other motion.
 const FOLLOWS: f64 = 0.3;
+/// Where a shorter log does not show whether it does, that is no fault, s.
+const SHORT_S: f64 = 10.0;
 /// Rotations between streams beyond this are other axes, not a mounting, rad.
 const OTHER_AXES: f64 = 0.3;
 /// Scales beyond these are other units.
@@ -221,6 +223,10 @@ fn unit_of(scale: f64) -> &'static str {
     known.into_iter().find(|(value, _)| near(*value)).map_or("", |(_, text)| text)
 }
 
+fn span_s(times: &[f64]) -> f64 {
+    times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first)
+}
+
 /// Quaternions read in another direction or order, where they do not turn by the gyro as stated.
 fn check_readings(flight: &Flight, audit: &mut Audit) {
     if !is_logged(&flight.attitude) || !is_logged(&flight.body_rate) {
@@ -245,7 +251,9 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
         .filter_map(|(read, text)| Some((turning_explained(flight, read)?, text)))
         .filter(|(explained, _)| *explained > READS)
         .max_by(|a, b| a.0.total_cmp(&b.0));
-    let follows = turning_follows(flight).unwrap_or(0.0);
+    // So short a log may not show it.
+    let shown = if span_s(flight.attitude.times()) < SHORT_S { 1.0 } else { 0.0 };
+    let follows = turning_follows(flight).unwrap_or(shown);
     let (what, found) = match found {
         Some((share, text)) => (format!("quaternions seem to be {text}"), share),
         None if follows < FOLLOWS => ("does not turn as the gyro says".to_owned(), follows),
