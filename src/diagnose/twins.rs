@@ -65,7 +65,8 @@ pub struct TwinFits {
     pub truth: Values,
     /// What each twin leaves at the values of the flights' fit.
     pub residuals: Vec<Residuals>,
-    /// Derivatives of each by the numbers whose derivatives are noisy.
+    /// Of twins without an effect: derivatives of each by the numbers whose derivatives are noisy. They
+    /// tell what chance gives a hypothesis; fits of twins, as those of flights, are by the flights'.
     own: Vec<Vec<(usize, Residuals)>>,
     /// The values that each is fitted with.
     pub values: Vec<Values>,
@@ -102,9 +103,8 @@ impl TwinFits {
         (count, seed): (u32, u64),
     ) -> Result<Self, VehicleError> {
         let numbers = &observed.catalogue.numbers;
-        let noisy = Self::noisy(observed, about, (noise, onboard), !seed)?;
-        let twins = |truth: Values, noise: &ReportNoise, count: u32, seed: u64| {
-            Self::of(observed, about, truth, (active, &noisy), (noise, onboard), (count, seed))
+        let twins = |truth: Values, noisy: &[usize], noise: &ReportNoise, draws: (u32, u64)| {
+            Self::of(observed, about, truth, (active, noisy), (noise, onboard), draws)
         };
         let plain: Values = numbers
             .iter()
@@ -112,21 +112,35 @@ impl TwinFits {
             .map(|(i, n)| if active.contains(&i) { about.values[i] } else { n.expected })
             .collect();
         let [of_noise, of_bias] = PILOTS.map(|pilots| pilots.min(count));
-        let found = twins(plain.clone(), noise, of_noise, !seed)?.noise;
+        let found = twins(plain.clone(), &[], noise, (of_noise, !seed))?.noise;
         let noise = noise.matched(&found);
-        let pilots = twins(plain, &noise, of_bias, seed ^ 0xb1a5)?;
+        let pilots = twins(plain, &[], &noise, (of_bias, seed ^ 0xb1a5))?;
         let bias = pilots.off_by();
-        let truth = numbers.iter().enumerate().map(|(i, number)| {
-            let [low, high] = number.bounds;
-            let value = (about.values[i] - bias[i]).clamp(low, high);
-            if active.contains(&i) {
-                return value;
-            }
-            // What the null pushes to its limit is an effect, which twins must not have.
-            let width = TOLERANCES_MAX * number.tolerance;
-            value.clamp(number.expected - width, number.expected + width)
-        });
-        let drawn = twins(truth.collect(), &noise, count, seed)?;
+        let truth: Values = numbers
+            .iter()
+            .enumerate()
+            .map(|(i, number)| {
+                let [low, high] = number.bounds;
+                let value = (about.values[i] - bias[i]).clamp(low, high);
+                if active.contains(&i) {
+                    return value;
+                }
+                // What the null pushes to its limit is an effect, which twins must not have.
+                let width = TOLERANCES_MAX * number.tolerance;
+                value.clamp(number.expected - width, number.expected + width)
+            })
+            .collect();
+        let noisy = if active.is_empty() {
+            Self::noisy(
+                observed,
+                about,
+                &Replica::new(observed.catalogue, &truth, &noise, onboard)?,
+                !seed,
+            )
+        } else {
+            Vec::new()
+        };
+        let drawn = twins(truth, &noisy, &noise, (count, seed))?;
         Ok(Self { bias, pilots: of_bias, ..drawn })
     }
 
@@ -134,14 +148,13 @@ impl TwinFits {
     fn noisy(
         observed: &Observed<'_>,
         about: &Linearised,
-        (noise, onboard): (&ReportNoise, &OnboardLaw),
+        replica: &Replica,
         seed: u64,
-    ) -> Result<Vec<usize>, VehicleError> {
-        let replica = Replica::new(observed.catalogue, &about.values, noise, onboard)?;
-        let flights = replicas(&replica, observed.flights, seed);
+    ) -> Vec<usize> {
+        let flights = replicas(replica, observed.flights, seed);
         let again = observed.like(&flights);
         let base = again.residuals(&about.values);
-        Ok(base.map(|base| about.noisy(&again, &base)).unwrap_or_default())
+        base.map(|base| about.noisy(&again, &base)).unwrap_or_default()
     }
 
     /// Twins where no on-board law is known to fly them by: the same motion with other noise, drawn
@@ -201,7 +214,7 @@ impl TwinFits {
                 let flown = observed.like(&flights);
                 let residuals = flown.residuals(&about.values)?;
                 let own = about.columns_of(&flown, &residuals, noisy);
-                let about = about.about_with(observed, &residuals, &own);
+                let about = about.about(observed, &residuals);
                 let fit = about.solve(observed.catalogue, observed.counts(), active)?;
                 let noise = report_noise(&flights, &fit.power, observed.counts());
                 Some((residuals, own, fit, noise))
