@@ -212,6 +212,7 @@ mod tests {
             let wide: Vec<f64> = parameters.iter().copied().map(f64::from).collect();
             let (loss, gradient, margin) = naive(&samples, shape, &wide);
             prop_assume!(margin > 1e-6); // else rounding decides whether a unit is active
+            prop_assume!(loss > 0.02); // else rounding is most of an error that all but cancels
             for instructions in instructions() {
                 let samples = Cow::Borrowed(&samples);
                 let mut objective = Objective::with_instructions(samples, shape, instructions);
