@@ -20,14 +20,19 @@ pub(super) fn voltages_differ(flights: &[PreparedFlight]) -> bool {
 /// Whether flights are made to tell a wind from a trim: an accelerometer feels the air's push and not
 /// the trim, and at another heading the wind stays in the world and the trim with the vehicle.
 pub(super) fn part_wind_from_trim(flights: &[PreparedFlight]) -> bool {
-    let headings = || {
-        let attitudes = flights.iter().flat_map(|flight| flight.attitude.values());
-        attitudes.map(|[w, x, y, z]| Attitude { w: *w, x: *x, y: *y, z: *z }.normalized().yaw())
-    };
+    let headings = || flights.iter().flat_map(headings);
     let [north, east] = headings().fold([0.0; 2], |[n, e], yaw| [n + yaw.cos(), e + yaw.sin()]);
     let mean = east.atan2(north);
     flights.iter().all(|flight| flight.channels.specific_force)
         || headings().any(|yaw| wrap_angle(yaw - mean).abs() > HEADINGS)
+}
+
+/// Headings in the air, rad.
+fn headings(flight: &PreparedFlight) -> impl Iterator<Item = f64> {
+    let samples = flight.attitude.times().iter().zip(flight.attitude.values());
+    samples
+        .filter(|(time, _)| flight.spans.iter().any(|span| span.contains(*time)))
+        .map(|(_, [w, x, y, z])| Attitude { w: *w, x: *x, y: *y, z: *z }.normalized().yaw())
 }
 
 #[cfg(test)]
@@ -51,5 +56,11 @@ mod tests {
         assert!(part_wind_from_trim(&[flight(0.0, false), flight(1.8, false)]));
         assert!(part_wind_from_trim(&[flight(0.0, true), flight(0.0, true)]));
         assert!(!part_wind_from_trim(&[flight(0.0, true), flight(0.0, false)]));
+        // It was carried about on the ground.
+        let mut carried = flight(0.0, false);
+        let Attitude { w, x, y, z } = Euler { roll: 0.0, pitch: 0.0, yaw: 2.0 }.attitude();
+        let [aloft, _] = carried.attitude.values() else { panic!("two samples") };
+        carried.attitude = Series::new(vec![-9.0, 0.0, 19.0], vec![[w, x, y, z], *aloft, *aloft]);
+        assert!(!part_wind_from_trim(&[carried]));
     }
 }

@@ -139,7 +139,7 @@ fn descend(
             .par_iter()
             .filter_map(|n| Some((*n, observed.column(&values, &residuals, *n)?)))
             .collect();
-        let local = about.with(observed, &values, &residuals, nuisances, fresh);
+        let local = about.with(observed, &values, &residuals, nuisances, &fresh);
         let solution = local.solve(catalogue, &observed.counts, active)?;
         let mut share = 1.0;
         let mut gained = 0.0;

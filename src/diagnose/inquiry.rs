@@ -23,8 +23,8 @@ use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
 use super::naming::{
-    LEANS, THRUST_LEVEL, answer_of, as_good, credence, lean_in_place_of, named_effects, share,
-    single,
+    THRUST_LEVEL, TILTS, answer_of, as_good, credence, named_effects, share, single,
+    tilt_in_place_of,
 };
 use super::noise::{ReportNoise, report_noise};
 use super::observed::Observed;
@@ -405,11 +405,11 @@ impl<'a> Inquiry<'a> {
             share(&mut answers, self.catalogue, &search.selection, &THRUST_LEVEL, &others);
             ambiguous.extend(others.iter().map(|effect| effect.name()));
         }
-        let lean = lean_in_place_of(self.catalogue, &search.selection);
-        let lean = lean.filter(|lean| !ambiguous.contains(&lean.name()));
-        if let Some(lean) = lean.filter(|_| !part_wind_from_trim(self.case.fitted)) {
-            share(&mut answers, self.catalogue, &search.selection, &LEANS, &[lean]);
-            ambiguous.push(lean.name());
+        let tilt = tilt_in_place_of(self.catalogue, &search.selection);
+        let tilt = tilt.filter(|tilt| !ambiguous.contains(&tilt.name()));
+        if let Some(tilt) = tilt.filter(|_| !part_wind_from_trim(self.case.fitted)) {
+            share(&mut answers, self.catalogue, &search.selection, &TILTS, &[tilt]);
+            ambiguous.push(tilt.name());
         }
         let Search { selection, thresholds, .. } = search;
         ambiguous.extend(as_good(self.catalogue, selection, thresholds, self.leg()));

@@ -11,8 +11,8 @@ use super::observed::{Observed, Residuals, noise_cost};
 const WEIGHT_ROUNDS: usize = 40;
 /// They end when one lowers the cost by less, nats.
 const COST_STEP_MIN: f64 = 2e-5;
-/// Share of a derivative's square from which on it is noisy. Flights that go about have up to 0.13 in a
-/// number or two, and a hover 0.1 to 1 in those of the moments.
+/// Share of a derivative's square from which on it is noisy. Flights that go about have up to 0.13
+/// in a number or two, and a hover 0.1 to 1 in those of the moments.
 const NOISY: f64 = 0.1;
 
 /// The residuals about a point as linear in some numbers, by their products at each place.
@@ -100,10 +100,11 @@ impl Linearised {
         }
     }
 
-    /// Numbers whose derivatives are mostly what noise makes of them: a hover does not tilt or turn, and
-    /// what its outputs do is the loop's answer to its own gyro. `again` is another draw of the same
-    /// flights, that leaves `base`. A regressor's noise comes again in what it is to explain, and what
-    /// that does to a fit only derivatives tell that have the noise of the flights they belong to.
+    /// Numbers whose derivatives noise makes to a good part: a hover does not tilt or turn, and what
+    /// its outputs do is the loop's answer to its own gyro. `again` is another draw of the same
+    /// flights, that leaves `base`. A regressor's noise comes again in what it is to explain (errors
+    /// in variables; Fuller 1987), and what that gives a fit only derivatives tell that have the
+    /// noise of the flights they belong to.
     pub fn noisy(&self, again: &Observed<'_>, base: &Residuals) -> Vec<usize> {
         let weights: Vec<f64> = self
             .square
@@ -137,7 +138,8 @@ impl Linearised {
         numbers.iter().filter_map(of_one).collect()
     }
 
-    /// The same about other residuals, with derivatives of their own in some numbers; to be solved only.
+    /// The same about other residuals, with derivatives of their own in some numbers; to be solved
+    /// only.
     pub fn about_with(
         &self,
         observed: &Observed<'_>,
@@ -147,7 +149,7 @@ impl Linearised {
         if own.is_empty() {
             return self.about(observed, base);
         }
-        self.with(observed, &self.values, base, &self.numbers, own.to_vec())
+        self.with(observed, &self.values, base, &self.numbers, own)
     }
 
     /// The part with fewer numbers (those of `keep` that it has), extended by the columns of
@@ -158,7 +160,7 @@ impl Linearised {
         values: &[f64],
         base: &Residuals,
         keep: &[usize],
-        fresh: Vec<(usize, Residuals)>,
+        fresh: &[(usize, Residuals)],
     ) -> Self {
         let kept: Vec<usize> = (0..self.numbers.len())
             .filter(|i| {

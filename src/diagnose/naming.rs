@@ -171,20 +171,20 @@ pub(super) const THRUST_LEVEL: [EffectId; 3] =
 /// Share of its probability that the one of them keeps that is named, where nothing tells them apart.
 const LEVEL_SHARE: f64 = 0.6;
 
-/// What leans a hover at one heading: without an accelerometer only other headings tell them apart.
-pub(super) const LEANS: [EffectId; 2] = [EffectId::Wind, EffectId::AttitudeTrim];
+/// What tilts a hover at one heading: without an accelerometer only other headings tell them apart.
+pub(super) const TILTS: [EffectId; 2] = [EffectId::Wind, EffectId::AttitudeTrim];
 
 /// Share of the evidence of what is named alone from which on its rival is one, where the flights
 /// hold nothing that is made to tell them apart: what does so is then a model's small print.
 const RIVALS: f64 = 0.5;
 
-/// The effect that leans a vehicle as the one does that is named alone, and explains enough of it.
-pub(super) fn lean_in_place_of(catalogue: &Catalogue, selection: &Selection) -> Option<EffectId> {
+/// The effect that tilts a hover as the one does that is named alone, and explains enough of it.
+pub(super) fn tilt_in_place_of(catalogue: &Catalogue, selection: &Selection) -> Option<EffectId> {
     let [named] = selection.best.fit.hypotheses[..] else { return None };
     let effect = |hypothesis: usize| catalogue.hypotheses[hypothesis].effect;
-    let other = match LEANS.map(|lean| lean == effect(named)) {
-        [true, _] => LEANS[1],
-        [_, true] => LEANS[0],
+    let other = match TILTS.map(|tilt| tilt == effect(named)) {
+        [true, _] => TILTS[1],
+        [_, true] => TILTS[0],
         _ => return None,
     };
     let evidence = |of: EffectId| {

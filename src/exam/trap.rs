@@ -43,11 +43,7 @@ const HIDES: Trap = Trap {
     has_imu: true,
     steady_pack: false,
 };
-/// With a pack that neither empties nor gives way, its sag is a level of the thrust; at a steady
-/// thrust so is any curve.
 const LEVEL_OF_THRUST: &[EffectId] = &[EffectId::ThrustScale, EffectId::BatterySag];
-const LEVEL_OF_STEADY_THRUST: &[EffectId] =
-    &[EffectId::ThrustScale, EffectId::BatterySag, EffectId::ThrustCurve];
 
 /// Every trap.
 pub static TRAPS: [Trap; 7] = [
@@ -55,7 +51,7 @@ pub static TRAPS: [Trap; 7] = [
     Trap { effect: EffectId::AttitudeTrim, ..LOOKS_LIKE },
     Trap {
         effect: EffectId::ThrustScale,
-        candidates: LEVEL_OF_STEADY_THRUST,
+        candidates: LEVEL_OF_THRUST,
         restriction: Restriction::SteadyThrust,
         models_drag: false,
         has_imu: true,
