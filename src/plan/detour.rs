@@ -7,7 +7,8 @@
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
-use super::problem::{KeepOut, StateLimits, StateVector};
+use super::keep_out::KeepOut;
+use super::problem::{StateLimits, StateVector};
 
 /// How far beyond a region the bent path leads, m.
 const CLEARANCE: f64 = 0.02;

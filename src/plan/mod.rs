@@ -10,6 +10,7 @@ mod feasibility;
 mod file;
 pub mod interior_point;
 pub mod iterate;
+pub mod keep_out;
 pub mod manoeuvres;
 mod model_free;
 mod multisine;

@@ -12,8 +12,9 @@ use super::detour::bend;
 use super::discretisation::CommandedDynamics;
 use super::interior_point::InteriorPoint;
 use super::iterate::Iterate;
+use super::keep_out::KeepOut;
 use super::problem::{
-    ANGLE, InputBounds, InputPreference, KeepOut, Problem, STATES, StateLimits, StateVector, YAW,
+    ANGLE, InputBounds, InputPreference, Problem, STATES, StateLimits, StateVector, YAW,
 };
 use super::receding::RecedingSettings;
 use super::scp::{Outcome, Record, ScpSettings, search};
