@@ -1,17 +1,18 @@
 //! The vehicle file: what the simulator and the firmware believe about a quadrotor.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use self::required::MissingKey;
 use crate::effects::{Effect, EffectSet, RotorGyroscopic};
 use crate::rotor::Allocation;
 
 mod difference;
+mod error;
 mod required;
 
 pub use difference::Difference;
+pub use error::VehicleError;
 
 /// Number of rotors; the project is about quadrotors.
 pub const ROTORS: usize = 4;
@@ -126,54 +127,6 @@ pub struct MotorOutput {
     pub one: f64,
     /// Value while disarmed.
     pub disarmed: f64,
-}
-
-/// Why a vehicle file is refused.
-#[derive(Debug, thiserror::Error)]
-pub enum VehicleError {
-    /// The file cannot be read.
-    #[error("vehicle file {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The text is not TOML or JSON, or does not follow the schema.
-    #[error("vehicle file {path}: {message}")]
-    Syntax {
-        /// The file.
-        path: PathBuf,
-        /// What the parser found and where.
-        message: String,
-    },
-    /// A key is missing.
-    #[error(
-        "vehicle file {path}: {} has no key {key}: expected {expected}; add it there",
-        table.as_deref().unwrap_or("the top level, before the first table,")
-    )]
-    Missing {
-        /// The file.
-        path: PathBuf,
-        /// The table as the file writes it; none at the top level.
-        table: Option<String>,
-        /// The key.
-        key: &'static str,
-        /// What its value would be.
-        expected: &'static str,
-    },
-    /// A value is impossible.
-    #[error("vehicle {vehicle}: {field}: expected {expected}, found {found}")]
-    Value {
-        /// The vehicle's name.
-        vehicle: String,
-        /// Path of the field.
-        field: String,
-        /// What would be right.
-        expected: &'static str,
-        /// What is there.
-        found: String,
-    },
 }
 
 impl VehicleParams {
@@ -377,39 +330,6 @@ impl VehicleParams {
     }
 }
 
-impl VehicleError {
-    fn syntax(message: String) -> Self {
-        Self::Syntax { path: PathBuf::from("(text)"), message }
-    }
-
-    /// What the parser says, or which key is missing: of that it knows no better place than the
-    /// beginning of what lacks it.
-    fn schema(message: String, file: impl FnOnce() -> Option<serde_json::Value>) -> Self {
-        let is_missing = message.contains("missing field");
-        match is_missing.then(file).flatten().as_ref().and_then(required::missing) {
-            Some(MissingKey { table, key, expected }) => {
-                Self::Missing { path: PathBuf::from("(text)"), table, key, expected }
-            }
-            None => Self::syntax(message),
-        }
-    }
-
-    /// The same error, naming the file.
-    fn in_file(self, path: &Path) -> Self {
-        match self {
-            Self::Syntax { message, .. } => Self::Syntax { path: path.to_owned(), message },
-            Self::Missing { table, key, expected, .. } => {
-                Self::Missing { path: path.to_owned(), table, key, expected }
-            }
-            Self::Value { vehicle, field, expected, found } => {
-                let vehicle = format!("{vehicle} ({})", path.display());
-                Self::Value { vehicle, field, expected, found }
-            }
-            other => other,
-        }
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -497,67 +417,6 @@ pub(crate) mod tests {
         let mut vehicle = quad();
         vehicle.inertia = [1.0e-5, 1.0e-5, 2.03e-5];
         assert!(vehicle.checked().is_ok());
-    }
-
-    /// Every table with every key.
-    fn whole() -> serde_json::Value {
-        let vehicle = VehicleParams {
-            attitude_pd: Some(AttitudePd { kp: [1.0; 3], kd: [0.1; 3], rate_hz: 250.0 }),
-            motor_output: Some(MotorOutput {
-                message: "ACTUATOR_OUTPUT_STATUS".to_owned(),
-                fields: (0..ROTORS).map(|i| format!("actuator[{i}]")).collect(),
-                zero: 0.0,
-                one: 1.0,
-                disarmed: 0.0,
-            }),
-            ..quad()
-        };
-        serde_json::to_value(vehicle).unwrap()
-    }
-
-    /// The file without one key of the table that `pointer` leads to, as TOML and as JSON.
-    fn without(pointer: &str, key: &str) -> [Result<VehicleParams, VehicleError>; 2] {
-        let mut file = whole();
-        file.pointer_mut(pointer).unwrap().as_object_mut().unwrap().remove(key).unwrap();
-        [
-            VehicleParams::from_toml_str(&toml::to_string(&file).unwrap()),
-            VehicleParams::from_json_str(&file.to_string()),
-        ]
-    }
-
-    #[test]
-    fn a_missing_key_is_named_with_its_table() {
-        let places = [
-            ("", "the top level"),
-            ("/rotors/2", "[[rotors]] number 3"),
-            ("/attitude_pd", "[attitude_pd]"),
-            ("/battery", "[battery]"),
-            ("/motor_output", "[motor_output]"),
-        ];
-        let optional = ["attitude_pd", "rotor_max_rpm", "modelled_effects", "motor_output"];
-        for (pointer, table) in places {
-            let keys: Vec<String> =
-                whole().pointer(pointer).unwrap().as_object().unwrap().keys().cloned().collect();
-            for key in keys {
-                for found in without(pointer, &key) {
-                    if pointer.is_empty() && optional.contains(&key.as_str()) {
-                        assert!(found.is_ok(), "{key}: {found:?}");
-                        continue;
-                    }
-                    let error = found.unwrap_err().to_string();
-                    assert!(error.contains(table), "{error}");
-                    assert!(error.contains(&format!("has no key {key}: expected")), "{error}");
-                    assert!(!error.contains("line"), "{error}");
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn a_misspelt_key_is_told_where_it_is() {
-        let text = quad().to_toml().unwrap().replace("gravity", "gravitation");
-        let error = VehicleParams::from_toml_str(&text).unwrap_err().to_string();
-        assert!(error.contains("line") && error.contains("gravitation"), "{error}");
     }
 
     #[test]

@@ -85,3 +85,70 @@ pub(super) fn missing(file: &Value) -> Option<MissingKey> {
                 .find_map(|(name, keys)| lacking(Some(format!("[{name}]")), file.get(name)?, keys))
         })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::quad;
+    use super::super::{AttitudePd, MotorOutput, ROTORS, VehicleError, VehicleParams};
+
+    /// Every table with every key.
+    fn whole() -> serde_json::Value {
+        let vehicle = VehicleParams {
+            attitude_pd: Some(AttitudePd { kp: [1.0; 3], kd: [0.1; 3], rate_hz: 250.0 }),
+            motor_output: Some(MotorOutput {
+                message: "ACTUATOR_OUTPUT_STATUS".to_owned(),
+                fields: (0..ROTORS).map(|i| format!("actuator[{i}]")).collect(),
+                zero: 0.0,
+                one: 1.0,
+                disarmed: 0.0,
+            }),
+            ..quad()
+        };
+        serde_json::to_value(vehicle).unwrap()
+    }
+
+    /// The file without one key of the table that `pointer` leads to, as TOML and as JSON.
+    fn without(pointer: &str, key: &str) -> [Result<VehicleParams, VehicleError>; 2] {
+        let mut file = whole();
+        file.pointer_mut(pointer).unwrap().as_object_mut().unwrap().remove(key).unwrap();
+        [
+            VehicleParams::from_toml_str(&toml::to_string(&file).unwrap()),
+            VehicleParams::from_json_str(&file.to_string()),
+        ]
+    }
+
+    #[test]
+    fn a_missing_key_is_named_with_its_table() {
+        let places = [
+            ("", "the top level"),
+            ("/rotors/2", "[[rotors]] number 3"),
+            ("/attitude_pd", "[attitude_pd]"),
+            ("/battery", "[battery]"),
+            ("/motor_output", "[motor_output]"),
+        ];
+        let optional = ["attitude_pd", "rotor_max_rpm", "modelled_effects", "motor_output"];
+        for (pointer, table) in places {
+            let keys: Vec<String> =
+                whole().pointer(pointer).unwrap().as_object().unwrap().keys().cloned().collect();
+            for key in keys {
+                for found in without(pointer, &key) {
+                    if pointer.is_empty() && optional.contains(&key.as_str()) {
+                        assert!(found.is_ok(), "{key}: {found:?}");
+                        continue;
+                    }
+                    let error = found.unwrap_err().to_string();
+                    assert!(error.contains(table), "{error}");
+                    assert!(error.contains(&format!("has no key {key}: expected")), "{error}");
+                    assert!(!error.contains("line"), "{error}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_misspelt_key_is_told_where_it_is() {
+        let text = quad().to_toml().unwrap().replace("gravity", "gravitation");
+        let error = VehicleParams::from_toml_str(&text).unwrap_err().to_string();
+        assert!(error.contains("line") && error.contains("gravitation"), "{error}");
+    }
+}

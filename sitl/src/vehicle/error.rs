@@ -1,0 +1,89 @@
+//! Why a vehicle file is refused.
+
+use std::path::{Path, PathBuf};
+
+use super::required::{self, MissingKey};
+
+/// Why a vehicle file is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum VehicleError {
+    /// The file cannot be read.
+    #[error("vehicle file {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The text is not TOML or JSON, or does not follow the schema.
+    #[error("vehicle file {path}: {message}")]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// What the parser found and where.
+        message: String,
+    },
+    /// A key is missing.
+    #[error(
+        "vehicle file {path}: {} has no key {key}: expected {expected}; add it there",
+        table.as_deref().unwrap_or("the top level, before the first table,")
+    )]
+    Missing {
+        /// The file.
+        path: PathBuf,
+        /// The table as the file writes it; none at the top level.
+        table: Option<String>,
+        /// The key.
+        key: &'static str,
+        /// What its value would be.
+        expected: &'static str,
+    },
+    /// A value is impossible.
+    #[error("vehicle {vehicle}: {field}: expected {expected}, found {found}")]
+    Value {
+        /// The vehicle's name.
+        vehicle: String,
+        /// Path of the field.
+        field: String,
+        /// What would be right.
+        expected: &'static str,
+        /// What is there.
+        found: String,
+    },
+}
+
+impl VehicleError {
+    pub(super) fn syntax(message: String) -> Self {
+        Self::Syntax { path: PathBuf::from("(text)"), message }
+    }
+
+    /// What the parser says, or which key is missing: of that it knows no better place than the
+    /// beginning of what lacks it.
+    pub(super) fn schema(
+        message: String,
+        file: impl FnOnce() -> Option<serde_json::Value>,
+    ) -> Self {
+        let is_missing = message.contains("missing field");
+        match is_missing.then(file).flatten().as_ref().and_then(required::missing) {
+            Some(MissingKey { table, key, expected }) => {
+                Self::Missing { path: PathBuf::from("(text)"), table, key, expected }
+            }
+            None => Self::syntax(message),
+        }
+    }
+
+    /// The same error, naming the file.
+    pub(super) fn in_file(self, path: &Path) -> Self {
+        match self {
+            Self::Syntax { message, .. } => Self::Syntax { path: path.to_owned(), message },
+            Self::Missing { table, key, expected, .. } => {
+                Self::Missing { path: path.to_owned(), table, key, expected }
+            }
+            Self::Value { vehicle, field, expected, found } => {
+                let vehicle = format!("{vehicle} ({})", path.display());
+                Self::Value { vehicle, field, expected, found }
+            }
+            other => other,
+        }
+    }
+}
