@@ -10,7 +10,7 @@ use wire::transport::OpenError;
 
 use crate::autopilot::{Vehicle, VehicleRefused};
 use crate::config::{ConfigError, SitlConfig};
-use crate::effects::{EffectError, EffectSet, EffectsFileError};
+use crate::effects::{EffectSet, EffectsRefused};
 use crate::server::Server;
 use crate::vehicle::{VehicleError, VehicleParams};
 
@@ -77,17 +77,9 @@ pub enum SitlError {
     /// The settings file.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The effects file.
+    /// The effects.
     #[error(transparent)]
-    Effects(#[from] EffectsFileError),
-    /// An effect on the command line.
-    #[error("--effect {argument}: {source}")]
-    Effect {
-        /// As given.
-        argument: String,
-        /// What is wrong with it.
-        source: EffectError,
-    },
+    Effects(#[from] EffectsRefused),
     /// A link.
     #[error("--link: {0}")]
     Link(#[from] OpenError),
@@ -100,11 +92,7 @@ impl SitlError {
     /// 2 for what was asked for, 3 for a link, 1 for the rest.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Vehicle(_)
-            | Self::Refused(_)
-            | Self::Config(_)
-            | Self::Effects(_)
-            | Self::Effect { .. } => 2,
+            Self::Vehicle(_) | Self::Refused(_) | Self::Config(_) | Self::Effects(_) => 2,
             Self::Link(_) => 3,
             Self::Runtime(_) => 1,
         })
@@ -140,21 +128,8 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
         Some(path) => SitlConfig::load(path)?,
         None => SitlConfig::default(),
     };
-    Ok(Vehicle::new(params, effects(args)?, config, args.seed)?)
-}
-
-/// What the options say on top of the vehicle file.
-fn effects(args: &SitlArgs) -> Result<EffectSet, SitlError> {
-    let mut effects = match &args.effects {
-        Some(path) => EffectSet::load(path)?,
-        None => EffectSet::new(),
-    };
-    for argument in &args.effect {
-        effects
-            .insert_argument(argument)
-            .map_err(|source| SitlError::Effect { argument: argument.clone(), source })?;
-    }
-    Ok(effects)
+    let effects = EffectSet::requested(args.effects.as_deref(), &args.effect)?;
+    Ok(Vehicle::new(params, effects, config, args.seed)?)
 }
 
 /// Runs the vehicle until a signal stops it. Says on stderr, a line for each link, where it can be
@@ -202,40 +177,7 @@ fn signals() -> std::io::Result<impl Future<Output = Stop>> {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
-
     use super::*;
-    use crate::effects::{EffectId, MotorLag};
-
-    #[derive(Parser)]
-    struct Line {
-        #[command(flatten)]
-        args: SitlArgs,
-    }
-
-    #[test]
-    fn effects_of_the_line_go_over_those_of_the_file() {
-        let folder = std::env::temp_dir().join(format!("sitl-effects-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let file = folder.join("effects.toml");
-        std::fs::write(&file, "[motor_lag]\ntau_s = 0.05\n[mass]\nmass_kg = 1.5\n").unwrap();
-        let asked = |more: &[&str]| {
-            let line = ["sitl", "--vehicle", "any", "--effects", file.to_str().unwrap()];
-            effects(&Line::try_parse_from(line.iter().chain(more)).unwrap().args)
-        };
-        let lag = |more: &[&str]| {
-            let effects = asked(more).unwrap();
-            assert!(effects.contains(EffectId::Mass));
-            effects.get::<MotorLag>().unwrap().tau_s
-        };
-        assert_eq!(lag(&[]), 0.05);
-        assert_eq!(lag(&["--effect", "motor_lag:tau_s=0.02"]), 0.02);
-
-        std::fs::write(&file, "[motor_lack]\n").unwrap();
-        let text = asked(&[]).unwrap_err().to_string();
-        assert!(text.contains("effects.toml") && text.contains("motor_lack"), "{text}");
-        std::fs::remove_dir_all(&folder).unwrap();
-    }
 
     #[test]
     fn speeds_that_make_no_sense_are_refused() {

@@ -39,13 +39,8 @@ impl Truth {
             Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
             None => SitlConfig::default(),
         };
-        let mut effects = match &args.effects {
-            Some(path) => EffectSet::load(path).or_exit(Exit::Usage)?,
-            None => EffectSet::new(),
-        };
-        for effect in &args.effect {
-            effects.insert_argument(effect).or_exit(Exit::Usage)?;
-        }
+        let effects =
+            EffectSet::requested(args.effects.as_deref(), &args.effect).or_exit(Exit::Usage)?;
         Ok(Self { config, effects })
     }
 

@@ -3,11 +3,11 @@
 
 use std::path::{Path, PathBuf};
 
-use super::EffectSet;
+use super::{EffectError, EffectSet};
 
-/// Why an effects file is refused.
+/// Why effects that were asked for are refused.
 #[derive(Debug, thiserror::Error)]
-pub enum EffectsFileError {
+pub enum EffectsRefused {
     /// The file cannot be read.
     #[error("effects file {path}: {source}")]
     Read {
@@ -27,20 +27,71 @@ pub enum EffectsFileError {
         /// What the parser found and where.
         message: String,
     },
+    /// An argument on its own.
+    #[error("--effect {argument}: {source}")]
+    Argument {
+        /// As given.
+        argument: String,
+        /// What is wrong with it.
+        source: EffectError,
+    },
 }
 
 impl EffectSet {
-    /// Reads an effects file.
+    /// What is asked for on a command line: an effects file, and arguments such as
+    /// `motor_lag:tau_s=0.03`, which go over it.
     ///
     /// # Errors
-    /// A file that cannot be read, is not TOML, or holds an effect that is refused.
-    pub fn load(path: impl AsRef<Path>) -> Result<Self, EffectsFileError> {
-        let path = path.as_ref();
+    /// A file that cannot be read, is not TOML, or holds an effect that is refused; such an argument.
+    pub fn requested(file: Option<&Path>, arguments: &[String]) -> Result<Self, EffectsRefused> {
+        let mut effects = file.map_or(Ok(Self::new()), Self::load)?;
+        for argument in arguments {
+            effects.insert_argument(argument).map_err(|source| EffectsRefused::Argument {
+                argument: argument.clone(),
+                source,
+            })?;
+        }
+        Ok(effects)
+    }
+
+    fn load(path: &Path) -> Result<Self, EffectsRefused> {
         let text = std::fs::read_to_string(path)
-            .map_err(|source| EffectsFileError::Read { path: path.to_owned(), source })?;
-        toml::from_str(&text).map_err(|error| EffectsFileError::Syntax {
+            .map_err(|source| EffectsRefused::Read { path: path.to_owned(), source })?;
+        toml::from_str(&text).map_err(|error| EffectsRefused::Syntax {
             path: path.to_owned(),
             message: error.to_string().trim_end().to_owned(),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::{EffectId, MotorLag};
+
+    #[test]
+    fn arguments_go_over_the_file() {
+        let folder = std::env::temp_dir().join(format!("sitl-effects-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let file = folder.join("effects.toml");
+        std::fs::write(&file, "[motor_lag]\ntau_s = 0.05\n[mass]\nmass_kg = 1.5\n").unwrap();
+        let asked = |more: &[&str]| {
+            let more: Vec<String> = more.iter().map(|argument| (*argument).to_owned()).collect();
+            EffectSet::requested(Some(&file), &more)
+        };
+        let lag = |more: &[&str]| {
+            let effects = asked(more).unwrap();
+            assert!(effects.contains(EffectId::Mass));
+            effects.get::<MotorLag>().unwrap().tau_s
+        };
+        assert_eq!(lag(&[]), 0.05);
+        assert_eq!(lag(&["motor_lag:tau_s=0.02"]), 0.02);
+        let text = asked(&["motor_lag"]).unwrap_err().to_string();
+        assert!(text.contains("--effect motor_lag"), "{text}");
+
+        std::fs::write(&file, "[motor_lack]\n").unwrap();
+        let text = asked(&[]).unwrap_err().to_string();
+        assert!(text.contains("effects.toml") && text.contains("motor_lack"), "{text}");
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

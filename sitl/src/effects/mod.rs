@@ -44,7 +44,7 @@ pub use blade_flapping::BladeFlapping;
 pub use com_offset::ComOffset;
 pub use command_delay::CommandDelay;
 pub use estimator_latency::EstimatorLatency;
-pub use file::EffectsFileError;
+pub use file::EffectsRefused;
 pub use ground_effect::GroundEffect;
 pub use gusts::{Gusts, Turbulence};
 pub use inertia::Inertia;

@@ -80,9 +80,10 @@ pub(super) fn missing(file: &Value) -> Option<MissingKey> {
             })
         })
         .or_else(|| {
-            TABLES
-                .iter()
-                .find_map(|(name, keys)| lacking(Some(format!("[{name}]")), file.get(name)?, keys))
+            TABLES.iter().find_map(|(name, keys)| {
+                let table = file.get(name).filter(|found| found.is_object())?;
+                lacking(Some(format!("[{name}]")), table, keys)
+            })
         })
 }
 
@@ -143,6 +144,15 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_table_that_is_null_lacks_no_key() {
+        let mut file = whole();
+        file["attitude_pd"] = serde_json::Value::Null;
+        file["battery"].as_object_mut().unwrap().remove("cells").unwrap();
+        let error = VehicleParams::from_json_str(&file.to_string()).unwrap_err().to_string();
+        assert!(error.contains("[battery] has no key cells"), "{error}");
     }
 
     #[test]
