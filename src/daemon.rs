@@ -68,7 +68,7 @@ pub struct Running {
 
 /// How a run ended.
 pub struct Finished {
-    /// The station's own verdict; `None` if it was stopped.
+    /// The station's own verdict; `None` if it did not come to one in time after a request to stop.
     pub end: Option<End>,
     /// What the log says of itself.
     pub log: Result<Option<crate::log::writer::LogSummary>, crate::log::writer::LogError>,
@@ -76,8 +76,8 @@ pub struct Finished {
     pub tlog: Option<io::Result<u64>>,
 }
 
-/// Starts the control thread. It ends when the station's flight has ended, or after
-/// [`Running::stop`].
+/// Starts the control thread. It ends when the station's flight has ended and nothing more is to be
+/// recorded of it, or after [`Running::stop`].
 ///
 /// # Errors
 /// If the system gives no thread or no runtime.

@@ -63,14 +63,9 @@ pub fn fly(
             watch(station, now);
         }
         station.take_records(&mut log);
-        if let Some(end) = station.end()
-            && (station.is_over() || now_us >= limit_us)
-        {
-            return Ok(end.clone());
-        }
-        if now_us >= limit_us {
+        if station.is_over() || now_us >= limit_us {
             let phase = station.status().phase.map_or("connect", |phase| phase.name());
-            return Err(Endless { limit_s, phase });
+            return station.end().cloned().ok_or(Endless { limit_s, phase });
         }
         vehicle.advance_to(vehicle.next_event_us().min(truth_due));
     }

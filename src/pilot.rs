@@ -325,9 +325,8 @@ impl Pilot {
         if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {
             self.guidance.hold_here();
         }
-        if self.telemetry.status().heard.is_some_and(|heard| {
-            now.since(heard).as_secs_f64() > self.settings.supervisor.link_lost_after_s
-        }) {
+        let silence_s = self.telemetry.status().silence_s(now);
+        if silence_s.is_finite() && silence_s > self.settings.supervisor.link_lost_after_s {
             self.telemetry.forget();
         }
     }

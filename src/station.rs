@@ -136,8 +136,10 @@ impl Station {
             // The clocks' estimate has an error; a sample is never newer than its arrival.
             stamp.sampled = mapped.map_or(stamp.host, |sampled| sampled.min(stamp.host));
         }
-        // Whatever the pilot makes of what is heard afterwards: once it has ended nothing is sent.
-        if self.end.is_some() {
+        // What was heard after the sample, in the same read, may have ended control. And whatever
+        // the pilot makes of what is heard after the end: nothing is sent.
+        let may_stream = self.pilot.as_ref().is_some_and(|pilot| pilot.flight_state().may_stream());
+        if self.end.is_some() || !may_stream {
             return;
         }
         // Of several samples in one datagram only the newest is acted upon.
@@ -234,8 +236,8 @@ impl Station {
         }
     }
 
-    /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins. After
-    /// a flight that ended early it ends what is still recorded.
+    /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins.
+    /// After a flight that ended early it ends what is still recorded.
     pub fn land(&mut self, now: HostTime) {
         self.is_stopping = true;
         self.end_aftermath();
@@ -302,6 +304,10 @@ impl Station {
             if event.state.is_over() {
                 self.over_in = Some(event.state);
             }
+            if matches!(event.state, FlightState::Abort | FlightState::PilotControl) {
+                // What was asked for is not repeated to a vehicle that others lead now.
+                self.session.withdraw_commands();
+            }
             self.tell(now, severity, format!("{}: {}", event.state.name(), event.text));
         }
         self.watch(now, state);
@@ -318,10 +324,6 @@ impl Station {
         } else if was_in_flight && !self.in_flight {
             let is_early =
                 matches!(self.over_in, Some(FlightState::Abort | FlightState::PilotControl));
-            if is_early {
-                // What was asked for in flight is not repeated to a vehicle that others lead now.
-                self.session.withdraw_requests();
-            }
             if !(is_early && self.flown) {
                 return self.records.push(Record::FlightEnds);
             }
@@ -346,10 +348,7 @@ impl Station {
     /// Marks the flight in the log, and finds the end of a commanded one.
     fn watch(&mut self, now: HostTime, state: FlightState) {
         self.mark_flight(now, state);
-        self.flown |= matches!(
-            state,
-            FlightState::TakeOff | FlightState::Approach | FlightState::Track | FlightState::Hold
-        );
+        self.flown |= state.is_flying();
         if self.end.is_none() {
             self.end = self.verdict(now, state);
         }
@@ -383,9 +382,8 @@ impl Station {
 
     fn is_link_silent(&self, now: HostTime) -> bool {
         let limit_s = self.settings.pilot.supervisor.link_lost_after_s;
-        let heard = self.pilot.as_ref().and_then(|pilot| pilot.telemetry().status().heard);
-        self.session.state() != LinkState::Connected
-            || heard.is_none_or(|heard| now.since(heard).as_secs_f64() >= limit_s)
+        let is_silent = |pilot: &Pilot| pilot.telemetry().status().silence_s(now) >= limit_s;
+        self.session.state() != LinkState::Connected || self.pilot.as_ref().is_none_or(is_silent)
     }
 
     fn session_event(&mut self, now: HostTime, event: session::Event) {

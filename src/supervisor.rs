@@ -229,7 +229,7 @@ impl Supervisor {
         self.faults.clear();
         if next.is_over() {
             self.engaged = false;
-            // Nothing is asked of a vehicle that is somebody else's now.
+            // What was asked for in a flight does not outlive it.
             self.actions.clear();
         }
         self.tell(now, severity, refusal.unwrap_or_else(|| why.to_owned()));
@@ -270,8 +270,7 @@ impl Supervisor {
 
     /// The first trigger that holds and that the present state listens to.
     fn trigger(&mut self, now: HostTime, seen: &Observation) -> Option<(Trigger, String)> {
-        let silence_s =
-            seen.status.heard.map_or(f64::INFINITY, |heard| now.since(heard).as_secs_f64());
+        let silence_s = seen.status.silence_s(now);
         let linked = silence_s < self.settings.link_lost_after_s;
         let (mode, intended) = (seen.status.mode, seen.status.intended_mode);
         let offboard = mode == Some(self.modes.offboard);

@@ -154,12 +154,7 @@ fn left_fence_and_tilt_end_the_flight() {
     assert!(bench.told("outside the fence"), "{:?}", bench.texts());
     bench.until(FlightState::Done, 60.0);
 
-    let mut upright = settings(&params, lockstep::trajectory("steps.toml"));
-    upright.pilot.safety.tilt_max_rad = 0.1;
-    upright.pilot.safety.tilt_for_s = 0.05;
-    upright.pilot.safety.on_tilt = Reaction::Stop;
-    let mut bench = Bench::new(upright, &params);
-    bench.until(FlightState::Abort, 60.0);
+    let mut bench = stopped_in_flight();
     assert!(bench.told("tilted"), "{:?}", bench.texts());
     let now_us = bench.now_us();
     bench.run(2.0);
@@ -191,6 +186,38 @@ fn restart_of_the_vehicle_in_flight_ends_it_for_good() {
     assert_eq!(bench.setpoints_after(now_us + 20_000), 0);
     assert!(!bench.vehicle.flight().armed());
     assert!(bench.station.end().is_some_and(|end| *end != End::Done), "{:?}", bench.texts());
+}
+
+/// The sample comes first in a datagram, and what ends control behind it.
+#[test]
+fn a_sample_is_not_answered_where_the_same_read_ends_control() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    const ODOMETRY: u32 = 331;
+    let taken_us = Rc::new(Cell::new(None));
+    let taken = Rc::clone(&taken_us);
+    let heartbeat = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        custom_mode: Mode::Position.custom_mode(),
+        mavtype: MavType::MAV_TYPE_QUADROTOR,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+        base_mode: MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED,
+        system_status: MavState::MAV_STATE_ACTIVE,
+        mavlink_version: 3,
+    });
+    let mut forged = Vec::new();
+    assert!(Encoder::new(SYSTEM_ID, COMPONENT_ID).encode(&heartbeat, &mut forged));
+    bench.downlink = Box::new(move |now_us, frame| {
+        let is_first = taken.get().is_none() && message_id(frame) == Some(ODOMETRY);
+        if is_first {
+            taken.set(Some(now_us));
+            return vec![[frame, forged.as_slice()].concat()];
+        }
+        vec![frame.to_vec()]
+    });
+    bench.run(0.2);
+    let taken_us = taken_us.get().expect("a sample");
+    assert_eq!(bench.phase(), Some(FlightState::PilotControl), "{:#?}", bench.texts());
+    assert_eq!(bench.setpoints_after(taken_us - 1), 0);
 }
 
 /// Answers of the vehicle to a command, turned into a refusal.

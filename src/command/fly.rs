@@ -21,6 +21,7 @@ use crate::config::Config;
 use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
+use crate::log::partial::is_special;
 use crate::log::writer::create_numbered;
 use crate::log::{LogSink, LogWriter, RunInfo};
 use crate::plan::Trajectory;
@@ -197,11 +198,10 @@ pub(super) fn tell_tlog(tlog: Option<io::Result<u64>>) {
     }
 }
 
-/// Opens the .tlog that every byte of the link goes to: beside one that is there already; a device or
-/// a pipe is taken as it is.
+/// Opens the .tlog that every byte of the link goes to: beside one that is there already; a device
+/// or a pipe is taken as it is.
 pub(super) fn tee(path: &Path) -> anyhow::Result<TeeThread> {
-    let is_special = path.metadata().is_ok_and(|there| !there.is_file());
-    let created = match is_special {
+    let created = match is_special(path) {
         true => File::create(path).map(|file| (file, path.to_owned())),
         false => create_numbered(path),
     };

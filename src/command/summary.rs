@@ -8,8 +8,8 @@ use crate::log::LogReader;
 use crate::report::flight::{FlightReport, FlightSummary};
 use crate::station::End;
 
-/// The end in words, and its exit code. `stop`: the user asked for the end, which does not hide what
-/// became of the vehicle.
+/// The end in words, and its exit code. `stop`: the user asked for the end, which does not hide
+/// what became of the vehicle.
 pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
     match end {
         Some(End::Done) => ("done".to_owned(), Exit::Ok),

@@ -44,7 +44,8 @@ pub struct LinkStats {
     pub refused: u64,
     /// Frames of the vehicle that were heard.
     pub heard: u64,
-    /// Frames of the vehicle that were lost on the way, by gaps in its sequence.
+    /// Frames of the vehicle that were lost on the way, by gaps in its sequence; less those that came
+    /// late.
     pub lost: u64,
     /// Frames sent.
     pub sent_frames: u64,
@@ -93,8 +94,8 @@ pub(super) struct Counters {
 }
 
 impl Counters {
-    /// Follows the vehicle's sequence. An autopilot numbers the frames of each link by itself, so that
-    /// nobody else's frames leave a gap.
+    /// Follows the vehicle's sequence. An autopilot numbers the frames of each link by itself, so
+    /// that nobody else's frames leave a gap.
     pub(super) fn sequence(&mut self, sequence: u8) {
         self.heard += 1;
         let Some(last) = self.sequence.replace(sequence) else { return };

@@ -265,9 +265,9 @@ impl Requests {
         self.end_where(Outcome::NoAnswer, |_| true);
     }
 
-    /// Ends everything: it is not wanted any more.
+    /// Ends what is asked of the vehicle to do: it is not wanted any more. What is read goes on.
     pub(super) fn withdraw(&mut self) {
-        self.end_where(Outcome::Withdrawn, |_| true);
+        self.end_where(Outcome::Withdrawn, |pending| !matches!(pending.task, Task::Read));
     }
 
     /// The requests that ended since the last call.

@@ -235,7 +235,7 @@ impl Session {
             self.closed = sum(self.closed, decoder.stats());
         }
         let vehicle = self.core.vehicle.as_mut().filter(|vehicle| vehicle.peer == Some(peer));
-        vehicle.is_some_and(|vehicle| vehicle.peer.take().is_some())
+        vehicle.map(|vehicle| vehicle.peer = None).is_some()
     }
 
     /// The transport is gone: all peers are, and their numbers may be used anew.
@@ -286,8 +286,8 @@ impl Session {
         id
     }
 
-    /// Ends the requests under way: none is repeated.
-    pub fn withdraw_requests(&mut self) {
+    /// Ends the commands under way: none is repeated.
+    pub fn withdraw_commands(&mut self) {
         self.core.requests.withdraw();
         self.core.collect_ended();
     }

@@ -68,7 +68,8 @@ impl<W: Write> Tee<W> {
         self.finish_where(now, |known| known == peer)
     }
 
-    /// All peers are gone, and their numbers may be used anew: what they left unfinished is written.
+    /// All peers are gone, and their numbers may be used anew: what they left unfinished is
+    /// written.
     ///
     /// # Errors
     /// Those of the writer.
@@ -150,8 +151,13 @@ impl TeeThread {
                         last = now;
                         tee.sent(now, &frame)?;
                     }
-                    Entry::Closed { now, peer: Some(peer) } => tee.peer_closed(now, peer)?,
-                    Entry::Closed { now, peer: None } => tee.transport_closed(now)?,
+                    Entry::Closed { now, peer } => {
+                        last = now;
+                        match peer {
+                            Some(peer) => tee.peer_closed(now, peer)?,
+                            None => tee.transport_closed(now)?,
+                        }
+                    }
                 }
             }
             tee.finish(last)

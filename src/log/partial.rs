@@ -19,7 +19,7 @@ impl PartialFile {
     /// # Errors
     /// If it cannot be created.
     pub fn create(path: &Path) -> io::Result<Self> {
-        if fs::metadata(path).is_ok_and(|known| !known.is_file()) {
+        if is_special(path) {
             let out = BufWriter::new(File::create(path)?);
             return Ok(Self { out, target: path.to_owned(), partial: None });
         }
@@ -67,6 +67,12 @@ pub fn partial_path(path: &Path) -> PathBuf {
     let mut partial = followed(path).into_os_string();
     partial.push(".part");
     partial.into()
+}
+
+/// Whether something is there that is no regular file, such as a pipe or a device: it is written into
+/// and never replaced.
+pub fn is_special(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|there| !there.is_file())
 }
 
 /// The file that `path` leads to, so that a link stays one.

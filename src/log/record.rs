@@ -172,7 +172,7 @@ pub struct LinkStats {
     pub odometry_hz: f64,
     /// Frames whose checksum was wrong.
     pub crc_errors: u64,
-    /// Frames missing from the vehicle's sequence numbers.
+    /// Frames missing from the vehicle's sequence numbers, less those that came late.
     pub lost_frames: u64,
     /// Frames of a message that the dialect does not have.
     pub unknown_frames: u64,

@@ -384,8 +384,8 @@ fn create_file(directory: &Path, stem: &str) -> Result<(File, PathBuf), LogError
     create_numbered(&path).map_err(|source| LogError::Create { path, source })
 }
 
-/// A new file at `path`, or with a number behind its name where there is one already, which may hold
-/// a flight.
+/// A new file at `path`, or with a number behind its name where there is one already, which may
+/// hold a flight.
 ///
 /// # Errors
 /// If none can be created.

@@ -11,7 +11,7 @@ use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
 use crate::pilot::{Airframe, Pilot};
-use crate::supervisor::{ModeMap, PreflightCheck};
+use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
 
 impl Station {
     /// Now that it is known what the vehicle honours: design the feedback for it.
@@ -37,8 +37,9 @@ impl Station {
         }
         let known = self.profile.replace(profile.clone());
         let is_known = self.pilot.is_some() && known.as_ref() == Some(&profile);
-        // After the end there is nothing to fly: a new pilot would begin.
-        if is_known || self.end.is_some() {
+        // After the flight that was asked for there is nothing to fly: a new pilot would begin.
+        let has_flown = self.settings.policy == EngagePolicy::Command && self.flown;
+        if is_known || has_flown || self.end.is_some() {
             return;
         }
         let response = self.settings.lqr.attitude_response_rad_s;

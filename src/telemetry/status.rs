@@ -59,6 +59,11 @@ impl Default for VehicleStatus {
 const WARNING: u8 = 4;
 
 impl VehicleStatus {
+    /// For how long nothing was heard, s; infinite before the first message.
+    pub fn silence_s(&self, now: HostTime) -> f64 {
+        self.heard.map_or(f64::INFINITY, |heard| now.since(heard).as_secs_f64())
+    }
+
     /// Takes what the message says.
     pub(super) fn update(&mut self, received: &Received) {
         self.heard = Some(received.host);

@@ -154,8 +154,9 @@ impl Core {
                 // Another route to the vehicle counts only when the known one is silent.
                 if known.peer.is_none() || self.state == LinkState::Stale {
                     known.peer = Some(peer);
-                    known.id.peer = peer;
-                    self.counters.rerouted();
+                    if std::mem::replace(&mut known.id.peer, peer) != peer {
+                        self.counters.rerouted();
+                    }
                 }
             }
             _ => self.found(now, id),
