@@ -95,6 +95,8 @@ fn damaged_plans_are_refused_with_the_reason() {
         ("null", changed("\"lag_s\":0.04", "\"lag_s\":null"), "null"),
         ("huge", changed("\"kp\":[", "\"kp\":[1e999,"), "line 1"),
         ("other", "{\"schema\":\"downwash.fly\"}".to_owned(), "missing"),
+        // Of a time before it was looked at: that nothing is said is not that nothing is there.
+        ("silent", text.replace(",\"trespass_m\":0.0", ""), "trespass_m"),
     ];
     for (name, text, reason) in cases {
         let error = read(name, text.as_bytes()).expect_err(name);
@@ -122,6 +124,11 @@ fn plans_that_do_not_hold_are_not_flown() {
     plan.violation.overrun = 0.02;
     assert!(matches!(plan.check_flyable(), Err(NotFlyable::Violated { .. })));
     plan.violation.overrun = 0.0;
+    for trespass_m in [0.002, f64::NAN] {
+        plan.violation.trespass_m = trespass_m;
+        assert!(matches!(plan.check_flyable(), Err(NotFlyable::Trespass { .. })));
+    }
+    plan.violation.trespass_m = 0.0;
     assert_eq!(plan.check_flyable(), Ok(()));
     let mut torn = plan.clone();
     torn.states[50][0] += 0.5;

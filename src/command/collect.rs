@@ -4,7 +4,6 @@ mod kept;
 mod on_link;
 mod simulated;
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -192,19 +191,20 @@ fn fly(
     let identity = Identity { config, vehicle, truth: truth.as_ref(), seed: args.seed };
     let logs = logs_of_flights(&args.out)?;
     let own = flights.iter().map(|flight| identity.fingerprint(flight));
-    let own: BTreeSet<String> = own.collect::<Result<_, _>>()?;
-    let strange = logs.iter().filter(|(of, _)| !own.contains(*of)).map(|(_, logs)| logs.len());
+    let own: Vec<String> = own.collect::<Result<_, _>>()?;
+    let strange = logs.iter().filter(|(of, _)| !own.contains(of)).map(|(_, logs)| logs.len());
     let strange: usize = strange.sum();
     if strange > 0 {
+        let (logs, are, them) =
+            if strange == 1 { ("log", "is", "it") } else { ("logs", "are", "them") };
         say(format_args!(
-            "{}: {strange} logs of another programme, vehicle or truth are there too, and a training \
-             on the whole folder learns from them as well",
+            "{}: {strange} {logs} of another programme, vehicle or truth {are} there too, and a \
+             training on the whole folder learns from {them} as well",
             args.out.display()
         ));
     }
     let (mut rows, mut ahead) = (Vec::new(), Vec::new());
-    for (index, flight) in flights.iter().enumerate() {
-        let fingerprint = identity.fingerprint(flight)?;
+    for (index, (flight, fingerprint)) in flights.iter().zip(own).enumerate() {
         let whole = |log: &&LogOf| log.is_whole(flight.trajectory.duration());
         let here = || logs.get(&fingerprint).into_iter().flatten();
         if let Some(log) = here().find(whole) {

@@ -32,8 +32,8 @@ impl Logs {
         windows: &WindowSettings,
         step: impl FnMut(&Path) + Send,
     ) -> Self {
-        // In one order, whatever that of the arguments: of a log that is there twice the first is
-        // taken.
+        // In one order, whatever that of the arguments: flights of one kind follow one another, and
+        // of a log that is there twice the first is taken.
         let mut paths: Vec<&PathBuf> = paths.iter().collect();
         paths.sort_by_key(|path| (path.file_stem(), *path));
         let step = Mutex::new(step);
@@ -65,17 +65,29 @@ impl Logs {
                 }
             }
         }
-        // Flights of one kind follow one another, whatever the order of the arguments.
-        logs.flights.sort_by(|a, b| {
-            let key =
-                |f: &ObservedFlight| (f.flight.origin.run.clone(), f.flight.origin.path.clone());
-            key(a).cmp(&key(b))
-        });
         logs
+    }
+
+    /// Observes the flights by other windows; `step` is told of each file. What is left out, and
+    /// for what, does not depend on them, and nothing is read again.
+    pub fn observe(
+        &mut self,
+        vehicle: &VehicleParams,
+        windows: &WindowSettings,
+        step: impl FnMut(&Path) + Send,
+    ) {
+        let step = Mutex::new(step);
+        self.flights.par_iter_mut().for_each(|flight| {
+            flight.observe(vehicle, windows);
+            if let Ok(mut step) = step.lock() {
+                step(&flight.flight.origin.path);
+            }
+        });
     }
 }
 
-/// Reads a flight, by the mapping if it is a table; one of another vehicle, by the file inside its log, is refused.
+/// Reads a flight, by the mapping if it is a table; one of another vehicle, by the file inside its
+/// log, is refused.
 pub(super) fn open_for(
     path: &Path,
     mapping: Option<&Path>,

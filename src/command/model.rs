@@ -17,7 +17,7 @@ use crate::cli::ModelCommand;
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
 use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
-use crate::learn::judgement::{Evaluation, align, evaluate};
+use crate::learn::judgement::{Best, Evaluation, align, evaluate, standing};
 use crate::learn::prediction::RecordedInputs;
 use crate::learn::procedure::Watch;
 use crate::learn::summary::{MultiStepSummary, RefusedLog, TrainingSummary};
@@ -261,20 +261,20 @@ impl Samples {
         if let Some(rows) = &observed.flight.rows {
             return Self { times: rows.iter().copied().enumerate().collect() };
         }
-        let grid = |time: f64| time * SAMPLE_RATE_HZ;
-        let first = observed.flight.attitude.times().first().map_or(0.0, |t| grid(*t).ceil());
-        let mut times = Vec::new();
-        for span in observed.recorded() {
-            let (start, end) = (grid(span.start).ceil() as i64, grid(span.end).floor() as i64);
-            let samples = (start..=end)
-                .map(|k| ((k - first as i64).max(0) as usize, k as f64 / SAMPLE_RATE_HZ));
-            times.extend(samples);
-        }
-        Self { times }
+        let spans = observed.recorded().into_iter().map(|span| {
+            let grid = |time: f64| time * SAMPLE_RATE_HZ;
+            grid(span.start).ceil() as i64..=grid(span.end).floor() as i64
+        });
+        let spans: Vec<_> = spans.collect();
+        let first = spans.first().map_or(0, |span| *span.start());
+        let samples = spans.into_iter().flatten();
+        let times = samples.map(|k| ((k - first) as usize, k as f64 / SAMPLE_RATE_HZ));
+        Self { times: times.collect() }
     }
 
     /// Times from a sample to the next `steps` after it. A horizon ends where the recording does,
-    /// or pauses, or where open loop says nothing more.
+    /// or where open loop says nothing more; on the grid also where the recording pauses, while the
+    /// rows of a table are counted on.
     fn ahead(&self, start: usize, steps: usize) -> Vec<f64> {
         let Some(((number, time), later)) = self.times.get(start..).and_then(<[_]>::split_first)
         else {
@@ -330,7 +330,7 @@ pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
         text += &one_step_line(name, "test, truth", errors.truth[2].as_ref());
     }
     text += &multi_step_table(&summary.multi_step);
-    text += &if summary.is_judged() {
+    text += &if standing(summary).best != Best::NotJudged {
         format!("best on validation: {}\n", summary.preferred.name())
     } else {
         format!(

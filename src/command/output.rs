@@ -1,11 +1,15 @@
 //! Where results go, and where they must not.
 
+use std::fs;
 use std::io::{self, BufWriter, StdoutLock, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 
+use sha2::{Digest, Sha256};
+
 use super::{Exit, ExitContext};
+use crate::log::descriptor::hex;
 use crate::log::partial::{PartialFile, partial_path};
 
 /// Refuses an output that is one of the files to read, which writing would destroy.
@@ -32,6 +36,19 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
         (Ok(a), Ok(b)) => a == b,
         _ => false,
     }
+}
+
+/// Makes the folder of `--report`, where one is asked for: before the work, not after it.
+pub(super) fn create_report_folder(folder: Option<&Path>) -> anyhow::Result<()> {
+    let Some(folder) = folder else { return Ok(()) };
+    fs::create_dir_all(folder)
+        .with_context(|| format!("--report: cannot create the folder {}", folder.display()))
+        .or_exit(Exit::Usage)
+}
+
+/// SHA-256 in hexadecimal.
+pub(super) fn sha256(bytes: impl AsRef<[u8]>) -> String {
+    hex(&Sha256::digest(bytes))
 }
 
 /// Where rows go: a file that takes its name once it is complete, or stdout.
@@ -80,8 +97,6 @@ impl Write for Output {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
     use super::*;
 
     #[test]

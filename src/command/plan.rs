@@ -8,11 +8,10 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 use sitl::effects::BatterySag;
 use sitl::vehicle::VehicleParams;
 
-use super::output::refuse_input;
+use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::setup::{EffectiveVehicle, VehicleFile};
 use super::{Exit, ExitContext, config, on_interrupt, print_json, print_text, say, write_file};
@@ -85,7 +84,7 @@ pub(super) fn model_for(
 /// SHA-256 of a file, in hexadecimal.
 pub(super) fn sha256_of(path: &Path) -> anyhow::Result<String> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Ok(Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(sha256(bytes))
 }
 
 /// What plans for a vehicle, and how the vehicle answers the plans' inputs.
@@ -177,11 +176,7 @@ struct PlanSummary<'a> {
 pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
     let given = [&args.model, &args.vehicle, &args.config].into_iter().flatten();
     refuse_input(&args.out, given.chain([&args.trajectory]).map(PathBuf::as_path))?;
-    if let Some(folder) = &args.report {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("--report: cannot create the folder {}", folder.display()))
-            .or_exit(Exit::Usage)?;
-    }
+    create_report_folder(args.report.as_deref())?;
     let mut config = config::load(args.config.as_deref(), vec![])?;
     if let Some(solver) = args.solver {
         config.settings.plan.solver = solver;

@@ -6,11 +6,10 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, anyhow};
-use sha2::{Digest, Sha256};
 use sitl::vehicle::VehicleParams;
 
 use super::logs::Logs;
-use super::output::refuse_input;
+use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
 use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
@@ -100,11 +99,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         return Err(anyhow!("--out: there is no folder {}", folder.display())).or_exit(Exit::Usage);
     }
-    if let Some(folder) = &args.report {
-        fs::create_dir_all(folder)
-            .with_context(|| format!("--report: cannot create the folder {}", folder.display()))
-            .or_exit(Exit::Usage)?;
-    }
+    create_report_folder(args.report.as_deref())?;
     if let Some(threads) = args.threads.map(usize::from) {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;
     }
@@ -115,10 +110,20 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     };
 
     let mut bar = StageBar::new(interrupt_flag()?);
+    let windows_of =
+        |window: &f64| WindowSettings { half_s: window * 1e-3, ..WindowSettings::default() };
+    let first =
+        args.window.first().context("--window: expected at least one").or_exit(Exit::Usage)?;
+    let mut logs = read(args, &vehicle, &onboard, &windows_of(first), &mut bar)?;
     let mut best: Option<(Standing, Box<(ModelFile, TrainingSummary)>)> = None;
     for window in &args.window {
-        let windows = WindowSettings { half_s: window * 1e-3, ..WindowSettings::default() };
-        match train_with(args, &vehicle, &onboard, &windows, (resume, &mut progress), &mut bar)? {
+        let windows = windows_of(window);
+        if best.is_some() {
+            bar.stage("logs", logs.flights.len() as u64);
+            logs.observe(&vehicle, &windows, |path| bar.step(&path.display().to_string()));
+        }
+        let going_on = (resume, &mut progress);
+        match train_with(args, &vehicle, &onboard, &windows, &mut logs, going_on, &mut bar)? {
             Outcome::Interrupted(progress) => {
                 bar.clear();
                 let json = serde_json::to_vec(&progress).context("checkpoint")?;
@@ -127,7 +132,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
             }
             Outcome::Done(done) => {
                 let standing = standing(&done.1);
-                if best.as_ref().is_none_or(|(best, _)| standing.score < best.score) {
+                if best.as_ref().is_none_or(|(best, _)| standing.beats(best)) {
                     best = Some((standing, done));
                 }
                 if standing.settled {
@@ -164,12 +169,34 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     Ok(Learning::Done(Box::new(Trained { summary, report })))
 }
 
+/// Reads the logs and observes them by the first window.
+fn read(
+    args: &TrainArgs,
+    vehicle: &VehicleParams,
+    onboard: &Onboard,
+    windows: &WindowSettings,
+    bar: &mut StageBar,
+) -> anyhow::Result<Logs> {
+    bar.stage("logs", args.logs.len() as u64);
+    let mapping = args.mapping.as_deref();
+    let logs = Logs::read(&args.logs, mapping, vehicle, onboard, windows, |path| {
+        bar.step(&path.display().to_string());
+    });
+    if logs.flights.is_empty() {
+        bar.clear();
+        return Err(anyhow!("none of the {} logs can be used", args.logs.len()))
+            .or_exit(Exit::Usage);
+    }
+    Ok(logs)
+}
+
 /// Trains with labels of one window. Takes the progress if it is of this training and window.
 fn train_with(
     args: &TrainArgs,
     vehicle: &VehicleParams,
     onboard: &Onboard,
     windows: &WindowSettings,
+    logs: &mut Logs,
     (resume, progress): (Resume, &mut Option<Progress>),
     bar: &mut StageBar,
 ) -> anyhow::Result<Outcome> {
@@ -190,16 +217,6 @@ fn train_with(
         window_half_s: windows.half_s,
         windows_half_s: args.window.iter().map(|window| window * 1e-3).collect(),
     };
-    bar.stage("logs", args.logs.len() as u64);
-    let mapping = args.mapping.as_deref();
-    let mut logs = Logs::read(&args.logs, mapping, vehicle, onboard, windows, |path| {
-        bar.step(&path.display().to_string());
-    });
-    if logs.flights.is_empty() {
-        bar.clear();
-        return Err(anyhow!("none of the {} logs can be used", args.logs.len()))
-            .or_exit(Exit::Usage);
-    }
     bar.stage("physics", 1);
     let set = TrainingSet::new(vehicle, onboard, &mut logs.flights).or_exit(Exit::Usage)?;
     if progress.as_ref().is_some_and(|progress| !belongs(progress, &set, &settings)) {
@@ -210,7 +227,7 @@ fn train_with(
         *progress = None;
     }
     let own = progress.take_if(|progress| progress.window_half_s() == settings.window_half_s);
-    train(&set, &settings, windows, logs.refused, own, bar).or_exit(Exit::Usage)
+    train(&set, &settings, windows, logs.refused.clone(), own, bar).or_exit(Exit::Usage)
 }
 
 /// Where an interrupted training of a model file is kept.
@@ -231,7 +248,7 @@ fn load_checkpoint(path: &Path) -> anyhow::Result<Progress> {
 
 /// A checkpoint's bytes: the SHA-256 of its content on a line of its own, then the content.
 fn sealed(content: &[u8]) -> Vec<u8> {
-    let mut bytes = seal(content).into_bytes();
+    let mut bytes = sha256(content).into_bytes();
     bytes.push(b'\n');
     bytes.extend_from_slice(content);
     bytes
@@ -241,14 +258,10 @@ fn sealed(content: &[u8]) -> Vec<u8> {
 fn unsealed(bytes: &[u8]) -> anyhow::Result<&[u8]> {
     let end = bytes.iter().position(|byte| *byte == b'\n').context("it has no seal")?;
     let (stated, content) = (&bytes[..end], &bytes[end + 1..]);
-    if stated != seal(content).as_bytes() {
+    if stated != sha256(content).as_bytes() {
         return Err(anyhow!("its content is not what was written"));
     }
     Ok(content)
-}
-
-fn seal(content: &[u8]) -> String {
-    Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Set by the first Ctrl-C; the second ends the program at once.

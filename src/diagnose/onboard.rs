@@ -9,10 +9,11 @@ use sitl::vehicle::{AttitudePd, VehicleParams};
 
 use super::preparation::PreparedFlight;
 use super::series::median;
+use crate::learn::commands::SETPOINT_AGE_MAX;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// A setpoint older than this no longer rules, s.
-pub const AGE_MAX_S: f64 = 0.1;
+pub const AGE_MAX_S: f64 = SETPOINT_AGE_MAX;
 /// Mean of the link's jitter, s: the exponential part of a delay of at least that.
 pub const JITTER_MEAN_S: f64 = 0.001;
 /// Stamps are whole microseconds: to so much of a tick they are at the tick, s.

@@ -12,14 +12,14 @@ use sitl::rotor::Allocation;
 use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::alignment::interpolated;
-use super::segments::{unbroken, unbroken_over};
+use super::gaps::{unbroken, unbroken_over};
 use crate::log::import::{self, Flight, Stream, UnitUnknown};
 use crate::model::actuation::{Actuation, RotorState, RotorStep};
 
 /// Rate of the grid where the on-board law is not known, Hz.
 const OUTPUT_RATE_HZ: f64 = 250.0;
 /// A setpoint older than this no longer rules, s.
-pub(super) const SETPOINT_AGE_MAX: f64 = 0.1;
+pub const SETPOINT_AGE_MAX: f64 = 0.1;
 /// The law's outputs may differ from the logged ones by this much, root mean square: sampling at
 /// another instant costs a few hundredths.
 const LAW_ERROR_MAX: f64 = 0.08;

@@ -8,7 +8,8 @@ use sitl::vehicle::{ROTORS, VehicleParams};
 
 use super::alignment::{Alignment, interpolated};
 use super::commands::{CommandSource, Onboard, OutputTrace, lerp};
-use super::segments::{Cut, Segments, Unusable, unbroken};
+use super::gaps::unbroken;
+use super::segments::{Cut, Segments, Unusable};
 use super::split::Traits;
 use super::window::{BANDWIDTH, Sliding};
 use crate::log::import::{Flight, Stream};
@@ -143,8 +144,27 @@ impl ObservedFlight {
         }
         let alignment = Alignment::of(&flight);
         let (source, law_error) = onboard.source(&flight, alignment.attitude_s.unwrap_or(0.0));
-        let segments = Segments::driven(&flight, hover_output(vehicle), source, cuts)?;
+        let segments = Segments::driven(&flight, vehicle.hover_thrust, source, cuts)?;
         let traced = source.traced(&flight);
+        let mut observed = Self {
+            flight,
+            segments,
+            alignment,
+            source,
+            law_error,
+            command_shift_s: 0.0,
+            observations: Vec::new(),
+            traced,
+            half_s: 0.0,
+        };
+        observed.observe(vehicle, settings);
+        Ok(observed)
+    }
+
+    /// Observes the flight, by other windows than before if it was. What was learned of its
+    /// commands is forgotten.
+    pub fn observe(&mut self, vehicle: &VehicleParams, settings: &WindowSettings) {
+        let Self { flight, segments, alignment, .. } = &*self;
         let attitude = flight.attitude.clone().shifted(-alignment.attitude_s.unwrap_or(0.0));
         let velocity = flight.velocity.clone().shifted(-alignment.velocity_s.unwrap_or(0.0));
 
@@ -183,7 +203,7 @@ impl ObservedFlight {
                         by_force: by_force.map(Ned::from),
                         by_slope: Some(Ned::from(slope)),
                         angular: Frd::from(angular),
-                        truth: truth_at(&flight, time),
+                        truth: truth_at(flight, time),
                         voltage: lerp(&voltage, time)
                             .map(|[v]| v)
                             .or(flight.voltage.held_at(time).copied()),
@@ -191,19 +211,10 @@ impl ObservedFlight {
                 }
             }
         }
-        let mut observed = Self {
-            flight,
-            segments,
-            alignment,
-            source,
-            law_error,
-            command_shift_s: 0.0,
-            observations,
-            traced,
-            half_s,
-        };
-        observed.remove_accelerometer_bias();
-        Ok(observed)
+        self.observations = observations;
+        self.half_s = half_s;
+        self.command_shift_s = 0.0;
+        self.remove_accelerometer_bias();
     }
 
     /// The parts of its log between the pauses of the attitude.
@@ -358,12 +369,6 @@ impl Observation {
             AccelerationSource::VelocitySlope => self.by_slope,
         }
     }
-}
-
-/// Mean output that carries the vehicle's weight.
-fn hover_output(vehicle: &VehicleParams) -> f64 {
-    let full: f64 = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
-    vehicle.mass * vehicle.gravity / full
 }
 
 /// Instants of the rows within a span.

@@ -31,7 +31,8 @@ const SERIES: [usize; 2] = [1, 3];
 pub struct Evaluation {
     /// Rows.
     pub rows: usize,
-    /// Errors of each model's accelerations, over the variance of the labels that it was trained on.
+    /// Errors of each model's accelerations, over the variance of the labels that it was trained
+    /// on.
     pub one_step: Vec<EvaluatedModel>,
     /// Open-loop errors: models, then baselines.
     pub multi_step: Vec<MultiStepSummary>,
@@ -141,14 +142,22 @@ pub(super) fn judge(
     Ok(Judgement { preferred, one_step, validation, multi_step, series })
 }
 
-/// The model whose open loop is best; what the file says by default where none can be told.
-fn preferred(validation: &[MultiStepSummary]) -> ModelKind {
+/// Errors of a model, and those of holding the state.
+fn against_hold(
+    summaries: &[MultiStepSummary],
+    kind: ModelKind,
+) -> Option<(&MultiStep, &MultiStep)> {
     let errors = |name: &str| {
-        let found = validation.iter().find(|summary| summary.predictor == name);
+        let found = summaries.iter().find(|summary| summary.predictor == name);
         found.map(|summary| &summary.errors)
     };
+    errors(kind.name()).zip(errors(HOLD))
+}
+
+/// The model whose open loop is best; what the file says by default where none can be told.
+fn preferred(validation: &[MultiStepSummary]) -> ModelKind {
     let score = |kind: ModelKind| {
-        let pair = errors(kind.name()).zip(errors(HOLD));
+        let pair = against_hold(validation, kind);
         pair.map_or(f64::INFINITY, |(model, hold)| relative(model, hold))
     };
     let scores = ModelKind::ALL.map(|kind| (kind, score(kind)));
@@ -172,12 +181,16 @@ fn relative(errors: &MultiStep, hold: &MultiStep) -> f64 {
     if sum.is_finite() && errors.iter().all(StateError::is_finite) { sum } else { f64::INFINITY }
 }
 
-/// How many errors at the middle horizons there are.
-const RATIOS: usize = 8;
+/// The middle ones of the horizons.
+const MIDDLE: Range<usize> = 1..3;
+/// Errors at one horizon.
+const ERRORS: usize = 4;
+/// Sum of the [`ratios`] of what errs as much as holding the state.
+const AS_HOLDING: f64 = ((MIDDLE.end - MIDDLE.start) * ERRORS) as f64;
 
 /// Each error at the middle horizons over that of `hold`.
 fn ratios<'a>(errors: &'a MultiStep, hold: &'a MultiStep) -> impl Iterator<Item = f64> + 'a {
-    errors[1..3].iter().zip(&hold[1..3]).flat_map(|(a, b)| {
+    errors[MIDDLE].iter().zip(&hold[MIDDLE]).flat_map(|(a, b)| -> [f64; ERRORS] {
         [
             a.position_m / b.position_m.max(1e-9),
             a.velocity_m_s / b.velocity_m_s.max(1e-9),
@@ -213,16 +226,32 @@ pub enum Best {
     Better,
 }
 
+impl Standing {
+    /// Whether to take these models rather than those of `other`, which were found before: one
+    /// model without numbers among good ones spoils a score, but is not the one that is taken.
+    pub fn beats(&self, other: &Self) -> bool {
+        let can_be_used = |standing: &Self| standing.best != Best::NotFinite;
+        match (can_be_used(self), can_be_used(other)) {
+            (true, false) => true,
+            (false, true) => false,
+            _ => self.score < other.score,
+        }
+    }
+}
+
 /// The standing of a training's models.
 pub fn standing(summary: &TrainingSummary) -> Standing {
-    let find = |name: &str| summary.validation.iter().find(|s| s.predictor == name);
+    standing_of(&summary.validation)
+}
+
+fn standing_of(validation: &[MultiStepSummary]) -> Standing {
     let mut standing = Standing { settled: true, score: 0.0, best: Best::NotJudged };
     let mut least: Option<f64> = None;
     for kind in ModelKind::ALL {
-        match find(kind.name()).zip(find(HOLD)) {
+        match against_hold(validation, kind) {
             Some((errors, hold)) => {
-                standing.settled &= ratios(&errors.errors, &hold.errors).all(|ratio| ratio < 1.0);
-                let score = relative(&errors.errors, &hold.errors);
+                standing.settled &= ratios(errors, hold).all(|ratio| ratio < 1.0);
+                let score = relative(errors, hold);
                 standing.score += score;
                 least = Some(least.map_or(score, |least| least.min(score)));
             }
@@ -233,7 +262,7 @@ pub fn standing(summary: &TrainingSummary) -> Standing {
     standing.best = match least {
         None => Best::NotJudged,
         Some(score) if !score.is_finite() => Best::NotFinite,
-        Some(score) if score >= RATIOS as f64 => Best::NoBetterThanHolding,
+        Some(score) if score >= AS_HOLDING => Best::NoBetterThanHolding,
         Some(_) => Best::Better,
     };
     standing
@@ -353,6 +382,27 @@ mod tests {
         let mut late = [summary("net", 0.1), summary("physics", 0.2), summary(HOLD, 1.0)];
         late[0].errors[3].rate_rad_s = f64::NAN;
         assert_eq!(preferred(&late), ModelKind::Physics);
+    }
+
+    #[test]
+    fn one_model_without_numbers_does_not_keep_a_window_with_none_that_has_them() {
+        let seen = |net, physics, hybrid| {
+            let models = [("net", net), ("physics", physics), ("hybrid", hybrid), (HOLD, 1.0)];
+            standing_of(&models.map(|(name, error)| summary(name, error)))
+        };
+        let none = seen(f64::NAN, f64::NAN, f64::INFINITY);
+        let two = seen(f64::NAN, 0.5, 0.6);
+        assert_eq!((none.best, two.best), (Best::NotFinite, Best::Better));
+        assert_eq!((none.score, two.score), (f64::INFINITY, f64::INFINITY));
+        assert!(two.beats(&none) && !none.beats(&two));
+        // Else what came first stays, and the lower score wins.
+        assert!(!none.beats(&none) && !two.beats(&two));
+        let all = seen(0.9, 0.5, 0.6);
+        assert!(all.beats(&two) && !two.beats(&all) && all.beats(&none) && !none.beats(&all));
+        assert_eq!(seen(1.0, 1.0, 1.0).best, Best::NoBetterThanHolding);
+        let unjudged = standing_of(&[]);
+        assert_eq!(unjudged.best, Best::NotJudged);
+        assert!(unjudged.beats(&none) && !none.beats(&unjudged) && all.beats(&unjudged));
     }
 
     #[test]

@@ -19,6 +19,7 @@ pub mod training;
 pub mod training_set;
 
 mod adam;
+mod gaps;
 mod kernel;
 mod lanes;
 mod least_squares;

@@ -16,6 +16,9 @@ use crate::model::file::ModelKind;
 use crate::model::learned::{Network, NetworkModel};
 use crate::model::net::{Mlp, Normalization};
 
+/// Networks of a model file: two models of two each.
+pub(super) const NETWORKS: usize = 4;
+
 /// What a network learns of a row: accelerations in the frames of its label.
 pub type Target<'a> = dyn Fn(&Row) -> [f64; ACCELERATIONS] + 'a;
 
@@ -136,14 +139,9 @@ impl Progress {
         self.window_half_s
     }
 
-    /// Whether it is of so many trainings.
-    pub(super) fn is_of_count(&self, count: usize) -> bool {
-        self.states.len() == count
-    }
-
-    /// Whether this belongs to `fingerprint`.
-    pub(super) fn is_of(&self, fingerprint: &str) -> bool {
-        self.fingerprint == fingerprint
+    /// Whether this is of `count` trainings of what `fingerprint` says.
+    pub(super) fn is_of(&self, fingerprint: &str, count: usize) -> bool {
+        self.fingerprint == fingerprint && self.states.len() == count
     }
 
     /// Trains every lesson with every regularisation, side by side. Returns whether all are done;
@@ -161,7 +159,7 @@ impl Progress {
         let watch = Mutex::new(watch);
         let tried = settings.regularization.len();
         self.states.par_iter_mut().enumerate().try_for_each(|(index, state)| {
-            // A damaged checkpoint may hold more states than there are lessons.
+            // There is one: a progress of another count is refused by `is_of`.
             let Some(lesson) = lessons.get(index / tried) else { return Ok(()) };
             let resume = match std::mem::replace(state, State::Waiting) {
                 State::Waiting => None,
@@ -250,7 +248,7 @@ impl Progress {
 
 /// Two models of two networks each, in the order of the lessons.
 pub(super) fn models(networks: Vec<Network>, features: Features) -> Option<[NetworkModel; 2]> {
-    let [a, b, c, d] = <[Network; 4]>::try_from(networks).ok()?;
+    let [a, b, c, d] = <[Network; NETWORKS]>::try_from(networks).ok()?;
     let model = |linear, angular| NetworkModel { features, linear, angular };
     Some([model(a, b), model(c, d)])
 }

@@ -1,5 +1,5 @@
-//! Errors that are no finite numbers, in JSON: it has no word for them and writes `null`, which reads
-//! as an error beyond all bounds.
+//! Errors that are no finite numbers, in JSON: it has no word for them and writes `null`, which
+//! reads as an error beyond all bounds.
 
 use serde::{Deserialize, Deserializer};
 
@@ -18,7 +18,7 @@ pub fn lists<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<f64>>, D::Err
     Ok(Vec::deserialize(from)?.into_iter().map(finite_or_infinite).collect())
 }
 
-/// As [`number`], of as many as there are accelerations.
+/// As [`number`], of a list of one length.
 pub fn array<'de, D: Deserializer<'de>, const N: usize>(from: D) -> Result<[f64; N], D::Error>
 where
     [Option<f64>; N]: Deserialize<'de>,

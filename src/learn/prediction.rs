@@ -8,7 +8,7 @@ use sitl::vehicle::ROTORS;
 use super::alignment::interpolated;
 use super::commands::{CommandSource, EVERYTHING, Onboard, fresh_setpoint, lerp};
 use super::dataset::ObservedFlight;
-use super::segments::is_bridged;
+use super::gaps::is_bridged;
 use crate::log::import::{Flight, Stream};
 use crate::model::actuation::{Actuation, RotorState, RotorStep};
 use crate::model::{Model, Point};
@@ -32,8 +32,6 @@ pub struct RecordedInputs<'a> {
     delay_s: f64,
     lag_s: f64,
     step: f64,
-    /// Rotor states older than this say nothing of the rotors, s.
-    state_age_max: f64,
 }
 
 impl<'a> RecordedInputs<'a> {
@@ -54,7 +52,6 @@ impl<'a> RecordedInputs<'a> {
             delay_s: observed.delay_s(actuation),
             lag_s: source.lag_s(actuation),
             step: (1.0 / onboard.rate_hz / steps).max(0.004),
-            state_age_max: STATE_AGE_STEPS / onboard.rate_hz,
         }
     }
 
@@ -67,10 +64,10 @@ impl<'a> RecordedInputs<'a> {
             && is_bridged(&flight.body_rate, time);
         is_known.then_some(())?;
         Some(State {
-            position: lerp(&self.flight.position, time)?.into(),
-            velocity: lerp(&self.flight.velocity, time)?.into(),
-            attitude: interpolated(&self.flight.attitude, time)?,
-            body_rate: lerp(&self.flight.body_rate, time)?.into(),
+            position: lerp(&flight.position, time)?.into(),
+            velocity: lerp(&flight.velocity, time)?.into(),
+            attitude: interpolated(&flight.attitude, time)?,
+            body_rate: lerp(&flight.body_rate, time)?.into(),
         })
     }
 
@@ -79,7 +76,7 @@ impl<'a> RecordedInputs<'a> {
         let index = self.rotor_states.index_at(time)?;
         let age = time - self.rotor_states.times().get(index)?;
         let states = self.rotor_states.values().get(index)?;
-        (age <= self.state_age_max).then(|| RotorState::from(*states))
+        (age <= STATE_AGE_STEPS / self.onboard.rate_hz).then(|| RotorState::from(*states))
     }
 
     /// The outputs that rule the step from `time`, at a predicted state.

@@ -5,7 +5,7 @@ use sitl::vehicle::VehicleError;
 
 use super::dataset::{Row, WindowSettings};
 use super::judgement::{deviation, judge, label_error};
-use super::networks::{Lesson, Progress, Target, models};
+use super::networks::{Lesson, NETWORKS, Progress, Target, models};
 use super::split::Part;
 use super::summary::{DataSummary, RefusedLog, TrainSettings, TrainingSummary};
 use super::training_set::{ROWS_MIN, TrainingSet};
@@ -111,17 +111,12 @@ pub fn train(
     let mut all = Vec::from(lessons(ModelKind::Net, &label)?);
     all.extend(lessons(ModelKind::Hybrid, &leftover)?);
 
-    let count = all.len() * settings.regularization.len();
     let mut progress = match progress {
-        Some(progress)
-            if progress.is_of(&fingerprint(dataset, settings)) && progress.is_of_count(count) =>
-        {
-            progress
-        }
+        Some(progress) if belongs(&progress, dataset, settings) => progress,
         Some(_) => return Err(TrainError::Checkpoint),
         None => {
             let fingerprint = fingerprint(dataset, settings);
-            Progress::new(fingerprint, settings.window_half_s, count)
+            Progress::new(fingerprint, settings.window_half_s, trainings(settings))
         }
     };
     if !progress.go_on(&all, settings, watch)? {
@@ -180,7 +175,12 @@ pub fn train(
 
 /// Whether an interrupted training was this one, whatever the window of its labels.
 pub fn belongs(progress: &Progress, dataset: &TrainingSet<'_>, settings: &TrainSettings) -> bool {
-    progress.is_of(&fingerprint(dataset, settings))
+    progress.is_of(&fingerprint(dataset, settings), trainings(settings))
+}
+
+/// How many networks are trained: each with every regularisation.
+fn trainings(settings: &TrainSettings) -> usize {
+    NETWORKS * settings.regularization.len()
 }
 
 /// What a training depends on beside the window of its labels.

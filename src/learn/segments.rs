@@ -5,18 +5,9 @@ use std::ops::Range;
 use serde::Serialize;
 
 use super::commands::CommandSource;
+use super::gaps::{PERIOD_MAX_S, unbroken};
 use crate::log::import::{Flight, Stream, UnitUnknown};
 
-/// A gap of this many periods ends a segment.
-const GAP_PERIODS: f64 = 4.0;
-/// And so does one of this many seconds, whatever the rate.
-const GAP_MAX_S: f64 = 0.2;
-/// But not one of fewer periods than this.
-const GAP_PERIODS_MIN: f64 = 1.5;
-/// Streams of longer periods show nothing of how a quadrotor moves, s.
-const PERIOD_MAX_S: f64 = 0.2;
-/// The longest time between two samples that may be told from them, s.
-const BRIDGE_MAX_S: f64 = GAP_PERIODS_MIN * PERIOD_MAX_S;
 /// Shorter pieces do not hold a window and what follows it, s.
 const SEGMENT_MIN_S: f64 = 1.0;
 /// Left out after take-off and before landing, s: the floor acts, and the stated time is rough.
@@ -50,14 +41,17 @@ pub struct Cut {
 }
 
 impl Cut {
+    /// Streams that are learned from only where u comes from them, as the audit names them.
+    const COMMANDS: [(&str, CommandSource); 3] = [
+        ("setpoint", CommandSource::OnboardLaw),
+        ("outputs", CommandSource::MotorOutputs),
+        ("rotor_speed", CommandSource::RotorSpeeds),
+    ];
+
     /// Whether a flight whose u comes from `source` is learned from this stream.
     fn concerns(&self, source: CommandSource) -> bool {
-        match self.stream {
-            "setpoint" => source == CommandSource::OnboardLaw,
-            "outputs" => source == CommandSource::MotorOutputs,
-            "rotor_speed" => source == CommandSource::RotorSpeeds,
-            _ => true,
-        }
+        let commands = Self::COMMANDS.iter().find(|(stream, _)| *stream == self.stream);
+        commands.is_none_or(|(_, of)| *of == source)
     }
 }
 
@@ -119,6 +113,7 @@ impl Segments {
     /// # Errors
     /// [`Unusable`].
     pub fn of(flight: &Flight, hover: f64) -> Result<Self, Unusable> {
+        Self::check_streams(flight)?;
         let mut segments = Self::of_motion(flight, hover)?;
         let commands = [unbroken(&flight.setpoint), unbroken(&flight.outputs)].concat();
         if !commands.is_empty() {
@@ -128,7 +123,7 @@ impl Segments {
     }
 
     /// The parts of a flight that can be learned from when its u comes from `source`, without the
-    /// times in `cuts`.
+    /// times in `cuts`. Its streams were [checked](Self::check_streams).
     ///
     /// # Errors
     /// [`Unusable`].
@@ -177,7 +172,6 @@ impl Segments {
 
     /// When the vehicle flew and every stream of its motion goes on.
     fn of_motion(flight: &Flight, hover: f64) -> Result<Self, Unusable> {
-        Self::check_streams(flight)?;
         let whole = span(&flight.attitude).ok_or(Unusable::Missing("attitude"))?;
         let mut segments = Self { spans: vec![whole], excluded: Vec::new() };
         let in_air = in_air(flight, HOVER_SHARE_IN_AIR * hover);
@@ -252,60 +246,6 @@ fn span<T>(stream: &Stream<T>) -> Option<Range<f64>> {
     Some(*stream.times().first()?..*stream.times().last()?)
 }
 
-/// Parts of a stream between its gaps. No part has samples further apart than can be bridged.
-pub(super) fn unbroken<T>(stream: &Stream<T>) -> Vec<Range<f64>> {
-    unbroken_over(stream, 0.0)
-}
-
-/// The same where a gap of up to `least` seconds is none.
-pub(super) fn unbroken_over<T>(stream: &Stream<T>, least: f64) -> Vec<Range<f64>> {
-    let Some((&first, &last)) = stream.times().first().zip(stream.times().last()) else {
-        return Vec::new();
-    };
-    let Some(period) = spacing(stream.times()) else { return Vec::new() };
-    let limit = (GAP_PERIODS * period)
-        .min(GAP_MAX_S)
-        .max(GAP_PERIODS_MIN * period)
-        .max(least)
-        .min(BRIDGE_MAX_S);
-    let mut spans = Vec::new();
-    let mut start = first;
-    for pair in stream.times().windows(2) {
-        if pair[1] - pair[0] > limit {
-            spans.push(start..pair[0]);
-            start = pair[1];
-        }
-    }
-    spans.push(start..last);
-    spans
-}
-
-/// Time between samples: half of the time lies between samples that are at least so far apart. Of
-/// stamps in bursts that is the time between the bursts, of others the period. Pauses do not
-/// count.
-fn spacing(times: &[f64]) -> Option<f64> {
-    let mut gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    gaps.sort_by(f64::total_cmp);
-    let pauses = gaps.partition_point(|gap| *gap <= GAP_MAX_S);
-    let gaps = if pauses > 0 { &gaps[..pauses] } else { &gaps[..] };
-    let half = 0.5 * gaps.iter().sum::<f64>();
-    let mut passed = 0.0;
-    let mut beyond = gaps.iter().copied().skip_while(|gap| {
-        passed += gap;
-        passed < half
-    });
-    beyond.next()
-}
-
-/// Whether a value at `time` can be told from the samples around it.
-pub(super) fn is_bridged<T>(stream: &Stream<T>, time: f64) -> bool {
-    let times = stream.times();
-    stream.index_at(time).is_some_and(|index| {
-        let next = times.get(index + 1);
-        times[index] == time || next.is_some_and(|next| next - times[index] <= BRIDGE_MAX_S)
-    })
-}
-
 /// The union of spans, in order.
 fn merged(mut spans: Vec<Range<f64>>) -> Vec<Range<f64>> {
     spans.sort_by(|a, b| a.start.total_cmp(&b.start));
@@ -366,6 +306,7 @@ mod tests {
     use sitl::frame::{Attitude, Frd, Ned};
 
     use super::*;
+    use crate::diagnose::audit::Audit;
     use crate::log::import::{AttitudeSetpoint, Clock, Origin};
 
     /// Mean output that hovers.
@@ -399,6 +340,7 @@ mod tests {
     }
 
     fn driven(flight: &Flight, source: CommandSource) -> Result<Segments, Unusable> {
+        Segments::check_streams(flight)?;
         Segments::driven(flight, HOVER, source, &[])
     }
 
@@ -436,13 +378,6 @@ mod tests {
         assert_eq!(law(&flight).spans.len(), 1);
         flight.setpoint = without(&flight.setpoint, 5.005..5.115);
         assert_eq!(law(&flight).spans.len(), 2);
-    }
-
-    #[test]
-    fn stamps_in_bursts_are_no_gaps() {
-        let bursts = (0..300).flat_map(|k| [0.0, 0.001, 0.002].map(|at| f64::from(k) * 0.03 + at));
-        let segments = driven(&flight(bursts, 1.0), CommandSource::MotorOutputs);
-        assert_eq!(segments.expect("enough").spans.len(), 1);
     }
 
     #[test]
@@ -498,5 +433,21 @@ mod tests {
         assert!((left - (20.0 - 3.0 - 2.0 * CUT_MARGIN_S)).abs() < 0.01);
         assert_eq!(excluded[0].reason, "body rate: frozen");
         assert!((seconds("outputs").0 - 20.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn the_audit_names_the_streams_of_commands_as_cuts_do() {
+        let mut flight = flight(every_10_ms(20), 1.0);
+        for time in every_10_ms(20) {
+            flight.rotor_speed.push(time, [500.0; 4]);
+        }
+        let audit = Audit::of(&flight);
+        for (name, source) in Cut::COMMANDS {
+            assert!(audit.streams.iter().any(|timing| timing.stream == name), "{name}");
+            let cut = Cut { stream: name, reason: "frozen", times: 5.0..8.0 };
+            for other in Cut::COMMANDS.map(|(_, other)| other) {
+                assert_eq!(cut.concerns(other), other == source, "{name}");
+            }
+        }
     }
 }

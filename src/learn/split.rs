@@ -48,7 +48,8 @@ const WHOLE_FLIGHTS_MIN: usize = 5;
 const NEIGHBOURS: usize = 8;
 /// Sweeps over all pairs of neighbours, at most.
 const SWEEPS_MAX: usize = 20;
-/// What a part's rows may be off is dear: a tenth of the share counts as one trait off by a deviation.
+/// What a part's rows may be off is dear: a tenth of the share counts as one trait off by a
+/// deviation.
 const SHARE_WEIGHT: f64 = 100.0;
 /// Rows left out between blocks: windows and the vehicle's memory reach across a border.
 const BORDER_ROWS: usize = 100;

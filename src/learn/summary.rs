@@ -48,13 +48,6 @@ pub struct TrainingSummary {
     pub series: Vec<Series>,
 }
 
-impl TrainingSummary {
-    /// Whether the models' open loops were compared on the validation part.
-    pub fn is_judged(&self) -> bool {
-        !self.validation.is_empty()
-    }
-}
-
 /// How a training is done.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainSettings {

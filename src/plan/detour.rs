@@ -7,7 +7,7 @@
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
-use super::keep_out::KeepOut;
+use super::keep_out::{KeepOut, position};
 use super::problem::{StateLimits, StateVector};
 
 /// How far beyond a region the bent path leads, m.
@@ -46,27 +46,19 @@ pub(super) fn bend(
     is_bent
 }
 
-fn position(state: &StateVector) -> [f64; 3] {
-    [state[0], state[1], state[2]]
-}
-
 /// The first run of states inside, from one that is outside to one that is again, of those from
 /// `from` on.
 fn crossing(states: &[StateVector], region: &KeepOut, from: usize) -> Option<(usize, usize)> {
     // Both ends of a step that leads through count as inside.
-    let enters = |n: usize| {
-        let (at, next) = (states.get(n), states.get(n + 1));
-        at.zip(next)
-            .is_some_and(|(at, next)| region.depth_between(position(at), position(next)) > 0.0)
-    };
-    let inside = |n: &usize| {
-        region.depth(position(&states[*n])).0 > 0.0
-            || enters(*n)
-            || n.checked_sub(1).is_some_and(enters)
-    };
-    let outside = (from..states.len()).find(|n| !inside(n))?;
-    let first = (outside..states.len()).find(inside)?;
-    let after = (first..states.len()).find(|n| !inside(n))?;
+    let enters = |n: usize| states.get(n..n + 2).is_some_and(|step| !is_clear_of(step, region));
+    let mut entered = from.checked_sub(1).is_some_and(enters);
+    let mut inside = (from..states.len()).map(|n| {
+        let before = std::mem::replace(&mut entered, enters(n));
+        (n, before || entered)
+    });
+    inside.find(|(_, inside)| !inside)?;
+    let (first, _) = inside.find(|(_, inside)| *inside)?;
+    let (after, _) = inside.find(|(_, inside)| !inside)?;
     Some((first, after - 1))
 }
 
@@ -110,14 +102,10 @@ fn way_round(
     best.map(|(_, shift)| shift)
 }
 
-/// Whether neither states nor the ways between them lie inside a region.
+/// Whether the ways between states, two at least, do not lead into a region.
 fn is_clear_of(states: &[StateVector], region: &KeepOut) -> bool {
-    let free = |state: &StateVector| region.depth(position(state)).0 <= 0.0;
-    let ways = states.windows(2);
-    states.iter().all(free)
-        && ways
-            .into_iter()
-            .all(|pair| region.depth_between(position(&pair[0]), position(&pair[1])) <= 0.0)
+    let mut ways = states.windows(2);
+    ways.all(|pair| region.depth_between(position(&pair[0]), position(&pair[1])) <= 0.0)
 }
 
 /// Distance from a position inside a region to its surface, along an axis of the world.
@@ -198,9 +186,7 @@ mod tests {
     }
 
     fn is_clear(states: &[StateVector], regions: &[KeepOut]) -> bool {
-        states
-            .iter()
-            .all(|state| regions.iter().all(|region| region.depth(position(state)).0 <= 0.0))
+        regions.iter().all(|region| is_clear_of(states, region))
     }
 
     #[test]

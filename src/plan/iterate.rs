@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::discretisation::Dynamics;
+use super::keep_out::{KeepOut, position};
 use super::problem::{Problem, StateVector};
 
 /// States and inputs over the horizon.
@@ -21,9 +22,20 @@ pub struct Violation {
     pub defect: f64,
     /// Largest overrun of the state's bounds, summed over a state's bounds (m, rad, rad/s).
     pub overrun: f64,
-    /// How far a position, of a state or between two, is at most where it must not be, m.
-    #[serde(default)]
+    /// How far a position, of a state after the start or between two states, is at most where it
+    /// must not be, m.
     pub trespass_m: f64,
+}
+
+/// What the states of an iterate overrun their bounds by.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Overrun {
+    /// Sum over the horizon (m, rad, rad/s).
+    pub sum: f64,
+    /// The largest of a state, summed over its bounds (m, rad, rad/s).
+    pub most: f64,
+    /// How far a position after the start is at most where it must not be, m.
+    trespass_m: f64,
 }
 
 impl<const INPUTS: usize> Iterate<INPUTS> {
@@ -39,19 +51,24 @@ impl<const INPUTS: usize> Iterate<INPUTS> {
         (0..self.inputs.len()).map(|n| problem.cost(n, &self.states[n + 1], &self.inputs[n])).sum()
     }
 
-    /// Sum over the horizon and largest of what states overrun their bounds by.
-    pub(super) fn overrun(&self, problem: &Problem<INPUTS>) -> (f64, f64) {
+    /// What the states overrun their bounds by.
+    pub(super) fn overrun(&self, problem: &Problem<INPUTS>) -> Overrun {
         let states = self.states.iter().skip(1).enumerate();
         let each = states.map(|(n, state)| problem.excess(n, state));
-        each.fold((0.0, 0.0), |(sum, most), one| (sum + one, f64::max(most, one)))
+        each.fold(Overrun::default(), |all, one| Overrun {
+            sum: all.sum + one.sum,
+            most: all.most.max(one.sum),
+            trespass_m: all.trespass_m.max(one.trespass_m),
+        })
     }
 
     /// What the iterate misses.
     pub(super) fn violation(&self, problem: &Problem<INPUTS>, defect: f64) -> Violation {
-        let (_, overrun) = self.overrun(problem);
-        let states = self.states.iter().skip(1).enumerate();
-        let each = states.map(|(n, state)| problem.trespass(n, state));
-        Violation { defect, overrun, trespass_m: each.fold(0.0, f64::max) }
+        let Overrun { most, trespass_m, .. } = self.overrun(problem);
+        // States look ahead; nothing but the start looks at the way to the first.
+        let first = self.states.get(..2).unwrap_or_default();
+        let entered = problem.keep_out.iter().map(|region| entry(first, region));
+        Violation { defect, overrun: most, trespass_m: entered.fold(trespass_m, f64::max) }
     }
 
     /// Sum and largest of the defects' components.
@@ -67,4 +84,18 @@ impl<const INPUTS: usize> Iterate<INPUTS> {
         }
         (sum, most)
     }
+}
+
+/// How deep the ways between states lead into a region at most, m.
+fn entry(states: &[StateVector], region: &KeepOut) -> f64 {
+    let ways = states.windows(2);
+    let depths = ways.map(|way| region.depth_between(position(&way[0]), position(&way[1])));
+    depths.fold(0.0, f64::max)
+}
+
+/// The same from the first state on that is not deeper in the region than `most_m`: a vehicle that
+/// is inside must be led out of it.
+pub(super) fn entry_once_out(states: &[StateVector], region: &KeepOut, most_m: f64) -> f64 {
+    let out = states.iter().position(|state| region.depth(position(state)).0 <= most_m);
+    out.map_or(0.0, |out| entry(&states[out..], region))
 }

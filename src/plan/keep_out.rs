@@ -24,15 +24,19 @@ pub enum KeepOut {
 }
 
 impl KeepOut {
-    /// Share of the way from a position on by `way` at which it is deepest in the region, or
-    /// nearest to it.
-    fn deepest(&self, from: [f64; 3], way: [f64; 3]) -> f64 {
-        let mut best = (self.depth(from).0, 0.0);
+    /// Where the way from a position [m] on by `way` [m] is deepest in the region, or nearest to
+    /// it.
+    fn deepest(&self, from: [f64; 3], way: [f64; 3]) -> Deepest {
+        let at = |share: f64| {
+            let (depth, gradient) = self.depth(along(from, way, share));
+            Deepest { share, depth, gradient }
+        };
+        let mut best = at(0.0);
         let mut look = |share: f64| {
             if (0.0..=1.0).contains(&share) {
-                let depth = self.depth(along(from, way, share)).0;
-                if depth > best.0 {
-                    best = (depth, share);
+                let there = at(share);
+                if there.depth > best.depth {
+                    best = there;
                 }
             }
         };
@@ -54,12 +58,10 @@ impl KeepOut {
                     faces[k + 1..].iter().for_each(|[b, other]| look((b - a) / (slope - other)));
                 }
                 // Outside, the sum of the squares of those below 0, between two crossings.
-                let mut ends =
-                    faces.map(
-                        |[a, slope]| {
-                            if slope == 0.0 { 0.0 } else { (-a / slope).clamp(0.0, 1.0) }
-                        },
-                    );
+                let crossing = |[a, slope]: [f64; 2]| {
+                    if slope == 0.0 { 0.0 } else { (-a / slope).clamp(0.0, 1.0) }
+                };
+                let mut ends = faces.map(crossing);
                 ends.sort_by(f64::total_cmp);
                 for (start, end) in [0.0].iter().chain(&ends).zip(ends.iter().chain(&[1.0])) {
                     let middle = 0.5 * (start + end);
@@ -68,36 +70,36 @@ impl KeepOut {
                         cross += a * slope;
                         square += slope * slope;
                     }
-                    look((-cross / square).clamp(*start, *end));
+                    // Not `clamp`, which panics where an end is no number.
+                    look((-cross / square).max(*start).min(*end));
                 }
             }
         }
-        best.1
+        best
     }
 
-    /// Depth of the deepest position between `from` and `to`, negative where all are outside.
+    /// Depth [m] of the deepest position between `from` and `to` [m], negative where all are
+    /// outside. Both ends count.
     pub(super) fn depth_between(&self, from: [f64; 3], to: [f64; 3]) -> f64 {
-        let way = std::array::from_fn(|i| to[i] - from[i]);
-        self.depth(along(from, way, self.deepest(from, way))).0
+        self.deepest(from, std::array::from_fn(|i| to[i] - from[i])).depth
     }
 
     /// The bound of a state that goes on with its velocity for `ahead_s` seconds: between states
-    /// the vehicle must not be inside either. The gradient is that of the deepest place, at its share
-    /// of the way: between two faces the depth itself may have none that leads out.
+    /// the vehicle must not be inside either. The gradient is that of the deepest place, at its
+    /// share of the way: between two faces the depth itself may have none that leads out.
     pub(super) fn row(&self, state: &StateVector, ahead_s: f64) -> StateRow {
-        let from = [state[0], state[1], state[2]];
         let way = [3, 4, 5].map(|i| state[i] * ahead_s);
-        let share = self.deepest(from, way);
-        let (excess, out) = self.depth(along(from, way, share));
+        let Deepest { share, depth, gradient: slopes } = self.deepest(position(state), way);
         let mut gradient = [0.0; STATES];
-        for (i, out) in out.into_iter().enumerate() {
-            gradient[i] = out;
-            gradient[3 + i] = share * ahead_s * out;
+        for (i, slope) in slopes.into_iter().enumerate() {
+            gradient[i] = slope;
+            gradient[3 + i] = share * ahead_s * slope;
         }
-        StateRow { excess, gradient }
+        StateRow { excess: depth, gradient }
     }
 
-    /// Depth of a position inside the region [m], negative outside, and its gradient.
+    /// Depth [m] of a position [m] inside the region, negative outside, and its gradient (no
+    /// unit).
     pub(super) fn depth(&self, position: [f64; 3]) -> (f64, [f64; 3]) {
         match self {
             Self::Sphere { centre, radius } => {
@@ -131,6 +133,22 @@ impl KeepOut {
             }
         }
     }
+}
+
+/// The place of a way that is deepest in a region, or nearest to it.
+#[derive(Clone, Copy, Debug)]
+struct Deepest {
+    /// Share of the way up to it.
+    share: f64,
+    /// m, negative outside.
+    depth: f64,
+    /// Of the depth by the position.
+    gradient: [f64; 3],
+}
+
+/// A state's position, m.
+pub(super) fn position(state: &StateVector) -> [f64; 3] {
+    [state[0], state[1], state[2]]
 }
 
 /// A share of the way from a position.
@@ -197,6 +215,21 @@ mod tests {
         assert!((cut - 0.05).abs() < 1e-9, "{cut}");
     }
 
+    #[test]
+    fn positions_that_are_no_numbers_panic_nowhere() {
+        for region in regions() {
+            for at in [f64::NAN, f64::INFINITY, -f64::INFINITY] {
+                for axis in 0..3 {
+                    let mut strange = [0.1; 3];
+                    strange[axis] = at;
+                    region.depth_between(strange, [0.0; 3]);
+                    region.depth_between([0.0; 3], strange);
+                    region.depth_between(strange, strange);
+                }
+            }
+        }
+    }
+
     proptest! {
         #[test]
         fn no_position_between_is_deeper(
@@ -220,10 +253,9 @@ mod tests {
         ) {
             for region in regions() {
                 let way = |state: &StateVector| [3, 4, 5].map(|i| 0.1 * state[i]);
-                let from = |state: &StateVector| [state[0], state[1], state[2]];
-                let share = region.deepest(from(&state), way(&state));
+                let share = region.deepest(position(&state), way(&state)).share;
                 let depth =
-                    |state: &StateVector| region.depth(along(from(state), way(state), share)).0;
+                    |state: &StateVector| region.depth(along(position(state), way(state), share)).0;
                 let row = region.row(&state, 0.1);
                 prop_assert_eq!(row.excess, depth(&state));
                 prop_assert_ne!(row.is_slope_of(depth, &state), Some(false));

@@ -7,10 +7,11 @@ use sitl::frame::{Euler, Frd, Ned, wrap_angle};
 use sitl::vehicle::AttitudePd;
 
 use super::discretisation::coasted;
-use super::iterate::Violation;
+use super::iterate::{Violation, entry_once_out};
+use super::keep_out::KeepOut;
 use super::problem::{ANGLE, RATE, StateVector};
 use super::reference::ReferenceSource;
-use super::scp::{Record, Status};
+use super::scp::{Outcome, Record, Status};
 use crate::setpoint::{Reference, Setpoint};
 
 /// What the file says that it is.
@@ -164,16 +165,33 @@ pub enum NotFlyable {
     },
 }
 
-/// As [`Plan::check_flyable`], for an outcome.
-pub(super) fn check_violation(status: Status, violation: &Violation) -> Result<(), NotFlyable> {
-    let Violation { defect, overrun, .. } = *violation;
+/// As [`Plan::check_flyable`], of what a search says.
+fn check_violation(status: Status, violation: &Violation) -> Result<(), NotFlyable> {
+    let Violation { defect, overrun, trespass_m } = *violation;
     if status == Status::Failed {
         return Err(NotFlyable::Failed);
     }
     if !(defect <= DEFECT_MAX && overrun <= OVERRUN_MAX) {
         return Err(NotFlyable::Violated { defect, overrun });
     }
+    if trespass_m.is_nan() || trespass_m > TRESPASS_MAX_M {
+        return Err(NotFlyable::Trespass { trespass_m });
+    }
     Ok(())
+}
+
+/// As [`Plan::check_flyable`], for a plan that begins where a flying vehicle is. That may be a
+/// little inside of a region to keep out of, or out of the box to stay in, and the vehicle must
+/// not be left without a plan there: each region counts from where the plan is out of it, and the
+/// box as any other bound.
+pub(super) fn check_in_flight(
+    outcome: &Outcome<7>,
+    regions: impl Iterator<Item = KeepOut>,
+) -> Result<(), NotFlyable> {
+    let states = &outcome.iterate.states;
+    let entries = regions.map(|region| entry_once_out(states, &region, TRESPASS_MAX_M));
+    let trespass_m = entries.fold(0.0, f64::max);
+    check_violation(outcome.status, &Violation { trespass_m, ..outcome.violation })
 }
 
 /// What a new plan is made of.
@@ -197,7 +215,7 @@ pub struct Found {
 
 impl Plan {
     /// The plan of a search's outcome.
-    pub fn new(found: Found, outcome: super::scp::Outcome<7>) -> Self {
+    pub fn new(found: Found, outcome: Outcome<7>) -> Self {
         let Found { trajectory, vehicle, body, model, period_s, answer, desired } = found;
         Self {
             schema: SCHEMA.to_owned(),
@@ -289,18 +307,14 @@ impl Plan {
             .collect()
     }
 
-    /// Whether the plan holds what it says, between its states as at them: a search that failed, or that ended with states that no
-    /// input leads through, is no plan to fly. What the model has no part in, that velocity and body
-    /// rate lead from state to state, is looked at again.
+    /// Whether the plan holds what it says, between its states as at them: a search that failed,
+    /// or that ended with states that no input leads through, is no plan to fly. What the model
+    /// has no part in, that velocity and body rate lead from state to state, is looked at again.
     ///
     /// # Errors
     /// What it misses, in words.
     pub fn check_flyable(&self) -> Result<(), NotFlyable> {
         check_violation(self.status, &self.violation)?;
-        let trespass_m = self.violation.trespass_m;
-        if trespass_m.is_nan() || trespass_m > TRESPASS_MAX_M {
-            return Err(NotFlyable::Trespass { trespass_m });
-        }
         for (n, pair) in self.states.windows(2).enumerate() {
             let [state, next] = pair else { continue };
             let led = coasted(state, self.period_s);
@@ -448,5 +462,61 @@ impl ReferenceSource for PlannedReference {
                 body_rate: Frd::new(p_des, q_des, r_des),
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::iterate::Iterate;
+    use crate::plan::problem::STATES;
+
+    /// An outcome whose states are at these places north, m.
+    fn outcome(north: &[f64], violation: Violation) -> Outcome<7> {
+        let state = |north: &f64| {
+            let mut state = [0.0; STATES];
+            state[0] = *north;
+            state
+        };
+        let states: Vec<StateVector> = north.iter().map(state).collect();
+        let inputs = vec![[0.0; 7]; states.len() - 1];
+        let iterate = Iterate { states, inputs };
+        let status = Status::Converged;
+        Outcome { status, iterate, cost: 0.0, violation, records: Vec::new() }
+    }
+
+    #[test]
+    fn in_flight_a_region_counts_once_the_plan_is_out_of_it() {
+        let regions = [
+            KeepOut::Sphere { centre: Ned::new(1.0, 0.0, 0.0), radius: 0.1 },
+            // Thinner than a step is long.
+            KeepOut::Box { lower: Ned::new(-1.0, -1.0, -1.0), upper: Ned::new(-0.99, 1.0, 1.0) },
+        ];
+        let check = |north: &[f64]| {
+            let violation = Violation { trespass_m: 0.006, ..Violation::default() };
+            check_in_flight(&outcome(north, violation), regions.into_iter())
+        };
+        assert_eq!(check(&[0.0, 0.5, 0.9, 0.9005]), Ok(()));
+        assert!(matches!(check(&[0.0, 0.5, 0.905]), Err(NotFlyable::Trespass { trespass_m })
+            if (trespass_m - 0.005).abs() < 1e-12));
+        assert!(matches!(check(&[-0.9, -1.1]), Err(NotFlyable::Trespass { .. })));
+        // It begins inside, and is led out; then not back.
+        assert_eq!(check(&[0.906, 0.904, 0.901, 0.89, 0.5]), Ok(()));
+        assert!(check(&[0.906, 0.904, 0.9005, 0.905]).is_err());
+    }
+
+    #[test]
+    fn in_flight_the_box_is_a_bound_as_any_other() {
+        let check = |overrun| {
+            let violation = Violation { overrun, trespass_m: overrun, ..Violation::default() };
+            check_in_flight(&outcome(&[0.0, 1.0], violation), std::iter::empty())
+        };
+        assert_eq!(check(0.009), Ok(()));
+        assert!(matches!(check(0.011), Err(NotFlyable::Violated { .. })));
+        let violation = Violation { trespass_m: 0.009, ..Violation::default() };
+        assert!(matches!(
+            check_violation(Status::Converged, &violation),
+            Err(NotFlyable::Trespass { .. })
+        ));
     }
 }

@@ -308,8 +308,13 @@ impl Planner {
                 body_rate_max_rad_s: Some([self.vehicle.limits.body_rate_max_rad_s; 3]),
                 position: self.settings.box_m.map(|[lower, upper]| (ned(lower), ned(upper))),
             },
-            keep_out: self.settings.keep_out.iter().map(|region| KeepOut::from(*region)).collect(),
+            keep_out: self.keep_out().collect(),
         }
+    }
+
+    /// The regions to keep out of.
+    pub(super) fn keep_out(&self) -> impl Iterator<Item = KeepOut> + '_ {
+        self.settings.keep_out.iter().map(|region| KeepOut::from(*region))
     }
 
     fn bounds(&self, desire: &Desire) -> InputBounds<7> {

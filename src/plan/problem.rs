@@ -92,6 +92,22 @@ pub struct StateRow {
     pub gradient: StateVector,
 }
 
+impl StateRow {
+    /// Whether it bounds where the vehicle is.
+    fn is_of_position(&self) -> bool {
+        self.gradient[..3].iter().any(|slope| *slope != 0.0)
+    }
+}
+
+/// What the bounds of a state are broken by.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Excess {
+    /// Sum over the bounds (m, rad, rad/s).
+    pub sum: f64,
+    /// How far the position, or one on the way on from it, is at most where it must not be, m.
+    pub trespass_m: f64,
+}
+
 /// A bound that is kept by more than this (in its unit) is not handed to the subproblem; the
 /// step's own check sees it again.
 const FAR: f64 = 2.0;
@@ -180,23 +196,16 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         }
     }
 
-    /// Sum of what the bounds of the state at the end of period `n` are broken by.
-    pub fn excess(&self, n: usize, state: &StateVector) -> f64 {
-        let mut sum = 0.0;
-        self.visit_bounds(n, state, |row| sum += row.excess.max(0.0));
-        sum
-    }
-
-    /// How far the position at the end of period `n`, and those on the way on from it, are where
-    /// they must not be, m.
-    pub(super) fn trespass(&self, n: usize, state: &StateVector) -> f64 {
-        let mut most = 0.0_f64;
+    /// What the bounds of the state at the end of period `n` are broken by.
+    pub(super) fn excess(&self, n: usize, state: &StateVector) -> Excess {
+        let mut excess = Excess::default();
         self.visit_bounds(n, state, |row| {
-            if row.gradient[..3].iter().any(|slope| *slope != 0.0) {
-                most = most.max(row.excess);
+            excess.sum += row.excess.max(0.0);
+            if row.is_of_position() {
+                excess.trespass_m = excess.trespass_m.max(row.excess);
             }
         });
-        most
+        excess
     }
 
     /// The bounds that a step from the state at the end of period `n` may meet.
@@ -212,8 +221,8 @@ impl<const INPUTS: usize> Problem<INPUTS> {
 
 #[cfg(test)]
 impl StateRow {
-    /// Whether the gradient is that of finite differences of `excess` at `state`; `None` at an edge,
-    /// where there is no one gradient.
+    /// Whether the gradient is that of finite differences of `excess` at `state`; `None` at an
+    /// edge, where there is no one gradient.
     pub(super) fn is_slope_of(
         &self,
         excess: impl Fn(&StateVector) -> f64,
@@ -271,9 +280,9 @@ mod tests {
         problem.desired = vec![[0.0; STATES]; 2];
         let mut state = [0.0; STATES];
         (state[0], state[3]) = (-0.01, 0.4);
-        assert!((problem.trespass(0, &state) - 0.002).abs() < 1e-12);
+        assert!((problem.excess(0, &state).trespass_m - 0.002).abs() < 1e-12);
         // Nothing follows the last.
-        assert_eq!(problem.trespass(1, &state), 0.0);
+        assert_eq!(problem.excess(1, &state).trespass_m, 0.0);
     }
 
     #[test]
@@ -284,13 +293,16 @@ mod tests {
             position: Some((Ned::new(-1.0, -1.0, -2.0), Ned::new(1.0, 1.0, 0.0))),
         };
         let problem = problem(limits, vec![]);
-        assert_eq!(problem.excess(0, &[0.0; STATES]), 0.0);
+        assert_eq!(problem.excess(0, &[0.0; STATES]), Excess::default());
         let mut state = [0.0; STATES];
         (state[1], state[2], state[RATE + 1]) = (1.25, -2.5, -2.75);
-        assert!((problem.excess(0, &state) - (0.25 + 0.5 + 0.75)).abs() < 1e-12);
+        let excess = problem.excess(0, &state);
+        assert!((excess.sum - (0.25 + 0.5 + 0.75)).abs() < 1e-12);
+        assert_eq!(excess.trespass_m, 0.5);
         state = [0.0; STATES];
         state[ANGLE + 1] = 0.501;
-        assert!((problem.excess(0, &state) - 0.001).abs() < 1e-5);
+        let excess = problem.excess(0, &state);
+        assert!((excess.sum - 0.001).abs() < 1e-5 && excess.trespass_m == 0.0);
     }
 
     proptest! {

@@ -16,7 +16,7 @@ use sitl::rigid_body::State;
 use super::discretisation::{CommandedDynamics, Dynamics};
 use super::iterate::Iterate;
 use super::model_free::model_free;
-use super::planned::{Answer, NotFlyable, PlannedReference, check_violation};
+use super::planned::{Answer, NotFlyable, PlannedReference, check_in_flight};
 use super::planner::Planner;
 use super::problem::{STATES, StateVector, YAW};
 use super::reference::ReferenceSource;
@@ -187,7 +187,7 @@ impl Replanner {
             guess
         });
         let outcome: Outcome<7> = self.planner.plan(&desire, start, guess, &|_| false);
-        check_violation(outcome.status, &outcome.violation)?;
+        check_in_flight(&outcome, self.planner.keep_out())?;
         let Outcome { iterate, .. } = outcome;
         let reference =
             PlannedReference::of(&iterate.states, &iterate.inputs, period, &self.answer);

@@ -250,7 +250,7 @@ struct Attempt {
 impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
     fn new(problem: &'a Problem<INPUTS>, dynamics: &'a D, iterate: Iterate<INPUTS>) -> Self {
         let cost = iterate.cost(problem);
-        let (overrun, _) = iterate.overrun(problem);
+        let overrun = iterate.overrun(problem).sum;
         let (defect, _) = iterate.defect(dynamics);
         Self {
             problem,
@@ -362,7 +362,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
             };
             let candidate = Self {
                 cost: iterate.cost(self.problem),
-                overrun: iterate.overrun(self.problem).0,
+                overrun: iterate.overrun(self.problem).sum,
                 defect,
                 iterate,
                 ..*self
@@ -426,8 +426,8 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
     /// Whether the iterate is not yet feasible.
     fn is_violated(&self, settings: &ScpSettings) -> bool {
         let (_, defect) = self.iterate.defect(self.dynamics);
-        let (_, overrun) = self.iterate.overrun(self.problem);
-        defect > settings.defect_max || overrun > settings.overrun_max
+        let overrun = self.iterate.overrun(self.problem);
+        defect > settings.defect_max || overrun.most > settings.overrun_max
     }
 
     /// Raises the penalties; false where they are as high as is of use.

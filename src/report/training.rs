@@ -6,6 +6,7 @@ use super::page::{Mood, Page};
 use super::table::{Table, definitions};
 use super::words::{effects, smallness};
 use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
+use crate::learn::judgement::{Best, standing};
 use crate::learn::summary::{LearningCurve, Series, TrainingSummary};
 use crate::model::file::ModelKind;
 
@@ -87,11 +88,20 @@ fn verdict(summary: &TrainingSummary, page: &mut Page) {
             }
         }
     }
-    let praise = if summary.is_judged() {
-        format!("The {} model predicts best on the validation flights", kind.name())
-    } else {
-        reasons.push("no second of the validation part goes on without a gap".to_owned());
+    let best = standing(summary).best;
+    let reason = match best {
+        Best::NotJudged => Some("no second of the validation part goes on without a gap"),
+        Best::NotFinite => Some("no model predicts finite states on the validation flights"),
+        Best::NoBetterThanHolding => {
+            Some("no model predicts better on the validation flights than that all stays as it is")
+        }
+        Best::Better => None,
+    };
+    reasons.extend(reason.map(str::to_owned));
+    let praise = if best == Best::NotJudged {
         format!("The models' predictions could not be judged; the {} model is taken", kind.name())
+    } else {
+        format!("The {} model predicts best on the validation flights", kind.name())
     };
     let sentence = match tested(summary, kind) {
         Some((errors, truth)) => format!(

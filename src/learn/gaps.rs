@@ -1,0 +1,106 @@
+//! Gaps of one stream: where it goes on, and where a value can be told from its samples.
+
+use std::ops::Range;
+
+use crate::log::import::Stream;
+
+/// A gap of this many periods ends a segment.
+const GAP_PERIODS: f64 = 4.0;
+/// And so does one of this many seconds, whatever the rate.
+const GAP_MAX_S: f64 = 0.2;
+/// But not one of fewer periods than this.
+const GAP_PERIODS_MIN: f64 = 1.5;
+/// Streams of longer periods show nothing of how a quadrotor moves, s.
+pub(super) const PERIOD_MAX_S: f64 = 0.2;
+/// The longest time between two samples that may be told from them, s.
+const BRIDGE_MAX_S: f64 = GAP_PERIODS_MIN * PERIOD_MAX_S;
+
+/// Parts of a stream between its gaps. No part has samples further apart than can be bridged.
+pub(super) fn unbroken<T>(stream: &Stream<T>) -> Vec<Range<f64>> {
+    unbroken_over(stream, 0.0)
+}
+
+/// The same where a gap of up to `least` seconds is none.
+pub(super) fn unbroken_over<T>(stream: &Stream<T>, least: f64) -> Vec<Range<f64>> {
+    let Some((&first, &last)) = stream.times().first().zip(stream.times().last()) else {
+        return Vec::new();
+    };
+    let Some(period) = spacing(stream.times()) else { return Vec::new() };
+    let limit = (GAP_PERIODS * period)
+        .min(GAP_MAX_S)
+        .max(GAP_PERIODS_MIN * period)
+        .max(least)
+        .min(BRIDGE_MAX_S);
+    let mut spans = Vec::new();
+    let mut start = first;
+    for pair in stream.times().windows(2) {
+        if pair[1] - pair[0] > limit {
+            spans.push(start..pair[0]);
+            start = pair[1];
+        }
+    }
+    spans.push(start..last);
+    spans
+}
+
+/// Time between samples: half of the time lies between samples that are at least so far apart. Of
+/// stamps in bursts that is the time between the bursts, of others the period. Pauses do not
+/// count.
+fn spacing(times: &[f64]) -> Option<f64> {
+    let mut gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    gaps.sort_by(f64::total_cmp);
+    let pauses = gaps.partition_point(|gap| *gap <= GAP_MAX_S);
+    let gaps = if pauses > 0 { &gaps[..pauses] } else { &gaps[..] };
+    let half = 0.5 * gaps.iter().sum::<f64>();
+    let mut passed = 0.0;
+    let mut beyond = gaps.iter().copied().skip_while(|gap| {
+        passed += gap;
+        passed < half
+    });
+    beyond.next()
+}
+
+/// Whether a value at `time` can be told from the samples around it.
+pub(super) fn is_bridged<T>(stream: &Stream<T>, time: f64) -> bool {
+    let times = stream.times();
+    stream.index_at(time).is_some_and(|index| {
+        let next = times.get(index + 1);
+        times[index] == time || next.is_some_and(|next| next - times[index] <= BRIDGE_MAX_S)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stream(times: impl Iterator<Item = f64>) -> Stream<()> {
+        let mut stream = Stream::default();
+        for time in times {
+            stream.push(time, ());
+        }
+        stream
+    }
+
+    #[test]
+    fn stamps_in_bursts_are_no_gaps() {
+        let bursts = (0..300).flat_map(|k| [0.0, 0.001, 0.002].map(|at| f64::from(k) * 0.03 + at));
+        assert_eq!(unbroken(&stream(bursts)).len(), 1);
+    }
+
+    #[test]
+    fn what_goes_on_without_a_gap_can_be_told_throughout() {
+        // From 100 Hz down to a period that is as long as may be, with one pause.
+        for period in [0.01, 0.05, 0.2] {
+            let times = (0..100).map(|k| f64::from(k) * period);
+            let stream = stream(times.map(|time| if time < 2.0 { time } else { time + 1.0 }));
+            let spans = unbroken(&stream);
+            assert_eq!(spans.len(), 1 + usize::from(100.0 * period > 2.0), "{spans:?}");
+            for span in spans {
+                let within = (0..=100).map(|k| f64::from(k) / 100.0);
+                let times = within.map(|share| span.start + share * (span.end - span.start));
+                assert!(times.into_iter().all(|time| is_bridged(&stream, time)), "{span:?}");
+            }
+            assert!(!is_bridged(&stream, 2.5));
+        }
+    }
+}
