@@ -10,15 +10,15 @@ use super::preparation::PreparedFlight;
 /// Headings this far from their mean turn a trim against a wind, rad.
 const HEADINGS: f64 = FRAC_PI_4;
 
-/// Whether the pack's voltage goes far enough, within flights or from one to the next, for sag to be
-/// told from another level of the thrust.
+/// Whether the pack's voltage goes far enough, within flights or from one to the next, for sag to
+/// be told from another level of the thrust.
 pub(super) fn voltages_differ(flights: &[PreparedFlight]) -> bool {
     let all = flights.iter().flat_map(|flight| flight.voltage.values().iter().map(|[v]| *v));
     flights.iter().all(|flight| flight.channels.voltage) && !is_flat(voltage_range(all))
 }
 
-/// Whether flights are made to tell a wind from a trim: an accelerometer feels the air's push and not
-/// the trim, and at another heading the wind stays in the world and the trim with the vehicle.
+/// Whether flights are made to tell a wind from a trim: an accelerometer feels the air's push and
+/// not the trim, and at another heading the wind stays in the world and the trim with the vehicle.
 pub(super) fn part_wind_from_trim(flights: &[PreparedFlight]) -> bool {
     let headings = || flights.iter().flat_map(headings);
     let [north, east] = headings().fold([0.0; 2], |[n, e], yaw| [n + yaw.cos(), e + yaw.sin()]);

@@ -100,11 +100,11 @@ impl Linearised {
         }
     }
 
-    /// Numbers whose derivatives noise makes to a good part: a hover does not tilt or turn, and what
-    /// its outputs do is the loop's answer to its own gyro. `again` is another draw of the same
-    /// flights, that leaves `base`. A regressor's noise comes again in what it is to explain (errors
-    /// in variables; Fuller 1987), and what that gives a fit only derivatives tell that have the
-    /// noise of the flights they belong to.
+    /// Numbers whose derivatives noise makes to a good part: a hover does not tilt or turn, and
+    /// what its outputs do is the loop's answer to its own gyro. `again` is another draw of the
+    /// same flights, that leaves `base`. A regressor's noise comes again in what it is to explain
+    /// (errors in variables; Fuller 1987), and what that gives a fit only derivatives tell that
+    /// have the noise of the flights they belong to.
     pub fn noisy(&self, again: &Observed<'_>, base: &Residuals) -> Vec<usize> {
         let weights: Vec<f64> = self
             .square

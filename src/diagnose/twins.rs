@@ -65,8 +65,9 @@ pub struct TwinFits {
     pub truth: Values,
     /// What each twin leaves at the values of the flights' fit.
     pub residuals: Vec<Residuals>,
-    /// Of twins without an effect: derivatives of each by the numbers whose derivatives are noisy. They
-    /// tell what chance gives a hypothesis; fits of twins, as those of flights, are by the flights'.
+    /// Of twins without an effect: derivatives of each by the numbers whose derivatives are noisy.
+    /// They tell what chance gives a hypothesis; fits of twins, as those of flights, are by the
+    /// flights'.
     own: Vec<Vec<(usize, Residuals)>>,
     /// The values that each is fitted with.
     pub values: Vec<Values>,

@@ -2,11 +2,11 @@
 //! same.
 //!
 //! An effect is chosen if it explains what the equations leave and predicts flights better, beyond
-//! chance. Two kinds of causes fail that and are told by what stays open. One acts by another law than
-//! the catalogue's: it has all the evidence that there is, and its predictions are better here and
-//! worse there; it may be chosen, and leave too much to be trusted. The other is a lag of the rotors,
-//! for which the equations may put stamps of the outputs that are late by as much: no stamp changes
-//! what setpoints bring about, and predictions tell.
+//! chance. Two kinds of causes fail that and are told by what stays open. One acts by another law
+//! than the catalogue's: it has all the evidence that there is, and its predictions are better here
+//! and worse there; it may be chosen, and leave too much to be trusted. The other is a lag of the
+//! rotors, for which the equations may put stamps of the outputs that are late by as much: no stamp
+//! changes what setpoints bring about, and predictions tell.
 
 use sitl::effects::{EffectId, EffectSet};
 

@@ -251,13 +251,15 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
         .filter_map(|(read, text)| Some((turning_explained(flight, read)?, text)))
         .filter(|(explained, _)| *explained > READS)
         .max_by(|a, b| a.0.total_cmp(&b.0));
-    // So short a log may not show it.
-    let shown = if span_s(flight.attitude.times()) < SHORT_S { 1.0 } else { 0.0 };
-    let follows = turning_follows(flight).unwrap_or(shown);
-    let (what, found) = match found {
-        Some((share, text)) => (format!("quaternions seem to be {text}"), share),
-        None if follows < FOLLOWS => ("does not turn as the gyro says".to_owned(), follows),
-        None => return,
+    let is_short = span_s(flight.attitude.times()) < SHORT_S;
+    let (what, found) = match (found, turning_follows(flight)) {
+        (Some((share, text)), _) => (format!("quaternions seem to be {text}"), share),
+        // So short a log may not show it.
+        (None, None) if is_short => return,
+        (None, follows) => match follows.unwrap_or(0.0) {
+            follows if follows < FOLLOWS => ("does not turn as the gyro says".to_owned(), follows),
+            _ => return,
+        },
     };
     audit.findings.push(Finding {
         severity: Severity::Fault,
