@@ -8,6 +8,8 @@ use sitl::vehicle::VehicleParams;
 use super::series::Series;
 use super::setpoints::{Inferred, completed};
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
+use crate::learn::commands::CommandSource;
+use crate::learn::gaps::{intersection, length};
 use crate::learn::segments::Segments;
 use crate::log::import::{AttitudeSetpoint, Flight, SetpointSource, Stream, UnitUnknown};
 use crate::setpoint::Reference;
@@ -16,6 +18,9 @@ use crate::setpoint::Reference;
 const LIFTS: f64 = 0.5;
 /// Shorter drops of the output are manoeuvres, s.
 const DROP_MAX_S: f64 = 0.7;
+/// Least share of the airborne time in which setpoints came over the link, for these to be looked
+/// at: the rest is left out then.
+const LED_MIN: f64 = 0.5;
 /// Time before a block from which rotors and delays reach into it, s.
 const MARGIN_S: f64 = 0.35;
 
@@ -159,7 +164,7 @@ impl PreparedFlight {
         let complete = |s: &AttitudeSetpoint| {
             s.thrust.is_some() && (s.attitude.is_some() || s.body_rate.is_some())
         };
-        let channels = Channels {
+        let mut channels = Channels {
             velocity: !velocity.is_empty(),
             attitude: !attitude.is_empty(),
             body_rate: !body_rate.is_empty(),
@@ -176,10 +181,18 @@ impl PreparedFlight {
             rotor_speed: !flight.rotor_speed.is_empty(),
         };
         let (setpoint, inferred) = completed(&flight.setpoint, &flight.setpoints_missing);
-        let spans = airborne(&flight, &outputs, vehicle);
+        let mut spans = airborne(&flight, &outputs, vehicle);
+        if channels.setpoint {
+            // Before and after, as in a landing, the vehicle leads itself by laws of its own.
+            let led = intersection(&spans, &CommandSource::OnboardLaw.unbroken(&flight));
+            channels.setpoint = length(&led) > LED_MIN * length(&spans);
+            if channels.setpoint {
+                spans = led;
+            }
+        }
         let blocks = blocks(&spans);
         if blocks.is_empty() {
-            return Err(NotPrepared::TooShort(spans.iter().map(|s| s.end - s.start).sum()));
+            return Err(NotPrepared::TooShort(length(&spans)));
         }
         Ok(Self {
             name: flight.origin.run.clone(),
@@ -214,7 +227,7 @@ impl PreparedFlight {
         }
         self.blocks = blocks(&self.spans);
         if self.blocks.is_empty() {
-            return Err(NotPrepared::TooShort(self.spans.iter().map(|s| s.end - s.start).sum()));
+            return Err(NotPrepared::TooShort(length(&self.spans)));
         }
         Ok(self)
     }
@@ -230,11 +243,7 @@ impl PreparedFlight {
         let (first, last) = (self.spans.first()?.start, self.spans.last()?.end);
         let half = 0.5 * (first + last);
         let part = |range: Range<f64>, name: &str| -> Option<Self> {
-            let within = |span: &Range<f64>| {
-                let both = span.start.max(range.start)..span.end.min(range.end);
-                (both.start < both.end).then_some(both)
-            };
-            let spans: Vec<_> = self.spans.iter().filter_map(within).collect();
+            let spans = intersection(&self.spans, &[range]);
             let blocks = blocks(&spans);
             let name = format!("{} ({name} half)", self.name);
             (!blocks.is_empty()).then(|| Self { name, spans, blocks, ..self.clone() })

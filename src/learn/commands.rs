@@ -61,7 +61,7 @@ impl CommandSource {
     }
 
     /// The parts of a flight in which this stream goes on. A setpoint rules until it is too old.
-    pub(super) fn unbroken(self, flight: &Flight) -> Vec<Range<f64>> {
+    pub fn unbroken(self, flight: &Flight) -> Vec<Range<f64>> {
         match self {
             CommandSource::OnboardLaw => unbroken_over(&flight.setpoint, SETPOINT_AGE_MAX),
             CommandSource::MotorOutputs => unbroken(&flight.outputs),

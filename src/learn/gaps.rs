@@ -1,4 +1,5 @@
-//! Gaps of one stream: where it goes on, and where a value can be told from its samples.
+//! Gaps of one stream: where it goes on, and where a value can be told from its samples. Spans are
+//! in seconds.
 
 use std::ops::Range;
 
@@ -41,6 +42,18 @@ pub(super) fn unbroken_over<T>(stream: &Stream<T>, least: f64) -> Vec<Range<f64>
     }
     spans.push(start..last);
     spans
+}
+
+/// What lies in both, each in order of time.
+pub fn intersection(ones: &[Range<f64>], others: &[Range<f64>]) -> Vec<Range<f64>> {
+    let both = |a: &Range<f64>, b: &Range<f64>| a.start.max(b.start)..a.end.min(b.end);
+    let pairs = ones.iter().flat_map(|a| others.iter().map(move |b| both(a, b)));
+    pairs.filter(|both| both.start < both.end).collect()
+}
+
+/// Their length, s.
+pub fn length(spans: &[Range<f64>]) -> f64 {
+    spans.iter().fold(0.0, |sum, span| sum + span.end - span.start)
 }
 
 /// Time between samples: half of the time lies between samples that are at least so far apart. Of

@@ -4,6 +4,7 @@ pub mod alignment;
 pub mod commands;
 pub mod dataset;
 pub mod evaluation;
+pub mod gaps;
 pub mod identify;
 pub mod judgement;
 pub mod networks;
@@ -19,7 +20,6 @@ pub mod training;
 pub mod training_set;
 
 mod adam;
-mod gaps;
 mod kernel;
 mod lanes;
 mod least_squares;

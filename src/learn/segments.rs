@@ -5,7 +5,7 @@ use std::ops::Range;
 use serde::Serialize;
 
 use super::commands::CommandSource;
-use super::gaps::{PERIOD_MAX_S, unbroken};
+use super::gaps::{PERIOD_MAX_S, intersection, length, unbroken};
 use crate::log::import::{Flight, Stream, UnitUnknown};
 
 /// Shorter pieces do not hold a window and what follows it, s.
@@ -208,16 +208,7 @@ impl Segments {
     /// Keeps what lies in `spans` too.
     fn keep(&mut self, spans: &[Range<f64>], reason: &str) {
         let before = length(&self.spans);
-        let mut kept = Vec::new();
-        for a in &self.spans {
-            for b in spans {
-                let both = a.start.max(b.start)..a.end.min(b.end);
-                if both.start < both.end {
-                    kept.push(both);
-                }
-            }
-        }
-        self.spans = kept;
+        self.spans = intersection(&self.spans, spans);
         self.exclude(reason, before - length(&self.spans));
     }
 
@@ -236,10 +227,6 @@ impl Segments {
     pub fn seconds(&self) -> f64 {
         length(&self.spans)
     }
-}
-
-fn length(spans: &[Range<f64>]) -> f64 {
-    spans.iter().fold(0.0, |sum, span| sum + span.end - span.start)
 }
 
 fn span<T>(stream: &Stream<T>) -> Option<Range<f64>> {
