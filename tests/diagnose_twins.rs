@@ -78,6 +78,15 @@ fn ratios(
     vehicle: &VehicleParams,
     prepared: &[PreparedFlight],
 ) -> (Vec<(&'static str, f64)>, Vec<f64>) {
+    ratios_up_to(f64::INFINITY, vehicle, prepared)
+}
+
+/// The same of what is left up to a frequency, Hz.
+fn ratios_up_to(
+    most_hz: f64,
+    vehicle: &VehicleParams,
+    prepared: &[PreparedFlight],
+) -> (Vec<(&'static str, f64)>, Vec<f64>) {
     let evaluator = Evaluator::new(vehicle).observing(prepared);
     let law = evaluator.onboard().expect("the on-board law");
     let catalogue = catalogue(vehicle, prepared, law);
@@ -91,7 +100,8 @@ fn ratios(
     let mut ratios = Vec::new();
     for (channel, name) in CHANNEL_NAMES.iter().enumerate() {
         let (mut sum, mut weight) = (0.0, 0.0);
-        let places = channel * BANDS.len()..(channel + 1) * BANDS.len();
+        let bands = BANDS.iter().filter(|upper| **upper <= most_hz).count();
+        let places = channel * BANDS.len()..channel * BANDS.len() + bands;
         let of_flights =
             null.fit.power[places.clone()].iter().zip(&observed.counts()[places.clone()]);
         for ((power, n), [mean, _]) in of_flights.zip(&moments[places]) {
@@ -133,6 +143,10 @@ fn twins_leave_what_the_flights_leave() {
     assert!(within(COMMAND..CHANNELS - 1, 1.5) && within(COMMAND..CHANNELS, 3.0), "{ratios:.2?}");
     // What was flown is what is fitted: no number is off by more than its tolerance allows.
     assert!(off.iter().all(|off| off.abs() < 4.0), "{off:.1?}");
+    // The noise that the ground's feedback puts into the setpoints is in the twins', too: a course
+    // that took some of it back out of them left a third less of the slow moments.
+    let (slow, _) = ratios_up_to(3.2, &vehicle, &prepared);
+    assert!(slow[RATE..RATE + 2].iter().all(|(_, ratio)| *ratio < 1.17), "{slow:.2?}");
 }
 
 /// Half of the setpoints that the vehicle followed are in no log: twins that held the others for

@@ -32,9 +32,8 @@ use crate::log::import::{AttitudeSetpoint, Stream};
 /// Bandwidth of the loop about the logged course, rad/s, and the most that it asks for, m/s^2.
 const COURSE_RAD_S: f64 = 1.0;
 const COURSE_MAX: f64 = 3.0;
-/// The course is the mean over so much time to each side, s, by so many readings.
+/// The course is the mean over so much time to each side, s.
 const COURSE_SMOOTHING_S: f64 = 0.12;
-const COURSE_READINGS: usize = 13;
 /// Gain from an attitude's error to a body rate where setpoints are body rates, 1/s.
 const RATE_GAIN: f64 = 4.0;
 /// Time from which rotors and delays reach into a span, s.
@@ -195,8 +194,7 @@ impl Replica {
     /// latency and trim undone.
     fn course(&self, flight: &PreparedFlight, time: f64) -> State {
         let seen = time + self.latency;
-        let smoothed =
-            |series: &Series<3>| series.mean_about(seen, COURSE_SMOOTHING_S, COURSE_READINGS);
+        let smoothed = |series: &Series<3>| series.mean_about(seen, COURSE_SMOOTHING_S);
         let [w, x, y, z] = flight.attitude.at(seen);
         State {
             position: smoothed(&flight.position).into(),

@@ -97,16 +97,22 @@ impl<const N: usize> Series<N> {
         share.hypot(1.0 - share)
     }
 
-    /// The mean over `half` seconds to each side of `time`, by `samples` readings.
-    pub(super) fn mean_about(&self, time: f64, half: f64, samples: usize) -> [f64; N] {
-        let step = 2.0 * half / (samples.max(2) - 1) as f64;
-        let mut cursor = self.cursor();
-        let mut sum = [0.0; N];
-        for i in 0..samples {
-            let value = cursor.at(time - half + i as f64 * step);
-            sum.iter_mut().zip(value).for_each(|(sum, value)| *sum += value);
+    /// The mean over `half` seconds to each side of `time`, of all that lies between: readings in
+    /// step with the samples would take the fastest noise for motion.
+    pub(super) fn mean_about(&self, time: f64, half: f64) -> [f64; N] {
+        let (start, end) = (time - half, time + half);
+        let within = self.times.partition_point(|t| *t <= start)..;
+        let samples = self.times[within.clone()].iter().zip(&self.values[within]);
+        let samples = samples.map(|(t, value)| (*t, *value)).take_while(|(t, _)| *t < end);
+        let mut last = (start, self.at(start));
+        let mut mean = [0.0; N];
+        for (t, value) in samples.chain(std::iter::once((end, self.at(end)))) {
+            let share = 0.5 * (t - last.0) / (end - start);
+            let ends = last.1.into_iter().zip(value);
+            mean.iter_mut().zip(ends).for_each(|(mean, (a, b))| *mean += share * (a + b));
+            last = (t, value);
         }
-        sum.map(|sum| sum / samples as f64)
+        mean
     }
 
     fn between(&self, index: usize, time: f64) -> [f64; N] {
@@ -152,10 +158,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_mean_about_a_time_of_a_line_is_its_value() {
+    fn the_mean_about_a_time_is_of_all_that_lies_between() {
         let series = Series { times: vec![0.0, 1.0, 2.0], values: vec![[0.0], [3.0], [6.0]] };
-        let [mean] = series.mean_about(0.9, 0.4, 25);
-        assert!((mean - 2.7).abs() < 1e-12, "{mean}");
+        for (time, half, expected) in [(0.9, 0.4, 2.7), (0.5, 0.1, 1.5), (2.0, 1.0, 5.25)] {
+            let [mean] = series.mean_about(time, half);
+            assert!((mean - expected).abs() < 1e-12, "{mean}");
+        }
+        // Noise that alternates, at every multiple of its period.
+        let times: Vec<f64> = (0..100).map(|k| 0.01 * f64::from(k)).collect();
+        let values = (0..100).map(|k| [if k % 2 == 0 { 1.0 } else { -1.0 }]).collect();
+        let series = Series { times, values };
+        for time in [0.4, 0.41, 0.5, 0.503] {
+            assert!(series.mean_about(time, 0.12)[0].abs() < 0.02);
+        }
     }
 
     #[test]

@@ -27,8 +27,6 @@ const SENT_SMOOTHING_S: f64 = 0.03;
 const ROUNDS: usize = 3;
 /// Ticks to each side over which a miss must last to be learned from.
 const LASTING_TICKS: usize = 20;
-/// Samples of such an average.
-const SMOOTHING_SAMPLES: usize = 21;
 
 /// Where the reference of a flight comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -199,7 +197,7 @@ fn reported(flight: &PreparedFlight, span: &Range<f64>, control: &GroundControl)
 
 /// The mean of a series about a time.
 fn smoothed(series: &Series<3>, time: f64, half: f64) -> Ned {
-    series.mean_about(time, half, SMOOTHING_SAMPLES).into()
+    series.mean_about(time, half).into()
 }
 
 /// Roll and pitch that turn thrust along the specific force `force`, at a yaw.
