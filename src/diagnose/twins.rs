@@ -242,10 +242,8 @@ impl TwinFits {
 
     /// By how much fits are off the truth on average, of each number.
     fn off_by(&self) -> Values {
-        let n = self.values.len().max(1) as f64;
-        (0..self.truth.len())
-            .map(|i| self.values.iter().map(|values| values[i] - self.truth[i]).sum::<f64>() / n)
-            .collect()
+        let off = |i: usize| self.values.iter().map(move |values| values[i] - self.truth[i]);
+        (0..self.truth.len()).map(|i| moments(off(i))[0]).collect()
     }
 
     /// Standard error of a number that was fitted and freed of [`bias`](Self::bias): the fits' scatter,
@@ -260,23 +258,28 @@ impl TwinFits {
 
     /// Standard deviation of the fits of one number.
     pub fn deviation(&self, number: usize) -> f64 {
-        let n = self.values.len().max(1) as f64;
-        let mean = self.values.iter().map(|values| values[number]).sum::<f64>() / n;
-        let squares: f64 = self.values.iter().map(|values| (values[number] - mean).powi(2)).sum();
-        (squares / (n - 1.0).max(1.0)).sqrt()
+        let [_, deviation] = moments(self.values.iter().map(|values| values[number]));
+        deviation
+    }
+
+    /// Mean and standard deviation over the twins of what `of` makes of the sums of squares that
+    /// each fit leaves.
+    pub fn moments_of(&self, of: impl Fn(&[f64]) -> f64) -> [f64; 2] {
+        moments(self.power.iter().map(|power| of(power)))
     }
 
     /// Mean and standard deviation of the sum of squares at each place.
     pub fn moments(&self) -> Vec<[f64; 2]> {
-        let n = self.power.len().max(1) as f64;
-        (0..Place::COUNT)
-            .map(|place| {
-                let mean = self.power.iter().map(|p| p[place]).sum::<f64>() / n;
-                let squares = self.power.iter().map(|p| (p[place] - mean).powi(2)).sum::<f64>();
-                [mean, (squares / (n - 1.0).max(1.0)).sqrt()]
-            })
-            .collect()
+        (0..Place::COUNT).map(|place| self.moments_of(|power| power[place])).collect()
     }
+}
+
+/// Mean and standard deviation of draws; 0 of fewer than two.
+fn moments(draws: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
+    let n = draws.clone().count().max(1) as f64;
+    let mean = draws.clone().sum::<f64>() / n;
+    let squares: f64 = draws.map(|draw| (draw - mean).powi(2)).sum();
+    [mean, (squares / (n - 1.0).max(1.0)).sqrt()]
 }
 
 /// Screens twins of the flights that are fitted; `null` is the fit of the nuisances alone.
