@@ -16,14 +16,14 @@ use super::gap::{Errors, Floor, Simulator};
 use super::hypothesis::Catalogue;
 use super::judgement::{
     Balance, Leftover, SIGNIFICANCE, Unexplained, explained, is_neighbour, is_open, is_open_on_one,
-    is_unexplained,
+    is_propped, is_unexplained,
 };
 use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
 use super::naming::{
-    THRUST_LEVEL, TILTS, answer_of, as_good, credence, named_effects, share, single,
+    THRUST_LEVEL, TILTS, Z90, answer_of, as_good, credence, named_effects, share, single,
     tilt_in_place_of,
 };
 use super::noise::{ReportNoise, report_noise};
@@ -97,6 +97,9 @@ impl Search {
     }
 }
 
+/// What a fit leaves beyond its twins, and numbers that are strained.
+type Checked = (Vec<Misfit>, Vec<Strain>);
+
 /// What is made of what was found.
 pub(super) struct Judgement {
     pub verdict: Verdict,
@@ -161,32 +164,23 @@ impl<'a> Inquiry<'a> {
             shipped.floor(self.case.fitted, &noise, settings.seed).map(|floor| floor.errors);
         progress("which effect");
         let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
-        // Within a tick of the loop a fit finds any delay, and the outputs tell about as much: which
-        // of the two was flown, twins of both must say.
-        let mut flown = vec![selection.best.clone()];
-        if self.take_up_delay(&mut selection.best) {
-            flown.push(selection.best.clone());
-        }
-        let null = &selection.null.fit;
-        let checked = |fit: &Fit, twins: &TwinFits| {
-            (misfit(null, fit, twins, fitted.counts()), strains(catalogue, fit, twins))
+        let nearest = loop {
+            let nearest = self.nearest_twins(&mut selection, &noise);
+            let Some((_, twins)) = &nearest else { break nearest };
+            correct(&mut selection.best, catalogue, twins);
+            let Some(idle) = idle(&selection.best, catalogue) else { break nearest };
+            selection = selector.dropping(&about, selection, idle).ok_or(DiagnoseError::Nothing)?;
         };
-        let of_flown = flown.iter().filter_map(|scored| {
-            let twins = self.twins_of(scored, &noise)?;
-            Some((checked(&scored.fit, &twins), twins))
-        });
-        let nearest =
-            of_flown.min_by(|((a, _), _), ((b, _), _)| share_left(a).total_cmp(&share_left(b)));
-        let found = !selection.best.fit.hypotheses.is_empty();
-        let alone = of_null.as_ref().filter(|_| !found && self.leg());
         let level = level_in_place_of(&selection.best.fit, fitted, &about);
         let ((misfit, strained), of_best) = match nearest {
             Some((checked, twins)) => (checked, Some(twins)),
-            None => (alone.map(|twins| checked(null, twins)).unwrap_or_default(), None),
+            None => {
+                let null = &selection.null.fit;
+                let found = !selection.best.fit.hypotheses.is_empty();
+                let alone = of_null.as_ref().filter(|_| !found && self.leg());
+                (alone.map(|twins| self.checked(null, null, twins)).unwrap_or_default(), None)
+            }
         };
-        if let Some(twins) = &of_best {
-            correct(&mut selection.best, catalogue, twins);
-        }
         self.take_up_delay(&mut selection.best);
         let thresholds = selector.thresholds;
         Ok(Search {
@@ -200,6 +194,32 @@ impl<'a> Inquiry<'a> {
             of_null,
             of_best,
         })
+    }
+
+    /// The twins of what was chosen that come nearest to the flights, and what is left beyond them.
+    ///
+    /// Within a tick of the loop a fit finds any delay, and the outputs tell about as much: which of
+    /// the two was flown, twins of both must say.
+    fn nearest_twins(
+        &self,
+        selection: &mut Selection,
+        noise: &ReportNoise,
+    ) -> Option<(Checked, TwinFits)> {
+        let mut flown = vec![selection.best.clone()];
+        if self.take_up_delay(&mut selection.best) {
+            flown.push(selection.best.clone());
+        }
+        let of_flown = flown.iter().filter_map(|scored| {
+            let twins = self.twins_of(scored, noise)?;
+            Some((self.checked(&selection.null.fit, &scored.fit, &twins), twins))
+        });
+        of_flown.min_by(|((a, _), _), ((b, _), _)| share_left(a).total_cmp(&share_left(b)))
+    }
+
+    /// What a fit leaves beyond its twins, and the numbers that they show to be strained.
+    fn checked(&self, null: &Fit, fit: &Fit, twins: &TwinFits) -> Checked {
+        let misfit = misfit(null, fit, twins, self.fitted.counts());
+        (misfit, strains(self.catalogue, fit, twins))
     }
 
     /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by.
@@ -341,8 +361,8 @@ impl<'a> Inquiry<'a> {
         });
         let is_held = is_loop_held(self.catalogue, &search.selection.null.fit);
         // Turbulence keeps a gap open that nothing closes.
-        let open = gap.filter(|_| self.leg() && turbulence.is_none()).map(Gap::open);
-        let credence = credence(&search.misfit, open);
+        let gap = gap.filter(|_| self.leg() && turbulence.is_none());
+        let credence = credence(&search.misfit, gap.map(Gap::open));
         let because = if turbulence.is_some() {
             None
         } else if is_unexplained(balance, found) {
@@ -353,6 +373,8 @@ impl<'a> Inquiry<'a> {
             Some(Unexplained::OpenGap)
         } else if is_on_one {
             Some(Unexplained::OpenOnOne)
+        } else if found && gap.is_some_and(is_propped) {
+            Some(Unexplained::Propped)
         } else if found && credence < NAMED {
             Some(Unexplained::Doubt)
         } else if found {
@@ -473,4 +495,17 @@ fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
         *value = (*value - twins.bias[number]).clamp(low, high);
         scored.fit.deviation[number] = twins.error(number);
     }
+}
+
+/// The first of a fit's effects whose numbers, freed of what a fit is off by itself, may all be those
+/// of the vehicle file.
+fn idle(scored: &Scored, catalogue: &Catalogue) -> Option<usize> {
+    let fit = &scored.fit;
+    let may_be_the_files = |number: &usize| {
+        let off = fit.values[*number] - catalogue.numbers[*number].reference;
+        off.abs() < Z90 * fit.deviation[*number]
+    };
+    fit.hypotheses
+        .iter()
+        .position(|h| catalogue.hypotheses[*h].numbers.iter().all(may_be_the_files))
 }

@@ -41,6 +41,9 @@ pub enum Unexplained {
     OpenGap,
     /// With no effect found, one of the flights shows an open gap by itself.
     OpenOnOne,
+    /// What was named predicts well only beside numbers of the vehicle file that are off, though by
+    /// no more than files are.
+    Propped,
     /// What is left of the evidence and of the gap is too little to say so by itself, and together too
     /// much: the explanation is less likely than not to be the cause.
     Doubt,
@@ -167,6 +170,21 @@ pub(super) fn is_open_alone(over: &OverNoise) -> bool {
     over.gap > GAP_MIN_OF_ONE + GAP_SCATTERS * over.scatter
 }
 
+/// What nuisances must close beside the effects to count, in units of the noise.
+const PROPS_MIN: f64 = 0.05;
+/// Share of what effects and nuisances close together that effects must close by themselves. In two
+/// exams those that acted closed 0.89 of it or more, and neighbours of what the catalogue lacked 0.30
+/// to 0.70.
+const OWN_SHARE_MIN: f64 = 0.8;
+
+/// Whether nuisances do a good part of the work of the effects' cause.
+pub fn is_propped(gap: &Gap) -> bool {
+    let Some(with) = gap.with_nuisances else { return false };
+    let props = gap.after - with;
+    let own = gap.before - gap.after;
+    props > PROPS_MIN * gap.floor && own < OWN_SHARE_MIN * (own + props)
+}
+
 /// Mean square that the chosen effects explain and the nuisances do not: of the acceleration,
 /// m^2/s^4, and of the angular acceleration about each axis, rad^2/s^4.
 pub fn explained(selection: &Selection, observed: &Observed<'_>) -> (f64, [f64; 3]) {
@@ -188,6 +206,30 @@ pub fn explained(selection: &Selection, observed: &Observed<'_>) -> (f64, [f64; 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnose::gap::Errors;
+
+    #[test]
+    fn effects_that_need_nuisances_for_a_good_part_of_it_are_propped() {
+        let gap = |before, after, with| Gap {
+            metric: "mean",
+            before,
+            after,
+            floor: 2.0,
+            scatter: 0.01,
+            closure: None,
+            nuisances_only: None,
+            with_nuisances: Some(with),
+            with_learner: None,
+            errors: [Errors([[1.0; 4]; 3]); 3],
+            noise: ReportNoise::default(),
+        };
+        assert!(is_propped(&gap(2.5, 2.22, 2.08)));
+        // By as much, but of far more.
+        assert!(!is_propped(&gap(6.0, 2.22, 2.08)));
+        // What noise may do, or nuisances that make it worse.
+        assert!(!is_propped(&gap(2.2, 2.16, 2.08)));
+        assert!(!is_propped(&gap(2.2, 2.1, 2.3)));
+    }
 
     #[test]
     fn what_is_left_must_matter_and_outweigh_what_is_explained() {

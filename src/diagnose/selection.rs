@@ -359,6 +359,28 @@ impl Selector<'_> {
                 }
             }
         }
+        self.pruned(about, null, singles, best)
+    }
+
+    /// The selection without its effect number `index`.
+    pub fn dropping(
+        &self,
+        about: &Linearised,
+        mut selection: Selection,
+        index: usize,
+    ) -> Option<Selection> {
+        let (less, _) = selection.places.swap_remove(index);
+        self.pruned(about, selection.null, selection.singles, less)
+    }
+
+    /// The selection of a set without what does not pay, and the rivals of what does.
+    fn pruned(
+        &self,
+        about: &Linearised,
+        null: Scored,
+        singles: Vec<Rival>,
+        mut best: Scored,
+    ) -> Option<Selection> {
         // Without each: what no longer pays goes, the least first.
         loop {
             let without: Vec<Scored> = (0..best.fit.hypotheses.len())

@@ -46,6 +46,14 @@ fn unknown(answer: &Answer) -> String {
             "the nearest leaves {:.0} % of the evidence that a full explanation would have",
             100.0 * share_left(&answer.misfit)
         )),
+        Some(Unexplained::Propped) => answer.gap.as_ref().map(|gap| {
+            format!(
+                "the nearest brings predictions to {:.2} times what noise alone leaves, and to \
+                 {:.2} only with numbers of the vehicle file as far off as files are",
+                gap.after / gap.floor,
+                gap.open()
+            )
+        }),
         Some(Unexplained::Doubt) => answer.gap.as_ref().map(|gap| {
             format!(
                 "the nearest leaves {:.0} % of the evidence that a full explanation would have, and \
