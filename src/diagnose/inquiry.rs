@@ -23,7 +23,7 @@ use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::{Misfit, misfit, share_left, standing_out};
 use super::naming::{
-    THRUST_LEVEL, TILTS, Z90, answer_of, as_good, credence, named_effects, share, single,
+    THRUST_LEVEL, TILTS, answer_of, as_good, credence, idle, named_effects, share, single,
     tilt_in_place_of,
 };
 use super::noise::{ReportNoise, report_noise};
@@ -495,17 +495,4 @@ fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
         *value = (*value - twins.bias[number]).clamp(low, high);
         scored.fit.deviation[number] = twins.error(number);
     }
-}
-
-/// The first of a fit's effects whose numbers, freed of what a fit is off by itself, may all be those
-/// of the vehicle file.
-fn idle(scored: &Scored, catalogue: &Catalogue) -> Option<usize> {
-    let fit = &scored.fit;
-    let may_be_the_files = |number: &usize| {
-        let off = fit.values[*number] - catalogue.numbers[*number].reference;
-        off.abs() < Z90 * fit.deviation[*number]
-    };
-    fit.hypotheses
-        .iter()
-        .position(|h| catalogue.hypotheses[*h].numbers.iter().all(may_be_the_files))
 }

@@ -39,6 +39,19 @@ pub(super) fn credence(misfits: &[Misfit], open: Option<f64>) -> f64 {
     1.0 / (1.0 + (-log_odds).exp())
 }
 
+/// The first of a fit's effects whose numbers, freed of what a fit is off by itself, may all be those
+/// of the vehicle file.
+pub(super) fn idle(scored: &Scored, catalogue: &Catalogue) -> Option<usize> {
+    let fit = &scored.fit;
+    let may_be_the_files = |number: &usize| {
+        let off = fit.values[*number] - catalogue.numbers[*number].reference;
+        off.abs() < Z90 * fit.deviation[*number]
+    };
+    fit.hypotheses
+        .iter()
+        .position(|h| catalogue.hypotheses[*h].numbers.iter().all(may_be_the_files))
+}
+
 /// The effects of the chosen set and their rivals, with probabilities, and those that cannot be
 /// told apart. `credence`: the probability that the set holds the cause.
 pub(super) fn named_effects(
@@ -348,5 +361,27 @@ mod tests {
         assert!(0.7 < open && open < closed);
         // Far off, something acts all the same: which effect it is must be told by its rivals.
         assert!(credence(&[], Some(5.0)) > NAMED);
+    }
+
+    #[test]
+    fn an_effect_that_may_be_what_the_file_says_is_idle() {
+        let vehicle = include_str!("../../config/vehicles/quad1200.toml");
+        let vehicle = sitl::vehicle::VehicleParams::from_toml_str(vehicle).unwrap();
+        let catalogue = Catalogue::new(&vehicle, true);
+        let hypothesis =
+            |id: EffectId| catalogue.hypotheses.iter().position(|h| h.effect == id).unwrap();
+        let [inertia, drag] = [EffectId::Inertia, EffectId::RotorDrag].map(hypothesis);
+        let last = *catalogue.hypotheses[inertia].numbers.last().unwrap();
+        let first_idle = |off: f64| {
+            let mut scored = Scored::of(vec![drag, inertia], 100.0, Vec::new());
+            scored.fit.values = catalogue.references();
+            scored.fit.deviation = vec![0.01; catalogue.numbers.len()];
+            scored.fit.values[catalogue.hypotheses[drag].numbers[0]] += 0.5;
+            scored.fit.values[last] += off;
+            idle(&scored, &catalogue)
+        };
+        assert_eq!(first_idle(0.016), Some(1));
+        // One of its numbers is enough.
+        assert_eq!(first_idle(-0.017), None);
     }
 }

@@ -106,16 +106,18 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
         "How often an effect that is given a probability is there: on the line, probabilities are what they say.",
         &reliability(summary),
     );
-    page.section(
-        "Detection",
-        "Share of single effects that are named first, by how strongly they show; at 1 the nominal simulator's prediction error due to the effect equals that of noise.",
-        &detection(summary),
-    );
-    page.section(
-        "By effect",
-        "Singles; errors and intervals where detectable. In the last columns how many were named first, by strength from the heading's on to the next.",
-        &effects(summary),
-    );
+    if !summary.effects.is_empty() {
+        page.section(
+            "Detection",
+            "Share of single effects that are named first, by how strongly they show; at 1 the nominal simulator's prediction error due to the effect equals that of noise.",
+            &detection(summary),
+        );
+        page.section(
+            "By effect",
+            "Singles; errors and intervals where detectable. In the last columns how many were named first, by strength from the heading's on to the next.",
+            &effects(summary),
+        );
+    }
     if !summary.conditions.is_empty() {
         page.section("By effect and state of the log", "", &conditions(summary));
     }
