@@ -14,9 +14,10 @@ use serde::{Deserialize, Serialize};
 use sitl::rigid_body::State;
 
 use super::discretisation::{CommandedDynamics, Dynamics};
+use super::flyable::{NotFlyable, check_in_flight};
 use super::iterate::Iterate;
 use super::model_free::model_free;
-use super::planned::{Answer, NotFlyable, PlannedReference, check_in_flight};
+use super::planned::{Answer, PlannedReference};
 use super::planner::Planner;
 use super::problem::{STATES, StateVector, YAW};
 use super::reference::ReferenceSource;

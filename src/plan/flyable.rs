@@ -1,0 +1,164 @@
+//! Whether a plan may be flown: what its search says that it misses, and whether its states follow
+//! from one another.
+
+use super::discretisation::coasted;
+use super::iterate::{Violation, entry_once_out};
+use super::keep_out::KeepOut;
+use super::problem::{ANGLE, RATE, StateVector};
+use super::scp::{Outcome, Status};
+
+/// Largest defect and overrun of a plan that is flown.
+const DEFECT_MAX: f64 = 1e-4;
+const OVERRUN_MAX: f64 = 1e-2;
+/// How far a position may be where it must not be, m.
+const TRESPASS_MAX_M: f64 = 1e-3;
+
+/// Why a plan is not flown.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum NotFlyable {
+    /// Its search found nothing.
+    #[error("the search of this plan failed; change the trajectory or [plan] in the configuration")]
+    Failed,
+    /// It breaks the dynamics or a bound.
+    #[error(
+        "the plan misses its dynamics by {defect:.1e} (at most {DEFECT_MAX:.0e}) and its bounds by \
+         {overrun:.1e} (at most {OVERRUN_MAX:.0e}); change the trajectory, or [plan] in the \
+         configuration"
+    )]
+    Violated {
+        /// Largest defect of the dynamics.
+        defect: f64,
+        /// Largest overrun of a state's bounds (m, rad, rad/s).
+        overrun: f64,
+    },
+    /// It leads where the vehicle must not be.
+    #[error(
+        "the plan leads {trespass_m:.4} m into a region to keep out of, or out of the box to stay in \
+         (at most {TRESPASS_MAX_M} m): change the trajectory, or [plan] in the configuration"
+    )]
+    Trespass {
+        /// How far at most, m.
+        trespass_m: f64,
+    },
+    /// Its states do not follow from one another.
+    #[error(
+        "the plan's position or attitude jumps by {jump:.1e} m or rad at {at_s:.2} s, where its \
+         velocity or body rate does not lead (at most {DEFECT_MAX:.0e}): the file was changed; plan \
+         it again"
+    )]
+    Torn {
+        /// The jump that was found first, m or rad.
+        jump: f64,
+        /// Where, s.
+        at_s: f64,
+    },
+}
+
+/// Whether what a search says of its outcome is a plan to fly: a search that failed, or that ended with
+/// states that no input leads through, is none.
+///
+/// # Errors
+/// What the plan misses.
+pub(super) fn check_violation(status: Status, violation: &Violation) -> Result<(), NotFlyable> {
+    let Violation { defect, overrun, trespass_m } = *violation;
+    if status == Status::Failed {
+        return Err(NotFlyable::Failed);
+    }
+    if !(defect <= DEFECT_MAX && overrun <= OVERRUN_MAX) {
+        return Err(NotFlyable::Violated { defect, overrun });
+    }
+    if trespass_m.is_nan() || trespass_m > TRESPASS_MAX_M {
+        return Err(NotFlyable::Trespass { trespass_m });
+    }
+    Ok(())
+}
+
+/// As [`check_violation`], for a plan that begins where a flying vehicle is. That may be a
+/// little inside of a region to keep out of, or out of the box to stay in, and the vehicle must
+/// not be left without a plan there: each region counts from where the plan is out of it, and the
+/// box as any other bound.
+pub(super) fn check_in_flight(
+    outcome: &Outcome<7>,
+    regions: impl Iterator<Item = KeepOut>,
+) -> Result<(), NotFlyable> {
+    let states = &outcome.iterate.states;
+    let entries = regions.map(|region| entry_once_out(states, &region, TRESPASS_MAX_M));
+    let trespass_m = entries.fold(0.0, f64::max);
+    check_violation(outcome.status, &Violation { trespass_m, ..outcome.violation })
+}
+
+/// Whether velocity and body rate lead from state to state, `period_s` seconds apart, which no model has a
+/// part in.
+///
+/// # Errors
+/// The first jump.
+pub(super) fn check_led(states: &[StateVector], period_s: f64) -> Result<(), NotFlyable> {
+    for (n, pair) in states.windows(2).enumerate() {
+        let [state, next] = pair else { continue };
+        let led = coasted(state, period_s);
+        let kinematic = (0..3).chain(ANGLE..RATE);
+        let mut jumps = kinematic.map(|i| (next[i] - led[i]).abs());
+        if let Some(jump) = jumps.find(|jump| jump.is_nan() || *jump > DEFECT_MAX) {
+            return Err(NotFlyable::Torn { jump, at_s: n as f64 * period_s });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use sitl::frame::Ned;
+
+    use super::*;
+    use crate::plan::iterate::Iterate;
+    use crate::plan::problem::STATES;
+
+    /// An outcome whose states are at these places north, m.
+    fn outcome(north: &[f64], violation: Violation) -> Outcome<7> {
+        let state = |north: &f64| {
+            let mut state = [0.0; STATES];
+            state[0] = *north;
+            state
+        };
+        let states: Vec<StateVector> = north.iter().map(state).collect();
+        let inputs = vec![[0.0; 7]; states.len() - 1];
+        let iterate = Iterate { states, inputs };
+        let status = Status::Converged;
+        Outcome { status, iterate, cost: 0.0, violation, records: Vec::new() }
+    }
+
+    #[test]
+    fn in_flight_a_region_counts_once_the_plan_is_out_of_it() {
+        let regions = [
+            KeepOut::Sphere { centre: Ned::new(1.0, 0.0, 0.0), radius: 0.1 },
+            // Thinner than a step is long.
+            KeepOut::Box { lower: Ned::new(-1.0, -1.0, -1.0), upper: Ned::new(-0.99, 1.0, 1.0) },
+        ];
+        let check = |north: &[f64]| {
+            let violation = Violation { trespass_m: 0.006, ..Violation::default() };
+            check_in_flight(&outcome(north, violation), regions.into_iter())
+        };
+        assert_eq!(check(&[0.0, 0.5, 0.9, 0.9005]), Ok(()));
+        assert!(matches!(check(&[0.0, 0.5, 0.905]), Err(NotFlyable::Trespass { trespass_m })
+            if (trespass_m - 0.005).abs() < 1e-12));
+        assert!(matches!(check(&[-0.9, -1.1]), Err(NotFlyable::Trespass { .. })));
+        // It begins inside, and is led out; then not back.
+        assert_eq!(check(&[0.906, 0.904, 0.901, 0.89, 0.5]), Ok(()));
+        assert!(check(&[0.906, 0.904, 0.9005, 0.905]).is_err());
+    }
+
+    #[test]
+    fn in_flight_the_box_is_a_bound_as_any_other() {
+        let check = |overrun| {
+            let violation = Violation { overrun, trespass_m: overrun, ..Violation::default() };
+            check_in_flight(&outcome(&[0.0, 1.0], violation), std::iter::empty())
+        };
+        assert_eq!(check(0.009), Ok(()));
+        assert!(matches!(check(0.011), Err(NotFlyable::Violated { .. })));
+        let violation = Violation { trespass_m: 0.009, ..Violation::default() };
+        assert!(matches!(
+            check_violation(Status::Converged, &violation),
+            Err(NotFlyable::Trespass { .. })
+        ));
+    }
+}
