@@ -18,8 +18,8 @@ use crate::setpoint::Reference;
 const LIFTS: f64 = 0.5;
 /// Shorter drops of the output are manoeuvres, s.
 const DROP_MAX_S: f64 = 0.7;
-/// Least share of the airborne time in which setpoints came over the link, for these to be looked
-/// at: the rest is left out then.
+/// Least share of what can be looked at in which setpoints came over the link without a pause, for these
+/// to be looked at: the rest is left out then, and no more than half of a flight is given for them.
 const LED_MIN: f64 = 0.5;
 /// Time before a block from which rotors and delays reach into it, s.
 const MARGIN_S: f64 = 0.35;
@@ -63,7 +63,7 @@ pub struct Channels {
     pub specific_force: bool,
     /// Motor outputs.
     pub outputs: bool,
-    /// Setpoints with attitude and thrust, where the on-board law is known.
+    /// Setpoints with attitude and thrust over most of the flight, where the on-board law is known.
     pub setpoint: bool,
     /// Pack voltage.
     pub voltage: bool,
@@ -182,15 +182,16 @@ impl PreparedFlight {
         };
         let (setpoint, inferred) = completed(&flight.setpoint, &flight.setpoints_missing);
         let mut spans = airborne(&flight, &outputs, vehicle);
+        let mut blocks = blocks(&spans);
         if channels.setpoint {
             // Before and after, as in a landing, the vehicle leads itself by laws of its own.
             let led = intersection(&spans, &CommandSource::OnboardLaw.unbroken(&flight));
-            channels.setpoint = length(&led) > LED_MIN * length(&spans);
+            let of_led = self::blocks(&led);
+            channels.setpoint = cells(&of_led) > LED_MIN * cells(&blocks);
             if channels.setpoint {
-                spans = led;
+                (spans, blocks) = (led, of_led);
             }
         }
-        let blocks = blocks(&spans);
         if blocks.is_empty() {
             return Err(NotPrepared::TooShort(length(&spans)));
         }
@@ -295,6 +296,11 @@ fn airborne(flight: &Flight, outputs: &Series<4>, vehicle: &VehicleParams) -> Ve
 
 fn ends(times: &[f64]) -> Option<[f64; 2]> {
     Some([*times.first()?, *times.last()?])
+}
+
+/// Cells of blocks.
+fn cells(blocks: &[Block]) -> f64 {
+    blocks.iter().map(|block| block.cells as f64).sum()
 }
 
 /// The longest blocks that fit, one after another.
