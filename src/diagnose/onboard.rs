@@ -147,7 +147,7 @@ impl OnboardLaw {
             let arrived = 1.0 - (-under_way / JITTER_MEAN_S).exp();
             let share = none_yet * arrived;
             if share > NEGLIGIBLE {
-                let asked = setpoint(setpoints, index, tick)?;
+                let asked = flight.asked(index).filter(|_| is_in_force(setpoints, index, tick))?;
                 let by_law = law.outputs(&asked, reported, rate);
                 outputs.iter_mut().zip(by_law).for_each(|(sum, u)| *sum += share * u);
             }
@@ -162,16 +162,9 @@ impl OnboardLaw {
     }
 }
 
-/// The setpoint of this index, unless it is stale at `time` or does not say how much thrust.
-fn setpoint(
-    setpoints: &Stream<AttitudeSetpoint>,
-    index: usize,
-    time: f64,
-) -> Option<OnboardSetpoint> {
-    if time - setpoints.times()[index] > AGE_MAX_S {
-        return None;
-    }
-    as_onboard(&setpoints.values()[index])
+/// Whether the setpoint of this index is not stale at `time`.
+fn is_in_force(setpoints: &Stream<AttitudeSetpoint>, index: usize, time: f64) -> bool {
+    time - setpoints.times()[index] <= AGE_MAX_S
 }
 
 /// A setpoint as the loop takes it, unless it does not say how much thrust.
@@ -186,5 +179,6 @@ pub fn as_onboard(setpoint: &AttitudeSetpoint) -> Option<OnboardSetpoint> {
 
 /// The setpoint in force that was sent by `sent`.
 pub fn setpoint_at(setpoints: &Stream<AttitudeSetpoint>, sent: f64) -> Option<OnboardSetpoint> {
-    setpoint(setpoints, setpoints.index_at(sent)?, sent)
+    let index = setpoints.index_at(sent).filter(|index| is_in_force(setpoints, *index, sent))?;
+    as_onboard(&setpoints.values()[index])
 }

@@ -2,9 +2,11 @@
 
 use std::ops::Range;
 
+use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
 use sitl::frame::Attitude;
 use sitl::vehicle::VehicleParams;
 
+use super::onboard::as_onboard;
 use super::series::Series;
 use super::setpoints::{Inferred, completed};
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
@@ -94,6 +96,8 @@ pub struct PreparedFlight {
     pub voltage: Series<1>,
     /// Setpoints as sent, with those between that the log lacks.
     pub setpoint: Stream<AttitudeSetpoint>,
+    /// The same as the on-board loop takes them.
+    asked: Vec<Option<OnboardSetpoint>>,
     /// Those that the log lacks.
     pub inferred: Inferred,
     /// What was tracked, where the log holds it.
@@ -205,12 +209,25 @@ impl PreparedFlight {
             specific_force,
             outputs,
             voltage: Series::of(&flight.voltage, |v| [*v]),
+            asked: setpoint.values().iter().map(as_onboard).collect(),
             setpoint,
             inferred,
             reference: flight.reference,
             spans,
             blocks,
         })
+    }
+
+    /// What the on-board loop is asked by setpoint number `index`; `None` where the setpoint does not
+    /// say how much thrust.
+    pub fn asked(&self, index: usize) -> Option<OnboardSetpoint> {
+        self.asked.get(index).copied().flatten()
+    }
+
+    /// Sends other setpoints at the same times.
+    pub(super) fn send(&mut self, setpoints: Vec<AttitudeSetpoint>) {
+        self.asked = setpoints.iter().map(as_onboard).collect();
+        self.setpoint = self.setpoint.with_values(setpoints);
     }
 
     /// The flight without the given times, s.
@@ -338,6 +355,7 @@ impl PreparedFlight {
             voltage: Series::default(),
             reference: Stream::default(),
             setpoint: Stream::default(),
+            asked: Vec::new(),
             inferred: Inferred::default(),
             blocks: blocks(&spans),
             spans,

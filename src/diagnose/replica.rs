@@ -108,7 +108,7 @@ impl Replica {
         // What the log lacks is on a line again.
         let mut setpoints = flown.into_values();
         infer(&mut setpoints, &flight.inferred);
-        replica.setpoint = flight.setpoint.with_values(setpoints);
+        replica.send(setpoints);
         replica
     }
 

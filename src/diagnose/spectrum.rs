@@ -63,10 +63,23 @@ impl CosineTransform {
 
     fn recurse(&self, v: &mut [f64], scratch: &mut [f64]) {
         let n = v.len();
-        if n < 2 {
-            return;
-        }
         let half = n / 2;
+        match v {
+            [] | [_] => return,
+            // A call for every number would take longer than the sums.
+            [a, b] => {
+                (*a, *b) = (*a + *b, (*a - *b) * self.secants[0]);
+                return;
+            }
+            [a, b, c, d] => {
+                let ([x, y], [u, w]) = ([*a + *d, *b + *c], [*a - *d, *b - *c]);
+                let (u, w) = (u * self.secants[1], w * self.secants[2]);
+                let odd = (u - w) * self.secants[0];
+                (*a, *b, *c, *d) = (x + y, u + w + odd, (x - y) * self.secants[0], odd);
+                return;
+            }
+            _ => {}
+        }
         // The tables before this one hold 1 + 2 + ... + half / 2 numbers.
         let secants = &self.secants[half - 1..n - 1];
         for i in 0..half {
@@ -78,9 +91,10 @@ impl CosineTransform {
         let (a, b) = v.split_at_mut(half);
         self.recurse(even, a);
         self.recurse(odd, b);
-        for i in 0..half {
-            v[2 * i] = even[i];
-            v[2 * i + 1] = odd[i] + odd.get(i + 1).copied().unwrap_or(0.0);
+        let sums = odd.iter().zip(odd[1..].iter().chain(&[0.0]));
+        for (pair, (even, (odd, next))) in v.chunks_exact_mut(2).zip(even.iter().zip(sums)) {
+            pair[0] = *even;
+            pair[1] = odd + next;
         }
     }
 }
