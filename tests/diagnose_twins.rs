@@ -95,7 +95,7 @@ fn ratios_up_to(
     let (null, about) = selector.null().expect("a fit");
     let noise = report_noise(prepared, &null.fit.power, observed.counts());
     let twins =
-        TwinFits::draw(&observed, &about, &[], law, &noise, (8, 1)).expect("a vehicle that flies");
+        TwinFits::of_null(&observed, &about, law, &noise, (8, 1)).expect("a vehicle that flies");
     let moments = twins.moments();
     let mut ratios = Vec::new();
     for (channel, name) in CHANNEL_NAMES.iter().enumerate() {
@@ -181,7 +181,7 @@ fn twins_of_a_hover_have_its_evidence_for_an_inertia() {
     let (null, about) = selector.null().expect("a fit");
     let noise = report_noise(&prepared, &null.fit.power, observed.counts());
     let draws = (8, 1);
-    let twins = TwinFits::draw(&observed, &about, &[], law, &noise, draws).expect("twins");
+    let twins = TwinFits::of_null(&observed, &about, law, &noise, draws).expect("twins");
     let screened = screened(&selector, &null, &about, &twins, 1);
     let inertia = catalogue.hypotheses.iter().position(|h| h.effect == EffectId::Inertia);
     let inertia = inertia.expect("a hypothesis");

@@ -140,13 +140,15 @@ impl<'a> Inquiry<'a> {
         progress("what nuisances explain");
         let (null, about) = selector.null().ok_or(DiagnoseError::Nothing)?;
         let noise = report_noise(self.case.fitted, &null.fit.power, fitted.counts());
-        let (mut twins, mut of_null) = (None, None);
+        let (mut twins, mut of_null, mut sensors) = (None, None, noise);
         if settings.twins > 0 {
             progress("twins without an effect");
             let draws = (settings.twins, settings.seed);
             let (drawn, about) = match self.onboard {
                 Some(law) => {
-                    (TwinFits::draw(fitted, &about, &[], law, &noise, draws)?, about.clone())
+                    let drawn = TwinFits::of_null(fitted, &about, law, &noise, draws)?;
+                    sensors = drawn.sensors;
+                    (drawn, about.clone())
                 }
                 None => (
                     TwinFits::of_noise(fitted, &null.fit.power, draws),
@@ -165,7 +167,7 @@ impl<'a> Inquiry<'a> {
         progress("which effect");
         let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
         let nearest = loop {
-            let nearest = self.nearest_twins(&mut selection, &noise);
+            let nearest = self.nearest_twins(&mut selection, &sensors);
             let Some((_, twins)) = &nearest else { break nearest };
             correct(&mut selection.best, catalogue, twins);
             let Some(idle) = idle(&selection.best, catalogue) else { break nearest };
@@ -203,14 +205,14 @@ impl<'a> Inquiry<'a> {
     fn nearest_twins(
         &self,
         selection: &mut Selection,
-        noise: &ReportNoise,
+        sensors: &ReportNoise,
     ) -> Option<(Checked, TwinFits)> {
         let mut flown = vec![selection.best.clone()];
         if self.take_up_delay(&mut selection.best) {
             flown.push(selection.best.clone());
         }
         let of_flown = flown.iter().filter_map(|scored| {
-            let twins = self.twins_of(scored, noise)?;
+            let twins = self.twins_of(scored, sensors)?;
             Some((self.checked(&selection.null.fit, &scored.fit, &twins), twins))
         });
         of_flown.min_by(|((a, _), _), ((b, _), _)| share_left(a).total_cmp(&share_left(b)))
@@ -223,14 +225,14 @@ impl<'a> Inquiry<'a> {
     }
 
     /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by.
-    fn twins_of(&self, scored: &Scored, noise: &ReportNoise) -> Option<TwinFits> {
+    fn twins_of(&self, scored: &Scored, sensors: &ReportNoise) -> Option<TwinFits> {
         let law = self.onboard.filter(|_| !scored.fit.hypotheses.is_empty())?;
         let count = TWINS_OF_BEST.min(self.settings.twins);
         let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
         let about = Linearised::new(&self.fitted, &scored.fit.values, &numbers)?;
         let active = scored.fit.active(self.catalogue);
         let draws = (count, self.settings.seed);
-        let drawn = TwinFits::draw(&self.fitted, &about, &active, law, noise, draws);
+        let drawn = TwinFits::of_effects(&self.fitted, &about, &active, law, sensors, draws);
         drawn.ok().filter(|_| count > 0)
     }
 

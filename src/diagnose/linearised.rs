@@ -11,10 +11,6 @@ use super::observed::{Observed, Residuals, noise_cost};
 const WEIGHT_ROUNDS: usize = 40;
 /// They end when one lowers the cost by less, nats.
 const COST_STEP_MIN: f64 = 2e-5;
-/// Share of a derivative's square from which on it is noisy. Flights that go about have up to 0.13
-/// in a number or two, and a hover 0.1 to 1 in those of the moments.
-const NOISY: f64 = 0.1;
-
 /// The residuals about a point as linear in some numbers, by their products at each place.
 #[derive(Clone, Debug)]
 pub struct Linearised {
@@ -100,31 +96,36 @@ impl Linearised {
         }
     }
 
-    /// Numbers whose derivatives noise makes to a good part: a hover does not tilt or turn, and
-    /// what its outputs do is the loop's answer to its own gyro. `again` is another draw of the
-    /// same flights, that leaves `base`. A regressor's noise comes again in what it is to explain
-    /// (errors in variables; Fuller 1987), and what that gives a fit only derivatives tell that
-    /// have the noise of the flights they belong to.
-    pub fn noisy(&self, again: &Observed<'_>, base: &Residuals) -> Vec<usize> {
+    /// The share of noise in each number's derivative, of its square, by two draws of the same flights;
+    /// none of numbers without a derivative. A hover does not tilt or turn, and what its outputs do is
+    /// the loop's answer to its own gyro; a derivative by a time is the change of what was read. A
+    /// regressor's noise comes again in what it is to explain (errors in variables; Fuller 1987), and
+    /// what that gives a fit only derivatives tell that have the noise of the flights they belong to.
+    pub fn noise_shares(&self, [one, other]: [&Observed<'_>; 2]) -> Vec<(usize, f64)> {
+        let residuals = [one, other].map(|observed| observed.residuals(&self.values));
+        let [Some(of_one), Some(of_other)] = residuals else { return Vec::new() };
         let weights: Vec<f64> = self
             .square
             .iter()
-            .zip(&again.counts)
+            .zip(&one.counts)
             .map(|(q, n)| n / q.max(f64::MIN_POSITIVE))
             .collect();
         let weighted = |column: &Residuals| -> f64 {
-            again.power_of(column).iter().zip(&weights).map(|(q, weight)| q * weight).sum()
+            one.power_of(column).iter().zip(&weights).map(|(q, weight)| q * weight).sum()
         };
-        let is_noisy = |(number, column): (&usize, &Residuals)| {
-            let other = again.column(&self.values, base, *number)?;
+        let share = |number: &usize| {
+            let column = one.column(&self.values, &of_one, *number)?;
+            let again = other.column(&self.values, &of_other, *number)?;
             let difference: Residuals = column
                 .iter()
-                .zip(&other)
+                .zip(&again)
                 .map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect())
                 .collect();
-            (weighted(&difference) > 2.0 * NOISY * weighted(column)).then_some(*number)
+            // The difference has the noise of both.
+            let share = 0.5 * weighted(&difference) / weighted(&column);
+            share.is_finite().then_some((*number, share))
         };
-        self.numbers.par_iter().zip(&self.columns).filter_map(is_noisy).collect()
+        self.numbers.par_iter().filter_map(share).collect()
     }
 
     /// The derivatives by `numbers` where other flights leave `base`.

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sitl::vehicle::VehicleError;
 
-use super::hypothesis::Values;
+use super::hypothesis::{Number, Values};
 use super::layout::Place;
 use super::linearised::Linearised;
 use super::naming::Z90;
@@ -49,6 +49,14 @@ pub struct Twins {
 
 /// Twins that are flown to find what is found as noise, and how far a fit is off by itself.
 const PILOTS: [u32; 2] = [6, 10];
+/// Of these so many tell how noisy derivatives are.
+const PROBES: u32 = 2;
+/// The second of them have other noise than the twins.
+const OF_BIAS: u64 = 0xb1a5;
+/// Share of noise in a derivative's square from which on each twin has its own: flights that go about
+/// have 0.01 to 0.5 in those by a lag, a delay of the outputs, a latency and an inertia, and mostly
+/// below 0.008 in all others; a hover has 0.1 to 1 in those of the moments.
+const NOISY: f64 = 0.01;
 
 /// Fits of flights scatter by that much more than those of their twins, which do not have all of the
 /// flights' noise: of 132 parameters in an exam nine tenths lay within that many of the errors that
@@ -61,63 +69,145 @@ const TOLERANCES_MAX: f64 = 1.5;
 /// Twins of flights, fitted as the flights were.
 #[derive(Clone, Debug)]
 pub struct TwinFits {
-    /// The vehicle that they are of: one whose fits come out as that of the flights did.
+    /// The vehicle that they are of: the flights', as far as their fit and what it is off by itself
+    /// tell.
     pub truth: Values,
-    /// What each twin leaves at the values of the flights' fit.
-    pub residuals: Vec<Residuals>,
-    /// Of twins without an effect: derivatives of each by the numbers whose derivatives are noisy.
-    /// They tell what chance gives a hypothesis; fits of twins, as those of flights, are by the
-    /// flights'.
-    own: Vec<Vec<(usize, Residuals)>>,
-    /// The values that each is fitted with.
-    pub values: Vec<Values>,
+    /// Noise of their sensors: that which is found as the flights' was.
+    pub sensors: ReportNoise,
     /// By how much fits of pilots, whose nuisances are as expected, were off the truth on average,
     /// each number. A prior that draws nuisances to where they are expected is no such fault: where the
     /// flights' nuisances lie elsewhere, only the flights' fit can tell.
     pub bias: Values,
     /// Number of those pilots.
     pilots: u32,
-    /// What is found as noise in their reports.
-    noise: ReportNoise,
+    /// The values that each is fitted with.
+    pub values: Vec<Values>,
     /// The sum of squares that each fit leaves at each place.
     pub power: Vec<Vec<f64>>,
+    /// Of twins without an effect, what chance is read off.
+    screened: Vec<Screened>,
 }
 
-impl TwinFits {
-    /// Flies twins of the vehicle that `about` was linearised about, and fits its nuisances and the
-    /// numbers `active` to each. `onboard`: the law that flies them. `noise`: what is found in the
-    /// flights' reports. `draws`: how many twins, and a seed.
-    ///
-    /// A fit is off by itself: outputs that are logged less often than the loop ticks are noisy
-    /// inputs, which makes an inertia look larger; and what is found as noise holds motion. Pilot
-    /// twins tell by how much, and the twins are of a vehicle and of sensors that are found as the
-    /// flights' were (indirect inference; Gourieroux, Monfort and Renault 1993).
-    ///
-    /// # Errors
-    /// A vehicle that the physics refuses.
-    pub fn draw(
-        observed: &Observed<'_>,
-        about: &Linearised,
-        active: &[usize],
-        onboard: &OnboardLaw,
+/// A twin at the values of the flights' fit.
+#[derive(Clone, Debug)]
+struct Screened {
+    /// What it leaves.
+    residuals: Residuals,
+    /// Its derivatives by the numbers whose derivatives are noisy.
+    own: Vec<(usize, Residuals)>,
+}
+
+/// A twin, analysed as the flights were.
+struct Twin {
+    screened: Screened,
+    values: Values,
+    power: Vec<f64>,
+    noise: ReportNoise,
+}
+
+/// How twins are flown and analysed.
+struct Analysis<'a> {
+    observed: &'a Observed<'a>,
+    /// Where the flights were linearised.
+    about: &'a Linearised,
+    /// Numbers of the effects that are fitted.
+    active: &'a [usize],
+    onboard: &'a OnboardLaw,
+    /// Numbers whose derivatives are noisy.
+    noisy: Vec<usize>,
+}
+
+impl<'a> Analysis<'a> {
+    /// The analysis, and the first of the pilots: twins whose nuisances are as expected, with sensors
+    /// of `noise`.
+    fn with_pilots(
+        observed: &'a Observed<'a>,
+        about: &'a Linearised,
+        active: &'a [usize],
+        onboard: &'a OnboardLaw,
         noise: &ReportNoise,
         (count, seed): (u32, u64),
-    ) -> Result<Self, VehicleError> {
-        let numbers = &observed.catalogue.numbers;
-        let twins = |truth: Values, noisy: &[usize], noise: &ReportNoise, draws: (u32, u64)| {
-            Self::of(observed, about, truth, (active, noisy), (noise, onboard), draws)
-        };
-        let plain: Values = numbers
-            .iter()
-            .enumerate()
-            .map(|(i, n)| if active.contains(&i) { about.values[i] } else { n.expected })
+    ) -> Result<(Self, Vec<Twin>), VehicleError> {
+        let mut analysis = Self { observed, about, active, onboard, noisy: Vec::new() };
+        let replica = analysis.replica(&analysis.plain(), noise)?;
+        let probes: Vec<Vec<PreparedFlight>> = (0..PROBES)
+            .into_par_iter()
+            .map(|pilot| analysis.flown(&replica, seed, pilot))
             .collect();
-        let [of_noise, of_bias] = PILOTS.map(|pilots| pilots.min(count));
-        let found = twins(plain.clone(), &[], noise, (of_noise, !seed))?.noise;
-        let noise = noise.matched(&found);
-        let pilots = twins(plain, &[], &noise, (of_bias, seed ^ 0xb1a5))?;
-        let bias = pilots.off_by();
-        let truth: Values = numbers
+        let [one, other] = &probes[..] else { return Ok((analysis, Vec::new())) };
+        let shares = about.noise_shares([&observed.like(one), &observed.like(other)]);
+        let noisy = shares.into_iter().filter(|(_, share)| *share > NOISY);
+        analysis.noisy = noisy.map(|(number, _)| number).collect();
+        let probes = probes.par_iter().filter_map(|flights| analysis.twin(flights));
+        let others = (PROBES..count).into_par_iter();
+        let others = others.filter_map(|p| analysis.twin(&analysis.flown(&replica, seed, p)));
+        let pilots = probes.chain(others).collect();
+        Ok((analysis, pilots))
+    }
+
+    /// The vehicle with the effects that were found, its nuisances as expected.
+    fn plain(&self) -> Values {
+        let numbers = self.observed.catalogue.numbers.iter().enumerate();
+        let value = |(i, number): (usize, &Number)| {
+            if self.active.contains(&i) { self.about.values[i] } else { number.expected }
+        };
+        numbers.map(value).collect()
+    }
+
+    fn replica(&self, truth: &[f64], noise: &ReportNoise) -> Result<Replica, VehicleError> {
+        Replica::new(self.observed.catalogue, truth, noise, self.onboard)
+    }
+
+    /// The flights as a replica flies them, number `twin` of a seed.
+    fn flown(&self, replica: &Replica, seed: u64, twin: u32) -> Vec<PreparedFlight> {
+        let seeds = seed.wrapping_add(u64::from(twin) << 20)..;
+        self.observed
+            .flights
+            .iter()
+            .zip(seeds)
+            .map(|(flight, seed)| replica.fly(flight, seed))
+            .collect()
+    }
+
+    /// `count` twins of the vehicle `truth` with sensors of `noise`. Where the analysis fails, a twin
+    /// is left out.
+    fn twins(
+        &self,
+        truth: &[f64],
+        noise: &ReportNoise,
+        (count, seed): (u32, u64),
+    ) -> Result<Vec<Twin>, VehicleError> {
+        let replica = self.replica(truth, noise)?;
+        let twins = (0..count).into_par_iter();
+        Ok(twins.filter_map(|twin| self.twin(&self.flown(&replica, seed, twin))).collect())
+    }
+
+    fn twin(&self, flights: &[PreparedFlight]) -> Option<Twin> {
+        let Self { observed, about, .. } = self;
+        let flown = observed.like(flights);
+        let residuals = flown.residuals(&about.values)?;
+        let own = about.columns_of(&flown, &residuals, &self.noisy);
+        let about = about.about_with(observed, &residuals, &own);
+        let fit = about.solve(observed.catalogue, observed.counts(), self.active)?;
+        let noise = report_noise(flights, &fit.power, observed.counts());
+        let screened = Screened { residuals, own };
+        Some(Twin { screened, values: fit.values, power: fit.power, noise })
+    }
+
+    /// Twins as the flights are, with sensors of `noise`: what `pilots` with these sensors are off by
+    /// is taken off the flights' fit.
+    fn draw(
+        &self,
+        pilots: Vec<Twin>,
+        noise: &ReportNoise,
+        draws: (u32, u64),
+    ) -> Result<TwinFits, VehicleError> {
+        let Self { observed, about, active, .. } = self;
+        let bias = off_by(&pilots, &self.plain());
+        let pilots = pilots.len() as u32;
+        let truth: Values = observed
+            .catalogue
+            .numbers
             .iter()
             .enumerate()
             .map(|(i, number)| {
@@ -131,31 +221,80 @@ impl TwinFits {
                 value.clamp(number.expected - width, number.expected + width)
             })
             .collect();
-        let noisy = if active.is_empty() {
-            Self::noisy(
-                observed,
-                about,
-                &Replica::new(observed.catalogue, &truth, &noise, onboard)?,
-                !seed,
-            )
-        } else {
-            Vec::new()
+        let drawn = self.twins(&truth, noise, draws)?;
+        let mut twins = TwinFits {
+            truth,
+            sensors: *noise,
+            bias,
+            pilots,
+            values: Vec::new(),
+            power: Vec::new(),
+            screened: Vec::new(),
         };
-        let drawn = twins(truth, &noisy, &noise, (count, seed))?;
-        Ok(Self { bias, pilots: of_bias, ..drawn })
+        for Twin { screened, values, power, .. } in drawn {
+            twins.values.push(values);
+            twins.power.push(power);
+            if active.is_empty() {
+                twins.screened.push(screened);
+            }
+        }
+        Ok(twins)
     }
+}
 
-    /// Numbers whose derivatives come out otherwise in a twin, by noise.
-    fn noisy(
+/// By how much fits are off the truth on average, of each number.
+fn off_by(twins: &[Twin], truth: &[f64]) -> Values {
+    let off = |i: usize| twins.iter().map(move |twin| twin.values[i] - truth[i]);
+    (0..truth.len()).map(|i| moments(off(i))[0]).collect()
+}
+
+impl TwinFits {
+    /// Flies twins of the vehicle without an effect that `about` was linearised about, and fits its
+    /// nuisances to each. `onboard`: the law that flies them. `noise`: what is found in the flights'
+    /// reports. `draws`: how many twins, and a seed.
+    ///
+    /// A fit is off by itself: outputs that are logged less often than the loop ticks are noisy
+    /// inputs, which makes an inertia look larger and a lag longer, for a lag with less of a delay
+    /// smooths them; a latency between two reports does the same; and what is found as noise holds
+    /// motion. Pilot twins tell by how much, each by derivatives with its own noise as the flights were,
+    /// and the twins are of a vehicle and of sensors that are found as the flights' were (indirect
+    /// inference; Gourieroux, Monfort and Renault 1993).
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn of_null(
         observed: &Observed<'_>,
         about: &Linearised,
-        replica: &Replica,
-        seed: u64,
-    ) -> Vec<usize> {
-        let flights = replicas(replica, observed.flights, seed);
-        let again = observed.like(&flights);
-        let base = again.residuals(&about.values);
-        base.map(|base| about.noisy(&again, &base)).unwrap_or_default()
+        onboard: &OnboardLaw,
+        noise: &ReportNoise,
+        (count, seed): (u32, u64),
+    ) -> Result<Self, VehicleError> {
+        let [of_noise, of_bias] = PILOTS.map(|pilots| pilots.min(count));
+        let (analysis, pilots) =
+            Analysis::with_pilots(observed, about, &[], onboard, noise, (of_noise, !seed))?;
+        let found = ReportNoise::mean(pilots.iter().map(|twin| &twin.noise));
+        let noise = noise.matched(&found);
+        let pilots = analysis.twins(&analysis.plain(), &noise, (of_bias, seed ^ OF_BIAS))?;
+        analysis.draw(pilots, &noise, (count, seed))
+    }
+
+    /// The same of the vehicle with the effects whose numbers are `active`, fitted with them.
+    /// `sensors`: as twins without an effect have them.
+    ///
+    /// # Errors
+    /// As [`of_null`](Self::of_null).
+    pub fn of_effects(
+        observed: &Observed<'_>,
+        about: &Linearised,
+        active: &[usize],
+        onboard: &OnboardLaw,
+        sensors: &ReportNoise,
+        (count, seed): (u32, u64),
+    ) -> Result<Self, VehicleError> {
+        let pilots = (PILOTS[1].min(count), seed ^ OF_BIAS);
+        let (analysis, pilots) =
+            Analysis::with_pilots(observed, about, active, onboard, sensors, pilots)?;
+        analysis.draw(pilots, sensors, (count, seed))
     }
 
     /// Twins where no on-board law is known to fly them by: the same motion with other noise, drawn
@@ -176,74 +315,25 @@ impl TwinFits {
             .collect();
         let power = residuals.iter().map(|residuals| observed.power(residuals)).collect();
         let truth = observed.catalogue.expected();
+        let plain = |residuals| Screened { residuals, own: Vec::new() };
         Self {
             bias: vec![0.0; truth.len()],
             pilots: 0,
             truth,
-            own: vec![Vec::new(); residuals.len()],
-            residuals,
+            sensors: ReportNoise::default(),
             values: Vec::new(),
-            noise: ReportNoise::default(),
             power,
+            screened: residuals.into_iter().map(plain).collect(),
         }
-    }
-
-    fn of(
-        observed: &Observed<'_>,
-        about: &Linearised,
-        truth: Values,
-        (active, noisy): (&[usize], &[usize]),
-        (noise, onboard): (&ReportNoise, &OnboardLaw),
-        (count, seed): (u32, u64),
-    ) -> Result<Self, VehicleError> {
-        let replica = Replica::new(observed.catalogue, &truth, noise, onboard)?;
-        let mut twins = Self {
-            bias: vec![0.0; truth.len()],
-            pilots: 0,
-            truth,
-            residuals: Vec::new(),
-            own: Vec::new(),
-            values: Vec::new(),
-            power: Vec::new(),
-            noise: *noise,
-        };
-        let drawn: Vec<_> = (0..count)
-            .into_par_iter()
-            .filter_map(|twin| {
-                let seed = seed.wrapping_add(u64::from(twin) << 20);
-                let flights = replicas(&replica, observed.flights, seed);
-                let flown = observed.like(&flights);
-                let residuals = flown.residuals(&about.values)?;
-                let own = about.columns_of(&flown, &residuals, noisy);
-                let about = about.about(observed, &residuals);
-                let fit = about.solve(observed.catalogue, observed.counts(), active)?;
-                let noise = report_noise(&flights, &fit.power, observed.counts());
-                Some((residuals, own, fit, noise))
-            })
-            .collect();
-        twins.noise = ReportNoise::mean(drawn.iter().map(|(.., noise)| noise));
-        for (residuals, own, fit, _) in drawn {
-            twins.residuals.push(residuals);
-            twins.own.push(own);
-            twins.values.push(fit.values);
-            twins.power.push(fit.power);
-        }
-        Ok(twins)
     }
 
     /// Twins of a vehicle, all fitted alike.
     #[cfg(test)]
     pub(super) fn alike(truth: Values, fitted: Values, bias: Values) -> Self {
         let values = vec![fitted; 4];
-        let (residuals, own, power) = (Vec::new(), Vec::new(), Vec::new());
-        let noise = ReportNoise::default();
-        Self { truth, residuals, own, values, bias, pilots: 4, noise, power }
-    }
-
-    /// By how much fits are off the truth on average, of each number.
-    fn off_by(&self) -> Values {
-        let off = |i: usize| self.values.iter().map(move |values| values[i] - self.truth[i]);
-        (0..self.truth.len()).map(|i| moments(off(i))[0]).collect()
+        let (power, screened) = (Vec::new(), Vec::new());
+        let sensors = ReportNoise::default();
+        Self { truth, sensors, bias, pilots: 4, values, power, screened }
     }
 
     /// Standard error of a number that was fitted and freed of [`bias`](Self::bias): the fits' scatter,
@@ -274,7 +364,7 @@ impl TwinFits {
     }
 }
 
-/// Mean and standard deviation of draws; 0 of fewer than two.
+/// Mean and standard deviation of draws; 0 of none, and the deviation of one.
 fn moments(draws: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
     let n = draws.clone().count().max(1) as f64;
     let mean = draws.clone().sum::<f64>() / n;
@@ -302,13 +392,12 @@ pub fn screened(
         .map(|(([mean, _], (null, best)), n)| (null.min(*best) - mean) / n.max(1.0))
         .map(|variance| variance.max(0.0).sqrt())
         .collect();
-    let count = twins.residuals.len() as u32;
+    let count = twins.screened.len() as u32;
     let gains: Vec<Vec<f64>> = twins
-        .residuals
+        .screened
         .par_iter()
-        .zip(&twins.own)
         .enumerate()
-        .map(|(twin, (residuals, own))| {
+        .map(|(twin, Screened { residuals, own })| {
             let mut residuals = residuals.clone();
             add_noise(observed, &more, !seed.wrapping_add(twin as u64), &mut residuals);
             let about = about.about_with(observed, &residuals, own);
@@ -336,12 +425,6 @@ pub fn screened(
     let mut largest: Vec<f64> = gains.iter().map(share).collect();
     largest.sort_by(f64::total_cmp);
     Twins { count, largest, chance, asked }
-}
-
-/// Flights as a replica flies them.
-fn replicas(replica: &Replica, flights: &[PreparedFlight], seed: u64) -> Vec<PreparedFlight> {
-    let seeds = (0..).map(|index| seed.wrapping_add(index));
-    flights.iter().zip(seeds).map(|(flight, seed)| replica.fly(flight, seed)).collect()
 }
 
 /// Adds noise with a deviation at each place.
