@@ -84,6 +84,8 @@ pub(super) struct Search {
     pub strained: Vec<Strain>,
     /// The thrust's level, where it may be all that a chosen effect stands for.
     pub level: Option<Strain>,
+    /// The hypothesis that was chosen alone and dropped, for its numbers may be the file's.
+    pub dropped: Option<usize>,
     /// Twins without an effect, and of the chosen effects where there are any.
     of_null: Option<TwinFits>,
     of_best: Option<TwinFits>,
@@ -166,12 +168,18 @@ impl<'a> Inquiry<'a> {
             shipped.floor(self.case.fitted, &noise, settings.seed).map(|floor| floor.errors);
         progress("which effect");
         let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
+        let mut dropped = None;
         let nearest = loop {
             let nearest = self.nearest_twins(&mut selection, &sensors);
             let Some((_, twins)) = &nearest else { break nearest };
             correct(&mut selection.best, catalogue, twins);
-            let Some(idle) = idle(&selection.best, catalogue) else { break nearest };
-            selection = selector.dropping(&about, selection, idle).ok_or(DiagnoseError::Nothing)?;
+            self.take_up_delay(&mut selection.best);
+            let Some(place) = idle(&selection, catalogue) else { break nearest };
+            let Some(less) = selector.dropping(&about, &selection, place) else { break nearest };
+            if let [alone] = selection.best.fit.hypotheses[..] {
+                dropped = Some(alone);
+            }
+            selection = less;
         };
         let level = level_in_place_of(&selection.best.fit, fitted, &about);
         let ((misfit, strained), of_best) = match nearest {
@@ -183,7 +191,6 @@ impl<'a> Inquiry<'a> {
                 (alone.map(|twins| self.checked(null, null, twins)).unwrap_or_default(), None)
             }
         };
-        self.take_up_delay(&mut selection.best);
         let thresholds = selector.thresholds;
         Ok(Search {
             selection,
@@ -193,6 +200,7 @@ impl<'a> Inquiry<'a> {
             misfit,
             strained,
             level,
+            dropped,
             of_null,
             of_best,
         })
@@ -451,7 +459,8 @@ impl<'a> Inquiry<'a> {
     /// Where nothing is named: the effect that explains the most, if it has more evidence than is asked.
     pub fn trace(&self, search: &Search) -> Option<EffectAnswer> {
         let Search { selection, thresholds, .. } = search;
-        let first = selection.singles.first()?;
+        let mut kept = selection.singles.iter().filter(|r| Some(r.hypothesis) != search.dropped);
+        let first = kept.next()?;
         let evidence = first.scored.evidence - selection.null.evidence;
         if evidence <= thresholds.asked_of(first.hypothesis) {
             return None;

@@ -39,17 +39,21 @@ pub(super) fn credence(misfits: &[Misfit], open: Option<f64>) -> f64 {
     1.0 / (1.0 + (-log_odds).exp())
 }
 
-/// The first of a fit's effects whose numbers, freed of what a fit is off by itself, may all be those
-/// of the vehicle file.
-pub(super) fn idle(scored: &Scored, catalogue: &Catalogue) -> Option<usize> {
-    let fit = &scored.fit;
+/// The place in the chosen set of an effect whose numbers, freed of what a fit is off by itself, may
+/// all be those of the vehicle file: of several the one that the set needs least. Two that trade off
+/// against one another scatter alike.
+pub(super) fn idle(selection: &Selection, catalogue: &Catalogue) -> Option<usize> {
+    let fit = &selection.best.fit;
     let may_be_the_files = |number: &usize| {
         let off = fit.values[*number] - catalogue.numbers[*number].reference;
         off.abs() < Z90 * fit.deviation[*number]
     };
-    fit.hypotheses
-        .iter()
-        .position(|h| catalogue.hypotheses[*h].numbers.iter().all(may_be_the_files))
+    let is_idle =
+        |hypothesis: usize| catalogue.hypotheses[hypothesis].numbers.iter().all(may_be_the_files);
+    let without = |place: &usize| selection.places[*place].0.score();
+    (0..selection.places.len())
+        .filter(|place| is_idle(fit.hypotheses[*place]))
+        .max_by(|a, b| without(a).total_cmp(&without(b)))
 }
 
 /// The effects of the chosen set and their rivals, with probabilities, and those that cannot be
@@ -372,16 +376,23 @@ mod tests {
             |id: EffectId| catalogue.hypotheses.iter().position(|h| h.effect == id).unwrap();
         let [inertia, drag] = [EffectId::Inertia, EffectId::RotorDrag].map(hypothesis);
         let last = *catalogue.hypotheses[inertia].numbers.last().unwrap();
-        let first_idle = |off: f64| {
-            let mut scored = Scored::of(vec![drag, inertia], 100.0, Vec::new());
-            scored.fit.values = catalogue.references();
-            scored.fit.deviation = vec![0.01; catalogue.numbers.len()];
-            scored.fit.values[catalogue.hypotheses[drag].numbers[0]] += 0.5;
-            scored.fit.values[last] += off;
-            idle(&scored, &catalogue)
+        let idle_beside = |off: f64, drag_off: f64, without: [f64; 2]| {
+            let mut best = Scored::of(vec![drag, inertia], 100.0, Vec::new());
+            best.fit.values = catalogue.references();
+            best.fit.deviation = vec![0.01; catalogue.numbers.len()];
+            best.fit.values[catalogue.hypotheses[drag].numbers[0]] += drag_off;
+            best.fit.values[last] += off;
+            let null = Scored::of(Vec::new(), 0.0, Vec::new());
+            let places =
+                without.map(|evidence| (Scored::of(Vec::new(), evidence, Vec::new()), Vec::new()));
+            let places = places.into();
+            idle(&Selection { null, singles: Vec::new(), best, places }, &catalogue)
         };
-        assert_eq!(first_idle(0.016), Some(1));
+        assert_eq!(idle_beside(0.016, 0.5, [10.0, 90.0]), Some(1));
+        // Where both may be, the one without which more is left to say goes.
+        assert_eq!(idle_beside(0.016, 0.01, [10.0, 90.0]), Some(1));
+        assert_eq!(idle_beside(0.016, 0.01, [90.0, 10.0]), Some(0));
         // One of its numbers is enough.
-        assert_eq!(first_idle(-0.017), None);
+        assert_eq!(idle_beside(-0.017, 0.5, [10.0, 90.0]), None);
     }
 }

@@ -366,11 +366,11 @@ impl Selector<'_> {
     pub fn dropping(
         &self,
         about: &Linearised,
-        mut selection: Selection,
+        Selection { null, singles, places, .. }: &Selection,
         index: usize,
     ) -> Option<Selection> {
-        let (less, _) = selection.places.swap_remove(index);
-        self.pruned(about, selection.null, selection.singles, less)
+        let (less, _) = places.get(index)?;
+        self.pruned(about, null.clone(), singles.clone(), less.clone())
     }
 
     /// The selection of a set without what does not pay, and the rivals of what does.

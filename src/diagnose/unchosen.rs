@@ -55,7 +55,9 @@ impl Inquiry<'_> {
             effects,
         };
         let alone = alone(self.catalogue, selection, thresholds);
-        if let Some(rival) = alone.filter(|rival| is_unexplained && replaces_none(rival)) {
+        let is_kept = |rival: &&Rival| Some(rival.hypothesis) != search.dropped;
+        let alone = alone.filter(|rival| is_unexplained && is_kept(rival) && replaces_none(rival));
+        if let Some(rival) = alone {
             let effects = Some(effects(rival)).filter(|effects| self.closes(search, effects));
             return Some(named(rival, effects.unwrap_or_default()));
         }

@@ -50,7 +50,7 @@ fn unknown(answer: &Answer) -> String {
             format!(
                 "the nearest brings predictions to {:.2} times what noise alone leaves, and to \
                  {:.2} only with numbers of the vehicle file as far off as files are",
-                gap.after / gap.floor,
+                gap.after / gap.floor.max(f64::MIN_POSITIVE),
                 gap.open()
             )
         }),
