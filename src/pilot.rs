@@ -172,7 +172,7 @@ impl Pilot {
         let sum = reference.feedforward.plus(feedback);
         let yaw = sample.state.attitude.yaw();
         let limited = self.settings.limits.apply(sum, self.airframe.thrust_full_n, yaw);
-        let permitted = self.supervisor.permits(now, self.telemetry.status());
+        let permitted = self.permits(now);
         let sent = limited.filter(|_| permitted);
 
         self.tracking_error = (sample.state.position - reference.position).norm();
@@ -196,6 +196,12 @@ impl Pilot {
             tracking_error: self.tracking_error,
             sample_age: sample.excess_delay_s,
         })
+    }
+
+    /// Whether a setpoint may leave now. Where more was heard since a tick, its setpoint needs this
+    /// word anew.
+    pub fn permits(&mut self, now: HostTime) -> bool {
+        self.supervisor.permits(now, self.telemetry.status())
     }
 
     /// Looks at the clock in silence: time-outs and stale telemetry. Never makes a setpoint.

@@ -22,6 +22,7 @@ use crate::link::request::{FlightMode, Outcome, Request};
 use crate::link::session::{self, Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::pilot::{LinkEvent, Pilot, Tick};
+use crate::setpoint::Setpoint;
 use crate::supervisor::{Action, EngagePolicy, FlightState};
 
 /// Period of the link's counters in the log.
@@ -136,26 +137,36 @@ impl Station {
             // The clocks' estimate has an error; a sample is never newer than its arrival.
             stamp.sampled = mapped.map_or(stamp.host, |sampled| sampled.min(stamp.host));
         }
-        // What was heard after the sample, in the same read, may have ended control. And whatever
-        // the pilot makes of what is heard after the end: nothing is sent.
-        let may_stream = self.pilot.as_ref().is_some_and(|pilot| pilot.flight_state().may_stream());
-        if self.end.is_some() || !may_stream {
-            return;
+        // Of several samples in one read only the newest is acted upon.
+        let setpoint = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint);
+        if let Some(setpoint) = setpoint
+            && self.permits(now)
+        {
+            self.send_setpoint(now, &setpoint);
         }
-        // Of several samples in one datagram only the newest is acted upon.
-        if let Some(setpoint) = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint) {
-            match self.session.send_setpoint(now, &setpoint) {
-                Ok(()) => {
-                    self.setpoints += 1;
-                    self.setpoint_error = None;
-                }
-                // Said once, not at every tick.
-                Err(error) if self.setpoint_error != Some(error) => {
-                    self.setpoint_error = Some(error);
-                    self.tell(now, Severity::Warning, format!("no setpoint is sent: {error}"));
-                }
-                Err(_) => {}
+    }
+
+    /// Whether the answer to a sample may leave, now that the rest of the read is known: what was
+    /// heard after the sample may have ended control, or may come from a vehicle that the pilot is
+    /// not made for. And whatever the pilot makes of what is heard after the end: nothing is sent.
+    fn permits(&mut self, now: HostTime) -> bool {
+        let is_another = self.session.profile().is_some_and(|it| self.profile.as_ref() != Some(it));
+        let is_over = self.end.is_some() || is_another;
+        !is_over && self.pilot.as_mut().is_some_and(|pilot| pilot.permits(now))
+    }
+
+    fn send_setpoint(&mut self, now: HostTime, setpoint: &Setpoint) {
+        match self.session.send_setpoint(now, setpoint) {
+            Ok(()) => {
+                self.setpoints += 1;
+                self.setpoint_error = None;
             }
+            // Said once, not at every tick.
+            Err(error) if self.setpoint_error != Some(error) => {
+                self.setpoint_error = Some(error);
+                self.tell(now, Severity::Warning, format!("no setpoint is sent: {error}"));
+            }
+            Err(_) => {}
         }
     }
 

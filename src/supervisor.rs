@@ -262,7 +262,7 @@ impl Supervisor {
             FlightState::Land => {
                 offboard && self.seconds_in_state(now) < self.settings.land_handover_s
             }
-            state => state.is_in_control() && offboard,
+            state => state.may_stream() && offboard,
         };
         self.streamed |= permitted;
         permitted

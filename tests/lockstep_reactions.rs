@@ -188,38 +188,6 @@ fn restart_of_the_vehicle_in_flight_ends_it_for_good() {
     assert!(bench.station.end().is_some_and(|end| *end != End::Done), "{:?}", bench.texts());
 }
 
-/// The sample comes first in a datagram, and what ends control behind it.
-#[test]
-fn a_sample_is_not_answered_where_the_same_read_ends_control() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
-    const ODOMETRY: u32 = 331;
-    let taken_us = Rc::new(Cell::new(None));
-    let taken = Rc::clone(&taken_us);
-    let heartbeat = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        custom_mode: Mode::Position.custom_mode(),
-        mavtype: MavType::MAV_TYPE_QUADROTOR,
-        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-        base_mode: MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-            | MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED,
-        system_status: MavState::MAV_STATE_ACTIVE,
-        mavlink_version: 3,
-    });
-    let mut forged = Vec::new();
-    assert!(Encoder::new(SYSTEM_ID, COMPONENT_ID).encode(&heartbeat, &mut forged));
-    bench.downlink = Box::new(move |now_us, frame| {
-        let is_first = taken.get().is_none() && message_id(frame) == Some(ODOMETRY);
-        if is_first {
-            taken.set(Some(now_us));
-            return vec![[frame, forged.as_slice()].concat()];
-        }
-        vec![frame.to_vec()]
-    });
-    bench.run(0.2);
-    let taken_us = taken_us.get().expect("a sample");
-    assert_eq!(bench.phase(), Some(FlightState::PilotControl), "{:#?}", bench.texts());
-    assert_eq!(bench.setpoints_after(taken_us - 1), 0);
-}
-
 /// Answers of the vehicle to a command, turned into a refusal.
 fn refuse(bench: &mut Bench, command: MavCmd) -> Rc<Cell<u32>> {
     let refused = Rc::new(Cell::new(0));
