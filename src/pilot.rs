@@ -59,7 +59,7 @@ pub struct Airframe {
 /// What the link tells beside the vehicle's messages.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LinkEvent {
-    /// The connection broke.
+    /// The connection broke, or another vehicle answers on it.
     Lost,
     /// The vehicle refused a request.
     Refused {

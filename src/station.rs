@@ -295,6 +295,12 @@ impl Station {
         while let Some(event) = self.session.next_event() {
             self.session_event(now, event);
         }
+        self.follow_pilot(now);
+    }
+
+    /// The pilot's requests to the vehicle, its events to the log, and what they make of the
+    /// flight.
+    fn follow_pilot(&mut self, now: HostTime) {
         let Some(pilot) = &mut self.pilot else { return };
         let (actions, events) = (pilot.take_actions(), pilot.take_events());
         let state = pilot.flight_state();

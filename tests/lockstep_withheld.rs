@@ -6,13 +6,16 @@ mod lockstep;
 use std::cell::Cell;
 use std::rc::Rc;
 
-use downwash::supervisor::FlightState;
-use lockstep::{Bench, NANO, message_id};
+use downwash::station::End;
+use downwash::supervisor::{EngagePolicy, FlightState};
+use lockstep::{Bench, Downlink, NANO, hover, masks, message_id, params, settings};
 use sitl::autopilot::{COMPONENT_ID, Mode, SYSTEM_ID};
 use wire::dialect::*;
-use wire::Encoder;
+use wire::{Decoder, Encoder};
 
 const HEARTBEAT: u32 = 0;
+const TIMESYNC: u32 = 111;
+const AUTOPILOT_VERSION: u32 = 148;
 const ODOMETRY: u32 = 331;
 const CURRENT_MODE: u32 = 436;
 
@@ -39,6 +42,75 @@ fn heartbeat(mode: Mode) -> Vec<u8> {
         system_status: MavState::MAV_STATE_ACTIVE,
         mavlink_version: 3,
     }))
+}
+
+fn message(frame: &[u8]) -> Option<MavMessage> {
+    let mut decoder = Decoder::new();
+    decoder.push(frame);
+    decoder.next_frame()?.message().ok()
+}
+
+/// The vehicle's answer to TIMESYNC as if its clock were two seconds back.
+fn set_back(frame: &[u8]) -> Vec<u8> {
+    match message(frame) {
+        Some(MavMessage::TIMESYNC(mut data)) if data.tc1 != 0 => {
+            data.tc1 -= 2_000_000_000;
+            forged(&MavMessage::TIMESYNC(data))
+        }
+        _ => frame.to_vec(),
+    }
+}
+
+/// Another vehicle takes the place of the one that is flown: its clock is two seconds back, and
+/// its version is that of no vehicle that is known. It is identified in the read of a sample.
+fn exchanged() -> Downlink {
+    let mut version = None;
+    Box::new(move |_, frame| match message_id(frame) {
+        Some(TIMESYNC) => vec![set_back(frame)],
+        Some(AUTOPILOT_VERSION) => {
+            let data = AUTOPILOT_VERSION_DATA::default();
+            version = Some(forged(&MavMessage::AUTOPILOT_VERSION(data)));
+            vec![]
+        }
+        Some(ODOMETRY) => vec![[version.take().unwrap_or_default(), frame.to_vec()].concat()],
+        _ => vec![frame.to_vec()],
+    })
+}
+
+#[test]
+fn a_flight_ends_where_another_vehicle_takes_the_place_of_the_one_that_is_flown() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    bench.downlink = exchanged();
+    bench.until(FlightState::Abort, 2.0);
+    let aborted_us = bench.now_us();
+    assert!(bench.told("vehicle is PX4"), "{:#?}", bench.texts());
+    bench.run(5.0);
+    assert_eq!(bench.setpoints_after(aborted_us), 0);
+    assert_eq!(masks(&bench.records), [0x00], "nothing in a form that the feedback is not for");
+    assert_eq!(bench.phase(), Some(FlightState::Abort), "nobody else flies on");
+    assert!(matches!(bench.station.end(), Some(End::Aborted(_))), "{:?}", bench.station.end());
+}
+
+#[test]
+fn under_the_pilots_switch_too_and_the_flights_end_is_told() {
+    let params = params(NANO);
+    let mut settings = settings(&params, hover(30.0));
+    settings.policy = EngagePolicy::PilotSwitch;
+    settings.search_timeout_s = None;
+    let mut bench = Bench::new(settings, &params);
+    bench.until(FlightState::Standby, 10.0);
+    bench.run(0.5);
+    bench.pilot_mode(Mode::Offboard);
+    bench.run(0.2);
+    bench.pilot_arms();
+    let mut bench = in_track(bench);
+    bench.downlink = exchanged();
+    bench.run(0.9);
+    assert!(bench.told("vehicle is PX4") && bench.told("abort: "), "{:#?}", bench.texts());
+    assert!(bench.told("recording goes on until the vehicle is down"), "{:#?}", bench.texts());
+    assert_eq!(bench.phase(), Some(FlightState::AwaitRelease), "the next flight's pilot waits");
+    assert_eq!(masks(&bench.records), [0x00]);
+    assert_eq!(bench.station.end(), None);
 }
 
 /// The first sample from now on comes in one read with a word of the mode behind it, and other

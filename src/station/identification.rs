@@ -10,8 +10,8 @@ use crate::control::{DesignError, Lqr};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
-use crate::pilot::{Airframe, Pilot};
-use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
+use crate::pilot::{Airframe, LinkEvent, Pilot};
+use crate::supervisor::{ModeMap, PreflightCheck};
 
 impl Station {
     /// Now that it is known what the vehicle honours: design the feedback for it.
@@ -37,9 +37,10 @@ impl Station {
         }
         let known = self.profile.replace(profile.clone());
         let is_known = self.pilot.is_some() && known.as_ref() == Some(&profile);
-        // After the flight that was asked for there is nothing to fly: a new pilot would begin.
-        let has_flown = self.settings.policy == EngagePolicy::Command && self.flown;
-        if is_known || has_flown || self.end.is_some() {
+        if !is_known {
+            self.end_flight_of_another(now);
+        }
+        if is_known || self.end.is_some() {
             return;
         }
         let response = self.settings.lqr.attitude_response_rad_s;
@@ -59,6 +60,17 @@ impl Station {
             }
         }
         self.check_parameters();
+    }
+
+    /// What flies, or streams, is designed for what another vehicle honours: that is over.
+    fn end_flight_of_another(&mut self, now: HostTime) {
+        let Some(pilot) = &mut self.pilot else { return };
+        let state = pilot.flight_state();
+        if !state.precedes_stream() && !state.is_over() {
+            pilot.link_event(now, LinkEvent::Lost);
+        }
+        // Before its successor is there, which knows nothing of this flight.
+        self.follow_pilot(now);
     }
 
     fn make_pilot(&self, now: HostTime, profile: &Profile) -> Result<Option<Pilot>, DesignError> {
