@@ -104,6 +104,14 @@ pub struct Tick {
     pub sample_age: f64,
 }
 
+impl Tick {
+    /// The tick's setpoint was not sent after all.
+    pub fn withhold(&mut self) {
+        self.setpoint = None;
+        self.saturation = Saturation::default();
+    }
+}
+
 /// Flies one vehicle along one trajectory, or holds until it is asked to.
 pub struct Pilot {
     settings: PilotSettings,

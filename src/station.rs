@@ -139,11 +139,11 @@ impl Station {
         }
         // Of several samples in one read only the newest is acted upon.
         let setpoint = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint);
-        if let Some(setpoint) = setpoint
-            && self.permits(now)
-        {
-            self.send_setpoint(now, &setpoint);
-        }
+        let is_sent = setpoint
+            .is_some_and(|setpoint| self.permits(now) && self.send_setpoint(now, &setpoint));
+        // The log has what was sent.
+        let withheld = self.ticks.len() - usize::from(is_sent);
+        self.ticks[first_tick..withheld].iter_mut().for_each(Tick::withhold);
     }
 
     /// Whether the answer to a sample may leave, now that the rest of the read is known: what was
@@ -155,19 +155,18 @@ impl Station {
         !is_over && self.pilot.as_mut().is_some_and(|pilot| pilot.permits(now))
     }
 
-    fn send_setpoint(&mut self, now: HostTime, setpoint: &Setpoint) {
-        match self.session.send_setpoint(now, setpoint) {
-            Ok(()) => {
-                self.setpoints += 1;
-                self.setpoint_error = None;
-            }
-            // Said once, not at every tick.
-            Err(error) if self.setpoint_error != Some(error) => {
-                self.setpoint_error = Some(error);
-                self.tell(now, Severity::Warning, format!("no setpoint is sent: {error}"));
-            }
-            Err(_) => {}
+    /// Gives whether it is sent.
+    fn send_setpoint(&mut self, now: HostTime, setpoint: &Setpoint) -> bool {
+        let sent = self.session.send_setpoint(now, setpoint);
+        self.setpoints += u64::from(sent.is_ok());
+        let before = std::mem::replace(&mut self.setpoint_error, sent.err());
+        // Said once, not at every tick.
+        if let Err(error) = sent
+            && before != Some(error)
+        {
+            self.tell(now, Severity::Warning, format!("no setpoint is sent: {error}"));
         }
+        sent.is_ok()
     }
 
     /// Does what is due by the clock. Never makes a setpoint.

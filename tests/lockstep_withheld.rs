@@ -5,7 +5,10 @@ mod lockstep;
 
 use std::cell::Cell;
 use std::rc::Rc;
+use std::time::Duration;
 
+use downwash::lockstep::EPOCH;
+use downwash::log::record::Record;
 use downwash::station::End;
 use downwash::supervisor::{EngagePolicy, FlightState};
 use lockstep::{Bench, Downlink, NANO, hover, masks, message_id, params, settings};
@@ -157,4 +160,61 @@ fn a_sample_is_not_answered_where_the_same_read_hands_over_to_the_landing() {
     let taken_us = taken_us.get().expect("a sample");
     assert_eq!(bench.phase(), Some(FlightState::Land), "{:#?}", bench.texts());
     assert_eq!(bench.setpoints_after(taken_us - 1), 0);
+}
+
+/// Ticks in the log after `us` of simulation: how many, and how many of them with a setpoint.
+fn ticks_after(bench: &Bench, us: u64) -> (usize, usize) {
+    let after = EPOCH + Duration::from_micros(us);
+    let ticks = bench.records.iter().filter_map(|record| match record {
+        Record::Tick(tick) if tick.stamp.host > after => Some(tick),
+        _ => None,
+    });
+    let told: Vec<_> = ticks.map(|tick| (tick.setpoint.is_some(), tick.saturation)).collect();
+    assert!(told.iter().all(|(is_sent, saturation)| *is_sent || *saturation == 0));
+    (told.len(), told.iter().filter(|(is_sent, _)| *is_sent).count())
+}
+
+/// Two samples come in one read.
+fn in_pairs() -> Downlink {
+    let mut first = None;
+    Box::new(move |_, frame| match (message_id(frame), first.take()) {
+        (Some(ODOMETRY), None) => {
+            first = Some(frame.to_vec());
+            vec![]
+        }
+        (Some(ODOMETRY), Some(first)) => vec![[first, frame.to_vec()].concat()],
+        (_, kept) => {
+            first = kept;
+            vec![frame.to_vec()]
+        }
+    })
+}
+
+/// The vehicle may be another, and does not say which.
+fn unidentified() -> Downlink {
+    Box::new(|_, frame| match message_id(frame) {
+        Some(AUTOPILOT_VERSION) => vec![],
+        _ => vec![set_back(frame)],
+    })
+}
+
+#[test]
+fn the_log_has_the_setpoints_that_were_sent_and_no_others() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    bench.downlink = in_pairs();
+    let from_us = bench.now_us();
+    bench.run(0.5);
+    let (ticks, told) = ticks_after(&bench, from_us);
+    assert!((48..=51).contains(&ticks) && (24..=26).contains(&told), "{told} of {ticks}");
+    assert_eq!(told, bench.setpoints_after(from_us));
+
+    bench.downlink = unidentified();
+    bench.run(0.5);
+    assert!(bench.told("no setpoint is sent: the vehicle is not identified"));
+    let from_us = bench.now_us();
+    bench.run(0.2);
+    let (ticks, told) = ticks_after(&bench, from_us);
+    assert!(ticks > 10, "{ticks} ticks");
+    assert_eq!((told, bench.setpoints_after(from_us)), (0, 0));
+    assert_eq!(bench.phase(), Some(FlightState::Track), "{:#?}", bench.texts());
 }
