@@ -127,6 +127,28 @@ fn a_closed_connection_is_relearnt_at_once() {
 }
 
 #[test]
+fn a_new_connection_counts_anew_and_silence_does_not() {
+    for is_closed in [true, false] {
+        let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(2.0));
+        if is_closed {
+            assert!(world.session.peer_closed(VEHICLE));
+        } else {
+            world.silence(seconds(3.0));
+            assert_eq!(world.session.state(), LinkState::Stale);
+        }
+        for _ in 0..50 {
+            vehicle.encode(&vehicle.heartbeat());
+        }
+        // A closed tcp: connection is opened again under the number that it had.
+        let bytes = vehicle.encode(&vehicle.heartbeat());
+        world.deliver(VEHICLE, &bytes);
+        assert_eq!(world.session.vehicle().map(|vehicle| vehicle.peer), Some(VEHICLE));
+        assert_eq!(world.session.stats().lost, if is_closed { 0 } else { 50 }, "{is_closed}");
+    }
+}
+
+#[test]
 fn the_clock_converges_through_lopsided_jitter() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     // Answers wait up to 37 ms; one in eight comes at once.

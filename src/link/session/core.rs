@@ -153,8 +153,11 @@ impl Core {
             Some(known) if self.state != LinkState::Lost => {
                 // Another route to the vehicle counts only when the known one is silent.
                 if known.peer.is_none() || self.state == LinkState::Stale {
-                    known.peer = Some(peer);
-                    if std::mem::replace(&mut known.id.peer, peer) != peer {
+                    let before = known.peer.replace(peer);
+                    known.id.peer = peer;
+                    // A connection that closed is another one now, though its number be the same;
+                    // one that was merely silent goes on counting.
+                    if before != Some(peer) {
                         self.counters.rerouted();
                     }
                 }
