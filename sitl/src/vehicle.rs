@@ -176,6 +176,13 @@ impl VehicleParams {
         toml::to_string(self).map_err(|e| VehicleError::syntax(e.to_string()))
     }
 
+    /// Fraction of the rotors' maximum thrust that carries the vehicle, by its mass: what
+    /// `hover_thrust` is where the firmware is right.
+    pub fn hover_share(&self) -> f64 {
+        let full_n: f64 = self.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
+        self.mass * self.gravity / full_n
+    }
+
     /// The firmware's mixer.
     ///
     /// # Errors
@@ -410,6 +417,12 @@ pub(crate) mod tests {
             })
             .contains("rotor_max_rpm")
         );
+    }
+
+    #[test]
+    fn the_share_that_carries_is_by_mass_whatever_the_firmware_believes() {
+        let vehicle = VehicleParams { hover_thrust: 0.9, ..quad() };
+        assert!((vehicle.hover_share() - 1.2 * 9.80665 / 24.0).abs() < 1e-12);
     }
 
     #[test]

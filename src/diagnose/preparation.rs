@@ -277,7 +277,7 @@ impl PreparedFlight {
 fn airborne(flight: &Flight, outputs: &Series<4>, vehicle: &VehicleParams) -> Vec<Range<f64>> {
     // Where the vehicle says it, and the log has a pose, learning's own rules hold.
     if !flight.in_air.is_empty()
-        && let Ok(segments) = Segments::of(flight, vehicle.hover_thrust)
+        && let Ok(segments) = Segments::of(flight, vehicle.hover_share())
     {
         return segments.spans;
     }

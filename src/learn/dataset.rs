@@ -144,7 +144,7 @@ impl ObservedFlight {
         }
         let alignment = Alignment::of(&flight);
         let (source, law_error) = onboard.source(&flight, alignment.attitude_s.unwrap_or(0.0));
-        let segments = Segments::driven(&flight, vehicle.hover_thrust, source, cuts)?;
+        let segments = Segments::driven(&flight, vehicle.hover_share(), source, cuts)?;
         let traced = source.traced(&flight);
         let mut observed = Self {
             flight,
