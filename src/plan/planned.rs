@@ -159,7 +159,7 @@ impl Plan {
         }
     }
 
-    /// Whether a file's beginning is that of a plan.
+    /// Whether a file is taken for a plan, by its name alone: trajectories are no JSON.
     pub fn is_plan(path: &Path) -> bool {
         path.extension().is_some_and(|extension| extension == "json")
     }
