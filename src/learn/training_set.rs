@@ -7,6 +7,7 @@ use sitl::vehicle::{VehicleError, VehicleParams};
 use super::commands::Onboard;
 use super::dataset::{ObservedFlight, Row};
 use super::evaluation::{OneStep, Predictor, window_starts};
+use super::gaps::intersection;
 use super::identify;
 use super::judgement::score;
 use super::physics_fit;
@@ -186,16 +187,7 @@ impl<'a> TrainingSet<'a> {
 
     /// Usable times of one part of a flight, without gaps.
     fn blocks(&self, flight: usize, part: Part) -> Vec<Range<f64>> {
-        let mut blocks = Vec::new();
-        for block in self.spans(flight, part) {
-            for segment in &self.flights[flight].segments.spans {
-                let both = block.start.max(segment.start)..block.end.min(segment.end);
-                if both.start < both.end {
-                    blocks.push(both);
-                }
-            }
-        }
-        blocks
+        intersection(&self.spans(flight, part), &self.flights[flight].segments.spans)
     }
 
     /// Recorded inputs and starts of windows of one part.
