@@ -1,6 +1,5 @@
 //! `downwash diagnose`: where the gap lies, which effect causes it, how far it shrinks.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
@@ -9,6 +8,7 @@ use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
+use super::output::create_report_folder;
 use super::setup::capability;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
@@ -31,11 +31,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         (None, None) => None,
         _ => Some(config::load(args.config.as_deref(), vec![])?.settings),
     };
-    if let Some(folder) = &args.report {
-        fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create the folder {}", folder.display()))
-            .or_exit(Exit::Usage)?;
-    }
+    create_report_folder(args.report.as_deref())?;
     let mut paths = args.logs.clone();
     for path in &args.holdout {
         if !paths.contains(path) {

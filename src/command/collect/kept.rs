@@ -13,6 +13,7 @@ use crate::command::simulation::Truth;
 use crate::command::{in_words, say};
 use crate::config::Config;
 use crate::log::LogReader;
+use crate::log::descriptor::hex;
 use crate::log::info::{LogInfo, TrackingInfo};
 use crate::plan::programme::ProgrammeFlight;
 
@@ -47,7 +48,7 @@ impl Identity<'_> {
             digest.update((part.len() as u64).to_le_bytes());
             digest.update(part.as_bytes());
         }
-        Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+        Ok(hex(&digest.finalize()))
     }
 }
 
