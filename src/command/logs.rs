@@ -68,8 +68,8 @@ impl Logs {
         logs
     }
 
-    /// Observes the flights by other windows; `step` is told of each file. What is left out, and
-    /// for what, does not depend on them, and nothing is read again.
+    /// Observes the flights by other windows; `step` is told of each file. Nothing is read again,
+    /// and what was left out stays left out: that is judged by the first windows.
     pub fn observe(
         &mut self,
         vehicle: &VehicleParams,
