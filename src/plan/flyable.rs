@@ -2,8 +2,8 @@
 //! from one another.
 
 use super::discretisation::coasted;
-use super::iterate::{Violation, entry_once_out};
-use super::keep_out::KeepOut;
+use super::iterate::{Violation, entry};
+use super::keep_out::{KeepOut, position};
 use super::problem::{ANGLE, RATE, StateVector};
 use super::scp::{Outcome, Status};
 
@@ -54,8 +54,8 @@ pub enum NotFlyable {
     },
 }
 
-/// Whether what a search says of its outcome is a plan to fly: a search that failed, or that ended with
-/// states that no input leads through, is none.
+/// Whether what a search says of its outcome is a plan to fly: a search that failed, or that ended
+/// with states that no input leads through, is none.
 ///
 /// # Errors
 /// What the plan misses.
@@ -87,8 +87,15 @@ pub(super) fn check_in_flight(
     check_violation(outcome.status, &Violation { trespass_m, ..outcome.violation })
 }
 
-/// Whether velocity and body rate lead from state to state, `period_s` seconds apart, which no model has a
-/// part in.
+/// How deep the ways between states lead into a region at most, m, from the first state on that is
+/// not deeper in it than `most_m`: a vehicle that is inside must be led out of it.
+fn entry_once_out(states: &[StateVector], region: &KeepOut, most_m: f64) -> f64 {
+    let out = states.iter().position(|state| region.depth(position(state)).0 <= most_m);
+    out.map_or(0.0, |out| entry(&states[out..], region))
+}
+
+/// Whether velocity and body rate lead from state to state, `period_s` seconds apart, which no
+/// model has a part in.
 ///
 /// # Errors
 /// The first jump.

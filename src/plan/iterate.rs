@@ -87,15 +87,8 @@ impl<const INPUTS: usize> Iterate<INPUTS> {
 }
 
 /// How deep the ways between states lead into a region at most, m.
-fn entry(states: &[StateVector], region: &KeepOut) -> f64 {
+pub(super) fn entry(states: &[StateVector], region: &KeepOut) -> f64 {
     let ways = states.windows(2);
     let depths = ways.map(|way| region.depth_between(position(&way[0]), position(&way[1])));
     depths.fold(0.0, f64::max)
-}
-
-/// The same from the first state on that is not deeper in the region than `most_m`: a vehicle that
-/// is inside must be led out of it.
-pub(super) fn entry_once_out(states: &[StateVector], region: &KeepOut, most_m: f64) -> f64 {
-    let out = states.iter().position(|state| region.depth(position(state)).0 <= most_m);
-    out.map_or(0.0, |out| entry(&states[out..], region))
 }
