@@ -22,8 +22,8 @@ pub struct Violation {
     pub defect: f64,
     /// Largest overrun of the state's bounds, summed over a state's bounds (m, rad, rad/s).
     pub overrun: f64,
-    /// How far a position, of a state after the start or between two states, is at most where it
-    /// must not be, m.
+    /// How far a position is at most where it must not be, of a state after the start, or on a way
+    /// between two states, its ends included, m.
     pub trespass_m: f64,
 }
 
