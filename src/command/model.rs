@@ -330,13 +330,15 @@ pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
         text += &one_step_line(name, "test, truth", errors.truth[2].as_ref());
     }
     text += &multi_step_table(&summary.multi_step);
-    text += &if standing(summary).best != Best::NotJudged {
-        format!("best on validation: {}\n", summary.preferred.name())
-    } else {
-        format!(
-            "not judged: no second of the validation part goes on without a gap; {} is taken\n",
-            summary.preferred.name()
-        )
+    let best = standing(summary).best;
+    let reason = best.reason().unwrap_or_default();
+    let preferred = summary.preferred.name();
+    text += &match best {
+        Best::NotJudged => format!("not judged: {reason}; {preferred} is taken\n"),
+        Best::NotFinite => format!("none can be used: {reason}\n"),
+        Best::NoBetterThanHolding | Best::Better => {
+            format!("best on validation: {preferred}\n")
+        }
     };
     text
 }

@@ -145,10 +145,12 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     let (standing, done) = best.context("--window: expected at least one").or_exit(Exit::Usage)?;
     match standing.best {
         Best::NotFinite => return Err(TrainError::NotFinite).or_exit(Exit::Usage),
-        Best::NoBetterThanHolding => say(format_args!(
-            "warning: on the validation flights no model predicts better than that all stays as it \
-             is; look at the logs with `downwash log audit`, or give more flights"
-        )),
+        Best::NoBetterThanHolding => {
+            let reason = standing.best.reason().unwrap_or_default();
+            say(format_args!(
+                "warning: {reason}; look at the logs with `downwash log audit`, or give more flights"
+            ));
+        }
         Best::NotJudged | Best::Better => {}
     }
     let (mut file, summary) = *done;

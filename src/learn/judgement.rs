@@ -226,6 +226,20 @@ pub enum Best {
     Better,
 }
 
+impl Best {
+    /// Why no model can be called the best, where none can.
+    pub fn reason(self) -> Option<&'static str> {
+        match self {
+            Self::NotJudged => Some("no second of the validation part goes on without a gap"),
+            Self::NotFinite => Some("no model predicts finite states on the validation flights"),
+            Self::NoBetterThanHolding => Some(
+                "no model predicts better on the validation flights than that all stays as it is",
+            ),
+            Self::Better => None,
+        }
+    }
+}
+
 impl Standing {
     /// Whether to take these models rather than those of `other`, which were found before: one
     /// model without numbers among good ones spoils a score, but is not the one that is taken.

@@ -4,7 +4,7 @@
 use sitl::vehicle::VehicleError;
 
 use super::dataset::{Row, WindowSettings};
-use super::judgement::{deviation, judge, label_error};
+use super::judgement::{Best, deviation, judge, label_error};
 use super::networks::{Lesson, NETWORKS, Progress, Target, models};
 use super::split::Part;
 use super::summary::{DataSummary, RefusedLog, TrainSettings, TrainingSummary};
@@ -45,8 +45,9 @@ pub enum TrainError {
     },
     /// Every model's open loop leads to what is no number.
     #[error(
-        "no model predicts finite states on the validation flights; look at the logs with `downwash \
-         log audit`, or change --regularization, --features or --method"
+        "{}; look at the logs with `downwash log audit`, or change --regularization, --features or \
+         --method",
+        Best::NotFinite.reason().unwrap_or_default()
     )]
     NotFinite,
     /// The vehicle's physics does not work.

@@ -89,19 +89,16 @@ fn verdict(summary: &TrainingSummary, page: &mut Page) {
         }
     }
     let best = standing(summary).best;
-    let reason = match best {
-        Best::NotJudged => Some("no second of the validation part goes on without a gap"),
-        Best::NotFinite => Some("no model predicts finite states on the validation flights"),
-        Best::NoBetterThanHolding => {
-            Some("no model predicts better on the validation flights than that all stays as it is")
+    reasons.extend(best.reason().map(str::to_owned));
+    let praise = match best {
+        Best::NotJudged => format!(
+            "The models' predictions could not be judged; the {} model is taken",
+            kind.name()
+        ),
+        Best::NotFinite => "No model can be used".to_owned(),
+        Best::NoBetterThanHolding | Best::Better => {
+            format!("The {} model predicts best on the validation flights", kind.name())
         }
-        Best::Better => None,
-    };
-    reasons.extend(reason.map(str::to_owned));
-    let praise = if best == Best::NotJudged {
-        format!("The models' predictions could not be judged; the {} model is taken", kind.name())
-    } else {
-        format!("The {} model predicts best on the validation flights", kind.name())
     };
     let sentence = match tested(summary, kind) {
         Some((errors, truth)) => format!(
