@@ -15,14 +15,13 @@ use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
-use crate::learn::judgement::{Best, Standing, standing};
+use crate::learn::judgement::{Best, standing};
 use crate::learn::networks::Progress;
 use crate::learn::procedure::{Outcome, TrainError, Watch as _, belongs, train};
 use crate::learn::summary::{TrainSettings, TrainingSummary};
 use crate::learn::training::Method;
 use crate::learn::training_set::TrainingSet;
 use crate::model::features::Features;
-use crate::model::file::ModelFile;
 
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
     let resume = if args.resume { Resume::Always } else { Resume::Never };
@@ -112,37 +111,42 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     let mut bar = StageBar::new(interrupt_flag()?);
     let windows_of =
         |window: &f64| WindowSettings { half_s: window * 1e-3, ..WindowSettings::default() };
-    let first =
-        args.window.first().context("--window: expected at least one").or_exit(Exit::Usage)?;
+    let (first, others) = args
+        .window
+        .split_first()
+        .context("--window: expected at least one")
+        .or_exit(Exit::Usage)?;
     let mut logs = read(args, &vehicle, &onboard, &windows_of(first), &mut bar)?;
-    let mut best: Option<(Standing, Box<(ModelFile, TrainingSummary)>)> = None;
-    for window in &args.window {
-        let windows = windows_of(window);
-        if best.is_some() {
-            bar.stage("logs", logs.flights.len() as u64);
-            logs.observe(&vehicle, &windows, |path| bar.step(&path.display().to_string()));
-        }
+    let (mut windows, mut others) = (windows_of(first), others.iter());
+    let mut best = None;
+    let (standing, done) = loop {
         let going_on = (resume, &mut progress);
-        match train_with(args, &vehicle, &onboard, &windows, &mut logs, going_on, &mut bar)? {
-            Outcome::Interrupted(progress) => {
-                bar.clear();
-                let json = serde_json::to_vec(&progress).context("checkpoint")?;
-                write_file(&checkpoint_path, &sealed(&json))?;
-                return Ok(Learning::Interrupted(checkpoint_path));
-            }
-            Outcome::Done(done) => {
-                let standing = standing(&done.1);
-                if best.as_ref().is_none_or(|(best, _)| standing.beats(best)) {
-                    best = Some((standing, done));
+        let done =
+            match train_with(args, &vehicle, &onboard, &windows, &mut logs, going_on, &mut bar)? {
+                Outcome::Done(done) => done,
+                Outcome::Interrupted(reached) => {
+                    bar.clear();
+                    // What is there and was not come to yet is of a later window, and holds more.
+                    if progress.is_none() {
+                        let json = serde_json::to_vec(&reached).context("checkpoint")?;
+                        write_file(&checkpoint_path, &sealed(&json))?;
+                    }
+                    return Ok(Learning::Interrupted(checkpoint_path));
                 }
-                if standing.settled {
-                    break;
-                }
-            }
-        }
-    }
+            };
+        let standing = standing(&done.1);
+        let settled = standing.settled;
+        let found = match best.take() {
+            Some((before, done)) if !standing.beats(&before) => (before, done),
+            _ => (standing, done),
+        };
+        let Some(next) = others.next().filter(|_| !settled) else { break found };
+        best = Some(found);
+        windows = windows_of(next);
+        bar.stage("logs", logs.flights.len() as u64);
+        logs.observe(&vehicle, &windows, |path| bar.step(&path.display().to_string()));
+    };
     bar.clear();
-    let (standing, done) = best.context("--window: expected at least one").or_exit(Exit::Usage)?;
     match standing.best {
         Best::NotFinite => return Err(TrainError::NotFinite).or_exit(Exit::Usage),
         Best::NoBetterThanHolding => {
