@@ -5,9 +5,8 @@ mod planning;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use downwash::plan::planned::{
-    Answer, Found, NotFlyable, Plan, PlannedBody, PlannedReference, PlannedThrough,
-};
+use downwash::plan::flyable::NotFlyable;
+use downwash::plan::planned::{Answer, Found, Plan, PlannedBody, PlannedReference, PlannedThrough};
 use downwash::plan::planner::PlanSettings;
 use downwash::plan::reference::ReferenceSource;
 use downwash::plan::scp::Status;
