@@ -5,6 +5,7 @@ mod aftermath;
 mod attitude_loop;
 mod identification;
 mod records;
+mod requests;
 mod settings;
 mod status;
 
@@ -12,18 +13,18 @@ use wire::transport::Peer;
 
 use self::aftermath::Aftermath;
 use self::records::{LinkMeter, record_of, tick_record};
+use self::requests::request_of;
 pub use self::settings::StationSettings;
 pub use self::status::Status;
 use crate::clock::HostTime;
 use crate::link::counters::LinkState;
 use crate::link::message::Inbound;
 use crate::link::profile::Profile;
-use crate::link::request::{FlightMode, Outcome, Request};
 use crate::link::session::{self, Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::pilot::{LinkEvent, Pilot, Tick};
 use crate::setpoint::Setpoint;
-use crate::supervisor::{Action, EngagePolicy, FlightState};
+use crate::supervisor::{EngagePolicy, FlightState};
 
 /// Period of the link's counters in the log.
 const STATS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
@@ -437,47 +438,6 @@ impl Station {
         }
     }
 
-    fn request_ended(&mut self, now: HostTime, request: &Request, outcome: &Outcome) {
-        if let (Request::ReadParameter(name), Outcome::Parameter(value)) = (request, outcome) {
-            self.check_parameters();
-            let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);
-            if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
-                let text =
-                    format!("parameter {name} is {value}: {}; set it to {}", rule.why, rule.rule);
-                self.tell(now, Severity::Notice, text);
-            }
-            return;
-        }
-        if matches!(
-            outcome,
-            Outcome::Done | Outcome::Parameter(_) | Outcome::Superseded | Outcome::Withdrawn
-        ) {
-            return;
-        }
-        let warning = self.pilot.as_ref().and_then(|pilot| {
-            let (at, text) = pilot.telemetry().status().warning.as_ref()?;
-            (now.since(*at).as_secs_f64() < 3.0).then(|| text.clone())
-        });
-        let text = match warning {
-            Some(words) => format!("{outcome:?}: {words}"),
-            None => format!("{outcome:?}"),
-        };
-        let action = match request {
-            Request::SetMode(FlightMode::Offboard) => Some(Action::SetModeOffboard),
-            Request::SetMode(FlightMode::Hold) => Some(Action::SetModeHold),
-            Request::SetMode(FlightMode::Land) => Some(Action::SetModeLand),
-            Request::Arm => Some(Action::Arm),
-            Request::Disarm => Some(Action::Disarm),
-            _ => None,
-        };
-        match (action, &mut self.pilot) {
-            (Some(action), Some(pilot)) => {
-                pilot.link_event(now, LinkEvent::Refused { action, text });
-            }
-            _ => self.tell(now, Severity::Notice, format!("{request:?}: {text}")),
-        }
-    }
-
     fn tell(&mut self, now: HostTime, severity: Severity, text: String) {
         show(severity, &text);
         self.records.push(Record::Event { host: now, severity, source: Source::Daemon, text });
@@ -509,15 +469,5 @@ fn show(severity: Severity, text: &str) {
         Severity::Info | Severity::Notice => tracing::info!("{text}"),
         Severity::Warning => tracing::warn!("{text}"),
         _ => tracing::error!("{text}"),
-    }
-}
-
-fn request_of(action: Action) -> Request {
-    match action {
-        Action::SetModeOffboard => Request::SetMode(FlightMode::Offboard),
-        Action::SetModeHold => Request::SetMode(FlightMode::Hold),
-        Action::SetModeLand => Request::SetMode(FlightMode::Land),
-        Action::Arm => Request::Arm,
-        Action::Disarm => Request::Disarm,
     }
 }

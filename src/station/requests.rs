@@ -1,0 +1,69 @@
+//! What the pilot asks of the vehicle as the link's requests, and what becomes of these.
+
+use super::Station;
+use crate::clock::HostTime;
+use crate::link::request::{FlightMode, Outcome, Request};
+use crate::log::record::Severity;
+use crate::pilot::LinkEvent;
+use crate::supervisor::Action;
+
+/// The request to the vehicle that an action of the pilot's is.
+pub(super) fn request_of(action: Action) -> Request {
+    match action {
+        Action::SetModeOffboard => Request::SetMode(FlightMode::Offboard),
+        Action::SetModeHold => Request::SetMode(FlightMode::Hold),
+        Action::SetModeLand => Request::SetMode(FlightMode::Land),
+        Action::Arm => Request::Arm,
+        Action::Disarm => Request::Disarm,
+    }
+}
+
+/// Every action.
+const ACTIONS: [Action; 5] = [
+    Action::SetModeOffboard,
+    Action::SetModeHold,
+    Action::SetModeLand,
+    Action::Arm,
+    Action::Disarm,
+];
+
+/// The action that a request comes from, if it is the pilot's.
+fn action_of(request: &Request) -> Option<Action> {
+    ACTIONS.into_iter().find(|action| request_of(*action) == *request)
+}
+
+impl Station {
+    pub(super) fn request_ended(&mut self, now: HostTime, request: &Request, outcome: &Outcome) {
+        if let (Request::ReadParameter(name), Outcome::Parameter(value)) = (request, outcome) {
+            self.check_parameters();
+            let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);
+            if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
+                let text =
+                    format!("parameter {name} is {value}: {}; set it to {}", rule.why, rule.rule);
+                self.tell(now, Severity::Notice, text);
+            }
+            return;
+        }
+        if matches!(
+            outcome,
+            Outcome::Done | Outcome::Parameter(_) | Outcome::Superseded | Outcome::Withdrawn
+        ) {
+            return;
+        }
+        let warning = self.pilot.as_ref().and_then(|pilot| {
+            let (at, text) = pilot.telemetry().status().warning.as_ref()?;
+            (now.since(*at).as_secs_f64() < 3.0).then(|| text.clone())
+        });
+        let text = match warning {
+            Some(words) => format!("{outcome:?}: {words}"),
+            None => format!("{outcome:?}"),
+        };
+        let action = action_of(request);
+        match (action, &mut self.pilot) {
+            (Some(action), Some(pilot)) => {
+                pilot.link_event(now, LinkEvent::Refused { action, text });
+            }
+            _ => self.tell(now, Severity::Notice, format!("{request:?}: {text}")),
+        }
+    }
+}
