@@ -9,7 +9,8 @@
 // Matrix algebra reads by its indices.
 #![allow(clippy::needless_range_loop)]
 
-use super::problem::{STATES, StateRow, StateVector};
+use super::problem::{STATES, StateVector};
+use super::slack::{Pair, SoftRow};
 use super::stage_algebra::{
     Matrix, NotPositive, add_scaled, cholesky, dot, product, solve_rows, solve_vector,
     times_vector, transposed_product, transposed_times,
@@ -22,8 +23,6 @@ use super::subproblem::{
 const ITERATIONS_MAX: usize = 60;
 /// Share of the way to the nearest bound that a step goes at most.
 const TO_BOUNDARY: f64 = 0.995;
-/// Complementarity at the start, in units of the cost.
-const START: f64 = 0.1;
 /// Distance between the bounds of an input, at least.
 const LEAST_ROOM: f64 = 1e-9;
 /// Curvature that each scaled input has at least.
@@ -33,78 +32,6 @@ const LEAST_INPUT_CURVATURE: f64 = 1e-9;
 #[derive(Clone, Debug, Default)]
 pub struct InteriorPoint<const INPUTS: usize> {
     work: Vec<Work<INPUTS>>,
-}
-
-/// A complementary pair: a slack and its multiplier, both above 0.
-#[derive(Clone, Copy, Debug, Default)]
-struct Pair {
-    slack: f64,
-    multiplier: f64,
-    /// Of the current Newton direction.
-    slack_step: f64,
-    multiplier_step: f64,
-}
-
-impl Pair {
-    fn new(slack: f64) -> Self {
-        Self { slack, multiplier: START / slack, ..Self::default() }
-    }
-
-    /// multiplier / slack.
-    #[inline(always)]
-    fn ratio(&self) -> f64 {
-        self.multiplier / self.slack
-    }
-
-    /// The multiplier that complementarity `target` asks for, before the slack moves.
-    #[inline(always)]
-    fn aim(&self, target: f64) -> f64 {
-        target / self.slack
-    }
-
-    /// Sets the direction: the slack moves by `step`, the multiplier as complementarity asks.
-    #[inline(always)]
-    fn point(&mut self, step: f64, target: f64) {
-        self.slack_step = step;
-        self.multiplier_step = self.aim(target) - self.ratio() * step - self.multiplier;
-    }
-
-    /// Longest share of the direction that keeps both above 0.
-    #[inline(always)]
-    fn reach(&self) -> f64 {
-        let share = |value: f64, step: f64| if step < 0.0 { -value / step } else { f64::INFINITY };
-        share(self.slack, self.slack_step).min(share(self.multiplier, self.multiplier_step))
-    }
-
-    /// Complementarity after a share of the direction.
-    #[inline(always)]
-    fn after(&self, share: f64) -> f64 {
-        (self.slack + share * self.slack_step) * (self.multiplier + share * self.multiplier_step)
-    }
-
-    /// What the corrector aims at: `centre` less the predictor's second-order term.
-    #[inline(always)]
-    fn corrected(&self, centre: f64) -> f64 {
-        centre - self.slack_step * self.multiplier_step
-    }
-
-    #[inline(always)]
-    fn advance(&mut self, share: f64) {
-        self.slack += share * self.slack_step;
-        self.multiplier += share * self.multiplier_step;
-    }
-}
-
-/// A bound of the state with its slack: `excess + gradient . d <= overrun`, `overrun >= 0`.
-#[derive(Clone, Copy, Debug)]
-struct SoftRow {
-    row: StateRow,
-    /// Room below the bound, and the bound's force.
-    room: Pair,
-    /// The overrun, and what is left of the penalty.
-    overrun: Pair,
-    room_target: f64,
-    overrun_target: f64,
 }
 
 #[derive(Clone, Debug)]
@@ -410,35 +337,6 @@ impl<const INPUTS: usize> Work<INPUTS> {
             row.room.advance(share);
             row.overrun.advance(share);
         }
-    }
-}
-
-impl SoftRow {
-    /// By how much more the two multipliers' targets ask than the penalty gives, over the sum of
-    /// their ratios: the overrun's step where the state does not move.
-    fn relaxation(&self) -> f64 {
-        let penalty = self.room.multiplier + self.overrun.multiplier;
-        let aimed = self.room.aim(self.room_target) + self.overrun.aim(self.overrun_target);
-        (aimed - penalty) / (self.room.ratio() + self.overrun.ratio())
-    }
-
-    /// Newton's multiplier where the state does not move.
-    fn force(&self) -> f64 {
-        self.room.aim(self.room_target) - self.room.ratio() * self.relaxation()
-    }
-
-    /// Change of Newton's multiplier with the excess.
-    fn curvature(&self) -> f64 {
-        let (room, overrun) = (self.room.ratio(), self.overrun.ratio());
-        room * overrun / (room + overrun)
-    }
-
-    /// Sets the directions for a change of the excess.
-    fn point(&mut self, moved: f64) {
-        let (room, overrun) = (self.room.ratio(), self.overrun.ratio());
-        let step = self.relaxation() + room / (room + overrun) * moved;
-        self.overrun.point(step, self.overrun_target);
-        self.room.point(step - moved, self.room_target);
     }
 }
 

@@ -23,6 +23,7 @@ pub mod programme;
 pub mod receding;
 pub mod reference;
 pub mod scp;
+mod slack;
 mod stage_algebra;
 pub mod subproblem;
 mod table;
