@@ -25,5 +25,6 @@ mod lanes;
 mod least_squares;
 mod not_finite;
 mod objective;
+mod packed;
 mod rprop;
 mod window;

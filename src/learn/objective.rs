@@ -5,8 +5,9 @@ use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use super::kernel::{self, BLOCK, CHUNK, Instructions, Packed, Scratch, Shape};
+use super::kernel::{self, BLOCK, CHUNK, Scratch};
 use super::lanes::WIDTH;
+use super::packed::{Instructions, Packed, Shape};
 use super::samples::Samples;
 
 /// The mean of the squared errors over rows and outputs, as a function of the parameters.

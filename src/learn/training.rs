@@ -9,8 +9,8 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::adam::{self, Adam};
-use super::kernel::{MOST_OUTPUTS, Shape};
 use super::objective::Objective;
+use super::packed::{MOST_OUTPUTS, Shape};
 use super::rprop::Rprop;
 use super::samples::Samples;
 use crate::model::net::Mlp;
