@@ -160,13 +160,10 @@ impl<'a> Analysis<'a> {
 
     /// The flights as a replica flies them, number `twin` of a seed.
     fn flown(&self, replica: &Replica, seed: u64, twin: u32) -> Vec<PreparedFlight> {
-        let seeds = seed.wrapping_add(u64::from(twin) << 20)..;
-        self.observed
-            .flights
-            .iter()
-            .zip(seeds)
-            .map(|(flight, seed)| replica.fly(flight, seed))
-            .collect()
+        let first = seed.wrapping_add(u64::from(twin) << 20);
+        let seeds = (0..).map(|flight| first.wrapping_add(flight));
+        let flights = self.observed.flights.iter().zip(seeds);
+        flights.map(|(flight, seed)| replica.fly(flight, seed)).collect()
     }
 
     /// `count` twins of the vehicle `truth` with sensors of `noise`. Where the analysis fails, a twin
