@@ -83,27 +83,32 @@ pub fn unmodelled_moment(
     power: &[f64],
     twins: &TwinFits,
 ) -> Option<UnmodelledMoment> {
-    let moments = twins.moments();
-    let mut moment = UnmodelledMoment { mean_square: [0.0; 3], error: 0.0 };
-    let mut variance = 0.0;
-    let mut seen = false;
+    // Place, axis and what a coefficient's square is of the mean square.
+    let mut places: Vec<(usize, usize, f64)> = Vec::new();
     for axis in 0..3 {
-        for (band, upper) in BANDS.iter().enumerate() {
+        let mut lower = 0.0;
+        for (band, upper) in
+            BANDS.iter().enumerate().take_while(|(_, upper)| **upper <= FORCE_MAX_HZ)
+        {
             let place = (RATE + axis) * BANDS.len() + band;
             let n = observed.counts()[place];
-            if n < 1.0 || *upper > FORCE_MAX_HZ || twins.power.is_empty() {
-                continue;
+            if n >= 1.0 {
+                places.push((place, axis, 2.0 * CELL_S * (upper - lower) / n));
             }
-            seen = true;
-            let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
-            let share = 2.0 * CELL_S * (upper - lower) / n;
-            let [mean, deviation] = moments[place];
-            moment.mean_square[axis] += (power[place] - mean) * share;
-            variance += (share * deviation).powi(2);
+            lower = *upper;
         }
     }
-    moment.error = variance.sqrt();
-    seen.then_some(moment)
+    if places.is_empty() || twins.power.is_empty() {
+        return None;
+    }
+    let square = |power: &[f64], about: usize| -> f64 {
+        let of_axis = places.iter().filter(|(_, axis, _)| *axis == about);
+        of_axis.map(|(place, _, share)| power[*place] * share).sum()
+    };
+    let of_axis = |axis| square(power, axis) - twins.moments_of(|power| square(power, axis))[0];
+    // Of the twins' sums: what one has too much of in one band it may have in the others.
+    let [_, error] = twins.moments_of(|power| (0..3).map(|axis| square(power, axis)).sum());
+    Some(UnmodelledMoment { mean_square: [0, 1, 2].map(of_axis), error })
 }
 
 /// Force that `candidate` leaves unexplained; `None` where the logs lack accelerometer or velocity.
