@@ -232,16 +232,16 @@ impl<'a> Inquiry<'a> {
         (misfit, strains(self.catalogue, fit, twins))
     }
 
-    /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by.
+    /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by, or where none
+    /// are asked for.
     fn twins_of(&self, scored: &Scored, sensors: &ReportNoise) -> Option<TwinFits> {
-        let law = self.onboard.filter(|_| !scored.fit.hypotheses.is_empty())?;
         let count = TWINS_OF_BEST.min(self.settings.twins);
+        let law = self.onboard.filter(|_| count > 0 && !scored.fit.hypotheses.is_empty())?;
         let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
         let about = Linearised::new(&self.fitted, &scored.fit.values, &numbers)?;
         let active = scored.fit.active(self.catalogue);
         let draws = (count, self.settings.seed);
-        let drawn = TwinFits::of_effects(&self.fitted, &about, &active, law, sensors, draws);
-        drawn.ok().filter(|_| count > 0)
+        TwinFits::of_effects(&self.fitted, &about, &active, law, sensors, draws).ok()
     }
 
     /// A command_delay that was chosen is as the outputs say, where they do. Whether it was.
