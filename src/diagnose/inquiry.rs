@@ -1,5 +1,5 @@
-//! The steps of a diagnosis at one set of tolerances: what nuisances and chance explain, which
-//! effects are chosen and what they are off by, what is left over, and how far the gap shrinks.
+//! A diagnosis at one set of tolerances: where the gap lies, what the search leaves over, how far the
+//! gap shrinks, and what is made of all that.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,6 @@ use super::answer::{
 };
 use super::arrival::Delay;
 use super::excitation::{part_wind_from_trim, voltages_differ};
-use super::fit::Fit;
 use super::gap::{Errors, Floor, Simulator};
 use super::hypothesis::Catalogue;
 use super::judgement::{
@@ -19,27 +18,26 @@ use super::judgement::{
     is_propped, is_unexplained,
 };
 use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
-use super::linearised::Linearised;
 use super::map::{ResidualMap, depends_on, map, samples};
-use super::misfit::{Misfit, misfit, share_left, standing_out};
+use super::misfit::standing_out;
 use super::naming::{
-    THRUST_LEVEL, TILTS, answer_of, as_good, credence, idle, named_effects, share, single,
+    THRUST_LEVEL, TILTS, answer_of, as_good, credence, named_effects, share, single,
     tilt_in_place_of,
 };
-use super::noise::{ReportNoise, report_noise};
+use super::noise::report_noise;
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
 use super::procedure::{Case, DiagnoseError, Settings};
 use super::residuals::Evaluator;
-use super::selection::{Scored, Selection, Selector, Thresholds};
-use super::strain::{Strain, is_loop_held, level_in_place_of, strains};
+use super::scored::Scored;
+use super::search::Search;
+use super::selection::Selection;
+use super::strain::is_loop_held;
 use super::turbulence::gusts;
-use super::twins::{TwinFits, Twins, screened};
+use super::twins::TwinFits;
 use super::unchosen::Unchosen;
 
-/// Twins of the best explanation, against which what it leaves is compared.
-const TWINS_OF_BEST: u32 = 16;
 /// Probability of gusts where what is left looks like turbulence: other forces may.
 const GUSTS_PROBABILITY: f64 = 0.8;
 /// Probability of an effect that was not chosen and that an open gap shows: of eight such in the exams
@@ -67,41 +65,6 @@ pub(super) struct Inquiry<'a> {
     pub learned: Option<Errors>,
 }
 
-/// What was found.
-pub(super) struct Search {
-    /// The chosen effects, without what the fit is off by, and their rivals.
-    pub selection: Selection,
-    /// Noise of the reports.
-    pub noise: ReportNoise,
-    /// What twins without an effect have by chance.
-    pub twins: Option<Twins>,
-    /// What was asked of an effect.
-    pub thresholds: Thresholds,
-    /// What the chosen effects leave, or the nuisances alone where there are none; nothing where no
-    /// twins can be flown.
-    pub misfit: Vec<Misfit>,
-    /// Numbers that are strained beside the chosen effects.
-    pub strained: Vec<Strain>,
-    /// The thrust's level, where it may be all that a chosen effect stands for.
-    pub level: Option<Strain>,
-    /// The hypothesis that was chosen alone and dropped, for its numbers may be the file's.
-    pub dropped: Option<usize>,
-    /// Twins without an effect, and of the chosen effects where there are any.
-    of_null: Option<TwinFits>,
-    of_best: Option<TwinFits>,
-}
-
-impl Search {
-    /// The chosen effects.
-    pub fn named(&self, catalogue: &Catalogue) -> Vec<EffectId> {
-        let chosen = self.selection.best.fit.hypotheses.iter();
-        chosen.map(|h| catalogue.hypotheses[*h].effect).collect()
-    }
-}
-
-/// What a fit leaves beyond its twins, and numbers that are strained.
-type Checked = (Vec<Misfit>, Vec<Strain>);
-
 /// What is made of what was found.
 pub(super) struct Judgement {
     pub verdict: Verdict,
@@ -126,132 +89,6 @@ impl<'a> Inquiry<'a> {
     /// Whether the leg from setpoints to outputs is looked at.
     pub fn leg(&self) -> bool {
         self.onboard.is_some()
-    }
-
-    /// Twins, and the search among the effects against what they say.
-    pub fn search(&self, progress: &dyn Fn(&str)) -> Result<Search, DiagnoseError> {
-        let Self { settings, fitted, catalogue, .. } = self;
-        let mut selector = Selector {
-            fitted,
-            held_out: &self.held_out,
-            catalogue,
-            setpoint_leg: self.leg(),
-            thresholds: Thresholds::default(),
-            floor: None,
-        };
-        progress("what nuisances explain");
-        let (null, about) = selector.null().ok_or(DiagnoseError::Nothing)?;
-        let noise = report_noise(self.case.fitted, &null.fit.power, fitted.counts());
-        let (mut twins, mut of_null, mut sensors) = (None, None, noise);
-        if settings.twins > 0 {
-            progress("twins without an effect");
-            let draws = (settings.twins, settings.seed);
-            let (drawn, about) = match self.onboard {
-                Some(law) => {
-                    let drawn = TwinFits::of_null(fitted, &about, law, &noise, draws)?;
-                    sensors = drawn.sensors;
-                    (drawn, about.clone())
-                }
-                None => (
-                    TwinFits::of_noise(fitted, &null.fit.power, draws),
-                    about.resting_at(catalogue.expected()),
-                ),
-            };
-            let screened = screened(&selector, &null, &about, &drawn, settings.seed);
-            selector.thresholds.asked.clone_from(&screened.asked);
-            selector.thresholds.chance.clone_from(&screened.chance);
-            twins = Some(screened);
-            of_null = Some(drawn);
-        }
-        let shipped = self.simulator(&EffectSet::new())?.guided();
-        selector.floor =
-            shipped.floor(self.case.fitted, &noise, settings.seed).map(|floor| floor.errors);
-        progress("which effect");
-        let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
-        let mut dropped = None;
-        let nearest = loop {
-            let nearest = self.nearest_twins(&mut selection, &sensors);
-            let Some((_, twins)) = &nearest else { break nearest };
-            correct(&mut selection.best, catalogue, twins);
-            self.take_up_delay(&mut selection.best);
-            let Some(place) = idle(&selection, catalogue) else { break nearest };
-            let Some(less) = selector.dropping(&about, &selection, place) else { break nearest };
-            if let [alone] = selection.best.fit.hypotheses[..] {
-                dropped = Some(alone);
-            }
-            selection = less;
-        };
-        let level = level_in_place_of(&selection.best.fit, fitted, &about);
-        let ((misfit, strained), of_best) = match nearest {
-            Some((checked, twins)) => (checked, Some(twins)),
-            None => {
-                let null = &selection.null.fit;
-                let found = !selection.best.fit.hypotheses.is_empty();
-                let alone = of_null.as_ref().filter(|_| !found && self.leg());
-                (alone.map(|twins| self.checked(null, null, twins)).unwrap_or_default(), None)
-            }
-        };
-        let thresholds = selector.thresholds;
-        Ok(Search {
-            selection,
-            noise,
-            twins,
-            thresholds,
-            misfit,
-            strained,
-            level,
-            dropped,
-            of_null,
-            of_best,
-        })
-    }
-
-    /// The twins of what was chosen that come nearest to the flights, and what is left beyond them.
-    ///
-    /// Within a tick of the loop a fit finds any delay, and the outputs tell about as much: which of
-    /// the two was flown, twins of both must say.
-    fn nearest_twins(
-        &self,
-        selection: &mut Selection,
-        sensors: &ReportNoise,
-    ) -> Option<(Checked, TwinFits)> {
-        let mut flown = vec![selection.best.clone()];
-        if self.take_up_delay(&mut selection.best) {
-            flown.push(selection.best.clone());
-        }
-        let of_flown = flown.iter().filter_map(|scored| {
-            let twins = self.twins_of(scored, sensors)?;
-            Some((self.checked(&selection.null.fit, &scored.fit, &twins), twins))
-        });
-        of_flown.min_by(|((a, _), _), ((b, _), _)| share_left(a).total_cmp(&share_left(b)))
-    }
-
-    /// What a fit leaves beyond its twins, and the numbers that they show to be strained.
-    fn checked(&self, null: &Fit, fit: &Fit, twins: &TwinFits) -> Checked {
-        let misfit = misfit(null, fit, twins, self.fitted.counts());
-        (misfit, strains(self.catalogue, fit, twins))
-    }
-
-    /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by, or where none
-    /// are asked for.
-    fn twins_of(&self, scored: &Scored, sensors: &ReportNoise) -> Option<TwinFits> {
-        let count = TWINS_OF_BEST.min(self.settings.twins);
-        let law = self.onboard.filter(|_| count > 0 && !scored.fit.hypotheses.is_empty())?;
-        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
-        let about = Linearised::new(&self.fitted, &scored.fit.values, &numbers)?;
-        let active = scored.fit.active(self.catalogue);
-        let draws = (count, self.settings.seed);
-        TwinFits::of_effects(&self.fitted, &about, &active, law, sensors, draws).ok()
-    }
-
-    /// A command_delay that was chosen is as the outputs say, where they do. Whether it was.
-    fn take_up_delay(&self, best: &mut Scored) -> bool {
-        let number = self.catalogue.number_of(EffectId::CommandDelay, 0);
-        let chosen = number.filter(|n| best.fit.active(self.catalogue).contains(n));
-        let Some((number, delay)) = chosen.zip(self.arrival) else { return false };
-        best.fit.values[number] = delay.mean;
-        best.fit.deviation[number] = delay.deviation;
-        true
     }
 
     /// Where the gap lies.
@@ -495,15 +332,5 @@ impl<'a> Inquiry<'a> {
                 }
             }
         })
-    }
-}
-
-/// Takes off a fit's effects what its twins are off by, and gives them the twins' error.
-fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
-    for number in scored.fit.active(catalogue) {
-        let [low, high] = catalogue.numbers[number].bounds;
-        let value = &mut scored.fit.values[number];
-        *value = (*value - twins.bias[number]).clamp(low, high);
-        scored.fit.deviation[number] = twins.error(number);
     }
 }

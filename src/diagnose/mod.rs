@@ -28,6 +28,8 @@ pub mod procedure;
 pub mod reflight;
 pub mod replica;
 pub mod residuals;
+pub mod scored;
+mod search;
 pub mod selection;
 pub mod series;
 mod setpoints;

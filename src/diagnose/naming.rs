@@ -8,7 +8,8 @@ use sitl::effects::EffectId;
 use super::answer::{EffectAnswer, NotTestable, parameters};
 use super::hypothesis::{Catalogue, Target};
 use super::misfit::{Misfit, share_left};
-use super::selection::{Rival, Scored, Selection, Thresholds};
+use super::scored::Scored;
+use super::selection::{Rival, Selection, Thresholds};
 
 /// Log odds that what explains flights is also their cause, where nothing is left, and by how much
 /// they fall with the share that is left. By the answers of exams in which every eighth cause was none

@@ -5,8 +5,6 @@
 //! hypothesis is taken up only if it raises the evidence on the flights of the fit *and* the
 //! density of the flights that were held out.
 
-use std::sync::OnceLock;
-
 use rayon::prelude::*;
 use sitl::effects::EffectId;
 
@@ -15,6 +13,7 @@ use super::gap::{Errors, Simulator, improvement};
 use super::hypothesis::{Catalogue, Hypothesis};
 use super::linearised::Linearised;
 use super::observed::Observed;
+use super::scored::{Scored, Windows};
 use super::twins::EVIDENCE_MIN;
 
 /// Most effects at once.
@@ -37,44 +36,6 @@ const NULL_GAIN_MIN: f64 = 1.0;
 /// which predictions must then be better.
 pub(super) const BEYOND_DOUBT: f64 = 100.0;
 const DEVIATIONS_MIN: f64 = 1.2;
-
-/// A fit with its score on the flights that were held out.
-#[derive(Clone, Debug)]
-pub struct Scored {
-    /// The fit.
-    pub fit: Fit,
-    /// Its log evidence without what chance gives its hypotheses, nats.
-    pub evidence: f64,
-    /// Log density of each block held out, nats.
-    pub density: Vec<f64>,
-    /// Open-loop errors on all flights, window by window: of its effects alone, and with its
-    /// nuisances.
-    windows: [OnceLock<Windows>; 2],
-}
-
-/// Errors by window, horizon and quantity.
-type Windows = Vec<[[f64; 4]; 3]>;
-
-impl Scored {
-    /// How much likelier it makes the flights held out than `other`: nats, and the standard error
-    /// by the scatter between blocks.
-    pub fn gain_over(&self, other: &Scored) -> (f64, f64) {
-        let gains: Vec<f64> = self.density.iter().zip(&other.density).map(|(a, b)| a - b).collect();
-        let n = gains.len() as f64;
-        let mean = gains.iter().sum::<f64>() / n.max(1.0);
-        // One block does not tell how much blocks scatter.
-        if n < 2.0 {
-            return (mean, mean.abs());
-        }
-        let variance = gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        (mean * n, (variance * n).sqrt())
-    }
-
-    /// Evidence and held-out density together.
-    pub fn score(&self) -> f64 {
-        self.evidence + self.density.iter().sum::<f64>()
-    }
-}
 
 /// What is asked of a hypothesis before it is taken up.
 #[derive(Clone, Debug)]
@@ -159,7 +120,8 @@ impl Selector<'_> {
         let of_block =
             chance * size(self.held_out) / size(self.fitted) / density.len().max(1) as f64;
         density.iter_mut().for_each(|density| *density -= of_block);
-        Some(Scored { evidence: fit.evidence - chance, fit, density, windows: Default::default() })
+        let evidence = fit.evidence - chance;
+        Some(Scored::new(fit, evidence, density))
     }
 
     /// Nuisances alone, and the derivatives there.
@@ -288,7 +250,7 @@ impl Selector<'_> {
 
     /// Open-loop errors of a fit's effects, with its nuisances or without.
     fn windows<'s>(&self, scored: &'s Scored, nuisances: bool) -> &'s Windows {
-        scored.windows[usize::from(nuisances)].get_or_init(|| {
+        scored.windows(nuisances, || {
             let named: Vec<EffectId> =
                 scored.fit.hypotheses.iter().map(|h| self.hypothesis(*h).effect).collect();
             let which = (!nuisances).then_some(named.as_slice());
@@ -489,20 +451,4 @@ pub(super) fn is_along_the_floor(catalogue: &Catalogue, fit: &Fit) -> bool {
     };
     let [[north, _], [east, _], [down, error]] = [0, 1, 2].map(component);
     down.abs() - 2.0 * error <= north.hypot(east)
-}
-
-#[cfg(test)]
-impl Scored {
-    /// Hypotheses of which only the evidence and the density are known.
-    pub(super) fn of(hypotheses: Vec<usize>, evidence: f64, density: Vec<f64>) -> Self {
-        let fit = Fit {
-            hypotheses,
-            values: Vec::new(),
-            deviation: Vec::new(),
-            evidence,
-            cost: 0.0,
-            power: Vec::new(),
-        };
-        Self { fit, evidence, density, windows: Default::default() }
-    }
 }

@@ -22,7 +22,8 @@ use super::observed::{Observed, Residuals};
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
 use super::replica::Replica;
-use super::selection::{Scored, Selector};
+use super::scored::Scored;
+use super::selection::Selector;
 
 /// Share of twins in which any hypothesis may reach what is asked of it.
 const EXCEEDED: f64 = 0.01;

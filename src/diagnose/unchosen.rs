@@ -12,9 +12,11 @@ use sitl::effects::{EffectId, EffectSet};
 
 use super::gap::Errors;
 use super::hypothesis::Catalogue;
-use super::inquiry::{Inquiry, Judgement, Search};
+use super::inquiry::{Inquiry, Judgement};
 use super::judgement::{CLOSED_MIN, Unexplained, is_open};
-use super::selection::{BEYOND_DOUBT, Rival, Scored, Selection, Thresholds, is_along_the_floor};
+use super::scored::Scored;
+use super::search::Search;
+use super::selection::{BEYOND_DOUBT, Rival, Selection, Thresholds, is_along_the_floor};
 
 /// Share of the evidence of the effect that explains the most which others may have, for it to be alone.
 const BESIDE_MAX: f64 = 0.05;

@@ -6,7 +6,8 @@ use sitl::effects::{EffectId, EffectSet};
 
 use super::super::answer::Answer;
 use super::super::hypothesis::{Catalogue, Target};
-use super::super::selection::{Scored, Selection};
+use super::super::scored::Scored;
+use super::super::selection::Selection;
 
 /// An explanation that may be true: effects with their numbers.
 #[derive(Clone, Debug)]
