@@ -1,5 +1,5 @@
-//! `downwash diagnose` on ten minutes of flight against the whole catalogue: the whole process, from
-//! logs to the answer, and the most memory that it held.
+//! `downwash diagnose` on ten minutes of flight against the whole catalogue: the whole process,
+//! from logs to the answer, and the most memory that it held.
 //!
 //! `cargo bench --bench diagnosis -- [--minutes 10] [--twins 40] [--seed 1]`
 //!

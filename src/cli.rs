@@ -21,8 +21,8 @@ use crate::exam::case::Kind;
 ///
 /// Results go to stdout, progress and messages to stderr. Exit codes: 0 done, 1 failed while
 /// running, 2 bad flags or files, 3 no vehicle heard or link lost, 4 preflight or vehicle refused,
-/// 5 flight ended early by a safety reaction or by the pilot, 6 no plan was found that may be flown,
-/// 10 a check failed that was asked for, 130 interrupted after a clean stop.
+/// 5 flight ended early by a safety reaction or by the pilot, 6 no plan was found that may be
+/// flown, 10 a check failed that was asked for, 130 interrupted after a clean stop.
 #[derive(Debug, Parser)]
 #[command(version, max_term_width = 100)]
 pub struct Cli {
@@ -37,7 +37,8 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// The whole experiment on the bundled vehicle, in lockstep: collect, learn, plan, fly, compare.
+    /// The whole experiment on the bundled vehicle, in lockstep: collect, learn, plan, fly,
+    /// compare.
     ///
     /// Learns a model from flights of a vehicle with effects that its file does not say, plans a
     /// trajectory through it, and flies it with and without the plans. Leaves a report, its
@@ -47,7 +48,8 @@ pub enum Command {
     Fly(FlyArgs),
     /// Flies a programme that a model can be learned from, and logs each flight.
     Collect(CollectArgs),
-    /// Runs for long: streams a hold, and flies whenever the pilot switches the vehicle to OFFBOARD.
+    /// Runs for long: streams a hold, and flies whenever the pilot switches the vehicle to
+    /// OFFBOARD.
     Daemon(DaemonArgs),
     /// Runs the bundled vehicle on MAVLink links.
     Sitl(sitl::cli::SitlArgs),
@@ -82,8 +84,8 @@ pub struct DiagnoseArgs {
     /// of the logs; of a single one its second half].
     #[arg(long, value_name = "FILE")]
     pub holdout: Vec<PathBuf>,
-    /// A log of the flight that an earlier diagnosis asked for: part of the fit, never held out; may
-    /// be given again.
+    /// A log of the flight that an earlier diagnosis asked for: part of the fit, never held out;
+    /// may be given again.
     #[arg(long, value_name = "FILE")]
     pub new: Vec<PathBuf>,
     /// The vehicle file to write, with the effects that were found.

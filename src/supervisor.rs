@@ -9,10 +9,10 @@
 //! Land until the vehicle has taken over; never in another state, and never without a fresh sample.
 //! A pilot's mode change leads to PilotControl from everywhere. Every way to the stream passes
 //! AwaitRelease: mode and intended mode must have read something other than OFFBOARD for a while,
-//! because PX4 re-enters OFFBOARD by itself as soon as a stream resumes. A vehicle that was flown by
-//! command stands in OFFBOARD afterwards: PX4 returns to the mode chosen before arming. Where the
-//! next flight is commanded, a disarmed vehicle is asked to leave it; under the pilot's switch, and
-//! with the motors armed, nobody but the pilot leaves OFFBOARD.
+//! because PX4 re-enters OFFBOARD by itself as soon as a stream resumes. A vehicle that was flown
+//! by command stands in OFFBOARD afterwards: PX4 returns to the mode chosen before arming. Where
+//! the next flight is commanded, a disarmed vehicle is asked to leave it; under the pilot's switch,
+//! and with the motors armed, nobody but the pilot leaves OFFBOARD.
 
 mod preflight;
 mod safety;

@@ -177,7 +177,8 @@ impl Telemetry {
         odometry.max(attitude.min(position)).min(self.settings.rate_hz)
     }
 
-    /// Forgets the state, the mode and the clocks, after the link was lost or the vehicle restarted.
+    /// Forgets the state, the mode and the clocks, after the link was lost or the vehicle
+    /// restarted.
     pub fn forget(&mut self) {
         let mut status = std::mem::take(&mut self.status);
         status.forget_mode();

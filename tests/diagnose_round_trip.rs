@@ -121,7 +121,8 @@ fn a_delay_of_whole_ticks_is_named() {
     assert!((delay - 0.012).abs() < 1.5e-3, "{delay}");
 }
 
-/// Near one throttle a curve of the thrust and a sagging pack do what another level of the thrust does.
+/// Near one throttle a curve of the thrust and a sagging pack do what another level of the thrust
+/// does.
 #[test]
 fn a_number_that_is_taken_out_and_off_by_no_more_than_files_are_is_no_clean_flight() {
     let logs = fly("within", NANO, 40, &["thrust_scale:scale=0.985"]);
@@ -150,8 +151,8 @@ fn a_lag_where_the_file_has_none_is_told_from_a_delay_of_the_outputs() {
     assert!((tau - 0.01).abs() < 2e-3, "{tau}");
 }
 
-/// Predictions from the flown state hardly show it, and gains of the loop stand in for it: what tells
-/// is what is left of the commands.
+/// Predictions from the flown state hardly show it, and gains of the loop stand in for it: what
+/// tells is what is left of the commands.
 #[test]
 fn a_cause_that_nuisances_stand_in_for_is_unknown() {
     let logs = fly("stand-in", NANO, 40, &["command_delay:delay_s=0.009"]);

@@ -71,9 +71,9 @@ fn prepared(case: &Case, condition: Condition, folder: &str) -> Vec<PreparedFlig
     logs.map(|flight| PreparedFlight::new(flight, &case.nominal).expect("a flight")).collect()
 }
 
-/// What the fit of the nuisances to flights leaves over what it leaves of their twins, by channel: the
-/// exponential of the mean logarithm, each band weighed by how much it says. And the numbers of the
-/// vehicle that the twins are of, in tolerances off the file's.
+/// What the fit of the nuisances to flights leaves over what it leaves of their twins, by channel:
+/// the exponential of the mean logarithm, each band weighed by how much it says. And the numbers of
+/// the vehicle that the twins are of, in tolerances off the file's.
 fn ratios(
     vehicle: &VehicleParams,
     prepared: &[PreparedFlight],
@@ -162,9 +162,9 @@ fn twins_of_a_thinned_log_leave_what_it_leaves() {
     assert!(moments.iter().all(|(_, ratio)| (0.6..1.6).contains(ratio)), "{ratios:.2?}");
 }
 
-/// A hover neither tilts nor turns, so that its outputs are the loop's answer to the gyro's noise, and
-/// the noise is in what they are to explain as well. A heavier body would seem to explain it: in twins
-/// as in the flights.
+/// A hover neither tilts nor turns, so that its outputs are the loop's answer to the gyro's noise,
+/// and the noise is in what they are to explain as well. A heavier body would seem to explain it:
+/// in twins as in the flights.
 #[test]
 fn twins_of_a_hover_have_its_evidence_for_an_inertia() {
     let settings = Settings { flights: 2, ..Settings::default() };

@@ -1,5 +1,5 @@
-//! Whole flights over the protocol, in lockstep: every trajectory, both vehicles, and agreement with
-//! closed forms.
+//! Whole flights over the protocol, in lockstep: every trajectory, both vehicles, and agreement
+//! with closed forms.
 
 mod lockstep;
 

@@ -1,5 +1,5 @@
-//! Each form of setpoint in flight: attitude, rates and thrust (mask 0x00); attitude and thrust, as a
-//! PX4 is sent (0x07); rates and thrust under the daemon's attitude loop (0x80). With the vehicle
+//! Each form of setpoint in flight: attitude, rates and thrust (mask 0x00); attitude and thrust, as
+//! a PX4 is sent (0x07); rates and thrust under the daemon's attitude loop (0x80). With the vehicle
 //! file's delay and lag, and with more of both than the file says.
 
 mod lockstep;

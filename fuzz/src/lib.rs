@@ -70,8 +70,8 @@ pub fn tlog(data: &[u8]) {
     assert_eq!(kept as u64 + reader.skipped_bytes(), data.len() as u64);
 }
 
-/// A flight log of anything, with and without the start of one: what can be read is summed up, drawn
-/// and exported.
+/// A flight log of anything, with and without the start of one: what can be read is summed up,
+/// drawn and exported.
 pub fn flight_log(data: &[u8]) {
     /// Topics that are exported: the cost of more is not worth their variety.
     const TOPICS: usize = 4;

@@ -13,15 +13,16 @@ pub struct DemoArgs {
     /// Folder for report.html, summary.json, the logs, the model and the plans; made if missing.
     #[arg(long, default_value = "demo-out")]
     pub out: PathBuf,
-    /// What flies the trajectory: feedback alone, or plans through these models of what was learned.
+    /// What flies the trajectory: feedback alone, or plans through these models of what was
+    /// learned.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = Contestant::PAPER)]
     pub fly: Vec<Contestant>,
     /// Length of the flights that the models are learned from, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 900.0)]
     pub learn: f64,
-    /// Closes the loop instead: the simulated vehicle hides an effect (--hidden, else drawn from the
-    /// seed), which is diagnosed from a short programme of flights; the trajectory is planned and
-    /// flown with the vehicle file as shipped and with the improved one.
+    /// Closes the loop instead: the simulated vehicle hides an effect (--hidden, else drawn from
+    /// the seed), which is diagnosed from a short programme of flights; the trajectory is planned
+    /// and flown with the vehicle file as shipped and with the improved one.
     #[arg(long, conflicts_with_all = ["fly", "learn"])]
     pub diagnose: bool,
     /// Length of the flights that are diagnosed, s.

@@ -33,9 +33,9 @@ pub enum LogCommand {
     /// Reads any flight log, and writes it as one of this program's, each stream at its own rate.
     ///
     /// Takes telemetry logs (.tlog), own logs (.mcap), logs of PX4 (.ulg) and ArduPilot (.bin), and
-    /// tables (.csv), told by their content. A table needs a mapping file, which names columns, units,
-    /// frames and orders; nothing of these is guessed, and config/mappings/motion-capture.toml is one
-    /// to start from.
+    /// tables (.csv), told by their content. A table needs a mapping file, which names columns,
+    /// units, frames and orders; nothing of these is guessed, and
+    /// config/mappings/motion-capture.toml is one to start from.
     Import {
         /// Flight log.
         file: PathBuf,

@@ -213,7 +213,8 @@ impl Loop<'_> {
         Ok(exit)
     }
 
-    /// Flies what shows effects; the exit code where a flight did not end as planned, which is told.
+    /// Flies what shows effects; the exit code where a flight did not end as planned, which is
+    /// told.
     fn excite(&self) -> anyhow::Result<Result<Vec<PathBuf>, Exit>> {
         let args = self.args;
         say(format_args!("flying {:.0} s to see what it does", args.excite));

@@ -88,8 +88,8 @@ impl SimulatedFlight<'_> {
         info.extra = self.extra;
         info.extra.insert("effects".to_owned(), self.truth.effects_text()?);
         let start = lockstep::host_time(0);
-        // Never synced on the way, which would cut chunks by the wall clock: the same seed gives the
-        // same bytes, and a flight that a crash cuts short is flown again.
+        // Never synced on the way, which would cut chunks by the wall clock: the same seed gives
+        // the same bytes, and a flight that a crash cuts short is flown again.
         let mut writer = LogWriter::create(folder, &info, start, Instant::now())?;
         let mut failure = None;
         let log = writer.path().to_owned();

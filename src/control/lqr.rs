@@ -97,8 +97,8 @@ pub enum DesignError {
     },
 }
 
-/// Errors that the gain is made for where lag and delay leave a choice: north, east, down; velocity;
-/// roll, pitch, yaw; body rate, in SI units. What the approach and a gust leave.
+/// Errors that the gain is made for where lag and delay leave a choice: north, east, down;
+/// velocity; roll, pitch, yaw; body rate, in SI units. What the approach and a gust leave.
 const ERRORS: [f64; STATES] = [0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.5];
 /// Attempts at a gain that settles the loop, each weaker than the last.
 const ATTEMPTS: usize = 24;
@@ -137,10 +137,10 @@ impl Lqr {
         })
     }
 
-    /// The same where the vehicle is known to answer late. Delayed setpoints and the rotors' moments
-    /// are states that are not measured, so that of all gains `K` on the measured ones the best by
-    /// the same weights is taken. It is that of [`Lqr::design`] as delay and lag go to zero, and
-    /// the slower the vehicle, the less it asks for, of attitude feedback first.
+    /// The same where the vehicle is known to answer late. Delayed setpoints and the rotors'
+    /// moments are states that are not measured, so that of all gains `K` on the measured ones the
+    /// best by the same weights is taken. It is that of [`Lqr::design`] as delay and lag go to
+    /// zero, and the slower the vehicle, the less it asks for, of attitude feedback first.
     ///
     /// # Errors
     /// As [`Lqr::design`], and [`DesignError::TooSlow`].

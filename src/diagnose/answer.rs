@@ -50,8 +50,8 @@ impl Verdict {
 pub enum FullVerdict {
     /// Effects of the catalogue, and no others in their place.
     Named,
-    /// An effect of the catalogue, by another law than the catalogue's: it is told by the evidence that
-    /// no other effect touches, and the gap stays open.
+    /// An effect of the catalogue, by another law than the catalogue's: it is told by the evidence
+    /// that no other effect touches, and the gap stays open.
     OtherLaw,
     /// One of several effects: these flights do not tell which.
     Ambiguous,
@@ -202,8 +202,8 @@ impl Gap {
         left / self.floor.max(f64::MIN_POSITIVE)
     }
 
-    /// The largest error that is left, over all quantities and horizons, in units of what noise alone
-    /// leaves.
+    /// The largest error that is left, over all quantities and horizons, in units of what noise
+    /// alone leaves.
     pub fn most_visible(&self) -> f64 {
         let [_, after, floor] = &self.errors;
         let pairs = after.0.iter().flatten().zip(floor.0.iter().flatten());

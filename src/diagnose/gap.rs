@@ -348,8 +348,8 @@ impl<'a> NoiseDraw<'a> {
     }
 }
 
-/// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the log
-/// lacks.
+/// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the
+/// log lacks.
 struct LoopNoise<'a> {
     draw: &'a NoiseDraw<'a>,
     /// The attitude's present error about each axis, rad.

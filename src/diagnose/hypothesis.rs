@@ -280,8 +280,8 @@ impl Catalogue {
         self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
     }
 
-    /// The catalogue with the tolerances of the vehicle file's numbers times `share`; those of times,
-    /// which the clocks blur, and of the damping stay.
+    /// The catalogue with the tolerances of the vehicle file's numbers times `share`; those of
+    /// times, which the clocks blur, and of the damping stay.
     pub fn taken_at(mut self, share: f64) -> Self {
         for number in &mut self.numbers {
             let is_time = matches!(
@@ -313,8 +313,8 @@ impl Catalogue {
     }
 
     /// The catalogue with command_delay as it was read off the outputs: tried at its reference and
-    /// there alone. Where the reference allows it, it is expected there; where it does not, the delay
-    /// is known to be off and no nuisance.
+    /// there alone. Where the reference allows it, it is expected there; where it does not, the
+    /// delay is known to be off and no nuisance.
     pub fn with_delay(mut self, delay: &Delay) -> Self {
         let index = self.number_of(EffectId::CommandDelay, 0);
         let delays = self.hypotheses.iter_mut().filter(|h| h.effect == EffectId::CommandDelay);

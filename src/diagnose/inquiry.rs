@@ -1,5 +1,5 @@
-//! A diagnosis at one set of tolerances: where the gap lies, what the search leaves over, how far the
-//! gap shrinks, and what is made of all that.
+//! A diagnosis at one set of tolerances: where the gap lies, what the search leaves over, how far
+//! the gap shrinks, and what is made of all that.
 
 use std::collections::BTreeMap;
 
@@ -40,8 +40,8 @@ use super::unchosen::Unchosen;
 
 /// Probability of gusts where what is left looks like turbulence: other forces may.
 const GUSTS_PROBABILITY: f64 = 0.8;
-/// Probability of an effect that was not chosen and that an open gap shows: of eight such in the exams
-/// so far all were true.
+/// Probability of an effect that was not chosen and that an open gap shows: of eight such in the
+/// exams so far all were true.
 const UNCHOSEN_PROBABILITY: f64 = 0.7;
 /// Probability of an effect that leaves a trace, though what it changes is below the noise of the
 /// predictions. In two exams two of three such were true; it is not named for all that.
@@ -241,7 +241,8 @@ impl<'a> Inquiry<'a> {
         Judgement { verdict, because, turbulence, unchosen: None, credence }
     }
 
-    /// The named effects, gusts among them if there is turbulence, and what they cannot be told from.
+    /// The named effects, gusts among them if there is turbulence, and what they cannot be told
+    /// from.
     pub fn names(
         &self,
         search: &Search,
@@ -284,7 +285,8 @@ impl<'a> Inquiry<'a> {
         ambiguous.extend(as_good(self.catalogue, selection, thresholds, self.leg()));
         ambiguous.sort_unstable();
         ambiguous.dedup();
-        // Those named are the answer, the first in any case; the others are what it cannot be told from.
+        // Those named are the answer, the first in any case; the others are what it cannot be told
+        // from.
         let is_answer = |(place, answer): (usize, &EffectAnswer)| {
             (place == 0 || answer.probability >= NAMED).then_some(answer.id)
         };
@@ -293,7 +295,8 @@ impl<'a> Inquiry<'a> {
         (answers, ambiguous)
     }
 
-    /// Where nothing is named: the effect that explains the most, if it has more evidence than is asked.
+    /// Where nothing is named: the effect that explains the most, if it has more evidence than is
+    /// asked.
     pub fn trace(&self, search: &Search) -> Option<EffectAnswer> {
         let Search { selection, thresholds, .. } = search;
         let mut kept = selection.singles.iter().filter(|r| Some(r.hypothesis) != search.dropped);

@@ -1,8 +1,8 @@
 //! The verdict: whether what was named explains what was seen.
 //!
 //! A force or a moment that is left counts if it is more than chance leaves and of practical size:
-//! if, within the time that a planner looks ahead, it moves the vehicle by more than the reports are
-//! uncertain. Both are told in that unit, so that forces and moments can be compared.
+//! if, within the time that a planner looks ahead, it moves the vehicle by more than the reports
+//! are uncertain. Both are told in that unit, so that forces and moments can be compared.
 
 use serde::Serialize;
 use sitl::vehicle::VehicleParams;
@@ -26,7 +26,8 @@ pub(super) const SIGNIFICANCE: f64 = 5.0;
 /// Share of what is unmodelled, in power, that effects may leave and still be the explanation.
 const LEFT_MAX: f64 = 0.3;
 
-/// The same of the evidence: of what could be explained in the equations that the effects answer for.
+/// The same of the evidence: of what could be explained in the equations that the effects answer
+/// for.
 const EVIDENCE_LEFT_MAX: f64 = 0.3;
 
 /// Why what was seen counts as unexplained.
@@ -44,8 +45,8 @@ pub enum Unexplained {
     /// What was named predicts well only beside numbers of the vehicle file that are off, though by
     /// no more than files are.
     Propped,
-    /// What is left of the evidence and of the gap is too little to say so by itself, and together too
-    /// much: the explanation is less likely than not to be the cause.
+    /// What is left of the evidence and of the gap is too little to say so by itself, and together
+    /// too much: the explanation is less likely than not to be the cause.
     Doubt,
     /// With no effect found, some equations leave more than the vehicle's own noise would.
     Misfit,
@@ -136,12 +137,12 @@ pub fn is_neighbour(misfits: &[Misfit]) -> bool {
     share_left(misfits) > EVIDENCE_LEFT_MAX
 }
 
-/// A gap on the flights held out that is worth an explanation, in units of the noise: predictions of
-/// vehicles without one mostly stay within a tenth of what noise alone leaves; of three hundred of an
-/// exam none lay above 1.16 but one whose noise scatters.
+/// A gap on the flights held out that is worth an explanation, in units of the noise: predictions
+/// of vehicles without one mostly stay within a tenth of what noise alone leaves; of three hundred
+/// of an exam none lay above 1.16 but one whose noise scatters.
 const GAP_MIN: f64 = 1.15;
-/// The same of the worst of all flights by themselves: of 2400 flights without a gap one lay at 1.32, and
-/// none other above 1.28.
+/// The same of the worst of all flights by themselves: of 2400 flights without a gap one lay at
+/// 1.32, and none other above 1.28.
 const GAP_MIN_OF_ONE: f64 = 1.26;
 /// Beyond it, in units of the scatter by noise alone.
 const GAP_SCATTERS: f64 = 4.0;
@@ -173,8 +174,8 @@ pub(super) fn is_open_alone(over: &OverNoise) -> bool {
 /// What nuisances must close beside the effects to count, in units of the noise.
 const PROPS_MIN: f64 = 0.05;
 /// Share of what effects and nuisances close together that effects must close by themselves. In two
-/// exams those that acted closed 0.89 of it or more, and neighbours of what the catalogue lacked 0.30
-/// to 0.70.
+/// exams those that acted closed 0.89 of it or more, and neighbours of what the catalogue lacked
+/// 0.30 to 0.70.
 const OWN_SHARE_MIN: f64 = 0.8;
 
 /// Whether nuisances do a good part of the work of the effects' cause.

@@ -7,8 +7,8 @@ use super::spectrum::{BANDS, band, frequency};
 /// Share of a stream's rate up to which it is looked at: a linear interpolation between samples
 /// holds to that.
 const RATE_SHARE: f64 = 0.3;
-/// The body rate is looked at up to here, Hz: above, the gyro's noise is both in its increments and,
-/// by feedback, in the outputs, and their correlation would pass for a delay.
+/// The body rate is looked at up to here, Hz: above, the gyro's noise is both in its increments
+/// and, by feedback, in the outputs, and their correlation would pass for a delay.
 const RATE_MAX_HZ: f64 = 6.0;
 /// The command is looked at up to here, Hz: feedback puts noise into every setpoint, and above this
 /// it outweighs what is asked for; a jitter of the link then looks like a lower gain.

@@ -41,8 +41,8 @@ pub struct Learner {
 }
 
 impl Learner {
-    /// Learns what `candidate` leaves of the flights of the fit; `allocation`: the firmware's mixer.
-    /// `None` where they are too few or do not report velocity, attitude and body rate.
+    /// Learns what `candidate` leaves of the flights of the fit; `allocation`: the firmware's
+    /// mixer. `None` where they are too few or do not report velocity, attitude and body rate.
     pub fn of(
         observed: &Observed<'_>,
         evaluator: &Evaluator,
@@ -114,8 +114,8 @@ fn settings(features: Features) -> TrainSettings {
     }
 }
 
-/// The row of the cells from `first` on: the middle's state, the mean of the outputs, and the means of
-/// what is left of the accelerations, `series` by channel.
+/// The row of the cells from `first` on: the middle's state, the mean of the outputs, and the means
+/// of what is left of the accelerations, `series` by channel.
 fn row(
     flight: &PreparedFlight,
     block: &Block,

@@ -96,11 +96,12 @@ impl Linearised {
         }
     }
 
-    /// The share of noise in each number's derivative, of its square, by two draws of the same flights;
-    /// none of numbers without a derivative. A hover does not tilt or turn, and what its outputs do is
-    /// the loop's answer to its own gyro; a derivative by a time is the change of what was read. A
-    /// regressor's noise comes again in what it is to explain (errors in variables; Fuller 1987), and
-    /// what that gives a fit only derivatives tell that have the noise of the flights they belong to.
+    /// The share of noise in each number's derivative, of its square, by two draws of the same
+    /// flights; none of numbers without a derivative. A hover does not tilt or turn, and what its
+    /// outputs do is the loop's answer to its own gyro; a derivative by a time is the change of
+    /// what was read. A regressor's noise comes again in what it is to explain (errors in
+    /// variables; Fuller 1987), and what that gives a fit only derivatives tell that have the noise
+    /// of the flights they belong to.
     pub fn noise_shares(&self, [one, other]: [&Observed<'_>; 2]) -> Vec<(usize, f64)> {
         let residuals = [one, other].map(|observed| observed.residuals(&self.values));
         let [Some(of_one), Some(of_other)] = residuals else { return Vec::new() };

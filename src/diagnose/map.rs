@@ -221,9 +221,9 @@ const SHARE_MIN: f64 = 0.2;
 /// Samples of a quarter of a second that count as one: what is unexplained lasts.
 const CORRELATED: f64 = 4.0;
 
-/// What the unexplained acceleration goes with: quantities of which its mean, in world or body axes,
-/// depends, the strongest first. By the correlation ratio (Pearson 1905) in eighths of the time, less
-/// what chance gives.
+/// What the unexplained acceleration goes with: quantities of which its mean, in world or body
+/// axes, depends, the strongest first. By the correlation ratio (Pearson 1905) in eighths of the
+/// time, less what chance gives.
 pub fn depends_on(samples: &[Sample]) -> Vec<String> {
     let of_sample = |sample: &Sample| -> Vec<f64> {
         let own = sample.quantities.iter().chain(&sample.body_velocity).chain(&sample.body_rate);

@@ -3,8 +3,9 @@
 //!
 //! The cost of a fit is `sum n/2 ln(Q/n)` over channels and bands. Twins of the explanation's own
 //! vehicle say which cost noise alone would leave; what lies between is what a perfect explanation
-//! would still gain, in nats (a posterior predictive check; Gelman, Meng and Stern 1996). A neighbour
-//! of the true cause explains a part and leaves the rest; the cause itself leaves nothing.
+//! would still gain, in nats (a posterior predictive check; Gelman, Meng and Stern 1996). A
+//! neighbour of the true cause explains a part and leaves the rest; the cause itself leaves
+//! nothing.
 
 use serde::Serialize;
 
@@ -14,8 +15,8 @@ use super::residuals::{CHANNELS, COMMAND, FORCE, RATE, VELOCITY};
 use super::spectrum::BANDS;
 use super::twins::TwinFits;
 
-/// Equations that are told apart: name, first channel and the end. The yaw moment that was commanded
-/// is left out: twins do not have all the noise that is in it.
+/// Equations that are told apart: name, first channel and the end. The yaw moment that was
+/// commanded is left out: twins do not have all the noise that is in it.
 const GROUPS: [(&str, usize, usize); 4] = [
     ("acceleration", VELOCITY, VELOCITY + 3),
     ("specific force", FORCE, FORCE + 3),
@@ -23,18 +24,19 @@ const GROUPS: [(&str, usize, usize); 4] = [
     (COMMANDS, COMMAND, CHANNELS - 1),
 ];
 const COMMANDS: &str = "command";
-/// What an explanation gains by leaving the vehicle file's numbers where they are: the nuisances alone
-/// may fit as well, but only by numbers that are further off than files are.
+/// What an explanation gains by leaving the vehicle file's numbers where they are: the nuisances
+/// alone may fit as well, but only by numbers that are further off than files are.
 const NUMBERS: &str = "numbers of the file";
 /// Above this, sensors' noise and its colour outweigh any motion, Hz.
 const MAX_HZ: f64 = 3.2;
 /// Standard errors up to which it may be chance: the twins' own noise is not quite the flights'.
 const CHANCE: f64 = 2.5;
-/// Standard errors from which on what is left is a cause's. In the commands, of 240 vehicles without
-/// an effect in two exams four had 8 to 20; causes that nuisances had passed over began at 14.
+/// Standard errors from which on what is left is a cause's. In the commands, of 240 vehicles
+/// without an effect in two exams four had 8 to 20; causes that nuisances had passed over began at
+/// 14.
 const STANDS_OUT: f64 = 12.0;
-/// The same of all groups but the command's together: of 70 vehicles without an effect none had more
-/// than 1.8.
+/// The same of all groups but the command's together: of 70 vehicles without an effect none had
+/// more than 1.8.
 const STAND_OUT_TOGETHER: f64 = 3.5;
 /// An explanation is answerable for the equations that give it so much of its evidence.
 const ANSWERABLE: f64 = 0.2;
@@ -94,10 +96,10 @@ pub fn share_left(misfits: &[Misfit]) -> f64 {
     if left > 0.0 { left / (left + total) } else { 0.0 }
 }
 
-/// The group of equations that stands out most by what is left there, where it stands out beyond what
-/// sets twins off from flights, alone or with the others of the motion. The command's counts where the
-/// on-board loop's numbers are at their limits as well (`is_loop_held`): a link or a clock that twins
-/// do not have is left there, too.
+/// The group of equations that stands out most by what is left there, where it stands out beyond
+/// what sets twins off from flights, alone or with the others of the motion. The command's counts
+/// where the on-board loop's numbers are at their limits as well (`is_loop_held`): a link or a
+/// clock that twins do not have is left there, too.
 pub fn standing_out(misfits: &[Misfit], is_loop_held: bool) -> Option<&Misfit> {
     let in_errors = |misfit: &Misfit| misfit.left / misfit.error.max(f64::MIN_POSITIVE);
     let of_motion = misfits.iter().filter(|misfit| misfit.equations != COMMANDS);

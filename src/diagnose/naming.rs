@@ -12,12 +12,13 @@ use super::scored::Scored;
 use super::selection::{Rival, Selection, Thresholds};
 
 /// Log odds that what explains flights is also their cause, where nothing is left, and by how much
-/// they fall with the share that is left. By the answers of exams in which every eighth cause was none
-/// of the catalogue's and every tenth followed another law.
+/// they fall with the share that is left. By the answers of exams in which every eighth cause was
+/// none of the catalogue's and every tenth followed another law.
 const LOG_ODDS: f64 = 2.7;
 const LOG_ODDS_BY_SHARE: f64 = 8.0;
-/// The same by how far the gap stays open: from this multiple of the noise on, per unit, up to a bound.
-/// In two exams 93 % were right of those named below 1.2, 19 of 25 from there to 1.3, 3 of 5 above 1.4.
+/// The same by how far the gap stays open: from this multiple of the noise on, per unit, up to a
+/// bound. In two exams 93 % were right of those named below 1.2, 19 of 25 from there to 1.3, 3 of 5
+/// above 1.4.
 const OPEN_FROM: f64 = 1.1;
 const LOG_ODDS_BY_GAP: f64 = 8.0;
 const OPEN_TO: f64 = 1.4;
@@ -31,18 +32,18 @@ const AMBIGUOUS: f64 = 0.1;
 /// Quantile of the normal distribution for 90 % intervals.
 pub(super) const Z90: f64 = 1.645;
 
-/// Probability that what explains the flights is their cause, by what it leaves: the catalogue itself
-/// may lack the cause, and another effect stand in for it. `open`: what of the gap stays open on the
-/// flights held out, in units of the noise, where that is known.
+/// Probability that what explains the flights is their cause, by what it leaves: the catalogue
+/// itself may lack the cause, and another effect stand in for it. `open`: what of the gap stays
+/// open on the flights held out, in units of the noise, where that is known.
 pub(super) fn credence(misfits: &[Misfit], open: Option<f64>) -> f64 {
     let open = open.map_or(0.0, |open| open.clamp(OPEN_FROM, OPEN_TO) - OPEN_FROM);
     let log_odds = LOG_ODDS - LOG_ODDS_BY_SHARE * share_left(misfits) - LOG_ODDS_BY_GAP * open;
     1.0 / (1.0 + (-log_odds).exp())
 }
 
-/// The place in the chosen set of an effect whose numbers, freed of what a fit is off by itself, may
-/// all be those of the vehicle file: of several the one that the set needs least. Two that trade off
-/// against one another scatter alike.
+/// The place in the chosen set of an effect whose numbers, freed of what a fit is off by itself,
+/// may all be those of the vehicle file: of several the one that the set needs least. Two that
+/// trade off against one another scatter alike.
 pub(super) fn idle(selection: &Selection, catalogue: &Catalogue) -> Option<usize> {
     let fit = &selection.best.fit;
     let may_be_the_files = |number: &usize| {
@@ -143,9 +144,10 @@ pub(super) fn answer_of(
     }
 }
 
-/// No law is right to more than this share of its evidence: an effect with less, beside another of its
-/// family, may but mend that one's law. Where causes of exams followed other laws than the catalogue's,
-/// what came along had 0.01 to 0.13 of the evidence; true second effects of a family mostly had more.
+/// No law is right to more than this share of its evidence: an effect with less, beside another of
+/// its family, may but mend that one's law. Where causes of exams followed other laws than the
+/// catalogue's, what came along had 0.01 to 0.13 of the evidence; true second effects of a family
+/// mostly had more.
 const LAW_ERROR: f64 = 0.15;
 /// Families of effects: through the thrust, and in how the body answers moments.
 const FAMILIES: [&[EffectId]; 2] = [
@@ -186,7 +188,8 @@ fn mends_a_law(catalogue: &Catalogue, losses: &[(usize, f64)], place: usize) -> 
 pub(super) const THRUST_LEVEL: [EffectId; 3] =
     [EffectId::BatterySag, EffectId::ThrustCurve, EffectId::ThrustScale];
 
-/// Share of its probability that the one of them keeps that is named, where nothing tells them apart.
+/// Share of its probability that the one of them keeps that is named, where nothing tells them
+/// apart.
 const LEVEL_SHARE: f64 = 0.6;
 
 /// What tilts a hover at one heading: without an accelerometer only other headings tell them apart.
@@ -241,8 +244,8 @@ pub(super) fn share(
 }
 
 /// Share of the evidence of the best single effect with which another explains as much: on real
-/// flights no model is exact, and nats beyond that are of other things; more so where no on-board law
-/// is known, by which twins of the explanation could be flown to check it.
+/// flights no model is exact, and nats beyond that are of other things; more so where no on-board
+/// law is known, by which twins of the explanation could be flown to check it.
 const AS_GOOD: f64 = 0.85;
 const AS_GOOD_UNCHECKED: f64 = 2.0 / 3.0;
 
@@ -269,7 +272,8 @@ pub(super) fn as_good(
         .collect()
 }
 
-/// The name of a number within its effect: of its parameter, and the component where it has several.
+/// The name of a number within its effect: of its parameter, and the component where it has
+/// several.
 fn parameter_name(target: Target) -> String {
     match target {
         Target::Effect(id, slot) => match id.spec().slots().find(|s| s.index == slot) {

@@ -3,9 +3,10 @@
 //! Every manoeuvre of a library is flown in closed-loop simulation by a vehicle that each of the
 //! live hypotheses is true of in turn. Each hypothesis is then refitted to that flight alone, with
 //! every nuisance free: what the rivals can explain by other numbers counts for nothing (Atkinson
-//! and Fedorov's T-optimality), and nothing is taken for granted of old flights, whose wind and pack
-//! are not those of the new one. The manoeuvre whose least expected evidence against a rival is the
-//! largest is the best; of those with plenty, and with half of what the best has, the shortest.
+//! and Fedorov's T-optimality), and nothing is taken for granted of old flights, whose wind and
+//! pack are not those of the new one. The manoeuvre whose least expected evidence against a rival
+//! is the largest is the best; of those with plenty, and with half of what the best has, the
+//! shortest.
 
 mod live;
 mod rehearsal;

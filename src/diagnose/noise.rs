@@ -40,8 +40,8 @@ impl ReportNoise {
         })
     }
 
-    /// Noise that would be found as `self`, where noise of `self` is found as `found`: what is found
-    /// holds motion as well.
+    /// Noise that would be found as `self`, where noise of `self` is found as `found`: what is
+    /// found holds motion as well.
     pub fn matched(&self, found: &Self) -> Self {
         Self::each(|own| {
             let [own, found] = [own(self), own(found)];

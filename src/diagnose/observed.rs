@@ -25,9 +25,9 @@ pub struct Observed<'a> {
     least: Vec<f64>,
 }
 
-/// No equation holds to better than this share of what the rotors can do. Over a short flight a place
-/// has few coefficients, which some numbers may explain to the last digit: without this the likelihood
-/// has no bound there.
+/// No equation holds to better than this share of what the rotors can do. Over a short flight a
+/// place has few coefficients, which some numbers may explain to the last digit: without this the
+/// likelihood has no bound there.
 const EXACT: f64 = 1e-5;
 /// What a turn of the attitude is compared with, rad/s.
 const TURN: f64 = 1.0;
@@ -89,8 +89,8 @@ impl<'a> Observed<'a> {
             }
         }
         let mut deviation = least_left(&catalogue.vehicle);
-        // How near a mean is to rest does not bound it: numbers that bring it there to the last digit
-        // explain nothing that was read, and their fit is to fail.
+        // How near a mean is to rest does not bound it: numbers that bring it there to the last
+        // digit explain nothing that was read, and their fit is to fail.
         if layouts.iter().any(|layout| layout.is_at_rest) {
             AT_REST.iter().for_each(|channel| deviation[*channel] = 0.0);
         }

@@ -69,9 +69,9 @@ impl OnboardLaw {
         };
         let [first, later] = [changes(&reports_first), changes(&self)];
         let sums = [&first, &later].map(|changes| changes.iter().sum::<f64>());
-        // Jumps tell it, where setpoints come seldom. Where neither order explains them, setpoints that
-        // were lost or late made them, and what lies between tells. Where that does not either, the
-        // output at a stamp is the one in force then, of the tick before.
+        // Jumps tell it, where setpoints come seldom. Where neither order explains them, setpoints
+        // that were lost or late made them, and what lies between tells. Where that does not
+        // either, the output at a stamp is the one in force then, of the tick before.
         let is_first = if sums[0] < TOLD * sums[1] {
             true
         } else if sums[1] < TOLD * sums[0] {

@@ -20,8 +20,9 @@ use crate::setpoint::Reference;
 const LIFTS: f64 = 0.5;
 /// Shorter drops of the output are manoeuvres, s.
 const DROP_MAX_S: f64 = 0.7;
-/// Least share of what can be looked at in which setpoints came over the link without a pause, for these
-/// to be looked at: the rest is left out then, and no more than half of a flight is given for them.
+/// Least share of what can be looked at in which setpoints came over the link without a pause, for
+/// these to be looked at: the rest is left out then, and no more than half of a flight is given for
+/// them.
 const LED_MIN: f64 = 0.5;
 /// Time before a block from which rotors and delays reach into it, s.
 const MARGIN_S: f64 = 0.35;
@@ -218,8 +219,8 @@ impl PreparedFlight {
         })
     }
 
-    /// What the on-board loop is asked by setpoint number `index`; `None` where the setpoint does not
-    /// say how much thrust.
+    /// What the on-board loop is asked by setpoint number `index`; `None` where the setpoint does
+    /// not say how much thrust.
     pub fn asked(&self, index: usize) -> Option<OnboardSetpoint> {
         self.asked.get(index).copied().flatten()
     }

@@ -81,8 +81,8 @@ pub enum DiagnoseError {
 ///
 /// The vehicle file's numbers are taken to be as good as a careful builder makes them. Where quiet
 /// sensors show that even so the simulator predicts visibly worse than it could, the flights are
-/// looked at again with a file that is taken at its word. What that names is preferred where it closes
-/// most of what is visible, or adds to what was named before and predicts better.
+/// looked at again with a file that is taken at its word. What that names is preferred where it
+/// closes most of what is visible, or adds to what was named before and predicts better.
 ///
 /// # Errors
 /// [`DiagnoseError`].
@@ -137,10 +137,10 @@ fn adds(strict: &Diagnosis, tolerant: &Diagnosis) -> bool {
     may_be_small && tolerant.answer.named().all(keeps) && after(strict) < after(tolerant)
 }
 
-/// Effects not to be considered, where blade flapping stands for what a plain drag of the rotors may
-/// be. Flapping is such a drag and a moment. Without a known on-board law nothing says how well the
-/// moments are modelled (inertias are often assumed), so that the simpler cause comes first if it
-/// explains about as much.
+/// Effects not to be considered, where blade flapping stands for what a plain drag of the rotors
+/// may be. Flapping is such a drag and a moment. Without a known on-board law nothing says how well
+/// the moments are modelled (inertias are often assumed), so that the simpler cause comes first if
+/// it explains about as much.
 fn without_moments(case: &Case<'_>, found: &Diagnosis) -> Option<Vec<EffectId>> {
     let flaps = found.answer.named().any(|effect| effect.id == EffectId::BladeFlapping.name());
     let is_drag = found.answer.ambiguous_with.contains(&EffectId::RotorDrag.name());

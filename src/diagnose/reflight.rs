@@ -1,9 +1,9 @@
 //! Flights flown again in simulation, in closed loop, and compared with their logs.
 //!
 //! Feedback hides a plant's errors in the trajectory and shows them in the commands: a vehicle that
-//! is heavier than believed flies nearly the same path with more thrust. Both are compared, with the
-//! vehicle as shipped and with the effects that were named, each flown by the daemon's feedback as it
-//! is designed for the vehicle as shipped.
+//! is heavier than believed flies nearly the same path with more thrust. Both are compared, with
+//! the vehicle as shipped and with the effects that were named, each flown by the daemon's feedback
+//! as it is designed for the vehicle as shipped.
 
 mod course;
 
@@ -108,8 +108,8 @@ pub struct Traces {
 }
 
 /// Flies the flights held out again, with the vehicle as shipped and with `effects` put over it,
-/// under reports with this `noise`, along what [`ReferenceOrigin`] says. Turbulence is left out: one
-/// draw is not another.
+/// under reports with this `noise`, along what [`ReferenceOrigin`] says. Turbulence is left out:
+/// one draw is not another.
 ///
 /// # Errors
 /// [`NotReflown`].

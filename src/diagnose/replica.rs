@@ -5,8 +5,8 @@
 //! everything that is looked at, corrects the setpoints, so that model errors do not carry the
 //! replica off its course. Without the smoothing it would take out of the setpoints the noise that
 //! the ground's feedback put there. Sensors report with noise at the very stamps of the log,
-//! so that a replica goes through the same analysis as the flight: noise that feedback puts into the
-//! outputs, aliasing between rates and interpolation come along.
+//! so that a replica goes through the same analysis as the flight: noise that feedback puts into
+//! the outputs, aliasing between rates and interpolation come along.
 
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Exp1};

@@ -22,7 +22,8 @@ pub struct Scored {
 pub(super) type Windows = Vec<[[f64; 4]; 3]>;
 
 impl Scored {
-    /// A fit with its evidence [nats] and its log density on the flights held out, block by block [nats].
+    /// A fit with its evidence [nats] and its log density on the flights held out, block by block
+    /// [nats].
     pub(super) fn new(fit: Fit, evidence: f64, density: Vec<f64>) -> Self {
         Self { fit, evidence, density, windows: Default::default() }
     }
@@ -46,8 +47,8 @@ impl Scored {
         self.evidence + self.density.iter().sum::<f64>()
     }
 
-    /// Open-loop errors of its effects alone, or with its nuisances; found by `find` when they are first
-    /// asked for.
+    /// Open-loop errors of its effects alone, or with its nuisances; found by `find` when they are
+    /// first asked for.
     pub(super) fn windows(&self, nuisances: bool, find: impl FnOnce() -> Windows) -> &Windows {
         self.windows[usize::from(nuisances)].get_or_init(find)
     }

@@ -135,8 +135,8 @@ impl Inquiry<'_> {
 
     /// The twins of what was chosen that come nearest to the flights, and what is left beyond them.
     ///
-    /// Within a tick of the loop a fit finds any delay, and the outputs tell about as much: which of
-    /// the two was flown, twins of both must say.
+    /// Within a tick of the loop a fit finds any delay, and the outputs tell about as much: which
+    /// of the two was flown, twins of both must say.
     fn nearest_twins(
         &self,
         selection: &mut Selection,
@@ -159,8 +159,8 @@ impl Inquiry<'_> {
         (misfit, strains(self.catalogue, fit, twins))
     }
 
-    /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by, or where none
-    /// are asked for.
+    /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by, or where
+    /// none are asked for.
     fn twins_of(&self, scored: &Scored, sensors: &ReportNoise) -> Option<TwinFits> {
         let count = TWINS_OF_BEST.min(self.settings.twins);
         let law = self.onboard.filter(|_| count > 0 && !scored.fit.hypotheses.is_empty())?;

@@ -27,8 +27,8 @@ const TRIED: usize = 4;
 /// Single hypotheses whose pairs are all tried.
 const PAIRED: usize = 4;
 
-/// The nuisances are fitted again, with derivatives where they ended, at most so often, and as long as
-/// that gains so much, nats.
+/// The nuisances are fitted again, with derivatives where they ended, at most so often, and as long
+/// as that gains so much, nats.
 const NULL_REFITS: usize = 3;
 const NULL_GAIN_MIN: f64 = 1.0;
 
@@ -130,8 +130,8 @@ impl Selector<'_> {
         let first = Linearised::new(self.fitted, &self.catalogue.expected(), &numbers)?;
         let mut null = fit(self.fitted, &first, &[], &[])?;
         let mut about = Linearised::new(self.fitted, &null.values, &numbers)?;
-        // Where derivatives far from the start are others, a fit stops short; what it lacks, any effect
-        // would seem to explain.
+        // Where derivatives far from the start are others, a fit stops short; what it lacks, any
+        // effect would seem to explain.
         for _ in 0..NULL_REFITS {
             let again = fit(self.fitted, &about, &[], &[])?;
             if null.cost - again.cost < NULL_GAIN_MIN {
@@ -143,8 +143,8 @@ impl Selector<'_> {
         Some((self.scored(null)?, about))
     }
 
-    /// The sum of squares that nuisances and the hypothesis with the most evidence leave at each place
-    /// in the linearised problem.
+    /// The sum of squares that nuisances and the hypothesis with the most evidence leave at each
+    /// place in the linearised problem.
     pub fn least_power(&self, about: &Linearised) -> Option<Vec<f64>> {
         let (best, _) = *self.screen(about, &[]).first()?;
         let numbers = &self.hypothesis(best).numbers;

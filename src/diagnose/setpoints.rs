@@ -1,10 +1,10 @@
 //! Setpoints that the vehicle had and the log lacks.
 //!
 //! A thinned log lacks setpoints that the vehicle followed. Where the numbers of their frames tell
-//! that they were, they are put on the line between their neighbours, from which each lay off by the
-//! noise that feedback puts into setpoints, its own and the neighbours': replicas follow such ones, and
-//! log the line as well. When each was sent, the others tell: a ground sends at a period, and now and
-//! then a little late.
+//! that they were, they are put on the line between their neighbours, from which each lay off by
+//! the noise that feedback puts into setpoints, its own and the neighbours': replicas follow such
+//! ones, and log the line as well. When each was sent, the others tell: a ground sends at a period,
+//! and now and then a little late.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -145,7 +145,8 @@ fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
             numbers.push(number + GAP_TICKS);
             continue;
         }
-        // Where the last one's tick was, by the earliest of those before: it may have been late itself.
+        // Where the last one's tick was, by the earliest of those before: it may have been late
+        // itself.
         let on_this_side = |j: &usize| number - numbers[*j] < GAP_TICKS;
         let before = (k.saturating_sub(PHASE)..=k).filter(on_this_side);
         let tick = before
@@ -168,8 +169,8 @@ impl Ticks {
         if count < GAP_TICKS { count } else { 1 }
     }
 
-    /// How much later than its tick each was sent, s: the tick is where the earliest of those around
-    /// would have it.
+    /// How much later than its tick each was sent, s: the tick is where the earliest of those
+    /// around would have it.
     fn late(&self, times: &[f64]) -> Vec<f64> {
         (0..times.len())
             .map(|k| {
@@ -201,9 +202,9 @@ pub(super) fn infer(setpoints: &mut [AttitudeSetpoint], inferred: &Inferred) {
     }
 }
 
-/// The setpoints as the vehicle may have had them: those that are `inferred` have noise of their own,
-/// and the line that they are put on has that of the others, which is not in them. Where what is asked
-/// jumps between two of the log, it jumps somewhere between.
+/// The setpoints as the vehicle may have had them: those that are `inferred` have noise of their
+/// own, and the line that they are put on has that of the others, which is not in them. Where what
+/// is asked jumps between two of the log, it jumps somewhere between.
 pub(super) fn as_flown(
     setpoints: &Stream<AttitudeSetpoint>,
     inferred: &Inferred,

@@ -1,9 +1,9 @@
 //! Strain: numbers of the vehicle file that flights show to be further off than files are.
 //!
-//! A number is a nuisance within its tolerance, held by a prior. Where the effect that it belongs to
-//! is not among the hypotheses, or another cause pulls at it, its fit ends far out, though the flights
-//! know it well. Twins tell what a fit is off by itself (outputs that are logged seldom make an
-//! inertia look larger): what remains is strain, and the nuisances have explained too much.
+//! A number is a nuisance within its tolerance, held by a prior. Where the effect that it belongs
+//! to is not among the hypotheses, or another cause pulls at it, its fit ends far out, though the
+//! flights know it well. Twins tell what a fit is off by itself (outputs that are logged seldom
+//! make an inertia look larger): what remains is strain, and the nuisances have explained too much.
 
 use serde::Serialize;
 use sitl::effects::EffectId;
@@ -15,13 +15,13 @@ use super::naming::{THRUST_LEVEL, parameter};
 use super::observed::Observed;
 use super::twins::{EVIDENCE_MIN, TwinFits};
 
-/// Tolerances from which on a number is strained: of 240 flights without an effect in two exams none
-/// was.
+/// Tolerances from which on a number is strained: of 240 flights without an effect in two exams
+/// none was.
 const STRAINED: f64 = 2.4;
 /// The same of a number that its fit holds at its limit: it would lie further off.
 const STRAINED_AT_LIMIT: f64 = 1.8;
-/// A number that is known to this share of its tolerance is known well: by its fit, and by the scatter
-/// of its twins.
+/// A number that is known to this share of its tolerance is known well: by its fit, and by the
+/// scatter of its twins.
 const KNOWN: [f64; 2] = [0.15, 0.25];
 
 /// A number that lies further off than files are.
@@ -33,7 +33,8 @@ pub struct Strain {
     pub tolerances: f64,
 }
 
-/// Whether a fit that looks at the numbers `active` holds another at its limit, off where it is expected.
+/// Whether a fit that looks at the numbers `active` holds another at its limit, off where it is
+/// expected.
 fn is_held(catalogue: &Catalogue, fit: &Fit, active: &[usize], number: usize) -> bool {
     let width = catalogue.numbers[number].tolerance;
     let value = fit.values[number];
@@ -42,8 +43,8 @@ fn is_held(catalogue: &Catalogue, fit: &Fit, active: &[usize], number: usize) ->
     is_off && catalogue.limits(number, active).into_iter().any(is_near)
 }
 
-/// Whether a fit holds a gain of the on-board loop or its latency at its limit. The delay's tolerance
-/// is what the stamps tell, and says less.
+/// Whether a fit holds a gain of the on-board loop or its latency at its limit. The delay's
+/// tolerance is what the stamps tell, and says less.
 pub fn is_loop_held(catalogue: &Catalogue, fit: &Fit) -> bool {
     let active = fit.active(catalogue);
     let is_of_loop =
@@ -77,9 +78,9 @@ pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain
 }
 
 /// The thrust's level, by the thrust or by the mass, where the chosen effects that are much like it
-/// explain nothing beside it once it is as free as an effect. Thrust to mass is off on any vehicle that
-/// carries something else than its file says; where it is no hypothesis itself, they would get its
-/// evidence. `about`: derivatives of the nuisances.
+/// explain nothing beside it once it is as free as an effect. Thrust to mass is off on any vehicle
+/// that carries something else than its file says; where it is no hypothesis itself, they would get
+/// its evidence. `about`: derivatives of the nuisances.
 pub fn level_in_place_of(best: &Fit, fitted: &Observed<'_>, about: &Linearised) -> Option<Strain> {
     let catalogue = fitted.catalogue;
     let is_like_it = |h: &usize| THRUST_LEVEL.contains(&catalogue.hypotheses[*h].effect);

@@ -60,10 +60,12 @@ struct Drag {
 }
 
 impl Drag {
-    /// Standard deviation of gusts, m/s, that push with a force of this standard deviation along one
-    /// axis, N, on a vehicle that is slow against them; `None` where it takes more than a storm.
+    /// Standard deviation of gusts, m/s, that push with a force of this standard deviation along
+    /// one axis, N, on a vehicle that is slow against them; `None` where it takes more than a
+    /// storm.
     fn gusts(self, force: f64) -> Option<f64> {
-        // Mean squares of normal gusts of deviations 1, 1 and 0.6: of |g| g_x, and its product with g_x.
+        // Mean squares of normal gusts of deviations 1, 1 and 0.6: of |g| g_x, and its product with
+        // g_x.
         const SQUARE: f64 = 4.36;
         const PRODUCT: f64 = 2.0;
         let Self { linear, quadratic } = self;

@@ -42,8 +42,8 @@ pub struct Twins {
     /// fit that is off by itself gives away, nats.
     #[serde(skip)]
     pub chance: Vec<f64>,
-    /// Gain beyond that which is asked of each hypothesis, nats. One that scatters from twin to twin
-    /// is asked for more; the others are not.
+    /// Gain beyond that which is asked of each hypothesis, nats. One that scatters from twin to
+    /// twin is asked for more; the others are not.
     #[serde(skip)]
     pub asked: Vec<f64>,
 }
@@ -54,14 +54,14 @@ const PILOTS: [u32; 2] = [6, 10];
 const PROBES: u32 = 2;
 /// The second of them have other noise than the twins.
 const OF_BIAS: u64 = 0xb1a5;
-/// Share of noise in a derivative's square from which on each twin has its own: flights that go about
-/// have 0.01 to 0.5 in those by a lag, a delay of the outputs, a latency and an inertia, and mostly
-/// below 0.008 in all others; a hover has 0.1 to 1 in those of the moments.
+/// Share of noise in a derivative's square from which on each twin has its own: flights that go
+/// about have 0.01 to 0.5 in those by a lag, a delay of the outputs, a latency and an inertia, and
+/// mostly below 0.008 in all others; a hover has 0.1 to 1 in those of the moments.
 const NOISY: f64 = 0.01;
 
-/// Fits of flights scatter by that much more than those of their twins, which do not have all of the
-/// flights' noise: of 132 parameters in an exam nine tenths lay within that many of the errors that
-/// twins alone told.
+/// Fits of flights scatter by that much more than those of their twins, which do not have all of
+/// the flights' noise: of 132 parameters in an exam nine tenths lay within that many of the errors
+/// that twins alone told.
 const BEYOND_TWINS: f64 = 1.14;
 
 /// Nuisances of a vehicle without an effect lie within so many tolerances.
@@ -76,8 +76,8 @@ pub struct TwinFits {
     /// Noise of their sensors: that which is found as the flights' was.
     pub sensors: ReportNoise,
     /// By how much fits of pilots, whose nuisances are as expected, were off the truth on average,
-    /// each number. A prior that draws nuisances to where they are expected is no such fault: where the
-    /// flights' nuisances lie elsewhere, only the flights' fit can tell.
+    /// each number. A prior that draws nuisances to where they are expected is no such fault: where
+    /// the flights' nuisances lie elsewhere, only the flights' fit can tell.
     pub bias: Values,
     /// Number of those pilots.
     pilots: u32,
@@ -119,8 +119,8 @@ struct Analysis<'a> {
 }
 
 impl<'a> Analysis<'a> {
-    /// The analysis, and the first of the pilots: twins whose nuisances are as expected, with sensors
-    /// of `noise`.
+    /// The analysis, and the first of the pilots: twins whose nuisances are as expected, with
+    /// sensors of `noise`.
     fn with_pilots(
         observed: &'a Observed<'a>,
         about: &'a Linearised,
@@ -167,8 +167,8 @@ impl<'a> Analysis<'a> {
         flights.map(|(flight, seed)| replica.fly(flight, seed)).collect()
     }
 
-    /// `count` twins of the vehicle `truth` with sensors of `noise`. Where the analysis fails, a twin
-    /// is left out.
+    /// `count` twins of the vehicle `truth` with sensors of `noise`. Where the analysis fails, a
+    /// twin is left out.
     fn twins(
         &self,
         truth: &[f64],
@@ -192,8 +192,8 @@ impl<'a> Analysis<'a> {
         Some(Twin { screened, values: fit.values, power: fit.power, noise })
     }
 
-    /// Twins as the flights are, with sensors of `noise`: what `pilots` with these sensors are off by
-    /// is taken off the flights' fit.
+    /// Twins as the flights are, with sensors of `noise`: what `pilots` with these sensors are off
+    /// by is taken off the flights' fit.
     fn draw(
         &self,
         pilots: Vec<Twin>,
@@ -248,15 +248,15 @@ fn off_by(twins: &[Twin], truth: &[f64]) -> Values {
 
 impl TwinFits {
     /// Flies twins of the vehicle without an effect that `about` was linearised about, and fits its
-    /// nuisances to each. `onboard`: the law that flies them. `noise`: what is found in the flights'
-    /// reports. `draws`: how many twins, and a seed.
+    /// nuisances to each. `onboard`: the law that flies them. `noise`: what is found in the
+    /// flights' reports. `draws`: how many twins, and a seed.
     ///
     /// A fit is off by itself: outputs that are logged less often than the loop ticks are noisy
     /// inputs, which makes an inertia look larger and a lag longer, for a lag with less of a delay
     /// smooths them; a latency between two reports does the same; and what is found as noise holds
-    /// motion. Pilot twins tell by how much, each by derivatives with its own noise as the flights were,
-    /// and the twins are of a vehicle and of sensors that are found as the flights' were (indirect
-    /// inference; Gourieroux, Monfort and Renault 1993).
+    /// motion. Pilot twins tell by how much, each by derivatives with its own noise as the flights
+    /// were, and the twins are of a vehicle and of sensors that are found as the flights' were
+    /// (indirect inference; Gourieroux, Monfort and Renault 1993).
     ///
     /// # Errors
     /// A vehicle that the physics refuses.
@@ -334,9 +334,10 @@ impl TwinFits {
         Self { truth, sensors, bias, pilots: 4, values, power, screened }
     }
 
-    /// Standard error of a number that was fitted and freed of [`bias`](Self::bias): the fits' scatter,
-    /// the mean's over the pilots, what twins lack, and that a few twins tell the scatter itself to within a tenth or
-    /// so (the first term of Student's quantile at 95 % over the normal one, Cornish and Fisher 1938).
+    /// Standard error of a number that was fitted and freed of [`bias`](Self::bias): the fits'
+    /// scatter, the mean's over the pilots, what twins lack, and that a few twins tell the scatter
+    /// itself to within a tenth or so (the first term of Student's quantile at 95 % over the normal
+    /// one, Cornish and Fisher 1938).
     pub fn error(&self, number: usize) -> f64 {
         let freedom = (self.values.len() as f64 - 1.0).max(1.0);
         let student = 1.0 + (Z90 * Z90 + 1.0) / (4.0 * freedom);

@@ -18,7 +18,8 @@ use super::scored::Scored;
 use super::search::Search;
 use super::selection::{BEYOND_DOUBT, Rival, Selection, Thresholds, is_along_the_floor};
 
-/// Share of the evidence of the effect that explains the most which others may have, for it to be alone.
+/// Share of the evidence of the effect that explains the most which others may have, for it to be
+/// alone.
 const BESIDE_MAX: f64 = 0.05;
 /// Standard errors by which the flights held out must confirm it, where it is not beyond doubt.
 const CONFIRMED: f64 = 3.0;
@@ -94,8 +95,8 @@ impl Inquiry<'_> {
     }
 }
 
-/// The hypothesis that explains what no other touches; `None` where there is none, or where it may be
-/// chance.
+/// The hypothesis that explains what no other touches; `None` where there is none, or where it may
+/// be chance.
 fn alone<'s>(
     catalogue: &Catalogue,
     selection: &'s Selection,

@@ -210,8 +210,8 @@ fn trap_right(key: &KeyEntry, given: Option<&Given>, set: &[&String], named: &[&
     }
 }
 
-/// Where an effect has several right names, the best of them counts; to name what is right `also` where
-/// nothing must be named is no harm.
+/// Where an effect has several right names, the best of them counts; to name what is right `also`
+/// where nothing must be named is no harm.
 fn brier(probabilities: &[(String, f64)], truth: &[String], also: &[String]) -> f64 {
     let of =
         |id: &String| probabilities.iter().find(|(other, _)| other == id).map_or(0.0, |(_, p)| *p);

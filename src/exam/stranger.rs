@@ -17,8 +17,8 @@ pub struct Stranger {
     pub causes: &'static [EffectId],
 }
 
-/// Share of the thrust that an exponential ground effect adds on the floor at size 1: a rotor half a
-/// radius above it gains a third (Cheeseman and Bennett 1955), four side by side more.
+/// Share of the thrust that an exponential ground effect adds on the floor at size 1: a rotor half
+/// a radius above it gains a third (Cheeseman and Bennett 1955), four side by side more.
 const GROUND_GAIN: f64 = 0.6;
 /// Kinds of disturbances from outside.
 const DISTURBANCES: usize = 7;
@@ -78,8 +78,8 @@ impl Stranger {
         Self { full, causes: &[] }
     }
 
-    /// Another law for a cause that the catalogue has. Wind needs a drag in the vehicle file; beside
-    /// that drag no other is drawn.
+    /// Another law for a cause that the catalogue has. Wind needs a drag in the vehicle file;
+    /// beside that drag no other is drawn.
     pub fn law(draw: &mut Draw, vehicle: &VehicleParams, has_drag: bool) -> Self {
         use EffectId::*;
         let weight = vehicle.mass * vehicle.gravity;

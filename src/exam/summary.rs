@@ -112,8 +112,8 @@ pub struct Summary {
     pub measures: Vec<Measure>,
     /// Mean Brier score; to be at most [`BRIER_MAX`].
     pub brier: Option<f64>,
-    /// The same where the cause is detectable, or there is none: no answer can be sure of what hardly
-    /// shows.
+    /// The same where the cause is detectable, or there is none: no answer can be sure of what
+    /// hardly shows.
     pub brier_detectable: Option<f64>,
     /// Median relative error of parameters.
     pub error: Option<f64>,

@@ -1,4 +1,5 @@
-//! Actuation, physics and net by their open loop: what leads to the right state after half a second.
+//! Actuation, physics and net by their open loop: what leads to the right state after half a
+//! second.
 //!
 //! One-step errors are dominated by fast noise, and feedback correlates input and noise; on real
 //! flights a model that is best over 10 ms may tumble over 500. Here the errors of whole

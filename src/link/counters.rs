@@ -44,8 +44,8 @@ pub struct LinkStats {
     pub refused: u64,
     /// Frames of the vehicle that were heard.
     pub heard: u64,
-    /// Frames of the vehicle that were lost on the way, by gaps in its sequence; less those that came
-    /// late.
+    /// Frames of the vehicle that were lost on the way, by gaps in its sequence; less those that
+    /// came late.
     pub lost: u64,
     /// Frames sent.
     pub sent_frames: u64,

@@ -2,7 +2,8 @@
 //!
 //! Messages are encoded straight into the chunk that is being filled, which is compressed in one
 //! go. The `mcap` crate's writer hands every field of a message's header to the compressor on its
-//! own, which took a quarter of a lockstep flight. That crate reads the files, here and in the tests.
+//! own, which took a quarter of a lockstep flight. That crate reads the files, here and in the
+//! tests.
 //!
 //! Source: the MCAP specification, version 0, <https://mcap.dev/spec>.
 

@@ -69,8 +69,8 @@ pub fn partial_path(path: &Path) -> PathBuf {
     partial.into()
 }
 
-/// Whether something is there that is no regular file, such as a pipe or a device: it is written into
-/// and never replaced.
+/// Whether something is there that is no regular file, such as a pipe or a device: it is written
+/// into and never replaced.
 pub fn is_special(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|there| !there.is_file())
 }

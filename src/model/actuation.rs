@@ -6,7 +6,8 @@ use sitl::vehicle::ROTORS;
 
 /// How the rotors answer their commands.
 ///
-/// `tau ds_i/dt = u_i(t - delay) - s_i`, and rotor i gives `thrust_max_i s_i (V / full_V)^exponent`.
+/// `tau ds_i/dt = u_i(t - delay) - s_i`, and rotor i gives `thrust_max_i s_i (V /
+/// full_V)^exponent`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Actuation {

@@ -256,7 +256,8 @@ impl Axes {
         self.turns.map(|turn| (self.to_world * turn.cross(&Vector3::from(vector))).into())
     }
 
-    /// Adds what the angles do to a fixed vector's appearance, by the derivatives with respect to that.
+    /// Adds what the angles do to a fixed vector's appearance, by the derivatives with respect to
+    /// that.
     fn add_turning(&self, vector: [f64; 3], slope: &[f64], row: &mut [f64; VARIABLES]) {
         let seen = Vector3::from(self.seen(vector));
         let slope = Vector3::new(slope[0], slope[1], slope[2]);

@@ -6,8 +6,8 @@ use sitl::frame::Ned;
 
 use super::trajectory::DesiredPoint;
 
-/// offset + amplitude (sin(2 pi tau / period + phase) - sin(phase)) + rate tau, over phase time tau.
-/// At tau = 0 it is at `offset`.
+/// offset + amplitude (sin(2 pi tau / period + phase) - sin(phase)) + rate tau, over phase time
+/// tau. At tau = 0 it is at `offset`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Harmonic {
     pub offset: f64,

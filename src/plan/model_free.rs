@@ -6,8 +6,8 @@ use super::reference::ReferenceSource;
 use super::trajectory::Trajectory;
 use crate::setpoint::{Reference, Setpoint};
 
-/// The desired position, velocity, yaw and yaw rate as the reference state, and hover thrust, level,
-/// at the desired yaw and yaw rate as the feed-forward: all that leads the vehicle along the
+/// The desired position, velocity, yaw and yaw rate as the reference state, and hover thrust,
+/// level, at the desired yaw and yaw rate as the feed-forward: all that leads the vehicle along the
 /// trajectory is feedback. This is what planned references are compared with.
 #[derive(Clone, Debug)]
 pub struct ModelFreeReference {

@@ -224,7 +224,8 @@ impl Replanner {
 
 /// Who makes the plans.
 enum Work {
-    /// The caller, when a plan is due: for flights on a virtual clock, where planning takes no time.
+    /// The caller, when a plan is due: for flights on a virtual clock, where planning takes no
+    /// time.
     Inline { replanner: Box<Replanner>, due: Mutex<Due> },
     /// A thread of its own, which is told where the vehicle is.
     Thread(SyncSender<Sighting>),

@@ -18,7 +18,8 @@ pub trait ReferenceSource {
     }
 
     /// Power of the pack's voltage, over that of a full one, that thrust goes with: what is sent is
-    /// more than the feed-forward by as much. 0 where the feed-forward is not of a model that knows.
+    /// more than the feed-forward by as much. 0 where the feed-forward is not of a model that
+    /// knows.
     fn voltage_exponent(&self) -> f64 {
         0.0
     }

@@ -220,7 +220,8 @@ fn which(answer: &Answer) -> String {
     html + &misfit(answer) + &strained(&answer.strained)
 }
 
-/// What the explanation leaves in each group of equations, or the nuisances alone where there is none.
+/// What the explanation leaves in each group of equations, or the nuisances alone where there is
+/// none.
 fn misfit(answer: &Answer) -> String {
     if answer.misfit.is_empty() {
         return String::new();

@@ -1,5 +1,5 @@
-//! The page of the loop closed: a hidden effect, its diagnosis, and what the improved vehicle file is
-//! worth to the next flight.
+//! The page of the loop closed: a hidden effect, its diagnosis, and what the improved vehicle file
+//! is worth to the next flight.
 
 use std::path::Path;
 
@@ -19,8 +19,8 @@ pub struct Repair<'a> {
     pub hidden: &'a str,
     /// What was found.
     pub finding: &'a str,
-    /// The gap on the flights along the trajectory, in units of the noise: as shipped, improved, and
-    /// of noise alone.
+    /// The gap on the flights along the trajectory, in units of the noise: as shipped, improved,
+    /// and of noise alone.
     pub gap: Option<[f64; 3]>,
     /// Flights planned and controlled with the file as shipped, then with the improved one.
     pub contenders: &'a [Contender],

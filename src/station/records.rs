@@ -82,8 +82,8 @@ impl LinkMeter {
     /// nothing was heard of it.
     pub(super) fn loss(&self, stats: &counters::LinkStats) -> Option<f64> {
         let heard = stats.heard.saturating_sub(self.last.heard);
-        // A message that the dialect does not have leaves a gap too. Whose it was is not known: on a
-        // link with strangers that send such messages some losses are passed over.
+        // A message that the dialect does not have leaves a gap too. Whose it was is not known: on
+        // a link with strangers that send such messages some losses are passed over.
         let unknown = stats.received.unknown.saturating_sub(self.last.unknown);
         let lost = stats.lost.saturating_sub(self.last.lost).saturating_sub(unknown);
         (heard > 0).then(|| lost as f64 / (lost as f64 + heard as f64))

@@ -69,8 +69,8 @@ impl fmt::Display for PreflightCheck {
 
 /// The checks that fail.
 ///
-/// `link_loss` is the share of the vehicle's frames that the link lost, where known; `start_distance_m` the
-/// horizontal distance from the vehicle to the trajectory's start.
+/// `link_loss` is the share of the vehicle's frames that the link lost, where known;
+/// `start_distance_m` the horizontal distance from the vehicle to the trajectory's start.
 pub fn preflight(
     settings: &PreflightSettings,
     rate_hz: f64,

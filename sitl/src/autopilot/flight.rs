@@ -64,8 +64,8 @@ pub struct FlightControl {
 }
 
 impl FlightControl {
-    /// Flight control of `vehicle`, whose loop in its file is `nominal` and in truth `gains`, on the
-    /// ground at `perception` or already in the air there.
+    /// Flight control of `vehicle`, whose loop in its file is `nominal` and in truth `gains`, on
+    /// the ground at `perception` or already in the air there.
     ///
     /// # Errors
     /// [`VehicleError`] if the mixer cannot be inverted.

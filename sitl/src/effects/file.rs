@@ -42,7 +42,8 @@ impl EffectSet {
     /// `motor_lag:tau_s=0.03`, which go over it.
     ///
     /// # Errors
-    /// A file that cannot be read, is not TOML, or holds an effect that is refused; such an argument.
+    /// A file that cannot be read, is not TOML, or holds an effect that is refused; such an
+    /// argument.
     pub fn requested(file: Option<&Path>, arguments: &[String]) -> Result<Self, EffectsRefused> {
         let mut effects = file.map_or(Ok(Self::new()), Self::load)?;
         for argument in arguments {

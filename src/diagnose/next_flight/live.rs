@@ -31,8 +31,8 @@ impl Live {
 }
 
 /// The explanations that an answer leaves open: the chosen set, and for each effect that it cannot
-/// be told from the set with that effect in the place of the one it stands for. Probabilities are in
-/// the proportion of those in the answer.
+/// be told from the set with that effect in the place of the one it stands for. Probabilities are
+/// in the proportion of those in the answer.
 pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Vec<Live> {
     if answer.ambiguous_with.is_empty() {
         return Vec::new();
@@ -84,8 +84,8 @@ pub fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
 /// Least probability of an explanation that an answer mentions as possible.
 const LEAST: f64 = 0.1;
 
-/// An effect with its numbers at `strength` of their usual distance from what the vehicle file says;
-/// `None` for one that the file lacks a number for.
+/// An effect with its numbers at `strength` of their usual distance from what the vehicle file
+/// says; `None` for one that the file lacks a number for.
 pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option<Live> {
     let hypothesis = catalogue.hypotheses.iter().find(|h| h.effect == effect)?;
     let mut values = catalogue.references();

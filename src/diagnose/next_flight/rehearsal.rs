@@ -94,7 +94,8 @@ impl<'a> Stage<'a> {
         let evaluator = Evaluator::new(self.proposal.vehicle).observing(&flights);
         let observed = Observed::new(&flights, &evaluator, &self.catalogue);
         let references = self.catalogue.references();
-        // Nuisances within their tolerances are nearly linear; active numbers get columns of their own.
+        // Nuisances within their tolerances are nearly linear; active numbers get columns of their
+        // own.
         let about = Linearised::new(&observed, &references, &self.nuisances)?;
         let evidence: Vec<f64> = self
             .posed

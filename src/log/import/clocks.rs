@@ -217,8 +217,8 @@ impl ClockMap {
         near.contains(&heard.ground).then(|| piece.vehicle_at(heard.ground) + self.delay)
     }
 
-    /// The ground's clock at an instant of the vehicle's, as if messages took no time; `None` before
-    /// any message.
+    /// The ground's clock at an instant of the vehicle's, as if messages took no time; `None`
+    /// before any message.
     pub fn ground_time(&self, vehicle: f64) -> Option<f64> {
         let begins = |piece: &Piece| piece.knots.first().is_some_and(|k| k.vehicle <= vehicle);
         let at = self.pieces.partition_point(begins).saturating_sub(1);

@@ -41,11 +41,12 @@ use ulog::UlogError;
 
 /// Reads a flight log, whatever it is, told by its content: an own log (.mcap), a telemetry log
 /// (.tlog), a log of PX4 (ULog) or ArduPilot (DataFlash), or a table (.csv) with the mapping file
-/// that says what its columns are. Damage within a log, and what does not belong to the flight, is counted in [`Flight::left_out`]; a log without
-/// a usable sample is an empty flight.
+/// that says what its columns are. Damage within a log, and what does not belong to the flight, is
+/// counted in [`Flight::left_out`]; a log without a usable sample is an empty flight.
 ///
 /// # Errors
-/// [`ImportError`] if a file cannot be read, is no log, or a table's mapping leaves anything unsaid.
+/// [`ImportError`] if a file cannot be read, is no log, or a table's mapping leaves anything
+/// unsaid.
 pub fn open(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> {
     let io = |source| ImportError::Read { path: path.to_owned(), source };
     let format = source::recognise(path)?;

@@ -99,7 +99,8 @@ pub(super) struct FigureEight {
 pub(super) struct Steps {
     pub altitude_m: f64,
     pub dwell_s: f64,
-    /// North, east, up in m and yaw in degrees, relative to the hover point; each held for the dwell.
+    /// North, east, up in m and yaw in degrees, relative to the hover point; each held for the
+    /// dwell.
     pub offsets: Vec<[f64; 4]>,
 }
 
