@@ -206,8 +206,17 @@ pub struct Config {
 /// Prefix of the environment variables: `DOWNWASH_CONTROL__RATE_HZ` sets `control.rate_hz`.
 const ENVIRONMENT_PREFIX: &str = "DOWNWASH_";
 
-/// Variables of that prefix that are not configuration.
-const NOT_SETTINGS: [&str; 3] = ["DOWNWASH_PRACTICE", "DOWNWASH_BIN", "DOWNWASH_SITL_BIN"];
+/// Variables of that prefix that are not configuration: the tests', the benchmarks' and the build's.
+const NOT_SETTINGS: [&str; 8] = [
+    "DOWNWASH_PRACTICE",
+    "DOWNWASH_SHARED",
+    "DOWNWASH_BIN",
+    "DOWNWASH_SITL_BIN",
+    "DOWNWASH_LOG",
+    "DOWNWASH_PEERS",
+    "DOWNWASH_PEERS_PROBLEM",
+    "DOWNWASH_GIT_REVISION",
+];
 
 impl Config {
     /// Merges, later over earlier: defaults, the system's file, the user's file, `file`, the
@@ -493,5 +502,11 @@ mod tests {
             message.contains("$DOWNWASH_ENVELOPE__TILD") && message.contains("tild"),
             "{message}"
         );
+    }
+
+    #[test]
+    fn variables_of_the_tests_and_benchmarks_are_not_settings() {
+        let environment = [("DOWNWASH_PEERS_PROBLEM", "problem"), ("DOWNWASH_SHARED", "shared")];
+        load(None, &environment).expect("a configuration");
     }
 }
