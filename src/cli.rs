@@ -160,7 +160,7 @@ pub struct ExamArgs {
     /// Keeps vehicle files and logs.
     #[arg(long)]
     pub keep: bool,
-    /// Ends with exit code 10 if a rate misses what is asked of it.
+    /// Ends with exit code 10 if a rate or the Brier score misses what is asked of it.
     #[arg(long)]
     pub fail_on_miss: bool,
     /// Prints the result as JSON.

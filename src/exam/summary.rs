@@ -273,6 +273,11 @@ impl Summary {
         self.brier.is_none_or(|brier| brier <= BRIER_MAX)
     }
 
+    /// Whether every measure and the Brier score keep their bounds.
+    pub fn holds(&self) -> bool {
+        self.brier_holds() && self.failures().next().is_none()
+    }
+
     /// The measures that do not keep their bounds.
     pub fn failures(&self) -> impl Iterator<Item = &Measure> {
         self.measures.iter().filter(|measure| !measure.holds())
@@ -370,4 +375,17 @@ fn reliability(rows: &[Row]) -> Vec<Reliability> {
             })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_brier_score_beyond_its_bound_is_a_miss() {
+        let mut summary = Summary::new(&[]);
+        assert!(summary.holds());
+        summary.brier = Some(2.0 * BRIER_MAX);
+        assert!(!summary.holds());
+    }
 }
