@@ -9,7 +9,7 @@ pub enum Exit {
     Ok,
     /// Something failed while running.
     Failure,
-    /// Bad flags, configuration, vehicle or trajectory file.
+    /// Bad flags, configuration, vehicle file, trajectory file or log.
     Usage,
     /// No vehicle was heard, or the link was lost.
     Link,
@@ -17,7 +17,7 @@ pub enum Exit {
     Refused,
     /// The flight was ended early: a safety reaction, or the pilot took over.
     Aborted,
-    /// No plan or model that may be used was found.
+    /// No plan was found that may be flown.
     Model,
     /// A check that was asked for failed.
     Check,
