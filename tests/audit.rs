@@ -339,7 +339,7 @@ fn tiers_and_what_they_cannot_show() {
     let audit = Audit::of(&FLIGHT);
     assert!(audit.tier >= Some(Tier::T2), "{:?}", audit.channels);
     let names = |audit: &Audit| -> Vec<&'static str> {
-        audit.untestable.iter().map(|untestable| untestable.effect).collect()
+        audit.untestable.iter().map(|untestable| untestable.effect.name()).collect()
     };
     let whole = names(&audit);
     assert!(!whole.contains(&"inertia") && !whole.contains(&"wind"), "{:?}", audit.untestable);

@@ -104,7 +104,7 @@ impl Default for SensorConfig {
             position_noise_m: 0.001,
             velocity_noise_m_s: 0.01,
             attitude_noise_rad: 0.001,
-            attitude_correlation_s: 0.05,
+            attitude_correlation_s: Self::ATTITUDE_CORRELATION_S,
             gyro: ImuNoise { noise: 0.01, bias: 0.003, bias_walk: 0.0002 },
             accelerometer: ImuNoise { noise: 0.1, bias: 0.03, bias_walk: 0.002 },
         }
@@ -112,12 +112,15 @@ impl Default for SensorConfig {
 }
 
 impl SensorConfig {
+    /// Correlation time of the attitude's error where nothing else is said, s.
+    pub const ATTITUDE_CORRELATION_S: f64 = 0.05;
+
     /// Perfect sensors.
     pub const IDEAL: Self = Self {
         position_noise_m: 0.0,
         velocity_noise_m_s: 0.0,
         attitude_noise_rad: 0.0,
-        attitude_correlation_s: 0.05,
+        attitude_correlation_s: Self::ATTITUDE_CORRELATION_S,
         gyro: ImuNoise { noise: 0.0, bias: 0.0, bias_walk: 0.0 },
         accelerometer: ImuNoise { noise: 0.0, bias: 0.0, bias_walk: 0.0 },
     };

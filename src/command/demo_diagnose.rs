@@ -29,12 +29,13 @@ use super::{
 use crate::cli::{CollectArgs, DemoArgs, SimulationArgs};
 use crate::config::Config;
 use crate::diagnose::answer::Answer;
+use crate::diagnose::case::{Case, Settings};
 use crate::diagnose::gap::{Floor, Simulator};
 use crate::diagnose::hypothesis::Catalogue;
 use crate::diagnose::next_flight::typical;
 use crate::diagnose::noise::ReportNoise;
 use crate::diagnose::preparation::PreparedFlight;
-use crate::diagnose::procedure::{Case, Diagnosis, Settings, diagnose};
+use crate::diagnose::procedure::{Diagnosis, diagnose};
 use crate::plan::Trajectory;
 use crate::report::comparison::{Contender, Track};
 use crate::report::repair::{self, Repair};

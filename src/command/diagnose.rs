@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
+use serde::Serialize;
 use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
@@ -14,12 +15,22 @@ use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, wr
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
 use crate::diagnose::audit::{Audit, UnusableSpan};
+use crate::diagnose::case::{Case, Settings};
 use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
 use crate::diagnose::preparation::PreparedFlight;
-use crate::diagnose::procedure::{Case, Diagnosis, Settings, diagnose};
+use crate::diagnose::procedure::{Diagnosis, diagnose};
 use crate::diagnose::words::report;
 use crate::log::import::Flight;
 use crate::plan::manoeuvres::Room;
+
+/// The answer as it is printed and written.
+#[derive(Serialize)]
+struct Told<'a> {
+    schema: &'static str,
+    schema_version: u32,
+    #[serde(flatten)]
+    answer: &'a Answer,
+}
 
 /// Guard between the halves of a single flight, s.
 const GUARD_S: f64 = 2.0;
@@ -103,10 +114,11 @@ fn tell(
     answer: &Answer,
     effects: &EffectSet,
 ) -> anyhow::Result<Exit> {
+    let told = Told { schema: "downwash.diagnose", schema_version: 1, answer };
     if let Some(folder) = &args.report {
         let page = crate::report::diagnosis::html(answer, &vehicle.name);
         write_file(&folder.join("report.html"), page.as_bytes())?;
-        let json = serde_json::to_vec_pretty(answer).context("report.json")?;
+        let json = serde_json::to_vec_pretty(&told).context("report.json")?;
         write_file(&folder.join("report.json"), &json)?;
     }
     if let Some(out) = &args.out {
@@ -116,7 +128,7 @@ fn tell(
         write_file(out, text.as_bytes())?;
     }
     if args.json {
-        print_json(answer)?;
+        print_json(&told)?;
     } else {
         print_text(&report(answer))?;
     }

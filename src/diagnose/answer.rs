@@ -6,6 +6,7 @@ use serde::Serialize;
 use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
 use super::audit::{Audit, Severity, Tier, Untestable};
+use super::case::Case;
 use super::gap::{Errors, OverNoise};
 use super::hypothesis::Catalogue;
 use super::judgement::{Balance, Unexplained};
@@ -15,11 +16,11 @@ use super::misfit::Misfit;
 use super::next_flight::NextFlight;
 use super::noise::ReportNoise;
 use super::preparation::{Channels, PreparedFlight};
-use super::procedure::Case;
 use super::reflight::ClosedLoop;
 use super::selection::{Rival, Selection, Thresholds};
 use super::strain::Strain;
 use super::twins::Twins;
+use super::words::listed;
 
 /// The verdict in three words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -119,7 +120,7 @@ impl LogAnswer {
 #[derive(Clone, Debug, Serialize)]
 pub struct EffectAnswer {
     /// Its id.
-    pub id: &'static str,
+    pub id: EffectId,
     /// Probability that the vehicle has it, 0..1.
     pub probability: f64,
     /// The vehicle's true values, absolute.
@@ -177,7 +178,7 @@ pub struct Gap {
     pub before: f64,
     /// With the named effects.
     pub after: f64,
-    /// What noise alone leaves.
+    /// What noise alone leaves: 1, for all is told in units of it.
     pub floor: f64,
     /// By how much noise alone scatters what it leaves.
     pub scatter: f64,
@@ -215,7 +216,7 @@ impl Gap {
 #[derive(Clone, Debug, Serialize)]
 pub struct HypothesisAnswer {
     /// The effect.
-    pub id: &'static str,
+    pub id: EffectId,
     /// Evidence over nuisances alone and beyond chance, nats.
     pub evidence: f64,
     /// How much of it is asked, nats.
@@ -234,7 +235,7 @@ impl HypothesisAnswer {
             let asked = thresholds.asked_of(*hypothesis);
             let hypothesis = &catalogue.hypotheses[*hypothesis];
             Self {
-                id: hypothesis.effect.name(),
+                id: hypothesis.effect,
                 evidence: scored.evidence - selection.null.evidence,
                 asked,
                 held_out: [gain, error],
@@ -290,7 +291,7 @@ pub struct Answer {
     /// Why they were not, where they were not.
     pub closed_loop_missing: Option<String>,
     /// Effects that cannot be told from the named ones.
-    pub ambiguous_with: Vec<&'static str>,
+    pub ambiguous_with: Vec<EffectId>,
     /// The full verdict.
     pub finding: Finding,
     /// What the audit found in each log.
@@ -324,7 +325,7 @@ pub struct Answer {
 #[derive(Clone, Debug, Serialize)]
 pub struct NotTestable {
     /// Its id.
-    pub id: &'static str,
+    pub id: EffectId,
     /// Why.
     pub reason: String,
 }
@@ -385,22 +386,23 @@ impl Answer {
     /// Takes up what the audit found: faults of some logs, and what no channel of any log shows.
     pub fn take_up(&mut self, logs: Vec<LogAnswer>) {
         let sound: Vec<&LogAnswer> = logs.iter().filter(|log| !log.is_faulty()).collect();
-        let untestable = |log: &LogAnswer, id: &str| log.untestable.iter().any(|u| u.effect == id);
+        let untestable =
+            |log: &LogAnswer, id: EffectId| log.untestable.iter().any(|u| u.effect == id);
         if let Some(first) = sound.first() {
             for Untestable { effect, reason } in &first.untestable {
                 let named = self.effects.iter().any(|e| e.id == *effect);
                 let known = self.not_testable.iter().any(|e| e.id == *effect);
-                if !named && !known && sound.iter().all(|log| untestable(log, effect)) {
-                    self.not_testable.push(NotTestable { id: effect, reason: reason.clone() });
+                if !named && !known && sound.iter().all(|log| untestable(log, *effect)) {
+                    self.not_testable.push(NotTestable { id: *effect, reason: reason.clone() });
                 }
             }
         }
         self.logs = logs;
         if self.finding.verdict == FullVerdict::None && !self.not_testable.is_empty() {
             self.finding.verdict = FullVerdict::NotTestable;
-            let ids: Vec<&str> = self.not_testable.iter().map(|effect| effect.id).collect();
+            let not_shown = listed(self.not_testable.iter().map(|effect| effect.id));
             self.finding.sentence +=
-                &format!(" These flights and channels could not have shown {}.", ids.join(", "));
+                &format!(" These flights and channels could not have shown {not_shown}.");
         }
     }
 }

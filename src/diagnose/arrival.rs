@@ -9,8 +9,9 @@
 //! let setpoints of the log rule whenever an output was logged.
 
 use rayon::prelude::*;
+use sitl::autopilot::offboard::JITTER_MEAN_S;
 
-use super::onboard::{JITTER_MEAN_S, OnboardLaw};
+use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
 
 /// A collective that agrees so well with a setpoint's thrust is of it: single precision, twice.
@@ -18,7 +19,7 @@ const AGREEMENT: f64 = 2e-6;
 /// And all others must be off by so much more.
 const DISTINCT: f64 = 20.0;
 /// Setpoints that may be in force at a tick: those sent within this time before, s.
-const AGE_MAX_S: f64 = 0.2;
+const ANSWERED_WITHIN_S: f64 = 0.2;
 /// Outputs that answer a setpoint, for a delay to be told.
 const ANSWERS_MIN: usize = 200;
 /// Steps of the delay, s, and the jitters that are tried with it, s.
@@ -82,7 +83,7 @@ impl Delay {
         let weighed = |links: Vec<Link>| -> Vec<(Link, f64)> {
             links.into_par_iter().map(|link| (link, link.log_posterior(answers))).collect()
         };
-        let steps = (AGE_MAX_S / STEP_S) as usize;
+        let steps = (ANSWERED_WITHIN_S / STEP_S) as usize;
         let constants = (0..steps).map(|step| step as f64 * STEP_S);
         let link = |constant| JITTERS_S.map(|jitter| Link { constant, jitter, shift: 0.0 });
         let mut options = weighed(constants.flat_map(link).collect());
@@ -179,7 +180,7 @@ fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> 
             let tick = law.tick_of_report(*time);
             let collective = law.allocation().wrench(*u)[0] / collective_max;
             let newest = sent.partition_point(|sent| *sent <= tick).checked_sub(1)?;
-            let oldest = sent.partition_point(|sent| *sent < tick - AGE_MAX_S);
+            let oldest = sent.partition_point(|sent| *sent < tick - ANSWERED_WITHIN_S);
             let mut off: Vec<(f64, usize)> = (oldest..=newest)
                 .filter(|index| !inferred.has(*index))
                 .filter_map(|i| Some(((setpoints[i].thrust? - collective).abs(), i)))

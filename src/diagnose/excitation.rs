@@ -2,10 +2,11 @@
 
 use std::f64::consts::FRAC_PI_4;
 
-use sitl::frame::{Attitude, wrap_angle};
+use sitl::frame::wrap_angle;
 
 use super::audit::{is_flat, voltage_range};
 use super::preparation::PreparedFlight;
+use super::series::attitude;
 
 /// Headings this far from their mean turn a trim against a wind, rad.
 const HEADINGS: f64 = FRAC_PI_4;
@@ -32,12 +33,12 @@ fn headings(flight: &PreparedFlight) -> impl Iterator<Item = f64> {
     let samples = flight.attitude.times().iter().zip(flight.attitude.values());
     samples
         .filter(|(time, _)| flight.spans.iter().any(|span| span.contains(*time)))
-        .map(|(_, [w, x, y, z])| Attitude { w: *w, x: *x, y: *y, z: *z }.normalized().yaw())
+        .map(|(_, q)| attitude(*q).yaw())
 }
 
 #[cfg(test)]
 mod tests {
-    use sitl::frame::Euler;
+    use sitl::frame::{Attitude, Euler};
 
     use super::*;
     use crate::diagnose::series::Series;

@@ -9,8 +9,9 @@ use rand_distr::{Distribution, Exp1};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::Serialize;
+use sitl::autopilot::offboard::JITTER_MEAN_S;
 use sitl::autopilot::pd::AttitudeLoop;
-use sitl::config::SitlConfig;
+use sitl::config::{SensorConfig, SitlConfig};
 use sitl::effects::{AttitudeTrim, CommandDelay, EffectSet, EstimatorLatency, Gusts, PdGain};
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::plant::Plant;
@@ -19,7 +20,7 @@ use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::learner::Learner;
 use super::noise::{ReportNoise, gyro_bias, normals, small_rotation};
-use super::onboard::{JITTER_MEAN_S, setpoint_at};
+use super::onboard::setpoint_at;
 use super::preparation::PreparedFlight;
 use super::setpoints::as_flown;
 use crate::log::import::{AttitudeSetpoint, Stream};
@@ -32,16 +33,17 @@ pub const QUANTITIES: [&str; 4] = ["pos", "vel", "att", "rate"];
 const SPACING_S: f64 = 0.25;
 /// Time before a window that delays and lags reach back to, s.
 const MARGIN_S: f64 = 0.4;
-/// Correlation time of an attitude's error, s: an estimator's.
-pub(super) const ATTITUDE_CORRELATION_S: f64 = 0.05;
 /// Steps of the plant from one look of a learner to the next.
 const LEARNER_STEPS: usize = 10;
 /// Rotors forget their states within this many time constants.
 const MEMORY: f64 = 6.0;
 
+/// Errors of one window: of each of [`HORIZONS_S`] and [`QUANTITIES`].
+pub type Window = [[f64; 4]; 3];
+
 /// Root mean squares over windows: by horizon and quantity, in m, m/s, rad, rad/s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Errors(pub [[f64; 4]; 3]);
+pub struct Errors(pub Window);
 
 impl Errors {
     /// The mean of position, velocity and attitude at 0.5 and 1 s, each over its noise: the
@@ -211,9 +213,8 @@ impl Simulator {
                 if has_voltage && k % 20 == 0 {
                     forced.hold_voltage(plant.voltage());
                 }
-                let [w, x, y, z] = attitude.at(time + self.latency);
                 forced.set_state(State {
-                    attitude: Attitude { w, x, y, z }.normalized().compose(untrim),
+                    attitude: attitude.attitude_at(time + self.latency).compose(untrim),
                     body_rate: body_rate.at(time).into(),
                     ..*forced.state()
                 });
@@ -253,7 +254,7 @@ impl Simulator {
     }
 
     /// The errors of each window of flights, in order; not a number where one cannot be predicted.
-    pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<[[f64; 4]; 3]> {
+    pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<Window> {
         windows(flights, |index, start| {
             let flight = &flights[index];
             let from = reported(flight, start, self.latency);
@@ -302,7 +303,7 @@ impl Simulator {
         flight: &PreparedFlight,
         start: f64,
         draw: &NoiseDraw<'_>,
-    ) -> Option<[[f64; 4]; 3]> {
+    ) -> Option<Window> {
         let mut rng = Pcg64Mcg::seed_from_u64(draw.seed ^ start.to_bits());
         let bias = draw.gyro_bias;
         let truth = turning_faster(-bias, reported(flight, start, self.latency));
@@ -366,7 +367,7 @@ impl<'a> LoopNoise<'a> {
 
     /// The attitude's error `elapsed` seconds after the last one.
     fn attitude_error(&mut self, elapsed: f64) -> Attitude {
-        let decay = (-elapsed / ATTITUDE_CORRELATION_S).exp();
+        let decay = (-elapsed / SensorConfig::ATTITUDE_CORRELATION_S).exp();
         let fresh = self.draw.noise.attitude * (1.0 - decay * decay).sqrt();
         for (error, z) in self.attitude.iter_mut().zip(normals::<3>(&mut self.rng)) {
             *error = decay * *error + fresh * z;
@@ -389,11 +390,10 @@ impl<'a> LoopNoise<'a> {
 
 /// The reported state at `time`; the body rate is not late.
 fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
-    let [w, x, y, z] = flight.attitude.at(time);
     State {
         position: flight.position.at(time).into(),
         velocity: flight.velocity.at(time).into(),
-        attitude: Attitude { w, x, y, z }.normalized(),
+        attitude: flight.attitude.attitude_at(time),
         body_rate: flight.body_rate.at(time - latency).into(),
     }
 }
@@ -432,8 +432,8 @@ fn starts(flight: &PreparedFlight) -> Vec<f64> {
 /// `window` of the index of each flight and each start in it.
 fn windows(
     flights: &[PreparedFlight],
-    window: impl Fn(usize, f64) -> Option<[[f64; 4]; 3]> + Sync,
-) -> Vec<[[f64; 4]; 3]> {
+    window: impl Fn(usize, f64) -> Option<Window> + Sync,
+) -> Vec<Window> {
     let windows: Vec<(usize, f64)> = flights
         .iter()
         .enumerate()
@@ -445,8 +445,8 @@ fn windows(
         .collect()
 }
 
-fn root_mean_square<'a>(errors: impl IntoIterator<Item = &'a [[f64; 4]; 3]>) -> Option<Errors> {
-    let finite = |e: &&[[f64; 4]; 3]| e.iter().flatten().all(|x| x.is_finite());
+fn root_mean_square<'a>(errors: impl IntoIterator<Item = &'a Window>) -> Option<Errors> {
+    let finite = |e: &&Window| e.iter().flatten().all(|x| x.is_finite());
     let mut sums = [[0.0; 4]; 3];
     let mut count = 0.0;
     for error in errors.into_iter().filter(finite) {
@@ -465,11 +465,7 @@ const GAIN_MAX: f64 = 4.0;
 
 /// How much smaller `after`'s squared errors are than `before`'s, in squares of the floor: by
 /// horizon and quantity the mean over windows, and its standard error.
-pub fn improvement(
-    before: &[[[f64; 4]; 3]],
-    after: &[[[f64; 4]; 3]],
-    floor: &Errors,
-) -> [[[f64; 2]; 4]; 3] {
+pub fn improvement(before: &[Window], after: &[Window], floor: &Errors) -> [[[f64; 2]; 4]; 3] {
     std::array::from_fn(|h| {
         std::array::from_fn(|q| {
             let scale = floor.0[h][q].max(1e-12).powi(-2);

@@ -10,6 +10,7 @@ use super::answer::{
     EffectAnswer, FlightAnswer, FullVerdict, Gap, NAMED, NotTestable, Verdict, parameters,
 };
 use super::arrival::Delay;
+use super::case::{Case, Settings};
 use super::excitation::{part_wind_from_trim, voltages_differ};
 use super::gap::{Errors, Floor, Simulator};
 use super::hypothesis::Catalogue;
@@ -28,7 +29,7 @@ use super::noise::report_noise;
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
-use super::procedure::{Case, DiagnoseError, Settings};
+use super::procedure::DiagnoseError;
 use super::residuals::Evaluator;
 use super::scored::Scored;
 use super::search::Search;
@@ -38,13 +39,15 @@ use super::turbulence::gusts;
 use super::twins::TwinFits;
 use super::unchosen::Unchosen;
 
-/// Probability of gusts where what is left looks like turbulence: other forces may.
+/// Beyond the floor by less, in units of it, there is no gap that could be closed.
+const GAP_MIN: f64 = 0.05;
+/// Probability of gusts where what is left looks like turbulence, as other forces may.
 const GUSTS_PROBABILITY: f64 = 0.8;
-/// Probability of an effect that was not chosen and that an open gap shows: of eight such in the
-/// exams so far all were true.
+/// Probability of an effect that was not chosen and that an open gap shows: of eight such in
+/// exams all were true, which so few do not bear out.
 const UNCHOSEN_PROBABILITY: f64 = 0.7;
 /// Probability of an effect that leaves a trace, though what it changes is below the noise of the
-/// predictions. In two exams two of three such were true; it is not named for all that.
+/// predictions. In two exams two of three such were true; below a half, for it is not named.
 const TRACE_PROBABILITY: f64 = 0.45;
 
 /// What a diagnosis looks at.
@@ -164,7 +167,7 @@ impl<'a> Inquiry<'a> {
             after: a,
             floor: f,
             scatter,
-            closure: (b - f > 0.05).then(|| (b - a) / (b - f)),
+            closure: (b - f > GAP_MIN).then(|| (b - a) / (b - f)),
             nuisances_only: mean(&nuisances),
             with_nuisances: mean(&everything),
             with_learner: self.learned.map(|errors| errors.mean_over(&floor)),
@@ -249,7 +252,7 @@ impl<'a> Inquiry<'a> {
         effects: &EffectSet,
         not_testable: &[NotTestable],
         judgement: &Judgement,
-    ) -> (Vec<EffectAnswer>, Vec<&'static str>) {
+    ) -> (Vec<EffectAnswer>, Vec<EffectId>) {
         if let Some(Unchosen { effect, scored, .. }) = &judgement.unchosen {
             let named = answer_of(self.catalogue, scored, *effect, UNCHOSEN_PROBABILITY);
             return (vec![named], Vec::new());
@@ -259,13 +262,13 @@ impl<'a> Inquiry<'a> {
             named_effects(self.catalogue, &search.selection, judgement.credence);
         if judgement.turbulence.is_some() {
             answers.push(EffectAnswer {
-                id: EffectId::Gusts.name(),
+                id: EffectId::Gusts,
                 probability: GUSTS_PROBABILITY,
                 parameters: parameters(effects, EffectId::Gusts),
                 intervals: BTreeMap::new(),
             });
         }
-        let hides_sag = |untestable: &NotTestable| untestable.id == EffectId::BatterySag.name();
+        let hides_sag = |untestable: &NotTestable| untestable.id == EffectId::BatterySag;
         let shows_sag = voltages_differ(self.case.fitted) && !not_testable.iter().any(hides_sag);
         let named: Vec<EffectId> = named.into_iter().map(EffectId::class).collect();
         if !shows_sag && named.iter().any(|effect| THRUST_LEVEL.contains(effect)) {
@@ -273,24 +276,24 @@ impl<'a> Inquiry<'a> {
             let others = others.filter(|effect| self.catalogue.considers(**effect));
             let others: Vec<EffectId> = others.copied().collect();
             share(&mut answers, self.catalogue, &search.selection, &THRUST_LEVEL, &others);
-            ambiguous.extend(others.iter().map(|effect| effect.name()));
+            ambiguous.extend(others);
         }
         let tilt = tilt_in_place_of(self.catalogue, &search.selection);
-        let tilt = tilt.filter(|tilt| !ambiguous.contains(&tilt.name()));
+        let tilt = tilt.filter(|tilt| !ambiguous.contains(tilt));
         if let Some(tilt) = tilt.filter(|_| !part_wind_from_trim(self.case.fitted)) {
             share(&mut answers, self.catalogue, &search.selection, &TILTS, &[tilt]);
-            ambiguous.push(tilt.name());
+            ambiguous.push(tilt);
         }
         let Search { selection, thresholds, .. } = search;
         ambiguous.extend(as_good(self.catalogue, selection, thresholds, self.leg()));
-        ambiguous.sort_unstable();
+        ambiguous.sort_unstable_by_key(|effect| effect.name());
         ambiguous.dedup();
         // Those named are the answer, the first in any case; the others are what it cannot be told
         // from.
         let is_answer = |(place, answer): (usize, &EffectAnswer)| {
             (place == 0 || answer.probability >= NAMED).then_some(answer.id)
         };
-        let answer: Vec<&str> = answers.iter().enumerate().filter_map(is_answer).collect();
+        let answer: Vec<EffectId> = answers.iter().enumerate().filter_map(is_answer).collect();
         ambiguous.retain(|id| !answer.contains(id));
         (answers, ambiguous)
     }

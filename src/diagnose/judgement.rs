@@ -9,13 +9,14 @@ use sitl::vehicle::VehicleParams;
 
 use super::answer::{FlightAnswer, Gap};
 use super::gap::OverNoise;
+use super::layout::Place;
 use super::leftover::{UnmodelledForce, UnmodelledMoment};
 use super::misfit::{Misfit, share_left};
 use super::noise::ReportNoise;
 use super::observed::Observed;
 use super::residuals::{RATE, VELOCITY};
 use super::selection::Selection;
-use super::spectrum::{BANDS, CELL_S};
+use super::spectrum::{BANDS, mean_square_share};
 
 /// Time over which a force is compared with the velocity's noise, s.
 const FORCE_TIME_S: f64 = 0.5;
@@ -194,9 +195,8 @@ pub fn explained(selection: &Selection, observed: &Observed<'_>) -> (f64, [f64; 
     let of_channel = |channel: usize| -> f64 {
         (0..BANDS.len())
             .map(|band| {
-                let place = channel * BANDS.len() + band;
-                let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
-                (null[place] - best[place]) * 2.0 * CELL_S * (BANDS[band] - lower)
+                let place = Place::index_of(channel, band);
+                (null[place] - best[place]) * mean_square_share(band)
             })
             .sum()
     };

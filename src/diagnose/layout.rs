@@ -28,12 +28,22 @@ impl Place {
     pub const COUNT: usize = CHANNELS * BANDS.len();
 
     fn new(channel: usize, band: usize) -> Self {
-        Self((channel * BANDS.len() + band) as u16)
+        Self(Self::index_of(channel, band) as u16)
+    }
+
+    /// Index of the place of a channel and a band.
+    pub fn index_of(channel: usize, band: usize) -> usize {
+        channel * BANDS.len() + band
+    }
+
+    /// Channel of the place of this index.
+    pub fn channel_of(index: usize) -> usize {
+        index / BANDS.len()
     }
 
     /// Its channel.
     pub fn channel(self) -> usize {
-        self.index() / BANDS.len()
+        Self::channel_of(self.index())
     }
 
     /// Index in 0..[`Place::COUNT`].

@@ -6,7 +6,7 @@
 //! increments of velocity and body rate, which nothing differentiates twice.
 
 use rayon::prelude::*;
-use sitl::frame::{Attitude, Frd, Ned};
+use sitl::frame::{Frd, Ned};
 use sitl::rigid_body::State;
 use sitl::rotor::Allocation;
 
@@ -125,7 +125,6 @@ fn row(
 ) -> Row {
     let cells = first..first + ROW_CELLS;
     let time = block.edge(first) + 0.5 * ROW_CELLS as f64 * CELL_S;
-    let [w, x, y, z] = flight.attitude.at(time);
     let mut outputs = [0.0; 4];
     for cell in cells.clone() {
         for (sum, output) in outputs.iter_mut().zip(flight.outputs.at(block.middle(cell))) {
@@ -139,7 +138,7 @@ fn row(
         point: Point {
             velocity: flight.velocity.at(time).into(),
             body_rate: flight.body_rate.at(time).into(),
-            attitude: Attitude { w, x, y, z }.normalized().euler(),
+            attitude: flight.attitude.attitude_at(time).euler(),
             input: allocation.wrench(outputs),
         },
         label: std::array::from_fn(|i| mean(if i < 3 { VELOCITY + i } else { RATE + i - 3 })),

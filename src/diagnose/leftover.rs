@@ -1,4 +1,4 @@
-//! What is left of the forces after the best explanation.
+//! What is left of forces and moments after the best explanation.
 //!
 //! Velocity and accelerometer see the same force through noises that have nothing in common: the
 //! product of what each leaves unexplained is, on average, the power of forces that no hypothesis
@@ -6,13 +6,14 @@
 
 use rayon::prelude::*;
 use serde::Serialize;
+use sitl::frame::Frd;
 
 use super::candidate::Candidate;
+use super::layout::Place;
 use super::observed::Observed;
 use super::residuals::{Evaluator, FORCE, Groups, RATE, VELOCITY};
-use super::spectrum::{BANDS, CELL_S, CosineTransform, band, frequency};
+use super::spectrum::{BANDS, CosineTransform, band, edges, frequency, mean_square_share};
 use super::twins::TwinFits;
-use sitl::frame::{Attitude, Frd};
 
 /// Forces are looked at up to here, Hz: above, rotors and delays that are not quite right show.
 const FORCE_MAX_HZ: f64 = 4.5;
@@ -86,16 +87,12 @@ pub fn unmodelled_moment(
     // Place, axis and what a coefficient's square is of the mean square.
     let mut places: Vec<(usize, usize, f64)> = Vec::new();
     for axis in 0..3 {
-        let mut lower = 0.0;
-        for (band, upper) in
-            BANDS.iter().enumerate().take_while(|(_, upper)| **upper <= FORCE_MAX_HZ)
-        {
-            let place = (RATE + axis) * BANDS.len() + band;
+        for band in (0..BANDS.len()).take_while(|band| BANDS[*band] <= FORCE_MAX_HZ) {
+            let place = Place::index_of(RATE + axis, band);
             let n = observed.counts()[place];
             if n >= 1.0 {
-                places.push((place, axis, 2.0 * CELL_S * (upper - lower) / n));
+                places.push((place, axis, mean_square_share(band) / n));
             }
-            lower = *upper;
         }
     }
     if places.is_empty() || twins.power.is_empty() {
@@ -134,9 +131,9 @@ pub fn unmodelled_force(
             let mut attitude = flight.attitude.cursor();
             let [front, right, down] = [0, 1, 2].map(|i| &series[FORCE + i]);
             for (k, ((f, r), d)) in front.iter().zip(right).zip(down).enumerate() {
-                let [w, x, y, z] = attitude.at(block.middle(k) + candidate.latency);
-                let force = [f - mean[0], r - mean[1], d - mean[2]];
-                let turned = Attitude { w, x, y, z }.normalized().to_world(Frd::from(force));
+                let force = Frd::new(f - mean[0], r - mean[1], d - mean[2]);
+                let seen = block.middle(k) + candidate.latency;
+                let turned = attitude.attitude_at(seen).to_world(force);
                 for (axis, value) in world.iter_mut().zip(turned.to_array()) {
                     axis.push(value);
                 }
@@ -180,25 +177,23 @@ pub fn unmodelled_force(
     };
     let mut variance: f64 = 0.0;
     for (band, axes) in total.iter().enumerate() {
-        let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
+        let [lower, upper] = edges(band);
         if lower >= FORCE_MAX_HZ {
             break;
         }
-        let width = BANDS[band] - lower;
         let mut in_band = 0.0;
         for (axis, [product, left, right, count]) in axes.iter().enumerate() {
             if *count < 1.0 {
                 continue;
             }
-            // Power per coefficient to mean square: a share of the cells' Nyquist band.
-            let share = 2.0 * CELL_S * width / count;
+            let share = mean_square_share(band) / count;
             let power = (product - SHARED_FACTOR * count * shared_noise(&total, axis)) * share;
             force.mean_square[axis] += power;
             in_band += power;
             variance += share * share * left * right / count;
         }
         if axes[0][3] > 0.0 {
-            force.bands.push([lower, BANDS[band], in_band]);
+            force.bands.push([lower, upper, in_band]);
             let significance = force.total() / variance.sqrt().max(f64::MIN_POSITIVE);
             force.slow_significance = force.slow_significance.max(significance);
         }
@@ -212,7 +207,7 @@ pub fn unmodelled_force(
 fn shared_noise(total: &[[[f64; 4]; 3]; BANDS.len()], axis: usize) -> f64 {
     let (mut product, mut count) = (0.0, 0.0);
     for (band, axes) in total.iter().enumerate() {
-        if band > 0 && BANDS[band - 1] >= FORCE_MAX_HZ {
+        if edges(band)[0] >= FORCE_MAX_HZ {
             product += axes[axis][0];
             count += axes[axis][3];
         }

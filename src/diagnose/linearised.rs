@@ -11,6 +11,7 @@ use super::observed::{Observed, Residuals, noise_cost};
 const WEIGHT_ROUNDS: usize = 40;
 /// They end when one lowers the cost by less, nats.
 const COST_STEP_MIN: f64 = 2e-5;
+
 /// The residuals about a point as linear in some numbers, by their products at each place.
 #[derive(Clone, Debug)]
 pub struct Linearised {

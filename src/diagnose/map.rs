@@ -3,13 +3,14 @@
 
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::frame::{Attitude, Ned};
+use sitl::frame::Ned;
 
 use super::candidate::Candidate;
+use super::layout::Place;
 use super::observed::Observed;
 use super::preparation::PreparedFlight;
 use super::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, Groups, VELOCITY};
-use super::spectrum::{BANDS, CELL_S};
+use super::spectrum::{BANDS, CELL_S, edges, mean_square_share};
 
 /// Time scales: name and upper end, Hz.
 const SCALES: [(&str, f64); 3] = [("slow", 0.35), ("middle", 2.2), ("fast", 20.0)];
@@ -72,11 +73,11 @@ pub fn map(
         for (scale, upper) in SCALES {
             let (mut before, mut after, mut counted) = (0.0, 0.0, false);
             for band in 0..BANDS.len() {
-                let from = if band == 0 { 0.0 } else { BANDS[band - 1] };
-                let place = channel * BANDS.len() + band;
+                let place = Place::index_of(channel, band);
                 let n = observed.counts()[place];
-                if n > 0.0 && from >= lower && BANDS[band] <= upper {
-                    let share = 2.0 * CELL_S * (BANDS[band] - from) / n;
+                let [from, to] = edges(band);
+                if n > 0.0 && from >= lower && to <= upper {
+                    let share = mean_square_share(band) / n;
                     before += power[place] * share;
                     after += floor[place] * share;
                     counted = true;
@@ -175,8 +176,7 @@ pub fn samples(
 }
 
 fn sample(flight: &PreparedFlight, time: f64, world: [f64; 3]) -> Sample {
-    let [w, x, y, z] = flight.attitude.at(time);
-    let attitude = Attitude { w, x, y, z }.normalized();
+    let attitude = flight.attitude.attitude_at(time);
     let [vn, ve, vd] = flight.velocity.at(time);
     let [north, east, down] = flight.position.at(time);
     let [p, q, r] = flight.body_rate.at(time);
@@ -292,10 +292,11 @@ fn sentence(cells: &[Cell], regimes: &[Regime]) -> String {
         .collect();
     let mut sentence = format!("The gap is largest in {}", list.join(", "));
     if let Some(regime) = regimes.first().filter(|regime| steepness(regime) > STEEP) {
-        let (most, least) = (steepness(regime), regime.quantity);
+        let (factor, quantity) = (steepness(regime), regime.quantity);
         let rises = regime.rms[3] > regime.rms[0];
         sentence += &format!(
-            "; the unexplained acceleration {} with {least}, by a factor of {most:.1} between quarters",
+            "; the unexplained acceleration {} with {quantity}, by a factor of {factor:.1} between \
+             quarters",
             if rises { "grows" } else { "falls" }
         );
     }

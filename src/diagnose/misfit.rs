@@ -10,6 +10,7 @@
 use serde::Serialize;
 
 use super::fit::Fit;
+use super::layout::Place;
 use super::observed::noise_cost;
 use super::residuals::{CHANNELS, COMMAND, FORCE, RATE, VELOCITY};
 use super::spectrum::BANDS;
@@ -61,8 +62,8 @@ pub fn misfit(null: &Fit, best: &Fit, twins: &TwinFits, counts: &[f64]) -> Vec<M
     let group = |(equations, first, end): (&'static str, usize, usize)| {
         let mut misfit = Misfit { equations, explained: 0.0, left: 0.0, error: 0.0 };
         let bands = BANDS.iter().filter(|upper| **upper <= MAX_HZ).count();
-        let places =
-            (first..end).flat_map(|channel| (0..bands).map(move |b| channel * BANDS.len() + b));
+        let places = (first..end)
+            .flat_map(|channel| (0..bands).map(move |band| Place::index_of(channel, band)));
         let places: Vec<usize> =
             places.filter(|place| counts[*place] >= 1.0 && moments[*place][0] > 0.0).collect();
         let cost = |power: &[f64]| -> f64 {

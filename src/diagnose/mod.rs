@@ -5,6 +5,7 @@ pub mod answer;
 pub mod arrival;
 pub mod audit;
 pub mod candidate;
+pub mod case;
 mod excitation;
 pub mod fit;
 pub mod flight_simulator;

@@ -64,7 +64,7 @@ pub(super) fn named_effects(
     catalogue: &Catalogue,
     selection: &Selection,
     credence: f64,
-) -> (Vec<EffectAnswer>, Vec<&'static str>) {
+) -> (Vec<EffectAnswer>, Vec<EffectId>) {
     let mut found: BTreeMap<EffectId, (f64, Scored)> = BTreeMap::new();
     let losses = losses(selection);
     let mut ambiguous = Vec::new();
@@ -91,7 +91,7 @@ pub(super) fn named_effects(
             let own_effect = effect.class() == catalogue.hypotheses[own].effect.class();
             if weight / sum > AMBIGUOUS && !own_effect && !mends {
                 // Either may come out first.
-                ambiguous.extend([effect.name(), catalogue.hypotheses[own].effect.name()]);
+                ambiguous.extend([effect, catalogue.hypotheses[own].effect]);
             }
             let entry = found.entry(effect).or_insert((0.0, scored.clone()));
             entry.0 = (entry.0 + probability).min(1.0);
@@ -105,13 +105,13 @@ pub(super) fn named_effects(
         .filter(|(_, (probability, _))| *probability > MENTIONED)
         .map(|(effect, (probability, scored))| answer_of(catalogue, &scored, effect, probability))
         .collect();
-    let effect = |hypothesis: usize| catalogue.hypotheses[hypothesis].effect.name();
+    let effect = |hypothesis: usize| catalogue.hypotheses[hypothesis].effect;
     let loss = |answer: &EffectAnswer| {
         losses.iter().find(|(own, _)| effect(*own) == answer.id).map_or(0.0, |(_, loss)| *loss)
     };
     answers.sort_by(|a, b| {
         let certain = |answer: &EffectAnswer| answer.probability.min(credence);
-        certain(b).total_cmp(&certain(a)).then(loss(b).total_cmp(&loss(a))).then(a.id.cmp(b.id))
+        certain(b).total_cmp(&certain(a)).then(loss(b).total_cmp(&loss(a))).then(a.id.cmp(&b.id))
     });
     (answers, ambiguous)
 }
@@ -137,7 +137,7 @@ pub(super) fn answer_of(
 ) -> EffectAnswer {
     let set = catalogue.effects(&scored.fit.values, Some(&[effect]));
     EffectAnswer {
-        id: effect.name(),
+        id: effect,
         probability,
         parameters: parameters(&set, effect),
         intervals: intervals(catalogue, scored, effect),
@@ -224,17 +224,14 @@ pub(super) fn share(
     family: &[EffectId],
     others: &[EffectId],
 ) {
-    let is_of_it = |answer: &EffectAnswer| {
-        let id = EffectId::ALL.into_iter().find(|effect| effect.name() == answer.id);
-        id.is_some_and(|id| family.contains(&id.class()))
-    };
+    let is_of_it = |answer: &EffectAnswer| family.contains(&answer.id.class());
     let Some(most) = answers.iter_mut().find(|answer| is_of_it(answer)) else { return };
     let given = (1.0 - LEVEL_SHARE) * most.probability / others.len().max(1) as f64;
     if !others.is_empty() {
         most.probability *= LEVEL_SHARE;
     }
     for effect in others {
-        if let Some(answer) = answers.iter_mut().find(|answer| answer.id == effect.name()) {
+        if let Some(answer) = answers.iter_mut().find(|answer| answer.id == *effect) {
             answer.probability += given;
         } else if let Some(answer) = single(catalogue, selection, *effect, given) {
             answers.push(answer);
@@ -255,7 +252,7 @@ pub(super) fn as_good(
     selection: &Selection,
     thresholds: &Thresholds,
     is_checked: bool,
-) -> Vec<&'static str> {
+) -> Vec<EffectId> {
     let share = if is_checked { AS_GOOD } else { AS_GOOD_UNCHECKED };
     let class = |h: usize| catalogue.hypotheses[h].effect.class();
     let evidence = |rival: &Rival| rival.scored.evidence - selection.null.evidence;
@@ -268,7 +265,7 @@ pub(super) fn as_good(
         .filter(|rival| !named.contains(&class(rival.hypothesis)))
         .filter(|rival| most > 0.0 && evidence(rival) > share * most)
         .filter(|rival| evidence(rival) > thresholds.asked_of(rival.hypothesis))
-        .map(|rival| catalogue.hypotheses[rival.hypothesis].effect.name())
+        .map(|rival| catalogue.hypotheses[rival.hypothesis].effect)
         .collect()
 }
 
@@ -324,6 +321,7 @@ fn intervals(
 /// Share of its prior's width that a number must be known to for its effect to be testable.
 const TESTABLE: f64 = 0.5;
 
+/// Effects that could not have been told from these logs, and why.
 pub(super) fn not_testable(
     catalogue: &Catalogue,
     selection: &Selection,
@@ -351,7 +349,7 @@ pub(super) fn not_testable(
                 .then(|| "the motion and the channels of these logs do not show it".to_owned())
         };
         if let Some(reason) = reason {
-            found.push(NotTestable { id: effect.name(), reason });
+            found.push(NotTestable { id: effect, reason });
         }
     }
     found

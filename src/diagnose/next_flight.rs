@@ -13,6 +13,7 @@ mod rehearsal;
 
 use rayon::prelude::*;
 use serde::Serialize;
+use sitl::vehicle::VehicleParams;
 
 pub use self::live::{Live, live, typical, untested};
 use self::rehearsal::{Rehearsal, Stage};
@@ -21,7 +22,6 @@ use super::naming::{TEMPER, credence};
 use super::noise::ReportNoise;
 use crate::plan::FlightEnvelope;
 use crate::plan::manoeuvres::{Manoeuvre, Room, library};
-use sitl::vehicle::VehicleParams;
 
 /// Evidence against every rival that is plenty: models are never quite right, so that it is far
 /// beyond what simulation says is needed, nats.

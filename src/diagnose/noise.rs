@@ -3,18 +3,23 @@
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
+use sitl::config::{ImuNoise, SensorConfig};
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 use sitl::rigid_body::State;
 
+use super::layout::Place;
 use super::preparation::PreparedFlight;
 use super::residuals::{ATTITUDE, VELOCITY};
 use super::series::Series;
-use super::spectrum::{BANDS, CELL_S};
+use super::spectrum::{BANDS, CELL_S, edges, mean_square_share};
 
 /// Below this gyro and accelerometer wander, and forces act, Hz.
 const ATTITUDE_FROM_HZ: f64 = 0.35;
 /// Above this a vehicle's velocity and body rate are mostly noise, Hz.
 const WHITE_FROM_HZ: f64 = 8.0;
+
+/// Median of a squared standard normal number.
+pub(super) const MEDIAN_SQUARE: f64 = 0.455;
 
 /// Standard deviations of what is reported, per axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -57,6 +62,19 @@ impl ReportNoise {
             attitude: of(|noise| noise.attitude),
             body_rate: of(|noise| noise.body_rate),
             specific_force: of(|noise| noise.specific_force),
+        }
+    }
+
+    /// Sensors with this noise, their inertial unit without a bias.
+    pub(super) fn sensors(&self) -> SensorConfig {
+        let imu = |noise: f64| ImuNoise { noise, ..ImuNoise::default() };
+        SensorConfig {
+            position_noise_m: self.position,
+            velocity_noise_m_s: self.velocity,
+            attitude_noise_rad: self.attitude,
+            attitude_correlation_s: SensorConfig::ATTITUDE_CORRELATION_S,
+            gyro: imu(self.body_rate),
+            accelerometer: imu(self.specific_force),
         }
     }
 
@@ -111,11 +129,8 @@ pub(super) fn gyro_bias(flight: &PreparedFlight, untrim: Attitude) -> Frd {
     let (mut sum, mut count) = (Frd::zero(), 0.0);
     for block in &flight.blocks {
         let (mut attitude, mut body_rate) = (flight.attitude.cursor(), flight.body_rate.cursor());
-        let mut read = |time: f64| {
-            let [w, x, y, z] = attitude.at(time);
-            let true_attitude = Attitude { w, x, y, z }.normalized().compose(untrim);
-            (true_attitude, Frd::from(body_rate.at(time)))
-        };
+        let mut read =
+            |time: f64| (attitude.attitude_at(time).compose(untrim), Frd::from(body_rate.at(time)));
         let mut before = read(block.start);
         for k in 0..block.cells {
             let after = read(block.edge(k + 1));
@@ -135,8 +150,8 @@ fn increment_gain(frequency_hz: f64) -> f64 {
 }
 
 fn middle(band: usize) -> f64 {
-    let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
-    0.5 * (lower + BANDS[band])
+    let [lower, upper] = edges(band);
+    0.5 * (lower + upper)
 }
 
 /// Deviation of white noise at `rate` samples per second whose increments are seen in three
@@ -146,7 +161,7 @@ fn white(variance: &[f64], first: usize, rate: f64) -> f64 {
         .flat_map(|channel| (0..BANDS.len()).map(move |band| (channel, band)))
         .filter(|(_, band)| middle(*band) > WHITE_FROM_HZ)
         .map(|(channel, band)| {
-            variance[channel * BANDS.len() + band] / increment_gain(middle(band)) * rate * CELL_S
+            variance[Place::index_of(channel, band)] / increment_gain(middle(band)) * rate * CELL_S
         })
         .filter(|v| *v > 0.0)
         .collect();
@@ -173,19 +188,17 @@ fn second_differences(
         return 0.0;
     }
     squares.sort_by(f64::total_cmp);
-    // The median of a squared standard normal number is 0.455.
-    (squares[squares.len() / 2] / (6.0 * 0.455)).sqrt()
+    (squares[squares.len() / 2] / (6.0 * MEDIAN_SQUARE)).sqrt()
 }
 
 /// Deviation of the attitude's coloured noise: its power summed over the bands.
 fn attitude(variance: &[f64]) -> f64 {
     let mut sum = 0.0;
     for channel in ATTITUDE..ATTITUDE + 3 {
-        for band in 1..BANDS.len() {
-            let lower = BANDS[band - 1];
-            if lower >= ATTITUDE_FROM_HZ {
-                let density = variance[channel * BANDS.len() + band] / increment_gain(middle(band));
-                sum += density * 2.0 * CELL_S * (BANDS[band] - lower);
+        for band in 0..BANDS.len() {
+            if edges(band)[0] >= ATTITUDE_FROM_HZ {
+                let increments = variance[Place::index_of(channel, band)];
+                sum += increments / increment_gain(middle(band)) * mean_square_share(band);
             }
         }
     }

@@ -7,7 +7,6 @@ use super::hypothesis::Catalogue;
 use super::layout::{AT_REST, Layout, Place};
 use super::preparation::{Block, PreparedFlight};
 use super::residuals::{CHANNELS, COMMAND, Evaluator, Groups, RATE, VELOCITY};
-use super::spectrum::BANDS;
 
 /// Flights with what is looked at in them.
 #[derive(Debug)]
@@ -95,7 +94,7 @@ impl<'a> Observed<'a> {
             AT_REST.iter().for_each(|channel| deviation[*channel] = 0.0);
         }
         let least = (0..Place::COUNT)
-            .map(|place| counts[place] * deviation[place / BANDS.len()].powi(2))
+            .map(|place| counts[place] * deviation[Place::channel_of(place)].powi(2))
             .collect();
         Self { flights, layouts, evaluator, catalogue, runs, counts, least }
     }
@@ -184,7 +183,7 @@ impl<'a> Observed<'a> {
             }
             let part = &residuals[run.flight][run.start..run.end];
             let n = (run.end - run.start) as f64;
-            let [count, square] = &mut sums[run.place / BANDS.len()];
+            let [count, square] = &mut sums[Place::channel_of(run.place)];
             *count += n;
             *square += part.iter().map(|r| r * r).sum::<f64>() / variance;
             if let Some(last) = density.last_mut() {

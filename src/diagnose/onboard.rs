@@ -1,9 +1,9 @@
 //! The vehicle's own attitude loop: what it makes of logged setpoints.
 
-use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
+use sitl::autopilot::offboard::{AttitudeSetpoint as OnboardSetpoint, JITTER_MEAN_S};
 use sitl::autopilot::pd::AttitudeLoop;
 use sitl::effects::PdGain;
-use sitl::frame::{Attitude, Frd};
+use sitl::frame::Frd;
 use sitl::rotor::Allocation;
 use sitl::vehicle::{AttitudePd, VehicleParams};
 
@@ -14,8 +14,6 @@ use crate::log::import::{AttitudeSetpoint, Stream};
 
 /// A setpoint older than this no longer rules, s.
 pub const AGE_MAX_S: f64 = SETPOINT_AGE_MAX;
-/// Mean of the link's jitter, s: the exponential part of a delay of at least that.
-pub const JITTER_MEAN_S: f64 = 0.001;
 /// Stamps are whole microseconds: to so much of a tick they are at the tick, s.
 const TICK_TOLERANCE_S: f64 = 1e-6;
 /// Ratio of the outputs' unexplained changes below which one order of reports is told from another.
@@ -133,8 +131,7 @@ impl OnboardLaw {
         tick: f64,
         timing: Timing,
     ) -> Option<[f64; 4]> {
-        let [w, x, y, z] = flight.attitude.at(tick + timing.latency);
-        let reported = Attitude { w, x, y, z }.normalized().euler();
+        let reported = flight.attitude.attitude_at(tick + timing.latency).euler();
         let rate = Frd::from(flight.body_rate.at(tick));
         let constant = (timing.command_delay - JITTER_MEAN_S).max(0.0);
         let setpoints = &flight.setpoint;

@@ -7,7 +7,7 @@ use sitl::frame::Attitude;
 use sitl::vehicle::VehicleParams;
 
 use super::onboard::as_onboard;
-use super::series::Series;
+use super::series::{Series, next_to};
 use super::setpoints::{Inferred, completed};
 use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
 use crate::learn::commands::CommandSource;
@@ -158,10 +158,7 @@ impl PreparedFlight {
         let mut last: Option<[f64; 4]> = None;
         let mut quaternions = Vec::with_capacity(flight.attitude.len());
         for Attitude { w, x, y, z } in flight.attitude.values() {
-            let q = [*w, *x, *y, *z];
-            let flips =
-                last.is_some_and(|l| l.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() < 0.0);
-            let q = if flips { q.map(|c| -c) } else { q };
+            let q = next_to(last, [*w, *x, *y, *z]);
             quaternions.push(q);
             last = Some(q);
         }

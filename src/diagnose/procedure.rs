@@ -1,10 +1,11 @@
 //! From flights to an answer.
 
 use sitl::effects::{EffectId, EffectSet};
-use sitl::vehicle::{VehicleError, VehicleParams};
+use sitl::vehicle::VehicleError;
 
 use super::answer::{Answer, EffectAnswer, Finding, FullVerdict, Gap, HypothesisAnswer, Verdict};
 use super::arrival::Delay;
+use super::case::{Case, Settings};
 use super::gap::{Errors, Simulator};
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
@@ -14,7 +15,6 @@ use super::naming::not_testable;
 use super::next_flight::{Live, live, untested};
 use super::noise::ReportNoise;
 use super::observed::Observed;
-use super::preparation::PreparedFlight;
 use super::reflight::reflight;
 use super::residuals::Evaluator;
 use super::words::finding;
@@ -25,30 +25,6 @@ const STRICT: f64 = 0.1;
 const VISIBLE: f64 = 1.15;
 /// Share of a visible gap that the strict look must not leave, to be preferred.
 const CLOSES: f64 = 0.6;
-
-/// What is to be diagnosed.
-#[derive(Debug)]
-pub struct Case<'a> {
-    /// The simulator's vehicle.
-    pub vehicle: &'a VehicleParams,
-    /// Flights to fit.
-    pub fitted: &'a [PreparedFlight],
-    /// Flights held out.
-    pub held_out: &'a [PreparedFlight],
-    /// Whether these are parts of one flight.
-    pub blocked: bool,
-    /// Effects that are not to be considered.
-    pub without: &'a [EffectId],
-}
-
-/// How.
-#[derive(Clone, Copy, Debug)]
-pub struct Settings {
-    /// Seed of every draw.
-    pub seed: u64,
-    /// Number of twins.
-    pub twins: u32,
-}
 
 /// An answer and what follows from it.
 #[derive(Debug)]
@@ -142,8 +118,8 @@ fn adds(strict: &Diagnosis, tolerant: &Diagnosis) -> bool {
 /// the moments are modelled (inertias are often assumed), so that the simpler cause comes first if
 /// it explains about as much.
 fn without_moments(case: &Case<'_>, found: &Diagnosis) -> Option<Vec<EffectId>> {
-    let flaps = found.answer.named().any(|effect| effect.id == EffectId::BladeFlapping.name());
-    let is_drag = found.answer.ambiguous_with.contains(&EffectId::RotorDrag.name());
+    let flaps = found.answer.named().any(|effect| effect.id == EffectId::BladeFlapping);
+    let is_drag = found.answer.ambiguous_with.contains(&EffectId::RotorDrag);
     (!found.setpoint_leg && flaps && is_drag).then(|| {
         let mut without = case.without.to_vec();
         without.push(EffectId::BladeFlapping);
@@ -155,8 +131,8 @@ fn without_moments(case: &Case<'_>, found: &Diagnosis) -> Option<Vec<EffectId>> 
 /// flapping then.
 fn as_drag(mut plain: Diagnosis) -> Option<Diagnosis> {
     let answer = &mut plain.answer;
-    let is_named = answer.named().any(|effect| effect.id == EffectId::RotorDrag.name());
-    answer.ambiguous_with.push(EffectId::BladeFlapping.name());
+    let is_named = answer.named().any(|effect| effect.id == EffectId::RotorDrag);
+    answer.ambiguous_with.push(EffectId::BladeFlapping);
     answer.finding.verdict = FullVerdict::Ambiguous;
     answer.finding.sentence = finding(answer);
     is_named.then_some(plain)

@@ -7,8 +7,8 @@
 
 mod course;
 
+use rayon::prelude::*;
 use serde::Serialize;
-use sitl::config::{ImuNoise, SensorConfig};
 use sitl::effects::{AttitudeTrim, Effect, EffectSet, EstimatorLatency, Gusts};
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::rigid_body::State;
@@ -17,15 +17,16 @@ use sitl::vehicle::VehicleParams;
 
 pub use self::course::ReferenceOrigin;
 use self::course::{Course, courses};
+use super::case::{Case, Settings};
 use super::flight_simulator::{Departure, FlightSimulator, GroundControl, NotSimulated};
-use super::gap::ATTITUDE_CORRELATION_S;
 use super::noise::ReportNoise;
 use super::preparation::PreparedFlight;
-use super::procedure::{Case, Settings};
 use super::series::Series;
 use crate::log::import::{Flight, Stream};
-use rayon::prelude::*;
 
+/// A difference beyond the floor by less, in units of it, is none that could be closed: a floor is
+/// of two draws only.
+const GAP_MIN: f64 = 0.2;
 /// Times at which flights are compared are this far apart, s.
 const SPACING_S: f64 = 0.02;
 /// Commands are compared as means over this many of these times: the gyro's noise is in every
@@ -61,7 +62,7 @@ impl Difference {
     /// anything to close.
     pub fn closure(&self) -> Option<f64> {
         let closable = self.before - self.floor;
-        (closable > 0.2 * self.floor).then(|| (self.before - self.after) / closable)
+        (closable > GAP_MIN * self.floor).then(|| (self.before - self.after) / closable)
     }
 }
 
@@ -122,7 +123,7 @@ pub fn reflight(
     let control = GroundControl::new(case.vehicle)?;
     let mut calm = effects.clone();
     calm.remove(Gusts::ID);
-    let sensors = sensors(noise);
+    let sensors = noise.sensors();
     let simulators = |control| -> Result<[FlightSimulator<'_>; 2], NotSimulated> {
         let simulator = |effects| FlightSimulator::new(control, case.vehicle, effects, sensors);
         Ok([simulator(&EffectSet::new())?, simulator(&calm)?])
@@ -197,18 +198,6 @@ pub fn reflight(
     })
 }
 
-/// Sensors with the noise that reports were found to have, and biases as sensors have them.
-pub(super) fn sensors(noise: &ReportNoise) -> SensorConfig {
-    SensorConfig {
-        position_noise_m: noise.position,
-        velocity_noise_m_s: noise.velocity,
-        attitude_noise_rad: noise.attitude,
-        attitude_correlation_s: ATTITUDE_CORRELATION_S,
-        gyro: ImuNoise { noise: noise.body_rate, ..ImuNoise::default() },
-        accelerometer: ImuNoise { noise: noise.specific_force, ..ImuNoise::default() },
-    }
-}
-
 /// How a vehicle reports its state.
 struct Reports {
     latency_s: f64,
@@ -242,11 +231,10 @@ impl Reports {
 }
 
 fn state_at(flight: &PreparedFlight, time: f64) -> State {
-    let [w, x, y, z] = flight.attitude.at(time);
     State {
         position: flight.position.at(time).into(),
         velocity: flight.velocity.at(time).into(),
-        attitude: Attitude { w, x, y, z }.normalized(),
+        attitude: flight.attitude.attitude_at(time),
         body_rate: flight.body_rate.at(time).into(),
     }
 }

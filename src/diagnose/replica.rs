@@ -11,8 +11,9 @@
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Exp1};
 use rand_pcg::Pcg64Mcg;
+use sitl::autopilot::offboard::JITTER_MEAN_S;
 use sitl::autopilot::pd::AttitudeLoop;
-use sitl::config::{ImuNoise, SensorConfig, SitlConfig};
+use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
 use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 use sitl::plant::Plant;
@@ -20,12 +21,11 @@ use sitl::rigid_body::State;
 use sitl::sensors::{Readings, Sensors};
 use sitl::vehicle::{ROTORS, VehicleError};
 
-use super::gap::ATTITUDE_CORRELATION_S;
 use super::hypothesis::Catalogue;
 use super::noise::ReportNoise;
-use super::onboard::{AGE_MAX_S, JITTER_MEAN_S, OnboardLaw, as_onboard};
+use super::onboard::{AGE_MAX_S, OnboardLaw, as_onboard};
 use super::preparation::PreparedFlight;
-use super::series::Series;
+use super::series::{Series, next_to};
 use super::setpoints::{as_flown, infer};
 use crate::log::import::{AttitudeSetpoint, Stream};
 
@@ -70,18 +70,7 @@ impl Replica {
         let candidate = catalogue.candidate(values)?;
         let nominal = &catalogue.vehicle;
         let (vehicle, overlay) = catalogue.vehicle_of(values);
-        let imu = |noise: f64| ImuNoise { noise, bias: 0.0, bias_walk: 0.0 };
-        let config = SitlConfig {
-            sensors: SensorConfig {
-                position_noise_m: noise.position,
-                velocity_noise_m_s: noise.velocity,
-                attitude_noise_rad: noise.attitude,
-                attitude_correlation_s: ATTITUDE_CORRELATION_S,
-                gyro: imu(noise.body_rate),
-                accelerometer: imu(noise.specific_force),
-            },
-            ..SitlConfig::default()
-        };
+        let config = SitlConfig { sensors: noise.sensors(), ..SitlConfig::default() };
         Ok(Self {
             plant: Plant::new(&vehicle, &overlay, &config, 0)?.airborne(),
             effects: vehicle.modelled_effects.overlay(&overlay),
@@ -195,11 +184,10 @@ impl Replica {
     fn course(&self, flight: &PreparedFlight, time: f64) -> State {
         let seen = time + self.latency;
         let smoothed = |series: &Series<3>| series.mean_about(seen, COURSE_SMOOTHING_S);
-        let [w, x, y, z] = flight.attitude.at(seen);
         State {
             position: smoothed(&flight.position).into(),
             velocity: smoothed(&flight.velocity).into(),
-            attitude: Attitude { w, x, y, z }.normalized().compose(self.untrim),
+            attitude: flight.attitude.attitude_at(seen).compose(self.untrim),
             body_rate: flight.body_rate.at(time).into(),
         }
     }
@@ -353,10 +341,7 @@ impl Recorder {
             let [x, y, z] = (rate * (0.5 * dt)).to_array();
             let Attitude { w, x, y, z } =
                 attitude.compose(Attitude { w: 1.0, x, y, z }.normalized());
-            let q = [w, x, y, z];
-            let flips =
-                last.is_some_and(|l| l.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() < 0.0);
-            let q = if flips { q.map(|c| -c) } else { q };
+            let q = next_to(last, [w, x, y, z]);
             last = Some(q);
             q
         });

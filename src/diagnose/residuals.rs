@@ -13,13 +13,12 @@
 //!
 //! The accelerometer's and the gyro's constant biases fall out with the blocks' means.
 
+use sitl::effects::EffectId;
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::physics::{Loads, Physics};
 use sitl::rigid_body::State;
 use sitl::rotor::Lag;
 use sitl::vehicle::{ROTORS, VehicleParams};
-
-use sitl::effects::EffectId;
 
 use super::arrival::Delay;
 use super::candidate::Candidate;
@@ -27,6 +26,7 @@ use super::hypothesis::Target;
 use super::layout::Layout;
 use super::onboard::{OnboardLaw, Timing};
 use super::preparation::{Block, PreparedFlight};
+use super::series::attitude;
 use super::spectrum::{CELL_S, CosineTransform, band, frequency};
 
 /// Number of channels.
@@ -315,10 +315,6 @@ fn put<const N: usize>(
     }
 }
 
-fn quaternion([w, x, y, z]: [f64; 4]) -> Attitude {
-    Attitude { w, x, y, z }.normalized()
-}
-
 /// The motion as reported, with the candidate's latency and trim undone.
 fn motion(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Motion {
     let channels = &flight.channels;
@@ -327,8 +323,8 @@ fn motion(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Moti
     let late = candidate.latency;
     let attitude_at = |raw: [f64; 4]| match (channels.attitude, untrim) {
         (false, _) => Attitude::default(),
-        (true, None) => quaternion(raw),
-        (true, Some(untrim)) => quaternion(raw).compose(untrim),
+        (true, None) => attitude(raw),
+        (true, Some(untrim)) => attitude(raw).compose(untrim),
     };
     let mut cursor = flight.attitude.cursor();
     let attitude: Vec<Attitude> =

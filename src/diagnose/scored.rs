@@ -3,6 +3,7 @@
 use std::sync::OnceLock;
 
 use super::fit::Fit;
+use super::gap::Window;
 
 /// A fit with its score on the flights that were held out.
 #[derive(Clone, Debug)]
@@ -19,7 +20,7 @@ pub struct Scored {
 }
 
 /// Errors by window, horizon and quantity.
-pub(super) type Windows = Vec<[[f64; 4]; 3]>;
+pub(super) type Windows = Vec<Window>;
 
 impl Scored {
     /// A fit with its evidence [nats] and its log density on the flights held out, block by block

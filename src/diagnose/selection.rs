@@ -14,7 +14,6 @@ use super::hypothesis::{Catalogue, Hypothesis};
 use super::linearised::Linearised;
 use super::observed::Observed;
 use super::scored::{Scored, Windows};
-use super::twins::EVIDENCE_MIN;
 
 /// Most effects at once.
 pub const EFFECTS_MAX: usize = 3;
@@ -32,6 +31,9 @@ const PAIRED: usize = 4;
 const NULL_REFITS: usize = 3;
 const NULL_GAIN_MIN: f64 = 1.0;
 
+/// Least gain of evidence that is asked of an effect, whatever the twins say: posterior odds of
+/// twenty thousand to one, for a model that is never quite right, nats.
+pub const EVIDENCE_MIN: f64 = 10.0;
 /// Evidence from which on there is no doubt that something acts, nats, and the standard errors by
 /// which predictions must then be better.
 pub(super) const BEYOND_DOUBT: f64 = 100.0;
@@ -151,7 +153,7 @@ impl Selector<'_> {
         Some(about.solve(self.catalogue, self.fitted.counts(), numbers)?.power)
     }
 
-    /// The hypotheses by how much evidence each adds to `active` in the linearised problem, the
+    /// The hypotheses by how much evidence each adds to `set` in the linearised problem, the
     /// best first.
     pub fn screen(&self, about: &Linearised, set: &[usize]) -> Vec<(usize, f64)> {
         let counts = self.fitted.counts();
@@ -188,7 +190,7 @@ impl Selector<'_> {
 
     /// Fits a set in full. The active numbers start where `from` has them, and the newest
     /// hypothesis also at its own starts.
-    fn fitted(&self, about: &Linearised, set: &[usize], from: &[(usize, f64)]) -> Option<Scored> {
+    fn fit_of(&self, about: &Linearised, set: &[usize], from: &[(usize, f64)]) -> Option<Scored> {
         let newest = self.hypothesis(*set.last()?);
         let starts: Vec<Vec<(usize, f64)>> = newest
             .starts
@@ -285,7 +287,7 @@ impl Selector<'_> {
             .filter_map(|(_, (h, _))| {
                 let mut joint = set.fit.hypotheses.clone();
                 joint.push(h);
-                Some(Rival { hypothesis: h, scored: self.fitted(about, &joint, &from)? })
+                Some(Rival { hypothesis: h, scored: self.fit_of(about, &joint, &from)? })
             })
             .collect();
         rivals.sort_by(|a, b| {
@@ -396,7 +398,7 @@ impl Selector<'_> {
         let kept =
             |number: &usize| rest.iter().any(|h| self.hypothesis(*h).numbers.contains(number));
         from.retain(|(number, _)| kept(number));
-        self.fitted(about, &rest, &from)
+        self.fit_of(about, &rest, &from)
     }
 
     /// Whether the set's effect that `rival` is put in the place of is wanted beside it as well.
@@ -408,7 +410,7 @@ impl Selector<'_> {
         from.extend(self.numbers_of(set));
         let mut joint = set.fit.hypotheses.clone();
         joint.push(rival.hypothesis);
-        let together = self.fitted(about, &joint, &from);
+        let together = self.fit_of(about, &joint, &from);
         together.is_some_and(|both| self.accepts(&both, &rival.scored))
     }
 
@@ -432,7 +434,7 @@ impl Selector<'_> {
             .filter_map(|(a, b)| {
                 let mut from = self.numbers_of(&a.scored);
                 from.extend(self.numbers_of(&b.scored));
-                self.fitted(about, &[a.hypothesis, b.hypothesis], &from)
+                self.fit_of(about, &[a.hypothesis, b.hypothesis], &from)
             })
             .collect()
     }

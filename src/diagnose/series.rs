@@ -1,5 +1,7 @@
 //! Series: samples of a stream as plain numbers, read linearly between them.
 
+use sitl::frame::Attitude;
+
 use crate::log::import::Stream;
 
 /// Streams faster than this are averaged over [`SMOOTHING_S`] first, Hz: what lies above the bands
@@ -121,6 +123,32 @@ impl<const N: usize> Series<N> {
         let (t0, t1) = (self.times[index], self.times[index + 1]);
         let share = ((time - t0) / (t1 - t0)).clamp(0.0, 1.0);
         std::array::from_fn(|i| before[i] + share * (after[i] - before[i]))
+    }
+}
+
+/// The attitude whose quaternion w, x, y, z lies near unit norm.
+pub(super) fn attitude([w, x, y, z]: [f64; 4]) -> Attitude {
+    Attitude { w, x, y, z }.normalized()
+}
+
+/// A quaternion or its negative, which is the same attitude: the one that is nearer to `last`, so
+/// that what lies between the two is read the short way.
+pub(super) fn next_to(last: Option<[f64; 4]>, q: [f64; 4]) -> [f64; 4] {
+    let is_far = last.is_some_and(|l| l.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() < 0.0);
+    if is_far { q.map(|c| -c) } else { q }
+}
+
+impl Series<4> {
+    /// The attitude at `time`, of a series of quaternions.
+    pub(super) fn attitude_at(&self, time: f64) -> Attitude {
+        attitude(self.at(time))
+    }
+}
+
+impl Cursor<'_, 4> {
+    /// As [`Series::attitude_at`].
+    pub(super) fn attitude_at(&mut self, time: f64) -> Attitude {
+        attitude(self.at(time))
     }
 }
 

@@ -10,7 +10,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use sitl::frame::{Attitude, Frd};
 
-use super::noise::normals;
+use super::noise::{MEDIAN_SQUARE, normals};
 use super::series::median;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
@@ -30,8 +30,6 @@ const LATE_MAX: f64 = 0.75;
 const GAP_TICKS: u64 = 1 << 32;
 /// A change is a jump from so many deviations on beyond what the changes around it let expect.
 const JUMP: f64 = 10.0;
-/// Median of a squared standard normal number.
-const MEDIAN_SQUARE: f64 = 0.455;
 
 /// Which setpoints of a stream the log lacks.
 #[derive(Clone, Debug, Default, PartialEq)]

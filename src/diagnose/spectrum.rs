@@ -22,6 +22,19 @@ pub fn band(frequency_hz: f64) -> Option<usize> {
     BANDS.iter().position(|upper| frequency_hz < *upper)
 }
 
+/// Lower and upper end of a band, Hz.
+pub fn edges(band: usize) -> [f64; 2] {
+    let lower = if band == 0 { 0.0 } else { BANDS[band - 1] };
+    [lower, BANDS[band]]
+}
+
+/// What a coefficient's mean square in a band is of the signal's mean square there: the share that
+/// the band has of all that cells can show.
+pub fn mean_square_share(band: usize) -> f64 {
+    let [lower, upper] = edges(band);
+    2.0 * CELL_S * (upper - lower)
+}
+
 /// Frequency of coefficient `index` of a block of `cells`, Hz.
 pub fn frequency(index: usize, cells: usize) -> f64 {
     index as f64 / (2.0 * cells as f64 * CELL_S)

@@ -13,7 +13,8 @@ use super::hypothesis::{Catalogue, Target};
 use super::linearised::Linearised;
 use super::naming::{THRUST_LEVEL, parameter};
 use super::observed::Observed;
-use super::twins::{EVIDENCE_MIN, TwinFits};
+use super::selection::EVIDENCE_MIN;
+use super::twins::TwinFits;
 
 /// Tolerances from which on a number is strained: of 240 flights without an effect in two exams
 /// none was.

@@ -1,10 +1,11 @@
-//! Twins: the flights as the simulator flies them, with noise of the sensors and no effect.
+//! Twins: the flights as a vehicle of known numbers flies them, with noise of its sensors.
 //!
-//! A twin is a [`Replica`] of every flight that is fitted, of the vehicle with its nuisances, and
-//! goes through the same analysis. What the simulator's noise does not account for in the flights'
-//! residuals is drawn from its spectrum and put on top. What a hypothesis gains of evidence in
-//! hardly any of many twins is what it must exceed: it holds the multiple tests, the noise that
-//! feedback puts into the outputs, and the excitation of these very flights.
+//! A twin is a [`Replica`] of every flight that is fitted, and goes through the same analysis. Of
+//! the vehicle with its nuisances alone, what a hypothesis gains of evidence in hardly any of many
+//! twins is what it must exceed: it holds the multiple tests, the noise that feedback puts into the
+//! outputs, and the excitation of these very flights. Of the vehicle with the effects that were
+//! chosen, twins tell what their fit is off by and how it scatters. Where no on-board law is known,
+//! twins are the same motion with other noise, of the spectrum of what the flights leave.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -23,13 +24,10 @@ use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
 use super::replica::Replica;
 use super::scored::Scored;
-use super::selection::Selector;
+use super::selection::{EVIDENCE_MIN, Selector};
 
 /// Share of twins in which any hypothesis may reach what is asked of it.
 const EXCEEDED: f64 = 0.01;
-/// Least gain of evidence that is asked of an effect, whatever the twins say: posterior odds of
-/// twenty thousand to one, for a model that is never quite right, nats.
-pub const EVIDENCE_MIN: f64 = 10.0;
 
 /// What the twins say.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -52,7 +50,7 @@ pub struct Twins {
 const PILOTS: [u32; 2] = [6, 10];
 /// Of these so many tell how noisy derivatives are.
 const PROBES: u32 = 2;
-/// The second of them have other noise than the twins.
+/// Mixed into the seed of the second pilots, whose noise is not to be the twins'.
 const OF_BIAS: u64 = 0xb1a5;
 /// Share of noise in a derivative's square from which on each twin has its own: flights that go
 /// about have 0.01 to 0.5 in those by a lag, a delay of the outputs, a latency and an inertia, and
@@ -65,7 +63,7 @@ const NOISY: f64 = 0.01;
 const BEYOND_TWINS: f64 = 1.14;
 
 /// Nuisances of a vehicle without an effect lie within so many tolerances.
-const TOLERANCES_MAX: f64 = 1.5;
+const TRUTH_WITHIN: f64 = 1.5;
 
 /// Twins of flights, fitted as the flights were.
 #[derive(Clone, Debug)]
@@ -215,7 +213,7 @@ impl<'a> Analysis<'a> {
                     return value;
                 }
                 // What the null pushes to its limit is an effect, which twins must not have.
-                let width = TOLERANCES_MAX * number.tolerance;
+                let width = TRUTH_WITHIN * number.tolerance;
                 value.clamp(number.expected - width, number.expected + width)
             })
             .collect();

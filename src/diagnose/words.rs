@@ -1,5 +1,7 @@
 //! The finding as a person would say it.
 
+use sitl::effects::EffectId;
+
 use super::answer::{Answer, EffectAnswer, FullVerdict, Gap, Parameter, Verdict};
 use super::judgement::{Balance, Unexplained, is_open_alone};
 use super::misfit::{Misfit, share_left, standing_out};
@@ -137,7 +139,8 @@ fn effect(answer: &Answer) -> String {
         text += &shrinks(gap);
     }
     if !answer.ambiguous_with.is_empty() {
-        text += &format!(" It cannot be told from {}.", answer.ambiguous_with.join(", "));
+        let others = listed(answer.ambiguous_with.iter().copied());
+        text += &format!(" It cannot be told from {others}.");
     }
     text
 }
@@ -194,6 +197,12 @@ pub fn next_flight(next: &NextFlight) -> String {
     }
     text += " Diagnose the old and the new flight together, the new one given with --new.";
     text
+}
+
+/// Effects by their ids.
+pub(super) fn listed(effects: impl Iterator<Item = EffectId>) -> String {
+    let ids: Vec<&str> = effects.map(EffectId::name).collect();
+    ids.join(", ")
 }
 
 /// An effect with its numbers.
@@ -307,8 +316,8 @@ pub fn report(answer: &Answer) -> String {
         text += &format!("next       {}\n", next_flight(next));
     }
     if !answer.not_testable.is_empty() {
-        let ids: Vec<&str> = answer.not_testable.iter().map(|effect| effect.id).collect();
-        text += &format!("not shown  {}\n", ids.join(", "));
+        let not_shown = listed(answer.not_testable.iter().map(|effect| effect.id));
+        text += &format!("not shown  {not_shown}\n");
     }
     if let Some(twins) = &answer.twins {
         text += &format!(

@@ -166,7 +166,7 @@ fn which(answer: &Answer) -> String {
         .hypotheses
         .iter()
         .take(SHOWN)
-        .map(|h| (h.id.to_owned(), h.evidence, h.asked))
+        .map(|h| (h.id.to_string(), h.evidence, h.asked))
         .collect();
     let mut html =
         String::from("<h3>Evidence of each effect alone, nats (mark: what is asked of it)</h3>");
@@ -185,7 +185,7 @@ fn which(answer: &Answer) -> String {
         table.row(
             mood,
             &[
-                h.id.to_owned(),
+                h.id.to_string(),
                 format!("{:.1}", h.evidence),
                 format!("{:.1}", h.held_out[0]),
                 format!("{:.1}", h.held_out[1]),
@@ -295,10 +295,10 @@ fn how_far(gap: &Gap, explanation: &str) -> String {
 fn untold(answer: &Answer) -> String {
     let mut table = Table::new(&[("effect", false), ("why", false)]);
     for effect in &answer.not_testable {
-        table.row(Mood::Plain, &[effect.id.to_owned(), effect.reason.clone()]);
+        table.row(Mood::Plain, &[effect.id.to_string(), effect.reason.clone()]);
     }
     for id in &answer.ambiguous_with {
-        table.row(Mood::Warning, &[(*id).to_owned(), "cannot be told from what is named".into()]);
+        table.row(Mood::Warning, &[id.to_string(), "cannot be told from what is named".into()]);
     }
     let mut html = String::new();
     if answer.not_testable.is_empty() && answer.ambiguous_with.is_empty() {

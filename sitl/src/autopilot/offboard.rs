@@ -10,7 +10,7 @@ use wire::dialect::{AttitudeTargetTypemask, SET_ATTITUDE_TARGET_DATA};
 use crate::frame::{Attitude, Euler, Frd};
 
 /// Mean of the transport jitter, s: the exponential part of the command delay.
-const JITTER_MEAN_S: f64 = 0.001;
+pub const JITTER_MEAN_S: f64 = 0.001;
 
 /// Setpoints under way at once; more than a flood can use up, so that memory stays bounded.
 const UNDER_WAY_MAX: usize = 256;

@@ -64,6 +64,8 @@ pub use vortex_ring::VortexRing;
 pub use wind::Wind;
 pub use yaw_torque::YawTorque;
 
+use serde::{Serialize, Serializer};
+
 use crate::frame::Frd;
 use crate::physics::Constants;
 use crate::scalar::Scalar;
@@ -174,7 +176,13 @@ impl EffectId {
 
 impl fmt::Display for EffectId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        f.pad(self.name())
+    }
+}
+
+impl Serialize for EffectId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
     }
 }
 

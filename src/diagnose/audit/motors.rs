@@ -1,5 +1,6 @@
 //! Motor outputs: legal values, channels that are stuck, and which rotor is where.
 
+use super::tier::FAST_HZ;
 use super::{Audit, Finding, Severity};
 use crate::diagnose::series::median;
 use crate::log::import::{Flight, MotorUnit};
@@ -20,8 +21,6 @@ const CONTRADICTIONS: usize = 2;
 const MOTORS: u32 = 4;
 /// Below this mean of a full range the vehicle does not fly.
 const FLIES: f64 = 0.1;
-/// Below this rate outputs do not show how rotors answer, Hz.
-const SLOW_HZ: f64 = 40.0;
 
 pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     if let Some(motors) = flight.facts.motors.filter(|motors| *motors != MOTORS) {
@@ -43,13 +42,13 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     check_range(flight, audit);
     check_channels(flight, audit);
     let rate = flight.outputs.rate();
-    if rate < SLOW_HZ {
+    if rate < FAST_HZ {
         audit.findings.push(Finding {
             severity: Severity::Note,
             check: "slow_outputs",
             stream: Some("outputs"),
             found: rate,
-            expected: SLOW_HZ,
+            expected: FAST_HZ,
             unit: "Hz",
             what: format!("outputs come at {rate:.0} Hz only: lag, delay and inertia do not show"),
             advice: "log outputs at 50 Hz or more, by telemetry (SERVO_OUTPUT_RAW, ACTUATOR_OUTPUT_STATUS) or on board",

@@ -6,11 +6,10 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use serde::Serialize;
 
 use super::kinematics::Estimate;
+use super::tier::FAST_HZ;
 use super::weak::{Bump, Row, bumps, fit, weigh};
 use crate::log::import::{Flight, RotorFact};
 
-/// Outputs less often than this do not show what they do, Hz.
-const RATE_MIN: f64 = 40.0;
 /// Half width of a bump: at least this, s, and this many periods of the slower stream.
 const HALF: f64 = 0.1;
 const HALF_PERIODS: f64 = 5.0;
@@ -47,7 +46,7 @@ pub struct Contradiction {
 impl RotorEffects {
     /// What the outputs of a flight do, if its motion shows that.
     pub fn of(flight: &Flight) -> Option<Self> {
-        if flight.outputs.rate() < RATE_MIN || flight.body_rate.rate() < RATE_MIN {
+        if flight.outputs.rate() < FAST_HZ || flight.body_rate.rate() < FAST_HZ {
             return None;
         }
         let periods = [flight.outputs.period(), flight.body_rate.period()];

@@ -10,7 +10,7 @@ use crate::log::import::{Flight, SetpointSource};
 /// Least rate of an IMU that separates measurement from dynamics, Hz.
 const IMU_HZ: f64 = 80.0;
 /// Least rate of outputs, or of rates, that shows how rotors answer, Hz.
-const FAST_HZ: f64 = 40.0;
+pub(super) const FAST_HZ: f64 = 40.0;
 /// A voltage that changes less than this share shows no sag.
 const VOLTAGE_RANGE: f64 = 0.02;
 
@@ -109,7 +109,7 @@ impl fmt::Display for Tier {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Untestable {
     /// Its id in the catalogue.
-    pub effect: &'static str,
+    pub effect: EffectId,
     /// What is missing.
     pub reason: String,
 }
@@ -126,9 +126,10 @@ pub fn is_flat([low, high]: [f64; 2]) -> bool {
 
 /// The effects of the catalogue that these channels cannot show, whatever was flown.
 pub(super) fn untestable(flight: &Flight, channels: &Channels) -> Vec<Untestable> {
-    let missing = |id: EffectId| reason(id, flight, channels).map(|reason| (id, reason));
-    let found = EffectId::ALL.into_iter().filter_map(missing);
-    found.map(|(id, reason)| Untestable { effect: id.name(), reason }).collect()
+    let missing = |effect: EffectId| {
+        reason(effect, flight, channels).map(|reason| Untestable { effect, reason })
+    };
+    EffectId::ALL.into_iter().filter_map(missing).collect()
 }
 
 fn reason(id: EffectId, flight: &Flight, channels: &Channels) -> Option<String> {

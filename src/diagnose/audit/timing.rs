@@ -232,9 +232,12 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
     }
 }
 
-/// Whether a stream moves at all: its median interval is known and it has more than a few samples.
+/// Samples from which on a stream can be judged.
+const SAMPLES_MIN: usize = 20;
+
+/// Whether a stream has samples enough to be judged.
 pub(super) fn is_logged<T>(stream: &Stream<T>) -> bool {
-    stream.len() >= 20
+    stream.len() >= SAMPLES_MIN
 }
 
 #[cfg(test)]

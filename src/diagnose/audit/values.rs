@@ -3,10 +3,10 @@
 use sitl::frame::{Frd, Ned};
 
 use super::{Audit, Finding, Severity, UnusableSpan};
+use crate::log::import::{Flight, Stream};
 
 /// A stream that stood still for some time.
 pub(super) const STOOD_STILL: &str = "frozen";
-use crate::log::import::{Flight, Stream};
 
 /// A share of samples that only repeat the one before which is worth a word.
 const REPEATED_NOTE: f64 = 0.05;
@@ -96,7 +96,7 @@ fn repeated<T>(
     let stopped: f64 = frozen.iter().map(|(from, to)| to - from).sum();
     for (from_s, to_s) in &frozen {
         let (from_s, to_s) = (*from_s, *to_s);
-        audit.unusable.push(UnusableSpan { stream: name, from_s, to_s, reason: "frozen" });
+        audit.unusable.push(UnusableSpan { stream: name, from_s, to_s, reason: STOOD_STILL });
     }
     if !frozen.is_empty() {
         audit.findings.push(Finding {

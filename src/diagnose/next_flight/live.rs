@@ -43,7 +43,7 @@ pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Ve
         catalogue.effects(&scored.fit.values, Some(&ids))
     };
     let probability = |id: EffectId| {
-        let found = answer.effects.iter().find(|effect| effect.id == id.name());
+        let found = answer.effects.iter().find(|effect| effect.id == id);
         found.map_or(LEAST, |effect| effect.probability.max(LEAST))
     };
     let best = set(&selection.best);
@@ -53,7 +53,7 @@ pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Ve
     let in_place = selection.places.iter().flat_map(|(_, rivals)| rivals);
     for rival in in_place.chain(&selection.singles) {
         let effect = catalogue.hypotheses[rival.hypothesis].effect;
-        if answer.ambiguous_with.contains(&effect.name()) && seen.insert(effect) {
+        if answer.ambiguous_with.contains(&effect) && seen.insert(effect) {
             let effects = set(&rival.scored);
             if !effects.is_empty() {
                 found.push(Live { effects, probability: probability(effect) });
@@ -61,8 +61,7 @@ pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Ve
         }
     }
     // What was not fitted in full is taken at its usual strength.
-    for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(&id.name()))
-    {
+    for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(id)) {
         if !seen.contains(&effect) {
             let usual = typical(catalogue, effect, 1.0);
             found.extend(usual.map(|usual| Live { probability: probability(effect), ..usual }));
@@ -75,8 +74,7 @@ pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Ve
 
 /// Effects that an answer calls not testable for want of motion, each at its usual strength.
 pub fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
-    let is_untested =
-        |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == id.name());
+    let is_untested = |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == *id);
     let ids = EffectId::ALL.into_iter().filter(is_untested);
     ids.filter_map(|id| typical(catalogue, id, 1.0)).collect()
 }

@@ -11,7 +11,6 @@ use super::super::hypothesis::{Catalogue, Target};
 use super::super::linearised::Linearised;
 use super::super::observed::Observed;
 use super::super::preparation::PreparedFlight;
-use super::super::reflight::sensors;
 use super::super::residuals::Evaluator;
 use super::{Live, Proposal};
 use crate::log::import::Flight;
@@ -125,7 +124,7 @@ impl<'a> Stage<'a> {
 
     fn fly(&self, manoeuvre: &Manoeuvre, effects: &EffectSet) -> Option<Flight> {
         let vehicle = self.proposal.vehicle;
-        let sensors = sensors(&self.proposal.noise);
+        let sensors = self.proposal.noise.sensors();
         let simulator = FlightSimulator::new(&self.control, vehicle, effects, sensors).ok()?;
         let hover_thrust_n = self.control.vehicle().hover.hover_thrust_n();
         let course = ModelFreeReference::new(manoeuvre.trajectory.clone(), hover_thrust_n);

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use serde::Serialize;
-use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+use sitl::frame::{Euler, Frd, Ned, wrap_angle};
 
 use super::super::flight_simulator::GroundControl;
 use super::super::preparation::PreparedFlight;
@@ -134,8 +134,7 @@ fn as_sent<'a>(
     control: &'a GroundControl,
 ) -> impl Iterator<Item = (f64, Reference)> + 'a {
     flight.setpoint.iter().filter(within(span)).filter_map(|(time, sent)| {
-        let [w, x, y, z] = flight.attitude.at(time);
-        let attitude = Attitude { w, x, y, z }.normalized().euler();
+        let attitude = flight.attitude.attitude_at(time).euler();
         let feedforward = Setpoint {
             thrust_n: control.vehicle().thrust.thrust_n(sent.thrust?),
             attitude: sent.attitude?.euler(),
@@ -168,10 +167,7 @@ fn reported(flight: &PreparedFlight, span: &Range<f64>, control: &GroundControl)
     let attitudes: Vec<Euler> = forces
         .iter()
         .enumerate()
-        .map(|(k, force)| {
-            let [w, x, y, z] = flight.attitude.at(at(k));
-            along(*force, Attitude { w, x, y, z }.normalized().yaw())
-        })
+        .map(|(k, force)| along(*force, flight.attitude.attitude_at(at(k)).yaw()))
         .collect();
     let ticks = (0..count)
         .map(|k| {

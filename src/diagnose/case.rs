@@ -1,0 +1,30 @@
+//! A case: the flights, their vehicle, and how they are to be looked at.
+
+use sitl::effects::EffectId;
+use sitl::vehicle::VehicleParams;
+
+use super::preparation::PreparedFlight;
+
+/// What is to be diagnosed.
+#[derive(Debug)]
+pub struct Case<'a> {
+    /// The simulator's vehicle.
+    pub vehicle: &'a VehicleParams,
+    /// Flights to fit.
+    pub fitted: &'a [PreparedFlight],
+    /// Flights held out.
+    pub held_out: &'a [PreparedFlight],
+    /// Whether these are parts of one flight.
+    pub blocked: bool,
+    /// Effects that are not to be considered.
+    pub without: &'a [EffectId],
+}
+
+/// How.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Seed of every draw.
+    pub seed: u64,
+    /// Number of twins.
+    pub twins: u32,
+}
