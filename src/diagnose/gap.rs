@@ -1,42 +1,22 @@
 //! How far a simulator is from flights: errors of its open-loop predictions.
 //!
-//! From many instants the plant predicts from the reported state, driven by the logged setpoints
-//! through the on-board law (by the logged outputs where there is none), and is compared with what
-//! was reported after 0.1, 0.5 and 1 s.
+//! From many instants a simulator predicts what is reported after 0.1, 0.5 and 1 s.
 
 use rand::{Rng, SeedableRng};
-use rand_distr::{Distribution, Exp1};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::autopilot::offboard::JITTER_MEAN_S;
-use sitl::autopilot::pd::AttitudeLoop;
-use sitl::config::{SensorConfig, SitlConfig};
-use sitl::effects::{AttitudeTrim, CommandDelay, EffectSet, EstimatorLatency, Gusts, PdGain};
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::plant::Plant;
+use sitl::frame::Frd;
 use sitl::rigid_body::State;
-use sitl::vehicle::{VehicleError, VehicleParams};
 
-use super::learner::Learner;
-use super::noise::{ReportNoise, gyro_bias, normals, small_rotation};
-use super::onboard::setpoint_at;
+use super::noise::ReportNoise;
+use super::open_loop::{HORIZONS_S, LoopNoise, MARGIN_S, NoiseDraw, Simulator};
 use super::preparation::PreparedFlight;
-use super::setpoints::as_flown;
-use crate::log::import::{AttitudeSetpoint, Stream};
 
-/// Horizons, s.
-pub const HORIZONS_S: [f64; 3] = [0.1, 0.5, 1.0];
 /// Quantities, each by the norm of its error.
 pub const QUANTITIES: [&str; 4] = ["pos", "vel", "att", "rate"];
 /// Time between the starts of windows, s.
 const SPACING_S: f64 = 0.25;
-/// Time before a window that delays and lags reach back to, s.
-const MARGIN_S: f64 = 0.4;
-/// Steps of the plant from one look of a learner to the next.
-const LEARNER_STEPS: usize = 10;
-/// Rotors forget their states within this many time constants.
-const MEMORY: f64 = 6.0;
 
 /// Errors of one window: of each of [`HORIZONS_S`] and [`QUANTITIES`].
 pub type Window = [[f64; 4]; 3];
@@ -82,172 +62,7 @@ pub struct OverNoise {
     pub scatter: f64,
 }
 
-/// A simulator: the vehicle file with effects put over it.
-#[derive(Clone, Debug)]
-pub struct Simulator {
-    plant: Plant,
-    law: Option<(AttitudeLoop, f64)>,
-    trim: Attitude,
-    latency: f64,
-    command_delay: f64,
-    /// Position and velocity are predicted with the body turning as reported.
-    guided: bool,
-    /// What is added to the plant's accelerations.
-    learner: Option<Learner>,
-}
-
 impl Simulator {
-    /// The vehicle with `effects` put over what its file models. `setpoint_leg`: driven by
-    /// setpoints, else by outputs.
-    ///
-    /// # Errors
-    /// A vehicle that the physics refuses.
-    pub fn new(
-        vehicle: &VehicleParams,
-        effects: &EffectSet,
-        setpoint_leg: bool,
-    ) -> Result<Self, VehicleError> {
-        let mut calm = effects.clone();
-        // One draw of turbulence is not the one that the flight met.
-        calm.remove(<Gusts as sitl::effects::Effect>::ID);
-        let all = vehicle.modelled_effects.overlay(&calm);
-        let law = match vehicle.attitude_pd.filter(|_| setpoint_leg) {
-            Some(pd) => {
-                let gains = all.get::<PdGain>().map_or(pd, |gains| gains.apply(&pd));
-                Some((AttitudeLoop::new(gains, vehicle.allocation()?), pd.rate_hz))
-            }
-            None => None,
-        };
-        Ok(Self {
-            plant: Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?.airborne(),
-            law,
-            trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
-            latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
-            command_delay: all.get::<CommandDelay>().map_or(vehicle.command_delay_s, |e| e.delay_s),
-            guided: false,
-            learner: None,
-        })
-    }
-
-    /// The same simulator, in which forces are put to the test by themselves: where logged outputs
-    /// drive the plant without a loop, a small moment turns the body far within a second, and no
-    /// force would show beside it.
-    pub fn guided(self) -> Self {
-        Self { guided: self.law.is_none(), ..self }
-    }
-
-    /// The same simulator with what a learner adds to its accelerations.
-    pub fn with_learner(self, learner: Learner) -> Self {
-        Self { learner: Some(learner), ..self }
-    }
-
-    /// What will be reported at `start` plus each horizon, from the reported state `from` at
-    /// `start`. Latency and trim are undone at the start and applied again at the end. `None`
-    /// where no setpoint rules at the start. `sensed`: the noise that the on-board loop flies with.
-    fn predict(
-        &self,
-        flight: &PreparedFlight,
-        start: f64,
-        from: &State,
-        mut sensed: Option<LoopNoise<'_>>,
-    ) -> Option<[State; 3]> {
-        let start = start - self.latency;
-        let mut plant = self.plant.clone();
-        let tau = plant.physics().constants().motor_time_constant;
-        let memory = ((MEMORY * tau).min(MARGIN_S) / Plant::STEP).ceil() as usize;
-        let delay = if self.law.is_some() { 0.0 } else { self.command_delay };
-        let mut logged = flight.outputs.cursor();
-        let mut voltage = flight.voltage.cursor();
-        let has_voltage = flight.channels.voltage;
-        let before = start - memory as f64 * Plant::STEP;
-        plant.set_rotor_states(logged.at(before - delay));
-        if has_voltage {
-            plant.hold_voltage(voltage.at(start)[0]);
-        }
-        for k in 0..memory {
-            let time = before + (k as f64 + 0.5) * Plant::STEP;
-            plant.step(logged.at(time - delay));
-        }
-        let untrim = self.trim.inverse();
-        plant.set_state(State { attitude: from.attitude.compose(untrim), ..*from });
-        let mut forced = self.guided.then(|| plant.clone());
-        let mut attitude = flight.attitude.cursor();
-        let mut body_rate = flight.body_rate.cursor();
-        let steps = (HORIZONS_S[2] / Plant::STEP).round() as usize;
-        let mut outputs = None;
-        let mut last_tick = f64::NEG_INFINITY;
-        let mut reported = [State::default(); 3];
-        let mut learned = (Ned::zero(), Frd::zero());
-        let mut next = 0;
-        for k in 0..steps {
-            let time = start + k as f64 * Plant::STEP;
-            let acting = match &self.law {
-                None => logged.at(time + 0.5 * Plant::STEP - delay),
-                Some((law, rate_hz)) => {
-                    let tick = ((time + 1e-6) * rate_hz).floor();
-                    if tick > last_tick || outputs.is_none() {
-                        last_tick = tick;
-                        let state = plant.state();
-                        let mut attitude = state.attitude.compose(self.trim);
-                        let mut rate = state.body_rate;
-                        let mut sent = tick / rate_hz - self.command_delay;
-                        if let Some(noise) = &mut sensed {
-                            attitude = attitude.compose(noise.attitude_error(1.0 / rate_hz));
-                            rate += noise.gyro_error();
-                            // Jitter is a part of the delay.
-                            sent -= noise.lateness().max(-self.command_delay);
-                        }
-                        let setpoints =
-                            sensed.as_ref().map_or(&flight.setpoint, |s| &s.draw.setpoints);
-                        let asked = setpoint_at(setpoints, sent)?;
-                        outputs = Some(law.outputs(&asked, attitude.euler(), rate));
-                    }
-                    outputs?
-                }
-            };
-            // The pack's voltage changes slowly against this.
-            if has_voltage && k % 20 == 0 {
-                plant.hold_voltage(voltage.at(time)[0]);
-            }
-            if let Some(forced) = &mut forced {
-                if has_voltage && k % 20 == 0 {
-                    forced.hold_voltage(plant.voltage());
-                }
-                forced.set_state(State {
-                    attitude: attitude.attitude_at(time + self.latency).compose(untrim),
-                    body_rate: body_rate.at(time).into(),
-                    ..*forced.state()
-                });
-                forced.step(acting);
-            }
-            plant.step(acting);
-            if let Some(learner) = &self.learner {
-                let state = *plant.state();
-                if k % LEARNER_STEPS == 0 {
-                    learned = learner.accelerations(&state, acting);
-                }
-                let (linear, angular) = learned;
-                plant.set_state(State {
-                    velocity: state.velocity + linear * Plant::STEP,
-                    body_rate: state.body_rate + angular * Plant::STEP,
-                    ..state
-                });
-            }
-            if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
-                let state = *plant.state();
-                let moved = forced.as_ref().map_or(&state, |forced| forced.state());
-                reported[next] = State {
-                    position: moved.position,
-                    velocity: moved.velocity,
-                    attitude: state.attitude.compose(self.trim),
-                    ..state
-                };
-                next += 1;
-            }
-        }
-        Some(reported)
-    }
-
     /// Root mean square errors over the windows of flights; `None` without a window.
     pub fn errors(&self, flights: &[PreparedFlight]) -> Option<Errors> {
         root_mean_square(&self.windows(flights))
@@ -257,10 +72,10 @@ impl Simulator {
     pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<Window> {
         windows(flights, |index, start| {
             let flight = &flights[index];
-            let from = reported(flight, start, self.latency);
+            let from = reported(flight, start, self.latency());
             let predicted = self.predict(flight, start, &from, None)?;
             Some(std::array::from_fn(|h| {
-                let there = reported(flight, start + HORIZONS_S[h], self.latency);
+                let there = reported(flight, start + HORIZONS_S[h], self.latency());
                 distance(&there, &predicted[h])
             }))
         })
@@ -282,7 +97,7 @@ impl Simulator {
                     .zip(flights)
                     .map(|(index, flight)| {
                         let seed = seed.wrapping_add(index << 40);
-                        NoiseDraw::new(noise, flight, self.trim.inverse(), seed)
+                        NoiseDraw::new(noise, flight, self.trim().inverse(), seed)
                     })
                     .collect();
                 windows(flights, |index, start| {
@@ -306,11 +121,11 @@ impl Simulator {
     ) -> Option<Window> {
         let mut rng = Pcg64Mcg::seed_from_u64(draw.seed ^ start.to_bits());
         let bias = draw.gyro_bias;
-        let truth = turning_faster(-bias, reported(flight, start, self.latency));
+        let truth = turning_faster(-bias, reported(flight, start, self.latency()));
         let sensed = LoopNoise::new(draw, rng.random());
         let ends = self.predict(flight, start, &truth, Some(sensed))?;
         let mut report = |time: f64, state: &State| {
-            let noise = draw.noise.read_at(flight, time, self.latency);
+            let noise = draw.noise.read_at(flight, time, self.latency());
             turning_faster(bias, noise.applied(state, &mut rng))
         };
         let predicted = self.predict(flight, start, &report(start, &truth), None)?;
@@ -329,62 +144,6 @@ impl Simulator {
         let flight = std::slice::from_ref(flight);
         let Floor { errors, scatter } = self.floor(flight, noise, seed)?;
         Some(OverNoise { gap: self.errors(flight)?.mean_over(&errors), scatter })
-    }
-}
-
-/// A flight as it is under one draw of its noise.
-struct NoiseDraw<'a> {
-    noise: &'a ReportNoise,
-    /// What the gyro shows beyond the body rate.
-    gyro_bias: Frd,
-    /// The setpoints with a draw of those that the log lacks.
-    setpoints: Stream<AttitudeSetpoint>,
-    seed: u64,
-}
-
-impl<'a> NoiseDraw<'a> {
-    fn new(noise: &'a ReportNoise, flight: &PreparedFlight, untrim: Attitude, seed: u64) -> Self {
-        let setpoints = as_flown(&flight.setpoint, &flight.inferred, seed);
-        Self { noise, gyro_bias: gyro_bias(flight, untrim), setpoints, seed }
-    }
-}
-
-/// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the
-/// log lacks.
-struct LoopNoise<'a> {
-    draw: &'a NoiseDraw<'a>,
-    /// The attitude's present error about each axis, rad.
-    attitude: [f64; 3],
-    rng: Pcg64Mcg,
-}
-
-impl<'a> LoopNoise<'a> {
-    fn new(draw: &'a NoiseDraw<'a>, seed: u64) -> Self {
-        let mut rng = Pcg64Mcg::seed_from_u64(seed);
-        let attitude = normals(&mut rng).map(|z| draw.noise.attitude * z);
-        Self { draw, attitude, rng }
-    }
-
-    /// The attitude's error `elapsed` seconds after the last one.
-    fn attitude_error(&mut self, elapsed: f64) -> Attitude {
-        let decay = (-elapsed / SensorConfig::ATTITUDE_CORRELATION_S).exp();
-        let fresh = self.draw.noise.attitude * (1.0 - decay * decay).sqrt();
-        for (error, z) in self.attitude.iter_mut().zip(normals::<3>(&mut self.rng)) {
-            *error = decay * *error + fresh * z;
-        }
-        small_rotation(self.attitude)
-    }
-
-    /// The gyro's, rad/s.
-    fn gyro_error(&mut self) -> Frd {
-        let deviation = self.draw.noise.body_rate;
-        self.draw.gyro_bias + Frd::from(normals(&mut self.rng).map(|z| deviation * z))
-    }
-
-    /// How much longer than on average the setpoint in force has been under way, s.
-    fn lateness(&mut self) -> f64 {
-        let jitter: f64 = Exp1.sample(&mut self.rng);
-        JITTER_MEAN_S * (jitter - 1.0)
     }
 }
 

@@ -9,7 +9,7 @@ use sitl::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
 use sitl::vehicle::{ROTORS, VehicleParams};
 
 use super::arrival::Delay;
-use super::tolerances::Scales;
+use super::tolerances::{DAMPING_RATE, DAMPING_TIME_S, OUTPUT_DELAY_S, Scales, THRUST};
 
 /// A nuisance stays within so many tolerances: what asks for more is an effect.
 const TOLERANCES_MAX: f64 = 3.0;
@@ -37,10 +37,8 @@ const WINDS_M_S: [f64; 8] = [1.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, -1.0];
 /// A delay that was read off the outputs is the reference's within this: the clocks are tied by the
 /// least delay of the downlink, and the link's jitter may or may not be counted, s.
 const DELAY_READ_MAX_S: f64 = 0.0016;
-/// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
-/// inertia per second.
-const DAMPING_TIME_S: f64 = 0.002;
-const DAMPING_RATE: f64 = 0.1;
+/// Where the delay from a logged output to its thrust may lie, s.
+const OUTPUT_DELAYS_S: [f64; 2] = [-0.03, 0.15];
 
 /// What a number of a hypothesis stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,6 +78,17 @@ pub struct Number {
 }
 
 impl Number {
+    /// A number that is expected at its reference, with its tolerance and magnitude.
+    fn new(
+        target: Target,
+        reference: f64,
+        [tolerance, magnitude]: [f64; 2],
+        bounds: [f64; 2],
+    ) -> Self {
+        let expected = reference;
+        Self { target, reference, expected, tolerance, magnitude, bounds, quadratic: false }
+    }
+
     /// Middle and width of the prior: wide about the reference where its effect is looked at.
     pub fn prior(&self, active: bool) -> [f64; 2] {
         if active { [self.reference, self.magnitude] } else { [self.expected, self.tolerance] }
@@ -131,115 +140,96 @@ impl Catalogue {
             outputs_late: false,
         };
         let scales = Scales::of(vehicle);
-        for effect in EffectId::ALL {
-            let testable = match effect {
-                EffectId::PdGain => setpoint_leg,
-                EffectId::RotorGyroscopic => vehicle.rotor_max_rpm.is_some(),
-                // Told from what is left over, not by a regression.
-                EffectId::Gusts => false,
-                _ => true,
-            };
-            if !testable {
-                continue;
+        let is_testable = |effect: &EffectId| match effect {
+            EffectId::PdGain => setpoint_leg,
+            EffectId::RotorGyroscopic => vehicle.rotor_max_rpm.is_some(),
+            // Told from what is left over, not by a regression.
+            EffectId::Gusts => false,
+            _ => true,
+        };
+        for effect in EffectId::ALL.into_iter().filter(is_testable) {
+            match effect {
+                EffectId::RotorLoss => catalogue.add_rotor_losses(),
+                EffectId::CommandDelay if !setpoint_leg => catalogue.add_late_outputs(),
+                _ => catalogue.add_effect(effect, &scales),
             }
-            if effect == EffectId::RotorLoss {
-                for rotor in 0..ROTORS {
-                    let number = Number {
-                        target: Target::RotorScale(rotor),
-                        reference: modelled_scale(vehicle, rotor),
-                        expected: modelled_scale(vehicle, rotor),
-                        tolerance: 0.0,
-                        magnitude: 0.15,
-                        bounds: [0.05, 1.0],
-                        quadratic: false,
-                    };
-                    let index = catalogue.add(number);
-                    catalogue.hypothesis(effect, vec![index], &[]);
-                }
-                continue;
-            }
-            if effect == EffectId::CommandDelay && !setpoint_leg {
-                let index = catalogue.add(Number {
-                    target: Target::OutputDelay,
-                    reference: reference(vehicle, effect, 0),
-                    expected: reference(vehicle, effect, 0),
-                    tolerance: 0.002,
-                    magnitude: 0.02,
-                    bounds: [-0.03, 0.15],
-                    quadratic: false,
-                });
-                catalogue.hypothesis(effect, vec![index], &[&[0.01], &[0.03], &[0.06]]);
-                catalogue.outputs_late = true;
-                continue;
-            }
-            let mut numbers = Vec::new();
-            for slot in effect.spec().slots() {
-                let Some([tolerance, magnitude]) = scales.of_slot(effect, slot.index) else {
-                    continue;
-                };
-                let reference = reference(vehicle, effect, slot.index);
-                let parameter = slot.parameter;
-                numbers.push(catalogue.add(Number {
-                    target: Target::Effect(effect, slot.index),
-                    reference,
-                    expected: reference,
-                    tolerance,
-                    magnitude,
-                    bounds: bounds(effect, parameter),
-                    quadratic: effect == EffectId::GroundEffect,
-                }));
-            }
-            let starts: Vec<&[f64]> = match effect {
-                EffectId::EstimatorLatency => LATENCIES_S.chunks(1).collect(),
-                EffectId::CommandDelay => DELAYS_S.chunks(1).collect(),
-                EffectId::MotorLag => MOTOR_LAGS_S.chunks(1).collect(),
-                EffectId::GroundEffect => GROUND_RADII.chunks(1).collect(),
-                EffectId::Wind => WINDS_M_S.chunks(2).collect(),
-                _ => Vec::new(),
-            };
-            catalogue.hypothesis(effect, numbers, &starts);
         }
         if setpoint_leg {
-            let delay = catalogue.add(Number {
-                target: Target::OutputDelay,
-                reference: 0.0,
-                expected: 0.0,
-                tolerance: 0.002,
-                magnitude: 0.01,
-                bounds: [-0.03, 0.15],
-                quadratic: false,
-            });
-            // Where nuisances alone are fitted, the delay stands in for a lag.
-            for hypothesis in &mut catalogue.hypotheses {
-                if hypothesis.effect == EffectId::MotorLag {
-                    hypothesis.starts.iter_mut().for_each(|start| start.push((delay, 0.0)));
-                }
+            catalogue.add_output_delay();
+        }
+        catalogue.add_dampings();
+        catalogue.add_rotor_gains();
+        catalogue
+    }
+
+    /// An effect whose slots are its numbers.
+    fn add_effect(&mut self, effect: EffectId, scales: &Scales) {
+        let mut numbers = Vec::new();
+        for slot in effect.spec().slots() {
+            let Some(widths) = scales.of_slot(effect, slot.index) else { continue };
+            let reference = reference(&self.vehicle, effect, slot.index);
+            let target = Target::Effect(effect, slot.index);
+            let number = Number::new(target, reference, widths, bounds(effect, slot.parameter));
+            let quadratic = effect == EffectId::GroundEffect;
+            numbers.push(self.add(Number { quadratic, ..number }));
+        }
+        let starts: Vec<&[f64]> = match effect {
+            EffectId::EstimatorLatency => LATENCIES_S.chunks(1).collect(),
+            EffectId::CommandDelay => DELAYS_S.chunks(1).collect(),
+            EffectId::MotorLag => MOTOR_LAGS_S.chunks(1).collect(),
+            EffectId::GroundEffect => GROUND_RADII.chunks(1).collect(),
+            EffectId::Wind => WINDS_M_S.chunks(2).collect(),
+            _ => Vec::new(),
+        };
+        self.hypothesis(effect, numbers, &starts);
+    }
+
+    /// Each rotor by itself may have lost thrust.
+    fn add_rotor_losses(&mut self) {
+        for rotor in 0..ROTORS {
+            let reference = modelled_scale(&self.vehicle, rotor);
+            let target = Target::RotorScale(rotor);
+            let number = self.add(Number::new(target, reference, [0.0, 0.15], [0.05, 1.0]));
+            self.hypothesis(EffectId::RotorLoss, vec![number], &[]);
+        }
+    }
+
+    /// A command_delay that is from a logged output to its thrust, for want of setpoints.
+    fn add_late_outputs(&mut self) {
+        let effect = EffectId::CommandDelay;
+        let reference = reference(&self.vehicle, effect, 0);
+        let widths = [OUTPUT_DELAY_S, 0.02];
+        let number = self.add(Number::new(Target::OutputDelay, reference, widths, OUTPUT_DELAYS_S));
+        self.hypothesis(effect, vec![number], &[&[0.01], &[0.03], &[0.06]]);
+        self.outputs_late = true;
+    }
+
+    /// The outputs' own delay, a nuisance beside command_delay.
+    fn add_output_delay(&mut self) {
+        let widths = [OUTPUT_DELAY_S, 0.01];
+        let delay = self.add(Number::new(Target::OutputDelay, 0.0, widths, OUTPUT_DELAYS_S));
+        // Where nuisances alone are fitted, the delay stands in for a lag.
+        for hypothesis in &mut self.hypotheses {
+            if hypothesis.effect == EffectId::MotorLag {
+                hypothesis.starts.iter_mut().for_each(|start| start.push((delay, 0.0)));
             }
         }
+    }
+
+    fn add_dampings(&mut self) {
         for axis in 0..3 {
-            let kp = vehicle.attitude_pd.map_or(0.0, |pd| pd.kp[axis]);
-            catalogue.add(Number {
-                target: Target::Damping(axis),
-                reference: 0.0,
-                expected: 0.0,
-                tolerance: (DAMPING_TIME_S * kp).max(DAMPING_RATE * vehicle.inertia[axis]),
-                magnitude: vehicle.inertia[axis],
-                bounds: [-10.0 * vehicle.inertia[axis], 10.0 * vehicle.inertia[axis]],
-                quadratic: false,
-            });
+            let kp = self.vehicle.attitude_pd.map_or(0.0, |pd| pd.kp[axis]);
+            let inertia = self.vehicle.inertia[axis];
+            let tolerance = (DAMPING_TIME_S * kp).max(DAMPING_RATE * inertia);
+            let bounds = [-10.0 * inertia, 10.0 * inertia];
+            self.add(Number::new(Target::Damping(axis), 0.0, [tolerance, inertia], bounds));
         }
+    }
+
+    fn add_rotor_gains(&mut self) {
         for rotor in 0..ROTORS {
-            catalogue.add(Number {
-                target: Target::RotorGain(rotor),
-                reference: 1.0,
-                expected: 1.0,
-                tolerance: 0.003,
-                magnitude: 0.1,
-                bounds: [0.5, 2.0],
-                quadratic: false,
-            });
+            self.add(Number::new(Target::RotorGain(rotor), 1.0, [THRUST, 0.1], [0.5, 2.0]));
         }
-        catalogue
     }
 
     /// The same without these effects and those that act in the same way. Their numbers stay free

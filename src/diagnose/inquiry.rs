@@ -12,7 +12,7 @@ use super::answer::{
 use super::arrival::Delay;
 use super::case::{Case, Settings};
 use super::excitation::{part_wind_from_trim, voltages_differ};
-use super::gap::{Errors, Floor, Simulator};
+use super::gap::{Errors, Floor};
 use super::hypothesis::Catalogue;
 use super::judgement::{
     Balance, Leftover, SIGNIFICANCE, Unexplained, explained, is_neighbour, is_open, is_open_on_one,
@@ -28,6 +28,7 @@ use super::naming::{
 use super::noise::report_noise;
 use super::observed::Observed;
 use super::onboard::OnboardLaw;
+use super::open_loop::Simulator;
 use super::preparation::PreparedFlight;
 use super::procedure::DiagnoseError;
 use super::residuals::Evaluator;

@@ -24,6 +24,7 @@ pub mod next_flight;
 pub mod noise;
 pub mod observed;
 pub mod onboard;
+pub mod open_loop;
 pub mod preparation;
 pub mod procedure;
 pub mod reflight;

@@ -15,7 +15,7 @@ use crate::log::import::{AttitudeSetpoint, Stream};
 /// A setpoint older than this no longer rules, s.
 pub const AGE_MAX_S: f64 = SETPOINT_AGE_MAX;
 /// Stamps are whole microseconds: to so much of a tick they are at the tick, s.
-const TICK_TOLERANCE_S: f64 = 1e-6;
+pub(super) const TICK_TOLERANCE_S: f64 = 1e-6;
 /// Ratio of the outputs' unexplained changes below which one order of reports is told from another.
 const TOLD: f64 = 0.8;
 /// The same of the medians.

@@ -9,10 +9,11 @@ use rayon::prelude::*;
 use sitl::effects::EffectId;
 
 use super::fit::{Fit, fit};
-use super::gap::{Errors, Simulator, improvement};
+use super::gap::{Errors, improvement};
 use super::hypothesis::{Catalogue, Hypothesis};
 use super::linearised::Linearised;
 use super::observed::Observed;
+use super::open_loop::Simulator;
 use super::scored::{Scored, Windows};
 
 /// Most effects at once.

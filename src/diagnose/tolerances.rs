@@ -19,7 +19,17 @@ pub(super) struct Scales {
     rotor_speed_max: f64,
 }
 
-/// Vehicle files round to four digits or so; this share of a modelled value is its tolerance.
+/// Tolerance of the thrust, of all rotors and of each, as a share: a load cell's.
+pub(super) const THRUST: f64 = 0.003;
+/// Tolerance of the delay from a logged output to its thrust, s: half a period of logs that are
+/// written at 250 Hz.
+pub(super) const OUTPUT_DELAY_S: f64 = 0.002;
+/// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
+/// inertia per second.
+pub(super) const DAMPING_TIME_S: f64 = 0.002;
+pub(super) const DAMPING_RATE: f64 = 0.1;
+/// Tolerance of an effect's value that the vehicle file models, as a share: what a careful
+/// identification leaves.
 const MODELLED_TOLERANCE: f64 = 0.03;
 
 impl Scales {
@@ -52,7 +62,7 @@ impl Scales {
         use EffectId::*;
         let modelled = |value: Option<f64>| value.map_or(0.0, |v| MODELLED_TOLERANCE * v.abs());
         Some(match (effect, slot) {
-            (ThrustScale, 0) => [0.003, 0.15],
+            (ThrustScale, 0) => [THRUST, 0.15],
             (Mass, 0) => [0.0, 0.15 * self.mass],
             (ThrustCurve, 0) => [modelled(self.curve_modelled), 0.4],
             (BatterySag, 0) => [modelled(self.sag_modelled), 1.5],

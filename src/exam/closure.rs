@@ -3,8 +3,8 @@
 use sitl::effects::EffectSet;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
-use crate::diagnose::gap::Simulator;
 use crate::diagnose::noise::ReportNoise;
+use crate::diagnose::open_loop::Simulator;
 use crate::diagnose::preparation::PreparedFlight;
 
 /// Least gap that can be closed, in units of the noise.

@@ -9,9 +9,10 @@ use super::axis::significant;
 use super::page::{Mood, Page, escape};
 use super::table::{Table, definitions};
 use crate::diagnose::answer::{Answer, Gap, Verdict};
-use crate::diagnose::gap::{HORIZONS_S, QUANTITIES};
+use crate::diagnose::gap::QUANTITIES;
 use crate::diagnose::map::Regime;
 use crate::diagnose::misfit::Misfit;
+use crate::diagnose::open_loop::HORIZONS_S;
 use crate::diagnose::strain::Strain;
 use crate::diagnose::words::{self, closed_loop, one};
 
