@@ -271,3 +271,25 @@ fn a_vehicle_with_drag_is_carried_by_the_gusts_as_a_low_pass_is() {
     let share = mean_square(settled.iter().copied()) / (SIGMA * SIGMA);
     assert!((share - 0.5).abs() < 0.06, "{share} of the gusts' variance");
 }
+
+/// Under outputs that change as an on-board loop's do, over a second that turns it over.
+#[test]
+fn a_coarse_plant_moves_as_the_fine_one_does() {
+    let set = ["motor_lag:tau_s=0.03", "rotor_drag:d_xy=0.3,d_z=0.1", "wind:north_m_s=3"];
+    let mut fine = airborne(&quad(), &effects(&set));
+    fine.set_rotor_states([0.5; 4]);
+    fine.set_state(level(Ned::new(2.0, -1.0, 0.5)));
+    let mut coarse = fine.clone().coarse();
+    for k in 0..1000 {
+        let turn = 0.1 * (0.01 * f64::from(k - k % 4)).cos();
+        let outputs = [0.5 + turn, 0.5 - turn, 0.5 - turn, 0.5 + turn];
+        fine.step(outputs);
+        coarse.step(outputs);
+    }
+    let (is, to) = (coarse.state(), fine.state());
+    let angle = to.attitude.angle_to(Attitude::default());
+    assert!(angle > 0.2, "it turned: {angle}");
+    assert!(is.attitude.angle_to(to.attitude) < 1e-5 * angle);
+    assert!((is.position - to.position).norm() < 1e-5 * (to.position - start()).norm());
+    assert_ne!(is, to);
+}

@@ -72,7 +72,7 @@ impl Replica {
         let (vehicle, overlay) = catalogue.vehicle_of(values);
         let config = SitlConfig { sensors: noise.sensors(), ..SitlConfig::default() };
         Ok(Self {
-            plant: Plant::new(&vehicle, &overlay, &config, 0)?.airborne(),
+            plant: Plant::new(&vehicle, &overlay, &config, 0)?.airborne().coarse(),
             effects: vehicle.modelled_effects.overlay(&overlay),
             config,
             attitude_loop: onboard.with_gains(candidate.gains),
