@@ -11,6 +11,7 @@ use sitl::frame::Frd;
 use super::candidate::Candidate;
 use super::layout::Place;
 use super::observed::Observed;
+use super::preparation::{Block, PreparedFlight};
 use super::residuals::{Evaluator, FORCE, Groups, RATE, VELOCITY};
 use super::spectrum::{BANDS, CosineTransform, band, edges, frequency, mean_square_share};
 use super::twins::TwinFits;
@@ -114,103 +115,147 @@ pub fn unmodelled_force(
     evaluator: &Evaluator,
     candidate: &Candidate,
 ) -> Option<UnmodelledForce> {
-    let transform = CosineTransform::default();
-    // Of each band and axis: products, squares of both, number.
-    let tasks = observed.blocks(|_, layout| layout.has(VELOCITY) && layout.has(FORCE));
-    if tasks.is_empty() {
+    let blocks = observed.blocks(|_, layout| layout.has(VELOCITY) && layout.has(FORCE));
+    if blocks.is_empty() {
         return None;
     }
-    let sums: Vec<[[[f64; 4]; 3]; BANDS.len()]> = tasks
+    let transform = CosineTransform::default();
+    let of_blocks: Vec<CrossPowers> = blocks
         .par_iter()
         .map(|(flight, layout, block)| {
             let series = evaluator.series(flight, layout, block, candidate, Groups::ALL);
-            let n = block.cells;
-            let mean: [f64; 3] =
-                std::array::from_fn(|i| series[FORCE + i].iter().sum::<f64>() / n as f64);
-            let mut world: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(n));
-            let mut attitude = flight.attitude.cursor();
-            let [front, right, down] = [0, 1, 2].map(|i| &series[FORCE + i]);
-            for (k, ((f, r), d)) in front.iter().zip(right).zip(down).enumerate() {
-                let force = Frd::new(f - mean[0], r - mean[1], d - mean[2]);
-                let seen = block.middle(k) + candidate.latency;
-                let turned = attitude.attitude_at(seen).to_world(force);
-                for (axis, value) in world.iter_mut().zip(turned.to_array()) {
-                    axis.push(value);
-                }
-            }
-            let mut scratch = Vec::new();
-            let mut sums = [[[0.0; 4]; 3]; BANDS.len()];
-            for axis in 0..3 {
-                let mut v = series[VELOCITY + axis].clone();
-                transform.apply(&mut v, &mut scratch);
-                transform.apply(&mut world[axis], &mut scratch);
-                for k in 0..n {
-                    let f = frequency(k, n);
-                    if !(FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&f) {
-                        continue;
-                    }
-                    let Some(band) = band(f) else { continue };
-                    let (a, b) = (v[k], world[axis][k]);
-                    let [product, left, right, count] = &mut sums[band][axis];
-                    *product += a * b;
-                    *left += a * a;
-                    *right += b * b;
-                    *count += 1.0;
-                }
-            }
-            sums
+            let [velocity, force] =
+                [VELOCITY, FORCE].map(|first| [0, 1, 2].map(|axis| &series[first + axis]));
+            let force = in_world(flight, block, candidate, force);
+            CrossPowers::of(&transform, velocity.map(Vec::clone), force)
         })
         .collect();
-    let mut total = [[[0.0; 4]; 3]; BANDS.len()];
-    for block in &sums {
-        for (total, part) in
-            total.iter_mut().flatten().flatten().zip(block.iter().flatten().flatten())
-        {
-            *total += part;
-        }
-    }
-    let mut force = UnmodelledForce {
-        mean_square: [0.0; 3],
-        error: 0.0,
-        slow_significance: 0.0,
-        bands: Vec::new(),
-    };
-    let mut variance: f64 = 0.0;
-    for (band, axes) in total.iter().enumerate() {
-        let [lower, upper] = edges(band);
-        if lower >= FORCE_MAX_HZ {
-            break;
-        }
-        let mut in_band = 0.0;
-        for (axis, [product, left, right, count]) in axes.iter().enumerate() {
-            if *count < 1.0 {
-                continue;
-            }
-            let share = mean_square_share(band) / count;
-            let power = (product - SHARED_FACTOR * count * shared_noise(&total, axis)) * share;
-            force.mean_square[axis] += power;
-            in_band += power;
-            variance += share * share * left * right / count;
-        }
-        if axes[0][3] > 0.0 {
-            force.bands.push([lower, upper, in_band]);
-            let significance = force.total() / variance.sqrt().max(f64::MIN_POSITIVE);
-            force.slow_significance = force.slow_significance.max(significance);
-        }
-    }
-    force.error = variance.sqrt();
-    Some(force)
+    Some(CrossPowers::sum(&of_blocks).force())
 }
 
-/// Product of both per coefficient above the forces' band: an estimator that integrates the
-/// accelerometer puts its white noise into the velocity too.
-fn shared_noise(total: &[[[f64; 4]; 3]; BANDS.len()], axis: usize) -> f64 {
-    let (mut product, mut count) = (0.0, 0.0);
-    for (band, axes) in total.iter().enumerate() {
-        if edges(band)[0] >= FORCE_MAX_HZ {
-            product += axes[axis][0];
-            count += axes[axis][3];
-        }
+/// What the accelerometer shows beyond the candidate, less its mean, turned into world axes.
+fn in_world(
+    flight: &PreparedFlight,
+    block: &Block,
+    candidate: &Candidate,
+    force: [&Vec<f64>; 3],
+) -> [Vec<f64>; 3] {
+    let n = block.cells;
+    let mean = force.map(|axis| axis.iter().sum::<f64>() / n as f64);
+    let mut world = [(); 3].map(|()| Vec::with_capacity(n));
+    let mut attitude = flight.attitude.cursor();
+    for k in 0..n {
+        let force = Frd::from(std::array::from_fn(|i| force[i][k] - mean[i]));
+        let seen = block.middle(k) + candidate.latency;
+        let turned = attitude.attitude_at(seen).to_world(force).to_array();
+        world.iter_mut().zip(turned).for_each(|(axis, value)| axis.push(value));
     }
-    if count > 0.0 { (product / count).max(0.0) } else { 0.0 }
+    world
+}
+
+/// Sums over coefficients of what two sensors leave of one axis in one band.
+#[derive(Clone, Copy, Debug, Default)]
+struct CrossPower {
+    /// Of the products of both.
+    product: f64,
+    /// Of the squares of each.
+    squares: [f64; 2],
+    /// Number of the coefficients.
+    count: f64,
+}
+
+impl CrossPower {
+    fn add(&mut self, other: &Self) {
+        self.product += other.product;
+        self.squares[0] += other.squares[0];
+        self.squares[1] += other.squares[1];
+        self.count += other.count;
+    }
+}
+
+/// The same by band and axis.
+#[derive(Clone, Debug, Default)]
+struct CrossPowers([[CrossPower; 3]; BANDS.len()]);
+
+impl CrossPowers {
+    /// Of one block, by axis.
+    fn of(
+        transform: &CosineTransform,
+        mut velocity: [Vec<f64>; 3],
+        mut force: [Vec<f64>; 3],
+    ) -> Self {
+        let mut sums = Self::default();
+        let mut scratch = Vec::new();
+        for (axis, (v, f)) in velocity.iter_mut().zip(&mut force).enumerate() {
+            transform.apply(v, &mut scratch);
+            transform.apply(f, &mut scratch);
+            for (k, (a, b)) in v.iter().zip(&*f).enumerate() {
+                let frequency = frequency(k, v.len());
+                let is_looked_at = (FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&frequency);
+                let Some(band) = band(frequency).filter(|_| is_looked_at) else { continue };
+                let one = CrossPower { product: a * b, squares: [a * a, b * b], count: 1.0 };
+                sums.0[band][axis].add(&one);
+            }
+        }
+        sums
+    }
+
+    fn sum(all: &[Self]) -> Self {
+        let mut total = Self::default();
+        for sums in all {
+            let pairs = total.0.iter_mut().flatten().zip(sums.0.iter().flatten());
+            pairs.for_each(|(total, sum)| total.add(sum));
+        }
+        total
+    }
+
+    /// The force that both sensors agree on.
+    fn force(&self) -> UnmodelledForce {
+        let mut force = UnmodelledForce {
+            mean_square: [0.0; 3],
+            error: 0.0,
+            slow_significance: 0.0,
+            bands: Vec::new(),
+        };
+        let mut variance: f64 = 0.0;
+        for (band, axes) in self.0.iter().enumerate() {
+            let [lower, upper] = edges(band);
+            if lower >= FORCE_MAX_HZ {
+                break;
+            }
+            let mut in_band = 0.0;
+            for (axis, CrossPower { product, squares: [left, right], count }) in
+                axes.iter().enumerate()
+            {
+                if *count < 1.0 {
+                    continue;
+                }
+                let share = mean_square_share(band) / count;
+                let noise = SHARED_FACTOR * count * self.shared_noise(axis);
+                let power = (product - noise) * share;
+                force.mean_square[axis] += power;
+                in_band += power;
+                variance += share * share * left * right / count;
+            }
+            if axes[0].count > 0.0 {
+                force.bands.push([lower, upper, in_band]);
+                let significance = force.total() / variance.sqrt().max(f64::MIN_POSITIVE);
+                force.slow_significance = force.slow_significance.max(significance);
+            }
+        }
+        force.error = variance.sqrt();
+        force
+    }
+
+    /// Product of both per coefficient above the forces' band: an estimator that integrates the
+    /// accelerometer puts its white noise into the velocity too.
+    fn shared_noise(&self, axis: usize) -> f64 {
+        let mut above = CrossPower::default();
+        for (band, axes) in self.0.iter().enumerate() {
+            if edges(band)[0] >= FORCE_MAX_HZ {
+                above.add(&axes[axis]);
+            }
+        }
+        if above.count > 0.0 { (above.product / above.count).max(0.0) } else { 0.0 }
+    }
 }

@@ -73,7 +73,7 @@ impl Simulator {
             None => None,
         };
         Ok(Self {
-            plant: Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?.airborne(),
+            plant: Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?.airborne().coarse(),
             law,
             trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),

@@ -131,6 +131,32 @@ pub enum NotPrepared {
     TooShort(f64),
 }
 
+/// No more setpoints than these lead no flight.
+const SETPOINTS_MIN: usize = 10;
+
+/// Whether setpoints came over the link, unlike an autopilot's own, most of which the on-board loop
+/// can follow.
+fn has_setpoints(flight: &Flight) -> bool {
+    let is_complete = |s: &&AttitudeSetpoint| {
+        s.thrust.is_some() && (s.attitude.is_some() || s.body_rate.is_some())
+    };
+    let complete = flight.setpoint.values().iter().filter(is_complete).count();
+    let least = SETPOINTS_MIN.max(flight.setpoint.len() / 2);
+    flight.setpoint_source == SetpointSource::Ground && complete > least
+}
+
+/// Attitudes as quaternions without jumps between the two that stand for each.
+fn continuous(attitude: &Stream<Attitude>) -> Series<4> {
+    let mut last: Option<[f64; 4]> = None;
+    let quaternions = attitude.values().iter().map(|Attitude { w, x, y, z }| {
+        let q = next_to(last, [*w, *x, *y, *z]);
+        last = Some(q);
+        q
+    });
+    let quaternions = quaternions.collect();
+    Series::new(attitude.times().to_vec(), quaternions)
+}
+
 impl PreparedFlight {
     /// Makes `flight` of `vehicle` ready.
     ///
@@ -155,17 +181,7 @@ impl PreparedFlight {
             (false, false) => return Err(NotPrepared::NoMotion),
             (true, false) => return Err(NotPrepared::Empty),
         }
-        let mut last: Option<[f64; 4]> = None;
-        let mut quaternions = Vec::with_capacity(flight.attitude.len());
-        for Attitude { w, x, y, z } in flight.attitude.values() {
-            let q = next_to(last, [*w, *x, *y, *z]);
-            quaternions.push(q);
-            last = Some(q);
-        }
-        let attitude = Series::new(flight.attitude.times().to_vec(), quaternions);
-        let complete = |s: &AttitudeSetpoint| {
-            s.thrust.is_some() && (s.attitude.is_some() || s.body_rate.is_some())
-        };
+        let attitude = continuous(&flight.attitude);
         let mut channels = Channels {
             velocity: !velocity.is_empty(),
             attitude: !attitude.is_empty(),
@@ -173,12 +189,9 @@ impl PreparedFlight {
             specific_force: !specific_force.is_empty(),
             outputs: !flight.outputs.is_empty(),
             setpoint: vehicle.attitude_pd.is_some()
-                // An autopilot's own setpoints have not come over the link.
-                && flight.setpoint_source == SetpointSource::Ground
                 && !attitude.is_empty()
                 && !body_rate.is_empty()
-                && flight.setpoint.values().iter().filter(|s| complete(s)).count() * 2
-                    > flight.setpoint.len().max(20),
+                && has_setpoints(&flight),
             voltage: !flight.voltage.is_empty(),
             rotor_speed: !flight.rotor_speed.is_empty(),
         };

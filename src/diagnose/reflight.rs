@@ -123,15 +123,13 @@ pub fn reflight(
     let control = GroundControl::new(case.vehicle)?;
     let mut calm = effects.clone();
     calm.remove(Gusts::ID);
-    let sensors = noise.sensors();
-    let simulators = |control| -> Result<[FlightSimulator<'_>; 2], NotSimulated> {
-        let simulator = |effects| FlightSimulator::new(control, case.vehicle, effects, sensors);
-        Ok([simulator(&EffectSet::new())?, simulator(&calm)?])
-    };
     let free = control.without_limits();
-    let (limited, unlimited) = (simulators(&control)?, simulators(&free)?);
-    let allocation = case.vehicle.allocation().map_err(NotSimulated::from)?;
-    let reports = [&EffectSet::new(), &calm].map(|effects| Reports::of(case.vehicle, effects));
+    let simulation = Simulation {
+        limited: simulators(&control, case.vehicle, &calm, noise)?,
+        unlimited: simulators(&free, case.vehicle, &calm, noise)?,
+        reports: [&EffectSet::new(), &calm].map(|effects| Reports::of(case.vehicle, effects)),
+        allocation: case.vehicle.allocation().map_err(NotSimulated::from)?,
+    };
     let parts: Vec<(&PreparedFlight, Course)> = case
         .held_out
         .iter()
@@ -144,37 +142,7 @@ pub fn reflight(
         .enumerate()
         .map(|(part, (flight, course))| {
             let seed = settings.seed.wrapping_add((part as u64) << 32);
-            let fly = |simulator: &FlightSimulator<'_>, reports: &Reports, seed| {
-                let departure = reports.departure(flight, course.start());
-                let voltage = flight.channels.voltage.then_some(&flight.voltage);
-                let mut asked = course.clone();
-                for _ in 0..course.rounds() {
-                    let flown = simulator.fly(&departure, &asked.ticks, voltage, seed)?;
-                    asked = course.learned(&asked, &flown);
-                }
-                let flown = simulator.fly(&departure, &asked.ticks, voltage, seed);
-                flown.map(|flight| Motion::of_simulated(&flight, course, &allocation))
-            };
-            let log = Motion::of_logged(flight, course, &allocation);
-            let [shipped, repaired] = match course.origin {
-                ReferenceOrigin::Setpoints => &unlimited,
-                ReferenceOrigin::Logged | ReferenceOrigin::Reported => &limited,
-            };
-            let before = fly(shipped, &reports[0], seed).map_err(NotSimulated::from)?;
-            let after = fly(repaired, &reports[1], seed).map_err(NotSimulated::from)?;
-            let again = fly(repaired, &reports[1], !seed).map_err(NotSimulated::from)?;
-            let sums = [log.against(&before), log.against(&after), after.against(&again)];
-            let reflown = Reflown {
-                name: flight.name.clone(),
-                reference: course.origin,
-                seconds: course.seconds(),
-                traces: Traces {
-                    time_s: (0..log.states.len()).map(|k| k as f64 * SPACING_S).collect(),
-                    position_m: [log.distances(&before), log.distances(&after)],
-                    thrust_n: [log.thrust_beyond(&before), log.thrust_beyond(&after)],
-                },
-            };
-            Ok((reflown, sums))
+            simulation.compare(flight, course, seed)
         })
         .collect::<Result<_, NotSimulated>>()?;
     if flown.is_empty() {
@@ -196,6 +164,77 @@ pub fn reflight(
         output: difference(4),
         flights: flown.into_iter().map(|(reflown, _)| reflown).collect(),
     })
+}
+
+/// The vehicle as shipped and with `effects`, under one ground's control.
+fn simulators<'a>(
+    control: &'a GroundControl,
+    vehicle: &'a VehicleParams,
+    effects: &EffectSet,
+    noise: &ReportNoise,
+) -> Result<[FlightSimulator<'a>; 2], NotSimulated> {
+    let simulator =
+        |effects: &EffectSet| FlightSimulator::new(control, vehicle, effects, noise.sensors());
+    Ok([simulator(&EffectSet::new())?, simulator(effects)?])
+}
+
+/// What parts of flights are flown again in: the vehicle as shipped, and with the effects.
+struct Simulation<'a> {
+    /// Under the daemon's limits, and without them.
+    limited: [FlightSimulator<'a>; 2],
+    unlimited: [FlightSimulator<'a>; 2],
+    reports: [Reports; 2],
+    allocation: Allocation,
+}
+
+impl Simulation<'_> {
+    /// One part flown again: how the log differs from the vehicle as shipped, from that with the
+    /// effects, and this from another draw of its noise.
+    fn compare(
+        &self,
+        flight: &PreparedFlight,
+        course: &Course,
+        seed: u64,
+    ) -> Result<(Reflown, [Sums; 3]), NotSimulated> {
+        let log = Motion::of_logged(flight, course, &self.allocation);
+        let fly = |vehicle, seed| self.fly(vehicle, flight, course, seed);
+        let (before, after, again) = (fly(0, seed)?, fly(1, seed)?, fly(1, !seed)?);
+        let sums = [log.against(&before), log.against(&after), after.against(&again)];
+        let reflown = Reflown {
+            name: flight.name.clone(),
+            reference: course.origin,
+            seconds: course.seconds(),
+            traces: Traces {
+                time_s: (0..log.states.len()).map(|k| k as f64 * SPACING_S).collect(),
+                position_m: [log.distances(&before), log.distances(&after)],
+                thrust_n: [log.thrust_beyond(&before), log.thrust_beyond(&after)],
+            },
+        };
+        Ok((reflown, sums))
+    }
+
+    /// The motion of the vehicle of this index along a course.
+    fn fly(
+        &self,
+        vehicle: usize,
+        flight: &PreparedFlight,
+        course: &Course,
+        seed: u64,
+    ) -> Result<Motion, NotSimulated> {
+        let simulator = match course.origin {
+            ReferenceOrigin::Setpoints => &self.unlimited[vehicle],
+            ReferenceOrigin::Logged | ReferenceOrigin::Reported => &self.limited[vehicle],
+        };
+        let departure = self.reports[vehicle].departure(flight, course.start());
+        let voltage = flight.channels.voltage.then_some(&flight.voltage);
+        let mut asked = course.clone();
+        for _ in 0..course.rounds() {
+            let flown = simulator.fly(&departure, &asked.ticks, voltage, seed)?;
+            asked = course.learned(&asked, &flown);
+        }
+        let flown = simulator.fly(&departure, &asked.ticks, voltage, seed)?;
+        Ok(Motion::of_simulated(&flown, course, &self.allocation))
+    }
 }
 
 /// How a vehicle reports its state.

@@ -69,27 +69,17 @@ impl Inquiry<'_> {
         progress("what nuisances explain");
         let (null, about) = selector.null().ok_or(DiagnoseError::Nothing)?;
         let noise = report_noise(self.case.fitted, &null.fit.power, fitted.counts());
-        let (mut twins, mut of_null, mut sensors) = (None, None, noise);
+        let mut chance = None;
         if settings.twins > 0 {
             progress("twins without an effect");
-            let draws = (settings.twins, settings.seed);
-            let (drawn, about) = match self.onboard {
-                Some(law) => {
-                    let drawn = TwinFits::of_null(fitted, &about, law, &noise, draws)?;
-                    sensors = drawn.sensors;
-                    (drawn, about.clone())
-                }
-                None => (
-                    TwinFits::of_noise(fitted, &null.fit.power, draws),
-                    about.resting_at(catalogue.expected()),
-                ),
-            };
-            let screened = screened(&selector, &null, &about, &drawn, settings.seed);
-            selector.thresholds.asked.clone_from(&screened.asked);
-            selector.thresholds.chance.clone_from(&screened.chance);
-            twins = Some(screened);
-            of_null = Some(drawn);
+            let found = self.chance(&selector, &null, &about, &noise)?;
+            selector.thresholds.asked.clone_from(&found.0.asked);
+            selector.thresholds.chance.clone_from(&found.0.chance);
+            chance = Some(found);
         }
+        let (twins, of_null) = chance.unzip();
+        let flown = of_null.as_ref().filter(|_| self.leg());
+        let sensors = flown.map_or(noise, |twins: &TwinFits| twins.sensors);
         let shipped = self.simulator(&EffectSet::new())?.guided();
         selector.floor =
             shipped.floor(self.case.fitted, &noise, settings.seed).map(|floor| floor.errors);
@@ -131,6 +121,26 @@ impl Inquiry<'_> {
             of_null,
             of_best,
         })
+    }
+
+    /// What chance gives the hypotheses, and the twins without an effect that tell it. `null`: the
+    /// fit of the nuisances, with the derivatives there; `noise`: of the reports.
+    fn chance(
+        &self,
+        selector: &Selector<'_>,
+        null: &Scored,
+        about: &Linearised,
+        noise: &ReportNoise,
+    ) -> Result<(Twins, TwinFits), DiagnoseError> {
+        let Self { settings, fitted, catalogue, .. } = self;
+        let draws = (settings.twins, settings.seed);
+        let Some(law) = self.onboard else {
+            let twins = TwinFits::of_noise(fitted, &null.fit.power, draws);
+            let about = about.resting_at(catalogue.expected());
+            return Ok((screened(selector, null, &about, &twins, settings.seed), twins));
+        };
+        let twins = TwinFits::of_null(fitted, about, law, noise, draws)?;
+        Ok((screened(selector, null, about, &twins, settings.seed), twins))
     }
 
     /// The twins of what was chosen that come nearest to the flights, and what is left beyond them.
