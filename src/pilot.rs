@@ -59,8 +59,10 @@ pub struct Airframe {
 /// What the link tells beside the vehicle's messages.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LinkEvent {
-    /// The connection broke, or another vehicle answers on it.
+    /// The connection broke.
     Lost,
+    /// Another vehicle answers on the connection.
+    Replaced,
     /// The vehicle refused a request.
     Refused {
         /// Which.
@@ -221,6 +223,7 @@ impl Pilot {
     pub fn link_event(&mut self, now: HostTime, event: LinkEvent) {
         match event {
             LinkEvent::Lost => self.lose_link(now, "the link is lost"),
+            LinkEvent::Replaced => self.lose_link(now, "another vehicle answers on the link"),
             LinkEvent::Refused { action, text } => self.supervisor.refused(now, action, &text),
             LinkEvent::Quality { loss } => self.link_loss = Some(loss),
         }

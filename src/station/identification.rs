@@ -67,7 +67,7 @@ impl Station {
         let Some(pilot) = &mut self.pilot else { return };
         let state = pilot.flight_state();
         if !state.precedes_stream() && !state.is_over() {
-            pilot.link_event(now, LinkEvent::Lost);
+            pilot.link_event(now, LinkEvent::Replaced);
         }
         // Before its successor is there, which knows nothing of this flight.
         self.follow_pilot(now);

@@ -49,7 +49,7 @@ pub enum FlightState {
 pub enum Trigger {
     /// A message of the vehicle came.
     VehicleHeard,
-    /// Nothing was heard for too long, or the vehicle restarted.
+    /// Nothing was heard for too long, or the vehicle restarted or is another.
     LinkLost,
     /// Mode and intended mode have read something other than OFFBOARD for a while.
     Released,
