@@ -123,6 +123,12 @@ impl Station {
                 records
                     .extend(FrameRecord::from_bytes(Direction::Rx, now, bytes).map(Record::Frame));
             }
+            // Before the pilot takes the mode of that vehicle for a word of the one that it flies.
+            Heard::Replaced => {
+                if let Some(pilot) = pilot {
+                    pilot.link_event(now, LinkEvent::Replaced);
+                }
+            }
             Heard::Message(received) => {
                 if let Some(pilot) = pilot {
                     ticks.extend(pilot.handle(&received));
@@ -421,6 +427,10 @@ impl Station {
             Event::VehicleFound(id) => {
                 self.found = Some(now);
                 self.tell(now, Severity::Info, format!("heard {id}"));
+            }
+            Event::VehicleReplaced(id) => {
+                self.found = Some(now);
+                self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
             }
             Event::Identified { profile, is_version_known } => {
                 self.identified(now, *profile, is_version_known);

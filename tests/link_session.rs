@@ -166,18 +166,53 @@ fn the_clock_converges_through_lopsided_jitter() {
 }
 
 #[test]
-fn a_vehicle_that_was_started_anew_is_identified_anew() {
-    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
-    world.run(&mut vehicle, seconds(3.0));
-    assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
-    // Another one with the same ids, at once: it must not get setpoints of the old one's form.
-    vehicle.booted = world.now;
-    vehicle.version = None;
-    world.run(&mut vehicle, seconds(0.6));
-    assert_eq!(world.session.profile(), None);
-    world.run(&mut vehicle, seconds(3.0));
-    assert_eq!(world.session.profile(), Some(&Profile::PX4));
-    assert!(world.events.iter().any(|e| matches!(e, Event::ClockJump { by_ns } if *by_ns < 0)));
+fn a_vehicle_whose_clock_is_another_is_identified_anew() {
+    // Started now, or long before.
+    for booted in [START + seconds(3.0), START - seconds(300.0)] {
+        let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(3.0));
+        assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
+        // Another one with the same ids, at once: it must not get setpoints of the old one's form.
+        let is_back = booted > vehicle.booted;
+        vehicle.booted = booted;
+        vehicle.version = None;
+        world.run(&mut vehicle, seconds(0.6));
+        assert_eq!(world.session.profile(), None);
+        world.run(&mut vehicle, seconds(3.0));
+        assert_eq!(world.session.profile(), Some(&Profile::PX4));
+        let jumps = world.events.iter().filter_map(|event| match event {
+            Event::ClockJump { by_ns } => Some(*by_ns < 0),
+            _ => None,
+        });
+        assert_eq!(jumps.collect::<Vec<_>>(), [is_back]);
+    }
+}
+
+#[test]
+fn another_autopilot_under_the_vehicles_ids_is_identified_anew() {
+    for is_silent in [true, false] {
+        let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(2.0));
+        if is_silent {
+            world.silence(seconds(3.0));
+        }
+        world.session.request(world.now, Request::SetMode(FlightMode::Offboard));
+        world.session.transmit(|_, _| {});
+        // It was started with the other, so that no clock tells the two apart.
+        vehicle.autopilot = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
+        let mode = vehicle.custom_mode;
+        let bytes = vehicle.encode(&vehicle.heartbeat());
+        world.deliver(VEHICLE, &bytes);
+        assert_eq!(world.session.profile(), None);
+        let early = world.session.send_setpoint(world.now, &Setpoint::default());
+        assert_eq!(early, Err(SetpointError::NotIdentified));
+        world.run(&mut vehicle, seconds(2.0));
+        assert_eq!(world.session.profile(), Some(&Profile::ARDUCOPTER), "{is_silent}");
+        assert_eq!(vehicle.custom_mode, mode, "the other's modes mean something else to it");
+        assert_eq!(world.outcomes(), [Outcome::Withdrawn]);
+        let replaced = world.events.iter().any(|e| matches!(e, Event::VehicleReplaced(_)));
+        assert!(replaced, "{:?}", world.events);
+    }
 }
 
 #[test]

@@ -36,10 +36,14 @@ fn forged(message: &MavMessage) -> Vec<u8> {
 }
 
 fn heartbeat(mode: Mode) -> Vec<u8> {
+    heartbeat_of(MavAutopilot::MAV_AUTOPILOT_PX4, mode.custom_mode())
+}
+
+fn heartbeat_of(autopilot: MavAutopilot, custom_mode: u32) -> Vec<u8> {
     forged(&MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        custom_mode: mode.custom_mode(),
+        custom_mode,
         mavtype: MavType::MAV_TYPE_QUADROTOR,
-        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+        autopilot,
         base_mode: MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             | MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED,
         system_status: MavState::MAV_STATE_ACTIVE,
@@ -91,6 +95,30 @@ fn a_flight_ends_where_another_vehicle_takes_the_place_of_the_one_that_is_flown(
     assert_eq!(bench.setpoints_after(aborted_us), 0);
     assert_eq!(masks(&bench.records), [0x00], "nothing in a form that the feedback is not for");
     assert_eq!(bench.phase(), Some(FlightState::Abort), "nobody else flies on");
+    let why = "another vehicle answers on the link";
+    assert_eq!(bench.station.end(), Some(&End::Aborted(why.to_owned())));
+}
+
+/// A vehicle with another autopilot takes the place of the one that is flown. It was started with
+/// it, so that no clock tells the two apart.
+fn exchanged_for(autopilot: MavAutopilot) -> Downlink {
+    Box::new(move |_, frame| match message_id(frame) {
+        Some(HEARTBEAT) => vec![heartbeat_of(autopilot, 0)],
+        Some(AUTOPILOT_VERSION | CURRENT_MODE) => vec![],
+        _ => vec![frame.to_vec()],
+    })
+}
+
+#[test]
+fn another_autopilot_gets_no_setpoint_and_its_mode_is_no_word_of_the_pilot() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    bench.downlink = exchanged_for(MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA);
+    bench.until(FlightState::Abort, 1.1);
+    let aborted_us = bench.now_us();
+    assert!(bench.told("another vehicle is heard: system 1 component 1: autopilot ArduPilot"));
+    bench.run(3.0);
+    assert!(bench.told("vehicle is ArduCopter"), "{:#?}", bench.texts());
+    assert_eq!(bench.setpoints_after(aborted_us), 0);
     let why = "another vehicle answers on the link";
     assert_eq!(bench.station.end(), Some(&End::Aborted(why.to_owned())));
 }

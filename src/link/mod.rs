@@ -19,6 +19,7 @@
 //!             let is_datagram = connection.is_datagram();
 //!             session.receive(now, peer, &buffer[..len], is_datagram, &mut |heard| match heard {
 //!                 Heard::Frame { .. } => {} // to the log
+//!                 Heard::Replaced => {} // to the pilot, whose flight is over
 //!                 Heard::Message(_) => {} // kept for the pilot, whose setpoint goes out below
 //!             });
 //!         }

@@ -82,6 +82,9 @@ pub enum Heard<'a> {
         /// The whole frame.
         bytes: &'a [u8],
     },
+    /// From here on it is another vehicle under the ids of the one that was found, as
+    /// [`Event::VehicleReplaced`] tells afterwards.
+    Replaced,
     /// A message of the vehicle.
     Message(Received),
 }
@@ -98,6 +101,9 @@ pub enum Event {
     },
     /// A vehicle was heard, for the first time or again after it was lost.
     VehicleFound(VehicleId),
+    /// By its HEARTBEAT another vehicle answers under the ids of the one that was found. It is
+    /// identified before it gets setpoints, and what was asked of the other is ended.
+    VehicleReplaced(VehicleId),
     /// The vehicle is identified and can be sent setpoints.
     Identified {
         /// Its profile.
@@ -118,8 +124,8 @@ pub enum Event {
     Interval(IntervalEvent),
     /// The wanted messages take up more of the serial line than works.
     LineBudget(Box<LineBudget>),
-    /// The vehicle's clock jumped. If it went back by more than a second the vehicle was started
-    /// anew, and is identified again before it gets setpoints.
+    /// The vehicle's clock jumped. After more than a second, back or forward, it may be another's:
+    /// the vehicle is identified again before it gets setpoints.
     ClockJump {
         /// By how much, ns.
         by_ns: i64,
@@ -139,6 +145,13 @@ pub struct VehicleId {
     pub vehicle_type: u8,
     /// Where it was heard.
     pub peer: Peer,
+}
+
+impl VehicleId {
+    /// Whether `other`, which has the same system and component, is not this vehicle.
+    fn is_another(&self, other: &Self) -> bool {
+        (self.autopilot, self.vehicle_type) != (other.autopilot, other.vehicle_type)
+    }
 }
 
 impl fmt::Display for VehicleId {

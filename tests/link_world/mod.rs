@@ -32,6 +32,7 @@ pub fn settings() -> Settings {
 /// A vehicle that answers as PX4 does, in as far as the session asks.
 pub struct Vehicle {
     pub booted: HostTime,
+    pub autopilot: MavAutopilot,
     pub encoder: Encoder,
     pub decoder: Decoder,
     pub version: Option<(u16, u16)>,
@@ -54,6 +55,7 @@ impl Vehicle {
     pub fn new(system: u8) -> Self {
         Self {
             booted: START - Duration::from_secs(30),
+            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
             encoder: Encoder::new(system, 1),
             decoder: Decoder::new(),
             version: Some(PD_VEHICLE),
@@ -79,7 +81,7 @@ impl Vehicle {
         MavMessage::HEARTBEAT(HEARTBEAT_DATA {
             custom_mode: self.custom_mode,
             mavtype: MavType::MAV_TYPE_QUADROTOR,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+            autopilot: self.autopilot,
             base_mode: MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
             system_status: MavState::MAV_STATE_ACTIVE,
             mavlink_version: 3,
@@ -201,6 +203,7 @@ impl World {
         self.session.receive(self.now, peer, bytes, true, &mut |heard| match heard {
             Heard::Frame { .. } => *frames += 1,
             Heard::Message(received) => messages.push(received),
+            Heard::Replaced => {}
         });
     }
 

@@ -30,8 +30,9 @@ const VERSION_REPEAT: Duration = Duration::from_millis(400);
 const VERSION_ATTEMPTS: u8 = 5;
 /// An attitude older than this closes no loop.
 const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
-/// A clock that went back by more than this belongs to a vehicle that was started anew.
-const RESTART_NS: i64 = 1_000_000_000;
+/// A clock that jumped by more than this may be that of another vehicle: back where it was started
+/// since, forward where it was started before.
+const RESTART_NS: u64 = 1_000_000_000;
 /// MAV_TYPEs that fly nothing, whatever autopilot they name: antenna tracker, ground station,
 /// onboard controller, gimbal, ADS-B receiver, camera.
 const NO_VEHICLE: [u8; 6] = [5, 6, 18, 26, 27, 30];
@@ -98,8 +99,8 @@ impl Core {
         on: &mut impl FnMut(Heard<'_>),
     ) {
         on(Heard::Frame { peer, bytes: frame.bytes() });
-        if frame.id() == HEARTBEAT_DATA::ID {
-            self.select(now, peer, frame);
+        if frame.id() == HEARTBEAT_DATA::ID && self.select(now, peer, frame) {
+            on(Heard::Replaced);
         }
         let Some(vehicle) = &mut self.vehicle else {
             self.counters.foreign += 1;
@@ -135,35 +136,62 @@ impl Core {
         }
     }
 
-    /// Takes the first autopilot for the vehicle, and finds it again where it went.
-    fn select(&mut self, now: HostTime, peer: Peer, frame: &Frame) {
+    /// Takes the first autopilot for the vehicle, and finds it again where it went. Gives whether
+    /// it is another one, under the ids of the one that was known.
+    fn select(&mut self, now: HostTime, peer: Peer, frame: &Frame) -> bool {
         let Inbound::Heartbeat { autopilot, vehicle_type, .. } = codec::heartbeat(frame.payload())
         else {
-            return;
+            return false;
         };
-        let Ok(system) = u8::try_from(frame.system()) else { return };
+        let Ok(system) = u8::try_from(frame.system()) else { return false };
         let is_wanted = self.settings.vehicle_system.is_none_or(|wanted| wanted == system);
         let is_vehicle = autopilot != NO_AUTOPILOT && !NO_VEHICLE.contains(&vehicle_type);
         if !is_vehicle || system == 0 || !is_wanted {
-            return;
+            return false;
         }
         let id = VehicleId { system, component: frame.component(), autopilot, vehicle_type, peer };
-        match &mut self.vehicle {
-            Some(known) if (known.id.system, known.id.component) != (id.system, id.component) => {}
-            Some(known) if self.state != LinkState::Lost => {
-                // Another route to the vehicle counts only when the known one is silent.
-                if known.peer.is_none() || self.state == LinkState::Stale {
-                    let before = known.peer.replace(peer);
-                    known.id.peer = peer;
-                    // A connection that closed is another one now, though its number be the same;
-                    // one that was merely silent goes on counting.
-                    if before != Some(peer) {
-                        self.counters.rerouted();
-                    }
-                }
-            }
-            _ => self.found(now, id),
+        let Some(known) = &mut self.vehicle else {
+            self.found(now, id);
+            self.events.push_back(Event::VehicleFound(id));
+            return false;
+        };
+        if (known.id.system, known.id.component) != (id.system, id.component) {
+            return false;
         }
+        let is_lost = self.state == LinkState::Lost;
+        // Another route to the vehicle counts only when the known one is silent.
+        let is_silent = is_lost || known.peer.is_none() || self.state == LinkState::Stale;
+        if !is_silent && known.peer != Some(peer) {
+            return false;
+        }
+        if known.id.is_another(&id) {
+            self.replaced(now, id);
+            return true;
+        }
+        if is_lost {
+            self.found(now, id);
+            self.events.push_back(Event::VehicleFound(id));
+        } else if is_silent {
+            let before = known.peer.replace(peer);
+            known.id.peer = peer;
+            // A connection that closed is another one now, though its number be the same; one that
+            // was merely silent goes on counting.
+            if before != Some(peer) {
+                self.counters.rerouted();
+            }
+        }
+        false
+    }
+
+    /// Nothing that was known or asked of the vehicle before holds for this one.
+    fn replaced(&mut self, now: HostTime, id: VehicleId) {
+        self.profile = None;
+        self.intervals.stop();
+        self.requests.withdraw();
+        self.requests.abandon();
+        self.collect_ended();
+        self.found(now, id);
+        self.events.push_back(Event::VehicleReplaced(id));
     }
 
     fn found(&mut self, now: HostTime, id: VehicleId) {
@@ -174,7 +202,6 @@ impl Core {
         self.attitude = None;
         self.timesync_due = now;
         self.version_due = Some((now, 0));
-        self.events.push_back(Event::VehicleFound(id));
     }
 
     fn message(&mut self, now: HostTime, message: &Inbound) {
@@ -273,7 +300,7 @@ impl Core {
         }
         if let Answer::Jump { by_ns } = self.clock.answer(now, data.tc1, data.ts1) {
             self.events.push_back(Event::ClockJump { by_ns });
-            if by_ns < -RESTART_NS {
+            if by_ns.unsigned_abs() > RESTART_NS {
                 // It may be another vehicle, which takes other setpoints.
                 self.profile = None;
                 self.version_due = Some((now, 0));
