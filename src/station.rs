@@ -71,6 +71,8 @@ pub struct Station {
     over_in: Option<FlightState>,
     /// Since that flight ended early, until the vehicle is down.
     aftermath: Option<Aftermath>,
+    /// Since that flight began another vehicle has taken the place of the one that flew it.
+    is_replaced: bool,
     /// Why the flight was led another way than planned.
     last_trouble: Option<String>,
     /// The flight's state after the last event.
@@ -103,6 +105,7 @@ impl Station {
             flown: false,
             over_in: None,
             aftermath: None,
+            is_replaced: false,
             last_trouble: None,
             event_state: FlightState::Connect,
             found: None,
@@ -343,11 +346,12 @@ impl Station {
         if self.in_flight && !was_in_flight {
             self.end_aftermath();
             (self.flown, self.over_in) = (false, None);
+            self.is_replaced = false;
             self.records.push(Record::FlightBegins(now));
         } else if was_in_flight && !self.in_flight {
             let is_early =
                 matches!(self.over_in, Some(FlightState::Abort | FlightState::PilotControl));
-            if !(is_early && self.flown) {
+            if !(is_early && self.flown) || self.is_replaced {
                 return self.records.push(Record::FlightEnds);
             }
             self.aftermath = Some(Aftermath::new(now));
@@ -431,6 +435,7 @@ impl Station {
             Event::VehicleReplaced(id) => {
                 self.found = Some(now);
                 self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
+                self.end_flight_of_another(now);
             }
             Event::Identified { profile, is_version_known } => {
                 self.identified(now, *profile, is_version_known);

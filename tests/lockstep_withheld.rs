@@ -84,6 +84,17 @@ fn exchanged() -> Downlink {
     })
 }
 
+/// What the log is told of vehicles and of flights, in order.
+fn facts_and_flights(bench: &Bench) -> Vec<String> {
+    let words = bench.records.iter().filter_map(|record| match record {
+        Record::Facts(facts) => facts.get("autopilot").cloned(),
+        Record::FlightBegins(_) => Some("begins".to_owned()),
+        Record::FlightEnds => Some("ends".to_owned()),
+        _ => None,
+    });
+    words.collect()
+}
+
 #[test]
 fn a_flight_ends_where_another_vehicle_takes_the_place_of_the_one_that_is_flown() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
@@ -97,6 +108,7 @@ fn a_flight_ends_where_another_vehicle_takes_the_place_of_the_one_that_is_flown(
     assert_eq!(bench.phase(), Some(FlightState::Abort), "nobody else flies on");
     let why = "another vehicle answers on the link";
     assert_eq!(bench.station.end(), Some(&End::Aborted(why.to_owned())));
+    assert_eq!(facts_and_flights(&bench), ["bundled", "begins", "ends"]);
 }
 
 /// A vehicle with another autopilot takes the place of the one that is flown. It was started with
@@ -121,10 +133,11 @@ fn another_autopilot_gets_no_setpoint_and_its_mode_is_no_word_of_the_pilot() {
     assert_eq!(bench.setpoints_after(aborted_us), 0);
     let why = "another vehicle answers on the link";
     assert_eq!(bench.station.end(), Some(&End::Aborted(why.to_owned())));
+    assert_eq!(facts_and_flights(&bench), ["bundled", "begins", "ends"]);
 }
 
-#[test]
-fn under_the_pilots_switch_too_and_the_flights_end_is_told() {
+/// A flight under the pilot's switch.
+fn switched() -> Bench {
     let params = params(NANO);
     let mut settings = settings(&params, hover(30.0));
     settings.policy = EngagePolicy::PilotSwitch;
@@ -135,14 +148,26 @@ fn under_the_pilots_switch_too_and_the_flights_end_is_told() {
     bench.pilot_mode(Mode::Offboard);
     bench.run(0.2);
     bench.pilot_arms();
-    let mut bench = in_track(bench);
-    bench.downlink = exchanged();
-    bench.run(0.9);
-    assert!(bench.told("vehicle is PX4") && bench.told("abort: "), "{:#?}", bench.texts());
-    assert!(bench.told("recording goes on until the vehicle is down"), "{:#?}", bench.texts());
-    assert_eq!(bench.phase(), Some(FlightState::AwaitRelease), "the next flight's pilot waits");
-    assert_eq!(masks(&bench.records), [0x00]);
-    assert_eq!(bench.station.end(), None);
+    in_track(bench)
+}
+
+#[test]
+fn under_the_pilots_switch_too_and_the_flights_log_has_nothing_of_the_other_vehicle() {
+    for (other, name) in [
+        (exchanged(), "PX4"),
+        (exchanged_for(MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA), "ArduCopter"),
+    ] {
+        let mut bench = switched();
+        bench.downlink = other;
+        bench.run(if name == "PX4" { 0.9 } else { 3.2 });
+        assert!(bench.told("abort: another vehicle answers on the link"), "{:#?}", bench.texts());
+        assert!(!bench.told("recording goes on"), "{:#?}", bench.texts());
+        assert_eq!(facts_and_flights(&bench), ["bundled", "begins", "ends", name]);
+        let waits = bench.phase().is_some_and(FlightState::precedes_stream);
+        assert!(waits, "the next flight's pilot does: {:?}", bench.phase());
+        assert_eq!(masks(&bench.records), [0x00]);
+        assert_eq!(bench.station.end(), None);
+    }
 }
 
 /// The first sample from now on comes in one read with a word of the mode behind it, and other

@@ -21,11 +21,19 @@ impl Station {
         let text =
             format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
         self.tell(now, Severity::Info, text.clone());
-        let facts = [
-            ("autopilot".to_owned(), profile.name.to_owned()),
-            ("attitude_target_mask".to_owned(), format!("{mask:#04x}")),
-        ];
-        self.records.push(Record::Facts(Box::new(facts.into())));
+        let known = self.profile.replace(profile.clone());
+        let is_known = self.pilot.is_some() && known.as_ref() == Some(&profile);
+        if !is_known {
+            self.replace_pilot(now);
+        }
+        // The log of a flight that has ended is of the vehicle that was flown.
+        if self.end.is_none() {
+            let facts = [
+                ("autopilot".to_owned(), profile.name.to_owned()),
+                ("attitude_target_mask".to_owned(), format!("{mask:#04x}")),
+            ];
+            self.records.push(Record::Facts(Box::new(facts.into())));
+        }
         for rule in profile.required.iter().chain(&profile.loss_timeout) {
             self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
         }
@@ -34,11 +42,6 @@ impl Station {
         }
         for parameter in &self.settings.pilot.preflight.parameters {
             self.session.request(now, Request::ReadParameter(parameter.name.clone()));
-        }
-        let known = self.profile.replace(profile.clone());
-        let is_known = self.pilot.is_some() && known.as_ref() == Some(&profile);
-        if !is_known {
-            self.end_flight_of_another(now);
         }
         if is_known || self.end.is_some() {
             return;
@@ -63,14 +66,21 @@ impl Station {
     }
 
     /// What flies, or streams, is designed for what another vehicle honours: that is over.
-    fn end_flight_of_another(&mut self, now: HostTime) {
+    fn replace_pilot(&mut self, now: HostTime) {
         let Some(pilot) = &mut self.pilot else { return };
         let state = pilot.flight_state();
         if !state.precedes_stream() && !state.is_over() {
             pilot.link_event(now, LinkEvent::Replaced);
         }
-        // Before its successor is there, which knows nothing of this flight.
+        self.end_flight_of_another(now);
+    }
+
+    /// Ends what is recorded of a flight, now that another vehicle answers: before its facts and
+    /// its pilot are there, which have nothing to do with this flight.
+    pub(super) fn end_flight_of_another(&mut self, now: HostTime) {
+        self.is_replaced = true;
         self.follow_pilot(now);
+        self.end_aftermath();
     }
 
     fn make_pilot(&self, now: HostTime, profile: &Profile) -> Result<Option<Pilot>, DesignError> {
