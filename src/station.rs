@@ -52,7 +52,8 @@ pub enum End {
 pub struct Station {
     settings: StationSettings,
     session: Session,
-    /// There is none before the vehicle is identified: what it honours decides the design.
+    /// There is none before the vehicle is identified, whose profile decides the design, and none
+    /// for a vehicle that is not flown.
     pilot: Option<Pilot>,
     profile: Option<Profile>,
     records: Vec<Record>,

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use downwash::lockstep::EPOCH;
 use downwash::log::record::Record;
-use downwash::station::End;
+use downwash::station::{End, StationSettings};
 use downwash::supervisor::{EngagePolicy, FlightState};
 use lockstep::{Bench, Downlink, NANO, hover, masks, message_id, params, settings};
 use sitl::autopilot::{COMPONENT_ID, Mode, SYSTEM_ID};
@@ -167,6 +167,29 @@ fn under_the_pilots_switch_too_and_the_flights_log_has_nothing_of_the_other_vehi
         assert!(waits, "the next flight's pilot does: {:?}", bench.phase());
         assert_eq!(masks(&bench.records), [0x00]);
         assert_eq!(bench.station.end(), None);
+    }
+}
+
+#[test]
+fn under_the_pilots_switch_a_vehicle_that_is_not_flown_is_outwaited() {
+    for policy in [EngagePolicy::PilotSwitch, EngagePolicy::Command] {
+        let params = params(NANO);
+        let mut bench =
+            Bench::new(StationSettings { policy, ..settings(&params, hover(30.0)) }, &params);
+        bench.downlink = exchanged_for(MavAutopilot::MAV_AUTOPILOT_GENERIC);
+        bench.run(3.5);
+        let why = "the modes of autopilot \"unknown\" are not known";
+        assert!(bench.told(why), "{:#?}", bench.texts());
+        assert_eq!((bench.phase(), bench.setpoints_after(0)), (None, 0));
+        if policy == EngagePolicy::Command {
+            assert_eq!(bench.station.end(), Some(&End::Refused(why.to_owned())));
+            continue;
+        }
+        assert_eq!(bench.station.end(), None);
+        bench.downlink = Box::new(|_, frame| vec![frame.to_vec()]);
+        bench.until(FlightState::Standby, 10.0);
+        assert!(bench.setpoints_after(0) > 0);
+        assert_eq!(masks(&bench.records), [0x00]);
     }
 }
 

@@ -11,7 +11,7 @@ use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
 use crate::pilot::{Airframe, LinkEvent, Pilot};
-use crate::supervisor::{ModeMap, PreflightCheck};
+use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
 
 impl Station {
     /// Now that it is known what the vehicle honours: design the feedback for it.
@@ -54,15 +54,21 @@ impl Station {
             Ok(Some(pilot)) => self.pilot = Some(pilot),
             Ok(None) => {
                 let why = format!("the modes of autopilot {:?} are not known", profile.name);
-                self.tell(now, Severity::Error, why.clone());
-                self.end.get_or_insert(End::Refused(why));
+                self.refuse(now, why);
             }
-            Err(error) => {
-                self.tell(now, Severity::Error, error.to_string());
-                self.end.get_or_insert(End::Refused(error.to_string()));
-            }
+            Err(error) => self.refuse(now, error.to_string()),
         }
         self.check_parameters();
+    }
+
+    /// The vehicle is not flown. A flight by command is over with that; under the pilot's switch
+    /// another vehicle may answer yet.
+    fn refuse(&mut self, now: HostTime, why: String) {
+        self.pilot = None;
+        self.tell(now, Severity::Error, why.clone());
+        if self.settings.policy == EngagePolicy::Command {
+            self.end.get_or_insert(End::Refused(why));
+        }
     }
 
     /// What flies, or streams, is designed for what another vehicle honours: that is over.
