@@ -35,7 +35,7 @@ fn session(encoder: &mut Encoder) -> Session {
     ] {
         session.receive(NOW, VEHICLE, &frame(encoder, message), true, &mut |_| {});
     }
-    session.transmit(|_, _| {});
+    session.transmit(|_, _| true);
     session
 }
 
@@ -67,6 +67,7 @@ fn link(criterion: &mut Criterion) {
             session.send_setpoint(NOW, black_box(&setpoint)).expect("the vehicle is identified");
             session.transmit(|_, bytes| {
                 black_box(bytes);
+                true
             });
         });
     });

@@ -241,10 +241,11 @@ impl Control<'_> {
     fn send(&mut self, station: &mut Station, now: HostTime) {
         let Self { connection, tee, .. } = self;
         station.transmit(now, |peer, frame| {
-            connection.send(peer, frame);
-            if let Some(tee) = tee {
+            let is_taken = connection.send(peer, frame);
+            if let Some(tee) = tee.as_mut().filter(|_| is_taken) {
                 tee.sent(now, frame);
             }
+            is_taken
         });
     }
 }

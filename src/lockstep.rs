@@ -56,7 +56,10 @@ pub fn fly(
         if station.next_deadline(now) <= now || now_us >= truth_due {
             station.poll(now);
         }
-        station.transmit(now, |_, frame| vehicle.receive(STATION, frame));
+        station.transmit(now, |_, frame| {
+            vehicle.receive(STATION, frame);
+            true
+        });
         if now_us >= truth_due {
             truth_due += TRUTH_PERIOD_US;
             log(truth(vehicle, now));

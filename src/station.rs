@@ -152,7 +152,7 @@ impl Station {
         let setpoint = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint);
         let is_sent = setpoint
             .is_some_and(|setpoint| self.permits(now) && self.send_setpoint(now, &setpoint));
-        // The log has what was sent.
+        // The log has what was sent; what of this does not leave is withheld then.
         let withheld = self.ticks.len() - usize::from(is_sent);
         self.ticks[first_tick..withheld].iter_mut().for_each(Tick::withhold);
     }
@@ -166,10 +166,9 @@ impl Station {
         !is_over && self.pilot.as_mut().is_some_and(|pilot| pilot.permits(now))
     }
 
-    /// Gives whether it is sent.
+    /// Gives whether it is on its way.
     fn send_setpoint(&mut self, now: HostTime, setpoint: &Setpoint) -> bool {
         let sent = self.session.send_setpoint(now, setpoint);
-        self.setpoints += u64::from(sent.is_ok());
         let before = std::mem::replace(&mut self.setpoint_error, sent.err());
         // Said once, not at every tick.
         if let Err(error) = sent
@@ -212,18 +211,32 @@ impl Station {
 
     /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
     /// First those that are there, a setpoint above all; then those that follow from what was
-    /// received.
-    pub fn transmit(&mut self, now: HostTime, mut send: impl FnMut(Option<Peer>, &[u8])) {
+    /// received. `send` says whether the frame left: one that did not is in no log, and its
+    /// setpoint not in that of its tick.
+    pub fn transmit(&mut self, now: HostTime, mut send: impl FnMut(Option<Peer>, &[u8]) -> bool) {
         self.send_queued(now, &mut send);
+        self.log_ticks();
         self.follow_up(now);
         self.send_queued(now, &mut send);
     }
 
-    fn send_queued(&mut self, now: HostTime, send: &mut impl FnMut(Option<Peer>, &[u8])) {
-        let records = &mut self.records;
-        self.session.transmit(|peer, frame| {
-            send(peer, frame);
-            records.extend(FrameRecord::from_bytes(Direction::Tx, now, frame).map(Record::Frame));
+    fn send_queued(&mut self, now: HostTime, send: &mut impl FnMut(Option<Peer>, &[u8]) -> bool) {
+        let Self { session, records, ticks, setpoints, .. } = self;
+        // Each setpoint's frame answers one of these, in their order.
+        let mut answered = ticks.iter_mut().filter(|tick| tick.setpoint.is_some());
+        session.transmit(|peer, frame| {
+            let is_sent = send(peer, frame);
+            let record = FrameRecord::from_bytes(Direction::Tx, now, frame);
+            if record.as_ref().is_some_and(|record| record.message_id == session::SETPOINT_ID) {
+                let tick = answered.next();
+                if is_sent {
+                    *setpoints += 1;
+                } else if let Some(tick) = tick {
+                    tick.withhold();
+                }
+            }
+            records.extend(record.filter(|_| is_sent).map(Record::Frame));
+            is_sent
         });
     }
 
@@ -289,9 +302,8 @@ impl Station {
         self.end.is_some() && self.aftermath.is_none()
     }
 
-    /// After the pilot has acted: ticks to the log, session's news to the pilot, the pilot's
-    /// requests to the vehicle.
-    fn follow_up(&mut self, now: HostTime) {
+    /// Ticks to the log, once it is known which setpoints left.
+    fn log_ticks(&mut self) {
         let ticks = std::mem::take(&mut self.ticks);
         for tick in &ticks {
             self.tracking_error_m = tick.tracking_error;
@@ -302,6 +314,11 @@ impl Station {
         }
         self.ticks = ticks;
         self.ticks.clear();
+    }
+
+    /// After the pilot has acted: the session's news to the pilot, the pilot's requests to the
+    /// vehicle.
+    fn follow_up(&mut self, now: HostTime) {
         while let Some(event) = self.session.next_event() {
             self.session_event(now, event);
         }

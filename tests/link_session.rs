@@ -197,7 +197,7 @@ fn another_autopilot_under_the_vehicles_ids_is_identified_anew() {
             world.silence(seconds(3.0));
         }
         world.session.request(world.now, Request::SetMode(FlightMode::Offboard));
-        world.session.transmit(|_, _| {});
+        world.session.transmit(|_, _| true);
         // It was started with the other, so that no clock tells the two apart.
         vehicle.autopilot = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
         let mode = vehicle.custom_mode;
@@ -276,13 +276,14 @@ fn the_vehicles_timesync_is_answered_from_the_host_clock() {
     world.run(&mut vehicle, seconds(2.0));
     let request = TIMESYNC_DATA { tc1: 0, ts1: 12_345, ..Default::default() };
     let bytes = vehicle.encode(&MavMessage::TIMESYNC(request));
-    world.session.transmit(|_, _| {});
+    world.session.transmit(|_, _| true);
     world.deliver(VEHICLE, &bytes);
     let mut answers = Vec::new();
     world.session.transmit(|to, bytes| {
         let mut decoder = Decoder::new();
         decoder.push(bytes);
         answers.push((to, decoder.next_frame().expect("whole").message().expect("valid")));
+        true
     });
     let expected = TIMESYNC_DATA {
         tc1: world.now.as_ns() as i64,

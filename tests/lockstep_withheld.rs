@@ -8,7 +8,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use downwash::lockstep::EPOCH;
-use downwash::log::record::Record;
+use downwash::log::record::{Direction, Record};
 use downwash::station::{End, StationSettings};
 use downwash::supervisor::{EngagePolicy, FlightState};
 use lockstep::{Bench, Downlink, NANO, hover, masks, message_id, params, settings};
@@ -294,4 +294,33 @@ fn the_log_has_the_setpoints_that_were_sent_and_no_others() {
     assert!(ticks > 10, "{ticks} ticks");
     assert_eq!((told, bench.setpoints_after(from_us)), (0, 0));
     assert_eq!(bench.phase(), Some(FlightState::Track), "{:#?}", bench.texts());
+}
+
+/// How many frames were sent, by the log.
+fn sent_frames(records: &[Record]) -> usize {
+    let is_sent =
+        |record: &&Record| matches!(record, Record::Frame(it) if it.direction == Direction::Tx);
+    records.iter().filter(is_sent).count()
+}
+
+#[test]
+fn what_the_transport_does_not_take_is_not_logged_as_sent() {
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let (from_us, from) = (bench.now_us(), bench.records.len());
+    let setpoints = bench.station.status().setpoints;
+    bench.is_jammed = true;
+    bench.run(0.2);
+    let (ticks, told) = ticks_after(&bench, from_us);
+    assert!(ticks > 15, "{ticks} ticks");
+    assert_eq!((told, sent_frames(&bench.records[from..])), (0, 0));
+    assert_eq!(bench.station.status().setpoints, setpoints);
+    bench.is_jammed = false;
+    bench.run(1.1);
+    assert_eq!(bench.phase(), Some(FlightState::Track), "{:#?}", bench.texts());
+    assert!(sent_frames(&bench.records[from..]) > 100);
+    let dropped = bench.records.iter().rev().find_map(|record| match record {
+        Record::Link { stats, .. } => Some(stats.dropped_frames),
+        _ => None,
+    });
+    assert!(dropped.is_some_and(|dropped| dropped >= ticks as u64), "{dropped:?}");
 }

@@ -51,6 +51,8 @@ pub struct LinkStats {
     pub sent_frames: u64,
     /// Bytes sent.
     pub sent_bytes: u64,
+    /// Frames that the transport did not take.
+    pub dropped: u64,
     /// Round trip of the newest TIMESYNC answer.
     pub round_trip: Option<Duration>,
     /// The vehicle's clock against the host's.
@@ -84,6 +86,7 @@ pub(super) struct Counters {
     pub(super) refused: u64,
     pub(super) sent_frames: u64,
     pub(super) sent_bytes: u64,
+    pub(super) dropped: u64,
     heard: u64,
     lost: u64,
     /// That of the vehicle's newest frame.

@@ -30,9 +30,7 @@
 //!         Ok(Input::Opened | Input::Failed { .. } | Input::PeerOpened(_)) | Err(_) => {}
 //!     }
 //!     session.poll(now);
-//!     session.transmit(|to, frame| {
-//!         connection.send(to, frame);
-//!     });
+//!     session.transmit(|to, frame| connection.send(to, frame));
 //!     while let Some(_event) = session.next_event() {} // to the log and the supervisor
 //! }
 //! # }

@@ -10,6 +10,8 @@ mod outbox;
 use std::fmt;
 use std::time::Duration;
 
+use mavlink::MessageData;
+use wire::dialect::SET_ATTITUDE_TARGET_DATA;
 use wire::transport::{PEERS_MAX, Peer};
 use wire::{Decoder, DecoderStats};
 
@@ -24,6 +26,9 @@ use super::request::{Outcome, Request, RequestId};
 use super::timesync::ClockEstimate;
 use crate::clock::{HostTime, VehicleTime};
 use crate::setpoint::Setpoint;
+
+/// Message id of the frames that carry setpoints.
+pub const SETPOINT_ID: u32 = SET_ATTITUDE_TARGET_DATA::ID;
 
 /// Settings of a session.
 #[derive(Clone, Debug, PartialEq)]
@@ -306,12 +311,16 @@ impl Session {
     }
 
     /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
-    pub fn transmit(&mut self, mut send: impl FnMut(Option<Peer>, &[u8])) {
+    /// `send` says whether the frame left; one that did not is dropped, and counted so.
+    pub fn transmit(&mut self, mut send: impl FnMut(Option<Peer>, &[u8]) -> bool) {
         let counters = &mut self.core.counters;
         self.core.outbox.drain(|to, frame| {
-            counters.sent_frames += 1;
-            counters.sent_bytes += frame.len() as u64;
-            send(to, frame);
+            if send(to, frame) {
+                counters.sent_frames += 1;
+                counters.sent_bytes += frame.len() as u64;
+            } else {
+                counters.dropped += 1;
+            }
         });
     }
 
@@ -365,6 +374,7 @@ impl Session {
             lost: core.counters.lost(),
             sent_frames: core.counters.sent_frames,
             sent_bytes: core.counters.sent_bytes,
+            dropped: core.counters.dropped,
             round_trip: core.clock.round_trip(),
             clock: core.clock.estimate(),
             messages: core.counters.messages(),

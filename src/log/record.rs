@@ -184,6 +184,8 @@ pub struct LinkStats {
     pub stray_frames: u64,
     /// Frames of the vehicle whose content could not be true.
     pub refused_frames: u64,
+    /// Frames to the vehicle, or to all, that the transport did not take.
+    pub dropped_frames: u64,
     /// Times the link was opened again.
     pub reconnects: u64,
     /// Latest round trip of TIMESYNC, s; NaN before the first.

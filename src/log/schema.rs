@@ -231,6 +231,7 @@ flat_messages! {
         uint64 foreign_frames = 15;
         uint64 stray_frames = 16;
         uint64 refused_frames = 17;
+        uint64 dropped_frames = 18;
     }
 
     /// `/timesync`.

@@ -107,6 +107,8 @@ pub struct LinkSummary {
     pub stray_frames: u64,
     /// Frames of the vehicle whose content could not be true.
     pub refused_frames: u64,
+    /// Frames that did not leave, because the transport did not take them.
+    pub dropped_frames: u64,
     /// Times the link was opened again.
     pub reconnects: u64,
     /// Largest round trip, s.
@@ -255,6 +257,7 @@ fn link_summary(link: &[(u64, LinkStatsMessage)]) -> Option<LinkSummary> {
         foreign_frames: last.foreign_frames,
         stray_frames: last.stray_frames,
         refused_frames: last.refused_frames,
+        dropped_frames: last.dropped_frames,
         reconnects: last.reconnects,
         rtt_max_s: rtts.reduce(f64::max),
     })

@@ -327,6 +327,7 @@ fn link(report: &FlightReport, figure: &Figure<'_>) -> String {
         count("frames missing from the vehicle's sequence", link.lost_frames);
         count("frames with the vehicle's ids from elsewhere", link.stray_frames);
         count("frames whose content could not be true", link.refused_frames);
+        count("frames that did not leave", link.dropped_frames);
         count("reconnects", link.reconnects);
         // A ground station on the same link is no trouble.
         let foreign = "frames of other systems and components".into();

@@ -226,7 +226,10 @@ impl World {
         }
         for _ in 0..4 {
             let mut sent = Vec::new();
-            self.session.transmit(|to, bytes| sent.push((to, bytes.to_vec())));
+            self.session.transmit(|to, bytes| {
+                sent.push((to, bytes.to_vec()));
+                true
+            });
             for (to, bytes) in sent {
                 let Some(vehicle) = vehicle.as_deref_mut() else { continue };
                 if to.is_none_or(|to| to == VEHICLE) {

@@ -190,6 +190,8 @@ pub struct Bench {
     pub downlink: Downlink,
     /// Whether frames reach the vehicle.
     pub uplink: bool,
+    /// Whether the transport takes no frames.
+    pub is_jammed: bool,
     /// Time of simulation before the vehicle's last boot, us.
     booted_us: u64,
     pilot: Encoder,
@@ -215,6 +217,7 @@ impl Bench {
             setpoints_us: Vec::new(),
             downlink: Box::new(|_, frame| vec![frame.to_vec()]),
             uplink: true,
+            is_jammed: false,
             booted_us: 0,
             pilot: Encoder::new(200, 190),
         };
@@ -239,7 +242,7 @@ impl Bench {
     /// One turn of the loop that `lockstep::fly` is.
     fn turn(&mut self, until_us: u64) {
         let (now, now_us) = (self.now(), self.now_us());
-        let Self { vehicle, station, downlink, setpoints_us, uplink, .. } = self;
+        let Self { vehicle, station, downlink, setpoints_us, uplink, is_jammed, .. } = self;
         vehicle.take_output(|peer, frame| {
             if peer == STATION {
                 for datagram in downlink(now_us, frame) {
@@ -249,12 +252,16 @@ impl Bench {
         });
         station.poll(now);
         station.transmit(now, |_, frame| {
+            if *is_jammed {
+                return false;
+            }
             if message_id(frame) == Some(SET_ATTITUDE_TARGET) {
                 setpoints_us.push(now_us);
             }
             if *uplink {
                 vehicle.receive(STATION, frame);
             }
+            true
         });
         station.take_records(|record| self.records.push(record));
         self.vehicle.advance_to(self.vehicle.next_event_us().min(until_us - self.booted_us));

@@ -179,6 +179,7 @@ impl From<&LinkStats> for LinkStatsMessage {
             foreign_frames: s.foreign_frames,
             stray_frames: s.stray_frames,
             refused_frames: s.refused_frames,
+            dropped_frames: s.dropped_frames,
         }
     }
 }
