@@ -92,7 +92,7 @@ pub struct Tick {
     pub feedforward: Setpoint,
     /// The correction `K T_R (s - s*)`, zero on the ground.
     pub feedback: Setpoint,
-    /// Their sum within limits; `None` where nothing may be sent.
+    /// Their sum within limits; `None` where nothing is sent.
     pub setpoint: Option<Setpoint>,
     /// Limits that were met; none where nothing is sent.
     pub saturation: Saturation,
@@ -158,7 +158,7 @@ impl Pilot {
     }
 
     /// Takes a message of the vehicle. Where it fires a control tick, that comes back, with the
-    /// setpoint to send if one may be sent.
+    /// setpoint to send if one may be sent; [`sent`](Self::sent) is to be told what became of it.
     pub fn handle(&mut self, received: &Received) -> Option<Tick> {
         let now = received.host;
         let sample = self.take(received);
@@ -210,8 +210,14 @@ impl Pilot {
 
     /// Whether a setpoint may leave now. Where more was heard since a tick, its setpoint needs this
     /// word anew.
-    pub fn permits(&mut self, now: HostTime) -> bool {
+    pub fn permits(&self, now: HostTime) -> bool {
         self.supervisor.permits(now, self.telemetry.status())
+    }
+
+    /// What became of the newest tick: whether its setpoint left. OFFBOARD is asked for, and taken
+    /// for the pilot's word, only while they do.
+    pub fn sent(&mut self, is_sent: bool) {
+        self.supervisor.sent(is_sent);
     }
 
     /// Looks at the clock in silence: time-outs and stale telemetry. Never makes a setpoint.

@@ -155,15 +155,21 @@ impl Station {
         // The log has what was sent; what of this does not leave is withheld then.
         let withheld = self.ticks.len() - usize::from(is_sent);
         self.ticks[first_tick..withheld].iter_mut().for_each(Tick::withhold);
+        if let Some(pilot) = &mut self.pilot
+            && !is_sent
+            && first_tick < self.ticks.len()
+        {
+            pilot.sent(false);
+        }
     }
 
     /// Whether the answer to a sample may leave, now that the rest of the read is known: what was
     /// heard after the sample may have ended control, or may come from a vehicle that the pilot is
     /// not made for. And whatever the pilot makes of what is heard after the end: nothing is sent.
-    fn permits(&mut self, now: HostTime) -> bool {
+    fn permits(&self, now: HostTime) -> bool {
         let is_another = self.session.profile().is_some_and(|it| self.profile.as_ref() != Some(it));
         let is_over = self.end.is_some() || is_another;
-        !is_over && self.pilot.as_mut().is_some_and(|pilot| pilot.permits(now))
+        !is_over && self.pilot.as_ref().is_some_and(|pilot| pilot.permits(now))
     }
 
     /// Gives whether it is on its way.
@@ -221,7 +227,7 @@ impl Station {
     }
 
     fn send_queued(&mut self, now: HostTime, send: &mut impl FnMut(Option<Peer>, &[u8]) -> bool) {
-        let Self { session, records, ticks, setpoints, .. } = self;
+        let Self { session, pilot, records, ticks, setpoints, .. } = self;
         // Each setpoint's frame answers one of these, in their order.
         let mut answered = ticks.iter_mut().filter(|tick| tick.setpoint.is_some());
         session.transmit(|peer, frame| {
@@ -229,6 +235,9 @@ impl Station {
             let record = FrameRecord::from_bytes(Direction::Tx, now, frame);
             if record.as_ref().is_some_and(|record| record.message_id == session::SETPOINT_ID) {
                 let tick = answered.next();
+                if let Some(pilot) = pilot {
+                    pilot.sent(is_sent);
+                }
                 if is_sent {
                     *setpoints += 1;
                 } else if let Some(tick) = tick {

@@ -136,6 +136,7 @@ pub struct Supervisor {
     since: HostTime,
     /// A command to fly that was not used up yet.
     engaged: bool,
+    /// Whether the newest sample of the present state was answered with a setpoint.
     streamed: bool,
     mode_at_entry: Option<u32>,
     other_mode_since: Option<HostTime>,
@@ -255,17 +256,20 @@ impl Supervisor {
     }
 
     /// Whether a setpoint may leave now: the last word.
-    pub fn permits(&mut self, now: HostTime, status: &VehicleStatus) -> bool {
+    pub fn permits(&self, now: HostTime, status: &VehicleStatus) -> bool {
         let offboard = status.mode == Some(self.modes.offboard);
-        let permitted = match self.state {
+        match self.state {
             FlightState::Standby | FlightState::Engage => true,
             FlightState::Land => {
                 offboard && self.seconds_in_state(now) < self.settings.land_handover_s
             }
             state => state.may_stream() && offboard,
-        };
-        self.streamed |= permitted;
-        permitted
+        }
+    }
+
+    /// What became of the answer to the newest sample: whether a setpoint left.
+    pub fn sent(&mut self, is_sent: bool) {
+        self.streamed = is_sent;
     }
 
     /// The first trigger that holds and that the present state listens to.

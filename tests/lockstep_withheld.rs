@@ -324,3 +324,15 @@ fn what_the_transport_does_not_take_is_not_logged_as_sent() {
     });
     assert!(dropped.is_some_and(|dropped| dropped >= ticks as u64), "{dropped:?}");
 }
+
+/// A stream that was permitted and does not leave is none.
+#[test]
+fn offboard_is_not_asked_for_while_no_setpoint_leaves() {
+    let mut bench = Bench::hovering(NANO, 30.0);
+    bench.until(FlightState::Standby, 10.0);
+    bench.downlink = unidentified();
+    bench.run(1.5);
+    assert!(bench.told("no setpoint is sent: the vehicle is not identified"));
+    assert_eq!(bench.phase(), Some(FlightState::Standby), "{:#?}", bench.texts());
+    assert!(!bench.told("refuses"), "{:#?}", bench.texts());
+}

@@ -270,6 +270,7 @@ impl Flight {
                     if let Some(setpoint) = tick.setpoint {
                         self.vehicle.send(setpoint);
                     }
+                    self.pilot.sent(tick.setpoint.is_some());
                     self.ticks.push(tick);
                 }
             }
