@@ -197,9 +197,10 @@ impl Station {
             self.record_stats(now);
         }
         let silent = matches!(self.session.state(), LinkState::Searching | LinkState::Lost);
+        let heard = self.session.last_heard().unwrap_or(self.started);
         if let Some(limit) = self.settings.search_timeout_s
             && silent
-            && now.since(self.started).as_secs_f64() > limit
+            && now.since(heard).as_secs_f64() > limit
         {
             self.end.get_or_insert_with(|| match self.session.vehicle() {
                 None => End::NoVehicle,

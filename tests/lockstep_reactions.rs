@@ -9,7 +9,7 @@ use std::time::Duration;
 use downwash::lockstep::EPOCH;
 use downwash::log::record::Record;
 use downwash::station::End;
-use downwash::supervisor::{FlightState, Reaction};
+use downwash::supervisor::{EngagePolicy, FlightState, Reaction};
 use lockstep::{Bench, NANO, QUAD, effects, hover, message_id, params, settings};
 use sitl::autopilot::{COMPONENT_ID, Mode, SYSTEM_ID, Vehicle};
 use sitl::config::{BatteryConfig, SitlConfig};
@@ -77,6 +77,22 @@ fn link_that_comes_back_does_not_bring_the_setpoints_back() {
     bench.run(10.0);
     assert_eq!(bench.setpoints_after(cut_us + 20_000), 0);
     bench.until_disarmed(20.0);
+}
+
+#[test]
+fn the_search_is_given_up_after_its_time_without_a_word_of_the_vehicle() {
+    let params = params(NANO);
+    let mut settings = settings(&params, hover(30.0));
+    // Nobody switches: it stands and waits.
+    settings.policy = EngagePolicy::PilotSwitch;
+    settings.search_timeout_s = Some(8.0);
+    let mut bench = Bench::new(settings, &params);
+    bench.run(10.0);
+    bench.downlink = Box::new(|_, _| vec![]);
+    bench.run(7.9);
+    assert!(bench.told("link Stale -> Lost") && bench.station.end().is_none());
+    bench.run(0.2);
+    assert!(matches!(bench.station.end(), Some(End::LinkLost(_))), "{:?}", bench.station.end());
 }
 
 /// Frames of the autopilot that it did not send, added to its own once.

@@ -339,6 +339,11 @@ impl Session {
         self.core.vehicle.as_ref().map(|vehicle| vehicle.id)
     }
 
+    /// When the vehicle was last heard, once found.
+    pub fn last_heard(&self) -> Option<HostTime> {
+        self.core.vehicle.as_ref().map(|vehicle| vehicle.last_heard)
+    }
+
     /// The vehicle's profile, once identified and until lost.
     pub fn profile(&self) -> Option<&Profile> {
         self.core.profile.as_ref()

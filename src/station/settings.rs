@@ -34,6 +34,7 @@ pub struct StationSettings {
     pub actuation: Actuation,
     /// What is flown.
     pub reference: Arc<dyn ReferenceSource + Send + Sync>,
-    /// Time to hear a vehicle in, s; `None` waits for ever.
+    /// How long no vehicle is heard, at first or since the last word of one, before the search is
+    /// given up, s; `None` waits for ever.
     pub search_timeout_s: Option<f64>,
 }

@@ -44,7 +44,7 @@ pub(super) struct Vehicle {
     pub(super) id: VehicleId,
     /// `None` once its connection closed, until it is heard again.
     pub(super) peer: Option<Peer>,
-    last_heard: HostTime,
+    pub(super) last_heard: HostTime,
 }
 
 /// Everything behind the decoders.
