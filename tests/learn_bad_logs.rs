@@ -165,6 +165,46 @@ fn what_the_audit_calls_unusable_is_not_learned_from() {
     assert!(refusal.contains("attitude") && refusal.starts_with("fault"), "{refusal}");
 }
 
+/// A narrow window finds too few samples wherever they come seldom.
+#[test]
+fn where_a_later_window_leaves_too_few_rows_the_earlier_ones_models_are_taken() {
+    let folder = learn::folder("seldom");
+    let mut flight = import::open(&SOUND[3], None).expect("a log");
+    let mut thinned = Stream::default();
+    for (index, (time, rate)) in flight.body_rate.iter().enumerate() {
+        // One of three, every other second.
+        if time.rem_euclid(2.0) < 1.0 || index % 3 == 0 {
+            thinned.push(time, *rate);
+        }
+    }
+    flight.body_rate = thinned;
+    let log = folder.join("seldom.mcap");
+    import::write(&flight, &log).expect("a log");
+    let trained = |windows: &str| {
+        let model = folder.join("model.safetensors");
+        let _ = fs::remove_file(&model);
+        // A network that is no better than holding the state.
+        let poor = ["--passes", "1", "--hidden", "1", "--regularization", "1e-5", "--json"];
+        let output = learn::downwash(&folder)
+            .args(["train", "--window", windows, "--vehicle"])
+            .args([&learn::vehicle(), &log])
+            .arg("--out")
+            .arg(&model)
+            .args(poor)
+            .output()
+            .expect("the command runs");
+        (model.exists(), output)
+    };
+    let (is_there, output) = trained("1");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!is_there && told.contains("rows to train on"), "{told}");
+    let (is_there, output) = trained("22,1");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(is_there && told.contains("the earlier window's models are taken"), "{told}");
+    let taken = learn::number(&learn::summary(&output), "/settings/window_half_s");
+    assert_eq!(taken, 0.022);
+}
+
 /// The paper's own set-up: setpoints and a known law, and no motor outputs.
 #[test]
 fn flights_without_motor_outputs_are_learned_from() {

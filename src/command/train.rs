@@ -11,7 +11,7 @@ use sitl::vehicle::VehicleParams;
 use super::logs::Logs;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
-use super::{Exit, ExitContext, model, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, in_words, model, print_json, print_text, say, write_file};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
@@ -121,19 +121,31 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
     let mut best = None;
     let (standing, done) = loop {
         let going_on = (resume, &mut progress);
-        let done =
-            match train_with(args, &vehicle, &onboard, &windows, &mut logs, going_on, &mut bar)? {
-                Outcome::Done(done) => done,
-                Outcome::Interrupted(reached) => {
-                    bar.clear();
-                    // What is there and was not come to yet is of a later window, and holds more.
-                    if progress.is_none() {
-                        let json = serde_json::to_vec(&reached).context("checkpoint")?;
-                        write_file(&checkpoint_path, &sealed(&json))?;
-                    }
-                    return Ok(Learning::Interrupted(checkpoint_path));
+        let done = match train_with(
+            args, &vehicle, &onboard, &windows, &mut logs, going_on, &mut bar,
+        ) {
+            Ok(Outcome::Done(done)) => done,
+            Ok(Outcome::Interrupted(reached)) => {
+                bar.clear();
+                // What is there and was not come to yet is of a later window, and holds more.
+                if progress.is_none() {
+                    let json = serde_json::to_vec(&reached).context("checkpoint")?;
+                    write_file(&checkpoint_path, &sealed(&json))?;
                 }
-            };
+                return Ok(Learning::Interrupted(checkpoint_path));
+            }
+            // What was found before is there: another window may leave too few rows.
+            Err(error) => {
+                let Some(found) = best.take() else { return Err(error) };
+                bar.clear();
+                say(format_args!(
+                    "warning: with the window of {:.1} ms: {}; the earlier window's models are taken",
+                    1e3 * windows.half_s,
+                    in_words(&error)
+                ));
+                break found;
+            }
+        };
         let standing = standing(&done.1);
         let settled = standing.settled;
         let found = match best.take() {
