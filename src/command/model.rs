@@ -330,17 +330,19 @@ pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
         text += &one_step_line(name, "test, truth", errors.truth[2].as_ref());
     }
     text += &multi_step_table(&summary.multi_step);
-    let best = standing(summary).best;
+    text + &best_in_words(standing(summary).best, summary.preferred)
+}
+
+/// How the model stands that is taken where none is asked for.
+fn best_in_words(best: Best, preferred: ModelKind) -> String {
     let reason = best.reason().unwrap_or_default();
-    let preferred = summary.preferred.name();
-    text += &match best {
+    let preferred = preferred.name();
+    match best {
         Best::NotJudged => format!("not judged: {reason}; {preferred} is taken\n"),
         Best::NotFinite => format!("none can be used: {reason}\n"),
-        Best::NoBetterThanHolding | Best::Better => {
-            format!("best on validation: {preferred}\n")
-        }
-    };
-    text
+        Best::NoBetterThanHolding => format!("none is good: {reason}; {preferred} is taken\n"),
+        Best::Better => format!("best on validation: {preferred}\n"),
+    }
 }
 
 fn one_step_head() -> String {
@@ -371,4 +373,18 @@ fn multi_step_table(summaries: &[MultiStepSummary]) -> String {
         }
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_model_that_predicts_better_than_holding_is_called_the_best() {
+        let words = |best| best_in_words(best, ModelKind::Hybrid);
+        assert_eq!(words(Best::Better), "best on validation: hybrid\n");
+        let poor = words(Best::NoBetterThanHolding);
+        assert!(poor.starts_with("none is good: no model predicts better"), "{poor}");
+        assert!(poor.ends_with("; hybrid is taken\n"), "{poor}");
+    }
 }

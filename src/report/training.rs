@@ -90,25 +90,7 @@ fn verdict(summary: &TrainingSummary, page: &mut Page) {
     }
     let best = standing(summary).best;
     reasons.extend(best.reason().map(str::to_owned));
-    let praise = match best {
-        Best::NotJudged => format!(
-            "The models' predictions could not be judged; the {} model is taken",
-            kind.name()
-        ),
-        Best::NotFinite => "No model can be used".to_owned(),
-        Best::NoBetterThanHolding | Best::Better => {
-            format!("The {} model predicts best on the validation flights", kind.name())
-        }
-    };
-    let sentence = match tested(summary, kind) {
-        Some((errors, truth)) => format!(
-            "{praise}; on the test flights it leaves {} of the variance of the linear and {} of the angular accelerations{}.",
-            percent(errors.linear),
-            percent(errors.angular),
-            if truth { ", against the simulator's truth" } else { "" }
-        ),
-        None => format!("{praise}."),
-    };
+    let sentence = sentence(best, kind, tested(summary, kind));
     let mood = if reasons.is_empty() { Mood::Good } else { Mood::Warning };
     page.verdict(mood, &sentence, &reasons);
     let mut figures = Vec::new();
@@ -125,6 +107,28 @@ fn verdict(summary: &TrainingSummary, page: &mut Page) {
     figures.push(("delay", format!("{:.1} ms", 1e3 * summary.actuation.delay_s), Mood::Plain));
     figures.push(("rotors' lag", format!("{:.1} ms", 1e3 * summary.actuation.lag_s), Mood::Plain));
     page.figures(&figures);
+}
+
+/// How the model stands that is taken, and what it leaves on the test rows.
+fn sentence(best: Best, kind: ModelKind, tested: Option<(&OneStep, bool)>) -> String {
+    let name = kind.name();
+    let praise = match best {
+        Best::NotJudged => {
+            format!("The models' predictions could not be judged; the {name} model is taken")
+        }
+        Best::NotFinite => return "No model can be used.".to_owned(),
+        Best::NoBetterThanHolding => format!("No model is good; the {name} model is taken"),
+        Best::Better => format!("The {name} model predicts best on the validation flights"),
+    };
+    match tested {
+        Some((errors, truth)) => format!(
+            "{praise}; on the test flights it leaves {} of the variance of the linear and {} of the angular accelerations{}.",
+            percent(errors.linear),
+            percent(errors.angular),
+            if truth { ", against the simulator's truth" } else { "" }
+        ),
+        None => format!("{praise}."),
+    }
 }
 
 fn percent(share: f64) -> String {
@@ -356,4 +360,22 @@ fn provenance(summary: &TrainingSummary) -> String {
         ("frames", "world north, east, down; body front, right, down; SI, rad".to_owned()),
     ];
     definitions(entries.iter().map(|(term, value)| (*term, value.as_str())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_model_that_predicts_better_than_holding_is_praised() {
+        let errors = OneStep { each: [0.1; 6], linear: 0.1, angular: 0.2, rows: 100 };
+        let said = |best| sentence(best, ModelKind::Net, Some((&errors, false)));
+        let leaves = "; on the test flights it leaves 10.00 % of the variance";
+        let good = format!("The net model predicts best on the validation flights{leaves}");
+        assert!(said(Best::Better).starts_with(&good), "{}", said(Best::Better));
+        let poor = format!("No model is good; the net model is taken{leaves}");
+        let found = said(Best::NoBetterThanHolding);
+        assert!(found.starts_with(&poor), "{found}");
+        assert_eq!(said(Best::NotFinite), "No model can be used.");
+    }
 }
