@@ -8,6 +8,15 @@ use crate::model::file::ModelKind;
 use crate::model::onnx::Networks;
 use crate::plan::planner::SolverChoice;
 
+/// What `train` does where no flag says otherwise.
+const FEATURES: FeatureChoice = FeatureChoice::Body;
+const METHOD: MethodChoice = MethodChoice::Adam;
+const HIDDEN: u16 = 100;
+const PASSES: u32 = 100;
+const REGULARIZATION: [f64; 3] = [1e-6, 1e-5, 1e-4];
+const WINDOW_MS: [f64; 2] = [22.0, 60.0];
+const SEED: u64 = 1;
+
 /// Flags of `train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
@@ -27,26 +36,26 @@ pub struct TrainArgs {
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
     /// What the networks are given.
-    #[arg(long, value_enum, default_value_t = FeatureChoice::Body)]
+    #[arg(long, value_enum, default_value_t = FEATURES)]
     pub features: FeatureChoice,
     /// How weights follow the gradient.
-    #[arg(long, value_enum, default_value_t = MethodChoice::Adam)]
+    #[arg(long, value_enum, default_value_t = METHOD)]
     pub method: MethodChoice,
     /// Hidden units of each network.
-    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u16).range(1..=256))]
+    #[arg(long, default_value_t = HIDDEN, value_parser = clap::value_parser!(u16).range(1..=256))]
     pub hidden: u16,
     /// Passes through the training rows at most.
-    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = PASSES, value_parser = clap::value_parser!(u32).range(1..))]
     pub passes: u32,
     /// Weights of the squared weights to try; the validation rows decide.
-    #[arg(long, value_delimiter = ',', default_values_t = [1e-6, 1e-5, 1e-4])]
+    #[arg(long, value_delimiter = ',', default_values_t = REGULARIZATION)]
     pub regularization: Vec<f64>,
     /// Half widths of the window that makes labels, ms. A later one is tried only where the models
     /// of the earlier do not predict better than holding the state.
-    #[arg(long, value_name = "MS", value_delimiter = ',', default_values_t = [22.0, 60.0])]
+    #[arg(long, value_name = "MS", value_delimiter = ',', default_values_t = WINDOW_MS)]
     pub window: Vec<f64>,
     /// Seed of the weights.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = SEED)]
     pub seed: u64,
     /// Threads [default: one for each core]. The model does not depend on it.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -57,6 +66,30 @@ pub struct TrainArgs {
     /// Prints the summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+impl TrainArgs {
+    /// A training on `logs` of the vehicle file `vehicle` into the model file `out`, as without
+    /// another flag.
+    pub fn new(logs: Vec<PathBuf>, vehicle: PathBuf, out: PathBuf) -> Self {
+        Self {
+            logs,
+            vehicle,
+            out,
+            report: None,
+            mapping: None,
+            features: FEATURES,
+            method: METHOD,
+            hidden: HIDDEN,
+            passes: PASSES,
+            regularization: REGULARIZATION.to_vec(),
+            window: WINDOW_MS.to_vec(),
+            seed: SEED,
+            threads: None,
+            resume: false,
+            json: false,
+        }
+    }
 }
 
 /// What the networks are given.
@@ -187,4 +220,25 @@ pub struct PlanArgs {
     /// Prints the summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Train {
+        #[command(flatten)]
+        args: TrainArgs,
+    }
+
+    #[test]
+    fn a_training_without_flags_is_the_one_of_the_command_line() {
+        let typed = ["train", "a.mcap", "--vehicle", "v.toml", "--out", "m.safetensors"];
+        let typed = Train::try_parse_from(typed).expect("arguments").args;
+        let made = TrainArgs::new(vec!["a.mcap".into()], "v.toml".into(), "m.safetensors".into());
+        assert_eq!(format!("{typed:?}"), format!("{made:?}"));
+    }
 }

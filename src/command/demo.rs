@@ -21,9 +21,7 @@ use super::setup::{VehicleFile, built_in_trajectory};
 use super::simulation::Truth;
 use super::train::{Learning, Resume, learn};
 use super::{Exit, ExitContext, config, on_interrupt, say, write_file};
-use crate::cli::{
-    CollectArgs, Contestant, DemoArgs, FeatureChoice, MethodChoice, SimulationArgs, TrainArgs,
-};
+use crate::cli::{CollectArgs, Contestant, DemoArgs, SimulationArgs, TrainArgs};
 use crate::config::Config;
 use crate::learn::summary::TrainingSummary;
 use crate::model::file::{ModelFile, ModelKind};
@@ -158,21 +156,9 @@ impl Demo<'_> {
         say(format_args!("learning from {} flights", collected.logs().len()));
         let path = args.out.join("model.safetensors");
         let train = TrainArgs {
-            logs: collected.logs(),
-            vehicle,
-            out: path.clone(),
             report: Some(args.out.join("training")),
-            mapping: None,
-            features: FeatureChoice::Body,
-            method: MethodChoice::Adam,
-            hidden: 100,
-            passes: 100,
-            regularization: vec![1e-6, 1e-5, 1e-4],
-            window: vec![22.0, 60.0],
             seed: args.seed,
-            threads: None,
-            resume: false,
-            json: false,
+            ..TrainArgs::new(collected.logs(), vehicle, path.clone())
         };
         let Learning::Done(trained) = learn(&train, Resume::IfItBelongs)? else {
             return Ok(Err(Exit::Interrupted));
