@@ -176,8 +176,8 @@ impl VehicleParams {
         toml::to_string(self).map_err(|e| VehicleError::syntax(e.to_string()))
     }
 
-    /// Fraction of the rotors' maximum thrust that carries the vehicle, by its mass: what
-    /// `hover_thrust` is where the firmware is right.
+    /// Fraction of the rotors' maximum thrust that carries the vehicle by the file's own mass,
+    /// without modelled effects: what `hover_thrust` is where the firmware is right.
     pub fn hover_share(&self) -> f64 {
         let full_n: f64 = self.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
         self.mass * self.gravity / full_n
