@@ -12,6 +12,8 @@ use super::hypothesis::{Catalogue, Values};
 use super::linearised::Linearised;
 use super::observed::{Observed, Residuals, noise_cost};
 
+/// Quantile of the normal distribution for 90 % intervals.
+pub(super) const Z90: f64 = 1.645;
 /// A fit ends when a step lowers the cost by less, nats.
 const COST_STEP_MIN: f64 = 0.02;
 const STEPS_MAX: usize = 12;

@@ -9,7 +9,7 @@
 
 use serde::Serialize;
 
-use super::fit::Fit;
+use super::fit::{Fit, Z90};
 use super::layout::Place;
 use super::observed::noise_cost;
 use super::residuals::{CHANNELS, COMMAND, FORCE, RATE, VELOCITY};
@@ -87,13 +87,19 @@ pub fn misfit(null: &Fit, best: &Fit, twins: &TwinFits, counts: &[f64]) -> Vec<M
     GROUPS.into_iter().map(group).chain((explained != 0.0).then_some(numbers)).collect()
 }
 
-/// Share of what could be explained that is left, 0..1: in the equations that the explanation is
-/// answerable for, and beyond chance.
+impl Misfit {
+    /// What is left at least: the lower end of its 90 % interval, where it is more than chance.
+    fn surely_left(&self) -> f64 {
+        if self.left > CHANCE * self.error { self.left - Z90 * self.error } else { 0.0 }
+    }
+}
+
+/// Share of what could be explained that is surely left, 0..1, in the equations that the explanation
+/// is answerable for.
 pub fn share_left(misfits: &[Misfit]) -> f64 {
     let total: f64 = misfits.iter().map(|misfit| misfit.explained.max(0.0)).sum();
     let answerable = misfits.iter().filter(|misfit| misfit.explained > ANSWERABLE * total);
-    let left: f64 =
-        answerable.filter(|misfit| misfit.left > CHANCE * misfit.error).map(|m| m.left).sum();
+    let left: f64 = answerable.map(Misfit::surely_left).sum();
     if left > 0.0 { left / (left + total) } else { 0.0 }
 }
 
@@ -125,11 +131,12 @@ mod tests {
 
     #[test]
     fn what_is_left_counts_where_the_explanation_is_answerable() {
-        let forces = misfit("acceleration", 160.0, 40.0);
-        assert_eq!(share_left(std::slice::from_ref(&forces)), 0.2);
+        let forces = misfit("acceleration", 160.0, 40.0 + 10.0 * Z90);
+        let share = share_left(std::slice::from_ref(&forces));
+        assert!((share - 0.2).abs() < 1e-12, "{share}");
         // Within the standard errors of chance, or in an equation that it says nothing about.
         assert_eq!(share_left(&[misfit("acceleration", 160.0, 24.0)]), 0.0);
-        assert_eq!(share_left(&[forces, misfit("command", 0.0, 500.0)]), 0.2);
+        assert_eq!(share_left(&[forces, misfit("command", 0.0, 500.0)]), share);
         assert_eq!(share_left(&[misfit("command", 0.0, 0.0)]), 0.0);
     }
 

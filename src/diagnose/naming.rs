@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use sitl::effects::EffectId;
 
 use super::answer::{EffectAnswer, NotTestable, parameters};
+use super::fit::Z90;
 use super::hypothesis::{Catalogue, Target};
 use super::misfit::{Misfit, share_left};
 use super::scored::Scored;
@@ -29,8 +30,6 @@ pub(super) const TEMPER: f64 = 0.25;
 const MENTIONED: f64 = 0.01;
 /// Least probability of a rival that cannot be told apart.
 const AMBIGUOUS: f64 = 0.1;
-/// Quantile of the normal distribution for 90 % intervals.
-pub(super) const Z90: f64 = 1.645;
 
 /// Probability that what explains the flights is their cause, by what it leaves: the catalogue
 /// itself may lack the cause, and another effect stand in for it. `open`: what of the gap stays
