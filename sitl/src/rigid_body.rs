@@ -269,11 +269,12 @@ mod tests {
             let force = Frd::new(0.0, 0.0, -12.0) + s.body_rate * 0.1;
             body.accelerations(s, force, s.body_rate * -0.05)
         };
-        let run = |method: &dyn Fn(&State, f64) -> State, count: u32| {
+        type Method<'a> = &'a dyn Fn(&State, f64) -> State;
+        let run = |method: Method<'_>, count: u32| {
             let step = 0.2 / f64::from(count);
             (0..count).fold(tumbling(), |state, _| method(&state, step))
         };
-        let methods: [(&dyn Fn(&State, f64) -> State, _); 2] = [
+        let methods: [(Method<'_>, _); 2] = [
             (&|state, step| rk4(state, step, pushed), 3.7..4.4),
             (&|state, step| midpoint(state, step, pushed), 1.8..2.3),
         ];
