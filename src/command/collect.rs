@@ -253,7 +253,7 @@ fn gravity(exit: Exit) -> u8 {
         Exit::Aborted => 1,
         Exit::Refused => 2,
         Exit::Link => 3,
-        Exit::Check | Exit::Usage | Exit::Failure | Exit::Model => 4,
+        Exit::Check | Exit::Usage | Exit::Failure | Exit::NoPlan => 4,
         Exit::Interrupted => 5,
     }
 }

@@ -18,7 +18,7 @@ pub enum Exit {
     /// The flight was ended early: a safety reaction, or the pilot took over.
     Aborted,
     /// No plan was found that may be flown.
-    Model,
+    NoPlan,
     /// A check that was asked for failed.
     Check,
     /// Ended by Ctrl-C or SIGTERM, after a clean stop.
@@ -34,7 +34,7 @@ impl From<Exit> for ExitCode {
             Exit::Link => 3,
             Exit::Refused => 4,
             Exit::Aborted => 5,
-            Exit::Model => 6,
+            Exit::NoPlan => 6,
             Exit::Check => 10,
             Exit::Interrupted => 130,
         })

@@ -283,7 +283,7 @@ pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
     }
     Ok(match (interrupted.load(Ordering::Relaxed), &summary.not_flyable) {
         (true, _) => Exit::Interrupted,
-        (false, Some(_)) => Exit::Model,
+        (false, Some(_)) => Exit::NoPlan,
         (false, None) => Exit::Ok,
     })
 }

@@ -1,5 +1,7 @@
 //! The session behind its decoders: one frame or one tick at a time.
 
+mod selection;
+
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -14,7 +16,7 @@ use super::{Event, Heard, SetpointError, Settings, VehicleId};
 use crate::clock::HostTime;
 use crate::link::attitude_target;
 use crate::link::budget::LineBudget;
-use crate::link::codec::{self, Codec};
+use crate::link::codec::Codec;
 use crate::link::counters::{Counters, LinkState};
 use crate::link::intervals::Intervals;
 use crate::link::message::{AttitudeSource, Inbound, Received};
@@ -32,13 +34,7 @@ const VERSION_ATTEMPTS: u8 = 5;
 const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
 /// A clock that jumped by more than this may be that of another vehicle: back where it was started
 /// since, forward where it was started before.
-const RESTART_NS: u64 = 1_000_000_000;
-/// MAV_TYPEs that fly nothing, whatever autopilot they name: antenna tracker, ground station,
-/// onboard controller, gimbal, ADS-B receiver, camera.
-const NO_VEHICLE: [u8; 6] = [5, 6, 18, 26, 27, 30];
-/// MAV_AUTOPILOT_INVALID: a component that is no autopilot.
-const NO_AUTOPILOT: u8 = 8;
-
+const JUMP_NS: u64 = 1_000_000_000;
 #[derive(Debug)]
 pub(super) struct Vehicle {
     pub(super) id: VehicleId,
@@ -134,74 +130,6 @@ impl Core {
             Ok(None) => {}
             Err(_) => self.counters.refused += 1,
         }
-    }
-
-    /// Takes the first autopilot for the vehicle, and finds it again where it went. Gives whether
-    /// it is another one, under the ids of the one that was known.
-    fn select(&mut self, now: HostTime, peer: Peer, frame: &Frame) -> bool {
-        let Inbound::Heartbeat { autopilot, vehicle_type, .. } = codec::heartbeat(frame.payload())
-        else {
-            return false;
-        };
-        let Ok(system) = u8::try_from(frame.system()) else { return false };
-        let is_wanted = self.settings.vehicle_system.is_none_or(|wanted| wanted == system);
-        let is_vehicle = autopilot != NO_AUTOPILOT && !NO_VEHICLE.contains(&vehicle_type);
-        if !is_vehicle || system == 0 || !is_wanted {
-            return false;
-        }
-        let id = VehicleId { system, component: frame.component(), autopilot, vehicle_type, peer };
-        let Some(known) = &mut self.vehicle else {
-            self.found(now, id);
-            self.events.push_back(Event::VehicleFound(id));
-            return false;
-        };
-        if (known.id.system, known.id.component) != (id.system, id.component) {
-            return false;
-        }
-        let is_lost = self.state == LinkState::Lost;
-        // Another route to the vehicle counts only when the known one is silent.
-        let is_silent = is_lost || known.peer.is_none() || self.state == LinkState::Stale;
-        if !is_silent && known.peer != Some(peer) {
-            return false;
-        }
-        if known.id.is_another(&id) {
-            self.replaced(now, id);
-            return true;
-        }
-        if is_lost {
-            self.found(now, id);
-            self.events.push_back(Event::VehicleFound(id));
-        } else if is_silent {
-            let before = known.peer.replace(peer);
-            known.id.peer = peer;
-            // A connection that closed is another one now, though its number be the same; one that
-            // was merely silent goes on counting.
-            if before != Some(peer) {
-                self.counters.rerouted();
-            }
-        }
-        false
-    }
-
-    /// Nothing that was known or asked of the vehicle before holds for this one.
-    fn replaced(&mut self, now: HostTime, id: VehicleId) {
-        self.profile = None;
-        self.intervals.stop();
-        self.requests.withdraw();
-        self.requests.abandon();
-        self.collect_ended();
-        self.found(now, id);
-        self.events.push_back(Event::VehicleReplaced(id));
-    }
-
-    fn found(&mut self, now: HostTime, id: VehicleId) {
-        self.vehicle = Some(Vehicle { id, peer: Some(id.peer), last_heard: now });
-        self.codec = Codec::default();
-        self.clock = TimeSync::default();
-        self.counters.restart(now);
-        self.attitude = None;
-        self.timesync_due = now;
-        self.version_due = Some((now, 0));
     }
 
     fn message(&mut self, now: HostTime, message: &Inbound) {
@@ -300,7 +228,7 @@ impl Core {
         }
         if let Answer::Jump { by_ns } = self.clock.answer(now, data.tc1, data.ts1) {
             self.events.push_back(Event::ClockJump { by_ns });
-            if by_ns.unsigned_abs() > RESTART_NS {
+            if by_ns.unsigned_abs() > JUMP_NS {
                 // It may be another vehicle, which takes other setpoints.
                 self.profile = None;
                 self.version_due = Some((now, 0));

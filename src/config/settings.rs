@@ -1,0 +1,110 @@
+//! The settings, with their defaults.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use super::SCHEMA_VERSION;
+use crate::control::LqrSettings;
+use crate::pilot::PilotSettings;
+use crate::plan::FlightEnvelope;
+use crate::plan::planner::PlanSettings;
+use crate::plan::programme::ProgrammeSettings;
+
+/// Everything that can be set. Each section is the settings of the module that it is named after.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Version of this schema.
+    pub schema_version: u32,
+    /// Vehicle file.
+    pub vehicle: Option<PathBuf>,
+    /// Trajectory file that the daemon flies.
+    pub trajectory: Option<PathBuf>,
+    /// Endpoint of the vehicle, such as `udpin://0.0.0.0:14540`.
+    pub connect: Option<String>,
+    /// Folder of the flight logs.
+    pub log_dir: Option<PathBuf>,
+    /// The link.
+    pub link: LinkSettings,
+    /// What a trajectory may ask for.
+    pub envelope: FlightEnvelope,
+    /// Flights that a model is learned from.
+    pub collect: ProgrammeSettings,
+    /// Plans through a model.
+    pub plan: PlanSettings,
+    /// The feedback. Its rate is that of the control ticks.
+    pub control: LqrSettings,
+    /// Telemetry, flight states, reactions to faults, take-off, limits of the setpoint.
+    pub pilot: PilotSettings,
+}
+
+/// Settings of the link.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LinkSettings {
+    /// Own MAVLink system id.
+    pub system: u8,
+    /// Own MAVLink component id.
+    pub component: u8,
+    /// The vehicle's system id; none takes the first autopilot that is heard.
+    pub vehicle_system: Option<u8>,
+    /// What setpoints carry.
+    pub attitude_target: FormSetting,
+    /// Whether the vehicle's TIMESYNC requests are answered.
+    pub answer_timesync: bool,
+    /// Silence after which the link is stale, s.
+    pub stale_after_s: f64,
+    /// Silence after which the vehicle is lost, s.
+    pub lost_after_s: f64,
+    /// `fly` gives up when no vehicle is heard for this long, s.
+    pub search_timeout_s: f64,
+}
+
+/// What SET_ATTITUDE_TARGET carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FormSetting {
+    /// What the autopilot's profile says: the safe form for it.
+    Profile,
+    /// Rates and thrust, with the attitude loop closed by the daemon.
+    RatesThrust,
+    /// Attitude, rates and thrust, for a vehicle that flies them as a PD and cannot say so. Unsafe
+    /// on PX4.
+    ForceAttitudeRatesThrust,
+    /// On ArduCopter attitude, rates and thrust, the rates turned back by the commanded attitude.
+    ArducopterRates,
+}
+
+impl Default for LinkSettings {
+    fn default() -> Self {
+        Self {
+            system: 255,
+            component: 191,
+            vehicle_system: None,
+            attitude_target: FormSetting::Profile,
+            answer_timesync: true,
+            stale_after_s: 2.5,
+            lost_after_s: 5.0,
+            search_timeout_s: 20.0,
+        }
+    }
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            schema_version: SCHEMA_VERSION,
+            vehicle: None,
+            trajectory: None,
+            connect: None,
+            log_dir: None,
+            link: LinkSettings::default(),
+            envelope: FlightEnvelope::default(),
+            collect: ProgrammeSettings::default(),
+            plan: PlanSettings::default(),
+            control: LqrSettings::default(),
+            pilot: PilotSettings::default(),
+        }
+    }
+}
