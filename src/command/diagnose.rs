@@ -155,8 +155,7 @@ fn propose(
         envelope: settings.envelope,
         seed: args.seed,
     };
-    let [open, untested] = &diagnosis.open;
-    next_flight(&proposal, open, untested).or_exit(Exit::Usage)
+    next_flight(&proposal, &diagnosis.open).or_exit(Exit::Usage)
 }
 
 /// A log with what the audit found in it.

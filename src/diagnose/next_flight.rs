@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sitl::vehicle::VehicleParams;
 
-pub use self::live::{Live, live, typical, untested};
+pub use self::live::{Live, OpenQuestions, typical};
 use self::rehearsal::{Rehearsal, Stage};
 use super::flight_simulator::NotSimulated;
 use super::naming::{TEMPER, credence};
@@ -155,12 +155,11 @@ pub fn showing(
 /// [`NotSimulated`].
 pub fn next_flight(
     proposal: &Proposal<'_>,
-    open: &[Live],
-    untested: &[Live],
+    open: &OpenQuestions,
 ) -> Result<Option<NextFlight>, NotSimulated> {
-    match separating(proposal, open)? {
+    match separating(proposal, &open.explanations)? {
         Some(next) => Ok(Some(next)),
-        None => showing(proposal, untested),
+        None => showing(proposal, &open.untested),
     }
 }
 

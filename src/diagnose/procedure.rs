@@ -3,21 +3,25 @@
 use sitl::effects::{EffectId, EffectSet};
 use sitl::vehicle::VehicleError;
 
-use super::answer::{Answer, EffectAnswer, Finding, FullVerdict, Gap, HypothesisAnswer, Verdict};
+use super::answer::{
+    Answer, EffectAnswer, Finding, FlightAnswer, FullVerdict, Gap, HypothesisAnswer, Verdict,
+};
 use super::arrival::Delay;
 use super::case::{Case, Settings};
 use super::gap::Errors;
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
-use super::judgement::{Unexplained, is_open_on_one};
+use super::judgement::{Balance, Leftover, Unexplained, is_open_on_one};
 use super::learner::Learner;
+use super::map::ResidualMap;
 use super::naming::not_testable;
-use super::next_flight::{Live, live, untested};
+use super::next_flight::OpenQuestions;
 use super::noise::ReportNoise;
 use super::observed::Observed;
 use super::open_loop::Simulator;
 use super::reflight::reflight;
 use super::residuals::Evaluator;
+use super::search::Search;
 use super::words::finding;
 
 /// Share of its usual tolerances that a vehicle file taken at its word has.
@@ -34,9 +38,8 @@ pub struct Diagnosis {
     pub answer: Answer,
     /// The named effects with the vehicle's true values.
     pub effects: EffectSet,
-    /// Explanations that are left open, and effects that these logs cannot show: what a next flight
-    /// is for.
-    pub open: [Vec<Live>; 2],
+    /// What a next flight is for.
+    pub open: OpenQuestions,
     /// Whether the leg from setpoints to outputs was looked at.
     pub setpoint_leg: bool,
     /// Noise of the reports.
@@ -188,43 +191,75 @@ impl Grounds<'_> {
             learned,
         };
         let search = inquiry.search(progress)?;
-        let selection = &search.selection;
         progress("where");
-        let map = inquiry.map(selection)?;
+        let map = inquiry.map(&search.selection)?;
         progress("what is left over");
         let leftover = inquiry.leftover(&search);
         let balance = inquiry.balance(&search, &leftover);
         progress("how far");
-        let mut effects =
-            catalogue.effects(&selection.best.fit.values, Some(&search.named(&catalogue)));
-        let mut gap = inquiry.gap(selection, &effects)?;
-        let flights = inquiry.flights(&search)?;
-        let mut judgement =
-            inquiry.judge(&search, &effects, &leftover, &balance, gap.as_ref(), &flights);
-        if let Some(unchosen) = inquiry.unchosen(&search, &judgement) {
+        let conclusion = inquiry.conclude(&search, &leftover, &balance)?;
+        progress("flown again");
+        inquiry.diagnosis(&search, (map, leftover, balance), conclusion)
+    }
+}
+
+/// What follows from a search: the verdict, the effects that it rests on with their numbers, and
+/// how far they close the gap.
+struct Conclusion {
+    judgement: Judgement,
+    effects: EffectSet,
+    gap: Option<Gap>,
+    flights: Vec<FlightAnswer>,
+}
+
+impl Inquiry<'_> {
+    /// Judges what the search chose, or what it did not choose and acts all the same.
+    fn conclude(
+        &self,
+        search: &Search,
+        leftover: &Leftover,
+        balance: &Balance,
+    ) -> Result<Conclusion, DiagnoseError> {
+        let selection = &search.selection;
+        let chosen = search.named(self.catalogue);
+        let mut effects = self.catalogue.effects(&selection.best.fit.values, Some(&chosen));
+        let mut gap = self.gap(selection, &effects)?;
+        let flights = self.flights(search)?;
+        let mut judgement = self.judge(search, &effects, leftover, balance, gap.as_ref(), &flights);
+        if let Some(unchosen) = self.unchosen(search, &judgement) {
             effects = unchosen.effects.clone();
-            gap = inquiry.gap(selection, &effects)?;
+            gap = self.gap(selection, &effects)?;
             judgement = judgement.naming(unchosen);
         }
-        let Judgement { verdict, because, .. } = judgement;
         if let Some(slots) = judgement.turbulence {
             let _ = effects.insert(EffectId::Gusts, slots);
         }
-        let untestable = not_testable(&catalogue, selection, leg);
+        Ok(Conclusion { judgement, effects, gap, flights })
+    }
+
+    /// The answer to a conclusion, with where the gap lies and what is left over.
+    fn diagnosis(
+        &self,
+        search: &Search,
+        (map, leftover, balance): (ResidualMap, Leftover, Balance),
+        Conclusion { judgement, effects, gap, flights }: Conclusion,
+    ) -> Result<Diagnosis, DiagnoseError> {
+        let Search { selection, thresholds, .. } = search;
+        let untestable = not_testable(self.catalogue, selection, self.leg());
+        let Judgement { verdict, because, .. } = judgement;
         let (named, ambiguous_with) = match verdict {
-            Verdict::Effect => inquiry.names(&search, &effects, &untestable, &judgement),
-            Verdict::None => (inquiry.trace(&search).into_iter().collect(), Vec::new()),
+            Verdict::Effect => self.names(search, &effects, &untestable, &judgement),
+            Verdict::None => (self.trace(search).into_iter().collect(), Vec::new()),
             Verdict::Unknown => (Vec::new(), Vec::new()),
         };
         let (full, depends_on) =
-            inquiry.full_verdict(&search, &judgement, !ambiguous_with.is_empty())?;
-        progress("flown again");
-        let reported = gap.as_ref().map_or(search.noise, |gap| gap.noise);
-        let (closed_loop, closed_loop_missing) = match reflight(case, &effects, &reported, settings)
-        {
-            Ok(closed_loop) => (Some(closed_loop), None),
-            Err(reason) => (None, Some(reason.to_string())),
-        };
+            self.full_verdict(search, &judgement, !ambiguous_with.is_empty())?;
+        let noise = gap.as_ref().map_or(search.noise, |gap| gap.noise);
+        let (closed_loop, closed_loop_missing) =
+            match reflight(self.case, &effects, &noise, self.settings) {
+                Ok(closed_loop) => (Some(closed_loop), None),
+                Err(reason) => (None, Some(reason.to_string())),
+            };
         let mut answer = Answer {
             verdict,
             finding: Finding { verdict: full, sentence: String::new(), because, depends_on },
@@ -243,12 +278,12 @@ impl Grounds<'_> {
             balance,
             misfit: search.misfit.clone(),
             strained: search.level.iter().chain(&search.strained).cloned().collect(),
-            hypotheses: HypothesisAnswer::all(&catalogue, selection, &search.thresholds),
+            hypotheses: HypothesisAnswer::all(self.catalogue, selection, thresholds),
             flights,
         };
         answer.finding.sentence = finding(&answer);
+        let open = OpenQuestions::of(self.catalogue, selection, &answer);
         let effects = if verdict == Verdict::Effect { effects } else { EffectSet::new() };
-        let open = [live(&catalogue, selection, &answer), untested(&catalogue, &answer)];
-        Ok(Diagnosis { answer, effects, open, setpoint_leg: leg, noise: reported })
+        Ok(Diagnosis { answer, effects, open, setpoint_leg: self.leg(), noise })
     }
 }

@@ -30,10 +30,29 @@ impl Live {
     }
 }
 
+/// What an answer leaves open.
+#[derive(Clone, Debug)]
+pub struct OpenQuestions {
+    /// Explanations that cannot be told apart; none where one is named.
+    pub explanations: Vec<Live>,
+    /// Effects that these logs cannot show for want of motion, each at its usual strength.
+    pub untested: Vec<Live>,
+}
+
+impl OpenQuestions {
+    /// What the answer to a selection leaves open.
+    pub fn of(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Self {
+        Self {
+            explanations: explanations(catalogue, selection, answer),
+            untested: untested(catalogue, answer),
+        }
+    }
+}
+
 /// The explanations that an answer leaves open: the chosen set, and for each effect that it cannot
 /// be told from the set with that effect in the place of the one it stands for. Probabilities are
 /// in the proportion of those in the answer.
-pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Vec<Live> {
+fn explanations(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Vec<Live> {
     if answer.ambiguous_with.is_empty() {
         return Vec::new();
     }
@@ -73,7 +92,7 @@ pub fn live(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Ve
 }
 
 /// Effects that an answer calls not testable for want of motion, each at its usual strength.
-pub fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
+fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
     let is_untested = |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == *id);
     let ids = EffectId::ALL.into_iter().filter(is_untested);
     ids.filter_map(|id| typical(catalogue, id, 1.0)).collect()
