@@ -38,6 +38,12 @@ impl Errors {
         }
         sum / 6.0
     }
+
+    /// The mean of the body rate at 0.5 and 1 s, each over its noise.
+    pub fn rates_over(&self, noise: &Errors) -> f64 {
+        let over = |horizon: usize| self.0[horizon][3] / noise.0[horizon][3].max(1e-12);
+        0.5 * (over(1) + over(2))
+    }
 }
 
 /// What noise alone leaves of predictions.

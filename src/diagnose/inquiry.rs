@@ -22,8 +22,8 @@ use super::leftover::{UnmodelledForce, unmodelled_force, unmodelled_moment};
 use super::map::{ResidualMap, depends_on, map, samples};
 use super::misfit::standing_out;
 use super::naming::{
-    THRUST_LEVEL, TILTS, answer_of, as_good, credence, named_effects, share, single,
-    tilt_in_place_of,
+    BETTER_SHARE, THRUST_LEVEL, TILTS, UNTOLD_SHARE, answer_of, as_good, credence, named_effects,
+    share, single, tilt_in_place_of,
 };
 use super::noise::report_noise;
 use super::observed::Observed;
@@ -276,17 +276,23 @@ impl<'a> Inquiry<'a> {
             let others = THRUST_LEVEL.iter().filter(|effect| !named.contains(effect));
             let others = others.filter(|effect| self.catalogue.considers(**effect));
             let others: Vec<EffectId> = others.copied().collect();
-            share(&mut answers, self.catalogue, &search.selection, &THRUST_LEVEL, &others);
+            let family = (THRUST_LEVEL.as_slice(), UNTOLD_SHARE);
+            share(&mut answers, self.catalogue, &search.selection, family, &others);
             ambiguous.extend(others);
         }
         let tilt = tilt_in_place_of(self.catalogue, &search.selection);
         let tilt = tilt.filter(|tilt| !ambiguous.contains(tilt));
         if let Some(tilt) = tilt.filter(|_| !part_wind_from_trim(self.case.fitted)) {
-            share(&mut answers, self.catalogue, &search.selection, &TILTS, &[tilt]);
+            let family = (TILTS.as_slice(), UNTOLD_SHARE);
+            share(&mut answers, self.catalogue, &search.selection, family, &[tilt]);
             ambiguous.push(tilt);
         }
         let Search { selection, thresholds, .. } = search;
-        ambiguous.extend(as_good(self.catalogue, selection, thresholds, self.leg()));
+        let mut others = as_good(self.catalogue, selection, thresholds, self.leg());
+        others.retain(|other| !ambiguous.contains(other));
+        let chosen = (named.as_slice(), BETTER_SHARE);
+        share(&mut answers, self.catalogue, selection, chosen, &others);
+        ambiguous.extend(others);
         ambiguous.sort_unstable_by_key(|effect| effect.name());
         ambiguous.dedup();
         // Those named are the answer, the first in any case; the others are what it cannot be told

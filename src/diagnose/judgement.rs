@@ -161,6 +161,16 @@ pub fn is_open(gap: &Gap, found: bool) -> bool {
     gap.open() > least && gap.closure.unwrap_or(0.0) < CLOSED_MIN
 }
 
+/// The same of the body rate by itself, as shipped.
+const RATE_MIN: f64 = 1.12;
+
+/// Whether the simulator as shipped predicts the body rate visibly worse than noise alone would.
+/// The metric leaves it out, and it shows what is short: a lag is over before a position tells.
+pub fn is_rate_off(gap: &Gap) -> bool {
+    let [shipped, _, floor] = &gap.errors;
+    shipped.rates_over(floor) > RATE_MIN + GAP_SCATTERS * gap.scatter
+}
+
 /// Whether the simulator as shipped leaves an open gap on any one of the flights: where nothing was
 /// fitted, those of the fit may show it as well.
 pub fn is_open_on_one(flights: &[FlightAnswer]) -> bool {
@@ -177,7 +187,7 @@ const PROPS_MIN: f64 = 0.05;
 /// Share of what effects and nuisances close together that effects must close by themselves. In two
 /// exams those that acted closed 0.89 of it or more, and neighbours of what the catalogue lacked
 /// 0.30 to 0.70.
-const OWN_SHARE_MIN: f64 = 0.8;
+pub(super) const OWN_SHARE_MIN: f64 = 0.8;
 
 /// Whether nuisances do a good part of the work of the effects' cause.
 pub fn is_propped(gap: &Gap) -> bool {
@@ -230,6 +240,31 @@ mod tests {
         // What noise may do, or nuisances that make it worse.
         assert!(!is_propped(&gap(2.2, 2.16, 2.08)));
         assert!(!is_propped(&gap(2.2, 2.1, 2.3)));
+    }
+
+    #[test]
+    fn a_body_rate_that_is_off_shows_where_the_metric_does_not() {
+        let noise = Errors([[0.1, 0.1, 0.01, 0.05]; 3]);
+        let with_rate = |rate: f64| {
+            let mut shipped = noise;
+            shipped.0.iter_mut().for_each(|quantities| quantities[3] *= rate);
+            shipped
+        };
+        let gap = |rate: f64| Gap {
+            metric: "mean",
+            before: with_rate(rate).mean_over(&noise),
+            after: 1.0,
+            floor: 1.0,
+            scatter: 0.01,
+            closure: None,
+            nuisances_only: None,
+            with_nuisances: None,
+            with_learner: None,
+            errors: [with_rate(rate), noise, noise],
+            noise: ReportNoise::default(),
+        };
+        assert!(is_rate_off(&gap(1.3)) && !is_open(&gap(1.3), false));
+        assert!(!is_rate_off(&gap(1.1)));
     }
 
     #[test]

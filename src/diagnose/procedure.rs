@@ -226,7 +226,7 @@ impl Inquiry<'_> {
         let mut gap = self.gap(selection, &effects)?;
         let flights = self.flights(search)?;
         let mut judgement = self.judge(search, &effects, leftover, balance, gap.as_ref(), &flights);
-        if let Some(unchosen) = self.unchosen(search, &judgement) {
+        if let Some(unchosen) = self.unchosen(search, &judgement, gap.as_ref()) {
             effects = unchosen.effects.clone();
             gap = self.gap(selection, &effects)?;
             judgement = judgement.naming(unchosen);

@@ -193,7 +193,7 @@ impl Inquiry<'_> {
 }
 
 /// Takes off a fit's effects what its twins are off by, and gives them the twins' error.
-fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
+pub(super) fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
     for number in scored.fit.active(catalogue) {
         let [low, high] = catalogue.numbers[number].bounds;
         let value = &mut scored.fit.values[number];

@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 use sitl::effects::EffectId;
 
-use super::fit::{Fit, fit};
+use super::fit::{Fit, Z90, fit};
 use super::gap::{Errors, improvement};
 use super::hypothesis::{Catalogue, Hypothesis};
 use super::linearised::Linearised;
@@ -18,6 +18,8 @@ use super::scored::{Scored, Windows};
 
 /// Most effects at once.
 pub const EFFECTS_MAX: usize = 3;
+/// Share of its prior's width that a number must be known to for its effect to be testable.
+pub(super) const TESTABLE: f64 = 0.5;
 /// Hypotheses that are fitted in full after a screening.
 const SURVIVORS: usize = 8;
 /// Least gain of evidence in the linearised problem that is worth a fit, nats.
@@ -226,7 +228,7 @@ impl Selector<'_> {
         evidence > asked
             && (gain > self.thresholds.held_out || silent)
             && clear
-            && is_along_the_floor(self.catalogue, &more.fit)
+            && acts_by_its_law(self.catalogue, &more.fit)
             && self.predicts_better(more, less)
     }
 
@@ -327,15 +329,21 @@ impl Selector<'_> {
         self.pruned(about, null, singles, best)
     }
 
-    /// The selection without its effect number `index`.
+    /// The selection without its effect number `index`; with a drag of the rotors in the place of
+    /// flapping, if that explains enough as well.
     pub fn dropping(
         &self,
         about: &Linearised,
-        Selection { null, singles, places, .. }: &Selection,
+        Selection { null, singles, best, places }: &Selection,
         index: usize,
     ) -> Option<Selection> {
-        let (less, _) = places.get(index)?;
-        self.pruned(about, null.clone(), singles.clone(), less.clone())
+        let (less, rivals) = places.get(index)?;
+        let flaps = self.hypothesis(*best.fit.hypotheses.get(index)?).effect;
+        let is_drag = |h: usize| self.hypothesis(h).effect == EffectId::RotorDrag;
+        let drag = rivals.iter().filter(|_| flaps == EffectId::BladeFlapping);
+        let drag = drag.map(|rival| (rival.hypothesis, &rival.scored)).find(|(h, _)| is_drag(*h));
+        let next = drag.map_or(less, |(_, with_drag)| with_drag);
+        self.pruned(about, null.clone(), singles.clone(), next.clone())
     }
 
     /// The selection of a set without what does not pay, and the rivals of what does.
@@ -441,17 +449,28 @@ impl Selector<'_> {
     }
 }
 
-/// A steady wind blows along the floor: one that clearly blows more downwards or upwards stands for
-/// something else.
-pub(super) fn is_along_the_floor(catalogue: &Catalogue, fit: &Fit) -> bool {
-    let blows = |h: &usize| catalogue.hypotheses[*h].effect == EffectId::Wind;
-    if !fit.hypotheses.iter().any(blows) {
-        return true;
-    }
+/// Whether what is fitted acts as its effect does, rather than stand for something else.
+pub(super) fn acts_by_its_law(catalogue: &Catalogue, fit: &Fit) -> bool {
+    let chosen = |effect| fit.hypotheses.iter().any(|h| catalogue.hypotheses[*h].effect == effect);
+    (!chosen(EffectId::Wind) || is_along_the_floor(catalogue, fit))
+        && (!chosen(EffectId::BladeFlapping) || may_have_a_moment(catalogue, fit))
+}
+
+/// A steady wind blows along the floor: one that clearly blows more downwards or upwards is none.
+fn is_along_the_floor(catalogue: &Catalogue, fit: &Fit) -> bool {
     let component = |slot: usize| {
         let number = catalogue.number_of(EffectId::Wind, slot);
         number.map_or([0.0, 0.0], |number| [fit.values[number], fit.deviation[number]])
     };
     let [[north, _], [east, _], [down, error]] = [0, 1, 2].map(component);
     down.abs() - 2.0 * error <= north.hypot(east)
+}
+
+/// Blades that flap turn the body as well as drag it: where the moment can be seen and is none, it
+/// is a plain drag.
+pub(super) fn may_have_a_moment(catalogue: &Catalogue, fit: &Fit) -> bool {
+    let Some(number) = catalogue.number_of(EffectId::BladeFlapping, 0) else { return true };
+    let deviation = fit.deviation[number];
+    let is_seen = deviation < TESTABLE * catalogue.numbers[number].magnitude;
+    !is_seen || fit.values[number].abs() > Z90 * deviation
 }

@@ -30,8 +30,21 @@ const KNOWN: [f64; 2] = [0.15, 0.25];
 pub struct Strain {
     /// Which number.
     pub number: String,
+    /// The effect that it belongs to, where it is one's.
+    #[serde(skip)]
+    pub effect: Option<EffectId>,
     /// By how many of its tolerances it is off.
     pub tolerances: f64,
+}
+
+impl Strain {
+    fn of(target: Target, tolerances: f64) -> Self {
+        let effect = match target {
+            Target::Effect(effect, _) => Some(effect),
+            _ => None,
+        };
+        Self { number: parameter(target), effect, tolerances }
+    }
 }
 
 /// Whether a fit that looks at the numbers `active` holds another at its limit, off where it is
@@ -70,12 +83,17 @@ pub fn strains(catalogue: &Catalogue, fit: &Fit, twins: &TwinFits) -> Vec<Strain
                 && twins.deviation(index) < KNOWN[1] * width;
             let least =
                 if is_held(catalogue, fit, &active, index) { STRAINED_AT_LIMIT } else { STRAINED };
-            (is_known && tolerances.abs() > least)
-                .then(|| Strain { number: parameter(number.target), tolerances })
+            (is_known && tolerances.abs() > least).then(|| Strain::of(number.target, tolerances))
         })
         .collect();
     strained.sort_by(|a, b| b.tolerances.abs().total_cmp(&a.tolerances.abs()));
     strained
+}
+
+/// The effect that all of several strained numbers belong to.
+pub fn effect_of(strained: &[Strain]) -> Option<EffectId> {
+    let effect = strained.first()?.effect?;
+    strained.iter().all(|strain| strain.effect == Some(effect)).then_some(effect)
 }
 
 /// The thrust's level, by the thrust or by the mass, where the chosen effects that are much like it
@@ -105,7 +123,7 @@ pub fn level_in_place_of(best: &Fit, fitted: &Observed<'_>, about: &Linearised) 
         let number = catalogue.numbers[level];
         let share = (without.values[level] - number.expected) / number.reference;
         (with.evidence - without.evidence < EVIDENCE_MIN)
-            .then(|| Strain { number: parameter(number.target), tolerances: share / tolerance })
+            .then(|| Strain::of(number.target, share / tolerance))
     })
 }
 
@@ -145,6 +163,9 @@ mod tests {
         let strained = strains(-2.8, 0.05, 0.0);
         assert_eq!(strained.len(), 1);
         assert_eq!(strained[0].number, "yaw_torque scale");
+        assert_eq!(effect_of(&strained), Some(EffectId::YawTorque));
+        let rotor = Strain::of(Target::RotorGain(2), 3.0);
+        assert_eq!(effect_of(&[strained[0].clone(), rotor]), None);
         assert!((strained[0].tolerances + 2.8).abs() < 1e-9);
         assert!(strains(-2.8, 0.5, 0.0).is_empty());
         assert!(strains(-2.8, 0.05, -2.0).is_empty());

@@ -88,7 +88,7 @@ fn unknown(answer: &Answer) -> String {
             )
         }),
         Some(Unexplained::Strain) => {
-            answer.strained.first().map(|Strain { number, tolerances }| {
+            answer.strained.first().map(|Strain { number, tolerances, .. }| {
                 format!(
                     "{number} of the vehicle file would have to be {tolerances:.1} tolerances off"
                 )
@@ -309,7 +309,7 @@ pub fn report(answer: &Answer) -> String {
             "left over  {share:.0} % of the evidence that a full explanation would have\n"
         );
     }
-    for Strain { number, tolerances } in &answer.strained {
+    for Strain { number, tolerances, .. } in &answer.strained {
         text += &format!("strained   {number} by {tolerances:.1} tolerances\n");
     }
     if let Some(next) = &answer.next_flight {
@@ -356,7 +356,8 @@ mod tests {
         answer.balance.moment = size(5.0);
         assert!(finding(&answer).contains("2.00 rad/s^2"), "{}", finding(&answer));
         answer.finding.because = Some(Unexplained::Strain);
-        answer.strained = vec![Strain { number: "mass mass_kg".to_owned(), tolerances: -2.8 }];
+        answer.strained =
+            vec![Strain { number: "mass mass_kg".to_owned(), effect: None, tolerances: -2.8 }];
         assert!(finding(&answer).contains("mass mass_kg"), "{}", finding(&answer));
     }
 }

@@ -253,7 +253,7 @@ fn strained(strains: &[Strain]) -> String {
         return String::new();
     }
     let mut table = Table::new(&[("number of the vehicle file", false), ("off, tolerances", true)]);
-    for Strain { number, tolerances } in strains {
+    for Strain { number, tolerances, .. } in strains {
         table.row(Mood::Warning, &[number.clone(), format!("{tolerances:+.1}")]);
     }
     "<h3>Further off than files are</h3>".to_owned() + &table.into_html()
