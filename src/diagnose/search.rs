@@ -78,8 +78,7 @@ impl Inquiry<'_> {
             chance = Some(found);
         }
         let (twins, of_null) = chance.unzip();
-        let flown = of_null.as_ref().filter(|_| self.leg());
-        let sensors = flown.map_or(noise, |twins: &TwinFits| twins.sensors);
+        let sensors = self.sensors(of_null.as_ref(), &noise);
         let shipped = self.simulator(&EffectSet::new())?.guided();
         selector.floor =
             shipped.floor(self.case.fitted, &noise, settings.seed).map(|floor| floor.errors);
@@ -167,6 +166,20 @@ impl Inquiry<'_> {
     fn checked(&self, null: &Fit, fit: &Fit, twins: &TwinFits) -> Checked {
         let misfit = misfit(null, fit, twins, self.fitted.counts());
         (misfit, strains(self.catalogue, fit, twins))
+    }
+
+    /// Noise of the sensors: as twins without an effect tell it, or that of the reports.
+    fn sensors(&self, of_null: Option<&TwinFits>, reports: &ReportNoise) -> ReportNoise {
+        of_null.filter(|_| self.leg()).map_or(*reports, |twins| twins.sensors)
+    }
+
+    /// `scored` without what its own twins are off by, with their error.
+    pub(super) fn freed(&self, search: &Search, mut scored: Scored) -> Scored {
+        let sensors = self.sensors(search.of_null.as_ref(), &search.noise);
+        if let Some(twins) = self.twins_of(&scored, &sensors) {
+            correct(&mut scored, self.catalogue, &twins);
+        }
+        scored
     }
 
     /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by, or where

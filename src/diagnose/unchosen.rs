@@ -93,9 +93,11 @@ impl Inquiry<'_> {
         let named = effect(rival.hypothesis);
         let mut chosen = search.selection.best.fit.hypotheses.iter();
         let replaces_none = chosen.all(|chosen| effect(*chosen).class() == named.class());
-        let scored = rival.scored.clone();
-        let effects = self.catalogue.effects(&scored.fit.values, Some(&[named]));
-        replaces_none.then_some(Unchosen { effect: named, scored, effects })
+        replaces_none.then(|| {
+            let scored = self.freed(search, rival.scored.clone());
+            let effects = self.catalogue.effects(&scored.fit.values, Some(&[named]));
+            Unchosen { effect: named, scored, effects }
+        })
     }
 
     /// The effect that all strained numbers belong to, where nothing was chosen: a number that
@@ -110,6 +112,7 @@ impl Inquiry<'_> {
         let Scored { fit, evidence, density, .. } = &selection.null;
         let fit = Fit { hypotheses: vec![hypothesis], ..fit.clone() };
         let mut scored = Scored::new(fit, *evidence, density.clone());
+        // By the twins that the numbers were nuisances of.
         correct(&mut scored, self.catalogue, of_null.as_ref()?);
         let effects = self.catalogue.effects(&scored.fit.values, Some(&[effect]));
         Some(Unchosen { effect, scored, effects })
