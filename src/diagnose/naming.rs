@@ -10,7 +10,7 @@ use super::fit::Z90;
 use super::hypothesis::{Catalogue, Hypothesis, Target};
 use super::misfit::{Misfit, share_left};
 use super::scored::Scored;
-use super::selection::{Rival, Selection, TESTABLE, Thresholds, may_have_a_moment};
+use super::selection::{Rival, Selection, TESTABLE, Thresholds, may_have_its_parts};
 
 /// Log odds that what explains flights is also their cause, where nothing is left, and by how much
 /// they fall with the share that is left. By the answers of exams in which every eighth cause was
@@ -41,8 +41,8 @@ pub(super) fn credence(misfits: &[Misfit], open: Option<f64>) -> f64 {
 }
 
 /// The place in the chosen set of an effect whose numbers, freed of what a fit is off by itself,
-/// may all be those of the vehicle file, or of flapping without its moment: of several the one that
-/// the set needs least. Two that trade off against one another scatter alike.
+/// may all be those of the vehicle file, or lack a part without which it is another: of several the
+/// one that the set needs least. Two that trade off against one another scatter alike.
 pub(super) fn idle(selection: &Selection, catalogue: &Catalogue) -> Option<usize> {
     let fit = &selection.best.fit;
     let may_be_the_files = |number: &usize| {
@@ -51,8 +51,8 @@ pub(super) fn idle(selection: &Selection, catalogue: &Catalogue) -> Option<usize
     };
     let is_idle = |hypothesis: usize| {
         let Hypothesis { effect, numbers, .. } = &catalogue.hypotheses[hypothesis];
-        let is_plain = *effect == EffectId::BladeFlapping && !may_have_a_moment(catalogue, fit);
-        is_plain || numbers.iter().all(may_be_the_files)
+        let is_itself = may_have_its_parts(catalogue, fit, *effect);
+        !is_itself || numbers.iter().all(may_be_the_files)
     };
     let without = |place: &usize| selection.places[*place].0.score();
     (0..selection.places.len())
@@ -249,7 +249,8 @@ pub(super) fn share(
 
 /// Share of the evidence of the best single effect with which another explains as much: on real
 /// flights no model is exact, and nats beyond that are of other things; more so where no on-board
-/// law is known, by which twins of the explanation could be flown to check it.
+/// law is known, by which twins of the explanation could be flown to check it. Of 495 causes of a
+/// round trip 3 % had a rival beyond the former and 14 % beyond the latter.
 const AS_GOOD: f64 = 0.85;
 const AS_GOOD_UNCHECKED: f64 = 2.0 / 3.0;
 

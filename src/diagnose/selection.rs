@@ -449,11 +449,12 @@ impl Selector<'_> {
     }
 }
 
-/// Whether what is fitted acts as its effect does, rather than stand for something else.
+/// Whether what is fitted acts as its effects do, rather than stand for something else.
 pub(super) fn acts_by_its_law(catalogue: &Catalogue, fit: &Fit) -> bool {
-    let chosen = |effect| fit.hypotheses.iter().any(|h| catalogue.hypotheses[*h].effect == effect);
-    (!chosen(EffectId::Wind) || is_along_the_floor(catalogue, fit))
-        && (!chosen(EffectId::BladeFlapping) || may_have_a_moment(catalogue, fit))
+    let effects = || fit.hypotheses.iter().map(|h| catalogue.hypotheses[*h].effect);
+    let blows = effects().any(|effect| effect == EffectId::Wind);
+    (!blows || is_along_the_floor(catalogue, fit))
+        && effects().all(|effect| may_have_its_parts(catalogue, fit, effect))
 }
 
 /// A steady wind blows along the floor: one that clearly blows more downwards or upwards is none.
@@ -466,11 +467,17 @@ fn is_along_the_floor(catalogue: &Catalogue, fit: &Fit) -> bool {
     down.abs() - 2.0 * error <= north.hypot(east)
 }
 
-/// Blades that flap turn the body as well as drag it: where the moment can be seen and is none, it
-/// is a plain drag.
-pub(super) fn may_have_a_moment(catalogue: &Catalogue, fit: &Fit) -> bool {
-    let Some(number) = catalogue.number_of(EffectId::BladeFlapping, 0) else { return true };
-    let deviation = fit.deviation[number];
-    let is_seen = deviation < TESTABLE * catalogue.numbers[number].magnitude;
-    !is_seen || fit.values[number].abs() > Z90 * deviation
+/// Parts, by their slots, without which an effect is another: blades that flap turn the body as well
+/// as drag it, and rotors drag in their plane first.
+const PARTS: [(EffectId, usize); 3] =
+    [(EffectId::BladeFlapping, 0), (EffectId::BladeFlapping, 1), (EffectId::RotorDrag, 0)];
+
+/// Whether no part of an effect is absent where the flights would show it.
+pub(super) fn may_have_its_parts(catalogue: &Catalogue, fit: &Fit, effect: EffectId) -> bool {
+    let parts = PARTS.iter().filter(|(of, _)| *of == effect);
+    parts.filter_map(|(of, slot)| catalogue.number_of(*of, *slot)).all(|number| {
+        let deviation = fit.deviation[number];
+        let is_seen = deviation < TESTABLE * catalogue.numbers[number].magnitude;
+        !is_seen || fit.values[number].abs() > Z90 * deviation
+    })
 }

@@ -23,7 +23,8 @@ use super::selection::{BEYOND_DOUBT, Rival, Selection, Thresholds, acts_by_its_l
 use super::strain::effect_of;
 
 /// Share of the evidence of the effect that explains the most which others may have, for it to be
-/// alone.
+/// alone: of 495 causes of a round trip 46 % were. So were neighbours of five of 22 causes that were
+/// left out, all of the on-board loop, which is why one that leaves much must close the gap.
 const BESIDE_MAX: f64 = 0.05;
 /// Standard errors by which the flights held out must confirm it, where it is not beyond doubt.
 const CONFIRMED: f64 = 3.0;
