@@ -368,6 +368,8 @@ pub(super) fn not_testable(
 
 #[cfg(test)]
 mod tests {
+    use sitl::effects::EffectSet;
+
     use super::super::answer::NAMED;
     use super::*;
 
@@ -408,24 +410,39 @@ mod tests {
         assert_eq!(idle_beside(0.016, 0.01, [90.0, 10.0]), Some(0));
         // One of its numbers is enough.
         assert_eq!(idle_beside(-0.017, 0.5, [10.0, 90.0]), None);
-        // But flapping without a moment is a plain drag.
-        let flapping = hypothesis(EffectId::BladeFlapping);
-        let [moment, tilt] = catalogue.hypotheses[flapping].numbers[..] else { panic!() };
-        let idle_flapping = |off: f64, error: f64| {
-            let mut best = Scored::of(vec![flapping], 100.0, Vec::new());
+    }
+
+    #[test]
+    fn an_effect_without_the_part_that_is_its_own_is_idle() {
+        let vehicle = include_str!("../../config/vehicles/quad1200.toml");
+        let mut vehicle = sitl::vehicle::VehicleParams::from_toml_str(vehicle).unwrap();
+        vehicle.modelled_effects = EffectSet::new();
+        let catalogue = Catalogue::new(&vehicle, true);
+        // The first number by `off`, known to `error`, in units of its magnitude; the others there.
+        let idle = |effect: EffectId, off: f64, error: f64| {
+            let found = |h: &Hypothesis| h.effect == effect;
+            let hypothesis = catalogue.hypotheses.iter().position(found).unwrap();
+            let mut best = Scored::of(vec![hypothesis], 100.0, Vec::new());
             best.fit.values = catalogue.references();
             best.fit.deviation = vec![0.0; catalogue.numbers.len()];
-            best.fit.values[tilt] += 0.01;
-            best.fit.values[moment] += off * catalogue.numbers[moment].magnitude;
-            best.fit.deviation[moment] = error * catalogue.numbers[moment].magnitude;
+            let [part, others @ ..] = &catalogue.hypotheses[hypothesis].numbers[..] else {
+                panic!("{effect} has no number")
+            };
+            others.iter().for_each(|n| best.fit.values[*n] += catalogue.numbers[*n].magnitude);
+            let magnitude = catalogue.numbers[*part].magnitude;
+            best.fit.values[*part] += off * magnitude;
+            best.fit.deviation[*part] = error * magnitude;
             let null = Scored::of(Vec::new(), 0.0, Vec::new());
             let places = vec![(null.clone(), Vec::new())];
             idle(&Selection { null, singles: Vec::new(), best, places }, &catalogue)
         };
-        assert_eq!(idle_flapping(0.1, 0.1), Some(0));
-        assert_eq!(idle_flapping(0.2, 0.1), None);
-        // Where these flights would not show it, it may have one.
-        assert_eq!(idle_flapping(0.1, 1.0), None);
+        for effect in [EffectId::BladeFlapping, EffectId::RotorDrag] {
+            assert_eq!(idle(effect, 0.1, 0.1), Some(0), "{effect}");
+            assert_eq!(idle(effect, 0.2, 0.1), None, "{effect}");
+            // Where these flights would not show it, it may have one.
+            assert_eq!(idle(effect, 0.1, 1.0), None, "{effect}");
+        }
+        assert_eq!(idle(EffectId::AttitudeTrim, 0.1, 0.1), None);
     }
 
     #[test]
