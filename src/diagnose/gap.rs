@@ -58,6 +58,10 @@ pub struct Floor {
 
 /// Draws of the noise over flights.
 const FLOOR_DRAWS: u64 = 4;
+/// What so few draws tell of their scatter counts with what flights mostly have, as if of two more
+/// draws: half of 300 nulls of an exam had more.
+const USUAL_SCATTER: f64 = 0.024;
+const USUAL_DRAWS: f64 = 2.0;
 
 /// The metric `mean` in units of what noise alone leaves.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -114,7 +118,8 @@ impl Simulator {
         let errors = root_mean_square(draws.iter().flatten())?;
         let of_one = draws.iter().filter_map(root_mean_square);
         let squares = of_one.map(|draw| (draw.mean_over(&errors) - 1.0).powi(2));
-        let scatter = (squares.sum::<f64>() / (FLOOR_DRAWS - 1) as f64).sqrt();
+        let sum = squares.sum::<f64>() + USUAL_DRAWS * USUAL_SCATTER.powi(2);
+        let scatter = (sum / (USUAL_DRAWS + (FLOOR_DRAWS - 1) as f64)).sqrt();
         Some(Floor { errors, scatter })
     }
 

@@ -187,7 +187,7 @@ const PROPS_MIN: f64 = 0.05;
 /// Share of what effects and nuisances close together that effects must close by themselves. In two
 /// exams those that acted closed 0.89 of it or more, and neighbours of what the catalogue lacked
 /// 0.30 to 0.70.
-pub(super) const OWN_SHARE_MIN: f64 = 0.8;
+const OWN_SHARE_MIN: f64 = 0.8;
 
 /// Whether nuisances do a good part of the work of the effects' cause.
 pub fn is_propped(gap: &Gap) -> bool {

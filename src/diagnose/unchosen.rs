@@ -16,15 +16,14 @@ use super::fit::Fit;
 use super::gap::Errors;
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
-use super::judgement::{CLOSED_MIN, OWN_SHARE_MIN, Unexplained, is_open, is_rate_off};
+use super::judgement::{CLOSED_MIN, Unexplained, is_open, is_rate_off};
 use super::scored::Scored;
 use super::search::{Search, correct};
 use super::selection::{BEYOND_DOUBT, Rival, Selection, Thresholds, acts_by_its_law};
 use super::strain::effect_of;
 
 /// Share of the evidence of the effect that explains the most which others may have, for it to be
-/// alone: of 495 causes of a round trip 46 % were. So were neighbours of five of 22 causes that were
-/// left out, all of the on-board loop, which is why one that leaves much must close the gap.
+/// alone: of 495 causes of a round trip 46 % were.
 const BESIDE_MAX: f64 = 0.05;
 /// Standard errors by which the flights held out must confirm it, where it is not beyond doubt.
 const CONFIRMED: f64 = 3.0;
@@ -52,31 +51,25 @@ impl Inquiry<'_> {
         let is_rate_off = self.leg() && gap.is_some_and(is_rate_off);
         let lag = || self.lag(search);
         match judgement.because {
-            Some(Unexplained::OpenGap | Unexplained::OpenOnOne) => {
-                self.sole(search, None).or_else(lag)
-            }
-            Some(Unexplained::Doubt) => self.sole(search, None),
-            Some(Unexplained::Neighbour) => {
-                self.sole(search, Some(OWN_SHARE_MIN)).or_else(|| lag().filter(|_| is_rate_off))
-            }
+            Some(Unexplained::OpenGap | Unexplained::OpenOnOne) => self.sole(search).or_else(lag),
+            Some(Unexplained::Doubt) => self.sole(search),
             Some(Unexplained::Strain) => self.strained(search),
+            Some(Unexplained::Neighbour) if is_rate_off => lag(),
             None if judgement.verdict == Verdict::None && is_rate_off => lag(),
             _ => None,
         }
     }
 
-    /// The effect that is alone in explaining anything. Where it must close a share of the gap and
-    /// does not, there is none; where it need not, its law may be another than the catalogue's.
-    fn sole(&self, search: &Search, must_close: Option<f64>) -> Option<Unchosen> {
+    /// The effect that is alone in explaining anything, where no other number is strained.
+    fn sole(&self, search: &Search) -> Option<Unchosen> {
         let alone = alone(self.catalogue, &search.selection, &search.thresholds)?;
-        let is_kept = Some(alone.hypothesis) != search.dropped;
+        let own = Some(self.catalogue.hypotheses[alone.hypothesis].effect);
+        let is_kept = Some(alone.hypothesis) != search.dropped
+            && search.strained.iter().all(|strain| strain.effect == own);
         let named = self.by_its_fit(search, alone).filter(|_| is_kept)?;
-        let closes = self.closes(search, &named.effects, must_close.unwrap_or(CLOSED_MIN));
-        match must_close {
-            _ if closes => Some(named),
-            Some(_) => None,
-            None => Some(Unchosen { effects: EffectSet::new(), ..named }),
-        }
+        let closes = self.closes(search, &named.effects, &[Errors::mean_over]);
+        let effects = if closes { named.effects } else { EffectSet::new() };
+        Some(Unchosen { effects, ..named })
     }
 
     /// The lag of the rotors, where it closes the gap.
@@ -85,7 +78,8 @@ impl Inquiry<'_> {
         let mut singles = search.selection.singles.iter();
         let lag = singles.find(|rival| effect(rival) == EffectId::MotorLag)?;
         let named = self.by_its_fit(search, lag)?;
-        self.closes(search, &named.effects, CLOSED_MIN).then_some(named)
+        let metrics = [Errors::mean_over, Errors::rates_over];
+        self.closes(search, &named.effects, &metrics).then_some(named)
     }
 
     /// A hypothesis by its fit alone, where nothing else was chosen that it would replace.
@@ -119,9 +113,14 @@ impl Inquiry<'_> {
         Some(Unchosen { effect, scored, effects })
     }
 
-    /// Whether `effects` close more than `share` of the gap over all flights, in the metric `mean`
-    /// and the body rate together, and leave none open on those held out.
-    fn closes(&self, search: &Search, effects: &EffectSet, share: f64) -> bool {
+    /// Whether `effects` close most of the gap over all flights, in several metrics together, and
+    /// leave none open on those held out.
+    fn closes(
+        &self,
+        search: &Search,
+        effects: &EffectSet,
+        metrics: &[fn(&Errors, &Errors) -> f64],
+    ) -> bool {
         let flights = self.case.fitted.iter().chain(self.case.held_out);
         let (shipped, repaired) = match (self.simulator(&EffectSet::new()), self.simulator(effects))
         {
@@ -133,16 +132,15 @@ impl Inquiry<'_> {
             let floor = repaired.floor(flight, &search.noise, self.settings.seed);
             let errors = shipped.errors(flight).zip(repaired.errors(flight));
             let Some(((shipped, repaired), floor)) = errors.zip(floor) else { continue };
-            let excess = |errors: &Errors| {
-                let over = [errors.mean_over(&floor.errors), errors.rates_over(&floor.errors)];
-                over.map(|over| (over - 1.0).max(0.0)).iter().sum::<f64>()
+            let excess = |errors: &Errors| -> f64 {
+                metrics.iter().map(|over| (over(errors, &floor.errors) - 1.0).max(0.0)).sum()
             };
             before += excess(&shipped);
             after += excess(&repaired);
         }
         let gap = self.gap(&search.selection, effects);
         let stays_open = gap.is_ok_and(|gap| gap.is_some_and(|gap| is_open(&gap, true)));
-        after < (1.0 - share) * before && !stays_open
+        after < (1.0 - CLOSED_MIN) * before && !stays_open
     }
 }
 
