@@ -368,8 +368,6 @@ pub(super) fn not_testable(
 
 #[cfg(test)]
 mod tests {
-    use sitl::effects::EffectSet;
-
     use super::super::answer::NAMED;
     use super::*;
 
@@ -415,8 +413,7 @@ mod tests {
     #[test]
     fn an_effect_without_the_part_that_is_its_own_is_idle() {
         let vehicle = include_str!("../../config/vehicles/quad1200.toml");
-        let mut vehicle = sitl::vehicle::VehicleParams::from_toml_str(vehicle).unwrap();
-        vehicle.modelled_effects = EffectSet::new();
+        let vehicle = sitl::vehicle::VehicleParams::from_toml_str(vehicle).unwrap();
         let catalogue = Catalogue::new(&vehicle, true);
         // The first number by `off`, known to `error`, in units of its magnitude; the others there.
         let idle = |effect: EffectId, off: f64, error: f64| {
@@ -443,6 +440,8 @@ mod tests {
             assert_eq!(idle(effect, 0.1, 1.0), None, "{effect}");
         }
         assert_eq!(idle(EffectId::AttitudeTrim, 0.1, 0.1), None);
+        // A drag that the file has, of 0.28 kg/s, and the vehicle has not.
+        assert_eq!(idle(EffectId::RotorDrag, -0.7, 0.1), None);
     }
 
     #[test]

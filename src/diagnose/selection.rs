@@ -472,12 +472,13 @@ fn is_along_the_floor(catalogue: &Catalogue, fit: &Fit) -> bool {
 const PARTS: [(EffectId, usize); 3] =
     [(EffectId::BladeFlapping, 0), (EffectId::BladeFlapping, 1), (EffectId::RotorDrag, 0)];
 
-/// Whether no part of an effect is absent where the flights would show it.
+/// Whether each part of an effect is off the vehicle file, as far as the flights would show it.
 pub(super) fn may_have_its_parts(catalogue: &Catalogue, fit: &Fit, effect: EffectId) -> bool {
     let parts = PARTS.iter().filter(|(of, _)| *of == effect);
     parts.filter_map(|(of, slot)| catalogue.number_of(*of, *slot)).all(|number| {
         let deviation = fit.deviation[number];
         let is_seen = deviation < TESTABLE * catalogue.numbers[number].magnitude;
-        !is_seen || fit.values[number].abs() > Z90 * deviation
+        let off = fit.values[number] - catalogue.numbers[number].reference;
+        !is_seen || off.abs() > Z90 * deviation
     })
 }
