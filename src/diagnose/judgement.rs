@@ -161,7 +161,8 @@ pub fn is_open(gap: &Gap, found: bool) -> bool {
     gap.open() > least && gap.closure.unwrap_or(0.0) < CLOSED_MIN
 }
 
-/// The same of the body rate by itself, as shipped.
+/// The same of the body rate by itself, as shipped. Of 120 vehicles without an effect two had more:
+/// alone it is no verdict, and what is named must close it.
 const RATE_MIN: f64 = 1.12;
 
 /// Whether the simulator as shipped predicts the body rate visibly worse than noise alone would.
@@ -219,13 +220,13 @@ mod tests {
     use super::*;
     use crate::diagnose::gap::Errors;
 
-    #[test]
-    fn effects_that_need_nuisances_for_a_good_part_of_it_are_propped() {
-        let gap = |before, after, with| Gap {
+    /// A gap by its metric as shipped, with the effects and with the nuisances as well.
+    fn gap([before, after, with]: [f64; 3], floor: f64) -> Gap {
+        Gap {
             metric: "mean",
             before,
             after,
-            floor: 2.0,
+            floor,
             scatter: 0.01,
             closure: None,
             nuisances_only: None,
@@ -233,13 +234,18 @@ mod tests {
             with_learner: None,
             errors: [Errors([[1.0; 4]; 3]); 3],
             noise: ReportNoise::default(),
-        };
-        assert!(is_propped(&gap(2.5, 2.22, 2.08)));
+        }
+    }
+
+    #[test]
+    fn effects_that_need_nuisances_for_a_good_part_of_it_are_propped() {
+        let is_propped = |metric| is_propped(&gap(metric, 2.0));
+        assert!(is_propped([2.5, 2.22, 2.08]));
         // By as much, but of far more.
-        assert!(!is_propped(&gap(6.0, 2.22, 2.08)));
+        assert!(!is_propped([6.0, 2.22, 2.08]));
         // What noise may do, or nuisances that make it worse.
-        assert!(!is_propped(&gap(2.2, 2.16, 2.08)));
-        assert!(!is_propped(&gap(2.2, 2.1, 2.3)));
+        assert!(!is_propped([2.2, 2.16, 2.08]));
+        assert!(!is_propped([2.2, 2.1, 2.3]));
     }
 
     #[test]
@@ -248,23 +254,11 @@ mod tests {
         let with_rate = |rate: f64| {
             let mut shipped = noise;
             shipped.0.iter_mut().for_each(|quantities| quantities[3] *= rate);
-            shipped
+            let before = shipped.mean_over(&noise);
+            Gap { errors: [shipped, noise, noise], ..gap([before, 1.0, 1.0], 1.0) }
         };
-        let gap = |rate: f64| Gap {
-            metric: "mean",
-            before: with_rate(rate).mean_over(&noise),
-            after: 1.0,
-            floor: 1.0,
-            scatter: 0.01,
-            closure: None,
-            nuisances_only: None,
-            with_nuisances: None,
-            with_learner: None,
-            errors: [with_rate(rate), noise, noise],
-            noise: ReportNoise::default(),
-        };
-        assert!(is_rate_off(&gap(1.3)) && !is_open(&gap(1.3), false));
-        assert!(!is_rate_off(&gap(1.1)));
+        assert!(is_rate_off(&with_rate(1.3)) && !is_open(&with_rate(1.3), false));
+        assert!(!is_rate_off(&with_rate(1.1)));
     }
 
     #[test]

@@ -156,7 +156,7 @@ fn alone<'s>(
     let first = selection.singles.iter().max_by(|a, b| evidence(a).total_cmp(&evidence(b)))?;
     let most = evidence(first);
     // What makes the flights held out less likely is no cause of theirs.
-    let predicts = |rival: &&Rival| rival.scored.gain_over(&selection.null).0 > 0.0;
+    let predicts = |rival: &&Rival| rival.scored.gain_over(&selection.null).0 >= 0.0;
     let others = selection.singles.iter().filter(predicts);
     let others = others.filter(|rival| class(rival) != class(first));
     let is_alone = others.map(evidence).fold(0.0, f64::max) < BESIDE_MAX * most;
@@ -199,7 +199,7 @@ mod tests {
         assert_eq!(found(&[(ground, 60.0, 1.0)]), None);
         assert_eq!(found(&[(ground, 60.0, 15.0)]), Some(ground));
         // Another that explains a part of it leaves open which of the two acts.
-        assert_eq!(found(&[(ground, 150.0, 30.0), (lag, 30.0, 5.0)]), None);
+        assert_eq!(found(&[(ground, 150.0, 30.0), (lag, 30.0, 0.0)]), None);
         // Unless it makes the flights held out less likely.
         assert_eq!(found(&[(ground, 150.0, 30.0), (lag, 30.0, -5.0)]), Some(ground));
         assert_eq!(found(&[]), None);
