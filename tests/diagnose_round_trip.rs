@@ -110,6 +110,19 @@ fn a_cause_that_the_catalogue_lacks_is_not_given_its_neighbours_name() {
     assert!(named(&without).is_empty());
 }
 
+/// Two minutes drain the pack far enough for a weight that goes with its voltage to be none.
+#[test]
+fn a_mass_that_goes_with_the_voltage_is_none() {
+    let logs = fly("varies", QUAD, 120, &["battery_sag:exponent=0.15"]);
+    let with = answer(&diagnose("varies", QUAD, &logs, &["--twins", "10"]));
+    assert_eq!(named(&with), ["battery_sag"], "{}", with["finding"]);
+    let more = ["--twins", "10", "--without", "battery_sag"];
+    let without = answer(&diagnose("varies", QUAD, &logs, &more));
+    assert_eq!(without["verdict"], "unknown", "{}", without["finding"]);
+    assert_eq!(without["finding"]["because"], "varies", "{}", without["finding"]);
+    assert_eq!(without["variation"]["quantity"], "voltage [V]", "{}", without["variation"]);
+}
+
 /// Any delay between two ticks of the loop has the same setpoints in force: the fit's is as good as
 /// what the outputs tell, and twins of the wrong one would leave less than the flights do.
 #[test]

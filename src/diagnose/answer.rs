@@ -7,6 +7,7 @@ use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
 use super::audit::{Audit, Severity, Tier, Untestable};
 use super::case::Case;
+use super::constancy::Variation;
 use super::gap::{Errors, OverNoise};
 use super::hypothesis::Catalogue;
 use super::judgement::{Balance, Unexplained};
@@ -313,6 +314,9 @@ pub struct Answer {
     pub misfit: Vec<Misfit>,
     /// Numbers of the vehicle file that lie further off than files are, beside the explanation.
     pub strained: Vec<Strain>,
+    /// How a number of what explains the most would have to vary with the way the vehicle flies,
+    /// where it should not.
+    pub variation: Option<Variation>,
     /// Flights simulated without an effect.
     pub twins: Option<Twins>,
     /// Single hypotheses, the best first.
@@ -377,6 +381,7 @@ impl Answer {
             balance: Balance::default(),
             misfit: Vec::new(),
             strained: Vec::new(),
+            variation: None,
             twins: None,
             hypotheses: Vec::new(),
             flights: Vec::new(),

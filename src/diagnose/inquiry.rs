@@ -226,6 +226,8 @@ impl<'a> Inquiry<'a> {
             Some(Unexplained::OpenOnOne)
         } else if found && gap.is_some_and(is_propped) {
             Some(Unexplained::Propped)
+        } else if found && search.constancy.variation.is_some() {
+            Some(Unexplained::Varies)
         } else if found && credence < NAMED {
             Some(Unexplained::Doubt)
         } else if found {
@@ -337,7 +339,11 @@ impl<'a> Inquiry<'a> {
             Verdict::Effect => (FullVerdict::Named, Vec::new()),
             Verdict::Unknown => {
                 let candidate = self.catalogue.candidate(&search.selection.best.fit.values)?;
-                let depends_on = depends_on(&samples(&self.fitted, self.evaluator, &candidate));
+                let mut depends_on = depends_on(&samples(&self.fitted, self.evaluator, &candidate));
+                if judgement.because == Some(Unexplained::Varies) {
+                    let varies = search.constancy.variation.iter();
+                    depends_on.extend(varies.map(|varies| varies.quantity.to_owned()));
+                }
                 if depends_on.is_empty() {
                     (FullVerdict::UnobservedDisturbance, depends_on)
                 } else {

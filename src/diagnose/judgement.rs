@@ -46,6 +46,9 @@ pub enum Unexplained {
     /// What was named predicts well only beside numbers of the vehicle file that are off, though by
     /// no more than files are.
     Propped,
+    /// A number of what was named would have to vary with how the vehicle flies, which that effect's
+    /// does not: something stands behind it that goes by the same quantity.
+    Varies,
     /// What is left of the evidence and of the gap is too little to say so by itself, and together
     /// too much: the explanation is less likely than not to be the cause.
     Doubt,

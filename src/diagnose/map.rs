@@ -112,8 +112,15 @@ pub fn map(
 }
 
 /// What regimes are told by.
-const QUANTITIES: [&str; 6] =
-    ["speed [m/s]", "climb [m/s]", "height [m]", "throttle [0..1]", "voltage [V]", "turn [rad/s]"];
+pub(super) const QUANTITIES: [&str; 7] = [
+    "speed [m/s]",
+    "climb [m/s]",
+    "height [m]",
+    "throttle [0..1]",
+    "voltage [V]",
+    "turn [rad/s]",
+    "time [s]",
+];
 
 /// And of the body's motion and of place and time, for what goes with them.
 const OF_BODY: [&str; 6] = [
@@ -124,7 +131,7 @@ const OF_BODY: [&str; 6] = [
     "pitch rate [rad/s]",
     "yaw rate [rad/s]",
 ];
-const OF_PLACE: [&str; 4] = ["place, north [m]", "place, east [m]", "heading [rad]", "time [s]"];
+const OF_PLACE: [&str; 3] = ["place, north [m]", "place, east [m]", "heading [rad]"];
 
 /// What is unexplained over a quarter of a second, and how the vehicle moved then.
 #[derive(Clone, Copy, Debug)]
@@ -175,25 +182,32 @@ pub fn samples(
         .collect()
 }
 
+/// The [`QUANTITIES`] of a flight at a time.
+pub(super) fn quantities(flight: &PreparedFlight, time: f64) -> [f64; QUANTITIES.len()] {
+    let [vn, ve, vd] = flight.velocity.at(time);
+    let [_, _, down] = flight.position.at(time);
+    let [p, q, r] = flight.body_rate.at(time);
+    [
+        (vn * vn + ve * ve + vd * vd).sqrt(),
+        -vd,
+        -down,
+        flight.outputs.at(time).iter().sum::<f64>() / 4.0,
+        flight.voltage.at(time)[0],
+        (p * p + q * q + r * r).sqrt(),
+        time,
+    ]
+}
+
 fn sample(flight: &PreparedFlight, time: f64, world: [f64; 3]) -> Sample {
     let attitude = flight.attitude.attitude_at(time);
-    let [vn, ve, vd] = flight.velocity.at(time);
-    let [north, east, down] = flight.position.at(time);
-    let [p, q, r] = flight.body_rate.at(time);
+    let [north, east, _] = flight.position.at(time);
     Sample {
         world,
         body: attitude.to_body(Ned::from(world)).to_array(),
-        body_velocity: attitude.to_body(Ned::new(vn, ve, vd)).to_array(),
-        body_rate: [p, q, r],
-        place: [north, east, attitude.yaw(), time],
-        quantities: [
-            (vn * vn + ve * ve + vd * vd).sqrt(),
-            -vd,
-            -down,
-            flight.outputs.at(time).iter().sum::<f64>() / 4.0,
-            flight.voltage.at(time)[0],
-            (p * p + q * q + r * r).sqrt(),
-        ],
+        body_velocity: attitude.to_body(Ned::from(flight.velocity.at(time))).to_array(),
+        body_rate: flight.body_rate.at(time),
+        place: [north, east, attitude.yaw()],
+        quantities: quantities(flight, time),
     }
 }
 

@@ -8,9 +8,10 @@ use sitl::effects::EffectId;
 use super::answer::{EffectAnswer, NotTestable, parameters};
 use super::fit::Z90;
 use super::hypothesis::{Catalogue, Hypothesis, Target};
+use super::law::is_itself;
 use super::misfit::{Misfit, share_left};
 use super::scored::Scored;
-use super::selection::{Rival, Selection, TESTABLE, Thresholds, may_have_its_parts};
+use super::selection::{Rival, Selection, TESTABLE, Thresholds};
 
 /// Log odds that what explains flights is also their cause, where nothing is left, and by how much
 /// they fall with the share that is left. By the answers of exams in which every eighth cause was
@@ -51,8 +52,7 @@ pub(super) fn idle(selection: &Selection, catalogue: &Catalogue) -> Option<usize
     };
     let is_idle = |hypothesis: usize| {
         let Hypothesis { effect, numbers, .. } = &catalogue.hypotheses[hypothesis];
-        let is_itself = may_have_its_parts(catalogue, fit, *effect);
-        !is_itself || numbers.iter().all(may_be_the_files)
+        !is_itself(catalogue, fit, *effect) || numbers.iter().all(may_be_the_files)
     };
     let without = |place: &usize| selection.places[*place].0.score();
     (0..selection.places.len())
@@ -271,6 +271,7 @@ pub(super) fn as_good(
         .singles
         .iter()
         .filter(|rival| !named.contains(&class(rival.hypothesis)))
+        .filter(|rival| rival.scored.predicts_as_well_as(&selection.null))
         .filter(|rival| most > 0.0 && evidence(rival) > share * most)
         .filter(|rival| evidence(rival) > thresholds.asked_of(rival.hypothesis))
         .map(|rival| catalogue.hypotheses[rival.hypothesis].effect);
@@ -285,7 +286,7 @@ pub(super) fn as_good(
 
 /// The name of a number within its effect: of its parameter, and the component where it has
 /// several.
-fn parameter_name(target: Target) -> String {
+pub(super) fn parameter_name(target: Target) -> String {
     match target {
         Target::Effect(id, slot) => match id.spec().slots().find(|s| s.index == slot) {
             Some(slot) if slot.parameter.kind.slots() > 1 => {
@@ -389,13 +390,13 @@ mod tests {
         let hypothesis =
             |id: EffectId| catalogue.hypotheses.iter().position(|h| h.effect == id).unwrap();
         let [inertia, drag] = [EffectId::Inertia, EffectId::RotorDrag].map(hypothesis);
-        let last = *catalogue.hypotheses[inertia].numbers.last().unwrap();
+        let first = catalogue.hypotheses[inertia].numbers[0];
         let idle_beside = |off: f64, drag_off: f64, without: [f64; 2]| {
             let mut best = Scored::of(vec![drag, inertia], 100.0, Vec::new());
             best.fit.values = catalogue.references();
             best.fit.deviation = vec![0.01; catalogue.numbers.len()];
             best.fit.values[catalogue.hypotheses[drag].numbers[0]] += drag_off;
-            best.fit.values[last] += off;
+            best.fit.values[first] += off;
             let null = Scored::of(Vec::new(), 0.0, Vec::new());
             let places =
                 without.map(|evidence| (Scored::of(Vec::new(), evidence, Vec::new()), Vec::new()));

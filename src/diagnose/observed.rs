@@ -236,6 +236,43 @@ impl<'a> Observed<'a> {
         Some(column)
     }
 
+    /// Derivatives of the residuals with respect to changes of one number, each in proportion to
+    /// one of several weights of flight and time.
+    pub fn columns_by_weight(
+        &self,
+        values: &[f64],
+        number: usize,
+        weights: impl Fn(&PreparedFlight, f64) -> Vec<f64> + Sync,
+    ) -> Option<Vec<Residuals>> {
+        let described = &self.catalogue.numbers[number];
+        let step = described.step(values[number]);
+        let up = values[number] + step <= described.bounds[1];
+        let step = if up { step } else { -step };
+        let mut moved = values.to_vec();
+        moved[number] += step;
+        let [here, there] = [values, &moved].map(|values| self.catalogue.candidate(values).ok());
+        let (here, there) = here.zip(there)?;
+        let groups = Groups::of(described.target);
+        let of_flights: Vec<Vec<Vec<f64>>> = self
+            .flights
+            .par_iter()
+            .zip(&self.layouts)
+            .map(|(flight, layout)| {
+                let per_step = |time: f64| -> Vec<f64> {
+                    weights(flight, time).into_iter().map(|weight| weight / step).collect()
+                };
+                let candidates = [&here, &there];
+                self.evaluator.weighted_change(flight, layout, candidates, groups, per_step)
+            })
+            .collect();
+        let count = of_flights.first()?.len();
+        let mut columns = vec![Residuals::new(); count];
+        for of_flight in of_flights {
+            columns.iter_mut().zip(of_flight).for_each(|(column, part)| column.push(part));
+        }
+        Some(columns)
+    }
+
     pub(super) fn dot(&self, a: &Residuals, b: &Residuals) -> Vec<f64> {
         let mut sums = vec![0.0; Place::COUNT];
         for run in &self.runs {

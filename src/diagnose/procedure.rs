@@ -24,8 +24,9 @@ use super::residuals::Evaluator;
 use super::search::Search;
 use super::words::finding;
 
-/// Share of its usual tolerances that a vehicle file taken at its word has.
-const STRICT: f64 = 0.1;
+/// Shares of its usual tolerances that a vehicle file taken at its word has, one look after the
+/// other: where a gap stays open, even a tenth of them may have taken up what opens it.
+const STRICT: [f64; 2] = [0.1, 0.01];
 /// An error of some quantity and horizon that may be more than noise, in units of the noise.
 const VISIBLE: f64 = 1.15;
 /// Share of a visible gap that the strict look must not leave, to be preferred.
@@ -93,11 +94,30 @@ pub fn diagnose(
     else {
         return Ok(tolerant);
     };
-    progress("again, with the vehicle file at its word");
-    let strict = grounds.attempt(STRICT, progress)?;
-    let closes = open(&strict).is_some_and(|strictly| strictly - 1.0 < CLOSES * (left - 1.0));
-    let is_preferred = strict.answer.explains() && (closes || adds(&strict, &tolerant));
-    Ok(if is_preferred { strict } else { tolerant })
+    for share in STRICT {
+        progress("again, with the vehicle file at its word");
+        let strict = grounds.attempt(share, progress)?;
+        let closes = open(&strict).is_some_and(|strictly| strictly - 1.0 < CLOSES * (left - 1.0));
+        let is_preferred = strict.answer.explains() && (closes || adds(&strict, &tolerant));
+        if is_preferred || says_more(&strict, &tolerant) {
+            return Ok(strict);
+        }
+        if !is_open(&strict) {
+            break;
+        }
+    }
+    Ok(tolerant)
+}
+
+/// Whether nothing explains an open gap.
+fn is_open(diagnosis: &Diagnosis) -> bool {
+    let because = diagnosis.answer.finding.because;
+    matches!(because, Some(Unexplained::OpenGap | Unexplained::OpenOnOne))
+}
+
+/// Whether a strict look tells what an open gap goes with where a tolerant one does not.
+fn says_more(strict: &Diagnosis, tolerant: &Diagnosis) -> bool {
+    is_open(tolerant) && strict.answer.finding.because == Some(Unexplained::Varies)
 }
 
 /// Whether a strict look names more than a tolerant one, and predicts better.
@@ -277,6 +297,7 @@ impl Inquiry<'_> {
             unmodelled_moment: leftover.moment,
             balance,
             misfit: search.misfit.clone(),
+            variation: search.constancy.variation.clone(),
             strained: search.level.iter().chain(&search.strained).cloned().collect(),
             hypotheses: HypothesisAnswer::all(self.catalogue, selection, thresholds),
             flights,

@@ -162,18 +162,58 @@ impl Evaluator {
         let mut out = Vec::with_capacity(layout.places.len());
         let mut scratch = Vec::new();
         for block in &flight.blocks {
-            let mut series = self.series(flight, layout, block, candidate, groups);
-            for (channel, values) in series.iter_mut().enumerate() {
-                let used = layout.used(channel, block);
-                if used.is_empty() || !layout.has(channel) {
-                    continue;
-                }
-                if groups.has(channel) {
-                    self.transform.apply(values, &mut scratch);
-                }
-                out.extend(used.filter_map(|index| {
-                    band(frequency(index, block.cells)).map(|_| values[index])
-                }));
+            let series = self.series(flight, layout, block, candidate, groups);
+            self.transform_into(&mut out, (layout, block), series, groups, &mut scratch);
+        }
+        out
+    }
+
+    /// Appends the coefficients of a block's series that are looked at.
+    fn transform_into(
+        &self,
+        out: &mut Vec<f64>,
+        (layout, block): (&Layout, &Block),
+        mut series: [Vec<f64>; CHANNELS],
+        groups: Groups,
+        scratch: &mut Vec<f64>,
+    ) {
+        for (channel, values) in series.iter_mut().enumerate() {
+            let used = layout.used(channel, block);
+            if used.is_empty() || !layout.has(channel) {
+                continue;
+            }
+            if groups.has(channel) {
+                self.transform.apply(values, scratch);
+            }
+            let is_banded = |index: &usize| band(frequency(*index, block.cells)).is_some();
+            out.extend(used.filter(is_banded).map(|index| values[index]));
+        }
+    }
+
+    /// The coefficients of how residuals change from one candidate to another, times each of
+    /// several weights of the time.
+    pub fn weighted_change(
+        &self,
+        flight: &PreparedFlight,
+        layout: &Layout,
+        [from, to]: [&Candidate; 2],
+        groups: Groups,
+        weights: impl Fn(f64) -> Vec<f64>,
+    ) -> Vec<Vec<f64>> {
+        let mut out: Vec<Vec<f64>> = Vec::new();
+        let mut scratch = Vec::new();
+        for block in &flight.blocks {
+            let [from, to] = [from, to].map(|one| self.series(flight, layout, block, one, groups));
+            let weights: Vec<Vec<f64>> =
+                (0..block.cells).map(|k| weights(block.middle(k))).collect();
+            let count = weights.first().map_or(0, Vec::len);
+            out.resize_with(count, Vec::new);
+            for (quantity, out) in out.iter_mut().enumerate() {
+                let series = std::array::from_fn(|channel| {
+                    let cells = from[channel].iter().zip(&to[channel]).zip(&weights);
+                    cells.map(|((from, to), weights)| (to - from) * weights[quantity]).collect()
+                });
+                self.transform_into(out, (layout, block), series, groups, &mut scratch);
             }
         }
         out

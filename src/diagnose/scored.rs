@@ -43,6 +43,12 @@ impl Scored {
         (mean * n, (variance * n).sqrt())
     }
 
+    /// Whether it makes the flights held out no less likely than `other`: what does is no cause of
+    /// theirs.
+    pub(super) fn predicts_as_well_as(&self, other: &Scored) -> bool {
+        self.gain_over(other).0 >= 0.0
+    }
+
     /// Evidence and held-out density together.
     pub fn score(&self) -> f64 {
         self.evidence + self.density.iter().sum::<f64>()

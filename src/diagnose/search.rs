@@ -3,6 +3,7 @@
 
 use sitl::effects::{EffectId, EffectSet};
 
+use super::constancy::Constancy;
 use super::fit::Fit;
 use super::hypothesis::Catalogue;
 use super::inquiry::Inquiry;
@@ -36,6 +37,8 @@ pub(super) struct Search {
     pub strained: Vec<Strain>,
     /// The thrust's level, where it may be all that a chosen effect stands for.
     pub level: Option<Strain>,
+    /// Whether the chosen effects are constant, as far as twins tell.
+    pub constancy: Constancy,
     /// The hypothesis that was chosen alone and dropped, for its numbers may be the file's.
     pub dropped: Option<usize>,
     /// Twins without an effect, and of the chosen effects where there are any.
@@ -53,6 +56,12 @@ impl Search {
 
 /// What a fit leaves beyond its twins, and numbers that are strained.
 type Checked = (Vec<Misfit>, Vec<Strain>);
+
+/// Twins of the vehicle of a fit, and the derivatives there.
+pub(super) struct FlownFit {
+    pub about: Linearised,
+    pub twins: TwinFits,
+}
 
 impl Inquiry<'_> {
     /// Twins, and the search among the effects against what they say.
@@ -87,8 +96,8 @@ impl Inquiry<'_> {
         let mut dropped = None;
         let nearest = loop {
             let nearest = self.nearest_twins(&mut selection, &sensors);
-            let Some((_, twins)) = &nearest else { break nearest };
-            correct(&mut selection.best, catalogue, twins);
+            let Some((_, flown)) = &nearest else { break nearest };
+            correct(&mut selection.best, catalogue, &flown.twins);
             self.take_up_delay(&mut selection.best);
             let Some(place) = idle(&selection, catalogue) else { break nearest };
             let Some(less) = selector.dropping(&about, &selection, place) else { break nearest };
@@ -97,9 +106,11 @@ impl Inquiry<'_> {
             }
             selection = less;
         };
+        let flown = nearest.as_ref().map(|(_, flown)| flown);
+        let constancy = flown.map(|flown| self.constancy(&selection, flown)).unwrap_or_default();
         let level = level_in_place_of(&selection.best.fit, fitted, &about);
         let ((misfit, strained), of_best) = match nearest {
-            Some((checked, twins)) => (checked, Some(twins)),
+            Some((checked, flown)) => (checked, Some(flown.twins)),
             None => {
                 let null = &selection.null.fit;
                 let found = !selection.best.fit.hypotheses.is_empty();
@@ -116,6 +127,7 @@ impl Inquiry<'_> {
             misfit,
             strained,
             level,
+            constancy,
             dropped,
             of_null,
             of_best,
@@ -150,14 +162,14 @@ impl Inquiry<'_> {
         &self,
         selection: &mut Selection,
         sensors: &ReportNoise,
-    ) -> Option<(Checked, TwinFits)> {
+    ) -> Option<(Checked, FlownFit)> {
         let mut flown = vec![selection.best.clone()];
         if self.take_up_delay(&mut selection.best) {
             flown.push(selection.best.clone());
         }
         let of_flown = flown.iter().filter_map(|scored| {
-            let twins = self.twins_of(scored, sensors)?;
-            Some((self.checked(&selection.null.fit, &scored.fit, &twins), twins))
+            let flown = self.twins_of(scored, sensors)?;
+            Some((self.checked(&selection.null.fit, &scored.fit, &flown.twins), flown))
         });
         of_flown.min_by(|((a, _), _), ((b, _), _)| share_left(a).total_cmp(&share_left(b)))
     }
@@ -176,22 +188,24 @@ impl Inquiry<'_> {
     /// `scored` without what its own twins are off by, with their error.
     pub(super) fn freed(&self, search: &Search, mut scored: Scored) -> Scored {
         let sensors = self.sensors(search.of_null.as_ref(), &search.noise);
-        if let Some(twins) = self.twins_of(&scored, &sensors) {
-            correct(&mut scored, self.catalogue, &twins);
+        if let Some(flown) = self.twins_of(&scored, &sensors) {
+            correct(&mut scored, self.catalogue, &flown.twins);
         }
         scored
     }
 
     /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by, or where
     /// none are asked for.
-    fn twins_of(&self, scored: &Scored, sensors: &ReportNoise) -> Option<TwinFits> {
+    fn twins_of(&self, scored: &Scored, sensors: &ReportNoise) -> Option<FlownFit> {
         let count = TWINS_OF_BEST.min(self.settings.twins);
         let law = self.onboard.filter(|_| count > 0 && !scored.fit.hypotheses.is_empty())?;
         let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
         let about = Linearised::new(&self.fitted, &scored.fit.values, &numbers)?;
         let active = scored.fit.active(self.catalogue);
         let draws = (count, self.settings.seed);
-        TwinFits::of_effects(&self.fitted, &about, &active, law, sensors, draws).ok()
+        let twins =
+            TwinFits::of_effects(&self.fitted, &about, &active, law, sensors, draws).ok()?;
+        Some(FlownFit { about, twins })
     }
 
     /// A command_delay that was chosen is as the outputs say, where they do. Whether it was.

@@ -8,9 +8,10 @@
 use rayon::prelude::*;
 use sitl::effects::EffectId;
 
-use super::fit::{Fit, Z90, fit};
+use super::fit::{Fit, fit};
 use super::gap::{Errors, improvement};
 use super::hypothesis::{Catalogue, Hypothesis};
+use super::law::acts_by_its_law;
 use super::linearised::Linearised;
 use super::observed::Observed;
 use super::open_loop::Simulator;
@@ -447,38 +448,4 @@ impl Selector<'_> {
             })
             .collect()
     }
-}
-
-/// Whether what is fitted acts as its effects do, rather than stand for something else.
-pub(super) fn acts_by_its_law(catalogue: &Catalogue, fit: &Fit) -> bool {
-    let effects = || fit.hypotheses.iter().map(|h| catalogue.hypotheses[*h].effect);
-    let blows = effects().any(|effect| effect == EffectId::Wind);
-    (!blows || is_along_the_floor(catalogue, fit))
-        && effects().all(|effect| may_have_its_parts(catalogue, fit, effect))
-}
-
-/// A steady wind blows along the floor: one that clearly blows more downwards or upwards is none.
-fn is_along_the_floor(catalogue: &Catalogue, fit: &Fit) -> bool {
-    let component = |slot: usize| {
-        let number = catalogue.number_of(EffectId::Wind, slot);
-        number.map_or([0.0, 0.0], |number| [fit.values[number], fit.deviation[number]])
-    };
-    let [[north, _], [east, _], [down, error]] = [0, 1, 2].map(component);
-    down.abs() - 2.0 * error <= north.hypot(east)
-}
-
-/// Parts, by their slots, without which an effect is another: blades that flap turn the body as well
-/// as drag it, and rotors drag in their plane first.
-const PARTS: [(EffectId, usize); 3] =
-    [(EffectId::BladeFlapping, 0), (EffectId::BladeFlapping, 1), (EffectId::RotorDrag, 0)];
-
-/// Whether each part of an effect is off the vehicle file, as far as the flights would show it.
-pub(super) fn may_have_its_parts(catalogue: &Catalogue, fit: &Fit, effect: EffectId) -> bool {
-    let parts = PARTS.iter().filter(|(of, _)| *of == effect);
-    parts.filter_map(|(of, slot)| catalogue.number_of(*of, *slot)).all(|number| {
-        let deviation = fit.deviation[number];
-        let is_seen = deviation < TESTABLE * catalogue.numbers[number].magnitude;
-        let off = fit.values[number] - catalogue.numbers[number].reference;
-        !is_seen || off.abs() > Z90 * deviation
-    })
 }

@@ -82,7 +82,7 @@ pub struct TwinFits {
     pub values: Vec<Values>,
     /// The sum of squares that each fit leaves at each place.
     pub power: Vec<Vec<f64>>,
-    /// Of twins without an effect, what chance is read off.
+    /// What chance is read off.
     screened: Vec<Screened>,
 }
 
@@ -229,9 +229,9 @@ impl<'a> Analysis<'a> {
         for Twin { screened, values, power, .. } in drawn {
             twins.values.push(values);
             twins.power.push(power);
-            if active.is_empty() {
-                twins.screened.push(screened);
-            }
+            // Own derivatives are for the screening, which twins of effects do not go through.
+            let own = if active.is_empty() { screened.own } else { Vec::new() };
+            twins.screened.push(Screened { own, ..screened });
         }
         Ok(twins)
     }
@@ -348,6 +348,11 @@ impl TwinFits {
         deviation
     }
 
+    /// What each leaves at the values of the flights' fit.
+    pub fn residuals(&self) -> impl Iterator<Item = &Residuals> {
+        self.screened.iter().map(|screened| &screened.residuals)
+    }
+
     /// Mean and standard deviation over the twins of what `of` makes of the sums of squares that
     /// each fit leaves.
     pub fn moments_of(&self, of: impl Fn(&[f64]) -> f64) -> [f64; 2] {
@@ -406,13 +411,7 @@ pub fn screened(
         .collect();
     let hypotheses = selector.catalogue.hypotheses.len();
     let (chance, asked): (Vec<f64>, Vec<f64>) = (0..hypotheses)
-        .map(|h| {
-            let mut of_one: Vec<f64> = gains.iter().map(|gains| gains[h]).collect();
-            of_one.sort_by(f64::total_cmp);
-            let chance = of_one.get(of_one.len() / 2).map_or(0.0, |gain| gain.max(0.0));
-            let reached = exceeded_by(&of_one, EXCEEDED / hypotheses as f64);
-            (chance, (reached - chance).max(EVIDENCE_MIN))
-        })
+        .map(|h| chance_and_asked(gains.iter().map(|gains| gains[h]).collect(), hypotheses))
         .unzip();
     let share = |gains: &Vec<f64>| {
         let beyond = gains.iter().zip(chance.iter().zip(&asked));
@@ -421,6 +420,15 @@ pub fn screened(
     let mut largest: Vec<f64> = gains.iter().map(share).collect();
     largest.sort_by(f64::total_cmp);
     Twins { count, largest, chance, asked }
+}
+
+/// What chance gives of evidence, by the `gains` of twins, and what is asked beyond it of each of
+/// so many that are `tried`, nats.
+pub(super) fn chance_and_asked(mut gains: Vec<f64>, tried: usize) -> (f64, f64) {
+    gains.sort_by(f64::total_cmp);
+    let chance = gains.get(gains.len() / 2).map_or(0.0, |gain| gain.max(0.0));
+    let reached = exceeded_by(&gains, EXCEEDED / tried.max(1) as f64);
+    (chance, (reached - chance).max(EVIDENCE_MIN))
 }
 
 /// Adds noise with a deviation at each place.

@@ -17,9 +17,10 @@ use super::gap::Errors;
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
 use super::judgement::{CLOSED_MIN, Unexplained, is_open, is_rate_off};
+use super::law::{acts_by_its_law, has_law, is_itself};
 use super::scored::Scored;
 use super::search::{Search, correct};
-use super::selection::{BEYOND_DOUBT, Rival, Selection, Thresholds, acts_by_its_law};
+use super::selection::{BEYOND_DOUBT, Rival, Selection, Thresholds};
 use super::strain::effect_of;
 
 /// Share of the evidence of the effect that explains the most which others may have, for it to be
@@ -52,7 +53,7 @@ impl Inquiry<'_> {
         let lag = || self.lag(search);
         match judgement.because {
             Some(Unexplained::OpenGap | Unexplained::OpenOnOne) => self.sole(search).or_else(lag),
-            Some(Unexplained::Doubt) => self.sole(search),
+            Some(Unexplained::Doubt) => self.sole(search).or_else(|| self.steady_drag(search)),
             Some(Unexplained::Strain) => self.strained(search),
             Some(Unexplained::Neighbour) if is_rate_off => lag(),
             None if judgement.verdict == Verdict::None && is_rate_off => lag(),
@@ -67,9 +68,25 @@ impl Inquiry<'_> {
         let is_kept = Some(alone.hypothesis) != search.dropped
             && search.strained.iter().all(|strain| strain.effect == own);
         let named = self.by_its_fit(search, alone).filter(|_| is_kept)?;
+        Some(self.as_far(search, named))
+    }
+
+    /// The drag that was chosen alone, beyond doubt, and holds at any speed: air drags the vehicle,
+    /// though more along one of its axes than along another.
+    fn steady_drag(&self, search: &Search) -> Option<Unchosen> {
+        let Search { selection, constancy, .. } = search;
+        let [drag] = selection.best.fit.hypotheses[..] else { return None };
+        let alone = selection.singles.iter().find(|rival| rival.hypothesis == drag)?;
+        let is_sure = alone.scored.evidence - selection.null.evidence > BEYOND_DOUBT;
+        let is_it = constancy.is_steady_drag && is_sure && search.strained.is_empty();
+        self.by_its_fit(search, alone).filter(|_| is_it).map(|named| self.as_far(search, named))
+    }
+
+    /// What acts, with its numbers as far as they close the gap.
+    fn as_far(&self, search: &Search, named: Unchosen) -> Unchosen {
         let closes = self.closes(search, &named.effects, &[Errors::mean_over]);
         let effects = if closes { named.effects } else { EffectSet::new() };
-        Some(Unchosen { effects, ..named })
+        Unchosen { effects, ..named }
     }
 
     /// The lag of the rotors, where it closes the gap.
@@ -88,11 +105,8 @@ impl Inquiry<'_> {
         let named = effect(rival.hypothesis);
         let mut chosen = search.selection.best.fit.hypotheses.iter();
         let replaces_none = chosen.all(|chosen| effect(*chosen).class() == named.class());
-        replaces_none.then(|| {
-            let scored = self.freed(search, rival.scored.clone());
-            let effects = self.catalogue.effects(&scored.fit.values, Some(&[named]));
-            Unchosen { effect: named, scored, effects }
-        })
+        let freed = replaces_none.then(|| self.freed(search, rival.scored.clone()));
+        freed.and_then(|scored| self.named(named, scored))
     }
 
     /// The effect that all strained numbers belong to, where nothing was chosen: a number that
@@ -109,8 +123,14 @@ impl Inquiry<'_> {
         let mut scored = Scored::new(fit, *evidence, density.clone());
         // By the twins that the numbers were nuisances of.
         correct(&mut scored, self.catalogue, of_null.as_ref()?);
+        self.named(effect, scored)
+    }
+
+    /// An effect by its fit, freed of what that is off by itself, where it is the one that it is.
+    fn named(&self, effect: EffectId, scored: Scored) -> Option<Unchosen> {
         let effects = self.catalogue.effects(&scored.fit.values, Some(&[effect]));
-        Some(Unchosen { effect, scored, effects })
+        let is_it = is_itself(self.catalogue, &scored.fit, effect);
+        is_it.then_some(Unchosen { effect, scored, effects })
     }
 
     /// Whether `effects` close most of the gap over all flights, in several metrics together, and
@@ -155,13 +175,14 @@ fn alone<'s>(
     let evidence = |rival: &Rival| rival.scored.evidence - selection.null.evidence;
     let first = selection.singles.iter().max_by(|a, b| evidence(a).total_cmp(&evidence(b)))?;
     let most = evidence(first);
-    // What makes the flights held out less likely is no cause of theirs.
-    let predicts = |rival: &&Rival| rival.scored.gain_over(&selection.null).0 >= 0.0;
+    let predicts = |rival: &&Rival| rival.scored.predicts_as_well_as(&selection.null);
     let others = selection.singles.iter().filter(predicts);
     let others = others.filter(|rival| class(rival) != class(first));
     let is_alone = others.map(evidence).fold(0.0, f64::max) < BESIDE_MAX * most;
     let (gain, error) = first.scored.gain_over(&selection.null);
-    let is_sure = most > BEYOND_DOUBT || gain > CONFIRMED * error;
+    let effect = catalogue.hypotheses[first.hypothesis].effect;
+    let is_sure = most > BEYOND_DOUBT && (has_law(effect) || predicts(&first));
+    let is_sure = is_sure || gain > CONFIRMED * error;
     let is_more = most > thresholds.asked_of(first.hypothesis);
     let is_it = is_alone && is_sure && is_more && acts_by_its_law(catalogue, &first.scored.fit);
     is_it.then_some(first)
@@ -197,6 +218,10 @@ mod tests {
         assert_eq!(found(&[(ground, 150.0, -20.0), (lag, 3.0, 0.0)]), Some(ground));
         // With less, they must confirm it.
         assert_eq!(found(&[(ground, 60.0, 1.0)]), None);
+        // What is a number, and no law, is the same there.
+        let latency = EffectId::EstimatorLatency;
+        assert_eq!(found(&[(latency, 150.0, -20.0)]), None);
+        assert_eq!(found(&[(latency, 150.0, 0.5)]), Some(latency));
         assert_eq!(found(&[(ground, 60.0, 15.0)]), Some(ground));
         // Another that explains a part of it leaves open which of the two acts.
         assert_eq!(found(&[(ground, 150.0, 30.0), (lag, 30.0, 0.0)]), None);

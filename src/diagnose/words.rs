@@ -56,6 +56,12 @@ fn unknown(answer: &Answer) -> String {
                 gap.open()
             )
         }),
+        Some(Unexplained::Varies) => answer.variation.as_ref().map(|varies| {
+            format!(
+                "{} explains most of it only if its {} is not constant but goes with {}",
+                varies.effect, varies.number, varies.quantity
+            )
+        }),
         Some(Unexplained::Doubt) => answer.gap.as_ref().map(|gap| {
             format!(
                 "the nearest leaves {:.0} % of the evidence that a full explanation would have, and \
