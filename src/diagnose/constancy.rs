@@ -14,8 +14,8 @@ use super::hypothesis::{Catalogue, Hypothesis, Number};
 use super::inquiry::Inquiry;
 use super::law::is_constant;
 use super::linearised::Linearised;
-use super::map::{QUANTITIES, quantities};
-use super::naming::parameter_name;
+use super::map::{QUANTITIES, quantities, told};
+use super::naming::{losses, mends_a_law, parameter_name};
 use super::observed::{Observed, Residuals};
 use super::preparation::PreparedFlight;
 use super::search::FlownFit;
@@ -33,6 +33,8 @@ const SHARE_MIN: f64 = 0.1;
 /// A drag is steady if it changes with the speed by less than this share of what another power of
 /// the speed, one higher or lower, would make of it.
 const STEADY_MAX: f64 = 0.5;
+/// A quantity whose standard deviation is a smaller share of its mean is but rounded.
+const CONSTANT_WITHIN: f64 = 1e-9;
 /// Between samples of the quantities that tell by how much each varies, s.
 const SAMPLE_S: f64 = 0.1;
 
@@ -45,7 +47,8 @@ pub struct Variation {
     pub number: String,
     /// What it would go with.
     pub quantity: &'static str,
-    /// By how much it would change over one standard deviation of the quantity, in its own unit.
+    /// By how much it would change over one standard deviation of the quantity, in the number's
+    /// unit.
     pub change: f64,
     /// Evidence for it beyond chance, nats.
     pub evidence: f64,
@@ -56,8 +59,8 @@ pub struct Variation {
 pub(super) struct Constancy {
     /// The most evident variation of a number that should be constant.
     pub variation: Option<Variation>,
-    /// Whether a drag was chosen, no other beside it, whose coefficients are known to be the same at
-    /// any speed: its law of the speed is the catalogue's, whatever else it depends on.
+    /// Whether a drag was chosen, no other drag beside it, whose coefficients are known to be the
+    /// same at any speed: its law of the speed is the catalogue's, whatever else it depends on.
     pub is_steady_drag: bool,
 }
 
@@ -70,7 +73,12 @@ impl Inquiry<'_> {
         let spread = Spread::of(self.case.fitted);
         let active = best.fit.active(self.catalogue);
         let mut found = Constancy::default();
-        for (hypothesis, (without, _)) in chosen.zip(&selection.places) {
+        let losses = losses(selection);
+        for (place, (hypothesis, (without, _))) in chosen.zip(&selection.places).enumerate() {
+            // What but mends another's law goes with what that law goes by.
+            if mends_a_law(self.catalogue, &losses, place) {
+                continue;
+            }
             let is_drag = DRAGS.contains(&hypothesis.effect) && drags == 1;
             let quantities = match is_drag {
                 true => SPEED..SPEED + 1,
@@ -83,7 +91,8 @@ impl Inquiry<'_> {
             let of_all = variations.into_iter().filter(|variation| variation.evidence > least);
             let most = of_all.chain(found.variation.take());
             found.variation = most.max_by(|a, b| a.evidence.total_cmp(&b.evidence));
-            found.is_steady_drag |= is_drag && found.variation.is_none() && self.is_steady(&trial);
+            found.is_steady_drag |=
+                is_drag && found.variation.is_none() && self.is_steady(&trial, &best.fit.deviation);
         }
         found
     }
@@ -94,7 +103,9 @@ impl Inquiry<'_> {
         let Some(base) = self.fitted.residuals(&about.values) else { return Vec::new() };
         let tried = hypothesis.numbers.len() * of.len();
         let mut found = Vec::new();
-        for number in &hypothesis.numbers {
+        // Where the sensors' noise is in a derivative, twins must have their own.
+        let quiet = hypothesis.numbers.iter().filter(|number| !twins.noisy.contains(number));
+        for number in quiet {
             let varying = trial.varying(&self.fitted, *number);
             let columns = varying.columns(spread);
             let of_quantities = QUANTITIES.iter().zip(columns).enumerate();
@@ -123,20 +134,27 @@ impl Inquiry<'_> {
         found
     }
 
-    /// Whether an effect's numbers are known to be the same at any speed.
-    fn is_steady(&self, trial: &Trial<'_>) -> bool {
+    /// Whether an effect's numbers, those that are off the vehicle file, are known to be the same at
+    /// any speed. `deviation`: standard deviation of each number of the catalogue.
+    fn is_steady(&self, trial: &Trial<'_>, deviation: &[f64]) -> bool {
         let about = &trial.flown.about;
         let Some(base) = self.fitted.residuals(&about.values) else { return false };
-        let [mean, deviation] = trial.spread.0[SPEED];
-        trial.hypothesis.numbers.iter().all(|number| {
-            let varying = trial.varying(&self.fitted, *number);
-            let column = varying.columns(trial.spread).into_iter().nth(SPEED);
-            let change = column.and_then(|column| varying.change(&base, &column));
-            let by_a_power = about.values[*number].abs() * deviation / mean;
-            change.is_some_and(|change| {
-                change.mean.abs() + Z90 * change.deviation < STEADY_MAX * by_a_power
+        let [mean, spread] = trial.spread.0[SPEED];
+        let is_off = |number: &&usize| {
+            let off = about.values[**number] - self.catalogue.numbers[**number].reference;
+            off.abs() > Z90 * deviation[**number]
+        };
+        let mut off = trial.hypothesis.numbers.iter().filter(is_off).peekable();
+        off.peek().is_some()
+            && off.all(|number| {
+                let varying = trial.varying(&self.fitted, *number);
+                let column = varying.columns(trial.spread).into_iter().nth(SPEED);
+                let change = column.and_then(|column| varying.change(&base, &column));
+                let by_a_power = about.values[*number].abs() * spread / mean;
+                change.is_some_and(|change| {
+                    change.mean.abs() + Z90 * change.deviation < STEADY_MAX * by_a_power
+                })
             })
-        })
     }
 }
 
@@ -232,14 +250,16 @@ impl Spread {
         Self(std::array::from_fn(|i| {
             let mean = samples.iter().map(|sample| sample[i]).sum::<f64>() / n;
             let squares: f64 = samples.iter().map(|sample| (sample[i] - mean).powi(2)).sum();
-            [mean, (squares / n).sqrt()]
+            // A log that does not tell it would stand apart from the others.
+            let is_told = flights.iter().all(|flight| told(flight)[i]);
+            [mean, if is_told { (squares / n).sqrt() } else { 0.0 }]
         }))
     }
 
     /// Whether a quantity changes at all.
     fn differs(&self, quantity: usize) -> bool {
         let [mean, deviation] = self.0[quantity];
-        deviation > f64::EPSILON * mean.abs().max(1.0)
+        deviation > CONSTANT_WITHIN * mean.abs()
     }
 
     /// The quantities at a time, in standard deviations from their means.

@@ -8,7 +8,7 @@ use sitl::frame::Ned;
 use super::candidate::Candidate;
 use super::layout::Place;
 use super::observed::Observed;
-use super::preparation::PreparedFlight;
+use super::preparation::{Channels, PreparedFlight};
 use super::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, Groups, VELOCITY};
 use super::spectrum::{BANDS, CELL_S, edges, mean_square_share};
 
@@ -182,7 +182,13 @@ pub fn samples(
         .collect()
 }
 
-/// The [`QUANTITIES`] of a flight at a time.
+/// Which of the [`QUANTITIES`] a flight's log tells; the others are 0 at any time.
+pub(super) fn told(flight: &PreparedFlight) -> [bool; QUANTITIES.len()] {
+    let Channels { velocity, outputs, voltage, body_rate, .. } = flight.channels;
+    [velocity, velocity, velocity, outputs, voltage, body_rate, true]
+}
+
+/// The [`QUANTITIES`] of a flight at a time, which counts from its first look.
 pub(super) fn quantities(flight: &PreparedFlight, time: f64) -> [f64; QUANTITIES.len()] {
     let [vn, ve, vd] = flight.velocity.at(time);
     let [_, _, down] = flight.position.at(time);
@@ -194,7 +200,7 @@ pub(super) fn quantities(flight: &PreparedFlight, time: f64) -> [f64; QUANTITIES
         flight.outputs.at(time).iter().sum::<f64>() / 4.0,
         flight.voltage.at(time)[0],
         (p * p + q * q + r * r).sqrt(),
-        time,
+        time - flight.spans.first().map_or(0.0, |span| span.start),
     ]
 }
 
@@ -250,8 +256,11 @@ pub fn depends_on(samples: &[Sample]) -> Vec<String> {
             let value = |sample: &Sample| of_sample(sample).get(index).copied().unwrap_or(0.0);
             let mut order: Vec<&Sample> = samples.iter().collect();
             order.sort_by(|a, b| value(a).total_cmp(&value(b)));
+            // What stays as it is, or what the logs do not tell, would leave the order of time.
+            let differs = order.first().map(|s| value(s)) < order.last().map(|s| value(s));
             let share = |of: fn(&Sample) -> [f64; 3]| correlation_ratio(&order, of);
-            (share(|s| s.world).max(share(|s| s.body)), *name)
+            let most = share(|s| s.world).max(share(|s| s.body));
+            (if differs { most } else { 0.0 }, *name)
         })
         .filter(|(share, _)| *share > SHARE_MIN)
         .collect();

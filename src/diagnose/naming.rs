@@ -169,13 +169,13 @@ const FAMILIES: [&[EffectId]; 2] = [
 const MENDS_A_LAW: f64 = 0.45;
 
 /// The hypotheses of the chosen set, and how much its score would lose without each, nats.
-fn losses(selection: &Selection) -> Vec<(usize, f64)> {
+pub(super) fn losses(selection: &Selection) -> Vec<(usize, f64)> {
     let chosen = selection.best.fit.hypotheses.iter().zip(&selection.places);
     chosen.map(|(h, (without, _))| (*h, selection.best.score() - without.score())).collect()
 }
 
 /// Whether the effect at a place of the set may only mend the law of another.
-fn mends_a_law(catalogue: &Catalogue, losses: &[(usize, f64)], place: usize) -> bool {
+pub(super) fn mends_a_law(catalogue: &Catalogue, losses: &[(usize, f64)], place: usize) -> bool {
     let effect = |hypothesis: usize| catalogue.hypotheses[hypothesis].effect;
     let (own, loss) = losses[place];
     let is_kin = |other: usize| {

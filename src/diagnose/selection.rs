@@ -43,6 +43,11 @@ pub const EVIDENCE_MIN: f64 = 10.0;
 pub(super) const BEYOND_DOUBT: f64 = 100.0;
 const DEVIATIONS_MIN: f64 = 1.2;
 
+/// What an effect that lacks a part of its own may be: flapping that turns nothing a drag, an inertia
+/// that is off about yaw alone the rotors' torque there.
+const PLAINER: [(EffectId, EffectId); 2] =
+    [(EffectId::BladeFlapping, EffectId::RotorDrag), (EffectId::Inertia, EffectId::YawTorque)];
+
 /// What is asked of a hypothesis before it is taken up.
 #[derive(Clone, Debug)]
 pub struct Thresholds {
@@ -330,8 +335,8 @@ impl Selector<'_> {
         self.pruned(about, null, singles, best)
     }
 
-    /// The selection without its effect number `index`; with a drag of the rotors in the place of
-    /// flapping, if that explains enough as well.
+    /// The selection without its effect number `index`; with its [`PLAINER`] cause in its place, if
+    /// that explains enough as well.
     pub fn dropping(
         &self,
         about: &Linearised,
@@ -339,11 +344,10 @@ impl Selector<'_> {
         index: usize,
     ) -> Option<Selection> {
         let (less, rivals) = places.get(index)?;
-        let flaps = self.hypothesis(*best.fit.hypotheses.get(index)?).effect;
-        let is_drag = |h: usize| self.hypothesis(h).effect == EffectId::RotorDrag;
-        let drag = rivals.iter().filter(|_| flaps == EffectId::BladeFlapping);
-        let drag = drag.map(|rival| (rival.hypothesis, &rival.scored)).find(|(h, _)| is_drag(*h));
-        let next = drag.map_or(less, |(_, with_drag)| with_drag);
+        let effect = self.hypothesis(*best.fit.hypotheses.get(index)?).effect;
+        let plainer = PLAINER.iter().find(|(of, _)| *of == effect).map(|(_, plainer)| *plainer);
+        let is_plainer = |rival: &&Rival| Some(self.hypothesis(rival.hypothesis).effect) == plainer;
+        let next = rivals.iter().find(is_plainer).map_or(less, |rival| &rival.scored);
         self.pruned(about, null.clone(), singles.clone(), next.clone())
     }
 

@@ -78,6 +78,8 @@ pub struct TwinFits {
     pub bias: Values,
     /// Number of those pilots.
     pilots: u32,
+    /// Numbers whose derivatives are noisy: those of the flights are not the twins'.
+    pub noisy: Vec<usize>,
     /// The values that each is fitted with.
     pub values: Vec<Values>,
     /// The sum of squares that each fit leaves at each place.
@@ -222,6 +224,7 @@ impl<'a> Analysis<'a> {
             sensors: *noise,
             bias,
             pilots,
+            noisy: self.noisy.clone(),
             values: Vec::new(),
             power: Vec::new(),
             screened: Vec::new(),
@@ -229,7 +232,8 @@ impl<'a> Analysis<'a> {
         for Twin { screened, values, power, .. } in drawn {
             twins.values.push(values);
             twins.power.push(power);
-            // Own derivatives are for the screening, which twins of effects do not go through.
+            // Own derivatives are for the screening, which twins of effects do not go through: what
+            // else is tried on these leaves noisy numbers out.
             let own = if active.is_empty() { screened.own } else { Vec::new() };
             twins.screened.push(Screened { own, ..screened });
         }
@@ -314,6 +318,7 @@ impl TwinFits {
         Self {
             bias: vec![0.0; truth.len()],
             pilots: 0,
+            noisy: Vec::new(),
             truth,
             sensors: ReportNoise::default(),
             values: Vec::new(),
@@ -328,7 +333,8 @@ impl TwinFits {
         let values = vec![fitted; 4];
         let (power, screened) = (Vec::new(), Vec::new());
         let sensors = ReportNoise::default();
-        Self { truth, sensors, bias, pilots: 4, values, power, screened }
+        let noisy = Vec::new();
+        Self { truth, sensors, bias, pilots: 4, noisy, values, power, screened }
     }
 
     /// Standard error of a number that was fitted and freed of [`bias`](Self::bias): the fits'

@@ -17,7 +17,7 @@ use super::gap::Errors;
 use super::hypothesis::Catalogue;
 use super::inquiry::{Inquiry, Judgement};
 use super::judgement::{CLOSED_MIN, Unexplained, is_open, is_rate_off};
-use super::law::{acts_by_its_law, has_law, is_itself};
+use super::law::{acts_by_its_law, has_law, is_constant, is_itself};
 use super::scored::Scored;
 use super::search::{Search, correct};
 use super::selection::{BEYOND_DOUBT, Rival, Selection, Thresholds};
@@ -61,11 +61,14 @@ impl Inquiry<'_> {
         }
     }
 
-    /// The effect that is alone in explaining anything, where no other number is strained.
+    /// The effect that is alone in explaining anything, where no other number is strained and its
+    /// own need not vary.
     fn sole(&self, search: &Search) -> Option<Unchosen> {
         let alone = alone(self.catalogue, &search.selection, &search.thresholds)?;
         let own = Some(self.catalogue.hypotheses[alone.hypothesis].effect);
+        let mut varies = search.constancy.variation.iter();
         let is_kept = Some(alone.hypothesis) != search.dropped
+            && !varies.any(|varies| is_constant(varies.effect))
             && search.strained.iter().all(|strain| strain.effect == own);
         let named = self.by_its_fit(search, alone).filter(|_| is_kept)?;
         Some(self.as_far(search, named))
