@@ -18,6 +18,7 @@ mod law;
 pub mod layout;
 pub mod learner;
 pub mod leftover;
+mod level;
 pub mod linearised;
 pub mod map;
 pub mod misfit;

@@ -251,7 +251,7 @@ pub(super) fn share(
 /// flights no model is exact, and nats beyond that are of other things; more so where no on-board
 /// law is known, by which twins of the explanation could be flown to check it. Of 495 causes of a
 /// round trip 3 % had a rival beyond the former and 14 % beyond the latter.
-const AS_GOOD: f64 = 0.85;
+pub(super) const AS_GOOD: f64 = 0.85;
 const AS_GOOD_UNCHECKED: f64 = 2.0 / 3.0;
 
 /// Effects that by themselves explain about as much as the one that is named alone.

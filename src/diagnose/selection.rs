@@ -187,7 +187,7 @@ impl Selector<'_> {
         gains
     }
 
-    fn hypothesis(&self, index: usize) -> &Hypothesis {
+    pub(super) fn hypothesis(&self, index: usize) -> &Hypothesis {
         &self.catalogue.hypotheses[index]
     }
 
@@ -222,7 +222,7 @@ impl Selector<'_> {
     }
 
     /// Whether `more` is worth its additional effect.
-    fn accepts(&self, more: &Scored, less: &Scored) -> bool {
+    pub(super) fn accepts(&self, more: &Scored, less: &Scored) -> bool {
         let (gain, error) = more.gain_over(less);
         // Without an open loop to judge by, the flights held out must be clear by themselves.
         let clear = self.floor.is_some() || gain > error;
@@ -332,7 +332,8 @@ impl Selector<'_> {
                 }
             }
         }
-        self.pruned(about, null, singles, best)
+        let selection = self.pruned(about, null, singles, best)?;
+        Some(self.by_law(about, selection))
     }
 
     /// The selection without its effect number `index`; with its [`PLAINER`] cause in its place, if
