@@ -3,6 +3,7 @@
 
 use sitl::effects::EffectId;
 
+use super::hypothesis::Catalogue;
 use super::linearised::Linearised;
 use super::naming::AS_GOOD;
 use super::selection::{Rival, Selection, Selector};
@@ -13,31 +14,17 @@ const LAWS_OF_THRUST: [EffectId; 2] = [EffectId::BatterySag, EffectId::ThrustCur
 const PARTED: f64 = 5.0;
 
 impl Selector<'_> {
-    /// The selection with a law of the thrust in the place of a level that was chosen alone. A level
-    /// is exact: where it is the cause, what only resembles it falls behind, as far as the flights
-    /// part the two. No law is quite the catalogue's: one that is as good is likelier the cause. Of
-    /// 33 true levels with more than 50 nats none had a law above 0.83 of its evidence; of six levels
-    /// of an exam that stood for a law of another shape five had one above 0.85.
+    /// The selection with a law of the thrust in the place of a level that was chosen alone, where
+    /// that law is as good and the flights would tell it from the level.
     pub(super) fn by_law(&self, about: &Linearised, selection: Selection) -> Selection {
-        let Selection { null, singles, best, .. } = &selection;
-        let class = |rival: &&Rival| self.hypothesis(rival.hypothesis).effect.class();
-        let is_level = |rival: &&Rival| class(rival) == EffectId::ThrustScale;
-        let is_chosen = |rival: &&Rival| best.fit.hypotheses == [rival.hypothesis];
-        if !singles.iter().any(|rival| is_chosen(&rival) && is_level(&rival)) {
+        let Selection { null, singles, .. } = &selection;
+        let law = law_as_good(self.catalogue, &selection);
+        let law = law.filter(|law| self.accepts(&law.scored, null));
+        let Some(law) = law.filter(|law| self.is_parted_from_level(about, law)) else {
             return selection;
-        }
-        let evidence = |rival: &Rival| rival.scored.evidence - null.evidence;
-        let most = singles.iter().filter(is_level).map(evidence).fold(0.0, f64::max);
-        let near = singles.iter().filter(|rival| evidence(rival) > AS_GOOD * most);
-        let laws: Vec<&Rival> =
-            near.filter(|rival| LAWS_OF_THRUST.contains(&class(rival))).collect();
-        // Where both do, the flights part nothing.
-        let [law] = laws[..] else { return selection };
-        if !self.accepts(&law.scored, null) || !self.is_parted_from_level(about, law) {
-            return selection;
-        }
+        };
         let rivals = singles.iter().filter(|rival| {
-            !is_level(rival)
+            !is_level(self.catalogue, rival)
                 && rival.hypothesis != law.hypothesis
                 && self.accepts(&rival.scored, null)
         });
@@ -49,7 +36,7 @@ impl Selector<'_> {
     /// another level.
     fn is_parted_from_level(&self, about: &Linearised, law: &Rival) -> bool {
         let level = self.catalogue.number_of(EffectId::ThrustScale, 0);
-        let numbers = &self.hypothesis(law.hypothesis).numbers;
+        let numbers = &self.catalogue.hypotheses[law.hypothesis].numbers;
         let joint: Vec<usize> = level.into_iter().chain(numbers.iter().copied()).collect();
         let together = about.solve(self.catalogue, self.fitted.counts(), &joint);
         together.is_some_and(|together| {
@@ -59,5 +46,76 @@ impl Selector<'_> {
                 size.abs() > PARTED * together.deviation[*number]
             })
         })
+    }
+}
+
+/// Whether a hypothesis is a level of the thrust.
+fn is_level(catalogue: &Catalogue, rival: &Rival) -> bool {
+    catalogue.hypotheses[rival.hypothesis].effect.class() == EffectId::ThrustScale
+}
+
+/// The one law of the thrust that has about as much evidence as a level that was chosen alone.
+///
+/// A level is exact: where it is the cause, what only resembles it falls behind. No law is quite the
+/// catalogue's: one that is as good is likelier the cause. Of 33 true levels with more than 50 nats
+/// none had a law above 0.83 of its evidence; of six levels of an exam that stood for a law of another
+/// shape five had one above 0.85.
+fn law_as_good<'s>(catalogue: &Catalogue, selection: &'s Selection) -> Option<&'s Rival> {
+    let Selection { null, singles, best, .. } = selection;
+    let evidence = |rival: &Rival| rival.scored.evidence - null.evidence;
+    let levels = || singles.iter().filter(|rival| is_level(catalogue, rival));
+    levels().find(|level| best.fit.hypotheses == [level.hypothesis])?;
+    let most = levels().map(evidence).fold(0.0, f64::max);
+    let is_law = |rival: &&Rival| {
+        LAWS_OF_THRUST.contains(&catalogue.hypotheses[rival.hypothesis].effect)
+            && evidence(rival) > AS_GOOD * most
+    };
+    let laws: Vec<&Rival> = singles.iter().filter(is_law).collect();
+    match laws[..] {
+        [law] => Some(law),
+        // Where both are as good, the flights part nothing.
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sitl::vehicle::VehicleParams;
+
+    use super::*;
+    use crate::diagnose::scored::Scored;
+
+    #[test]
+    fn one_law_that_is_as_good_as_a_level_alone_comes_before_it() {
+        let vehicle = include_str!("../../config/vehicles/quad1200.toml");
+        let catalogue = Catalogue::new(&VehicleParams::from_toml_str(vehicle).unwrap(), true);
+        let hypothesis = |effect: EffectId| {
+            catalogue.hypotheses.iter().position(|h| h.effect == effect).unwrap()
+        };
+        let law = |chosen: &[EffectId], singles: &[(EffectId, f64)]| {
+            let scored = |set, evidence| Scored::of(set, evidence, Vec::new());
+            let singles = singles.iter().map(|(effect, evidence)| {
+                let hypothesis = hypothesis(*effect);
+                Rival { hypothesis, scored: scored(vec![hypothesis], *evidence) }
+            });
+            let selection = Selection {
+                null: scored(Vec::new(), 0.0),
+                singles: singles.collect(),
+                best: scored(chosen.iter().map(|effect| hypothesis(*effect)).collect(), 0.0),
+                places: Vec::new(),
+            };
+            let law = law_as_good(&catalogue, &selection);
+            law.map(|law| catalogue.hypotheses[law.hypothesis].effect)
+        };
+        let (mass, scale) = (EffectId::Mass, EffectId::ThrustScale);
+        let (sag, curve) = (EffectId::BatterySag, EffectId::ThrustCurve);
+        let evidence = [(mass, 100.0), (scale, 80.0), (curve, 90.0), (sag, 50.0)];
+        assert_eq!(law(&[mass], &evidence), Some(curve));
+        // Of the level that has the most, whichever was chosen.
+        assert_eq!(law(&[scale], &[(mass, 100.0), (scale, 80.0), (curve, 75.0)]), None);
+        // Where the flights part nothing, beside another effect, or in place of a law.
+        assert_eq!(law(&[mass], &[(mass, 100.0), (curve, 90.0), (sag, 95.0)]), None);
+        assert_eq!(law(&[mass, EffectId::YawTorque], &evidence), None);
+        assert_eq!(law(&[curve], &evidence), None);
     }
 }

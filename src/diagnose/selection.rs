@@ -187,7 +187,7 @@ impl Selector<'_> {
         gains
     }
 
-    pub(super) fn hypothesis(&self, index: usize) -> &Hypothesis {
+    fn hypothesis(&self, index: usize) -> &Hypothesis {
         &self.catalogue.hypotheses[index]
     }
 
