@@ -5,11 +5,9 @@ use sitl::effects::EffectId;
 
 use super::hypothesis::Catalogue;
 use super::linearised::Linearised;
-use super::naming::AS_GOOD;
+use super::naming::{AS_GOOD, THRUST_LEVEL};
 use super::selection::{Rival, Selection, Selector};
 
-/// Laws by which the thrust's level changes.
-const LAWS_OF_THRUST: [EffectId; 2] = [EffectId::BatterySag, EffectId::ThrustCurve];
 /// Standard deviations, beside a free level, by which flights part a law from it.
 const PARTED: f64 = 5.0;
 
@@ -67,7 +65,8 @@ fn law_as_good<'s>(catalogue: &Catalogue, selection: &'s Selection) -> Option<&'
     levels().find(|level| best.fit.hypotheses == [level.hypothesis])?;
     let most = levels().map(evidence).fold(0.0, f64::max);
     let is_law = |rival: &&Rival| {
-        LAWS_OF_THRUST.contains(&catalogue.hypotheses[rival.hypothesis].effect)
+        THRUST_LEVEL.contains(&catalogue.hypotheses[rival.hypothesis].effect)
+            && !is_level(catalogue, rival)
             && evidence(rival) > AS_GOOD * most
     };
     let laws: Vec<&Rival> = singles.iter().filter(is_law).collect();

@@ -188,7 +188,7 @@ pub(super) fn told(flight: &PreparedFlight) -> [bool; QUANTITIES.len()] {
     [velocity, velocity, velocity, outputs, voltage, body_rate, true]
 }
 
-/// The [`QUANTITIES`] of a flight at a time, which counts from its first look.
+/// The [`QUANTITIES`] of a flight at a time, which counts from its first airborne time, s.
 pub(super) fn quantities(flight: &PreparedFlight, time: f64) -> [f64; QUANTITIES.len()] {
     let [vn, ve, vd] = flight.velocity.at(time);
     let [_, _, down] = flight.position.at(time);
