@@ -7,10 +7,12 @@ use serde::{Deserialize, Serialize};
 use crate::effects::{Effect, EffectSet, RotorGyroscopic};
 use crate::rotor::Allocation;
 
+mod cascade;
 mod difference;
 mod error;
 mod required;
 
+pub use cascade::AttitudeCascade;
 pub use difference::Difference;
 pub use error::VehicleError;
 
@@ -33,9 +35,13 @@ pub struct VehicleParams {
     pub motor_time_constant_s: f64,
     /// Mean delay from the ground station's send to use on board, in s.
     pub command_delay_s: f64,
-    /// The on-board attitude loop; missing where the autopilot's loop is its own.
+    /// The on-board attitude loop of the bundled vehicle; missing where the autopilot's loop is its
+    /// own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub attitude_pd: Option<AttitudePd>,
+    /// The on-board attitude loop of PX4 or ArduCopter, in place of `attitude_pd`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attitude_cascade: Option<AttitudeCascade>,
     /// Fraction of the rotors' maximum thrust at hover, as the firmware believes.
     pub hover_thrust: f64,
     /// Gravity in m/s^2.
@@ -183,6 +189,11 @@ impl VehicleParams {
         self.mass * self.gravity / full_n
     }
 
+    /// The on-board attitude loop as a PD law, whichever form the file has it in.
+    pub fn attitude_loop_pd(&self) -> Option<AttitudePd> {
+        self.attitude_pd.or_else(|| self.attitude_cascade.map(|cascade| cascade.as_pd()))
+    }
+
     /// The firmware's mixer.
     ///
     /// # Errors
@@ -295,6 +306,9 @@ impl VehicleParams {
         let delay = self.command_delay_s;
         let expected = "a time in 0..=1 s";
         self.require("command_delay_s", delay, (0.0..=1.0).contains(&delay), expected)?;
+        if let Some(cascade) = &self.attitude_cascade {
+            self.check_cascade(cascade)?;
+        }
         let Some(pd) = &self.attitude_pd else { return Ok(()) };
         for gain in pd.kp {
             self.require("attitude_pd.kp", gain, gain >= 0.0, "gains of 0 or more N m/rad")?;
@@ -305,6 +319,48 @@ impl VehicleParams {
         let rate = pd.rate_hz;
         let expected = "a rate in 1..=1000 Hz";
         self.require("attitude_pd.rate_hz", rate, (1.0..=1000.0).contains(&rate), expected)
+    }
+
+    fn check_cascade(&self, cascade: &AttitudeCascade) -> Result<(), VehicleError> {
+        if self.attitude_pd.is_some() {
+            let expected = "one on-board loop, attitude_pd or attitude_cascade";
+            return Err(self.error("attitude_cascade", expected, "both".to_owned()));
+        }
+        for (name, triple) in [
+            ("angle_p_per_s", cascade.angle_p_per_s),
+            ("rate_max_rad_s", cascade.rate_max_rad_s),
+            ("rate_p_Nms", cascade.rate_p_nms),
+        ] {
+            for value in triple {
+                let field = format!("attitude_cascade.{name}");
+                self.require(&field, value, value > 0.0, "numbers above 0")?;
+            }
+        }
+        for (name, triple) in [
+            ("rate_i_Nm", cascade.rate_i_nm),
+            ("rate_d_Nms2", cascade.rate_d_nms2),
+            ("rate_ff_Nms", cascade.rate_ff_nms),
+            ("integral_max_Nm", cascade.integral_max_nm),
+        ] {
+            for value in triple {
+                let field = format!("attitude_cascade.{name}");
+                self.require(&field, value, value >= 0.0, "numbers of 0 or more")?;
+            }
+        }
+        for (name, hz) in [
+            ("gyro_cutoff_hz", cascade.gyro_cutoff_hz),
+            ("derivative_cutoff_hz", cascade.derivative_cutoff_hz),
+        ] {
+            let field = format!("attitude_cascade.{name}");
+            self.require(&field, hz, hz > 0.0, "a frequency above 0 Hz")?;
+        }
+        if let Some(tc) = cascade.input_time_constant_s {
+            let field = "attitude_cascade.input_time_constant_s";
+            self.require(field, tc, (0.0..=2.0).contains(&tc), "a time in 0..=2 s")?;
+        }
+        let rate = cascade.rate_hz;
+        let expected = "a rate in 1..=8000 Hz";
+        self.require("attitude_cascade.rate_hz", rate, (1.0..=8000.0).contains(&rate), expected)
     }
 
     fn check_battery(&self) -> Result<(), VehicleError> {
@@ -362,6 +418,7 @@ pub(crate) mod tests {
             motor_time_constant_s: 0.0,
             command_delay_s: 0.005,
             attitude_pd: None,
+            attitude_cascade: None,
             hover_thrust: 1.2 * 9.80665 / 24.0,
             gravity: 9.80665,
             air_density: 1.2,
@@ -417,6 +474,17 @@ pub(crate) mod tests {
             })
             .contains("rotor_max_rpm")
         );
+    }
+
+    #[test]
+    fn a_file_has_one_on_board_loop() {
+        let cascade = cascade::tests::cascade();
+        let vehicle = VehicleParams { attitude_cascade: Some(cascade), ..quad() };
+        assert_eq!(vehicle.attitude_loop_pd(), Some(cascade.as_pd()));
+        let text = vehicle.clone().checked().unwrap().to_toml().unwrap();
+        assert_eq!(VehicleParams::from_toml_str(&text).unwrap(), vehicle);
+        let both = VehicleParams { attitude_pd: Some(cascade.as_pd()), ..vehicle };
+        assert!(both.checked().unwrap_err().to_string().contains("one on-board loop"));
     }
 
     #[test]

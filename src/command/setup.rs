@@ -91,7 +91,7 @@ pub(super) fn station_settings(
         system: link.system,
         component: link.component,
         vehicle_system: link.vehicle_system,
-        vehicle_has_attitude_pd: effective.attitude_pd.is_some(),
+        vehicle_has_attitude_pd: effective.is_pd,
         form: form_choice(link.attitude_target, effective.attitude_pd),
         answer_timesync: link.answer_timesync,
         stale_after: seconds("link.stale_after_s", link.stale_after_s)?,

@@ -54,6 +54,7 @@ pub fn vehicle(draw: &mut Draw, name: &str) -> VehicleParams {
         motor_time_constant_s: lag,
         command_delay_s: (draw.within([0.003, 0.008]) * 1e3).round() * 1e-3,
         attitude_pd: Some(attitude_pd(draw, inertia, lag)),
+        attitude_cascade: None,
         hover_thrust: rounded(rounded(mass) * GRAVITY / (4.0 * thrust_max_n)),
         gravity: GRAVITY,
         air_density: rounded(draw.within([1.1, 1.24])),

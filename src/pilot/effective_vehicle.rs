@@ -29,8 +29,11 @@ pub struct EffectiveVehicle {
     pub thrust_full_n: f64,
     /// From thrust to what is sent.
     pub thrust: ThrustMap,
-    /// The on-board loop, where the file has it.
+    /// The on-board loop as a PD law, where the file has it in either form.
     pub attitude_pd: Option<AttitudePd>,
+    /// Whether that law is all of the loop, so that the vehicle may honour attitude, body rates and
+    /// thrust together.
+    pub is_pd: bool,
     /// How late a setpoint acts.
     pub actuation: Actuation,
 }
@@ -45,10 +48,11 @@ impl EffectiveVehicle {
         let constants = physics.constants();
         let thrust_full_n = constants.rotors.iter().map(|rotor| rotor.thrust_max).sum();
         let gain = params.modelled_effects.get::<PdGain>();
-        let attitude_pd = params.attitude_pd.map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
+        let attitude_pd = params.attitude_loop_pd().map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
         // A mixer that is known is linear, and bends with the motors. An autopilot's own loop is
         // taken to linearise them.
-        let bend = params.modelled_effects.get::<ThrustCurve>().filter(|_| attitude_pd.is_some());
+        let bend =
+            params.modelled_effects.get::<ThrustCurve>().filter(|_| params.attitude_pd.is_some());
         let thrust = ThrustMap::curve(thrust_full_n, bend.map_or(0.0, |curve| curve.a))?;
         let delay = params.modelled_effects.get::<CommandDelay>();
         Ok(Self {
@@ -60,6 +64,7 @@ impl EffectiveVehicle {
             thrust_full_n,
             thrust,
             attitude_pd,
+            is_pd: params.attitude_pd.is_some(),
             actuation: Actuation {
                 command_delay_s: delay.map_or(params.command_delay_s, |delay| delay.delay_s),
                 motor_time_constant_s: constants.motor_time_constant,

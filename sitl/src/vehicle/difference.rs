@@ -74,6 +74,7 @@ impl VehicleParams {
             Difference::of("inertia", &a.inertia, &b.inertia),
             Difference::of("rotors", &a.rotors, &b.rotors),
             Difference::of("attitude_pd", &a.attitude_pd, &b.attitude_pd),
+            Difference::of("attitude_cascade", &a.attitude_cascade, &b.attitude_cascade),
             Difference::of("battery", &a.battery, &b.battery),
             Difference::of("gravity", &a.gravity, &b.gravity),
             Difference::of("rotor_radius_m", &a.rotor_radius_m, &b.rotor_radius_m),

@@ -27,13 +27,27 @@ const ROTOR: &[Key] = &[
     ("drag_torque_per_thrust_m", "the drag torque over the thrust in m"),
 ];
 /// In tables that are there once; but for the battery they may be missing as a whole.
-const TABLES: [(&str, &[Key]); 3] = [
+const TABLES: [(&str, &[Key]); 4] = [
     (
         "attitude_pd",
         &[
             ("kp", "the gains of roll, pitch and yaw in N m/rad"),
             ("kd", "the gains of the body rates in N m s/rad"),
             ("rate_hz", "the rate of the on-board loop in Hz"),
+        ],
+    ),
+    (
+        "attitude_cascade",
+        &[
+            ("angle_p_per_s", "the gains from attitude error to body rate in 1/s"),
+            ("rate_max_rad_s", "the largest body rates in rad/s"),
+            ("rate_p_Nms", "the gains from rate error to moment in N m s/rad"),
+            ("rate_i_Nm", "the gains from its integral to moment in N m/rad"),
+            ("rate_d_Nms2", "the gains from angular acceleration to moment in N m s^2/rad"),
+            ("integral_max_Nm", "the bounds of the integral in N m"),
+            ("gyro_cutoff_hz", "the cutoff of the gyro's low-pass in Hz"),
+            ("derivative_cutoff_hz", "the cutoff of the derivative's low-pass in Hz"),
+            ("rate_hz", "the rate of the loop in Hz"),
         ],
     ),
     (
