@@ -35,7 +35,7 @@ impl Station {
             ];
             self.records.push(Record::Facts(Box::new(facts.into())));
         }
-        for rule in profile.required.iter().chain(&profile.loss_timeout) {
+        for rule in profile.required {
             self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
         }
         for name in profile.loss.parameters() {
