@@ -24,7 +24,7 @@ use super::plan::{PlanModel, plan_trajectory};
 use super::setup::{EffectiveVehicle, VehicleFile, built_in_trajectory};
 use super::simulation::{Simulated, SimulatedFlight, Truth};
 use super::{
-    Exit, ExitContext, config, on_interrupt, print_json, print_text, say, summary, write_file,
+    Exit, ExitContext, Interruption, config, print_json, print_text, say, summary, write_file,
 };
 use crate::cli::{CollectArgs, DemoArgs, SimulationArgs};
 use crate::config::Config;
@@ -118,7 +118,7 @@ struct Flown {
     exit: Exit,
 }
 
-pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let began = Instant::now();
     let config = config::load(args.config.as_deref(), vec![])?;
     let shipped = match &args.vehicle {
@@ -140,9 +140,8 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
         shipped,
         desired,
         simulation,
-        interrupted: Arc::new(AtomicBool::new(false)),
+        interrupted: interruption.flag(),
     };
-    on_interrupt(&closed.interrupted)?;
     closed.run(began)
 }
 

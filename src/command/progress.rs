@@ -1,10 +1,12 @@
 //! Progress bars on stderr, which show nothing where it is no terminal.
 
+use std::io::{self, IsTerminal};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use super::say;
 use crate::learn::procedure::Watch;
 
 /// A bar of so many steps.
@@ -39,6 +41,10 @@ impl StageBar {
 
 impl Watch for StageBar {
     fn stage(&mut self, name: &str, steps: u64) {
+        // A bar shows only on a terminal.
+        if !io::stderr().is_terminal() {
+            say(format_args!("... {name}"));
+        }
         self.bar.set_prefix(name.to_owned());
         self.bar.set_length(steps);
         self.bar.set_position(0);

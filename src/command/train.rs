@@ -11,7 +11,9 @@ use sitl::vehicle::VehicleParams;
 use super::logs::Logs;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
-use super::{Exit, ExitContext, in_words, model, print_json, print_text, say, write_file};
+use super::{
+    Exit, ExitContext, Interruption, in_words, model, print_json, print_text, say, write_file,
+};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
@@ -23,9 +25,9 @@ use crate::learn::training::Method;
 use crate::learn::training_set::TrainingSet;
 use crate::model::features::Features;
 
-pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &TrainArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let resume = if args.resume { Resume::Always } else { Resume::Never };
-    let Trained { summary, report } = match learn(args, resume)? {
+    let Trained { summary, report } = match learn(args, resume, &interruption.flag())? {
         Learning::Done(trained) => *trained,
         Learning::Interrupted(checkpoint) => {
             say(format_args!(
@@ -73,7 +75,11 @@ pub(super) enum Resume {
 }
 
 /// Trains, and writes the model file and the report. `args.resume` is the caller's to read.
-pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning> {
+pub(super) fn learn(
+    args: &TrainArgs,
+    resume: Resume,
+    interrupted: &Arc<AtomicBool>,
+) -> anyhow::Result<Learning> {
     let checkpoint_path = checkpoint_path(&args.out);
     let inputs = || args.logs.iter().chain([&args.vehicle]).chain(&args.mapping);
     for out in [&args.out, &checkpoint_path] {
@@ -108,7 +114,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
         Resume::IfItBelongs => load_checkpoint(&checkpoint_path).ok(),
     };
 
-    let mut bar = StageBar::new(interrupt_flag()?);
+    let mut bar = StageBar::new(Arc::clone(interrupted));
     let windows_of =
         |window: &f64| WindowSettings { half_s: window * 1e-3, ..WindowSettings::default() };
     let (first, others) = args
@@ -280,13 +286,6 @@ fn unsealed(bytes: &[u8]) -> anyhow::Result<&[u8]> {
         return Err(anyhow!("its content is not what was written"));
     }
     Ok(content)
-}
-
-/// Set by the first Ctrl-C; the second ends the program at once.
-fn interrupt_flag() -> anyhow::Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    super::on_interrupt(&flag)?;
-    Ok(flag)
 }
 
 #[cfg(test)]
