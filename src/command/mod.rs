@@ -13,6 +13,7 @@ mod exit;
 mod fly;
 mod goal_file;
 mod import;
+mod improved;
 mod interruption;
 mod log;
 mod logs;

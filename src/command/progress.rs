@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::say;
+use crate::learn::networks::Progress;
 use crate::learn::procedure::Watch;
 
 /// A bar of so many steps.
@@ -25,12 +26,18 @@ pub(super) fn flight_bar(length_s: f64) -> ProgressBar {
 pub(super) struct StageBar {
     bar: ProgressBar,
     interrupted: Arc<AtomicBool>,
+    keep: Option<Box<dyn Fn(&Progress) + Send>>,
 }
 
 impl StageBar {
     /// `interrupted` ends the training.
     pub fn new(interrupted: Arc<AtomicBool>) -> Self {
-        Self { bar: bar(1, "{prefix:10} {bar:40} {percent:>3} %  {msg}"), interrupted }
+        Self { bar: bar(1, "{prefix:10} {bar:40} {percent:>3} %  {msg}"), interrupted, keep: None }
+    }
+
+    /// What to do with trained networks before they are judged.
+    pub fn keep_by(&mut self, keep: Option<Box<dyn Fn(&Progress) + Send>>) {
+        self.keep = keep;
     }
 
     /// Takes it off the terminal.
@@ -57,5 +64,11 @@ impl Watch for StageBar {
 
     fn interrupted(&self) -> bool {
         self.interrupted.load(Ordering::Relaxed)
+    }
+
+    fn trained(&mut self, progress: &Progress) {
+        if let Some(keep) = &self.keep {
+            keep(progress);
+        }
     }
 }

@@ -135,8 +135,7 @@ pub(super) fn learn(
                 bar.clear();
                 // What is there and was not come to yet is of a later window, and holds more.
                 if progress.is_none() {
-                    let json = serde_json::to_vec(&reached).context("checkpoint")?;
-                    write_file(&checkpoint_path, &sealed(&json))?;
+                    keep(&reached, &checkpoint_path)?;
                 }
                 return Ok(Learning::Interrupted(checkpoint_path));
             }
@@ -251,6 +250,14 @@ fn train_with(
         *progress = None;
     }
     let own = progress.take_if(|progress| progress.window_half_s() == settings.window_half_s);
+    let path = checkpoint_path(&args.out);
+    let keep_trained: Box<dyn Fn(&Progress) + Send> = Box::new(move |reached| {
+        if let Err(error) = keep(reached, &path) {
+            say(format_args!("warning: {}", in_words(&error)));
+        }
+    });
+    // As where it is interrupted.
+    bar.keep_by(progress.is_none().then_some(keep_trained));
     train(&set, &settings, windows, logs.refused.clone(), own, bar).or_exit(Exit::Usage)
 }
 
@@ -259,6 +266,12 @@ fn checkpoint_path(out: &Path) -> PathBuf {
     let mut path = out.as_os_str().to_owned();
     path.push(".checkpoint");
     PathBuf::from(path)
+}
+
+/// Writes a checkpoint.
+fn keep(reached: &Progress, path: &Path) -> anyhow::Result<()> {
+    let json = serde_json::to_vec(reached).context("checkpoint")?;
+    write_file(path, &sealed(&json))
 }
 
 fn load_checkpoint(path: &Path) -> anyhow::Result<Progress> {
