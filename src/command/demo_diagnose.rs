@@ -19,6 +19,7 @@ use sitl::vehicle::VehicleParams;
 
 use super::collect::gather;
 use super::course::Course;
+use super::improved::{Additions, Form};
 use super::logs::open_for;
 use super::plan::{PlanModel, plan_trajectory};
 use super::setup::{EffectiveVehicle, VehicleFile, built_in_trajectory};
@@ -268,10 +269,13 @@ impl Loop<'_> {
 
     /// Writes the vehicle file with what was found.
     fn improve(&self, diagnosis: &Diagnosis) -> anyhow::Result<VehicleFile> {
-        let mut improved = self.shipped.params.clone();
-        improved.modelled_effects = improved.modelled_effects.overlay(&diagnosis.effects);
-        let text = improved.to_toml().context("the improved vehicle file")?;
+        let logs: Vec<String> =
+            diagnosis.answer.flights.iter().map(|flight| flight.name.clone()).collect();
+        let additions = Additions::new(&diagnosis.effects, &diagnosis.answer, &logs)?;
+        let VehicleFile { text, params, .. } = &self.shipped;
         let path = self.args.out.join(IMPROVED);
+        let forms = [Form::of(Path::new(&self.shipped.name), text), Form::Toml];
+        let text = additions.to_file(text, params, forms)?;
         write_file(&path, text.as_bytes())?;
         VehicleFile::load(&path)
     }
