@@ -405,6 +405,7 @@ impl Loop<'_> {
             gap: summary.gap.map(|gap| [gap.before, gap.after, gap.floor]),
             contenders: &summary.contenders,
             files: &files,
+            folder: &args.out,
             notes: &notes,
         });
         write_file(&summary.report, html.as_bytes())?;

@@ -14,6 +14,7 @@ use super::improved::{Additions, Form};
 use super::logs::open_for;
 use super::output::{create_report_folder, refuse_input};
 use super::setup::capability;
+use super::train::listed;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
@@ -78,7 +79,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         return tell(args, &vehicle, &Answer::data_fault(logs), &EffectSet::new());
     }
     if fitted.is_empty() && held_out.is_empty() {
-        return Err(anyhow!("none of the {} logs can be used", paths.len())).or_exit(Exit::Usage);
+        return Err(anyhow!("none of the logs can be used: {}", listed(&paths))).or_exit(Exit::Usage);
     }
     let blocked = held_out.is_empty() && fitted.len() == 1 || fitted.is_empty();
     if fitted.is_empty() {

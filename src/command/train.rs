@@ -207,7 +207,7 @@ fn read(
     });
     if logs.flights.is_empty() {
         bar.clear();
-        return Err(anyhow!("none of the {} logs can be used", args.logs.len()))
+        return Err(anyhow!("none of the logs can be used: {}", listed(&args.logs)))
             .or_exit(Exit::Usage);
     }
     Ok(logs)
@@ -241,7 +241,10 @@ fn train_with(
         windows_half_s: args.window.iter().map(|window| window * 1e-3).collect(),
     };
     bar.stage("physics", 1);
-    let set = TrainingSet::new(vehicle, onboard, &mut logs.flights).or_exit(Exit::Usage)?;
+    let names = listed(&args.logs);
+    let set = TrainingSet::new(vehicle, onboard, &mut logs.flights)
+        .with_context(|| names.clone())
+        .or_exit(Exit::Usage)?;
     if progress.as_ref().is_some_and(|progress| !belongs(progress, &set, &settings)) {
         if resume == Resume::Always {
             bar.clear();
@@ -258,7 +261,20 @@ fn train_with(
     });
     // As where it is interrupted.
     bar.keep_by(progress.is_none().then_some(keep_trained));
-    train(&set, &settings, windows, logs.refused.clone(), own, bar).or_exit(Exit::Usage)
+    train(&set, &settings, windows, logs.refused.clone(), own, bar)
+        .with_context(|| names)
+        .or_exit(Exit::Usage)
+}
+
+/// Files for an error: the first few, and how many more.
+pub(super) fn listed(files: &[PathBuf]) -> String {
+    const NAMED: usize = 3;
+    let named: Vec<String> =
+        files.iter().take(NAMED).map(|file| file.display().to_string()).collect();
+    match files.len().saturating_sub(NAMED) {
+        0 => named.join(", "),
+        more => format!("{} and {more} more", named.join(", ")),
+    }
 }
 
 /// Where an interrupted training of a model file is kept.
