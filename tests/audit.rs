@@ -79,7 +79,8 @@ fn thinned<T: Clone>(stream: &Stream<T>, seed: u64) -> Stream<T> {
     stream.filter_map(|value| (random.random::<f64>() > 0.1).then(|| value.clone()))
 }
 
-fn assert_near(estimate: Estimate, expected: f64, most: f64, name: &str) {
+fn assert_near(estimate: impl Into<Option<Estimate>>, expected: f64, most: f64, name: &str) {
+    let estimate = estimate.into().expect(name);
     assert!((estimate.value - expected).abs() < most, "{name}: {estimate:?}, expected {expected}");
     assert!(estimate.half_width < 2.0 * most, "{name}: {estimate:?}");
 }

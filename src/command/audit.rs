@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{Exit, ExitContext, print_json, print_text};
 use crate::cli::FailOnFinding;
-use crate::diagnose::audit::{Agreement, Audit, Severity};
+use crate::diagnose::audit::{Agreement, Audit, Estimate, Severity};
 use crate::log::import::{self, Flight};
 
 /// The JSON of `log audit`.
@@ -94,11 +94,18 @@ fn agreement(
     };
     let Agreement { delay_s, rotation_rad, bias, explained, .. } = agreement;
     write!(out, "  {name}: {:+.1} +- {:.1} ms", 1e3 * delay_s.value, 1e3 * delay_s.half_width)?;
-    let [x, y, z] = rotation_rad.map(|r| r.value.to_degrees());
-    let [bx, by, bz] = bias.map(|b| b.value);
+    let numbers = |of: &[Option<Estimate>; 3], precise: usize, factor: f64| {
+        let number = |of: &Option<Estimate>| match of {
+            Some(estimate) => format!("{:+.precise$}", factor * estimate.value),
+            None => "not shown".to_owned(),
+        };
+        of.each_ref().map(number).join(", ")
+    };
     writeln!(
         out,
-        ", turned ({x:+.2}, {y:+.2}, {z:+.2}) deg, bias ({bx:+.3}, {by:+.3}, {bz:+.3}) {unit}, {:.1} % explained",
+        ", turned ({}) deg, bias ({}) {unit}, {:.1} % explained",
+        numbers(rotation_rad, 2, 1f64.to_degrees()),
+        numbers(bias, 3, 1.0),
         100.0 * explained
     )
 }

@@ -172,8 +172,8 @@ pub struct Planner {
     settings: PlanSettings,
 }
 
-/// Most periods of a plan.
-const PERIODS_MAX: usize = 100_000;
+/// Most periods of a plan: ten minutes at 100 Hz, which are planned in seconds.
+const PERIODS_MAX: usize = 60_000;
 /// How far the planned yaw and the commanded one may leave the range of the desired, rad.
 const YAW_ROOM: f64 = 1.0;
 
