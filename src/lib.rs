@@ -4,6 +4,7 @@
 #![warn(missing_docs)]
 
 pub mod clock;
+pub mod parameters;
 pub mod setpoint;
 
 pub mod control;
