@@ -20,6 +20,7 @@ pub mod report;
 pub mod station;
 pub mod supervisor;
 pub mod telemetry;
+pub mod vehicle_init;
 
 pub mod daemon;
 pub mod lockstep;
