@@ -204,6 +204,11 @@ impl Parameters {
         self.0.get(name).copied().filter(|value| value.is_finite())
     }
 
+    /// Takes in a parameter.
+    pub fn set(&mut self, name: String, value: f64) {
+        self.0.insert(name, value);
+    }
+
     fn numbers<const N: usize>(&self, names: [&str; N]) -> [Option<f64>; N] {
         names.map(|name| self.number(name))
     }

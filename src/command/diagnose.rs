@@ -11,6 +11,7 @@ use sitl::vehicle::VehicleParams;
 use super::logs::open_for;
 use super::output::create_report_folder;
 use super::setup::capability;
+use super::vehicle::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
@@ -37,6 +38,7 @@ const GUARD_S: f64 = 2.0;
 
 pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    warn(&args.vehicle, &vehicle);
     // What would fail after the work is tried before it.
     let proposing = match (&args.next_flight, &args.config) {
         (None, None) => None,

@@ -13,6 +13,7 @@ mod exit;
 mod fly;
 mod goal_file;
 mod import;
+mod link_parameters;
 mod log;
 mod logs;
 mod messages;
@@ -28,6 +29,7 @@ mod status_line;
 mod stop;
 mod summary;
 mod train;
+mod vehicle;
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -65,6 +67,10 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Plan(args) => plan::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
         Command::Exam(args) => exam::run(&args),
+        Command::Vehicle(command) => {
+            end_on_broken_pipe();
+            vehicle::run(command)
+        }
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)

@@ -14,6 +14,7 @@ use sitl::vehicle::VehicleParams;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::setup::{EffectiveVehicle, VehicleFile};
+use super::vehicle::refuse_grounded;
 use super::{Exit, ExitContext, config, on_interrupt, print_json, print_text, say, write_file};
 use crate::cli::PlanArgs;
 use crate::config::Config;
@@ -185,7 +186,11 @@ pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
         config.settings.plan.time_limit_s = limit;
     }
     let vehicle = match (&args.vehicle, &args.model) {
-        (Some(path), _) => VehicleParams::load(path).or_exit(Exit::Usage)?,
+        (Some(path), _) => {
+            let vehicle = VehicleParams::load(path).or_exit(Exit::Usage)?;
+            refuse_grounded(&path.display().to_string(), &vehicle)?;
+            vehicle
+        }
         (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
         (None, None) => VehicleFile::built_in()?.params,
     };

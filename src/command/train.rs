@@ -11,6 +11,7 @@ use sitl::vehicle::VehicleParams;
 use super::logs::Logs;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
+use super::vehicle::warn;
 use super::{Exit, ExitContext, in_words, model, print_json, print_text, say, write_file};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
@@ -80,6 +81,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
         refuse_input(out, inputs().map(PathBuf::as_path))?;
     }
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    warn(&args.vehicle, &vehicle);
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
     if let Some(weight) = args.regularization.iter().find(|weight| !(0.0..1.0).contains(*weight)) {
         let error = anyhow!("--regularization: expected at least 0 and below 1, found {weight}");
