@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use downwash::log::import::mapping::{BodyFrame, Mapping, WorldFrame, attitude_to_ned};
+use downwash::log::import::mapping::{AttitudeTurn, BodyFrame, Mapping, WorldFrame};
 use downwash::log::import::{Flight, ImportError, MotorUnit, open, open_among, write};
 use proptest::prelude::*;
 use sitl::frame::{Attitude, Euler, Frd, Ned};
@@ -193,11 +193,12 @@ proptest! {
     fn attitudes_turn_vectors_alike_in_all_axes(
         rotation in any_rotation(),
         v in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
-        world in prop::sample::select(vec![WorldFrame::Ned, WorldFrame::Enu, WorldFrame::Nwu]),
-        body in prop::sample::select(vec![BodyFrame::Frd, BodyFrame::Flu]),
+        world in prop::sample::select(vec![WorldFrame::NED, WorldFrame::ENU, WorldFrame::NWU]),
+        body in prop::sample::select(vec![BodyFrame::FRD, BodyFrame::FLU]),
     ) {
         let turned = world.to_ned(rotation.to_world(Frd::from(v)).to_array());
-        let attitude = attitude_to_ned(world, body, rotation);
+        let turn = AttitudeTurn::new(world, body).expect("one hand");
+        let attitude = turn.apply(rotation);
         prop_assert!((attitude.to_world(body.to_frd(v)) - turned).norm() < 1e-9);
         // Both keep right hands right.
         let [x, y, z] = AXES.map(|axis| world.to_ned(axis));
