@@ -120,6 +120,7 @@ pub(super) fn read(
     if let Some(doubt) = numbers.doubt() {
         return Err(TableError::Unmapped(doubt));
     }
+    flight.facts.notes.extend(reader.notes().iter().cloned());
     flight.motor_source = MotorSource::Table;
     flight.motor_unit = match reader.outputs() {
         Outputs::Fraction => MotorUnit::ThrustFraction,
@@ -139,7 +140,9 @@ pub(super) fn propose(source: impl Read) -> Result<String, TableError> {
     let mut source = decoded(source)?;
     let head = Head::read(&mut source, 0)?;
     for (name, text) in mapping::SHIPPED {
-        let fits = Mapping::parse(text).is_ok_and(|mapping| head.layout(&mapping).is_ok());
+        // Those of one program's exports say what they expect of them.
+        let fits =
+            Mapping::parse(text).is_ok_and(|m| !m.expect.is_empty() && head.layout(&m).is_ok());
         if fits {
             let title =
                 format!("# The shipped mapping {name:?} fits this table (--mapping {name}):\n\n");

@@ -13,6 +13,9 @@ use super::{
 /// Standard gravity, m/s^2: what `g` is as a unit.
 const STANDARD_GRAVITY: f64 = 9.806_65;
 
+/// So many lines above the names point a column out.
+const NEAR: usize = 4;
+
 /// What a mapping needs and does not say.
 fn unsaid(field: &str, expected: &str) -> String {
     format!("{field} is not said: write {field} = {expected}")
@@ -53,8 +56,9 @@ impl Heading<'_> {
 
     /// A column as one would point it out: its number and all that stands above it.
     fn pointed_out(&self, column: usize) -> String {
+        let near = &self.above[self.above.len().saturating_sub(NEAR)..];
         let mut words: Vec<&str> =
-            self.above.iter().filter_map(|line| line.get(column)).map(String::as_str).collect();
+            near.iter().filter_map(|line| line.get(column)).map(String::as_str).collect();
         words.push(self.name(column));
         words.retain(|word| !word.is_empty());
         words.dedup();
@@ -74,6 +78,8 @@ impl Heading<'_> {
 struct Binder<'a> {
     heading: Heading<'a>,
     used: Vec<bool>,
+    /// What was taken where the mapping gives a number.
+    notes: Vec<String>,
     world: Option<WorldFrame>,
     body: Option<BodyFrame>,
 }
@@ -83,6 +89,10 @@ impl Binder<'_> {
         match self.heading.called(column).as_slice() {
             [at] => {
                 self.used[*at] = true;
+                if let (Column::Number(_), Some(_)) = (column, self.heading.names) {
+                    let found = self.heading.pointed_out(*at);
+                    self.notes.push(format!("{field}: column {found}"));
+                }
                 Ok(*at)
             }
             [] => {
@@ -278,8 +288,13 @@ impl RowReader {
     /// Binds the mapping to a table's columns; the error says what is missing and what to write.
     pub fn new(mapping: &Mapping, heading: Heading<'_>) -> Result<Self, String> {
         let used = vec![false; heading.width];
-        let mut binder =
-            Binder { heading, used, world: mapping.world_frame, body: mapping.body_frame };
+        let mut binder = Binder {
+            heading,
+            used,
+            notes: Vec::new(),
+            world: mapping.world_frame,
+            body: mapping.body_frame,
+        };
         let expected = "[time] with column and unit, or with rate_hz";
         let time = mapping.time.as_ref().ok_or_else(|| format!("expected {expected}"))?;
         let time = match (&time.column, time.rate_hz, time.unit) {
@@ -405,6 +420,7 @@ impl RowReader {
             setpoint_rate,
             setpoint_thrust,
             used: binder.used,
+            notes: binder.notes,
         })
     }
 }

@@ -124,6 +124,7 @@ pub struct RowReader {
     pub(super) setpoint_thrust: Option<Columns<1>>,
     pub(super) outputs: Outputs,
     pub(super) used: Vec<bool>,
+    pub(super) notes: Vec<String>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -136,6 +137,11 @@ impl RowReader {
     /// What the outputs are.
     pub fn outputs(&self) -> Outputs {
         self.outputs
+    }
+
+    /// Which columns were taken where the mapping gives their numbers.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// Whether the mapping names a column.
@@ -151,10 +157,9 @@ impl RowReader {
         };
         let attitude = self.attitude.as_ref().map(|reader| reader.read(cells));
         let attitude = attitude.transpose()?.flatten();
-        let vector = |reader: Option<VectorReader>| {
-            let read = reader.map(|reader| Ok((reader.columns.read(cells)?, reader.axes)));
-            let read = read.transpose()?.and_then(|(vector, axes)| Some((vector?, axes)));
-            Ok::<_, &'static str>(read)
+        let vector = |reader: Option<VectorReader>| -> Result<_, &'static str> {
+            let Some(VectorReader { columns, axes }) = reader else { return Ok(None) };
+            Ok(columns.read(cells)?.map(|vector| (vector, axes)))
         };
         let turn = || attitude.ok_or(NO_ATTITUDE);
         let position = self.position.map(|columns| columns.read(cells)).transpose()?.flatten();
@@ -163,12 +168,12 @@ impl RowReader {
             Some((v, Axes::Body)) => Some(turn()?.to_world(self.body.to_frd(v))),
             None => None,
         };
-        let turning = |reader: Option<VectorReader>| match vector(reader)? {
-            Some((rate, Axes::Body)) => Ok(Some(self.body.turning_to_frd(rate))),
-            Some((rate, Axes::World)) => {
-                Ok::<_, &'static str>(Some(turn()?.to_body(self.world.turning_to_ned(rate))))
-            }
-            None => Ok(None),
+        let turning = |reader: Option<VectorReader>| -> Result<_, &'static str> {
+            Ok(match vector(reader)? {
+                Some((rate, Axes::Body)) => Some(self.body.turning_to_frd(rate)),
+                Some((rate, Axes::World)) => Some(turn()?.to_body(self.world.turning_to_ned(rate))),
+                None => None,
+            })
         };
         let body_rate = turning(self.body_rate)?;
         let specific_force = match self.specific_force {

@@ -115,15 +115,22 @@ impl Head {
             if lines.len() == offset {
                 return Err("the table has no header line that names its columns".to_owned());
             }
-            for at in offset..lines.len() {
+            // Where every column is given by its number, no line need name them.
+            let numbered = (offset..lines.len()).find_map(|at| {
                 let (above, rest) = lines.split_at(at);
-                let named = by_name(mapping, above, &rest[0]).ok();
-                let records_above = at - offset + usize::from(named.is_some());
-                let numbered = || by_number(mapping, separator, above, &rest[0]);
-                if let Some((reader, cells)) = named.or_else(numbered) {
-                    expected(mapping, above)?;
-                    return Ok(Layout { separator, records_above, cells, reader });
-                }
+                let found = by_number(mapping, separator, above, &rest[0])?;
+                Some((at, at - offset, found))
+            });
+            let named = || {
+                (offset..lines.len()).find_map(|at| {
+                    let (above, rest) = lines.split_at(at);
+                    let found = by_name(mapping, above, &rest[0]).ok()?;
+                    Some((at, at - offset + 1, found))
+                })
+            };
+            if let Some((at, records_above, (reader, cells))) = numbered.or_else(named) {
+                expected(mapping, &lines[..at])?;
+                return Ok(Layout { separator, records_above, cells, reader });
             }
             let names = header(&lines, separator).unwrap_or(offset).max(offset);
             let (above, rest) = lines.split_at(names);
