@@ -38,17 +38,15 @@ impl Device {
 
 /// The devices of PX4 that parameters state functions of.
 fn px4_devices(parameters: &BTreeMap<String, f64>) -> Vec<Device> {
-    let mut devices: Vec<Device> = Vec::new();
+    let mut stated: BTreeMap<&str, [Option<f64>; OUTPUTS]> = BTreeMap::new();
     for (name, function) in parameters {
         let Some((device, number)) = name.rsplit_once("_FUNC") else { continue };
         let output = number.parse::<usize>().ok().and_then(|number| number.checked_sub(1));
         let Some(output) = output.filter(|output| *output < OUTPUTS) else { continue };
-        let at = devices.iter().position(|known| known.name == device).unwrap_or_else(|| {
-            devices.push(Device { name: device.to_owned(), functions: [None; OUTPUTS] });
-            devices.len() - 1
-        });
-        devices[at].functions[output] = Some(*function);
+        stated.entry(device).or_default()[output] = Some(*function);
     }
+    let device = |(name, functions): (&str, _)| Device { name: name.to_owned(), functions };
+    let mut devices: Vec<Device> = stated.into_iter().map(device).collect();
     let order = |device: &Device| PX4_DEVICES.iter().position(|name| *name == device.name);
     devices.sort_by_key(|device| order(device).unwrap_or(PX4_DEVICES.len()));
     devices

@@ -231,6 +231,13 @@ fn read(
     }
 }
 
+/// The mapping that is proposed for bytes, if they look like a table: what the fuzz targets read
+/// them by.
+#[doc(hidden)]
+pub fn propose_bytes(bytes: &[u8]) -> Option<String> {
+    table::propose(bytes).ok()
+}
+
 /// Reads bytes as any log that they could be, a table by `mapping`, without knowing a file: what
 /// the fuzz targets do.
 #[doc(hidden)]

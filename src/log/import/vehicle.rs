@@ -32,6 +32,8 @@ const STANDARD_GRAVITY: f64 = 9.806_65;
 const TEXTS_MAX: usize = 40;
 /// A state is not held for longer without being said again, s.
 const STATE_LASTS: f64 = 10.0;
+/// Boots that are named; a damaged log may have any number.
+const BOOTS_NAMED: usize = 20;
 /// Place of RAW_IMU among [`IMUS`].
 const RAW_IMU: usize = 1;
 /// Messages in a row that must agree on a jump of the vehicle's clock.
@@ -299,30 +301,39 @@ impl VehicleLog {
         self.switches.get(next.saturating_sub(1)).map(|(_, epoch)| *epoch)
     }
 
-    /// How long the vehicle was in the air in an epoch, s of the ground's clock: by its own word,
+    /// How long the vehicle was in the air in each epoch, s of the ground's clock: by its own word,
     /// or where it says nothing of it, how long it was armed.
-    fn flown(&self, epoch: usize) -> f64 {
+    fn flown(&self) -> Vec<f64> {
         let states = if self.landed.is_empty() { &self.armed } else { &self.landed };
-        let states: Vec<&(Heard, bool)> =
-            states.iter().filter(|(heard, _)| self.epoch_at(heard.index) == Some(epoch)).collect();
-        let flying = states.windows(2).filter(|pair| pair[0].1);
-        flying.map(|pair| (pair[1].0.ground - pair[0].0.ground).clamp(0.0, STATE_LASTS)).sum()
+        let mut flown = vec![0.0; self.epochs.len()];
+        let mut last: Option<(usize, f64)> = None;
+        for (heard, flying) in states {
+            let Some(epoch) = self.epoch_at(heard.index) else { continue };
+            if let Some((before, since)) = last.take()
+                && before == epoch
+            {
+                flown[epoch] += (heard.ground - since).clamp(0.0, STATE_LASTS);
+            }
+            last = flying.then_some((epoch, heard.ground));
+        }
+        flown
     }
 
     /// The epoch that is the flight: the one that was asked for, counted from 1 in their order, else
     /// the one that flew longest.
-    fn chosen(&self, boot: Option<usize>) -> Result<Option<usize>, LogFault> {
+    fn chosen(&self, boot: Option<usize>, flown: &[f64]) -> Result<Option<usize>, LogFault> {
         let boots = self.epochs.len();
         if let Some(boot) = boot {
             let at = boot.checked_sub(1).filter(|at| *at < boots);
             return at.map(Some).ok_or(LogFault::NoBoot { boot, boots });
         }
-        let weight = |at: usize, epoch: &Epoch| {
-            let flown = (self.flown(at) * 10.0) as u64;
-            (epoch.attitudes() > 0, flown, epoch.attitudes(), epoch.messages())
+        let weight = |epoch: &Epoch, flown: f64| {
+            // In steps of the states' rate.
+            (epoch.attitudes() > 0, flown as u64, epoch.attitudes(), epoch.messages())
         };
-        let epochs = self.epochs.iter().enumerate().rev();
-        Ok(epochs.max_by_key(|(at, epoch)| weight(*at, epoch)).map(|(at, _)| at))
+        let epochs = self.epochs.iter().zip(flown).enumerate().rev();
+        let most = epochs.max_by_key(|(_, (epoch, flown))| weight(epoch, **flown));
+        Ok(most.map(|(at, _)| at))
     }
 
     /// What the messages say about the vehicle.
@@ -367,13 +378,14 @@ impl VehicleLog {
     ) -> Result<Tally, LogFault> {
         let mut tally = std::mem::take(&mut self.tally);
         flight.facts = self.facts();
-        let Some(chosen) = self.chosen(boot)? else { return Ok(tally) };
+        let flown = self.flown();
+        let Some(chosen) = self.chosen(boot, &flown)? else { return Ok(tally) };
         let boots = self.epochs.len();
         for (at, epoch) in self.epochs.iter().enumerate() {
             let (from, to) = epoch.span();
-            if boots > 1 {
+            if boots > 1 && (at < BOOTS_NAMED || at == chosen) {
                 let taken = if at == chosen { ", taken" } else { "" };
-                let (boot, flown) = (at + 1, self.flown(at));
+                let (boot, flown) = (at + 1, flown[at]);
                 flight.facts.notes.push(format!(
                     "boot {boot} of {boots} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s of them \
                      flown{taken}"
