@@ -185,8 +185,7 @@ fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -
         .zip(audits)
         .map(|(flight, audit)| AuditedLog {
             flight: prepare(flight, &audit, vehicle),
-            // A log of nothing is no log, whose data could be at fault.
-            audit: (!audit.is_of_nothing()).then(|| LogAnswer::of(&audit)),
+            audit: Some(LogAnswer::of(&audit)),
         })
         .collect();
     for (index, error) in refused {

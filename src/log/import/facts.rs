@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::kind::{StatedKind, VehicleKind};
+
 /// Facts that a log states, or that its reader found in it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -12,6 +14,8 @@ pub struct VehicleFacts {
     pub autopilot: Option<String>,
     /// Frame, as the autopilot names it.
     pub frame: Option<String>,
+    /// What the log states that the vehicle is, each with what states it.
+    pub kinds: Vec<StatedKind>,
     /// Motors that the autopilot drives.
     pub motors: Option<u32>,
     /// Where the autopilot believes its rotors to be, in the order of the outputs.
@@ -36,6 +40,11 @@ pub struct RotorFact {
 }
 
 impl VehicleFacts {
+    /// What states that the vehicle is no multirotor, if anything does.
+    pub fn stated_otherwise(&self) -> Option<&StatedKind> {
+        self.kinds.iter().find(|stated| stated.kind != VehicleKind::Multirotor)
+    }
+
     /// Whether nothing is known.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()

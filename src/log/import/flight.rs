@@ -326,6 +326,20 @@ impl Flight {
         }
     }
 
+    /// Whether anything of the vehicle's motion, or of what moves it, is there.
+    pub fn has_motion(&self) -> bool {
+        !(self.attitude.is_empty()
+            && self.position.is_empty()
+            && self.velocity.is_empty()
+            && self.body_rate.is_empty()
+            && self.specific_force.is_empty()
+            && self.outputs.is_empty()
+            && self.rotor_speed.is_empty()
+            && self.setpoint.is_empty()
+            && self.reference.is_empty()
+            && self.truth.is_empty())
+    }
+
     /// Makes outputs thrust fractions of `vehicle`. Returns why not, if its file does not say how;
     /// where there are none, there is nothing to say.
     ///
