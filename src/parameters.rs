@@ -6,7 +6,6 @@
 mod attitude;
 mod file;
 mod mixer;
-mod outputs;
 mod rotors;
 
 use std::collections::BTreeMap;
@@ -15,7 +14,6 @@ use std::ops::Deref;
 pub use attitude::NormalisedLoop;
 pub use file::{NotParameters, parse};
 pub use mixer::Mixer;
-pub use outputs::{MotorOutputs, OutputRange};
 pub use rotors::RotorFact;
 
 /// Autopilots whose parameters are understood.
@@ -207,10 +205,6 @@ impl Parameters {
     /// Takes in a parameter.
     pub fn set(&mut self, name: String, value: f64) {
         self.0.insert(name, value);
-    }
-
-    fn numbers<const N: usize>(&self, names: [&str; N]) -> [Option<f64>; N] {
-        names.map(|name| self.number(name))
     }
 
     /// Whose they are: names of both are never in one set.

@@ -113,6 +113,8 @@ pub struct Draft {
     pub mass: Option<Given<f64>>,
     /// kg m^2.
     pub inertia: Option<Given<[f64; 3]>>,
+    /// The rotors in words, in the order of the motors.
+    pub layout: [String; 4],
     /// Front, right, down, m, in the order of the motors.
     pub positions: Option<Given<[[f64; 3]; 4]>>,
     /// As of a vehicle file.

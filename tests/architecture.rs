@@ -34,6 +34,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
                 "control",
                 "link",
                 "log",
+                "parameters",
                 "pilot",
                 "plan",
                 "supervisor",

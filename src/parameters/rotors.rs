@@ -15,6 +15,26 @@ pub struct RotorFact {
     pub spin: i8,
 }
 
+impl RotorFact {
+    /// Each rotor in words, as `front right (turns the body right)`.
+    pub fn in_words(rotors: &[Self; 4]) -> [String; 4] {
+        // Places nearer to an axis than this share of the arm are on it.
+        const ON_AXIS: f64 = 0.2;
+        let arm = rotors.iter().map(|rotor| rotor.front.hypot(rotor.right)).fold(0.0, f64::max);
+        rotors.map(|rotor| {
+            let word = |place: f64, words: [&'static str; 2]| match place {
+                place if place.abs() < ON_AXIS * arm => None,
+                place => Some(words[usize::from(place < 0.0)]),
+            };
+            let place =
+                [word(rotor.front, ["front", "rear"]), word(rotor.right, ["right", "left"])];
+            let place: Vec<&str> = place.into_iter().flatten().collect();
+            let turns = if rotor.spin > 0 { "+1" } else { "-1" };
+            format!("{} (spin {turns})", place.join(" "))
+        })
+    }
+}
+
 /// Most rotors that PX4 has parameters for.
 const ROTORS_MAX: f64 = 64.0;
 /// Motors 1 to 4 of a quadrotor: clockwise from the front, in degrees, and the sense in which the

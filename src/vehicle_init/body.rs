@@ -40,7 +40,7 @@ pub(super) fn draft(source: &str, parameters: &Parameters, measured: &Measured) 
         is_simulated: parameters.is_simulated_in_hardware(),
     };
     let mass = read.one(measured.mass_kg, "--mass", "SIH_MASS");
-    let (positions, spins) = read.rotors();
+    let (positions, spins, layout) = read.rotors();
     let arm = positions.as_ref().map(|given| {
         given.value.iter().map(|[x, y, _]| x.hypot(*y)).sum::<f64>() / given.value.len() as f64
     });
@@ -57,6 +57,7 @@ pub(super) fn draft(source: &str, parameters: &Parameters, measured: &Measured) 
         autopilot: read.autopilot,
         inertia: read.inertia(mass.as_ref(), arm),
         mass,
+        layout,
         positions,
         spins,
         thrust_max,
@@ -117,7 +118,7 @@ impl Read<'_> {
         })
     }
 
-    fn rotors(&self) -> (Option<Given<[[f64; 3]; 4]>>, Given<[i8; 4]>) {
+    fn rotors(&self) -> (Option<Given<[[f64; 3]; 4]>>, Given<[i8; 4]>, [String; 4]) {
         let (rotors, from) = match <[RotorFact; 4]>::try_from(self.parameters.rotors()) {
             Ok(rotors) => (rotors, self.rotors_are_said_by()),
             Err(_) => self.usual_rotors(),
@@ -143,7 +144,7 @@ impl Read<'_> {
         } else {
             None
         };
-        (positions, spins)
+        (positions, spins, RotorFact::in_words(&rotors))
     }
 
     fn rotors_are_said_by(&self) -> &'static str {

@@ -79,8 +79,7 @@ impl Draft {
         for motor in 0..4 {
             page.line("");
             let place = self.positions.as_ref().map(|given| given.value[motor]);
-            let told = place.map_or(String::new(), |place| format!(": {}", side(place)));
-            page.line(&format!("[[rotors]] # motor {}{told}", motor + 1));
+            page.line(&format!("[[rotors]] # motor {}: {}", motor + 1, self.layout[motor]));
             page.short("position_m", place.map(|place| array(&place)));
             page.short("spin", Some(self.spins.value[motor].to_string()));
             page.short("thrust_max_N", self.thrust_max.as_ref().map(|t| float(t.value)));
@@ -260,20 +259,4 @@ fn array(values: &[f64]) -> String {
 
 fn quoted(text: &str) -> String {
     Value::String(text.to_owned()).to_string()
-}
-
-/// Where a rotor is, in words.
-fn side([front, right, _]: [f64; 3]) -> String {
-    let arm = front.hypot(right);
-    let word = |place: f64, plus: &'static str, minus: &'static str| {
-        if place.abs() < 0.2 * arm {
-            ""
-        } else if place > 0.0 {
-            plus
-        } else {
-            minus
-        }
-    };
-    let words = [word(front, "front", "rear"), word(right, "right", "left")];
-    words.into_iter().filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ")
 }

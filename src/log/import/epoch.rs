@@ -7,6 +7,7 @@ use sitl::frame::{Attitude, Frd, Ned};
 use super::clocks::{Arrival, Envelope, shift_onto};
 use super::flight::{Flight, MotorSource, MotorUnit, Stream};
 use super::functions::{self, MOTORS, Movement, OUTPUTS, Stated, numbered};
+use super::ranges;
 
 /// Jump of a message's stamp against the ground's clock that is more than delay and skew, s.
 const JUMP: f64 = 0.5;
@@ -364,15 +365,28 @@ impl Epoch {
             // Of none there is nothing to know.
             if !flight.outputs.is_empty() {
                 flight.motor_unit = MotorUnit::VehicleFile;
+                flight.state_ranges(ranges::ardupilot(parameters));
             }
         } else {
-            flight.outputs = self.actuator_outputs.shifted(shift(Source::ActuatorOutputs));
+            let drive = functions::px4_drive(parameters, &[]).ok();
+            let of_motors = |all: &[f64; MOTORS]| match &drive {
+                Some(drive) if drive.channels.iter().all(|channel| *channel < MOTORS) => {
+                    drive.channels.map(|channel| all[channel])
+                }
+                _ => *all,
+            };
+            let shifted = self.actuator_outputs.shifted(shift(Source::ActuatorOutputs));
+            flight.outputs = shifted.map(of_motors);
             flight.motor_source = MotorSource::ActuatorOutputStatus;
             let is_fraction = |u: &&[f64; 4]| u.iter().all(|u| (0.0..=FRACTION_MAX).contains(u));
             let fractions = flight.outputs.values().iter().filter(is_fraction).count();
             let is_fraction = 2 * fractions > flight.outputs.len();
             flight.motor_unit =
                 if is_fraction { MotorUnit::ThrustFraction } else { MotorUnit::VehicleFile };
+            let most = flight.outputs.values().iter().flatten().copied().fold(0.0, f64::max);
+            if let Some(drive) = drive.filter(|_| !is_fraction) {
+                flight.state_ranges(ranges::px4(parameters, &drive, most));
+            }
         }
         flight.rotor_speed =
             self.rpm.map(|rpm| rpm.map(|rpm| rpm * RPM)).shifted(shift(Source::EscStatus));

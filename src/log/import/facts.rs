@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::kind::{StatedKind, VehicleKind};
+use super::ranges::OutputRange;
+pub use crate::parameters::RotorFact;
 
 /// Facts that a log states, or that its reader found in it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -22,21 +24,12 @@ pub struct VehicleFacts {
     pub rotors: Vec<RotorFact>,
     /// Parameters that say what outputs, thrust and estimates mean.
     pub parameters: BTreeMap<String, f64>,
+    /// What the motors' outputs span, where parameters say so and the stream is as it was logged.
+    pub output_ranges: Option<[OutputRange; 4]>,
     /// Which topic each stream is from, and what it means where that is not plain.
     pub notes: Vec<String>,
     /// Texts of the log for a person, each with its time.
     pub texts: Vec<String>,
-}
-
-/// Where the autopilot believes a rotor to be.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RotorFact {
-    /// Towards the front, in the autopilot's unit: only its sign and ratio to others are meant.
-    pub front: f64,
-    /// Towards the right, likewise.
-    pub right: f64,
-    /// +1 if the rotor's drag torque on the body is about +z body (down), else -1.
-    pub spin: i8,
 }
 
 impl VehicleFacts {

@@ -1,7 +1,7 @@
 //! Own logs (.mcap) into flights: those of flights, which hold every raw frame, and those of
 //! imported flights, which hold flat channels.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
 use wire::Frame;
@@ -13,12 +13,22 @@ use super::references::References;
 use super::tally::Tally;
 use super::{Contents, LogFault};
 use crate::log::reader::{Channel, LogReader};
+use crate::log::record::PARAMETER_FACT;
 use crate::log::schema::{Flat, MavlinkFrameMessage};
 
 /// Name of the attachment that is not the vehicle file.
 const CONFIG: &str = "config.toml";
 /// Topics of others that are remembered.
 const TOPICS_MAX: usize = 64;
+
+/// The vehicle's parameters that the daemon read before the flight.
+fn stated_parameters(run: &BTreeMap<String, String>) -> BTreeMap<String, f64> {
+    let stated = |(key, value): (&String, &String)| {
+        let name = key.strip_prefix(PARAMETER_FACT)?;
+        Some((name.to_owned(), value.parse().ok().filter(|value: &f64| value.is_finite())?))
+    };
+    run.iter().filter_map(stated).collect()
+}
 
 /// Reads the rest of `reader` into `flight`. Returns which topics of others it holds.
 ///
@@ -66,6 +76,7 @@ pub(super) fn read(
     if !flat::take_facts(reader.run(), flight)
         && let Some(frames) = frames
     {
+        flight.facts.parameters = stated_parameters(reader.run());
         frames.finish(boot, flight)?;
     } else if let Some(boot) = boot.filter(|boot| *boot != 1) {
         return Err(LogFault::NoBoot { boot, boots: 1 });

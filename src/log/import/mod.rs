@@ -14,6 +14,7 @@ mod kind;
 pub mod mapping;
 mod mcap;
 mod onboard;
+mod ranges;
 mod read_ahead;
 mod references;
 mod setpoints;
@@ -36,6 +37,7 @@ pub use flight::{
     TruthSample, UnitUnknown,
 };
 pub use kind::{StatedKind, VehicleKind};
+pub use ranges::OutputRange;
 
 use super::reader::{LogReader, ReadError};
 use mapping::Mapping;

@@ -22,6 +22,7 @@ use super::tally::Tally;
 use crate::link::codec::Codec;
 use crate::link::message::{AttitudeSource, Inbound, LandedState};
 use crate::link::parameter::ParameterCast;
+use crate::parameters::Parameters;
 
 /// MAV_AUTOPILOT.
 const PX4: u8 = MavAutopilot::MAV_AUTOPILOT_PX4 as u8;
@@ -354,12 +355,12 @@ impl VehicleLog {
             Some(ARDUPILOT) => Some("ArduPilot".to_owned()),
             _ => None,
         };
-        let rotors =
-            self.parameters.get("CA_ROTOR_COUNT").filter(|count| (1.0..=64.0).contains(*count));
+        let stated = Parameters::from(self.parameters.clone());
         VehicleFacts {
             autopilot: firmware.or(name),
             kinds: of_type.into_iter().chain(of_text).chain(of_parameters).collect(),
-            motors: rotors.map(|n| *n as u32).or(most.and_then(kind::motors_of_mav_type)),
+            rotors: stated.rotors(),
+            motors: stated.motor_count().or(most.and_then(kind::motors_of_mav_type)),
             parameters: self.parameters.clone(),
             texts: std::mem::take(&mut self.texts),
             ..VehicleFacts::default()
@@ -377,6 +378,10 @@ impl VehicleLog {
         flight: &mut Flight,
     ) -> Result<Tally, LogFault> {
         let mut tally = std::mem::take(&mut self.tally);
+        // What the log's own metadata state, and over it what was heard.
+        let mut stated = std::mem::take(&mut flight.facts.parameters);
+        stated.append(&mut self.parameters);
+        self.parameters = stated;
         flight.facts = self.facts();
         let flown = self.flown();
         let Some(chosen) = self.chosen(boot, &flown)? else { return Ok(tally) };

@@ -4,14 +4,16 @@ use sitl::frame::{Attitude, Euler, Frd, Ned};
 
 use super::layout::{Access, Layout, RPM};
 use super::{Contents, Source};
-use crate::log::import::facts::{RotorFact, VehicleFacts};
+use crate::log::import::facts::VehicleFacts;
 use crate::log::import::flight::{
     AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream,
 };
 use crate::log::import::functions::{self, Stated, numbered};
 use crate::log::import::kind::{self, StatedKind};
 use crate::log::import::onboard::{Row, Sample, Topic, Wanted};
+use crate::log::import::ranges;
 use crate::log::import::tally::Tally;
+use crate::parameters::{Parameters, is_of_vehicle};
 
 /// Of two messages of one quantity the second is taken only where it is this much more frequent.
 const CLEARLY_MORE: f64 = 1.05;
@@ -154,45 +156,17 @@ impl Contents {
         });
         let of_parameters = kind::of_parameters(&self.parameters);
         let kinds = of_text.into_iter().chain(of_build).chain(of_parameters).collect();
-        let motors = self.parameter("FRAME_CLASS").and_then(|class| match class {
-            1.0 => Some(4),
-            2.0 | 5.0 => Some(6),
-            3.0 | 4.0 => Some(8),
-            7.0 => Some(3),
-            _ => None,
-        });
-        let kept = |name: &str| {
-            let starts =
-                ["MOT_PWM_", "MOT_SPIN_", "MOT_THST_", "MOT_BAT_VOLT_", "FRAME_", "AHRS_TRIM"];
-            let exact = ["LOG_BITMASK", "SCHED_LOOP_RATE", "INS_GYRO_FILTER", "INS_ACCEL_FILTER"];
-            starts.iter().any(|start| name.starts_with(start)) || exact.contains(&name)
-        };
-        let parameters = self.parameters.iter().filter(|(name, _)| kept(name));
+        let stated = Parameters::from(self.parameters.clone());
+        let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
         VehicleFacts {
             autopilot: firmwares.iter().find_map(|name| said(name)),
             frame: said("Frame: ").map(|text| text["Frame: ".len()..].to_owned()),
             kinds,
-            motors,
-            rotors: self.rotors(),
+            motors: stated.motor_count(),
+            rotors: stated.rotors(),
             parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
             ..VehicleFacts::default()
         }
-    }
-
-    /// Rotors of the quadrotor frames, motor 1 first.
-    fn rotors(&self) -> Vec<RotorFact> {
-        let degrees: [f64; 4] = match (self.parameter("FRAME_CLASS"), self.parameter("FRAME_TYPE"))
-        {
-            (Some(1.0), Some(0.0)) => [90.0, -90.0, 0.0, 180.0],
-            (Some(1.0), Some(1.0)) => [45.0, -135.0, -45.0, 135.0],
-            _ => return Vec::new(),
-        };
-        let spins = [1, 1, -1, -1];
-        let place = |(degrees, spin): (f64, i8)| {
-            let (right, front) = degrees.to_radians().sin_cos();
-            RotorFact { front, right, spin }
-        };
-        degrees.into_iter().zip(spins).map(place).collect()
     }
 
     /// The core of the estimator that flies.
@@ -363,15 +337,13 @@ impl Contents {
             Sample::of(stamp(&row), pulses)
         });
         flight.motor_source = MotorSource::Rcou;
-        match self.pulse_range() {
-            Some([zero, one]) => {
-                let fraction = |pulse: f64| ((pulse - zero) / (one - zero)).clamp(0.0, 1.0);
-                flight.outputs = flight.outputs.map(|pulses| pulses.map(fraction));
+        match ranges::ardupilot(&self.parameters) {
+            Some((ranges, said)) => {
+                flight.outputs = flight
+                    .outputs
+                    .map(|pulses| std::array::from_fn(|i| ranges[i].fraction(pulses[i])));
                 flight.motor_unit = MotorUnit::ThrustFraction;
-                facts.notes.push(format!(
-                    "outputs are pulses over {zero:.0} to {one:.0} us, by MOT_PWM_MIN, MOT_PWM_MAX, \
-                     MOT_SPIN_MIN and MOT_SPIN_MAX"
-                ));
+                facts.notes.push(format!("outputs over the range {said}"));
             }
             None => flight.motor_unit = MotorUnit::VehicleFile,
         }
@@ -382,20 +354,6 @@ impl Contents {
                  SERVO_OUTPUT_RAW over telemetry at 50 Hz or more"
             ));
         }
-    }
-
-    /// Pulses at the least and at the full thrust of a motor, us.
-    fn pulse_range(&self) -> Option<[f64; 2]> {
-        // Before ArduCopter 4.1, 0 stands for the range of the throttle's channel.
-        let stated = |low: &str, high: &str| {
-            let range = [self.parameter(low)?, self.parameter(high)?];
-            (range[1] > range[0]).then_some(range)
-        };
-        let [low, high] = stated("MOT_PWM_MIN", "MOT_PWM_MAX").or(stated("RC3_MIN", "RC3_MAX"))?;
-        let [least, most] = [self.parameter("MOT_SPIN_MIN")?, self.parameter("MOT_SPIN_MAX")?];
-        let range = [least, most].map(|share| low + share * (high - low));
-        let is_sound = PULSES.contains(&low) && PULSES.contains(&high) && range[0] < range[1];
-        is_sound.then_some(range)
     }
 
     /// Rotor speeds come one by one: a sample is a round of all four.

@@ -8,11 +8,12 @@ use std::collections::BTreeMap;
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 
 use super::Contents;
-use crate::log::import::facts::{RotorFact, VehicleFacts};
+use crate::log::import::facts::VehicleFacts;
 use crate::log::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
 use crate::log::import::kind::{self, StatedKind, VehicleKind};
 use crate::log::import::onboard::{Row, Sample, Topics, Wanted};
 use crate::log::import::tally::Tally;
+use crate::parameters::{Parameters, is_of_vehicle};
 
 /// Of two topics of one quantity the second is taken only where it is this much more frequent.
 const CLEARLY_MORE: f64 = 1.05;
@@ -102,17 +103,7 @@ impl Contents {
 
     fn facts(&self) -> VehicleFacts {
         let parameter = |name: &str| self.parameters.get(name).copied();
-        let motors = parameter("CA_ROTOR_COUNT").filter(|count| (1.0..=64.0).contains(count));
-        let rotor = |at: u32| {
-            let number = |axis: &str| parameter(&format!("CA_ROTOR{at}_{axis}"));
-            let moment = number("KM")?;
-            // A rotor whose coefficient is positive turns anticlockwise, seen from above, and
-            // turns the body clockwise: about +z.
-            let spin = if moment >= 0.0 { 1 } else { -1 };
-            Some(RotorFact { front: number("PX")?, right: number("PY")?, spin })
-        };
-        let count = motors.unwrap_or(0.0) as u32;
-        let rotors: Option<Vec<RotorFact>> = (0..count).map(rotor).collect();
+        let stated = Parameters::from(self.parameters.clone());
         let autopilot = self.info.get("sys_name").map(|name| {
             let version = self.info.get("ver_sw").map(|hash| hash.chars().take(8).collect());
             let release = self.info.get("ver_sw_release").and_then(|n| n.parse::<u32>().ok());
@@ -122,16 +113,11 @@ impl Contents {
                 [Some(name.clone()), release, version].into_iter().flatten().collect();
             parts.join(" ")
         });
-        let kept = |name: &str| {
-            let exact =
-                ["THR_MDL_FAC", "MC_BAT_SCALE_EN", "MPC_THR_HOVER", "SYS_AUTOSTART", "MAV_TYPE"];
-            exact.contains(&name) || name.starts_with("IMU_GYRO_CUTOFF") || name == "CA_AIRFRAME"
-        };
-        let parameters = self.parameters.iter().filter(|(name, _)| kept(name));
-        let motors = motors.or_else(|| {
+        let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
+        let motors = stated.motor_count().or_else(|| {
             let kind = parameter("MAV_TYPE").and_then(kind::motors_of_mav_type);
             let system = self.status("system_type").and_then(kind::motors_of_mav_type);
-            kind.or(system).map(f64::from)
+            kind.or(system)
         });
         let mut facts = VehicleFacts {
             autopilot,
@@ -140,8 +126,8 @@ impl Contents {
                 0.0 => "multirotor".to_owned(),
                 class => format!("airframe class {class}, no multirotor"),
             }),
-            motors: motors.map(|count| count as u32),
-            rotors: rotors.unwrap_or_default(),
+            motors,
+            rotors: stated.rotors(),
             parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
             ..VehicleFacts::default()
         };

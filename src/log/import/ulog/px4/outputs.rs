@@ -3,10 +3,9 @@
 use super::stamp;
 use crate::log::import::facts::VehicleFacts;
 use crate::log::import::flight::{Flight, MotorSource, MotorUnit};
-use crate::log::import::functions::{
-    Drive, MOTORS, Movement, OUTPUTS, PX4_MOTOR_1, numbered, px4_drive,
-};
+use crate::log::import::functions::{Movement, OUTPUTS, PX4_MOTOR_1, numbered, px4_drive};
 use crate::log::import::onboard::{Sample, Topic};
+use crate::log::import::ranges;
 use crate::log::import::tally::Tally;
 use crate::log::import::ulog::Contents;
 
@@ -14,12 +13,6 @@ use crate::log::import::ulog::Contents;
 const FRACTION_MAX: f64 = 2.0;
 /// Radians per second in one revolution per minute.
 const RPM: f64 = std::f64::consts::TAU / 60.0;
-/// No pulse is longer, us: what is more is a command over CAN.
-const PULSE_MAX: f64 = 2500.0;
-/// Commands over CAN at no and at full output.
-const CAN: [f64; 2] = [0.0, 8191.0];
-/// DShot at no and at full output.
-const DSHOT: [f64; 2] = [0.0, 1999.0];
 const OUTPUT_FIELDS: [&str; OUTPUTS] = [
     "output[0]",
     "output[1]",
@@ -47,6 +40,13 @@ fn movement(topic: &Topic) -> Movement {
     movement
 }
 
+/// PX4's signal to a motor whose thrust, of the full one, is to be `thrust`:
+/// `thrust = bend signal^2 + (1 - bend) signal`.
+fn signal(thrust: f64, bend: f64) -> f64 {
+    let half = (1.0 - bend) / (2.0 * bend);
+    thrust.signum() * ((half * half + thrust.abs() / bend).sqrt() - half)
+}
+
 impl Contents {
     /// Motor commands, of the topic that says what they mean before the one that does not.
     pub(super) fn fill_outputs(
@@ -70,12 +70,13 @@ impl Contents {
             }
             flight.motor_source = MotorSource::ActuatorMotors;
             flight.motor_unit = MotorUnit::ThrustFraction;
-            if self.parameters.get("THR_MDL_FAC").is_some_and(|factor| *factor != 0.0) {
-                facts.notes.push(
-                    "THR_MDL_FAC is not 0: outputs are thrusts asked for, before the autopilot's own thrust \
-                     curve"
-                        .to_owned(),
-                );
+            let bend = self.parameters.get("THR_MDL_FAC").copied();
+            if let Some(bend) = bend.filter(|bend| *bend > 0.0 && *bend <= 1.0) {
+                flight.outputs = flight.outputs.map(|thrusts| thrusts.map(|t| signal(t, bend)));
+                facts.notes.push(format!(
+                    "actuator_motors are thrusts: outputs are the signals that THR_MDL_FAC {bend} \
+                     makes of them"
+                ));
             }
         } else {
             self.fill_driver_outputs(flight, facts, tally);
@@ -123,58 +124,16 @@ impl Contents {
             return;
         }
         let most = flight.outputs.values().iter().flatten().copied().fold(0.0, f64::max);
-        match self.ranges(&drive, most) {
+        match ranges::px4(&self.parameters, &drive, most) {
             Some((ranges, said)) => {
-                flight.outputs = flight.outputs.map(|outputs| {
-                    std::array::from_fn(|i| {
-                        let [zero, one] = ranges[i];
-                        ((outputs[i] - zero) / (one - zero)).clamp(0.0, 1.0)
-                    })
-                });
+                flight.outputs = flight
+                    .outputs
+                    .map(|outputs| std::array::from_fn(|i| ranges[i].fraction(outputs[i])));
                 flight.motor_unit = MotorUnit::ThrustFraction;
                 facts.notes.push(format!("outputs over the range {said}"));
             }
             None => flight.motor_unit = MotorUnit::VehicleFile,
         }
-    }
-
-    /// Outputs at no and at full thrust of each motor, and what says so; `most` is the largest.
-    fn ranges(&self, drive: &Drive, most: f64) -> Option<([[f64; 2]; MOTORS], String)> {
-        let parameter = |name: &str| self.parameters.get(name).copied();
-        let range = |low: &str, high: &str| {
-            let range = [parameter(low)?, parameter(high)?];
-            (range[1] > range[0]).then_some(range)
-        };
-        let is_can = most > PULSE_MAX;
-        let name = drive.device.as_deref();
-        if let Some(name) = name.filter(|name| !is_can || !name.starts_with("PWM")) {
-            // Timers of DShot, from 150 to 1200.
-            let is_dshot = (0..OUTPUTS).any(|timer| {
-                parameter(&format!("{name}_TIM{timer}")).is_some_and(|t| (-5.0..=-2.0).contains(&t))
-            });
-            if is_dshot {
-                return Some(([DSHOT; MOTORS], format!("of DShot, by {name}_TIMn")));
-            }
-            let own = drive.channels.map(|channel| {
-                let name = |end: &str| format!("{name}_{end}{}", channel + 1);
-                range(&name("MIN"), &name("MAX"))
-            });
-            if let [Some(a), Some(b), Some(c), Some(d)] = own {
-                return Some(([a, b, c, d], format!("that {name}_MINn and {name}_MAXn state")));
-            }
-        }
-        if is_can {
-            return Some(([CAN; MOTORS], "of commands over CAN, 0 to 8191".to_owned()));
-        }
-        if parameter("DSHOT_CONFIG").is_some_and(|config| config > 0.0) {
-            return Some(([DSHOT; MOTORS], "of DShot, by DSHOT_CONFIG".to_owned()));
-        }
-        let auxiliary = ("PWM_AUX_MIN", "PWM_AUX_MAX");
-        let main = [("PWM_MAIN_MIN", "PWM_MAIN_MAX"), ("PWM_MIN", "PWM_MAX")];
-        let pairs = Some(auxiliary).filter(|_| drive.index > 0).into_iter().chain(main);
-        pairs.into_iter().find_map(|(low, high)| {
-            Some(([range(low, high)?; MOTORS], format!("that {low} and {high} state")))
-        })
     }
 
     fn fill_rotor_speed(&self, flight: &mut Flight, tally: &mut Tally) {
