@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Exit, ExitContext, print_json, print_text};
+use super::{Exit, ExitContext, print_json, print_text, say};
 use crate::cli::FailOnFinding;
 use crate::diagnose::audit::{Agreement, Audit, Estimate, Severity};
-use crate::log::import::{self, Flight};
+use crate::log::import::{self, Flight, ImportError};
 
 /// The JSON of `log audit`.
 #[derive(Serialize)]
@@ -25,14 +25,28 @@ pub(super) fn run(
     fail_on: Option<FailOnFinding>,
     json: bool,
 ) -> anyhow::Result<Exit> {
-    let flights: Result<Vec<Flight>, _> =
+    let opened: Vec<Result<Flight, ImportError>> =
         files.par_iter().map(|file| import::open_among(file, mapping)).collect();
-    let audits = Audit::of_all(&flights.or_exit(Exit::Usage)?);
+    let (mut flights, mut refused) = (Vec::new(), Vec::new());
+    for opened in opened {
+        match opened {
+            Ok(flight) => flights.push(flight),
+            Err(error) => refused.push(error),
+        }
+    }
+    let audits = Audit::of_all(&flights);
+    // One log that is none keeps nothing back of the others.
+    let last = refused.pop();
+    refused.iter().for_each(|error| say(format_args!("{error}")));
+    if audits.is_empty() {
+        return last.map_or(Ok(()), Err).or_exit(Exit::Usage).map(|()| Exit::Ok);
+    }
     if json {
         print_json(&Summary { schema: "downwash.log.audit", schema_version: 1, logs: &audits })?;
     } else {
         print_text(&audits.iter().map(text).collect::<Vec<_>>().join("\n"))?;
     }
+    last.map_or(Ok(()), Err).or_exit(Exit::Usage)?;
     let limit = fail_on.map(|limit| match limit {
         FailOnFinding::Fault => Severity::Fault,
         FailOnFinding::Measurement => Severity::Measurement,

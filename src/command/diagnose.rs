@@ -15,6 +15,7 @@ use super::logs::open_for;
 use super::output::{create_report_folder, refuse_input};
 use super::setup::capability;
 use super::train::listed;
+use super::vehicle::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
@@ -45,6 +46,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
         refuse_input(out, logs.map(PathBuf::as_path))?;
     }
+    warn(&args.vehicle, &vehicle);
     // What would fail after the work is tried before it.
     let proposing = match (&args.next_flight, &args.config) {
         (None, None) => None,
@@ -196,8 +198,7 @@ fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -
         .zip(audits)
         .map(|(flight, audit)| AuditedLog {
             flight: prepare(flight, &audit, vehicle),
-            // A log of nothing is no log, whose data could be at fault.
-            audit: (!audit.is_of_nothing()).then(|| LogAnswer::of(&audit)),
+            audit: Some(LogAnswer::of(&audit)),
         })
         .collect();
     for (index, error) in refused {

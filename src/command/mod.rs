@@ -15,6 +15,7 @@ mod goal_file;
 mod import;
 mod improved;
 mod interruption;
+mod link_parameters;
 mod log;
 mod logs;
 mod messages;
@@ -30,6 +31,7 @@ mod status_line;
 mod stop;
 mod summary;
 mod train;
+mod vehicle;
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -71,6 +73,11 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
             Interruption::watch()?;
             end_on_broken_pipe();
             model::run(command)
+        }
+        Command::Vehicle(command) => {
+            Interruption::watch()?;
+            end_on_broken_pipe();
+            vehicle::run(command)
         }
         Command::Config(args) => {
             end_on_broken_pipe();

@@ -17,6 +17,7 @@ use super::setup::{EffectiveVehicle, VehicleFile};
 use super::{
     Exit, ExitContext, Interruption, config, print_json, print_text, say, write_file,
 };
+use super::vehicle::refuse_grounded;
 use crate::cli::PlanArgs;
 use crate::config::Config;
 use crate::model::Model;
@@ -187,7 +188,11 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         config.settings.plan.time_limit_s = limit;
     }
     let vehicle = match (&args.vehicle, &args.model) {
-        (Some(path), _) => VehicleParams::load(path).or_exit(Exit::Usage)?,
+        (Some(path), _) => {
+            let vehicle = VehicleParams::load(path).or_exit(Exit::Usage)?;
+            refuse_grounded(&path.display().to_string(), &vehicle)?;
+            vehicle
+        }
         (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
         (None, None) => VehicleFile::built_in()?.params,
     };

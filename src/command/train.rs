@@ -14,6 +14,7 @@ use super::progress::StageBar;
 use super::{
     Exit, ExitContext, Interruption, in_words, model, print_json, print_text, say, write_file,
 };
+use super::vehicle::warn;
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
@@ -86,6 +87,7 @@ pub(super) fn learn(
         refuse_input(out, inputs().map(PathBuf::as_path))?;
     }
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    warn(&args.vehicle, &vehicle);
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
     if let Some(weight) = args.regularization.iter().find(|weight| !(0.0..1.0).contains(*weight)) {
         let error = anyhow!("--regularization: expected at least 0 and below 1, found {weight}");

@@ -11,8 +11,17 @@ use crate::link::loss_reaction::{LossLaw, LossReaction};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
+use crate::parameters::Autopilot;
 use crate::pilot::{Airframe, LinkEvent, Pilot};
 use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
+
+/// The parameters that say what the vehicle's motor outputs are and mean: for its logs.
+pub(super) fn log_parameters(profile: &Profile) -> Vec<String> {
+    let autopilots =
+        [(Profile::PX4.name, Autopilot::Px4), (Profile::ARDUCOPTER.name, Autopilot::ArduCopter)];
+    let own = autopilots.into_iter().find(|(name, _)| *name == profile.name);
+    own.map_or_else(Vec::new, |(_, autopilot)| autopilot.wanted_of_outputs())
+}
 
 impl Station {
     /// Now that it is known what the vehicle honours: design the feedback for it.
@@ -43,6 +52,11 @@ impl Station {
         }
         for parameter in &self.settings.pilot.preflight.parameters {
             self.session.request(now, Request::ReadParameter(parameter.name.clone()));
+        }
+        if !is_known {
+            for name in log_parameters(&profile) {
+                self.session.request(now, Request::ReadParameter(name));
+            }
         }
         if is_known || self.end.is_some() {
             return;
