@@ -53,7 +53,12 @@ fn files_of_other_kinds_are_named() {
             b"# Onboard parameters for Vehicle 1\n#\n1\t1\tCA_AIRFRAME\t0\t6\n",
             "parameters",
         ),
-        ("message.txt", b"no such file", "one line of text"),
+        ("message.txt", b"no such file", "text without a line of numbers"),
+        (
+            "LICENCE.txt",
+            b"Permission is hereby granted, free of charge,\nto any person, 2026\n",
+            "text without a line",
+        ),
         ("noise.tlog", &noise, "data of another kind"),
     ] {
         let error = refusal(name, bytes);

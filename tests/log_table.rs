@@ -312,9 +312,15 @@ fn an_export_of_motive_is_read_by_the_shipped_mapping() {
     let attitude = flight.attitude.values()[25].euler();
     assert!((attitude.yaw + 0.075).abs() < 1e-5 && attitude.roll.abs() < 1e-6, "{attitude:?}");
 
-    fs::write(&file, motive("Centimeters")).unwrap();
+    fs::write(&file, motive("Millimeters")).unwrap();
+    let small = open(&file, Some(Path::new("motive"))).unwrap();
+    assert!((small.position.values()[25].to_array()[2] + 0.0015).abs() < 1e-12);
+    fs::write(&file, motive("Feet")).unwrap();
     let message = open(&file, Some(Path::new("motive"))).unwrap_err().to_string();
-    assert!(message.contains("\"Length Units\" is \"Centimeters\""), "{message}");
+    assert!(message.contains("after \"Length Units\", found \"Feet\""), "{message}");
+    fs::write(&file, motive("Meters").replace("Quaternion", "XYZ")).unwrap();
+    let message = open(&file, Some(Path::new("motive"))).unwrap_err().to_string();
+    assert!(message.contains("\"Rotation Type\" is \"XYZ\""), "{message}");
     // By the words above them, of the one body that has these.
     let columns = |group: &str, axes: &[&str]| {
         let words: Vec<_> =
@@ -436,7 +442,10 @@ fn a_mapping_is_proposed_that_works() {
     let file = place("propose", "text.csv");
     fs::write(&file, "some words\nand more of them\n").unwrap();
     let message = downwash::log::import::propose(&file).unwrap_err().to_string();
-    assert!(message.contains("text.csv") && message.contains("no table"), "{message}");
+    assert!(
+        message.contains("text.csv") && message.contains("without a line of numbers"),
+        "{message}"
+    );
 }
 
 #[test]

@@ -179,7 +179,10 @@ fn text(summary: &Summary) -> String {
     }
     let delay = summary.clock_delay_s.map_or(String::new(), |s| format!(" ({:.1} ms)", s * 1e3));
     lines.push(format!("  clocks: {}{delay}", summary.clock));
-    lines.push(format!("  motor outputs: {}, from {}", summary.motor_unit, summary.motor_source));
+    if summary.streams.iter().any(|stream| stream.stream == "outputs" && stream.samples > 0) {
+        let (unit, source) = (summary.motor_unit, summary.motor_source);
+        lines.push(format!("  motor outputs: {unit}, from {source}"));
+    }
     let tier = summary.tier.map_or("none: no whole pose".to_owned(), |tier| tier.to_string());
     lines.push(format!("  tier: {tier}"));
     lines.extend(vehicle(&summary.vehicle));

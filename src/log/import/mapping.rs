@@ -121,7 +121,18 @@ enum TimeUnit {
 #[serde(deny_unknown_fields)]
 pub struct PositionMap {
     columns: [Column; 3],
-    unit: Option<LengthUnit>,
+    unit: Option<LengthText>,
+}
+
+/// A unit of lengths, or the cell above the table that is followed by one.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected \"m\", \"cm\" or \"mm\", or { above = \"a cell that the unit follows\" }"
+)]
+enum LengthText {
+    Unit(LengthUnit),
+    Above { above: String },
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -130,6 +141,27 @@ enum LengthUnit {
     M,
     Cm,
     Mm,
+}
+
+impl LengthUnit {
+    /// By its name, as other programs write it.
+    fn named(name: &str) -> Option<Self> {
+        Some(match name.to_ascii_lowercase().as_str() {
+            "m" | "meter" | "meters" | "metre" | "metres" => Self::M,
+            "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" => Self::Cm,
+            "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => Self::Mm,
+            _ => return None,
+        })
+    }
+
+    /// What one is in m.
+    fn in_m(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Cm => 0.01,
+            Self::Mm => 1e-3,
+        }
+    }
 }
 
 /// `[velocity]`.

@@ -68,8 +68,8 @@ pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
     }
     let found = match text(&head) {
         Some(text) => match foreign::known_text(&text) {
-            None if text.contains('\n') => return Ok(Format::Csv),
-            None => "one line of text",
+            None if table::looks_like_one(&text) => return Ok(Format::Csv),
+            None => "text without a line of numbers",
             Some(found) => found,
         },
         None => "data of another kind: no log's first bytes, and no frames of MAVLink with stamps",

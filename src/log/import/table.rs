@@ -132,6 +132,11 @@ pub(super) fn read(
     Ok(Contents { reason: refused, ..Contents::default() })
 }
 
+/// Whether a text may be a table: some line of its beginning is one of numbers.
+pub(super) fn looks_like_one(text: &str) -> bool {
+    Head::read(&mut text.as_bytes(), 0).is_ok_and(|head| head.has_numbers())
+}
+
 /// A mapping file to start from for the table that `source` begins with.
 ///
 /// # Errors

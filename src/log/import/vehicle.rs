@@ -4,6 +4,9 @@
 //! which stream is decided when all have been seen. Where the vehicle's clock jumps, as after a
 //! reboot, a new epoch begins; the flight is the epoch that flew longest.
 
+mod boots;
+mod facts;
+
 use std::collections::BTreeMap;
 
 use mavlink::MessageData;
@@ -14,15 +17,12 @@ use wire::dialect::*;
 use super::LogFault;
 use super::clocks::{Arrival, ClockMap, Exchange, Heard};
 use super::epoch::{Epoch, IMUS, ImuSample, PoseSample, Source};
-use super::facts::VehicleFacts;
 use super::flight::{Clock, Flight, Stream};
-use super::kind::{self, StatedKind};
 use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
 use crate::link::codec::Codec;
 use crate::link::message::{AttitudeSource, Battery, Inbound, LandedState};
 use crate::link::parameter::ParameterCast;
-use crate::parameters::Parameters;
 
 /// MAV_AUTOPILOT.
 const PX4: u8 = MavAutopilot::MAV_AUTOPILOT_PX4 as u8;
@@ -31,8 +31,6 @@ const ARDUPILOT: u8 = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA as u8;
 const STANDARD_GRAVITY: f64 = 9.806_65;
 /// Texts that are kept.
 const TEXTS_MAX: usize = 40;
-/// A state is not held for longer without being said again, s.
-const STATE_LASTS: f64 = 10.0;
 /// Boots that are named; a damaged log may have any number.
 const BOOTS_NAMED: usize = 20;
 /// Place of RAW_IMU among [`IMUS`].
@@ -302,71 +300,6 @@ impl VehicleLog {
     fn epoch_at(&self, index: u32) -> Option<usize> {
         let next = self.switches.partition_point(|(from, _)| *from <= index);
         self.switches.get(next.saturating_sub(1)).map(|(_, epoch)| *epoch)
-    }
-
-    /// How long the vehicle was in the air in each epoch, s of the ground's clock: by its own word,
-    /// or where it says nothing of it, how long it was armed.
-    fn flown(&self) -> Vec<f64> {
-        let states = if self.landed.is_empty() { &self.armed } else { &self.landed };
-        let mut flown = vec![0.0; self.epochs.len()];
-        let mut last: Option<(usize, f64)> = None;
-        for (heard, flying) in states {
-            let Some(epoch) = self.epoch_at(heard.index) else { continue };
-            if let Some((before, since)) = last.take()
-                && before == epoch
-            {
-                flown[epoch] += (heard.ground - since).clamp(0.0, STATE_LASTS);
-            }
-            last = flying.then_some((epoch, heard.ground));
-        }
-        flown
-    }
-
-    /// The epoch that is the flight: the one that was asked for, counted from 1 in their order, else
-    /// the one that flew longest.
-    fn chosen(&self, boot: Option<usize>, flown: &[f64]) -> Result<Option<usize>, LogFault> {
-        let boots = self.epochs.len();
-        if let Some(boot) = boot {
-            let at = boot.checked_sub(1).filter(|at| *at < boots);
-            return at.map(Some).ok_or(LogFault::NoBoot { boot, boots });
-        }
-        let weight = |epoch: &Epoch, flown: f64| {
-            // In steps of the states' rate.
-            (epoch.attitudes() > 0, flown as u64, epoch.attitudes(), epoch.messages())
-        };
-        let epochs = self.epochs.iter().zip(flown).enumerate().rev();
-        let most = epochs.max_by_key(|(_, (epoch, flown))| weight(epoch, **flown));
-        Ok(most.map(|(at, _)| at))
-    }
-
-    /// What the messages say about the vehicle.
-    fn facts(&mut self) -> VehicleFacts {
-        let most = self.types.iter().max_by_key(|(_, count)| **count).map(|(t, _)| f64::from(*t));
-        let of_type = most.and_then(|number| {
-            StatedKind::new(kind::of_mav_type(number), || {
-                format!("MAV_TYPE of its HEARTBEAT is {number}")
-            })
-        });
-        let firmware = self.texts.iter().find(|text| kind::of_firmware(text).is_some()).cloned();
-        let of_text = firmware.as_ref().and_then(|text| {
-            StatedKind::new(kind::of_firmware(text), || format!("the firmware is {text}"))
-        });
-        let of_parameters = kind::of_parameters(&self.parameters);
-        let name = match self.autopilot {
-            Some(PX4) => Some("PX4".to_owned()),
-            Some(ARDUPILOT) => Some("ArduPilot".to_owned()),
-            _ => None,
-        };
-        let stated = Parameters::from(self.parameters.clone());
-        VehicleFacts {
-            autopilot: firmware.or(name),
-            kinds: of_type.into_iter().chain(of_text).chain(of_parameters).collect(),
-            rotors: stated.rotors(),
-            motors: stated.motor_count().or(most.and_then(kind::motors_of_mav_type)),
-            parameters: self.parameters.clone(),
-            texts: std::mem::take(&mut self.texts),
-            ..VehicleFacts::default()
-        }
     }
 
     /// Fills `flight` with one epoch and with the setpoints sent in it. Returns what was left out.

@@ -5,8 +5,8 @@ use super::row::{
     AttitudeReader, Columns, MotorReader, Outputs, Rotation, RowReader, TimeReader, VectorReader,
 };
 use super::{
-    AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMeaning, LengthUnit, Mapping,
-    MotorMap, MotorMeaning, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit, TimeUnit,
+    AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMeaning, LengthText, LengthUnit,
+    Mapping, MotorMap, MotorMeaning, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit, TimeUnit,
     VoltageUnit,
 };
 
@@ -63,6 +63,14 @@ impl Heading<'_> {
         words.retain(|word| !word.is_empty());
         words.dedup();
         format!("{} ({})", column + 1, words.join(", "))
+    }
+
+    /// The cell that follows one of this content above the table.
+    pub fn after(&self, cell: &str) -> Option<&str> {
+        self.above.iter().find_map(|line| {
+            let at = line.iter().position(|known| known == cell)?;
+            line.get(at + 1).map(String::as_str)
+        })
     }
 
     /// What the table has in place of a column that it lacks.
@@ -316,12 +324,18 @@ impl RowReader {
         let position = mapping.position.as_ref().map(|map| {
             binder.world()?;
             let expected = r#""m", "cm" or "mm""#;
-            let factor = match map.unit.ok_or_else(|| unsaid("position.unit", expected))? {
-                LengthUnit::M => 1.0,
-                LengthUnit::Cm => 0.01,
-                LengthUnit::Mm => 1e-3,
+            let unit = match &map.unit {
+                Some(LengthText::Unit(unit)) => *unit,
+                Some(LengthText::Above { above }) => {
+                    let said = binder.heading.after(above);
+                    said.and_then(LengthUnit::named).ok_or_else(|| {
+                        let found = said.map_or("no such cell".to_owned(), |s| format!("{s:?}"));
+                        format!("position.unit: expected a unit after {above:?}, found {found}: write it")
+                    })?
+                }
+                None => return Err(unsaid("position.unit", expected)),
             };
-            binder.columns("position.columns", &map.columns, factor)
+            binder.columns("position.columns", &map.columns, unit.in_m())
         });
         let position = position.transpose()?;
         let velocity = mapping.velocity.as_ref().map(|map| {

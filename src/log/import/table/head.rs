@@ -115,21 +115,21 @@ impl Head {
             if lines.len() == offset {
                 return Err("the table has no header line that names its columns".to_owned());
             }
+            expected(mapping, &lines)?;
             // Where every column is given by its number, no line need name them.
             let numbered = (offset..lines.len()).find_map(|at| {
                 let (above, rest) = lines.split_at(at);
                 let found = by_number(mapping, separator, above, &rest[0])?;
-                Some((at, at - offset, found))
+                Some((at - offset, found))
             });
             let named = || {
                 (offset..lines.len()).find_map(|at| {
                     let (above, rest) = lines.split_at(at);
                     let found = by_name(mapping, above, &rest[0]).ok()?;
-                    Some((at, at - offset + 1, found))
+                    Some((at - offset + 1, found))
                 })
             };
-            if let Some((at, records_above, (reader, cells))) = numbered.or_else(named) {
-                expected(mapping, &lines[..at])?;
+            if let Some((records_above, (reader, cells))) = numbered.or_else(named) {
                 return Ok(Layout { separator, records_above, cells, reader });
             }
             let names = header(&lines, separator).unwrap_or(offset).max(offset);
@@ -144,6 +144,18 @@ impl Head {
             }
         }
         Err(refusal.map_or_else(String::new, |(_, error)| error))
+    }
+
+    /// Whether any line is one of several numbers.
+    pub fn has_numbers(&self) -> bool {
+        let separators = self.separators(None).unwrap_or_default();
+        separators.into_iter().any(|separator| {
+            let mut numbers = Numbers::new(None, separator);
+            self.cut(separator).iter().any(|line| {
+                let of = |cell: &String| numbers.read(cell.as_bytes());
+                line.iter().map(of).filter(|cell| matches!(cell, Cell::Number(_))).count() > 1
+            })
+        })
     }
 
     /// What separates the cells and where the line is that names the columns, without a mapping.
@@ -222,14 +234,11 @@ fn by_number(
     reader.read(0, &cells).is_ok().then_some((reader, [least, line.len()]))
 }
 
-/// Holds what the lines above say against what the mapping expects of them.
+/// Holds what the first lines say against what the mapping expects of them.
 fn expected(mapping: &Mapping, above: &[Vec<String>]) -> Result<(), String> {
+    let heading = Heading { above, names: None, width: 0 };
     for (name, expected) in &mapping.expect {
-        let said = above.iter().find_map(|line| {
-            let at = line.iter().position(|cell| cell == name)?;
-            line.get(at + 1)
-        });
-        if let Some(said) = said.filter(|said| *said != expected) {
+        if let Some(said) = heading.after(name).filter(|said| said != expected) {
             return Err(format!(
                 "expect: the table says {name:?} is {said:?}, the mapping is for {expected:?}; copy \
                  the mapping, change it to what the table is, and what it says there"
