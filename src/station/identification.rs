@@ -6,10 +6,11 @@ use std::sync::Arc;
 use super::attitude_loop::{assumption, attitude_loop};
 use super::{End, Station, StationSettings};
 use crate::clock::HostTime;
-use crate::control::{DesignError, Lqr};
+use crate::control::{AttitudeError, Controller, DesignError, DisturbanceObserver, Lqr};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
+use crate::plan::reference::{FeedForward, ReferenceSource};
 use crate::pilot::{Airframe, LinkEvent, Pilot};
 use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
 
@@ -96,6 +97,24 @@ impl Station {
         let StationSettings { actuation, hover, lqr, attitude_pd, .. } = &self.settings;
         let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
         let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
+        let offset_free = &self.settings.pilot.offset_free;
+        let is_own_loop = profile.name != Profile::BUNDLED.name;
+        let error =
+            if is_own_loop { AttitudeError::Rotation } else { AttitudeError::Angles };
+        let observer = offset_free.observer.applies(is_own_loop).then(|| {
+            DisturbanceObserver::new(*offset_free, *hover, attitude_loop, error, *actuation)
+        });
+        let mut reference = Arc::clone(&self.settings.reference);
+        if offset_free.feed_forward.applies(is_own_loop) {
+            let feed_forward = FeedForward {
+                mass_kg: hover.mass_kg,
+                gravity: hover.gravity,
+                tilt_max_rad: self.settings.pilot.limits.tilt_max_rad,
+                attitude_delay_s: actuation.attitude_delay_s(&attitude_loop),
+                thrust_delay_s: actuation.thrust_delay_s(),
+            };
+            reference = reference.with_feed_forward(&feed_forward).unwrap_or(reference);
+        }
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
@@ -111,8 +130,8 @@ impl Station {
             self.settings.pilot.clone(),
             self.settings.policy,
             airframe,
-            lqr,
-            Box::new(Arc::clone(&self.settings.reference)),
+            Controller::new(lqr, error, observer),
+            Box::new(reference),
             Vec::new(),
             now,
         )))

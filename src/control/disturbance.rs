@@ -1,0 +1,307 @@
+//! What pushes and turns the vehicle beside thrust, weight and the attitude loop, estimated, and
+//! the equilibrium that it moves.
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+
+use super::actuation::Actuation;
+use super::attitude_loop::{AttitudeError, AttitudeLoop, angle_error};
+use super::hover_model::HoverVehicle;
+use crate::clock::VehicleTime;
+use crate::setpoint::{Expected, Setpoint, State};
+
+/// Feedback that leaves no steady error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OffsetFreeSettings {
+    /// Whether disturbances are estimated and taken out.
+    pub observer: Use,
+    /// Whether a desired trajectory's own acceleration is fed forward.
+    pub feed_forward: Use,
+    /// Time constant of the estimates, s. Wind and an estimate's wander change over several
+    /// seconds; the velocity's noise over this time is an acceleration that is flown.
+    pub time_constant_s: f64,
+    /// Largest acceleration that is taken for a disturbance, m/s^2.
+    pub acceleration_max_m_s2: f64,
+    /// Largest error that is taken for the attitude loop's, or for the attitude's own, rad.
+    pub attitude_max_rad: f64,
+}
+
+impl Default for OffsetFreeSettings {
+    fn default() -> Self {
+        Self {
+            observer: Use::Auto,
+            feed_forward: Use::Auto,
+            time_constant_s: 0.5,
+            acceleration_max_m_s2: 6.0,
+            attitude_max_rad: 0.2,
+        }
+    }
+}
+
+/// When something is used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Use {
+    /// With autopilots whose loop is their own; the bundled vehicle is flown as in the paper.
+    #[default]
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
+}
+
+impl Use {
+    /// Whether it is used with a vehicle whose attitude loop is its autopilot's own or not.
+    pub fn applies(self, is_own_loop: bool) -> bool {
+        match self {
+            Self::Auto => is_own_loop,
+            Self::On => true,
+            Self::Off => false,
+        }
+    }
+}
+
+/// Share of an unexplained horizontal acceleration that is first taken to turn with the vehicle.
+const BODY_SHARE: f64 = 0.5;
+/// A longer time between samples leaves nothing to compare, s.
+const GAP_MAX_S: f64 = 0.2;
+/// Longest step of the attitude loop's model, s.
+const STEP_MAX_S: f64 = 2.5e-3;
+
+/// Constant disturbances, each bounded.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Disturbance {
+    /// Horizontal acceleration fixed in the world, m/s^2: wind.
+    world: [f64; 2],
+    /// Horizontal acceleration in axes that turn with yaw, m/s^2: the attitude's own error.
+    body: [f64; 2],
+    /// Acceleration along the body's down axis, m/s^2: a weight or a thrust other than believed.
+    along_thrust: f64,
+    /// Attitude beside the one that the loop is sent, rad: moments that its gains give way to.
+    attitude: [f64; 3],
+}
+
+/// How an equilibrium lies beside the undisturbed one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shift {
+    /// Roll, pitch and yaw that hold against the disturbances, rad.
+    pub attitude: Euler,
+    /// Thrust against them, and the setpoint for which the loop gives that attitude.
+    pub input: Setpoint,
+}
+
+/// What the loop and the rotors have made of the setpoints so far, by the model.
+#[derive(Clone, Copy, Debug)]
+struct Motion {
+    at: VehicleTime,
+    velocity: Ned,
+    seen: Attitude,
+    /// The setpoint behind the delay.
+    delayed: Setpoint,
+    thrust_n: f64,
+    attitude: Euler,
+    body_rate: Frd,
+    turn: Frd,
+}
+
+/// Estimates the disturbances that explain how the vehicle moves: a Luenberger observer of the
+/// near-hover model with disturbances as further states.
+///
+/// ```text
+/// dv/dt    = g e3 + R(zeta) (0, 0, d_t - T/m) + d_w + R(psi) d_b + expected
+/// zeta     = loop(sent) + d_a + expected
+/// ```
+///
+/// Velocity and attitude are measured, and the setpoint is the one that was sent, limits included,
+/// so that nothing winds up. What the reference's model expects is not estimated again. The
+/// attitude in the first line is the measured one: the estimate does not depend on how well the
+/// attitude loop is known, and feeding it back closes no loop through it.
+#[derive(Clone, Debug)]
+pub struct DisturbanceObserver {
+    settings: OffsetFreeSettings,
+    vehicle: HoverVehicle,
+    attitude_loop: AttitudeLoop,
+    error: AttitudeError,
+    actuation: Actuation,
+    motion: Option<Motion>,
+    disturbance: Disturbance,
+}
+
+impl DisturbanceObserver {
+    /// An observer that knows of no disturbance yet.
+    pub fn new(
+        settings: OffsetFreeSettings,
+        vehicle: HoverVehicle,
+        attitude_loop: AttitudeLoop,
+        error: AttitudeError,
+        actuation: Actuation,
+    ) -> Self {
+        let (motion, disturbance) = (None, Disturbance::default());
+        Self { settings, vehicle, attitude_loop, error, actuation, motion, disturbance }
+    }
+
+    /// Forgets everything: nothing is known on the ground, or of a vehicle that others flew.
+    pub fn reset(&mut self) {
+        (self.motion, self.disturbance) = (None, Disturbance::default());
+    }
+
+    /// Keeps the disturbances, and compares nothing with what was before: the estimate jumped, or
+    /// no setpoint left.
+    pub fn pause(&mut self) {
+        self.motion = None;
+    }
+
+    /// Takes the state at `at`, and the setpoint that was sent since the last one, its thrust as it
+    /// is believed to act.
+    pub fn observe(
+        &mut self,
+        at: VehicleTime,
+        state: &State,
+        sent: &Setpoint,
+        expected: &Expected,
+    ) {
+        let before = self.motion.filter(|motion| {
+            let dt = at.seconds_since(motion.at);
+            dt > 0.0 && dt < GAP_MAX_S
+        });
+        let Some(before) = before else {
+            self.motion = Some(Motion::starting(at, state, sent));
+            return;
+        };
+        let dt = at.seconds_since(before.at);
+        let mut motion = self.moved(before, sent, dt);
+        let decay = (-dt / self.settings.time_constant_s).exp();
+        self.learn_acceleration(&mut motion, &before, state, expected, dt, decay);
+        let unexplained = angle_error(state.attitude.euler(), motion.attitude);
+        let bound = self.settings.attitude_max_rad;
+        for (i, unexplained) in unexplained.into_iter().enumerate() {
+            let d = &mut self.disturbance.attitude[i];
+            *d += (1.0 - decay) * (unexplained - expected.attitude[i] - *d);
+            *d = d.clamp(-bound, bound);
+        }
+        (motion.at, motion.seen) = (at, state.attitude);
+        self.motion = Some(motion).filter(Motion::is_finite);
+    }
+
+    /// Both poles of velocity and disturbance at `decay` per step.
+    fn learn_acceleration(
+        &mut self,
+        motion: &mut Motion,
+        before: &Motion,
+        state: &State,
+        expected: &Expected,
+        dt: f64,
+        decay: f64,
+    ) {
+        let mean = before.seen.between(state.attitude, 0.5);
+        let thrust_n = 0.5 * (before.thrust_n + motion.thrust_n);
+        let along = self.disturbance.along_thrust - thrust_n / self.vehicle.mass_kg;
+        let (sin, cos) = mean.yaw().sin_cos();
+        let Disturbance { world: [north, east], body: [front, right], .. } = self.disturbance;
+        let acceleration = mean.to_world(Frd::new(0.0, 0.0, along))
+            + Ned::new(north, east, self.vehicle.gravity)
+            + Ned::new(cos * front - sin * right, sin * front + cos * right, 0.0)
+            + expected.acceleration;
+        let foreseen = before.velocity + acceleration * dt;
+        let error = state.velocity - foreseen;
+        motion.velocity = foreseen + error * (1.0 - decay * decay);
+        let slope = error * ((1.0 - decay).powi(2) / dt);
+        let [ahead, aside] =
+            [cos * slope.north() + sin * slope.east(), cos * slope.east() - sin * slope.north()];
+        let down = mean.to_body(slope).down();
+        let largest = self.settings.acceleration_max_m_s2;
+        let trim = self.vehicle.gravity * self.settings.attitude_max_rad;
+        let d = &mut self.disturbance;
+        let share = 1.0 - BODY_SHARE;
+        d.world =
+            bounded([north + share * slope.north() * dt, east + share * slope.east() * dt], largest);
+        d.body = bounded(
+            [front + BODY_SHARE * ahead * dt, right + BODY_SHARE * aside * dt],
+            trim.min(largest),
+        );
+        d.along_thrust = (d.along_thrust + down * dt).clamp(-largest, largest);
+    }
+
+    /// The model's motion `dt` later: delay and lag are first-order, as the regulator's.
+    fn moved(&self, before: Motion, sent: &Setpoint, dt: f64) -> Motion {
+        let mut now = before;
+        let steps = (dt / STEP_MAX_S).ceil().max(1.0);
+        let h = dt / steps;
+        let share = |time_s: f64| 1.0 - (-h / time_s.max(1e-4)).exp();
+        let delay = share(self.actuation.command_delay_s);
+        let lag = share(self.actuation.motor_time_constant_s);
+        let turn_lag = if self.attitude_loop.is_before_the_rotors() { lag } else { 1.0 };
+        for _ in 0..steps as usize {
+            let [roll, pitch, yaw] = angle_error(sent.attitude, now.delayed.attitude);
+            let Euler { roll: r, pitch: p, yaw: y } = now.delayed.attitude;
+            now.delayed = Setpoint {
+                thrust_n: now.delayed.thrust_n + delay * (sent.thrust_n - now.delayed.thrust_n),
+                attitude: Euler::new(r + delay * roll, p + delay * pitch, y + delay * yaw),
+                body_rate: now.delayed.body_rate
+                    + (sent.body_rate - now.delayed.body_rate) * delay,
+            };
+            now.thrust_n += lag * (now.delayed.thrust_n - now.thrust_n);
+            let turn = self.attitude_loop.angular_acceleration(
+                self.vehicle.inertia,
+                self.error.between(now.delayed.attitude, now.attitude),
+                now.delayed.body_rate.to_array(),
+                now.body_rate.to_array(),
+            );
+            now.turn += (Frd::from(turn) - now.turn) * turn_lag;
+            now.body_rate += now.turn * h;
+            let [droll, dpitch, dyaw] = now.attitude.rates(now.body_rate);
+            let Euler { roll, pitch, yaw } = now.attitude;
+            now.attitude =
+                Euler::new(roll + h * droll, pitch + h * dpitch, wrap_angle(yaw + h * dyaw));
+        }
+        now
+    }
+
+    /// How the disturbances move the equilibrium of a vehicle at the heading `yaw`.
+    pub fn shift(&self, yaw: f64) -> Shift {
+        let Disturbance { world: [north, east], body: [front, right], along_thrust, attitude } =
+            self.disturbance;
+        let (sin, cos) = yaw.sin_cos();
+        let [ahead, aside] = [cos * north + sin * east + front, cos * east - sin * north + right];
+        // Nose up pushes back, right side down pushes right.
+        let gravity = self.vehicle.gravity;
+        let (roll, pitch) = ((-aside / gravity).atan(), (ahead / gravity).atan());
+        Shift {
+            attitude: Euler::new(roll, pitch, 0.0),
+            input: Setpoint {
+                thrust_n: self.vehicle.mass_kg * along_thrust,
+                attitude: Euler::new(roll - attitude[0], pitch - attitude[1], -attitude[2]),
+                body_rate: Frd::zero(),
+            },
+        }
+    }
+}
+
+impl Motion {
+    fn starting(at: VehicleTime, state: &State, sent: &Setpoint) -> Self {
+        Self {
+            at,
+            velocity: state.velocity,
+            seen: state.attitude,
+            delayed: *sent,
+            thrust_n: sent.thrust_n,
+            attitude: state.attitude.euler(),
+            body_rate: state.body_rate,
+            turn: Frd::zero(),
+        }
+    }
+
+    fn is_finite(&self) -> bool {
+        let Euler { roll, pitch, yaw } = self.attitude;
+        self.velocity.is_finite()
+            && self.body_rate.is_finite()
+            && [roll, pitch, yaw, self.thrust_n].iter().all(|number| number.is_finite())
+    }
+}
+
+fn bounded([x, y]: [f64; 2], largest: f64) -> [f64; 2] {
+    let scale = (largest / x.hypot(y)).min(1.0);
+    [x * scale, y * scale]
+}
