@@ -207,21 +207,18 @@ impl DisturbanceObserver {
         let foreseen = before.velocity + acceleration * dt;
         let error = state.velocity - foreseen;
         motion.velocity = foreseen + error * (1.0 - decay * decay);
-        let slope = error * ((1.0 - decay).powi(2) / dt);
+        let step = error * ((1.0 - decay).powi(2) / dt);
         let [ahead, aside] =
-            [cos * slope.north() + sin * slope.east(), cos * slope.east() - sin * slope.north()];
-        let down = mean.to_body(slope).down();
+            [cos * step.north() + sin * step.east(), cos * step.east() - sin * step.north()];
+        let down = mean.to_body(step).down();
         let largest = self.settings.acceleration_max_m_s2;
         let trim = self.vehicle.gravity * self.settings.attitude_max_rad;
         let d = &mut self.disturbance;
         let share = 1.0 - BODY_SHARE;
-        d.world =
-            bounded([north + share * slope.north() * dt, east + share * slope.east() * dt], largest);
-        d.body = bounded(
-            [front + BODY_SHARE * ahead * dt, right + BODY_SHARE * aside * dt],
-            trim.min(largest),
-        );
-        d.along_thrust = (d.along_thrust + down * dt).clamp(-largest, largest);
+        d.world = bounded([north + share * step.north(), east + share * step.east()], largest);
+        d.body =
+            bounded([front + BODY_SHARE * ahead, right + BODY_SHARE * aside], trim.min(largest));
+        d.along_thrust = (d.along_thrust + down).clamp(-largest, largest);
     }
 
     /// The model's motion `dt` later: delay and lag are first-order, as the regulator's.
