@@ -59,8 +59,9 @@ impl Controller {
     /// The correction to the reference's input, and whether its position error was cut.
     pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, Saturation) {
         let Some(observer) = &self.observer else { return self.lqr.feedback(state, reference) };
-        let shift = observer.shift(state.attitude.yaw());
+        let shift = observer.shift(reference, state.attitude.yaw());
         let mut held = *reference;
+        held.velocity += shift.velocity;
         held.attitude.roll += shift.attitude.roll;
         held.attitude.pitch += shift.attitude.pitch;
         let (feedback, cut) = self.lqr.feedback(state, &held);

@@ -8,7 +8,7 @@ use super::actuation::Actuation;
 use super::attitude_loop::{AttitudeError, AttitudeLoop, angle_error};
 use super::hover_model::HoverVehicle;
 use crate::clock::VehicleTime;
-use crate::setpoint::{Expected, Setpoint, State};
+use crate::setpoint::{Expected, Reference, Setpoint, State};
 
 /// Feedback that leaves no steady error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,6 +21,9 @@ pub struct OffsetFreeSettings {
     /// Time constant of the estimates, s. Wind and an estimate's wander change over several
     /// seconds; the velocity's noise over this time is an acceleration that is flown.
     pub time_constant_s: f64,
+    /// Largest difference that is taken to be between the velocity that is reported and that of the
+    /// position, m/s.
+    pub velocity_max_m_s: f64,
     /// Largest acceleration that is taken for a disturbance, m/s^2.
     pub acceleration_max_m_s2: f64,
     /// Largest error that is taken for the attitude loop's, or for the attitude's own, rad.
@@ -33,6 +36,7 @@ impl Default for OffsetFreeSettings {
             observer: Use::Auto,
             feed_forward: Use::Auto,
             time_constant_s: 0.5,
+            velocity_max_m_s: 0.5,
             acceleration_max_m_s2: 6.0,
             attitude_max_rad: 0.2,
         }
@@ -63,6 +67,10 @@ impl Use {
     }
 }
 
+/// Largest rate at which drag is taken to slow a vehicle, 1/s.
+const DRAG_MAX_PER_S: f64 = 2.0;
+/// Speed from which most of an unexplained acceleration along it is taken for drag, m/s.
+const DRAG_SPEED_M_S: f64 = 1.0;
 /// Share of an unexplained horizontal acceleration that is first taken to turn with the vehicle.
 const BODY_SHARE: f64 = 0.5;
 /// A longer time between samples leaves nothing to compare, s.
@@ -73,6 +81,10 @@ const STEP_MAX_S: f64 = 2.5e-3;
 /// Constant disturbances, each bounded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Disturbance {
+    /// By how much more than reported the position moves, m/s.
+    velocity: Ned,
+    /// Horizontal drag over speed and mass, 1/s.
+    drag_per_s: f64,
     /// Horizontal acceleration fixed in the world, m/s^2: wind.
     world: [f64; 2],
     /// Horizontal acceleration in axes that turn with yaw, m/s^2: the attitude's own error.
@@ -86,6 +98,8 @@ struct Disturbance {
 /// How an equilibrium lies beside the undisturbed one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shift {
+    /// Reported while the position rests, m/s.
+    pub velocity: Ned,
     /// Roll, pitch and yaw that hold against the disturbances, rad.
     pub attitude: Euler,
     /// Thrust against them, and the setpoint for which the loop gives that attitude.
@@ -96,6 +110,7 @@ pub struct Shift {
 #[derive(Clone, Copy, Debug)]
 struct Motion {
     at: VehicleTime,
+    position: Ned,
     velocity: Ned,
     seen: Attitude,
     /// The setpoint behind the delay.
@@ -110,11 +125,12 @@ struct Motion {
 /// near-hover model with disturbances as further states.
 ///
 /// ```text
-/// dv/dt    = g e3 + R(zeta) (0, 0, d_t - T/m) + d_w + R(psi) d_b + expected
-/// zeta     = loop(sent) + d_a + expected
+/// dp/dt = v + d_v
+/// dv/dt = g e3 + R(zeta) (0, 0, d_t - T/m) + d_w + R(psi) d_b - c v + expected
+/// zeta  = loop(sent) + d_a + expected
 /// ```
 ///
-/// Velocity and attitude are measured, and the setpoint is the one that was sent, limits included,
+/// Position, velocity and attitude are measured, and the setpoint is the one that was sent, limits included,
 /// so that nothing winds up. What the reference's model expects is not estimated again. The
 /// attitude in the first line is the measured one: the estimate does not depend on how well the
 /// attitude loop is known, and feeding it back closes no loop through it.
@@ -167,12 +183,13 @@ impl DisturbanceObserver {
             dt > 0.0 && dt < GAP_MAX_S
         });
         let Some(before) = before else {
-            self.motion = Some(Motion::starting(at, state, sent));
+            self.motion = Some(Motion::starting(at, state, sent, &self.disturbance));
             return;
         };
         let dt = at.seconds_since(before.at);
         let mut motion = self.moved(before, sent, dt);
         let decay = (-dt / self.settings.time_constant_s).exp();
+        self.learn_velocity(&mut motion, &before, state, dt, decay);
         self.learn_acceleration(&mut motion, &before, state, expected, dt, decay);
         let unexplained = angle_error(state.attitude.euler(), motion.attitude);
         let bound = self.settings.attitude_max_rad;
@@ -185,7 +202,25 @@ impl DisturbanceObserver {
         self.motion = Some(motion).filter(Motion::is_finite);
     }
 
-    /// Both poles of velocity and disturbance at `decay` per step.
+    /// Both poles of position and velocity error at `decay` per step.
+    fn learn_velocity(
+        &mut self,
+        motion: &mut Motion,
+        before: &Motion,
+        state: &State,
+        dt: f64,
+        decay: f64,
+    ) {
+        let d = &mut self.disturbance.velocity;
+        let foreseen = before.position + (state.velocity + *d) * dt;
+        let error = state.position - foreseen;
+        motion.position = foreseen + error * (1.0 - decay * decay);
+        *d += error * ((1.0 - decay).powi(2) / dt);
+        let largest = self.settings.velocity_max_m_s;
+        *d = *d * (largest / d.norm()).min(1.0);
+    }
+
+    /// Both poles of velocity and acceleration error at `decay` per step.
     fn learn_acceleration(
         &mut self,
         motion: &mut Motion,
@@ -199,13 +234,17 @@ impl DisturbanceObserver {
         let thrust_n = 0.5 * (before.thrust_n + motion.thrust_n);
         let along = self.disturbance.along_thrust - thrust_n / self.vehicle.mass_kg;
         let (sin, cos) = mean.yaw().sin_cos();
-        let Disturbance { world: [north, east], body: [front, right], .. } = self.disturbance;
+        let Disturbance { world: [north, east], body: [front, right], drag_per_s, .. } =
+            self.disturbance;
+        let velocity = state.velocity + self.disturbance.velocity;
+        let flow = Ned::new(velocity.north(), velocity.east(), 0.0);
         let acceleration = mean.to_world(Frd::new(0.0, 0.0, along))
             + Ned::new(north, east, self.vehicle.gravity)
             + Ned::new(cos * front - sin * right, sin * front + cos * right, 0.0)
+            - flow * drag_per_s
             + expected.acceleration;
         let foreseen = before.velocity + acceleration * dt;
-        let error = state.velocity - foreseen;
+        let error = velocity - foreseen;
         motion.velocity = foreseen + error * (1.0 - decay * decay);
         let step = error * ((1.0 - decay).powi(2) / dt);
         let [ahead, aside] =
@@ -218,6 +257,8 @@ impl DisturbanceObserver {
         d.world = bounded([north + share * step.north(), east + share * step.east()], largest);
         d.body =
             bounded([front + BODY_SHARE * ahead, right + BODY_SHARE * aside], trim.min(largest));
+        let slowed = -flow.dot(step) / (DRAG_SPEED_M_S.powi(2) + flow.dot(flow));
+        d.drag_per_s = (d.drag_per_s + slowed).clamp(0.0, DRAG_MAX_PER_S);
         d.along_thrust = (d.along_thrust + down).clamp(-largest, largest);
     }
 
@@ -256,31 +297,52 @@ impl DisturbanceObserver {
         now
     }
 
-    /// How the disturbances move the equilibrium of a vehicle at the heading `yaw`.
-    pub fn shift(&self, yaw: f64) -> Shift {
-        let Disturbance { world: [north, east], body: [front, right], along_thrust, attitude } =
-            self.disturbance;
+    /// How the disturbances move what leads a vehicle at the heading `yaw` along `reference`.
+    pub fn shift(&self, reference: &Reference, yaw: f64) -> Shift {
+        let Disturbance {
+            velocity,
+            drag_per_s,
+            world: [north, east],
+            body: [front, right],
+            along_thrust,
+            attitude,
+        } = self.disturbance;
         let (sin, cos) = yaw.sin_cos();
-        let [ahead, aside] = [cos * north + sin * east + front, cos * east - sin * north + right];
+        let turned = |north: f64, east: f64| [cos * north + sin * east, cos * east - sin * north];
+        let [vn, ve, _] = reference.velocity.to_array();
+        let [ahead, aside] = turned(north - drag_per_s * vn, east - drag_per_s * ve);
+        let (ahead, aside) = (ahead + front, aside + right);
         // Nose up pushes back, right side down pushes right.
         let gravity = self.vehicle.gravity;
         let (roll, pitch) = ((-aside / gravity).atan(), (ahead / gravity).atan());
+        // Drag turns with the velocity; of what is fixed in the world the body makes no turn.
+        let thrust = reference.feedforward.thrust_n / self.vehicle.mass_kg;
+        let push = reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -thrust));
+        let [more_ahead, more_aside] =
+            turned(-drag_per_s * push.north(), -drag_per_s * push.east());
         Shift {
+            velocity: -velocity,
             attitude: Euler::new(roll, pitch, 0.0),
             input: Setpoint {
                 thrust_n: self.vehicle.mass_kg * along_thrust,
                 attitude: Euler::new(roll - attitude[0], pitch - attitude[1], -attitude[2]),
-                body_rate: Frd::zero(),
+                body_rate: Frd::new(-more_aside / gravity, more_ahead / gravity, 0.0),
             },
         }
     }
 }
 
 impl Motion {
-    fn starting(at: VehicleTime, state: &State, sent: &Setpoint) -> Self {
+    fn starting(
+        at: VehicleTime,
+        state: &State,
+        sent: &Setpoint,
+        disturbance: &Disturbance,
+    ) -> Self {
         Self {
             at,
-            velocity: state.velocity,
+            position: state.position,
+            velocity: state.velocity + disturbance.velocity,
             seen: state.attitude,
             delayed: *sent,
             thrust_n: sent.thrust_n,
@@ -292,7 +354,8 @@ impl Motion {
 
     fn is_finite(&self) -> bool {
         let Euler { roll, pitch, yaw } = self.attitude;
-        self.velocity.is_finite()
+        self.position.is_finite()
+            && self.velocity.is_finite()
             && self.body_rate.is_finite()
             && [roll, pitch, yaw, self.thrust_n].iter().all(|number| number.is_finite())
     }
