@@ -192,3 +192,64 @@ pub(super) fn angle_error(desired: Euler, actual: Euler) -> [f64; 3] {
         wrap_angle(desired.yaw - actual.yaw),
     ]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const INERTIA: [f64; 3] = [0.0115, 0.0125, 0.021];
+    const KP: [f64; 3] = [1.9, 2.1, 0.5];
+    const KD: [f64; 3] = [0.27, 0.29, 0.19];
+
+    proptest! {
+        #[test]
+        fn folded_rates_make_the_moments_of_the_loop_that_takes_them(
+            desired in prop::array::uniform3(-0.5..0.5f64),
+            rate_desired in prop::array::uniform3(-2.0..2.0f64),
+            rate in prop::array::uniform3(-2.0..2.0f64),
+        ) {
+            let [roll, pitch, yaw] = desired;
+            let setpoint = Setpoint {
+                thrust_n: 9.0,
+                attitude: Euler::new(roll, pitch, yaw),
+                body_rate: rate_desired.into(),
+            };
+            let natural_frequency = std::array::from_fn(|i| (KP[i] / INERTIA[i]).sqrt());
+            let damping =
+                std::array::from_fn(|i| KD[i] / (2.0 * (KP[i] * INERTIA[i]).sqrt()));
+            let whole = AttitudeLoop::Pd { kp: KP, kd: KD };
+            for part in [
+                AttitudeLoop::AttitudePd { kp: KP, kd: KD },
+                AttitudeLoop::Attitude { natural_frequency, damping },
+            ] {
+                let sent = part.addressed(AttitudeError::Angles, setpoint, 0.3);
+                prop_assert_eq!(sent.body_rate, Frd::zero());
+                let error = |attitude: Euler| [attitude.roll, attitude.pitch, attitude.yaw];
+                let turn = |it: &AttitudeLoop, sent: &Setpoint| {
+                    let rates = sent.body_rate.to_array();
+                    it.angular_acceleration(INERTIA, error(sent.attitude), rates, rate)
+                };
+                let (folded, both) = (turn(&part, &sent), turn(&whole, &setpoint));
+                for (folded, both) in folded.into_iter().zip(both) {
+                    prop_assert!((folded - both).abs() < 1e-9 * (1.0 + both.abs()));
+                }
+            }
+            prop_assert_eq!(whole.addressed(AttitudeError::Angles, setpoint, 0.3), setpoint);
+        }
+
+        #[test]
+        fn loop_on_the_rotation_is_sent_the_same_direction_of_thrust_at_any_heading(
+            roll in -0.5..0.5f64, pitch in -0.5..0.5f64, yaw in -3.0..3.0f64, ahead in -0.8..0.8f64,
+        ) {
+            let heading = wrap_angle(yaw + ahead);
+            let setpoint =
+                Setpoint { attitude: Euler::new(roll, pitch, heading), ..Setpoint::default() };
+            let sent = AttitudeLoop::PX4.addressed(AttitudeError::Rotation, setpoint, yaw);
+            let down = |attitude: Euler| attitude.attitude().to_world(Frd::new(0.0, 0.0, 1.0));
+            let wanted = down(Euler::new(roll, pitch, yaw));
+            prop_assert!((down(sent.attitude) - wanted).norm() < 1e-9);
+            prop_assert!(wrap_angle(sent.attitude.yaw - heading).abs() < 1e-12);
+        }
+    }
+}

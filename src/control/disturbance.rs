@@ -18,7 +18,11 @@ pub struct OffsetFreeSettings {
     pub observer: Use,
     /// Whether a desired trajectory's own acceleration is fed forward.
     pub feed_forward: Use,
-    /// Time constant of the estimates, s. Wind and an estimate's wander change over several
+    /// Time constant after which the velocity that is fed back is the position's own slope, s. The
+    /// two disagree where an estimator corrects its position without saying so in its velocity; the
+    /// position is what is tracked.
+    pub velocity_time_constant_s: f64,
+    /// Time constant of the other estimates, s. Wind and an estimate's wander change over several
     /// seconds; the velocity's noise over this time is an acceleration that is flown.
     pub time_constant_s: f64,
     /// Largest difference that is taken to be between the velocity that is reported and that of the
@@ -35,6 +39,7 @@ impl Default for OffsetFreeSettings {
         Self {
             observer: Use::Auto,
             feed_forward: Use::Auto,
+            velocity_time_constant_s: 0.2,
             time_constant_s: 0.5,
             velocity_max_m_s: 0.5,
             acceleration_max_m_s2: 6.0,
@@ -189,7 +194,7 @@ impl DisturbanceObserver {
         let dt = at.seconds_since(before.at);
         let mut motion = self.moved(before, sent, dt);
         let decay = (-dt / self.settings.time_constant_s).exp();
-        self.learn_velocity(&mut motion, &before, state, dt, decay);
+        self.learn_velocity(&mut motion, &before, state, dt);
         self.learn_acceleration(&mut motion, &before, state, expected, dt, decay);
         let unexplained = angle_error(state.attitude.euler(), motion.attitude);
         let bound = self.settings.attitude_max_rad;
@@ -202,15 +207,9 @@ impl DisturbanceObserver {
         self.motion = Some(motion).filter(Motion::is_finite);
     }
 
-    /// Both poles of position and velocity error at `decay` per step.
-    fn learn_velocity(
-        &mut self,
-        motion: &mut Motion,
-        before: &Motion,
-        state: &State,
-        dt: f64,
-        decay: f64,
-    ) {
+    /// Both poles of position and velocity error at the same decay per step.
+    fn learn_velocity(&mut self, motion: &mut Motion, before: &Motion, state: &State, dt: f64) {
+        let decay = (-dt / self.settings.velocity_time_constant_s).exp();
         let d = &mut self.disturbance.velocity;
         let foreseen = before.position + (state.velocity + *d) * dt;
         let error = state.position - foreseen;
@@ -364,4 +363,156 @@ impl Motion {
 fn bounded([x, y]: [f64; 2], largest: f64) -> [f64; 2] {
     let scale = (largest / x.hypot(y)).min(1.0);
     [x * scale, y * scale]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sitl::rigid_body::RigidBody;
+
+    const QUAD: HoverVehicle =
+        HoverVehicle { mass_kg: 1.2, inertia: [0.0115, 0.0125, 0.021], gravity: 9.81 };
+    const PERIOD_S: f64 = 0.01;
+
+    fn observer() -> DisturbanceObserver {
+        DisturbanceObserver::new(
+            OffsetFreeSettings::default(),
+            QUAD,
+            AttitudeLoop::PX4,
+            AttitudeError::Rotation,
+            Actuation::IMMEDIATE,
+        )
+    }
+
+    fn at(tick: u32) -> VehicleTime {
+        VehicleTime::from_ms(1000 + tick * 10)
+    }
+
+    /// A vehicle that stays at `state`, moving and turning as that says, though it is sent `sent`.
+    fn watched(state: State, sent: &Setpoint, expected: &Expected, ticks: u32) -> DisturbanceObserver {
+        let mut observer = observer();
+        for tick in 0..ticks {
+            let t = f64::from(tick) * PERIOD_S;
+            let position = state.position + state.velocity * t;
+            observer.observe(at(tick), &State { position, ..state }, sent, expected);
+        }
+        observer
+    }
+
+    fn hover(thrust_share: f64) -> Setpoint {
+        Setpoint { thrust_n: thrust_share * QUAD.hover_thrust_n(), ..Setpoint::default() }
+    }
+
+    #[test]
+    fn thrust_that_holds_a_heavier_vehicle_is_held() {
+        let observer = watched(State::default(), &hover(1.2), &Expected::default(), 500);
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!((shift.input.thrust_n - 0.2 * QUAD.hover_thrust_n()).abs() < 1e-3);
+        assert!(shift.attitude.pitch.abs() < 1e-6 && shift.velocity.norm() < 1e-6);
+    }
+
+    #[test]
+    fn tilt_that_stands_against_wind_is_held_at_every_heading() {
+        // Nose down into a wind from the north, which pushes south.
+        let attitude = Euler::new(0.0, -0.2, 0.0);
+        let state = State { attitude: attitude.attitude(), ..State::default() };
+        let sent = Setpoint { attitude, ..hover(1.0 / 0.2_f64.cos()) };
+        let observer = watched(state, &sent, &Expected::default(), 500);
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!((shift.attitude.pitch + 0.2).abs() < 0.01, "{shift:?}");
+        assert!((shift.input.attitude.pitch - shift.attitude.pitch).abs() < 0.005);
+    }
+
+    #[test]
+    fn what_the_reference_expects_is_not_estimated_again() {
+        let attitude = Euler::new(0.0, -0.2, 0.0);
+        let state = State { attitude: attitude.attitude(), ..State::default() };
+        let sent = Setpoint { attitude: Euler::new(0.0, -0.15, 0.0), ..hover(1.0) };
+        let push = 9.81 * 0.2_f64.sin();
+        let sink = 9.81 * (1.0 - 0.2_f64.cos());
+        let expected =
+            Expected { acceleration: Ned::new(-push, 0.0, -sink), attitude: [0.0, -0.05, 0.0] };
+        let observer = watched(state, &sent, &expected, 500);
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!(shift.attitude.pitch.abs() < 1e-3, "{shift:?}");
+        assert!(shift.input.attitude.pitch.abs() < 1e-3 && shift.input.thrust_n.abs() < 0.02);
+    }
+
+    #[test]
+    fn attitude_beside_the_one_sent_is_made_up_for() {
+        let state =
+            State { attitude: Euler::new(0.05, 0.0, 0.1).attitude(), ..State::default() };
+        let observer = watched(state, &hover(1.0), &Expected::default(), 500);
+        let shift = observer.shift(&Reference::default(), 0.1);
+        let beside = shift.input.attitude.roll - shift.attitude.roll;
+        assert!((beside + 0.05).abs() < 1e-3, "{shift:?}");
+        assert!((shift.input.attitude.yaw + 0.1).abs() < 1e-3, "{shift:?}");
+    }
+
+    #[test]
+    fn velocity_that_the_position_does_not_have_is_left_out() {
+        let mut observer = observer();
+        let state = State { velocity: Ned::new(0.0, -0.13, 0.0), ..State::default() };
+        for tick in 0..300 {
+            observer.observe(at(tick), &state, &hover(1.0), &Expected::default());
+        }
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!((shift.velocity - state.velocity).norm() < 1e-3, "{shift:?}");
+        assert!(shift.attitude.roll.abs() < 0.01, "{shift:?}");
+    }
+
+    #[test]
+    fn nothing_beyond_its_bounds_is_believed_and_a_reset_forgets() {
+        let settings = OffsetFreeSettings::default();
+        let state = State { velocity: Ned::new(30.0, 0.0, 0.0), ..State::default() };
+        let mut observer = observer();
+        for tick in 0..200 {
+            let down = -0.5 * 40.0 * (f64::from(tick) * PERIOD_S).powi(2);
+            let state = State { position: Ned::new(0.0, 0.0, down), ..state };
+            let sent = Setpoint { attitude: Euler::new(0.5, 0.5, 2.0), ..hover(1.5) };
+            observer.observe(at(tick), &state, &sent, &Expected::default());
+            let Disturbance { velocity, drag_per_s, world, body, along_thrust, attitude } =
+                observer.disturbance;
+            assert!(velocity.norm() <= settings.velocity_max_m_s * (1.0 + 1e-9));
+            assert!((0.0..=DRAG_MAX_PER_S).contains(&drag_per_s));
+            let largest = settings.acceleration_max_m_s2 * (1.0 + 1e-9);
+            assert!(world[0].hypot(world[1]) <= largest && body[0].hypot(body[1]) <= largest);
+            assert!(along_thrust.abs() <= largest);
+            assert!(attitude.iter().all(|angle| angle.abs() <= settings.attitude_max_rad));
+        }
+        observer.reset();
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert_eq!(shift.input.thrust_n, 0.0);
+        assert_eq!(shift.velocity, Ned::zero());
+    }
+
+    #[test]
+    fn drag_of_a_circle_is_told_from_wind() {
+        const DRAG_PER_S: f64 = 0.6;
+        let wind = Ned::new(2.0, -1.0, 0.0);
+        let body = RigidBody::new(QUAD.mass_kg, QUAD.inertia, QUAD.gravity);
+        let mut observer = observer();
+        let turn = 1.3_f64;
+        for tick in 0..2000 {
+            let (sin, cos) = (turn * f64::from(tick) * PERIOD_S).sin_cos();
+            let position = Ned::new(sin, -cos, 0.0);
+            let velocity = Ned::new(cos, sin, 0.0) * turn;
+            let wanted = Ned::new(-sin, cos, 0.0) * turn.powi(2);
+            let carried = wanted + (velocity - wind) * DRAG_PER_S - Ned::new(0.0, 0.0, 9.81);
+            let [north, east, down] = carried.to_array();
+            let attitude = Euler::new((east / carried.norm()).asin(), (-north).atan2(-down), 0.0);
+            let thrust_n = QUAD.mass_kg * carried.norm();
+            let state = State { position, velocity, attitude: attitude.attitude(), ..State::default() };
+            let (push, _) =
+                body.accelerations(&state, Frd::new(0.0, 0.0, -thrust_n), Frd::zero());
+            assert!((push - wanted - (velocity - wind) * DRAG_PER_S).norm() < 1e-9);
+            let sent = Setpoint { thrust_n, attitude, ..Setpoint::default() };
+            observer.observe(at(tick), &state, &sent, &Expected::default());
+        }
+        let Disturbance { drag_per_s, world: [north, east], body: [front, right], .. } =
+            observer.disturbance;
+        assert!((drag_per_s - DRAG_PER_S).abs() < 0.05, "{drag_per_s}");
+        assert!((north + front - DRAG_PER_S * 2.0).abs() < 0.15, "{north} {front}");
+        assert!((east + right + DRAG_PER_S).abs() < 0.15, "{east} {right}");
+    }
 }

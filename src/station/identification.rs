@@ -1,16 +1,14 @@
 //! What follows from knowing the vehicle: the feedback that is designed for it, and what its
 //! parameters must be.
 
-use std::sync::Arc;
-
-use super::attitude_loop::{assumption, attitude_loop};
-use super::{End, Station, StationSettings};
+use super::attitude_loop::assumption;
+use super::feedback::{Feedback, feedback};
+use super::{End, Station};
 use crate::clock::HostTime;
-use crate::control::{AttitudeError, Controller, DesignError, DisturbanceObserver, Lqr};
+use crate::control::DesignError;
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
-use crate::plan::reference::{FeedForward, ReferenceSource};
 use crate::pilot::{Airframe, LinkEvent, Pilot};
 use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
 
@@ -94,27 +92,7 @@ impl Station {
         let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
         let modes = (word(profile.modes.offboard), word(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
-        let StationSettings { actuation, hover, lqr, attitude_pd, .. } = &self.settings;
-        let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
-        let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
-        let offset_free = &self.settings.pilot.offset_free;
-        let is_own_loop = profile.name != Profile::BUNDLED.name;
-        let error =
-            if is_own_loop { AttitudeError::Rotation } else { AttitudeError::Angles };
-        let observer = offset_free.observer.applies(is_own_loop).then(|| {
-            DisturbanceObserver::new(*offset_free, *hover, attitude_loop, error, *actuation)
-        });
-        let mut reference = Arc::clone(&self.settings.reference);
-        if offset_free.feed_forward.applies(is_own_loop) {
-            let feed_forward = FeedForward {
-                mass_kg: hover.mass_kg,
-                gravity: hover.gravity,
-                tilt_max_rad: self.settings.pilot.limits.tilt_max_rad,
-                attitude_delay_s: actuation.attitude_delay_s(&attitude_loop),
-                thrust_delay_s: actuation.thrust_delay_s(),
-            };
-            reference = reference.with_feed_forward(&feed_forward).unwrap_or(reference);
-        }
+        let Feedback { controller, reference } = feedback(profile, &self.settings)?;
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
@@ -130,7 +108,7 @@ impl Station {
             self.settings.pilot.clone(),
             self.settings.policy,
             airframe,
-            Controller::new(lqr, error, observer),
+            controller,
             Box::new(reference),
             Vec::new(),
             now,
