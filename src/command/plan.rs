@@ -108,9 +108,7 @@ pub(super) fn planner(
         })
         .or_exit(Exit::Usage)?;
     let planned = PlannedVehicle {
-        mass_kg: effective.hover.mass_kg,
-        gravity: effective.hover.gravity,
-        thrust_full_n: effective.thrust_full_n,
+        body: effective.body(),
         attitude_pd,
         limits: config.settings.pilot.limits,
     };

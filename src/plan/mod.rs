@@ -8,6 +8,7 @@ mod detour;
 pub mod discretisation;
 mod feasibility;
 mod file;
+mod flat;
 pub mod flyable;
 pub mod interior_point;
 pub mod iterate;

@@ -1,12 +1,11 @@
 //! What follows from knowing the vehicle: the feedback that is designed for it, and what its
 //! parameters must be.
 
-use std::sync::Arc;
-
-use super::attitude_loop::{assumption, attitude_loop};
-use super::{End, Station, StationSettings};
+use super::attitude_loop::assumption;
+use super::feedback::{Feedback, feedback};
+use super::{End, Station};
 use crate::clock::HostTime;
-use crate::control::{DesignError, Lqr};
+use crate::control::DesignError;
 use crate::link::loss_reaction::{LossLaw, LossReaction};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
@@ -108,9 +107,7 @@ impl Station {
         let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
         let modes = (word(profile.modes.offboard), word(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
-        let StationSettings { actuation, hover, lqr, attitude_pd, .. } = &self.settings;
-        let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
-        let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
+        let Feedback { controller, reference } = feedback(profile, &self.settings)?;
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
@@ -128,8 +125,8 @@ impl Station {
             self.settings.pilot.clone(),
             self.settings.policy,
             airframe,
-            lqr,
-            Box::new(Arc::clone(&self.settings.reference)),
+            controller,
+            Box::new(reference),
             Vec::new(),
             now,
         )))
