@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SitlConfig {
+    /// Which autopilot the vehicle behaves as.
+    pub autopilot: Autopilot,
     /// Where on earth the local frame's origin is.
     pub home: Home,
     /// Where the vehicle begins.
@@ -18,6 +20,20 @@ pub struct SitlConfig {
     pub battery: BatteryConfig,
     /// Noise and bias.
     pub sensors: SensorConfig,
+}
+
+/// The autopilot that the vehicle behaves as, on the wire and in the air.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Autopilot {
+    /// PX4's protocol, with a PD on attitude and rates together.
+    #[default]
+    Bundled,
+    /// PX4.
+    Px4,
+    /// ArduCopter.
+    Arducopter,
 }
 
 /// Geodetic position of the local frame's origin.

@@ -79,6 +79,7 @@ impl Airframe {
             attitude: onboard_attitude,
             body_rate: gyro,
             battery: battery.remaining,
+            voltage: battery.voltage,
         }
     }
 

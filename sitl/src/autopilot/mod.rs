@@ -1,10 +1,11 @@
-//! The autopilot: behaves on the wire as PX4 does, flies the plant. Sans I/O: bytes in, bytes out,
-//! time passed in.
+//! The autopilot: behaves on the wire as PX4 or ArduCopter does, flies the plant. Sans I/O: bytes
+//! in, bytes out, time passed in.
 //!
 //! Once per tick of the on-board loop, [`flight`] turns what is sensed into motor outputs: the
 //! [`commander`] rules over mode and arming, [`guidance`] and [`position`] fly every mode but
-//! OFFBOARD, [`offboard`] holds the setpoint stream, [`pd`] is the attitude loop and the mixer.
-//! [`protocol`] speaks MAVLink around it.
+//! OFFBOARD, [`offboard`] holds the setpoint stream. [`protocol`] speaks MAVLink around it. What
+//! differs between the autopilots that the vehicle can be, and the attitude loop of each, is a
+//! `personality`.
 
 mod airframe;
 pub mod arming;
@@ -20,6 +21,7 @@ mod modes;
 pub mod offboard;
 pub mod parameters;
 pub mod pd;
+mod personality;
 pub mod position;
 pub mod protocol;
 pub mod status_text;
@@ -37,6 +39,7 @@ use rand_pcg::Pcg64Mcg;
 use self::airframe::Airframe;
 use self::flight::FlightControl;
 use self::link::Receiver;
+use self::personality::NoLoop;
 use self::protocol::Protocol;
 use crate::config::SitlConfig;
 use crate::effects::{CommandDelay, EffectSet, PdGain};
@@ -59,10 +62,11 @@ const EVENT_WITHIN_US: u64 = 20_000;
 /// Why a vehicle does not fly.
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleRefused {
-    /// The vehicle file has no `attitude_pd`.
+    /// The vehicle file has no attitude loop that the autopilot flies.
     #[error(
         "vehicle {vehicle}: the file has no attitude_pd, so its autopilot's attitude loop is not \
-         known; add attitude_pd (kp, kd, rate_hz) to simulate it"
+         known; add attitude_pd (kp, kd, rate_hz) to simulate it, or simulate a file with \
+         attitude_cascade as PX4 or ArduCopter"
     )]
     NoAttitudeLoop {
         /// The vehicle's name.
@@ -99,26 +103,33 @@ impl Vehicle {
         seed: u64,
     ) -> Result<Self, VehicleRefused> {
         let params = params.checked()?;
-        let Some(nominal) = params.attitude_pd else {
-            return Err(VehicleRefused::NoAttitudeLoop { vehicle: params.name });
-        };
         let airframe = Airframe::new(&params, &effects, &config, seed)?;
         let effects = params.modelled_effects.overlay(&effects);
-        let gains = effects.get::<PdGain>().map_or(nominal, |gain| gain.apply(&nominal));
+        let personality = personality::of(config.autopilot);
+        let onboard = match personality.onboard(&params, effects.get::<PdGain>()) {
+            Ok(onboard) => onboard,
+            Err(NoLoop::Missing) => {
+                return Err(VehicleRefused::NoAttitudeLoop { vehicle: params.name });
+            }
+            Err(NoLoop::Vehicle(error)) => return Err(error.into()),
+        };
+        let loop_hz = onboard.rate_hz;
         let delay_s =
             effects.get::<CommandDelay>().map_or(params.command_delay_s, |delay| delay.delay_s);
         let (perception, airborne) = (airframe.perceive(), airframe.airborne());
-        let flight = FlightControl::new(&params, &nominal, gains, delay_s, perception, airborne)?;
+        let flight =
+            FlightControl::new(&params, personality, onboard, delay_s, perception, airborne);
         let rng = Pcg64Mcg::seed_from_u64(seed);
+        let motor_output = params.motor_output.filter(|_| personality.heeds_motor_output());
         let protocol =
-            Protocol::new(flight, airframe.report(), params.motor_output, config.home, rng);
+            Protocol::new(flight, airframe.report(), motor_output, config.home, rng);
         Ok(Self {
             airframe,
             protocol,
             receivers: Vec::new(),
             now_us: 0,
             stepped_us: 0,
-            loop_hz: nominal.rate_hz,
+            loop_hz,
             ticks: 0,
         })
     }

@@ -13,8 +13,9 @@ use crate::vehicle::{MotorOutput, ROTORS};
 
 use self::geodetic::geodetic;
 use super::Mode;
-use super::identity;
 use super::offboard::AttitudeSetpoint;
+use super::parameters::Parameters;
+use super::personality::Personality;
 use super::streams::Stream;
 
 /// The pack as reported.
@@ -35,6 +36,8 @@ pub struct Battery {
 /// Everything that the messages say, at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct Snapshot<'a> {
+    pub(super) personality: &'static dyn Personality,
+    pub(super) parameters: &'a Parameters,
     /// Vehicle time, us.
     pub now_us: u64,
     /// Reported position, m.
@@ -54,7 +57,7 @@ pub struct Snapshot<'a> {
     /// How outputs are encoded; `None` for 0..1.
     pub motor_output: Option<&'a MotorOutput>,
     /// The setpoint in force, if the loop runs.
-    pub setpoint: Option<&'a AttitudeSetpoint>,
+    pub setpoint: Option<AttitudeSetpoint>,
     /// The pack.
     pub battery: Battery,
     /// Whether the motors are armed.
@@ -122,7 +125,7 @@ impl Snapshot<'_> {
                 })
             }
             Stream::AutopilotVersion => {
-                MavMessage::AUTOPILOT_VERSION(identity::autopilot_version())
+                MavMessage::AUTOPILOT_VERSION(self.personality.version())
             }
             Stream::ProtocolVersion => MavMessage::PROTOCOL_VERSION(PROTOCOL_VERSION_DATA {
                 version: 200,
@@ -141,10 +144,10 @@ impl Snapshot<'_> {
 
     fn heartbeat(&self) -> HEARTBEAT_DATA {
         HEARTBEAT_DATA {
-            custom_mode: self.mode.custom_mode(),
+            custom_mode: self.personality.custom_mode(self.mode),
             mavtype: MavType::MAV_TYPE_QUADROTOR,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-            base_mode: self.mode.base_mode(self.armed),
+            autopilot: self.personality.autopilot(),
+            base_mode: self.personality.base_mode(self.mode, self.armed),
             system_status: match (self.armed, self.failsafe) {
                 (false, _) => MavState::MAV_STATE_STANDBY,
                 (true, false) => MavState::MAV_STATE_ACTIVE,
@@ -315,9 +318,9 @@ impl Snapshot<'_> {
 
     fn current_mode(&self) -> CURRENT_MODE_DATA {
         CURRENT_MODE_DATA {
-            custom_mode: self.mode.custom_mode(),
-            intended_custom_mode: self.intended.custom_mode(),
-            standard_mode: self.mode.standard_mode(),
+            custom_mode: self.personality.custom_mode(self.mode),
+            intended_custom_mode: self.personality.custom_mode(self.intended),
+            standard_mode: self.personality.standard_mode(self.mode),
         }
     }
 }
