@@ -51,6 +51,8 @@ pub struct Commander {
     intended: Mode,
     mode_after_disarming: Option<Mode>,
     failsafe: bool,
+    /// Whether the failsafe ends by itself when setpoints come again.
+    pub(super) ends_with_stream: bool,
     /// Whether the vehicle has left the ground since it was armed.
     pub(super) flown: bool,
     /// When it was armed, us.
@@ -78,6 +80,7 @@ impl Commander {
             intended: mode,
             mode_after_disarming: personality.mode_after_disarming(mode, false),
             failsafe: false,
+            ends_with_stream: false,
             flown: airborne,
             armed_us: 0,
             landed_since_us: None,
@@ -224,6 +227,7 @@ impl Commander {
     /// A mode that a failsafe takes; the intended one stays.
     pub(super) fn fail_over(&mut self, mode: Mode) {
         self.failsafe = true;
+        self.ends_with_stream = false;
         self.mode = mode;
     }
 

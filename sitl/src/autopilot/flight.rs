@@ -1,9 +1,14 @@
 //! Flight control: from what is sensed to motor outputs, once per tick of the on-board loop.
 
 use rand::Rng;
-use wire::dialect::{AttitudeTargetTypemask, MavParamType, MavType, SET_ATTITUDE_TARGET_DATA};
+use wire::dialect::{
+    AttitudeTargetTypemask, MavBatteryChargeState, MavParamType, MavSeverity, MavType,
+    SET_ATTITUDE_TARGET_DATA,
+};
 
+use crate::config::SitlConfig;
 use crate::frame::{Attitude, Euler, Frd, Ned};
+use crate::sensors::EstimatorStatus;
 use crate::vehicle::{ROTORS, VehicleParams};
 
 use super::Mode;
@@ -36,6 +41,8 @@ pub struct Perception {
     pub battery: f64,
     /// Terminal voltage, V.
     pub voltage: f64,
+    /// What the estimator says of itself.
+    pub estimator: EstimatorStatus,
 }
 
 impl Perception {
@@ -61,6 +68,8 @@ pub struct FlightControl {
     detector: LandDetector,
     sticks: Option<(u64, Sticks)>,
     ground_station_us: Option<u64>,
+    /// When the position becomes known, us.
+    ready_us: u64,
     home: Ned,
     take_off_height: Option<f64>,
     perception: Perception,
@@ -79,6 +88,7 @@ impl FlightControl {
         personality: &'static dyn Personality,
         onboard: Onboard,
         command_delay_s: f64,
+        config: &SitlConfig,
         perception: Perception,
         airborne: bool,
     ) -> Self {
@@ -91,9 +101,10 @@ impl FlightControl {
             guidance: Guidance::default(),
             position_controller: PositionController::new(vehicle.gravity),
             attitude_loop,
-            detector: LandDetector::new(!airborne),
+            detector: LandDetector::new(!airborne, !config.landing_goes_unnoticed),
             sticks: None,
             ground_station_us: None,
+            ready_us: (config.estimator.ready_after_s * 1e6) as u64,
             home: perception.position,
             take_off_height: None,
             perception,
@@ -127,6 +138,28 @@ impl FlightControl {
     /// The setpoint that ATTITUDE_TARGET tells.
     pub(super) fn told_setpoint(&self) -> Option<AttitudeSetpoint> {
         self.setpoint.map(|setpoint| self.attitude_loop.told(setpoint))
+    }
+
+    /// Whether the estimator knows where the vehicle is.
+    pub(super) fn position_known(&self, now_us: u64) -> bool {
+        now_us >= self.ready_us
+    }
+
+    /// How the autopilot judges the pack.
+    pub(super) fn charge_state(&self) -> MavBatteryChargeState {
+        let Self { perception, commander, parameters, .. } = self;
+        self.personality.charge_state(perception.battery, commander.battery_warnings, parameters)
+    }
+
+    /// Says what has changed of the estimate.
+    fn tell_estimator(&mut self, before: EstimatorStatus) {
+        let now = self.perception.estimator;
+        if now.rejects_gps == before.rejects_gps {
+            return;
+        }
+        if let Some(text) = self.personality.gps_text(now.rejects_gps) {
+            self.commander.notify(MavSeverity::MAV_SEVERITY_CRITICAL, text);
+        }
     }
 
     /// Whether the vehicle stands on the ground, as far as it knows.
@@ -260,7 +293,7 @@ impl FlightControl {
             tilt: self.perception.attitude.tilt(),
             tilt_max: self.parameters.get(Key::ComArmLevel),
             battery: self.perception.battery,
-            estimate_ok: self.perception.is_finite(),
+            estimate_ok: self.perception.is_finite() && self.position_known(now_us),
             landed: self.detector.landed(),
             mode_can_arm: self.commander.mode_can_arm(),
             stream_missing: self.personality.needs_stream()
@@ -281,13 +314,17 @@ impl FlightControl {
 
     /// One tick of the on-board loop.
     pub fn tick(&mut self, now_us: u64, perception: Perception) {
-        self.perception = perception;
+        let before = std::mem::replace(&mut self.perception, perception);
+        self.tell_estimator(before.estimator);
         self.watch(now_us);
         self.setpoint = if self.commander.armed() { self.choose_setpoint(now_us) } else { None };
         self.outputs = match &mut self.setpoint {
             Some(setpoint) => {
                 let armed_s = now_us.saturating_sub(self.commander.armed_us) as f64 * 1e-6;
-                let limit = self.personality.thrust_limit(armed_s, &self.parameters);
+                let limit = match self.commander.flown {
+                    true => 1.0,
+                    false => self.personality.thrust_limit(armed_s, &self.parameters),
+                };
                 setpoint.thrust = setpoint.thrust.min(limit);
                 self.attitude_loop.outputs(&LoopInput {
                     setpoint,

@@ -39,8 +39,10 @@ use rand_pcg::Pcg64Mcg;
 use self::airframe::Airframe;
 use self::flight::FlightControl;
 use self::link::Receiver;
+use self::parameters::SetError;
 use self::personality::NoLoop;
 use self::protocol::Protocol;
+use crate::clock::Clock;
 use crate::config::SitlConfig;
 use crate::effects::{CommandDelay, EffectSet, PdGain};
 use crate::foreign::Foreign;
@@ -72,6 +74,16 @@ pub enum VehicleRefused {
         /// The vehicle's name.
         vehicle: String,
     },
+    /// A parameter of the configuration is not one of the autopilot's, or cannot have the value.
+    #[error("SITL configuration: parameters.{name} = {value}: {error}")]
+    Parameter {
+        /// Its name.
+        name: String,
+        /// The value.
+        value: f64,
+        /// What is wrong.
+        error: SetError,
+    },
     /// The vehicle file holds what cannot be, or lacks what an effect needs.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
@@ -89,6 +101,7 @@ pub struct Vehicle {
     stepped_us: u64,
     loop_hz: f64,
     ticks: u64,
+    clock: Clock,
 }
 
 impl Vehicle {
@@ -106,19 +119,25 @@ impl Vehicle {
         let airframe = Airframe::new(&params, &effects, &config, seed)?;
         let effects = params.modelled_effects.overlay(&effects);
         let personality = personality::of(config.autopilot);
-        let onboard = match personality.onboard(&params, effects.get::<PdGain>()) {
+        let mut onboard = match personality.onboard(&params, effects.get::<PdGain>()) {
             Ok(onboard) => onboard,
             Err(NoLoop::Missing) => {
                 return Err(VehicleRefused::NoAttitudeLoop { vehicle: params.name });
             }
             Err(NoLoop::Vehicle(error)) => return Err(error.into()),
         };
+        for (name, value) in &config.parameters {
+            onboard.parameters.set_number(name, *value).map_err(|error| {
+                VehicleRefused::Parameter { name: name.clone(), value: *value, error }
+            })?;
+        }
+        onboard.attitude_loop.configure(&onboard.parameters);
         let loop_hz = onboard.rate_hz;
         let delay_s =
             effects.get::<CommandDelay>().map_or(params.command_delay_s, |delay| delay.delay_s);
         let (perception, airborne) = (airframe.perceive(), airframe.airborne());
         let flight =
-            FlightControl::new(&params, personality, onboard, delay_s, perception, airborne);
+            FlightControl::new(&params, personality, onboard, delay_s, &config, perception, airborne);
         let rng = Pcg64Mcg::seed_from_u64(seed);
         let motor_output = params.motor_output.filter(|_| personality.heeds_motor_output());
         let protocol =
@@ -131,6 +150,7 @@ impl Vehicle {
             stepped_us: 0,
             loop_hz,
             ticks: 0,
+            clock: Clock::new(&config.clock),
         })
     }
 
@@ -211,6 +231,16 @@ impl Vehicle {
     /// Vehicle time, us.
     pub fn now_us(&self) -> u64 {
         self.now_us
+    }
+
+    /// How vehicle time goes with host time.
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// Parameters 2 and 3 of MAV_CMD_DO_SET_MODE that choose a mode of this autopilot.
+    pub fn mode_command(&self, mode: Mode) -> [u8; 2] {
+        self.flight().personality.mode_command(mode)
     }
 
     /// The physics under the vehicle: the truth, for logs.

@@ -271,6 +271,16 @@ impl Parameters {
         self.set(name, self.cast.from_wire(value, kind).ok_or(SetError::Type)?)
     }
 
+    /// Sets `name` to a number, whatever its type.
+    ///
+    /// # Errors
+    /// [`SetError`]; the value in force stays.
+    pub fn set_number(&mut self, name: &str, value: f64) -> Result<usize, SetError> {
+        let index = self.find(name).ok_or(SetError::Unknown)?;
+        let value = Value::Float(value as f32).cast_as(self.specs[index].default);
+        self.set(name, value)
+    }
+
     /// Sets `name` and returns its index.
     ///
     /// # Errors

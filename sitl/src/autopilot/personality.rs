@@ -12,7 +12,7 @@ mod rate_loop;
 use std::fmt;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, MavAutopilot, MavModeFlag, MavResult, MavStandardMode, MavType,
+    AUTOPILOT_VERSION_DATA, MavAutopilot, MavBatteryChargeState, MavModeFlag, MavResult, MavStandardMode, MavType,
     SET_ATTITUDE_TARGET_DATA,
 };
 
@@ -144,6 +144,12 @@ pub(super) trait Personality: fmt::Debug + Sync {
         Mode::from_main_and_sub(main, sub).filter(|mode| self.modes().contains(mode))
     }
 
+    /// Parameters 2 and 3 of MAV_CMD_DO_SET_MODE that choose a mode.
+    fn mode_command(&self, mode: Mode) -> [u8; 2] {
+        let [_, _, main, sub] = self.custom_mode(mode).to_le_bytes();
+        [main, sub]
+    }
+
     /// The mode of a `custom_mode` word.
     fn mode_of_word(&self, word: u32) -> Option<Mode> {
         self.modes().iter().copied().find(|mode| self.custom_mode(*mode) == word)
@@ -199,6 +205,11 @@ pub(super) trait Personality: fmt::Debug + Sync {
         false
     }
 
+    /// Whether NAV_TAKEOFF names a height above home, not above sea level.
+    fn takes_off_to_height(&self) -> bool {
+        false
+    }
+
     /// Which streams there are and how often they come.
     fn streams(&self) -> &'static StreamRules;
 
@@ -240,7 +251,7 @@ pub(super) trait Personality: fmt::Debug + Sync {
         true
     }
 
-    /// Least share of the thrust that may be used `armed_s` after arming.
+    /// Share of the thrust that may be used `armed_s` after arming, on the ground.
     fn thrust_limit(&self, _armed_s: f64, _parameters: &Parameters) -> f64 {
         1.0
     }
@@ -267,6 +278,21 @@ pub(super) trait Personality: fmt::Debug + Sync {
     /// Words for a failsafe that takes `mode`.
     fn failsafe_text(&self, mode: Mode, why: &str) -> String {
         format!("{why}: failsafe activated, switching to {mode}")
+    }
+
+    /// How the pack is judged by its charge, 0..1, and the warnings that were given.
+    fn charge_state(
+        &self,
+        _charge: f64,
+        _warnings: usize,
+        _parameters: &Parameters,
+    ) -> MavBatteryChargeState {
+        MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK
+    }
+
+    /// Words for GPS being rejected, or no longer.
+    fn gps_text(&self, _is_rejected: bool) -> Option<&'static str> {
+        None
     }
 
     /// Words for a mode that there is not.

@@ -11,6 +11,7 @@ use wire::dialect::*;
 
 use crate::config::Home;
 use crate::frame::{Attitude, Frd, Ned};
+use crate::sensors::EstimatorStatus;
 use crate::vehicle::{MotorOutput, ROTORS};
 
 use super::commands::Command;
@@ -41,6 +42,8 @@ pub struct Report {
     pub battery: Battery,
     /// Rotor speeds, where known.
     pub rpm: Option<[f64; ROTORS]>,
+    /// What the estimator says of itself.
+    pub estimator: EstimatorStatus,
 }
 
 /// Who sent a frame, and over which link.
@@ -185,6 +188,9 @@ impl Protocol {
             motor_output: self.motor_output.as_ref(),
             setpoint: flight.told_setpoint(),
             battery: report.battery,
+            charge: flight.charge_state(),
+            estimator: report.estimator,
+            position_known: flight.position_known(self.now_us),
             armed: commander.armed(),
             mode: commander.mode(),
             intended: commander.intended(),

@@ -9,6 +9,7 @@ use wire::dialect::*;
 
 use crate::config::Home;
 use crate::frame::{Attitude, Euler, Frd, Ned};
+use crate::sensors::EstimatorStatus;
 use crate::vehicle::{MotorOutput, ROTORS};
 
 use self::geodetic::geodetic;
@@ -60,6 +61,12 @@ pub struct Snapshot<'a> {
     pub setpoint: Option<AttitudeSetpoint>,
     /// The pack.
     pub battery: Battery,
+    /// How the autopilot judges it.
+    pub charge: MavBatteryChargeState,
+    /// What the estimator says of itself.
+    pub estimator: EstimatorStatus,
+    /// Whether the estimator knows where the vehicle is.
+    pub position_known: bool,
     /// Whether the motors are armed.
     pub armed: bool,
     /// Mode in force.
@@ -88,7 +95,10 @@ impl Snapshot<'_> {
             }
             Stream::Attitude => MavMessage::ATTITUDE(self.attitude_euler()),
             Stream::HighresImu => MavMessage::HIGHRES_IMU(self.highres_imu()),
-            Stream::LocalPositionNed => MavMessage::LOCAL_POSITION_NED(self.local_position()),
+            Stream::LocalPositionNed if self.position_known => {
+                MavMessage::LOCAL_POSITION_NED(self.local_position())
+            }
+            Stream::LocalPositionNed => return None,
             Stream::Odometry => MavMessage::ODOMETRY(self.odometry()),
             Stream::ActuatorOutputStatus => {
                 MavMessage::ACTUATOR_OUTPUT_STATUS(self.actuator_output_status())
@@ -227,7 +237,7 @@ impl Snapshot<'_> {
             velocity_covariance: unknown,
             frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
             child_frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
-            reset_counter: 0,
+            reset_counter: self.estimator.reset_count,
             estimator_type: MavEstimatorType::MAV_ESTIMATOR_TYPE_AUTOPILOT,
             quality: 100,
         }
@@ -267,6 +277,10 @@ impl Snapshot<'_> {
             | MavSysStatusSensor::MAV_SYS_STATUS_PREARM_CHECK;
         let mut health = present;
         health.set(MavSysStatusSensor::MAV_SYS_STATUS_PREARM_CHECK, self.can_arm);
+        let gps = self.position_known && !self.estimator.rejects_gps;
+        health.set(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_GPS, gps);
+        let charged = self.charge == MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK;
+        health.set(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_BATTERY, charged);
         SYS_STATUS_DATA {
             onboard_control_sensors_present: present,
             onboard_control_sensors_enabled: present,
@@ -309,7 +323,7 @@ impl Snapshot<'_> {
             battery_function: MavBatteryFunction::MAV_BATTERY_FUNCTION_ALL,
             mavtype: MavBatteryType::MAV_BATTERY_TYPE_LIPO,
             battery_remaining: (remaining * 100.0).round() as i8,
-            charge_state: MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK,
+            charge_state: self.charge,
             // The default of a set of flags is its first flag.
             fault_bitmask: MavBatteryFault::empty(),
             ..Default::default()

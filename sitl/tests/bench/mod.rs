@@ -72,16 +72,24 @@ impl Bench {
 
     /// A vehicle that hovers 20 m up with perfect sensors.
     pub fn hovering(autopilot: Autopilot) -> Self {
+        Self::hovering_as(params(), autopilot)
+    }
+
+    pub fn hovering_as(params: VehicleParams, autopilot: Autopilot) -> Self {
         let mut config =
             SitlConfig { autopilot, sensors: SensorConfig::IDEAL, ..SitlConfig::default() };
         config.start.position_m = [0.0, 0.0, -20.0];
-        let mut bench = Self::with(config, 1);
+        let mut bench = Self::of(params, config, 1);
         bench.run(2.0);
         bench
     }
 
     pub fn with(config: SitlConfig, seed: u64) -> Self {
-        let vehicle = Vehicle::new(params(), Default::default(), config, seed)
+        Self::of(params(), config, seed)
+    }
+
+    pub fn of(params: VehicleParams, config: SitlConfig, seed: u64) -> Self {
+        let vehicle = Vehicle::new(params, Default::default(), config, seed)
             .expect("a vehicle that flies");
         let mut bench = Self {
             vehicle,

@@ -4,7 +4,7 @@ mod attitude_loop;
 mod parameters;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavAutopilot, MavModeFlag,
+    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavAutopilot, MavBatteryChargeState, MavModeFlag,
     MavProtocolCapability, MavResult, MavSeverity, MavType, SET_ATTITUDE_TARGET_DATA,
 };
 
@@ -90,6 +90,10 @@ impl Personality for Arducopter {
         entry(mode).map_or(0, |(_, number, _)| *number)
     }
 
+    fn mode_command(&self, mode: Mode) -> [u8; 2] {
+        [self.custom_mode(mode) as u8, 0]
+    }
+
     fn mode_of_command(&self, main: u8, _sub: u8) -> Option<Mode> {
         self.mode_of_word(main.into())
     }
@@ -125,6 +129,10 @@ impl Personality for Arducopter {
     }
 
     fn takes_off_in_offboard(&self) -> bool {
+        true
+    }
+
+    fn takes_off_to_height(&self) -> bool {
         true
     }
 
@@ -234,6 +242,23 @@ impl Personality for Arducopter {
 
     fn failsafe_text(&self, _mode: Mode, why: &str) -> String {
         why.to_owned()
+    }
+
+    fn charge_state(
+        &self,
+        _charge: f64,
+        warnings: usize,
+        _parameters: &Parameters,
+    ) -> MavBatteryChargeState {
+        match warnings {
+            0 => MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK,
+            1 => MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_LOW,
+            _ => MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_CRITICAL,
+        }
+    }
+
+    fn gps_text(&self, is_rejected: bool) -> Option<&'static str> {
+        Some(if is_rejected { "GPS Glitch or Compass error" } else { "Glitch cleared" })
     }
 
     fn unknown_mode_text(&self) -> &'static str {

@@ -4,7 +4,7 @@ mod attitude_loop;
 mod parameters;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavProtocolCapability, MavResult, MavSeverity,
+    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavBatteryChargeState, MavProtocolCapability, MavResult, MavSeverity,
     SET_ATTITUDE_TARGET_DATA,
 };
 
@@ -116,6 +116,25 @@ impl Personality for Px4 {
 
     fn failsafe_text(&self, _mode: Mode, _why: &str) -> String {
         "Failsafe activated".to_owned()
+    }
+
+    fn charge_state(
+        &self,
+        charge: f64,
+        _warnings: usize,
+        parameters: &Parameters,
+    ) -> MavBatteryChargeState {
+        if charge < parameters.get(Key::BatCrtThr) {
+            MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_CRITICAL
+        } else if charge < parameters.get(Key::BatLowThr) {
+            MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_LOW
+        } else {
+            MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK
+        }
+    }
+
+    fn gps_text(&self, is_rejected: bool) -> Option<&'static str> {
+        is_rejected.then_some("GNSS data fusion stopped")
     }
 
     fn text(&self, text: &str) -> String {

@@ -34,7 +34,9 @@ pub(super) fn watch_stream(commander: &mut Commander, now: &Situation, parameter
             _ if now.sticks_live => fail_over(commander, Mode::Position, "No offboard signal"),
             _ => lose_sticks(commander, parameters, "No offboard signal and no manual control"),
         }
+        commander.ends_with_stream = true;
     } else if commander.failsafe()
+        && commander.ends_with_stream
         && commander.intended() == Mode::Offboard
         && commander.mode() != Mode::Offboard
         && now.stream_live

@@ -54,7 +54,10 @@ impl Protocol {
             MavCmd::MAV_CMD_NAV_TAKEOFF => {
                 // Parameter 7 is the altitude above sea level; below home's it is not meant.
                 let altitude = f64::from(command.param(7));
-                let home = self.origin.altitude_m - self.flight.home().down();
+                let home = match self.flight.personality.takes_off_to_height() {
+                    true => 0.0,
+                    false => self.origin.altitude_m - self.flight.home().down(),
+                };
                 let height = Some(altitude - home).filter(|height| *height > 0.1);
                 result(self.flight.request_take_off(now, height))
             }
