@@ -48,5 +48,5 @@ pub(crate) fn vehicle() -> VehicleParams {
 /// The parameters that it starts with.
 pub(crate) fn parameters() -> Parameters {
     let vehicle = vehicle();
-    Parameters::new(&vehicle, &vehicle.attitude_pd.unwrap())
+    super::personality::bundled_parameters(&vehicle, &vehicle.attitude_pd.unwrap())
 }
