@@ -4,7 +4,6 @@
 mod effective_vehicle;
 mod guidance;
 
-use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
@@ -123,6 +122,8 @@ pub struct Pilot {
     supervisor: Supervisor,
     guidance: Guidance,
     standing_checks: Vec<PreflightCheck>,
+    /// The checks that failed at the last look before the stream.
+    failed_checks: Vec<PreflightCheck>,
     link_loss: Option<f64>,
     tracking_error: f64,
     jumped: bool,
@@ -151,6 +152,7 @@ impl Pilot {
             airframe,
             lqr,
             standing_checks,
+            failed_checks: Vec::new(),
             link_loss: None,
             tracking_error: 0.0,
             jumped: false,
@@ -256,6 +258,11 @@ impl Pilot {
         self.supervisor.state()
     }
 
+    /// The preflight checks that failed when they were last looked at, before the stream.
+    pub fn failed_checks(&self) -> &[PreflightCheck] {
+        &self.failed_checks
+    }
+
     /// State, rates and slow messages of the vehicle.
     pub fn telemetry(&self) -> &Telemetry {
         &self.telemetry
@@ -294,6 +301,14 @@ impl Pilot {
 
     fn observe(&mut self, now: HostTime) {
         let before = self.supervisor.state();
+        if let Some(late) = self.telemetry.take_late(now) {
+            let limit_s = self.settings.telemetry.late_after_s;
+            let text = format!(
+                "{late}, and were not acted upon (pilot.telemetry.late_after_s is {limit_s}); \
+                 the link is congested, or this machine is busy"
+            );
+            self.supervisor.tell(now, Severity::Warning, text);
+        }
         let age_s = self.telemetry.age_s(now);
         let rate_hz = self.settings.telemetry.rate_hz;
         let here = self.telemetry.last_sample().map(|sample| sample.state);
@@ -310,9 +325,9 @@ impl Pilot {
                 distance,
                 now,
             ));
-            Cow::Owned(failed)
+            failed
         } else {
-            Cow::Borrowed(self.standing_checks.as_slice())
+            std::mem::take(&mut self.failed_checks)
         };
         let from_anchor = match (here, self.guidance.anchor()) {
             (Some(here), Some(anchor)) => here.position - anchor,
@@ -330,6 +345,7 @@ impl Pilot {
             preflight: &failed,
             condition: FlightCondition {
                 sample_age_s: age_s,
+                late: self.telemetry.late(),
                 jumped,
                 tracking_error_m: self.tracking_error,
                 tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
@@ -339,6 +355,7 @@ impl Pilot {
             },
         };
         self.supervisor.observe(now, &observation);
+        self.failed_checks = failed;
         let after = self.supervisor.state();
         if after != before {
             self.tracking_error = 0.0;

@@ -8,7 +8,7 @@ use downwash::link::message::Inbound;
 use downwash::link::profile::Profile;
 use downwash::link::request::{FlightMode, Outcome, Request};
 use downwash::link::session::{Event, Heard, Session, SetpointError, Settings};
-use downwash::link::timesync::ClockSource;
+use downwash::link::vehicle_clock::ClockSource;
 use downwash::setpoint::Setpoint;
 use wire::dialect::*;
 use wire::{Decoder, Encoder};

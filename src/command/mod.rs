@@ -8,11 +8,14 @@ mod daemon;
 mod demo;
 mod demo_diagnose;
 mod diagnose;
+mod doctor;
 mod exam;
 mod exit;
 mod fly;
 mod goal_file;
 mod import;
+mod inspect;
+mod listen;
 mod log;
 mod logs;
 mod messages;
@@ -52,6 +55,14 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Fly(args) => fly::run(&args),
         Command::Collect(args) => collect::run(&args),
         Command::Daemon(args) => daemon::run(&args),
+        Command::Doctor(args) => {
+            end_on_broken_pipe();
+            doctor::run(&args)
+        }
+        Command::Inspect(args) => {
+            end_on_broken_pipe();
+            inspect::run(&args)
+        }
         Command::Sitl(args) => sitl::run(&args),
         Command::Log(command) => {
             end_on_broken_pipe();

@@ -36,6 +36,7 @@
 //! # }
 //! ```
 
+mod arrival;
 pub mod attitude_target;
 pub mod budget;
 pub mod codec;
@@ -46,7 +47,9 @@ pub mod message;
 pub mod parameter;
 pub mod profile;
 pub mod request;
+mod sequence;
 pub mod session;
 pub mod tee;
 mod text;
 pub mod timesync;
+pub mod vehicle_clock;

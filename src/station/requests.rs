@@ -35,7 +35,7 @@ fn action_of(request: &Request) -> Option<Action> {
 impl Station {
     pub(super) fn request_ended(&mut self, now: HostTime, request: &Request, outcome: &Outcome) {
         if let (Request::ReadParameter(name), Outcome::Parameter(value)) = (request, outcome) {
-            self.check_parameters();
+            self.check_standing();
             let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);
             if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
                 let text =

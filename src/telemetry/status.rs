@@ -25,6 +25,8 @@ pub struct VehicleStatus {
     pub armed: Option<bool>,
     /// Mode in force, of HEARTBEAT or CURRENT_MODE, whichever is newer.
     pub mode: Option<u32>,
+    /// Since when the mode is known.
+    pub mode_since: Option<HostTime>,
     /// The mode that was asked for last; only CURRENT_MODE says it.
     pub intended_mode: Option<u32>,
     /// On the ground or in the air.
@@ -45,6 +47,7 @@ impl Default for VehicleStatus {
             heard: None,
             armed: None,
             mode: None,
+            mode_since: None,
             intended_mode: None,
             landed: LandedState::Undefined,
             battery: Battery::default(),
@@ -71,9 +74,11 @@ impl VehicleStatus {
             Inbound::Heartbeat { armed, custom_mode, .. } => {
                 self.armed = Some(*armed);
                 self.mode = Some(*custom_mode);
+                self.mode_since.get_or_insert(received.host);
             }
             Inbound::CurrentMode { custom_mode, intended_custom_mode } => {
                 self.mode = Some(*custom_mode);
+                self.mode_since.get_or_insert(received.host);
                 self.intended_mode = Some(*intended_custom_mode);
             }
             Inbound::LandedState(landed) => self.landed = *landed,
@@ -95,6 +100,7 @@ impl VehicleStatus {
     /// Forgets what may have changed while nothing was heard.
     pub(super) fn forget_mode(&mut self) {
         (self.mode, self.intended_mode, self.armed) = (None, None, None);
+        self.mode_since = None;
         self.landed = LandedState::Undefined;
     }
 }
