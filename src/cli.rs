@@ -12,9 +12,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use sitl::effects::EffectId;
 
 pub use self::demo::{Contestant, DemoArgs};
-pub use self::flight::{
-    CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs,
-};
+pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
 use crate::exam::case::Kind;

@@ -4,7 +4,6 @@
 mod effective_vehicle;
 mod guidance;
 
-
 use serde::{Deserialize, Serialize};
 
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};

@@ -31,6 +31,9 @@ use crate::supervisor::{EngagePolicy, FlightState};
 /// Period of the link's counters in the log.
 const STATS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
 
+/// Steps of the vehicle's clock from here on are told, ns.
+const CLOCK_STEP_TOLD_NS: u64 = 100_000_000;
+
 /// Why a station stopped.
 #[derive(Clone, Debug, PartialEq)]
 pub enum End {
@@ -88,6 +91,7 @@ pub struct Station {
     is_check: bool,
     waiting: Waiting,
     is_version_known: bool,
+    is_signing_told: bool,
     /// No other flight begins: the station ends as soon as it does not fly.
     is_stopping: bool,
     end: Option<End>,
@@ -121,6 +125,7 @@ impl Station {
             is_check: false,
             waiting: Waiting::new(now),
             is_version_known: false,
+            is_signing_told: false,
             is_stopping: false,
             end: None,
         }
@@ -409,11 +414,12 @@ impl Station {
             Event::VehicleFound(id) => {
                 self.found = Some(now);
                 self.tell(now, Severity::Info, format!("heard {id}"));
-                self.tell_signing(now);
+                self.is_signing_told = false;
             }
             Event::AnotherAutopilot { vehicle, other } => self.choose(now, vehicle, other),
             Event::VehicleReplaced(id) => {
                 self.found = Some(now);
+                self.is_signing_told = false;
                 self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
                 self.end_flight_of_another(now);
             }
@@ -428,19 +434,24 @@ impl Station {
             }
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
-                self.tell(now, Severity::Warning, text);
+                // Smaller steps are those of a simulator whose speed changes.
+                let is_small = by_ns.unsigned_abs() < CLOCK_STEP_TOLD_NS;
+                let severity = if is_small { Severity::Debug } else { Severity::Warning };
+                self.tell(now, severity, text);
             }
         }
     }
 
     /// A vehicle that signs takes nothing that is not signed.
     fn tell_signing(&mut self, now: HostTime) {
-        if self.session.is_signed() {
+        if self.session.is_signed() && !self.is_signing_told {
+            self.is_signing_told = true;
             let text = "the vehicle signs its messages (MAVLink 2 signing) and refuses what is not \
                         signed, which is all that downwash sends: no rates, parameters, modes or \
                         setpoints; turn signing off on this link, or connect by USB, where PX4 and \
                         ArduPilot take unsigned messages";
             self.tell(now, Severity::Warning, text.to_owned());
+            self.check_standing();
         }
     }
 

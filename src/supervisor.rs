@@ -328,7 +328,10 @@ impl Supervisor {
             (Trigger::Armed, armed == Some(true) && !seen.airborne),
             (Trigger::HoldDone, in_state_s >= self.settings.hold_s),
             (Trigger::Landed, !seen.airborne && mode == Some(self.modes.land)),
-            (Trigger::TimedOut, self.time_limit_s().is_some_and(|limit| self.waited_s(now) > limit)),
+            (
+                Trigger::TimedOut,
+                self.time_limit_s().is_some_and(|limit| self.waited_s(now) > limit),
+            ),
         ];
         let (trigger, _) = rows
             .into_iter()

@@ -11,8 +11,8 @@ use sitl::frame::{Attitude, Frd, Ned};
 use sitl::rigid_body::State;
 
 pub use self::fault::TelemetryFault;
-use self::lateness::Lateness;
 pub use self::lateness::LateMessages;
+use self::lateness::Lateness;
 use self::rate::RateMeter;
 pub use self::status::{Battery, VehicleStatus};
 use crate::clock::{HostTime, VehicleTime};

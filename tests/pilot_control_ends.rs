@@ -210,7 +210,12 @@ fn low_battery_and_a_left_fence_land_the_vehicle() {
     low.until(FlightState::Track, 30.0);
     let message = Inbound::Battery { voltage: None, current: None, remaining: Some(0.1) };
     let host = low.vehicle.now();
-    low.pilot.handle(&downwash::link::message::Received { host, vehicle: None, delay: None, message });
+    low.pilot.handle(&downwash::link::message::Received {
+        host,
+        vehicle: None,
+        delay: None,
+        message,
+    });
     low.run(2.9);
     assert_eq!(low.pilot.flight_state(), FlightState::Track);
     low.run(0.3);

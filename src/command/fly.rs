@@ -114,10 +114,9 @@ fn check(mut settings: StationSettings, endpoint: Endpoint, json: bool) -> anyho
     let mut signals = StopSignals::new()?;
     let clock = HostClock::start();
     // A log begins with a flight, and there is none.
-    let none = |_| Err(LogError::Create {
-        path: PathBuf::new(),
-        source: io::ErrorKind::Unsupported.into(),
-    });
+    let none = |_| {
+        Err(LogError::Create { path: PathBuf::new(), source: io::ErrorKind::Unsupported.into() })
+    };
     let sink = LogSink::per_flight(Box::new(none)).context("cannot start the log's thread")?;
     let station = Station::new(settings, clock.now()).checking();
     let running = daemon::start(station, clock, Connection::new(endpoint), None, sink)
@@ -214,9 +213,7 @@ pub(super) fn watch(running: Running, signals: &mut StopSignals) -> Finished {
 }
 
 /// The system id of a vehicle as a configuration layer.
-pub(super) fn system_flag(
-    system: Option<u8>,
-) -> Option<(&'static str, &'static str, toml::Value)> {
+pub(super) fn system_flag(system: Option<u8>) -> Option<(&'static str, &'static str, toml::Value)> {
     system.map(|id| ("--system", "link.vehicle_system", toml::Value::Integer(id.into())))
 }
 

@@ -91,9 +91,10 @@ impl Arrival {
             .map(|q| (ns_between(first.at, q.at), (q.offset_ns - first.offset_ns) as f64))
             .collect();
         let middle = points.iter().map(|(t, _)| t).sum::<f64>() / points.len() as f64;
-        let pairs = points.iter().enumerate().flat_map(|(i, a)| {
-            points.iter().skip(i + 1).map(move |b| (*a, *b))
-        });
+        let pairs = points
+            .iter()
+            .enumerate()
+            .flat_map(|(i, a)| points.iter().skip(i + 1).map(move |b| (*a, *b)));
         let slope = pairs
             .filter(|(a, b)| a.0 <= middle && middle <= b.0 && b.0 > a.0)
             .map(|(a, b)| (a, (b.1 - a.1) / (b.0 - a.0)))

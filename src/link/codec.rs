@@ -43,8 +43,10 @@ pub enum Refusal {
     #[error("quaternion is not of unit length")]
     Quaternion,
     /// ODOMETRY in frames other than LOCAL_NED with LOCAL_NED or BODY_FRD.
-    #[error("frame {frame:?} with child frame {child:?}, expected MAV_FRAME_LOCAL_NED with \
-             MAV_FRAME_LOCAL_NED or MAV_FRAME_BODY_FRD")]
+    #[error(
+        "frame {frame:?} with child frame {child:?}, expected MAV_FRAME_LOCAL_NED with \
+             MAV_FRAME_LOCAL_NED or MAV_FRAME_BODY_FRD"
+    )]
     OdometryFrame {
         /// Of the pose.
         frame: MavFrame,
@@ -187,6 +189,21 @@ fn unwrap(latest: u64, low: u32, late_max: f64) -> u64 {
         Some(value) if ahead as f64 >= -late_max => value,
         _ => low.into(),
     }
+}
+
+/// Whether a message holds the time of its sample, so that none is like another.
+pub(super) fn is_stamped(id: u32) -> bool {
+    matches!(
+        id,
+        ODOMETRY_DATA::ID
+            | ATTITUDE_QUATERNION_DATA::ID
+            | ATTITUDE_DATA::ID
+            | LOCAL_POSITION_NED_DATA::ID
+            | HIGHRES_IMU_DATA::ID
+            | ACTUATOR_OUTPUT_STATUS_DATA::ID
+            | SERVO_OUTPUT_RAW_DATA::ID
+            | ATTITUDE_TARGET_DATA::ID
+    )
 }
 
 fn is_understood(id: u32) -> bool {
@@ -478,7 +495,7 @@ mod tests {
             decode_with(&mut codec, &message).unwrap().unwrap().0.unwrap().as_us() / 1000
         };
         let wrap = 1u64 << 32;
-        for ms in [wrap - 20, wrap - 10, wrap, wrap + 10, wrap - 5, wrap + 5_000] {
+        for ms in [wrap - 20, wrap - 10, wrap, wrap + 10, wrap - 5, wrap + 60_000] {
             assert_eq!(time(ms), ms);
         }
         assert_eq!(time(3_000), 3_000, "started since");

@@ -49,6 +49,7 @@ pub mod profile;
 pub mod request;
 mod sequence;
 pub mod session;
+pub mod silence;
 pub mod tee;
 mod text;
 pub mod timesync;

@@ -83,13 +83,20 @@ impl Sequence {
         (self.newest, self.copy, self.behind) = (None, None, 0);
     }
 
-    /// Takes the number and the bytes of a frame that arrived.
-    pub(super) fn take(&mut self, now: HostTime, number: u8, bytes: &[u8]) -> Order {
+    /// Takes a frame that arrived; `is_unique` where no other frame has the same bytes, as with those
+    /// that hold a time.
+    pub(super) fn take(
+        &mut self,
+        now: HostTime,
+        number: u8,
+        bytes: &[u8],
+        is_unique: bool,
+    ) -> Order {
         let hash = hash(bytes);
         let is_silent = now.since(self.at) > SILENCE;
         self.at = now;
         let Some(newest) = self.newest else { return self.begin(number, hash) };
-        if let Some(place) = self.copied(newest, number, hash) {
+        if let Some(place) = self.copied(newest, number, hash, is_unique) {
             self.copy = Some((place, newest));
             return Order::Copy;
         }
@@ -151,12 +158,12 @@ impl Sequence {
     /// Where a frame with the same bytes was, if this is a copy of it. Some messages, such as
     /// HEARTBEAT, are sent with the same bytes again: one that is the next in order and whose like
     /// is long past is a copy only where those before it were.
-    fn copied(&self, newest: u64, number: u8, hash: u32) -> Option<u64> {
-        let is_next = number == (newest as u8).wrapping_add(1);
+    fn copied(&self, newest: u64, number: u8, hash: u32, is_unique: bool) -> Option<u64> {
+        let is_certain = is_unique || number != (newest as u8).wrapping_add(1);
         let after_copy = self.copy_place(newest, number);
         let same = self.heard[usize::from(number)].iter().filter(|heard| heard.hash == hash);
         same.map(|heard| heard.place).filter(|place| *place > 0).find(|place| {
-            !is_next || newest.saturating_sub(*place) <= BEHIND_MAX || after_copy == Some(*place)
+            is_certain || newest.saturating_sub(*place) <= BEHIND_MAX || after_copy == Some(*place)
         })
     }
 
@@ -194,7 +201,12 @@ mod tests {
     fn lost_after(numbers: impl IntoIterator<Item = u8>) -> u64 {
         let mut sequence = Sequence::default();
         for (k, number) in numbers.into_iter().enumerate() {
-            sequence.take(START + Duration::from_millis(10) * k as u32, number, &k.to_le_bytes());
+            sequence.take(
+                START + Duration::from_millis(10) * k as u32,
+                number,
+                &k.to_le_bytes(),
+                true,
+            );
         }
         sequence.lost()
     }
@@ -216,9 +228,9 @@ mod tests {
     #[test]
     fn another_way_has_other_numbers() {
         let mut sequence = Sequence::default();
-        sequence.take(START, 10, b"a");
+        sequence.take(START, 10, b"a", true);
         sequence.restart();
-        assert!(matches!(sequence.take(START, 60, b"b"), Order::New(_)));
+        assert!(matches!(sequence.take(START, 60, b"b", true), Order::New(_)));
         assert_eq!(sequence.lost(), 0);
     }
 
@@ -229,7 +241,12 @@ mod tests {
             let mut frame = 0u32;
             let mut take = |number| {
                 frame += 1;
-                sequence.take(START + Duration::from_millis(5) * frame, number, &frame.to_le_bytes())
+                sequence.take(
+                    START + Duration::from_millis(5) * frame,
+                    number,
+                    &frame.to_le_bytes(),
+                    true,
+                )
             };
             (0..300u32).for_each(|k| {
                 take((k as u8).wrapping_add(last));
@@ -244,7 +261,7 @@ mod tests {
         let mut sequence = Sequence::default();
         for k in 0..2000u32 {
             let at = START + Duration::from_millis(10) * k;
-            assert!(matches!(sequence.take(at, 0, &k.to_le_bytes()), Order::New(_)));
+            assert!(matches!(sequence.take(at, 0, &k.to_le_bytes(), true), Order::New(_)));
         }
     }
 
@@ -264,10 +281,11 @@ mod tests {
             let mut sequence = Sequence::default();
             for k in 0..6000u32 {
                 let at = START + Duration::from_millis(2) * k;
-                let order = sequence.take(at, k as u8, &bytes(k));
+                let order = sequence.take(at, k as u8, &bytes(k), k % 50 != 0);
                 assert!(matches!(order, Order::New(_)), "lag {lag}: frame {k} is {order:?}");
-                if let Some(old) = k.checked_sub(lag) {
-                    let order = sequence.take(at, old as u8, &bytes(old));
+                // The first copy may be one that looks like the next frame.
+                if let Some(old) = k.checked_sub(lag).filter(|old| *old > 0) {
+                    let order = sequence.take(at, old as u8, &bytes(old), old % 50 != 0);
                     assert_eq!(order, Order::Copy, "lag {lag}: frame {old} at {k}");
                 }
             }
@@ -284,7 +302,7 @@ mod tests {
             for k in 0..6000u32 {
                 let at = START + Duration::from_millis(2) * k;
                 if !lost(k, 50) {
-                    match sequence.take(at, k as u8, &bytes(k)) {
+                    match sequence.take(at, k as u8, &bytes(k), k % 50 != 0) {
                         Order::New(place) => newest = place,
                         order => panic!("lag {lag}: frame {k} is {order:?}"),
                     }
@@ -292,7 +310,7 @@ mod tests {
                 let Some(old) = k.checked_sub(lag).filter(|old| !lost(old + 77, 50)) else {
                     continue;
                 };
-                match sequence.take(at, old as u8, &bytes(old)) {
+                match sequence.take(at, old as u8, &bytes(old), old % 50 != 0) {
                     Order::Copy => assert!(!lost(old, 50), "lag {lag}: frame {old}"),
                     Order::Overtaken(place) => {
                         assert!(lost(old, 50) && place < newest, "lag {lag}: frame {old}");

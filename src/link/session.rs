@@ -359,6 +359,16 @@ impl Session {
         &self.core.others
     }
 
+    /// What the link is called.
+    pub fn endpoint(&self) -> Option<&str> {
+        self.core.settings.endpoint.as_deref()
+    }
+
+    /// The system id that was chosen.
+    pub fn wanted_system(&self) -> Option<u8> {
+        self.core.settings.vehicle_system
+    }
+
     /// Who was heard beside the vehicle, in order of appearance.
     pub fn senders(&self) -> &[Sender] {
         self.core.counters.senders()

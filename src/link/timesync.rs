@@ -125,9 +125,9 @@ impl TimeSync {
                 return Answer::Sample;
             }
             let skew = self.skew.map_or(0.0, |skew| skew.value);
-            let before = self.best.map_or(0.0, |best| {
-                best.offset_ns as f64 + skew * ns_between(best.at, heard.at)
-            });
+            let before = self
+                .best
+                .map_or(0.0, |best| best.offset_ns as f64 + skew * ns_between(best.at, heard.at));
             let rivals = std::mem::take(&mut self.rivals);
             (self.exchanges, self.best, self.skew) = (rivals.into(), None, None);
             self.choose(now);

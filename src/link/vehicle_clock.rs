@@ -216,12 +216,7 @@ mod tests {
 
     /// `length_s` of messages at 100 Hz, each `transport` (s, a function of its number) on its way.
     /// What is sent within `queue` (from, to; s) comes at its end.
-    fn run(
-        model: Model,
-        length_s: f64,
-        queue: (f64, f64),
-        transport: impl Fn(u32) -> f64,
-    ) -> Run {
+    fn run(model: Model, length_s: f64, queue: (f64, f64), transport: impl Fn(u32) -> f64) -> Run {
         let mut clock = VehicleClock::default();
         let mut run = Run::default();
         // (arrival, sent, the answer's ts1 where it is one, reading)
@@ -266,7 +261,8 @@ mod tests {
                 if t > length_s - 1.0 {
                     let truth = sent + START.as_ns() as f64 * 1e-9;
                     let host = clock.to_host(VehicleTime::from_us(us)).expect("known");
-                    let error = ns_between(START, host) * 1e-9 - (truth - START.as_ns() as f64 * 1e-9);
+                    let error =
+                        ns_between(START, host) * 1e-9 - (truth - START.as_ns() as f64 * 1e-9);
                     run.error_s = run.error_s.max(error.abs());
                 }
             }

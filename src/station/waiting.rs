@@ -6,6 +6,7 @@ use super::Station;
 use crate::clock::HostTime;
 use crate::link::budget::message_name;
 use crate::link::counters::LinkState;
+use crate::link::silence::Silence;
 use crate::log::record::Severity;
 use crate::pilot::Pilot;
 use crate::supervisor::{EngagePolicy, FlightState, PreflightCheck};
@@ -37,6 +38,12 @@ enum Wait {
 struct Reason {
     subject: String,
     line: String,
+}
+
+impl From<Silence> for Reason {
+    fn from(Silence { subject, line }: Silence) -> Self {
+        Self { subject, line }
+    }
 }
 
 /// Tells each reason once.
@@ -83,6 +90,7 @@ impl Station {
             return;
         }
         self.waiting.due = now + PERIOD;
+        self.tell_signing(now);
         let found = self.waits_for(now);
         let severity = match &found {
             Some((Wait::Pilot, _)) => Severity::Info,
@@ -103,7 +111,8 @@ impl Station {
                 let state = pilot.flight_state();
                 !state.precedes_stream() && !state.is_over()
             });
-            return (!is_prepared).then(|| (Wait::Vehicle, vec![self.silence(now)]));
+            return (!is_prepared)
+                .then(|| (Wait::Vehicle, vec![Silence::of(&self.session, now).into()]));
         }
         let pilot = self.pilot.as_ref()?;
         let by_pilot = self.settings.policy == EngagePolicy::PilotSwitch;
@@ -133,51 +142,6 @@ impl Station {
         }
     }
 
-    /// Nothing is heard of a vehicle: how far the bytes come.
-    fn silence(&self, now: HostTime) -> Reason {
-        let endpoint = self.settings.session.endpoint.as_deref().unwrap_or("the link");
-        let received = self.session.received();
-        let (subject, line) = match (self.session.vehicle(), received) {
-            (Some(id), _) => {
-                let silent_s = self.session.last_heard().map_or(0.0, |at| now.since(at).as_secs_f64());
-                ("lost".to_owned(), format!("nothing heard of {id} for {silent_s:.0} s"))
-            }
-            (None, received) if received.bytes == 0 => (
-                "bytes".to_owned(),
-                format!(
-                    "nothing heard: 0 bytes received on {endpoint}; check that the vehicle is on \
-                     and sends to this port"
-                ),
-            ),
-            (None, received) if received.frames == 0 => (
-                "frames".to_owned(),
-                format!(
-                    "{} bytes received on {endpoint}, none of them MAVLink; check the baud rate, \
-                     and that the port is that of MAVLink",
-                    received.bytes
-                ),
-            ),
-            (None, received) => {
-                let wanted = self.settings.session.vehicle_system;
-                let wanted = match wanted {
-                    Some(system) => format!("HEARTBEAT of an autopilot with system id {system}"),
-                    None => "HEARTBEAT of an autopilot".to_owned(),
-                };
-                let senders = self.session.senders();
-                let heard: Vec<_> = senders.iter().map(ToString::to_string).collect();
-                (
-                    format!("autopilot {heard:?}"),
-                    format!(
-                        "{} frames received on {endpoint}, no {wanted}; heard {}",
-                        received.frames,
-                        heard.join(", ")
-                    ),
-                )
-            }
-        };
-        Reason { subject, line }
-    }
-
     fn release(&self, pilot: &Pilot) -> String {
         let status = pilot.telemetry().status();
         let offboard = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
@@ -200,7 +164,8 @@ impl Station {
     fn telemetry_reasons(&self, pilot: &Pilot) -> Vec<Reason> {
         let telemetry = pilot.telemetry();
         let [odometry, attitude, position] = telemetry.rates_hz();
-        let needed = self.settings.pilot.preflight.tick_rate_min * self.settings.pilot.telemetry.rate_hz;
+        let needed =
+            self.settings.pilot.preflight.tick_rate_min * self.settings.pilot.telemetry.rate_hz;
         let cure = if position == 0.0 && odometry == 0.0 {
             "; no position comes: the vehicle's estimate needs GPS or motion capture"
         } else if attitude == 0.0 && odometry == 0.0 {

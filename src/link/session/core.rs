@@ -17,7 +17,7 @@ use super::{Event, Heard, SetpointError, Settings, VehicleId};
 use crate::clock::HostTime;
 use crate::link::attitude_target;
 use crate::link::budget::LineBudget;
-use crate::link::codec::Codec;
+use crate::link::codec::{self, Codec};
 use crate::link::counters::{Counters, LinkState};
 use crate::link::intervals::Intervals;
 use crate::link::message::{AttitudeSource, Inbound, Received};
@@ -174,7 +174,8 @@ impl Core {
     /// Whether the frame says something new: it was not heard before, and what it says of the
     /// vehicle's mode or condition is not older than what is known.
     fn is_news(&mut self, now: HostTime, frame: &Frame) -> bool {
-        let place = match self.sequence.take(now, frame.sequence(), frame.bytes()) {
+        let (number, is_unique) = (frame.sequence(), codec::is_stamped(frame.id()));
+        let place = match self.sequence.take(now, number, frame.bytes(), is_unique) {
             Order::Copy => return false,
             Order::New(place) | Order::Overtaken(place) => place,
         };
@@ -327,8 +328,8 @@ impl Core {
         }
         if self.timesync_due <= now {
             let is_in_doubt = self.clock.is_in_doubt();
-            self.timesync_due = now
-                + if is_in_doubt { timesync::PERIOD_IN_DOUBT } else { timesync::PERIOD };
+            self.timesync_due =
+                now + if is_in_doubt { timesync::PERIOD_IN_DOUBT } else { timesync::PERIOD };
             let ts1 = self.clock.request(now);
             let request = TIMESYNC_DATA { tc1: 0, ts1, ..self.timesync_target() };
             self.send(&MavMessage::TIMESYNC(request));

@@ -109,7 +109,8 @@ impl Core {
 
     fn found(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
         let version = MavlinkVersion::V2;
-        self.vehicle = Some(Vehicle { id, peer: Some(id.peer), last_heard: now, is_signed, version });
+        self.vehicle =
+            Some(Vehicle { id, peer: Some(id.peer), last_heard: now, is_signed, version });
         self.others.retain(|other| *other != id);
         self.codec = Codec::default();
         self.clock = VehicleClock::default();
