@@ -13,13 +13,13 @@ use sitl::frame::Ned;
 
 use crate::clock::{HostTime, VehicleTime};
 use crate::control::{HoverVehicle, Limits, Lqr, Saturation};
-use crate::link::message::{Inbound, LandedState, Received};
+use crate::link::message::{ChargeState, Inbound, LandedState, Received};
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::{Reference, Setpoint, State};
 use crate::supervisor::{
     Action, EngagePolicy, Event, FlightCondition, FlightState, ModeMap, Observation,
-    PreflightCheck, PreflightSettings, SafetySettings, Severity, Supervisor, SupervisorSettings,
-    Trigger, preflight,
+    PreflightCheck, PreflightSettings, SafetySettings, Severity, Standing, Supervisor,
+    SupervisorSettings, Takeover, Trigger, preflight,
 };
 use crate::telemetry::{Sample, Telemetry, TelemetryFault, TelemetrySettings};
 
@@ -115,6 +115,7 @@ impl Tick {
 /// Flies one vehicle along one trajectory, or holds until it is asked to.
 pub struct Pilot {
     settings: PilotSettings,
+    policy: EngagePolicy,
     airframe: Airframe,
     lqr: Lqr,
     telemetry: Telemetry,
@@ -126,6 +127,8 @@ pub struct Pilot {
     link_loss: Option<f64>,
     tracking_error: f64,
     jumped: bool,
+    /// How long this process was paused before the next look, s.
+    paused_s: f64,
 }
 
 impl Pilot {
@@ -148,6 +151,7 @@ impl Pilot {
             supervisor,
             guidance: Guidance::new(settings.guidance, hover_thrust_n, trajectory),
             settings,
+            policy,
             airframe,
             lqr,
             standing_checks,
@@ -155,6 +159,7 @@ impl Pilot {
             link_loss: None,
             tracking_error: 0.0,
             jumped: false,
+            paused_s: 0.0,
         }
     }
 
@@ -170,7 +175,8 @@ impl Pilot {
         let sample = sample?;
 
         let phase = self.supervisor.state();
-        let guided = self.guidance.guide(phase, &sample, self.airborne());
+        let airborne = self.airborne();
+        let guided = self.guidance.guide(phase, &sample, airborne);
         let mut reference = guided.reference;
         if guided.feedback {
             reference.feedforward.thrust_n *= self.voltage_gain();
@@ -221,6 +227,23 @@ impl Pilot {
         self.supervisor.sent(is_sent);
     }
 
+    /// Takes a message that lay unread while this process was paused: what it tells is kept, and a
+    /// change of the mode ends control; nothing else is decided, and no setpoint answers it.
+    /// [`Pilot::resumed`] follows the last of them.
+    pub fn catch_up(&mut self, received: &Received) {
+        self.take(received);
+        self.supervisor.heed_mode(received.host, self.telemetry.status());
+    }
+
+    /// This process runs again after a pause of `paused_s` seconds, and has read what lay unread.
+    /// More may have come than the system kept, so that the mode is not known until it is told
+    /// again. For the safety reactions the state was missing for that long.
+    pub fn resumed(&mut self, now: HostTime, paused_s: f64) {
+        self.telemetry.doubt_mode();
+        self.paused_s = paused_s;
+        self.observe(now);
+    }
+
     /// Looks at the clock in silence: time-outs and stale telemetry. Never makes a setpoint.
     pub fn poll(&mut self, now: HostTime) {
         self.observe(now);
@@ -260,6 +283,11 @@ impl Pilot {
     /// The preflight checks that failed when they were last looked at, before the stream.
     pub fn failed_checks(&self) -> &[PreflightCheck] {
         &self.failed_checks
+    }
+
+    /// Who ended control by a change of the mode, once that is known.
+    pub fn takeover(&self) -> Option<&Takeover> {
+        self.supervisor.takeover()
     }
 
     /// State, rates and slow messages of the vehicle.
@@ -308,7 +336,7 @@ impl Pilot {
             );
             self.supervisor.tell(now, Severity::Warning, text);
         }
-        let age_s = self.telemetry.age_s(now);
+        let age_s = self.telemetry.age_s(now).max(std::mem::take(&mut self.paused_s));
         let rate_hz = self.settings.telemetry.rate_hz;
         let here = self.telemetry.last_sample().map(|sample| sample.state);
         // One look can lead through Preflight to the stream: the checks must be there before.
@@ -316,14 +344,16 @@ impl Pilot {
             let distance = here.map_or(f64::NAN, |s| self.guidance.start_distance_m(s.position));
             let mut failed = self.standing_checks.clone();
             let settings = &self.settings.preflight;
-            failed.extend(preflight(
-                settings,
+            let standing = Standing {
                 rate_hz,
-                &self.telemetry,
-                self.link_loss,
-                distance,
-                now,
-            ));
+                link_loss: self.link_loss,
+                start_distance_m: distance,
+                airborne: self.airborne(),
+                ground_seen: self.guidance.ground().is_some(),
+                policy: self.policy,
+                take_over: self.settings.supervisor.take_over,
+            };
+            failed.extend(preflight(settings, &standing, &self.telemetry, now));
             failed
         } else {
             std::mem::take(&mut self.failed_checks)
@@ -336,10 +366,14 @@ impl Pilot {
         let status = self.telemetry.status();
         let tick_rate_min = self.settings.preflight.tick_rate_min
             * if before.precedes_stream() { 1.0 } else { STREAMING_RATE_SHARE };
+        let airborne = self.airborne();
         let observation = Observation {
             status,
-            airborne: self.airborne(),
-            telemetry_ready: age_s < self.settings.safety.stale_after_s
+            airborne,
+            at_rest: self.is_at_rest(),
+            telemetry_ready: airborne.is_some()
+                && status.armed.is_some()
+                && age_s < self.settings.safety.stale_after_s
                 && self.telemetry.tick_rate_hz() >= tick_rate_min * rate_hz,
             preflight: &failed,
             condition: FlightCondition {
@@ -351,6 +385,8 @@ impl Pilot {
                 radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
                 height_m: -from_anchor.down(),
                 battery: status.battery.remaining,
+                battery_critical: status.battery.charge == ChargeState::Critical,
+                failsafe: None,
             },
         };
         self.supervisor.observe(now, &observation);
@@ -379,20 +415,30 @@ impl Pilot {
         })
     }
 
-    /// Off the ground, by the vehicle's own word, or by height where it has none.
-    fn airborne(&self) -> bool {
+    /// Whether the vehicle is off the ground, by its own word. Where it has none, one that is
+    /// disarmed stands on the ground, and one that is armed flies when it is above the place where
+    /// it stood. `None` where neither is known: a vehicle whose motors turn may be anywhere.
+    fn airborne(&self) -> Option<bool> {
         let status = self.telemetry.status();
         match status.landed {
-            LandedState::OnGround => false,
-            LandedState::InAir | LandedState::TakingOff | LandedState::Landing => true,
-            LandedState::Undefined => {
-                let height = self.telemetry.last_sample().map_or(0.0, |sample| {
-                    let ground = self.guidance.ground().map_or(0.0, |ground| ground.down());
-                    ground - sample.state.position.down()
-                });
-                status.armed == Some(true) && height > AIRBORNE_HEIGHT_M
-            }
+            LandedState::OnGround => Some(false),
+            LandedState::InAir | LandedState::TakingOff | LandedState::Landing => Some(true),
+            LandedState::Undefined if status.armed? => Some(self.height_m()? > AIRBORNE_HEIGHT_M),
+            LandedState::Undefined => Some(false),
         }
+    }
+
+    /// Height above the place where the vehicle last stood on the ground, m.
+    fn height_m(&self) -> Option<f64> {
+        let here = self.telemetry.last_sample()?.state.position;
+        Some(self.guidance.ground()?.down() - here.down())
+    }
+
+    /// Whether the vehicle lies still at the height of the ground, by its own estimate.
+    fn is_at_rest(&self) -> bool {
+        let speed = self.telemetry.last_sample().map(|sample| sample.state.velocity.norm());
+        self.height_m().is_some_and(|height| height.abs() < AIRBORNE_HEIGHT_M)
+            && speed.is_some_and(|speed| speed < RESTING_SPEED_M_S)
     }
 }
 
@@ -402,6 +448,9 @@ const STREAMING_RATE_SHARE: f64 = 0.6;
 
 /// The most that an empty pack, or a voltage that is misread, adds to the thrust.
 const VOLTAGE_GAIN_MAX: f64 = 1.4;
+
+/// Speed below which a vehicle at the height of the ground lies still, m/s.
+const RESTING_SPEED_M_S: f64 = 0.15;
 
 /// Height above the ground that counts as flight where the vehicle does not say, m.
 const AIRBORNE_HEIGHT_M: f64 = 0.3;
@@ -413,6 +462,6 @@ fn concerns_supervisor(message: &Inbound) -> bool {
         Inbound::Heartbeat { .. }
             | Inbound::CurrentMode { .. }
             | Inbound::LandedState(_)
-            | Inbound::Battery { .. }
+            | Inbound::Battery(_)
     )
 }

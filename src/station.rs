@@ -11,6 +11,8 @@ mod status;
 mod transmission;
 mod waiting;
 
+use std::time::Duration;
+
 use wire::transport::Peer;
 
 use self::aftermath::Aftermath;
@@ -21,15 +23,15 @@ pub use self::status::Status;
 use self::waiting::Waiting;
 use crate::clock::HostTime;
 use crate::link::counters::LinkState;
-use crate::link::message::Inbound;
+use crate::link::message::{Inbound, Received};
 use crate::link::profile::Profile;
 use crate::link::session::{self, Heard, Session, SetpointError, VehicleId};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::pilot::{LinkEvent, Pilot, Tick};
-use crate::supervisor::{EngagePolicy, FlightState};
+use crate::supervisor::{EngagePolicy, FlightState, Takeover};
 
 /// Period of the link's counters in the log.
-const STATS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
+const STATS_PERIOD: Duration = Duration::from_secs(1);
 
 /// Steps of the vehicle's clock from here on are told, ns.
 const CLOCK_STEP_TOLD_NS: u64 = 100_000_000;
@@ -85,6 +87,8 @@ pub struct Station {
     last_trouble: Option<String>,
     /// The flight's state after the last event.
     event_state: FlightState,
+    /// What was told of the vehicle's reaction to the loss of this program.
+    told_loss: Option<String>,
     /// When the vehicle was found, until its rates are told.
     found: Option<HostTime>,
     /// Only the checks before a flight are made: nothing is sent to fly it.
@@ -121,6 +125,7 @@ impl Station {
             is_replaced: false,
             last_trouble: None,
             event_state: FlightState::Connect,
+            told_loss: None,
             found: None,
             is_check: false,
             waiting: Waiting::new(now),
@@ -140,9 +145,47 @@ impl Station {
     /// answers with, if any, to the vehicle. What else follows waits for
     /// [`Station::transmit`], which sends the setpoint first.
     pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
+        let first_tick = self.ticks.len();
+        self.hear(now, peer, bytes, is_datagram, Pilot::handle);
+        self.answer(now, first_tick);
+    }
+
+    /// Takes bytes that lay unread while this process was paused: nothing answers them.
+    /// [`Station::resumed`] follows the last of them.
+    pub fn catch_up(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
+        self.hear(now, peer, bytes, is_datagram, |pilot, received| {
+            pilot.catch_up(received);
+            None
+        });
+    }
+
+    /// This process runs again after a pause, and has read what lay unread.
+    pub fn resumed(&mut self, now: HostTime, paused: Duration) {
+        let paused_s = paused.as_secs_f64();
+        let text = format!(
+            "this process was paused for {paused_s:.2} s: nothing is commanded until the vehicle \
+             tells its mode again"
+        );
+        self.tell(now, Severity::Warning, text);
+        self.session.withdraw_commands();
+        if let Some(pilot) = &mut self.pilot {
+            pilot.resumed(now, paused_s);
+        }
+        self.follow_up(now);
+    }
+
+    /// Each message to the pilot, by `take`, and to the log.
+    fn hear(
+        &mut self,
+        now: HostTime,
+        peer: Peer,
+        bytes: &[u8],
+        is_datagram: bool,
+        mut take: impl FnMut(&mut Pilot, &Received) -> Option<Tick>,
+    ) {
         let Self { session, pilot, profile, records, ticks, .. } = self;
         let motors = profile.as_ref().map(|profile| profile.motor_outputs);
-        let (first, first_tick) = (records.len(), ticks.len());
+        let first = records.len();
         session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
             Heard::Frame { bytes, .. } => {
                 records
@@ -156,7 +199,7 @@ impl Station {
             }
             Heard::Message(received) => {
                 if let Some(pilot) = pilot {
-                    ticks.extend(pilot.handle(&received));
+                    ticks.extend(take(pilot, &received));
                 }
                 if let Inbound::StatusText { severity, text } = &received.message {
                     show(Severity::from(*severity), &format!("vehicle: {text}"));
@@ -169,6 +212,10 @@ impl Station {
             // The clocks' estimate has an error; a sample is never newer than its arrival.
             stamp.sampled = mapped.map_or(stamp.host, |sampled| sampled.min(stamp.host));
         }
+    }
+
+    /// The setpoint that answers the samples since `first_tick`, on its way where it may leave.
+    fn answer(&mut self, now: HostTime, first_tick: usize) {
         // Of several samples in one read only the newest is acted upon.
         let setpoint = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint);
         let is_sent = setpoint
@@ -189,6 +236,10 @@ impl Station {
         self.session.poll(now);
         if let Some(pilot) = &mut self.pilot {
             pilot.poll(now);
+            if !pilot.telemetry().status().is_heard(now) {
+                // The pilot may have taken over meanwhile: what was commanded is not repeated.
+                self.session.withdraw_commands();
+            }
         }
         self.follow_up(now);
         self.tell_wait(now);
@@ -212,7 +263,7 @@ impl Station {
     /// When [`Station::poll`] has something to do next, at most 20 ms away: safety reactions to
     /// silence are not late by more than that.
     pub fn next_deadline(&self, now: HostTime) -> HostTime {
-        let tick = now + std::time::Duration::from_millis(20);
+        let tick = now + Duration::from_millis(20);
         self.session.next_deadline().min(self.stats_due).clamp(now, tick)
     }
 
@@ -376,7 +427,11 @@ impl Station {
         }
         let trouble = || self.last_trouble.clone().unwrap_or_else(|| "no reason given".to_owned());
         match self.over_in {
-            Some(FlightState::PilotControl) => Some(End::PilotTookOver),
+            // Who it was shows within a second or so.
+            Some(FlightState::PilotControl) => match self.pilot.as_ref()?.takeover()? {
+                Takeover::Pilot { .. } => Some(End::PilotTookOver),
+                Takeover::Failsafe(words) => Some(End::Aborted(words.clone())),
+            },
             Some(FlightState::Abort) if self.flown && self.is_link_silent(now) => {
                 Some(End::LinkLost(trouble()))
             }
@@ -451,7 +506,7 @@ impl Station {
                         setpoints; turn signing off on this link, or connect by USB, where PX4 and \
                         ArduPilot take unsigned messages";
             self.tell(now, Severity::Warning, text.to_owned());
-            self.check_standing();
+            self.check_standing(now);
         }
     }
 
@@ -470,7 +525,7 @@ impl Station {
             return self.tell(now, Severity::Warning, format!("{why}; the flight goes on"));
         }
         self.tell(now, Severity::Error, why.clone());
-        self.check_standing();
+        self.check_standing(now);
         if self.settings.policy == EngagePolicy::Command {
             self.end.get_or_insert(End::Refused(why));
         }

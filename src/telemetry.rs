@@ -14,7 +14,7 @@ pub use self::fault::TelemetryFault;
 pub use self::lateness::LateMessages;
 use self::lateness::Lateness;
 use self::rate::RateMeter;
-pub use self::status::{Battery, VehicleStatus};
+pub use self::status::VehicleStatus;
 use crate::clock::{HostTime, VehicleTime};
 use crate::link::message::{AttitudeSource, Inbound, Received};
 use crate::link::vehicle_clock::Delay;
@@ -192,6 +192,11 @@ impl Telemetry {
         let mut status = std::mem::take(&mut self.status);
         status.forget_mode();
         *self = Self { status, ..Self::new(self.settings) };
+    }
+
+    /// The mode that was told last may be old, as after a pause of this process.
+    pub fn doubt_mode(&mut self) {
+        self.status.doubt_mode();
     }
 
     /// Takes a message; a sample comes back if the message fires a tick.

@@ -2,7 +2,7 @@
 
 mod support;
 
-use downwash::link::message::Inbound;
+use downwash::link::message::{Battery, Inbound};
 use downwash::pilot::{PilotSettings, Tick};
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
 use sitl::frame::{Frd, Ned};
@@ -208,7 +208,7 @@ fn not_a_number_is_never_flown_on() {
 fn low_battery_and_a_left_fence_land_the_vehicle() {
     let mut low = flight(EngagePolicy::Command);
     low.until(FlightState::Track, 30.0);
-    let message = Inbound::Battery { voltage: None, current: None, remaining: Some(0.1) };
+    let message = Inbound::Battery(Battery { remaining: Some(0.1), ..Battery::default() });
     let host = low.vehicle.now();
     low.pilot.handle(&downwash::link::message::Received {
         host,

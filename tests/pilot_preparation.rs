@@ -2,7 +2,7 @@
 
 mod support;
 
-use downwash::link::message::{Inbound, Received};
+use downwash::link::message::{Battery, Inbound, Received};
 use downwash::pilot::PilotSettings;
 use downwash::supervisor::{EngagePolicy, FlightState};
 use sitl::frame::Ned;
@@ -42,7 +42,7 @@ fn telemetry_that_comes_and_goes_does_not_start_the_wait_anew() {
     let mut waited_s = 0.0;
     // A pack that is too low holds the flight in its checks while telemetry is there.
     while flight.pilot.flight_state() != FlightState::Abort && waited_s < 2.0 * limit_s {
-        let message = Inbound::Battery { voltage: None, current: None, remaining: Some(0.2) };
+        let message = Inbound::Battery(Battery { remaining: Some(0.2), ..Battery::default() });
         let host = flight.vehicle.now();
         flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
         flight.hears = |_| true;

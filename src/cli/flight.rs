@@ -27,6 +27,9 @@ pub struct FlyArgs {
     /// Which of its models [default: the one that predicted best].
     #[arg(long, value_enum, requires = "model")]
     pub kind: Option<ModelKind>,
+    /// Takes over a vehicle that others fly: one that is armed or in the air.
+    #[arg(long)]
+    pub take_over: bool,
     /// Folder for the flight log.
     #[arg(long)]
     pub log_dir: Option<PathBuf>,

@@ -48,6 +48,10 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let mut flags = Vec::new();
     flags.extend(path_flag("--vehicle", "vehicle", &args.vehicle));
     flags.extend(path_flag("--log-dir", "log_dir", &args.log_dir));
+    if args.take_over {
+        let key = "pilot.supervisor.take_over";
+        flags.push(("--take-over", key, toml::Value::Boolean(true)));
+    }
     if let Some(url) = &args.connect {
         flags.push(("--connect", "connect", toml::Value::String(url.clone())));
     }

@@ -97,11 +97,14 @@ fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
         stream_before_engage_s,
         engage_timeout_s,
         arm_timeout_s,
+        pilot_arm_timeout_s,
+        take_over: _,
         take_off_timeout_s,
         land_timeout_s,
         land_handover_s,
         hold_s,
         disarm_after_s,
+        rest_s,
         retry_s,
     } = *times;
     time(&["pilot.supervisor.link_lost_after_s"], link_lost_after_s)?;
@@ -110,11 +113,13 @@ fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
     time(&["pilot.supervisor.stream_before_engage_s"], stream_before_engage_s)?;
     time(&["pilot.supervisor.engage_timeout_s"], engage_timeout_s)?;
     time(&["pilot.supervisor.arm_timeout_s"], arm_timeout_s)?;
+    time(&["pilot.supervisor.pilot_arm_timeout_s"], pilot_arm_timeout_s)?;
     time(&["pilot.supervisor.take_off_timeout_s"], take_off_timeout_s)?;
     time(&["pilot.supervisor.land_timeout_s"], land_timeout_s)?;
     time(&["pilot.supervisor.land_handover_s"], land_handover_s)?;
     time(&["pilot.supervisor.hold_s"], hold_s)?;
     time(&["pilot.supervisor.disarm_after_s"], disarm_after_s)?;
+    time(&["pilot.supervisor.rest_s"], rest_s)?;
     time(&["pilot.supervisor.retry_s"], retry_s)
 }
 

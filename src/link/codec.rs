@@ -10,7 +10,9 @@ use sitl::frame::{Attitude, Euler, Ned};
 use wire::Frame;
 use wire::dialect::*;
 
-use super::message::{AttitudeSource, Inbound, LandedState, MotorSource};
+use super::message::{
+    AttitudeSource, Battery, ChargeState, Inbound, LandedState, MotorSource, SystemState,
+};
 use super::parameter::{self, ParameterCast};
 use super::text::TextAssembler;
 use crate::clock::VehicleTime;
@@ -236,6 +238,7 @@ pub(super) fn heartbeat(payload: &[u8]) -> Inbound {
         vehicle_type: byte(4),
         autopilot: byte(5),
         armed: byte(6) & MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED.bits() != 0,
+        system: SystemState::from(byte(7)),
     }
 }
 
@@ -312,12 +315,26 @@ fn battery(data: &BATTERY_STATUS_DATA) -> Inbound {
     let (count, sum_mv) = cells
         .chain(further)
         .fold((0, 0.0), |(count, sum), &cell| (count + 1, sum + f64::from(cell)));
-    Inbound::Battery {
+    Inbound::Battery(Battery {
         voltage: (count > 0).then_some(sum_mv / 1000.0),
         current: (data.current_battery >= 0).then(|| f64::from(data.current_battery) / 100.0),
         remaining: (0..=100)
             .contains(&data.battery_remaining)
             .then(|| f64::from(data.battery_remaining) / 100.0),
+        charge: charge_state(data.charge_state),
+    })
+}
+
+fn charge_state(state: MavBatteryChargeState) -> ChargeState {
+    use MavBatteryChargeState as M;
+    match state {
+        M::MAV_BATTERY_CHARGE_STATE_OK | M::MAV_BATTERY_CHARGE_STATE_CHARGING => ChargeState::Ok,
+        M::MAV_BATTERY_CHARGE_STATE_LOW => ChargeState::Low,
+        M::MAV_BATTERY_CHARGE_STATE_CRITICAL
+        | M::MAV_BATTERY_CHARGE_STATE_EMERGENCY
+        | M::MAV_BATTERY_CHARGE_STATE_FAILED
+        | M::MAV_BATTERY_CHARGE_STATE_UNHEALTHY => ChargeState::Critical,
+        _ => ChargeState::Unknown,
     }
 }
 
@@ -446,7 +463,9 @@ mod tests {
                 ..Default::default()
             };
             match decode(&MavMessage::BATTERY_STATUS(data)).unwrap().unwrap().1 {
-                Inbound::Battery { voltage, current: None, remaining: None } => voltage,
+                Inbound::Battery(Battery { voltage, current: None, remaining: None, .. }) => {
+                    voltage
+                }
                 other => panic!("{other:?}"),
             }
         };
@@ -467,6 +486,7 @@ mod tests {
             vehicle_type: 250,
             armed: true,
             custom_mode: 0x0006_0000,
+            system: SystemState::Active,
         };
         assert_eq!(heartbeat(&payload), expected);
     }

@@ -43,6 +43,7 @@ pub mod codec;
 pub mod connection;
 pub mod counters;
 pub mod intervals;
+pub mod loss_reaction;
 pub mod message;
 pub mod parameter;
 pub mod profile;

@@ -61,10 +61,10 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The usual settings: an onboard computer (component 191) of system 255.
+    /// The usual settings: an onboard computer (component 191) of system 254.
     pub fn new(thrust: ThrustMap) -> Self {
         Self {
-            system: 255,
+            system: 254,
             component: 191,
             vehicle_system: None,
             vehicle_has_attitude_pd: false,

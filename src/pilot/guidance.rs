@@ -138,8 +138,8 @@ impl Guidance {
     }
 
     /// The reference of this tick.
-    pub fn guide(&mut self, state: FlightState, sample: &Sample, airborne: bool) -> Guided {
-        if !airborne {
+    pub fn guide(&mut self, state: FlightState, sample: &Sample, airborne: Option<bool>) -> Guided {
+        if airborne == Some(false) {
             self.ground = Some(sample.state.position);
         }
         if state != self.state {
@@ -152,7 +152,7 @@ impl Guidance {
             FlightState::Approach => self.approach(t, sample),
             FlightState::Track => self.track(t, here),
             FlightState::Hold | FlightState::Land => Guided::fly(self.hold(here)),
-            _ if airborne => Guided::fly(self.stay(here)),
+            _ if airborne != Some(false) => Guided::fly(self.stay(here)),
             _ => self.idle(self.settings.idle_thrust, here),
         };
         guided.reference.attitude.yaw = wrap_angle(guided.reference.attitude.yaw);

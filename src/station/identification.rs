@@ -7,6 +7,7 @@ use super::attitude_loop::{assumption, attitude_loop};
 use super::{End, Station, StationSettings};
 use crate::clock::HostTime;
 use crate::control::{DesignError, Lqr};
+use crate::link::loss_reaction::{LossLaw, LossReaction};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
@@ -38,8 +39,8 @@ impl Station {
         for rule in profile.required.iter().chain(&profile.loss_timeout) {
             self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
         }
-        if let Some(name) = profile.loss_action {
-            self.session.request(now, Request::ReadParameter(name.to_owned()));
+        for name in profile.loss.parameters() {
+            self.session.request(now, Request::ReadParameter((*name).to_owned()));
         }
         for parameter in &self.settings.pilot.preflight.parameters {
             self.session.request(now, Request::ReadParameter(parameter.name.clone()));
@@ -59,7 +60,7 @@ impl Station {
             }
             Err(error) => self.refuse(now, error.to_string()),
         }
-        self.check_standing();
+        self.check_standing(now);
     }
 
     /// The vehicle is not flown. A flight by command is over with that; under the pilot's switch
@@ -102,6 +103,8 @@ impl Station {
             thrust_full_n: self.settings.thrust_full_n,
             battery_full_v: self.settings.battery_full_v,
             modes: ModeMap {
+                autopilot: profile.name,
+                names: profile.mode_names,
                 offboard,
                 hold: word(profile.modes.hold),
                 land,
@@ -121,10 +124,11 @@ impl Station {
 
     /// What is wrong with the vehicle for this daemon, as preflight checks: its profile's rules about
     /// its parameters, signing, another autopilot beside it.
-    pub(super) fn check_standing(&mut self) {
+    pub(super) fn check_standing(&mut self, now: HostTime) {
         let (Some(profile), Some(pilot)) = (&self.profile, &mut self.pilot) else { return };
         let known = &pilot.telemetry().status().parameters;
-        let mut failed: Vec<_> = profile
+        let reaction = profile.loss.reaction(known, self.settings.session.system);
+        let mut failed: Vec<PreflightCheck> = profile
             .required
             .iter()
             .filter_map(|rule| {
@@ -151,6 +155,40 @@ impl Station {
                 found: format!("another: {other}"),
             });
         }
+        if self.settings.pilot.preflight.needs_loss_reaction {
+            failed.extend(loss_check(profile.loss, &reaction));
+        }
         pilot.set_standing_checks(failed);
+        let text = match &reaction {
+            LossReaction::Acts(text) => format!("should this program vanish: {text}"),
+            LossReaction::Nothing { why, .. } => {
+                format!("should this program vanish, nothing acts: {why}")
+            }
+            LossReaction::Unread(_) => return,
+        };
+        // Parameters come one by one: what follows from them is told as it changes.
+        if self.told_loss.as_ref() != Some(&text) {
+            self.told_loss = Some(text.clone());
+            self.tell(now, Severity::Info, text);
+        }
     }
+}
+
+/// The preflight check that something acts when this program vanishes. PX4 acts whatever its
+/// parameters are.
+fn loss_check(law: LossLaw, reaction: &LossReaction) -> Option<PreflightCheck> {
+    let (cure, found) = match reaction {
+        LossReaction::Nothing { why, cure } => (cure.clone(), why.clone()),
+        LossReaction::Unread(name) if law == LossLaw::ArduCopter => {
+            (format!("the parameter {name} tells it"), "no answer".to_owned())
+        }
+        LossReaction::Acts(_) | LossReaction::Unread(_) => return None,
+    };
+    Some(PreflightCheck {
+        subject: "reaction of the vehicle when this program vanishes".to_owned(),
+        expected: format!(
+            "one; {cure}, or fly without by pilot.preflight.needs_loss_reaction = false"
+        ),
+        found,
+    })
 }

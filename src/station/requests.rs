@@ -35,7 +35,7 @@ fn action_of(request: &Request) -> Option<Action> {
 impl Station {
     pub(super) fn request_ended(&mut self, now: HostTime, request: &Request, outcome: &Outcome) {
         if let (Request::ReadParameter(name), Outcome::Parameter(value)) = (request, outcome) {
-            self.check_standing();
+            self.check_standing(now);
             let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);
             if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
                 let text =
@@ -48,6 +48,12 @@ impl Station {
             outcome,
             Outcome::Done | Outcome::Parameter(_) | Outcome::Superseded | Outcome::Withdrawn
         ) {
+            return;
+        }
+        // Autopilots have only some of these, by their version.
+        if let (Request::ReadParameter(name), Some(profile)) = (request, &self.profile)
+            && profile.loss.parameters().contains(&name.as_str())
+        {
             return;
         }
         let warning = self.pilot.as_ref().and_then(|pilot| {

@@ -6,6 +6,7 @@ use super::Station;
 use crate::clock::HostTime;
 use crate::link::budget::message_name;
 use crate::link::counters::LinkState;
+use crate::link::message::LandedState;
 use crate::link::silence::Silence;
 use crate::log::record::Severity;
 use crate::pilot::Pilot;
@@ -182,12 +183,22 @@ impl Station {
              {odometry:.0} Hz, attitude at {attitude:.0} Hz, position at {position:.0} Hz{cure}{late}"
         );
         let subject = format!("rates{cure}");
+        let status = telemetry.status();
+        let unknown = match (status.armed, status.landed) {
+            (None, _) => Some(("armed", "HEARTBEAT, which tells whether the motors are armed")),
+            (Some(true), LandedState::Undefined) => {
+                Some(("landed", "EXTENDED_SYS_STATE, which tells whether the vehicle is landed"))
+            }
+            _ => None,
+        };
+        let unknown = unknown
+            .map(|(subject, line)| Reason { subject: subject.to_owned(), line: line.to_owned() });
         let refused = self.session.refusals().iter().map(|refused| {
             let name = message_name(refused.id);
             let line = format!("{} {name} not believed: {}", refused.count, refused.refusal);
             Reason { subject: format!("refused {name}"), line }
         });
-        refused.chain([Reason { subject, line: rates }]).collect()
+        unknown.into_iter().chain(refused).chain([Reason { subject, line: rates }]).collect()
     }
 }
 

@@ -151,7 +151,7 @@ const TABLE: &[Row] = &[
     (&[Connect],                                    On::VehicleHeard,      AwaitRelease),
     (&[AwaitRelease],                               On::Released,          AwaitTelemetry),
     (&[AwaitTelemetry],                             On::TelemetryReady,    Preflight),
-    (&[AwaitTelemetry, Preflight],                  On::OffboardFound,     AwaitRelease),
+    (&[AwaitTelemetry, Preflight, Standby],         On::OffboardFound,     AwaitRelease),
     (&[Preflight, Standby],                         On::TelemetryLost,     AwaitTelemetry),
     (&[Preflight],                                  On::PreflightPassed,   Standby),
     (&[AwaitRelease, AwaitTelemetry, Preflight],    On::TimedOut,          Abort),

@@ -34,6 +34,7 @@ class Vehicle(HandMadeVehicle):
         self.link.mav.srcSystem = system
         if self.autopilot == 3:
             self.params = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0, "GUID_TIMEOUT": 0.2, "FS_GCS_ENABLE": 5.0}
+            self.params |= {"FS_GCS_TIMEOUT": 5.0, "SYSID_MYGCS": 254.0}
         if self.mavlink == 1:
             send = self.link.mav.send
             self.link.mav.send = lambda message, force_mavlink1=False: send(message, force_mavlink1=True)

@@ -8,6 +8,7 @@ use wire::dialect::MavSysStatusSensor;
 use super::observed::{Observed, Report};
 use crate::command::listen::Listener;
 use crate::link::budget::message_name;
+use crate::link::loss_reaction::LossReaction;
 use crate::link::profile::Profile;
 
 /// A clock that is off by more than crystals are.
@@ -137,11 +138,15 @@ impl Findings {
                  or set bit 2 (4)",
             );
         }
-        if value("FS_GCS_ENABLE") == Some(0.0) {
-            self.warns(
-                "parameter FS_GCS_ENABLE",
-                "is 0: when downwash vanishes the vehicle stays in GUIDED, level; 5 lands it",
-            );
+        let settings = &listener.config.settings;
+        if let LossReaction::Nothing { why, cure } =
+            profile.loss.reaction(&report.parameters, settings.link.system)
+        {
+            let text = format!("should downwash vanish, nothing acts: {why}; {cure}");
+            match settings.pilot.preflight.needs_loss_reaction {
+                true => self.refuses("loss", text),
+                false => self.warns("loss", text),
+            }
         }
     }
 

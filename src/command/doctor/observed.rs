@@ -1,6 +1,6 @@
 //! What came while listening, as numbers and as text.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fmt;
 
 use serde::Serialize;
@@ -8,7 +8,9 @@ use serde::Serialize;
 use crate::command::listen::Listener;
 use crate::config::Config;
 use crate::link::budget::{LineBudget, message_name};
+use crate::link::loss_reaction::LossReaction;
 use crate::link::message::{Inbound, LandedState};
+use crate::link::parameter::Parameters;
 use crate::link::profile::Profile;
 use crate::link::request::Request;
 use crate::link::session::Heard;
@@ -16,10 +18,8 @@ use crate::link::vehicle_clock::ClockSource;
 use crate::telemetry::Telemetry;
 
 /// Parameters that say what a flight meets, beside those of the profile.
-const PX4_PARAMETERS: &[&str] =
-    &["COM_RC_IN_MODE", "COM_RCL_EXCEPT", "NAV_RCL_ACT", "COM_ARM_WO_GPS", "MAV_SYS_ID"];
-const ARDUCOPTER_PARAMETERS: &[&str] =
-    &["ARMING_CHECK", "FS_GCS_ENABLE", "FS_THR_ENABLE", "SYSID_MYGCS", "MAV_GCS_SYSID"];
+const PX4_PARAMETERS: &[&str] = &["COM_RC_IN_MODE", "COM_RCL_EXCEPT", "COM_ARM_WO_GPS"];
+const ARDUCOPTER_PARAMETERS: &[&str] = &["ARMING_CHECK", "FS_THR_ENABLE"];
 /// Texts of the vehicle that are kept.
 const TEXTS_MAX: usize = 20;
 
@@ -93,13 +93,14 @@ impl Observed {
             _ => PX4_PARAMETERS,
         };
         let rules = profile.required.iter().chain(&profile.loss_timeout).map(|rule| rule.name);
-        let names = rules.chain(profile.loss_action).chain(more.iter().copied());
-        let names: Vec<String> = names.map(str::to_owned).collect();
+        let names =
+            rules.chain(profile.loss.parameters().iter().copied()).chain(more.iter().copied());
+        let names: BTreeSet<String> = names.map(str::to_owned).collect();
         let now = listener.clock.now();
         for name in &names {
             session.request(now, Request::ReadParameter(name.clone()));
         }
-        self.asked = Some(names);
+        self.asked = Some(names.into_iter().collect());
     }
 
     pub(super) fn report(&self, listener: &Listener, seconds: f64) -> Report {
@@ -161,6 +162,13 @@ impl Observed {
             round_trip_max_s: at(1.0),
             budget,
             serial_latency_timer_ms: latency_timer(&listener.endpoint),
+            loss_reaction: session.profile().and_then(|profile| {
+                let own = listener.config.settings.link.system;
+                match profile.loss.reaction(&status.parameters, own) {
+                    LossReaction::Acts(text) => Some(text),
+                    _ => None,
+                }
+            }),
             parameters: self
                 .asked
                 .iter()
@@ -234,7 +242,8 @@ pub(super) struct Report {
     round_trip_max_s: Option<f64>,
     budget: Option<String>,
     pub serial_latency_timer_ms: Option<u32>,
-    pub parameters: BTreeMap<String, f64>,
+    loss_reaction: Option<String>,
+    pub parameters: Parameters,
     messages: Vec<MessageRow>,
     texts: Vec<String>,
 }
@@ -318,6 +327,9 @@ impl fmt::Display for Report {
                 Some(timer) => writeln!(f, "; latency timer of the serial adapter {timer} ms")?,
                 None => writeln!(f)?,
             }
+        }
+        if let Some(reaction) = &self.loss_reaction {
+            writeln!(f, "loss       should downwash vanish: {reaction}")?;
         }
         for (name, value) in &self.parameters {
             writeln!(f, "parameter  {name} {value}")?;

@@ -14,7 +14,7 @@ use super::flight::{Clock, Flight, Stream};
 use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
 use crate::link::codec::Codec;
-use crate::link::message::{self, AttitudeSource, Inbound, LandedState};
+use crate::link::message::{self, AttitudeSource, Battery, Inbound, LandedState};
 
 /// Messages in a row that must agree on a jump of the vehicle's clock.
 const JUMP_MESSAGES: u32 = 8;
@@ -130,7 +130,9 @@ impl VehicleLog {
                     stream.push(time, outputs)
                 });
             }
-            Inbound::Battery { voltage: Some(voltage), .. } => self.battery.push((heard, voltage)),
+            Inbound::Battery(Battery { voltage: Some(voltage), .. }) => {
+                self.battery.push((heard, voltage));
+            }
             Inbound::LandedState(state) => match state {
                 LandedState::Undefined => {}
                 // On the way up or down the ground may still be touched.
