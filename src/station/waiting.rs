@@ -127,7 +127,7 @@ impl Station {
                 Some((Wait::Release, reasons))
             }
             FlightState::Connect | FlightState::AwaitTelemetry => {
-                let mut reasons = self.telemetry_reasons(pilot);
+                let mut reasons = self.telemetry_reasons(now, pilot);
                 reasons.extend(checks(pilot, |subject| !is_of_the_state(subject)));
                 Some((Wait::Telemetry, reasons))
             }
@@ -162,7 +162,7 @@ impl Station {
         }
     }
 
-    fn telemetry_reasons(&self, pilot: &Pilot) -> Vec<Reason> {
+    fn telemetry_reasons(&self, now: HostTime, pilot: &Pilot) -> Vec<Reason> {
         let telemetry = pilot.telemetry();
         let [odometry, attitude, position] = telemetry.rates_hz();
         let needed =
@@ -198,7 +198,10 @@ impl Station {
             let line = format!("{} {name} not believed: {}", refused.count, refused.refusal);
             Reason { subject: format!("refused {name}"), line }
         });
-        unknown.into_iter().chain(refused).chain([Reason { subject, line: rates }]).collect()
+        let stale_s = self.settings.pilot.safety.stale_after_s;
+        let is_short = telemetry.tick_rate_hz() < needed || telemetry.age_s(now) > stale_s;
+        let rates = is_short.then_some(Reason { subject, line: rates });
+        unknown.into_iter().chain(refused).chain(rates).collect()
     }
 }
 
