@@ -42,8 +42,9 @@ struct Exchange {
 }
 
 impl Exchange {
+    /// Half the round trip, of which the vehicle's clock may make more.
     fn half_trip_ns(&self) -> f64 {
-        self.round_trip_ns as f64 / 2.0
+        self.round_trip_ns as f64 / 2.0 * (1.0 + SKEW_MAX)
     }
 
     /// Bound on the error of its offset, carried to another time by a skew that is wrong by at most

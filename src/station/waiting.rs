@@ -34,6 +34,12 @@ enum Wait {
     Pilot,
 }
 
+impl Wait {
+    fn is_preparing(self) -> bool {
+        matches!(self, Self::Release | Self::Telemetry | Self::Checks)
+    }
+}
+
 /// Why the flight does not begin: what it is about, which tells whether it is news, and the line.
 #[derive(Clone, Debug, PartialEq)]
 struct Reason {
@@ -51,13 +57,16 @@ impl From<Silence> for Reason {
 #[derive(Debug)]
 pub(super) struct Waiting {
     due: HostTime,
+    /// What is waited for, and since when.
     wait: Option<(Wait, HostTime)>,
+    /// Since when only checks are.
+    checking: Option<HostTime>,
     told: Vec<String>,
 }
 
 impl Waiting {
     pub(super) fn new(now: HostTime) -> Self {
-        Self { due: now, wait: None, told: Vec::new() }
+        Self { due: now, wait: None, checking: None, told: Vec::new() }
     }
 
     /// The lines to tell now, of what is waited for and why.
@@ -66,13 +75,16 @@ impl Waiting {
             (self.wait, self.told) = (None, Vec::new());
             return Vec::new();
         };
+        // What prepares a flight is one wait, whatever it is about.
         let since = match self.wait {
-            Some((known, since)) if known == wait => since,
+            Some((known, since)) if known.is_preparing() == wait.is_preparing() => since,
             _ => now,
         };
+        let checking = self.checking.filter(|_| wait == Wait::Checks);
+        self.checking = (wait == Wait::Checks).then(|| checking.unwrap_or(now));
         self.wait = Some((wait, since));
-        let patience = if wait == Wait::Checks { SETTLED } else { PATIENCE };
-        if now.since(since) < patience {
+        let is_settled = self.checking.is_some_and(|checking| now.since(checking) >= SETTLED);
+        if now.since(since) < PATIENCE && !is_settled {
             return Vec::new();
         }
         // What was mended and fails again is news.
@@ -167,7 +179,10 @@ impl Station {
         let [odometry, attitude, position] = telemetry.rates_hz();
         let needed =
             self.settings.pilot.preflight.tick_rate_min * self.settings.pilot.telemetry.rate_hz;
-        let cure = if position == 0.0 && odometry == 0.0 {
+        let is_refused = !self.session.refusals().is_empty();
+        let cure = if is_refused {
+            ""
+        } else if position == 0.0 && odometry == 0.0 {
             "; no position comes: the vehicle's estimate needs GPS or motion capture"
         } else if attitude == 0.0 && odometry == 0.0 {
             "; no attitude comes"

@@ -180,7 +180,7 @@ def says_within(daemon, words, seconds):
 @bounds_time
 def test_a_refused_frame_is_named(flight):
     _, daemon = flight({"frame": 20})
-    says_within(daemon, "MAV_FRAME_LOCAL_FRD", 7.0)
+    says_within(daemon, "MAV_FRAME_LOCAL_FRD", 5.0)
 
 
 @bounds_time
@@ -203,14 +203,14 @@ def test_bytes_that_are_no_mavlink_are_said(flight):
 @bounds_time
 def test_a_low_battery_is_said_at_once(flight):
     _, daemon = flight({"battery": 12})
-    says_within(daemon, "waiting: battery: expected at least 30 %, found 12 %", 8.0)
+    says_within(daemon, "waiting: battery: expected at least 30 %, found 12 %", 6.0)
 
 
 @bounds_time
 def test_a_wrong_parameter_is_said_at_once_with_the_cure(flight):
     (vehicle,), daemon = flight({"autopilot": 3, "mode_from": "HEARTBEAT", "state_from": "attitude and position"})
     vehicle.params["GUID_OPTIONS"] = 0.0
-    says_within(daemon, "waiting: parameter GUID_OPTIONS", 8.0)
+    says_within(daemon, "waiting: parameter GUID_OPTIONS", 6.0)
 
 
 def test_check_makes_the_checks_and_nothing_else(flight):

@@ -61,10 +61,10 @@ impl Observed {
                     Inbound::AutopilotVersion { flight_sw_version, .. } => {
                         self.version = Some(flight_sw_version);
                     }
-                    Inbound::StatusText { text, .. } => {
-                        if self.texts.len() < TEXTS_MAX && !self.texts.contains(&text) {
-                            self.texts.push(text);
-                        }
+                    Inbound::StatusText { text, .. }
+                        if self.texts.len() < TEXTS_MAX && !self.texts.contains(&text) =>
+                    {
+                        self.texts.push(text);
                     }
                     Inbound::SysStatus { health, .. } => self.health = Some(health),
                     _ => {}
