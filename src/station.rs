@@ -497,15 +497,15 @@ impl Station {
         }
     }
 
-    /// A vehicle that signs takes nothing that is not signed.
+    /// A vehicle that signs may take nothing that is not signed. Some take it all the same.
     fn tell_signing(&mut self, now: HostTime) {
         if self.session.is_signed() && !self.is_signing_told {
             self.is_signing_told = true;
-            let text = "the vehicle signs its messages (MAVLink 2 signing) and refuses what is not \
-                        signed, which is all that downwash sends: no rates, parameters, modes or \
-                        setpoints; turn signing off on this link, or connect by USB, where PX4 and \
-                        ArduPilot take unsigned messages";
-            self.tell(now, Severity::Warning, text.to_owned());
+            let text = "the vehicle signs its messages (MAVLink 2 signing), and downwash does not: \
+                        if it refuses what is not signed there are no rates, parameters, modes or \
+                        setpoints; then turn signing off on this link, or connect by USB, where \
+                        PX4 and ArduPilot take unsigned messages";
+            self.tell(now, Severity::Notice, text.to_owned());
             self.check_standing(now);
         }
     }

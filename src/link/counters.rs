@@ -154,6 +154,11 @@ impl Counters {
         }
     }
 
+    /// A sender is the vehicle.
+    pub(super) fn is_vehicle(&mut self, system: u8, component: u8) {
+        self.senders.retain(|s| (s.system, s.component) != (system.into(), component));
+    }
+
     pub(super) fn senders(&self) -> &[Sender] {
         &self.senders
     }

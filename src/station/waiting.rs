@@ -239,6 +239,7 @@ fn cure(subject: &str) -> &'static str {
     match subject {
         "telemetry rate" => "; lower control.rate_hz, or use a quicker link",
         "battery" => "; charge it, or lower pilot.preflight.battery_min",
+        "signing" => "; turn it off, or connect by USB, where unsigned messages are taken",
         "link" => "; bring the antennas closer, or raise pilot.preflight.link_loss_max",
         "trajectory start" => "; carry the vehicle there, or move the trajectory",
         subject if subject.starts_with("parameter ") => "; set it with your ground station",

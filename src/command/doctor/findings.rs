@@ -126,15 +126,16 @@ impl Findings {
                 self.warns(&subject, format!("is {value}: {}; set it to {}", rule.why, rule.rule));
             }
         }
-        // Without a radio control PX4 takes its loss for a failsafe, unless told not to in OFFBOARD.
+        // Where PX4 looks for a radio control only, it takes its lack for a loss, unless told not to
+        // in OFFBOARD.
         let is_set = |name: &str, bits: u32| value(name).is_some_and(|v| v as u32 & bits == bits);
         let needs_rc = value("NAV_RCL_ACT").is_some_and(|action| action != 0.0)
-            && value("COM_RC_IN_MODE").is_none_or(|mode| mode != 4.0)
+            && value("COM_RC_IN_MODE") == Some(0.0)
             && !is_set("COM_RCL_EXCEPT", 4);
         if needs_rc {
             self.warns(
                 "parameter COM_RCL_EXCEPT",
-                "without a radio control the vehicle refuses OFFBOARD or leaves it; fly with one, \
+                "without a radio control the vehicle may refuse OFFBOARD or leave it; fly with one, \
                  or set bit 2 (4)",
             );
         }

@@ -20,6 +20,8 @@ use crate::telemetry::Telemetry;
 /// Parameters that say what a flight meets, beside those of the profile.
 const PX4_PARAMETERS: &[&str] = &["COM_RC_IN_MODE", "COM_RCL_EXCEPT", "COM_ARM_WO_GPS"];
 const ARDUCOPTER_PARAMETERS: &[&str] = &["ARMING_CHECK", "FS_THR_ENABLE"];
+/// Rates of the last second mean nothing below this, Hz.
+const SLOW_HZ: f64 = 3.0;
 /// Texts of the vehicle that are kept.
 const TEXTS_MAX: usize = 20;
 
@@ -181,7 +183,11 @@ impl Observed {
                 .map(|message| MessageRow {
                     id: message.id,
                     name: message_name(message.id),
-                    rate_hz: message.rate_hz,
+                    rate_hz: if message.rate_hz < SLOW_HZ {
+                        message.total as f64 / seconds
+                    } else {
+                        message.rate_hz
+                    },
                     count: message.total,
                 })
                 .collect(),

@@ -115,6 +115,7 @@ impl Core {
         self.codec = Codec::default();
         self.clock = VehicleClock::default();
         self.counters.restart(now);
+        self.counters.is_vehicle(id.system, id.component);
         self.sequence.restart();
         self.attitude = None;
         self.outbox.speak(MavlinkVersion::V2);
