@@ -4,8 +4,6 @@
 mod effective_vehicle;
 mod guidance;
 
-use std::borrow::Cow;
-
 use serde::{Deserialize, Serialize};
 
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
@@ -126,6 +124,8 @@ pub struct Pilot {
     supervisor: Supervisor,
     guidance: Guidance,
     standing_checks: Vec<PreflightCheck>,
+    /// The checks that failed at the last look before the stream.
+    failed_checks: Vec<PreflightCheck>,
     link_loss: Option<f64>,
     tracking_error: f64,
     jumped: bool,
@@ -157,6 +157,7 @@ impl Pilot {
             airframe,
             controller: controller.into(),
             standing_checks,
+            failed_checks: Vec::new(),
             link_loss: None,
             tracking_error: 0.0,
             jumped: false,
@@ -291,6 +292,11 @@ impl Pilot {
         self.supervisor.state()
     }
 
+    /// The preflight checks that failed when they were last looked at, before the stream.
+    pub fn failed_checks(&self) -> &[PreflightCheck] {
+        &self.failed_checks
+    }
+
     /// Who ended control by a change of the mode, once that is known.
     pub fn takeover(&self) -> Option<&Takeover> {
         self.supervisor.takeover()
@@ -335,6 +341,14 @@ impl Pilot {
 
     fn observe(&mut self, now: HostTime) {
         let before = self.supervisor.state();
+        if let Some(late) = self.telemetry.take_late(now) {
+            let limit_s = self.settings.telemetry.late_after_s;
+            let text = format!(
+                "{late}, and were not acted upon (pilot.telemetry.late_after_s is {limit_s}); \
+                 the link is congested, or this machine is busy"
+            );
+            self.supervisor.tell(now, Severity::Warning, text);
+        }
         let age_s = self.telemetry.age_s(now).max(std::mem::take(&mut self.paused_s));
         let rate_hz = self.settings.telemetry.rate_hz;
         let here = self.telemetry.last_sample().map(|sample| sample.state);
@@ -353,9 +367,9 @@ impl Pilot {
                 take_over: self.settings.supervisor.take_over,
             };
             failed.extend(preflight(settings, &standing, &self.telemetry, now));
-            Cow::Owned(failed)
+            failed
         } else {
-            Cow::Borrowed(self.standing_checks.as_slice())
+            std::mem::take(&mut self.failed_checks)
         };
         let from_anchor = match (here, self.guidance.anchor()) {
             (Some(here), Some(anchor)) => here.position - anchor,
@@ -377,6 +391,7 @@ impl Pilot {
             preflight: &failed,
             condition: FlightCondition {
                 sample_age_s: age_s,
+                late: self.telemetry.late(),
                 jumped,
                 tracking_error_m: self.tracking_error,
                 tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
@@ -388,6 +403,7 @@ impl Pilot {
             },
         };
         self.supervisor.observe(now, &observation);
+        self.failed_checks = failed;
         let after = self.supervisor.state();
         if after != before {
             self.tracking_error = 0.0;

@@ -10,6 +10,7 @@ mod requests;
 mod settings;
 mod status;
 mod transmission;
+mod waiting;
 
 use std::time::Duration;
 
@@ -20,11 +21,12 @@ use self::records::{LinkMeter, record_of};
 use self::requests::request_of;
 pub use self::settings::StationSettings;
 pub use self::status::Status;
+use self::waiting::Waiting;
 use crate::clock::HostTime;
 use crate::link::counters::LinkState;
 use crate::link::message::{Inbound, Received};
 use crate::link::profile::Profile;
-use crate::link::session::{self, Heard, Session, SetpointError};
+use crate::link::session::{self, Heard, Session, SetpointError, VehicleId};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::pilot::{LinkEvent, Pilot, Tick};
 use crate::supervisor::{EngagePolicy, FlightState, Takeover};
@@ -32,11 +34,16 @@ use crate::supervisor::{EngagePolicy, FlightState, Takeover};
 /// Period of the link's counters in the log.
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
+/// Steps of the vehicle's clock from here on are told, ns.
+const CLOCK_STEP_TOLD_NS: u64 = 100_000_000;
+
 /// Why a station stopped.
 #[derive(Clone, Debug, PartialEq)]
 pub enum End {
     /// The flight went from take-off to landing.
     Done,
+    /// The checks before a flight passed, and no flight was asked for.
+    Checked,
     /// No vehicle was heard.
     NoVehicle,
     /// The vehicle was never flown: preflight, mode or arming refused, with the reason.
@@ -85,6 +92,11 @@ pub struct Station {
     told_loss: Option<String>,
     /// When the vehicle was found, until its rates are told.
     found: Option<HostTime>,
+    /// Only the checks before a flight are made: nothing is sent to fly it.
+    is_check: bool,
+    waiting: Waiting,
+    is_version_known: bool,
+    is_signing_told: bool,
     /// No other flight begins: the station ends as soon as it does not fly.
     is_stopping: bool,
     end: Option<End>,
@@ -116,9 +128,18 @@ impl Station {
             event_state: FlightState::Connect,
             told_loss: None,
             found: None,
+            is_check: false,
+            waiting: Waiting::new(now),
+            is_version_known: false,
+            is_signing_told: false,
             is_stopping: false,
             end: None,
         }
+    }
+
+    /// The same, which makes the checks before a flight and ends.
+    pub fn checking(self) -> Self {
+        Self { is_check: true, ..self }
     }
 
     /// Takes bytes that arrived. The line: each message to the pilot, and the setpoint that it
@@ -222,6 +243,7 @@ impl Station {
             }
         }
         self.follow_up(now);
+        self.tell_wait(now);
         if self.stats_due <= now {
             self.stats_due = now + STATS_PERIOD;
             self.record_stats(now);
@@ -323,7 +345,7 @@ impl Station {
         let Some(pilot) = &mut self.pilot else { return };
         let (actions, events) = (pilot.take_actions(), pilot.take_events());
         let state = pilot.flight_state();
-        for action in actions {
+        for action in actions.into_iter().filter(|_| !self.is_check) {
             self.session.request(now, request_of(action));
         }
         for event in events {
@@ -397,6 +419,9 @@ impl Station {
         let is_commanded = self.settings.policy == EngagePolicy::Command;
         let is_airborne =
             state.is_flying() || matches!(state, FlightState::Land | FlightState::Disarm);
+        if self.is_check && state == FlightState::Standby {
+            return Some(End::Checked);
+        }
         let has_stopped = self.is_stopping && !is_airborne;
         if !is_commanded && !has_stopped {
             return None;
@@ -445,9 +470,12 @@ impl Station {
             Event::VehicleFound(id) => {
                 self.found = Some(now);
                 self.tell(now, Severity::Info, format!("heard {id}"));
+                self.is_signing_told = false;
             }
+            Event::AnotherAutopilot { vehicle, other } => self.choose(now, vehicle, other),
             Event::VehicleReplaced(id) => {
                 self.found = Some(now);
+                self.is_signing_told = false;
                 self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
                 self.end_flight_of_another(now);
             }
@@ -462,8 +490,45 @@ impl Station {
             }
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
-                self.tell(now, Severity::Warning, text);
+                // Smaller steps are those of a simulator whose speed changes.
+                let is_small = by_ns.unsigned_abs() < CLOCK_STEP_TOLD_NS;
+                let severity = if is_small { Severity::Debug } else { Severity::Warning };
+                self.tell(now, severity, text);
             }
+        }
+    }
+
+    /// A vehicle that signs may take nothing that is not signed. Some take it all the same.
+    fn tell_signing(&mut self, now: HostTime) {
+        if self.session.is_signed() && !self.is_signing_told {
+            self.is_signing_told = true;
+            let text = "the vehicle signs its messages (MAVLink 2 signing), and downwash does not: \
+                        if it refuses what is not signed there are no rates, parameters, modes or \
+                        setpoints; then turn signing off on this link, or connect by USB, where \
+                        PX4 and ArduPilot take unsigned messages";
+            self.tell(now, Severity::Notice, text.to_owned());
+            self.check_standing(now);
+        }
+    }
+
+    /// Two autopilots: nothing is armed until the user has chosen one.
+    fn choose(&mut self, now: HostTime, vehicle: VehicleId, other: VehicleId) {
+        let why = format!(
+            "two autopilots are on this link, {vehicle} and {other}; choose one with --system \
+             {} or --system {} (link.vehicle_system in the configuration)",
+            vehicle.system, other.system
+        );
+        let is_flown = self.pilot.as_ref().is_some_and(|pilot| {
+            let state = pilot.flight_state();
+            state.is_in_control() || matches!(state, FlightState::Land | FlightState::Disarm)
+        });
+        if is_flown {
+            return self.tell(now, Severity::Warning, format!("{why}; the flight goes on"));
+        }
+        self.tell(now, Severity::Error, why.clone());
+        self.check_standing(now);
+        if self.settings.policy == EngagePolicy::Command {
+            self.end.get_or_insert(End::Refused(why));
         }
     }
 

@@ -43,6 +43,9 @@ pub use self::takeover::Takeover;
 use crate::clock::HostTime;
 use crate::telemetry::VehicleStatus;
 
+/// Time for CURRENT_MODE, which is asked for twice a second, after the first HEARTBEAT, s.
+const INTENDED_MODE_WAIT_S: f64 = 3.0;
+
 /// Who decides that the daemon takes control.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -122,6 +125,8 @@ pub struct Supervisor {
     safety: SafetySettings,
     state: FlightState,
     since: HostTime,
+    /// Since when a flight is prepared, through whatever states, until it begins.
+    preparing_since: Option<HostTime>,
     /// A command to fly that was not used up yet.
     engaged: bool,
     /// Whether the newest sample of the present state was answered with a setpoint.
@@ -160,6 +165,7 @@ impl Supervisor {
             safety,
             state: FlightState::Connect,
             since: now,
+            preparing_since: None,
             engaged: policy == EngagePolicy::Command,
             streamed: false,
             mode_at_entry: None,
@@ -229,6 +235,11 @@ impl Supervisor {
     fn enter(&mut self, now: HostTime, next: FlightState, severity: Severity, why: &str) {
         let refusal = self.refusal.take().filter(|_| next == FlightState::Abort);
         (self.state, self.since) = (next, now);
+        if next.is_preparing() {
+            self.preparing_since.get_or_insert(now);
+        } else if next != FlightState::Connect && next != FlightState::Standby {
+            self.preparing_since = None;
+        }
         self.asked = None;
         self.mode_at_entry = None;
         self.streamed = false;
@@ -328,7 +339,7 @@ impl Supervisor {
         let released = mode.is_some()
             && !offboard
             && intended != Some(self.modes.offboard)
-            && (intended.is_some() || !self.modes.reports_intended);
+            && (intended.is_some() || self.goes_by_heartbeat(now, seen.status));
         if released && linked {
             self.other_mode_since.get_or_insert(now);
         } else {
@@ -379,7 +390,10 @@ impl Supervisor {
                 Trigger::Landed,
                 on_ground && mode == Some(self.modes.land) || rests_s >= self.settings.rest_s,
             ),
-            (Trigger::TimedOut, self.time_limit_s().is_some_and(|limit| in_state_s > limit)),
+            (
+                Trigger::TimedOut,
+                self.time_limit_s().is_some_and(|limit| self.waited_s(now) > limit),
+            ),
         ];
         let (trigger, _) = rows
             .into_iter()
@@ -407,6 +421,12 @@ impl Supervisor {
             Trigger::EngageAsked => "ready for the pilot's next switch",
             Trigger::Disarmed if self.state.is_flying() => "the motors were stopped in flight",
             Trigger::Disarmed => "disarmed",
+            Trigger::Released
+                if self.modes.reports_intended && seen.status.intended_mode.is_none() =>
+            {
+                "free to stream, by the mode in HEARTBEAT alone: the vehicle sends no CURRENT_MODE \
+                 (PX4 before 1.15, or MAVLink 1), so a mode that it only intends is not known"
+            }
             Trigger::Released => "free to stream",
             Trigger::TelemetryLost => "telemetry is not fresh",
             Trigger::TelemetryReady => "telemetry is fresh",
@@ -426,6 +446,12 @@ impl Supervisor {
             | Trigger::StopNow => "as asked",
         };
         text.to_owned()
+    }
+
+    /// Whether the intended mode is not waited for: the vehicle has none, or does not tell it.
+    fn goes_by_heartbeat(&self, now: HostTime, status: &VehicleStatus) -> bool {
+        let known_s = status.mode_since.map_or(0.0, |since| now.since(since).as_secs_f64());
+        !self.modes.reports_intended || known_s > INTENDED_MODE_WAIT_S
     }
 
     fn mode_name(&self, status: &VehicleStatus) -> String {
@@ -458,6 +484,12 @@ impl Supervisor {
         }
     }
 
+    /// What the time limit is on: where telemetry comes and goes, the whole preparation.
+    fn waited_s(&self, now: HostTime) -> f64 {
+        let preparing = self.preparing_since.filter(|_| self.state.is_preparing());
+        now.since(preparing.unwrap_or(self.since)).as_secs_f64()
+    }
+
     fn time_limit_s(&self) -> Option<f64> {
         let s = &self.settings;
         let commanded =
@@ -483,10 +515,17 @@ impl Supervisor {
             FlightState::AwaitRelease => "the vehicle is in OFFBOARD, or its mode is not known; \
                  switch it to another mode first"
                 .to_owned(),
-            FlightState::AwaitTelemetry => "no fresh attitude and position".to_owned(),
-            FlightState::Preflight => {
+            FlightState::AwaitTelemetry | FlightState::Preflight => {
+                let late = seen.condition.late;
+                let lacks = match self.state {
+                    FlightState::AwaitTelemetry if late.count > 0 => {
+                        format!("no fresh attitude and position: {late}; ")
+                    }
+                    FlightState::AwaitTelemetry => "no fresh attitude and position; ".to_owned(),
+                    _ => String::new(),
+                };
                 let failed: Vec<_> = seen.preflight.iter().map(ToString::to_string).collect();
-                format!("preflight: {}", failed.join("; "))
+                format!("{lacks}preflight: {}", failed.join("; "))
             }
             FlightState::Engage => "the mode did not become OFFBOARD".to_owned(),
             FlightState::Arm if self.policy == EngagePolicy::PilotSwitch => format!(

@@ -44,7 +44,7 @@ fn heartbeat(flight: &Flight, mode: u32) -> Received {
         custom_mode: mode,
         system: SystemState::Active,
     };
-    Received { host: flight.vehicle.now(), vehicle: None, message }
+    Received { host: flight.vehicle.now(), vehicle: None, delay: None, message }
 }
 
 fn told(flight: &Flight, words: &str) -> bool {
@@ -164,7 +164,7 @@ fn a_mode_that_returns_with_the_disarming_is_no_switch_of_the_pilot() {
             custom_mode: MODES.offboard,
             intended_custom_mode: MODES.offboard,
         };
-        flight.pilot.handle(&Received { host: at, vehicle: None, message });
+        flight.pilot.handle(&Received { host: at, vehicle: None, delay: None, message });
         flight.vehicle.armed = false;
         flight.run(3.0);
         assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease, "{heartbeat_first}");
@@ -250,7 +250,7 @@ fn a_failsafe_is_called_one_and_not_the_pilot() {
         Inbound::StatusText { severity: 2, text: "Failsafe activated: no manual control".into() };
     let host = flight.vehicle.now();
     flight.vehicle.system = SystemState::Failsafe;
-    flight.pilot.handle(&Received { host, vehicle: None, message });
+    flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
     flight.run(1.5);
     let words = "PX4 failsafe: Return; vehicle: Failsafe activated: no manual control";
     assert_eq!(flight.pilot.takeover(), Some(&Takeover::Failsafe(words.to_owned())));
@@ -267,7 +267,7 @@ fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
     ] {
         let mut flight = in_track(EngagePolicy::Command);
         let host = flight.vehicle.now();
-        flight.pilot.handle(&Received { host, vehicle: None, message });
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
         flight.run(1.0);
         assert_eq!(flight.pilot.flight_state(), FlightState::Track);
         flight.run(2.5);
@@ -282,7 +282,7 @@ fn what_the_vehicle_reports_as_unhealthy_is_named_once() {
     for _ in 0..3 {
         let message = Inbound::SysStatus { unhealthy: 0x20 | 0x0020_0000, health: 0 };
         let host = flight.vehicle.now();
-        flight.pilot.handle(&Received { host, vehicle: None, message });
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
         flight.run(0.5);
     }
     let words = "unhealthy: GPS, attitude estimate";
@@ -299,7 +299,7 @@ fn a_landing_that_the_vehicle_does_not_report_ends_in_a_request_to_disarm() {
     flight.hears = |message| !matches!(message, Inbound::LandedState(_));
     flight.vehicle.stays_armed = true;
     let message = Inbound::LandedState(LandedState::InAir);
-    flight.pilot.handle(&Received { host: now, vehicle: None, message });
+    flight.pilot.handle(&Received { host: now, vehicle: None, delay: None, message });
     flight.obeys = |action| action != Action::Disarm;
     flight.until(FlightState::Disarm, 30.0);
     assert!(told(&flight, "reports no landing"), "{:#?}", flight.events);

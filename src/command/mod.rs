@@ -8,6 +8,7 @@ mod daemon;
 mod demo;
 mod demo_diagnose;
 mod diagnose;
+mod doctor;
 mod exam;
 mod exit;
 mod fly;
@@ -16,6 +17,8 @@ mod import;
 mod improved;
 mod interruption;
 mod link_parameters;
+mod inspect;
+mod listen;
 mod log;
 mod logs;
 mod messages;
@@ -55,6 +58,14 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Fly(args) => fly::run(&args),
         Command::Collect(args) => collect::run(&args),
         Command::Daemon(args) => daemon::run(&args),
+        Command::Doctor(args) => {
+            end_on_broken_pipe();
+            doctor::run(&args)
+        }
+        Command::Inspect(args) => {
+            end_on_broken_pipe();
+            inspect::run(&args)
+        }
         Command::Sitl(args) => sitl::run(&args),
         Command::Demo(args) => demo::run(&args, &Interruption::watch()?),
         Command::Train(args) => train::run(&args, &Interruption::watch()?),

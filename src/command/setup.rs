@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use sitl::frame::Frd;
 use sitl::vehicle::{AttitudePd, VehicleParams};
+use wire::Endpoint;
 
 use super::course::Course;
 use super::vehicle::refuse_grounded;
@@ -81,13 +82,14 @@ pub(super) fn station_settings(
     vehicle: &VehicleFile,
     course: &Course,
     policy: EngagePolicy,
-    baud: Option<u32>,
+    link: Option<&Endpoint>,
 ) -> anyhow::Result<StationSettings> {
     let settings = &config.settings;
     let effective = EffectiveVehicle::new(&vehicle.params).or_exit(Exit::Usage)?;
     // The vehicle is not known yet, so neither is its loop; what no feedback can be designed with
     // is wrong with any.
     Lqr::design(&effective.hover, &AttitudeLoop::PX4, &settings.control).or_exit(Exit::Usage)?;
+    let endpoint = link;
     let link = &settings.link;
     let session = session::Settings {
         system: link.system,
@@ -98,7 +100,8 @@ pub(super) fn station_settings(
         answer_timesync: link.answer_timesync,
         stale_after: seconds("link.stale_after_s", link.stale_after_s)?,
         lost_after: seconds("link.lost_after_s", link.lost_after_s)?,
-        baud,
+        baud: endpoint.and_then(baud),
+        endpoint: endpoint.map(ToString::to_string),
         ..session::Settings::new(effective.thrust)
     };
     let mut pilot = settings.pilot.clone();
@@ -116,6 +119,14 @@ pub(super) fn station_settings(
         reference: course.reference(effective.hover.hover_thrust_n()),
         search_timeout_s: (policy == EngagePolicy::Command).then_some(link.search_timeout_s),
     })
+}
+
+/// The speed of a serial endpoint.
+fn baud(endpoint: &Endpoint) -> Option<u32> {
+    match endpoint {
+        Endpoint::Serial { baud, .. } => Some(*baud),
+        _ => None,
+    }
 }
 
 /// Gain of the daemon's attitude loop, 1/s. Where the on-board loop is known and is slower, the

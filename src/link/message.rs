@@ -3,6 +3,7 @@
 use sitl::frame::{Attitude, Frd, Ned};
 
 use crate::clock::{HostTime, VehicleTime};
+use crate::link::vehicle_clock::Delay;
 
 /// A message from the vehicle and when it came.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,6 +12,8 @@ pub struct Received {
     pub host: HostTime,
     /// Vehicle time of the sample, where the message has one.
     pub vehicle: Option<VehicleTime>,
+    /// How long it was on its way, where it has a stamp and the link knows the vehicle's clock.
+    pub delay: Option<Delay>,
     /// The content.
     pub message: Inbound,
 }

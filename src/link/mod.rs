@@ -36,6 +36,7 @@
 //! # }
 //! ```
 
+mod arrival;
 pub mod attitude_target;
 pub mod budget;
 pub mod codec;
@@ -47,7 +48,10 @@ pub mod message;
 pub mod parameter;
 pub mod profile;
 pub mod request;
+mod sequence;
 pub mod session;
+pub mod silence;
 pub mod tee;
 mod text;
 pub mod timesync;
+pub mod vehicle_clock;

@@ -30,6 +30,7 @@ impl Station {
         let text =
             format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
         self.tell(now, Severity::Info, text.clone());
+        self.is_version_known = is_version_known;
         let known = self.profile.replace(profile.clone());
         let is_known = self.pilot.is_some() && known.as_ref() == Some(&profile);
         if !is_known {
@@ -72,7 +73,7 @@ impl Station {
             }
             Err(error) => self.refuse(now, error.to_string()),
         }
-        self.check_parameters(now);
+        self.check_standing(now);
     }
 
     /// The vehicle is not flown. A flight by command is over with that; under the pilot's switch
@@ -132,8 +133,9 @@ impl Station {
         )))
     }
 
-    /// The profile's rules about the vehicle's parameters, as preflight checks.
-    pub(super) fn check_parameters(&mut self, now: HostTime) {
+    /// What is wrong with the vehicle for this daemon, as preflight checks: its profile's rules about
+    /// its parameters, signing, another autopilot beside it.
+    pub(super) fn check_standing(&mut self, now: HostTime) {
         let (Some(profile), Some(pilot)) = (&self.profile, &mut self.pilot) else { return };
         let known = &pilot.telemetry().status().parameters;
         let reaction = profile.loss.reaction(known, self.settings.session.system);
@@ -149,6 +151,21 @@ impl Station {
                 })
             })
             .collect();
+        // One that answers takes what is not signed.
+        if self.session.is_signed() && !self.is_version_known {
+            failed.push(PreflightCheck {
+                subject: "signing".to_owned(),
+                expected: "none on this link".to_owned(),
+                found: "signed messages, and no answer to what is not signed".to_owned(),
+            });
+        }
+        if let Some(other) = self.session.others().first() {
+            failed.push(PreflightCheck {
+                subject: "vehicles".to_owned(),
+                expected: "one autopilot, or --system".to_owned(),
+                found: format!("another: {other}"),
+            });
+        }
         if self.settings.pilot.preflight.needs_loss_reaction {
             failed.extend(loss_check(profile.loss, &reaction));
         }

@@ -151,6 +151,7 @@ mod tests {
             refused: 0,
             heard,
             lost,
+            repeated: 0,
             sent_frames: 0,
             sent_bytes: 0,
             dropped: 0,

@@ -46,7 +46,7 @@ impl Station {
             return;
         }
         if let (Request::ReadParameter(name), Outcome::Parameter(value)) = (request, outcome) {
-            self.check_parameters(now);
+            self.check_standing(now);
             let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);
             if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
                 let text =

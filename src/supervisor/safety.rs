@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::table::Trigger;
+use crate::telemetry::LateMessages;
 
 /// What a fault leads to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -129,6 +130,8 @@ impl Default for SafetySettings {
 pub struct FlightCondition<'a> {
     /// Age of the newest sample, s.
     pub sample_age_s: f64,
+    /// Messages since that sample which came too late to be one.
+    pub late: LateMessages,
     /// Whether the estimate jumped since the last look.
     pub jumped: bool,
     /// Distance from the reference, m.
@@ -192,6 +195,9 @@ impl SafetySettings {
 
     pub(super) fn describe(&self, fault: Fault, c: &FlightCondition) -> String {
         match fault {
+            Fault::StaleTelemetry if c.late.count > 0 => {
+                format!("no fresh state for {:.2} s: {}", c.sample_age_s, c.late)
+            }
             Fault::StaleTelemetry => format!("no state for {:.2} s", c.sample_age_s),
             Fault::TelemetryJump => "the state estimate jumped".to_owned(),
             Fault::TrackingError => format!(

@@ -245,6 +245,11 @@ impl FlightState {
         self == Standby || self == Engage || self == Land || self.is_in_control()
     }
 
+    /// Whether a flight is prepared: the vehicle is heard, and not ready yet.
+    pub fn is_preparing(self) -> bool {
+        matches!(self, AwaitRelease | AwaitTelemetry | Preflight)
+    }
+
     /// Whether the preflight checks are still ahead.
     pub fn precedes_stream(self) -> bool {
         matches!(self, Connect | AwaitRelease | AwaitTelemetry | Preflight)

@@ -19,6 +19,8 @@ pub struct VehicleStatus {
     pub disarmed: Option<HostTime>,
     /// Mode in force, of HEARTBEAT or CURRENT_MODE, whichever is newer.
     pub mode: Option<u32>,
+    /// Since when the mode is known.
+    pub mode_since: Option<HostTime>,
     /// When the vehicle last told its mode; `None` where what it told may be old.
     pub mode_heard: Option<HostTime>,
     /// When the mode in force last became another.
@@ -52,6 +54,7 @@ impl Default for VehicleStatus {
             armed_heard: None,
             disarmed: None,
             mode: None,
+            mode_since: None,
             mode_heard: None,
             mode_changed: None,
             intended_mode: None,
@@ -128,6 +131,7 @@ impl VehicleStatus {
             self.mode_changed = Some(now);
         }
         (self.mode, self.mode_heard) = (Some(mode), Some(now));
+        self.mode_since.get_or_insert(now);
     }
 
     /// Both autopilots call a failsafe by that word, when it begins and when it is over.
@@ -180,6 +184,7 @@ impl VehicleStatus {
     pub(super) fn forget_mode(&mut self) {
         (self.mode, self.intended_mode, self.armed) = (None, None, None);
         (self.mode_heard, self.armed_heard) = (None, None);
+        self.mode_since = None;
         self.landed = LandedState::Undefined;
     }
 }

@@ -208,7 +208,7 @@ impl Vehicle {
         let mut out = Vec::new();
         let stamp = VehicleTime::from_ms(ms as u32);
         let mut say = |message| {
-            out.push(Received { host: self.now(), vehicle: Some(stamp), message });
+            out.push(Received { host: self.now(), vehicle: Some(stamp), delay: None, message });
         };
         if ms.is_multiple_of(1000) {
             say(Inbound::Heartbeat {
@@ -323,7 +323,7 @@ impl Flight {
         };
         if (self.hears)(&message) {
             let host = self.vehicle.now();
-            self.pilot.handle(&Received { host, vehicle: None, message });
+            self.pilot.handle(&Received { host, vehicle: None, delay: None, message });
         }
     }
 
@@ -332,7 +332,7 @@ impl Flight {
         self.heartbeat();
         let message = Inbound::CurrentMode { custom_mode: mode, intended_custom_mode: mode };
         let host = self.vehicle.now();
-        self.pilot.handle(&Received { host, vehicle: None, message });
+        self.pilot.handle(&Received { host, vehicle: None, delay: None, message });
     }
 
     pub fn streamed_since(&self, host: HostTime) -> usize {
