@@ -5,7 +5,7 @@ mod lockstep;
 use downwash::clock::HostTime;
 use downwash::log::record::{Direction, Record};
 use downwash::station::End;
-use lockstep::{QUAD, Bench, errors, fly, hover, masks, params, settings, tracked};
+use lockstep::{Bench, QUAD, errors, fly, hover, masks, params, settings, tracked};
 use sitl::config::{Autopilot, SitlConfig, Stall};
 
 /// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust.

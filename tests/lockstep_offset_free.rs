@@ -153,7 +153,8 @@ fn thrust_at_its_limit_winds_nothing_up() {
     let params = params(QUAD);
     let mut settings = with(Use::On, &params, steps);
     settings.pilot.limits.thrust_max = 0.6;
-    let (end, records) = fly(settings, &params, &["thrust_scale:scale=0.9"], SitlConfig::default(), 1);
+    let (end, records) =
+        fly(settings, &params, &["thrust_scale:scale=0.9"], SitlConfig::default(), 1);
     assert_eq!(end, End::Done);
     let rows = tracked(&records);
     let limited = rows.iter().filter(|row| row.saturation & 1 != 0).count();

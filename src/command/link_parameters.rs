@@ -1,14 +1,12 @@
 //! The parameters of a vehicle on a link, read by their names. Nothing is changed on it.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::anyhow;
 use wire::Endpoint;
 
-use super::fly::baud;
-use super::{Exit, ExitContext, on_interrupt, say};
+use super::setup::baud;
+use super::{Exit, ExitContext, say};
 use crate::clock::HostTime;
 use crate::daemon::HostClock;
 use crate::link::attitude_target::ThrustMap;
@@ -26,18 +24,16 @@ const SEARCH: Duration = Duration::from_secs(20);
 const TELL: Duration = Duration::from_secs(3);
 /// All of it.
 const LIMIT: Duration = Duration::from_secs(120);
-/// The longest sleep, so that an interruption is seen.
+/// The longest sleep between two looks at the clock.
 const TICK: Duration = Duration::from_millis(50);
 
 /// Reads the parameters that say what the vehicle at `endpoint` is.
 ///
 /// # Errors
 /// [`Exit::Link`] if no vehicle is heard or it answers nothing, [`Exit::Usage`] if it is neither
-/// PX4 nor ArduCopter, [`Exit::Interrupted`].
+/// PX4 nor ArduCopter.
 pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Parameters> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let interrupted = Arc::new(AtomicBool::new(false));
-    on_interrupt(&interrupted)?;
     let thrust = ThrustMap::linear(1.0)?;
     let clock = HostClock::start();
     let settings = Settings {
@@ -51,7 +47,6 @@ pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Par
         session: Session::new(settings, clock.now()),
         connection: Connection::new(endpoint),
         clock,
-        interrupted,
         wanted: Vec::new(),
         under_way: 0,
         found: Parameters::default(),
@@ -64,7 +59,6 @@ struct Reading {
     session: Session,
     connection: Connection,
     clock: HostClock,
-    interrupted: Arc<AtomicBool>,
     /// Names that are still to be asked for, last first.
     wanted: Vec<String>,
     under_way: usize,
@@ -80,9 +74,6 @@ impl Reading {
         loop {
             let input = tokio::time::timeout(TICK, self.connection.recv(&mut buffer)).await;
             let now = self.clock.now();
-            if self.interrupted.load(Ordering::Acquire) {
-                return Err(anyhow!("interrupted")).or_exit(Exit::Interrupted);
-            }
             if let Ok(input) = input {
                 self.take(now, input, &buffer);
             }

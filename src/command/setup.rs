@@ -122,7 +122,7 @@ pub(super) fn station_settings(
 }
 
 /// The speed of a serial endpoint.
-fn baud(endpoint: &Endpoint) -> Option<u32> {
+pub(super) fn baud(endpoint: &Endpoint) -> Option<u32> {
     match endpoint {
         Endpoint::Serial { baud, .. } => Some(*baud),
         _ => None,

@@ -11,10 +11,10 @@ use sitl::vehicle::VehicleParams;
 use super::logs::Logs;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
+use super::vehicle::warn;
 use super::{
     Exit, ExitContext, Interruption, in_words, model, print_json, print_text, say, write_file,
 };
-use super::vehicle::warn;
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;

@@ -223,7 +223,8 @@ fn tracked_s(rows: &[Row], usual: Option<f64>) -> f64 {
     let lasted = |pair: &[Row]| pair[1].log_ns.saturating_sub(pair[0].log_ns) as f64 * 1e-9;
     let lasting = rows.windows(2).filter(|pair| is_tracking(&pair[0])).map(lasted);
     let last = rows.last().filter(|row| is_tracking(row)).map_or(0.0, |_| usual);
-    lasting.map(|lasted| if lasted > MISSED_FROM * usual { usual } else { lasted }).sum::<f64>() + last
+    lasting.map(|lasted| if lasted > MISSED_FROM * usual { usual } else { lasted }).sum::<f64>()
+        + last
 }
 
 fn sample_ages(rows: &[Row]) -> impl Iterator<Item = f64> {
@@ -317,8 +318,9 @@ mod tests {
     #[test]
     fn intervals_of_two_lengths_make_the_rate_that_they_make_together() {
         // 26 s at 100 Hz, of which every tick is now 4 ms early, now 4 ms late.
-        let times: Vec<f64> =
-            (0..2600).map(|k| 0.01 * f64::from(k) + if k % 2 == 0 { 2e-3 } else { -2e-3 }).collect();
+        let times: Vec<f64> = (0..2600)
+            .map(|k| 0.01 * f64::from(k) + if k % 2 == 0 { 2e-3 } else { -2e-3 })
+            .collect();
         let summary = control_summary(&ticks(&times));
         assert!((summary.rate_hz.expect("a rate") - 100.0).abs() < 0.1, "{summary:?}");
         assert!((summary.tracked_s - 26.0).abs() < 0.02, "{summary:?}");

@@ -12,8 +12,8 @@ mod rate_loop;
 use std::fmt;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, MavAutopilot, MavBatteryChargeState, MavModeFlag, MavResult, MavStandardMode, MavType,
-    SET_ATTITUDE_TARGET_DATA,
+    AUTOPILOT_VERSION_DATA, MavAutopilot, MavBatteryChargeState, MavModeFlag, MavResult,
+    MavStandardMode, MavType, SET_ATTITUDE_TARGET_DATA,
 };
 
 use super::Mode;

@@ -74,9 +74,12 @@ impl OnboardLoop for Px4Loop {
         let sent = body_rate.to_array();
         // A rate that is left out is the measured one.
         let measured = input.body_rate.to_array();
-        let of_message = std::array::from_fn(|axis| {
-            if sent[axis].is_nan() { measured[axis] } else { sent[axis] }
-        });
+        let of_message =
+            std::array::from_fn(
+                |axis| {
+                    if sent[axis].is_nan() { measured[axis] } else { sent[axis] }
+                },
+            );
         let has_rates = !sent[0].is_nan();
         let setpoint = match attitude {
             // Rates that come with an attitude stand in for those of the attitude loop until its
