@@ -79,7 +79,8 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         return tell(args, &vehicle, &Answer::data_fault(logs), &EffectSet::new());
     }
     if fitted.is_empty() && held_out.is_empty() {
-        return Err(anyhow!("none of the logs can be used: {}", listed(&paths))).or_exit(Exit::Usage);
+        return Err(anyhow!("none of the logs can be used: {}", listed(&paths)))
+            .or_exit(Exit::Usage);
     }
     let blocked = held_out.is_empty() && fitted.len() == 1 || fitted.is_empty();
     if fitted.is_empty() {

@@ -6,13 +6,13 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::num::NonZeroUsize;
 use std::io::{self, IsTerminal, Read};
+use std::num::NonZeroUsize;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -23,9 +23,7 @@ use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
-use super::{
-    Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file,
-};
+use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
 use crate::cli::ExamArgs;
 use crate::diagnose::noise::ReportNoise;
 use crate::diagnose::preparation::PreparedFlight;
@@ -343,7 +341,8 @@ impl Hall<'_> {
                 }
                 thread::sleep(ENDED_PERIOD);
             };
-            let joined = |pipe: thread::ScopedJoinHandle<'_, io::Result<Vec<u8>>>| match pipe.join() {
+            let joined = |pipe: thread::ScopedJoinHandle<'_, io::Result<Vec<u8>>>| match pipe.join()
+            {
                 Ok(bytes) => bytes,
                 Err(panic) => std::panic::resume_unwind(panic),
             };

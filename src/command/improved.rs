@@ -160,9 +160,7 @@ fn toml_value(value: &Value) -> toml_edit::Value {
             None => number.as_f64().unwrap_or(f64::NAN).into(),
         },
         Value::String(text) => text.as_str().into(),
-        Value::Array(values) => {
-            toml_edit::Value::Array(values.iter().map(toml_value).collect())
-        }
+        Value::Array(values) => toml_edit::Value::Array(values.iter().map(toml_value).collect()),
         Value::Object(entries) => {
             let pairs = entries.iter().map(|(key, value)| (key.as_str(), toml_value(value)));
             toml_edit::Value::InlineTable(pairs.collect::<InlineTable>())
@@ -265,12 +263,19 @@ mod tests {
         );
         let vehicle = VehicleParams::from_toml_str(&text)?;
         let out = additions().to_file(&text, &vehicle, [Form::Toml; 2])?;
-        assert!(out.contains("# By hand.\n[modelled_effects.rotor_drag]\nd_xy = 0.02 # a guess\n"), "{out}");
+        assert!(
+            out.contains("# By hand.\n[modelled_effects.rotor_drag]\nd_xy = 0.02 # a guess\n"),
+            "{out}"
+        );
         assert!(out.contains("tau_s = 5.0e-2\n"), "{out}");
         // Written inline, it stays inline.
-        let text = format!("modelled_effects = {{ rotor_drag = {{ d_xy = 0.5, d_z = 1e-3 }} }}\n{TOML}");
+        let text =
+            format!("modelled_effects = {{ rotor_drag = {{ d_xy = 0.5, d_z = 1e-3 }} }}\n{TOML}");
         let out = additions().to_file(&text, &vehicle, [Form::Toml; 2])?;
-        assert!(out.starts_with("modelled_effects = { rotor_drag = { d_xy = 0.02, d_z = 0.01 } }\n"), "{out}");
+        assert!(
+            out.starts_with("modelled_effects = { rotor_drag = { d_xy = 0.02, d_z = 0.01 } }\n"),
+            "{out}"
+        );
         Ok(())
     }
 

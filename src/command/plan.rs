@@ -14,9 +14,7 @@ use sitl::vehicle::VehicleParams;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::setup::{EffectiveVehicle, VehicleFile};
-use super::{
-    Exit, ExitContext, Interruption, config, print_json, print_text, say, write_file,
-};
+use super::{Exit, ExitContext, Interruption, config, print_json, print_text, say, write_file};
 use crate::cli::PlanArgs;
 use crate::config::Config;
 use crate::model::Model;

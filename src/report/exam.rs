@@ -255,7 +255,8 @@ fn measures(summary: &Summary) -> String {
         let cells = [measure.name.to_owned(), unbroken(&measure.rate), wanted(measure)];
         table.row(mood, &cells);
     }
-    table.row(mood(summary.brier_standing()), &[brier_name(), number(summary.brier), String::new()]);
+    table
+        .row(mood(summary.brier_standing()), &[brier_name(), number(summary.brier), String::new()]);
     for (name, value) in numbers(summary) {
         table.row(Mood::Plain, &[name.to_owned(), value, String::new()]);
     }

@@ -121,8 +121,7 @@ impl Pair {
         // Of the accelerometer only the heading is looked for.
         let angle = agreement.angle();
         if angle.value > OTHER_AXES && angle.differs_from_zero(SURE) {
-            let [x, y, z] =
-                agreement.rotation_rad.map(|r| r.map_or(0.0, |r| r.value.to_degrees()));
+            let [x, y, z] = agreement.rotation_rad.map(|r| r.map_or(0.0, |r| r.value.to_degrees()));
             audit.findings.push(finding(
                 "axes",
                 angle.value,

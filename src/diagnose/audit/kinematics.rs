@@ -33,15 +33,8 @@ const DELAY_SIZE: f64 = 0.1;
 const ROTATION_SIZE: f64 = 1.0;
 const BIAS_SIZE: f64 = 1.0;
 /// Those of a pair's unknowns.
-const SIZES: [f64; 7] = [
-    DELAY_SIZE,
-    ROTATION_SIZE,
-    ROTATION_SIZE,
-    ROTATION_SIZE,
-    BIAS_SIZE,
-    BIAS_SIZE,
-    BIAS_SIZE,
-];
+const SIZES: [f64; 7] =
+    [DELAY_SIZE, ROTATION_SIZE, ROTATION_SIZE, ROTATION_SIZE, BIAS_SIZE, BIAS_SIZE, BIAS_SIZE];
 
 /// A value with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

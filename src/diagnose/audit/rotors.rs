@@ -100,11 +100,7 @@ impl RotorEffects {
         for (at, estimate) in turning.as_flattened_mut().iter_mut().enumerate() {
             *estimate = Estimate::new(fit.value[at], fit.deviation(at)?, 0.0);
         }
-        Some(Self {
-            turning,
-            delay_s,
-            explained: fit.explained,
-        })
+        Some(Self { turning, delay_s, explained: fit.explained })
     }
 
     /// Where these effects surely contradict rotors that are said to be at `rotors`.

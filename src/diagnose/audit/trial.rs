@@ -124,7 +124,8 @@ fn rotation_of(from: [Vector3<f64>; 2], to: [Vector3<f64>; 2], moving: usize) ->
             Rotation3::from_axis_angle(&Unit::new_normalize(across), std::f64::consts::PI)
         }),
         _ => {
-            let right_handed = |[a, b]: [Vector3<f64>; 2]| Matrix3::from_columns(&[a, b, a.cross(&b)]);
+            let right_handed =
+                |[a, b]: [Vector3<f64>; 2]| Matrix3::from_columns(&[a, b, a.cross(&b)]);
             Rotation3::from_matrix_unchecked(right_handed(to) * right_handed(from).transpose())
         }
     }

@@ -246,9 +246,8 @@ impl<const P: usize> Normal<P> {
 
     /// `None` if nothing is seen, or the numbers are of no size that can be reckoned with.
     fn shown(&self, sizes: &[f64; P]) -> Option<Shown<P>> {
-        let sensitivity = DMatrix::from_fn(P, P, |i, j| {
-            self.gram[(i, j)] * sizes[i] * sizes[j] / self.power
-        });
+        let sensitivity =
+            DMatrix::from_fn(P, P, |i, j| self.gram[(i, j)] * sizes[i] * sizes[j] / self.power);
         if !sensitivity.iter().all(|value| value.is_finite()) {
             return None;
         }
