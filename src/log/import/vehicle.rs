@@ -5,7 +5,6 @@
 //! reboot, a new epoch begins; the flight is the epoch that flew longest.
 
 mod boots;
-mod facts;
 
 use std::collections::BTreeMap;
 
@@ -17,7 +16,9 @@ use wire::dialect::*;
 use super::LogFault;
 use super::clocks::{Arrival, ClockMap, Exchange, Heard};
 use super::epoch::{Epoch, IMUS, ImuSample, PoseSample, Source};
+use super::facts::VehicleFacts;
 use super::flight::{Clock, Flight, Stream};
+use super::kind::{self, StatedKind};
 use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
 use crate::link::codec::Codec;
@@ -298,6 +299,36 @@ impl VehicleLog {
     fn epoch_at(&self, index: u32) -> Option<usize> {
         let next = self.switches.partition_point(|(from, _)| *from <= index);
         self.switches.get(next.saturating_sub(1)).map(|(_, epoch)| *epoch)
+    }
+
+    /// What the messages say about the vehicle.
+    fn facts(&mut self) -> VehicleFacts {
+        let most = self.types.iter().max_by_key(|(_, count)| **count).map(|(t, _)| f64::from(*t));
+        let of_type = most.and_then(|number| {
+            StatedKind::new(kind::of_mav_type(number), || {
+                format!("MAV_TYPE of its HEARTBEAT is {number}")
+            })
+        });
+        let firmware = self.texts.iter().find(|text| kind::of_firmware(text).is_some()).cloned();
+        let of_text = firmware.as_ref().and_then(|text| {
+            StatedKind::new(kind::of_firmware(text), || format!("the firmware is {text}"))
+        });
+        let of_parameters = kind::of_parameters(&self.parameters);
+        let name = match self.autopilot {
+            Some(PX4) => Some("PX4".to_owned()),
+            Some(ARDUPILOT) => Some("ArduPilot".to_owned()),
+            _ => None,
+        };
+        let rotors =
+            self.parameters.get("CA_ROTOR_COUNT").filter(|count| (1.0..=64.0).contains(*count));
+        VehicleFacts {
+            autopilot: firmware.or(name),
+            kinds: of_type.into_iter().chain(of_text).chain(of_parameters).collect(),
+            motors: rotors.map(|n| *n as u32).or(most.and_then(kind::motors_of_mav_type)),
+            parameters: self.parameters.clone(),
+            texts: std::mem::take(&mut self.texts),
+            ..VehicleFacts::default()
+        }
     }
 
     /// Fills `flight` with one epoch and with the setpoints sent in it. Returns what was left out.

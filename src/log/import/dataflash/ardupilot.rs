@@ -1,13 +1,14 @@
 //! Messages of ArduCopter as the streams of a flight.
 
-mod outputs;
-
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 
 use super::layout::{Access, Layout, RPM};
 use super::{Contents, Source};
 use crate::log::import::facts::{RotorFact, VehicleFacts};
-use crate::log::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
+use crate::log::import::flight::{
+    AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream,
+};
+use crate::log::import::functions::{self, Stated, numbered};
 use crate::log::import::kind::{self, StatedKind};
 use crate::log::import::onboard::{Row, Sample, Topic, Wanted};
 use crate::log::import::tally::Tally;
@@ -36,8 +37,14 @@ const CHANNELS_BEFORE: [[&str; 2]; 14] = [
 ];
 /// V in one of the whole numbers that a voltage was before ArduPilot 3.4.
 const CENTIVOLT: f64 = 0.01;
+/// A pulse of 0 is no pulse.
+const PULSES: std::ops::RangeInclusive<f64> = 500.0..=2500.0;
 /// Degrees in SI.
 const DEG: f64 = std::f64::consts::PI / 180.0;
+/// Outputs less often than this do not show how the rotors answer, Hz.
+const SLOW_HZ: f64 = 50.0;
+/// Speeds of the rotors of one round lie within this time, s.
+const ROUND: f64 = 0.5;
 
 macro_rules! sources {
     ($($topic:literal $has_instances:ident: [$($field:literal = $unsaid:expr),* $(,)?]),* $(,)?) => {
@@ -316,6 +323,111 @@ impl Contents {
         facts
             .notes
             .push(format!("setpoints are the target that the autopilot shaped, from {name}"));
+    }
+
+    fn fill_outputs(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
+        let Some(topic) = self.topics.primary("RCOU", 0, tally) else { return };
+        let channels = match functions::ardupilot_motors(&self.parameters) {
+            Stated::Motors(channels) => {
+                let numbers = numbered(&channels);
+                facts.notes.push(format!(
+                    "motors 1 to 4 are outputs {numbers} of RCOU, by SERVOn_FUNCTION"
+                ));
+                channels
+            }
+            Stated::Nothing => {
+                facts.notes.push(
+                    "motors 1 to 4 are taken to be outputs 1, 2, 3, 4 of RCOU: no SERVOn_FUNCTION is logged"
+                        .to_owned(),
+                );
+                [0, 1, 2, 3]
+            }
+            Stated::Without(missing) => {
+                let missing: Vec<String> = missing.iter().map(usize::to_string).collect();
+                let missing = missing.join(", ");
+                facts.notes.push(format!(
+                    "no motor outputs: SERVOn_FUNCTION states no output of motor {missing}"
+                ));
+                return;
+            }
+        };
+        let names: Option<Vec<&str>> =
+            channels.iter().map(|channel| CHANNELS.get(*channel).copied()).collect();
+        let Some([a, b, c, d]) = names.as_deref() else {
+            facts.notes.push("no motor outputs: RCOU has none of outputs beyond 14".to_owned());
+            return;
+        };
+        let names = [*a, *b, *c, *d];
+        flight.outputs = self.topics.stream(topic, tally, |row| {
+            let pulses = row.finite(names).filter(|p| p.iter().all(|p| PULSES.contains(p)));
+            Sample::of(stamp(&row), pulses)
+        });
+        flight.motor_source = MotorSource::Rcou;
+        match self.pulse_range() {
+            Some([zero, one]) => {
+                let fraction = |pulse: f64| ((pulse - zero) / (one - zero)).clamp(0.0, 1.0);
+                flight.outputs = flight.outputs.map(|pulses| pulses.map(fraction));
+                flight.motor_unit = MotorUnit::ThrustFraction;
+                facts.notes.push(format!(
+                    "outputs are pulses over {zero:.0} to {one:.0} us, by MOT_PWM_MIN, MOT_PWM_MAX, \
+                     MOT_SPIN_MIN and MOT_SPIN_MAX"
+                ));
+            }
+            None => flight.motor_unit = MotorUnit::VehicleFile,
+        }
+        let rate = flight.outputs.rate();
+        if rate < SLOW_HZ && !flight.outputs.is_empty() {
+            facts.notes.push(format!(
+                "outputs come at {rate:.0} Hz only: lag, delay and inertia do not show; record \
+                 SERVO_OUTPUT_RAW over telemetry at 50 Hz or more"
+            ));
+        }
+    }
+
+    /// Pulses at the least and at the full thrust of a motor, us.
+    fn pulse_range(&self) -> Option<[f64; 2]> {
+        // Before ArduCopter 4.1, 0 stands for the range of the throttle's channel.
+        let stated = |low: &str, high: &str| {
+            let range = [self.parameter(low)?, self.parameter(high)?];
+            (range[1] > range[0]).then_some(range)
+        };
+        let [low, high] = stated("MOT_PWM_MIN", "MOT_PWM_MAX").or(stated("RC3_MIN", "RC3_MAX"))?;
+        let [least, most] = [self.parameter("MOT_SPIN_MIN")?, self.parameter("MOT_SPIN_MAX")?];
+        let range = [least, most].map(|share| low + share * (high - low));
+        let is_sound = PULSES.contains(&low) && PULSES.contains(&high) && range[0] < range[1];
+        is_sound.then_some(range)
+    }
+
+    /// Rotor speeds come one by one: a sample is a round of all four.
+    fn fill_rotor_speed(&self, flight: &mut Flight, tally: &mut Tally) {
+        let channels = match functions::ardupilot_motors(&self.parameters) {
+            Stated::Motors(channels) => channels,
+            Stated::Nothing => [0, 1, 2, 3],
+            Stated::Without(_) => return,
+        };
+        let mut single: Vec<(usize, Stream<f64>)> = Vec::new();
+        for (motor, channel) in channels.into_iter().enumerate() {
+            let Some(topic) = self.topics.instance("ESC", channel as u8) else { return };
+            let stream = self.topics.stream(topic, tally, |row| {
+                let speed = row.get("RPM").abs();
+                Sample::of(stamp(&row), speed.is_finite().then_some(speed))
+            });
+            single.push((motor, stream));
+        }
+        let Some((_, first)) = single.first() else { return };
+        for (time, _) in first.iter() {
+            let near = |stream: &Stream<f64>| {
+                let after = stream.times().partition_point(|t| *t < time);
+                let at = [after.checked_sub(1)?, after].into_iter().filter(|at| *at < stream.len());
+                let distance = |at: &usize| (stream.times()[*at] - time).abs();
+                let at = at.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+                (distance(&at) < ROUND).then(|| stream.values()[at])
+            };
+            let speeds: Option<Vec<f64>> = single.iter().map(|(_, stream)| near(stream)).collect();
+            if let Some([a, b, c, d]) = speeds.as_deref() {
+                flight.rotor_speed.push(time, [*a, *b, *c, *d]);
+            }
+        }
     }
 
     fn fill_states(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
