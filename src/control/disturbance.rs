@@ -39,7 +39,7 @@ impl Default for OffsetFreeSettings {
         Self {
             observer: Use::Auto,
             feed_forward: Use::Auto,
-            velocity_time_constant_s: 0.2,
+            velocity_time_constant_s: 0.1,
             time_constant_s: 0.5,
             velocity_max_m_s: 0.5,
             acceleration_max_m_s2: 6.0,
@@ -276,8 +276,7 @@ impl DisturbanceObserver {
             now.delayed = Setpoint {
                 thrust_n: now.delayed.thrust_n + delay * (sent.thrust_n - now.delayed.thrust_n),
                 attitude: Euler::new(r + delay * roll, p + delay * pitch, y + delay * yaw),
-                body_rate: now.delayed.body_rate
-                    + (sent.body_rate - now.delayed.body_rate) * delay,
+                body_rate: now.delayed.body_rate + (sent.body_rate - now.delayed.body_rate) * delay,
             };
             now.thrust_n += lag * (now.delayed.thrust_n - now.thrust_n);
             let turn = self.attitude_loop.angular_acceleration(
@@ -389,7 +388,12 @@ mod tests {
     }
 
     /// A vehicle that stays at `state`, moving and turning as that says, though it is sent `sent`.
-    fn watched(state: State, sent: &Setpoint, expected: &Expected, ticks: u32) -> DisturbanceObserver {
+    fn watched(
+        state: State,
+        sent: &Setpoint,
+        expected: &Expected,
+        ticks: u32,
+    ) -> DisturbanceObserver {
         let mut observer = observer();
         for tick in 0..ticks {
             let t = f64::from(tick) * PERIOD_S;
@@ -440,8 +444,7 @@ mod tests {
 
     #[test]
     fn attitude_beside_the_one_sent_is_made_up_for() {
-        let state =
-            State { attitude: Euler::new(0.05, 0.0, 0.1).attitude(), ..State::default() };
+        let state = State { attitude: Euler::new(0.05, 0.0, 0.1).attitude(), ..State::default() };
         let observer = watched(state, &hover(1.0), &Expected::default(), 500);
         let shift = observer.shift(&Reference::default(), 0.1);
         let beside = shift.input.attitude.roll - shift.attitude.roll;
@@ -502,9 +505,9 @@ mod tests {
             let [north, east, down] = carried.to_array();
             let attitude = Euler::new((east / carried.norm()).asin(), (-north).atan2(-down), 0.0);
             let thrust_n = QUAD.mass_kg * carried.norm();
-            let state = State { position, velocity, attitude: attitude.attitude(), ..State::default() };
-            let (push, _) =
-                body.accelerations(&state, Frd::new(0.0, 0.0, -thrust_n), Frd::zero());
+            let state =
+                State { position, velocity, attitude: attitude.attitude(), ..State::default() };
+            let (push, _) = body.accelerations(&state, Frd::new(0.0, 0.0, -thrust_n), Frd::zero());
             assert!((push - wanted - (velocity - wind) * DRAG_PER_S).norm() < 1e-9);
             let sent = Setpoint { thrust_n, attitude, ..Setpoint::default() };
             observer.observe(at(tick), &state, &sent, &Expected::default());
