@@ -1,7 +1,7 @@
 //! Errors of the position estimate beyond noise: a wander, and GPS that is wrong for a while.
 
-use rand_distr::StandardNormal;
 use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 
 use crate::config::{EstimatorConfig, GpsGlitch};

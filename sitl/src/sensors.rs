@@ -8,8 +8,8 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::config::{ImuNoise, SensorConfig, SitlConfig};
 use crate::effects::{AttitudeTrim, EffectSet, EstimatorLatency};
-pub use crate::estimate_error::EstimatorStatus;
 use crate::estimate_error::ErrorModel;
+pub use crate::estimate_error::EstimatorStatus;
 use crate::frame::{Attitude, Frd, Ned};
 use crate::plant::Plant;
 use crate::rigid_body::State;

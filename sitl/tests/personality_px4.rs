@@ -135,10 +135,8 @@ fn rates_with_an_attitude_override_it_the_more_the_more_often_they_come() {
 #[test]
 fn a_yaw_rate_with_an_attitude_is_fed_forward() {
     let mut bench = in_offboard(0x07, 100);
-    let message = SET_ATTITUDE_TARGET_DATA {
-        body_yaw_rate: 0.5,
-        ..setpoint(0.0, 0.0, HOVER, 0x03)
-    };
+    let message =
+        SET_ATTITUDE_TARGET_DATA { body_yaw_rate: 0.5, ..setpoint(0.0, 0.0, HOVER, 0x03) };
     bench.stream(message);
     bench.run(3.0);
     let yaw = bench.vehicle.plant().state().attitude.yaw();

@@ -48,7 +48,8 @@ impl EffectiveVehicle {
         let constants = physics.constants();
         let thrust_full_n = constants.rotors.iter().map(|rotor| rotor.thrust_max).sum();
         let gain = params.modelled_effects.get::<PdGain>();
-        let attitude_pd = params.attitude_loop_pd().map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
+        let attitude_pd =
+            params.attitude_loop_pd().map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
         // A mixer that is known is linear, and bends with the motors. An autopilot's own loop is
         // taken to linearise them.
         let bend =

@@ -142,10 +142,8 @@ impl Commander {
             self.refuse(Refused::Mode(mode), &refusal);
             return Err(refusal);
         }
-        self.mode_after_disarming = self
-            .personality
-            .mode_after_disarming(mode, self.armed)
-            .or(self.mode_after_disarming);
+        self.mode_after_disarming =
+            self.personality.mode_after_disarming(mode, self.armed).or(self.mode_after_disarming);
         self.failsafe = false;
         self.loss_us = None;
         self.enter(mode);

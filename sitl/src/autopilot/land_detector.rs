@@ -53,7 +53,8 @@ impl LandDetector {
         } else {
             self.works
                 && speed < 0.25
-                && motion.body_rate.norm() < 0.7 && motion.thrust_over_hover < 0.4
+                && motion.body_rate.norm() < 0.7
+                && motion.thrust_over_hover < 0.4
         };
         let hold_us = if self.landed { LIFTING_US } else { STILL_US };
         if !suspected {

@@ -136,12 +136,18 @@ impl Vehicle {
         let delay_s =
             effects.get::<CommandDelay>().map_or(params.command_delay_s, |delay| delay.delay_s);
         let (perception, airborne) = (airframe.perceive(), airframe.airborne());
-        let flight =
-            FlightControl::new(&params, personality, onboard, delay_s, &config, perception, airborne);
+        let flight = FlightControl::new(
+            &params,
+            personality,
+            onboard,
+            delay_s,
+            &config,
+            perception,
+            airborne,
+        );
         let rng = Pcg64Mcg::seed_from_u64(seed);
         let motor_output = params.motor_output.filter(|_| personality.heeds_motor_output());
-        let protocol =
-            Protocol::new(flight, airframe.report(), motor_output, config.home, rng);
+        let protocol = Protocol::new(flight, airframe.report(), motor_output, config.home, rng);
         Ok(Self {
             airframe,
             protocol,

@@ -169,14 +169,30 @@ impl Spec {
 /// A real number that the vehicle heeds.
 pub const fn float(key: Key, name: &'static str, default: f32, min: f64, max: f64) -> Spec {
     let default = Value::Float(default);
-    Spec { key: Some(key), scale: 1.0, name: Cow::Borrowed(name), default, min, max, writable: true }
+    Spec {
+        key: Some(key),
+        scale: 1.0,
+        name: Cow::Borrowed(name),
+        default,
+        min,
+        max,
+        writable: true,
+    }
 }
 
 /// An integer that the vehicle heeds.
 pub const fn int(key: Key, name: &'static str, default: i32, min: i32, max: i32) -> Spec {
     let (min, max) = (min as f64, max as f64);
     let default = Value::Int(default);
-    Spec { key: Some(key), scale: 1.0, name: Cow::Borrowed(name), default, min, max, writable: true }
+    Spec {
+        key: Some(key),
+        scale: 1.0,
+        name: Cow::Borrowed(name),
+        default,
+        min,
+        max,
+        writable: true,
+    }
 }
 
 /// A parameter that tells what is built in and cannot be set.

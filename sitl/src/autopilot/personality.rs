@@ -12,8 +12,8 @@ mod rate_loop;
 use std::fmt;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, MavAutopilot, MavBatteryChargeState, MavModeFlag, MavResult, MavStandardMode, MavType,
-    SET_ATTITUDE_TARGET_DATA,
+    AUTOPILOT_VERSION_DATA, MavAutopilot, MavBatteryChargeState, MavModeFlag, MavResult,
+    MavStandardMode, MavType, SET_ATTITUDE_TARGET_DATA,
 };
 
 use super::Mode;
@@ -49,8 +49,8 @@ pub(super) struct Onboard {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LoopInput<'a> {
     pub setpoint: &'a AttitudeSetpoint,
-    /// Whether the setpoint came into force at this tick.
-    pub is_new: bool,
+    /// How long the setpoint has been in force, if it was not at the last tick, s.
+    pub new_for_s: Option<f64>,
     /// As reported.
     pub attitude: Attitude,
     /// Gyro, rad/s.

@@ -140,7 +140,8 @@ impl Protocol {
                 if let Some(message) = parameter::value_message(&self.flight.parameters, index) {
                     link.send(&message, &mut outbox);
                 }
-                link.parameter_list = Some(index + 1).filter(|next| *next < self.flight.parameters.count());
+                link.parameter_list =
+                    Some(index + 1).filter(|next| *next < self.flight.parameters.count());
             }
         }
         self.links = links;

@@ -134,9 +134,7 @@ impl Snapshot<'_> {
                     time_usec,
                 })
             }
-            Stream::AutopilotVersion => {
-                MavMessage::AUTOPILOT_VERSION(self.personality.version())
-            }
+            Stream::AutopilotVersion => MavMessage::AUTOPILOT_VERSION(self.personality.version()),
             Stream::ProtocolVersion => MavMessage::PROTOCOL_VERSION(PROTOCOL_VERSION_DATA {
                 version: 200,
                 min_version: 100,

@@ -89,8 +89,8 @@ impl Bench {
     }
 
     pub fn of(params: VehicleParams, config: SitlConfig, seed: u64) -> Self {
-        let vehicle = Vehicle::new(params, Default::default(), config, seed)
-            .expect("a vehicle that flies");
+        let vehicle =
+            Vehicle::new(params, Default::default(), config, seed).expect("a vehicle that flies");
         let mut bench = Self {
             vehicle,
             stations: Vec::new(),

@@ -4,8 +4,8 @@ mod attitude_loop;
 mod parameters;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavAutopilot, MavBatteryChargeState, MavModeFlag,
-    MavProtocolCapability, MavResult, MavSeverity, MavType, SET_ATTITUDE_TARGET_DATA,
+    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavAutopilot, MavBatteryChargeState,
+    MavModeFlag, MavProtocolCapability, MavResult, MavSeverity, MavType, SET_ATTITUDE_TARGET_DATA,
 };
 
 use self::attitude_loop::ArducopterLoop;
@@ -148,11 +148,7 @@ impl Personality for Arducopter {
         specs.extend(gains::specs(parameters::GAINS, nominal, moments));
         let parameters = Parameters::new(specs, parameters::BUILT_IN, Cast::Number);
         let attitude_loop = ArducopterLoop::new(nominal, moments, truth, allocation, &parameters);
-        Ok(Onboard {
-            attitude_loop: Box::new(attitude_loop),
-            rate_hz: nominal.rate_hz,
-            parameters,
-        })
+        Ok(Onboard { attitude_loop: Box::new(attitude_loop), rate_hz: nominal.rate_hz, parameters })
     }
 
     /// Between the pulses of MOT_SPIN_MIN and MOT_SPIN_MAX.
@@ -370,15 +366,11 @@ fn watch_battery(commander: &mut Commander, now: &Situation, parameters: &Parame
 /// A landing ends LAND and RTL; elsewhere the motors stop DISARM_DELAY after arming or landing.
 fn watch_ground(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     let Some(landed_us) = commander.landed_for_us(now) else { return };
-    let since_us = if commander.flown {
-        landed_us
-    } else {
-        now.now_us.saturating_sub(commander.armed_us)
-    };
+    let since_us =
+        if commander.flown { landed_us } else { now.now_us.saturating_sub(commander.armed_us) };
     let ends = commander.flown && matches!(commander.mode(), Mode::Land | Mode::Return);
-    let expired = parameters
-        .timeout_us(Key::ComDisarmPrflt)
-        .is_some_and(|timeout| since_us >= timeout);
+    let expired =
+        parameters.timeout_us(Key::ComDisarmPrflt).is_some_and(|timeout| since_us >= timeout);
     if ends || expired {
         commander.stop_motors("landing");
     }

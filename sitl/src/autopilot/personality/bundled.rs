@@ -4,7 +4,9 @@
 use wire::dialect::{AUTOPILOT_VERSION_DATA, SET_ATTITUDE_TARGET_DATA};
 
 use super::px4_rules;
-use super::{LoopInput, NoLoop, Onboard, OnboardLoop, OutputScale, Personality, Reception, Refused};
+use super::{
+    LoopInput, NoLoop, Onboard, OnboardLoop, OutputScale, Personality, Reception, Refused,
+};
 use crate::autopilot::Mode;
 use crate::autopilot::arming::Refusal;
 use crate::autopilot::commander::{Commander, Situation};

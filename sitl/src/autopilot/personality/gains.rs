@@ -90,9 +90,7 @@ pub(super) fn specs(
     mut cascade: AttitudeCascade,
     moments: [f64; 3],
 ) -> impl Iterator<Item = Spec> {
-    gains.iter().map(move |row| {
-        gain(row.name, *(row.at)(&mut cascade) / row.unit.factor(moments))
-    })
+    gains.iter().map(move |row| gain(row.name, *(row.at)(&mut cascade) / row.unit.factor(moments)))
 }
 
 /// The cascade that the parameters say; what they do not say is `otherwise`'s.

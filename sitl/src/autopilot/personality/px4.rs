@@ -4,8 +4,8 @@ mod attitude_loop;
 mod parameters;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavBatteryChargeState, MavProtocolCapability, MavResult, MavSeverity,
-    SET_ATTITUDE_TARGET_DATA,
+    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavBatteryChargeState, MavProtocolCapability,
+    MavResult, MavSeverity, SET_ATTITUDE_TARGET_DATA,
 };
 
 use self::attitude_loop::Px4Loop;
@@ -67,11 +67,7 @@ impl Personality for Px4 {
         specs.extend(gains::specs(parameters::GAINS, nominal, moments));
         let parameters = Parameters::new(specs, &[(Key::ComArmLevel, 0.3)], Cast::Bytes);
         let attitude_loop = Px4Loop::new(nominal, moments, truth, allocation, &parameters);
-        Ok(Onboard {
-            attitude_loop: Box::new(attitude_loop),
-            rate_hz: nominal.rate_hz,
-            parameters,
-        })
+        Ok(Onboard { attitude_loop: Box::new(attitude_loop), rate_hz: nominal.rate_hz, parameters })
     }
 
     fn output_scale(&self, _message: &str, _parameters: &Parameters) -> OutputScale {

@@ -80,9 +80,10 @@ pub(super) fn unit_moments(vehicle: &VehicleParams) -> [f64; 3] {
         };
         vehicle.rotors.iter().map(of).sum::<f64>()
     };
-    let yaw = vehicle.rotors.iter().map(|rotor| {
-        TORQUE_SHARE * rotor.thrust_max_n * rotor.drag_torque_per_thrust_m
-    });
+    let yaw = vehicle
+        .rotors
+        .iter()
+        .map(|rotor| TORQUE_SHARE * rotor.thrust_max_n * rotor.drag_torque_per_thrust_m);
     [about(|rotor| rotor.position_m[1]), about(|rotor| rotor.position_m[0]), yaw.sum()]
 }
 
