@@ -4,6 +4,7 @@ mod demo;
 mod flight;
 mod log;
 mod model;
+mod vehicle;
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -12,9 +13,10 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use sitl::effects::EffectId;
 
 pub use self::demo::{Contestant, DemoArgs};
-pub use self::flight::{CollectArgs, DaemonArgs, FlyArgs, SimulationArgs};
+pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
 use crate::exam::case::Kind;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
@@ -51,8 +53,18 @@ pub enum Command {
     /// Runs for long: streams a hold, and flies whenever the pilot switches the vehicle to
     /// OFFBOARD.
     Daemon(DaemonArgs),
+    /// Looks at a vehicle without changing it: what comes, what is missing, what would be refused.
+    ///
+    /// Exit code 0: it can be flown as far as that can be told; 3: no vehicle was heard; 4: it would
+    /// be refused.
+    Doctor(DoctorArgs),
+    /// Shows the messages on a link, with rate, size, age and last value.
+    Inspect(ListenArgs),
     /// Runs the bundled vehicle on MAVLink links.
     Sitl(sitl::cli::SitlArgs),
+    /// Makes, checks and lists vehicle files.
+    #[command(subcommand)]
+    Vehicle(VehicleCommand),
     /// Reads flight logs.
     #[command(subcommand)]
     Log(LogCommand),

@@ -24,11 +24,32 @@ const STOP_LIMIT: Duration = Duration::from_secs(90);
 /// Longest datagram, and most bytes taken from a stream at once.
 const BUFFER_LEN: usize = 65_536;
 
-/// The monotonic clock, offset once so that it starts as the wall clock: it never steps.
+/// A loop that begins a turn later than this after the last one was paused: by a signal, a swap, a
+/// suspended machine. What lies unread is then older than it looks.
+const PAUSE: Duration = Duration::from_millis(300);
+/// Reading what lay unread ends after this: a flood is not caught up with.
+const CATCH_UP_LIMIT: Duration = Duration::from_millis(200);
+
+/// A clock that never steps and goes on while the machine is suspended, offset once so that it
+/// starts as the wall clock.
 #[derive(Clone, Copy, Debug)]
 pub struct HostClock {
-    started: Instant,
+    started: Duration,
     epoch: HostTime,
+}
+
+/// Time since boot, suspensions included.
+#[cfg(target_os = "linux")]
+fn since_boot() -> Duration {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
+    Duration::new(now.tv_sec.try_into().unwrap_or(0), now.tv_nsec.try_into().unwrap_or(0))
+}
+
+/// Time since the first call. On these systems a suspension stops it.
+#[cfg(not(target_os = "linux"))]
+fn since_boot() -> Duration {
+    static FIRST: std::sync::LazyLock<Instant> = std::sync::LazyLock::new(Instant::now);
+    FIRST.elapsed()
 }
 
 impl HostClock {
@@ -36,17 +57,17 @@ impl HostClock {
     pub fn start() -> Self {
         let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let epoch = HostTime::from_ns(since_epoch.as_nanos() as u64);
-        Self { started: Instant::now(), epoch }
+        Self { started: since_boot(), epoch }
     }
 
     /// Host time now.
     pub fn now(&self) -> HostTime {
-        self.epoch + self.started.elapsed()
+        self.epoch + since_boot().saturating_sub(self.started)
     }
 
     /// The instant at which the clock reads `time`.
     fn instant(&self, time: HostTime) -> Instant {
-        self.started + time.since(self.epoch)
+        Instant::now() + time.since(self.now())
     }
 }
 
@@ -146,14 +167,21 @@ impl Control<'_> {
         let mut watchdog_due = status_due;
         let mut stops = 0;
         let mut stop_limit: Option<HostTime> = None;
+        let mut turn = self.clock.now();
         let _ = sd_notify::notify(&[NotifyState::Ready]);
         loop {
             let deadline = station.next_deadline(self.clock.now());
             let input = self.next_input(&mut buffer, self.clock.instant(deadline)).await;
-            let now = self.clock.now();
-            if let Some(input) = input {
+            let mut now = self.clock.now();
+            let pause = now.since(turn);
+            if pause > PAUSE {
+                self.catch_up(station, input, &mut buffer).await;
+                now = self.clock.now();
+                station.resumed(now, pause);
+            } else if let Some(input) = input {
                 self.take(station, now, input, &buffer);
             }
+            turn = now;
             if now >= deadline {
                 station.poll(now);
             }
@@ -198,6 +226,34 @@ impl Control<'_> {
                 .wait(buffer, deadline.saturating_duration_since(Instant::now()));
         }
         timeout_at(deadline.into(), self.connection.recv(buffer)).await.ok()
+    }
+
+    /// Reads what lay unread while this process was paused, before anything is judged by the clock:
+    /// the pilot's change of the mode may be in it.
+    async fn catch_up(
+        &mut self,
+        station: &mut Station,
+        mut input: Option<Input>,
+        buffer: &mut [u8],
+    ) {
+        let began = self.clock.now();
+        while let Some(next) = input {
+            let now = self.clock.now();
+            match next {
+                Input::Bytes { peer, len } => {
+                    let bytes = &buffer[..len];
+                    station.catch_up(now, peer, bytes, self.connection.is_datagram());
+                    if let Some(tee) = &mut self.tee {
+                        tee.received(now, peer, bytes, self.connection.is_datagram());
+                    }
+                }
+                other => self.take(station, now, other, buffer),
+            }
+            if now.since(began) > CATCH_UP_LIMIT {
+                return;
+            }
+            input = self.next_input(buffer, Instant::now() + Duration::from_millis(2)).await;
+        }
     }
 
     fn take(&mut self, station: &mut Station, now: HostTime, input: Input, buffer: &[u8]) {

@@ -4,8 +4,6 @@
 mod effective_vehicle;
 mod guidance;
 
-use std::borrow::Cow;
-
 use serde::{Deserialize, Serialize};
 
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
@@ -14,14 +12,14 @@ pub use self::guidance::GuidanceSettings;
 use sitl::frame::Ned;
 
 use crate::clock::{HostTime, VehicleTime};
-use crate::control::{HoverVehicle, Limits, Lqr, Saturation};
-use crate::link::message::{Inbound, LandedState, Received};
+use crate::control::{Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation};
+use crate::link::message::{ChargeState, Inbound, LandedState, Received};
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::{Reference, Setpoint, State};
 use crate::supervisor::{
     Action, EngagePolicy, Event, FlightCondition, FlightState, ModeMap, Observation,
-    PreflightCheck, PreflightSettings, SafetySettings, Severity, Supervisor, SupervisorSettings,
-    Trigger, preflight,
+    PreflightCheck, PreflightSettings, SafetySettings, Severity, Standing, Supervisor,
+    SupervisorSettings, Takeover, Trigger, preflight,
 };
 use crate::telemetry::{Sample, Telemetry, TelemetryFault, TelemetrySettings};
 
@@ -41,6 +39,8 @@ pub struct PilotSettings {
     pub guidance: GuidanceSettings,
     /// Bounds on the setpoint.
     pub limits: Limits,
+    /// Feedback that leaves no steady error.
+    pub offset_free: OffsetFreeSettings,
 }
 
 /// What the pilot must know of the vehicle.
@@ -117,15 +117,20 @@ impl Tick {
 /// Flies one vehicle along one trajectory, or holds until it is asked to.
 pub struct Pilot {
     settings: PilotSettings,
+    policy: EngagePolicy,
     airframe: Airframe,
-    lqr: Lqr,
+    controller: Controller,
     telemetry: Telemetry,
     supervisor: Supervisor,
     guidance: Guidance,
     standing_checks: Vec<PreflightCheck>,
+    /// The checks that failed at the last look before the stream.
+    failed_checks: Vec<PreflightCheck>,
     link_loss: Option<f64>,
     tracking_error: f64,
     jumped: bool,
+    /// How long this process was paused before the next look, s.
+    paused_s: f64,
 }
 
 impl Pilot {
@@ -135,7 +140,7 @@ impl Pilot {
         settings: PilotSettings,
         policy: EngagePolicy,
         airframe: Airframe,
-        lqr: Lqr,
+        controller: impl Into<Controller>,
         trajectory: Box<dyn ReferenceSource + Send>,
         standing_checks: Vec<PreflightCheck>,
         now: HostTime,
@@ -148,12 +153,15 @@ impl Pilot {
             supervisor,
             guidance: Guidance::new(settings.guidance, hover_thrust_n, trajectory),
             settings,
+            policy,
             airframe,
-            lqr,
+            controller: controller.into(),
             standing_checks,
+            failed_checks: Vec::new(),
             link_loss: None,
             tracking_error: 0.0,
             jumped: false,
+            paused_s: 0.0,
         }
     }
 
@@ -169,21 +177,29 @@ impl Pilot {
         let sample = sample?;
 
         let phase = self.supervisor.state();
-        let guided = self.guidance.guide(phase, &sample, self.airborne());
+        let airborne = self.airborne();
+        let guided = self.guidance.guide(phase, &sample, airborne);
         let mut reference = guided.reference;
         if guided.feedback {
             reference.feedforward.thrust_n *= self.voltage_gain();
         }
+        if phase.is_flying() && guided.aloft {
+            let thrust_gain = self.voltage_gain();
+            self.controller.observe(sample.vehicle, &sample.state, &guided.expected, thrust_gain);
+        } else {
+            self.controller.reset();
+        }
         let (feedback, cut) = if guided.feedback {
-            self.lqr.feedback(&sample.state, &reference)
+            self.controller.feedback(&sample.state, &reference)
         } else {
             Default::default()
         };
-        let sum = reference.feedforward.plus(feedback);
         let yaw = sample.state.attitude.yaw();
+        let sum = self.controller.addressed(reference.feedforward.plus(feedback), yaw);
         let limited = self.settings.limits.apply(sum, self.airframe.thrust_full_n, yaw);
         let permitted = self.permits(now);
         let sent = limited.filter(|_| permitted);
+        self.controller.sent(sent.map(|(setpoint, _)| setpoint));
 
         self.tracking_error = (sample.state.position - reference.position).norm();
         if let Some((trigger, why)) = guided.reached {
@@ -218,6 +234,26 @@ impl Pilot {
     /// for the pilot's word, only while they do.
     pub fn sent(&mut self, is_sent: bool) {
         self.supervisor.sent(is_sent);
+        if !is_sent {
+            self.controller.sent(None);
+        }
+    }
+
+    /// Takes a message that lay unread while this process was paused: what it tells is kept, and a
+    /// change of the mode ends control; nothing else is decided, and no setpoint answers it.
+    /// [`Pilot::resumed`] follows the last of them.
+    pub fn catch_up(&mut self, received: &Received) {
+        self.take(received);
+        self.supervisor.heed_mode(received.host, self.telemetry.status());
+    }
+
+    /// This process runs again after a pause of `paused_s` seconds, and has read what lay unread.
+    /// More may have come than the system kept, so that the mode is not known until it is told
+    /// again. For the safety reactions the state was missing for that long.
+    pub fn resumed(&mut self, now: HostTime, paused_s: f64) {
+        self.telemetry.doubt_mode();
+        self.paused_s = paused_s;
+        self.observe(now);
     }
 
     /// Looks at the clock in silence: time-outs and stale telemetry. Never makes a setpoint.
@@ -256,6 +292,16 @@ impl Pilot {
         self.supervisor.state()
     }
 
+    /// The preflight checks that failed when they were last looked at, before the stream.
+    pub fn failed_checks(&self) -> &[PreflightCheck] {
+        &self.failed_checks
+    }
+
+    /// Who ended control by a change of the mode, once that is known.
+    pub fn takeover(&self) -> Option<&Takeover> {
+        self.supervisor.takeover()
+    }
+
     /// State, rates and slow messages of the vehicle.
     pub fn telemetry(&self) -> &Telemetry {
         &self.telemetry
@@ -280,6 +326,7 @@ impl Pilot {
             }
             Err(fault) if fault.is_jump() => {
                 self.jumped = true;
+                self.controller.jumped();
                 self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
                 None
             }
@@ -294,7 +341,15 @@ impl Pilot {
 
     fn observe(&mut self, now: HostTime) {
         let before = self.supervisor.state();
-        let age_s = self.telemetry.age_s(now);
+        if let Some(late) = self.telemetry.take_late(now) {
+            let limit_s = self.settings.telemetry.late_after_s;
+            let text = format!(
+                "{late}, and were not acted upon (pilot.telemetry.late_after_s is {limit_s}); \
+                 the link is congested, or this machine is busy"
+            );
+            self.supervisor.tell(now, Severity::Warning, text);
+        }
+        let age_s = self.telemetry.age_s(now).max(std::mem::take(&mut self.paused_s));
         let rate_hz = self.settings.telemetry.rate_hz;
         let here = self.telemetry.last_sample().map(|sample| sample.state);
         // One look can lead through Preflight to the stream: the checks must be there before.
@@ -302,17 +357,19 @@ impl Pilot {
             let distance = here.map_or(f64::NAN, |s| self.guidance.start_distance_m(s.position));
             let mut failed = self.standing_checks.clone();
             let settings = &self.settings.preflight;
-            failed.extend(preflight(
-                settings,
+            let standing = Standing {
                 rate_hz,
-                &self.telemetry,
-                self.link_loss,
-                distance,
-                now,
-            ));
-            Cow::Owned(failed)
+                link_loss: self.link_loss,
+                start_distance_m: distance,
+                airborne: self.airborne(),
+                ground_seen: self.guidance.ground().is_some(),
+                policy: self.policy,
+                take_over: self.settings.supervisor.take_over,
+            };
+            failed.extend(preflight(settings, &standing, &self.telemetry, now));
+            failed
         } else {
-            Cow::Borrowed(self.standing_checks.as_slice())
+            std::mem::take(&mut self.failed_checks)
         };
         let from_anchor = match (here, self.guidance.anchor()) {
             (Some(here), Some(anchor)) => here.position - anchor,
@@ -322,23 +379,31 @@ impl Pilot {
         let status = self.telemetry.status();
         let tick_rate_min = self.settings.preflight.tick_rate_min
             * if before.precedes_stream() { 1.0 } else { STREAMING_RATE_SHARE };
+        let airborne = self.airborne();
         let observation = Observation {
             status,
-            airborne: self.airborne(),
-            telemetry_ready: age_s < self.settings.safety.stale_after_s
+            airborne,
+            at_rest: self.is_at_rest(),
+            telemetry_ready: airborne.is_some()
+                && status.armed.is_some()
+                && age_s < self.settings.safety.stale_after_s
                 && self.telemetry.tick_rate_hz() >= tick_rate_min * rate_hz,
             preflight: &failed,
             condition: FlightCondition {
                 sample_age_s: age_s,
+                late: self.telemetry.late(),
                 jumped,
                 tracking_error_m: self.tracking_error,
                 tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
                 radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
                 height_m: -from_anchor.down(),
                 battery: status.battery.remaining,
+                battery_critical: status.battery.charge == ChargeState::Critical,
+                failsafe: None,
             },
         };
         self.supervisor.observe(now, &observation);
+        self.failed_checks = failed;
         let after = self.supervisor.state();
         if after != before {
             self.tracking_error = 0.0;
@@ -363,20 +428,30 @@ impl Pilot {
         })
     }
 
-    /// Off the ground, by the vehicle's own word, or by height where it has none.
-    fn airborne(&self) -> bool {
+    /// Whether the vehicle is off the ground, by its own word. Where it has none, one that is
+    /// disarmed stands on the ground, and one that is armed flies when it is above the place where
+    /// it stood. `None` where neither is known: a vehicle whose motors turn may be anywhere.
+    fn airborne(&self) -> Option<bool> {
         let status = self.telemetry.status();
         match status.landed {
-            LandedState::OnGround => false,
-            LandedState::InAir | LandedState::TakingOff | LandedState::Landing => true,
-            LandedState::Undefined => {
-                let height = self.telemetry.last_sample().map_or(0.0, |sample| {
-                    let ground = self.guidance.ground().map_or(0.0, |ground| ground.down());
-                    ground - sample.state.position.down()
-                });
-                status.armed == Some(true) && height > AIRBORNE_HEIGHT_M
-            }
+            LandedState::OnGround => Some(false),
+            LandedState::InAir | LandedState::TakingOff | LandedState::Landing => Some(true),
+            LandedState::Undefined if status.armed? => Some(self.height_m()? > AIRBORNE_HEIGHT_M),
+            LandedState::Undefined => Some(false),
         }
+    }
+
+    /// Height above the place where the vehicle last stood on the ground, m.
+    fn height_m(&self) -> Option<f64> {
+        let here = self.telemetry.last_sample()?.state.position;
+        Some(self.guidance.ground()?.down() - here.down())
+    }
+
+    /// Whether the vehicle lies still at the height of the ground, by its own estimate.
+    fn is_at_rest(&self) -> bool {
+        let speed = self.telemetry.last_sample().map(|sample| sample.state.velocity.norm());
+        self.height_m().is_some_and(|height| height.abs() < AIRBORNE_HEIGHT_M)
+            && speed.is_some_and(|speed| speed < RESTING_SPEED_M_S)
     }
 }
 
@@ -386,6 +461,9 @@ const STREAMING_RATE_SHARE: f64 = 0.6;
 
 /// The most that an empty pack, or a voltage that is misread, adds to the thrust.
 const VOLTAGE_GAIN_MAX: f64 = 1.4;
+
+/// Speed below which a vehicle at the height of the ground lies still, m/s.
+const RESTING_SPEED_M_S: f64 = 0.15;
 
 /// Height above the ground that counts as flight where the vehicle does not say, m.
 const AIRBORNE_HEIGHT_M: f64 = 0.3;
@@ -397,6 +475,6 @@ fn concerns_supervisor(message: &Inbound) -> bool {
         Inbound::Heartbeat { .. }
             | Inbound::CurrentMode { .. }
             | Inbound::LandedState(_)
-            | Inbound::Battery { .. }
+            | Inbound::Battery(_)
     )
 }

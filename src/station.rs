@@ -3,12 +3,16 @@
 
 mod aftermath;
 mod attitude_loop;
+mod feedback;
 mod identification;
 mod records;
 mod requests;
 mod settings;
 mod status;
 mod transmission;
+mod waiting;
+
+use std::time::Duration;
 
 use wire::transport::Peer;
 
@@ -17,23 +21,29 @@ use self::records::{LinkMeter, record_of};
 use self::requests::request_of;
 pub use self::settings::StationSettings;
 pub use self::status::Status;
+use self::waiting::Waiting;
 use crate::clock::HostTime;
 use crate::link::counters::LinkState;
-use crate::link::message::Inbound;
+use crate::link::message::{Inbound, Received};
 use crate::link::profile::Profile;
-use crate::link::session::{self, Heard, Session, SetpointError};
+use crate::link::session::{self, Heard, Session, SetpointError, VehicleId};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::pilot::{LinkEvent, Pilot, Tick};
-use crate::supervisor::{EngagePolicy, FlightState};
+use crate::supervisor::{EngagePolicy, FlightState, Takeover};
 
 /// Period of the link's counters in the log.
-const STATS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
+const STATS_PERIOD: Duration = Duration::from_secs(1);
+
+/// Steps of the vehicle's clock from here on are told, ns.
+const CLOCK_STEP_TOLD_NS: u64 = 100_000_000;
 
 /// Why a station stopped.
 #[derive(Clone, Debug, PartialEq)]
 pub enum End {
     /// The flight went from take-off to landing.
     Done,
+    /// The checks before a flight passed, and no flight was asked for.
+    Checked,
     /// No vehicle was heard.
     NoVehicle,
     /// The vehicle was never flown: preflight, mode or arming refused, with the reason.
@@ -78,8 +88,15 @@ pub struct Station {
     last_trouble: Option<String>,
     /// The flight's state after the last event.
     event_state: FlightState,
+    /// What was told of the vehicle's reaction to the loss of this program.
+    told_loss: Option<String>,
     /// When the vehicle was found, until its rates are told.
     found: Option<HostTime>,
+    /// Only the checks before a flight are made: nothing is sent to fly it.
+    is_check: bool,
+    waiting: Waiting,
+    is_version_known: bool,
+    is_signing_told: bool,
     /// No other flight begins: the station ends as soon as it does not fly.
     is_stopping: bool,
     end: Option<End>,
@@ -109,19 +126,67 @@ impl Station {
             is_replaced: false,
             last_trouble: None,
             event_state: FlightState::Connect,
+            told_loss: None,
             found: None,
+            is_check: false,
+            waiting: Waiting::new(now),
+            is_version_known: false,
+            is_signing_told: false,
             is_stopping: false,
             end: None,
         }
+    }
+
+    /// The same, which makes the checks before a flight and ends.
+    pub fn checking(self) -> Self {
+        Self { is_check: true, ..self }
     }
 
     /// Takes bytes that arrived. The line: each message to the pilot, and the setpoint that it
     /// answers with, if any, to the vehicle. What else follows waits for
     /// [`Station::transmit`], which sends the setpoint first.
     pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
+        let first_tick = self.ticks.len();
+        self.hear(now, peer, bytes, is_datagram, Pilot::handle);
+        self.answer(now, first_tick);
+    }
+
+    /// Takes bytes that lay unread while this process was paused: nothing answers them.
+    /// [`Station::resumed`] follows the last of them.
+    pub fn catch_up(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
+        self.hear(now, peer, bytes, is_datagram, |pilot, received| {
+            pilot.catch_up(received);
+            None
+        });
+    }
+
+    /// This process runs again after a pause, and has read what lay unread.
+    pub fn resumed(&mut self, now: HostTime, paused: Duration) {
+        let paused_s = paused.as_secs_f64();
+        let text = format!(
+            "this process was paused for {paused_s:.2} s: nothing is commanded until the vehicle \
+             tells its mode again"
+        );
+        self.tell(now, Severity::Warning, text);
+        self.session.withdraw_commands();
+        if let Some(pilot) = &mut self.pilot {
+            pilot.resumed(now, paused_s);
+        }
+        self.follow_up(now);
+    }
+
+    /// Each message to the pilot, by `take`, and to the log.
+    fn hear(
+        &mut self,
+        now: HostTime,
+        peer: Peer,
+        bytes: &[u8],
+        is_datagram: bool,
+        mut take: impl FnMut(&mut Pilot, &Received) -> Option<Tick>,
+    ) {
         let Self { session, pilot, profile, records, ticks, .. } = self;
         let motors = profile.as_ref().map(|profile| profile.motor_outputs);
-        let (first, first_tick) = (records.len(), ticks.len());
+        let first = records.len();
         session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
             Heard::Frame { bytes, .. } => {
                 records
@@ -135,7 +200,7 @@ impl Station {
             }
             Heard::Message(received) => {
                 if let Some(pilot) = pilot {
-                    ticks.extend(pilot.handle(&received));
+                    ticks.extend(take(pilot, &received));
                 }
                 if let Inbound::StatusText { severity, text } = &received.message {
                     show(Severity::from(*severity), &format!("vehicle: {text}"));
@@ -148,6 +213,10 @@ impl Station {
             // The clocks' estimate has an error; a sample is never newer than its arrival.
             stamp.sampled = mapped.map_or(stamp.host, |sampled| sampled.min(stamp.host));
         }
+    }
+
+    /// The setpoint that answers the samples since `first_tick`, on its way where it may leave.
+    fn answer(&mut self, now: HostTime, first_tick: usize) {
         // Of several samples in one read only the newest is acted upon.
         let setpoint = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint);
         let is_sent = setpoint
@@ -168,8 +237,13 @@ impl Station {
         self.session.poll(now);
         if let Some(pilot) = &mut self.pilot {
             pilot.poll(now);
+            if !pilot.telemetry().status().is_heard(now) {
+                // The pilot may have taken over meanwhile: what was commanded is not repeated.
+                self.session.withdraw_commands();
+            }
         }
         self.follow_up(now);
+        self.tell_wait(now);
         if self.stats_due <= now {
             self.stats_due = now + STATS_PERIOD;
             self.record_stats(now);
@@ -190,7 +264,7 @@ impl Station {
     /// When [`Station::poll`] has something to do next, at most 20 ms away: safety reactions to
     /// silence are not late by more than that.
     pub fn next_deadline(&self, now: HostTime) -> HostTime {
-        let tick = now + std::time::Duration::from_millis(20);
+        let tick = now + Duration::from_millis(20);
         self.session.next_deadline().min(self.stats_due).clamp(now, tick)
     }
 
@@ -271,7 +345,7 @@ impl Station {
         let Some(pilot) = &mut self.pilot else { return };
         let (actions, events) = (pilot.take_actions(), pilot.take_events());
         let state = pilot.flight_state();
-        for action in actions {
+        for action in actions.into_iter().filter(|_| !self.is_check) {
             self.session.request(now, request_of(action));
         }
         for event in events {
@@ -345,13 +419,20 @@ impl Station {
         let is_commanded = self.settings.policy == EngagePolicy::Command;
         let is_airborne =
             state.is_flying() || matches!(state, FlightState::Land | FlightState::Disarm);
+        if self.is_check && state == FlightState::Standby {
+            return Some(End::Checked);
+        }
         let has_stopped = self.is_stopping && !is_airborne;
         if !is_commanded && !has_stopped {
             return None;
         }
         let trouble = || self.last_trouble.clone().unwrap_or_else(|| "no reason given".to_owned());
         match self.over_in {
-            Some(FlightState::PilotControl) => Some(End::PilotTookOver),
+            // Who it was shows within a second or so.
+            Some(FlightState::PilotControl) => match self.pilot.as_ref()?.takeover()? {
+                Takeover::Pilot { .. } => Some(End::PilotTookOver),
+                Takeover::Failsafe(words) => Some(End::Aborted(words.clone())),
+            },
             Some(FlightState::Abort) if self.flown && self.is_link_silent(now) => {
                 Some(End::LinkLost(trouble()))
             }
@@ -389,9 +470,12 @@ impl Station {
             Event::VehicleFound(id) => {
                 self.found = Some(now);
                 self.tell(now, Severity::Info, format!("heard {id}"));
+                self.is_signing_told = false;
             }
+            Event::AnotherAutopilot { vehicle, other } => self.choose(now, vehicle, other),
             Event::VehicleReplaced(id) => {
                 self.found = Some(now);
+                self.is_signing_told = false;
                 self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
                 self.end_flight_of_another(now);
             }
@@ -406,8 +490,45 @@ impl Station {
             }
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
-                self.tell(now, Severity::Warning, text);
+                // Smaller steps are those of a simulator whose speed changes.
+                let is_small = by_ns.unsigned_abs() < CLOCK_STEP_TOLD_NS;
+                let severity = if is_small { Severity::Debug } else { Severity::Warning };
+                self.tell(now, severity, text);
             }
+        }
+    }
+
+    /// A vehicle that signs may take nothing that is not signed. Some take it all the same.
+    fn tell_signing(&mut self, now: HostTime) {
+        if self.session.is_signed() && !self.is_signing_told {
+            self.is_signing_told = true;
+            let text = "the vehicle signs its messages (MAVLink 2 signing), and downwash does not: \
+                        if it refuses what is not signed there are no rates, parameters, modes or \
+                        setpoints; then turn signing off on this link, or connect by USB, where \
+                        PX4 and ArduPilot take unsigned messages";
+            self.tell(now, Severity::Notice, text.to_owned());
+            self.check_standing(now);
+        }
+    }
+
+    /// Two autopilots: nothing is armed until the user has chosen one.
+    fn choose(&mut self, now: HostTime, vehicle: VehicleId, other: VehicleId) {
+        let why = format!(
+            "two autopilots are on this link, {vehicle} and {other}; choose one with --system \
+             {} or --system {} (link.vehicle_system in the configuration)",
+            vehicle.system, other.system
+        );
+        let is_flown = self.pilot.as_ref().is_some_and(|pilot| {
+            let state = pilot.flight_state();
+            state.is_in_control() || matches!(state, FlightState::Land | FlightState::Disarm)
+        });
+        if is_flown {
+            return self.tell(now, Severity::Warning, format!("{why}; the flight goes on"));
+        }
+        self.tell(now, Severity::Error, why.clone());
+        self.check_standing(now);
+        if self.settings.policy == EngagePolicy::Command {
+            self.end.get_or_insert(End::Refused(why));
         }
     }
 

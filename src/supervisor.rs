@@ -12,60 +12,49 @@
 //! because PX4 re-enters OFFBOARD by itself as soon as a stream resumes. A vehicle that was flown
 //! by command stands in OFFBOARD afterwards: PX4 returns to the mode chosen before arming. Where
 //! the next flight is commanded, a disarmed vehicle is asked to leave it; under the pilot's switch,
-//! and with the motors armed, nobody but the pilot leaves OFFBOARD.
+//! and with the motors armed, nobody but the pilot leaves OFFBOARD. An OFFBOARD that comes with the
+//! stop of the motors is that return and no switch of the pilot's.
+//!
+//! Nothing is commanded, and no setpoint leaves, on a mode that may be old: one that was told
+//! before the vehicle fell silent or before this process paused. The pilot may have changed it.
 
+mod health;
+mod modes;
 mod preflight;
 mod safety;
 mod settings;
 mod table;
+mod takeover;
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-pub use self::preflight::{PreflightCheck, PreflightSettings, RequiredParameter, preflight};
+pub use self::modes::ModeMap;
+pub use self::preflight::{
+    PreflightCheck, PreflightSettings, RequiredParameter, Standing, preflight,
+};
 use self::safety::FAULTS;
 pub use self::safety::{Fault, FlightCondition, Reaction, SafetySettings};
 pub use self::settings::SupervisorSettings;
 pub use self::table::{FlightState, STATES, TRIGGERS, Trigger};
+use self::takeover::ModeTaken;
+pub use self::takeover::Takeover;
 use crate::clock::HostTime;
 use crate::telemetry::VehicleStatus;
 
+/// Time for CURRENT_MODE, which is asked for twice a second, after the first HEARTBEAT, s.
+const INTENDED_MODE_WAIT_S: f64 = 3.0;
+
 /// Who decides that the daemon takes control.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EngagePolicy {
     /// A command did: the daemon asks for OFFBOARD and arms, once.
+    #[default]
     Command,
     /// The pilot does, each time, by switching to OFFBOARD while the daemon streams, and arms.
     PilotSwitch,
-}
-
-/// Custom modes of the vehicle's autopilot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ModeMap {
-    /// Obeys setpoints.
-    pub offboard: u32,
-    /// Stays where it is, or stands; needs no setpoints. `None` where there is none.
-    pub hold: Option<u32>,
-    /// Lands where it is.
-    pub land: u32,
-    /// Whether CURRENT_MODE tells the intended mode, so that it must be known before streaming.
-    pub reports_intended: bool,
-}
-
-impl ModeMap {
-    /// PX4: OFFBOARD is main mode 6, Hold is main 4, sub 3, and Land main 4, sub 6.
-    pub const PX4: Self = Self {
-        offboard: 0x0006_0000,
-        hold: Some(0x0304_0000),
-        land: 0x0604_0000,
-        reports_intended: true,
-    };
-    /// ArduCopter: GUIDED, BRAKE and LAND.
-    pub const ARDUCOPTER: Self =
-        Self { offboard: 4, hold: Some(17), land: 9, reports_intended: false };
 }
 
 /// A request to the vehicle.
@@ -115,14 +104,16 @@ pub struct Event {
 pub struct Observation<'a> {
     /// The slow messages.
     pub status: &'a VehicleStatus,
-    /// Whether the vehicle is off the ground.
-    pub airborne: bool,
+    /// Whether the vehicle is off the ground; `None` where that is not known.
+    pub airborne: Option<bool>,
+    /// Whether it lies still at the height of the ground, by its own estimate.
+    pub at_rest: bool,
     /// Whether samples are fresh and quick enough.
     pub telemetry_ready: bool,
     /// The preflight checks that fail, in words; empty when all pass.
     pub preflight: &'a [PreflightCheck],
     /// What faults are judged by.
-    pub condition: FlightCondition,
+    pub condition: FlightCondition<'a>,
 }
 
 /// The flight's state machine. Time comes with each call.
@@ -134,6 +125,8 @@ pub struct Supervisor {
     safety: SafetySettings,
     state: FlightState,
     since: HostTime,
+    /// Since when a flight is prepared, through whatever states, until it begins.
+    preparing_since: Option<HostTime>,
     /// A command to fly that was not used up yet.
     engaged: bool,
     /// Whether the newest sample of the present state was answered with a setpoint.
@@ -144,6 +137,14 @@ pub struct Supervisor {
     refusal: Option<String>,
     /// Since when each fault's condition has held, and whether it was reacted to.
     faults: BTreeMap<Fault, (HostTime, bool)>,
+    /// When control began.
+    control_since: HostTime,
+    /// The change of the mode that ended control.
+    taken: Option<ModeTaken>,
+    /// Since when a vehicle that lands has lain still.
+    rest_since: Option<HostTime>,
+    /// What the vehicle reported as unhealthy and was told in this flight.
+    told_unhealthy: u32,
     actions: Vec<Action>,
     events: Vec<Event>,
 }
@@ -164,6 +165,7 @@ impl Supervisor {
             safety,
             state: FlightState::Connect,
             since: now,
+            preparing_since: None,
             engaged: policy == EngagePolicy::Command,
             streamed: false,
             mode_at_entry: None,
@@ -171,6 +173,10 @@ impl Supervisor {
             asked: None,
             refusal: None,
             faults: BTreeMap::new(),
+            control_since: now,
+            taken: None,
+            rest_since: None,
+            told_unhealthy: 0,
             actions: Vec::new(),
             events: Vec::new(),
         }
@@ -184,6 +190,11 @@ impl Supervisor {
     /// Seconds in the present state.
     pub fn seconds_in_state(&self, now: HostTime) -> f64 {
         now.since(self.since).as_secs_f64()
+    }
+
+    /// Who ended control by a change of the mode, once that is known.
+    pub fn takeover(&self) -> Option<&Takeover> {
+        self.taken.as_ref()?.by()
     }
 
     /// Asks for a flight, or another after the last is over.
@@ -224,10 +235,22 @@ impl Supervisor {
     fn enter(&mut self, now: HostTime, next: FlightState, severity: Severity, why: &str) {
         let refusal = self.refusal.take().filter(|_| next == FlightState::Abort);
         (self.state, self.since) = (next, now);
+        if next.is_preparing() {
+            self.preparing_since.get_or_insert(now);
+        } else if next != FlightState::Connect && next != FlightState::Standby {
+            self.preparing_since = None;
+        }
         self.asked = None;
         self.mode_at_entry = None;
         self.streamed = false;
         self.faults.clear();
+        self.rest_since = None;
+        match next {
+            FlightState::Standby => self.told_unhealthy = 0,
+            FlightState::Arm => self.control_since = now,
+            FlightState::PilotControl => self.taken = Some(ModeTaken::new(now)),
+            _ => {}
+        }
         if next.is_over() {
             self.engaged = false;
             // What was asked for in a flight does not outlive it.
@@ -251,13 +274,48 @@ impl Supervisor {
             }
         }
         self.mode_at_entry = self.mode_at_entry.or(seen.status.mode);
-        self.react(now, &seen.condition);
+        if !seen.at_rest || self.state != FlightState::Land {
+            self.rest_since = None;
+        } else {
+            self.rest_since.get_or_insert(now);
+        }
+        self.tell_takeover(now, seen.status);
+        self.tell_unhealthy(now, seen.status);
+        self.react(now, seen);
         self.request(now, seen.status);
+    }
+
+    /// Looks only at whether the pilot has taken over: for what was heard while nobody listened.
+    pub fn heed_mode(&mut self, now: HostTime, status: &VehicleStatus) {
+        if self.mode_changed(status.mode) {
+            let why = self.control_ends(status);
+            self.fire(now, Trigger::ModeChanged, &why);
+        }
+    }
+
+    fn tell_takeover(&mut self, now: HostTime, status: &VehicleStatus) {
+        let Some(taken) = &mut self.taken else { return };
+        let words = match taken.settle(now, status, &self.modes) {
+            None => return,
+            Some(Takeover::Pilot { mode }) => format!("the pilot has control, in {mode}"),
+            Some(Takeover::Failsafe(words)) => words.clone(),
+        };
+        self.tell(now, Severity::Warning, words);
+    }
+
+    /// Tells what the vehicle reports as unhealthy, each once a flight.
+    fn tell_unhealthy(&mut self, now: HostTime, status: &VehicleStatus) {
+        let new = health::watched(status.unhealthy) & !self.told_unhealthy;
+        if new != 0 && self.state.is_in_control() {
+            self.told_unhealthy |= new;
+            let text = format!("the vehicle reports as unhealthy: {}", health::names(new));
+            self.tell(now, Severity::Warning, text);
+        }
     }
 
     /// Whether a setpoint may leave now: the last word.
     pub fn permits(&self, now: HostTime, status: &VehicleStatus) -> bool {
-        let offboard = status.mode == Some(self.modes.offboard);
+        let offboard = status.mode == Some(self.modes.offboard) && status.knows_mode(now);
         match self.state {
             FlightState::Standby | FlightState::Engage => true,
             FlightState::Land => {
@@ -281,7 +339,7 @@ impl Supervisor {
         let released = mode.is_some()
             && !offboard
             && intended != Some(self.modes.offboard)
-            && (intended.is_some() || !self.modes.reports_intended);
+            && (intended.is_some() || self.goes_by_heartbeat(now, seen.status));
         if released && linked {
             self.other_mode_since.get_or_insert(now);
         } else {
@@ -293,6 +351,9 @@ impl Supervisor {
         let in_state_s = self.seconds_in_state(now);
         let armed = seen.status.armed;
         let by_command = self.policy == EngagePolicy::Command;
+        let is_return = offboard && seen.status.mode_came_with_disarming();
+        let on_ground = seen.airborne == Some(false);
+        let rests_s = self.rest_since.map_or(0.0, |since| now.since(since).as_secs_f64());
         // In the order in which they are listened to.
         let rows = [
             (Trigger::LinkLost, !linked),
@@ -300,12 +361,21 @@ impl Supervisor {
             (Trigger::EngageAsked, linked && !by_command),
             (Trigger::ModeChanged, self.mode_changed(mode)),
             (Trigger::Disarmed, armed == Some(false)),
-            (Trigger::OffboardFound, linked && !released),
+            (
+                Trigger::OffboardFound,
+                linked && if self.state == FlightState::Standby { is_return } else { !released },
+            ),
             (Trigger::Released, released_s >= self.settings.release_s),
             (Trigger::TelemetryLost, !seen.telemetry_ready),
             (Trigger::TelemetryReady, seen.telemetry_ready),
             (Trigger::PreflightPassed, seen.preflight.is_empty() && (self.engaged || !by_command)),
-            (Trigger::OffboardRead, offboard && self.streamed),
+            (
+                Trigger::OffboardRead,
+                offboard
+                    && seen.status.knows_mode(now)
+                    && self.streamed
+                    && (by_command || self.pilot_switched(seen)),
+            ),
             (
                 Trigger::StreamEstablished,
                 self.engaged
@@ -313,11 +383,17 @@ impl Supervisor {
                     && self.streamed
                     && in_state_s >= self.settings.stream_before_engage_s,
             ),
-            (Trigger::ArmedInAir, armed == Some(true) && seen.airborne),
-            (Trigger::Armed, armed == Some(true) && !seen.airborne),
+            (Trigger::ArmedInAir, armed == Some(true) && seen.airborne == Some(true)),
+            (Trigger::Armed, armed == Some(true) && on_ground),
             (Trigger::HoldDone, in_state_s >= self.settings.hold_s),
-            (Trigger::Landed, !seen.airborne && mode == Some(self.modes.land)),
-            (Trigger::TimedOut, self.time_limit_s().is_some_and(|limit| in_state_s > limit)),
+            (
+                Trigger::Landed,
+                on_ground && mode == Some(self.modes.land) || rests_s >= self.settings.rest_s,
+            ),
+            (
+                Trigger::TimedOut,
+                self.time_limit_s().is_some_and(|limit| self.waited_s(now) > limit),
+            ),
         ];
         let (trigger, _) = rows
             .into_iter()
@@ -326,11 +402,18 @@ impl Supervisor {
     }
 
     fn describe(&self, trigger: Trigger, seen: &Observation) -> String {
-        let mode = seen.status.mode.unwrap_or_default();
         let text = match trigger {
-            Trigger::ModeChanged => return format!("the pilot has control, in mode {mode:#010x}"),
+            Trigger::ModeChanged => return self.control_ends(seen.status),
+            Trigger::OffboardFound if self.state == FlightState::Standby => {
+                return format!(
+                    "{} returned to OFFBOARD when it disarmed, which is no switch of the pilot's; \
+                     switch to another mode first",
+                    self.modes.autopilot
+                );
+            }
             Trigger::OffboardFound => {
-                return format!("the mode is {mode:#010x}; waiting until it is not OFFBOARD");
+                let mode = self.mode_name(seen.status);
+                return format!("the mode is {mode}; waiting until it is not OFFBOARD");
             }
             Trigger::TimedOut => return self.timed_out(seen),
             Trigger::LinkLost => "the link is silent",
@@ -338,6 +421,12 @@ impl Supervisor {
             Trigger::EngageAsked => "ready for the pilot's next switch",
             Trigger::Disarmed if self.state.is_flying() => "the motors were stopped in flight",
             Trigger::Disarmed => "disarmed",
+            Trigger::Released
+                if self.modes.reports_intended && seen.status.intended_mode.is_none() =>
+            {
+                "free to stream, by the mode in HEARTBEAT alone: the vehicle sends no CURRENT_MODE \
+                 (PX4 before 1.15, or MAVLink 1), so a mode that it only intends is not known"
+            }
             Trigger::Released => "free to stream",
             Trigger::TelemetryLost => "telemetry is not fresh",
             Trigger::TelemetryReady => "telemetry is fresh",
@@ -347,7 +436,8 @@ impl Supervisor {
             Trigger::ArmedInAir => "in the air",
             Trigger::Armed => "armed",
             Trigger::HoldDone => "landing",
-            Trigger::Landed => "on the ground",
+            Trigger::Landed if seen.airborne == Some(false) => "on the ground",
+            Trigger::Landed => "at rest on the ground, though the vehicle reports no landing",
             Trigger::TakenOff
             | Trigger::StartReached
             | Trigger::TrajectoryDone
@@ -356,6 +446,31 @@ impl Supervisor {
             | Trigger::StopNow => "as asked",
         };
         text.to_owned()
+    }
+
+    /// Whether the intended mode is not waited for: the vehicle has none, or does not tell it.
+    fn goes_by_heartbeat(&self, now: HostTime, status: &VehicleStatus) -> bool {
+        let known_s = status.mode_since.map_or(0.0, |since| now.since(since).as_secs_f64());
+        !self.modes.reports_intended || known_s > INTENDED_MODE_WAIT_S
+    }
+
+    fn mode_name(&self, status: &VehicleStatus) -> String {
+        status.mode.map_or_else(|| "not known".to_owned(), |mode| self.modes.name(mode))
+    }
+
+    fn control_ends(&self, status: &VehicleStatus) -> String {
+        format!("control ends: the mode is {}", self.mode_name(status))
+    }
+
+    /// Whether the OFFBOARD that is read is the pilot's switch. In the air it is. On the ground it
+    /// may be the autopilot's return to an earlier choice on disarming: a HEARTBEAT later than the
+    /// mode must have told whether the motors are armed.
+    fn pilot_switched(&self, seen: &Observation) -> bool {
+        let status = seen.status;
+        let is_confirmed = status
+            .armed_heard
+            .is_some_and(|heard| status.mode_changed.is_none_or(|changed| heard >= changed));
+        seen.airborne == Some(true) || (is_confirmed && !status.mode_came_with_disarming())
     }
 
     /// Whether the mode reads what neither the daemon asked for nor was there before.
@@ -369,6 +484,12 @@ impl Supervisor {
         }
     }
 
+    /// What the time limit is on: where telemetry comes and goes, the whole preparation.
+    fn waited_s(&self, now: HostTime) -> f64 {
+        let preparing = self.preparing_since.filter(|_| self.state.is_preparing());
+        now.since(preparing.unwrap_or(self.since)).as_secs_f64()
+    }
+
     fn time_limit_s(&self) -> Option<f64> {
         let s = &self.settings;
         let commanded =
@@ -378,6 +499,9 @@ impl Supervisor {
                 commanded(s.ready_timeout_s)
             }
             FlightState::Engage => Some(s.engage_timeout_s),
+            FlightState::Arm if self.policy == EngagePolicy::PilotSwitch => {
+                Some(s.pilot_arm_timeout_s)
+            }
             FlightState::Arm => commanded(s.arm_timeout_s),
             FlightState::TakeOff | FlightState::Approach => Some(s.take_off_timeout_s),
             FlightState::Land => Some(s.land_timeout_s),
@@ -391,17 +515,30 @@ impl Supervisor {
             FlightState::AwaitRelease => "the vehicle is in OFFBOARD, or its mode is not known; \
                  switch it to another mode first"
                 .to_owned(),
-            FlightState::AwaitTelemetry => "no fresh attitude and position".to_owned(),
-            FlightState::Preflight => {
+            FlightState::AwaitTelemetry | FlightState::Preflight => {
+                let late = seen.condition.late;
+                let lacks = match self.state {
+                    FlightState::AwaitTelemetry if late.count > 0 => {
+                        format!("no fresh attitude and position: {late}; ")
+                    }
+                    FlightState::AwaitTelemetry => "no fresh attitude and position; ".to_owned(),
+                    _ => String::new(),
+                };
                 let failed: Vec<_> = seen.preflight.iter().map(ToString::to_string).collect();
-                format!("preflight: {}", failed.join("; "))
+                format!("{lacks}preflight: {}", failed.join("; "))
             }
             FlightState::Engage => "the mode did not become OFFBOARD".to_owned(),
+            FlightState::Arm if self.policy == EngagePolicy::PilotSwitch => format!(
+                "the pilot did not arm within {:.0} s of switching to OFFBOARD",
+                self.settings.pilot_arm_timeout_s
+            ),
             FlightState::Arm => "arming had no effect".to_owned(),
             FlightState::TakeOff => "the take-off did not reach its height".to_owned(),
             FlightState::Approach => "the trajectory's start was not reached".to_owned(),
-            FlightState::Land => "the vehicle did not report that it landed".to_owned(),
-            _ => "the motors did not stop".to_owned(),
+            FlightState::Land => {
+                format!("the vehicle did not report that it landed{}", still_armed(seen.status))
+            }
+            _ => format!("the motors did not stop{}", still_armed(seen.status)),
         };
         match &seen.status.warning {
             Some((host, text)) if *host >= self.since => format!("{what}; vehicle: {text}"),
@@ -410,13 +547,16 @@ impl Supervisor {
     }
 
     /// Reacts to each fault once, as soon as its condition has held for its time.
-    fn react(&mut self, now: HostTime, condition: &FlightCondition) {
+    fn react(&mut self, now: HostTime, seen: &Observation) {
         if !self.state.is_in_control() {
             return;
         }
+        let failsafe = seen.status.failsafe.as_ref().filter(|(at, _)| *at >= self.control_since);
+        let failsafe = failsafe.map(|(_, text)| text.as_str());
+        let condition = &FlightCondition { failsafe, ..seen.condition };
         for fault in FAULTS {
             let grounded = self.state == FlightState::Arm
-                && !matches!(fault, Fault::StaleTelemetry | Fault::TelemetryJump | Fault::Battery);
+                && matches!(fault, Fault::TrackingError | Fault::Tilt | Fault::Geofence);
             if grounded || !self.safety.holds(fault, condition) {
                 self.faults.remove(&fault);
                 continue;
@@ -440,6 +580,9 @@ impl Supervisor {
 
     /// What the present state asks of the vehicle, repeated while it has no effect.
     fn request(&mut self, now: HostTime, status: &VehicleStatus) {
+        if !status.knows_mode(now) {
+            return;
+        }
         let arms = self.policy == EngagePolicy::Command;
         let offboard = Some(self.modes.offboard);
         let action = match self.state {
@@ -466,4 +609,9 @@ impl Supervisor {
             self.actions.push(action);
         }
     }
+}
+
+/// What is left to do where the motors did not stop.
+fn still_armed(status: &VehicleStatus) -> &'static str {
+    if status.armed == Some(true) { "; it is still armed: disarm it by hand" } else { "" }
 }

@@ -2,6 +2,7 @@
 //! believed, and what else is known about the vehicle.
 
 mod fault;
+mod lateness;
 mod rate;
 mod status;
 
@@ -10,10 +11,13 @@ use sitl::frame::{Attitude, Frd, Ned};
 use sitl::rigid_body::State;
 
 pub use self::fault::TelemetryFault;
+pub use self::lateness::LateMessages;
+use self::lateness::Lateness;
 use self::rate::RateMeter;
-pub use self::status::{Battery, VehicleStatus};
+pub use self::status::VehicleStatus;
 use crate::clock::{HostTime, VehicleTime};
 use crate::link::message::{AttitudeSource, Inbound, Received};
+use crate::link::vehicle_clock::Delay;
 
 /// When a control tick fires, and what telemetry is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,7 +26,8 @@ pub struct TelemetrySettings {
     /// Control rate, Hz; ticks are thinned to it. Not set by itself: it is the feedback's.
     #[serde(skip)]
     pub rate_hz: f64,
-    /// A message that came this much later than the quickest ones is not acted upon, s.
+    /// A message that certainly came this much later than the quickest ones, by the link's
+    /// estimate of the vehicle's clock, is not acted upon, s.
     pub late_after_s: f64,
     /// A position this far from where velocity leads is a jump, m.
     pub position_jump_m: f64,
@@ -50,8 +55,6 @@ impl Default for TelemetrySettings {
 /// Largest acceleration that a jump is not, m/s^2, and angular acceleration, rad/s^2.
 const ACCELERATION_MAX: f64 = 40.0;
 const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
-/// The least delay seen grows by this much per second, so that a skew of the clocks is followed.
-const DELAY_LEAK: f64 = 5e-4;
 /// A source keeps to a rate while it comes at this share of it.
 const KEEPS_TO: f64 = 0.9;
 /// Samples are thinned where they come at more than this many times the control rate.
@@ -123,10 +126,7 @@ pub struct Telemetry {
     odometry: Stream<(Pose, Turn)>,
     reset_counter: Option<u8>,
     newest_stamp: Option<VehicleTime>,
-    /// When the first message came, and its stamp.
-    origin: Option<(HostTime, VehicleTime)>,
-    /// Least delay of a message over that of the first, s; negative where one was quicker.
-    least_delay_s: f64,
+    lateness: Lateness,
     due: Option<VehicleTime>,
     last: Option<Sample>,
 }
@@ -144,8 +144,7 @@ impl Telemetry {
             odometry: Stream::default(),
             reset_counter: None,
             newest_stamp: None,
-            origin: None,
-            least_delay_s: 0.0,
+            lateness: Lateness::default(),
             due: None,
             last: None,
         }
@@ -164,6 +163,16 @@ impl Telemetry {
     /// Seconds since the newest sample came, infinite before the first.
     pub fn age_s(&self, now: HostTime) -> f64 {
         self.last.map_or(f64::INFINITY, |sample| now.since(sample.host).as_secs_f64())
+    }
+
+    /// Messages of the state that came too late to be acted upon since the newest sample.
+    pub fn late(&self) -> LateMessages {
+        self.lateness.since_sample
+    }
+
+    /// Those that are to be told now: every two seconds at most.
+    pub fn take_late(&mut self, now: HostTime) -> Option<LateMessages> {
+        self.lateness.take(now)
     }
 
     /// Measured rates in Hz of ODOMETRY, of the attitude source in use, and of position.
@@ -185,6 +194,11 @@ impl Telemetry {
         *self = Self { status, ..Self::new(self.settings) };
     }
 
+    /// The mode that was told last may be old, as after a pause of this process.
+    pub fn doubt_mode(&mut self) {
+        self.status.doubt_mode();
+    }
+
     /// Takes a message; a sample comes back if the message fires a tick.
     ///
     /// # Errors
@@ -197,7 +211,7 @@ impl Telemetry {
             Inbound::Attitude { source, attitude, body_rate } => {
                 let turn = Turn { stamp, attitude, body_rate };
                 finite(Ned::zero(), Ned::zero(), attitude, body_rate)?;
-                let delay = self.advance_clock(received.host, stamp)?;
+                let delay = self.advance_clock(received, stamp)?;
                 let limit = self.settings.attitude_jump_rad;
                 let stream = match source {
                     AttitudeSource::Quaternion => &mut self.quaternion,
@@ -216,7 +230,7 @@ impl Telemetry {
             Inbound::LocalPosition { position, velocity } => {
                 let pose = Pose { stamp, position, velocity };
                 finite(position, velocity, Attitude::default(), Frd::zero())?;
-                let delay = self.advance_clock(received.host, stamp)?;
+                let delay = self.advance_clock(received, stamp)?;
                 let settings = self.settings;
                 self.position.accept(
                     pose,
@@ -231,7 +245,7 @@ impl Telemetry {
                 let both =
                     (Pose { stamp, position, velocity }, Turn { stamp, attitude, body_rate });
                 finite(position, velocity, attitude, body_rate)?;
-                let delay = self.advance_clock(received.host, stamp)?;
+                let delay = self.advance_clock(received, stamp)?;
                 let reset = self.reset_counter.replace(reset_counter);
                 let settings = self.settings;
                 self.odometry.accept(
@@ -257,34 +271,35 @@ impl Telemetry {
         }
     }
 
-    /// Checks the vehicle's clock against the host's; the message's excess delay in s.
+    /// Follows the vehicle's clock; gives how long the message was on its way.
     ///
     /// Queues make messages late by any amount, and let the next ones come at once: that is no jump
     /// of the clock. None comes before it was sent, so less delay than ever before is one.
-    fn advance_clock(&mut self, host: HostTime, stamp: VehicleTime) -> Result<f64, TelemetryFault> {
+    fn advance_clock(
+        &mut self,
+        received: &Received,
+        stamp: VehicleTime,
+    ) -> Result<Delay, TelemetryFault> {
         let limit = self.settings.clock_jump_s;
         let passed = self.newest_stamp.map_or(0.0, |newest| stamp.seconds_since(newest));
-        let (host_origin, origin) = self.origin.unwrap_or((host, stamp));
-        let delay = host.since(host_origin).as_secs_f64() - stamp.seconds_since(origin);
-        let beyond = self.least_delay_s - delay;
-        if passed < -limit || beyond > limit {
+        let delay = received.delay.unwrap_or_default();
+        if passed < -limit || delay.seconds < -limit {
             self.forget();
             self.newest_stamp = Some(stamp);
-            self.origin = Some((host, stamp));
             return Err(if passed < 0.0 {
                 TelemetryFault::Reboot { seconds: -passed }
             } else {
-                TelemetryFault::ClockJump { seconds: beyond }
+                TelemetryFault::ClockJump { seconds: -delay.seconds }
             });
         }
         self.newest_stamp = self.newest_stamp.max(Some(stamp));
-        self.origin = Some((host_origin, origin));
-        self.least_delay_s = (self.least_delay_s + DELAY_LEAK * passed.max(0.0)).min(delay);
-        Ok(delay - self.least_delay_s)
+        Ok(delay)
     }
 
-    fn not_late(&self, seconds: f64) -> Result<(), TelemetryFault> {
-        if seconds > self.settings.late_after_s {
+    fn not_late(&mut self, delay: Delay) -> Result<(), TelemetryFault> {
+        if delay.at_least_s > self.settings.late_after_s {
+            let seconds = delay.seconds;
+            self.lateness.count(seconds);
             return Err(TelemetryFault::Late { seconds });
         }
         Ok(())
@@ -328,7 +343,7 @@ impl Telemetry {
 
     /// The newest attitude and position, if neither was used, their stamps are at most one period
     /// of the slower apart, and nothing better drives the ticks; carried to the newer stamp.
-    fn pair(&mut self, host: HostTime, delay: f64) -> Option<Sample> {
+    fn pair(&mut self, host: HostTime, delay: Delay) -> Option<Sample> {
         let source = self.attitude_source?;
         let attitude = match source {
             AttitudeSource::Quaternion => &mut self.quaternion,
@@ -367,7 +382,7 @@ impl Telemetry {
         vehicle: VehicleTime,
         host: HostTime,
         source: SampleSource,
-        excess_delay_s: f64,
+        delay: Delay,
     ) -> Option<Sample> {
         let period_us = (1e6 / self.settings.rate_hz).round() as u64;
         let [odometry, attitude, position] = self.rates_hz();
@@ -389,8 +404,10 @@ impl Telemetry {
         let behind = vehicle.as_us() > due.as_us() + period_us;
         let from = if behind { vehicle } else { due };
         self.due = Some(VehicleTime::from_us(from.as_us() + period_us));
+        let excess_delay_s = delay.seconds.max(0.0);
         let sample = Sample { state, vehicle, host, source, excess_delay_s };
         self.last = Some(sample);
+        self.lateness.since_sample = LateMessages::default();
         Some(sample)
     }
 }

@@ -8,7 +8,7 @@ use downwash::link::message::Inbound;
 use downwash::link::profile::Profile;
 use downwash::link::request::{FlightMode, Outcome, Request};
 use downwash::link::session::{Event, Heard, Session, SetpointError, Settings};
-use downwash::link::timesync::ClockSource;
+use downwash::link::vehicle_clock::ClockSource;
 use downwash::setpoint::Setpoint;
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
@@ -377,4 +377,177 @@ fn a_serial_line_is_asked_for_what_it_has_room_for() {
         assert_eq!(rates, expected, "{baud:?}");
         assert_eq!(news.is_some(), baud.is_some(), "{baud:?}: {news:?}");
     }
+}
+
+/// The modes that the session handed on, in order.
+fn modes(world: &World) -> Vec<u32> {
+    let modes = world.messages.iter().filter_map(|received| match received.message {
+        Inbound::Heartbeat { custom_mode, .. } | Inbound::CurrentMode { custom_mode, .. } => {
+            Some(custom_mode)
+        }
+        _ => None,
+    });
+    modes.collect()
+}
+
+#[test]
+fn a_second_radio_never_brings_back_an_older_mode() {
+    for lag in [1usize, 40, 130, 256, 300, 700] {
+        let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(2.0));
+        let before = world.messages.len();
+        let mut sent: Vec<Vec<u8>> = Vec::new();
+        for k in 0..3000u32 {
+            if k == 1500 {
+                vehicle.custom_mode = 0x0304_0001;
+            }
+            let message = if k % 200 == 0 {
+                vehicle.heartbeat()
+            } else {
+                MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
+                    time_boot_ms: vehicle.boot(world.now).as_millis() as u32,
+                    q1: 1.0,
+                    ..Default::default()
+                })
+            };
+            sent.push(vehicle.encode(&message));
+            world.deliver(VEHICLE, &sent[k as usize]);
+            if let Some(old) = (k as usize).checked_sub(lag) {
+                world.deliver(VEHICLE, &sent[old]);
+            }
+            world.now = world.now + Duration::from_millis(2);
+        }
+        let told = modes(&world);
+        let first = told.iter().position(|mode| *mode == 0x0304_0001).expect("told");
+        let older = told[first..].iter().filter(|mode| **mode != 0x0304_0001).count();
+        assert_eq!(older, 0, "lag {lag}");
+        assert_eq!(world.messages.len() - before, 3000, "lag {lag}: each once");
+        assert_eq!(world.session.stats().lost, 0, "lag {lag}");
+    }
+}
+
+#[test]
+fn an_overtaken_heartbeat_is_older_than_the_mode_that_is_known() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(2.0));
+    let old = vehicle.encode(&vehicle.heartbeat());
+    vehicle.custom_mode = OFFBOARD;
+    let new = vehicle.encode(&vehicle.heartbeat());
+    world.deliver(VEHICLE, &new);
+    world.deliver(VEHICLE, &old);
+    assert_eq!(modes(&world).last(), Some(&OFFBOARD));
+    // What was merely overtaken by something else is news.
+    vehicle.custom_mode = 0x0304_0000;
+    let mode = vehicle.encode(&vehicle.heartbeat());
+    let other = vehicle.encode(&vehicle.parameter_value());
+    world.deliver(VEHICLE, &other);
+    world.deliver(VEHICLE, &mode);
+    assert_eq!(modes(&world).last(), Some(&0x0304_0000));
+}
+
+/// A HEARTBEAT of these ids.
+fn heartbeat_of(system: u8, component: u8, autopilot: MavAutopilot, mavtype: MavType) -> Vec<u8> {
+    let data = HEARTBEAT_DATA { autopilot, mavtype, ..Default::default() };
+    let mut bytes = Vec::new();
+    Encoder::new(system, component).encode(&MavMessage::HEARTBEAT(data), &mut bytes);
+    bytes
+}
+
+#[test]
+fn a_companion_with_the_autopilots_ids_says_nothing_of_the_vehicle() {
+    use MavAutopilot::{MAV_AUTOPILOT_GENERIC, MAV_AUTOPILOT_INVALID};
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(2.0));
+    let heard = modes(&world).len();
+    for (autopilot, mavtype) in [
+        (MAV_AUTOPILOT_INVALID, MavType::MAV_TYPE_ONBOARD_CONTROLLER),
+        (MAV_AUTOPILOT_INVALID, MavType::MAV_TYPE_QUADROTOR),
+        (MAV_AUTOPILOT_GENERIC, MavType::MAV_TYPE_GIMBAL),
+        (MAV_AUTOPILOT_GENERIC, MavType::MAV_TYPE_QUADROTOR),
+    ] {
+        world.deliver(VEHICLE, &heartbeat_of(1, 1, autopilot, mavtype));
+    }
+    assert_eq!(modes(&world).len(), heard);
+    assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.autopilot), Some(12));
+}
+
+#[test]
+fn a_known_autopilot_takes_the_place_of_an_unknown_one_and_never_the_other_way() {
+    use MavAutopilot::MAV_AUTOPILOT_GENERIC;
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    let unknown = heartbeat_of(1, 154, MAV_AUTOPILOT_GENERIC, MavType::MAV_TYPE_GENERIC);
+    world.deliver(VEHICLE, &unknown);
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.component), Some(154));
+    world.run(&mut vehicle, seconds(2.0));
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.component), Some(1));
+    assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
+    world.deliver(VEHICLE, &unknown);
+    world.run(&mut vehicle, seconds(1.0));
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.component), Some(1));
+    assert!(!world.events.iter().any(|e| matches!(e, Event::AnotherAutopilot { .. })));
+}
+
+#[test]
+fn two_autopilots_are_both_named_once() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(2));
+    world.run(&mut vehicle, seconds(1.5));
+    let mut other = Vehicle::new(1);
+    for _ in 0..3 {
+        let bytes = other.encode(&other.heartbeat());
+        world.deliver(STRANGER, &bytes);
+        world.run(&mut vehicle, seconds(0.5));
+    }
+    let named: Vec<_> = world
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            Event::AnotherAutopilot { vehicle, other } => Some((vehicle.system, other.system)),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(named, [(2, 1)]);
+    assert_eq!(world.session.others().len(), 1);
+    // Where one was chosen there is nothing to ask.
+    let mut world = World::new(Settings { vehicle_system: Some(2), ..settings() });
+    world.run(&mut vehicle, seconds(1.5));
+    let bytes = other.encode(&other.heartbeat());
+    world.deliver(STRANGER, &bytes);
+    assert!(world.session.others().is_empty());
+}
+
+#[test]
+fn a_signed_vehicle_is_known_by_its_first_frame() {
+    let mut world = World::new(settings());
+    let vehicle = &mut Vehicle::new(1);
+    let mut bytes = vehicle.encode(&vehicle.heartbeat());
+    world.deliver(VEHICLE, &bytes);
+    assert!(!world.session.is_signed());
+    // The flag, the checksum over it, and a signature, which is not checked here.
+    bytes[2] = 1;
+    let extra_crc = <MavMessage as mavlink::Message>::extra_crc(0);
+    let end = bytes.len() - 2;
+    let crc = mavlink::calculate_crc(&bytes[1..end], extra_crc).to_le_bytes();
+    bytes[end..].copy_from_slice(&crc);
+    bytes.extend([7; 13]);
+    let mut world = World::new(settings());
+    world.deliver(VEHICLE, &bytes);
+    assert!(world.session.is_signed());
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.system), Some(1));
+}
+
+#[test]
+fn a_vehicle_that_speaks_mavlink_1_only_is_spoken_to_in_it() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    vehicle.encoder.set_version(mavlink::MavlinkVersion::V1);
+    vehicle.version = None;
+    world.run(&mut vehicle, seconds(4.0));
+    assert_eq!(world.session.protocol(), Some(1));
+    world.session.send_setpoint(world.now, &Setpoint::default()).expect("sent");
+    let mut markers = Vec::new();
+    world.session.transmit(|_, bytes| {
+        markers.push(bytes[0]);
+        true
+    });
+    assert_eq!(markers.last(), Some(&mavlink::MAV_STX), "{markers:?}");
 }

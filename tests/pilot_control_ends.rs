@@ -2,7 +2,7 @@
 
 mod support;
 
-use downwash::link::message::Inbound;
+use downwash::link::message::{Battery, Inbound};
 use downwash::pilot::{PilotSettings, Tick};
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
 use sitl::frame::{Frd, Ned};
@@ -162,7 +162,7 @@ fn refused_arming_ends_the_flight_with_the_vehicles_reason() {
     flight.run(0.1);
     let host = flight.vehicle.now();
     let message = Inbound::StatusText { severity: 2, text: "Arming denied: compass\t".into() };
-    let received = downwash::link::message::Received { host, vehicle: None, message };
+    let received = downwash::link::message::Received { host, vehicle: None, delay: None, message };
     flight.pilot.handle(&received);
     flight.run(6.0);
     assert_eq!(flight.pilot.flight_state(), FlightState::Abort);
@@ -196,7 +196,7 @@ fn not_a_number_is_never_flown_on() {
     };
     let (host, ms) = (flight.vehicle.now(), flight.vehicle.ms as u32 + 9);
     let vehicle = Some(downwash::clock::VehicleTime::from_ms(ms));
-    let received = downwash::link::message::Received { host, vehicle, message };
+    let received = downwash::link::message::Received { host, vehicle, delay: None, message };
     assert!(flight.pilot.handle(&received).is_none());
     flight.run(1.0);
     assert_eq!(flight.pilot.flight_state(), FlightState::Track);
@@ -208,9 +208,14 @@ fn not_a_number_is_never_flown_on() {
 fn low_battery_and_a_left_fence_land_the_vehicle() {
     let mut low = flight(EngagePolicy::Command);
     low.until(FlightState::Track, 30.0);
-    let message = Inbound::Battery { voltage: None, current: None, remaining: Some(0.1) };
+    let message = Inbound::Battery(Battery { remaining: Some(0.1), ..Battery::default() });
     let host = low.vehicle.now();
-    low.pilot.handle(&downwash::link::message::Received { host, vehicle: None, message });
+    low.pilot.handle(&downwash::link::message::Received {
+        host,
+        vehicle: None,
+        delay: None,
+        message,
+    });
     low.run(2.9);
     assert_eq!(low.pilot.flight_state(), FlightState::Track);
     low.run(0.3);

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use downwash::clock::{HostTime, VehicleTime};
 use downwash::link::message::{AttitudeSource, Inbound, Received};
+use downwash::link::vehicle_clock::VehicleClock;
 use downwash::telemetry::{Sample, SampleSource, Telemetry, TelemetryFault, TelemetrySettings};
 use proptest::prelude::*;
 use sitl::frame::{Attitude, Euler, Frd, Ned};
@@ -12,7 +13,7 @@ const START: HostTime = HostTime::from_ns(1_000_000_000_000);
 
 fn received(us: u64, message: Inbound) -> Received {
     let host = START + Duration::from_micros(us + 2000);
-    Received { host, vehicle: Some(VehicleTime::from_us(us)), message }
+    Received { host, vehicle: Some(VehicleTime::from_us(us)), delay: None, message }
 }
 
 /// Moving north at 1 m/s and turning at 0.5 rad/s.
@@ -226,44 +227,77 @@ fn reset_counter_restart_and_repeat_are_told_apart() {
     assert!(telemetry.last_sample().is_none(), "nothing of before the restart is left");
 }
 
+/// A vehicle's messages as the link hands them on, each with its delay.
+#[derive(Default)]
+struct Link {
+    clock: VehicleClock,
+}
+
+impl Link {
+    fn hear(
+        &mut self,
+        telemetry: &mut Telemetry,
+        host: HostTime,
+        message: Received,
+    ) -> Result<Option<Sample>, TelemetryFault> {
+        let delay = message.vehicle.map(|stamp| self.clock.observe(host, stamp));
+        telemetry.update(&Received { host, delay, ..message })
+    }
+
+    fn second(&mut self, telemetry: &mut Telemetry) {
+        for us in (10_000..=1_000_000).step_by(10_000) {
+            let message = odometry(us);
+            self.hear(telemetry, message.host, message).expect("sound");
+        }
+    }
+}
+
 #[test]
-fn message_that_waited_on_its_way_is_not_acted_upon() {
-    let mut telemetry = telemetry();
-    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
-    let mut late = odometry(1_010_000);
-    late.host = late.host + Duration::from_millis(300);
-    assert!(matches!(telemetry.update(&late), Err(TelemetryFault::Late { .. })));
+fn message_that_waited_on_its_way_is_not_acted_upon_and_told() {
+    let (mut telemetry, mut link) = (telemetry(), Link::default());
+    link.second(&mut telemetry);
+    assert_eq!(telemetry.take_late(START), None);
+    let late = odometry(1_010_000);
+    let host = late.host + Duration::from_millis(300);
+    let fault = link.hear(&mut telemetry, host, late);
+    assert!(matches!(fault, Err(TelemetryFault::Late { .. })), "{fault:?}");
+    let told = telemetry.take_late(host).expect("told").to_string();
+    assert_eq!(told, "1 message of the state came late by up to 0.30 s");
+    assert_eq!((telemetry.take_late(host), telemetry.late().count), (None, 1));
+    let next = odometry(1_320_000);
+    assert!(matches!(link.hear(&mut telemetry, next.host, next), Ok(Some(_))));
+    assert_eq!(telemetry.late().count, 0);
 }
 
 #[test]
 fn a_queue_that_overflows_is_no_jump_of_the_clock() {
-    let mut telemetry = telemetry();
-    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
+    let (mut telemetry, mut link) = (telemetry(), Link::default());
+    link.second(&mut telemetry);
     // Nothing is read for 1.5 s. What is old then comes at once; what the queue could not hold is
     // missing; and the newest follows.
     let read = START + Duration::from_micros(2_500_000);
     for us in (1_010_000..1_100_000).step_by(10_000) {
-        let late = telemetry.update(&Received { host: read, ..odometry(us) });
+        let late = link.hear(&mut telemetry, read, odometry(us));
         assert!(matches!(late, Err(TelemetryFault::Late { .. })), "{late:?}");
     }
-    let fresh = telemetry.update(&Received { host: read, ..odometry(2_490_000) });
+    let fresh = link.hear(&mut telemetry, read, odometry(2_490_000));
     assert!(matches!(fresh, Ok(Some(_))), "{fresh:?}");
 }
 
 #[test]
 fn a_clock_that_steps_forward_is_told_once() {
-    let mut telemetry = telemetry();
-    run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
-    let stepped = |us: u64| Received {
-        host: START + Duration::from_micros(us + 2000),
-        ..odometry(us + 1_200_000)
+    let (mut telemetry, mut link) = (telemetry(), Link::default());
+    link.second(&mut telemetry);
+    let mut stepped = |us: u64| {
+        let host = START + Duration::from_micros(us + 2000);
+        link.hear(&mut telemetry, host, odometry(us + 1_200_000))
     };
-    let jump = telemetry.update(&stepped(1_010_000));
+    let jump = stepped(1_010_000);
     assert!(
         matches!(jump, Err(TelemetryFault::ClockJump { seconds }) if (seconds - 1.2).abs() < 0.01),
         "{jump:?}"
     );
-    assert!(telemetry.update(&stepped(1_020_000)).is_ok());
+    assert!(stepped(1_020_000).is_ok());
 }
 
 proptest! {

@@ -14,7 +14,7 @@ pub struct FlyArgs {
     /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
     #[arg(long, value_name = "URL")]
     pub connect: Option<String>,
-    /// Vehicle file.
+    /// Vehicle file, or the name of a shipped one.
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
     /// Plans anew in flight, through the model of --model. Where the trajectory's file changes in
@@ -27,12 +27,21 @@ pub struct FlyArgs {
     /// Which of its models [default: the one that predicted best].
     #[arg(long, value_enum, requires = "model")]
     pub kind: Option<ModelKind>,
+    /// Takes over a vehicle that others fly: one that is armed or in the air.
+    #[arg(long)]
+    pub take_over: bool,
     /// Folder for the flight log.
     #[arg(long)]
     pub log_dir: Option<PathBuf>,
     /// Also writes every byte of the link to this .tlog.
     #[arg(long)]
     pub tlog: Option<PathBuf>,
+    /// System id of the vehicle, where several are on the link.
+    #[arg(long, value_name = "ID")]
+    pub system: Option<u8>,
+    /// Makes the checks before a flight and flies nothing; exit code 4 if one fails.
+    #[arg(long, conflicts_with_all = ["replan", "tlog"])]
+    pub check: bool,
     /// Configuration file.
     #[arg(long)]
     pub config: Option<PathBuf>,
@@ -127,4 +136,36 @@ pub struct DaemonArgs {
     /// Also writes every byte of the link to this .tlog.
     #[arg(long)]
     pub tlog: Option<PathBuf>,
+}
+
+/// Flags of `doctor` and `inspect`.
+#[derive(Debug, Args)]
+pub struct ListenArgs {
+    /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
+    #[arg(long, value_name = "URL")]
+    pub connect: Option<String>,
+    /// System id of the vehicle, where several are on the link.
+    #[arg(long, value_name = "ID")]
+    pub system: Option<u8>,
+    /// How long to listen, s [default: 8; `inspect` on a terminal: until Ctrl-C].
+    #[arg(long, value_name = "SECONDS")]
+    pub seconds: Option<f64>,
+    /// Configuration file.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Flags of `doctor`.
+#[derive(Debug, Args)]
+pub struct DoctorArgs {
+    /// The link.
+    #[command(flatten)]
+    pub listen: ListenArgs,
+    /// Also asks for the messages and rates that a flight asks for, to see whether the link carries
+    /// them; the vehicle keeps them until it restarts.
+    #[arg(long)]
+    pub rates: bool,
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Context;
 
 use super::course::Course;
-use super::fly::{baud, endpoint, tee, tell_tlog, watch};
+use super::fly::{endpoint, tee, tell_tlog, watch};
 use super::setup::{VehicleFile, required, run_info, station_settings};
 use super::stop::{Stop, StopSignals};
 use super::{Exit, config, say, summary};
@@ -26,7 +26,7 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let course = Course::load(&file, &vehicle, &config)?;
     let name = course.name().to_owned();
     let policy = EngagePolicy::PilotSwitch;
-    let station_settings = station_settings(&config, &vehicle, &course, policy, baud(&endpoint))?;
+    let station_settings = station_settings(&config, &vehicle, &course, policy, Some(&endpoint))?;
 
     let mut signals = StopSignals::new()?;
     let clock = HostClock::start();

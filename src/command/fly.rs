@@ -22,7 +22,7 @@ use crate::daemon::{self, Finished, HostClock, Running};
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
 use crate::log::partial::is_special;
-use crate::log::writer::create_numbered;
+use crate::log::writer::{LogError, create_numbered};
 use crate::log::{LogSink, LogWriter, RunInfo};
 use crate::plan::Trajectory;
 use crate::plan::receding::RecedingReference;
@@ -48,9 +48,14 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let mut flags = Vec::new();
     flags.extend(path_flag("--vehicle", "vehicle", &args.vehicle));
     flags.extend(path_flag("--log-dir", "log_dir", &args.log_dir));
+    if args.take_over {
+        let key = "pilot.supervisor.take_over";
+        flags.push(("--take-over", key, toml::Value::Boolean(true)));
+    }
     if let Some(url) = &args.connect {
         flags.push(("--connect", "connect", toml::Value::String(url.clone())));
     }
+    flags.extend(system_flag(args.system));
     let config = config::load(args.config.as_deref(), flags)?;
     let settings = &config.settings;
     let vehicle = VehicleFile::load(&required(&settings.vehicle, "--vehicle", "vehicle")?)?;
@@ -63,8 +68,11 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     };
     let name = course.name().to_owned();
     let policy = EngagePolicy::Command;
-    let station_settings = station_settings(&config, &vehicle, &course, policy, baud(&endpoint))?;
+    let station_settings = station_settings(&config, &vehicle, &course, policy, Some(&endpoint))?;
 
+    if args.check {
+        return check(station_settings, endpoint, args.json);
+    }
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
     let tee = args.tlog.as_deref().map(tee).transpose()?;
@@ -89,6 +97,40 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
         let table = flight.map(|flight| summary::flight_table(&flight, &end)).unwrap_or_default();
         let log = log.map(|log| format!("log     {}\n", log.display())).unwrap_or_default();
         print_text(&format!("{table}{log}"))?;
+    }
+    Ok(exit)
+}
+
+/// Time for the checks before a flight, s.
+const CHECK_LIMIT_S: f64 = 10.0;
+
+/// The JSON of `fly --check`.
+#[derive(Serialize)]
+struct CheckSummary {
+    schema: &'static str,
+    schema_version: u32,
+    end: String,
+}
+
+/// The checks before a flight, and no flight.
+fn check(mut settings: StationSettings, endpoint: Endpoint, json: bool) -> anyhow::Result<Exit> {
+    settings.pilot.supervisor.ready_timeout_s = CHECK_LIMIT_S;
+    let mut signals = StopSignals::new()?;
+    let clock = HostClock::start();
+    // A log begins with a flight, and there is none.
+    let none = |_| {
+        Err(LogError::Create { path: PathBuf::new(), source: io::ErrorKind::Unsupported.into() })
+    };
+    let sink = LogSink::per_flight(Box::new(none)).context("cannot start the log's thread")?;
+    let station = Station::new(settings, clock.now()).checking();
+    let running = daemon::start(station, clock, Connection::new(endpoint), None, sink)
+        .context("cannot start the control thread")?;
+    let finished = watch(running, &mut signals);
+    let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
+    if json {
+        print_json(&CheckSummary { schema: "downwash.check", schema_version: 1, end })?;
+    } else {
+        print_text(&format!("{end}\n"))?;
     }
     Ok(exit)
 }
@@ -174,17 +216,14 @@ pub(super) fn watch(running: Running, signals: &mut StopSignals) -> Finished {
     running.join()
 }
 
+/// The system id of a vehicle as a configuration layer.
+pub(super) fn system_flag(system: Option<u8>) -> Option<(&'static str, &'static str, toml::Value)> {
+    system.map(|id| ("--system", "link.vehicle_system", toml::Value::Integer(id.into())))
+}
+
 /// Parses the URL of a vehicle.
 pub(super) fn endpoint(url: &str) -> anyhow::Result<Endpoint> {
     url.parse::<Endpoint>().or_exit(Exit::Usage)
-}
-
-/// The speed of a serial endpoint.
-pub(super) fn baud(endpoint: &Endpoint) -> Option<u32> {
-    match endpoint {
-        Endpoint::Serial { baud, .. } => Some(*baud),
-        _ => None,
-    }
 }
 
 /// Says what a telemetry log lacks.

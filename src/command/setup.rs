@@ -7,8 +7,10 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use sitl::frame::Frd;
 use sitl::vehicle::{AttitudePd, VehicleParams};
+use wire::Endpoint;
 
 use super::course::Course;
+use super::vehicle::refuse_grounded;
 use super::{Exit, ExitContext};
 use crate::config::{Config, FormSetting};
 use crate::control::{AttitudeLoop, Lqr, LqrSettings};
@@ -29,10 +31,11 @@ pub(super) struct VehicleFile {
 }
 
 impl VehicleFile {
-    /// Reads and checks a vehicle file.
+    /// Reads and checks the file of a vehicle that is to fly.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let params = VehicleParams::load(path).or_exit(Exit::Usage)?;
-        let text = std::fs::read_to_string(path)
+        refuse_grounded(&path.display().to_string(), &params)?;
+        let text = sitl::vehicle::read(path)
             .with_context(|| format!("vehicle file {}", path.display()))
             .or_exit(Exit::Usage)?;
         Ok(Self { name: path.display().to_string(), text, params })
@@ -79,13 +82,14 @@ pub(super) fn station_settings(
     vehicle: &VehicleFile,
     course: &Course,
     policy: EngagePolicy,
-    baud: Option<u32>,
+    link: Option<&Endpoint>,
 ) -> anyhow::Result<StationSettings> {
     let settings = &config.settings;
     let effective = EffectiveVehicle::new(&vehicle.params).or_exit(Exit::Usage)?;
     // The vehicle is not known yet, so neither is its loop; what no feedback can be designed with
     // is wrong with any.
     Lqr::design(&effective.hover, &AttitudeLoop::PX4, &settings.control).or_exit(Exit::Usage)?;
+    let endpoint = link;
     let link = &settings.link;
     let session = session::Settings {
         system: link.system,
@@ -96,7 +100,8 @@ pub(super) fn station_settings(
         answer_timesync: link.answer_timesync,
         stale_after: seconds("link.stale_after_s", link.stale_after_s)?,
         lost_after: seconds("link.lost_after_s", link.lost_after_s)?,
-        baud,
+        baud: endpoint.and_then(baud),
+        endpoint: endpoint.map(ToString::to_string),
         ..session::Settings::new(effective.thrust)
     };
     let mut pilot = settings.pilot.clone();
@@ -114,6 +119,14 @@ pub(super) fn station_settings(
         reference: course.reference(effective.hover.hover_thrust_n()),
         search_timeout_s: (policy == EngagePolicy::Command).then_some(link.search_timeout_s),
     })
+}
+
+/// The speed of a serial endpoint.
+pub(super) fn baud(endpoint: &Endpoint) -> Option<u32> {
+    match endpoint {
+        Endpoint::Serial { baud, .. } => Some(*baud),
+        _ => None,
+    }
 }
 
 /// Gain of the daemon's attitude loop, 1/s. Where the on-board loop is known and is slower, the

@@ -13,6 +13,7 @@ use crate::station::End;
 pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
     match end {
         Some(End::Done) => ("done".to_owned(), Exit::Ok),
+        Some(End::Checked) => ("preflight checks passed".to_owned(), Exit::Ok),
         Some(End::NoVehicle) => ("no vehicle was heard".to_owned(), Exit::Link),
         Some(End::Refused(why)) => (format!("refused: {why}"), Exit::Refused),
         Some(End::Aborted(why)) => (format!("ended early: {why}"), Exit::Aborted),

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use toml::Value;
 
-use crate::control::Limits;
+use crate::control::{Limits, OffsetFreeSettings};
 use crate::pilot::{GuidanceSettings, PilotSettings};
 use crate::supervisor::SupervisorSettings;
 
@@ -67,6 +67,9 @@ pub(super) fn check_pilot(settings: &PilotSettings) -> Result<(), Impossible> {
     positive(&["pilot.guidance.approach_yaw_rate_rad_s"], approach_yaw_rate_rad_s)?;
     positive(&["pilot.guidance.settle_speed_m_s"], settle_speed_m_s)?;
     positive(&["pilot.safety.tilt_max_rad"], settings.safety.tilt_max_rad)?;
+    let OffsetFreeSettings { time_constant_s, velocity_time_constant_s, .. } = settings.offset_free;
+    positive(&["pilot.offset_free.time_constant_s"], time_constant_s)?;
+    positive(&["pilot.offset_free.velocity_time_constant_s"], velocity_time_constant_s)?;
     check_times(&settings.supervisor)
 }
 
@@ -97,11 +100,14 @@ fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
         stream_before_engage_s,
         engage_timeout_s,
         arm_timeout_s,
+        pilot_arm_timeout_s,
+        take_over: _,
         take_off_timeout_s,
         land_timeout_s,
         land_handover_s,
         hold_s,
         disarm_after_s,
+        rest_s,
         retry_s,
     } = *times;
     time(&["pilot.supervisor.link_lost_after_s"], link_lost_after_s)?;
@@ -110,11 +116,13 @@ fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
     time(&["pilot.supervisor.stream_before_engage_s"], stream_before_engage_s)?;
     time(&["pilot.supervisor.engage_timeout_s"], engage_timeout_s)?;
     time(&["pilot.supervisor.arm_timeout_s"], arm_timeout_s)?;
+    time(&["pilot.supervisor.pilot_arm_timeout_s"], pilot_arm_timeout_s)?;
     time(&["pilot.supervisor.take_off_timeout_s"], take_off_timeout_s)?;
     time(&["pilot.supervisor.land_timeout_s"], land_timeout_s)?;
     time(&["pilot.supervisor.land_handover_s"], land_handover_s)?;
     time(&["pilot.supervisor.hold_s"], hold_s)?;
     time(&["pilot.supervisor.disarm_after_s"], disarm_after_s)?;
+    time(&["pilot.supervisor.rest_s"], rest_s)?;
     time(&["pilot.supervisor.retry_s"], retry_s)
 }
 

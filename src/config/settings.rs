@@ -43,7 +43,8 @@ pub struct Settings {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkSettings {
-    /// Own MAVLink system id.
+    /// Own MAVLink system id. Ground stations are 255 by custom: a daemon with that id would keep
+    /// ArduCopter from seeing that the pilot's station is gone.
     pub system: u8,
     /// Own MAVLink component id.
     pub component: u8,
@@ -79,7 +80,7 @@ pub enum FormSetting {
 impl Default for LinkSettings {
     fn default() -> Self {
         Self {
-            system: 255,
+            system: 254,
             component: 191,
             vehicle_system: None,
             attitude_target: FormSetting::Profile,

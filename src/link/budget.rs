@@ -109,7 +109,7 @@ impl fmt::Display for LineBudget {
         write!(f, "the wanted telemetry takes {percent:.0} % of the serial line at {baud} baud")?;
         for (k, wanted) in self.lowered.iter().enumerate() {
             let before = if k == 0 { "; asking for " } else { ", " };
-            write!(f, "{before}{} at ", name(wanted.id))?;
+            write!(f, "{before}{} at ", message_name(wanted.id))?;
             write!(f, "{:.0} instead of {:.0} Hz", self.hz(wanted.id), wanted.hz)?;
         }
         if !self.lowered.is_empty() {
@@ -140,7 +140,8 @@ fn frame_len(id: u32) -> usize {
     FRAME_OVERHEAD + payload_len
 }
 
-fn name(id: u32) -> String {
+/// The name of a message of the dialect.
+pub fn message_name(id: u32) -> String {
     MavMessage::default_message_from_id(id)
         .map_or_else(|| format!("message {id}"), |message| message.message_name().to_owned())
 }

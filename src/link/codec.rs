@@ -10,7 +10,9 @@ use sitl::frame::{Attitude, Euler, Ned};
 use wire::Frame;
 use wire::dialect::*;
 
-use super::message::{AttitudeSource, Inbound, LandedState, MotorSource};
+use super::message::{
+    AttitudeSource, Battery, ChargeState, Inbound, LandedState, MotorSource, SystemState,
+};
 use super::parameter::{self, ParameterCast};
 use super::text::TextAssembler;
 use crate::clock::VehicleTime;
@@ -25,11 +27,13 @@ const RATE_MAX: f64 = 200.0;
 const SPECIFIC_FORCE_MAX: f64 = 3e3;
 /// Largest Euler angle: autopilots send (-pi, pi] or [0, 2 pi).
 const ANGLE_MAX: f64 = 2.0 * std::f64::consts::PI + 0.01;
+/// A stamp this far behind the newest is not late: the vehicle was started since, s.
+const LATE_MAX_S: f64 = 10.0;
 /// Most parameters whose type is remembered; autopilots have some two thousand.
 const PARAMETERS_MAX: usize = 8192;
 
 /// Why a frame with a right checksum was not believed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// The payload does not fit its message, such as an enum value that the dialect lacks.
     #[error("payload does not fit its message")]
@@ -41,8 +45,16 @@ pub enum Refusal {
     #[error("quaternion is not of unit length")]
     Quaternion,
     /// ODOMETRY in frames other than LOCAL_NED with LOCAL_NED or BODY_FRD.
-    #[error("odometry in a frame that is not used here")]
-    OdometryFrame,
+    #[error(
+        "frame {frame:?} with child frame {child:?}, expected MAV_FRAME_LOCAL_NED with \
+             MAV_FRAME_LOCAL_NED or MAV_FRAME_BODY_FRD"
+    )]
+    OdometryFrame {
+        /// Of the pose.
+        frame: MavFrame,
+        /// Of the velocity.
+        child: MavFrame,
+    },
 }
 
 /// A message and the vehicle time of its sample, where it has one.
@@ -83,7 +95,11 @@ impl Codec {
         let message = frame.message().map_err(|_| Refusal::Malformed)?;
         let decoded = self.message(&message)?;
         if let Some((Some(time), _)) = decoded {
-            self.latest = self.latest.max(time);
+            // Late frames change nothing; a clock that is far back began anew.
+            let is_late = time < self.latest && self.latest.seconds_since(time) < LATE_MAX_S;
+            if !is_late {
+                self.latest = time;
+            }
         }
         Ok(decoded)
     }
@@ -92,9 +108,13 @@ impl Codec {
         use MavMessage as M;
         Ok(Some(match message {
             M::ODOMETRY(data) => odometry(data)?,
-            M::ATTITUDE_QUATERNION(data) => attitude_quaternion(data)?,
-            M::ATTITUDE(data) => attitude_euler(data)?,
-            M::LOCAL_POSITION_NED(data) => local_position(data)?,
+            M::ATTITUDE_QUATERNION(data) => {
+                (Some(self.unwrap_ms(data.time_boot_ms)), attitude_quaternion(data)?)
+            }
+            M::ATTITUDE(data) => (Some(self.unwrap_ms(data.time_boot_ms)), attitude_euler(data)?),
+            M::LOCAL_POSITION_NED(data) => {
+                (Some(self.unwrap_ms(data.time_boot_ms)), local_position(data)?)
+            }
             M::HIGHRES_IMU(data) => imu(data)?,
             M::ACTUATOR_OUTPUT_STATUS(data) => {
                 let [a, b, c, d, ..] = data.actuator;
@@ -107,7 +127,9 @@ impl Codec {
                 outputs(MotorSource::ServoOutputRaw, time, raw.map(f32::from))?
             }
             M::BATTERY_STATUS(data) if data.id == 0 => (None, battery(data)),
-            M::ATTITUDE_TARGET(data) => attitude_target(data)?,
+            M::ATTITUDE_TARGET(data) => {
+                (Some(self.unwrap_ms(data.time_boot_ms)), attitude_target(data)?)
+            }
             M::SYS_STATUS(data) => (None, sys_status(data)),
             M::EXTENDED_SYS_STATE(data) => (None, landed_state(data)),
             M::AUTOPILOT_VERSION(data) => {
@@ -149,13 +171,41 @@ impl Codec {
         }))
     }
 
-    /// Extends a 32-bit microsecond counter, which wraps every 72 minutes, to the time nearest to
-    /// the latest one known.
+    /// Extends a 32-bit counter of microseconds, which wraps every 71.6 minutes.
     fn unwrap_us(&self, low: u32) -> VehicleTime {
-        let latest = self.latest.as_us();
-        let ahead = low.wrapping_sub(latest as u32) as i32;
-        VehicleTime::from_us(latest.saturating_add_signed(ahead.into()))
+        VehicleTime::from_us(unwrap(self.latest.as_us(), low, LATE_MAX_S * 1e6))
     }
+
+    /// Extends a 32-bit counter of milliseconds, which wraps every 49.7 days.
+    fn unwrap_ms(&self, low: u32) -> VehicleTime {
+        let ms = unwrap(self.latest.as_us() / 1000, low, LATE_MAX_S * 1e3);
+        VehicleTime::from_us(ms.saturating_mul(1000))
+    }
+}
+
+/// The value nearest to `latest` whose lower half is `low`. One that is back by more than
+/// `late_max` is no late one: the vehicle was started since, and counts from zero.
+fn unwrap(latest: u64, low: u32, late_max: f64) -> u64 {
+    let ahead = i64::from(low.wrapping_sub(latest as u32) as i32);
+    match latest.checked_add_signed(ahead) {
+        Some(value) if ahead as f64 >= -late_max => value,
+        _ => low.into(),
+    }
+}
+
+/// Whether a message holds the time of its sample, so that none is like another.
+pub(super) fn is_stamped(id: u32) -> bool {
+    matches!(
+        id,
+        ODOMETRY_DATA::ID
+            | ATTITUDE_QUATERNION_DATA::ID
+            | ATTITUDE_DATA::ID
+            | LOCAL_POSITION_NED_DATA::ID
+            | HIGHRES_IMU_DATA::ID
+            | ACTUATOR_OUTPUT_STATUS_DATA::ID
+            | SERVO_OUTPUT_RAW_DATA::ID
+            | ATTITUDE_TARGET_DATA::ID
+    )
 }
 
 fn is_understood(id: u32) -> bool {
@@ -188,19 +238,21 @@ pub(super) fn heartbeat(payload: &[u8]) -> Inbound {
         vehicle_type: byte(4),
         autopilot: byte(5),
         armed: byte(6) & MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED.bits() != 0,
+        system: SystemState::from(byte(7)),
     }
 }
 
 fn odometry(data: &ODOMETRY_DATA) -> Result<Decoded, Refusal> {
-    if data.frame_id != MavFrame::MAV_FRAME_LOCAL_NED {
-        return Err(Refusal::OdometryFrame);
+    let (frame, child) = (data.frame_id, data.child_frame_id);
+    if frame != MavFrame::MAV_FRAME_LOCAL_NED {
+        return Err(Refusal::OdometryFrame { frame, child });
     }
     let attitude = unit(data.q)?;
     let velocity = bounded([data.vx, data.vy, data.vz], SPEED_MAX)?;
     let velocity: Ned = match data.child_frame_id {
         MavFrame::MAV_FRAME_LOCAL_NED => velocity.into(),
         MavFrame::MAV_FRAME_BODY_FRD => attitude.to_world(velocity.into()),
-        _ => return Err(Refusal::OdometryFrame),
+        _ => return Err(Refusal::OdometryFrame { frame, child }),
     };
     let message = Inbound::Odometry {
         position: bounded([data.x, data.y, data.z], POSITION_MAX)?.into(),
@@ -212,31 +264,31 @@ fn odometry(data: &ODOMETRY_DATA) -> Result<Decoded, Refusal> {
     Ok((Some(VehicleTime::from_us(data.time_usec)), message))
 }
 
-fn attitude_quaternion(data: &ATTITUDE_QUATERNION_DATA) -> Result<Decoded, Refusal> {
+fn attitude_quaternion(data: &ATTITUDE_QUATERNION_DATA) -> Result<Inbound, Refusal> {
     let message = Inbound::Attitude {
         source: AttitudeSource::Quaternion,
         attitude: unit([data.q1, data.q2, data.q3, data.q4])?,
         body_rate: bounded([data.rollspeed, data.pitchspeed, data.yawspeed], RATE_MAX)?.into(),
     };
-    Ok((Some(VehicleTime::from_ms(data.time_boot_ms)), message))
+    Ok(message)
 }
 
-fn attitude_euler(data: &ATTITUDE_DATA) -> Result<Decoded, Refusal> {
+fn attitude_euler(data: &ATTITUDE_DATA) -> Result<Inbound, Refusal> {
     let [roll, pitch, yaw] = bounded([data.roll, data.pitch, data.yaw], ANGLE_MAX)?;
     let message = Inbound::Attitude {
         source: AttitudeSource::Euler,
         attitude: Euler::new(roll, pitch, yaw).attitude(),
         body_rate: bounded([data.rollspeed, data.pitchspeed, data.yawspeed], RATE_MAX)?.into(),
     };
-    Ok((Some(VehicleTime::from_ms(data.time_boot_ms)), message))
+    Ok(message)
 }
 
-fn local_position(data: &LOCAL_POSITION_NED_DATA) -> Result<Decoded, Refusal> {
+fn local_position(data: &LOCAL_POSITION_NED_DATA) -> Result<Inbound, Refusal> {
     let message = Inbound::LocalPosition {
         position: bounded([data.x, data.y, data.z], POSITION_MAX)?.into(),
         velocity: bounded([data.vx, data.vy, data.vz], SPEED_MAX)?.into(),
     };
-    Ok((Some(VehicleTime::from_ms(data.time_boot_ms)), message))
+    Ok(message)
 }
 
 fn imu(data: &HIGHRES_IMU_DATA) -> Result<Decoded, Refusal> {
@@ -263,16 +315,30 @@ fn battery(data: &BATTERY_STATUS_DATA) -> Inbound {
     let (count, sum_mv) = cells
         .chain(further)
         .fold((0, 0.0), |(count, sum), &cell| (count + 1, sum + f64::from(cell)));
-    Inbound::Battery {
+    Inbound::Battery(Battery {
         voltage: (count > 0).then_some(sum_mv / 1000.0),
         current: (data.current_battery >= 0).then(|| f64::from(data.current_battery) / 100.0),
         remaining: (0..=100)
             .contains(&data.battery_remaining)
             .then(|| f64::from(data.battery_remaining) / 100.0),
+        charge: charge_state(data.charge_state),
+    })
+}
+
+fn charge_state(state: MavBatteryChargeState) -> ChargeState {
+    use MavBatteryChargeState as M;
+    match state {
+        M::MAV_BATTERY_CHARGE_STATE_OK | M::MAV_BATTERY_CHARGE_STATE_CHARGING => ChargeState::Ok,
+        M::MAV_BATTERY_CHARGE_STATE_LOW => ChargeState::Low,
+        M::MAV_BATTERY_CHARGE_STATE_CRITICAL
+        | M::MAV_BATTERY_CHARGE_STATE_EMERGENCY
+        | M::MAV_BATTERY_CHARGE_STATE_FAILED
+        | M::MAV_BATTERY_CHARGE_STATE_UNHEALTHY => ChargeState::Critical,
+        _ => ChargeState::Unknown,
     }
 }
 
-fn attitude_target(data: &ATTITUDE_TARGET_DATA) -> Result<Decoded, Refusal> {
+fn attitude_target(data: &ATTITUDE_TARGET_DATA) -> Result<Inbound, Refusal> {
     let ignored = AttitudeTargetTypemask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE;
     let rates = [data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate];
     let [thrust] = bounded([data.thrust], 10.0)?;
@@ -284,7 +350,7 @@ fn attitude_target(data: &ATTITUDE_TARGET_DATA) -> Result<Decoded, Refusal> {
         thrust,
         type_mask: data.type_mask.bits(),
     };
-    Ok((Some(VehicleTime::from_ms(data.time_boot_ms)), message))
+    Ok(message)
 }
 
 fn sys_status(data: &SYS_STATUS_DATA) -> Inbound {
@@ -369,7 +435,8 @@ mod tests {
         let body = velocity(MavFrame::MAV_FRAME_BODY_FRD);
         assert!((body.east() - 2.0).abs() < 1e-6, "forward is east: {body:?}");
         let refused = decode(&MavMessage::ODOMETRY(odometry_in(MavFrame::MAV_FRAME_LOCAL_ENU)));
-        assert_eq!(refused, Err(Refusal::OdometryFrame));
+        let refused = refused.expect_err("refused").to_string();
+        assert!(refused.contains("MAV_FRAME_LOCAL_ENU"), "{refused}");
     }
 
     #[test]
@@ -396,7 +463,9 @@ mod tests {
                 ..Default::default()
             };
             match decode(&MavMessage::BATTERY_STATUS(data)).unwrap().unwrap().1 {
-                Inbound::Battery { voltage, current: None, remaining: None } => voltage,
+                Inbound::Battery(Battery { voltage, current: None, remaining: None, .. }) => {
+                    voltage
+                }
                 other => panic!("{other:?}"),
             }
         };
@@ -417,6 +486,7 @@ mod tests {
             vehicle_type: 250,
             armed: true,
             custom_mode: 0x0006_0000,
+            system: SystemState::Active,
         };
         assert_eq!(heartbeat(&payload), expected);
     }
@@ -433,6 +503,36 @@ mod tests {
         };
         assert_eq!(time(2_000), Some(VehicleTime::from_us((1 << 32) + 2_000)));
         assert_eq!(time(u32::MAX), Some(VehicleTime::from_us((1 << 32) - 1)));
+    }
+
+    #[test]
+    fn milliseconds_go_on_past_their_wrap_and_a_restart_begins_anew() {
+        let mut codec = Codec::default();
+        let mut time = |ms: u64| {
+            let time_boot_ms = ms as u32;
+            let data = ATTITUDE_QUATERNION_DATA { time_boot_ms, q1: 1.0, ..Default::default() };
+            let message = MavMessage::ATTITUDE_QUATERNION(data);
+            decode_with(&mut codec, &message).unwrap().unwrap().0.unwrap().as_us() / 1000
+        };
+        let wrap = 1u64 << 32;
+        for ms in [wrap - 20, wrap - 10, wrap, wrap + 10, wrap - 5, wrap + 60_000] {
+            assert_eq!(time(ms), ms);
+        }
+        assert_eq!(time(3_000), 3_000, "started since");
+        assert_eq!(time(3_010), 3_010);
+    }
+
+    #[test]
+    fn a_vehicle_that_is_heard_after_its_wrap_has_one_clock() {
+        let mut codec = Codec::default();
+        let us = 60 * 86_400 * 1_000_000;
+        let imu = HIGHRES_IMU_DATA { time_usec: us, ..Default::default() };
+        decode_with(&mut codec, &MavMessage::HIGHRES_IMU(imu)).unwrap();
+        let low = ((us + 20_000) / 1000) as u32;
+        let data = LOCAL_POSITION_NED_DATA { time_boot_ms: low, ..Default::default() };
+        let message = MavMessage::LOCAL_POSITION_NED(data);
+        let time = decode_with(&mut codec, &message).unwrap().unwrap().0;
+        assert_eq!(time, Some(VehicleTime::from_us(us + 20_000)));
     }
 
     proptest! {

@@ -1,18 +1,17 @@
 //! What the link counts: rates, losses, refusals.
 
+use std::fmt;
 use std::time::Duration;
 
-use wire::DecoderStats;
+use wire::{DecoderStats, Frame};
 
-use super::timesync::ClockEstimate;
+use super::codec::{self, Refusal};
+use super::message::Inbound;
+use super::vehicle_clock::ClockEstimate;
 use crate::clock::HostTime;
 
 /// Time over which rates are taken.
 pub const RATE_WINDOW: Duration = Duration::from_secs(1);
-/// A step of the sequence beyond this is a restart, not a loss.
-const STEP_MAX: u8 = 101;
-/// Frames that were overtaken by up to so many others are late, not from a restart.
-const LATE_MAX: u8 = 16;
 
 /// How the link is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +46,8 @@ pub struct LinkStats {
     /// Frames of the vehicle that were lost on the way, by gaps in its sequence; less those that
     /// came late.
     pub lost: u64,
+    /// Frames of the vehicle that came again, or later than others that say the same anew.
+    pub repeated: u64,
     /// Frames sent.
     pub sent_frames: u64,
     /// Bytes sent.
@@ -72,6 +73,43 @@ pub struct MessageCount {
     pub rate_hz: f64,
 }
 
+/// Someone who is heard beside the vehicle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sender {
+    /// System id.
+    pub system: u32,
+    /// Component id.
+    pub component: u8,
+    /// MAV_AUTOPILOT and MAV_TYPE, once its HEARTBEAT came.
+    pub kind: Option<(u8, u8)>,
+    /// Its frames.
+    pub frames: u64,
+}
+
+impl fmt::Display for Sender {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "system {} component {}", self.system, self.component)?;
+        match self.kind {
+            Some((autopilot, kind)) => write!(f, " (autopilot {autopilot}, type {kind})"),
+            None => write!(f, " (no HEARTBEAT)"),
+        }
+    }
+}
+
+/// Most of them that are remembered.
+const SENDERS_MAX: usize = 32;
+
+/// Messages of one kind that were not believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefusalCount {
+    /// MAVLink message id.
+    pub id: u32,
+    /// Why the newest of them was not.
+    pub refusal: Refusal,
+    /// How many, since the vehicle was found.
+    pub count: u64,
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Arrivals {
     count: MessageCount,
@@ -84,40 +122,58 @@ pub(super) struct Counters {
     pub(super) foreign: u64,
     pub(super) stray: u64,
     pub(super) refused: u64,
+    /// Frames of the vehicle.
+    pub(super) heard: u64,
+    pub(super) repeated: u64,
+    refusals: Vec<RefusalCount>,
+    senders: Vec<Sender>,
     pub(super) sent_frames: u64,
     pub(super) sent_bytes: u64,
     pub(super) dropped: u64,
-    heard: u64,
-    lost: u64,
-    /// That of the vehicle's newest frame.
-    sequence: Option<u8>,
     /// Sorted by id; the dialect bounds its length.
     arrivals: Vec<Arrivals>,
     window_start: HostTime,
 }
 
 impl Counters {
-    /// Follows the vehicle's sequence. An autopilot numbers the frames of each link by itself, so
-    /// that nobody else's frames leave a gap.
-    pub(super) fn sequence(&mut self, sequence: u8) {
-        self.heard += 1;
-        let Some(last) = self.sequence.replace(sequence) else { return };
-        match sequence.wrapping_sub(last) {
-            // The same frame again.
-            0 => {}
-            step @ 1..=STEP_MAX => self.lost += u64::from(step) - 1,
-            // Overtaken, and counted as lost before.
-            step if step > u8::MAX - LATE_MAX => {
-                self.sequence = Some(last);
-                self.lost = self.lost.saturating_sub(1);
-            }
-            _ => {}
+    /// Counts a frame that is not the vehicle's.
+    pub(super) fn foreign(&mut self, frame: &Frame) {
+        self.foreign += 1;
+        let (system, component) = (frame.system(), frame.component());
+        let is_it = |s: &&mut Sender| (s.system, s.component) == (system, component);
+        let kind = (frame.id() == 0).then(|| codec::heartbeat(frame.payload()));
+        let kind = kind.and_then(|message| match message {
+            Inbound::Heartbeat { autopilot, vehicle_type, .. } => Some((autopilot, vehicle_type)),
+            _ => None,
+        });
+        if let Some(known) = self.senders.iter_mut().find(is_it) {
+            known.frames += 1;
+            known.kind = kind.or(known.kind);
+        } else if self.senders.len() < SENDERS_MAX {
+            self.senders.push(Sender { system, component, kind, frames: 1 });
         }
     }
 
-    /// The vehicle is heard another way now, on which frames have other numbers.
-    pub(super) fn rerouted(&mut self) {
-        self.sequence = None;
+    /// A sender is the vehicle.
+    pub(super) fn is_vehicle(&mut self, system: u8, component: u8) {
+        self.senders.retain(|s| (s.system, s.component) != (system.into(), component));
+    }
+
+    pub(super) fn senders(&self) -> &[Sender] {
+        &self.senders
+    }
+
+    /// Counts a message of the vehicle that cannot be true.
+    pub(super) fn refuse(&mut self, id: u32, refusal: Refusal) {
+        self.refused += 1;
+        match self.refusals.iter_mut().find(|known| known.id == id) {
+            Some(known) => (known.refusal, known.count) = (refusal, known.count + 1),
+            None => self.refusals.push(RefusalCount { id, refusal, count: 1 }),
+        }
+    }
+
+    pub(super) fn refusals(&self) -> &[RefusalCount] {
+        &self.refusals
     }
 
     /// Counts a message of the vehicle.
@@ -144,7 +200,7 @@ impl Counters {
     /// Forgets the vehicle's messages.
     pub(super) fn restart(&mut self, now: HostTime) {
         self.arrivals.clear();
-        self.sequence = None;
+        self.refusals.clear();
         self.window_start = now;
     }
 
@@ -163,14 +219,6 @@ impl Counters {
         self.window_start = now;
     }
 
-    pub(super) fn heard(&self) -> u64 {
-        self.heard
-    }
-
-    pub(super) fn lost(&self) -> u64 {
-        self.lost
-    }
-
     pub(super) fn messages(&self) -> Vec<MessageCount> {
         self.arrivals.iter().map(|arrivals| arrivals.count).collect()
     }
@@ -179,35 +227,6 @@ impl Counters {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn after(sequences: impl IntoIterator<Item = u8>) -> (u64, u64) {
-        let mut counters = Counters::default();
-        sequences.into_iter().for_each(|sequence| counters.sequence(sequence));
-        (counters.heard(), counters.lost())
-    }
-
-    #[test]
-    fn gaps_are_counted_over_the_wrap_and_restarts_are_not() {
-        let sent = (0..300_u32).filter(|k| ![100, 101, 255].contains(k));
-        assert_eq!(after(sent.map(|k| k as u8)), (297, 3));
-        assert_eq!(after([150, 151, 0, 1]), (4, 0), "a restart begins at zero");
-    }
-
-    #[test]
-    fn what_comes_late_or_twice_is_not_lost() {
-        assert_eq!(after([7, 8, 10, 9, 11]), (5, 0));
-        assert_eq!(after([254, 1, 255, 0, 2]), (5, 0));
-        assert_eq!(after([7, 8, 8, 9, 9]), (5, 0));
-    }
-
-    #[test]
-    fn another_way_has_other_numbers() {
-        let mut counters = Counters::default();
-        counters.sequence(10);
-        counters.rerouted();
-        counters.sequence(60);
-        assert_eq!(counters.lost(), 0);
-    }
 
     #[test]
     fn rates_are_arrivals_per_second() {

@@ -3,6 +3,7 @@
 use sitl::frame::{Attitude, Frd, Ned};
 
 use crate::clock::{HostTime, VehicleTime};
+use crate::link::vehicle_clock::Delay;
 
 /// A message from the vehicle and when it came.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,6 +12,8 @@ pub struct Received {
     pub host: HostTime,
     /// Vehicle time of the sample, where the message has one.
     pub vehicle: Option<VehicleTime>,
+    /// How long it was on its way, where it has a stamp and the link knows the vehicle's clock.
+    pub delay: Option<Delay>,
     /// The content.
     pub message: Inbound,
 }
@@ -29,6 +32,8 @@ pub enum Inbound {
         armed: bool,
         /// Autopilot-specific mode.
         custom_mode: u32,
+        /// What the vehicle says of itself as a whole.
+        system: SystemState,
     },
     /// CURRENT_MODE.
     CurrentMode {
@@ -81,14 +86,7 @@ pub enum Inbound {
         outputs: [f32; 4],
     },
     /// BATTERY_STATUS.
-    Battery {
-        /// Pack voltage in V, where known.
-        voltage: Option<f64>,
-        /// Current in A, where known.
-        current: Option<f64>,
-        /// Remaining charge in 0..1, where known.
-        remaining: Option<f64>,
-    },
+    Battery(Battery),
     /// ATTITUDE_TARGET: the vehicle's echo of the setpoint in force.
     AttitudeTarget {
         /// Desired body to world, where valid.
@@ -172,4 +170,64 @@ pub enum LandedState {
     TakingOff,
     /// Landing.
     Landing,
+}
+
+/// The pack, as far as it is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Battery {
+    /// V
+    pub voltage: Option<f64>,
+    /// A
+    pub current: Option<f64>,
+    /// Remaining charge, 0..1.
+    pub remaining: Option<f64>,
+    /// What the vehicle makes of it.
+    pub charge: ChargeState,
+}
+
+/// BATTERY_STATUS.charge_state, by what follows from it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ChargeState {
+    /// Not told.
+    #[default]
+    Unknown,
+    /// Nothing follows: in use or charging.
+    Ok,
+    /// Low: to be watched.
+    Low,
+    /// Critical, in an emergency, failed or unhealthy: to be landed with.
+    Critical,
+}
+
+/// HEARTBEAT.system_status (MAV_STATE), by what follows from it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SystemState {
+    /// Not told, or not one that matters here.
+    #[default]
+    Unknown,
+    /// On the ground, ready to fly.
+    Standby,
+    /// Flying.
+    Active,
+    /// The vehicle is in a failsafe: critical, in an emergency, or ending its flight.
+    Failsafe,
+}
+
+impl SystemState {
+    /// Whether the vehicle is in a failsafe.
+    pub fn is_failsafe(self) -> bool {
+        self == Self::Failsafe
+    }
+}
+
+impl From<u8> for SystemState {
+    /// From MAV_STATE.
+    fn from(state: u8) -> Self {
+        match state {
+            3 => Self::Standby,
+            4 => Self::Active,
+            5 | 6 | 8 => Self::Failsafe,
+            _ => Self::Unknown,
+        }
+    }
 }

@@ -36,17 +36,22 @@
 //! # }
 //! ```
 
+mod arrival;
 pub mod attitude_target;
 pub mod budget;
 pub mod codec;
 pub mod connection;
 pub mod counters;
 pub mod intervals;
+pub mod loss_reaction;
 pub mod message;
 pub mod parameter;
 pub mod profile;
 pub mod request;
+mod sequence;
 pub mod session;
+pub mod silence;
 pub mod tee;
 mod text;
 pub mod timesync;
+pub mod vehicle_clock;

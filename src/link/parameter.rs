@@ -1,6 +1,11 @@
 //! Parameters on the wire: always a float, which PX4 fills with the bytes of its integers.
 
+use std::collections::BTreeMap;
+
 use wire::dialect::MavParamType;
+
+/// Parameters of a vehicle, by name.
+pub type Parameters = BTreeMap<String, f64>;
 
 /// How an autopilot sends integer parameters in the float field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -8,6 +8,7 @@
 
 use std::fmt;
 
+use super::loss_reaction::LossLaw;
 use super::message::MotorSource;
 use super::parameter::ParameterCast;
 
@@ -86,8 +87,6 @@ pub struct Modes {
     pub hold: Option<Mode>,
     /// Lands where it is.
     pub land: Option<Mode>,
-    /// Takes off by itself; never asked for, known by name only.
-    pub takeoff: Option<Mode>,
 }
 
 /// A parameter and the value it should have.
@@ -151,14 +150,16 @@ pub struct Profile {
     pub attitude_target: AttitudeTargetForm,
     /// How it reads rates.
     pub rate_frame: RateFrame,
-    /// Its modes.
+    /// The modes that are asked for.
     pub modes: Modes,
+    /// What it calls each of its modes, by the word in HEARTBEAT.custom_mode.
+    pub mode_names: &'static [(u32, &'static str)],
     /// Whether it tells the intended mode, by CURRENT_MODE.
     pub reports_intended_mode: bool,
     /// The parameter that holds how long setpoints may be missing, in s, and the value to use.
     pub loss_timeout: Option<ParameterRule>,
-    /// The parameter that says what happens then.
-    pub loss_action: Option<&'static str>,
+    /// What happens then, by which parameters.
+    pub loss: LossLaw,
     /// Rules without which it must not be flown.
     pub required: &'static [ParameterRule],
     /// The message that tells its motor outputs.
@@ -218,6 +219,54 @@ const COPTER_TELEMETRY: &[MessageRate] = &[
 
 const SAFE_TELEMETRY: &[MessageRate] = &[rate(31, 100.0), rate(32, 100.0), rate(147, 2.0)];
 
+const fn px4_mode(main: u8, sub: u8, name: &'static str) -> (u32, &'static str) {
+    (Mode::px4(main, sub).custom_mode, name)
+}
+
+const PX4_MODES: &[(u32, &str)] = &[
+    px4_mode(1, 0, "Manual"),
+    px4_mode(2, 0, "Altitude"),
+    px4_mode(3, 0, "Position"),
+    px4_mode(3, 2, "Position Slow"),
+    px4_mode(4, 1, "Ready"),
+    px4_mode(4, 2, "Takeoff"),
+    px4_mode(4, 3, "Hold"),
+    px4_mode(4, 4, "Mission"),
+    px4_mode(4, 5, "Return"),
+    px4_mode(4, 6, "Land"),
+    px4_mode(4, 8, "Follow Me"),
+    px4_mode(4, 9, "Precision Land"),
+    px4_mode(5, 0, "Acro"),
+    px4_mode(6, 0, "Offboard"),
+    px4_mode(7, 0, "Stabilized"),
+    px4_mode(10, 0, "Termination"),
+];
+
+const COPTER_MODES: &[(u32, &str)] = &[
+    (0, "Stabilize"),
+    (1, "Acro"),
+    (2, "AltHold"),
+    (3, "Auto"),
+    (4, "Guided"),
+    (5, "Loiter"),
+    (6, "RTL"),
+    (7, "Circle"),
+    (9, "Land"),
+    (11, "Drift"),
+    (13, "Sport"),
+    (15, "AutoTune"),
+    (16, "PosHold"),
+    (17, "Brake"),
+    (18, "Throw"),
+    (20, "Guided without GPS"),
+    (21, "SmartRTL"),
+    (22, "FlowHold"),
+    (23, "Follow"),
+    (24, "ZigZag"),
+    (27, "AutoRTL"),
+    (28, "Turtle"),
+];
+
 impl Profile {
     /// PX4: attitude and thrust.
     pub const PX4: Self = Self {
@@ -228,15 +277,15 @@ impl Profile {
             offboard: Some(Mode::px4(6, 0)),
             hold: Some(Mode::px4(4, 3)),
             land: Some(Mode::px4(4, 6)),
-            takeoff: Some(Mode::px4(4, 2)),
         },
+        mode_names: PX4_MODES,
         reports_intended_mode: true,
         loss_timeout: Some(ParameterRule {
             name: "COM_OF_LOSS_T",
             rule: Rule::AtMost(0.2),
             why: "the vehicle flies the last setpoint for this long when the stream ends",
         }),
-        loss_action: Some("COM_OBL_RC_ACT"),
+        loss: LossLaw::Px4,
         required: &[],
         motor_outputs: MotorSource::ActuatorOutputStatus,
         parameter_cast: ParameterCast::Bytes,
@@ -259,15 +308,15 @@ impl Profile {
             offboard: Some(Mode::copter(4)),
             hold: Some(Mode::copter(17)), // BRAKE: needs no sticks, LOITER would descend.
             land: Some(Mode::copter(9)),
-            takeoff: None,
         },
+        mode_names: COPTER_MODES,
         reports_intended_mode: false,
         loss_timeout: Some(ParameterRule {
             name: "GUID_TIMEOUT",
             rule: Rule::AtMost(0.2),
             why: "the vehicle stays tilted for this long when the stream ends",
         }),
-        loss_action: None,
+        loss: LossLaw::ArduCopter,
         required: &[
             ParameterRule {
                 name: "GUID_OPTIONS",
@@ -291,10 +340,11 @@ impl Profile {
         name: "unknown",
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::Body,
-        modes: Modes { offboard: None, hold: None, land: None, takeoff: None },
+        modes: Modes { offboard: None, hold: None, land: None },
+        mode_names: &[],
         reports_intended_mode: false,
         loss_timeout: None,
-        loss_action: None,
+        loss: LossLaw::Unknown,
         required: &[],
         motor_outputs: MotorSource::ServoOutputRaw,
         parameter_cast: ParameterCast::Value,

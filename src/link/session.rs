@@ -10,7 +10,7 @@ mod outbox;
 use std::fmt;
 use std::time::Duration;
 
-use mavlink::MessageData;
+use mavlink::{MavlinkVersion, MessageData};
 use wire::dialect::SET_ATTITUDE_TARGET_DATA;
 use wire::transport::{PEERS_MAX, Peer};
 use wire::{Decoder, DecoderStats};
@@ -18,12 +18,12 @@ use wire::{Decoder, DecoderStats};
 use self::core::Core;
 use super::attitude_target::{EncodeError, ThrustMap};
 use super::budget::LineBudget;
-use super::counters::{LinkState, LinkStats};
+use super::counters::{LinkState, LinkStats, RefusalCount, Sender};
 use super::intervals::IntervalEvent;
 use super::message::Received;
 use super::profile::{FormChoice, MessageRate, Profile};
 use super::request::{Outcome, Request, RequestId};
-use super::timesync::ClockEstimate;
+use super::vehicle_clock::ClockEstimate;
 use crate::clock::{HostTime, VehicleTime};
 use crate::setpoint::Setpoint;
 
@@ -54,15 +54,17 @@ pub struct Settings {
     pub stale_after: Duration,
     /// Silence after which the vehicle is lost.
     pub lost_after: Duration,
+    /// What the link is called in messages, such as its URL.
+    pub endpoint: Option<String>,
     /// Bits per second of a serial line, which the profile's messages are made to fit.
     pub baud: Option<u32>,
 }
 
 impl Settings {
-    /// The usual settings: an onboard computer (component 191) of system 255.
+    /// The usual settings: an onboard computer (component 191) of system 254.
     pub fn new(thrust: ThrustMap) -> Self {
         Self {
-            system: 255,
+            system: 254,
             component: 191,
             vehicle_system: None,
             vehicle_has_attitude_pd: false,
@@ -72,6 +74,7 @@ impl Settings {
             answer_timesync: true,
             stale_after: Duration::from_millis(2500),
             lost_after: Duration::from_secs(5),
+            endpoint: None,
             baud: None,
         }
     }
@@ -106,6 +109,13 @@ pub enum Event {
     },
     /// A vehicle was heard, for the first time or again after it was lost.
     VehicleFound(VehicleId),
+    /// Another autopilot than the vehicle's is heard, and nothing says which of them is meant.
+    AnotherAutopilot {
+        /// The one that was heard first.
+        vehicle: VehicleId,
+        /// The other.
+        other: VehicleId,
+    },
     /// By its HEARTBEAT another vehicle answers under the ids of the one that was found. It is
     /// identified before it gets setpoints, and what was asked of the other is ended.
     VehicleReplaced(VehicleId),
@@ -153,6 +163,11 @@ pub struct VehicleId {
 }
 
 impl VehicleId {
+    /// Whether it can be flown, by its autopilot: the others take the place of none that can.
+    pub fn is_known(&self) -> bool {
+        matches!(self.autopilot, 3 | 12)
+    }
+
     /// Whether `other`, which has the same system and component, is not this vehicle.
     fn is_another(&self, other: &Self) -> bool {
         (self.autopilot, self.vehicle_type) != (other.autopilot, other.vehicle_type)
@@ -339,6 +354,50 @@ impl Session {
         self.core.vehicle.as_ref().map(|vehicle| vehicle.id)
     }
 
+    /// Autopilots beside the vehicle, none of which was chosen.
+    pub fn others(&self) -> &[VehicleId] {
+        &self.core.others
+    }
+
+    /// What the link is called.
+    pub fn endpoint(&self) -> Option<&str> {
+        self.core.settings.endpoint.as_deref()
+    }
+
+    /// The system id that was chosen.
+    pub fn wanted_system(&self) -> Option<u8> {
+        self.core.settings.vehicle_system
+    }
+
+    /// Who was heard beside the vehicle, in order of appearance.
+    pub fn senders(&self) -> &[Sender] {
+        self.core.counters.senders()
+    }
+
+    /// Whether the vehicle signs its messages.
+    pub fn is_signed(&self) -> bool {
+        self.core.vehicle.as_ref().is_some_and(|vehicle| vehicle.is_signed)
+    }
+
+    /// The protocol's version in the vehicle's newest frame, 1 or 2.
+    pub fn protocol(&self) -> Option<u8> {
+        self.core.vehicle.as_ref().map(|vehicle| match vehicle.version {
+            MavlinkVersion::V1 => 1,
+            MavlinkVersion::V2 => 2,
+        })
+    }
+
+    /// Messages of the vehicle that were not believed, by id.
+    pub fn refusals(&self) -> &[RefusalCount] {
+        self.core.counters.refusals()
+    }
+
+    /// Bytes that the decoders took, of all peers.
+    pub fn received(&self) -> DecoderStats {
+        let streams = self.streams.iter().map(|(_, decoder)| decoder.stats());
+        streams.fold(sum(self.closed, self.datagrams.stats()), sum)
+    }
+
     /// When the vehicle was last heard, once found.
     pub fn last_heard(&self) -> Option<HostTime> {
         self.core.vehicle.as_ref().map(|vehicle| vehicle.last_heard)
@@ -367,16 +426,16 @@ impl Session {
     /// A snapshot of the counters.
     pub fn stats(&self) -> LinkStats {
         let core = &self.core;
-        let streams = self.streams.iter().map(|(_, decoder)| decoder.stats());
         LinkStats {
             state: core.state,
             vehicle: core.vehicle.as_ref().map(|v| (v.id.system.into(), v.id.component)),
-            received: streams.fold(sum(self.closed, self.datagrams.stats()), sum),
+            received: self.received(),
             foreign: core.counters.foreign,
             stray: core.counters.stray,
             refused: core.counters.refused,
-            heard: core.counters.heard(),
-            lost: core.counters.lost(),
+            heard: core.counters.heard,
+            lost: core.sequence.lost(),
+            repeated: core.counters.repeated,
             sent_frames: core.counters.sent_frames,
             sent_bytes: core.counters.sent_bytes,
             dropped: core.counters.dropped,

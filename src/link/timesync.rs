@@ -1,79 +1,86 @@
-//! The vehicle's clock against the host's, by TIMESYNC.
+//! The vehicle's clock by TIMESYNC.
 //!
 //! The host asks: `ts1` is its clock. The vehicle answers with its own in `tc1`. With the answer
 //! at `now`, the vehicle's clock read `tc1` somewhere between, so that
 //! `offset = tc1 - (ts1 + now) / 2` to within half the round trip. Queues make round trips long
-//! and lopsided but never too short: of a window of samples the one with the least error bound is
-//! believed, the bound growing with age by the worst drift between the clocks.
+//! and lopsided but never too short: the exchange with the least error bound is believed, the bound
+//! growing with age by what the clocks can drift. Two such bounds give the skew to within their sum
+//! over the time between them; a skew that they do not show is taken for none.
 //!
-//! For a vehicle that never answers, the stamps of its messages serve: the least delay seen is
-//! taken for none, which leaves the offset late by the shortest transport time.
+//! An exchange whose bounds contradict what is known proves that the clock slipped: several in a
+//! row that agree with one another start it anew.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use crate::clock::{HostTime, VehicleTime};
+use super::vehicle_clock::{ClockEstimate, ClockSource, SKEW_MAX, TOLERANCE_NS, ns_between};
+use crate::clock::HostTime;
 
 /// Time between requests.
 pub const PERIOD: Duration = Duration::from_millis(100);
-/// Samples kept: 5 s of them.
+/// Time between them while the newest answers contradict what is known.
+pub const PERIOD_IN_DOUBT: Duration = Duration::from_millis(10);
+/// Exchanges kept: 5 s of them.
 const WINDOW: usize = 50;
 /// Requests that can still be answered; older ones took longer than any useful round trip.
-const OUTSTANDING: usize = 10;
+const OUTSTANDING: usize = 16;
 /// Worst drift between two crystal clocks.
 const DRIFT: f64 = 100e-6;
-/// Samples in a row that contradict the estimate before it is dropped: the vehicle has rebooted.
-const CONTRADICTIONS: u32 = 3;
-/// What two samples may differ by beyond their error bounds.
-const TOLERANCE_NS: f64 = 20e6;
-/// How long a least delay is believed.
-const ARRIVAL_SPAN: Duration = Duration::from_secs(5);
-
-/// The offset between the clocks, and how well it is known.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ClockEstimate {
-    /// Vehicle time minus host time, ns.
-    pub offset_ns: i64,
-    /// Half the width of the interval that holds the true offset, ns. For [`ClockSource::Arrival`]
-    /// it is not known.
-    pub error_ns: Option<u64>,
-    /// Where the estimate comes from.
-    pub source: ClockSource,
-}
-
-/// Where a [`ClockEstimate`] comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ClockSource {
-    /// Answers to TIMESYNC.
-    Timesync,
-    /// The least delay of stamped messages.
-    Arrival,
-}
+/// Exchanges in a row that contradict the estimate before it is dropped.
+const CONTRADICTIONS: usize = 3;
+/// Time between two exchanges that give a skew, ns.
+const SKEW_SPAN_NS: f64 = 1.5e9;
+/// After so long without an answer the estimate is given up.
+const BELIEVED: Duration = Duration::from_secs(20);
 
 #[derive(Clone, Copy, Debug)]
-struct Sample {
+struct Exchange {
+    /// Halfway between request and answer.
     at: HostTime,
     offset_ns: i64,
     round_trip_ns: u64,
 }
 
-impl Sample {
-    fn error_ns(&self, now: HostTime) -> f64 {
-        self.round_trip_ns as f64 / 2.0 + now.since(self.at).as_nanos() as f64 * DRIFT
+impl Exchange {
+    /// Half the round trip, of which the vehicle's clock may make more.
+    fn half_trip_ns(&self) -> f64 {
+        self.round_trip_ns as f64 / 2.0 * (1.0 + SKEW_MAX)
     }
+
+    /// Bound on the error of its offset, carried to another time by a skew that is wrong by at most
+    /// `drift`.
+    fn error_ns(&self, at: HostTime, drift: f64) -> f64 {
+        self.half_trip_ns() + ns_between(self.at, at).abs() * drift
+    }
+
+    /// By how much the two cannot both be true, at a skew known to within `drift`; negative where
+    /// they can.
+    fn conflict_ns(&self, other: &Self, skew: f64, drift: f64) -> f64 {
+        let predicted = self.offset_ns as f64 + skew * ns_between(self.at, other.at);
+        let bound = self.error_ns(other.at, drift) + other.half_trip_ns() + TOLERANCE_NS;
+        (other.offset_ns as f64 - predicted).abs() - bound
+    }
+}
+
+/// The skew between the clocks, and half the width of the interval that holds it.
+#[derive(Clone, Copy, Debug)]
+struct Skew {
+    value: f64,
+    error: f64,
 }
 
 /// Keeps the offset between the vehicle's clock and the host's.
 #[derive(Debug, Default)]
-pub struct TimeSync {
+pub(super) struct TimeSync {
     outstanding: VecDeque<i64>,
-    samples: VecDeque<Sample>,
-    contradictions: u32,
-    estimate: Option<ClockEstimate>,
+    exchanges: VecDeque<Exchange>,
+    /// The one with the least error; it outlives the others.
+    best: Option<Exchange>,
+    skew: Option<Skew>,
+    /// The newest exchanges, where they contradict the others.
+    rivals: Vec<Exchange>,
+    answered: HostTime,
     round_trip: Option<Duration>,
-    /// Offset of the message with the least delay, of the current and of the previous span.
-    arrival: [Option<i64>; 2],
-    span_start: HostTime,
 }
 
 /// What an answer did to the estimate.
@@ -85,14 +92,13 @@ pub enum Answer {
     Sample,
     /// The vehicle's clock has jumped: everything known before was dropped.
     Jump {
-        /// By how much, negative where it went back, as after a reboot.
+        /// By how much, negative where it went back, as after a reboot or a pause of a simulator.
         by_ns: i64,
     },
 }
 
 impl TimeSync {
-    /// The `ts1` to ask with now; `tc1` is 0.
-    pub fn request(&mut self, now: HostTime) -> i64 {
+    pub(super) fn request(&mut self, now: HostTime) -> i64 {
         let ts1 = i64::try_from(now.as_ns()).unwrap_or(i64::MAX);
         if self.outstanding.len() == OUTSTANDING {
             self.outstanding.pop_front();
@@ -101,8 +107,7 @@ impl TimeSync {
         ts1
     }
 
-    /// Takes an answer. Only one to an open request counts, and only once.
-    pub fn answer(&mut self, now: HostTime, tc1: i64, ts1: i64) -> Answer {
+    pub(super) fn answer(&mut self, now: HostTime, tc1: i64, ts1: i64) -> Answer {
         let Some(index) = self.outstanding.iter().position(|&open| open == ts1) else {
             return Answer::NotOurs;
         };
@@ -110,89 +115,113 @@ impl TimeSync {
         let Ok(sent) = u64::try_from(ts1) else { return Answer::NotOurs };
         let Some(round_trip_ns) = now.as_ns().checked_sub(sent) else { return Answer::NotOurs };
         let middle = ts1.saturating_add_unsigned(round_trip_ns / 2);
-        let sample = Sample { at: now, offset_ns: tc1.saturating_sub(middle), round_trip_ns };
+        let at = HostTime::from_ns(sent + round_trip_ns / 2);
+        let heard = Exchange { at, offset_ns: tc1.saturating_sub(middle), round_trip_ns };
         self.round_trip = Some(Duration::from_nanos(round_trip_ns));
+        self.answered = now;
 
-        let old = self.samples.back().map_or(sample.offset_ns, |newest| newest.offset_ns);
-        let jumped = self.is_contradicted_by(now, &sample);
-        if jumped {
-            self.samples.clear();
-            self.arrival = [None; 2];
-        } else if self.contradictions > 0 {
-            // Believed only if it is not alone.
-            return Answer::Sample;
+        if self.is_contradicted_by(&heard) {
+            if self.rivals.len() < CONTRADICTIONS {
+                // Believed only if it is not alone.
+                return Answer::Sample;
+            }
+            let skew = self.skew.map_or(0.0, |skew| skew.value);
+            let before = self
+                .best
+                .map_or(0.0, |best| best.offset_ns as f64 + skew * ns_between(best.at, heard.at));
+            let rivals = std::mem::take(&mut self.rivals);
+            (self.exchanges, self.best, self.skew) = (rivals.into(), None, None);
+            self.choose(now);
+            let best = self.best.map_or(heard.offset_ns, |best| best.offset_ns);
+            return Answer::Jump { by_ns: (best as f64 - before) as i64 };
         }
-        if self.samples.len() == WINDOW {
-            self.samples.pop_front();
+        if self.exchanges.len() == WINDOW {
+            self.exchanges.pop_front();
         }
-        self.samples.push_back(sample);
-        let best = self.samples.iter().min_by(|a, b| a.error_ns(now).total_cmp(&b.error_ns(now)));
-        self.estimate = best.map(|best| ClockEstimate {
+        self.exchanges.push_back(heard);
+        self.fit_skew();
+        self.choose(now);
+        Answer::Sample
+    }
+
+    pub(super) fn is_in_doubt(&self) -> bool {
+        !self.rivals.is_empty()
+    }
+
+    /// Keeps the exchanges that cannot be true beside those before, as far as they agree.
+    fn is_contradicted_by(&mut self, heard: &Exchange) -> bool {
+        let Skew { value, error } = self.skew.unwrap_or(Skew { value: 0.0, error: SKEW_MAX });
+        let drift = DRIFT + error.min(SKEW_MAX);
+        let mut known = self.exchanges.iter().chain(&self.best);
+        let is_contradicted = known.any(|known| known.conflict_ns(heard, value, drift) > 0.0);
+        let agrees = |rival: &Exchange| rival.conflict_ns(heard, 0.0, SKEW_MAX) <= 0.0;
+        if is_contradicted {
+            if !self.rivals.iter().all(agrees) {
+                self.rivals.clear();
+            }
+            self.rivals.push(*heard);
+        } else if !self.rivals.iter().all(agrees) {
+            self.rivals.clear();
+        }
+        is_contradicted
+    }
+
+    /// The skew between the best exchange of the older half and that of the newer one.
+    fn fit_skew(&mut self) {
+        let half = self.exchanges.len() / 2;
+        let least = |a: &&Exchange, b: &&Exchange| a.round_trip_ns.cmp(&b.round_trip_ns);
+        let older = self.exchanges.iter().take(half).min_by(least);
+        let newer = self.exchanges.iter().skip(half).rev().min_by(least);
+        let (Some(older), Some(newer)) = (older, newer) else { return };
+        let span_ns = ns_between(older.at, newer.at);
+        if span_ns < SKEW_SPAN_NS {
+            return;
+        }
+        let slope = (newer.offset_ns - older.offset_ns) as f64 / span_ns;
+        let error = (older.half_trip_ns() + newer.half_trip_ns()) / span_ns;
+        let is_shown = slope.abs() > error + DRIFT;
+        let found = Skew { value: if is_shown { slope } else { 0.0 }, error };
+        let is_better = self.skew.is_none_or(|known| {
+            found.error <= known.error || (known.value - slope).abs() > error + DRIFT
+        });
+        if is_better {
+            self.skew = Some(found);
+        }
+    }
+
+    /// How wrong a skew can be when an offset is carried by it. One that is no crystal's changes.
+    fn drift(&self) -> f64 {
+        self.skew.map_or(SKEW_MAX, |skew| DRIFT + skew.value.abs())
+    }
+
+    fn choose(&mut self, now: HostTime) {
+        let drift = self.drift();
+        let error = |exchange: &Exchange| exchange.error_ns(now, drift);
+        let known = self.exchanges.iter().chain(&self.best);
+        self.best = known.min_by(|a, b| error(a).total_cmp(&error(b))).copied();
+    }
+
+    pub(super) fn estimate(&self, now: HostTime) -> Option<ClockEstimate> {
+        let best = self.best.filter(|_| now.since(self.answered) < BELIEVED)?;
+        Some(ClockEstimate {
             offset_ns: best.offset_ns,
-            error_ns: Some(best.error_ns(now) as u64),
+            at: best.at,
+            skew: self.skew.map_or(0.0, |skew| skew.value),
+            error_ns: Some(best.error_ns(now, self.drift()) as u64),
             source: ClockSource::Timesync,
-        });
-        if jumped {
-            Answer::Jump { by_ns: sample.offset_ns.saturating_sub(old) }
-        } else {
-            Answer::Sample
-        }
-    }
-
-    /// Counts contradictions; true once there are enough of them.
-    fn is_contradicted_by(&mut self, now: HostTime, sample: &Sample) -> bool {
-        let newest = self.samples.back();
-        let contradicts = newest.is_some_and(|newest| {
-            let difference = (sample.offset_ns as f64 - newest.offset_ns as f64).abs();
-            difference > newest.error_ns(now) + sample.error_ns(now) + TOLERANCE_NS
-        });
-        self.contradictions = if contradicts { self.contradictions + 1 } else { 0 };
-        let jumped = self.contradictions >= CONTRADICTIONS;
-        if jumped {
-            self.contradictions = 0;
-        }
-        jumped
-    }
-
-    /// Takes the stamp of a message that just arrived.
-    pub fn observe(&mut self, now: HostTime, stamp: VehicleTime) {
-        if now.since(self.span_start) > ARRIVAL_SPAN {
-            self.arrival = [None, self.arrival[0]];
-            self.span_start = now;
-        }
-        let offset = nanoseconds(stamp).saturating_sub_unsigned(now.as_ns());
-        // Delay makes the stamp look older, so the largest offset had the least of it.
-        self.arrival[0] = self.arrival[0].max(Some(offset));
-    }
-
-    /// The offset now.
-    pub fn estimate(&self) -> Option<ClockEstimate> {
-        self.estimate.or_else(|| {
-            let offset_ns = self.arrival[0].max(self.arrival[1])?;
-            Some(ClockEstimate { offset_ns, error_ns: None, source: ClockSource::Arrival })
         })
     }
 
-    /// Round trip of the newest answer.
-    pub fn round_trip(&self) -> Option<Duration> {
+    pub(super) fn round_trip(&self) -> Option<Duration> {
         self.round_trip
     }
-
-    /// Host time at which the vehicle's clock reads `time`.
-    pub fn to_host(&self, time: VehicleTime) -> Option<HostTime> {
-        let offset_ns = self.estimate()?.offset_ns;
-        let ns = nanoseconds(time).checked_sub(offset_ns)?;
-        u64::try_from(ns).ok().map(HostTime::from_ns)
-    }
-}
-
-fn nanoseconds(time: VehicleTime) -> i64 {
-    i64::try_from(time.as_us()).unwrap_or(i64::MAX).saturating_mul(1000)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::clock::VehicleTime;
+    use crate::link::vehicle_clock::VehicleClock;
 
     const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
     /// The vehicle booted 20 s before START.
@@ -203,14 +232,14 @@ mod tests {
     }
 
     /// One exchange with given delays there and back.
-    fn exchange(sync: &mut TimeSync, at: HostTime, there: Duration, back: Duration) -> Answer {
+    fn exchange(sync: &mut VehicleClock, at: HostTime, there: Duration, back: Duration) -> Answer {
         let ts1 = sync.request(at);
         sync.answer(at + there + back, vehicle_ns(at + there), ts1)
     }
 
     #[test]
     fn lopsided_jitter_does_not_move_the_offset() {
-        let mut sync = TimeSync::default();
+        let mut sync = VehicleClock::default();
         let us = Duration::from_micros;
         for k in 0..200u32 {
             // Replies queue for up to 40 ms; one in seven passes freely.
@@ -228,7 +257,7 @@ mod tests {
 
     #[test]
     fn only_own_open_requests_count() {
-        let mut sync = TimeSync::default();
+        let mut sync = VehicleClock::default();
         let ts1 = sync.request(START);
         let later = START + Duration::from_millis(1);
         assert_eq!(sync.answer(later, 5, ts1 + 1), Answer::NotOurs);
@@ -239,7 +268,7 @@ mod tests {
 
     #[test]
     fn a_reboot_is_a_jump_and_one_wild_sample_is_not() {
-        let mut sync = TimeSync::default();
+        let mut sync = VehicleClock::default();
         let ms = Duration::from_millis(1);
         exchange(&mut sync, START, ms, ms);
         let before = sync.estimate();
@@ -257,7 +286,7 @@ mod tests {
 
     #[test]
     fn stamps_serve_where_nobody_answers() {
-        let mut sync = TimeSync::default();
+        let mut sync = VehicleClock::default();
         for k in 0..100u32 {
             let sampled = START + Duration::from_millis(10) * k;
             let stamp = VehicleTime::from_us((vehicle_ns(sampled) / 1000) as u64);

@@ -1,17 +1,26 @@
 //! What follows from knowing the vehicle: the feedback that is designed for it, and what its
 //! parameters must be.
 
-use std::sync::Arc;
-
-use super::attitude_loop::{assumption, attitude_loop};
-use super::{End, Station, StationSettings};
+use super::attitude_loop::assumption;
+use super::feedback::{Feedback, feedback};
+use super::{End, Station};
 use crate::clock::HostTime;
-use crate::control::{DesignError, Lqr};
+use crate::control::DesignError;
+use crate::link::loss_reaction::{LossLaw, LossReaction};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
+use crate::parameters::Autopilot;
 use crate::pilot::{Airframe, LinkEvent, Pilot};
 use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
+
+/// The parameters that say what the vehicle's motor outputs are and mean: for its logs.
+pub(super) fn log_parameters(profile: &Profile) -> Vec<String> {
+    let autopilots =
+        [(Profile::PX4.name, Autopilot::Px4), (Profile::ARDUCOPTER.name, Autopilot::ArduCopter)];
+    let own = autopilots.into_iter().find(|(name, _)| *name == profile.name);
+    own.map_or_else(Vec::new, |(_, autopilot)| autopilot.wanted_of_outputs())
+}
 
 impl Station {
     /// Now that it is known what the vehicle honours: design the feedback for it.
@@ -21,6 +30,7 @@ impl Station {
         let text =
             format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
         self.tell(now, Severity::Info, text.clone());
+        self.is_version_known = is_version_known;
         let known = self.profile.replace(profile.clone());
         let is_known = self.pilot.is_some() && known.as_ref() == Some(&profile);
         if !is_known {
@@ -34,14 +44,19 @@ impl Station {
             ];
             self.records.push(Record::Facts(Box::new(facts.into())));
         }
-        for rule in profile.required.iter().chain(&profile.loss_timeout) {
+        for rule in profile.required {
             self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
         }
-        if let Some(name) = profile.loss_action {
-            self.session.request(now, Request::ReadParameter(name.to_owned()));
+        for name in profile.loss.parameters() {
+            self.session.request(now, Request::ReadParameter((*name).to_owned()));
         }
         for parameter in &self.settings.pilot.preflight.parameters {
             self.session.request(now, Request::ReadParameter(parameter.name.clone()));
+        }
+        if !is_known {
+            for name in log_parameters(&profile) {
+                self.session.request(now, Request::ReadParameter(name));
+            }
         }
         if is_known || self.end.is_some() {
             return;
@@ -58,7 +73,7 @@ impl Station {
             }
             Err(error) => self.refuse(now, error.to_string()),
         }
-        self.check_parameters();
+        self.check_standing(now);
     }
 
     /// The vehicle is not flown. A flight by command is over with that; under the pilot's switch
@@ -93,14 +108,14 @@ impl Station {
         let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
         let modes = (word(profile.modes.offboard), word(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
-        let StationSettings { actuation, hover, lqr, attitude_pd, .. } = &self.settings;
-        let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
-        let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
+        let Feedback { controller, reference } = feedback(profile, &self.settings)?;
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
             battery_full_v: self.settings.battery_full_v,
             modes: ModeMap {
+                autopilot: profile.name,
+                names: profile.mode_names,
                 offboard,
                 hold: word(profile.modes.hold),
                 land,
@@ -111,18 +126,20 @@ impl Station {
             self.settings.pilot.clone(),
             self.settings.policy,
             airframe,
-            lqr,
-            Box::new(Arc::clone(&self.settings.reference)),
+            controller,
+            Box::new(reference),
             Vec::new(),
             now,
         )))
     }
 
-    /// The profile's rules about the vehicle's parameters, as preflight checks.
-    pub(super) fn check_parameters(&mut self) {
+    /// What is wrong with the vehicle for this daemon, as preflight checks: its profile's rules about
+    /// its parameters, signing, another autopilot beside it.
+    pub(super) fn check_standing(&mut self, now: HostTime) {
         let (Some(profile), Some(pilot)) = (&self.profile, &mut self.pilot) else { return };
         let known = &pilot.telemetry().status().parameters;
-        let failed = profile
+        let reaction = profile.loss.reaction(known, self.settings.session.system);
+        let mut failed: Vec<PreflightCheck> = profile
             .required
             .iter()
             .filter_map(|rule| {
@@ -134,6 +151,55 @@ impl Station {
                 })
             })
             .collect();
+        // One that answers takes what is not signed.
+        if self.session.is_signed() && !self.is_version_known {
+            failed.push(PreflightCheck {
+                subject: "signing".to_owned(),
+                expected: "none on this link".to_owned(),
+                found: "signed messages, and no answer to what is not signed".to_owned(),
+            });
+        }
+        if let Some(other) = self.session.others().first() {
+            failed.push(PreflightCheck {
+                subject: "vehicles".to_owned(),
+                expected: "one autopilot, or --system".to_owned(),
+                found: format!("another: {other}"),
+            });
+        }
+        if self.settings.pilot.preflight.needs_loss_reaction {
+            failed.extend(loss_check(profile.loss, &reaction));
+        }
         pilot.set_standing_checks(failed);
+        let text = match &reaction {
+            LossReaction::Acts(text) => format!("should this program vanish: {text}"),
+            LossReaction::Nothing { why, .. } => {
+                format!("should this program vanish, nothing acts: {why}")
+            }
+            LossReaction::Unread(_) => return,
+        };
+        // Parameters come one by one: what follows from them is told as it changes.
+        if self.told_loss.as_ref() != Some(&text) {
+            self.told_loss = Some(text.clone());
+            self.tell(now, Severity::Info, text);
+        }
     }
+}
+
+/// The preflight check that something acts when this program vanishes. PX4 acts whatever its
+/// parameters are.
+fn loss_check(law: LossLaw, reaction: &LossReaction) -> Option<PreflightCheck> {
+    let (cure, found) = match reaction {
+        LossReaction::Nothing { why, cure } => (cure.clone(), why.clone()),
+        LossReaction::Unread(name) if law == LossLaw::ArduCopter => {
+            (format!("the parameter {name} tells it"), "no answer".to_owned())
+        }
+        LossReaction::Acts(_) | LossReaction::Unread(_) => return None,
+    };
+    Some(PreflightCheck {
+        subject: "reaction of the vehicle when this program vanishes".to_owned(),
+        expected: format!(
+            "one; {cure}, or fly without by pilot.preflight.needs_loss_reaction = false"
+        ),
+        found,
+    })
 }

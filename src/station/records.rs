@@ -2,7 +2,7 @@
 
 use crate::clock::HostTime;
 use crate::link::counters;
-use crate::link::message::{Inbound, MotorSource, Received};
+use crate::link::message::{Battery, Inbound, MotorSource, Received};
 use crate::log::record::{self, LinkStats, Record, Severity, Source, Stamp};
 use crate::pilot::Tick;
 
@@ -19,7 +19,7 @@ pub(super) fn record_of(received: &Received, motors: Option<MotorSource>) -> Opt
         Inbound::MotorOutputs { source, outputs } if Some(*source) == motors => {
             Some(Record::Motors { stamp, outputs: *outputs })
         }
-        Inbound::Battery { voltage, current, remaining } => Some(Record::Battery {
+        Inbound::Battery(Battery { voltage, current, remaining, .. }) => Some(Record::Battery {
             stamp,
             voltage: *voltage,
             current: *current,
@@ -151,6 +151,7 @@ mod tests {
             refused: 0,
             heard,
             lost,
+            repeated: 0,
             sent_frames: 0,
             sent_bytes: 0,
             dropped: 0,

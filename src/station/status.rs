@@ -4,7 +4,6 @@ use sitl::frame::Ned;
 
 use super::Station;
 use crate::link::counters::LinkState;
-use crate::link::profile::Mode;
 use crate::supervisor::FlightState;
 
 /// A look at the station for the status line.
@@ -70,14 +69,7 @@ impl Station {
     }
 
     fn mode_name(&self, word: u32) -> Option<&'static str> {
-        let modes = &self.profile.as_ref()?.modes;
-        let named = [
-            (modes.offboard, "offboard"),
-            (modes.hold, "hold"),
-            (modes.land, "land"),
-            (modes.takeoff, "take-off"),
-        ];
-        let is_it = |mode: Option<Mode>| mode.is_some_and(|mode| mode.custom_mode == word);
-        named.into_iter().find(|(mode, _)| is_it(*mode)).map(|(_, name)| name)
+        let names = self.profile.as_ref()?.mode_names;
+        names.iter().find(|(mode, _)| *mode == word).map(|(_, name)| *name)
     }
 }

@@ -15,7 +15,7 @@ impl Station {
     /// not made for. And whatever the pilot makes of what is heard after the end: nothing is sent.
     pub(super) fn permits(&self, now: HostTime) -> bool {
         let is_another = self.session.profile().is_some_and(|it| self.profile.as_ref() != Some(it));
-        let is_over = self.end.is_some() || is_another;
+        let is_over = self.end.is_some() || is_another || self.is_check;
         !is_over && self.pilot.as_ref().is_some_and(|pilot| pilot.permits(now))
     }
 

@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::EngagePolicy;
 use crate::clock::HostTime;
 use crate::telemetry::Telemetry;
 
@@ -19,6 +20,8 @@ pub struct PreflightSettings {
     pub battery_min: f64,
     /// Parameters of the vehicle that must have a value, with the reason in words.
     pub parameters: Vec<RequiredParameter>,
+    /// Whether a vehicle is refused that would do nothing if this program vanished.
+    pub needs_loss_reaction: bool,
     /// Largest share of the vehicle's frames that the link may lose within a second, 0..1.
     pub link_loss_max: f64,
     /// Largest horizontal distance from the vehicle to the trajectory's start, m.
@@ -44,6 +47,7 @@ impl Default for PreflightSettings {
             sample_age_max_s: 0.1,
             battery_min: 0.3,
             parameters: Vec::new(),
+            needs_loss_reaction: true,
             link_loss_max: 0.05,
             start_distance_max_m: 20.0,
         }
@@ -67,18 +71,33 @@ impl fmt::Display for PreflightCheck {
     }
 }
 
+/// How the vehicle stands before a flight.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Standing {
+    /// Rate of control, Hz.
+    pub rate_hz: f64,
+    /// Share of the vehicle's frames that the link lost lately, where known.
+    pub link_loss: Option<f64>,
+    /// Horizontal distance from the vehicle to the trajectory's start, m.
+    pub start_distance_m: f64,
+    /// Whether the vehicle is off the ground; `None` where that is not known.
+    pub airborne: Option<bool>,
+    /// Whether the ground below was seen since this program runs.
+    pub ground_seen: bool,
+    /// Who decides that a flight begins.
+    pub policy: EngagePolicy,
+    /// Whether a vehicle in the air may be taken over.
+    pub take_over: bool,
+}
+
 /// The checks that fail.
-///
-/// `link_loss` is the share of the vehicle's frames that the link lost, where known;
-/// `start_distance_m` the horizontal distance from the vehicle to the trajectory's start.
 pub fn preflight(
     settings: &PreflightSettings,
-    rate_hz: f64,
+    standing: &Standing,
     telemetry: &Telemetry,
-    link_loss: Option<f64>,
-    start_distance_m: f64,
     now: HostTime,
 ) -> Vec<PreflightCheck> {
+    let Standing { rate_hz, link_loss, start_distance_m, .. } = *standing;
     let mut failed = Vec::new();
     let mut check = |holds: bool, subject: &str, expected: String, found: String| {
         if !holds {
@@ -136,7 +155,36 @@ pub fn preflight(
         format!("within {:.1} m of the vehicle", settings.start_distance_max_m),
         format!("{start_distance_m:.1} m"),
     );
+    let is_armed = telemetry.status().armed == Some(true);
+    match standing.policy {
+        EngagePolicy::Command => check(
+            standing.take_over || (!is_armed && standing.airborne == Some(false)),
+            "vehicle",
+            "disarmed and on the ground, for this flight arms it and takes off; taking over a \
+             vehicle that others fly has to be asked for (--take-over)"
+                .to_owned(),
+            whereabouts(is_armed, standing.airborne),
+        ),
+        EngagePolicy::PilotSwitch => check(
+            standing.take_over || standing.ground_seen || standing.airborne != Some(true),
+            "ground",
+            "seen below the vehicle since this program runs, because heights count from it; land \
+             once, or set pilot.supervisor.take_over"
+                .to_owned(),
+            whereabouts(is_armed, standing.airborne),
+        ),
+    }
     failed
+}
+
+fn whereabouts(is_armed: bool, airborne: Option<bool>) -> String {
+    let armed = if is_armed { "armed" } else { "disarmed" };
+    let place = match airborne {
+        Some(true) => "in the air",
+        Some(false) => "on the ground",
+        None => "in the air or on the ground, which the vehicle does not tell",
+    };
+    format!("{armed}, {place}")
 }
 
 #[cfg(test)]
@@ -149,7 +197,8 @@ mod tests {
         let telemetry = Telemetry::new(TelemetrySettings::default());
         let link = |loss| {
             let settings = PreflightSettings::default();
-            preflight(&settings, 100.0, &telemetry, loss, 0.0, HostTime::from_ns(0))
+            let standing = Standing { rate_hz: 100.0, link_loss: loss, ..Standing::default() };
+            preflight(&settings, &standing, &telemetry, HostTime::from_ns(0))
                 .into_iter()
                 .find(|check| check.subject == "link")
                 .map(|check| check.to_string())

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::table::Trigger;
+use crate::telemetry::LateMessages;
 
 /// What a fault leads to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,16 +46,19 @@ pub enum Fault {
     Geofence,
     /// The battery is low.
     Battery,
+    /// The vehicle declares a failsafe, and goes on obeying setpoints.
+    Failsafe,
 }
 
 /// Every fault.
-pub(super) const FAULTS: [Fault; 6] = [
+pub(super) const FAULTS: [Fault; 7] = [
     Fault::StaleTelemetry,
     Fault::TelemetryJump,
     Fault::TrackingError,
     Fault::Tilt,
     Fault::Geofence,
     Fault::Battery,
+    Fault::Failsafe,
 ];
 
 /// When a fault is one, and the reaction to each. Link loss has no setting: the stream stops.
@@ -89,8 +93,12 @@ pub struct SafetySettings {
     pub battery_min: f64,
     /// Time below that charge, s: a report can be wrong for a moment.
     pub battery_for_s: f64,
-    /// Reaction.
+    /// Reaction, also where the vehicle itself calls its battery critical.
     pub on_battery: Reaction,
+    /// Time for which the vehicle stays in OFFBOARD after it declared a failsafe, s.
+    pub failsafe_for_s: f64,
+    /// Reaction.
+    pub on_failsafe: Reaction,
 }
 
 impl Default for SafetySettings {
@@ -111,15 +119,19 @@ impl Default for SafetySettings {
             battery_min: 0.15,
             battery_for_s: 3.0,
             on_battery: Reaction::Land,
+            failsafe_for_s: 1.5,
+            on_failsafe: Reaction::Land,
         }
     }
 }
 
 /// What the faults are judged by; NaN counts as beyond every limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FlightCondition {
+pub struct FlightCondition<'a> {
     /// Age of the newest sample, s.
     pub sample_age_s: f64,
+    /// Messages since that sample which came too late to be one.
+    pub late: LateMessages,
     /// Whether the estimate jumped since the last look.
     pub jumped: bool,
     /// Distance from the reference, m.
@@ -132,6 +144,10 @@ pub struct FlightCondition {
     pub height_m: f64,
     /// Remaining charge, where known.
     pub battery: Option<f64>,
+    /// Whether the vehicle calls its battery critical.
+    pub battery_critical: bool,
+    /// The failsafe that the vehicle declared since control began.
+    pub failsafe: Option<&'a str>,
 }
 
 impl SafetySettings {
@@ -146,7 +162,10 @@ impl SafetySettings {
             Fault::Geofence => {
                 beyond(c.radius_m, self.fence_radius_m) || beyond(c.height_m, self.fence_height_m)
             }
-            Fault::Battery => c.battery.is_some_and(|left| left < self.battery_min),
+            Fault::Battery => {
+                c.battery.is_some_and(|left| left < self.battery_min) || c.battery_critical
+            }
+            Fault::Failsafe => c.failsafe.is_some(),
         }
     }
 
@@ -156,6 +175,7 @@ impl SafetySettings {
             Fault::TrackingError => self.tracking_error_for_s,
             Fault::Tilt => self.tilt_for_s,
             Fault::Battery => self.battery_for_s,
+            Fault::Failsafe => self.failsafe_for_s,
             Fault::StaleTelemetry | Fault::TelemetryJump | Fault::Geofence => 0.0,
         }
     }
@@ -169,11 +189,15 @@ impl SafetySettings {
             Fault::Tilt => self.on_tilt,
             Fault::Geofence => self.on_geofence,
             Fault::Battery => self.on_battery,
+            Fault::Failsafe => self.on_failsafe,
         }
     }
 
     pub(super) fn describe(&self, fault: Fault, c: &FlightCondition) -> String {
         match fault {
+            Fault::StaleTelemetry if c.late.count > 0 => {
+                format!("no fresh state for {:.2} s: {}", c.sample_age_s, c.late)
+            }
             Fault::StaleTelemetry => format!("no state for {:.2} s", c.sample_age_s),
             Fault::TelemetryJump => "the state estimate jumped".to_owned(),
             Fault::TrackingError => format!(
@@ -189,6 +213,12 @@ impl SafetySettings {
                 "outside the fence: {:.1} m away of {:.1} m, {:.1} m high of {:.1} m",
                 c.radius_m, self.fence_radius_m, c.height_m, self.fence_height_m
             ),
+            Fault::Battery if c.battery_critical => {
+                "the vehicle calls its battery critical".to_owned()
+            }
+            Fault::Failsafe => {
+                format!("the vehicle declares a failsafe: {}", c.failsafe.unwrap_or_default())
+            }
             Fault::Battery => format!(
                 "battery at {:.0} %, limit {:.0} %",
                 c.battery.unwrap_or(f64::NAN) * 100.0,

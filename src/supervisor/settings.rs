@@ -18,6 +18,12 @@ pub struct SupervisorSettings {
     pub engage_timeout_s: f64,
     /// Time for the motors to be armed when the daemon arms, s.
     pub arm_timeout_s: f64,
+    /// Time for the pilot to arm after the switch to OFFBOARD on the ground, s.
+    pub pilot_arm_timeout_s: f64,
+    /// Whether a vehicle that others fly may be taken over in the air: by a commanded flight, or at
+    /// the pilot's switch where the ground below was never seen. Heights then count from the origin
+    /// of the vehicle's local frame.
+    pub take_over: bool,
     /// Time for take-off, and for the approach, s.
     pub take_off_timeout_s: f64,
     /// Time for landing, s.
@@ -28,6 +34,9 @@ pub struct SupervisorSettings {
     pub hold_s: f64,
     /// Time on the ground after which disarming is asked for, s.
     pub disarm_after_s: f64,
+    /// Time for which a landing vehicle lies still at the height of the ground before it counts as
+    /// landed though it does not report that, s.
+    pub rest_s: f64,
     /// Requests without effect are repeated this often, s.
     pub retry_s: f64,
 }
@@ -41,11 +50,14 @@ impl Default for SupervisorSettings {
             stream_before_engage_s: 0.5,
             engage_timeout_s: 5.0,
             arm_timeout_s: 5.0,
+            pilot_arm_timeout_s: 30.0,
+            take_over: false,
             take_off_timeout_s: 30.0,
             land_timeout_s: 60.0,
             land_handover_s: 2.0,
             hold_s: 2.0,
             disarm_after_s: 4.0,
+            rest_s: 5.0,
             retry_s: 1.0,
         }
     }

@@ -151,7 +151,7 @@ const TABLE: &[Row] = &[
     (&[Connect],                                    On::VehicleHeard,      AwaitRelease),
     (&[AwaitRelease],                               On::Released,          AwaitTelemetry),
     (&[AwaitTelemetry],                             On::TelemetryReady,    Preflight),
-    (&[AwaitTelemetry, Preflight],                  On::OffboardFound,     AwaitRelease),
+    (&[AwaitTelemetry, Preflight, Standby],         On::OffboardFound,     AwaitRelease),
     (&[Preflight, Standby],                         On::TelemetryLost,     AwaitTelemetry),
     (&[Preflight],                                  On::PreflightPassed,   Standby),
     (&[AwaitRelease, AwaitTelemetry, Preflight],    On::TimedOut,          Abort),
@@ -243,6 +243,11 @@ impl FlightState {
     /// vehicle has not taken over yet.
     pub fn may_stream(self) -> bool {
         self == Standby || self == Engage || self == Land || self.is_in_control()
+    }
+
+    /// Whether a flight is prepared: the vehicle is heard, and not ready yet.
+    pub fn is_preparing(self) -> bool {
+        matches!(self, AwaitRelease | AwaitTelemetry | Preflight)
     }
 
     /// Whether the preflight checks are still ahead.

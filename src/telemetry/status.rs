@@ -1,20 +1,10 @@
 //! What is known about the vehicle beside its state.
 
-use std::collections::BTreeMap;
+use std::time::Duration;
 
 use crate::clock::HostTime;
-use crate::link::message::{Inbound, LandedState, Received};
-
-/// The pack, as far as it is known.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Battery {
-    /// V
-    pub voltage: Option<f64>,
-    /// A
-    pub current: Option<f64>,
-    /// 0..1
-    pub remaining: Option<f64>,
-}
+use crate::link::message::{Battery, Inbound, LandedState, Received, SystemState};
+use crate::link::parameter::Parameters;
 
 /// The newest of each of the vehicle's slow messages.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,8 +13,18 @@ pub struct VehicleStatus {
     pub heard: Option<HostTime>,
     /// Whether the motors are armed; `None` before the first heartbeat.
     pub armed: Option<bool>,
+    /// When HEARTBEAT last said so.
+    pub armed_heard: Option<HostTime>,
+    /// When the motors were last stopped.
+    pub disarmed: Option<HostTime>,
     /// Mode in force, of HEARTBEAT or CURRENT_MODE, whichever is newer.
     pub mode: Option<u32>,
+    /// Since when the mode is known.
+    pub mode_since: Option<HostTime>,
+    /// When the vehicle last told its mode; `None` where what it told may be old.
+    pub mode_heard: Option<HostTime>,
+    /// When the mode in force last became another.
+    pub mode_changed: Option<HostTime>,
     /// The mode that was asked for last; only CURRENT_MODE says it.
     pub intended_mode: Option<u32>,
     /// On the ground or in the air.
@@ -33,10 +33,17 @@ pub struct VehicleStatus {
     pub battery: Battery,
     /// MAV_SYS_STATUS_SENSOR bits that are enabled but not healthy.
     pub unhealthy: u32,
+    /// What HEARTBEAT says of the vehicle as a whole.
+    pub system: SystemState,
+    /// The newest text by which the vehicle declares a failsafe that it has not cleared since, and
+    /// when it came.
+    pub failsafe: Option<(HostTime, String)>,
     /// Parameters that were read, by name.
-    pub parameters: BTreeMap<String, f64>,
+    pub parameters: Parameters,
     /// The newest text of severity warning or worse, and when it came.
     pub warning: Option<(HostTime, String)>,
+    /// When the vehicle was heard again after a silence.
+    silence_ended: Option<HostTime>,
 }
 
 impl Default for VehicleStatus {
@@ -44,16 +51,34 @@ impl Default for VehicleStatus {
         Self {
             heard: None,
             armed: None,
+            armed_heard: None,
+            disarmed: None,
             mode: None,
+            mode_since: None,
+            mode_heard: None,
+            mode_changed: None,
             intended_mode: None,
             landed: LandedState::Undefined,
             battery: Battery::default(),
             unhealthy: 0,
-            parameters: BTreeMap::new(),
+            system: SystemState::Unknown,
+            failsafe: None,
+            parameters: Parameters::new(),
             warning: None,
+            silence_ended: None,
         }
     }
 }
+
+/// A pause of everything that the vehicle sends which may hide a change of its mode.
+const SILENCE: Duration = Duration::from_millis(500);
+/// HEARTBEAT tells the mode once a second, and two in a row may be lost.
+const MODE_AGE_MAX: Duration = Duration::from_millis(2500);
+/// PX4 returns to the mode chosen before arming when it disarms. CURRENT_MODE tells the mode up to
+/// a second before HEARTBEAT tells that the motors stopped.
+const RETURN_AHEAD: Duration = Duration::from_secs(2);
+/// Where HEARTBEAT comes first, CURRENT_MODE follows with the vehicle's next word of it.
+const RETURN_AFTER: Duration = Duration::from_millis(800);
 
 /// MAV_SEVERITY_WARNING; smaller numbers are worse.
 const WARNING: u8 = 4;
@@ -66,35 +91,100 @@ impl VehicleStatus {
 
     /// Takes what the message says.
     pub(super) fn update(&mut self, received: &Received) {
-        self.heard = Some(received.host);
+        let now = received.host;
+        if self.heard.is_none_or(|heard| now.since(heard) > SILENCE) {
+            self.silence_ended = Some(now);
+        }
+        self.heard = Some(now);
         match &received.message {
-            Inbound::Heartbeat { armed, custom_mode, .. } => {
-                self.armed = Some(*armed);
-                self.mode = Some(*custom_mode);
+            Inbound::Heartbeat { armed, custom_mode, system, .. } => {
+                if self.armed == Some(true) && !armed {
+                    self.disarmed = Some(now);
+                }
+                (self.armed, self.armed_heard) = (Some(*armed), Some(now));
+                self.system = *system;
+                self.update_mode(now, *custom_mode);
             }
             Inbound::CurrentMode { custom_mode, intended_custom_mode } => {
-                self.mode = Some(*custom_mode);
+                self.update_mode(now, *custom_mode);
                 self.intended_mode = Some(*intended_custom_mode);
             }
             Inbound::LandedState(landed) => self.landed = *landed,
-            Inbound::Battery { voltage, current, remaining } => {
-                self.battery =
-                    Battery { voltage: *voltage, current: *current, remaining: *remaining };
-            }
+            Inbound::Battery(battery) => self.battery = *battery,
             Inbound::SysStatus { unhealthy, .. } => self.unhealthy = *unhealthy,
             Inbound::Parameter { name, value } => {
                 self.parameters.insert(name.clone(), *value);
             }
-            Inbound::StatusText { severity, text } if *severity <= WARNING => {
-                self.warning = Some((received.host, text.trim().to_owned()));
+            Inbound::StatusText { severity, text } => {
+                let text = text.trim();
+                if *severity <= WARNING {
+                    self.warning = Some((now, text.to_owned()));
+                }
+                self.update_failsafe(now, text);
             }
             _ => {}
         }
     }
 
+    fn update_mode(&mut self, now: HostTime, mode: u32) {
+        if self.mode != Some(mode) {
+            self.mode_changed = Some(now);
+        }
+        (self.mode, self.mode_heard) = (Some(mode), Some(now));
+        self.mode_since.get_or_insert(now);
+    }
+
+    /// Both autopilots call a failsafe by that word, when it begins and when it is over.
+    fn update_failsafe(&mut self, now: HostTime, text: &str) {
+        let words = text.to_lowercase();
+        if !words.contains("failsafe") {
+            return;
+        }
+        let is_over = ["clear", "resolved", "deactivated"].iter().any(|over| words.contains(over));
+        self.failsafe = (!is_over).then(|| (now, text.to_owned()));
+    }
+
+    /// Whether the mode in force is known: told lately, and later than the last silence began. The
+    /// pilot may have changed a mode that is older.
+    pub fn knows_mode(&self, now: HostTime) -> bool {
+        self.mode_heard.is_some_and(|heard| {
+            now.since(heard) <= MODE_AGE_MAX && self.silence_ended.is_none_or(|end| heard >= end)
+        }) && self.is_heard(now)
+    }
+
+    /// Whether the vehicle was heard within the last half second.
+    pub fn is_heard(&self, now: HostTime) -> bool {
+        self.heard.is_some_and(|heard| now.since(heard) <= SILENCE)
+    }
+
+    /// Whether the mode in force came with the stop of the motors: the autopilot's own return to an
+    /// earlier choice, not an act of the pilot.
+    pub fn mode_came_with_disarming(&self) -> bool {
+        let (Some(disarmed), Some(changed)) = (self.disarmed, self.mode_changed) else {
+            return false;
+        };
+        disarmed.since(changed) <= RETURN_AHEAD && changed.since(disarmed) <= RETURN_AFTER
+    }
+
+    /// The failsafe that the vehicle has been in since `since`, in its words where it has some;
+    /// `None` where it is in none.
+    pub fn failsafe_since(&self, since: HostTime) -> Option<&str> {
+        match &self.failsafe {
+            Some((at, text)) if *at >= since => Some(text),
+            _ => self.system.is_failsafe().then_some(""),
+        }
+    }
+
+    /// The mode that was told last may be old: nothing is commanded on it.
+    pub(super) fn doubt_mode(&mut self) {
+        self.mode_heard = None;
+    }
+
     /// Forgets what may have changed while nothing was heard.
     pub(super) fn forget_mode(&mut self) {
         (self.mode, self.intended_mode, self.armed) = (None, None, None);
+        (self.mode_heard, self.armed_heard) = (None, None);
+        self.mode_since = None;
         self.landed = LandedState::Undefined;
     }
 }

@@ -138,12 +138,12 @@ def test_service_manager_is_told(program, hover, hand_made, tmp_path):
 
 @bounds_time
 def test_a_serial_line_pulled_in_flight(program, hover, sitl, pilot, tmp_path):
-    # The daemon's bytes, searched for the heads of SET_ATTITUDE_TARGET frames: v2, system 255, component 191, id 82.
+    # The daemon's bytes, searched for the heads of SET_ATTITUDE_TARGET frames: v2, system 254, component 191, id 82.
     setpoints = []
 
     def watch(end, data):
         if end == 1:
-            found = re.findall(rb"\xfd....\xff\xbf\x52\x00\x00", data, re.DOTALL)
+            found = re.findall(rb"\xfd....\xfe\xbf\x52\x00\x00", data, re.DOTALL)
             setpoints.extend([time.monotonic()] * len(found))
 
     cable = SerialCable(tmp_path, watch)

@@ -9,14 +9,21 @@ use std::time::Duration;
 
 use downwash::clock::{HostTime, VehicleTime};
 use downwash::control::{AttitudeLoop, HoverVehicle, Lqr, LqrSettings};
-use downwash::link::message::{Inbound, LandedState, Received};
+use downwash::link::message::{Inbound, LandedState, Received, SystemState};
 use downwash::pilot::{Airframe, Pilot, PilotSettings, Tick};
 use downwash::plan::reference::ReferenceSource;
 use downwash::setpoint::{Reference, Setpoint, State};
 use downwash::supervisor::{Action, EngagePolicy, Event, FlightState, ModeMap};
 use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 
-pub const MODES: ModeMap = ModeMap::PX4;
+pub const MODES: ModeMap = ModeMap {
+    autopilot: "PX4",
+    offboard: 0x0006_0000,
+    hold: Some(HOLD_MODE),
+    land: 0x0604_0000,
+    reports_intended: true,
+    names: &[(0x0003_0000, "Position"), (0x0504_0000, "Return")],
+};
 pub const HOLD_MODE: u32 = 0x0304_0000;
 pub const POSITION_MODE: u32 = 0x0003_0000;
 const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
@@ -72,6 +79,9 @@ pub struct Vehicle {
     setpoint: Setpoint,
     pub armed: bool,
     pub mode: u32,
+    pub system: SystemState,
+    /// Its land detector fails.
+    pub stays_armed: bool,
     pub ms: u64,
 }
 
@@ -87,6 +97,8 @@ impl Vehicle {
             setpoint: Setpoint::default(),
             armed: false,
             mode: HOLD_MODE,
+            system: SystemState::Standby,
+            stays_armed: false,
             ms: 5000,
         }
     }
@@ -124,7 +136,7 @@ impl Vehicle {
         }
         self.integrate(1e-3);
         let landing = self.mode == MODES.land;
-        if landing && self.on_ground() && self.state.velocity.norm() < 0.1 {
+        if landing && !self.stays_armed && self.on_ground() && self.state.velocity.norm() < 0.1 {
             self.armed = false;
         }
     }
@@ -196,7 +208,7 @@ impl Vehicle {
         let mut out = Vec::new();
         let stamp = VehicleTime::from_ms(ms as u32);
         let mut say = |message| {
-            out.push(Received { host: self.now(), vehicle: Some(stamp), message });
+            out.push(Received { host: self.now(), vehicle: Some(stamp), delay: None, message });
         };
         if ms.is_multiple_of(1000) {
             say(Inbound::Heartbeat {
@@ -204,6 +216,7 @@ impl Vehicle {
                 vehicle_type: 2,
                 armed: self.armed,
                 custom_mode: self.mode,
+                system: self.system,
             });
         }
         if ms.is_multiple_of(100) {
@@ -306,10 +319,11 @@ impl Flight {
             vehicle_type: 2,
             armed: self.vehicle.armed,
             custom_mode: self.vehicle.mode,
+            system: self.vehicle.system,
         };
         if (self.hears)(&message) {
             let host = self.vehicle.now();
-            self.pilot.handle(&Received { host, vehicle: None, message });
+            self.pilot.handle(&Received { host, vehicle: None, delay: None, message });
         }
     }
 
@@ -318,7 +332,7 @@ impl Flight {
         self.heartbeat();
         let message = Inbound::CurrentMode { custom_mode: mode, intended_custom_mode: mode };
         let host = self.vehicle.now();
-        self.pilot.handle(&Received { host, vehicle: None, message });
+        self.pilot.handle(&Received { host, vehicle: None, delay: None, message });
     }
 
     pub fn streamed_since(&self, host: HostTime) -> usize {

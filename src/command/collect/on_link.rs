@@ -8,7 +8,7 @@ use anyhow::anyhow;
 use super::FlightRow;
 use super::kept::{LogOf, metadata};
 use crate::command::course::Course;
-use crate::command::fly::{Flown, baud, endpoint, fly_once};
+use crate::command::fly::{Flown, endpoint, fly_once};
 use crate::command::setup::{VehicleFile, required, run_info, station_settings};
 use crate::command::stop::StopSignals;
 use crate::command::{Exit, say};
@@ -47,7 +47,7 @@ pub(super) fn fly_vehicle(
             vehicle,
             &Course::Desired(flight.trajectory.clone()),
             EngagePolicy::Command,
-            baud(&endpoint),
+            Some(&endpoint),
         )?;
         let mut info = run_info(config, vehicle, &flight.name, false, None);
         info.extra = metadata(flight, fingerprint);

@@ -5,25 +5,28 @@ mod selection;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use mavlink::MessageData;
+use mavlink::{MavlinkVersion, MessageData};
 use sitl::frame::Attitude;
 use wire::dialect::*;
 use wire::transport::Peer;
 use wire::{Encoder, Frame};
 
+use self::selection::autopilot_of;
 use super::outbox::{Outbox, command_long, heartbeat};
 use super::{Event, Heard, SetpointError, Settings, VehicleId};
 use crate::clock::HostTime;
 use crate::link::attitude_target;
 use crate::link::budget::LineBudget;
-use crate::link::codec::Codec;
+use crate::link::codec::{self, Codec};
 use crate::link::counters::{Counters, LinkState};
 use crate::link::intervals::Intervals;
 use crate::link::message::{AttitudeSource, Inbound, Received};
 use crate::link::parameter;
 use crate::link::profile::Profile;
 use crate::link::request::{Action, Requests};
-use crate::link::timesync::{self, Answer, TimeSync};
+use crate::link::sequence::{Order, Sequence};
+use crate::link::timesync::{self, Answer};
+use crate::link::vehicle_clock::VehicleClock;
 use crate::setpoint::Setpoint;
 
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
@@ -35,12 +38,31 @@ const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
 /// A clock that jumped by more than this may be that of another vehicle: back where it was started
 /// since, forward where it was started before.
 const JUMP_NS: u64 = 1_000_000_000;
+/// What the vehicle tells again and again without a stamp: its mode, whether it is landed, its
+/// health, its pack.
+const THINGS_TOLD: usize = 4;
+
+/// Which of them a message tells.
+fn thing_told(id: u32) -> Option<usize> {
+    match id {
+        HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID => Some(0),
+        EXTENDED_SYS_STATE_DATA::ID => Some(1),
+        SYS_STATUS_DATA::ID => Some(2),
+        BATTERY_STATUS_DATA::ID => Some(3),
+        _ => None,
+    }
+}
+
 #[derive(Debug)]
 pub(super) struct Vehicle {
     pub(super) id: VehicleId,
     /// `None` once its connection closed, until it is heard again.
     pub(super) peer: Option<Peer>,
     pub(super) last_heard: HostTime,
+    /// Whether it signs its messages.
+    pub(super) is_signed: bool,
+    /// Of the protocol, in its newest frame.
+    pub(super) version: MavlinkVersion,
 }
 
 /// Everything behind the decoders.
@@ -50,11 +72,17 @@ pub(super) struct Core {
     pub(super) started: HostTime,
     pub(super) state: LinkState,
     pub(super) vehicle: Option<Vehicle>,
+    /// Autopilots beside it that are no worse known.
+    pub(super) others: Vec<VehicleId>,
     pub(super) profile: Option<Profile>,
     pub(super) version_due: Option<(HostTime, u8)>,
     pub(super) codec: Codec,
     pub(super) counters: Counters,
-    pub(super) clock: TimeSync,
+    pub(super) sequence: Sequence,
+    /// Place in the sequence of the newest word on each thing that the vehicle tells again and
+    /// again.
+    pub(super) told: [u64; THINGS_TOLD],
+    pub(super) clock: VehicleClock,
     pub(super) intervals: Intervals,
     pub(super) requests: Requests,
     pub(super) attitude: Option<(HostTime, AttitudeSource, Attitude)>,
@@ -72,11 +100,14 @@ impl Core {
             started: now,
             state: LinkState::Searching,
             vehicle: None,
+            others: Vec::new(),
             profile: None,
             version_due: None,
             codec: Codec::default(),
             counters: Counters::default(),
-            clock: TimeSync::default(),
+            sequence: Sequence::default(),
+            told: [0; THINGS_TOLD],
+            clock: VehicleClock::default(),
             intervals: Intervals::default(),
             requests: Requests::default(),
             attitude: None,
@@ -95,17 +126,21 @@ impl Core {
         on: &mut impl FnMut(Heard<'_>),
     ) {
         on(Heard::Frame { peer, bytes: frame.bytes() });
-        if frame.id() == HEARTBEAT_DATA::ID && self.select(now, peer, frame) {
+        let is_heartbeat = frame.id() == HEARTBEAT_DATA::ID;
+        let autopilot = is_heartbeat.then(|| autopilot_of(peer, frame)).flatten();
+        if autopilot.is_some_and(|id| self.select(now, id, frame.is_signed())) {
             on(Heard::Replaced);
         }
         let Some(vehicle) = &mut self.vehicle else {
-            self.counters.foreign += 1;
+            self.counters.foreign(frame);
             return;
         };
         let is_vehicle = frame.system() == u32::from(vehicle.id.system)
             && frame.component() == vehicle.id.component;
-        if !is_vehicle {
-            self.counters.foreign += 1;
+        // A companion that borrows the autopilot's ids says nothing of the vehicle.
+        let is_impostor = is_heartbeat && autopilot.is_none_or(|id| vehicle.id.is_another(&id));
+        if !is_vehicle || is_impostor {
+            self.counters.foreign(frame);
             return;
         }
         if vehicle.peer != Some(peer) {
@@ -113,7 +148,13 @@ impl Core {
             return;
         }
         vehicle.last_heard = now;
-        self.counters.sequence(frame.sequence());
+        vehicle.is_signed |= frame.is_signed();
+        vehicle.version = frame.version();
+        self.counters.heard += 1;
+        if !self.is_news(now, frame) {
+            self.counters.repeated += 1;
+            return;
+        }
         self.counters.arrival(frame.id());
         self.set_state(LinkState::Connected);
         if frame.id() == TIMESYNC_DATA::ID {
@@ -121,15 +162,29 @@ impl Core {
         }
         match self.codec.decode(frame) {
             Ok(Some((vehicle, message))) => {
-                if let Some(stamp) = vehicle {
-                    self.clock.observe(now, stamp);
-                }
+                let delay = vehicle.map(|stamp| self.clock.observe(now, stamp));
                 self.message(now, &message);
-                on(Heard::Message(Received { host: now, vehicle, message }));
+                on(Heard::Message(Received { host: now, vehicle, delay, message }));
             }
             Ok(None) => {}
-            Err(_) => self.counters.refused += 1,
+            Err(refusal) => self.counters.refuse(frame.id(), refusal),
         }
+    }
+
+    /// Whether the frame says something new: it was not heard before, and what it says of the
+    /// vehicle's mode or condition is not older than what is known.
+    fn is_news(&mut self, now: HostTime, frame: &Frame) -> bool {
+        let (number, is_unique) = (frame.sequence(), codec::is_stamped(frame.id()));
+        let place = match self.sequence.take(now, number, frame.bytes(), is_unique) {
+            Order::Copy => return false,
+            Order::New(place) | Order::Overtaken(place) => place,
+        };
+        let Some(told) = thing_told(frame.id()).and_then(|thing| self.told.get_mut(thing)) else {
+            return true;
+        };
+        let is_newer = place > *told;
+        *told = place.max(*told);
+        is_newer
     }
 
     fn message(&mut self, now: HostTime, message: &Inbound) {
@@ -226,7 +281,11 @@ impl Core {
         if !is_for_us {
             return;
         }
-        if let Answer::Jump { by_ns } = self.clock.answer(now, data.tc1, data.ts1) {
+        let answer = self.clock.answer(now, data.tc1, data.ts1);
+        if self.clock.is_in_doubt() {
+            self.timesync_due = self.timesync_due.min(now + timesync::PERIOD_IN_DOUBT);
+        }
+        if let Answer::Jump { by_ns } = answer {
             self.events.push_back(Event::ClockJump { by_ns });
             if by_ns.unsigned_abs() > JUMP_NS {
                 // It may be another vehicle, which takes other setpoints.
@@ -256,6 +315,7 @@ impl Core {
             self.outbox.push(None, &heartbeat());
         }
         let Some(vehicle) = &self.vehicle else { return };
+        let is_old = vehicle.version == MavlinkVersion::V1;
         let silence = now.since(vehicle.last_heard);
         if silence >= self.settings.lost_after {
             if self.state != LinkState::Lost {
@@ -267,7 +327,9 @@ impl Core {
             self.set_state(LinkState::Stale);
         }
         if self.timesync_due <= now {
-            self.timesync_due = now + timesync::PERIOD;
+            let is_in_doubt = self.clock.is_in_doubt();
+            self.timesync_due =
+                now + if is_in_doubt { timesync::PERIOD_IN_DOUBT } else { timesync::PERIOD };
             let ts1 = self.clock.request(now);
             let request = TIMESYNC_DATA { tc1: 0, ts1, ..self.timesync_target() };
             self.send(&MavMessage::TIMESYNC(request));
@@ -276,6 +338,10 @@ impl Core {
             Some((due, VERSION_ATTEMPTS)) if due <= now => self.identify(now, None),
             Some((due, attempts)) if due <= now => {
                 self.version_due = Some((now + VERSION_REPEAT, attempts + 1));
+                // One that speaks MAVLink 1 may understand no other.
+                if attempts >= VERSION_ATTEMPTS / 2 && is_old {
+                    self.outbox.speak(MavlinkVersion::V1);
+                }
                 let id = AUTOPILOT_VERSION_DATA::ID as f32;
                 let params = [id, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
                 self.command(MavCmd::MAV_CMD_REQUEST_MESSAGE, params, attempts);
@@ -298,6 +364,7 @@ impl Core {
     fn lose(&mut self, now: HostTime) {
         self.set_state(LinkState::Lost);
         self.counters.restart(now);
+        self.sequence.restart();
         if let Some(vehicle) = &mut self.vehicle {
             vehicle.peer = None;
         }

@@ -1,5 +1,6 @@
 //! Frames on their way to the driver, and the messages that the session itself makes.
 
+use mavlink::MavlinkVersion;
 use wire::Encoder;
 use wire::dialect::*;
 use wire::transport::Peer;
@@ -18,6 +19,11 @@ pub(super) struct Outbox {
 impl Outbox {
     pub(super) fn new(encoder: Encoder) -> Self {
         Self { encoder, bytes: Vec::new(), frames: Vec::new() }
+    }
+
+    /// The protocol's version from the next frame on.
+    pub(super) fn speak(&mut self, version: MavlinkVersion) {
+        self.encoder.set_version(version);
     }
 
     pub(super) fn push(&mut self, to: Option<Peer>, message: &MavMessage) {

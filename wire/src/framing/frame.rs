@@ -53,6 +53,13 @@ impl Frame {
         self.raw.version()
     }
 
+    /// Whether its sender signs its messages (MAVLink 2). The signature is not checked.
+    pub fn is_signed(&self) -> bool {
+        self.bytes().get(2).is_some_and(|flags| {
+            self.version() == MavlinkVersion::V2 && flags & v2::IFLAG_SIGNED != 0
+        })
+    }
+
     /// The whole frame as it was on the wire, signature included.
     pub fn bytes(&self) -> &[u8] {
         match &self.raw {

@@ -1,5 +1,6 @@
 //! Which of those that are heard is the vehicle, and where it went.
 
+use mavlink::MavlinkVersion;
 use wire::Frame;
 use wire::transport::Peer;
 
@@ -9,79 +10,115 @@ use crate::link::codec::{self, Codec};
 use crate::link::counters::LinkState;
 use crate::link::message::Inbound;
 use crate::link::session::{Event, VehicleId};
-use crate::link::timesync::TimeSync;
+use crate::link::vehicle_clock::VehicleClock;
 
 /// MAV_TYPEs that fly nothing, whatever autopilot they name: antenna tracker, ground station,
-/// onboard controller, gimbal, ADS-B receiver, camera.
-const NO_VEHICLE: [u8; 6] = [5, 6, 18, 26, 27, 30];
+/// onboard controller, gimbal, ADS-B receiver, camera, and the components from charging station to
+/// winch and illuminator.
+fn is_component(vehicle_type: u8) -> bool {
+    matches!(vehicle_type, 5 | 6 | 18 | 26 | 27 | 30..=34 | 36..=42 | 44)
+}
+
 /// MAV_AUTOPILOT_INVALID: a component that is no autopilot.
 const NO_AUTOPILOT: u8 = 8;
+/// Autopilots that are remembered beside the vehicle's.
+const OTHERS_MAX: usize = 16;
+
+/// The autopilot that a HEARTBEAT is from; `None` where it is from another component.
+pub(super) fn autopilot_of(peer: Peer, frame: &Frame) -> Option<VehicleId> {
+    let Inbound::Heartbeat { autopilot, vehicle_type, .. } = codec::heartbeat(frame.payload())
+    else {
+        return None;
+    };
+    let system = u8::try_from(frame.system()).ok().filter(|system| *system != 0)?;
+    let is_autopilot = autopilot != NO_AUTOPILOT && !is_component(vehicle_type);
+    let component = frame.component();
+    is_autopilot.then_some(VehicleId { system, component, autopilot, vehicle_type, peer })
+}
 
 impl Core {
-    /// Takes the first autopilot for the vehicle, and finds it again where it went. Gives whether
-    /// it is another one, under the ids of the one that was known.
-    pub(super) fn select(&mut self, now: HostTime, peer: Peer, frame: &Frame) -> bool {
-        let Inbound::Heartbeat { autopilot, vehicle_type, .. } = codec::heartbeat(frame.payload())
-        else {
-            return false;
-        };
-        let Ok(system) = u8::try_from(frame.system()) else { return false };
-        let is_wanted = self.settings.vehicle_system.is_none_or(|wanted| wanted == system);
-        let is_vehicle = autopilot != NO_AUTOPILOT && !NO_VEHICLE.contains(&vehicle_type);
-        if !is_vehicle || system == 0 || !is_wanted {
+    /// Takes the first autopilot for the vehicle, one that is known before one that is not, and
+    /// finds it again where it went. Gives whether it is another one, under the ids of the one that
+    /// was known.
+    pub(super) fn select(&mut self, now: HostTime, id: VehicleId, is_signed: bool) -> bool {
+        if self.settings.vehicle_system.is_some_and(|wanted| wanted != id.system) {
             return false;
         }
-        let id = VehicleId { system, component: frame.component(), autopilot, vehicle_type, peer };
         let Some(known) = &mut self.vehicle else {
-            self.found(now, id);
+            self.found(now, id, is_signed);
             self.events.push_back(Event::VehicleFound(id));
             return false;
         };
         if (known.id.system, known.id.component) != (id.system, id.component) {
+            self.hear_other(now, id, is_signed);
             return false;
         }
         let is_lost = self.state == LinkState::Lost;
         // Another route to the vehicle counts only when the known one is silent.
         let is_silent = is_lost || known.peer.is_none() || self.state == LinkState::Stale;
-        if !is_silent && known.peer != Some(peer) {
+        if !is_silent && known.peer != Some(id.peer) {
             return false;
         }
         if known.id.is_another(&id) {
-            self.replaced(now, id);
+            if known.id.is_known() && !id.is_known() && !is_lost {
+                return false;
+            }
+            self.replaced(now, id, is_signed);
             return true;
         }
         if is_lost {
-            self.found(now, id);
+            self.found(now, id, is_signed);
             self.events.push_back(Event::VehicleFound(id));
         } else if is_silent {
-            let before = known.peer.replace(peer);
-            known.id.peer = peer;
+            let before = known.peer.replace(id.peer);
+            known.id.peer = id.peer;
             // A connection that closed is another one now, though its number be the same; one that
             // was merely silent goes on counting.
-            if before != Some(peer) {
-                self.counters.rerouted();
+            if before != Some(id.peer) {
+                self.sequence.restart();
             }
         }
         false
     }
 
+    /// An autopilot beside the vehicle. It takes the place of one that is not known; of two that
+    /// are, or that both are not, only the user can choose.
+    fn hear_other(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
+        let Some(vehicle) = self.vehicle.as_ref().map(|vehicle| vehicle.id) else { return };
+        if id.is_known() && !vehicle.is_known() {
+            self.replaced(now, id, is_signed);
+        } else if id.is_known() == vehicle.is_known()
+            && !self.others.contains(&id)
+            && self.others.len() < OTHERS_MAX
+        {
+            self.others.push(id);
+            self.events.push_back(Event::AnotherAutopilot { vehicle, other: id });
+        }
+    }
+
     /// Nothing that was known or asked of the vehicle before holds for this one.
-    fn replaced(&mut self, now: HostTime, id: VehicleId) {
+    fn replaced(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
         self.profile = None;
         self.intervals.stop();
         self.requests.withdraw();
         self.requests.abandon();
         self.collect_ended();
-        self.found(now, id);
+        self.found(now, id, is_signed);
         self.events.push_back(Event::VehicleReplaced(id));
     }
 
-    fn found(&mut self, now: HostTime, id: VehicleId) {
-        self.vehicle = Some(Vehicle { id, peer: Some(id.peer), last_heard: now });
+    fn found(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
+        let version = MavlinkVersion::V2;
+        self.vehicle =
+            Some(Vehicle { id, peer: Some(id.peer), last_heard: now, is_signed, version });
+        self.others.retain(|other| *other != id);
         self.codec = Codec::default();
-        self.clock = TimeSync::default();
+        self.clock = VehicleClock::default();
         self.counters.restart(now);
+        self.counters.is_vehicle(id.system, id.component);
+        self.sequence.restart();
         self.attitude = None;
+        self.outbox.speak(MavlinkVersion::V2);
         self.timesync_due = now;
         self.version_due = Some((now, 0));
     }

@@ -1,0 +1,239 @@
+//! What would keep the vehicle from being flown, and what to do about it.
+
+use std::fmt;
+
+use serde::Serialize;
+use wire::dialect::MavSysStatusSensor;
+
+use super::observed::{Observed, Report};
+use crate::command::listen::Listener;
+use crate::link::budget::message_name;
+use crate::link::loss_reaction::LossReaction;
+use crate::link::profile::Profile;
+
+/// A clock that is off by more than crystals are.
+const SKEW_TOLD: f64 = 2e-3;
+/// Beyond this round trip feedback at 100 Hz suffers, s.
+const ROUND_TRIP_TOLD_S: f64 = 0.05;
+/// A latency timer of a serial adapter that delays every sample, ms.
+const LATENCY_TIMER_TOLD_MS: u32 = 2;
+
+/// How much a finding matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Weight {
+    /// It may or may not matter.
+    Warns,
+    /// The flight, OFFBOARD or arming would be refused.
+    Refuses,
+}
+
+/// Something that is not as it should be, and the cure.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Finding {
+    pub weight: Weight,
+    pub subject: String,
+    pub text: String,
+}
+
+impl Finding {
+    pub(super) fn new(weight: Weight, subject: &str, text: String) -> Self {
+        Self { weight, subject: subject.to_owned(), text }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let weight = match self.weight {
+            Weight::Warns => "warning",
+            Weight::Refuses => "REFUSED",
+        };
+        write!(f, "{weight:<10} {}: {}", self.subject, self.text)
+    }
+}
+
+/// All findings about a vehicle that was heard.
+pub(super) fn findings(
+    report: &Report,
+    observed: &Observed,
+    listener: &Listener,
+    is_asking: bool,
+) -> Vec<Finding> {
+    let mut found = Findings(Vec::new());
+    found.identity(report, observed, listener);
+    found.parameters(report, listener);
+    found.state(report, listener, is_asking);
+    found.condition(report, observed, listener);
+    found.link(report, listener);
+    found.0
+}
+
+struct Findings(Vec<Finding>);
+
+impl Findings {
+    fn refuses(&mut self, subject: &str, text: impl Into<String>) {
+        self.0.push(Finding::new(Weight::Refuses, subject, text.into()));
+    }
+
+    fn warns(&mut self, subject: &str, text: impl Into<String>) {
+        self.0.push(Finding::new(Weight::Warns, subject, text.into()));
+    }
+
+    fn identity(&mut self, report: &Report, observed: &Observed, listener: &Listener) {
+        if report.autopilot == Some(Profile::UNKNOWN.name) {
+            self.refuses("autopilot", "its modes are not known; PX4 and ArduCopter are flown");
+        }
+        if !report.others.is_empty() && listener.session.wanted_system().is_none() {
+            self.refuses("vehicles", "several autopilots are on the link; choose with --system");
+        }
+        if report.is_signed && observed.version.is_none() {
+            self.refuses(
+                "signing",
+                "it signs its messages and answers none that is not signed; turn signing off on \
+                 this link, or connect by USB",
+            );
+        } else if observed.version.is_none() {
+            self.warns("version", "it does not answer with AUTOPILOT_VERSION");
+        }
+        let reports_intended =
+            listener.session.profile().is_some_and(|profile| profile.reports_intended_mode);
+        if reports_intended && report.intended_mode.is_none() {
+            self.warns(
+                "mode",
+                "CURRENT_MODE does not come (PX4 before 1.15, MAVLink 1, or nobody asked for it): \
+                 it is flown by the mode in HEARTBEAT",
+            );
+        }
+    }
+
+    fn parameters(&mut self, report: &Report, listener: &Listener) {
+        let Some(profile) = listener.session.profile() else { return };
+        let value = |name: &str| report.parameters.get(name).copied();
+        for rule in profile.required {
+            let subject = format!("parameter {}", rule.name);
+            match value(rule.name) {
+                Some(value) if rule.holds(value) => {}
+                Some(value) => self.refuses(
+                    &subject,
+                    format!("is {value}: {}; set it to {}", rule.why, rule.rule),
+                ),
+                None => self.refuses(&subject, "it does not answer when asked for it"),
+            }
+        }
+        if let Some(rule) = profile.loss_timeout {
+            let subject = format!("parameter {}", rule.name);
+            if let Some(value) = value(rule.name).filter(|value| !rule.holds(*value)) {
+                self.warns(&subject, format!("is {value}: {}; set it to {}", rule.why, rule.rule));
+            }
+        }
+        // Where PX4 looks for a radio control only, it takes its lack for a loss, unless told not to
+        // in OFFBOARD.
+        let is_set = |name: &str, bits: u32| value(name).is_some_and(|v| v as u32 & bits == bits);
+        let needs_rc = value("NAV_RCL_ACT").is_some_and(|action| action != 0.0)
+            && value("COM_RC_IN_MODE") == Some(0.0)
+            && !is_set("COM_RCL_EXCEPT", 4);
+        if needs_rc {
+            self.warns(
+                "parameter COM_RCL_EXCEPT",
+                "without a radio control the vehicle may refuse OFFBOARD or leave it; fly with one, \
+                 or set bit 2 (4)",
+            );
+        }
+        let settings = &listener.config.settings;
+        if let LossReaction::Nothing { why, cure } =
+            profile.loss.reaction(&report.parameters, settings.link.system)
+        {
+            let text = format!("should downwash vanish, nothing acts: {why}; {cure}");
+            match settings.pilot.preflight.needs_loss_reaction {
+                true => self.refuses("loss", text),
+                false => self.warns("loss", text),
+            }
+        }
+    }
+
+    fn state(&mut self, report: &Report, listener: &Listener, is_asking: bool) {
+        let settings = &listener.config.settings;
+        let needed = settings.pilot.preflight.tick_rate_min * settings.control.rate_hz;
+        let comes = report.odometry_hz.max(report.attitude_hz.min(report.position_hz));
+        if comes < needed {
+            let text = format!(
+                "needs {needed:.0} Hz of ODOMETRY, or of attitude and position; {comes:.0} Hz come"
+            );
+            match (is_asking, comes > 0.0) {
+                (true, _) => self.refuses("state", text),
+                (false, _) => self
+                    .warns("state", format!("{text}; a flight asks for more, which --rates tries")),
+            }
+        }
+        for refused in listener.session.refusals() {
+            let name = message_name(refused.id);
+            let text = format!("{} not believed: {}", refused.count, refused.refusal);
+            match comes < needed {
+                true => self.refuses(&name, text),
+                false => self.warns(&name, text),
+            }
+        }
+    }
+
+    fn condition(&mut self, report: &Report, observed: &Observed, listener: &Listener) {
+        let status = observed.telemetry.status();
+        let unhealthy = MavSysStatusSensor::from_bits_truncate(status.unhealthy);
+        for (name, bit) in unhealthy.iter_names() {
+            if bit == MavSysStatusSensor::MAV_SYS_STATUS_PREARM_CHECK {
+                let why: Vec<_> =
+                    observed.texts.iter().filter(|text| text.contains("rm")).cloned().collect();
+                let why =
+                    if why.is_empty() { String::new() } else { format!(": {}", why.join("; ")) };
+                self.refuses("arming", format!("the vehicle's own check before arming fails{why}"));
+            } else {
+                self.warns("health", format!("{name} is not healthy"));
+            }
+        }
+        if report.armed == Some(true) {
+            self.refuses("armed", "the vehicle is armed already; disarm it first");
+        }
+        let offboard = listener.session.profile().and_then(|profile| profile.modes.offboard);
+        if let Some(offboard) = offboard.map(|mode| mode.custom_mode)
+            && (report.mode == Some(offboard) || report.intended_mode == Some(offboard))
+        {
+            self.warns("mode", "it is in OFFBOARD, or intends to; switch it to another mode");
+        }
+        let least = listener.config.settings.pilot.preflight.battery_min;
+        if let Some(left) = report.battery_share.filter(|left| *left < least) {
+            let text = format!("{:.0} %, at least {:.0} % are needed", 100.0 * left, 100.0 * least);
+            self.refuses("battery", text);
+        }
+    }
+
+    fn link(&mut self, report: &Report, listener: &Listener) {
+        let most = listener.config.settings.pilot.preflight.link_loss_max;
+        if report.lost_share > most {
+            let (lost, most) = (100.0 * report.lost_share, 100.0 * most);
+            self.refuses("link", format!("loses {lost:.0} % of the frames, at most {most:.0} %"));
+        }
+        if report.clock != Some("TIMESYNC") {
+            self.warns(
+                "clock",
+                "it does not answer TIMESYNC: a queue that grows slowly cannot be told from a clock \
+                 that is slow",
+            );
+        }
+        if let Some(skew) = report.clock_skew.filter(|skew| skew.abs() > SKEW_TOLD) {
+            let rate = 1.0 + skew;
+            self.warns("clock", format!("it runs at {rate:.3} of real time: a simulator, or busy"));
+        }
+        if report.round_trip_p50_s.is_some_and(|time| time > ROUND_TRIP_TOLD_S) {
+            self.warns("round trip", "it is long for feedback; use a quicker link");
+        }
+        if let Some(timer) = report.serial_latency_timer_ms.filter(|ms| *ms > LATENCY_TIMER_TOLD_MS)
+        {
+            self.warns(
+                "serial",
+                format!(
+                    "the adapter holds bytes back for up to {timer} ms; write 1 to its \
+                     latency_timer in /sys/bus/usb-serial/devices"
+                ),
+            );
+        }
+    }
+}

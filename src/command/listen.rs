@@ -1,0 +1,114 @@
+//! Listens on a link for a while: what `doctor` and `inspect` have in common.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use tokio::runtime::{Builder, Runtime};
+use tokio::time::timeout;
+use wire::Endpoint;
+use wire::transport::RECEIVE_LEN;
+
+use super::fly::{endpoint, system_flag};
+use super::setup::required;
+use super::{config, say};
+use crate::cli::ListenArgs;
+use crate::clock::HostTime;
+use crate::config::Config;
+use crate::daemon::HostClock;
+use crate::link::attitude_target::ThrustMap;
+use crate::link::connection::{Connection, Input};
+use crate::link::profile::MessageRate;
+use crate::link::session::{Heard, Session, Settings};
+
+/// A session that flies nothing, over a connection.
+pub(super) struct Listener {
+    pub session: Session,
+    pub endpoint: Endpoint,
+    pub clock: HostClock,
+    pub config: Config,
+    connection: Connection,
+    runtime: Runtime,
+    buffer: Vec<u8>,
+    failure: Option<String>,
+}
+
+impl Listener {
+    /// Opens the link of the flags or of the configuration. Messages and rates are asked for as a
+    /// flight does, or not at all.
+    pub fn open(args: &ListenArgs, is_asking: bool) -> anyhow::Result<Self> {
+        let mut flags = Vec::new();
+        if let Some(url) = &args.connect {
+            flags.push(("--connect", "connect", toml::Value::String(url.clone())));
+        }
+        flags.extend(system_flag(args.system));
+        let config = config::load(args.config.as_deref(), flags)?;
+        let settings = &config.settings;
+        let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
+        // No setpoint is sent, so that what a thrust means does not matter.
+        let thrust = ThrustMap::linear(1.0)?;
+        let link = &settings.link;
+        let baud = match &endpoint {
+            Endpoint::Serial { baud, .. } => Some(*baud),
+            _ => None,
+        };
+        let session = Settings {
+            system: link.system,
+            component: link.component,
+            vehicle_system: link.vehicle_system,
+            answer_timesync: link.answer_timesync,
+            telemetry: (!is_asking).then(Vec::<MessageRate>::new),
+            baud,
+            endpoint: Some(endpoint.to_string()),
+            ..Settings::new(thrust)
+        };
+        let clock = HostClock::start();
+        let runtime = Builder::new_current_thread().enable_all().build();
+        Ok(Self {
+            session: Session::new(session, clock.now()),
+            connection: Connection::new(endpoint.clone()),
+            endpoint,
+            clock,
+            config,
+            runtime: runtime.context("cannot start the runtime of the link")?,
+            buffer: vec![0; RECEIVE_LEN],
+            failure: None,
+        })
+    }
+
+    /// Listens for a while; every frame and message goes to `on`.
+    pub fn listen(&mut self, duration: Duration, mut on: impl FnMut(HostTime, Heard<'_>)) {
+        let end = Instant::now() + duration;
+        let Self { session, connection, runtime, buffer, clock, failure, .. } = self;
+        loop {
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return;
+            }
+            let wait = session.next_deadline().since(clock.now()).min(left);
+            let input = runtime.block_on(async { timeout(wait, connection.recv(buffer)).await });
+            let now = clock.now();
+            match input {
+                Ok(Input::Bytes { peer, len }) => {
+                    let bytes = buffer.get(..len).unwrap_or_default();
+                    let is_datagram = connection.is_datagram();
+                    session.receive(now, peer, bytes, is_datagram, &mut |heard| on(now, heard));
+                }
+                Ok(Input::PeerClosed(peer)) => {
+                    session.peer_closed(peer);
+                }
+                Ok(Input::Lost(_)) => session.transport_closed(),
+                Ok(Input::Failed { error, .. }) => {
+                    let text = error.to_string();
+                    if failure.as_ref() != Some(&text) {
+                        say(format_args!("{text}; trying again until it opens"));
+                        *failure = Some(text);
+                    }
+                }
+                Ok(Input::Opened | Input::PeerOpened(_)) | Err(_) => {}
+            }
+            session.poll(now);
+            session.transmit(|to, frame| connection.send(to, frame));
+            while session.next_event().is_some() {}
+        }
+    }
+}

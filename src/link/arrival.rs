@@ -1,0 +1,108 @@
+//! The vehicle's clock by the stamps of its messages alone.
+//!
+//! Delay makes a stamp look older, so that the largest offsets of stamps to arrivals had the least
+//! of it: the line over them is the clock, late by the shortest transport time. Of the lines above
+//! all offsets it is the one with the least area between (Moon, Skelly and Towsley, "Estimation and
+//! removal of clock skew from network delay measurements", 1999). A queue that grows by less than
+//! the largest skew cannot be told from a clock that is slow: only TIMESYNC tells them apart.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use super::vehicle_clock::{ClockEstimate, ClockSource, SKEW_MAX, TOLERANCE_NS};
+use super::vehicle_clock::{nanoseconds, ns_between};
+use crate::clock::{HostTime, VehicleTime};
+
+/// One largest offset is kept for so long.
+const SPAN: Duration = Duration::from_secs(1);
+/// Spans that are kept. What was quickest before them is forgotten, so that a clock which stood
+/// still for a while is followed after as many seconds.
+const SPANS: usize = 7;
+/// Whole spans that a skew needs.
+const SPANS_MIN: usize = 3;
+
+/// The message of a span that was quickest.
+#[derive(Clone, Copy, Debug)]
+struct Quickest {
+    at: HostTime,
+    offset_ns: i64,
+}
+
+impl Quickest {
+    fn offset_at(&self, now: HostTime, skew: f64) -> f64 {
+        self.offset_ns as f64 + skew * ns_between(self.at, now)
+    }
+}
+
+/// Keeps the quickest messages of the last seconds in which something came.
+#[derive(Debug, Default)]
+pub(super) struct Arrival {
+    spans: VecDeque<Quickest>,
+    opened: HostTime,
+    skew: f64,
+}
+
+impl Arrival {
+    /// Takes the stamp of a message that just arrived.
+    pub(super) fn observe(&mut self, now: HostTime, stamp: VehicleTime) {
+        let offset_ns = nanoseconds(stamp).saturating_sub_unsigned(now.as_ns());
+        let heard = Quickest { at: now, offset_ns };
+        let skew = self.skew;
+        match self.spans.back_mut() {
+            Some(last) if now.since(self.opened) < SPAN => {
+                if offset_ns as f64 >= last.offset_at(now, skew) {
+                    *last = heard;
+                }
+            }
+            _ => {
+                self.skew = self.fit();
+                if self.spans.len() == SPANS {
+                    self.spans.pop_front();
+                }
+                self.spans.push_back(heard);
+                self.opened = now;
+            }
+        }
+    }
+
+    /// The line at `now`.
+    pub(super) fn estimate(&self, now: HostTime) -> Option<ClockEstimate> {
+        let by_offset = |a: &&Quickest, b: &&Quickest| {
+            a.offset_at(now, self.skew).total_cmp(&b.offset_at(now, self.skew))
+        };
+        self.spans.iter().max_by(by_offset).map(|quickest| ClockEstimate {
+            offset_ns: quickest.offset_ns,
+            at: quickest.at,
+            skew: self.skew,
+            error_ns: None,
+            source: ClockSource::Arrival,
+        })
+    }
+
+    /// The slope of the line above all offsets that is closest to them, where it is beyond chance.
+    fn fit(&self) -> f64 {
+        let (Some(first), Some(last)) = (self.spans.front(), self.spans.back()) else { return 0.0 };
+        if self.spans.len() < SPANS_MIN {
+            return 0.0;
+        }
+        let points: Vec<(f64, f64)> = self
+            .spans
+            .iter()
+            .map(|q| (ns_between(first.at, q.at), (q.offset_ns - first.offset_ns) as f64))
+            .collect();
+        let middle = points.iter().map(|(t, _)| t).sum::<f64>() / points.len() as f64;
+        let pairs = points
+            .iter()
+            .enumerate()
+            .flat_map(|(i, a)| points.iter().skip(i + 1).map(move |b| (*a, *b)));
+        let slope = pairs
+            .filter(|(a, b)| a.0 <= middle && middle <= b.0 && b.0 > a.0)
+            .map(|(a, b)| (a, (b.1 - a.1) / (b.0 - a.0)))
+            .find(|(a, slope)| {
+                points.iter().all(|(t, offset)| offset - a.1 <= slope * (t - a.0) + 1e3)
+            })
+            .map_or(0.0, |(_, slope)| slope);
+        let is_shown = slope.abs() * ns_between(first.at, last.at) > TOLERANCE_NS;
+        if is_shown && slope.abs() <= SKEW_MAX { slope } else { 0.0 }
+    }
+}

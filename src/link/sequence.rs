@@ -1,0 +1,323 @@
+//! The order in which the vehicle sent its frames, by their sequence numbers.
+//!
+//! A second radio, or a route that forks, brings frames twice, late and out of order. What a frame
+//! says of the vehicle's mode is then older than what is known. The number wraps after 256 frames,
+//! which a quick link sends in half a second: a copy that comes later is told by its bytes.
+
+use std::time::Duration;
+
+use crate::clock::HostTime;
+
+/// A step of the sequence by up to so many is a loss of those between.
+const STEP_MAX: u8 = 101;
+/// A frame that was overtaken by up to so many others is late; beyond, the sequence began anew.
+const BEHIND_MAX: u64 = 100;
+/// So many frames behind the newest, with none that is newer between: the sequence began anew.
+const RESTART: u32 = 8;
+/// After such a silence nothing is known of the sequence.
+const SILENCE: Duration = Duration::from_secs(1);
+/// Frames with the same number that are remembered.
+const WRAPS: usize = 4;
+/// A copy of the link's frames goes on within so many.
+const COPY_STEP_MAX: u8 = 8;
+/// A copy was seen so many frames ago at most.
+const COPY_ALIVE: u64 = 64;
+
+/// What the sequence says of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Order {
+    /// It was sent after all that were heard; its place among them.
+    New(u64),
+    /// It was sent before others that were heard; its place among them.
+    Overtaken(u64),
+    /// It was heard before.
+    Copy,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Heard {
+    place: u64,
+    hash: u32,
+}
+
+/// Follows the sequence of one sender. An autopilot numbers the frames of each link by itself, so
+/// that nobody else's frames leave a gap.
+#[derive(Debug)]
+pub(super) struct Sequence {
+    /// By number: the newest frames that had it. Places begin at 256, so that 0 is none.
+    heard: Box<[[Heard; WRAPS]; 256]>,
+    /// Place of the newest frame; its lowest byte is its number. `None` where any may follow.
+    newest: Option<u64>,
+    /// No place is given twice: those given so far are below.
+    floor: u64,
+    /// Place of the newest copy, and of the newest frame when it came.
+    copy: Option<(u64, u64)>,
+    /// Frames in a row that were behind.
+    behind: u32,
+    at: HostTime,
+    lost: u64,
+}
+
+impl Default for Sequence {
+    fn default() -> Self {
+        Self {
+            heard: Box::new([[Heard::default(); WRAPS]; 256]),
+            newest: None,
+            floor: 256,
+            copy: None,
+            behind: 0,
+            at: HostTime::default(),
+            lost: 0,
+        }
+    }
+}
+
+impl Sequence {
+    /// Frames that were lost on the way, less those that came late.
+    pub(super) fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// The next frame has any number: the vehicle is another, or is heard another way.
+    pub(super) fn restart(&mut self) {
+        (self.newest, self.copy, self.behind) = (None, None, 0);
+    }
+
+    /// Takes a frame that arrived; `is_unique` where no other frame has the same bytes, as with those
+    /// that hold a time.
+    pub(super) fn take(
+        &mut self,
+        now: HostTime,
+        number: u8,
+        bytes: &[u8],
+        is_unique: bool,
+    ) -> Order {
+        let hash = hash(bytes);
+        let is_silent = now.since(self.at) > SILENCE;
+        self.at = now;
+        let Some(newest) = self.newest else { return self.begin(number, hash) };
+        if let Some(place) = self.copied(newest, number, hash, is_unique) {
+            self.copy = Some((place, newest));
+            return Order::Copy;
+        }
+        let step = number.wrapping_sub(newest as u8);
+        let after_copy = self.copy_place(newest, number);
+        match step {
+            // A sender that does not count.
+            0 => self.advance(newest + 256, hash),
+            1..=COPY_STEP_MAX => self.go_on(newest, step, hash),
+            _ if after_copy.is_some() => {
+                let place = after_copy.unwrap_or(newest);
+                self.copy = Some((place, newest));
+                self.lost = self.lost.saturating_sub(1);
+                self.remember(place, hash);
+                Order::Overtaken(place)
+            }
+            1..=STEP_MAX => self.go_on(newest, step, hash),
+            _ if is_silent => self.begin(number, hash),
+            _ => {
+                let behind = 256 - u64::from(step);
+                self.behind += 1;
+                if behind > BEHIND_MAX || self.behind >= RESTART {
+                    return self.begin(number, hash);
+                }
+                // Counted as lost before.
+                self.lost = self.lost.saturating_sub(1);
+                self.remember(newest - behind, hash);
+                Order::Overtaken(newest - behind)
+            }
+        }
+    }
+
+    /// The first frame, or the first after a restart of the vehicle, which counts from zero.
+    fn begin(&mut self, number: u8, hash: u32) -> Order {
+        self.copy = None;
+        let place = (self.floor / 256 + 1) * 256 + u64::from(number);
+        self.advance(place, hash)
+    }
+
+    fn go_on(&mut self, newest: u64, step: u8, hash: u32) -> Order {
+        self.lost += u64::from(step) - 1;
+        self.advance(newest + u64::from(step), hash)
+    }
+
+    fn advance(&mut self, place: u64, hash: u32) -> Order {
+        (self.newest, self.floor) = (Some(place), place);
+        self.behind = 0;
+        self.remember(place, hash);
+        Order::New(place)
+    }
+
+    fn remember(&mut self, place: u64, hash: u32) {
+        let slots = &mut self.heard[usize::from(place as u8)];
+        if let Some(oldest) = slots.iter_mut().min_by_key(|heard| heard.place) {
+            *oldest = Heard { place, hash };
+        }
+    }
+
+    /// Where a frame with the same bytes was, if this is a copy of it. Some messages, such as
+    /// HEARTBEAT, are sent with the same bytes again: one that is the next in order and whose like
+    /// is long past is a copy only where those before it were.
+    fn copied(&self, newest: u64, number: u8, hash: u32, is_unique: bool) -> Option<u64> {
+        let is_certain = is_unique || number != (newest as u8).wrapping_add(1);
+        let after_copy = self.copy_place(newest, number);
+        let same = self.heard[usize::from(number)].iter().filter(|heard| heard.hash == hash);
+        same.map(|heard| heard.place).filter(|place| *place > 0).find(|place| {
+            is_certain || newest.saturating_sub(*place) <= BEHIND_MAX || after_copy == Some(*place)
+        })
+    }
+
+    /// The place of a frame with this number, if it goes on where a copy was.
+    fn copy_place(&self, newest: u64, number: u8) -> Option<u64> {
+        let (place, _) = self.copy.filter(|(_, at)| newest.saturating_sub(*at) <= COPY_ALIVE)?;
+        let step = number.wrapping_sub(place as u8);
+        (1..=COPY_STEP_MAX).contains(&step).then(|| place + u64::from(step))
+    }
+}
+
+/// FNV-1a over words: enough to tell frames with the same number apart.
+fn hash(bytes: &[u8]) -> u32 {
+    const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
+    const PRIME: u64 = 0x0000_0100_0000_01b3;
+    let mut words = bytes.chunks_exact(8);
+    let whole = words.by_ref().fold(OFFSET, |hash, word| {
+        let word = u64::from_le_bytes(word.try_into().unwrap_or_default());
+        (hash ^ word).wrapping_mul(PRIME).rotate_left(23)
+    });
+    let hash = words
+        .remainder()
+        .iter()
+        .fold(whole, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(PRIME));
+    (hash ^ (hash >> 32)) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const START: HostTime = HostTime::from_ns(1_000_000_000_000);
+
+    /// Frames with these numbers, 10 ms apart, each with other bytes than those before.
+    fn lost_after(numbers: impl IntoIterator<Item = u8>) -> u64 {
+        let mut sequence = Sequence::default();
+        for (k, number) in numbers.into_iter().enumerate() {
+            sequence.take(
+                START + Duration::from_millis(10) * k as u32,
+                number,
+                &k.to_le_bytes(),
+                true,
+            );
+        }
+        sequence.lost()
+    }
+
+    #[test]
+    fn gaps_are_counted_over_the_wrap_and_restarts_are_not() {
+        let sent = (0..300_u32).filter(|k| ![100, 101, 255].contains(k));
+        assert_eq!(lost_after(sent.map(|k| k as u8)), 3);
+        assert_eq!(lost_after([150, 151, 0, 1]), 0, "a restart begins at zero");
+    }
+
+    #[test]
+    fn what_comes_late_is_not_lost() {
+        assert_eq!(lost_after([7, 8, 10, 9, 11]), 0);
+        assert_eq!(lost_after([254, 1, 255, 0, 2]), 0);
+        assert_eq!(lost_after([7, 8, 8, 9, 9]), 0);
+    }
+
+    #[test]
+    fn another_way_has_other_numbers() {
+        let mut sequence = Sequence::default();
+        sequence.take(START, 10, b"a", true);
+        sequence.restart();
+        assert!(matches!(sequence.take(START, 60, b"b", true), Order::New(_)));
+        assert_eq!(sequence.lost(), 0);
+    }
+
+    #[test]
+    fn a_restart_is_followed_wherever_the_count_was() {
+        for last in 0..=255u8 {
+            let mut sequence = Sequence::default();
+            let mut frame = 0u32;
+            let mut take = |number| {
+                frame += 1;
+                sequence.take(
+                    START + Duration::from_millis(5) * frame,
+                    number,
+                    &frame.to_le_bytes(),
+                    true,
+                )
+            };
+            (0..300u32).for_each(|k| {
+                take((k as u8).wrapping_add(last));
+            });
+            let after: Vec<_> = (0..20u8).map(&mut take).collect();
+            assert!(after[RESTART as usize..].iter().all(|o| matches!(o, Order::New(_))), "{last}");
+        }
+    }
+
+    #[test]
+    fn a_sender_that_does_not_count_is_heard() {
+        let mut sequence = Sequence::default();
+        for k in 0..2000u32 {
+            let at = START + Duration::from_millis(10) * k;
+            assert!(matches!(sequence.take(at, 0, &k.to_le_bytes(), true), Order::New(_)));
+        }
+    }
+
+    /// Frame `k` of a vehicle: every fiftieth has no stamp and says one of two things.
+    fn bytes(k: u32) -> Vec<u8> {
+        let state = [b'a' + u8::from(k / 1000 % 2 == 1)];
+        match k.is_multiple_of(50) {
+            true => [&[k as u8], b"state".as_slice(), &state].concat(),
+            false => [&[k as u8], k.to_le_bytes().as_slice()].concat(),
+        }
+    }
+
+    #[test]
+    fn a_second_radio_tells_nothing_again_however_late_it_is() {
+        // At 500 frames a second.
+        for lag in [0, 1, 5, 90, 130, 255, 256, 257, 400, 700] {
+            let mut sequence = Sequence::default();
+            for k in 0..6000u32 {
+                let at = START + Duration::from_millis(2) * k;
+                let order = sequence.take(at, k as u8, &bytes(k), k % 50 != 0);
+                assert!(matches!(order, Order::New(_)), "lag {lag}: frame {k} is {order:?}");
+                // The first copy may be one that looks like the next frame.
+                if let Some(old) = k.checked_sub(lag).filter(|old| *old > 0) {
+                    let order = sequence.take(at, old as u8, &bytes(old), old % 50 != 0);
+                    assert_eq!(order, Order::Copy, "lag {lag}: frame {old} at {k}");
+                }
+            }
+            assert_eq!(sequence.lost(), 0);
+        }
+    }
+
+    #[test]
+    fn of_two_radios_that_lose_frames_each_is_told_once_and_in_order() {
+        let lost = |k: u32, of: u32| k.wrapping_mul(2_654_435_761) >> 24 < of;
+        for lag in [3, 60, 300] {
+            let mut sequence = Sequence::default();
+            let mut newest = 0;
+            for k in 0..6000u32 {
+                let at = START + Duration::from_millis(2) * k;
+                if !lost(k, 50) {
+                    match sequence.take(at, k as u8, &bytes(k), k % 50 != 0) {
+                        Order::New(place) => newest = place,
+                        order => panic!("lag {lag}: frame {k} is {order:?}"),
+                    }
+                }
+                let Some(old) = k.checked_sub(lag).filter(|old| !lost(old + 77, 50)) else {
+                    continue;
+                };
+                match sequence.take(at, old as u8, &bytes(old), old % 50 != 0) {
+                    Order::Copy => assert!(!lost(old, 50), "lag {lag}: frame {old}"),
+                    Order::Overtaken(place) => {
+                        assert!(lost(old, 50) && place < newest, "lag {lag}: frame {old}");
+                    }
+                    order @ Order::New(_) => panic!("lag {lag}: frame {old} at {k} is {order:?}"),
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! Why no vehicle is heard, in words: how far the bytes come.
+
+use super::session::Session;
+use crate::clock::HostTime;
+
+/// What is missing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Silence {
+    /// Tells one silence from another.
+    pub subject: String,
+    /// What came, and what to look at.
+    pub line: String,
+}
+
+impl Silence {
+    /// Of a session that hears no vehicle now.
+    pub fn of(session: &Session, now: HostTime) -> Self {
+        let received = session.received();
+        let endpoint = session.endpoint().unwrap_or("the link");
+        if let Some(id) = session.vehicle() {
+            let silent_s = session.last_heard().map_or(0.0, |at| now.since(at).as_secs_f64());
+            let line = format!("nothing heard of {id} for {silent_s:.0} s");
+            return Self { subject: "lost".to_owned(), line };
+        }
+        if received.bytes == 0 {
+            let line = format!(
+                "nothing heard: 0 bytes received on {endpoint}; check that the vehicle is on and \
+                 sends to this port"
+            );
+            return Self { subject: "bytes".to_owned(), line };
+        }
+        if received.frames == 0 {
+            let line = format!(
+                "{} bytes received on {endpoint}, none of them MAVLink; check the baud rate, and \
+                 that the port is that of MAVLink",
+                received.bytes
+            );
+            return Self { subject: "frames".to_owned(), line };
+        }
+        let of =
+            session.wanted_system().map_or(String::new(), |id| format!(" with system id {id}"));
+        let heard: Vec<_> = session.senders().iter().map(ToString::to_string).collect();
+        let line = format!(
+            "{} frames received on {endpoint}, no HEARTBEAT of an autopilot{of}; heard {}",
+            received.frames,
+            heard.join(", ")
+        );
+        Self { subject: format!("autopilot {heard:?}"), line }
+    }
+}

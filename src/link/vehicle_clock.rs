@@ -1,0 +1,382 @@
+//! The vehicle's clock against the host's, and how long each message was on its way.
+//!
+//! A clock model is a line: `vehicle = host + offset + skew * (host - at)`. [`TimeSync`] finds it
+//! from exchanges, whose round trip bounds the error: a message that waited is told from a clock
+//! that slipped, because a queue makes round trips long and a slip does not. [`Arrival`] finds it
+//! from the stamps alone, for a vehicle that never answers.
+
+use crate::clock::{HostTime, VehicleTime};
+use crate::link::arrival::Arrival;
+use crate::link::timesync::{Answer, TimeSync};
+
+/// Largest skew that is followed, vehicle seconds per host second less one. Simulators that run
+/// late have several per cent; crystals have 0.01 %.
+pub(super) const SKEW_MAX: f64 = 0.06;
+/// What two bounds on an offset may contradict each other by, ns: stamps in whole milliseconds and
+/// the time from the stamp to the wire.
+pub(super) const TOLERANCE_NS: f64 = 20e6;
+/// A stamp that is further behind the newest is of a vehicle that was started since, s.
+const RESTART_S: f64 = 1.0;
+
+/// The vehicle's clock as a line over the host's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockEstimate {
+    /// Vehicle time minus host time at `at`, ns.
+    pub offset_ns: i64,
+    /// Where the line is anchored.
+    pub at: HostTime,
+    /// Vehicle seconds per host second, less one.
+    pub skew: f64,
+    /// Half the width of the interval that holds the true offset, ns. For [`ClockSource::Arrival`]
+    /// it is not known.
+    pub error_ns: Option<u64>,
+    /// Where the estimate comes from.
+    pub source: ClockSource,
+}
+
+/// Where a [`ClockEstimate`] comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClockSource {
+    /// Answers to TIMESYNC.
+    Timesync,
+    /// The least delay of stamped messages.
+    Arrival,
+}
+
+impl ClockEstimate {
+    /// Host time at which the vehicle's clock reads `time`; `None` before the epoch.
+    pub fn to_host(&self, time: VehicleTime) -> Option<HostTime> {
+        u64::try_from(self.host_ns(time)).ok().map(HostTime::from_ns)
+    }
+
+    fn host_ns(&self, time: VehicleTime) -> i64 {
+        let unskewed = nanoseconds(time).saturating_sub(self.offset_ns);
+        let since = unskewed.saturating_sub(self.at.as_ns() as i64) as f64;
+        unskewed.saturating_sub((since * self.skew / (1.0 + self.skew)) as i64)
+    }
+}
+
+/// How much longer a message was on its way than the quickest ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Delay {
+    /// Best estimate, s; negative where it was quicker than any before.
+    pub seconds: f64,
+    /// What is certain of it, given the errors of the clock's estimate, s.
+    pub at_least_s: f64,
+}
+
+/// Keeps the line between the two clocks, and the delay of the quickest message.
+#[derive(Debug, Default)]
+pub struct VehicleClock {
+    sync: TimeSync,
+    arrival: Arrival,
+    /// When something was last heard.
+    latest: HostTime,
+    newest: Option<VehicleTime>,
+    quickest: Option<Quickest>,
+}
+
+/// Delay of the quickest message by the clock of TIMESYNC, which need not be that of the stamps.
+#[derive(Clone, Copy, Debug)]
+struct Quickest {
+    seconds: f64,
+    /// Its delay was certainly not more than this.
+    at_most_s: f64,
+}
+
+impl VehicleClock {
+    /// The `ts1` to ask with now; `tc1` is 0.
+    pub fn request(&mut self, now: HostTime) -> i64 {
+        self.sync.request(now)
+    }
+
+    /// Takes an answer. Only one to an open request counts, and only once.
+    pub fn answer(&mut self, now: HostTime, tc1: i64, ts1: i64) -> Answer {
+        self.latest = now;
+        let had_none = self.sync.estimate(now).is_none();
+        let answer = self.sync.answer(now, tc1, ts1);
+        if matches!(answer, Answer::Jump { .. }) {
+            self.arrival = Arrival::default();
+        }
+        if had_none || matches!(answer, Answer::Jump { .. }) {
+            self.quickest = None;
+        }
+        answer
+    }
+
+    /// Whether the newest answers contradict what is known, so that another is wanted at once.
+    pub fn is_in_doubt(&self) -> bool {
+        self.sync.is_in_doubt()
+    }
+
+    /// Takes the stamp of a message that just arrived; gives how long it was on its way.
+    pub fn observe(&mut self, now: HostTime, stamp: VehicleTime) -> Delay {
+        self.latest = now;
+        if self.newest.is_some_and(|newest| stamp.seconds_since(newest) < -RESTART_S) {
+            (self.arrival, self.quickest, self.newest) = Default::default();
+        }
+        self.newest = self.newest.max(Some(stamp));
+        let before = self.estimate();
+        self.arrival.observe(now, stamp);
+        let Some(line) = before else { return Delay::default() };
+        let seconds = (now.as_ns() as i64).saturating_sub(line.host_ns(stamp)) as f64 * 1e-9;
+        let Some(error_ns) = line.error_ns else {
+            return Delay { seconds, at_least_s: seconds };
+        };
+        let error_s = error_ns as f64 * 1e-9;
+        let first = Quickest { seconds, at_most_s: seconds + error_s };
+        let quickest = self.quickest.get_or_insert(first);
+        let delay = Delay {
+            seconds: seconds - quickest.seconds,
+            at_least_s: seconds - error_s - quickest.at_most_s,
+        };
+        quickest.seconds = quickest.seconds.min(first.seconds);
+        quickest.at_most_s = quickest.at_most_s.min(first.at_most_s);
+        delay
+    }
+
+    /// The line as it was known when something was last heard.
+    pub fn estimate(&self) -> Option<ClockEstimate> {
+        self.sync.estimate(self.latest).or_else(|| self.arrival.estimate(self.latest))
+    }
+
+    /// Round trip of the newest answer.
+    pub fn round_trip(&self) -> Option<std::time::Duration> {
+        self.sync.round_trip()
+    }
+
+    /// Host time at which the vehicle's clock reads `time`.
+    pub fn to_host(&self, time: VehicleTime) -> Option<HostTime> {
+        self.estimate()?.to_host(time)
+    }
+}
+
+pub(super) fn nanoseconds(time: VehicleTime) -> i64 {
+    i64::try_from(time.as_us()).unwrap_or(i64::MAX).saturating_mul(1000)
+}
+
+/// Nanoseconds from `earlier` to `later`, negative if it is the other way round.
+pub(super) fn ns_between(earlier: HostTime, later: HostTime) -> f64 {
+    (later.as_ns() as i64).saturating_sub(earlier.as_ns() as i64) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::link::timesync::PERIOD;
+
+    const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
+    const BOOTED_S: f64 = 20.0;
+    const LATE_S: f64 = 0.2;
+
+    fn seconds(seconds: f64) -> Duration {
+        Duration::from_secs_f64(seconds)
+    }
+
+    /// A vehicle whose clock runs at `1 + skew` and loses `stall_s` at `stall_at_s`.
+    #[derive(Clone, Copy, Debug)]
+    struct Model {
+        skew: f64,
+        stall_at_s: f64,
+        stall_s: f64,
+        is_answering: bool,
+    }
+
+    impl Model {
+        /// The vehicle's clock, s, at `t` s of the host's.
+        fn reads(&self, t: f64) -> f64 {
+            let run = match t - self.stall_at_s {
+                past if past <= 0.0 => t,
+                past if past < self.stall_s => self.stall_at_s,
+                _ => t - self.stall_s,
+            };
+            BOOTED_S + run * (1.0 + self.skew)
+        }
+
+        fn is_stalled(&self, t: f64) -> bool {
+            (self.stall_at_s..self.stall_at_s + self.stall_s).contains(&t)
+        }
+    }
+
+    /// What became of the messages of a run.
+    #[derive(Debug, Default)]
+    struct Run {
+        /// Messages that were not held up by a queue and are said to be late: when they came, s.
+        wronged: Vec<f64>,
+        /// Messages that a queue held up by more than the limit and twice the transport, and that
+        /// are not said to be late.
+        missed: Vec<f64>,
+        /// Largest error of the offset, s, in the last second.
+        error_s: f64,
+    }
+
+    /// `length_s` of messages at 100 Hz, each `transport` (s, a function of its number) on its way.
+    /// What is sent within `queue` (from, to; s) comes at its end.
+    fn run(model: Model, length_s: f64, queue: (f64, f64), transport: impl Fn(u32) -> f64) -> Run {
+        let mut clock = VehicleClock::default();
+        let mut run = Run::default();
+        // (arrival, sent, the answer's ts1 where it is one, reading)
+        let mut arriving: Vec<(f64, f64, Option<i64>, f64)> = Vec::new();
+        let mut ask = 0.0;
+        for k in 0..(length_s * 1000.0) as u32 {
+            let t = f64::from(k) * 1e-3;
+            let now = START + seconds(t);
+            let held = |sent: f64| if (queue.0..queue.1).contains(&sent) { queue.1 } else { sent };
+            if k % 10 == 0 && !model.is_stalled(t) {
+                arriving.push((held(t) + transport(k), t, None, model.reads(t)));
+            }
+            if model.is_answering && t >= ask {
+                let doubt = clock.is_in_doubt();
+                ask = t + if doubt { 0.01 } else { PERIOD.as_secs_f64() };
+                let ts1 = clock.request(now);
+                // A vehicle that stands still answers when it goes on.
+                let mut at = t + transport(k + 7);
+                if model.is_stalled(at) {
+                    at = model.stall_at_s + model.stall_s;
+                }
+                arriving.push((held(at) + transport(k + 3), at, Some(ts1), model.reads(at)));
+            }
+            // In the order in which they were sent: links are queues.
+            arriving.sort_by(|a, b| a.1.total_cmp(&b.1));
+            while arriving.first().is_some_and(|(due, ..)| *due <= t) {
+                let (_, sent, ts1, reading) = arriving.remove(0);
+                let us = (reading * 1e6) as u64;
+                if let Some(ts1) = ts1 {
+                    clock.answer(now, us as i64 * 1000, ts1);
+                    continue;
+                }
+                let delay = clock.observe(now, VehicleTime::from_us(us));
+                let is_late = delay.at_least_s > LATE_S;
+                let waited = t - sent;
+                if is_late && waited < 0.5 * LATE_S {
+                    run.wronged.push(t);
+                }
+                if !is_late && waited > 2.0 * LATE_S {
+                    run.missed.push(t);
+                }
+                if t > length_s - 1.0 {
+                    let truth = sent + START.as_ns() as f64 * 1e-9;
+                    let host = clock.to_host(VehicleTime::from_us(us)).expect("known");
+                    let error =
+                        ns_between(START, host) * 1e-9 - (truth - START.as_ns() as f64 * 1e-9);
+                    run.error_s = run.error_s.max(error.abs());
+                }
+            }
+        }
+        run
+    }
+
+    fn steady(skew: f64, is_answering: bool) -> Model {
+        Model { skew, stall_at_s: f64::INFINITY, stall_s: 0.0, is_answering }
+    }
+
+    const NO_QUEUE: (f64, f64) = (f64::INFINITY, f64::INFINITY);
+
+    #[test]
+    fn a_simulator_at_0_989_of_real_time_is_never_late() {
+        for is_answering in [true, false] {
+            let run = run(steady(-0.011, is_answering), 60.0, NO_QUEUE, |_| 0.001);
+            assert!(run.wronged.is_empty(), "{is_answering}: {:?}", run.wronged);
+            assert!(run.error_s < 0.02, "{is_answering}: {} s", run.error_s);
+        }
+    }
+
+    #[test]
+    fn a_stall_of_the_vehicle_is_followed_at_once_where_it_answers() {
+        let model = Model { stall_at_s: 5.0, stall_s: 0.43, ..steady(0.0, true) };
+        let late = run(model, 12.0, NO_QUEUE, |_| 0.001);
+        let until = late.wronged.iter().fold(0.0, |a: f64, b| a.max(*b));
+        assert!(until < 5.43 + 0.06, "late until {until} s");
+        let model = Model { is_answering: false, ..model };
+        let late = run(model, 20.0, NO_QUEUE, |_| 0.001);
+        let until = late.wronged.iter().fold(0.0, |a: f64, b| a.max(*b));
+        assert!(until < 5.43 + 8.0, "late until {until} s");
+    }
+
+    #[test]
+    fn a_queue_is_no_slip_however_long_it_stays() {
+        // A link that is cut for 1.5 s, and one that is 0.6 s behind for 30 s from 10 s on.
+        for is_answering in [true, false] {
+            let cut = run(steady(0.0, is_answering), 15.0, (8.0, 9.5), |_| 0.001);
+            assert!(cut.missed.is_empty() && cut.wronged.is_empty(), "{is_answering}: {cut:?}");
+        }
+        let behind = |k: u32| if (10_000..40_000).contains(&k) { 0.6 } else { 0.001 };
+        let behind = run(steady(0.0, true), 41.0, NO_QUEUE, behind);
+        assert!(behind.missed.is_empty(), "{:?}", behind.missed);
+    }
+
+    #[test]
+    fn the_clock_of_timesync_need_not_be_that_of_the_stamps() {
+        let mut clock = VehicleClock::default();
+        for k in 0..500u32 {
+            let now = START + Duration::from_millis(10) * k;
+            if k % 10 == 0 {
+                let ts1 = clock.request(now);
+                // It answers in time since 1970.
+                clock.answer(now + Duration::from_micros(300), now.as_ns() as i64, ts1);
+            }
+            let delay = clock.observe(now, VehicleTime::from_us(u64::from(k) * 10_000));
+            assert!(delay.at_least_s < 0.01 && delay.seconds < 0.01, "{delay:?}");
+        }
+    }
+
+    #[test]
+    fn a_restart_is_not_late_for_long() {
+        let mut clock = VehicleClock::default();
+        let mut stamps = |from_s: f64, at_s: f64| {
+            (0..300u32)
+                .map(|k| {
+                    let t = f64::from(k) * 0.01;
+                    let stamp = VehicleTime::from_us(((from_s + t) * 1e6) as u64);
+                    clock.observe(START + seconds(at_s + t), stamp).at_least_s
+                })
+                .fold(0.0, f64::max)
+        };
+        assert!(stamps(500.0, 0.0) < 1e-3);
+        assert!(stamps(2.0, 3.0) < 1e-3);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        /// Skews, jitter and round trips: nothing that was not held up is late; and what waited in
+        /// a queue is.
+        #[test]
+        fn late_is_what_waited(
+            skew in -0.05f64..0.05,
+            is_answering: bool,
+            base in 0.0005f64..0.03,
+            jitter in 0.0f64..0.02,
+            queue_at in 6.0f64..9.0,
+            queue_s in 0.5f64..2.0,
+            seed in 0u32..1000,
+        ) {
+            let transport = move |k: u32| {
+                let noise = (f64::from(k.wrapping_mul(7919).wrapping_add(seed)) * 0.618_033_988_75).fract();
+                base + jitter * noise * noise
+            };
+            let queue = (queue_at, queue_at + queue_s);
+            let run = run(steady(skew, is_answering), 14.0, queue, transport);
+            prop_assert!(run.wronged.is_empty(), "late: {:?}", run.wronged);
+            prop_assert!(run.missed.is_empty(), "not late: {:?}", run.missed);
+        }
+
+        /// A stall of any length below a second, at any skew: followed within a tenth of a second.
+        #[test]
+        fn stalls_are_followed(
+            skew in -0.03f64..0.03,
+            stall_at_s in 3.0f64..6.0,
+            stall_s in 0.05f64..0.95,
+        ) {
+            let model = Model { skew, stall_at_s, stall_s, is_answering: true };
+            let run = run(model, 12.0, NO_QUEUE, |_| 0.001);
+            let until = run.wronged.iter().fold(0.0, |a: f64, b| a.max(*b));
+            prop_assert!(until < stall_at_s + stall_s + 0.3, "late until {until}");
+            prop_assert!(run.error_s < 0.02, "{} s", run.error_s);
+        }
+    }
+}

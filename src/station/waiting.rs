@@ -1,0 +1,277 @@
+//! What a flight waits for, in words: within three seconds, and again when that changes.
+
+use std::time::Duration;
+
+use super::Station;
+use crate::clock::HostTime;
+use crate::link::budget::message_name;
+use crate::link::counters::LinkState;
+use crate::link::message::LandedState;
+use crate::link::silence::Silence;
+use crate::log::record::Severity;
+use crate::pilot::Pilot;
+use crate::supervisor::{EngagePolicy, FlightState, PreflightCheck};
+
+/// How often it is looked at.
+const PERIOD: Duration = Duration::from_millis(100);
+/// A wait that is over by then is not told.
+const PATIENCE: Duration = Duration::from_millis(2500);
+/// What fails for so long, once all telemetry is there, will not mend itself.
+const SETTLED: Duration = Duration::from_millis(300);
+
+/// What is waited for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wait {
+    /// A word of a vehicle.
+    Vehicle,
+    /// A mode other than OFFBOARD.
+    Release,
+    /// State at a rate.
+    Telemetry,
+    /// Checks that fail.
+    Checks,
+    /// The pilot's switch, or their arming.
+    Pilot,
+}
+
+impl Wait {
+    fn is_preparing(self) -> bool {
+        matches!(self, Self::Release | Self::Telemetry | Self::Checks)
+    }
+}
+
+/// Why the flight does not begin: what it is about, which tells whether it is news, and the line.
+#[derive(Clone, Debug, PartialEq)]
+struct Reason {
+    subject: String,
+    line: String,
+}
+
+impl From<Silence> for Reason {
+    fn from(Silence { subject, line }: Silence) -> Self {
+        Self { subject, line }
+    }
+}
+
+/// Tells each reason once.
+#[derive(Debug)]
+pub(super) struct Waiting {
+    due: HostTime,
+    /// What is waited for, and since when.
+    wait: Option<(Wait, HostTime)>,
+    /// Since when only checks are.
+    checking: Option<HostTime>,
+    told: Vec<String>,
+}
+
+impl Waiting {
+    pub(super) fn new(now: HostTime) -> Self {
+        Self { due: now, wait: None, checking: None, told: Vec::new() }
+    }
+
+    /// The lines to tell now, of what is waited for and why.
+    fn news(&mut self, now: HostTime, found: Option<(Wait, Vec<Reason>)>) -> Vec<String> {
+        let Some((wait, reasons)) = found else {
+            (self.wait, self.told) = (None, Vec::new());
+            return Vec::new();
+        };
+        // What prepares a flight is one wait, whatever it is about.
+        let since = match self.wait {
+            Some((known, since)) if known.is_preparing() == wait.is_preparing() => since,
+            _ => now,
+        };
+        let checking = self.checking.filter(|_| wait == Wait::Checks);
+        self.checking = (wait == Wait::Checks).then(|| checking.unwrap_or(now));
+        self.wait = Some((wait, since));
+        let is_settled = self.checking.is_some_and(|checking| now.since(checking) >= SETTLED);
+        if now.since(since) < PATIENCE && !is_settled {
+            return Vec::new();
+        }
+        // What was mended and fails again is news.
+        self.told.retain(|told| reasons.iter().any(|reason| reason.subject == *told));
+        let is_news = |reason: &Reason| !self.told.contains(&reason.subject);
+        let news: Vec<_> = reasons.into_iter().filter(is_news).collect();
+        self.told.extend(news.iter().map(|reason| reason.subject.clone()));
+        news.into_iter().map(|reason| reason.line).collect()
+    }
+}
+
+impl Station {
+    /// Tells what is waited for, if that is news.
+    pub(super) fn tell_wait(&mut self, now: HostTime) {
+        if now < self.waiting.due {
+            return;
+        }
+        self.waiting.due = now + PERIOD;
+        self.tell_signing(now);
+        let found = self.waits_for(now);
+        let severity = match &found {
+            Some((Wait::Pilot, _)) => Severity::Info,
+            _ => Severity::Warning,
+        };
+        for line in self.waiting.news(now, found) {
+            self.tell(now, severity, format!("waiting: {line}"));
+        }
+    }
+
+    fn waits_for(&self, now: HostTime) -> Option<(Wait, Vec<Reason>)> {
+        if self.end.is_some() {
+            return None;
+        }
+        if self.session.state() != LinkState::Connected {
+            // In flight the loss of the link has its own words.
+            let is_prepared = self.pilot.as_ref().is_some_and(|pilot| {
+                let state = pilot.flight_state();
+                !state.precedes_stream() && !state.is_over()
+            });
+            return (!is_prepared)
+                .then(|| (Wait::Vehicle, vec![Silence::of(&self.session, now).into()]));
+        }
+        let pilot = self.pilot.as_ref()?;
+        let by_pilot = self.settings.policy == EngagePolicy::PilotSwitch;
+        let reason = |subject: &str, line: &str| {
+            vec![Reason { subject: subject.to_owned(), line: line.to_owned() }]
+        };
+        match pilot.flight_state() {
+            FlightState::AwaitRelease => {
+                let mut reasons = reason("mode", &self.release(pilot));
+                reasons.extend(checks(pilot, |subject| !is_of_the_state(subject)));
+                Some((Wait::Release, reasons))
+            }
+            FlightState::Connect | FlightState::AwaitTelemetry => {
+                let mut reasons = self.telemetry_reasons(now, pilot);
+                reasons.extend(checks(pilot, |subject| !is_of_the_state(subject)));
+                Some((Wait::Telemetry, reasons))
+            }
+            FlightState::Preflight => Some((Wait::Checks, checks(pilot, |_| true))),
+            FlightState::Standby if by_pilot => {
+                let line = "ready; the pilot switches to OFFBOARD (ArduCopter: GUIDED) to fly";
+                Some((Wait::Pilot, reason("switch", line)))
+            }
+            FlightState::Arm if by_pilot => {
+                Some((Wait::Pilot, reason("arming", "in OFFBOARD; the pilot arms")))
+            }
+            _ => None,
+        }
+    }
+
+    fn release(&self, pilot: &Pilot) -> String {
+        let status = pilot.telemetry().status();
+        let offboard = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
+        let offboard = offboard.map(|mode| mode.custom_mode);
+        match (status.mode, status.intended_mode) {
+            (None, _) => "the vehicle's mode; no HEARTBEAT of its autopilot came yet".to_owned(),
+            (mode, _) if mode == offboard => {
+                "the vehicle is in OFFBOARD (ArduCopter: GUIDED); switch it to another mode"
+                    .to_owned()
+            }
+            (_, intended) if intended == offboard => {
+                "the vehicle goes to OFFBOARD as soon as it can; switch it to another mode"
+                    .to_owned()
+            }
+            (_, None) => "CURRENT_MODE, which tells the mode that the vehicle intends".to_owned(),
+            _ => "the mode has just changed".to_owned(),
+        }
+    }
+
+    fn telemetry_reasons(&self, now: HostTime, pilot: &Pilot) -> Vec<Reason> {
+        let telemetry = pilot.telemetry();
+        let [odometry, attitude, position] = telemetry.rates_hz();
+        let needed =
+            self.settings.pilot.preflight.tick_rate_min * self.settings.pilot.telemetry.rate_hz;
+        let is_refused = !self.session.refusals().is_empty();
+        let cure = if is_refused {
+            ""
+        } else if position == 0.0 && odometry == 0.0 {
+            "; no position comes: the vehicle's estimate needs GPS or motion capture"
+        } else if attitude == 0.0 && odometry == 0.0 {
+            "; no attitude comes"
+        } else if telemetry.tick_rate_hz() < needed {
+            "; the link is too slow for them, or control.rate_hz too high for it"
+        } else {
+            "; they do not come steadily"
+        };
+        let late = telemetry.late();
+        let late = if late.count > 0 { format!("; {late}") } else { String::new() };
+        let rates = format!(
+            "at least {needed:.0} Hz of ODOMETRY, or of attitude and position; found ODOMETRY at \
+             {odometry:.0} Hz, attitude at {attitude:.0} Hz, position at {position:.0} Hz{cure}{late}"
+        );
+        let subject = format!("rates{cure}");
+        let status = telemetry.status();
+        let unknown = match (status.armed, status.landed) {
+            (None, _) => Some(("armed", "HEARTBEAT, which tells whether the motors are armed")),
+            (Some(true), LandedState::Undefined) => {
+                Some(("landed", "EXTENDED_SYS_STATE, which tells whether the vehicle is landed"))
+            }
+            _ => None,
+        };
+        let unknown = unknown
+            .map(|(subject, line)| Reason { subject: subject.to_owned(), line: line.to_owned() });
+        let refused = self.session.refusals().iter().map(|refused| {
+            let name = message_name(refused.id);
+            let line = format!("{} {name} not believed: {}", refused.count, refused.refusal);
+            Reason { subject: format!("refused {name}"), line }
+        });
+        let stale_s = self.settings.pilot.safety.stale_after_s;
+        let is_short = telemetry.tick_rate_hz() < needed || telemetry.age_s(now) > stale_s;
+        let rates = is_short.then_some(Reason { subject, line: rates });
+        unknown.into_iter().chain(refused).chain(rates).collect()
+    }
+}
+
+/// The checks that fail, of the subjects wanted.
+fn checks(pilot: &Pilot, is_wanted: impl Fn(&str) -> bool) -> Vec<Reason> {
+    let wanted = pilot.failed_checks().iter().filter(|check| is_wanted(&check.subject));
+    let reason = |check: &PreflightCheck| Reason {
+        subject: check.subject.clone(),
+        line: format!("{check}{}", cure(&check.subject)),
+    };
+    wanted.map(reason).collect()
+}
+
+/// Whether a check can only pass once the state comes.
+fn is_of_the_state(subject: &str) -> bool {
+    matches!(subject, "telemetry rate" | "state" | "trajectory start")
+}
+
+fn cure(subject: &str) -> &'static str {
+    match subject {
+        "telemetry rate" => "; lower control.rate_hz, or use a quicker link",
+        "battery" => "; charge it, or lower pilot.preflight.battery_min",
+        "signing" => "; turn it off, or connect by USB, where unsigned messages are taken",
+        "link" => "; bring the antennas closer, or raise pilot.preflight.link_loss_max",
+        "trajectory start" => "; carry the vehicle there, or move the trajectory",
+        subject if subject.starts_with("parameter ") => "; set it with your ground station",
+        _ => "",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reason(subject: &str) -> Reason {
+        Reason { subject: subject.to_owned(), line: subject.to_owned() }
+    }
+
+    #[test]
+    fn a_wait_is_told_within_three_seconds_and_again_when_it_changes() {
+        let start = HostTime::from_ns(0);
+        let mut waiting = Waiting::new(start);
+        let mut told = Vec::new();
+        for k in 0..200u32 {
+            let now = start + PERIOD * k;
+            let found = match k {
+                // 0 to 4 s nothing; then checks, one of which is mended at 6 s and fails at 8 s.
+                0..40 => Some((Wait::Vehicle, vec![reason("silence")])),
+                60..80 => Some((Wait::Checks, vec![reason("b")])),
+                40..100 => Some((Wait::Checks, vec![reason("a"), reason("b")])),
+                _ => None,
+            };
+            told.extend(waiting.news(now, found).into_iter().map(|line| (k, line)));
+        }
+        let told: Vec<_> = told.iter().map(|(k, line)| (*k, line.as_str())).collect();
+        assert_eq!(told, [(25, "silence"), (43, "a"), (43, "b"), (80, "a")]);
+    }
+}

@@ -1,0 +1,70 @@
+//! Who ended control by a change of the mode: the pilot, or the vehicle's own failsafe.
+//!
+//! Control ends at once in either case. Who it was often shows only afterwards, because CURRENT_MODE
+//! tells a mode before HEARTBEAT and STATUSTEXT tell a failsafe.
+
+use std::time::Duration;
+
+use super::ModeMap;
+use crate::clock::HostTime;
+use crate::telemetry::VehicleStatus;
+
+/// Within this the vehicle tells that it was a failsafe: HEARTBEAT comes once a second.
+const SETTLING: Duration = Duration::from_millis(1200);
+/// A text about a failsafe may come this much earlier than the mode.
+const TEXT_AHEAD: Duration = Duration::from_secs(3);
+
+/// Who ended control.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Takeover {
+    /// The pilot, who has the vehicle in this mode.
+    Pilot {
+        /// The mode's name.
+        mode: String,
+    },
+    /// The vehicle's failsafe, in words.
+    Failsafe(String),
+}
+
+/// A change of the mode that ended control.
+#[derive(Clone, Debug)]
+pub(super) struct ModeTaken {
+    at: HostTime,
+    by: Option<Takeover>,
+}
+
+impl ModeTaken {
+    pub fn new(at: HostTime) -> Self {
+        Self { at, by: None }
+    }
+
+    /// Who it was, once that is known.
+    pub fn by(&self) -> Option<&Takeover> {
+        self.by.as_ref()
+    }
+
+    /// Looks at what the vehicle says since; gives who it was when that becomes known.
+    pub fn settle(
+        &mut self,
+        now: HostTime,
+        status: &VehicleStatus,
+        modes: &ModeMap,
+    ) -> Option<&Takeover> {
+        if self.by.is_some() {
+            return None;
+        }
+        let mode = status
+            .mode
+            .map_or_else(|| "a mode that is not known".to_owned(), |mode| modes.name(mode));
+        if let Some(text) = status.failsafe_since(self.at - TEXT_AHEAD) {
+            let warned = status.warning.as_ref().filter(|(at, _)| *at >= self.at - TEXT_AHEAD);
+            let text = warned.map_or(text, |(_, warning)| warning);
+            let colon = if text.is_empty() { "" } else { "; vehicle: " };
+            let words = format!("{} failsafe: {mode}{colon}{text}", modes.autopilot);
+            self.by = Some(Takeover::Failsafe(words));
+        } else if now.since(self.at) >= SETTLING {
+            self.by = Some(Takeover::Pilot { mode });
+        }
+        self.by.as_ref()
+    }
+}

@@ -1,0 +1,58 @@
+//! Messages of the state that waited on their way too long to be acted upon.
+
+use std::fmt;
+use std::time::Duration;
+
+use crate::clock::HostTime;
+
+/// They are told at most this often.
+const TELL_PERIOD: Duration = Duration::from_secs(2);
+
+/// How many came late, and by how much.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LateMessages {
+    /// How many.
+    pub count: u32,
+    /// The latest of them, s beyond the delay of the quickest.
+    pub worst_s: f64,
+}
+
+impl fmt::Display for LateMessages {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let messages = if self.count == 1 { "message" } else { "messages" };
+        write!(f, "{} {messages} of the state came late by up to {:.2} s", self.count, self.worst_s)
+    }
+}
+
+impl LateMessages {
+    fn count(&mut self, seconds: f64) {
+        self.count = self.count.saturating_add(1);
+        self.worst_s = self.worst_s.max(seconds);
+    }
+}
+
+/// Counts them, for the judgement of the state and for telling.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Lateness {
+    /// Since the last sample.
+    pub(super) since_sample: LateMessages,
+    untold: LateMessages,
+    told: Option<HostTime>,
+}
+
+impl Lateness {
+    pub(super) fn count(&mut self, seconds: f64) {
+        self.since_sample.count(seconds);
+        self.untold.count(seconds);
+    }
+
+    /// What is to be told now.
+    pub(super) fn take(&mut self, now: HostTime) -> Option<LateMessages> {
+        let is_due = self.told.is_none_or(|told| now.since(told) >= TELL_PERIOD);
+        if self.untold.count == 0 || !is_due {
+            return None;
+        }
+        self.told = Some(now);
+        Some(std::mem::take(&mut self.untold))
+    }
+}

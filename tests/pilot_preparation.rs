@@ -1,0 +1,57 @@
+//! What a flight waits for before it begins, and for how long.
+
+mod support;
+
+use downwash::link::message::{Battery, Inbound, Received};
+use downwash::pilot::PilotSettings;
+use downwash::supervisor::{EngagePolicy, FlightState};
+use sitl::frame::Ned;
+use support::{Curve, Flight, Hovering, QUAD, Vehicle, weight};
+
+fn flight() -> Flight {
+    let hover = |_: f64| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);
+    let source = Hovering(Curve(5.0, hover), weight(&QUAD));
+    let vehicle = Vehicle::new(QUAD, 0.04, 10);
+    Flight::new(vehicle, EngagePolicy::Command, source, PilotSettings::default())
+}
+
+fn is_no_odometry(message: &Inbound) -> bool {
+    !matches!(message, Inbound::Odometry { .. })
+}
+
+#[test]
+fn a_vehicle_without_current_mode_is_flown_and_that_is_told_once() {
+    let mut flight = flight();
+    flight.hears = |message| !matches!(message, Inbound::CurrentMode { .. });
+    flight.until(FlightState::Track, 30.0);
+    let told = flight.events.iter().filter(|event| event.text.contains("no CURRENT_MODE"));
+    assert_eq!(told.count(), 1, "{:#?}", flight.events);
+}
+
+#[test]
+fn a_vehicle_with_current_mode_is_not_said_to_have_none() {
+    let mut flight = flight();
+    flight.until(FlightState::Track, 30.0);
+    assert!(!flight.events.iter().any(|event| event.text.contains("CURRENT_MODE")));
+}
+
+#[test]
+fn telemetry_that_comes_and_goes_does_not_start_the_wait_anew() {
+    let mut flight = flight();
+    let limit_s = PilotSettings::default().supervisor.ready_timeout_s;
+    let mut waited_s = 0.0;
+    // A pack that is too low holds the flight in its checks while telemetry is there.
+    while flight.pilot.flight_state() != FlightState::Abort && waited_s < 2.0 * limit_s {
+        let message = Inbound::Battery(Battery { remaining: Some(0.2), ..Battery::default() });
+        let host = flight.vehicle.now();
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.hears = |_| true;
+        flight.run(2.0);
+        flight.hears = is_no_odometry;
+        flight.run(1.0);
+        waited_s += 3.0;
+    }
+    assert!(waited_s <= limit_s + 6.0, "{waited_s} s");
+    let reason = &flight.events.last().expect("an event").text;
+    assert!(reason.contains("battery"), "{reason}");
+}

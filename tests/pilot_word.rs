@@ -1,0 +1,310 @@
+//! What is known of the vehicle's mode, and what is done where it is not: the pilot wins after
+//! silence and pauses too, and an engage is the pilot's act.
+
+mod support;
+
+use std::time::Duration;
+
+use downwash::link::message::{Battery, ChargeState, Inbound, LandedState, Received, SystemState};
+use downwash::pilot::PilotSettings;
+use downwash::supervisor::{Action, EngagePolicy, FlightState, Takeover};
+use sitl::frame::Ned;
+use support::{Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight};
+
+const RETURN_MODE: u32 = 0x0504_0000;
+
+fn flight_of(policy: EngagePolicy, settings: PilotSettings) -> Flight {
+    let path = |_| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);
+    let source = Hovering(Curve(30.0, path), weight(&QUAD));
+    Flight::new(Vehicle::new(QUAD, 0.04, 10), policy, source, settings)
+}
+
+fn flight(policy: EngagePolicy) -> Flight {
+    flight_of(policy, PilotSettings::default())
+}
+
+fn in_track(policy: EngagePolicy) -> Flight {
+    let mut flight = flight(policy);
+    flight.until(FlightState::Standby, 10.0);
+    flight.run(0.2);
+    if policy == EngagePolicy::PilotSwitch {
+        flight.switch(MODES.offboard);
+        flight.vehicle.armed = true;
+    }
+    flight.until(FlightState::Track, 30.0);
+    flight.actions.clear();
+    flight
+}
+
+fn heartbeat(flight: &Flight, mode: u32) -> Received {
+    let message = Inbound::Heartbeat {
+        autopilot: 12,
+        vehicle_type: 2,
+        armed: flight.vehicle.armed,
+        custom_mode: mode,
+        system: SystemState::Active,
+    };
+    Received { host: flight.vehicle.now(), vehicle: None, delay: None, message }
+}
+
+fn told(flight: &Flight, words: &str) -> bool {
+    flight.events.iter().any(|event| event.text.contains(words))
+}
+
+/// The vehicle flies on while nothing of it is heard and this process does not run.
+fn pause(flight: &mut Flight, seconds: f64) {
+    for _ in 0..(seconds * 1000.0) as u64 {
+        flight.vehicle.step();
+    }
+}
+
+#[test]
+fn in_silence_nothing_is_commanded_for_the_mode_is_not_known() {
+    let mut flight = in_track(EngagePolicy::Command);
+    flight.hears = |_| false;
+    flight.run(2.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Land);
+    assert!(flight.actions.is_empty(), "{:?}", flight.actions);
+    // The pilot took over meanwhile, and the link is back.
+    flight.vehicle.mode = POSITION_MODE;
+    flight.hears = |_| true;
+    flight.run(0.5);
+    assert_eq!(flight.pilot.flight_state(), FlightState::PilotControl);
+    assert!(flight.actions.is_empty(), "{:?}", flight.actions);
+}
+
+#[test]
+fn after_silence_the_landing_is_commanded_once_the_mode_is_told_again() {
+    let mut flight = in_track(EngagePolicy::Command);
+    flight.hears = |_| false;
+    flight.run(1.0);
+    flight.hears =
+        |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::CurrentMode { .. });
+    flight.run(0.9);
+    assert!(flight.actions.is_empty(), "the mode is older than the silence");
+    flight.hears = |_| true;
+    flight.run(0.2);
+    assert_eq!(flight.actions, [Action::SetModeLand]);
+}
+
+#[test]
+fn a_mode_that_lay_unread_during_a_pause_is_the_pilots_word() {
+    let mut flight = in_track(EngagePolicy::Command);
+    pause(&mut flight, 2.4);
+    // What the socket kept: the mode before, then the pilot's.
+    for mode in [MODES.offboard, HOLD_MODE] {
+        let unread = heartbeat(&flight, mode);
+        flight.pilot.catch_up(&unread);
+    }
+    let now = flight.vehicle.now();
+    flight.vehicle.mode = HOLD_MODE;
+    flight.pilot.resumed(now, 2.4);
+    flight.run(3.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::PilotControl);
+    assert!(flight.actions.is_empty(), "{:?}", flight.actions);
+    assert_eq!(flight.streamed_since(now), 0);
+}
+
+#[test]
+fn after_a_pause_the_mode_is_not_known_until_it_is_told_again() {
+    // The socket kept only the oldest of what came.
+    let paused = || {
+        let mut flight = in_track(EngagePolicy::Command);
+        pause(&mut flight, 2.4);
+        let unread = heartbeat(&flight, MODES.offboard);
+        flight.pilot.catch_up(&unread);
+        let now = flight.vehicle.now();
+        flight.pilot.resumed(now, 2.4);
+        flight.hears =
+            |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::CurrentMode { .. });
+        flight.run(0.5);
+        assert!(flight.actions.is_empty(), "{:?}", flight.actions);
+        assert_eq!(flight.streamed_since(now), 0);
+        flight
+    };
+    let mut taken = paused();
+    taken.hears = |_| true;
+    taken.switch(POSITION_MODE);
+    taken.run(3.0);
+    assert!(taken.actions.is_empty(), "{:?}", taken.actions);
+    assert_eq!(taken.pilot.takeover(), Some(&Takeover::Pilot { mode: "Position".to_owned() }));
+
+    let mut left = paused();
+    left.hears = |_| true;
+    left.run(0.2);
+    assert_eq!(left.actions, [Action::SetModeLand], "no state for 2.4 s");
+}
+
+#[test]
+fn a_mode_that_returns_with_the_disarming_is_no_switch_of_the_pilot() {
+    for heartbeat_first in [false, true] {
+        let mut flight = in_track(EngagePolicy::PilotSwitch);
+        // The pilot takes over, lands and stands armed beside a stream that waits for the switch.
+        flight.switch(MODES.land);
+        flight.vehicle.armed = true;
+        for _ in 0..1000 {
+            flight.run(0.01);
+            if flight.vehicle.state.position.down() > -0.01 {
+                break;
+            }
+        }
+        flight.vehicle.armed = true;
+        flight.vehicle.mode = POSITION_MODE;
+        flight.until(FlightState::Standby, 10.0);
+        flight.run(1.0);
+        let at = flight.vehicle.now();
+        // PX4 disarms and returns to OFFBOARD; CURRENT_MODE and HEARTBEAT tell it in either order.
+        if heartbeat_first {
+            flight.vehicle.armed = false;
+            let message = heartbeat(&flight, POSITION_MODE);
+            flight.pilot.handle(&message);
+        }
+        flight.vehicle.mode = MODES.offboard;
+        let message = Inbound::CurrentMode {
+            custom_mode: MODES.offboard,
+            intended_custom_mode: MODES.offboard,
+        };
+        flight.pilot.handle(&Received { host: at, vehicle: None, delay: None, message });
+        flight.vehicle.armed = false;
+        flight.run(3.0);
+        assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease, "{heartbeat_first}");
+        assert!(told(&flight, "no switch of the pilot's"), "{:#?}", flight.events);
+        // The next arming, by anyone, takes off nowhere.
+        let now = flight.vehicle.now();
+        flight.vehicle.armed = true;
+        flight.run(3.0);
+        assert_eq!(flight.streamed_since(now), 0);
+        assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
+    }
+}
+
+#[test]
+fn a_switch_on_the_ground_lapses_where_the_pilot_does_not_arm() {
+    let mut flight = flight(EngagePolicy::PilotSwitch);
+    flight.until(FlightState::Standby, 10.0);
+    flight.run(0.2);
+    flight.switch(MODES.offboard);
+    flight.run(29.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Arm);
+    flight.run(2.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
+    assert!(told(&flight, "did not arm within 30 s"), "{:#?}", flight.events);
+}
+
+/// Someone flies the vehicle at four metres when this program starts.
+fn flown_by_others(policy: EngagePolicy, settings: PilotSettings) -> Flight {
+    let mut flight = flight_of(policy, settings);
+    flight.vehicle.state.position = Ned::new(0.0, 0.0, -4.0);
+    flight.vehicle.armed = true;
+    flight.vehicle.mode = POSITION_MODE;
+    flight
+}
+
+#[test]
+fn a_vehicle_that_others_fly_is_not_taken_over_unasked() {
+    let mut command = flown_by_others(EngagePolicy::Command, PilotSettings::default());
+    command.run(70.0);
+    assert_eq!(command.pilot.flight_state(), FlightState::Abort);
+    assert!(command.actions.is_empty(), "{:?}", command.actions);
+    assert!(told(&command, "found armed, in the air"), "{:#?}", command.events);
+    assert!(command.ticks.iter().all(|tick| tick.setpoint.is_none()));
+
+    let mut switched = flown_by_others(EngagePolicy::PilotSwitch, PilotSettings::default());
+    switched.run(5.0);
+    switched.switch(MODES.offboard);
+    switched.run(5.0);
+    assert!(switched.ticks.iter().all(|tick| tick.setpoint.is_none()), "no ground is known");
+}
+
+#[test]
+fn a_takeover_in_the_air_that_is_asked_for_flies_by_the_local_frames_height() {
+    let mut settings = PilotSettings::default();
+    settings.supervisor.take_over = true;
+    let mut flight = flown_by_others(EngagePolicy::Command, settings);
+    flight.until(FlightState::Track, 60.0);
+    flight.run(5.0);
+    let height = -flight.vehicle.state.position.down();
+    assert!((height - 1.0).abs() < 0.1, "{height} m above the origin");
+    assert!(!flight.actions.contains(&Action::Arm));
+}
+
+#[test]
+fn where_the_vehicle_does_not_tell_whether_it_is_armed_nothing_is_streamed() {
+    let mut flight = flown_by_others(EngagePolicy::PilotSwitch, PilotSettings::default());
+    flight.hears =
+        |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::LandedState(_));
+    flight.run(10.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::AwaitTelemetry);
+    assert!(flight.ticks.iter().all(|tick| tick.setpoint.is_none()));
+}
+
+#[test]
+fn a_failsafe_is_called_one_and_not_the_pilot() {
+    let mut flight = in_track(EngagePolicy::Command);
+    // CURRENT_MODE comes first; HEARTBEAT and the text say why within a second.
+    flight.vehicle.mode = RETURN_MODE;
+    flight.run(0.2);
+    assert_eq!(flight.pilot.flight_state(), FlightState::PilotControl);
+    assert_eq!(flight.pilot.takeover(), None, "not known yet");
+    let message =
+        Inbound::StatusText { severity: 2, text: "Failsafe activated: no manual control".into() };
+    let host = flight.vehicle.now();
+    flight.vehicle.system = SystemState::Failsafe;
+    flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+    flight.run(1.5);
+    let words = "PX4 failsafe: Return; vehicle: Failsafe activated: no manual control";
+    assert_eq!(flight.pilot.takeover(), Some(&Takeover::Failsafe(words.to_owned())));
+    assert!(!told(&flight, "the pilot has control"), "{:#?}", flight.events);
+}
+
+#[test]
+fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
+    let failsafe = Inbound::StatusText { severity: 3, text: "Battery Failsafe".to_owned() };
+    let critical = Battery { charge: ChargeState::Critical, ..Battery::default() };
+    for (message, words) in [
+        (failsafe, "declares a failsafe: Battery Failsafe"),
+        (Inbound::Battery(critical), "calls its battery critical"),
+    ] {
+        let mut flight = in_track(EngagePolicy::Command);
+        let host = flight.vehicle.now();
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.run(1.0);
+        assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+        flight.run(2.5);
+        assert_eq!(flight.actions, [Action::SetModeLand]);
+        assert!(told(&flight, words), "{:#?}", flight.events);
+    }
+}
+
+#[test]
+fn what_the_vehicle_reports_as_unhealthy_is_named_once() {
+    let mut flight = in_track(EngagePolicy::Command);
+    for _ in 0..3 {
+        let message = Inbound::SysStatus { unhealthy: 0x20 | 0x0020_0000, health: 0 };
+        let host = flight.vehicle.now();
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.run(0.5);
+    }
+    let words = "unhealthy: GPS, attitude estimate";
+    assert_eq!(flight.events.iter().filter(|event| event.text.contains(words)).count(), 1);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+}
+
+#[test]
+fn a_landing_that_the_vehicle_does_not_report_ends_in_a_request_to_disarm() {
+    let mut flight = in_track(EngagePolicy::Command);
+    let now = flight.vehicle.now();
+    flight.pilot.land(now);
+    // The vehicle comes down and goes on saying that it flies, with its motors on.
+    flight.hears = |message| !matches!(message, Inbound::LandedState(_));
+    flight.vehicle.stays_armed = true;
+    let message = Inbound::LandedState(LandedState::InAir);
+    flight.pilot.handle(&Received { host: now, vehicle: None, delay: None, message });
+    flight.obeys = |action| action != Action::Disarm;
+    flight.until(FlightState::Disarm, 30.0);
+    assert!(told(&flight, "reports no landing"), "{:#?}", flight.events);
+    flight.until(FlightState::Abort, 70.0);
+    assert!(flight.actions.contains(&Action::Disarm));
+    assert!(told(&flight, "still armed: disarm it by hand"), "{:#?}", flight.events);
+    assert!(flight.vehicle.now().since(now) < Duration::from_secs(100));
+}
