@@ -58,6 +58,7 @@ fn a_glitch_is_told_in_the_autopilots_words_and_in_its_health() {
     for (autopilot, words) in cases {
         let mut bench = hovering(autopilot, |config| config.estimator = glitch(5.0));
         let healthy = |bench: &mut Bench| {
+            bench.heard();
             bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[1.0]));
             let gps = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_GPS;
             bench.heard().into_iter().find_map(|heard| match heard.message {

@@ -74,8 +74,8 @@ pub struct FlightControl {
     take_off_height: Option<f64>,
     perception: Perception,
     setpoint: Option<AttitudeSetpoint>,
-    /// Whether the setpoint came with a message at this tick.
-    is_new: bool,
+    /// When the setpoint came, us, if that was after the last tick.
+    came_us: Option<u64>,
     outputs: [f64; ROTORS],
     tick_s: f64,
 }
@@ -109,7 +109,7 @@ impl FlightControl {
             take_off_height: None,
             perception,
             setpoint: None,
-            is_new: false,
+            came_us: None,
             outputs: [0.0; ROTORS],
             tick_s: 1.0 / rate_hz,
         }
@@ -328,7 +328,9 @@ impl FlightControl {
                 setpoint.thrust = setpoint.thrust.min(limit);
                 self.attitude_loop.outputs(&LoopInput {
                     setpoint,
-                    is_new: self.is_new,
+                    new_for_s: self
+                        .came_us
+                        .map(|came_us| now_us.saturating_sub(came_us) as f64 * 1e-6),
                     attitude: perception.attitude,
                     body_rate: perception.body_rate,
                     landed: self.detector.landed(),
@@ -371,7 +373,7 @@ impl FlightControl {
     fn choose_setpoint(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
         // The delay line runs in every mode, so that OFFBOARD begins with the newest setpoint.
         let setpoint = self.stream.at(now_us);
-        self.is_new = false;
+        self.came_us = None;
         let mode = self.commander.mode();
         if mode != Mode::Offboard {
             return self.guided(now_us, mode);
@@ -392,7 +394,7 @@ impl FlightControl {
             Pursuit::Setpoint(setpoint) => {
                 self.guidance.leave();
                 self.position_controller.reset();
-                self.is_new = self.stream.is_new();
+                self.came_us = self.stream.came_us();
                 setpoint
             }
             Pursuit::Climb(setpoint, rate_m_s) => {

@@ -68,7 +68,8 @@ pub struct OffboardStream {
     delay_s: f64,
     under_way: VecDeque<(u64, AttitudeSetpoint)>,
     in_force: Option<AttitudeSetpoint>,
-    is_new: bool,
+    /// When the setpoint of the last tick came into force, if that was after the tick before.
+    came_us: Option<u64>,
     heard_us: Option<u64>,
 }
 
@@ -76,7 +77,7 @@ impl OffboardStream {
     /// A stream whose setpoints act `delay_s` after they are received, on average. Up to 1 ms of
     /// it is an exponential jitter; what is above is constant.
     pub fn new(delay_s: f64) -> Self {
-        Self { delay_s, under_way: VecDeque::new(), in_force: None, is_new: false, heard_us: None }
+        Self { delay_s, under_way: VecDeque::new(), in_force: None, came_us: None, heard_us: None }
     }
 
     /// Takes a setpoint received at `now_us`. One never overtakes another.
@@ -95,18 +96,21 @@ impl OffboardStream {
 
     /// The setpoint in force at the tick at `now_us`.
     pub fn at(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
-        self.is_new = false;
-        while let Some((_, setpoint)) = self.under_way.front().filter(|(acts, _)| *acts <= now_us) {
+        self.came_us = None;
+        while let Some((acts_us, setpoint)) =
+            self.under_way.front().filter(|(acts, _)| *acts <= now_us)
+        {
             self.in_force = Some(*setpoint);
-            self.is_new = true;
+            self.came_us = Some(*acts_us);
             self.under_way.pop_front();
         }
         self.in_force
     }
 
-    /// Whether the setpoint of the last [`OffboardStream::at`] came into force there.
-    pub fn is_new(&self) -> bool {
-        self.is_new
+    /// When the setpoint of the last [`OffboardStream::at`] came into force, us; `None` if it was
+    /// in force before.
+    pub fn came_us(&self) -> Option<u64> {
+        self.came_us
     }
 
     /// Forgets every setpoint.

@@ -49,8 +49,8 @@ pub(super) struct Onboard {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LoopInput<'a> {
     pub setpoint: &'a AttitudeSetpoint,
-    /// Whether the setpoint came into force at this tick.
-    pub is_new: bool,
+    /// How long the setpoint has been in force, if it was not at the last tick, s.
+    pub new_for_s: Option<f64>,
     /// As reported.
     pub attitude: Attitude,
     /// Gyro, rad/s.

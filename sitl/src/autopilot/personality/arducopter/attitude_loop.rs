@@ -62,7 +62,7 @@ impl ArducopterLoop {
         // The rates are turned by the commanded attitude before use, as measured.
         let rate = Frd::from(commanded.to_world(Frd::new(x, y, z)).to_array());
         let desired = match self.desired {
-            Some(desired) if !input.is_new && rate != Frd::zero() => {
+            Some(desired) if input.new_for_s.is_none() && rate != Frd::zero() => {
                 turned(desired, rate * input.dt)
             }
             _ => commanded,

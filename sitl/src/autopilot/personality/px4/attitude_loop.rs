@@ -51,6 +51,15 @@ impl Px4Loop {
     }
 }
 
+/// Share of a cycle between the attitude loop and the rate loop: rates that come in between are
+/// overwritten before they are used. It is what the measured effect of such rates leaves.
+const OVERWRITTEN: f64 = 0.13;
+
+/// Whether the rates of a setpoint that is new reach the rate loop.
+fn overrides(input: &LoopInput<'_>) -> bool {
+    input.new_for_s.is_some_and(|age| age >= OVERWRITTEN * input.dt)
+}
+
 /// `desired` with the share `weight` of its turn about the thrust's axis: first the thrust is
 /// turned the short way, then the heading.
 fn weigh_yaw(attitude: Attitude, desired: Attitude, weight: f64) -> Attitude {
@@ -84,7 +93,7 @@ impl OnboardLoop for Px4Loop {
         let setpoint = match attitude {
             // Rates that come with an attitude stand in for those of the attitude loop until its
             // next cycle.
-            Some(_) if has_rates && input.is_new => Frd::from(of_message),
+            Some(_) if has_rates && overrides(input) => Frd::from(of_message),
             Some(desired) => {
                 let yaw_rate = if sent[2].is_nan() { 0.0 } else { sent[2] };
                 self.rates_to(input.attitude, desired.attitude(), yaw_rate)
