@@ -212,7 +212,10 @@ impl Core {
                 self.send_requests(now);
             }
             Inbound::AutopilotVersion { vendor_id, product_id, .. }
-                if self.version_due.is_some() =>
+                // Of an autopilot that is not known it decides nothing, and a known one may be about
+                // to be heard.
+                if self.version_due.is_some()
+                    && self.vehicle.as_ref().is_some_and(|vehicle| vehicle.id.is_known()) =>
             {
                 self.identify(now, Some((*vendor_id, *product_id)));
             }
