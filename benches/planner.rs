@@ -15,6 +15,7 @@ use downwash::model::{Model, Point, VARIABLES};
 use downwash::plan::Trajectory;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics, LinearStep};
 use downwash::plan::interior_point::InteriorPoint;
+use downwash::plan::planned::PlannedBody;
 use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::problem::STATES;
 use downwash::plan::subproblem::{DynamicsForm, Solution, Stage, Subproblem, SubproblemSolver};
@@ -35,9 +36,12 @@ fn vehicle() -> VehicleParams {
 
 fn planned(vehicle: &VehicleParams) -> PlannedVehicle {
     PlannedVehicle {
-        mass_kg: vehicle.mass,
-        gravity: vehicle.gravity,
-        thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+        body: PlannedBody {
+            mass_kg: vehicle.mass,
+            inertia: vehicle.inertia,
+            gravity: vehicle.gravity,
+            thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+        },
         attitude_pd: vehicle.attitude_pd.expect("an attitude loop"),
         limits: Limits::default(),
     }

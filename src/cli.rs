@@ -4,6 +4,7 @@ mod demo;
 mod flight;
 mod log;
 mod model;
+mod vehicle;
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -15,6 +16,7 @@ pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
 use crate::exam::case::Kind;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
@@ -60,6 +62,9 @@ pub enum Command {
     Inspect(ListenArgs),
     /// Runs the bundled vehicle on MAVLink links.
     Sitl(sitl::cli::SitlArgs),
+    /// Makes, checks and lists vehicle files.
+    #[command(subcommand)]
+    Vehicle(VehicleCommand),
     /// Reads flight logs.
     #[command(subcommand)]
     Log(LogCommand),

@@ -4,6 +4,7 @@
 #![warn(missing_docs)]
 
 pub mod clock;
+pub mod parameters;
 pub mod setpoint;
 
 pub mod control;
@@ -19,6 +20,7 @@ pub mod report;
 pub mod station;
 pub mod supervisor;
 pub mod telemetry;
+pub mod vehicle_init;
 
 pub mod daemon;
 pub mod lockstep;

@@ -12,7 +12,7 @@ pub use self::guidance::GuidanceSettings;
 use sitl::frame::Ned;
 
 use crate::clock::{HostTime, VehicleTime};
-use crate::control::{HoverVehicle, Limits, Lqr, Saturation};
+use crate::control::{Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation};
 use crate::link::message::{ChargeState, Inbound, LandedState, Received};
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::{Reference, Setpoint, State};
@@ -39,6 +39,8 @@ pub struct PilotSettings {
     pub guidance: GuidanceSettings,
     /// Bounds on the setpoint.
     pub limits: Limits,
+    /// Feedback that leaves no steady error.
+    pub offset_free: OffsetFreeSettings,
 }
 
 /// What the pilot must know of the vehicle.
@@ -117,7 +119,7 @@ pub struct Pilot {
     settings: PilotSettings,
     policy: EngagePolicy,
     airframe: Airframe,
-    lqr: Lqr,
+    controller: Controller,
     telemetry: Telemetry,
     supervisor: Supervisor,
     guidance: Guidance,
@@ -138,7 +140,7 @@ impl Pilot {
         settings: PilotSettings,
         policy: EngagePolicy,
         airframe: Airframe,
-        lqr: Lqr,
+        controller: impl Into<Controller>,
         trajectory: Box<dyn ReferenceSource + Send>,
         standing_checks: Vec<PreflightCheck>,
         now: HostTime,
@@ -153,7 +155,7 @@ impl Pilot {
             settings,
             policy,
             airframe,
-            lqr,
+            controller: controller.into(),
             standing_checks,
             failed_checks: Vec::new(),
             link_loss: None,
@@ -181,16 +183,23 @@ impl Pilot {
         if guided.feedback {
             reference.feedforward.thrust_n *= self.voltage_gain();
         }
+        if phase.is_flying() && guided.aloft {
+            let thrust_gain = self.voltage_gain();
+            self.controller.observe(sample.vehicle, &sample.state, &guided.expected, thrust_gain);
+        } else {
+            self.controller.reset();
+        }
         let (feedback, cut) = if guided.feedback {
-            self.lqr.feedback(&sample.state, &reference)
+            self.controller.feedback(&sample.state, &reference)
         } else {
             Default::default()
         };
-        let sum = reference.feedforward.plus(feedback);
         let yaw = sample.state.attitude.yaw();
+        let sum = self.controller.addressed(reference.feedforward.plus(feedback), yaw);
         let limited = self.settings.limits.apply(sum, self.airframe.thrust_full_n, yaw);
         let permitted = self.permits(now);
         let sent = limited.filter(|_| permitted);
+        self.controller.sent(sent.map(|(setpoint, _)| setpoint));
 
         self.tracking_error = (sample.state.position - reference.position).norm();
         if let Some((trigger, why)) = guided.reached {
@@ -225,6 +234,9 @@ impl Pilot {
     /// for the pilot's word, only while they do.
     pub fn sent(&mut self, is_sent: bool) {
         self.supervisor.sent(is_sent);
+        if !is_sent {
+            self.controller.sent(None);
+        }
     }
 
     /// Takes a message that lay unread while this process was paused: what it tells is kept, and a
@@ -314,6 +326,7 @@ impl Pilot {
             }
             Err(fault) if fault.is_jump() => {
                 self.jumped = true;
+                self.controller.jumped();
                 self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
                 None
             }

@@ -48,3 +48,13 @@ pub struct Reference {
     /// Feed-forward input.
     pub feedforward: Setpoint,
 }
+
+/// What the model behind a reference expects beside thrust, weight and the attitude loop, such as
+/// drag: the reference's input has it already.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Expected {
+    /// Acceleration in world axes, m/s^2.
+    pub acceleration: Ned,
+    /// Attitude beside the one that the loop would give, rad.
+    pub attitude: [f64; 3],
+}

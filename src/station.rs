@@ -3,6 +3,7 @@
 
 mod aftermath;
 mod attitude_loop;
+mod feedback;
 mod identification;
 mod records;
 mod requests;

@@ -79,7 +79,8 @@ fn thinned<T: Clone>(stream: &Stream<T>, seed: u64) -> Stream<T> {
     stream.filter_map(|value| (random.random::<f64>() > 0.1).then(|| value.clone()))
 }
 
-fn assert_near(estimate: Estimate, expected: f64, most: f64, name: &str) {
+fn assert_near(estimate: impl Into<Option<Estimate>>, expected: f64, most: f64, name: &str) {
+    let estimate = estimate.into().expect(name);
     assert!((estimate.value - expected).abs() < most, "{name}: {estimate:?}, expected {expected}");
     assert!(estimate.half_width < 2.0 * most, "{name}: {estimate:?}");
 }
@@ -259,6 +260,42 @@ fn motors_that_cannot_be_are_found() {
     flight.motor_unit = MotorUnit::VehicleFile;
     flight.outputs = flight.outputs.map(|u| u.map(|u| 1000.0 + 3000.0 * u));
     assert_fault(&flight, "illegal_output", "2250");
+}
+
+#[test]
+fn what_is_no_multirotor_is_a_fault() {
+    use downwash::log::import::{StatedKind, VehicleKind};
+    let stated = |kind| StatedKind { kind, by: "MAV_TYPE is 1".to_owned() };
+    let mut flight = FLIGHT.clone();
+    flight.facts.kinds = vec![stated(VehicleKind::Multirotor), stated(VehicleKind::FixedWing)];
+    assert_fault(&flight, "vehicle_kind", "an aeroplane: MAV_TYPE is 1");
+    flight.facts.kinds.pop();
+    assert!(!Audit::of(&flight).is_faulty());
+}
+
+#[test]
+fn outputs_that_never_move_in_flight_are_found() {
+    for held in [0.0, 0.5] {
+        let mut flight = FLIGHT.clone();
+        flight.outputs = flight.outputs.map(|_| [held; 4]);
+        assert_fault(&flight, "still_outputs", "stand still");
+    }
+    // Armed in the middle, and no motor's.
+    let mut flight = FLIGHT.clone();
+    let middle = flight.outputs.len() / 2;
+    let mut outputs = Stream::default();
+    for (at, time) in flight.outputs.times().iter().enumerate() {
+        outputs.push(*time, if at < middle { [0.0; 4] } else { [0.1; 4] });
+    }
+    flight.outputs = outputs;
+    assert_fault(&flight, "still_outputs", "stand still");
+    // On the ground nothing need move.
+    let mut flight = FLIGHT.clone();
+    flight.outputs = flight.outputs.map(|_| [0.5; 4]);
+    flight.body_rate = flight.body_rate.map(|_| Frd::new(0.0, 0.0, 0.0));
+    flight.velocity = flight.velocity.map(|_| Ned::new(0.0, 0.0, 0.0));
+    let still = Audit::of(&flight).findings.iter().any(|f| f.check == "still_outputs");
+    assert!(!still);
 }
 
 #[test]

@@ -14,8 +14,10 @@ use wire::dialect::MavMessage;
 mod fuzz;
 
 /// The messages that the link reads, and some that it does not.
-const IDS: &[u32] =
-    &[0, 1, 22, 24, 30, 31, 32, 36, 77, 82, 83, 105, 111, 147, 148, 245, 253, 291, 331, 375, 436];
+const IDS: &[u32] = &[
+    0, 1, 22, 24, 26, 27, 30, 31, 32, 36, 77, 82, 83, 105, 111, 116, 129, 147, 148, 245, 253, 291,
+    331, 375, 436,
+];
 
 /// A frame with any payload: the values are as wild as the bytes.
 fn any_frame() -> impl Strategy<Value = Vec<u8>> {
@@ -141,6 +143,33 @@ proptest! {
     ) {
         let header = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat\n";
         fuzz::import(format!("{header}{}", rows.join("\n")).as_bytes());
+    }
+
+    #[test]
+    fn no_dialect_of_a_table_breaks_the_import(
+        above in prop::collection::vec("[ -~]{0,30}", 0..4),
+        names in prop::collection::vec("(t|time|px|X|Y|Z|W|qx|q_w|roll|m1|vbat|\"|#|é| \\[ms\\]|[a-z_]{0,4})", 1..14),
+        rows in prop::collection::vec(prop::collection::vec("-?[0-9]{0,3}[.,]?[0-9]{0,3}|NaN|\"|", 0..14), 0..12),
+        separator in prop::sample::select(vec![",", ";", "\t", "|"]),
+        end in prop::sample::select(vec!["\n", "\r\n", ",\n", ";\r\n"]),
+        encoding in 0..4,
+    ) {
+        let lines = above.into_iter().chain([names.join(separator)]);
+        let lines: Vec<String> = lines.chain(rows.iter().map(|row| row.join(separator))).collect();
+        let text = lines.join(end) + end;
+        let units = || text.encode_utf16();
+        let bytes: Vec<u8> = match encoding {
+            0 => text.clone().into_bytes(),
+            1 => [b"\xEF\xBB\xBF", text.as_bytes()].concat(),
+            2 => [0xFEFF].into_iter().chain(units()).flat_map(u16::to_le_bytes).collect(),
+            _ => units().flat_map(u16::to_be_bytes).collect(),
+        };
+        fuzz::table(&bytes);
+    }
+
+    #[test]
+    fn no_bytes_break_a_table(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+        fuzz::table(&bytes);
     }
 
     #[test]

@@ -67,7 +67,7 @@ fn a_stop_does_not_hide_what_became_of_the_flight() {
     bench.station.land(now);
     bench.run(0.2);
     bench.pilot_mode(Mode::Position);
-    bench.run(0.2);
+    bench.run(1.5);
     assert_eq!(bench.station.end(), Some(&End::PilotTookOver));
 
     // The link is silent since the flight.

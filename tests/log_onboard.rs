@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use downwash::log::import::{
-    Flight, MotorSource, MotorUnit, SetpointSource, Stream, open, read_bytes, write,
+    Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleKind, open, read_bytes, write,
 };
-use onboard_log::{DataFlash, Ulog, dataflash, floats, ulog};
+use onboard_log::{DataFlash, Ulog, dataflash, floats, old_dataflash, px4_outputs, ulog};
 use proptest::prelude::*;
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::vehicle::VehicleParams;
@@ -148,6 +148,257 @@ fn pulses_without_a_stated_range_stay_pulses() {
     assert_eq!(flight.motor_unit, MotorUnit::VehicleFile);
     assert_eq!(flight.outputs.values()[0], [1500.0; 4]);
     assert!(flight.facts.notes.iter().any(|note| note.contains("which motor")));
+}
+
+#[test]
+fn a_dataflash_log_of_before_2016_is_a_flight() {
+    let flight = import("timems", "flight.bin", &old_dataflash(4.0).bytes);
+    assert_eq!(flight.left_out, []);
+    assert_eq!(
+        (flight.attitude.len(), flight.body_rate.len(), flight.position.len()),
+        (200, 200, 200)
+    );
+    // Stamps in ms.
+    assert!((flight.attitude.times()[1] - 10.02).abs() < 1e-9);
+    assert!((flight.attitude.values()[100].euler().roll - 0.3 * 2_f64.sin()).abs() < 1e-4);
+    assert_eq!(flight.position.values()[9], Ned::new(1.0, 2.0, -3.0));
+    // Over the range of the throttle's channel, as nothing else is stated.
+    let outputs = flight.outputs.values()[3].map(|u| (100.0 * u).round());
+    assert_eq!(
+        (outputs, flight.motor_unit),
+        ([25.0, 50.0, 75.0, 100.0], MotorUnit::ThrustFraction)
+    );
+    assert!((flight.voltage.values()[0] - 12.34).abs() < 1e-9);
+    let taken = flight.facts.notes.iter().find(|note| note.contains("motors 1 to 4"));
+    assert!(taken.is_some_and(|note| note.contains("no SERVOn_FUNCTION")), "{:?}", flight.facts);
+    assert_eq!(flight.facts.stated_otherwise(), None);
+}
+
+#[test]
+fn a_log_of_px4_before_ulog_is_called_what_it_is() {
+    let mut log = DataFlash::new();
+    log.define(129, "TIME", "Q", "StartTime");
+    log.define(2, "ATT", "fff", "Roll,Pitch,Yaw");
+    for step in 0..100_u64 {
+        log.message(129, &(step * 4000).to_le_bytes());
+        log.message(2, &floats(&[0.1, 0.2, 0.3]));
+    }
+    for name in ["flight.px4log", "flight.bin"] {
+        let path = place("sdlog2", name);
+        fs::write(&path, &log.bytes).expect("a file");
+        let error = open(&path, None).expect_err("not read").to_string();
+        assert!(error.contains("PX4 before ULog") && error.contains(name), "{error}");
+    }
+}
+
+#[test]
+fn a_log_of_which_nothing_is_known_says_what_it_has() {
+    let mut log = DataFlash::new();
+    log.define(2, "CTUN", "f", "ThrIn");
+    log.define(3, "WIND", "Qf", "TimeUS,Speed");
+    for step in 0..100_u64 {
+        log.message(2, &floats(&[0.1]));
+        log.message(3, &[&step.to_le_bytes()[..], &floats(&[0.1])].concat());
+    }
+    let mut other = Ulog::new();
+    other.format("cpuload:uint64_t timestamp;float load;");
+    let load = other.subscribe("cpuload", 0);
+    (0..50_u64).for_each(|step| other.row(load, 1000 * step, &floats(&[0.5])));
+    for (name, bytes, said) in [
+        ("flight.bin", &log.bytes, "it has CTUN (without a time), WIND"),
+        ("flight.ulg", &other.bytes, "it has cpuload"),
+    ] {
+        let path = place("unknown", name);
+        fs::write(&path, bytes).expect("a file");
+        let error = open(&path, None).expect_err("nothing").to_string();
+        assert!(error.contains(said) && error.contains(name), "{error}");
+    }
+}
+
+#[test]
+fn what_is_no_multirotor_is_known_in_every_log() {
+    let kind = |flight: &Flight| flight.facts.stated_otherwise().map(|stated| stated.kind);
+    // ArduPilot: by the firmware alone, and by the functions of the outputs alone.
+    let mut named = dataflash(1.0);
+    named.text("ArduPlane V4.5.7 (0358a9c2)");
+    assert_eq!(kind(&import("kinds", "named.bin", &named.bytes)), Some(VehicleKind::FixedWing));
+    let mut stated = dataflash(1.0);
+    for (name, value) in [
+        ("SERVO1_FUNCTION", 4.0),
+        ("SERVO2_FUNCTION", 19.0),
+        ("SERVO3_FUNCTION", 70.0),
+        ("SERVO4_FUNCTION", 21.0),
+    ] {
+        stated.parameter(name, value);
+    }
+    let flight = import("kinds", "stated.bin", &stated.bytes);
+    assert_eq!(kind(&flight), Some(VehicleKind::FixedWing));
+    assert!(flight.outputs.is_empty());
+    assert!(flight.facts.notes.iter().any(|note| note.contains("no output of motor 1, 2, 3, 4")));
+    let mut hovering = dataflash(1.0);
+    hovering.parameter("SERVO5_FUNCTION", 77.0);
+    assert_eq!(kind(&import("kinds", "hovering.bin", &hovering.bytes)), Some(VehicleKind::Vtol));
+    assert_eq!(kind(&import("kinds", "copter.bin", &dataflash(1.0).bytes)), None);
+
+    // PX4: by parameters, and by what it says of its state.
+    for (name, value, expected) in [
+        ("CA_AIRFRAME", 1, Some(VehicleKind::FixedWing)),
+        ("CA_AIRFRAME", 3, Some(VehicleKind::Vtol)),
+        ("MAV_TYPE", 10, Some(VehicleKind::Rover)),
+        ("MAV_TYPE", 12, Some(VehicleKind::Submarine)),
+        ("SYS_AUTOSTART", 13006, Some(VehicleKind::Vtol)),
+        ("MAV_TYPE", 2, None),
+    ] {
+        let mut log = ulog(1.0);
+        log.whole_parameter(name, value);
+        assert_eq!(kind(&import("kinds", "flight.ulg", &log.bytes)), expected, "{name} {value}");
+    }
+    for (field, value, expected) in [
+        ("vehicle_type", 2, Some(VehicleKind::FixedWing)),
+        ("vehicle_type", 1, None),
+        ("is_vtol", 1, Some(VehicleKind::Vtol)),
+        ("system_type", 1, Some(VehicleKind::FixedWing)),
+        ("is_rotary_wing", 0, Some(VehicleKind::Other)),
+        ("is_rotary_wing", 1, None),
+    ] {
+        let mut log = ulog(1.0);
+        log.format(&format!("vehicle_status:uint64_t timestamp;uint8_t {field};"));
+        let status = log.subscribe("vehicle_status", 0);
+        (0..10).for_each(|k| log.row(status, 1_000_000 + 100_000 * k, &[value]));
+        assert_eq!(kind(&import("kinds", "flight.ulg", &log.bytes)), expected, "{field} {value}");
+    }
+    let mut six = ulog(1.0);
+    six.whole_parameter("CA_ROTOR_COUNT", 6);
+    assert_eq!(import("kinds", "six.ulg", &six.bytes).facts.motors, Some(6));
+}
+
+/// Pulses of four outputs from `first` on that all move, about 1500 us.
+fn hovering(step: usize) -> [f32; 16] {
+    let move_by = |i: usize| 20.0 * ((step * (i + 3)) as f32 * 0.1).sin();
+    std::array::from_fn(|i| if i < 4 { 1500.0 + move_by(i) } else { 900.0 })
+}
+
+/// A gimbal on the first output; the others hold.
+fn gimbal(step: usize) -> [f32; 16] {
+    std::array::from_fn(|i| match i {
+        0 => 1500.0 + 80.0 * (step as f32 * 0.03).sin(),
+        1..4 => 1500.0,
+        _ => 900.0,
+    })
+}
+
+/// As PX4 holds outputs disarmed, then armed and without a motor.
+fn idle(step: usize) -> [f32; 16] {
+    std::array::from_fn(|i| if i < 8 { if step < 50 { 900.0 } else { 1000.0 } } else { 0.0 })
+}
+
+/// Commands of controllers on CAN.
+fn can(step: usize) -> [f32; 16] {
+    std::array::from_fn(|i| {
+        if i < 4 { 4096.0 + 100.0 * ((step * (i + 2)) as f32 * 0.1).sin() } else { 0.0 }
+    })
+}
+
+#[test]
+fn motors_are_on_the_device_that_drives_them() {
+    let mut functions: Vec<(String, i32)> = Vec::new();
+    for n in 1..=8 {
+        functions.push((format!("PWM_MAIN_FUNC{n}"), 0));
+        functions.push((format!("PWM_AUX_FUNC{n}"), if n <= 4 { 100 + n } else { 0 }));
+        functions.push((format!("PWM_AUX_MIN{n}"), 1100));
+        functions.push((format!("PWM_AUX_MAX{n}"), 1900));
+    }
+    let functions: Vec<(&str, i32)> = functions.iter().map(|(n, v)| (n.as_str(), *v)).collect();
+    let expected = hovering(100).map(|pulse| (f64::from(pulse) - 1100.0) / 800.0);
+    for (name, instances, instance) in [
+        ("second.ulg", [(8, &gimbal as &dyn Fn(usize) -> [f32; 16]), (8, &hovering as _)], 1),
+        ("first.ulg", [(8, &hovering as _), (8, &gimbal as _)], 0),
+    ] {
+        let flight = import("devices", name, &px4_outputs(&functions, &instances).bytes);
+        assert_eq!(flight.motor_unit, MotorUnit::ThrustFraction);
+        for motor in 0..4 {
+            assert!((flight.outputs.values()[100][motor] - expected[motor]).abs() < 1e-6, "{name}");
+        }
+        let said = format!(
+            "outputs 1, 2, 3, 4 of actuator_outputs, instance {instance}, by PWM_AUX_FUNCn"
+        );
+        assert!(
+            flight.facts.notes.iter().any(|note| note.contains(&said)),
+            "{:?}",
+            flight.facts.notes
+        );
+    }
+    // Motors in another order, and none on the first outputs.
+    let order = [
+        ("PWM_MAIN_FUNC5", 102),
+        ("PWM_MAIN_FUNC6", 101),
+        ("PWM_MAIN_FUNC7", 104),
+        ("PWM_MAIN_FUNC8", 103),
+    ];
+    let last = |step: usize| {
+        let first = hovering(step);
+        std::array::from_fn(|i| if (4..8).contains(&i) { first[i - 4] } else { 1500.0 })
+    };
+    let flight = import("devices", "last.ulg", &px4_outputs(&order, &[(8, &last)]).bytes);
+    let [a, b, c, d, ..] = hovering(77).map(f64::from);
+    assert_eq!(
+        (flight.outputs.values()[77], flight.motor_unit),
+        ([b, a, d, c], MotorUnit::VehicleFile)
+    );
+}
+
+#[test]
+fn motors_on_can_of_an_older_px4_are_found() {
+    let parameters = [("MAV_TYPE", 2), ("PWM_MIN", 1000), ("PWM_MAX", 2000), ("UAVCAN_ENABLE", 3)];
+    let flight =
+        import("can", "flight.ulg", &px4_outputs(&parameters, &[(8, &idle), (4, &can)]).bytes);
+    let expected = f64::from(can(60)[2]) / 8191.0;
+    assert!((flight.outputs.values()[60][2] - expected).abs() < 1e-6);
+    let note = |words: &str| flight.facts.notes.iter().any(|note| note.contains(words));
+    assert!(note("instance 1, as no parameter") && note("over CAN"), "{:?}", flight.facts.notes);
+    // Stated: a device that is known by its parameters alone.
+    let stated: Vec<(String, i32)> =
+        (1..=4).map(|n| (format!("UAVCAN_EC_FUNC{n}"), 105 - n)).collect();
+    let stated: Vec<(&str, i32)> = stated.iter().map(|(n, v)| (n.as_str(), *v)).collect();
+    let flight = import("can", "stated.ulg", &px4_outputs(&stated, &[(8, &idle), (4, &can)]).bytes);
+    assert!((flight.outputs.values()[60][0] - f64::from(can(60)[3]) / 8191.0).abs() < 1e-6);
+}
+
+#[test]
+fn outputs_that_drive_no_motor_are_none() {
+    let wing = [("PWM_MAIN_FUNC1", 201), ("PWM_MAIN_FUNC2", 202)];
+    let flight = import("none", "flight.ulg", &px4_outputs(&wing, &[(8, &hovering)]).bytes);
+    assert!(flight.outputs.is_empty());
+    assert!(flight.facts.notes.iter().any(|note| note.contains("no motor outputs")));
+}
+
+#[test]
+fn the_oldest_ulogs_are_read() {
+    let mut log = Ulog::new();
+    log.format(
+        "vehicle_attitude:uint64_t timestamp;float rollspeed;float roll;float pitch;float yaw;",
+    );
+    log.format("sensor_combined:uint64_t timestamp;float[9] gyro_rad_s;float gyro_integral_dt;float[3] accelerometer_m_s2;");
+    log.format("vehicle_local_position:uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;");
+    let attitude = log.subscribe("vehicle_attitude", 0);
+    let sensors = log.subscribe("sensor_combined", 0);
+    let position = log.subscribe("vehicle_local_position", 0);
+    for step in 0..50_u64 {
+        let us = 1_000_000 + 4000 * step;
+        log.row(attitude, us, &floats(&[0.0, 0.1, 0.2, 0.3]));
+        let mut rates = [0.0; 9];
+        rates[..3].copy_from_slice(&[0.1, 0.2, 0.3]);
+        log.row(sensors, us, &floats(&[&rates[..], &[0.004], &[0.0, 0.0, -9.8]].concat()));
+        log.row(position, us, &floats(&[1.0, 2.0, -3.0, 0.0, 0.0, 0.0]));
+    }
+    let flight = import("oldest", "flight.ulg", &log.bytes);
+    assert_eq!(flight.left_out, []);
+    let angles = flight.attitude.values()[3].euler();
+    assert!((angles.roll - 0.1).abs() < 1e-6 && (angles.yaw - 0.3).abs() < 1e-6);
+    assert!((flight.body_rate.values()[3].to_array()[1] - 0.2).abs() < 1e-6);
+    // The interval is in s, and the sample in its middle.
+    assert!((flight.body_rate.times()[0] - 0.998).abs() < 1e-6);
+    assert_eq!(flight.position.len(), 50);
 }
 
 #[test]

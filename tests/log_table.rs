@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use downwash::log::import::mapping::{BodyFrame, Mapping, WorldFrame, attitude_to_ned};
+use downwash::log::import::mapping::{AttitudeTurn, BodyFrame, Mapping, WorldFrame};
 use downwash::log::import::{Flight, ImportError, MotorUnit, open, open_among, write};
 use proptest::prelude::*;
 use sitl::frame::{Attitude, Euler, Frd, Ned};
@@ -149,6 +149,305 @@ fn motors_of_every_kind() {
     assert_eq!((thrust, unit), (1.5, MotorUnit::Newton));
 }
 
+/// The plain part of [`SHIPPED`]: pose alone.
+const POSE: &str = r#"
+world_frame = "nwu"
+body_frame = "flu"
+[time]
+column = "t"
+unit = "s"
+[position]
+columns = ["px", "py", "pz"]
+unit = "m"
+[attitude]
+quaternion = ["qx", "qy", "qz", "qw"]
+order = "xyzw"
+rotates = "body_to_world"
+"#;
+
+/// A table of a pose, its cells and lines ended in these ways.
+fn pose(separator: &str, decimal: &str, end: &str) -> String {
+    let mut lines = vec![["t", "px", "py", "pz", "qx", "qy", "qz", "qw"].join(separator)];
+    for row in 0..60 {
+        let t = f64::from(row) * 0.01;
+        let (s, c) = (0.1 * t).sin_cos();
+        let cells = [t, 1.0 + t, 2.0, 0.5, 0.0, 0.0, s, c];
+        let cells = cells.map(|cell| format!("{cell:.6}").replace('.', decimal));
+        lines.push(cells.join(separator) + end);
+    }
+    lines.join("\r\n") + "\r\n"
+}
+
+fn assert_pose(flight: &Flight) {
+    assert_eq!((flight.position.len(), flight.attitude.len()), (60, 60), "{:?}", flight.left_out);
+    assert_eq!(flight.position.values()[50].to_array(), [1.5, -2.0, -0.5]);
+    assert!((flight.attitude.values()[50].euler().yaw + 0.1).abs() < 1e-5);
+    assert_eq!(flight.left_out, []);
+}
+
+#[test]
+fn tables_of_every_dialect_are_read() {
+    for (separator, decimal, end) in [
+        (",", ".", ","),
+        (";", ",", ""),
+        (";", ".", ";"),
+        ("\t", ",", ""),
+        ("\t", ".", "\t\t"),
+        ("|", ".", ""),
+        (", ", ".", " ,"),
+    ] {
+        let table = pose(separator, decimal, end);
+        assert_pose(&import("dialects", &table, POSE).unwrap());
+        let sep = format!("sep={}\r\n{table}", separator.trim_matches(' '));
+        assert_pose(&import("dialects", &sep, POSE).unwrap());
+    }
+    // A header that ends with a separator, and rows that do not.
+    let mut table = pose(",", ".", "");
+    table.insert(table.find('\r').unwrap(), ',');
+    assert_pose(&import("dialects", &table, POSE).unwrap());
+    let stated = format!("separator = \";\"\ndecimal = \",\"\n{POSE}");
+    assert_pose(&import("dialects", &pose(";", ",", ""), &stated).unwrap());
+}
+
+#[test]
+fn both_marks_of_decimals_are_asked_about() {
+    let table = pose(";", ",", "").replacen("0,500000", "0.500000", 1);
+    let message = refusal("marks", &table, POSE);
+    assert!(message.contains("write decimal = \".\""), "{message}");
+    let stated = format!("decimal = \",\"\n{POSE}");
+    let flight = import("marks", &table, &stated).unwrap();
+    assert_eq!((flight.position.len(), flight.left_out.len()), (59, 1));
+}
+
+#[test]
+fn tables_in_utf_16_are_read() {
+    let table = pose(",", ".", "");
+    for (mark, big) in [(true, false), (true, true), (false, false), (false, true)] {
+        let mut bytes: Vec<u8> = Vec::new();
+        for unit in mark.then_some(0xFEFF).into_iter().chain(table.encode_utf16()) {
+            bytes.extend(if big { u16::to_be_bytes(unit) } else { u16::to_le_bytes(unit) });
+        }
+        let (file, map) = (place("utf16", "flight.csv"), place("utf16", "map.toml"));
+        fs::write(&file, bytes).unwrap();
+        fs::write(&map, POSE).unwrap();
+        assert_pose(&open(&file, Some(&map)).unwrap());
+    }
+}
+
+#[test]
+fn the_line_of_names_is_found_or_said() {
+    let table = pose(",", ".", "");
+    let preamble = "Recorded by a laboratory\r\n\r\nrate,100\r\nX,Y\r\n";
+    assert_pose(&import("preamble", &format!("{preamble}{table}"), POSE).unwrap());
+    // The line of units below the names is no row.
+    let units = table.replacen("\r\n", "\r\n(s),(m),(m),(m),,,,\r\n", 1);
+    let flight = import("preamble", &units, POSE).unwrap();
+    assert_eq!((flight.position.len(), flight.left_out.len()), (60, 1));
+    // A line that has the same names is skipped where that is said.
+    let twice = format!("{}{table}", "t,px,py,pz,qx,qy,qz,qw\r\nold,1,2\r\n");
+    assert_pose(&import("preamble", &twice, &format!("skip_lines = 2\n{POSE}")).unwrap());
+}
+
+#[test]
+fn columns_are_found_by_number_and_by_the_words_above_them() {
+    let by_number = POSE
+        .replace("\"t\"", "1")
+        .replace("[\"px\", \"py\", \"pz\"]", "[2, 3, 4]")
+        .replace("[\"qx\", \"qy\", \"qz\", \"qw\"]", "[5, 6, 7, 8]");
+    let table = pose(",", ".", "");
+    assert_pose(&import("numbers", &table, &by_number).unwrap());
+    let (_, rows) = table.split_once("\r\n").unwrap();
+    assert_pose(&import("numbers", rows, &by_number).unwrap());
+    let message = refusal("numbers", rows, &by_number.replace("[2, 3, 4]", "[2, 3, 40]"));
+    assert!(message.contains("number 40"), "{message}");
+
+    let same = table.replacen("t,px,py,pz,qx,qy,qz,qw", "t,x,y,z,x,y,z,w", 1);
+    let message = refusal("words", &same, &POSE.replace("\"px\"", "\"x\""));
+    assert!(message.contains("2 columns \"x\": 2 (x), 5 (x)"), "{message}");
+    let above = format!(",pos,pos,pos,rot,rot,rot,rot\r\n{same}");
+    let words = |group: &str, axes: &[&str]| {
+        let columns: Vec<_> = axes.iter().map(|axis| format!("[{group:?}, {axis:?}]")).collect();
+        columns.join(", ")
+    };
+    let mapping = POSE
+        .replace("\"px\", \"py\", \"pz\"", &words("pos", &["x", "y", "z"]))
+        .replace("\"qx\", \"qy\", \"qz\", \"qw\"", &words("rot", &["x", "y", "z", "w"]));
+    assert_pose(&import("words", &above, &mapping).unwrap());
+}
+
+/// An export of OptiTrack's Motive: y up, right along z, one rigid body and its markers.
+fn motive(units: &str) -> String {
+    let mut text = format!(
+        "Format Version,1.23,Take Name,a,Rotation Type,Quaternion,Length Units,{units},Coordinate Space,Global\r\n\r\n"
+    );
+    let body = |name: &str| {
+        let cells = |word: &str| vec![word.to_owned(); 8];
+        [cells("Rigid Body"), cells(name), vec!["\"0A1B\"".to_owned(); 8]]
+    };
+    // The titles stand above the time; some versions put them one column further.
+    for (title, cells) in ["Type", "Name", "ID"].into_iter().zip(body("quad")) {
+        let marker = if title == "Type" { "Rigid Body Marker" } else { "quad:Marker1" };
+        let _ = write!(text, ",{title},{},{marker},{marker},{marker}\r\n", cells[1..].join(","));
+    }
+    let groups = ["Rotation"; 4].into_iter().chain(["Position"; 3]).chain(["Position"; 3]);
+    let _ = write!(text, ",,{}\r\n", groups.collect::<Vec<_>>().join(","));
+    text += "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,X,Y,Z\r\n";
+    for row in 0..50 {
+        let t = f64::from(row) * 0.01;
+        let (s, c) = (0.15 * t).sin_cos();
+        let _ = write!(text, "{row},{t:.6},0,{s:.6},0,{c:.6},{t:.6},1.5,{:.6},9,9,9\r\n", -0.8 * t);
+    }
+    text
+}
+
+#[test]
+fn an_export_of_motive_is_read_by_the_shipped_mapping() {
+    let file = place("motive", "take.csv");
+    fs::write(&file, motive("Meters")).unwrap();
+    let flight = open(&file, Some(Path::new("motive"))).unwrap();
+    assert_eq!((flight.position.len(), flight.left_out.len()), (50, 0), "{:?}", flight.left_out);
+    // Front along x, y up, right along z: left is -z, and a turn about up is one to the left.
+    let [n, e, d] = flight.position.values()[25].to_array();
+    assert!((n - 0.25).abs() < 1e-9 && (e + 0.2).abs() < 1e-9 && (d + 1.5).abs() < 1e-9);
+    let attitude = flight.attitude.values()[25].euler();
+    assert!((attitude.yaw + 0.075).abs() < 1e-5 && attitude.roll.abs() < 1e-6, "{attitude:?}");
+
+    fs::write(&file, motive("Millimeters")).unwrap();
+    let small = open(&file, Some(Path::new("motive"))).unwrap();
+    assert!((small.position.values()[25].to_array()[2] + 0.0015).abs() < 1e-12);
+    fs::write(&file, motive("Feet")).unwrap();
+    let message = open(&file, Some(Path::new("motive"))).unwrap_err().to_string();
+    assert!(message.contains("after \"Length Units\", found \"Feet\""), "{message}");
+    fs::write(&file, motive("Meters").replace("Quaternion", "XYZ")).unwrap();
+    let message = open(&file, Some(Path::new("motive"))).unwrap_err().to_string();
+    assert!(message.contains("\"Rotation Type\" is \"XYZ\""), "{message}");
+    // By the words above them, of the one body that has these.
+    let columns = |group: &str, axes: &[&str]| {
+        let words: Vec<_> =
+            axes.iter().map(|axis| format!("[\"Rigid Body\", {group:?}, {axis:?}]")).collect();
+        format!("[{}]", words.join(", "))
+    };
+    let (_, shipped) = downwash::log::import::mapping::SHIPPED[1];
+    let words = shipped
+        .replace("[7, 8, 9]", &columns("Position", &["X", "Y", "Z"]))
+        .replace("[3, 4, 5, 6]", &columns("Rotation", &["X", "Y", "Z", "W"]));
+    let by_words = import("motive", &motive("Meters"), &words).unwrap();
+    assert_eq!(by_words.position, flight.position);
+    assert_eq!(by_words.attitude, flight.attitude);
+    let message = open(&file, Some(Path::new("vicon"))).unwrap_err().to_string();
+    assert!(message.contains("motion-capture, motive"), "{message}");
+}
+
+#[test]
+fn worlds_with_any_axes_are_read() {
+    let read = |world: &str, body: &str| {
+        let mapping = POSE.replace("\"nwu\"", world).replace("\"flu\"", body);
+        import("axes", &pose(",", ".", ""), &mapping)
+    };
+    let flight = read("[\"west\", \"south\", \"up\"]", "\"flu\"").unwrap();
+    assert_eq!(flight.position.values()[0].to_array(), [-2.0, -1.0, -0.5]);
+    // A left-handed world (x right, y up, z front) with a body of the same.
+    let flight = read("[\"east\", \"up\", \"north\"]", "[\"right\", \"up\", \"front\"]").unwrap();
+    assert_eq!(flight.position.values()[0].to_array(), [0.5, 1.0, -2.0]);
+    // The table turns about its z, which is front: right goes up, a roll to the left.
+    let roll = flight.attitude.values()[50].euler().roll;
+    assert!((roll.abs() - 0.1).abs() < 1e-5 && roll < 0.0, "{roll}");
+    let message = read("[\"east\", \"up\", \"north\"]", "\"flu\"").unwrap_err().to_string();
+    assert!(message.contains("left-handed"), "{message}");
+    let message = read("[\"east\", \"up\", \"down\"]", "\"flu\"").unwrap_err().to_string();
+    assert!(message.contains("along one line"), "{message}");
+}
+
+#[test]
+fn streams_have_rows_of_their_own() {
+    // A pose at 50 Hz and a gyro at 200 Hz, in one table as joined by time.
+    let mut table = "t,px,py,pz,qx,qy,qz,qw,wx,wy,wz\n".to_owned();
+    for row in 0..200 {
+        let t = f64::from(row) * 0.005;
+        let pose = if row % 4 == 0 { format!("{t},2,3,0,0,0,1") } else { ",,,,,,".to_owned() };
+        let rate = if row % 4 == 0 && row % 8 == 0 { "NaN,NaN,NaN" } else { "0.1,0.2,0.3" };
+        let _ = writeln!(table, "{t},{pose},{rate}");
+    }
+    let rate =
+        "[body_rate]\ncolumns = [\"wx\", \"wy\", \"wz\"]\nunit = \"rad/s\"\naxes = \"body\"\n";
+    let flight = import("own_rows", &table, &format!("{POSE}{rate}")).unwrap();
+    assert_eq!(
+        (flight.position.len(), flight.attitude.len(), flight.body_rate.len()),
+        (50, 50, 175)
+    );
+    assert_eq!(flight.left_out, []);
+}
+
+#[test]
+fn a_table_of_which_nothing_can_be_used_is_an_error_that_says_why() {
+    let table = pose(",", ".", "").replace("\r\n0", "\r\nextra,0");
+    let message = refusal("nothing", &table, POSE);
+    assert!(message.contains("row 1 has 9 cells where the header has 8"), "{message}");
+    assert!(message.contains("60 x row with more or fewer cells"), "{message}");
+}
+
+#[test]
+fn a_mapping_is_proposed_that_works() {
+    let propose = |table: &str| {
+        let file = place("propose", "flight.csv");
+        fs::write(&file, table).unwrap();
+        downwash::log::import::propose(&file).unwrap()
+    };
+    for (header, cells) in [
+        (
+            "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,ax,ay,az,m1,m2,m3,m4,vbat",
+            "0,1,2,3,0,0,0,0,0,0,1,0,0,0,0,0,9.8,0.5,0.5,0.5,0.5,15.1",
+        ),
+        (
+            "Time [ms];Position X (mm);Position Y (mm);Position Z (mm);Roll (deg);Pitch (deg);Yaw (deg)",
+            "0;1,5;2,5;3,5;0,5;0,5;90,5",
+        ),
+        (
+            "timestamp_us\tpos_x\tpos_y\tpos_z\tq0\tq1\tq2\tq3\tgyro_x_dps\tgyro_y_dps\tgyro_z_dps",
+            "0\t1\t2\t3\t1\t0\t0\t0\t0\t0\t0",
+        ),
+        (
+            "%time,field.pose.position.x,field.pose.position.y,field.pose.position.z,field.pose.orientation.x,field.pose.orientation.y,field.pose.orientation.z,field.pose.orientation.w",
+            "0,1,2,3,0,0,0,1",
+        ),
+        (
+            "time_s,p_n_m,p_e_m,p_d_m,v_n_mps,v_e_mps,v_d_mps,q_w,q_x,q_y,q_z,p_radps,q_radps,r_radps",
+            "0,1,2,3,0,0,0,1,0,0,0,0,0,0",
+        ),
+        (
+            "Frame,X,Y,Z,rpm1,rpm2,rpm3,rpm4,pwm_1,pwm_2,pwm_3,pwm_4",
+            "0,1,2,3,9000,9000,9000,9000,1500,1500,1500,1500",
+        ),
+    ] {
+        let mut table = format!("{header}\n");
+        for row in 0..30 {
+            let (first, rest) = cells.split_at(1);
+            assert_eq!(first, "0");
+            let _ = writeln!(table, "{}{rest}", row * 10);
+        }
+        let mapping = propose(&table);
+        let flight =
+            import("propose", &table, &mapping).unwrap_or_else(|e| panic!("{e}\n{mapping}"));
+        assert_eq!(flight.position.len(), 30, "{mapping}");
+        assert!(mapping.contains("CHECK"), "{mapping}");
+        assert_eq!(flight.left_out, [], "{mapping}");
+    }
+    let proposed = propose(
+        "Time [ms];Position X (mm);Position Y (mm);Position Z (mm)\n0;1,5;2,5;3,5\n5;1,5;2,5;3,5\n",
+    );
+    for said in ["separator = \";\"", "unit = \"ms\"", "unit = \"mm\"", "\"Position X (mm)\""] {
+        assert!(proposed.contains(said), "{said}: {proposed}");
+    }
+    assert!(propose(&motive("Meters")).contains("--mapping motive"));
+    let file = place("propose", "text.csv");
+    fs::write(&file, "some words\nand more of them\n").unwrap();
+    let message = downwash::log::import::propose(&file).unwrap_err().to_string();
+    assert!(
+        message.contains("text.csv") && message.contains("without a line of numbers"),
+        "{message}"
+    );
+}
+
 #[test]
 fn a_table_written_as_a_log_reads_back_the_same() {
     let flight = import("round_trip", &table(300), SHIPPED).unwrap();
@@ -193,11 +492,12 @@ proptest! {
     fn attitudes_turn_vectors_alike_in_all_axes(
         rotation in any_rotation(),
         v in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
-        world in prop::sample::select(vec![WorldFrame::Ned, WorldFrame::Enu, WorldFrame::Nwu]),
-        body in prop::sample::select(vec![BodyFrame::Frd, BodyFrame::Flu]),
+        world in prop::sample::select(vec![WorldFrame::NED, WorldFrame::ENU, WorldFrame::NWU]),
+        body in prop::sample::select(vec![BodyFrame::FRD, BodyFrame::FLU]),
     ) {
         let turned = world.to_ned(rotation.to_world(Frd::from(v)).to_array());
-        let attitude = attitude_to_ned(world, body, rotation);
+        let turn = AttitudeTurn::new(world, body).expect("one hand");
+        let attitude = turn.apply(rotation);
         prop_assert!((attitude.to_world(body.to_frd(v)) - turned).norm() < 1e-9);
         // Both keep right hands right.
         let [x, y, z] = AXES.map(|axis| world.to_ned(axis));

@@ -9,7 +9,7 @@ use downwash::model::physics::{PhysicsModel, PhysicsParameters};
 use downwash::model::{ACCELERATIONS, Jacobian, Model, Point};
 use downwash::plan::Trajectory;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics};
-use downwash::plan::planned::Answer;
+use downwash::plan::planned::{Answer, PlannedBody};
 use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::problem::StateVector;
 use downwash::plan::receding::{RecedingReference, RecedingSettings};
@@ -42,9 +42,12 @@ fn planner(model: Arc<dyn Model>) -> (Planner, Answer) {
     let params = vehicle();
     let attitude_pd = params.attitude_pd.expect("a loop");
     let planned = PlannedVehicle {
-        mass_kg: params.mass,
-        gravity: params.gravity,
-        thrust_full_n: params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+        body: PlannedBody {
+            mass_kg: params.mass,
+            inertia: params.inertia,
+            gravity: params.gravity,
+            thrust_full_n: params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+        },
         attitude_pd,
         limits: Limits::default(),
     };

@@ -12,7 +12,8 @@ use downwash::link::session::{Heard, Session, Settings};
 use downwash::link::tee::Tee;
 use downwash::log::LogReader;
 use downwash::log::export::{Format, export_topic};
-use downwash::log::import::{Stream, read_bytes};
+use downwash::log::import::mapping::{Mapping, SHIPPED};
+use downwash::log::import::{Flight, Stream, propose_bytes, read_bytes};
 use downwash::log::info::LogInfo;
 use downwash::report::FlightReport;
 use downwash::setpoint::Setpoint;
@@ -94,29 +95,44 @@ pub fn flight_log(data: &[u8]) {
     }
 }
 
-/// A log of any kind to import, and the mapping of a table: what is read has times that ascend.
-pub fn import(data: &[u8]) {
+/// A flight of anything: its times ascend, and it can be audited.
+fn check_flight(flight: &Flight) {
     fn check<T>(stream: &Stream<T>) {
         assert!(stream.times().iter().all(|time| time.is_finite()));
         assert!(stream.times().windows(2).all(|pair| pair[0] < pair[1]));
     }
+    check(&flight.attitude);
+    check(&flight.position);
+    check(&flight.velocity);
+    check(&flight.body_rate);
+    check(&flight.specific_force);
+    check(&flight.outputs);
+    check(&flight.rotor_speed);
+    check(&flight.setpoint);
+    check(&flight.voltage);
+    check(&flight.in_air);
+    check(&flight.truth);
+    for rows in flight.rows.iter() {
+        assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));
+    }
+}
+
+/// A log of any kind to import, and the mapping of a table.
+pub fn import(data: &[u8]) {
     const MAPPING: &str = include_str!("../../config/mappings/motion-capture.toml");
     let text = String::from_utf8_lossy(data);
-    for flight in read_bytes(data, MAPPING).iter().chain(&read_bytes(data, &text)) {
-        check(&flight.attitude);
-        check(&flight.position);
-        check(&flight.velocity);
-        check(&flight.body_rate);
-        check(&flight.specific_force);
-        check(&flight.outputs);
-        check(&flight.rotor_speed);
-        check(&flight.setpoint);
-        check(&flight.voltage);
-        check(&flight.in_air);
-        check(&flight.truth);
-        for rows in flight.rows.iter() {
-            assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));
-        }
+    read_bytes(data, MAPPING).iter().chain(&read_bytes(data, &text)).for_each(check_flight);
+}
+
+/// A table of anything, read by the mappings that are shipped and by the one that is proposed for it,
+/// which must be a mapping.
+pub fn table(data: &[u8]) {
+    for (_, mapping) in SHIPPED {
+        read_bytes(data, mapping).iter().for_each(check_flight);
+    }
+    if let Some(mapping) = propose_bytes(data) {
+        assert!(Mapping::parse(&mapping).is_ok(), "{mapping}");
+        read_bytes(data, &mapping).iter().for_each(check_flight);
     }
 }
 

@@ -9,7 +9,7 @@ use wire::endpoint::Endpoint;
 use wire::transport::OpenError;
 
 use crate::autopilot::{Vehicle, VehicleRefused};
-use crate::config::{ConfigError, SitlConfig};
+use crate::config::{Autopilot, ConfigError, SitlConfig};
 use crate::effects::{EffectSet, EffectsRefused};
 use crate::server::Server;
 use crate::vehicle::{VehicleError, VehicleParams};
@@ -20,6 +20,9 @@ pub struct SitlArgs {
     /// Vehicle file (TOML or JSON)
     #[arg(long, value_name = "FILE")]
     pub vehicle: PathBuf,
+    /// The autopilot to behave as, on the wire and in the air, in place of the one in --config
+    #[arg(long, value_name = "NAME")]
+    pub autopilot: Option<Autopilot>,
     /// Where to be reached; may be given several times, and each serves several peers:
     /// udpin:HOST:PORT, udpout:HOST:PORT, tcpin:HOST:PORT, tcp:HOST:PORT, serial:PATH:BAUD
     #[arg(long = "link", value_name = "URL", default_value = "udpin:127.0.0.1:14580")]
@@ -124,10 +127,11 @@ impl Stop {
 /// Any [`SitlError`] but [`SitlError::Link`].
 pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
     let params = VehicleParams::load(&args.vehicle)?;
-    let config = match &args.config {
+    let mut config = match &args.config {
         Some(path) => SitlConfig::load(path)?,
         None => SitlConfig::default(),
     };
+    config.autopilot = args.autopilot.unwrap_or(config.autopilot);
     let effects = EffectSet::requested(args.effects.as_deref(), &args.effect)?;
     Ok(Vehicle::new(params, effects, config, args.seed)?)
 }

@@ -1,5 +1,6 @@
-//! What belongs to the simulation and not to the vehicle: noise, pack, home, start, floor.
+//! What belongs to the simulation and not to the vehicle: noise, pack, clock, home, start, floor.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -8,6 +9,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SitlConfig {
+    /// Which autopilot the vehicle behaves as.
+    pub autopilot: Autopilot,
+    /// The vehicle never notices that it has landed, as in strong wind: it stays armed.
+    pub landing_goes_unnoticed: bool,
     /// Where on earth the local frame's origin is.
     pub home: Home,
     /// Where the vehicle begins.
@@ -18,6 +23,93 @@ pub struct SitlConfig {
     pub battery: BatteryConfig,
     /// Noise and bias.
     pub sensors: SensorConfig,
+    /// Errors of the position estimate beyond noise.
+    pub estimator: EstimatorConfig,
+    /// How the vehicle's clock runs.
+    pub clock: ClockConfig,
+    /// Parameters of the autopilot that differ from its defaults, by name.
+    pub parameters: BTreeMap<String, f64>,
+}
+
+/// Errors of the estimated position.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EstimatorConfig {
+    /// Standard deviation of a slow wander, per axis, m; it begins at zero.
+    pub wander_m: f64,
+    /// Time constant of the wander, s.
+    pub wander_time_s: f64,
+    /// Time after switching on from which the position is known, s.
+    pub ready_after_s: f64,
+    /// GPS that is wrong for a while.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gps_glitch: Option<GpsGlitch>,
+    /// How long GPS that contradicts the estimate is rejected before the estimate jumps to it, s.
+    pub reset_after_s: f64,
+}
+
+impl Default for EstimatorConfig {
+    fn default() -> Self {
+        Self {
+            wander_m: 0.0,
+            wander_time_s: 5.0,
+            ready_after_s: 0.0,
+            gps_glitch: None,
+            reset_after_s: 9.0,
+        }
+    }
+}
+
+/// GPS that is wrong by an offset for a while.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GpsGlitch {
+    /// Vehicle time at which it begins, s.
+    pub at_s: f64,
+    /// How long it lasts, s.
+    pub for_s: f64,
+    /// North, east, down, m.
+    pub offset_m: [f64; 3],
+}
+
+/// How the vehicle's clock runs against the host's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClockConfig {
+    /// Vehicle seconds in a second.
+    pub rate: f64,
+    /// Moments in which the simulation stands still.
+    pub stalls: Vec<Stall>,
+}
+
+/// A moment in which the simulation stands still.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stall {
+    /// Vehicle time, s.
+    pub at_s: f64,
+    /// Host time that passes, s.
+    pub for_s: f64,
+}
+
+impl Default for ClockConfig {
+    fn default() -> Self {
+        Self { rate: 1.0, stalls: Vec::new() }
+    }
+}
+
+/// The autopilot that the vehicle behaves as, on the wire and in the air.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "server", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Autopilot {
+    /// PX4's protocol, with a PD on attitude and rates together.
+    #[default]
+    Bundled,
+    /// PX4.
+    Px4,
+    /// ArduCopter.
+    Arducopter,
 }
 
 /// Geodetic position of the local frame's origin.
@@ -205,6 +297,32 @@ impl SitlConfig {
         let above = below <= self.floor_down_m;
         require("start.position_m", below, above, "a down coordinate not below floor_down_m")?;
         require("start.heading_rad", self.start.heading_rad, true, "an angle in rad")?;
+        let EstimatorConfig { wander_m, wander_time_s, ready_after_s, gps_glitch, reset_after_s } =
+            self.estimator;
+        require("estimator.wander_m", wander_m, wander_m >= 0.0, "0 or more m")?;
+        let expected = "a time above 0.01 s";
+        require("estimator.wander_time_s", wander_time_s, wander_time_s > 0.01, expected)?;
+        for (field, time) in
+            [("estimator.ready_after_s", ready_after_s), ("estimator.reset_after_s", reset_after_s)]
+        {
+            require(field, time, time >= 0.0, "0 or more s")?;
+        }
+        if let Some(GpsGlitch { at_s, for_s, offset_m }) = gps_glitch {
+            require("estimator.gps_glitch.at_s", at_s, at_s >= 0.0, "0 or more s")?;
+            require("estimator.gps_glitch.for_s", for_s, for_s >= 0.0, "0 or more s")?;
+            for offset in offset_m {
+                require("estimator.gps_glitch.offset_m", offset, true, "lengths in m")?;
+            }
+        }
+        let ClockConfig { rate, stalls } = &self.clock;
+        let expected = "vehicle seconds a second in 0.5..=2";
+        require("clock.rate", *rate, (0.5..=2.0).contains(rate), expected)?;
+        for Stall { at_s, for_s } in stalls {
+            require("clock.stalls.at_s", *at_s, *at_s >= 0.0, "0 or more s")?;
+            // The server lets go of real time when it is a second behind.
+            let expected = "a time in 0..=0.9 s";
+            require("clock.stalls.for_s", *for_s, (0.0..=0.9).contains(for_s), expected)?;
+        }
         let BatteryConfig { capacity_mah, resistance_ohm, charge } = self.battery;
         if let Some(mah) = capacity_mah {
             require("battery.capacity_mah", mah, mah > 0.0, "a capacity above 0 mAh")?;

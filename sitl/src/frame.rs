@@ -340,6 +340,16 @@ impl Attitude {
         .normalized()
     }
 
+    /// The rotation from `self` to `other` as angle times axis [rad], in body axes of `self`, the
+    /// short way round.
+    pub fn rotation_to(self, other: Self) -> Frd {
+        let d = self.inverse().compose(other).canonical();
+        let sine = (d.x * d.x + d.y * d.y + d.z * d.z).sqrt();
+        // angle / sin(angle / 2), 2 in the limit.
+        let scale = if sine < 1e-9 { 2.0 } else { 2.0 * sine.atan2(d.w) / sine };
+        Frd::new(d.x, d.y, d.z) * scale
+    }
+
     /// Angle of the rotation from `self` to `other`, in [0, pi], in radians.
     pub fn angle_to(self, other: Self) -> f64 {
         let d = self.inverse().compose(other);

@@ -7,9 +7,11 @@ pub mod autopilot;
 pub mod battery;
 #[cfg(feature = "server")]
 pub mod cli;
+pub mod clock;
 pub mod config;
 mod contact;
 pub mod effects;
+mod estimate_error;
 pub mod foreign;
 pub mod frame;
 pub mod physics;

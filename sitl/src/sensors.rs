@@ -8,6 +8,8 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::config::{ImuNoise, SensorConfig, SitlConfig};
 use crate::effects::{AttitudeTrim, EffectSet, EstimatorLatency};
+use crate::estimate_error::ErrorModel;
+pub use crate::estimate_error::EstimatorStatus;
 use crate::frame::{Attitude, Frd, Ned};
 use crate::plant::Plant;
 use crate::rigid_body::State;
@@ -28,6 +30,8 @@ pub struct Readings {
     pub specific_force: Frd,
     /// The pack.
     pub battery: BatteryReading,
+    /// What the estimator says of itself.
+    pub estimator: EstimatorStatus,
 }
 
 /// What the power module says.
@@ -53,6 +57,7 @@ pub struct Sensors {
     attitude_error: [f64; 3],
     gyro: Imu,
     accelerometer: Imu,
+    errors: ErrorModel,
     sampled_at: Option<u64>,
 }
 
@@ -61,6 +66,7 @@ impl Sensors {
     pub fn new(config: &SitlConfig, effects: &EffectSet, seed: u64) -> Self {
         let latency = effects.get::<EstimatorLatency>().map_or(0.0, |effect| effect.latency_s);
         let trim = effects.get::<AttitudeTrim>();
+        let errors = ErrorModel::new(config.estimator, Stream::seed(seed, 6));
         let config = config.sensors;
         let mut attitude = Stream::new(seed, 3);
         let attitude_error = attitude.normals().map(|n| n * config.attitude_noise_rad);
@@ -74,6 +80,7 @@ impl Sensors {
             gyro: Imu::new(config.gyro, Stream::new(seed, 4)),
             accelerometer: Imu::new(config.accelerometer, Stream::new(seed, 5)),
             config,
+            errors,
             sampled_at: None,
         }
     }
@@ -92,14 +99,17 @@ impl Sensors {
 
         let truth = plant.state();
         let late = self.history.state().unwrap_or(*truth);
+        let off = self.errors.advance(time_us, elapsed);
         let error = small_rotation(self.attitude_error);
         let reported =
             |true_attitude: Attitude| true_attitude.compose(self.trim).compose(error).normalized();
         let gyro = self.gyro.read(truth.body_rate, elapsed);
         let estimate = State {
             position: late.position
+                + off.position()
                 + Ned::from(self.position.normals()) * self.config.position_noise_m,
             velocity: late.velocity
+                + off.velocity()
                 + Ned::from(self.velocity.normals()) * self.config.velocity_noise_m_s,
             attitude: reported(late.attitude),
             body_rate: gyro,
@@ -115,6 +125,7 @@ impl Sensors {
                 current: plant.current(),
                 remaining: plant.remaining(),
             },
+            estimator: self.errors.status(),
         }
     }
 
@@ -141,8 +152,12 @@ struct Stream(Pcg64Mcg);
 impl Stream {
     /// Stream `number` of `seed`.
     fn new(seed: u64, number: u64) -> Self {
+        Self(Pcg64Mcg::seed_from_u64(Self::seed(seed, number)))
+    }
+
+    fn seed(seed: u64, number: u64) -> u64 {
         // Seeding spreads its argument over the generator's whole state.
-        Self(Pcg64Mcg::seed_from_u64(seed ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
+        seed ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15)
     }
 
     fn normals(&mut self) -> [f64; 3] {

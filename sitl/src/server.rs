@@ -96,30 +96,37 @@ impl Server {
 
     /// Serves until `stop` is ready. `speed` is vehicle seconds per host second.
     pub async fn run<S: Future>(&mut self, speed: f64, stop: S) -> S::Output {
-        let mut pacer = Pacer::new(speed, self.vehicle.now_us());
+        let mut pacer = Pacer::new(speed, self.vehicle.clock().host_us(self.vehicle.now_us()));
         let mut stop = std::pin::pin!(stop);
         loop {
             let now = Instant::now();
-            let wanted_us = pacer.vehicle_us(now, self.vehicle.now_us());
+            let wanted_us = self.vehicle_us(&mut pacer, now);
             let reached_us = wanted_us.min(self.vehicle.now_us() + ADVANCE_MAX_US);
             self.vehicle.advance_to(reached_us);
             self.flush();
             let due = if reached_us < wanted_us {
                 now
             } else {
-                pacer.host_time(self.vehicle.next_event_us())
+                pacer.host_time(self.vehicle.clock().host_us(self.vehicle.next_event_us()))
             };
             tokio::select! {
                 biased;
                 output = &mut stop => return output,
                 wake = self.wait(due) => {
-                    let arrived_us = pacer.vehicle_us(Instant::now(), self.vehicle.now_us());
+                    let arrived_us = self.vehicle_us(&mut pacer, Instant::now());
                     self.vehicle.advance_to(arrived_us.min(reached_us + ADVANCE_MAX_US));
                     self.handle(wake);
                     self.flush();
                 }
             }
         }
+    }
+
+    /// What the vehicle's clock is to show at the host time `now`.
+    fn vehicle_us(&self, pacer: &mut Pacer, now: Instant) -> u64 {
+        let clock = self.vehicle.clock();
+        let reached_us = clock.host_us(self.vehicle.now_us());
+        clock.vehicle_us(pacer.simulated_us(now, reached_us)).max(self.vehicle.now_us())
     }
 
     async fn wait(&mut self, due: Instant) -> Wake {
@@ -232,33 +239,34 @@ async fn reopen(endpoint: Endpoint) -> Transport {
     }
 }
 
-/// Ties the vehicle's time to the host's.
+/// Ties the simulation's time to the host's: the vehicle's time, where the vehicle's clock does not
+/// slip against the simulation's.
 struct Pacer {
     speed: f64,
     host: Instant,
-    vehicle_us: u64,
+    simulated_us: u64,
 }
 
 impl Pacer {
-    fn new(speed: f64, vehicle_us: u64) -> Self {
-        Self { speed, host: Instant::now(), vehicle_us }
+    fn new(speed: f64, simulated_us: u64) -> Self {
+        Self { speed, host: Instant::now(), simulated_us }
     }
 
-    /// The vehicle time that belongs to the host time `now`. A host that cannot keep up, or was
-    /// suspended, makes the vehicle's clock let go: it then continues from where it is.
-    fn vehicle_us(&mut self, now: Instant, reached_us: u64) -> u64 {
+    /// The simulation's time that belongs to the host time `now`. A host that cannot keep up, or
+    /// was suspended, makes the simulation let go: it then continues from where it is.
+    fn simulated_us(&mut self, now: Instant, reached_us: u64) -> u64 {
         let passed = now.saturating_duration_since(self.host).as_secs_f64() * self.speed;
-        let wanted = self.vehicle_us + (passed * 1e6) as u64;
+        let wanted = self.simulated_us + (passed * 1e6) as u64;
         let lag_max_us = (LAG_MAX.as_secs_f64() * self.speed * 1e6) as u64;
         if wanted > reached_us + lag_max_us {
-            (self.host, self.vehicle_us) = (now, reached_us);
+            (self.host, self.simulated_us) = (now, reached_us);
         }
         wanted.min(reached_us + lag_max_us).max(reached_us)
     }
 
-    /// The host time at which the vehicle's clock shows `vehicle_us`.
-    fn host_time(&self, vehicle_us: u64) -> Instant {
-        let ahead_us = vehicle_us.saturating_sub(self.vehicle_us) as f64 / self.speed;
+    /// The host time at which the simulation reaches `simulated_us`.
+    fn host_time(&self, simulated_us: u64) -> Instant {
+        let ahead_us = simulated_us.saturating_sub(self.simulated_us) as f64 / self.speed;
         self.host + Duration::from_nanos((ahead_us * 1e3) as u64)
     }
 }
@@ -272,10 +280,10 @@ mod tests {
         let mut pacer = Pacer::new(4.0, 1000);
         let start = pacer.host;
         let later = start + Duration::from_millis(250);
-        assert_eq!(pacer.vehicle_us(later, 900_000), 1_001_000);
+        assert_eq!(pacer.simulated_us(later, 900_000), 1_001_000);
         assert_eq!(pacer.host_time(1_001_000), later);
         let much_later = start + Duration::from_secs(100);
-        let resumed = pacer.vehicle_us(much_later, 1_001_000);
+        let resumed = pacer.simulated_us(much_later, 1_001_000);
         assert_eq!(resumed, 1_001_000 + 4_000_000);
         assert_eq!(pacer.host_time(1_001_000), much_later);
     }

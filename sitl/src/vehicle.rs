@@ -8,16 +8,24 @@ use crate::effects::{Effect, EffectSet, RotorGyroscopic};
 use crate::rotor::Allocation;
 
 mod cascade;
+mod check;
 mod difference;
 mod error;
 mod required;
+mod shipped;
 
 pub use cascade::AttitudeCascade;
+pub use check::{Doubt, Remark};
 pub use difference::Difference;
 pub use error::VehicleError;
+pub use shipped::{SHIPPED, Shipped, read, shipped};
 
 /// Number of rotors; the project is about quadrotors.
 pub const ROTORS: usize = 4;
+
+/// No mass, moment of inertia or thrust is above, in its unit: what is would only drown the others
+/// in the arithmetic.
+const MOST: f64 = 1e6;
 
 /// A vehicle file, as read and checked. Units are in the field names where they are not SI.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,7 +66,8 @@ pub struct VehicleParams {
     /// Effects that the simulator already has, by id.
     #[serde(default)]
     pub modelled_effects: EffectSet,
-    /// How a motor output message maps to 0..1; missing where it carries 0..1.
+    /// How a motor output message maps to 0..1, over what the autopilot's own parameters say;
+    /// missing where these say it, or it carries 0..1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_output: Option<MotorOutput>,
     /// Exact linear drag on the air-relative velocity, in N per m/s; takes rotor_drag's place.
@@ -136,15 +145,15 @@ pub struct MotorOutput {
 }
 
 impl VehicleParams {
-    /// Reads and checks a vehicle file: TOML by the extension `.toml`, JSON by `.json`, and by
-    /// its first character otherwise.
+    /// Reads and checks a vehicle file, or the shipped one of that name: TOML by the extension
+    /// `.toml`, JSON by `.json`, and by its first character otherwise.
     ///
     /// # Errors
     /// A file that cannot be read, does not follow the schema, or holds impossible values.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, VehicleError> {
         let path = path.as_ref();
         let read = |source| VehicleError::Read { path: path.to_owned(), source };
-        let text = std::fs::read_to_string(path).map_err(read)?;
+        let text = shipped::read(path).map_err(read)?;
         let json = match path.extension().and_then(|e| e.to_str()) {
             Some("toml") => false,
             Some("json") => true,
@@ -236,9 +245,11 @@ impl VehicleParams {
     }
 
     fn check_body(&self) -> Result<(), VehicleError> {
-        self.require("mass", self.mass, self.mass > 0.0, "a mass above 0 kg")?;
+        let is_possible = |value: f64| value > 0.0 && value <= MOST;
+        self.require("mass", self.mass, is_possible(self.mass), "a mass above 0 kg, at most 1e6")?;
         for (axis, moment) in ["inertia[0]", "inertia[1]", "inertia[2]"].iter().zip(self.inertia) {
-            self.require(axis, moment, moment > 0.0, "a moment of inertia above 0 kg m^2")?;
+            let expected = "a moment of inertia above 0 kg m^2, at most 1e6";
+            self.require(axis, moment, is_possible(moment), expected)?;
         }
         let sum: f64 = self.inertia.iter().sum();
         let largest = self.inertia.into_iter().fold(0.0, f64::max);
@@ -264,14 +275,17 @@ impl VehicleParams {
         for (i, rotor) in self.rotors.iter().enumerate() {
             let field = |name: &str| format!("rotors[{i}].{name}");
             for coordinate in rotor.position_m {
-                self.require(&field("position_m"), coordinate, true, "lengths in m")?;
+                let expected = "lengths in m, at most 1000";
+                let is_possible = coordinate.abs() <= 1e3;
+                self.require(&field("position_m"), coordinate, is_possible, expected)?;
             }
             let spin = rotor.spin;
             if spin != 1 && spin != -1 {
                 return Err(self.error(&field("spin"), "1 or -1", spin.to_string()));
             }
             let thrust = rotor.thrust_max_n;
-            self.require(&field("thrust_max_N"), thrust, thrust > 0.0, "a thrust above 0 N")?;
+            let expected = "a thrust above 0 N, at most 1e6";
+            self.require(&field("thrust_max_N"), thrust, thrust > 0.0 && thrust <= MOST, expected)?;
             let torque = rotor.drag_torque_per_thrust_m;
             let name = field("drag_torque_per_thrust_m");
             self.require(&name, torque, torque > 0.0, "a ratio above 0 m (spin has the sign)")?;
@@ -451,7 +465,11 @@ pub(crate) mod tests {
 
     #[test]
     fn impossible_values_are_refused_with_field_and_unit() {
-        assert!(refused(|v| v.mass = -1.0).contains("mass: expected a mass above 0 kg, found -1"));
+        assert!(
+            refused(|v| v.mass = -1.0)
+                .contains("mass: expected a mass above 0 kg, at most 1e6, found -1")
+        );
+        assert!(refused(|v| v.mass = 1e300).contains("at most 1e6"));
         assert!(refused(|v| v.mass = f64::NAN).contains("found NaN"));
         assert!(refused(|v| v.inertia[1] = 0.0).contains("inertia[1]"));
         assert!(refused(|v| v.inertia = [0.01, 0.01, 0.03]).contains("sum of the other two"));

@@ -14,7 +14,7 @@ pub struct FlyArgs {
     /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
     #[arg(long, value_name = "URL")]
     pub connect: Option<String>,
-    /// Vehicle file.
+    /// Vehicle file, or the name of a shipped one.
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
     /// Plans anew in flight, through the model of --model. Where the trajectory's file changes in

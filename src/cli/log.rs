@@ -34,17 +34,24 @@ pub enum LogCommand {
     ///
     /// Takes telemetry logs (.tlog), own logs (.mcap), logs of PX4 (.ulg) and ArduPilot (.bin), and
     /// tables (.csv), told by their content. A table needs a mapping file, which names columns,
-    /// units, frames and orders; nothing of these is guessed, and
-    /// config/mappings/motion-capture.toml is one to start from.
+    /// units, frames and orders; nothing of these is guessed. `--propose` prints one to start from.
     Import {
         /// Flight log.
         file: PathBuf,
-        /// What the columns of a table are (TOML).
+        /// What the columns of a table are: a file (TOML), or the name of a shipped one
+        /// (motion-capture, motive).
         #[arg(long, value_name = "MAP")]
         mapping: Option<PathBuf>,
+        /// Which start of the vehicle, from 1, of a telemetry log that holds several [default: the
+        /// one that flew longest].
+        #[arg(long, value_name = "N")]
+        boot: Option<usize>,
+        /// Prints a mapping file for a table, by the names of its columns, and imports nothing.
+        #[arg(long, conflicts_with_all = ["mapping", "boot", "out", "json"])]
+        propose: bool,
         /// The log to write (.mcap).
-        #[arg(short, long, value_name = "OUT")]
-        out: PathBuf,
+        #[arg(short, long, value_name = "OUT", required_unless_present = "propose")]
+        out: Option<PathBuf>,
         /// Prints what was found as JSON.
         #[arg(long)]
         json: bool,
@@ -56,7 +63,8 @@ pub enum LogCommand {
         /// Flight logs of any kind that `log import` takes.
         #[arg(required = true)]
         logs: Vec<PathBuf>,
-        /// What the columns of a table are (TOML).
+        /// What the columns of a table are: a file (TOML), or the name of a shipped one
+        /// (motion-capture, motive).
         #[arg(long, value_name = "MAP")]
         mapping: Option<PathBuf>,
         /// Ends with exit code 10 if anything this bad, or worse, is found.

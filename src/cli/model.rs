@@ -23,7 +23,7 @@ pub struct TrainArgs {
     /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
     #[arg(required = true)]
     pub logs: Vec<PathBuf>,
-    /// Vehicle file.
+    /// Vehicle file, or the name of a shipped one.
     #[arg(long)]
     pub vehicle: PathBuf,
     /// The model file to write.

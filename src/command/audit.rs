@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Exit, ExitContext, print_json, print_text};
+use super::{Exit, ExitContext, print_json, print_text, say};
 use crate::cli::FailOnFinding;
-use crate::diagnose::audit::{Agreement, Audit, Severity};
-use crate::log::import::{self, Flight};
+use crate::diagnose::audit::{Agreement, Audit, Estimate, Severity};
+use crate::log::import::{self, Flight, ImportError};
 
 /// The JSON of `log audit`.
 #[derive(Serialize)]
@@ -25,14 +25,28 @@ pub(super) fn run(
     fail_on: Option<FailOnFinding>,
     json: bool,
 ) -> anyhow::Result<Exit> {
-    let flights: Result<Vec<Flight>, _> =
+    let opened: Vec<Result<Flight, ImportError>> =
         files.par_iter().map(|file| import::open_among(file, mapping)).collect();
-    let audits = Audit::of_all(&flights.or_exit(Exit::Usage)?);
+    let (mut flights, mut refused) = (Vec::new(), Vec::new());
+    for opened in opened {
+        match opened {
+            Ok(flight) => flights.push(flight),
+            Err(error) => refused.push(error),
+        }
+    }
+    let audits = Audit::of_all(&flights);
+    // One log that is none keeps nothing back of the others.
+    let last = refused.pop();
+    refused.iter().for_each(|error| say(format_args!("{error}")));
+    if audits.is_empty() {
+        return last.map_or(Ok(()), Err).or_exit(Exit::Usage).map(|()| Exit::Ok);
+    }
     if json {
         print_json(&Summary { schema: "downwash.log.audit", schema_version: 1, logs: &audits })?;
     } else {
         print_text(&audits.iter().map(text).collect::<Vec<_>>().join("\n"))?;
     }
+    last.map_or(Ok(()), Err).or_exit(Exit::Usage)?;
     let limit = fail_on.map(|limit| match limit {
         FailOnFinding::Fault => Severity::Fault,
         FailOnFinding::Measurement => Severity::Measurement,
@@ -94,11 +108,18 @@ fn agreement(
     };
     let Agreement { delay_s, rotation_rad, bias, explained, .. } = agreement;
     write!(out, "  {name}: {:+.1} +- {:.1} ms", 1e3 * delay_s.value, 1e3 * delay_s.half_width)?;
-    let [x, y, z] = rotation_rad.map(|r| r.value.to_degrees());
-    let [bx, by, bz] = bias.map(|b| b.value);
+    let numbers = |of: &[Option<Estimate>; 3], precise: usize, factor: f64| {
+        let number = |of: &Option<Estimate>| match of {
+            Some(estimate) => format!("{:+.precise$}", factor * estimate.value),
+            None => "not shown".to_owned(),
+        };
+        of.each_ref().map(number).join(", ")
+    };
     writeln!(
         out,
-        ", turned ({x:+.2}, {y:+.2}, {z:+.2}) deg, bias ({bx:+.3}, {by:+.3}, {bz:+.3}) {unit}, {:.1} % explained",
+        ", turned ({}) deg, bias ({}) {unit}, {:.1} % explained",
+        numbers(rotation_rad, 2, 1f64.to_degrees()),
+        numbers(bias, 3, 1.0),
         100.0 * explained
     )
 }

@@ -20,7 +20,7 @@ use super::plan::{PlanModel, plan_trajectory, planner, sha256_of};
 use super::setup::{VehicleFile, built_in_trajectory};
 use super::simulation::Truth;
 use super::train::{Learning, Resume, learn};
-use super::{Exit, ExitContext, config, on_interrupt, say, write_file};
+use super::{Exit, ExitContext, Interruption, config, say, write_file};
 use crate::cli::{CollectArgs, Contestant, DemoArgs, SimulationArgs, TrainArgs};
 use crate::config::Config;
 use crate::learn::summary::TrainingSummary;
@@ -48,9 +48,9 @@ struct Learned {
     seconds: f64,
 }
 
-pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     if args.diagnose {
-        return demo_diagnose::run(args);
+        return demo_diagnose::run(args, interruption);
     }
     let began = Instant::now();
     let config = config::load(args.config.as_deref(), vec![])?;
@@ -76,9 +76,8 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
         truth: Truth::load(&simulation)?,
         simulation,
         config,
-        interrupted: Arc::new(AtomicBool::new(false)),
+        interrupted: interruption.flag(),
     };
-    on_interrupt(&demo.interrupted)?;
     let exit = demo.run(given, began)?;
     if exit == Exit::Interrupted {
         say(format_args!(
@@ -160,7 +159,7 @@ impl Demo<'_> {
             seed: args.seed,
             ..TrainArgs::new(collected.logs(), vehicle, path.clone())
         };
-        let Learning::Done(trained) = learn(&train, Resume::IfItBelongs)? else {
+        let Learning::Done(trained) = learn(&train, Resume::IfItBelongs, &self.interrupted)? else {
             return Ok(Err(Exit::Interrupted));
         };
         let file = ModelFile::load(&path)?;

@@ -19,12 +19,13 @@ use sitl::vehicle::VehicleParams;
 
 use super::collect::gather;
 use super::course::Course;
+use super::improved::{Additions, Form};
 use super::logs::open_for;
 use super::plan::{PlanModel, plan_trajectory};
 use super::setup::{EffectiveVehicle, VehicleFile, built_in_trajectory};
 use super::simulation::{Simulated, SimulatedFlight, Truth};
 use super::{
-    Exit, ExitContext, config, on_interrupt, print_json, print_text, say, summary, write_file,
+    Exit, ExitContext, Interruption, config, print_json, print_text, say, summary, write_file,
 };
 use crate::cli::{CollectArgs, DemoArgs, SimulationArgs};
 use crate::config::Config;
@@ -118,7 +119,7 @@ struct Flown {
     exit: Exit,
 }
 
-pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let began = Instant::now();
     let config = config::load(args.config.as_deref(), vec![])?;
     let shipped = match &args.vehicle {
@@ -140,9 +141,8 @@ pub(super) fn run(args: &DemoArgs) -> anyhow::Result<Exit> {
         shipped,
         desired,
         simulation,
-        interrupted: Arc::new(AtomicBool::new(false)),
+        interrupted: interruption.flag(),
     };
-    on_interrupt(&closed.interrupted)?;
     closed.run(began)
 }
 
@@ -269,10 +269,13 @@ impl Loop<'_> {
 
     /// Writes the vehicle file with what was found.
     fn improve(&self, diagnosis: &Diagnosis) -> anyhow::Result<VehicleFile> {
-        let mut improved = self.shipped.params.clone();
-        improved.modelled_effects = improved.modelled_effects.overlay(&diagnosis.effects);
-        let text = improved.to_toml().context("the improved vehicle file")?;
+        let logs: Vec<String> =
+            diagnosis.answer.flights.iter().map(|flight| flight.name.clone()).collect();
+        let additions = Additions::new(&diagnosis.effects, &diagnosis.answer, &logs)?;
+        let VehicleFile { text, params, .. } = &self.shipped;
         let path = self.args.out.join(IMPROVED);
+        let forms = [Form::of(Path::new(&self.shipped.name), text), Form::Toml];
+        let text = additions.to_file(text, params, forms)?;
         write_file(&path, text.as_bytes())?;
         VehicleFile::load(&path)
     }
@@ -402,6 +405,7 @@ impl Loop<'_> {
             gap: summary.gap.map(|gap| [gap.before, gap.after, gap.floor]),
             contenders: &summary.contenders,
             files: &files,
+            folder: &args.out,
             notes: &notes,
         });
         write_file(&summary.report, html.as_bytes())?;

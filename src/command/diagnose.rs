@@ -1,5 +1,7 @@
 //! `downwash diagnose`: where the gap lies, which effect causes it, how far it shrinks.
 
+use std::collections::BTreeSet;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
@@ -8,9 +10,12 @@ use serde::Serialize;
 use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
+use super::improved::{Additions, Form};
 use super::logs::open_for;
-use super::output::create_report_folder;
+use super::output::{create_report_folder, refuse_input};
 use super::setup::capability;
+use super::train::listed;
+use super::vehicle::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
@@ -37,6 +42,11 @@ const GUARD_S: f64 = 2.0;
 
 pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    if let Some(out) = &args.out {
+        let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
+        refuse_input(out, logs.map(PathBuf::as_path))?;
+    }
+    warn(&args.vehicle, &vehicle);
     // What would fail after the work is tried before it.
     let proposing = match (&args.next_flight, &args.config) {
         (None, None) => None,
@@ -71,7 +81,8 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         return tell(args, &vehicle, &Answer::data_fault(logs), &EffectSet::new());
     }
     if fitted.is_empty() && held_out.is_empty() {
-        return Err(anyhow!("none of the {} logs can be used", paths.len())).or_exit(Exit::Usage);
+        return Err(anyhow!("none of the logs can be used: {}", listed(&paths)))
+            .or_exit(Exit::Usage);
     }
     let blocked = held_out.is_empty() && fitted.len() == 1 || fitted.is_empty();
     if fitted.is_empty() {
@@ -122,10 +133,15 @@ fn tell(
         write_file(&folder.join("report.json"), &json)?;
     }
     if let Some(out) = &args.out {
-        let mut improved = vehicle.clone();
-        improved.modelled_effects = vehicle.modelled_effects.overlay(effects);
-        let text = improved.to_toml().context("improved vehicle file")?;
-        write_file(out, text.as_bytes())?;
+        let text = fs::read_to_string(&args.vehicle)
+            .with_context(|| format!("cannot read {}", args.vehicle.display()))
+            .or_exit(Exit::Usage)?;
+        let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
+        let names = logs.filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
+        let names: BTreeSet<String> = names.collect();
+        let additions = Additions::new(effects, answer, &Vec::from_iter(names))?;
+        let forms = [Form::of(&args.vehicle, &text), Form::of(out, "")];
+        write_file(out, additions.to_file(&text, vehicle, forms)?.as_bytes())?;
     }
     if args.json {
         print_json(&told)?;
@@ -183,8 +199,7 @@ fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -
         .zip(audits)
         .map(|(flight, audit)| AuditedLog {
             flight: prepare(flight, &audit, vehicle),
-            // A log of nothing is no log, whose data could be at fault.
-            audit: (!audit.is_of_nothing()).then(|| LogAnswer::of(&audit)),
+            audit: Some(LogAnswer::of(&audit)),
         })
         .collect();
     for (index, error) in refused {

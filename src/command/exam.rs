@@ -6,14 +6,15 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::{self, IsTerminal, Read};
 use std::num::NonZeroUsize;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, Output, Stdio};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 use std::thread;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -22,7 +23,7 @@ use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
-use super::{Exit, ExitContext, in_words, on_interrupt, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
 use crate::cli::ExamArgs;
 use crate::diagnose::noise::ReportNoise;
 use crate::diagnose::preparation::PreparedFlight;
@@ -71,11 +72,10 @@ struct Flown {
     logs: usize,
 }
 
-pub(super) fn run(args: &ExamArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let seed = args.seed.unwrap_or_else(entropy);
     say(format_args!("seed {seed}"));
-    let interrupted = Arc::new(AtomicBool::new(false));
-    on_interrupt(&interrupted)?;
+    let interrupted = interruption.flag();
     fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     // The processes that diagnose have other working directories.
@@ -168,6 +168,9 @@ fn kinds(args: &ExamArgs) -> Vec<Kind> {
     kinds
 }
 
+/// How often it is looked whether a diagnosis has ended, or the exam is to.
+const ENDED_PERIOD: Duration = Duration::from_millis(20);
+
 /// Where an exam is held.
 struct Hall<'a> {
     args: &'a ExamArgs,
@@ -186,6 +189,10 @@ impl Hall<'_> {
         what: &'static str,
         work: impl Fn(usize) -> anyhow::Result<T> + Sync,
     ) -> anyhow::Result<Vec<T>> {
+        // A bar shows only on a terminal.
+        if !io::stderr().is_terminal() {
+            say(format_args!("... {what} {count} cases"));
+        }
         let progress = progress_bar(count as u64, what);
         let next = AtomicUsize::new(0);
         let done = Mutex::new(BTreeMap::new());
@@ -265,10 +272,10 @@ impl Hall<'_> {
         let answers = self.out.join("answers");
         fs::create_dir_all(&answers)
             .with_context(|| format!("cannot create the folder {}", answers.display()))?;
-        self.each(flown.len(), "diagnosing", |number| {
+        let rows = self.each(flown.len(), "diagnosing", |number| {
             let case = &flown[number];
             let began = Instant::now();
-            let answer = self.answer(case);
+            let Some(answer) = self.answer(case).transpose() else { return Ok(None) };
             let seconds = began.elapsed().as_secs_f64();
             let given = answer.and_then(|bytes| {
                 write_file(&answers.join(format!("{}.json", case.name)), &bytes)?;
@@ -280,12 +287,14 @@ impl Hall<'_> {
             }
             let given = given.as_ref().map_err(in_words);
             let given = given.as_ref().map(|given| *given).map_err(String::as_str);
-            Ok(Row::new(&case.name, &case.key, given, closed, seconds))
-        })
+            Ok(Some(Row::new(&case.name, &case.key, given, closed, seconds)))
+        })?;
+        Ok(rows.into_iter().flatten().collect())
     }
 
-    /// What a process that sees nothing but the case's files answers.
-    fn answer(&self, case: &Flown) -> anyhow::Result<Vec<u8>> {
+    /// What a process that sees nothing but the case's files answers; `None` where it was
+    /// interrupted.
+    fn answer(&self, case: &Flown) -> anyhow::Result<Option<Vec<u8>>> {
         let program = std::env::current_exe().context("this program's own file")?;
         let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let mut command = Command::new(program);
@@ -293,9 +302,8 @@ impl Hall<'_> {
             .env_clear()
             .env("RAYON_NUM_THREADS", (cores / self.jobs).max(1).to_string())
             .current_dir(self.folder(&case.name))
-            // Ctrl-C is for this process: the diagnosis at hand is ended and scored.
+            // Ctrl-C is for this process, which ends the others.
             .process_group(0)
-            .stdin(Stdio::null())
             .args(["diagnose", "--json", "--vehicle", "vehicle.json"])
             .args(log_names(case.logs));
         if let Some(twins) = self.args.twins {
@@ -304,13 +312,43 @@ impl Hall<'_> {
         for effect in &case.key.without {
             command.args(["--without", effect]);
         }
-        let output = command.output().context("cannot start the diagnosis")?;
+        let output = self.output(&mut command).context("cannot run the diagnosis")?;
+        let Some(output) = output else { return Ok(None) };
         if !output.status.success() {
             let errors = String::from_utf8_lossy(&output.stderr);
             let last = errors.lines().last().unwrap_or_default();
             return Err(anyhow!("the diagnosis ended with {}: {last}", output.status));
         }
-        Ok(output.stdout)
+        Ok(Some(output.stdout))
+    }
+
+    /// Runs a process to its end; `None` where it was interrupted, and killed.
+    fn output(&self, command: &mut Command) -> io::Result<Option<Output>> {
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut process = command.spawn()?;
+        let (stdout, stderr) = (process.stdout.take(), process.stderr.take());
+        thread::scope(|scope| {
+            let stdout = scope.spawn(|| read_all(stdout));
+            let stderr = scope.spawn(|| read_all(stderr));
+            let status = loop {
+                if let Some(status) = process.try_wait()? {
+                    break Some(status);
+                }
+                if self.interrupted.load(Ordering::Relaxed) {
+                    process.kill()?;
+                    process.wait()?;
+                    break None;
+                }
+                thread::sleep(ENDED_PERIOD);
+            };
+            let joined = |pipe: thread::ScopedJoinHandle<'_, io::Result<Vec<u8>>>| match pipe.join()
+            {
+                Ok(bytes) => bytes,
+                Err(panic) => std::panic::resume_unwind(panic),
+            };
+            let (stdout, stderr) = (joined(stdout)?, joined(stderr)?);
+            Ok(status.map(|status| Output { status, stdout, stderr }))
+        })
     }
 
     /// What the answer truly closes on the flight held out; of an answer that names nothing, or
@@ -324,6 +362,14 @@ impl Hall<'_> {
         let held_out = [PreparedFlight::new(flight, &case.nominal).ok()?];
         closure(&case.nominal, &case.truth, &given.effect_set(), &held_out, &case.noise).ok()?
     }
+}
+
+fn read_all(pipe: Option<impl Read>) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    if let Some(mut pipe) = pipe {
+        pipe.read_to_end(&mut bytes)?;
+    }
+    Ok(bytes)
 }
 
 fn log_names(count: usize) -> impl Iterator<Item = String> {

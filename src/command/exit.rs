@@ -27,7 +27,13 @@ pub enum Exit {
 
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {
-        Self::from(match exit {
+        Self::from(exit.code())
+    }
+}
+
+impl Exit {
+    pub(super) fn code(self) -> u8 {
+        match self {
             Exit::Ok => 0,
             Exit::Failure => 1,
             Exit::Usage => 2,
@@ -37,6 +43,6 @@ impl From<Exit> for ExitCode {
             Exit::NoPlan => 6,
             Exit::Check => 10,
             Exit::Interrupted => 130,
-        })
+        }
     }
 }

@@ -8,7 +8,7 @@ use super::output::refuse_input;
 use super::{Exit, ExitContext, print_json, print_text};
 use crate::diagnose::audit::{Channels, Tier};
 use crate::log::import::{
-    self, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleFacts,
+    self, Choice, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleFacts,
 };
 
 /// The JSON of `log import`.
@@ -67,14 +67,23 @@ impl StreamSummary {
     }
 }
 
-pub(super) fn run(
-    file: &Path,
-    mapping: Option<&Path>,
-    out: &Path,
-    json: bool,
-) -> anyhow::Result<Exit> {
-    refuse_input(out, std::iter::once(file).chain(mapping))?;
-    let flight = import::open(file, mapping).or_exit(Exit::Usage)?;
+/// What is to be imported, and how.
+pub(super) struct Import<'a> {
+    pub file: &'a Path,
+    pub choice: Choice<'a>,
+    /// Only a mapping file is printed where there is no output.
+    pub out: Option<&'a Path>,
+    pub json: bool,
+}
+
+pub(super) fn run(import: Import<'_>) -> anyhow::Result<Exit> {
+    let Import { file, choice, out, json } = import;
+    let Some(out) = out else {
+        print_text(&import::propose(file).or_exit(Exit::Usage)?)?;
+        return Ok(Exit::Ok);
+    };
+    refuse_input(out, std::iter::once(file).chain(choice.mapping))?;
+    let flight = import::open_chosen(file, choice).or_exit(Exit::Usage)?;
     let messages = import::write(&flight, out)?;
     let summary = summary(&flight, out, messages);
     if json {
@@ -170,7 +179,10 @@ fn text(summary: &Summary) -> String {
     }
     let delay = summary.clock_delay_s.map_or(String::new(), |s| format!(" ({:.1} ms)", s * 1e3));
     lines.push(format!("  clocks: {}{delay}", summary.clock));
-    lines.push(format!("  motor outputs: {}, from {}", summary.motor_unit, summary.motor_source));
+    if summary.streams.iter().any(|stream| stream.stream == "outputs" && stream.samples > 0) {
+        let (unit, source) = (summary.motor_unit, summary.motor_source);
+        lines.push(format!("  motor outputs: {unit}, from {source}"));
+    }
     let tier = summary.tier.map_or("none: no whole pose".to_owned(), |tier| tier.to_string());
     lines.push(format!("  tier: {tier}"));
     lines.extend(vehicle(&summary.vehicle));
@@ -186,6 +198,9 @@ fn vehicle(facts: &VehicleFacts) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(autopilot) = &facts.autopilot {
         lines.push(format!("  autopilot: {autopilot}"));
+    }
+    for stated in &facts.kinds {
+        lines.push(format!("  vehicle: {}, as {}", stated.kind, stated.by));
     }
     let motors = facts.motors.map(|motors| format!("{motors} motors"));
     let frame: Vec<String> = [facts.frame.clone(), motors].into_iter().flatten().collect();

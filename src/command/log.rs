@@ -6,11 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 
+use super::import::Import;
 use super::output::{Output, refuse_input};
 use super::{Exit, ExitContext, audit, import, print_json, say, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
+use crate::log::import::Choice;
 use crate::log::info::LogInfo;
 use crate::log::reader::ReadError;
 use crate::report::FlightReport;
@@ -32,8 +34,9 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
             };
             export(&file, topic.as_deref(), format, out)
         }
-        LogCommand::Import { file, mapping, out, json } => {
-            import::run(&file, mapping.as_deref(), &out, json)
+        LogCommand::Import { file, mapping, boot, propose: _, out, json } => {
+            let choice = Choice { mapping: mapping.as_deref(), boot };
+            import::run(Import { file: &file, choice, out: out.as_deref(), json })
         }
         LogCommand::Audit { logs, mapping, fail_on, json } => {
             audit::run(&logs, mapping.as_deref(), fail_on, json)

@@ -14,7 +14,7 @@ use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
 use crate::learn::segments::Cut;
 use crate::learn::summary::RefusedLog;
-use crate::log::import::{self, Flight};
+use crate::log::import::{self, Flight, RotorFact};
 
 /// Flights to learn from, in the order of their names, and logs that were refused.
 pub(super) struct Logs {
@@ -105,7 +105,31 @@ pub(super) fn open_for(
             anyhow::bail!("it is of another vehicle: {difference}");
         }
     }
+    check_rotor_order(&flight, vehicle)?;
     Ok(flight)
+}
+
+/// Refuses a log whose autopilot states other motors in the order of its outputs than the vehicle
+/// file.
+fn check_rotor_order(flight: &Flight, vehicle: &VehicleParams) -> anyhow::Result<()> {
+    let Ok(stated) = <[RotorFact; 4]>::try_from(flight.facts.rotors.clone()) else {
+        return Ok(());
+    };
+    let file = vehicle.rotors.map(|rotor| RotorFact {
+        front: rotor.position_m[0],
+        right: rotor.position_m[1],
+        spin: rotor.spin,
+    });
+    let [stated, file] = [stated, file].map(|rotors| RotorFact::in_words(&rotors));
+    if stated == file {
+        return Ok(());
+    }
+    anyhow::bail!(
+        "the vehicle file's [[rotors]] are not in the order of its motors: the log states {}; the file has {}; \
+         put the file's into the log's order",
+        stated.join(", "),
+        file.join(", ")
+    )
 }
 
 /// The times that the audit calls unusable. Gaps are cut by what is learned from.

@@ -14,7 +14,10 @@ mod exit;
 mod fly;
 mod goal_file;
 mod import;
+mod improved;
 mod inspect;
+mod interruption;
+mod link_parameters;
 mod listen;
 mod log;
 mod logs;
@@ -31,11 +34,10 @@ mod status_line;
 mod stop;
 mod summary;
 mod train;
+mod vehicle;
 
 use std::io::{self, Write};
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use anyhow::Context;
 use serde::Serialize;
@@ -43,6 +45,7 @@ use serde::Serialize;
 use crate::cli::{Cli, Command};
 use crate::log::partial::PartialFile;
 pub use exit::Exit;
+use interruption::Interruption;
 pub use messages::Messages;
 
 /// Runs the command.
@@ -51,7 +54,7 @@ pub use messages::Messages;
 /// What failed, with context; [`exit_of`] finds the exit code in it.
 pub fn run(cli: Cli) -> anyhow::Result<Exit> {
     match cli.command {
-        Command::Demo(args) => demo::run(&args),
+        // These fly a vehicle, or are one, and end as that allows.
         Command::Fly(args) => fly::run(&args),
         Command::Collect(args) => collect::run(&args),
         Command::Daemon(args) => daemon::run(&args),
@@ -64,18 +67,29 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
             inspect::run(&args)
         }
         Command::Sitl(args) => sitl::run(&args),
+        Command::Demo(args) => demo::run(&args, &Interruption::watch()?),
+        Command::Train(args) => train::run(&args, &Interruption::watch()?),
+        Command::Plan(args) => plan::run(&args, &Interruption::watch()?),
+        Command::Exam(args) => exam::run(&args, &Interruption::watch()?),
+        Command::Diagnose(args) => {
+            Interruption::watch()?;
+            diagnose::run(&args)
+        }
         Command::Log(command) => {
+            Interruption::watch()?;
             end_on_broken_pipe();
             log::run(command)
         }
-        Command::Train(args) => train::run(&args),
         Command::Model(command) => {
+            Interruption::watch()?;
             end_on_broken_pipe();
             model::run(command)
         }
-        Command::Plan(args) => plan::run(&args),
-        Command::Diagnose(args) => diagnose::run(&args),
-        Command::Exam(args) => exam::run(&args),
+        Command::Vehicle(command) => {
+            Interruption::watch()?;
+            end_on_broken_pipe();
+            vehicle::run(command)
+        }
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)
@@ -127,24 +141,6 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
 fn end_on_broken_pipe() {
     // SAFETY: restores the system's default action; no handler of ours is involved.
     unsafe { libc::signal(libc::SIGPIPE, libc::SIG_DFL) };
-}
-
-/// Exit code of [`Exit::Interrupted`].
-const EXIT_INTERRUPTED: i32 = 130;
-
-/// Sets `flag` on the first Ctrl-C or SIGTERM; the next ends the program at once.
-fn on_interrupt(flag: &Arc<AtomicBool>) -> anyhow::Result<()> {
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        // The order matters: the second signal finds the flag set by the first.
-        signal_hook::flag::register_conditional_shutdown(
-            signal,
-            EXIT_INTERRUPTED,
-            Arc::clone(flag),
-        )
-        .and_then(|_| signal_hook::flag::register(signal, Arc::clone(flag)))
-        .context("cannot watch for Ctrl-C")?;
-    }
-    Ok(())
 }
 
 /// Writes a line to stderr, and goes on where nobody reads it.

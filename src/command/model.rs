@@ -12,6 +12,7 @@ use sitl::vehicle::VehicleParams;
 use super::logs::Logs;
 use super::output::{Output, refuse_input};
 use super::progress::StageBar;
+use super::train::listed;
 use super::{Exit, ExitContext, print_json, print_text, say, write_file};
 use crate::cli::ModelCommand;
 use crate::learn::commands::Onboard;
@@ -125,12 +126,13 @@ fn eval(
     let file = load(path, vehicle)?;
     let onboard = Onboard::new(&file.vehicle).or_exit(Exit::Usage)?;
     let windows = windows_of(&file);
+    let names = listed(logs);
     let mut bar = StageBar::new(Arc::default());
     bar.stage("logs", logs.len() as u64);
     let mut logs = Logs::read(logs, mapping, &file.vehicle, &onboard, &windows, |_| bar.step(""));
     if logs.flights.is_empty() {
         bar.clear();
-        return Err(anyhow!("none of the logs can be used")).or_exit(Exit::Usage);
+        return Err(anyhow!("none of the logs can be used: {}", names)).or_exit(Exit::Usage);
     }
     let evaluation = evaluate(&file, &onboard, &mut logs.flights, &mut bar);
     bar.clear();

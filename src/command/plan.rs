@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -14,7 +14,8 @@ use sitl::vehicle::VehicleParams;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::setup::{EffectiveVehicle, VehicleFile};
-use super::{Exit, ExitContext, config, on_interrupt, print_json, print_text, say, write_file};
+use super::vehicle::refuse_grounded;
+use super::{Exit, ExitContext, Interruption, config, print_json, print_text, say, write_file};
 use crate::cli::PlanArgs;
 use crate::config::Config;
 use crate::model::Model;
@@ -105,9 +106,7 @@ pub(super) fn planner(
         })
         .or_exit(Exit::Usage)?;
     let planned = PlannedVehicle {
-        mass_kg: effective.hover.mass_kg,
-        gravity: effective.hover.gravity,
-        thrust_full_n: effective.thrust_full_n,
+        body: effective.body(),
         attitude_pd,
         limits: config.settings.pilot.limits,
     };
@@ -173,7 +172,7 @@ struct PlanSummary<'a> {
     plan: &'a Path,
 }
 
-pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let given = [&args.model, &args.vehicle, &args.config].into_iter().flatten();
     refuse_input(&args.out, given.chain([&args.trajectory]).map(PathBuf::as_path))?;
     create_report_folder(args.report.as_deref())?;
@@ -185,15 +184,18 @@ pub(super) fn run(args: &PlanArgs) -> anyhow::Result<Exit> {
         config.settings.plan.time_limit_s = limit;
     }
     let vehicle = match (&args.vehicle, &args.model) {
-        (Some(path), _) => VehicleParams::load(path).or_exit(Exit::Usage)?,
+        (Some(path), _) => {
+            let vehicle = VehicleParams::load(path).or_exit(Exit::Usage)?;
+            refuse_grounded(&path.display().to_string(), &vehicle)?;
+            vehicle
+        }
         (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
         (None, None) => VehicleFile::built_in()?.params,
     };
     let through = model_for(&vehicle, args.model.as_deref(), args.kind)?;
     let trajectory = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
 
-    let interrupted = Arc::new(AtomicBool::new(false));
-    on_interrupt(&interrupted)?;
+    let interrupted = interruption.flag();
     say(format_args!(
         "planning {} ({:.1} s) through the {} model",
         trajectory.name(),

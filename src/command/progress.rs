@@ -1,10 +1,13 @@
 //! Progress bars on stderr, which show nothing where it is no terminal.
 
+use std::io::{self, IsTerminal};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use super::say;
+use crate::learn::networks::Progress;
 use crate::learn::procedure::Watch;
 
 /// A bar of so many steps.
@@ -23,12 +26,18 @@ pub(super) fn flight_bar(length_s: f64) -> ProgressBar {
 pub(super) struct StageBar {
     bar: ProgressBar,
     interrupted: Arc<AtomicBool>,
+    keep: Option<Box<dyn Fn(&Progress) + Send>>,
 }
 
 impl StageBar {
     /// `interrupted` ends the training.
     pub fn new(interrupted: Arc<AtomicBool>) -> Self {
-        Self { bar: bar(1, "{prefix:10} {bar:40} {percent:>3} %  {msg}"), interrupted }
+        Self { bar: bar(1, "{prefix:10} {bar:40} {percent:>3} %  {msg}"), interrupted, keep: None }
+    }
+
+    /// What to do with trained networks before they are judged.
+    pub fn keep_by(&mut self, keep: Option<Box<dyn Fn(&Progress) + Send>>) {
+        self.keep = keep;
     }
 
     /// Takes it off the terminal.
@@ -39,6 +48,10 @@ impl StageBar {
 
 impl Watch for StageBar {
     fn stage(&mut self, name: &str, steps: u64) {
+        // A bar shows only on a terminal.
+        if !io::stderr().is_terminal() {
+            say(format_args!("... {name}"));
+        }
         self.bar.set_prefix(name.to_owned());
         self.bar.set_length(steps);
         self.bar.set_position(0);
@@ -51,5 +64,11 @@ impl Watch for StageBar {
 
     fn interrupted(&self) -> bool {
         self.interrupted.load(Ordering::Relaxed)
+    }
+
+    fn trained(&mut self, progress: &Progress) {
+        if let Some(keep) = &self.keep {
+            keep(progress);
+        }
     }
 }

@@ -10,6 +10,7 @@ use sitl::vehicle::{AttitudePd, VehicleParams};
 use wire::Endpoint;
 
 use super::course::Course;
+use super::vehicle::refuse_grounded;
 use super::{Exit, ExitContext};
 use crate::config::{Config, FormSetting};
 use crate::control::{AttitudeLoop, Lqr, LqrSettings};
@@ -30,10 +31,11 @@ pub(super) struct VehicleFile {
 }
 
 impl VehicleFile {
-    /// Reads and checks a vehicle file.
+    /// Reads and checks the file of a vehicle that is to fly.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let params = VehicleParams::load(path).or_exit(Exit::Usage)?;
-        let text = std::fs::read_to_string(path)
+        refuse_grounded(&path.display().to_string(), &params)?;
+        let text = sitl::vehicle::read(path)
             .with_context(|| format!("vehicle file {}", path.display()))
             .or_exit(Exit::Usage)?;
         Ok(Self { name: path.display().to_string(), text, params })
@@ -120,7 +122,7 @@ pub(super) fn station_settings(
 }
 
 /// The speed of a serial endpoint.
-fn baud(endpoint: &Endpoint) -> Option<u32> {
+pub(super) fn baud(endpoint: &Endpoint) -> Option<u32> {
     match endpoint {
         Endpoint::Serial { baud, .. } => Some(*baud),
         _ => None,

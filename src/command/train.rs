@@ -11,7 +11,10 @@ use sitl::vehicle::VehicleParams;
 use super::logs::Logs;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
-use super::{Exit, ExitContext, in_words, model, print_json, print_text, say, write_file};
+use super::vehicle::warn;
+use super::{
+    Exit, ExitContext, Interruption, in_words, model, print_json, print_text, say, write_file,
+};
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
@@ -23,9 +26,9 @@ use crate::learn::training::Method;
 use crate::learn::training_set::TrainingSet;
 use crate::model::features::Features;
 
-pub(super) fn run(args: &TrainArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &TrainArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let resume = if args.resume { Resume::Always } else { Resume::Never };
-    let Trained { summary, report } = match learn(args, resume)? {
+    let Trained { summary, report } = match learn(args, resume, &interruption.flag())? {
         Learning::Done(trained) => *trained,
         Learning::Interrupted(checkpoint) => {
             say(format_args!(
@@ -73,13 +76,18 @@ pub(super) enum Resume {
 }
 
 /// Trains, and writes the model file and the report. `args.resume` is the caller's to read.
-pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning> {
+pub(super) fn learn(
+    args: &TrainArgs,
+    resume: Resume,
+    interrupted: &Arc<AtomicBool>,
+) -> anyhow::Result<Learning> {
     let checkpoint_path = checkpoint_path(&args.out);
     let inputs = || args.logs.iter().chain([&args.vehicle]).chain(&args.mapping);
     for out in [&args.out, &checkpoint_path] {
         refuse_input(out, inputs().map(PathBuf::as_path))?;
     }
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    warn(&args.vehicle, &vehicle);
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
     if let Some(weight) = args.regularization.iter().find(|weight| !(0.0..1.0).contains(*weight)) {
         let error = anyhow!("--regularization: expected at least 0 and below 1, found {weight}");
@@ -108,7 +116,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
         Resume::IfItBelongs => load_checkpoint(&checkpoint_path).ok(),
     };
 
-    let mut bar = StageBar::new(interrupt_flag()?);
+    let mut bar = StageBar::new(Arc::clone(interrupted));
     let windows_of =
         |window: &f64| WindowSettings { half_s: window * 1e-3, ..WindowSettings::default() };
     let (first, others) = args
@@ -129,8 +137,7 @@ pub(super) fn learn(args: &TrainArgs, resume: Resume) -> anyhow::Result<Learning
                 bar.clear();
                 // What is there and was not come to yet is of a later window, and holds more.
                 if progress.is_none() {
-                    let json = serde_json::to_vec(&reached).context("checkpoint")?;
-                    write_file(&checkpoint_path, &sealed(&json))?;
+                    keep(&reached, &checkpoint_path)?;
                 }
                 return Ok(Learning::Interrupted(checkpoint_path));
             }
@@ -202,7 +209,7 @@ fn read(
     });
     if logs.flights.is_empty() {
         bar.clear();
-        return Err(anyhow!("none of the {} logs can be used", args.logs.len()))
+        return Err(anyhow!("none of the logs can be used: {}", listed(&args.logs)))
             .or_exit(Exit::Usage);
     }
     Ok(logs)
@@ -236,7 +243,10 @@ fn train_with(
         windows_half_s: args.window.iter().map(|window| window * 1e-3).collect(),
     };
     bar.stage("physics", 1);
-    let set = TrainingSet::new(vehicle, onboard, &mut logs.flights).or_exit(Exit::Usage)?;
+    let names = listed(&args.logs);
+    let set = TrainingSet::new(vehicle, onboard, &mut logs.flights)
+        .with_context(|| names.clone())
+        .or_exit(Exit::Usage)?;
     if progress.as_ref().is_some_and(|progress| !belongs(progress, &set, &settings)) {
         if resume == Resume::Always {
             bar.clear();
@@ -245,7 +255,28 @@ fn train_with(
         *progress = None;
     }
     let own = progress.take_if(|progress| progress.window_half_s() == settings.window_half_s);
-    train(&set, &settings, windows, logs.refused.clone(), own, bar).or_exit(Exit::Usage)
+    let path = checkpoint_path(&args.out);
+    let keep_trained: Box<dyn Fn(&Progress) + Send> = Box::new(move |reached| {
+        if let Err(error) = keep(reached, &path) {
+            say(format_args!("warning: {}", in_words(&error)));
+        }
+    });
+    // As where it is interrupted.
+    bar.keep_by(progress.is_none().then_some(keep_trained));
+    train(&set, &settings, windows, logs.refused.clone(), own, bar)
+        .with_context(|| names)
+        .or_exit(Exit::Usage)
+}
+
+/// Files for an error: the first few, and how many more.
+pub(super) fn listed(files: &[PathBuf]) -> String {
+    const NAMED: usize = 3;
+    let named: Vec<String> =
+        files.iter().take(NAMED).map(|file| file.display().to_string()).collect();
+    match files.len().saturating_sub(NAMED) {
+        0 => named.join(", "),
+        more => format!("{} and {more} more", named.join(", ")),
+    }
 }
 
 /// Where an interrupted training of a model file is kept.
@@ -253,6 +284,12 @@ fn checkpoint_path(out: &Path) -> PathBuf {
     let mut path = out.as_os_str().to_owned();
     path.push(".checkpoint");
     PathBuf::from(path)
+}
+
+/// Writes a checkpoint.
+fn keep(reached: &Progress, path: &Path) -> anyhow::Result<()> {
+    let json = serde_json::to_vec(reached).context("checkpoint")?;
+    write_file(path, &sealed(&json))
 }
 
 fn load_checkpoint(path: &Path) -> anyhow::Result<Progress> {
@@ -280,13 +317,6 @@ fn unsealed(bytes: &[u8]) -> anyhow::Result<&[u8]> {
         return Err(anyhow!("its content is not what was written"));
     }
     Ok(content)
-}
-
-/// Set by the first Ctrl-C; the second ends the program at once.
-fn interrupt_flag() -> anyhow::Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    super::on_interrupt(&flag)?;
-    Ok(flag)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use toml::Value;
 
-use crate::control::Limits;
+use crate::control::{Limits, OffsetFreeSettings};
 use crate::pilot::{GuidanceSettings, PilotSettings};
 use crate::supervisor::SupervisorSettings;
 
@@ -67,6 +67,9 @@ pub(super) fn check_pilot(settings: &PilotSettings) -> Result<(), Impossible> {
     positive(&["pilot.guidance.approach_yaw_rate_rad_s"], approach_yaw_rate_rad_s)?;
     positive(&["pilot.guidance.settle_speed_m_s"], settle_speed_m_s)?;
     positive(&["pilot.safety.tilt_max_rad"], settings.safety.tilt_max_rad)?;
+    let OffsetFreeSettings { time_constant_s, velocity_time_constant_s, .. } = settings.offset_free;
+    positive(&["pilot.offset_free.time_constant_s"], time_constant_s)?;
+    positive(&["pilot.offset_free.velocity_time_constant_s"], velocity_time_constant_s)?;
     check_times(&settings.supervisor)
 }
 

@@ -18,6 +18,17 @@ pub struct Actuation {
 impl Actuation {
     /// At once: the paper's model.
     pub const IMMEDIATE: Self = Self { command_delay_s: 0.0, motor_time_constant_s: 0.0 };
+
+    /// From a thrust's sending to its use, the rotors' lag taken for a delay, s.
+    pub fn thrust_delay_s(&self) -> f64 {
+        self.command_delay_s + self.motor_time_constant_s
+    }
+
+    /// The same of an attitude's, beside `attitude_loop`'s own answer.
+    pub fn attitude_delay_s(&self, attitude_loop: &AttitudeLoop) -> f64 {
+        let is_before = attitude_loop.is_before_the_rotors();
+        if is_before { self.thrust_delay_s() } else { self.command_delay_s }
+    }
 }
 
 /// Thrust and the three angular accelerations, as the rotors give them.

@@ -1,9 +1,11 @@
 //! The attitude loop between the setpoint and the vehicle's angular acceleration.
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Euler, wrap_angle};
+use sitl::frame::{Euler, Frd, wrap_angle};
 use sitl::scalar::Scalar;
 use sitl::vehicle::AttitudePd;
+
+use crate::setpoint::Setpoint;
 
 /// Which loop tracks the attitude, and what of the setpoint it listens to. The LQR's model has the
 /// loop that is really there; each triple is roll, pitch, yaw.
@@ -54,6 +56,43 @@ pub enum AttitudeLoop {
     },
 }
 
+/// Which attitude error an on-board loop acts on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AttitudeError {
+    /// The differences of roll, pitch and yaw, as the paper's loop.
+    Angles,
+    /// The rotation from the vehicle's to the desired attitude, in body axes, as PX4 and
+    /// ArduCopter: roll and pitch of a setpoint then count about its own heading.
+    Rotation,
+}
+
+impl AttitudeError {
+    /// The error of `actual` from `desired` about roll, pitch and yaw, rad.
+    pub(super) fn between(self, desired: Euler, actual: Euler) -> [f64; 3] {
+        match self {
+            Self::Angles => angle_error(desired, actual),
+            Self::Rotation => {
+                actual.attitude().rotation_to(desired.attitude().normalized()).to_array()
+            }
+        }
+    }
+
+    /// `setpoint`, whose roll and pitch are about the vehicle's heading `yaw`, as this loop must
+    /// be sent it: with the same direction of thrust in the world, whatever yaw it asks for.
+    fn addressed(self, setpoint: Setpoint, yaw: f64) -> Setpoint {
+        let Euler { roll, pitch, yaw: heading } = setpoint.attitude;
+        let attitude = match self {
+            Self::Angles => return setpoint,
+            Self::Rotation => {
+                let down = Euler::new(roll, pitch, wrap_angle(yaw - heading)).attitude();
+                let [x, y, z] = down.to_world(Frd::new(0.0, 0.0, 1.0)).to_array();
+                Euler::new((-y).clamp(-1.0, 1.0).asin(), x.atan2(z), heading)
+            }
+        };
+        Setpoint { attitude, ..setpoint }
+    }
+}
+
 impl From<AttitudePd> for AttitudeLoop {
     fn from(pd: AttitudePd) -> Self {
         Self::Pd { kp: pd.kp, kd: pd.kd }
@@ -78,6 +117,30 @@ impl AttitudeLoop {
     /// A critically damped attitude loop of these natural frequencies, rad/s.
     pub const fn responding_at(natural_frequency: [f64; 3]) -> Self {
         Self::Attitude { natural_frequency, damping: [1.0; 3] }
+    }
+
+    /// By how much a desired attitude must lead for the attitude to turn at a desired body rate that
+    /// the loop is not sent: `Kp^-1 Kd`, s. `None` for a loop that takes rates.
+    pub fn rate_lead_s(&self) -> Option<[f64; 3]> {
+        match self {
+            Self::AttitudePd { kp, kd } => Some(std::array::from_fn(|i| kd[i] / kp[i])),
+            Self::Attitude { natural_frequency, damping } => {
+                Some(std::array::from_fn(|i| 2.0 * damping[i] / natural_frequency[i]))
+            }
+            Self::Pd { .. } | Self::RatePd { .. } | Self::Rates { .. } => None,
+        }
+    }
+
+    /// `setpoint` as this loop must be sent it at the vehicle's heading `yaw`. Where it takes no
+    /// rates, they are folded into the attitude by its own law:
+    /// `kp (zeta_des + Kp^-1 Kd omega_des - zeta) - kd omega` is the moment of the loop that takes
+    /// both.
+    pub fn addressed(&self, error: AttitudeError, setpoint: Setpoint, yaw: f64) -> Setpoint {
+        let Some(lead) = self.rate_lead_s() else { return setpoint };
+        let ahead = setpoint.body_rate.scale_by(lead).to_array();
+        let Euler { roll, pitch, yaw: heading } = setpoint.attitude;
+        let attitude = Euler::new(roll + ahead[0], pitch + ahead[1], heading + ahead[2]);
+        error.addressed(Setpoint { attitude, body_rate: Frd::zero(), ..setpoint }, yaw)
     }
 
     /// Whether its gains make moments that the rotors then follow with their lag. The others were
@@ -128,4 +191,65 @@ pub(super) fn angle_error(desired: Euler, actual: Euler) -> [f64; 3] {
         wrap_angle(desired.pitch - actual.pitch),
         wrap_angle(desired.yaw - actual.yaw),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const INERTIA: [f64; 3] = [0.0115, 0.0125, 0.021];
+    const KP: [f64; 3] = [1.9, 2.1, 0.5];
+    const KD: [f64; 3] = [0.27, 0.29, 0.19];
+
+    proptest! {
+        #[test]
+        fn folded_rates_make_the_moments_of_the_loop_that_takes_them(
+            desired in prop::array::uniform3(-0.5..0.5f64),
+            rate_desired in prop::array::uniform3(-2.0..2.0f64),
+            rate in prop::array::uniform3(-2.0..2.0f64),
+        ) {
+            let [roll, pitch, yaw] = desired;
+            let setpoint = Setpoint {
+                thrust_n: 9.0,
+                attitude: Euler::new(roll, pitch, yaw),
+                body_rate: rate_desired.into(),
+            };
+            let natural_frequency = std::array::from_fn(|i| (KP[i] / INERTIA[i]).sqrt());
+            let damping =
+                std::array::from_fn(|i| KD[i] / (2.0 * (KP[i] * INERTIA[i]).sqrt()));
+            let whole = AttitudeLoop::Pd { kp: KP, kd: KD };
+            for part in [
+                AttitudeLoop::AttitudePd { kp: KP, kd: KD },
+                AttitudeLoop::Attitude { natural_frequency, damping },
+            ] {
+                let sent = part.addressed(AttitudeError::Angles, setpoint, 0.3);
+                prop_assert_eq!(sent.body_rate, Frd::zero());
+                let error = |attitude: Euler| [attitude.roll, attitude.pitch, attitude.yaw];
+                let turn = |it: &AttitudeLoop, sent: &Setpoint| {
+                    let rates = sent.body_rate.to_array();
+                    it.angular_acceleration(INERTIA, error(sent.attitude), rates, rate)
+                };
+                let (folded, both) = (turn(&part, &sent), turn(&whole, &setpoint));
+                for (folded, both) in folded.into_iter().zip(both) {
+                    prop_assert!((folded - both).abs() < 1e-9 * (1.0 + both.abs()));
+                }
+            }
+            prop_assert_eq!(whole.addressed(AttitudeError::Angles, setpoint, 0.3), setpoint);
+        }
+
+        #[test]
+        fn loop_on_the_rotation_is_sent_the_same_direction_of_thrust_at_any_heading(
+            roll in -0.5..0.5f64, pitch in -0.5..0.5f64, yaw in -3.0..3.0f64, ahead in -0.8..0.8f64,
+        ) {
+            let heading = wrap_angle(yaw + ahead);
+            let setpoint =
+                Setpoint { attitude: Euler::new(roll, pitch, heading), ..Setpoint::default() };
+            let sent = AttitudeLoop::PX4.addressed(AttitudeError::Rotation, setpoint, yaw);
+            let down = |attitude: Euler| attitude.attitude().to_world(Frd::new(0.0, 0.0, 1.0));
+            let wanted = down(Euler::new(roll, pitch, yaw));
+            prop_assert!((down(sent.attitude) - wanted).norm() < 1e-9);
+            prop_assert!(wrap_angle(sent.attitude.yaw - heading).abs() < 1e-12);
+        }
+    }
 }

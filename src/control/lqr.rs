@@ -106,6 +106,7 @@ const ATTEMPTS: usize = 24;
 /// The feedback law `u_hat = u_hat* + K T_R (s - s*)`.
 #[derive(Clone, Debug)]
 pub struct Lqr {
+    attitude_loop: AttitudeLoop,
     gain: SMatrix<f64, INPUTS, STATES>,
     spectral_radius: f64,
     horizontal_error_max_m: f64,
@@ -130,6 +131,7 @@ impl Lqr {
         let (q, r) = settings.weights(vehicle.hover_thrust_n());
         let solution = solve_dare(&model.state, &model.input, &q, &r)?;
         Ok(Self {
+            attitude_loop: *attitude_loop,
             gain: -solution.gain,
             spectral_radius: solution.spectral_radius,
             horizontal_error_max_m: settings.horizontal_error_max_m,
@@ -192,6 +194,11 @@ impl Lqr {
     /// position, velocity, (roll, pitch, yaw), body rate.
     pub fn gain(&self) -> &SMatrix<f64, INPUTS, STATES> {
         &self.gain
+    }
+
+    /// The loop that it is designed around.
+    pub fn attitude_loop(&self) -> &AttitudeLoop {
+        &self.attitude_loop
     }
 
     /// Spectral radius of the linear closed loop.

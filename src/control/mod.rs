@@ -2,6 +2,8 @@
 
 mod actuation;
 mod attitude_loop;
+mod controller;
+mod disturbance;
 mod hover_model;
 mod limits;
 mod lqr;
@@ -9,7 +11,9 @@ mod output_feedback;
 mod riccati;
 
 pub use actuation::Actuation;
-pub use attitude_loop::AttitudeLoop;
+pub use attitude_loop::{AttitudeError, AttitudeLoop};
+pub use controller::Controller;
+pub use disturbance::{DisturbanceObserver, OffsetFreeSettings, Shift, Use};
 pub use hover_model::{HoverModel, HoverVehicle};
 pub use limits::{Limits, Saturation};
 pub use lqr::{DesignError, Lqr, LqrSettings};

@@ -14,6 +14,7 @@ mod tier;
 mod timing;
 mod trial;
 mod values;
+mod vehicle;
 mod weak;
 
 use serde::Serialize;
@@ -92,6 +93,7 @@ impl Audit {
         };
         timing::check(flight, &mut audit);
         values::check(flight, &mut audit);
+        vehicle::check(flight, &mut audit);
         motors::check(flight, &mut audit);
         conventions::check(flight, &mut audit);
         audit.sort();
@@ -110,11 +112,6 @@ impl Audit {
     /// Whether the data are at fault: nothing may be concluded from the log before that is mended.
     pub fn is_faulty(&self) -> bool {
         self.findings.iter().any(|finding| finding.severity == Severity::Fault)
-    }
-
-    /// Whether the log holds nothing at all.
-    pub fn is_of_nothing(&self) -> bool {
-        self.faults().any(|fault| fault.check == timing::EMPTY)
     }
 
     /// Faults for which the whole log is left out: those that are not a matter of some times of it.

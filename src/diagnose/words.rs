@@ -2,7 +2,7 @@
 
 use sitl::effects::EffectId;
 
-use super::answer::{Answer, EffectAnswer, FullVerdict, Gap, Parameter, Verdict};
+use super::answer::{Answer, EffectAnswer, FullVerdict, Parameter, Verdict};
 use super::judgement::{Balance, Unexplained, is_open_alone};
 use super::misfit::{Misfit, share_left, standing_out};
 use super::next_flight::NextFlight;
@@ -142,7 +142,7 @@ fn effect(answer: &Answer) -> String {
                it: the gap stays open, and the vehicle file is left as it is.";
     }
     if let Some(gap) = &answer.gap {
-        text += &shrinks(gap);
+        text += &shrinks([gap.before, gap.after], gap.closure);
     }
     if !answer.ambiguous_with.is_empty() {
         let others = listed(answer.ambiguous_with.iter().copied());
@@ -151,13 +151,19 @@ fn effect(answer: &Answer) -> String {
     text
 }
 
-fn shrinks(gap: &Gap) -> String {
-    let Some(closure) = gap.closure else { return String::new() };
+/// What the effects make of the gap, before and after, in units of the noise.
+fn shrinks(gaps: [f64; 2], closure: Option<f64>) -> String {
+    let Some(closure) = closure else { return String::new() };
+    let [before, after] = gaps.map(|gap| format!("{gap:.2}"));
+    if before == after || gaps[1] > gaps[0] {
+        return format!(
+            " On the flights held out the gap does not shrink: {before} times the noise before, \
+             {after} after."
+        );
+    }
     format!(
-        " On the flights held out the gap shrinks from {:.2} to {:.2} times the noise: {:.0} % of \
-         what can be closed.",
-        gap.before,
-        gap.after,
+        " On the flights held out the gap shrinks from {before} to {after} times the noise: {:.0} % \
+         of what can be closed.",
         100.0 * closure
     )
 }
@@ -340,6 +346,15 @@ mod tests {
     use super::super::judgement::Size;
     use super::super::leftover::{UnmodelledForce, UnmodelledMoment};
     use super::*;
+
+    #[test]
+    fn a_gap_that_grows_is_not_said_to_shrink() {
+        assert!(shrinks([1.29, 1.23], Some(0.3)).contains("shrinks from 1.29 to 1.23"));
+        for gaps in [[1.23, 1.29], [1.231, 1.229]] {
+            let text = shrinks(gaps, Some(0.3));
+            assert!(text.contains("does not shrink"), "{text}");
+        }
+    }
 
     #[test]
     fn what_nothing_explains_is_told_by_the_larger_of_force_and_moment() {

@@ -41,13 +41,49 @@ pub enum Bound {
     AtMost(f64),
 }
 
+/// How a rate stands to what is asked of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// It keeps its bound as counted, or has none.
+    Kept,
+    /// It misses its bound, but of so few cases one alone decides that, and chance may have.
+    TooFew,
+    /// It misses its bound.
+    Missed,
+}
+
+impl Bound {
+    /// Fewest cases of which one may fail without the bound being missed.
+    fn cases_min(self) -> f64 {
+        match self {
+            Self::AtLeast(least) => 1.0 / (1.0 - least),
+            Self::AtMost(most) if most > 0.0 => 1.0 / most,
+            // Where none may fail, every number of cases tells.
+            Self::AtMost(_) => 0.0,
+        }
+    }
+
+    fn keeps(self, rate: f64) -> bool {
+        match self {
+            Self::AtLeast(least) => rate >= least,
+            Self::AtMost(most) => rate <= most,
+        }
+    }
+}
+
 impl Measure {
-    /// Whether the rate as measured keeps its bound; true without one, or of nothing.
-    pub fn holds(&self) -> bool {
-        match (self.rate.rate, self.wanted) {
-            (Some(rate), Some(Bound::AtLeast(least))) => rate >= least,
-            (Some(rate), Some(Bound::AtMost(most))) => rate <= most,
-            _ => true,
+    /// How the rate stands to its bound.
+    pub fn standing(&self) -> Standing {
+        let (Some(rate), Some(bound)) = (self.rate.rate, self.wanted) else {
+            return Standing::Kept;
+        };
+        if bound.keeps(rate) {
+            return Standing::Kept;
+        }
+        let by_chance = self.rate.interval.into_iter().any(|end| bound.keeps(end));
+        match (self.rate.of as f64) < bound.cases_min() && by_chance {
+            true => Standing::TooFew,
+            false => Standing::Missed,
         }
     }
 }
@@ -108,6 +144,9 @@ pub struct ConditionSummary {
 /// The whole result.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
+    /// How many cases.
+    #[serde(skip)]
+    pub count: usize,
     /// Rates.
     pub measures: Vec<Measure>,
     /// Mean Brier score; to be at most [`BRIER_MAX`].
@@ -253,6 +292,7 @@ impl Summary {
         let shows = |row: &&Row| row.ratio >= DETECTABLE || row.kind == Kind::Null;
         let off = closed().map(|[claimed, is]| (claimed - is).abs()).collect();
         Self {
+            count: rows.len(),
             measures,
             brier: brier(&mut rows.iter()),
             brier_detectable: brier(&mut rows.iter().filter(shows)),
@@ -268,19 +308,28 @@ impl Summary {
         }
     }
 
-    /// Whether the Brier score keeps its bound.
-    pub fn brier_holds(&self) -> bool {
-        self.brier.is_none_or(|brier| brier <= BRIER_MAX)
+    /// How the Brier score stands to its bound, which one case that is surely wrong may miss alone.
+    pub fn brier_standing(&self) -> Standing {
+        match self.brier {
+            Some(brier) if brier > BRIER_MAX && self.is_of_few() => Standing::TooFew,
+            Some(brier) if brier > BRIER_MAX => Standing::Missed,
+            _ => Standing::Kept,
+        }
     }
 
-    /// Whether every measure and the Brier score keep their bounds.
+    /// Whether so few cases were held that one alone decides what they show.
+    pub fn is_of_few(&self) -> bool {
+        (self.count as f64) < 1.0 / BRIER_MAX
+    }
+
+    /// Whether no measure, nor the Brier score, misses its bound.
     pub fn holds(&self) -> bool {
-        self.brier_holds() && self.failures().next().is_none()
+        self.brier_standing() != Standing::Missed && self.of(Standing::Missed).next().is_none()
     }
 
-    /// The measures that do not keep their bounds.
-    pub fn failures(&self) -> impl Iterator<Item = &Measure> {
-        self.measures.iter().filter(|measure| !measure.holds())
+    /// The measures that stand so.
+    pub fn of(&self, standing: Standing) -> impl Iterator<Item = &Measure> {
+        self.measures.iter().filter(move |measure| measure.standing() == standing)
     }
 }
 
@@ -383,9 +432,28 @@ mod tests {
 
     #[test]
     fn a_brier_score_beyond_its_bound_is_a_miss() {
-        let mut summary = Summary::new(&[]);
+        let mut summary = Summary { count: 60, ..Summary::new(&[]) };
         assert!(summary.holds());
         summary.brier = Some(2.0 * BRIER_MAX);
         assert!(!summary.holds());
+        // One case of six that is surely wrong does as much.
+        summary.count = 6;
+        assert_eq!(summary.brier_standing(), Standing::TooFew);
+        assert!(summary.holds());
+    }
+
+    #[test]
+    fn few_cases_miss_a_bound_only_beyond_chance() {
+        let standing = |count, of, wanted| {
+            Measure { name: "rate", rate: Rate::new(count, of), wanted: Some(wanted) }.standing()
+        };
+        let (nine_tenths, none) = (Bound::AtLeast(0.9), Bound::AtMost(0.0));
+        assert_eq!(standing(6, 6, nine_tenths), Standing::Kept);
+        assert_eq!(standing(5, 6, nine_tenths), Standing::TooFew);
+        assert_eq!(standing(0, 6, nine_tenths), Standing::Missed);
+        assert_eq!(standing(40, 60, nine_tenths), Standing::Missed);
+        assert_eq!(standing(1, 6, none), Standing::Missed);
+        assert_eq!(standing(1, 6, Bound::AtMost(0.03)), Standing::TooFew);
+        assert_eq!(standing(0, 0, nine_tenths), Standing::Kept);
     }
 }

@@ -21,6 +21,8 @@ pub trait Watch: Send {
     fn step(&mut self, note: &str);
     /// Whether to stop as soon as nothing is lost.
     fn interrupted(&self) -> bool;
+    /// Every network is trained: what `progress` holds is worth keeping before they are judged.
+    fn trained(&mut self, _progress: &Progress) {}
 }
 
 /// Why there is no model.
@@ -123,6 +125,8 @@ pub fn train(
     if !progress.go_on(&all, settings, watch)? {
         return Ok(Outcome::Interrupted(progress));
     }
+    watch.trained(&progress);
+    let reached = progress.clone();
     let (networks, curves) = progress.networks(all, &settings.regularization);
     let [net, residual] =
         models(networks, settings.features).ok_or(TrainError::NoRegularization)?;
@@ -132,7 +136,13 @@ pub fn train(
     let net_corrected = corrected.is_some();
     let net = corrected.unwrap_or(net);
     watch.step("open loop of the net");
+    if watch.interrupted() {
+        return Ok(Outcome::Interrupted(reached));
+    }
     let residual = dataset.shrink(residual, &physics_model, watch);
+    if watch.interrupted() {
+        return Ok(Outcome::Interrupted(reached));
+    }
     let mut file = ModelFile {
         vehicle: vehicle.clone(),
         actuation: dataset.actuation,

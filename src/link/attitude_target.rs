@@ -102,7 +102,7 @@ pub fn encode(
         }
         (AttitudeTargetForm::RatesThrust { gain }, _) => {
             let attitude = attitude.ok_or(EncodeError::NoAttitude)?;
-            setpoint.body_rate + rotation_vector(attitude, desired).scale_by(gain)
+            setpoint.body_rate + attitude.rotation_to(desired).scale_by(gain)
         }
     };
     let q = desired.to_wire();
@@ -164,16 +164,6 @@ pub fn decode(frame: &Frame) -> Result<Option<AttitudeTarget>, Refusal> {
         (mask & THRUST_IGNORED == 0).then(|| finite(f64::from(data.thrust))).transpose()?;
     let SET_ATTITUDE_TARGET_DATA { time_boot_ms, target_system, .. } = data;
     Ok(Some(AttitudeTarget { time_boot_ms, target_system, attitude, body_rate, thrust }))
-}
-
-/// The rotation from one attitude to another as angle times axis, in body axes of the first, the
-/// short way round.
-fn rotation_vector(from: Attitude, to: Attitude) -> Frd {
-    let d = from.inverse().compose(to).canonical();
-    let sine = (d.x * d.x + d.y * d.y + d.z * d.z).sqrt();
-    // angle / sin(angle / 2), 2 in the limit.
-    let scale = if sine < 1e-9 { 2.0 } else { 2.0 * sine.atan2(d.w) / sine };
-    Frd::new(d.x, d.y, d.z) * scale
 }
 
 #[cfg(test)]

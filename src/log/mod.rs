@@ -22,7 +22,7 @@ pub mod import;
 pub mod info;
 mod lengths;
 mod mcap_file;
-mod name;
+pub mod name;
 pub mod partial;
 pub mod reader;
 pub mod record;

@@ -6,13 +6,19 @@ use crate::clock::HostTime;
 /// two names.
 pub(super) fn stem(start: HostTime, vehicle: &str, run: &str) -> String {
     let seconds = start.as_ns() / 1_000_000_000;
-    let (year, month, day) = civil_from_days(seconds / 86_400);
     let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
     format!(
-        "{year:04}-{month:02}-{day:02}T{hour:02}-{minute:02}-{second:02}Z_{}_{}",
+        "{}T{hour:02}-{minute:02}-{second:02}Z_{}_{}",
+        date(seconds),
         sanitised(vehicle),
         sanitised(run)
     )
+}
+
+/// `YYYY-MM-DD`, UTC, from seconds since 1970.
+pub fn date(seconds: u64) -> String {
+    let (year, month, day) = civil_from_days(seconds / 86_400);
+    format!("{year:04}-{month:02}-{day:02}")
 }
 
 /// `name` with every character that a file system or a shell could stumble over replaced.

@@ -3,6 +3,10 @@
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// Files that are being written, for an end of the program that drops nothing.
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// A file that takes its name once it is complete. Until then it is written beside it, and what
 /// had the name before stays; dropped unfinished, it is removed.
@@ -26,6 +30,7 @@ impl PartialFile {
         let target = followed(path);
         let partial = partial_path(&target);
         let out = BufWriter::new(File::create(&partial)?);
+        unfinished(|files| files.push(partial.clone()));
         Ok(Self { out, target, partial: Some(partial) })
     }
 
@@ -37,6 +42,7 @@ impl PartialFile {
         self.out.flush()?;
         if let Some(partial) = &self.partial {
             fs::rename(partial, &self.target)?;
+            forget(partial);
         }
         self.partial = None;
         Ok(())
@@ -58,8 +64,27 @@ impl Drop for PartialFile {
         if let Some(partial) = &self.partial {
             // What is there of it is of no use; that it cannot be removed changes nothing.
             let _ = fs::remove_file(partial);
+            forget(partial);
         }
     }
+}
+
+/// Removes what is there of files that are not finished. For the end of a program that does not
+/// come back to them.
+pub fn discard_unfinished() {
+    unfinished(|files| {
+        for partial in files.drain(..) {
+            let _ = fs::remove_file(partial);
+        }
+    });
+}
+
+fn forget(partial: &Path) {
+    unfinished(|files| files.retain(|file| file != partial));
+}
+
+fn unfinished(change: impl FnOnce(&mut Vec<PathBuf>)) {
+    change(&mut UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner));
 }
 
 /// Where a file that is to be at `path` is written until it is complete.

@@ -32,6 +32,17 @@ pub enum ReadError {
         /// Why.
         source: io::Error,
     },
+    /// The file holds nothing.
+    #[error(
+        "the log {} holds nothing: {bytes} bytes; it was cut short before its first record",
+        path.display()
+    )]
+    Empty {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+    },
     /// Reading failed.
     #[error("cannot read the log: {0}")]
     Io(#[from] io::Error),
@@ -143,10 +154,14 @@ impl LogReader<BufReader<File>> {
     /// Opens a log.
     ///
     /// # Errors
-    /// [`ReadError`] if the file cannot be read or is no MCAP.
+    /// [`ReadError`] if the file cannot be read, holds nothing, or is no MCAP.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let file =
             File::open(path).map_err(|source| ReadError::Open { path: path.to_owned(), source })?;
+        let there = file.metadata()?;
+        if there.is_file() && there.len() < (mcap::MAGIC.len() + RECORD_HEAD) as u64 {
+            return Err(ReadError::Empty { path: path.to_owned(), bytes: there.len() });
+        }
         Self::new(BufReader::with_capacity(1 << 16, file))
     }
 }

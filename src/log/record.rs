@@ -87,6 +87,9 @@ pub enum Record {
     FlightEnds,
 }
 
+/// Keys of [`Record::Facts`] that are the vehicle's parameters begin so; their names follow.
+pub const PARAMETER_FACT: &str = "parameter.";
+
 impl Record {
     /// The stamp of a record that is a sample of the vehicle's.
     pub fn stamp_mut(&mut self) -> Option<&mut Stamp> {

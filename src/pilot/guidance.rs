@@ -6,7 +6,7 @@ use sitl::rigid_body::State;
 
 use crate::clock::VehicleTime;
 use crate::plan::reference::ReferenceSource;
-use crate::setpoint::{Reference, Setpoint};
+use crate::setpoint::{Expected, Reference, Setpoint};
 use crate::supervisor::{FlightState, Trigger};
 use crate::telemetry::Sample;
 
@@ -64,6 +64,10 @@ pub(super) struct Guided {
     pub reference: Reference,
     /// Whether feedback acts; on the ground only the feed-forward does.
     pub feedback: bool,
+    /// Whether the vehicle is off the ground, where it moves by its setpoints alone.
+    pub aloft: bool,
+    /// What the reference's model expects.
+    pub expected: Expected,
     /// Seconds into the trajectory, while it is tracked.
     pub trajectory_time: Option<f64>,
     /// What the state was waiting for.
@@ -249,7 +253,7 @@ impl Guidance {
             && off.abs() < s.settle_radius_m.max(0.25 * self.segment.step().norm())
             && here.velocity.norm() < 2.0 * s.settle_speed_m_s;
         let reached = there.then_some((Trigger::TakenOff, "at the start height"));
-        Guided { reached, ..Guided::fly(reference) }
+        Guided { reached, aloft: share >= 1.0, ..Guided::fly(reference) }
     }
 
     fn approach(&mut self, t: f64, sample: &Sample) -> Guided {
@@ -280,6 +284,7 @@ impl Guidance {
         reference.position += anchor;
         let over = t >= self.trajectory.duration();
         Guided {
+            expected: self.trajectory.expected(t),
             trajectory_time: Some(t),
             reached: over.then_some((Trigger::TrajectoryDone, "the trajectory is done")),
             ..Guided::fly(reference)
@@ -316,13 +321,20 @@ impl Guidance {
     fn idle(&self, thrust: f64, here: &State) -> Guided {
         let mut reference = self.stay(here);
         reference.feedforward.thrust_n = thrust * self.hover_thrust_n;
-        Guided { feedback: false, ..Guided::fly(reference) }
+        Guided { feedback: false, aloft: false, ..Guided::fly(reference) }
     }
 }
 
 impl Guided {
     fn fly(reference: Reference) -> Self {
-        Self { reference, feedback: true, trajectory_time: None, reached: None }
+        Self {
+            reference,
+            feedback: true,
+            aloft: true,
+            expected: Expected::default(),
+            trajectory_time: None,
+            reached: None,
+        }
     }
 }
 

@@ -85,7 +85,7 @@ impl Desire {
 
 impl Weight {
     /// Thrust [N] and attitude that make a point's acceleration.
-    fn carry(&self, point: &DesiredPoint) -> (f64, Euler<f64>) {
+    pub(super) fn carry(&self, point: &DesiredPoint) -> (f64, Euler<f64>) {
         let carried = Ned::new(0.0, 0.0, self.gravity) - point.acceleration;
         let (sin, cos) = point.yaw.sin_cos();
         let [n, e, down] = carried.to_array();

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 pub(super) use self::builder::Builder;
 use self::family::Family;
 pub(super) use self::family::two_seconds;
+use super::shipped::{SHIPPED_TRAJECTORIES, shipped};
 use super::table::Table;
 use super::trajectory::{Shape, Trajectory};
 
@@ -18,7 +19,7 @@ const DURATION_MAX_S: f64 = 86_400.0;
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
     /// The file cannot be read.
-    #[error("trajectory {path}: {source}")]
+    #[error("trajectory {path}: {source}{}", shipped_names(path))]
     Read {
         /// The file.
         path: PathBuf,
@@ -47,7 +48,19 @@ pub enum TrajectoryError {
     },
 }
 
+/// The names that are shipped, for a path that looks like one.
+fn shipped_names(path: &Path) -> String {
+    if path.extension().is_some() || path.components().count() > 1 {
+        return String::new();
+    }
+    let names = SHIPPED_TRAJECTORIES.map(|shipped| shipped.name).join(", ");
+    format!("; shipped trajectories are {names}")
+}
+
 pub(super) fn load(path: &Path) -> Result<Trajectory, TrajectoryError> {
+    if let Some(shipped) = shipped(path) {
+        return parse(shipped.text, path);
+    }
     let text = std::fs::read_to_string(path)
         .map_err(|source| TrajectoryError::Read { path: path.into(), source })?;
     if path.extension().is_some_and(|extension| extension == "csv") {

@@ -1,8 +1,11 @@
 //! The reference that knows no dynamics.
 
+use std::sync::Arc;
+
 use sitl::frame::{Euler, Frd, wrap_angle};
 
-use super::reference::ReferenceSource;
+use super::flat::FlatReference;
+use super::reference::{FeedForward, ReferenceSource};
 use super::trajectory::Trajectory;
 use crate::setpoint::{Reference, Setpoint};
 
@@ -29,6 +32,13 @@ impl ReferenceSource for ModelFreeReference {
 
     fn sample(&self, t: f64) -> Reference {
         model_free(&self.trajectory, t, self.hover_thrust_n)
+    }
+
+    fn with_feed_forward(
+        &self,
+        feed_forward: &FeedForward,
+    ) -> Option<Arc<dyn ReferenceSource + Send + Sync>> {
+        Some(Arc::new(FlatReference::new(self.trajectory.clone(), feed_forward)))
     }
 }
 

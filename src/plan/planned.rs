@@ -8,10 +8,10 @@ use sitl::vehicle::AttitudePd;
 
 use super::flyable::{NotFlyable, check_led, check_violation};
 use super::iterate::Violation;
-use super::problem::{ANGLE, RATE, StateVector};
+use super::problem::{ANGLE, RATE, StateVector, VELOCITY};
 use super::reference::ReferenceSource;
 use super::scp::{Outcome, Record, Status};
-use crate::setpoint::{Reference, Setpoint};
+use crate::setpoint::{Expected, Reference, Setpoint};
 
 /// What the file says that it is.
 const SCHEMA: &str = "downwash.plan";
@@ -254,6 +254,9 @@ pub struct PlannedReference {
     states: Vec<StateVector>,
     /// As they are sent, one for each state.
     setpoints: Vec<CommandedInput>,
+    /// What the plan's model expects beside weight, thrust and the attitude loop from each state to
+    /// the next: acceleration, and attitude.
+    expected: Vec<[f64; 6]>,
     start_thrust_n: f64,
     voltage_exponent: f64,
 }
@@ -280,6 +283,36 @@ fn slope_around<const N: usize>(rows: &[[f64; N]], n: usize) -> [f64; N] {
     sums.map(|sum| if squares > 0.0 { sum / squares } else { 0.0 })
 }
 
+impl PlannedBody {
+    /// What leads a body from one of a plan's states to the next beside weight, thrust and the
+    /// moments of `pd`: acceleration [m/s^2], and the moments that are left as the attitude [rad]
+    /// that `pd` makes them of.
+    fn expected(
+        &self,
+        pair: &[StateVector],
+        input: &CommandedInput,
+        period: f64,
+        pd: &AttitudePd,
+    ) -> [f64; 6] {
+        let [before, after] = pair else { return [0.0; 6] };
+        let slope = |i: usize| (after[i] - before[i]) / period;
+        let [_, _, _, _, _, _, roll, pitch, yaw, p, q, r] = *before;
+        let axis = Euler::new(roll, pitch, yaw).attitude().to_world(Frd::new(0.0, 0.0, 1.0));
+        let carried = axis * (-input[0] / self.mass_kg) + Ned::new(0.0, 0.0, self.gravity);
+        let carried = carried.to_array();
+        let momentum = Frd::new(p, q, r).scale_by(self.inertia);
+        let gyroscopic = Frd::new(p, q, r).cross(momentum).to_array();
+        std::array::from_fn(|i| match i.checked_sub(3) {
+            None => slope(VELOCITY + i) - carried[i],
+            Some(i) => {
+                let moment = pd.kp[i] * wrap_angle(input[1 + i] - before[ANGLE + i])
+                    + pd.kd[i] * (input[4 + i] - before[RATE + i]);
+                (self.inertia[i] * slope(RATE + i) + gyroscopic[i] - moment) / pd.kp[i]
+            }
+        })
+    }
+}
+
 impl PlannedReference {
     /// The plan with its inputs as they must be sent.
     ///
@@ -288,7 +321,7 @@ impl PlannedReference {
     /// moments M are to be `M* + lag dM*/dt`, which the attitude setpoint asks for by
     /// `lag Kp^-1 dM*/dt`, and thrust likewise.
     pub fn new(plan: &Plan) -> Self {
-        Self::of(&plan.states, &plan.inputs, plan.period_s, &plan.answer)
+        Self::of(&plan.states, &plan.inputs, plan.period_s, &plan.answer, &plan.body)
     }
 
     /// The same for states and inputs, `period` seconds apart.
@@ -297,6 +330,7 @@ impl PlannedReference {
         inputs: &[CommandedInput],
         period: f64,
         answer: &Answer,
+        body: &PlannedBody,
     ) -> Self {
         let Answer { delay_s, lag_s, voltage_exponent, attitude_pd } = *answer;
         let AttitudePd { kp, kd, .. } = attitude_pd;
@@ -326,12 +360,16 @@ impl PlannedReference {
             .collect();
         let setpoints =
             (0..states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
+        let steps = states.windows(2).zip(inputs);
+        let expected =
+            steps.map(|(pair, input)| body.expected(pair, input, period, &attitude_pd)).collect();
         let first = &inputs[..inputs.len().min(STILL_PERIODS)];
         let start_thrust_n = first.iter().map(|input| input[0]).sum::<f64>() / first.len() as f64;
         Self {
             period_s: period,
             states: states.to_vec(),
             setpoints,
+            expected,
             start_thrust_n,
             voltage_exponent,
         }
@@ -350,6 +388,11 @@ fn between<const N: usize>(rows: &[[f64; N]], index: f64) -> [f64; N] {
 impl ReferenceSource for PlannedReference {
     fn duration(&self) -> f64 {
         (self.states.len() - 1) as f64 * self.period_s
+    }
+
+    fn expected(&self, t: f64) -> Expected {
+        let [north, east, down, attitude @ ..] = between(&self.expected, t / self.period_s);
+        Expected { acceleration: Ned::new(north, east, down), attitude }
     }
 
     fn start_thrust_n(&self) -> f64 {

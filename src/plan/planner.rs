@@ -13,6 +13,7 @@ use super::discretisation::CommandedDynamics;
 use super::interior_point::InteriorPoint;
 use super::iterate::Iterate;
 use super::keep_out::KeepOut;
+use super::planned::PlannedBody;
 use super::problem::{
     ANGLE, InputBounds, InputPreference, Problem, STATES, StateLimits, StateVector, YAW,
 };
@@ -152,12 +153,8 @@ pub enum PlannerError {
 /// What plans are made for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedVehicle {
-    /// Effective mass, kg.
-    pub mass_kg: f64,
-    /// m/s^2
-    pub gravity: f64,
-    /// Thrust of all rotors at full output, N.
-    pub thrust_full_n: f64,
+    /// Its effective numbers.
+    pub body: PlannedBody,
     /// The on-board loop.
     pub attitude_pd: AttitudePd,
     /// Bounds of the setpoint.
@@ -172,8 +169,8 @@ pub struct Planner {
     settings: PlanSettings,
 }
 
-/// Most periods of a plan.
-const PERIODS_MAX: usize = 100_000;
+/// Most periods of a plan: ten minutes at 100 Hz, which are planned in seconds.
+const PERIODS_MAX: usize = 60_000;
 /// How far the planned yaw and the commanded one may leave the range of the desired, rad.
 const YAW_ROOM: f64 = 1.0;
 
@@ -205,9 +202,14 @@ impl Planner {
         self.model.as_ref()
     }
 
+    /// The vehicle's effective numbers.
+    pub fn body(&self) -> &PlannedBody {
+        &self.vehicle.body
+    }
+
     /// The vehicle's effective weight m g, N.
     pub fn hover_thrust_n(&self) -> f64 {
-        self.vehicle.mass_kg * self.vehicle.gravity
+        self.vehicle.body.mass_kg * self.vehicle.body.gravity
     }
 
     /// Time between states, s.
@@ -255,8 +257,8 @@ impl Planner {
 
     fn weight(&self) -> Weight {
         Weight {
-            mass_kg: self.vehicle.mass_kg,
-            gravity: self.vehicle.gravity,
+            mass_kg: self.vehicle.body.mass_kg,
+            gravity: self.vehicle.body.gravity,
             tilt_max_rad: self.vehicle.limits.tilt_max_rad,
         }
     }
@@ -321,7 +323,7 @@ impl Planner {
         let Limits {
             thrust_min, thrust_max, tilt_max_rad: tilt, body_rate_max_rad_s: rate, ..
         } = self.vehicle.limits;
-        let full = self.vehicle.thrust_full_n;
+        let full = self.vehicle.body.thrust_full_n;
         let yaws = desire.states.iter().map(|state| state[ANGLE + 2]);
         let (least, most) = yaws.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), yaw| {
             (least.min(yaw), most.max(yaw))

@@ -6,6 +6,8 @@ use super::keep_out::KeepOut;
 
 /// Size of the state `s = (p, v, zeta, omega)`.
 pub const STATES: usize = 12;
+/// Where the velocity begins in a [`StateVector`].
+pub(super) const VELOCITY: usize = 3;
 /// Where the attitude (roll, pitch, yaw) begins in a [`StateVector`].
 pub(super) const ANGLE: usize = 6;
 /// Where yaw is in a [`StateVector`].

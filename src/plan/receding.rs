@@ -23,7 +23,7 @@ use super::problem::{STATES, StateVector, YAW};
 use super::reference::ReferenceSource;
 use super::scp::Outcome;
 use super::trajectory::Trajectory;
-use crate::setpoint::Reference;
+use crate::setpoint::{Expected, Reference};
 
 /// How plans follow one another.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -190,8 +190,9 @@ impl Replanner {
         let outcome: Outcome<7> = self.planner.plan(&desire, start, guess, &|_| false);
         check_in_flight(&outcome, self.planner.keep_out())?;
         let Outcome { iterate, .. } = outcome;
-        let reference =
-            PlannedReference::of(&iterate.states, &iterate.inputs, period, &self.answer);
+        let Iterate { states, inputs } = &iterate;
+        let body = self.planner.body();
+        let reference = PlannedReference::of(states, inputs, period, &self.answer, body);
         self.board.publish(Stretch { from_s, reference, iterate });
         Ok(())
     }
@@ -327,6 +328,11 @@ impl ReferenceSource for RecedingReference {
             Some(goal) => model_free(&goal, t, self.hover_thrust_n),
             None => Reference::default(),
         }
+    }
+
+    fn expected(&self, t: f64) -> Expected {
+        let stretch = self.board.at(t);
+        stretch.map_or_else(Expected::default, |it| it.reference.expected(t - it.from_s))
     }
 
     fn voltage_exponent(&self) -> f64 {

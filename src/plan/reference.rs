@@ -2,7 +2,22 @@
 
 use std::sync::Arc;
 
-use crate::setpoint::{Reference, State};
+use crate::setpoint::{Expected, Reference, State};
+
+/// What an acceleration is fed forward with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeedForward {
+    /// kg
+    pub mass_kg: f64,
+    /// m/s^2
+    pub gravity: f64,
+    /// The attitude is taken no further from level than this, rad.
+    pub tilt_max_rad: f64,
+    /// From a desired attitude's sending to its use, lag of the rotors included, s.
+    pub attitude_delay_s: f64,
+    /// The same of thrust, s.
+    pub thrust_delay_s: f64,
+}
 
 /// A reference from time 0 to its duration, held at both ends.
 pub trait ReferenceSource {
@@ -11,6 +26,21 @@ pub trait ReferenceSource {
 
     /// The reference at `t` seconds.
     fn sample(&self, t: f64) -> Reference;
+
+    /// What its model expects of the vehicle at `t` seconds beside thrust, weight and the attitude
+    /// loop.
+    fn expected(&self, _t: f64) -> Expected {
+        Expected::default()
+    }
+
+    /// The same with the trajectory's own acceleration fed forward; `None` where the input is a
+    /// plan's already.
+    fn with_feed_forward(
+        &self,
+        _feed_forward: &FeedForward,
+    ) -> Option<Arc<dyn ReferenceSource + Send + Sync>> {
+        None
+    }
 
     /// Thrust that holds the vehicle at the start, N.
     fn start_thrust_n(&self) -> f64 {
@@ -35,6 +65,17 @@ impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
 
     fn sample(&self, t: f64) -> Reference {
         self.as_ref().sample(t)
+    }
+
+    fn expected(&self, t: f64) -> Expected {
+        self.as_ref().expected(t)
+    }
+
+    fn with_feed_forward(
+        &self,
+        feed_forward: &FeedForward,
+    ) -> Option<Arc<dyn ReferenceSource + Send + Sync>> {
+        self.as_ref().with_feed_forward(feed_forward)
     }
 
     fn start_thrust_n(&self) -> f64 {

@@ -49,7 +49,8 @@ impl Trajectory {
         Self { name: name.into(), shape }
     }
 
-    /// Reads a trajectory file: TOML by its schema, or CSV with a header.
+    /// Reads a trajectory file, or the shipped one of that name: TOML by its schema, or CSV with a
+    /// header.
     ///
     /// # Errors
     /// [`TrajectoryError`] names the file, the field, what was expected and what was found.

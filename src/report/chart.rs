@@ -16,14 +16,23 @@ const HOVERS: usize = 60;
 /// How a curve looks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
-    /// One of four colours, 1 to 4.
+    /// One of five colours, 1 to 5, each with a dash pattern of its own.
     Colour(u8),
     /// Dashed and neutral: what was wanted.
     Reference,
 }
 
 impl Style {
-    fn class(self) -> String {
+    /// The colour of what a controller, a model or a vehicle file did: the same in every chart of a
+    /// page. `place` is its own among those that have no fixed one, from 0 on.
+    pub fn of(name: &str, place: usize) -> Self {
+        let names = ["model-free", "net", "physics", "hybrid", "replanned"];
+        let fixed = names.iter().position(|fixed| *fixed == name);
+        Self::Colour((fixed.unwrap_or(place) % names.len()) as u8 + 1)
+    }
+
+    /// Its class in the page's style sheet.
+    pub(super) fn class(self) -> String {
         match self {
             Self::Colour(number) => format!("curve c{number}"),
             Self::Reference => "curve ref".into(),
@@ -73,7 +82,7 @@ pub struct Chart<'a> {
 pub struct Panel {
     /// Name, with the unit.
     pub name: String,
-    /// Curves; the first is drawn last, on top.
+    /// Curves; each is drawn over those before it, which show through the gaps of its dashes.
     pub curves: Vec<Curve>,
 }
 
@@ -133,7 +142,7 @@ impl Chart<'_> {
                 "<text x=\"{at}\" y=\"{below}\" text-anchor=\"middle\">{label}</text>"
             );
         }
-        for curve in panel.curves.iter().rev() {
+        for curve in &panel.curves {
             let path = path(self.x, &curve.y, &x, &y);
             let _ = write!(
                 html,
@@ -237,6 +246,15 @@ fn path(xs: &[f64], ys: &[f64], x: &Axis, y: &Axis) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_controller_has_its_colour_whoever_is_beside_it() {
+        assert_eq!(Style::of("net", 0), Style::of("net", 3));
+        assert_ne!(Style::of("physics", 0), Style::of("hybrid", 0));
+        assert_eq!(Style::of("as shipped", 0), Style::Colour(1));
+        assert_eq!(Style::of("improved", 1), Style::Colour(2));
+        assert_eq!(Style::of("another", 7), Style::Colour(3));
+    }
 
     #[test]
     fn decimation_keeps_a_lone_spike_and_breaks_at_nan() {

@@ -76,9 +76,9 @@ fn verdict(answer: &Answer, page: &mut Page) {
     page.verdict(mood, &answer.finding.sentence, &reasons);
     if let Some(gap) = &answer.gap {
         let mut figures = vec![
-            ("gap before", significant(gap.before), Mood::Plain),
-            ("gap after", significant(gap.after), Mood::Plain),
-            ("noise alone", significant(gap.floor), Mood::Plain),
+            ("gap before, times the floor", significant(gap.before), Mood::Plain),
+            ("gap after, times the floor", significant(gap.after), Mood::Plain),
+            ("noise alone, times the floor", significant(gap.floor), Mood::Plain),
         ];
         if let Some(closure) = gap.closure {
             let mood = if closure >= CLOSED { Mood::Good } else { Mood::Plain };
@@ -110,7 +110,7 @@ fn bars(rows: &[(String, f64, f64)], unit: &str) -> String {
             svg,
             "<text x=\"{}\" y=\"{base:.1}\" text-anchor=\"end\" fill=\"currentColor\">{text}</text>\
              <rect x=\"{LEFT}\" y=\"{y:.1}\" width=\"{length:.1}\" height=\"{:.1}\" fill=\"var(--c1)\"/>\
-             <line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{y:.1}\" y2=\"{bottom:.1}\" stroke=\"var(--c2)\" stroke-width=\"2\"/>\
+             <line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{y:.1}\" y2=\"{bottom:.1}\" stroke=\"var(--ink)\" stroke-width=\"2\"/>\
              <text x=\"{end:.1}\" y=\"{base:.1}\" fill=\"currentColor\">{number} {unit}</text>",
             LEFT - 8.0,
             ROW - 10.0,

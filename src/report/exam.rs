@@ -8,7 +8,7 @@ use super::page::{Mood, Page, escape};
 use super::table::{Table, definitions};
 use crate::exam::interval::Rate;
 use crate::exam::score::Row;
-use crate::exam::summary::{BRIER_MAX, Bound, Detection, Measure, Summary};
+use crate::exam::summary::{BRIER_MAX, Bound, Detection, Measure, Standing, Summary};
 
 /// Height of a figure's frame, pixels.
 const HEIGHT: f64 = 220.0;
@@ -34,14 +34,17 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
     }
     text.push('\n');
     for measure in &summary.measures {
-        let mark = if measure.holds() { "" } else { "  missed" };
+        let mark = mark(measure.standing());
         let (name, rate) = (measure.name, percent(&measure.rate));
         let _ = writeln!(text, "{name:42} {rate:30} {}{mark}", wanted(measure));
     }
-    let mark = if summary.brier_holds() { "" } else { "  missed" };
+    let mark = mark(summary.brier_standing());
     let _ = writeln!(text, "{:42} {}{mark}", brier_name(), number(summary.brier));
     for (name, value) in numbers(summary) {
         let _ = writeln!(text, "{name:42} {value}");
+    }
+    if summary.is_of_few() {
+        text += &format!("\n{}\n", too_few(summary));
     }
     text += "\nprobability     mean   true\n";
     for line in &summary.reliability {
@@ -78,18 +81,22 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
 
 /// The page, self-contained.
 pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> String {
-    let mut failures: Vec<String> = summary
-        .failures()
-        .map(|measure| {
+    let standing = |standing: Standing| -> Vec<String> {
+        let told = |measure: &Measure| {
             format!("{}: {} ({})", measure.name, percent(&measure.rate), wanted(measure))
-        })
-        .collect();
-    if !summary.brier_holds() {
-        failures.push(format!("{}: {}", brier_name(), number(summary.brier)));
-    }
+        };
+        let mut all: Vec<String> = summary.of(standing).map(told).collect();
+        if summary.brier_standing() == standing && standing != Standing::Kept {
+            all.push(format!("{}: {}", brier_name(), number(summary.brier)));
+        }
+        all
+    };
+    let (failures, open) = (standing(Standing::Missed), standing(Standing::TooFew));
     let subtitle = format!("{} cases, seed {}", rows.len(), provenance.seed);
     let mut page = Page::new("Exam of the diagnosis", &subtitle);
-    if failures.is_empty() {
+    if failures.is_empty() && (summary.is_of_few() || !open.is_empty()) {
+        page.verdict(Mood::Plain, &too_few(summary), &open);
+    } else if failures.is_empty() {
         page.verdict(Mood::Good, "Every rate keeps what is asked of it.", &[]);
     } else {
         let count = failures.len();
@@ -136,6 +143,32 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
         ]),
     );
     page.into_html()
+}
+
+/// That the cases are too few.
+fn too_few(summary: &Summary) -> String {
+    format!(
+        "{} cases are too few to tell whether the diagnosis keeps what is asked of it: of so few, \
+         one alone decides.",
+        summary.count
+    )
+}
+
+fn mood(standing: Standing) -> Mood {
+    match standing {
+        Standing::Kept => Mood::Good,
+        Standing::TooFew => Mood::Plain,
+        Standing::Missed => Mood::Bad,
+    }
+}
+
+/// What stands behind a rate in the table.
+fn mark(standing: Standing) -> &'static str {
+    match standing {
+        Standing::Kept => "",
+        Standing::TooFew => "  too few to tell",
+        Standing::Missed => "  missed",
+    }
 }
 
 fn is_right(row: &Row) -> bool {
@@ -217,14 +250,13 @@ fn measures(summary: &Summary) -> String {
     for measure in &summary.measures {
         let mood = match (measure.wanted, measure.rate.of) {
             (None, _) | (_, 0) => Mood::Plain,
-            _ if measure.holds() => Mood::Good,
-            _ => Mood::Bad,
+            _ => mood(measure.standing()),
         };
         let cells = [measure.name.to_owned(), unbroken(&measure.rate), wanted(measure)];
         table.row(mood, &cells);
     }
-    let mood = if summary.brier_holds() { Mood::Good } else { Mood::Bad };
-    table.row(mood, &[brier_name(), number(summary.brier), String::new()]);
+    table
+        .row(mood(summary.brier_standing()), &[brier_name(), number(summary.brier), String::new()]);
     for (name, value) in numbers(summary) {
         table.row(Mood::Plain, &[name.to_owned(), value, String::new()]);
     }

@@ -12,7 +12,7 @@ use super::page::{Mood, Page};
 use super::scene::Scene;
 use super::table::{Table, definitions};
 use super::training;
-use super::words::{effects, length};
+use super::words::{beside, effects, length};
 use crate::learn::summary::TrainingSummary;
 
 const TIME: &str = "time since the start of the trajectory (s)";
@@ -33,6 +33,8 @@ pub struct Experiment<'a> {
     pub contenders: &'a [Contender],
     /// Logs, plans and models, with what they are.
     pub files: &'a [(String, &'a Path)],
+    /// The page's folder, from which they are named.
+    pub folder: &'a Path,
     /// How it was computed.
     pub notes: &'a [(&'a str, String)],
 }
@@ -74,7 +76,7 @@ pub fn html(experiment: &Experiment<'_>) -> String {
     let files: Vec<(String, String)> = experiment
         .files
         .iter()
-        .map(|(what, path)| (what.clone(), path.display().to_string()))
+        .map(|(what, path)| (what.clone(), beside(path, experiment.folder)))
         .collect();
     let files = definitions(files.iter().map(|(what, path)| (what.as_str(), path.as_str())));
     page.section("Files", "", &files);
@@ -104,7 +106,7 @@ fn verdict(experiment: &Experiment<'_>, page: &mut Page) {
             );
             let mood = if gain >= 1.0 { Mood::Good } else { Mood::Warning };
             page.verdict(mood, &sentence, &[]);
-            figures.push(("gain".to_owned(), format!("{gain:.1}"), mood));
+            figures.push(("gain".to_owned(), format!("{gain:.1} times"), mood));
         }
         None => {
             let error = length(first.mean.rmse_3d_m);
@@ -161,10 +163,10 @@ pub(super) fn trajectories(contenders: &[Contender]) -> String {
 /// Curves of a figure for every controller, on the ticks of the first.
 fn panel(contenders: &[Contender], name: &str, value: impl Fn(&Instant) -> f64) -> Panel {
     let ticks = contenders.first().map_or(0, |c| c.first.instants.len());
-    let curves = contenders.iter().zip(1..).map(|(contender, colour)| {
+    let curves = contenders.iter().enumerate().map(|(place, contender)| {
         let mut y: Vec<f64> = contender.first.instants.iter().map(&value).collect();
         y.resize(ticks, f64::NAN);
-        Curve { name: contender.name.clone(), style: Style::Colour(colour), y }
+        Curve { name: contender.name.clone(), style: Style::of(&contender.name, place), y }
     });
     Panel { name: name.to_owned(), curves: curves.collect() }
 }

@@ -68,11 +68,11 @@ pub struct FlightSummary {
 pub struct ControlSummary {
     /// Control ticks.
     pub ticks: u64,
-    /// Median rate, 1/s.
+    /// Mean rate without pauses, 1/s.
     pub rate_hz: Option<f64>,
-    /// Ticks missing in pauses of more than 1.5 median intervals.
+    /// Ticks missing in pauses of more than 1.5 usual intervals.
     pub missed_ticks: u64,
-    /// 99th percentile of |interval - median interval|, s.
+    /// 99th percentile of |interval - usual interval|, s.
     pub jitter_p99_s: Option<f64>,
     /// Median age of the state's sample at the tick, s.
     pub sample_age_p50_s: Option<f64>,
@@ -80,6 +80,8 @@ pub struct ControlSummary {
     pub sample_age_p99_s: Option<f64>,
     /// Largest age, s.
     pub sample_age_max_s: Option<f64>,
+    /// How long a trajectory was tracked, s.
+    pub tracked_s: f64,
     /// Setpoints sent.
     pub setpoints: u64,
     /// Ticks in which a limit cut the setpoint.
@@ -192,6 +194,39 @@ fn intervals(rows: &[Row]) -> Vec<f64> {
     rows.windows(2).map(|w| w[1].log_ns.saturating_sub(w[0].log_ns) as f64 * 1e-9).collect()
 }
 
+/// The mean interval without pauses, s. Where two lengths take turns, as where samples of one rate
+/// meet ticks of another, it is what both make together, which no quantile is.
+fn usual(intervals: &[f64]) -> Option<f64> {
+    /// Rounds of leaving out what is longer than what the rest makes usual.
+    const ROUNDS: usize = 32;
+    let mut limit = f64::INFINITY;
+    let mut mean = None;
+    for _ in 0..ROUNDS {
+        let (sum, count) = intervals
+            .iter()
+            .filter(|interval| **interval <= limit)
+            .fold((0.0, 0.0), |(sum, count), interval| (sum + interval, count + 1.0));
+        mean = (count > 0.0).then(|| sum / count).filter(|mean| *mean > 0.0);
+        let next = MISSED_FROM * mean?;
+        if next >= limit {
+            break;
+        }
+        limit = next;
+    }
+    mean
+}
+
+/// How long the ticks of a trajectory lasted, s: each until the next tick, pauses left out.
+fn tracked_s(rows: &[Row], usual: Option<f64>) -> f64 {
+    let Some(usual) = usual else { return 0.0 };
+    let is_tracking = |row: &Row| row.control.as_ref().is_some_and(|c| c.error_3d_m.is_finite());
+    let lasted = |pair: &[Row]| pair[1].log_ns.saturating_sub(pair[0].log_ns) as f64 * 1e-9;
+    let lasting = rows.windows(2).filter(|pair| is_tracking(&pair[0])).map(lasted);
+    let last = rows.last().filter(|row| is_tracking(row)).map_or(0.0, |_| usual);
+    lasting.map(|lasted| if lasted > MISSED_FROM * usual { usual } else { lasted }).sum::<f64>()
+        + last
+}
+
 fn sample_ages(rows: &[Row]) -> impl Iterator<Item = f64> {
     rows.iter().filter_map(|r| r.control.as_ref()).map(|c| c.sample_age_s).filter(|a| a.is_finite())
 }
@@ -220,22 +255,23 @@ fn summarise(info: &LogInfo, rows: &[Row], link: &[(u64, LinkStatsMessage)]) -> 
 
 fn control_summary(rows: &[Row]) -> ControlSummary {
     let intervals = intervals(rows);
-    let median = quantile(&sorted(intervals.iter().copied()), 0.5).filter(|m| *m > 0.0);
-    let missed = median.map_or(0.0, |median| {
-        let missing = |i: &f64| (i / median).round() - 1.0;
-        intervals.iter().filter(|i| **i > MISSED_FROM * median).map(missing).sum()
+    let usual = usual(&intervals);
+    let missed = usual.map_or(0.0, |usual| {
+        let missing = |i: &f64| (i / usual).round() - 1.0;
+        intervals.iter().filter(|i| **i > MISSED_FROM * usual).map(missing).sum()
     });
-    let jitter = median.map(|median| sorted(intervals.iter().map(|i| (i - median).abs())));
+    let jitter = usual.map(|usual| sorted(intervals.iter().map(|i| (i - usual).abs())));
     let ages = sorted(sample_ages(rows));
     let limited = |row: &&Row| row.control.as_ref().is_some_and(|c| c.saturation != 0);
     ControlSummary {
         ticks: rows.len() as u64,
-        rate_hz: median.map(|m| 1.0 / m),
+        rate_hz: usual.map(|usual| 1.0 / usual),
         missed_ticks: missed as u64,
         jitter_p99_s: jitter.and_then(|j| quantile(&j, 0.99)),
         sample_age_p50_s: quantile(&ages, 0.5),
         sample_age_p99_s: quantile(&ages, 0.99),
         sample_age_max_s: ages.last().copied(),
+        tracked_s: tracked_s(rows, usual),
         setpoints: rows.iter().filter(|r| r.setpoint.is_some()).count() as u64,
         limited_ticks: rows.iter().filter(limited).count() as u64,
     }
@@ -261,4 +297,51 @@ fn link_summary(link: &[(u64, LinkStatsMessage)]) -> Option<LinkSummary> {
         reconnects: last.reconnects,
         rtt_max_s: rtts.reduce(f64::max),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ticks at these times, s, each with a trajectory.
+    fn ticks(times: &[f64]) -> Vec<Row> {
+        let row = |time: &f64| Row {
+            log_ns: (time * 1e9).round() as u64,
+            state: StateMessage::default(),
+            reference: None,
+            setpoint: None,
+            control: Some(ControlMessage::default()),
+        };
+        times.iter().map(row).collect()
+    }
+
+    #[test]
+    fn intervals_of_two_lengths_make_the_rate_that_they_make_together() {
+        // 26 s at 100 Hz, of which every tick is now 4 ms early, now 4 ms late.
+        let times: Vec<f64> = (0..2600)
+            .map(|k| 0.01 * f64::from(k) + if k % 2 == 0 { 2e-3 } else { -2e-3 })
+            .collect();
+        let summary = control_summary(&ticks(&times));
+        assert!((summary.rate_hz.expect("a rate") - 100.0).abs() < 0.1, "{summary:?}");
+        assert!((summary.tracked_s - 26.0).abs() < 0.02, "{summary:?}");
+        assert_eq!(summary.missed_ticks, 0);
+    }
+
+    #[test]
+    fn a_pause_is_no_part_of_the_rate_and_hardly_of_the_tracked_time() {
+        let times: Vec<f64> =
+            (0..1000).map(|k| 0.01 * f64::from(k) + if k < 500 { 0.0 } else { 60.0 }).collect();
+        let summary = control_summary(&ticks(&times));
+        assert!((summary.rate_hz.expect("a rate") - 100.0).abs() < 1e-3, "{summary:?}");
+        assert!((summary.tracked_s - 10.0).abs() < 0.02, "{summary:?}");
+        assert_eq!(summary.missed_ticks, 6000);
+    }
+
+    #[test]
+    fn no_ticks_make_no_rate() {
+        let summary = control_summary(&[]);
+        assert_eq!((summary.rate_hz, summary.tracked_s), (None, 0.0));
+        // All at one time, as in a damaged log.
+        assert_eq!(control_summary(&ticks(&[1.0, 1.0, 1.0])).rate_hz, None);
+    }
 }

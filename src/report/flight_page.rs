@@ -24,9 +24,10 @@ pub(super) fn html(report: &FlightReport) -> String {
     let mut page = Page::new(
         &format!("Flight report: {}", run("run")),
         &format!(
-            "{} vehicle {}, recorded by downwash {}",
-            if run("source") == "sim" { "simulated" } else { "real" },
+            "{}, {}, recorded by downwash {}",
             run("vehicle"),
+            // Over a link a simulated vehicle looks like a real one.
+            if run("source") == "sim" { "simulated in lockstep" } else { "flown over a link" },
             run("tool_version")
         ),
     );
@@ -80,7 +81,7 @@ fn verdict(report: &FlightReport, page: &mut Page) {
     let sentence = match &summary.tracking {
         Some(t) => format!(
             "Tracked for {:.1} s with {} RMS position error, {} at most.",
-            t.ticks as f64 / summary.control.rate_hz.unwrap_or(f64::NAN),
+            summary.control.tracked_s,
             length(t.rmse_3d_m),
             length(t.max_3d_m)
         ),
@@ -112,7 +113,7 @@ fn key_figures(report: &FlightReport, page: &mut Page) {
     let rate = control.rate_hz.map_or("unknown".into(), |r| format!("{r:.1} Hz"));
     figures.extend([
         ("log", format!("{:.1} s", summary.duration_s), Mood::Plain),
-        ("control rate, median", rate, Mood::Plain),
+        ("control rate", rate, Mood::Plain),
         ("missed ticks", control.missed_ticks.to_string(), missed),
         ("ticks at a limit", control.limited_ticks.to_string(), Mood::Plain),
         ("sample age, 99 %", duration(control.sample_age_p99_s), Mood::Plain),
@@ -286,7 +287,7 @@ fn timing(report: &FlightReport) -> String {
     let mut cells = vec!["sample age".to_owned()];
     cells.extend(age_row.map(duration));
     table.row(Mood::Plain, &cells);
-    let cells = ["deviation from the median interval".into(), String::new()];
+    let cells = ["deviation from the usual interval".into(), String::new()];
     table
         .row(Mood::Plain, &[&cells[..], &[duration(control.jitter_p99_s), String::new()]].concat());
     format!("{}{}{}", table.into_html(), age.to_html(), interval.to_html())
@@ -370,7 +371,7 @@ fn provenance(report: &FlightReport) -> String {
         ("frames", "world north, east, down; body front, right, down; yaw from north towards east"),
         (
             "missed ticks",
-            "pauses of more than 1.5 median intervals, each counted by how many ticks it lacks",
+            "pauses of more than 1.5 usual intervals, each counted by how many ticks it lacks; usual is the mean interval without them, whose inverse is the control rate",
         ),
         (
             "sample age",

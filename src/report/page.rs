@@ -105,11 +105,12 @@ impl Page {
 /// Colours are Okabe and Ito's, told apart with any colour vision; lighter on dark.
 const STYLE: &str = "
 :root{color-scheme:light dark;--bg:#fff;--card:#f6f7f9;--ink:#1b1f24;--soft:#5b6572;--line:#d5dae1;
---grid:#e6e9ee;--band:#eef1f6;--c1:#0072b2;--c2:#d55e00;--c3:#00855f;--c4:#a8518a;--ref:#3b4048;
+--grid:#e6e9ee;--band:#eef1f6;--c1:#0072b2;--c2:#d55e00;--c3:#00855f;--c4:#a8518a;
+--c5:#8a6d00;--ref:#3b4048;
 --good:#00855f;--warning:#b26b00;--bad:#c62828}
 @media (prefers-color-scheme:dark){:root{--bg:#14171c;--card:#1d2229;--ink:#e6e9ee;--soft:#9aa5b3;
 --line:#39414c;--grid:#272d36;--band:#1d232c;--c1:#56b4e9;--c2:#ff9248;--c3:#2fc79a;--c4:#e29cc8;
---ref:#c9d0da;--good:#2fc79a;--warning:#f0ad4e;--bad:#ff7b72}}
+--c5:#e6c229;--ref:#c9d0da;--good:#2fc79a;--warning:#f0ad4e;--bad:#ff7b72}}
 *{box-sizing:border-box}
 body{margin:0;background:var(--bg);color:var(--ink);
 font:15px/1.5 system-ui,-apple-system,'Segoe UI',Roboto,'Helvetica Neue',Arial,sans-serif}
@@ -134,7 +135,9 @@ svg.chart{display:block;width:100%;height:auto;font:12px system-ui,-apple-system
 svg text{fill:var(--soft)}svg .name{fill:var(--ink);font-weight:600}
 .grid{stroke:var(--grid);fill:none}.axis{stroke:var(--line);fill:none}.band{fill:var(--band)}
 .curve{fill:none;stroke-width:1.5;stroke-linejoin:round}
-.c1{stroke:var(--c1)}.c2{stroke:var(--c2)}.c3{stroke:var(--c3)}.c4{stroke:var(--c4)}
+.c1{stroke:var(--c1);stroke-width:2}.c2{stroke:var(--c2);stroke-dasharray:9 3}
+.c3{stroke:var(--c3);stroke-dasharray:3 3}.c4{stroke:var(--c4);stroke-dasharray:10 3 2 3}
+.c5{stroke:var(--c5);stroke-dasharray:1.5 2.5}
 .ref{stroke:var(--ref);stroke-dasharray:5 4;stroke-width:1.3}
 .shadow{fill:none;stroke:var(--soft);stroke-opacity:.5;stroke-width:1.2}
 .bar{fill:var(--c1)}.mark{fill:var(--bg);stroke:var(--ink);stroke-width:1.5}

@@ -8,6 +8,7 @@ use super::comparison::Contender;
 use super::experiment::{errors, trajectories};
 use super::page::{Mood, Page};
 use super::table::{Table, definitions};
+use super::words::beside;
 
 /// What the page is about.
 pub struct Repair<'a> {
@@ -26,6 +27,8 @@ pub struct Repair<'a> {
     pub contenders: &'a [Contender],
     /// Files, with what they are.
     pub files: &'a [(String, &'a Path)],
+    /// The page's folder, from which they are named.
+    pub folder: &'a Path,
     /// How it was computed.
     pub notes: &'a [(&'a str, String)],
 }
@@ -67,7 +70,7 @@ pub fn html(repair: &Repair<'_>) -> String {
     let files: Vec<(String, String)> = repair
         .files
         .iter()
-        .map(|(what, path)| (what.clone(), path.display().to_string()))
+        .map(|(what, path)| (what.clone(), beside(path, repair.folder)))
         .collect();
     let files = definitions(files.iter().map(|(what, path)| (what.as_str(), path.as_str())));
     page.section("Files", "", &files);

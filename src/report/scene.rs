@@ -5,6 +5,7 @@ use std::fmt::Write;
 use sitl::frame::Ned;
 
 use super::axis::significant;
+use super::chart::Style;
 
 const WIDTH: f64 = 900.0;
 const HEIGHT: f64 = 480.0;
@@ -18,7 +19,7 @@ const ELEVATION: f64 = 0.5;
 /// Paths beside the desired one, the first with its shadow on the ground.
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
-    /// What is drawn in colours 1 to 4: name, and positions in m; points that are not finite break
+    /// What is drawn in the colours of [`Style::of`]: name, and positions in m; points that are not finite break
     /// the path.
     pub paths: &'a [(&'a str, &'a [Ned])],
     /// Where they should have led.
@@ -56,10 +57,11 @@ impl Scene<'_> {
         let view = View::fit(all().copied().chain(corners));
 
         let mut svg = String::from("<div class=\"legend\">");
-        for ((name, _), colour) in self.paths.iter().zip(1..) {
+        for (place, (name, _)) in self.paths.iter().enumerate() {
+            let class = Style::of(name, place).class();
             let _ = write!(
                 svg,
-                "<span><svg viewBox=\"0 0 24 10\"><path class=\"curve c{colour}\" d=\"M0 5H24\"/></svg>{name}</span>"
+                "<span><svg viewBox=\"0 0 24 10\"><path class=\"{class}\" d=\"M0 5H24\"/></svg>{name}</span>"
             );
         }
         let _ = write!(
@@ -74,11 +76,10 @@ impl Scene<'_> {
                 path.iter().map(|p| Ned::new(p.north(), p.east(), floor)).collect();
             polyline(&view, &shadow, "shadow", &mut svg);
         }
-        polyline(&view, self.desired, "curve ref", &mut svg);
-        // The first is drawn last, on top.
-        for (colour, (_, path)) in self.paths.iter().enumerate().rev() {
-            polyline(&view, path, &format!("curve c{}", colour + 1), &mut svg);
+        for (place, (name, path)) in self.paths.iter().enumerate() {
+            polyline(&view, path, &Style::of(name, place).class(), &mut svg);
         }
+        polyline(&view, self.desired, "curve ref", &mut svg);
         self.ends(&view, &mut svg);
         svg.push_str("</svg>");
         svg

@@ -4,7 +4,7 @@ use super::axis::significant;
 use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
 use super::table::{Table, definitions};
-use super::words::{effects, smallness};
+use super::words::{effects, file_name, smallness};
 use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
 use crate::learn::judgement::{Best, standing};
 use crate::learn::summary::{LearningCurve, Series, TrainingSummary};
@@ -100,8 +100,8 @@ fn verdict(summary: &TrainingSummary, page: &mut Page) {
         ["test error, hybrid, linear", "test error, hybrid, angular"],
     ]) {
         if let Some(test) = &errors.labels[2] {
-            figures.push((label[0], significant(test.linear), Mood::Plain));
-            figures.push((label[1], significant(test.angular), Mood::Plain));
+            figures.push((label[0], percent(test.linear), Mood::Plain));
+            figures.push((label[1], percent(test.angular), Mood::Plain));
         }
     }
     figures.push(("delay", format!("{:.1} ms", 1e3 * summary.actuation.delay_s), Mood::Plain));
@@ -153,9 +153,9 @@ fn one_series(series: &Series) -> String {
         style: Style::Reference,
         y: series.observed.clone(),
     }];
-    for ((kind, y), colour) in ModelKind::ALL.iter().zip(&series.predicted).zip(1..) {
-        let name = kind.name().into();
-        curves.push(Curve { name, style: Style::Colour(colour), y: y.clone() });
+    for (place, (kind, y)) in ModelKind::ALL.iter().zip(&series.predicted).enumerate() {
+        let name: String = kind.name().into();
+        curves.push(Curve { style: Style::of(&name, place), name, y: y.clone() });
     }
     let name = format!("{} in {}", AXES[series.acceleration], series.run);
     let (x_label, x) = ("time (s)", series.time_s.as_slice());
@@ -293,7 +293,7 @@ fn data(summary: &TrainingSummary) -> String {
     if !summary.data.refused.is_empty() {
         let mut table = Table::new(&[("log left out whole", false), ("why", false)]);
         for log in &summary.data.refused {
-            let cells = [log.path.display().to_string(), log.reason.clone()];
+            let cells = [file_name(&log.path), log.reason.clone()];
             table.row(Mood::Warning, &cells);
         }
         html += &table.into_html();

@@ -1,5 +1,7 @@
 //! Quantities as people read them.
 
+use std::path::Path;
+
 use sitl::effects::{EffectSet, Kind};
 
 use super::axis::significant;
@@ -54,9 +56,27 @@ pub fn effects(effects: &EffectSet) -> String {
     if all.is_empty() { "no effects".to_owned() } else { all.join(", ") }
 }
 
+/// A file as seen from a page's folder; one that is elsewhere by its name alone, so that a page
+/// says nothing of the machine that it was made on.
+pub fn beside(path: &Path, folder: &Path) -> String {
+    path.strip_prefix(folder).map_or_else(|_| file_name(path), |path| path.display().to_string())
+}
+
+/// A file by its name.
+pub fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn files_are_named_from_the_page_on() {
+        let folder = Path::new("/home/me/demo");
+        assert_eq!(beside(Path::new("/home/me/demo/logs/a.mcap"), folder), "logs/a.mcap");
+        assert_eq!(beside(Path::new("/data/b.mcap"), folder), "b.mcap");
+    }
 
     #[test]
     fn effects_are_named_with_their_numbers() {

@@ -1,18 +1,26 @@
 //! What follows from knowing the vehicle: the feedback that is designed for it, and what its
 //! parameters must be.
 
-use std::sync::Arc;
-
-use super::attitude_loop::{assumption, attitude_loop};
-use super::{End, Station, StationSettings};
+use super::attitude_loop::assumption;
+use super::feedback::{Feedback, feedback};
+use super::{End, Station};
 use crate::clock::HostTime;
-use crate::control::{DesignError, Lqr};
+use crate::control::DesignError;
 use crate::link::loss_reaction::{LossLaw, LossReaction};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
+use crate::parameters::Autopilot;
 use crate::pilot::{Airframe, LinkEvent, Pilot};
 use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
+
+/// The parameters that say what the vehicle's motor outputs are and mean: for its logs.
+pub(super) fn log_parameters(profile: &Profile) -> Vec<String> {
+    let autopilots =
+        [(Profile::PX4.name, Autopilot::Px4), (Profile::ARDUCOPTER.name, Autopilot::ArduCopter)];
+    let own = autopilots.into_iter().find(|(name, _)| *name == profile.name);
+    own.map_or_else(Vec::new, |(_, autopilot)| autopilot.wanted_of_outputs())
+}
 
 impl Station {
     /// Now that it is known what the vehicle honours: design the feedback for it.
@@ -36,7 +44,7 @@ impl Station {
             ];
             self.records.push(Record::Facts(Box::new(facts.into())));
         }
-        for rule in profile.required.iter().chain(&profile.loss_timeout) {
+        for rule in profile.required {
             self.session.request(now, Request::ReadParameter(rule.name.to_owned()));
         }
         for name in profile.loss.parameters() {
@@ -44,6 +52,11 @@ impl Station {
         }
         for parameter in &self.settings.pilot.preflight.parameters {
             self.session.request(now, Request::ReadParameter(parameter.name.clone()));
+        }
+        if !is_known {
+            for name in log_parameters(&profile) {
+                self.session.request(now, Request::ReadParameter(name));
+            }
         }
         if is_known || self.end.is_some() {
             return;
@@ -95,9 +108,7 @@ impl Station {
         let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
         let modes = (word(profile.modes.offboard), word(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
-        let StationSettings { actuation, hover, lqr, attitude_pd, .. } = &self.settings;
-        let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
-        let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
+        let Feedback { controller, reference } = feedback(profile, &self.settings)?;
         let airframe = Airframe {
             hover: self.settings.hover,
             thrust_full_n: self.settings.thrust_full_n,
@@ -115,8 +126,8 @@ impl Station {
             self.settings.pilot.clone(),
             self.settings.policy,
             airframe,
-            lqr,
-            Box::new(Arc::clone(&self.settings.reference)),
+            controller,
+            Box::new(reference),
             Vec::new(),
             now,
         )))

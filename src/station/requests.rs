@@ -1,9 +1,10 @@
 //! What the pilot asks of the vehicle as the link's requests, and what becomes of these.
 
 use super::Station;
+use super::identification::log_parameters;
 use crate::clock::HostTime;
 use crate::link::request::{FlightMode, Outcome, Request};
-use crate::log::record::Severity;
+use crate::log::record::{PARAMETER_FACT, Record, Severity};
 use crate::pilot::LinkEvent;
 use crate::supervisor::Action;
 
@@ -34,6 +35,16 @@ fn action_of(request: &Request) -> Option<Action> {
 
 impl Station {
     pub(super) fn request_ended(&mut self, now: HostTime, request: &Request, outcome: &Outcome) {
+        if let Request::ReadParameter(name) = request
+            && self.profile.as_ref().is_some_and(|profile| log_parameters(profile).contains(name))
+        {
+            // No vehicle has all of them.
+            if let (Outcome::Parameter(value), None) = (outcome, &self.end) {
+                let fact = (format!("{PARAMETER_FACT}{name}"), value.to_string());
+                self.records.push(Record::Facts(Box::new([fact].into())));
+            }
+            return;
+        }
         if let (Request::ReadParameter(name), Outcome::Parameter(value)) = (request, outcome) {
             self.check_standing(now);
             let rule = self.profile.as_ref().and_then(|profile| profile.loss_timeout);

@@ -76,7 +76,9 @@ const SILENCE: Duration = Duration::from_millis(500);
 const MODE_AGE_MAX: Duration = Duration::from_millis(2500);
 /// PX4 returns to the mode chosen before arming when it disarms. CURRENT_MODE tells the mode up to
 /// a second before HEARTBEAT tells that the motors stopped.
-const RETURN_WITHIN: Duration = Duration::from_secs(2);
+const RETURN_AHEAD: Duration = Duration::from_secs(2);
+/// Where HEARTBEAT comes first, CURRENT_MODE follows with the vehicle's next word of it.
+const RETURN_AFTER: Duration = Duration::from_millis(800);
 
 /// MAV_SEVERITY_WARNING; smaller numbers are worse.
 const WARNING: u8 = 4;
@@ -161,7 +163,7 @@ impl VehicleStatus {
         let (Some(disarmed), Some(changed)) = (self.disarmed, self.mode_changed) else {
             return false;
         };
-        disarmed.since(changed).max(changed.since(disarmed)) <= RETURN_WITHIN
+        disarmed.since(changed) <= RETURN_AHEAD && changed.since(disarmed) <= RETURN_AFTER
     }
 
     /// The failsafe that the vehicle has been in since `since`, in its words where it has some;

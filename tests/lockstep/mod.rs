@@ -192,8 +192,9 @@ pub struct Bench {
     pub uplink: bool,
     /// Whether the transport takes no frames.
     pub is_jammed: bool,
-    /// Time of simulation before the vehicle's last boot, us.
+    /// Time of simulation before the vehicle's last boot, and now, us.
     booted_us: u64,
+    simulated_us: u64,
     pilot: Encoder,
 }
 
@@ -219,6 +220,7 @@ impl Bench {
             uplink: true,
             is_jammed: false,
             booted_us: 0,
+            simulated_us: 0,
             pilot: Encoder::new(200, 190),
         };
         bench.vehicle.connect(STATION, LinkKind::Datagrams);
@@ -232,7 +234,7 @@ impl Bench {
     }
 
     pub fn now_us(&self) -> u64 {
-        self.booted_us + self.vehicle.now_us()
+        self.simulated_us
     }
 
     pub fn now(&self) -> HostTime {
@@ -264,7 +266,11 @@ impl Bench {
             true
         });
         station.take_records(|record| self.records.push(record));
-        self.vehicle.advance_to(self.vehicle.next_event_us().min(until_us - self.booted_us));
+        let clock = self.vehicle.clock();
+        let due_us = self.booted_us + clock.host_us(self.vehicle.next_event_us());
+        self.simulated_us = due_us.min(until_us).min(now_us + 20_000);
+        let vehicle_us = clock.vehicle_us(self.simulated_us - self.booted_us);
+        self.vehicle.advance_to(vehicle_us);
     }
 
     pub fn run(&mut self, seconds: f64) {
@@ -357,7 +363,7 @@ impl Bench {
 
     /// The pilot asks for a mode. Whether that succeeds is the vehicle's business.
     pub fn pilot_mode(&mut self, mode: Mode) {
-        let [_, _, main, sub] = mode.custom_mode().to_le_bytes();
+        let [main, sub] = self.vehicle.mode_command(mode);
         self.command(MavCmd::MAV_CMD_DO_SET_MODE, [1.0, main.into(), sub.into()]);
     }
 

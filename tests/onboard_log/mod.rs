@@ -240,3 +240,82 @@ pub fn dataflash(seconds: f64) -> DataFlash {
     }
     log
 }
+
+/// A flight as ArduCopter logged it from 2014 to 2016: stamps in ms, no units, no functions of
+/// outputs, voltage in hundredths, the first EKF.
+pub fn old_dataflash(seconds: f64) -> DataFlash {
+    let mut log = DataFlash::new();
+    log.define(2, "PARM", "INf", "TimeMS,Name,Value");
+    log.define(3, "MSG", "Z", "Message");
+    log.define(10, "ATT", "IccccCC", "TimeMS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw");
+    log.define(11, "IMU", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ");
+    log.define(12, "EKF1", "Icccffffff", "TimeMS,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD");
+    log.define(13, "RCOU", "Ihhhh", "TimeMS,Chan1,Chan2,Chan3,Chan4");
+    log.define(14, "CURR", "Ihh", "TimeMS,ThrOut,Volt");
+    for (name, value) in
+        [("RC3_MIN", 1100.0_f32), ("RC3_MAX", 1900.0), ("MOT_SPIN_MIN", 0.0), ("MOT_SPIN_MAX", 1.0)]
+    {
+        let mut text = name.as_bytes().to_vec();
+        text.resize(16, 0);
+        log.message(2, &[&0_u32.to_le_bytes()[..], &text, &value.to_le_bytes()].concat());
+    }
+    let mut text = b"ArduCopter V3.2.1 (36b405fb)".to_vec();
+    text.resize(64, 0);
+    log.message(3, &text);
+    for step in 0..(seconds * 50.0) as u32 {
+        let stamp = (10_000 + 20 * step).to_le_bytes();
+        let t = 0.02 * f64::from(step);
+        let (roll, rate) = (0.3 * t.sin(), 0.3 * t.cos());
+        let centidegrees = ((roll.to_degrees() * 100.0).round() as i16).to_le_bytes();
+        let zero = [0, 0];
+        let attitude = [zero, centidegrees, zero, zero, zero, zero].concat();
+        log.message(10, &[&stamp[..], &attitude].concat());
+        log.message(
+            11,
+            &[&stamp[..], &floats(&[rate as f32, 0.0, 0.0, 0.1, -0.2, -9.81])].concat(),
+        );
+        let state = floats(&[0.1, 0.2, -0.3, 1.0, 2.0, -3.0]);
+        log.message(12, &[&stamp[..], &[0; 6], &state].concat());
+        let pulses = [1300_i16, 1500, 1700, 1900].map(i16::to_le_bytes).concat();
+        log.message(13, &[&stamp[..], &pulses].concat());
+        if step % 25 == 0 {
+            log.message(14, &[&stamp[..], &[0, 0], &1234_i16.to_le_bytes()].concat());
+        }
+    }
+    log
+}
+
+/// Attitude, position and these instances of actuator_outputs, each of so many outputs and with its
+/// values at a row.
+pub fn px4_outputs(
+    parameters: &[(&str, i32)],
+    instances: &[(u32, &dyn Fn(usize) -> [f32; 16])],
+) -> Ulog {
+    let mut log = Ulog::new();
+    log.info("char[3] sys_name", b"PX4");
+    log.format("vehicle_attitude:uint64_t timestamp;float[4] q;");
+    log.format("vehicle_local_position:uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;");
+    log.format("sensor_combined:uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;");
+    log.format("actuator_outputs:uint64_t timestamp;uint32_t noutputs;float[16] output;");
+    for (name, value) in parameters {
+        log.whole_parameter(name, *value);
+    }
+    let attitude = log.subscribe("vehicle_attitude", 0);
+    let position = log.subscribe("vehicle_local_position", 0);
+    let sensors = log.subscribe("sensor_combined", 0);
+    let outputs: Vec<u16> = (0..instances.len())
+        .map(|instance| log.subscribe("actuator_outputs", instance as u8))
+        .collect();
+    for step in 0..400_usize {
+        let us = 1_000_000 + 20_000 * step as u64;
+        let t = 0.02 * step as f32;
+        let (s, c) = (0.15 * t.sin()).sin_cos();
+        log.row(attitude, us, &floats(&[c, s, 0.0, 0.0]));
+        log.row(sensors, us, &floats(&[0.3 * t.cos(), 0.0, 0.0, 0.0, 0.0, -9.81]));
+        log.row(position, us, &floats(&[t.sin(), 0.0, -2.0, t.cos(), 0.0, 0.0]));
+        for (number, (count, values)) in outputs.iter().zip(instances) {
+            log.row(*number, us, &[&count.to_le_bytes()[..], &floats(&values(step))].concat());
+        }
+    }
+    log
+}

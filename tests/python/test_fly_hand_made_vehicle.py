@@ -104,3 +104,57 @@ def test_interrupt_lands_the_vehicle(flight):
     code, _, err = finish(daemon)
     assert code == 130, err
     assert not vehicle.armed and vehicle.position[2] == 0.0
+
+
+def pause_in_flight(vehicle, daemon, pause_s, at=lambda vehicle, since_s: None):
+    """Stops the process for a while once the vehicle is in the air; `at` sees the time since. Gives
+    the times of the stop and of the wake-up."""
+    times = []
+
+    def step(vehicle, _):
+        now = time.monotonic()
+        if not times and vehicle.armed and vehicle.position[2] < -0.5:
+            daemon.send_signal(signal.SIGSTOP)
+            times.append(now)
+        elif len(times) == 1:
+            at(vehicle, now - times[0])
+            if now - times[0] >= pause_s:
+                times.append(now)
+                daemon.send_signal(signal.SIGCONT)
+
+    vehicle.on_step = step
+    return times
+
+
+@bounds_time
+def test_a_pilot_who_takes_over_while_the_process_is_paused_keeps_the_vehicle(flight):
+    vehicle, daemon, _ = flight
+
+    def take_over(vehicle, since_s):
+        if since_s >= 1.0 and vehicle.mode != HOLD:
+            vehicle.set_mode(HOLD)
+            vehicle.commands.clear()
+
+    times = pause_in_flight(vehicle, daemon, 2.4, take_over)
+    code, _, err = finish(daemon)
+    assert code == 5 and "the pilot took over" in err, err
+    assert vehicle.mode == HOLD
+    assert not [command for command in vehicle.commands if command[0] in (176, 400)], vehicle.commands
+    assert not [stamp for stamp, _ in vehicle.setpoints if stamp > times[1]]
+
+
+@bounds_time
+def test_a_failsafe_during_a_pause_is_left_alone(flight):
+    vehicle, daemon, _ = flight
+    returning = 4 << 16 | 5 << 24
+
+    def failsafe(vehicle, since_s):
+        if since_s >= 0.3 and vehicle.mode != returning:
+            vehicle.link.mav.statustext_send(2, b"Failsafe activated")
+            vehicle.set_mode(returning)
+            vehicle.commands.clear()
+
+    pause_in_flight(vehicle, daemon, 2.4, failsafe)
+    code, _, err = finish(daemon)
+    assert code == 5 and "PX4 failsafe: Return; vehicle: Failsafe activated" in err, err
+    assert not [command for command in vehicle.commands if command[0] in (176, 400)], vehicle.commands

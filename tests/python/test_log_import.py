@@ -89,3 +89,59 @@ def test_what_is_wrong_is_said_with_its_file(tmp_path):
     done = run(table, "--mapping", MAPPING, "-o", table)
     assert done.returncode == 2 and table.read_text().startswith(COLUMNS)
     assert not out.exists()
+
+
+def test_a_mapping_is_proposed_shipped_and_edited(tmp_path):
+    table, out, mapping = tmp_path / "flight.csv", tmp_path / "flight.mcap", tmp_path / "map.toml"
+    write_table(table)
+    done = run("--propose", table)
+    assert done.returncode == 0 and "CHECK" in done.stdout, done.stderr
+    mapping.write_text(done.stdout)
+    done = run(table, "--mapping", mapping, "-o", out, "--json")
+    assert done.returncode == 0, done.stderr
+    streams = {stream["stream"]: stream["samples"] for stream in json.loads(done.stdout)["streams"]}
+    assert streams["attitude"] == streams["outputs"] == streams["voltage"] == 100
+    # A shipped mapping by its name, from any folder.
+    done = run(table, "--mapping", "motion-capture", "-o", out)
+    assert done.returncode == 0, done.stderr
+    done = run(table)
+    assert done.returncode == 2 and "--out" in done.stderr
+
+
+def test_what_holds_no_flight_ends_with_2_and_says_why(tmp_path):
+    from mcap.writer import Writer
+
+    out = tmp_path / "out.mcap"
+    for encoding, schema_encoding in [("json", "jsonschema"), ("cdr", "ros2msg"), ("ros1", "ros1msg")]:
+        other = tmp_path / "other.mcap"
+        with open(other, "wb") as file:
+            writer = Writer(file)
+            writer.start()
+            schema = writer.register_schema("nav_msgs/Odometry", schema_encoding, b"{}")
+            channel = writer.register_channel("/odom", encoding, schema)
+            for step in range(50):
+                writer.add_message(channel, log_time=step, publish_time=step, data=b"{}")
+            writer.finish()
+        for command in (["import", other, "-o", out], ["audit", other]):
+            done = subprocess.run(
+                DOWNWASH + ["log", *map(str, command)], capture_output=True, text=True, timeout=60
+            )
+            assert done.returncode == 2 and done.stdout == "", done.stdout
+            assert "other.mcap" in done.stderr and "it has /odom" in done.stderr, done.stderr
+    table = tmp_path / "flight.csv"
+    write_table(table)
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0]] + [line + ",7" for line in lines[1:]]))
+    done = run(table, "--mapping", MAPPING, "-o", out)
+    assert done.returncode == 2 and "20 cells where the header has 19" in done.stderr, done.stderr
+    assert not out.exists()
+
+
+def test_an_audit_of_many_logs_says_which_is_none(tmp_path):
+    table, empty = tmp_path / "flight.csv", tmp_path / "empty.tlog"
+    write_table(table)
+    empty.write_bytes(b"")
+    command = ["log", "audit", table, empty, "--mapping", "motion-capture"]
+    done = subprocess.run(DOWNWASH + [*map(str, command)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "empty.tlog" in done.stderr and "an empty file" in done.stderr
+    assert "flight.csv" in done.stdout

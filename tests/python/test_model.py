@@ -314,7 +314,7 @@ def test_an_interrupted_training_goes_on_to_the_same_file(program, flights, tmp_
     checkpoint = tmp_path / "model.safetensors.checkpoint"
     arguments = ["train", "--vehicle", CRAZYFLIE, *flights, "-o", model, *long]
     one = program(*arguments)
-    time.sleep(0.5)
+    one.says("... networks")
     one.process.send_signal(signal.SIGINT)
     code, _ = one.finish(120)
     assert code == 130 and checkpoint.exists() and not model.exists(), one.err

@@ -72,19 +72,21 @@ impl Airframe {
 
     /// What the on-board loop sees.
     pub(super) fn perceive(&self) -> Perception {
-        let Readings { estimate, onboard_attitude, gyro, battery, .. } = self.readings;
+        let Readings { estimate, onboard_attitude, gyro, battery, estimator, .. } = self.readings;
         Perception {
             position: estimate.position,
             velocity: estimate.velocity,
             attitude: onboard_attitude,
             body_rate: gyro,
             battery: battery.remaining,
+            voltage: battery.voltage,
+            estimator,
         }
     }
 
     /// What goes over the links.
     pub(super) fn report(&self) -> Report {
-        let Readings { estimate, gyro, specific_force, battery, .. } = self.readings;
+        let Readings { estimate, gyro, specific_force, battery, estimator, .. } = self.readings;
         Report {
             position: estimate.position,
             velocity: estimate.velocity,
@@ -99,6 +101,7 @@ impl Airframe {
                 remaining: battery.remaining,
             },
             rpm: self.plant.rpm(),
+            estimator,
         }
     }
 }

@@ -1,14 +1,12 @@
-//! The commander: armed or not, which mode is in force and which one is intended, failsafes.
-//!
-//! It follows PX4: any mode may be chosen while disarmed; the mode chosen while disarmed comes back
-//! after a flight; after a failsafe the intended mode stays, and OFFBOARD resumes by itself when
-//! its stream does.
+//! The commander: armed or not, which mode is in force and which one is intended, and the changes
+//! between them. When they happen by themselves, the [`Personality`] says.
 
 use wire::dialect::MavSeverity;
 
 use super::Mode;
 use super::arming::{Preflight, Refusal};
-use super::parameters::{Key, Parameters};
+use super::parameters::Parameters;
+use super::personality::{Personality, Refused};
 
 /// What the commander looks at in every tick.
 #[derive(Clone, Copy, Debug)]
@@ -21,12 +19,18 @@ pub struct Situation {
     pub sticks_live: bool,
     /// Whether the sticks are out of their centre.
     pub sticks_moved: bool,
+    /// Whether sticks were ever heard.
+    pub sticks_known: bool,
+    /// Age of the watched ground station's last heartbeat, us; `None` before the first.
+    pub ground_station_age_us: Option<u64>,
     /// Whether the vehicle stands on the ground.
     pub landed: bool,
     /// Whether a take-off has reached its height.
     pub climbed: bool,
     /// Remaining charge, 0..1.
     pub battery: f64,
+    /// Terminal voltage, V.
+    pub voltage: f64,
 }
 
 /// A line of text for whoever listens.
@@ -38,49 +42,58 @@ pub struct Notice {
     pub text: String,
 }
 
-/// Charge at which the pilot is warned, and at which the pack is critical.
-const BATTERY_WARNINGS: [(f64, MavSeverity, &str); 2] = [
-    (0.15, MavSeverity::MAV_SEVERITY_WARNING, "Low battery level"),
-    (0.07, MavSeverity::MAV_SEVERITY_CRITICAL, "Critical battery level"),
-];
-
 /// The state of the flight.
 #[derive(Clone, Debug)]
 pub struct Commander {
+    personality: &'static dyn Personality,
     armed: bool,
     mode: Mode,
     intended: Mode,
-    mode_after_disarming: Mode,
+    mode_after_disarming: Option<Mode>,
     failsafe: bool,
-    flown: bool,
-    armed_us: u64,
-    landed_since_us: Option<u64>,
-    battery_warnings: usize,
+    /// Whether the failsafe ends by itself when setpoints come again.
+    pub(super) ends_with_stream: bool,
+    /// Whether the vehicle has left the ground since it was armed.
+    pub(super) flown: bool,
+    /// When it was armed, us.
+    pub(super) armed_us: u64,
+    pub(super) landed_since_us: Option<u64>,
+    /// Warnings about the pack that were given.
+    pub(super) battery_warnings: usize,
+    /// When a loss that is acted on later began, us.
+    pub(super) loss_us: Option<u64>,
+    /// Whether the loss of the watched ground station has been acted on.
+    pub(super) ground_station_lost: bool,
+    /// Whether the loss of the sticks has been acted on.
+    pub(super) sticks_lost: bool,
     notices: Vec<Notice>,
 }
 
-impl Default for Commander {
-    /// A vehicle switched on: disarmed, in Hold.
-    fn default() -> Self {
+impl Commander {
+    /// A vehicle switched on: disarmed, on the ground, or armed and in the air, in Hold.
+    pub(super) fn new(personality: &'static dyn Personality, airborne: bool) -> Self {
+        let mode = if airborne { Mode::Hold } else { personality.first_mode() };
         Self {
-            armed: false,
-            mode: Mode::Hold,
-            intended: Mode::Hold,
-            mode_after_disarming: Mode::Hold,
+            personality,
+            armed: airborne,
+            mode,
+            intended: mode,
+            mode_after_disarming: personality.mode_after_disarming(mode, false),
             failsafe: false,
-            flown: false,
+            ends_with_stream: false,
+            flown: airborne,
             armed_us: 0,
             landed_since_us: None,
             battery_warnings: 0,
+            loss_us: None,
+            ground_station_lost: false,
+            sticks_lost: false,
             notices: Vec::new(),
         }
     }
-}
 
-impl Commander {
-    /// A vehicle that starts armed, in the air, in Hold.
-    pub fn airborne() -> Self {
-        Self { armed: true, flown: true, ..Self::default() }
+    pub(super) fn personality(&self) -> &'static dyn Personality {
+        self.personality
     }
 
     /// Whether the motors are armed.
@@ -121,41 +134,40 @@ impl Commander {
     /// Changes the mode as someone asked.
     ///
     /// # Errors
-    /// [`Refusal::NoOffboardSignal`] for OFFBOARD while armed without a live stream.
+    /// [`Refusal::NoOffboardSignal`] for OFFBOARD while armed without the stream that it needs.
     pub fn request_mode(&mut self, mode: Mode, stream_live: bool) -> Result<(), Refusal> {
-        if self.armed && mode == Mode::Offboard && !stream_live {
-            self.notify(
-                MavSeverity::MAV_SEVERITY_CRITICAL,
-                format!("Switching to {mode} is currently not available: no offboard signal"),
-            );
-            return Err(Refusal::NoOffboardSignal);
+        let needs_stream = mode == Mode::Offboard && self.personality.needs_stream();
+        if self.armed && needs_stream && !stream_live {
+            let refusal = Refusal::NoOffboardSignal;
+            self.refuse(Refused::Mode(mode), &refusal);
+            return Err(refusal);
         }
-        if !self.armed {
-            self.mode_after_disarming = mode;
-        }
+        self.mode_after_disarming =
+            self.personality.mode_after_disarming(mode, self.armed).or(self.mode_after_disarming);
         self.failsafe = false;
-        self.intended = mode;
-        self.mode = mode;
+        self.loss_us = None;
+        self.enter(mode);
         Ok(())
     }
 
-    /// Arms. Arming an armed vehicle changes nothing and is no error.
+    /// Arms; `force` without checks. Arming an armed vehicle changes nothing and is no error.
     ///
     /// # Errors
     /// The first [`Refusal`] of `preflight`.
-    pub fn arm(&mut self, now_us: u64, preflight: &Preflight) -> Result<(), Refusal> {
+    pub fn arm(&mut self, now_us: u64, preflight: &Preflight, force: bool) -> Result<(), Refusal> {
         if self.armed {
             return Ok(());
         }
-        if let Some(refusal) = preflight.refusal(self.mode) {
-            self.notify(MavSeverity::MAV_SEVERITY_CRITICAL, format!("Arming denied: {refusal}"));
+        if let Some(refusal) = preflight.refusal(self.mode).filter(|_| !force) {
+            self.refuse(Refused::Arming, &refusal);
             return Err(refusal);
         }
         self.armed = true;
         self.armed_us = now_us;
         self.flown = false;
         self.landed_since_us = Some(now_us);
-        self.notify(MavSeverity::MAV_SEVERITY_INFO, "Armed by external command");
+        let text = self.personality.motors_text(true, "external command");
+        self.notify(MavSeverity::MAV_SEVERITY_INFO, text);
         Ok(())
     }
 
@@ -168,136 +180,70 @@ impl Commander {
             return Ok(());
         }
         if !landed && !force {
-            self.notify(MavSeverity::MAV_SEVERITY_CRITICAL, "Disarming denied: not landed");
+            self.refuse(Refused::Disarming, &Refusal::InAir);
             return Err(Refusal::InAir);
         }
         self.stop_motors(if force { "force" } else { "external command" });
         Ok(())
     }
 
-    /// Whether a flight can begin in the mode in force.
-    pub fn mode_can_arm(&self) -> bool {
-        !matches!(self.mode, Mode::Land | Mode::Return)
-    }
-
-    fn stop_motors(&mut self, by: &str) {
-        self.armed = false;
-        self.failsafe = false;
-        self.mode = self.mode_after_disarming;
-        self.intended = self.mode_after_disarming;
-        self.notify(MavSeverity::MAV_SEVERITY_INFO, format!("Disarmed by {by}"));
-    }
-
-    /// One tick: failsafes, the end of a take-off, the pilot's sticks, disarming by itself.
-    pub fn update(&mut self, now: &Situation, parameters: &Parameters) {
-        if !self.armed {
-            return;
-        }
-        self.watch_stream(now, parameters);
-        self.watch_sticks(now, parameters);
-        self.watch_battery(now, parameters);
-        if self.mode == Mode::Takeoff && now.climbed {
-            self.mode = Mode::Hold;
-            if self.intended == Mode::Takeoff {
-                self.intended = Mode::Hold;
-            }
-        }
-        self.watch_ground(now, parameters);
-    }
-
-    fn watch_stream(&mut self, now: &Situation, parameters: &Parameters) {
-        if self.mode == Mode::Offboard && !now.stream_live {
-            match parameters.get(Key::ComOblRcAct) as i32 {
-                3 => self.fail_over(Mode::Return, "No offboard signal"),
-                4 => self.fail_over(Mode::Land, "No offboard signal"),
-                5 => self.fail_over(Mode::Hold, "No offboard signal"),
-                6 | 7 => self.stop_motors("failsafe: no offboard signal"),
-                // Position, altitude and stabilized flight need sticks.
-                _ if now.sticks_live => self.fail_over(Mode::Position, "No offboard signal"),
-                _ => self.lose_sticks(parameters),
-            }
-        } else if self.failsafe
-            && self.intended == Mode::Offboard
-            && self.mode != Mode::Offboard
-            && now.stream_live
-        {
-            self.failsafe = false;
-            self.mode = Mode::Offboard;
-            self.notify(MavSeverity::MAV_SEVERITY_NOTICE, "Offboard signal is back");
-        }
-    }
-
-    fn lose_sticks(&mut self, parameters: &Parameters) {
-        let why = "No offboard signal and no manual control";
-        match parameters.get(Key::NavRclAct) as i32 {
-            1 => self.fail_over(Mode::Hold, why),
-            3 => self.fail_over(Mode::Land, why),
-            5 | 6 => self.stop_motors("failsafe: no manual control"),
-            _ => self.fail_over(Mode::Return, why),
-        }
-    }
-
-    fn fail_over(&mut self, mode: Mode, why: &str) {
-        self.failsafe = true;
-        self.mode = mode;
-        let text = format!("{why}: failsafe activated, switching to {mode}");
+    fn refuse(&mut self, refused: Refused, refusal: &Refusal) {
+        let text = self.personality.refusal_text(refused, refusal);
         self.notify(MavSeverity::MAV_SEVERITY_CRITICAL, text);
     }
 
-    fn watch_sticks(&mut self, now: &Situation, parameters: &Parameters) {
-        let overrides = parameters.get(Key::ComRcOverride) as i32;
-        let allowed = match self.mode {
-            Mode::Position => false,
-            Mode::Offboard => overrides & 2 != 0,
-            _ => overrides & 1 != 0,
-        };
-        if allowed && now.sticks_live && now.sticks_moved && !now.landed {
-            self.failsafe = false;
-            self.mode = Mode::Position;
-            self.intended = Mode::Position;
-            self.notify(MavSeverity::MAV_SEVERITY_NOTICE, "Pilot took over using sticks");
+    /// Whether a flight can begin in the mode in force.
+    pub fn mode_can_arm(&self) -> bool {
+        self.personality.mode_can_arm(self.mode)
+    }
+
+    /// One tick.
+    pub fn update(&mut self, now: &Situation, parameters: &Parameters) {
+        if self.armed {
+            self.personality.watch(self, now, parameters);
         }
     }
 
-    fn watch_battery(&mut self, now: &Situation, parameters: &Parameters) {
-        let Some((level, severity, text)) = BATTERY_WARNINGS.get(self.battery_warnings) else {
-            return;
-        };
-        if now.battery >= *level {
-            return;
+    /// Disarms by itself.
+    pub(super) fn stop_motors(&mut self, by: &str) {
+        self.armed = false;
+        self.failsafe = false;
+        self.loss_us = None;
+        if let Some(mode) = self.mode_after_disarming {
+            self.enter(mode);
         }
-        self.battery_warnings += 1;
-        self.notify(*severity, *text);
-        let critical = self.battery_warnings == BATTERY_WARNINGS.len();
-        let landing = matches!(self.mode, Mode::Land | Mode::Return);
-        if critical && !landing {
-            match parameters.get(Key::ComLowBatAct) as i32 {
-                2 => self.fail_over(Mode::Land, text),
-                3 => self.fail_over(Mode::Return, text),
-                _ => {}
-            }
-        }
+        let text = self.personality.motors_text(false, by);
+        self.notify(MavSeverity::MAV_SEVERITY_INFO, text);
     }
 
-    fn watch_ground(&mut self, now: &Situation, parameters: &Parameters) {
+    /// A mode that replaces what was intended too.
+    pub(super) fn enter(&mut self, mode: Mode) {
+        self.mode = mode;
+        self.intended = mode;
+    }
+
+    /// A mode that a failsafe takes; the intended one stays.
+    pub(super) fn fail_over(&mut self, mode: Mode) {
+        self.failsafe = true;
+        self.ends_with_stream = false;
+        self.mode = mode;
+    }
+
+    /// The mode that was intended, after a failsafe or another pause.
+    pub(super) fn resume(&mut self) {
+        self.failsafe = false;
+        self.mode = self.intended;
+    }
+
+    /// How long the vehicle has stood on the ground, us; notes that it flew otherwise.
+    pub(super) fn landed_for_us(&mut self, now: &Situation) -> Option<u64> {
         if !now.landed {
             self.flown = true;
             self.landed_since_us = None;
-            return;
+            return None;
         }
         let since = *self.landed_since_us.get_or_insert(now.now_us);
-        let (key, by) = if self.flown {
-            (Key::ComDisarmLand, "landing")
-        } else {
-            (Key::ComDisarmPrflt, "auto preflight disarming")
-        };
-        let since = if self.flown { since } else { self.armed_us };
-        let expired = parameters
-            .timeout_us(key)
-            .is_some_and(|timeout| now.now_us.saturating_sub(since) >= timeout);
-        if expired {
-            self.stop_motors(by);
-        }
+        Some(now.now_us.saturating_sub(since))
     }
 }
 
@@ -305,7 +251,8 @@ impl Commander {
 mod tests {
     use super::*;
     use crate::autopilot::parameters::Value;
-    use crate::autopilot::testing;
+    use crate::autopilot::{personality, testing};
+    use crate::config::Autopilot;
 
     const CALM: Situation = Situation {
         now_us: 0,
@@ -315,22 +262,28 @@ mod tests {
         landed: false,
         climbed: false,
         battery: 1.0,
+        sticks_known: false,
+        ground_station_age_us: None,
+        voltage: 12.0,
     };
 
+    fn airborne() -> Commander {
+        Commander::new(personality::of(Autopilot::Bundled), true)
+    }
+
     fn parameters() -> Parameters {
-        let vehicle = testing::vehicle();
-        Parameters::new(&vehicle, &vehicle.attitude_pd.unwrap())
+        testing::parameters()
     }
 
     fn in_offboard() -> Commander {
-        let mut commander = Commander::airborne();
+        let mut commander = airborne();
         commander.request_mode(Mode::Offboard, true).unwrap();
         commander
     }
 
     #[test]
     fn offboard_in_the_air_needs_a_stream_and_a_refusal_changes_nothing() {
-        let mut commander = Commander::airborne();
+        let mut commander = airborne();
         assert_eq!(commander.request_mode(Mode::Offboard, false), Err(Refusal::NoOffboardSignal));
         assert_eq!((commander.mode(), commander.intended()), (Mode::Hold, Mode::Hold));
         assert!(commander.take_notices().next().is_some());
@@ -393,7 +346,7 @@ mod tests {
     fn the_mode_chosen_while_disarmed_comes_back_after_the_flight() {
         let parameters = parameters();
         let mut commander = in_offboard();
-        commander.mode_after_disarming = Mode::Offboard;
+        commander.mode_after_disarming = Some(Mode::Offboard);
         commander.update(&CALM, &parameters);
         assert_eq!(commander.mode(), Mode::Land);
         for now_us in [1_000_000, 3_000_000] {
@@ -405,7 +358,7 @@ mod tests {
 
     #[test]
     fn no_disarming_in_the_air_without_force() {
-        let mut commander = Commander::airborne();
+        let mut commander = airborne();
         assert_eq!(commander.disarm(false, false), Err(Refusal::InAir));
         assert!(commander.armed());
         assert!(commander.disarm(false, true).is_ok());
@@ -416,14 +369,14 @@ mod tests {
     fn critical_battery_acts_only_if_told_to() {
         let mut parameters = parameters();
         let empty = Situation { battery: 0.05, ..CALM };
-        let mut commander = Commander::airborne();
+        let mut commander = airborne();
         commander.update(&empty, &parameters);
         commander.update(&empty, &parameters);
         assert_eq!(commander.mode(), Mode::Hold);
         assert_eq!(commander.take_notices().count(), 2);
 
         parameters.set("COM_LOW_BAT_ACT", Value::Int(2)).unwrap();
-        let mut commander = Commander::airborne();
+        let mut commander = airborne();
         commander.update(&empty, &parameters);
         commander.update(&empty, &parameters);
         assert_eq!(commander.mode(), Mode::Land);

@@ -1,9 +1,15 @@
 //! Flight control: from what is sensed to motor outputs, once per tick of the on-board loop.
 
-use wire::dialect::AttitudeTargetTypemask;
+use rand::Rng;
+use wire::dialect::{
+    AttitudeTargetTypemask, MavBatteryChargeState, MavParamType, MavSeverity, MavType,
+    SET_ATTITUDE_TARGET_DATA,
+};
 
-use crate::frame::{Attitude, Frd, Ned};
-use crate::vehicle::{AttitudePd, ROTORS, VehicleError, VehicleParams};
+use crate::config::SitlConfig;
+use crate::frame::{Attitude, Euler, Frd, Ned};
+use crate::sensors::EstimatorStatus;
+use crate::vehicle::{ROTORS, VehicleParams};
 
 use super::Mode;
 use super::arming::{Preflight, Refusal};
@@ -11,9 +17,11 @@ use super::commander::{Commander, Situation};
 use super::guidance::{Guidance, Plan, Pose, Sticks};
 use super::land_detector::{LandDetector, Motion};
 use super::offboard::{AttitudeSetpoint, OffboardStream};
-use super::parameters::{Key, Parameters};
-use super::pd::AttitudeLoop;
-use super::position::PositionController;
+use super::parameters::{Key, Parameters, SetError};
+use super::personality::{
+    LoopInput, Onboard, OnboardLoop, Personality, Pursuit, Reception, StreamState,
+};
+use super::position::{PositionController, PositionTarget};
 
 /// A ground station is lost when its last heartbeat is older than this, us.
 const GROUND_STATION_LOST_US: u64 = 10_000_000;
@@ -31,6 +39,10 @@ pub struct Perception {
     pub body_rate: Frd,
     /// Remaining charge, 0..1.
     pub battery: f64,
+    /// Terminal voltage, V.
+    pub voltage: f64,
+    /// What the estimator says of itself.
+    pub estimator: EstimatorStatus,
 }
 
 impl Perception {
@@ -44,56 +56,63 @@ impl Perception {
 }
 
 /// The vehicle's flight control.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct FlightControl {
+    pub(super) personality: &'static dyn Personality,
     pub(super) parameters: Parameters,
     pub(super) commander: Commander,
-    pub(super) stream: OffboardStream,
+    stream: OffboardStream,
     guidance: Guidance,
     position_controller: PositionController,
-    attitude_loop: AttitudeLoop,
+    attitude_loop: Box<dyn OnboardLoop>,
     detector: LandDetector,
     sticks: Option<(u64, Sticks)>,
     ground_station_us: Option<u64>,
+    /// When the position becomes known, us.
+    ready_us: u64,
     home: Ned,
     take_off_height: Option<f64>,
     perception: Perception,
     setpoint: Option<AttitudeSetpoint>,
+    /// Whether the setpoint came with a message at this tick.
+    is_new: bool,
     outputs: [f64; ROTORS],
     tick_s: f64,
 }
 
 impl FlightControl {
-    /// Flight control of `vehicle`, whose loop in its file is `nominal` and in truth `gains`, on
-    /// the ground at `perception` or already in the air there.
-    ///
-    /// # Errors
-    /// [`VehicleError`] if the mixer cannot be inverted.
-    pub fn new(
+    /// Flight control of `vehicle` by `personality` with its `onboard` loop, on the ground at
+    /// `perception` or already in the air there.
+    pub(super) fn new(
         vehicle: &VehicleParams,
-        nominal: &AttitudePd,
-        gains: AttitudePd,
+        personality: &'static dyn Personality,
+        onboard: Onboard,
         command_delay_s: f64,
+        config: &SitlConfig,
         perception: Perception,
         airborne: bool,
-    ) -> Result<Self, VehicleError> {
-        Ok(Self {
-            parameters: Parameters::new(vehicle, nominal),
-            commander: if airborne { Commander::airborne() } else { Commander::default() },
+    ) -> Self {
+        let Onboard { parameters, attitude_loop, rate_hz } = onboard;
+        Self {
+            personality,
+            parameters,
+            commander: Commander::new(personality, airborne),
             stream: OffboardStream::new(command_delay_s),
             guidance: Guidance::default(),
             position_controller: PositionController::new(vehicle.gravity),
-            attitude_loop: AttitudeLoop::new(gains, vehicle.allocation()?),
-            detector: LandDetector::new(!airborne),
+            attitude_loop,
+            detector: LandDetector::new(!airborne, !config.landing_goes_unnoticed),
             sticks: None,
             ground_station_us: None,
+            ready_us: (config.estimator.ready_after_s * 1e6) as u64,
             home: perception.position,
             take_off_height: None,
             perception,
             setpoint: None,
+            is_new: false,
             outputs: [0.0; ROTORS],
-            tick_s: 1.0 / gains.rate_hz,
-        })
+            tick_s: 1.0 / rate_hz,
+        }
     }
 
     /// Whether the motors are armed.
@@ -116,6 +135,33 @@ impl FlightControl {
         self.setpoint.as_ref()
     }
 
+    /// The setpoint that ATTITUDE_TARGET tells.
+    pub(super) fn told_setpoint(&self) -> Option<AttitudeSetpoint> {
+        self.setpoint.map(|setpoint| self.attitude_loop.told(setpoint))
+    }
+
+    /// Whether the estimator knows where the vehicle is.
+    pub(super) fn position_known(&self, now_us: u64) -> bool {
+        now_us >= self.ready_us
+    }
+
+    /// How the autopilot judges the pack.
+    pub(super) fn charge_state(&self) -> MavBatteryChargeState {
+        let Self { perception, commander, parameters, .. } = self;
+        self.personality.charge_state(perception.battery, commander.battery_warnings, parameters)
+    }
+
+    /// Says what has changed of the estimate.
+    fn tell_estimator(&mut self, before: EstimatorStatus) {
+        let now = self.perception.estimator;
+        if now.rejects_gps == before.rejects_gps {
+            return;
+        }
+        if let Some(text) = self.personality.gps_text(now.rejects_gps) {
+            self.commander.notify(MavSeverity::MAV_SEVERITY_CRITICAL, text);
+        }
+    }
+
     /// Whether the vehicle stands on the ground, as far as it knows.
     pub fn landed(&self) -> bool {
         self.detector.landed()
@@ -131,9 +177,43 @@ impl FlightControl {
         self.sticks = Some((now_us, sticks));
     }
 
-    /// Notes the heartbeat of a ground station.
-    pub fn hear_ground_station(&mut self, now_us: u64) {
-        self.ground_station_us = Some(now_us);
+    /// Notes a HEARTBEAT of another system.
+    pub(super) fn hear_heartbeat(&mut self, now_us: u64, system: u8, kind: MavType) {
+        if self.personality.is_ground_station(system, kind, &self.parameters) {
+            self.ground_station_us = Some(now_us);
+        }
+    }
+
+    /// Takes a SET_ATTITUDE_TARGET.
+    pub(super) fn receive(
+        &mut self,
+        now_us: u64,
+        message: &SET_ATTITUDE_TARGET_DATA,
+        rng: &mut impl Rng,
+    ) {
+        match self.personality.receive(message, self.commander.mode()) {
+            Reception::Fly(setpoint) => {
+                self.take_off_height = self.take_off_height.filter(|_| !self.takes_off_here());
+                self.stream.receive(now_us, setpoint, rng);
+            }
+            Reception::Stop => self.stream.clear(),
+            Reception::Ignore => {}
+        }
+    }
+
+    /// Sets a parameter to what the wire says and returns its index.
+    ///
+    /// # Errors
+    /// As [`Parameters::set_from_wire`].
+    pub(super) fn set_parameter(
+        &mut self,
+        name: &str,
+        value: f32,
+        kind: MavParamType,
+    ) -> Result<usize, SetError> {
+        let index = self.parameters.set_from_wire(name, value, kind)?;
+        self.attitude_loop.configure(&self.parameters);
+        Ok(index)
     }
 
     /// Whether the offboard stream is younger than COM_OF_LOSS_T.
@@ -148,8 +228,12 @@ impl FlightControl {
     /// As [`Commander::request_mode`].
     pub fn request_mode(&mut self, now_us: u64, mode: Mode) -> Result<(), Refusal> {
         let stream_live = self.stream_live(now_us);
+        let before = self.commander.mode();
         self.commander.request_mode(mode, stream_live)?;
         self.take_off_height = None;
+        if before != mode && mode == Mode::Offboard && !self.personality.needs_stream() {
+            self.stream.clear();
+        }
         Ok(())
     }
 
@@ -158,20 +242,32 @@ impl FlightControl {
     /// # Errors
     /// As [`Commander::request_mode`].
     pub fn request_take_off(&mut self, now_us: u64, height: Option<f64>) -> Result<(), Refusal> {
-        self.request_mode(now_us, Mode::Takeoff)?;
+        if self.takes_off_here() {
+            self.stream.clear();
+            let usual = self.parameters.get(Key::MisTakeoffAlt);
+            self.take_off_height = Some(height.unwrap_or(usual));
+        } else {
+            self.request_mode(now_us, Mode::Takeoff)?;
+            self.take_off_height = height;
+        }
         self.guidance.leave();
-        self.take_off_height = height;
         Ok(())
     }
 
-    /// Arms.
+    /// Whether a take-off does not leave the mode in force.
+    fn takes_off_here(&self) -> bool {
+        self.personality.takes_off_in_offboard() && self.commander.mode() == Mode::Offboard
+    }
+
+    /// Arms; with `force` perhaps without checks.
     ///
     /// # Errors
     /// The first [`Refusal`] of [`FlightControl::preflight`].
-    pub fn arm(&mut self, now_us: u64) -> Result<(), Refusal> {
+    pub fn arm(&mut self, now_us: u64, force: bool) -> Result<(), Refusal> {
         let preflight = self.preflight(now_us);
         let was_armed = self.commander.armed();
-        self.commander.arm(now_us, &preflight)?;
+        let force = force && self.personality.forced_arming_skips_checks();
+        self.commander.arm(now_us, &preflight, force)?;
         if !was_armed {
             self.home = self.perception.position;
             self.guidance.leave();
@@ -197,10 +293,12 @@ impl FlightControl {
             tilt: self.perception.attitude.tilt(),
             tilt_max: self.parameters.get(Key::ComArmLevel),
             battery: self.perception.battery,
-            estimate_ok: self.perception.is_finite(),
+            estimate_ok: self.perception.is_finite() && self.position_known(now_us),
             landed: self.detector.landed(),
             mode_can_arm: self.commander.mode_can_arm(),
-            stream_missing: self.commander.mode() == Mode::Offboard && !self.stream_live(now_us),
+            stream_missing: self.personality.needs_stream()
+                && self.commander.mode() == Mode::Offboard
+                && !self.stream_live(now_us),
             ground_station_missing: self.parameters.get(Key::NavDllAct) > 0.0 && !heard,
         }
     }
@@ -216,16 +314,31 @@ impl FlightControl {
 
     /// One tick of the on-board loop.
     pub fn tick(&mut self, now_us: u64, perception: Perception) {
-        self.perception = perception;
+        let before = std::mem::replace(&mut self.perception, perception);
+        self.tell_estimator(before.estimator);
         self.watch(now_us);
         self.setpoint = if self.commander.armed() { self.choose_setpoint(now_us) } else { None };
-        self.outputs = match &self.setpoint {
-            Some(setpoint) => self.attitude_loop.outputs(
-                setpoint,
-                perception.attitude.euler(),
-                perception.body_rate,
-            ),
-            None => [0.0; ROTORS],
+        self.outputs = match &mut self.setpoint {
+            Some(setpoint) => {
+                let armed_s = now_us.saturating_sub(self.commander.armed_us) as f64 * 1e-6;
+                let limit = match self.commander.flown {
+                    true => 1.0,
+                    false => self.personality.thrust_limit(armed_s, &self.parameters),
+                };
+                setpoint.thrust = setpoint.thrust.min(limit);
+                self.attitude_loop.outputs(&LoopInput {
+                    setpoint,
+                    is_new: self.is_new,
+                    attitude: perception.attitude,
+                    body_rate: perception.body_rate,
+                    landed: self.detector.landed(),
+                    dt: self.tick_s,
+                })
+            }
+            None => {
+                self.attitude_loop.rest();
+                [0.0; ROTORS]
+            }
         };
     }
 
@@ -245,25 +358,81 @@ impl FlightControl {
             stream_live: self.stream_live(now_us),
             sticks_live: sticks.is_some(),
             sticks_moved: sticks.is_some_and(|sticks| sticks.moved()),
+            sticks_known: self.sticks.is_some(),
+            ground_station_age_us: self.ground_station_us.map(|heard| now_us.saturating_sub(heard)),
             landed: self.detector.landed(),
             climbed: self.guidance.climbed(),
             battery: self.perception.battery,
+            voltage: self.perception.voltage,
         };
         self.commander.update(&situation, &self.parameters);
     }
 
     fn choose_setpoint(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
         // The delay line runs in every mode, so that OFFBOARD begins with the newest setpoint.
-        let offboard = self.stream.at(now_us);
+        let setpoint = self.stream.at(now_us);
+        self.is_new = false;
         let mode = self.commander.mode();
-        if mode == Mode::Offboard {
-            self.guidance.leave();
-            self.position_controller.reset();
-            return offboard;
+        if mode != Mode::Offboard {
+            return self.guided(now_us, mode);
         }
-        let sticks = self.live_sticks(now_us);
-        let lifts = mode == Mode::Takeoff
-            || (mode == Mode::Position && sticks.is_some_and(|sticks| sticks.up > 0.3));
+        if self.takes_off_here() && self.take_off_height.is_some() {
+            return self.guided(now_us, Mode::Takeoff);
+        }
+        let pursuit = self.personality.pursue(
+            &StreamState {
+                setpoint,
+                is_live: self.stream_live(now_us),
+                yaw: self.perception.attitude.yaw(),
+                landed: self.detector.landed(),
+            },
+            &self.parameters,
+        );
+        match pursuit {
+            Pursuit::Setpoint(setpoint) => {
+                self.guidance.leave();
+                self.position_controller.reset();
+                self.is_new = self.stream.is_new();
+                setpoint
+            }
+            Pursuit::Climb(setpoint, rate_m_s) => {
+                self.guidance.leave();
+                Some(self.climbing(setpoint, rate_m_s))
+            }
+            Pursuit::Hold => self.guided(now_us, Mode::Hold),
+        }
+    }
+
+    /// `setpoint` with the thrust that makes a climb rate in m/s.
+    fn climbing(&mut self, setpoint: AttitudeSetpoint, rate_m_s: f64) -> AttitudeSetpoint {
+        let Perception { position, velocity, attitude, .. } = self.perception;
+        let target = PositionTarget {
+            position: [None; 3],
+            // Across, what there is: only the height is looked after.
+            velocity: Ned::new(velocity.north(), velocity.east(), -rate_m_s),
+            yaw: attitude.yaw(),
+        };
+        let level = self.position_controller.update(
+            &target,
+            position,
+            velocity,
+            &self.parameters,
+            self.tick_s,
+        );
+        let thrust = (level.thrust / attitude.tilt().cos().max(0.5)).min(1.0);
+        AttitudeSetpoint { thrust, ..setpoint }
+    }
+
+    /// What guidance and position control fly in `mode`.
+    fn guided(&mut self, now_us: u64, mode: Mode) -> Option<AttitudeSetpoint> {
+        let sticks = self.live_sticks(now_us).or(self.personality.sticks_without_radio());
+        let up = sticks.map_or(0.0, |sticks| sticks.up);
+        let lifts = match mode {
+            Mode::Takeoff => true,
+            Mode::Position | Mode::Altitude => up > 0.3,
+            Mode::Stabilized => up > -0.9,
+            _ => false,
+        };
         if self.detector.landed() && !lifts {
             self.guidance.leave();
             self.position_controller.reset();
@@ -271,6 +440,9 @@ impl FlightControl {
         }
         let Perception { position, velocity, attitude, .. } = self.perception;
         let pose = Pose { position, velocity, yaw: attitude.euler().yaw };
+        if matches!(mode, Mode::Altitude | Mode::Stabilized) {
+            return Some(self.by_hand(mode, sticks.unwrap_or_default()));
+        }
         let height =
             self.take_off_height.unwrap_or_else(|| self.parameters.get(Key::MisTakeoffAlt));
         let plan = Plan { home: self.home, take_off_down: self.home.down() - height };
@@ -289,5 +461,25 @@ impl FlightControl {
             thrust: command.thrust,
             type_mask: AttitudeTargetTypemask::empty(),
         })
+    }
+
+    /// The sticks tilt the vehicle, and set its climb rate or its thrust.
+    fn by_hand(&mut self, mode: Mode, sticks: Sticks) -> AttitudeSetpoint {
+        self.guidance.leave();
+        let tilt_max = self.parameters.get(Key::MpcTiltMaxAir).to_radians();
+        let yaw = self.perception.attitude.yaw();
+        let attitude = Euler::new(sticks.right * tilt_max, -sticks.forward * tilt_max, yaw);
+        let by_stick = AttitudeSetpoint {
+            attitude: Some(attitude),
+            body_rate: Frd::zero(),
+            thrust: 0.5 * (sticks.up + 1.0),
+            type_mask: AttitudeTargetTypemask::empty(),
+        };
+        if mode == Mode::Stabilized {
+            return by_stick;
+        }
+        let limit = if sticks.up > 0.0 { Key::MpcZVelMaxUp } else { Key::MpcZVelMaxDn };
+        let rate_m_s = sticks.up * self.parameters.get(limit);
+        self.climbing(by_stick, rate_m_s)
     }
 }

@@ -151,7 +151,9 @@ impl Guidance {
                 Some(sticks) => self.follow(sticks, pose, parameters, dt),
                 None => PositionTarget::hold(self.anchor, self.yaw),
             },
-            Mode::Hold | Mode::Offboard => PositionTarget::hold(self.anchor, self.yaw),
+            Mode::Hold | Mode::Offboard | Mode::Altitude | Mode::Stabilized => {
+                PositionTarget::hold(self.anchor, self.yaw)
+            }
         }
     }
 

@@ -21,14 +21,17 @@ pub struct Motion {
 /// Landed or not, with hysteresis.
 #[derive(Clone, Debug)]
 pub struct LandDetector {
+    /// Whether a landing is ever noticed.
+    works: bool,
     landed: bool,
     since_us: Option<u64>,
 }
 
 impl LandDetector {
-    /// A vehicle that stands on the ground, or one that starts in the air.
-    pub fn new(landed: bool) -> Self {
-        Self { landed, since_us: None }
+    /// A vehicle that stands on the ground, or one that starts in the air; one that does not work
+    /// never notices a landing.
+    pub fn new(landed: bool, works: bool) -> Self {
+        Self { works, landed, since_us: None }
     }
 
     /// Whether the vehicle stands on the ground.
@@ -48,7 +51,10 @@ impl LandDetector {
             }
             motion.thrust_over_hover > 1.0
         } else {
-            speed < 0.25 && motion.body_rate.norm() < 0.7 && motion.thrust_over_hover < 0.4
+            self.works
+                && speed < 0.25
+                && motion.body_rate.norm() < 0.7
+                && motion.thrust_over_hover < 0.4
         };
         let hold_us = if self.landed { LIFTING_US } else { STILL_US };
         if !suspected {
@@ -75,7 +81,7 @@ mod tests {
 
     #[test]
     fn rising_is_flight_and_stillness_without_thrust_is_landed() {
-        let mut detector = LandDetector::new(true);
+        let mut detector = LandDetector::new(true, true);
         assert!(!detector.update(0, &motion(0.0, 0.9)));
         assert!(detector.update(4000, &motion(-0.3, 1.1)));
         assert!(!detector.landed());
@@ -87,7 +93,7 @@ mod tests {
 
     #[test]
     fn hover_and_free_fall_are_not_landed() {
-        let mut detector = LandDetector::new(false);
+        let mut detector = LandDetector::new(false, true);
         for tick in 0..1000 {
             assert!(!detector.update(tick * 4000, &motion(0.0, 1.0)));
         }

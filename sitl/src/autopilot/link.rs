@@ -4,7 +4,7 @@ use mavlink::MavlinkVersion;
 use wire::dialect::MavMessage;
 use wire::{Decoder, Encoder, Frame};
 
-use super::streams::Schedule;
+use super::streams::{Schedule, StreamRules};
 use super::telemetry::Snapshot;
 use super::{COMPONENT_ID, SYSTEM_ID};
 
@@ -78,10 +78,10 @@ pub(super) struct Link {
 }
 
 impl Link {
-    pub(super) fn new(peer: Peer, now_us: u64) -> Self {
+    pub(super) fn new(peer: Peer, rules: &'static StreamRules, now_us: u64) -> Self {
         let mut encoder = Encoder::new(SYSTEM_ID, COMPONENT_ID);
         encoder.set_version(MavlinkVersion::V1);
-        let schedule = Schedule::new(now_us);
+        let schedule = Schedule::new(rules, now_us);
         Self { peer, encoder, speaks_v2: false, schedule, parameter_list: None }
     }
 

@@ -1,10 +1,11 @@
-//! The autopilot: behaves on the wire as PX4 does, flies the plant. Sans I/O: bytes in, bytes out,
-//! time passed in.
+//! The autopilot: behaves on the wire as PX4 or ArduCopter does, flies the plant. Sans I/O: bytes
+//! in, bytes out, time passed in.
 //!
 //! Once per tick of the on-board loop, [`flight`] turns what is sensed into motor outputs: the
 //! [`commander`] rules over mode and arming, [`guidance`] and [`position`] fly every mode but
-//! OFFBOARD, [`offboard`] holds the setpoint stream, [`pd`] is the attitude loop and the mixer.
-//! [`protocol`] speaks MAVLink around it.
+//! OFFBOARD, [`offboard`] holds the setpoint stream. [`protocol`] speaks MAVLink around it. What
+//! differs between the autopilots that the vehicle can be, and the attitude loop of each, is a
+//! `personality`.
 
 mod airframe;
 pub mod arming;
@@ -20,6 +21,7 @@ mod modes;
 pub mod offboard;
 pub mod parameters;
 pub mod pd;
+mod personality;
 pub mod position;
 pub mod protocol;
 pub mod status_text;
@@ -37,7 +39,10 @@ use rand_pcg::Pcg64Mcg;
 use self::airframe::Airframe;
 use self::flight::FlightControl;
 use self::link::Receiver;
+use self::parameters::SetError;
+use self::personality::NoLoop;
 use self::protocol::Protocol;
+use crate::clock::Clock;
 use crate::config::SitlConfig;
 use crate::effects::{CommandDelay, EffectSet, PdGain};
 use crate::foreign::Foreign;
@@ -59,14 +64,25 @@ const EVENT_WITHIN_US: u64 = 20_000;
 /// Why a vehicle does not fly.
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleRefused {
-    /// The vehicle file has no `attitude_pd`.
+    /// The vehicle file has no attitude loop that the autopilot flies.
     #[error(
         "vehicle {vehicle}: the file has no attitude_pd, so its autopilot's attitude loop is not \
-         known; add attitude_pd (kp, kd, rate_hz) to simulate it"
+         known; add attitude_pd (kp, kd, rate_hz) to simulate it, or simulate a file with \
+         attitude_cascade as PX4 or ArduCopter"
     )]
     NoAttitudeLoop {
         /// The vehicle's name.
         vehicle: String,
+    },
+    /// A parameter of the configuration is not one of the autopilot's, or cannot have the value.
+    #[error("SITL configuration: parameters.{name} = {value}: {error}")]
+    Parameter {
+        /// Its name.
+        name: String,
+        /// The value.
+        value: f64,
+        /// What is wrong.
+        error: SetError,
     },
     /// The vehicle file holds what cannot be, or lacks what an effect needs.
     #[error(transparent)]
@@ -85,6 +101,7 @@ pub struct Vehicle {
     stepped_us: u64,
     loop_hz: f64,
     ticks: u64,
+    clock: Clock,
 }
 
 impl Vehicle {
@@ -99,27 +116,47 @@ impl Vehicle {
         seed: u64,
     ) -> Result<Self, VehicleRefused> {
         let params = params.checked()?;
-        let Some(nominal) = params.attitude_pd else {
-            return Err(VehicleRefused::NoAttitudeLoop { vehicle: params.name });
-        };
         let airframe = Airframe::new(&params, &effects, &config, seed)?;
         let effects = params.modelled_effects.overlay(&effects);
-        let gains = effects.get::<PdGain>().map_or(nominal, |gain| gain.apply(&nominal));
+        let personality = personality::of(config.autopilot);
+        let mut onboard = match personality.onboard(&params, effects.get::<PdGain>()) {
+            Ok(onboard) => onboard,
+            Err(NoLoop::Missing) => {
+                return Err(VehicleRefused::NoAttitudeLoop { vehicle: params.name });
+            }
+            Err(NoLoop::Vehicle(error)) => return Err(error.into()),
+        };
+        for (name, value) in &config.parameters {
+            onboard.parameters.set_number(name, *value).map_err(|error| {
+                VehicleRefused::Parameter { name: name.clone(), value: *value, error }
+            })?;
+        }
+        onboard.attitude_loop.configure(&onboard.parameters);
+        let loop_hz = onboard.rate_hz;
         let delay_s =
             effects.get::<CommandDelay>().map_or(params.command_delay_s, |delay| delay.delay_s);
         let (perception, airborne) = (airframe.perceive(), airframe.airborne());
-        let flight = FlightControl::new(&params, &nominal, gains, delay_s, perception, airborne)?;
+        let flight = FlightControl::new(
+            &params,
+            personality,
+            onboard,
+            delay_s,
+            &config,
+            perception,
+            airborne,
+        );
         let rng = Pcg64Mcg::seed_from_u64(seed);
-        let protocol =
-            Protocol::new(flight, airframe.report(), params.motor_output, config.home, rng);
+        let motor_output = params.motor_output.filter(|_| personality.heeds_motor_output());
+        let protocol = Protocol::new(flight, airframe.report(), motor_output, config.home, rng);
         Ok(Self {
             airframe,
             protocol,
             receivers: Vec::new(),
             now_us: 0,
             stepped_us: 0,
-            loop_hz: nominal.rate_hz,
+            loop_hz,
             ticks: 0,
+            clock: Clock::new(&config.clock),
         })
     }
 
@@ -200,6 +237,16 @@ impl Vehicle {
     /// Vehicle time, us.
     pub fn now_us(&self) -> u64 {
         self.now_us
+    }
+
+    /// How vehicle time goes with host time.
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// Parameters 2 and 3 of MAV_CMD_DO_SET_MODE that choose a mode of this autopilot.
+    pub fn mode_command(&self, mode: Mode) -> [u8; 2] {
+        self.flight().personality.mode_command(mode)
     }
 
     /// The physics under the vehicle: the truth, for logs.

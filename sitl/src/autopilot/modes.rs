@@ -19,13 +19,29 @@ pub enum Mode {
     Land,
     /// Follow SET_ATTITUDE_TARGET (OFFBOARD).
     Offboard,
+    /// Sticks tilt the vehicle and set its climb (ALTCTL).
+    Altitude,
+    /// Sticks tilt the vehicle and set its thrust (STABILIZED).
+    Stabilized,
 }
 
 const AUTO: u8 = 4;
 
 impl Mode {
-    /// Every mode, in the order of their words.
-    pub const ALL: [Self; 6] =
+    /// Every mode; PX4 has them all.
+    pub const ALL: [Self; 8] = [
+        Self::Position,
+        Self::Takeoff,
+        Self::Hold,
+        Self::Return,
+        Self::Land,
+        Self::Offboard,
+        Self::Altitude,
+        Self::Stabilized,
+    ];
+
+    /// The modes of the bundled vehicle, in the order of their words.
+    pub const BUNDLED: [Self; 6] =
         [Self::Position, Self::Takeoff, Self::Hold, Self::Return, Self::Land, Self::Offboard];
 
     const fn main_and_sub(self) -> (u8, u8) {
@@ -36,23 +52,19 @@ impl Mode {
             Self::Return => (AUTO, 5),
             Self::Land => (AUTO, 6),
             Self::Offboard => (6, 0),
+            Self::Altitude => (2, 0),
+            Self::Stabilized => (7, 0),
         }
     }
 
     /// The mode of PX4's main and sub mode numbers, as in the parameters of MAV_CMD_DO_SET_MODE;
-    /// `None` for a mode that this vehicle does not have.
+    /// `None` for a mode that is not simulated.
     pub fn from_main_and_sub(main: u8, sub: u8) -> Option<Self> {
         // The sub mode of a mode without any is not looked at, as in PX4.
         Self::ALL.into_iter().find(|mode| {
             let (mode_main, mode_sub) = mode.main_and_sub();
             mode_main == main && (main != AUTO || mode_sub == sub)
         })
-    }
-
-    /// The mode of a `custom_mode` word.
-    pub fn from_custom_mode(word: u32) -> Option<Self> {
-        let [_, _, main, sub] = word.to_le_bytes();
-        Self::from_main_and_sub(main, sub)
     }
 
     /// PX4's `custom_mode` word: main mode << 16 | sub mode << 24.
@@ -66,7 +78,9 @@ impl Mode {
         let stabilized = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             | MavModeFlag::MAV_MODE_FLAG_STABILIZE_ENABLED;
         let mode = match self {
-            Self::Position => stabilized | MavModeFlag::MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
+            Self::Position | Self::Altitude | Self::Stabilized => {
+                stabilized | MavModeFlag::MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+            }
             Self::Offboard => stabilized | MavModeFlag::MAV_MODE_FLAG_GUIDED_ENABLED,
             Self::Takeoff | Self::Hold | Self::Return | Self::Land => {
                 stabilized
@@ -84,21 +98,31 @@ impl Mode {
             Self::Takeoff => MavStandardMode::MAV_STANDARD_MODE_TAKEOFF,
             Self::Return => MavStandardMode::MAV_STANDARD_MODE_SAFE_RECOVERY,
             Self::Land => MavStandardMode::MAV_STANDARD_MODE_LAND,
-            Self::Hold | Self::Offboard => MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD,
+            Self::Altitude => MavStandardMode::MAV_STANDARD_MODE_ALTITUDE_HOLD,
+            Self::Hold | Self::Offboard | Self::Stabilized => {
+                MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD
+            }
         }
     }
-}
 
-impl fmt::Display for Mode {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
+    /// PX4's name for people.
+    pub const fn name(self) -> &'static str {
+        match self {
             Self::Position => "Position",
             Self::Takeoff => "Takeoff",
             Self::Hold => "Hold",
             Self::Return => "Return",
             Self::Land => "Land",
             Self::Offboard => "Offboard",
-        })
+            Self::Altitude => "Altitude",
+            Self::Stabilized => "Stabilized",
+        }
+    }
+}
+
+impl fmt::Display for Mode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
     }
 }
 
@@ -119,7 +143,8 @@ mod tests {
     #[test]
     fn words_and_modes_round_trip() {
         for mode in Mode::ALL {
-            assert_eq!(Mode::from_custom_mode(mode.custom_mode()), Some(mode));
+            let [_, _, main, sub] = mode.custom_mode().to_le_bytes();
+            assert_eq!(Mode::from_main_and_sub(main, sub), Some(mode));
         }
         assert_eq!(Mode::from_main_and_sub(AUTO, 4), None, "AUTO.MISSION");
         assert_eq!(Mode::from_main_and_sub(1, 0), None, "MANUAL");

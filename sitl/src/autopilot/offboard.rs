@@ -56,7 +56,7 @@ impl AttitudeSetpoint {
 }
 
 /// PX4 flies a quaternion of any scale; one near zero has no direction.
-fn unit([w, x, y, z]: [f32; 4]) -> Option<Attitude> {
+pub(super) fn unit([w, x, y, z]: [f32; 4]) -> Option<Attitude> {
     let q: Attitude = Attitude { w: w.into(), x: x.into(), y: y.into(), z: z.into() };
     let norm = (q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
     (norm.is_finite() && norm > 0.1).then(|| q.normalized())
@@ -68,6 +68,7 @@ pub struct OffboardStream {
     delay_s: f64,
     under_way: VecDeque<(u64, AttitudeSetpoint)>,
     in_force: Option<AttitudeSetpoint>,
+    is_new: bool,
     heard_us: Option<u64>,
 }
 
@@ -75,7 +76,7 @@ impl OffboardStream {
     /// A stream whose setpoints act `delay_s` after they are received, on average. Up to 1 ms of
     /// it is an exponential jitter; what is above is constant.
     pub fn new(delay_s: f64) -> Self {
-        Self { delay_s, under_way: VecDeque::new(), in_force: None, heard_us: None }
+        Self { delay_s, under_way: VecDeque::new(), in_force: None, is_new: false, heard_us: None }
     }
 
     /// Takes a setpoint received at `now_us`. One never overtakes another.
@@ -94,11 +95,23 @@ impl OffboardStream {
 
     /// The setpoint in force at the tick at `now_us`.
     pub fn at(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
+        self.is_new = false;
         while let Some((_, setpoint)) = self.under_way.front().filter(|(acts, _)| *acts <= now_us) {
             self.in_force = Some(*setpoint);
+            self.is_new = true;
             self.under_way.pop_front();
         }
         self.in_force
+    }
+
+    /// Whether the setpoint of the last [`OffboardStream::at`] came into force there.
+    pub fn is_new(&self) -> bool {
+        self.is_new
+    }
+
+    /// Forgets every setpoint.
+    pub fn clear(&mut self) {
+        *self = Self::new(self.delay_s);
     }
 
     /// Whether the last setpoint is younger than `timeout_us`.

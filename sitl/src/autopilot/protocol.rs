@@ -11,14 +11,13 @@ use wire::dialect::*;
 
 use crate::config::Home;
 use crate::frame::{Attitude, Frd, Ned};
+use crate::sensors::EstimatorStatus;
 use crate::vehicle::{MotorOutput, ROTORS};
 
 use super::commands::Command;
 use super::flight::FlightControl;
 use super::guidance::Sticks;
 use super::link::{Link, Outbox, Peer};
-use super::offboard::AttitudeSetpoint;
-use super::parameters::Parameters;
 use super::streams::Stream;
 use super::telemetry::{Battery, Snapshot};
 use super::{COMPONENT_ID, Mode, SYSTEM_ID, ftp, status_text};
@@ -43,6 +42,8 @@ pub struct Report {
     pub battery: Battery,
     /// Rotor speeds, where known.
     pub rpm: Option<[f64; ROTORS]>,
+    /// What the estimator says of itself.
+    pub estimator: EstimatorStatus,
 }
 
 /// Who sent a frame, and over which link.
@@ -94,7 +95,7 @@ impl Protocol {
     pub(super) fn connect(&mut self, peer: Peer) -> bool {
         let room = self.links.len() < PEERS_MAX;
         if room {
-            self.links.push(Link::new(peer, self.now_us));
+            self.links.push(Link::new(peer, self.flight.personality.streams(), self.now_us));
         }
         room
     }
@@ -139,7 +140,8 @@ impl Protocol {
                 if let Some(message) = parameter::value_message(&self.flight.parameters, index) {
                     link.send(&message, &mut outbox);
                 }
-                link.parameter_list = Some(index + 1).filter(|next| *next < Parameters::COUNT);
+                link.parameter_list =
+                    Some(index + 1).filter(|next| *next < self.flight.parameters.count());
             }
         }
         self.links = links;
@@ -151,8 +153,7 @@ impl Protocol {
         if self.flight.commander.has_notices() {
             for notice in self.flight.commander.take_notices() {
                 self.texts = self.texts.wrapping_add(1);
-                // PX4's texts end in a tab where an event says the same.
-                let text = format!("{}\t", notice.text);
+                let text = self.flight.personality.text(&notice.text);
                 for message in status_text::status_text(notice.severity, &text, self.texts) {
                     self.broadcast(&message);
                 }
@@ -161,7 +162,9 @@ impl Protocol {
         let mode = (self.flight.commander.mode(), self.flight.commander.intended());
         if mode != self.announced {
             self.announced = mode;
-            if let Some(message) = self.snapshot().message(Stream::CurrentMode) {
+            let announces = self.flight.personality.announces_mode();
+            let message = self.snapshot().message(Stream::CurrentMode).filter(|_| announces);
+            if let Some(message) = message {
                 self.broadcast(&message);
             }
         }
@@ -173,6 +176,8 @@ impl Protocol {
         let can_arm =
             commander.armed() || flight.preflight(self.now_us).refusal(commander.mode()).is_none();
         Snapshot {
+            personality: flight.personality,
+            parameters: &flight.parameters,
             now_us: self.now_us,
             position: report.position,
             velocity: report.velocity,
@@ -182,8 +187,11 @@ impl Protocol {
             outputs: flight.outputs(),
             rpm: report.rpm,
             motor_output: self.motor_output.as_ref(),
-            setpoint: flight.setpoint(),
+            setpoint: flight.told_setpoint(),
             battery: report.battery,
+            charge: flight.charge_state(),
+            estimator: report.estimator,
+            position_known: flight.position_known(self.now_us),
             armed: commander.armed(),
             mode: commander.mode(),
             intended: commander.intended(),
@@ -233,15 +241,13 @@ impl Protocol {
     fn message(&mut self, sender: Sender, message: &MavMessage) {
         match message {
             MavMessage::SET_ATTITUDE_TARGET(target) => {
-                if let Some(setpoint) = AttitudeSetpoint::from_message(target) {
-                    self.flight.stream.receive(self.now_us, setpoint, &mut self.rng);
-                }
+                self.flight.receive(self.now_us, target, &mut self.rng);
             }
             MavMessage::TIMESYNC(request) if request.tc1 == 0 => {
                 self.reply(sender, &self.timesync_answer(sender, request.ts1));
             }
-            MavMessage::HEARTBEAT(heartbeat) if heartbeat.mavtype == MavType::MAV_TYPE_GCS => {
-                self.flight.hear_ground_station(self.now_us);
+            MavMessage::HEARTBEAT(heartbeat) => {
+                self.flight.hear_heartbeat(self.now_us, sender.system, heartbeat.mavtype);
             }
             MavMessage::MANUAL_CONTROL(sticks)
                 if sticks.target == SYSTEM_ID || sticks.target == 0 =>
@@ -249,10 +255,10 @@ impl Protocol {
                 self.flight.take_sticks(self.now_us, sticks_of(sticks));
             }
             MavMessage::SET_MODE(request) => {
-                let result = self.set_mode(
-                    request.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED),
-                    Mode::from_custom_mode(request.custom_mode),
-                );
+                let custom =
+                    request.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED);
+                let mode = self.flight.personality.mode_of_word(request.custom_mode);
+                let result = self.set_mode(custom, mode);
                 self.acknowledge(sender, MavCmd::MAV_CMD_DO_SET_MODE as u16, result);
             }
             MavMessage::PARAM_REQUEST_LIST(_) => self.links[sender.link].parameter_list = Some(0),

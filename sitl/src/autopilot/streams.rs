@@ -31,9 +31,6 @@ pub enum Stream {
     AvailableModes,
 }
 
-/// Shortest interval, us: 250 Hz, the rate of the estimate.
-pub const INTERVAL_MIN_US: u64 = 4_000;
-
 /// Never, as an interval or a due time.
 const NEVER: u64 = u64::MAX;
 
@@ -41,40 +38,131 @@ const fn hz(rate: f64) -> u64 {
     if rate > 0.0 { (1e6 / rate) as u64 } else { NEVER }
 }
 
-/// Stream, message id and default interval: PX4's onboard link, as measured where it was measured.
-/// Messages that share a stamp are sent in this order.
-const TABLE: &[(Stream, u32, u64)] = &[
-    (Stream::Heartbeat, 0, hz(1.0)),
-    (Stream::AttitudeQuaternion, 31, hz(50.0)),
-    (Stream::Attitude, 30, hz(100.0)),
-    (Stream::HighresImu, 105, hz(50.0)),
-    (Stream::LocalPositionNed, 32, hz(30.0)),
-    (Stream::Odometry, 331, hz(30.0)),
-    (Stream::ActuatorOutputStatus, 375, hz(0.0)),
-    (Stream::AttitudeTarget, 83, hz(10.0)),
-    (Stream::ServoOutputRaw, 36, hz(10.0)),
-    (Stream::EscStatus, 291, hz(0.0)),
-    (Stream::Timesync, 111, hz(10.0)),
-    (Stream::GlobalPositionInt, 33, hz(10.0)),
-    (Stream::VfrHud, 74, hz(10.0)),
-    (Stream::Altitude, 141, hz(10.0)),
-    (Stream::SysStatus, 1, hz(5.0)),
-    (Stream::ExtendedSysState, 245, hz(5.0)),
-    (Stream::GpsRawInt, 24, hz(5.0)),
-    (Stream::SystemTime, 2, hz(1.0)),
-    (Stream::BatteryStatus, 147, hz(0.5)),
-    (Stream::CurrentMode, 436, hz(0.5)),
-    (Stream::HomePosition, 242, hz(0.5)),
-    (Stream::GpsGlobalOrigin, 49, hz(0.0)),
-    (Stream::AutopilotVersion, 148, hz(0.0)),
-    (Stream::ProtocolVersion, 300, hz(0.0)),
-    (Stream::AvailableModes, 435, hz(0.0)),
+/// Every stream and its message id. Messages that share a stamp are sent in this order.
+const TABLE: &[(Stream, u32)] = &[
+    (Stream::Heartbeat, 0),
+    (Stream::AttitudeQuaternion, 31),
+    (Stream::Attitude, 30),
+    (Stream::HighresImu, 105),
+    (Stream::LocalPositionNed, 32),
+    (Stream::Odometry, 331),
+    (Stream::ActuatorOutputStatus, 375),
+    (Stream::AttitudeTarget, 83),
+    (Stream::ServoOutputRaw, 36),
+    (Stream::EscStatus, 291),
+    (Stream::Timesync, 111),
+    (Stream::GlobalPositionInt, 33),
+    (Stream::VfrHud, 74),
+    (Stream::Altitude, 141),
+    (Stream::SysStatus, 1),
+    (Stream::ExtendedSysState, 245),
+    (Stream::GpsRawInt, 24),
+    (Stream::SystemTime, 2),
+    (Stream::BatteryStatus, 147),
+    (Stream::CurrentMode, 436),
+    (Stream::HomePosition, 242),
+    (Stream::GpsGlobalOrigin, 49),
+    (Stream::AutopilotVersion, 148),
+    (Stream::ProtocolVersion, 300),
+    (Stream::AvailableModes, 435),
 ];
+
+/// How an autopilot serves its streams.
+#[derive(Debug)]
+pub struct StreamRules {
+    /// Rates in Hz of what is sent unasked.
+    defaults: &'static [(Stream, f64)],
+    /// What the autopilot does not have: a request is refused.
+    absent: &'static [Stream],
+    /// What is never sent though a request is accepted.
+    silent: &'static [Stream],
+    /// The interval in us that a request for another one gets; `None` refuses it.
+    granted: fn(Stream, u64) -> Option<u64>,
+}
+
+/// PX4's onboard link, as measured where it was measured.
+const PX4_DEFAULTS: &[(Stream, f64)] = &[
+    (Stream::Heartbeat, 1.0),
+    (Stream::AttitudeQuaternion, 50.0),
+    (Stream::Attitude, 100.0),
+    (Stream::HighresImu, 50.0),
+    (Stream::LocalPositionNed, 30.0),
+    (Stream::Odometry, 30.0),
+    (Stream::AttitudeTarget, 10.0),
+    (Stream::ServoOutputRaw, 10.0),
+    (Stream::Timesync, 10.0),
+    (Stream::GlobalPositionInt, 10.0),
+    (Stream::VfrHud, 10.0),
+    (Stream::Altitude, 10.0),
+    (Stream::SysStatus, 5.0),
+    (Stream::ExtendedSysState, 5.0),
+    (Stream::GpsRawInt, 5.0),
+    (Stream::SystemTime, 1.0),
+    (Stream::BatteryStatus, 0.5),
+    (Stream::CurrentMode, 0.5),
+    (Stream::HomePosition, 0.5),
+];
+
+/// The bundled vehicle: every stream at every rate up to 250 Hz, that of the estimate.
+pub static BUNDLED: StreamRules = StreamRules {
+    defaults: PX4_DEFAULTS,
+    absent: &[],
+    silent: &[],
+    granted: |_, interval| Some(interval.max(4_000)),
+};
+
+/// PX4: above 100 Hz, intervals are whole periods of the 250 Hz loop; the estimate is published at
+/// 125 Hz, the mode twice a second.
+pub static PX4: StreamRules = StreamRules {
+    defaults: PX4_DEFAULTS,
+    absent: &[],
+    silent: &[Stream::EscStatus],
+    granted: |stream, interval| {
+        let shortest = match stream {
+            Stream::CurrentMode => 500_000,
+            Stream::Odometry | Stream::LocalPositionNed => 8_000,
+            _ => 4_000,
+        };
+        let whole = if interval < 10_000 { interval.div_ceil(4_000) * 4_000 } else { interval };
+        Some(whole.clamp(shortest, NEVER))
+    },
+};
+
+/// ArduCopter: nothing unasked but HEARTBEAT and a rare TIMESYNC; whole milliseconds; no rate above
+/// 0.8 of the 400 Hz loop.
+pub static ARDUCOPTER: StreamRules = StreamRules {
+    defaults: &[(Stream::Heartbeat, 1.0), (Stream::Timesync, 0.12)],
+    absent: &[
+        Stream::Odometry,
+        Stream::ActuatorOutputStatus,
+        Stream::EscStatus,
+        Stream::Timesync,
+        Stream::CurrentMode,
+        Stream::Altitude,
+    ],
+    silent: &[],
+    granted: |_, interval| {
+        let whole = interval / 1_000 * 1_000;
+        (whole >= 3_000).then_some(whole)
+    },
+};
+
+impl StreamRules {
+    fn default_interval(&self, stream: Stream) -> u64 {
+        let told = self.defaults.iter().find(|(told, _)| *told == stream);
+        told.map_or(NEVER, |(_, rate)| hz(*rate))
+    }
+
+    /// Whether the autopilot has this stream.
+    pub fn has(&self, stream: Stream) -> bool {
+        !self.absent.contains(&stream)
+    }
+}
 
 impl Stream {
     /// The stream of a message id.
     pub fn from_id(id: u32) -> Option<Self> {
-        TABLE.iter().find(|(_, known, _)| *known == id).map(|(stream, _, _)| *stream)
+        TABLE.iter().find(|(_, known)| *known == id).map(|(stream, _)| *stream)
     }
 
     /// The message id.
@@ -92,6 +180,9 @@ pub enum IntervalError {
     /// No such stream.
     #[error("not a stream of this vehicle")]
     Unknown,
+    /// More often than the autopilot sends it.
+    #[error("too often for this vehicle")]
+    TooOften,
 }
 
 /// One peer's streams.
@@ -100,18 +191,19 @@ pub enum IntervalError {
 /// divide one another share their stamps.
 #[derive(Clone, Debug)]
 pub struct Schedule {
+    rules: &'static StreamRules,
     intervals: [u64; TABLE.len()],
     due: [u64; TABLE.len()],
     next: u64,
 }
 
 impl Schedule {
-    /// The default rates, beginning after `now_us`.
-    pub fn new(now_us: u64) -> Self {
+    /// The default rates of `rules`, beginning after `now_us`.
+    pub fn new(rules: &'static StreamRules, now_us: u64) -> Self {
         let mut schedule =
-            Self { intervals: [NEVER; TABLE.len()], due: [NEVER; TABLE.len()], next: NEVER };
-        for (stream, _, interval) in TABLE {
-            schedule.start(*stream, *interval, now_us);
+            Self { rules, intervals: [NEVER; TABLE.len()], due: [NEVER; TABLE.len()], next: NEVER };
+        for (stream, _) in TABLE {
+            schedule.start(*stream, rules.default_interval(*stream), now_us);
         }
         // The first heartbeat introduces the vehicle.
         schedule.due[Stream::Heartbeat as usize] = now_us;
@@ -126,21 +218,23 @@ impl Schedule {
     }
 
     /// Sets the interval of message `id` as MAV_CMD_SET_MESSAGE_INTERVAL says it: microseconds, 0
-    /// for the default, negative for never. Intervals below 4 ms become 4 ms.
+    /// for the default, negative for never. The rules may grant another interval.
     ///
     /// # Errors
     /// [`IntervalError`].
     pub fn set_interval(&mut self, id: u32, us: f32, now_us: u64) -> Result<(), IntervalError> {
-        let stream = Stream::from_id(id).ok_or(IntervalError::Unknown)?;
+        let stream = Stream::from_id(id).filter(|stream| self.rules.has(*stream));
+        let stream = stream.ok_or(IntervalError::Unknown)?;
         if stream == Stream::Heartbeat {
             return Err(IntervalError::Fixed);
         }
         let interval = if us == 0.0 || us.is_nan() {
-            TABLE[stream as usize].2
-        } else if us < 0.0 {
+            self.rules.default_interval(stream)
+        } else if us < 0.0 || self.rules.silent.contains(&stream) {
             NEVER
         } else {
-            (f64::from(us).round() as u64).max(INTERVAL_MIN_US)
+            let asked = f64::from(us).round() as u64;
+            (self.rules.granted)(stream, asked).ok_or(IntervalError::TooOften)?
         };
         self.start(stream, interval, now_us);
         Ok(())
@@ -166,7 +260,7 @@ impl Schedule {
             return;
         }
         self.next = NEVER;
-        for (stream, _, _) in TABLE {
+        for (stream, _) in TABLE {
             let index = *stream as usize;
             if self.due[index] <= now_us {
                 send(*stream);
@@ -197,7 +291,7 @@ mod tests {
 
     #[test]
     fn streams_index_the_table() {
-        for (index, (stream, id, _)) in TABLE.iter().enumerate() {
+        for (index, (stream, id)) in TABLE.iter().enumerate() {
             assert_eq!(*stream as usize, index);
             assert_eq!(Stream::from_id(*id), Some(*stream));
         }
@@ -214,14 +308,14 @@ mod tests {
             (Stream::BatteryStatus, 5),
             (Stream::ActuatorOutputStatus, 0),
         ] {
-            let sent = count(&mut Schedule::new(0), stream, 0, 10);
+            let sent = count(&mut Schedule::new(&BUNDLED, 0), stream, 0, 10);
             assert!(sent.abs_diff(expected) <= 1, "{stream:?}: {sent}, expected {expected}");
         }
     }
 
     #[test]
     fn heartbeat_and_unknown_ids_keep_their_interval() {
-        let mut schedule = Schedule::new(0);
+        let mut schedule = Schedule::new(&BUNDLED, 0);
         assert_eq!(schedule.set_interval(0, 1000.0, 0), Err(IntervalError::Fixed));
         assert_eq!(schedule.set_interval(9999, 1000.0, 0), Err(IntervalError::Unknown));
         assert_eq!(schedule.interval(0), 1_000_000);
@@ -231,7 +325,7 @@ mod tests {
 
     #[test]
     fn zero_restores_the_default_and_negative_stops() {
-        let mut schedule = Schedule::new(0);
+        let mut schedule = Schedule::new(&BUNDLED, 0);
         schedule.set_interval(30, -1.0, 0).unwrap();
         assert_eq!(schedule.interval(30), -1);
         schedule.set_interval(30, 0.0, 0).unwrap();
@@ -243,7 +337,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_requested_rate_is_met(interval in 4_000u32..1_000_000, start in 0u64..5_000_000) {
-            let mut schedule = Schedule::new(0);
+            let mut schedule = Schedule::new(&BUNDLED, 0);
             schedule.set_interval(331, interval as f32, start).unwrap();
             let sent = count(&mut schedule, Stream::Odometry, start, 20);
             let expected = 20_000_000 / interval as usize;

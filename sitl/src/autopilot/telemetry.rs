@@ -9,12 +9,14 @@ use wire::dialect::*;
 
 use crate::config::Home;
 use crate::frame::{Attitude, Euler, Frd, Ned};
+use crate::sensors::EstimatorStatus;
 use crate::vehicle::{MotorOutput, ROTORS};
 
 use self::geodetic::geodetic;
 use super::Mode;
-use super::identity;
 use super::offboard::AttitudeSetpoint;
+use super::parameters::Parameters;
+use super::personality::Personality;
 use super::streams::Stream;
 
 /// The pack as reported.
@@ -35,6 +37,8 @@ pub struct Battery {
 /// Everything that the messages say, at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct Snapshot<'a> {
+    pub(super) personality: &'static dyn Personality,
+    pub(super) parameters: &'a Parameters,
     /// Vehicle time, us.
     pub now_us: u64,
     /// Reported position, m.
@@ -54,9 +58,15 @@ pub struct Snapshot<'a> {
     /// How outputs are encoded; `None` for 0..1.
     pub motor_output: Option<&'a MotorOutput>,
     /// The setpoint in force, if the loop runs.
-    pub setpoint: Option<&'a AttitudeSetpoint>,
+    pub setpoint: Option<AttitudeSetpoint>,
     /// The pack.
     pub battery: Battery,
+    /// How the autopilot judges it.
+    pub charge: MavBatteryChargeState,
+    /// What the estimator says of itself.
+    pub estimator: EstimatorStatus,
+    /// Whether the estimator knows where the vehicle is.
+    pub position_known: bool,
     /// Whether the motors are armed.
     pub armed: bool,
     /// Mode in force.
@@ -85,7 +95,10 @@ impl Snapshot<'_> {
             }
             Stream::Attitude => MavMessage::ATTITUDE(self.attitude_euler()),
             Stream::HighresImu => MavMessage::HIGHRES_IMU(self.highres_imu()),
-            Stream::LocalPositionNed => MavMessage::LOCAL_POSITION_NED(self.local_position()),
+            Stream::LocalPositionNed if self.position_known => {
+                MavMessage::LOCAL_POSITION_NED(self.local_position())
+            }
+            Stream::LocalPositionNed => return None,
             Stream::Odometry => MavMessage::ODOMETRY(self.odometry()),
             Stream::ActuatorOutputStatus => {
                 MavMessage::ACTUATOR_OUTPUT_STATUS(self.actuator_output_status())
@@ -121,9 +134,7 @@ impl Snapshot<'_> {
                     time_usec,
                 })
             }
-            Stream::AutopilotVersion => {
-                MavMessage::AUTOPILOT_VERSION(identity::autopilot_version())
-            }
+            Stream::AutopilotVersion => MavMessage::AUTOPILOT_VERSION(self.personality.version()),
             Stream::ProtocolVersion => MavMessage::PROTOCOL_VERSION(PROTOCOL_VERSION_DATA {
                 version: 200,
                 min_version: 100,
@@ -141,10 +152,10 @@ impl Snapshot<'_> {
 
     fn heartbeat(&self) -> HEARTBEAT_DATA {
         HEARTBEAT_DATA {
-            custom_mode: self.mode.custom_mode(),
+            custom_mode: self.personality.custom_mode(self.mode),
             mavtype: MavType::MAV_TYPE_QUADROTOR,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-            base_mode: self.mode.base_mode(self.armed),
+            autopilot: self.personality.autopilot(),
+            base_mode: self.personality.base_mode(self.mode, self.armed),
             system_status: match (self.armed, self.failsafe) {
                 (false, _) => MavState::MAV_STATE_STANDBY,
                 (true, false) => MavState::MAV_STATE_ACTIVE,
@@ -224,7 +235,7 @@ impl Snapshot<'_> {
             velocity_covariance: unknown,
             frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
             child_frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
-            reset_counter: 0,
+            reset_counter: self.estimator.reset_count,
             estimator_type: MavEstimatorType::MAV_ESTIMATOR_TYPE_AUTOPILOT,
             quality: 100,
         }
@@ -264,6 +275,10 @@ impl Snapshot<'_> {
             | MavSysStatusSensor::MAV_SYS_STATUS_PREARM_CHECK;
         let mut health = present;
         health.set(MavSysStatusSensor::MAV_SYS_STATUS_PREARM_CHECK, self.can_arm);
+        let gps = self.position_known && !self.estimator.rejects_gps;
+        health.set(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_GPS, gps);
+        let charged = self.charge == MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK;
+        health.set(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_BATTERY, charged);
         SYS_STATUS_DATA {
             onboard_control_sensors_present: present,
             onboard_control_sensors_enabled: present,
@@ -306,7 +321,7 @@ impl Snapshot<'_> {
             battery_function: MavBatteryFunction::MAV_BATTERY_FUNCTION_ALL,
             mavtype: MavBatteryType::MAV_BATTERY_TYPE_LIPO,
             battery_remaining: (remaining * 100.0).round() as i8,
-            charge_state: MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK,
+            charge_state: self.charge,
             // The default of a set of flags is its first flag.
             fault_bitmask: MavBatteryFault::empty(),
             ..Default::default()
@@ -315,9 +330,9 @@ impl Snapshot<'_> {
 
     fn current_mode(&self) -> CURRENT_MODE_DATA {
         CURRENT_MODE_DATA {
-            custom_mode: self.mode.custom_mode(),
-            intended_custom_mode: self.intended.custom_mode(),
-            standard_mode: self.mode.standard_mode(),
+            custom_mode: self.personality.custom_mode(self.mode),
+            intended_custom_mode: self.personality.custom_mode(self.intended),
+            standard_mode: self.personality.standard_mode(self.mode),
         }
     }
 }

@@ -28,6 +28,7 @@ pub(crate) fn vehicle() -> VehicleParams {
             kd: [0.075, 0.075, 0.06],
             rate_hz: 250.0,
         }),
+        attitude_cascade: None,
         hover_thrust: 0.4905,
         gravity: 9.81,
         air_density: 1.2,
@@ -47,5 +48,5 @@ pub(crate) fn vehicle() -> VehicleParams {
 /// The parameters that it starts with.
 pub(crate) fn parameters() -> Parameters {
     let vehicle = vehicle();
-    Parameters::new(&vehicle, &vehicle.attitude_pd.unwrap())
+    super::personality::bundled_parameters(&vehicle, &vehicle.attitude_pd.unwrap())
 }

@@ -51,13 +51,19 @@ pub struct AttitudeCascade {
 }
 
 impl AttitudeCascade {
-    /// The PD law `M = kp (zeta_des - zeta) + kd (omega_des - omega)` that the cascade is near
-    /// hover and within its bounds, without integral, derivative and filters:
+    /// The PD law `M = kp (zeta_des - zeta) + kd (omega_des - omega)` that answers setpoints as the
+    /// cascade does near hover and within its bounds, without integral, derivative and filters:
     /// `kp = angle_p (rate_p + rate_ff)`, `kd = rate_p`.
+    ///
+    /// Where the setpoint is shaped, the loop follows the shaped one with its rate fed forward, so
+    /// that what is left of its lag `kd / kp` is the shaping's time constant:
+    /// `kp = (rate_p + rate_ff) / input_time_constant`.
     pub fn as_pd(&self) -> AttitudePd {
         let (p, ff) = (self.rate_p_nms, self.rate_ff_nms);
+        let shaped = self.input_time_constant_s.filter(|tc| *tc > 0.0);
+        let angle_p = shaped.map_or(self.angle_p_per_s, |tc| [1.0 / tc; 3]);
         AttitudePd {
-            kp: std::array::from_fn(|i| self.angle_p_per_s[i] * (p[i] + ff[i])),
+            kp: std::array::from_fn(|i| angle_p[i] * (p[i] + ff[i])),
             kd: p,
             rate_hz: self.rate_hz,
         }
@@ -91,5 +97,11 @@ pub(crate) mod tests {
         assert_eq!(pd.kp, [6.5 * 0.25, 6.5 * 0.25, 2.8 * 0.12]);
         assert_eq!(pd.kd, [0.25, 0.25, 0.12]);
         assert_eq!(pd.rate_hz, 400.0);
+    }
+
+    #[test]
+    fn a_shaped_setpoint_is_followed_within_its_time_constant() {
+        let pd = AttitudeCascade { input_time_constant_s: Some(0.2), ..cascade() }.as_pd();
+        assert_eq!((pd.kp[0], pd.kd[0]), (0.25 / 0.2, 0.25));
     }
 }

@@ -30,11 +30,16 @@ impl Difference {
         };
         let (this, other) = (told(this), told(other));
         let (place, this, other) = first_difference(&this, &other);
-        let told = |value: &Value| match value {
-            Value::Null => "not given".to_owned(),
-            value => value.to_string(),
-        };
-        Some(Self { field, place, this: told(this), other: told(other) })
+        Some(Self { field, place, this: this.to_string(), other: other.to_string() })
+    }
+
+    /// Of what files may leave out, where both give it.
+    fn of_both<T: PartialEq + Serialize>(
+        field: &'static str,
+        this: &Option<T>,
+        other: &Option<T>,
+    ) -> Option<Self> {
+        Self::of(field, this.as_ref()?, other.as_ref()?)
     }
 }
 
@@ -62,26 +67,33 @@ fn first_difference<'a>(this: &'a Value, other: &'a Value) -> (String, &'a Value
 
 impl VehicleParams {
     /// The first of the numbers by which vehicles are told apart that differs from `other`'s: the
-    /// body, the rotors, the on-board law, the pack, what the motor outputs mean, and gravity. What
-    /// is only believed of one and the same vehicle does not count: names and notes, lag and delay,
-    /// the hover thrust, the air's density, and the modelled effects, which a diagnosis adds to.
+    /// body, the rotors, the on-board law, the pack, and gravity. What only one of the files gives
+    /// does not count: a file that gains a line is of the same vehicle. Nor does what is only
+    /// believed of one and the same vehicle: names and notes, lag and delay, the hover thrust, the
+    /// air's density, what the motor outputs mean, and the modelled effects, which a diagnosis adds
+    /// to.
     pub fn difference(&self, other: &Self) -> Option<Difference> {
         let (a, b) = (self, other);
-        let drag = [a, b].map(|v| v.linear_drag_n_per_m_s);
-        let damping = [a, b].map(|v| v.angular_damping_nms);
         [
             Difference::of("mass", &a.mass, &b.mass),
             Difference::of("inertia", &a.inertia, &b.inertia),
             Difference::of("rotors", &a.rotors, &b.rotors),
-            Difference::of("attitude_pd", &a.attitude_pd, &b.attitude_pd),
-            Difference::of("attitude_cascade", &a.attitude_cascade, &b.attitude_cascade),
+            Difference::of_both("attitude_pd", &a.attitude_pd, &b.attitude_pd),
+            Difference::of_both("attitude_cascade", &a.attitude_cascade, &b.attitude_cascade),
             Difference::of("battery", &a.battery, &b.battery),
             Difference::of("gravity", &a.gravity, &b.gravity),
             Difference::of("rotor_radius_m", &a.rotor_radius_m, &b.rotor_radius_m),
-            Difference::of("rotor_max_rpm", &a.rotor_max_rpm, &b.rotor_max_rpm),
-            Difference::of("motor_output", &a.motor_output, &b.motor_output),
-            Difference::of("linear_drag_N_per_m_s", &drag[0], &drag[1]),
-            Difference::of("angular_damping_Nms", &damping[0], &damping[1]),
+            Difference::of_both("rotor_max_rpm", &a.rotor_max_rpm, &b.rotor_max_rpm),
+            Difference::of_both(
+                "linear_drag_N_per_m_s",
+                &a.linear_drag_n_per_m_s,
+                &b.linear_drag_n_per_m_s,
+            ),
+            Difference::of_both(
+                "angular_damping_Nms",
+                &a.angular_damping_nms,
+                &b.angular_damping_nms,
+            ),
         ]
         .into_iter()
         .flatten()
@@ -91,8 +103,8 @@ impl VehicleParams {
 
 #[cfg(test)]
 mod tests {
-    use crate::vehicle::VehicleParams;
     use crate::vehicle::tests::quad;
+    use crate::vehicle::{MotorOutput, VehicleParams};
 
     #[test]
     fn of_four_rotors_the_one_that_differs_is_named() {
@@ -113,9 +125,7 @@ mod tests {
         assert_eq!(difference(&|v| v.gravity = 1.62), Some("gravity"));
         assert_eq!(difference(&|v| v.mass = 1.3), Some("mass"));
         assert_eq!(difference(&|v| v.rotors[1].spin = 1), Some("rotors"));
-        assert_eq!(difference(&|v| v.rotor_max_rpm = None), Some("rotor_max_rpm"));
-        let drag = difference(&|v| v.linear_drag_n_per_m_s = Some(0.1));
-        assert_eq!(drag, Some("linear_drag_N_per_m_s"));
+        assert_eq!(difference(&|v| v.rotor_max_rpm = Some(8000.0)), Some("rotor_max_rpm"));
         let belief = difference(&|v| {
             v.name.push('2');
             v.command_delay_s = 0.02;
@@ -125,11 +135,37 @@ mod tests {
     }
 
     #[test]
+    fn a_file_that_gains_a_line_is_of_the_same_vehicle() {
+        let gains: [&dyn Fn(&mut VehicleParams); 6] = [
+            &|v| v.attitude_cascade = Some(crate::vehicle::cascade::tests::cascade()),
+            &|v| v.attitude_pd = Some(crate::vehicle::cascade::tests::cascade().as_pd()),
+            &|v| v.linear_drag_n_per_m_s = Some(0.1),
+            &|v| v.angular_damping_nms = Some([0.1; 3]),
+            &|v| v.rotor_max_rpm = None,
+            &|v| {
+                v.motor_output = Some(MotorOutput {
+                    message: "SERVO_OUTPUT_RAW".to_owned(),
+                    fields: Vec::new(),
+                    zero: 1000.0,
+                    one: 2000.0,
+                    disarmed: 900.0,
+                });
+                v.provenance.insert("mass".to_owned(), "scales".into());
+            },
+        ];
+        for gain in gains {
+            let mut other = quad();
+            gain(&mut other);
+            assert_eq!((quad().difference(&other), other.difference(&quad())), (None, None));
+        }
+    }
+
+    #[test]
     fn a_difference_is_told_as_files_have_it() {
         let mut other = quad();
-        other.rotor_max_rpm = None;
+        other.rotor_max_rpm = Some(8000.0);
         let difference = quad().difference(&other).map(|difference| difference.to_string());
-        let told = "rotor_max_rpm is not given there and 9000.0 in the vehicle at hand";
+        let told = "rotor_max_rpm is 8000.0 there and 9000.0 in the vehicle at hand";
         assert_eq!(difference.as_deref(), Some(told));
     }
 }

@@ -8,7 +8,7 @@ use super::required::{self, MissingKey};
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleError {
     /// The file cannot be read.
-    #[error("vehicle file {path}: {source}")]
+    #[error("vehicle file {path}: {source}{}", shipped_names(path))]
     Read {
         /// The file.
         path: PathBuf,
@@ -50,6 +50,14 @@ pub enum VehicleError {
         /// What is there.
         found: String,
     },
+}
+
+/// The names that are shipped, for a path that looks like one.
+fn shipped_names(path: &Path) -> String {
+    if path.extension().is_some() || path.components().count() > 1 {
+        return String::new();
+    }
+    format!("; shipped vehicles are {}", super::SHIPPED.map(|shipped| shipped.name).join(", "))
 }
 
 impl VehicleError {

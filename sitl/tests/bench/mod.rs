@@ -4,6 +4,7 @@
 
 use mavlink::{MavlinkVersion, Message};
 use sitl::autopilot::{LinkKind, Mode, Peer, Vehicle};
+use sitl::config::{Autopilot, SensorConfig, SitlConfig};
 use sitl::vehicle::VehicleParams;
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
@@ -29,6 +30,8 @@ pub struct Bench {
     pub vehicle: Vehicle,
     stations: Vec<Station>,
     stream: Option<SET_ATTITUDE_TARGET_DATA>,
+    /// Time between the setpoints of a stream, us.
+    pub period_us: u64,
     pub bytes_out: Vec<u8>,
 }
 
@@ -64,9 +67,37 @@ impl Bench {
     }
 
     pub fn with_seed(seed: u64) -> Self {
-        let vehicle = Vehicle::new(params(), Default::default(), Default::default(), seed)
-            .expect("a vehicle that flies");
-        let mut bench = Self { vehicle, stations: Vec::new(), stream: None, bytes_out: Vec::new() };
+        Self::with(SitlConfig::default(), seed)
+    }
+
+    /// A vehicle that hovers 20 m up with perfect sensors.
+    pub fn hovering(autopilot: Autopilot) -> Self {
+        Self::hovering_as(params(), autopilot)
+    }
+
+    pub fn hovering_as(params: VehicleParams, autopilot: Autopilot) -> Self {
+        let mut config =
+            SitlConfig { autopilot, sensors: SensorConfig::IDEAL, ..SitlConfig::default() };
+        config.start.position_m = [0.0, 0.0, -20.0];
+        let mut bench = Self::of(params, config, 1);
+        bench.run(2.0);
+        bench
+    }
+
+    pub fn with(config: SitlConfig, seed: u64) -> Self {
+        Self::of(params(), config, seed)
+    }
+
+    pub fn of(params: VehicleParams, config: SitlConfig, seed: u64) -> Self {
+        let vehicle =
+            Vehicle::new(params, Default::default(), config, seed).expect("a vehicle that flies");
+        let mut bench = Self {
+            vehicle,
+            stations: Vec::new(),
+            stream: None,
+            period_us: 10_000,
+            bytes_out: Vec::new(),
+        };
         bench.join(GROUND, MavlinkVersion::V2);
         bench
     }
@@ -114,14 +145,14 @@ impl Bench {
         });
     }
 
-    /// Lets time pass, 10 ms at a time, with a setpoint in each if one is being streamed.
+    /// Lets time pass, a period of the stream at a time, with a setpoint in each if one is streamed.
     pub fn run(&mut self, seconds: f64) {
         let end = self.vehicle.now_us() + (seconds * 1e6) as u64;
         while self.vehicle.now_us() < end {
             if let Some(setpoint) = self.stream.clone() {
                 self.send(&MavMessage::SET_ATTITUDE_TARGET(setpoint));
             }
-            let next = (self.vehicle.now_us() + 10_000).min(end);
+            let next = (self.vehicle.now_us() + self.period_us).min(end);
             while self.vehicle.now_us() < next {
                 let event = self.vehicle.next_event_us().min(next);
                 self.vehicle.advance_to(event);
@@ -170,6 +201,13 @@ impl Bench {
 
     /// Sends a command and returns the answer and the texts that came with it.
     pub fn command_and_texts(&mut self, command: MavCmd, params: &[f32]) -> (MavResult, String) {
+        let (results, texts) = self.answers(command, params);
+        assert_eq!(results.len(), 1, "one answer");
+        (results[0], texts)
+    }
+
+    /// Sends a command and returns every answer to it and the texts that came with them.
+    pub fn answers(&mut self, command: MavCmd, params: &[f32]) -> (Vec<MavResult>, String) {
         self.heard();
         self.send(&command_long(command, params));
         let mut texts = String::new();
@@ -185,8 +223,7 @@ impl Bench {
                 _ => {}
             }
         }
-        assert_eq!(results.len(), 1, "one answer");
-        (results[0], texts)
+        (results, texts)
     }
 
     pub fn command(&mut self, command: MavCmd, params: &[f32]) -> MavResult {
@@ -196,6 +233,52 @@ impl Bench {
     pub fn set_mode(&mut self, mode: Mode) -> MavResult {
         let [_, _, main, sub] = mode.custom_mode().to_le_bytes();
         self.command(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, main.into(), sub.into()])
+    }
+
+    /// Chooses a mode of ArduCopter.
+    pub fn set_mode_number(&mut self, number: u8) -> MavResult {
+        self.command(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, number.into()])
+    }
+
+    /// The value of a parameter as the protocol's float; `None` without an answer.
+    pub fn parameter(&mut self, name: &str) -> Option<f32> {
+        self.heard();
+        self.send(&MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
+            param_index: -1,
+            target_system: 1,
+            target_component: 1,
+            param_id: name.into(),
+        }));
+        self.heard().into_iter().find_map(|heard| match heard.message {
+            MavMessage::PARAM_VALUE(value) => Some(value.param_value),
+            _ => None,
+        })
+    }
+
+    /// Asks for message `id` `hz` times a second.
+    pub fn request(&mut self, id: u32, hz: f32) -> MavResult {
+        self.command(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, &[id as f32, 1e6 / hz])
+    }
+
+    /// Messages of `id` in two seconds, a second.
+    pub fn rate_of(&mut self, id: u32) -> f64 {
+        self.heard();
+        self.run(2.0);
+        0.5 * count(&self.heard(), id) as f64
+    }
+
+    /// Roll of the vehicle in degrees.
+    pub fn roll_deg(&self) -> f64 {
+        self.vehicle.plant().state().attitude.euler().roll.to_degrees()
+    }
+
+    /// Time until the roll is 63 % of a step to `degrees`, s.
+    pub fn roll_step_s(&mut self, degrees: f64, hover: f32, mask: u8) -> f64 {
+        let start = self.vehicle.now_us();
+        self.stream(setpoint(degrees.to_radians(), 0.0, hover, mask));
+        let arrived = |bench: &Self| bench.roll_deg() >= 0.63 * degrees;
+        assert!(self.run_until(2.0, arrived), "rolls");
+        (self.vehicle.now_us() - start) as f64 * 1e-6
     }
 
     pub fn arm(&mut self) -> MavResult {

@@ -1,5 +1,6 @@
 //! The programme flown by the simulated vehicle, several flights at a time.
 
+use std::io::{self, IsTerminal};
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -15,7 +16,7 @@ use crate::command::course::Course;
 use crate::command::setup::VehicleFile;
 use crate::command::simulation::{SimulatedFlight, Truth};
 use crate::command::stop::StopSignals;
-use crate::command::{Exit, summary};
+use crate::command::{Exit, say, summary};
 use crate::config::Config;
 use crate::plan::programme::ProgrammeFlight;
 
@@ -46,6 +47,10 @@ impl Simulator<'_> {
         jobs: usize,
         signals: &mut StopSignals,
     ) -> anyhow::Result<Vec<(usize, FlightRow)>> {
+        // A bar shows only on a terminal.
+        if !io::stderr().is_terminal() && !ahead.is_empty() {
+            say(format_args!("... flying {} flights", ahead.len()));
+        }
         let next = AtomicUsize::new(0);
         let rows = Mutex::new(Vec::new());
         let worker = || -> anyhow::Result<()> {
@@ -62,8 +67,10 @@ impl Simulator<'_> {
         thread::scope(|scope| {
             let workers: Vec<_> = (0..jobs.min(ahead.len())).map(|_| scope.spawn(worker)).collect();
             while !workers.iter().all(|worker| worker.is_finished()) {
-                if signals.wait(WATCH_PERIOD).is_some() {
-                    self.stopping.store(true, Ordering::Release);
+                if signals.wait(WATCH_PERIOD).is_some()
+                    && !self.stopping.swap(true, Ordering::AcqRel)
+                {
+                    say(format_args!("stopping: the simulated flights in the air end first"));
                 }
             }
             for worker in workers {

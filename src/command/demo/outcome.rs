@@ -165,6 +165,7 @@ impl Demo<'_> {
             training: learned.map(|learned| &learned.summary),
             contenders,
             files: &files,
+            folder: &self.args.out,
             notes: &notes,
         }))
     }

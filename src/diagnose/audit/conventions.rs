@@ -52,7 +52,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             }
         }
     }
-    if audit.kinematics.attitude.is_none_or(|a| a.is_mirrored || a.angle() > OTHER_AXES) {
+    if audit.kinematics.attitude.is_none_or(|a| a.is_mirrored || a.angle().value > OTHER_AXES) {
         check_readings(flight, audit);
     }
     check_force(flight, audit);
@@ -60,9 +60,13 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
 }
 
 impl Agreement {
-    /// Angle of the rotation, rad.
-    fn angle(&self) -> f64 {
-        self.rotation_rad.iter().map(|r| r.value * r.value).sum::<f64>().sqrt()
+    /// Angle of the rotation as far as it is shown, rad, and its interval.
+    fn angle(&self) -> Estimate {
+        let shown = || self.rotation_rad.iter().flatten();
+        Estimate {
+            value: shown().map(|r| r.value.powi(2)).sum::<f64>().sqrt(),
+            half_width: shown().map(|r| r.half_width.powi(2)).sum::<f64>().sqrt(),
+        }
     }
 }
 
@@ -116,12 +120,11 @@ impl Pair {
         }
         // Of the accelerometer only the heading is looked for.
         let angle = agreement.angle();
-        let width = agreement.rotation_rad.iter().map(|r| r.half_width.powi(2)).sum::<f64>().sqrt();
-        if angle > OTHER_AXES && angle > SURE * width {
-            let [x, y, z] = agreement.rotation_rad.map(|r| r.value.to_degrees());
+        if angle.value > OTHER_AXES && angle.differs_from_zero(SURE) {
+            let [x, y, z] = agreement.rotation_rad.map(|r| r.map_or(0.0, |r| r.value.to_degrees()));
             audit.findings.push(finding(
                 "axes",
-                angle,
+                angle.value,
                 0.0,
                 "rad",
                 format!("is turned against {other} by ({x:.0}, {y:.0}, {z:.0}) degrees"),
@@ -172,7 +175,10 @@ impl Pair {
                 "the two are on clocks of different rates, or one was resampled",
             );
         }
-        for (axis, estimate) in ["x", "y", "z"].into_iter().zip(agreement.rotation_rad) {
+        let shown = |of: [Option<Estimate>; 3]| {
+            ["x", "y", "z"].into_iter().zip(of).filter_map(|(axis, of)| Some((axis, of?)))
+        };
+        for (axis, estimate) in shown(agreement.rotation_rad) {
             if matters(&estimate, ROTATION[*at]) {
                 let what = format!(
                     "turned by {:.2} +- {:.2} degrees about {axis} against {other}",
@@ -196,7 +202,7 @@ impl Pair {
                 "the accelerometer's bias, or a tilt of the reported attitude that the gyro does not show (0.17 m/s^2 a degree)",
             ),
         ][*at];
-        for (axis, estimate) in ["x", "y", "z"].into_iter().zip(agreement.bias) {
+        for (axis, estimate) in shown(agreement.bias) {
             if matters(&estimate, BIAS[*at]) {
                 let what = format!(
                     "{other} is off by {:.3} +- {:.3} {unit} in {axis}",

@@ -7,7 +7,7 @@ use serde::Serialize;
 use sitl::frame::{Attitude, Frd};
 
 use super::trial::{DELAY_STEP, Trial};
-use super::weak::{Bump, Fit, Row, Weighed, bumps, fit, weigh};
+use super::weak::{Bump, Fit, Row, Weighed, bumps, deviation, fit, weigh};
 use crate::learn::alignment::interpolated;
 use crate::log::import::{Flight, Stream};
 
@@ -26,6 +26,15 @@ const DELAY_FLOOR: f64 = 2e-4;
 const SURE: f64 = 2.0;
 /// A delay less sure than this is none, s.
 const DELAY_UNSURE: f64 = 0.02;
+/// A rotation less sure than this is not shown, rad.
+const ROTATION_UNSURE: f64 = 1.0;
+/// Steps of delay (s), rotation (rad) and bias (rad/s, m/s or m/s^2) that matter.
+const DELAY_SIZE: f64 = 0.1;
+const ROTATION_SIZE: f64 = 1.0;
+const BIAS_SIZE: f64 = 1.0;
+/// Those of a pair's unknowns.
+const SIZES: [f64; 7] =
+    [DELAY_SIZE, ROTATION_SIZE, ROTATION_SIZE, ROTATION_SIZE, BIAS_SIZE, BIAS_SIZE, BIAS_SIZE];
 
 /// A value with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -56,10 +65,12 @@ pub struct Agreement {
     pub delay_drift_s: Option<Estimate>,
     /// How the stream's axes are turned in the other sensor's, as a rotation vector in rad: of an
     /// attitude that is the true one times a trim, the trim; of the velocity, by how much the
-    /// attitude's heading is too large.
-    pub rotation_rad: [Estimate; 3],
-    /// What the other sensor measures too much, in its own axes and unit.
-    pub bias: [Estimate; 3],
+    /// attitude's heading is too large. `None` about an axis that the motion does not show, as
+    /// the only one that it is about.
+    pub rotation_rad: [Option<Estimate>; 3],
+    /// What the other sensor measures too much, in its own axes and unit; `None` where the motion
+    /// does not show it.
+    pub bias: [Option<Estimate>; 3],
     /// The stream's derivative over what the other sensor measures.
     pub scale: f64,
     /// Share of the stream's motion that this explains.
@@ -87,8 +98,9 @@ impl Kinematics {
         let attitude = Turning::of(flight, |q| q).agreement();
         let late = attitude.map_or(0.0, |agreement| agreement.delay_s.value);
         let turned = attitude.and_then(|agreement| {
-            let is_sure = agreement.rotation_rad.iter().any(|r| r.differs_from_zero(SURE));
-            is_sure.then(|| agreement.rotation_rad.map(|r| -r.value))
+            let shown = agreement.rotation_rad;
+            let is_sure = shown.iter().flatten().any(|r| r.differs_from_zero(SURE));
+            is_sure.then(|| shown.map(|r| r.map_or(0.0, |r| -r.value)))
         });
         let gaining = Gaining::of(flight, late, turned.unwrap_or_default());
         Self { attitude, position: moving(flight), velocity: gaining.agreement() }
@@ -155,30 +167,38 @@ fn cross(v: Vector3<f64>) -> Matrix3<f64> {
 
 /// An agreement from the fit of delay, small rotation and bias about a first guess.
 fn agreement(trial: &Trial, whole: Fit<7>, halves: [Option<Fit<7>>; 2]) -> Option<Agreement> {
-    if whole.explained < EXPLAINED_MIN || INTERVAL * whole.deviation[0] > DELAY_UNSURE {
+    let delay = Estimate::new(whole.value[0], whole.deviation(0)?, DELAY_FLOOR);
+    if whole.explained < EXPLAINED_MIN || delay.half_width > DELAY_UNSURE {
         return None;
     }
-    let coarse = Rotation3::from_matrix(&trial.rotation);
     let fine = Rotation3::new(vector([whole.value[1], whole.value[2], whole.value[3]]));
-    let turned = (fine * coarse).inverse().scaled_axis();
-    let [dx, dy, dz] = [whole.deviation[1], whole.deviation[2], whole.deviation[3]];
-    let bias = |i: usize| Estimate::new(whole.value[i], whole.deviation[i], 0.0);
-    let drift = match halves {
-        [Some(a), Some(b)] if a.explained > EXPLAINED_MIN && b.explained > EXPLAINED_MIN => {
-            let deviation = a.deviation[0].hypot(b.deviation[0]);
+    let turned = (fine * trial.rotation).inverse().scaled_axis();
+    // The fit turns the stream's axes; what is told is in those of the other sensor.
+    let there = |of: &SMatrix<f64, 7, 7>| {
+        trial.rotation.transpose() * of.fixed_view::<3, 3>(1, 1) * trial.rotation
+    };
+    let (covariance, hidden) = (there(&whole.covariance), there(&whole.hidden));
+    let rotation = |axis: usize| {
+        let estimate = Estimate::new(turned[axis], deviation(&covariance, &hidden, axis)?, 0.0);
+        (estimate.half_width < ROTATION_UNSURE).then_some(estimate)
+    };
+    let bias = |i: usize| Some(Estimate::new(whole.value[i], whole.deviation(i)?, 0.0));
+    let drift = halves.map(|half| {
+        let half = half.filter(|half| half.explained > EXPLAINED_MIN)?;
+        Some((half.value[0], half.deviation(0)?))
+    });
+    let drift = match drift {
+        [Some((first, a)), Some((second, b))] => {
+            let deviation = a.hypot(b);
             let is_sure = INTERVAL * deviation < DELAY_UNSURE;
-            is_sure.then(|| Estimate::new(b.value[0] - a.value[0], deviation, DELAY_FLOOR))
+            is_sure.then(|| Estimate::new(second - first, deviation, DELAY_FLOOR))
         }
         _ => None,
     };
     Some(Agreement {
-        delay_s: Estimate::new(whole.value[0], whole.deviation[0], DELAY_FLOOR),
+        delay_s: delay,
         delay_drift_s: drift,
-        rotation_rad: [
-            Estimate::new(turned.x, dx, 0.0),
-            Estimate::new(turned.y, dy, 0.0),
-            Estimate::new(turned.z, dz, 0.0),
-        ],
+        rotation_rad: [rotation(0), rotation(1), rotation(2)],
         bias: [bias(4), bias(5), bias(6)],
         scale: trial.scale,
         explained: whole.explained,
@@ -188,12 +208,11 @@ fn agreement(trial: &Trial, whole: Fit<7>, halves: [Option<Fit<7>>; 2]) -> Optio
 
 /// The agreement of streams of different handedness: nothing more can be said of them.
 fn mirrored(trial: &Trial) -> Agreement {
-    let unknown = Estimate { value: 0.0, half_width: std::f64::consts::PI };
     Agreement {
         delay_s: Estimate { value: trial.delay, half_width: DELAY_STEP },
         delay_drift_s: None,
-        rotation_rad: [unknown; 3],
-        bias: [unknown; 3],
+        rotation_rad: [None; 3],
+        bias: [None; 3],
         scale: trial.scale,
         explained: trial.explained,
         is_mirrored: true,
@@ -204,11 +223,12 @@ fn mirrored(trial: &Trial) -> Agreement {
 fn fits<const P: usize>(
     bumps: &[Bump],
     start: [f64; P],
+    sizes: [f64; P],
     rows: impl Fn(&[Bump], &[f64; P]) -> Vec<Row<P>>,
 ) -> Option<(Fit<P>, [Option<Fit<P>>; 2])> {
-    let whole = fit(start, |value| rows(bumps, value))?;
+    let whole = fit(start, sizes, |value| rows(bumps, value))?;
     let (first, second) = bumps.split_at(bumps.len() / 2);
-    let half = |bumps: &[Bump]| fit(whole.value, |value| rows(bumps, value));
+    let half = |bumps: &[Bump]| fit(whole.value, sizes, |value| rows(bumps, value));
     Some((whole, [half(first), half(second)]))
 }
 
@@ -268,7 +288,7 @@ impl<'a> Turning<'a> {
         if trial.is_mirrored {
             return Some(mirrored(&trial));
         }
-        let coarse = trial.rotation * trial.unit();
+        let coarse = trial.rotation.into_inner() * trial.unit();
         let seen: Vec<_> = self.bumps.iter().map(|bump| (*bump, self.seen(*bump))).collect();
         let rows = |bumps: &[Bump], value: &[f64; 7]| {
             let [delay, ex, ey, ez, bx, by, bz] = *value;
@@ -289,7 +309,7 @@ impl<'a> Turning<'a> {
             rows.collect()
         };
         let start = [trial.delay, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-        let (whole, halves) = fits(&self.bumps, start, rows)?;
+        let (whole, halves) = fits(&self.bumps, start, SIZES, rows)?;
         agreement(&trial, whole, halves)
     }
 }
@@ -311,7 +331,7 @@ fn moving(flight: &Flight) -> Option<Agreement> {
     if trial.is_mirrored {
         return Some(mirrored(&trial));
     }
-    let coarse = trial.rotation * trial.unit();
+    let coarse = trial.rotation.into_inner() * trial.unit();
     let rows = |bumps: &[Bump], value: &[f64; 7]| {
         let [delay, ex, ey, ez, bx, by, bz] = *value;
         let turn = Rotation3::new(Vector3::new(ex, ey, ez)).into_inner() * coarse;
@@ -328,7 +348,7 @@ fn moving(flight: &Flight) -> Option<Agreement> {
         rows.collect()
     };
     let start = [trial.delay, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-    let (whole, halves) = fits(&bumps, start, rows)?;
+    let (whole, halves) = fits(&bumps, start, SIZES, rows)?;
     agreement(&trial, whole, halves)
 }
 
@@ -410,14 +430,28 @@ impl<'a> Gaining<'a> {
             });
             rows.collect()
         };
-        let (whole, halves) = fits(&self.bumps, [trial.delay, heading, 0.0, 0.0, 0.0], rows)?;
-        // As the other pairs: no rotation about north and east.
-        let widen = |fit: Fit<5>| {
-            let of = |v: [f64; 5]| [v[0], 0.0, 0.0, v[1], v[2], v[3], v[4]];
-            let Fit { value, deviation, explained, bumps } = fit;
-            Fit { value: of(value), deviation: of(deviation), explained, bumps }
-        };
-        let flat = Trial { rotation: Matrix3::identity(), ..trial };
-        agreement(&flat, widen(whole), halves.map(|half| half.map(widen)))
+        let start = [trial.delay, heading, 0.0, 0.0, 0.0];
+        let sizes = [DELAY_SIZE, ROTATION_SIZE, BIAS_SIZE, BIAS_SIZE, BIAS_SIZE];
+        let (whole, halves) = fits(&self.bumps, start, sizes, rows)?;
+        let flat = Trial { rotation: Rotation3::identity(), ..trial };
+        agreement(&flat, among_all(whole), halves.map(|half| half.map(among_all)))
     }
+}
+
+/// A fit of delay, heading and bias among the unknowns of the other pairs: rotations about north
+/// and east are not looked for, and so not shown.
+fn among_all(fit: Fit<5>) -> Fit<7> {
+    const PLACES: [usize; 5] = [0, 3, 4, 5, 6];
+    let mut value = [0.0; 7];
+    let (mut covariance, mut hidden) = (SMatrix::zeros(), SMatrix::zeros());
+    hidden[(1, 1)] = 1.0;
+    hidden[(2, 2)] = 1.0;
+    for (i, at) in PLACES.into_iter().enumerate() {
+        value[at] = fit.value[i];
+        for (j, other) in PLACES.into_iter().enumerate() {
+            covariance[(at, other)] = fit.covariance[(i, j)];
+            hidden[(at, other)] = fit.hidden[(i, j)];
+        }
+    }
+    Fit { value, covariance, hidden, explained: fit.explained, bumps: fit.bumps }
 }

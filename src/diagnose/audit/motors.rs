@@ -17,25 +17,22 @@ const STUCK: f64 = 1e-3;
 const SATURATED: f64 = 0.05;
 /// So many contradictions are none by chance.
 const CONTRADICTIONS: usize = 2;
-/// A quadrotor's motors.
-const MOTORS: u32 = 4;
+/// Outputs that change in a smaller share of the samples while the vehicle moves drive no motors.
+const CHANGES: f64 = 0.01;
+/// The vehicle moves where it turns or travels by more than this, rad/s and m/s.
+const TURNS: f64 = 0.05;
+const TRAVELS: f64 = 0.2;
+/// For less time of motion nothing is said, s.
+const MOTION_MIN: f64 = 2.0;
+const MOTION_SAMPLES: u32 = 20;
 /// Below this mean of a full range the vehicle does not fly.
 const FLIES: f64 = 0.1;
 
 pub(super) fn check(flight: &Flight, audit: &mut Audit) {
-    if let Some(motors) = flight.facts.motors.filter(|motors| *motors != MOTORS) {
-        audit.findings.push(Finding {
-            severity: Severity::Fault,
-            check: "motor_count",
-            stream: Some("outputs"),
-            found: f64::from(motors),
-            expected: f64::from(MOTORS),
-            unit: "",
-            what: format!("the autopilot drives {motors} motors"),
-            advice: "only quadrotors are understood: the log is of another kind of vehicle",
-        });
-    }
     if flight.outputs.is_empty() {
+        return;
+    }
+    if check_movement(flight, audit) {
         return;
     }
     check_order(flight, audit);
@@ -54,6 +51,44 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             advice: "log outputs at 50 Hz or more, by telemetry (SERVO_OUTPUT_RAW, ACTUATOR_OUTPUT_STATUS) or on board",
         });
     }
+}
+
+/// Whether outputs stand still while the vehicle moves; then they are none of its motors', and
+/// nothing else is to be said of them.
+fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
+    let turns = flight.body_rate.map(|rate| rate.norm() > TURNS);
+    let travels = flight.velocity.map(|velocity| velocity.norm() > TRAVELS);
+    let in_motion =
+        |time: f64| turns.held_at(time) == Some(&true) || travels.held_at(time) == Some(&true);
+    let outputs = &flight.outputs;
+    let (mut moving_s, mut count, mut changes) = (0.0, 0, 0);
+    for (times, values) in outputs.times().windows(2).zip(outputs.values().windows(2)) {
+        if in_motion(times[1]) && flight.in_air.held_at(times[1]) != Some(&false) {
+            moving_s += times[1] - times[0];
+            count += 1;
+            changes += usize::from(values[0] != values[1]);
+        }
+    }
+    let share = f64::from(changes as u32) / f64::from(count.max(1));
+    if moving_s < MOTION_MIN || count < MOTION_SAMPLES || share > CHANGES {
+        return false;
+    }
+    let [a, b, c, d] = outputs.values().last().copied().unwrap_or_default();
+    audit.findings.push(Finding {
+        severity: Severity::Fault,
+        check: "still_outputs",
+        stream: Some("outputs"),
+        found: share,
+        expected: CHANGES,
+        unit: "",
+        what: format!(
+            "all four stand still at {a:.3}, {b:.3}, {c:.3}, {d:.3} for {moving_s:.1} s in which the \
+             vehicle moves"
+        ),
+        advice: "they drive no motors of this vehicle: log the outputs of the device that drives them, and \
+                 its functions",
+    });
+    true
 }
 
 /// Whether outputs do what rotors would where the autopilot believes them to be.

@@ -86,13 +86,21 @@ impl RotorEffects {
             };
             pairs.iter().map(row).collect()
         };
-        let fit = fit([0.0; 12], rows)?;
-        let estimate = |at: usize| Estimate::new(fit.value[at], fit.deviation[at], 0.0);
-        Some(Self {
-            turning: std::array::from_fn(|i| std::array::from_fn(|axis| estimate(3 * i + axis))),
-            delay_s,
-            explained: fit.explained,
-        })
+        // An effect matters if the output's changes turn the body as it turns.
+        let power = |of: &dyn Fn(&(Vector3<f64>, SVector<f64, 4>)) -> f64| -> f64 {
+            pairs.iter().map(|pair| of(pair)).sum()
+        };
+        let turns = power(&|(seen, _)| (seen - turning).norm_squared());
+        let size = |output: usize| {
+            let moves = power(&|(_, outputs_of)| (outputs_of[output] - outputs[output]).powi(2));
+            if moves > 0.0 { (turns / moves).sqrt() } else { 0.0 }
+        };
+        let fit = fit([0.0; 12], std::array::from_fn(|at| size(at / 3)), rows)?;
+        let mut turning = [[Estimate { value: 0.0, half_width: 0.0 }; 3]; 4];
+        for (at, estimate) in turning.as_flattened_mut().iter_mut().enumerate() {
+            *estimate = Estimate::new(fit.value[at], fit.deviation(at)?, 0.0);
+        }
+        Some(Self { turning, delay_s, explained: fit.explained })
     }
 
     /// Where these effects surely contradict rotors that are said to be at `rotors`.

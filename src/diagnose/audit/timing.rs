@@ -88,7 +88,6 @@ fn timing(stream: &'static str, times: &[f64]) -> StreamTiming {
 }
 
 pub(super) fn check(flight: &Flight, audit: &mut Audit) {
-    check_recorded(flight, audit);
     for (name, times) in sampled(flight) {
         let Some(timing) = audit.streams.iter().find(|timing| timing.stream == name).cloned()
         else {
@@ -105,31 +104,6 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
 pub const LEFT_OUT: &str = "left_out";
 /// Why a time between two samples is unusable.
 pub const NO_SAMPLES: &str = "no samples";
-/// Name of the check that a log holds anything.
-pub(super) const EMPTY: &str = "empty";
-
-/// A log of nothing is as wrong as one of nonsense.
-fn check_recorded(flight: &Flight, audit: &mut Audit) {
-    let is_empty = sampled(flight).iter().all(|(_, times)| times.is_empty())
-        && flight.setpoints_missing.is_empty()
-        && flight.reference.is_empty()
-        && flight.voltage.is_empty()
-        && flight.in_air.is_empty()
-        && flight.truth.is_empty();
-    if !is_empty {
-        return;
-    }
-    audit.findings.push(Finding {
-        severity: Severity::Fault,
-        check: EMPTY,
-        stream: None,
-        found: 0.0,
-        expected: 1.0,
-        unit: "",
-        what: "nothing was recorded: there is not one sample of any stream".into(),
-        advice: "copy the log anew, or look for what kept the logger from writing",
-    });
-}
 
 fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &mut Audit) {
     let (Some(period), Some(longest)) = (timing.period_s, timing.longest_gap_s) else { return };
@@ -207,9 +181,16 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
     let samples: usize = audit.streams.iter().map(|timing| timing.samples).sum();
     // What belongs to others, or to another sensor, is nothing lost.
     let is_foreign = |reason: &str| {
-        ["of instance", "another vehicle", "setpoint from", "by its own flags"]
-            .iter()
-            .any(|words| reason.contains(words))
+        [
+            "of instance",
+            "another vehicle",
+            "another run of the vehicle's clock",
+            "in units that only",
+            "setpoint from",
+            "by its own flags",
+        ]
+        .iter()
+        .any(|words| reason.contains(words))
     };
     for (reason, count) in &flight.left_out {
         let share = *count as f64 / (samples as f64 + *count as f64).max(1.0);
@@ -238,25 +219,4 @@ const SAMPLES_MIN: usize = 20;
 /// Whether a stream has samples enough to be judged.
 pub(super) fn is_logged<T>(stream: &Stream<T>) -> bool {
     stream.len() >= SAMPLES_MIN
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::log::import::{Clock, Origin};
-
-    #[test]
-    fn a_log_of_nothing_is_at_fault() {
-        let origin = Origin {
-            path: "nothing.tlog".into(),
-            run: "nothing".into(),
-            sha256: String::new(),
-            format: "tlog",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
-        let is_empty = |flight: &Flight| Audit::of(flight).faults().any(|f| f.check == EMPTY);
-        assert!(is_empty(&flight));
-        flight.voltage.push(0.0, 4.1);
-        assert!(!is_empty(&flight));
-    }
 }

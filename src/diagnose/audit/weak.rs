@@ -4,7 +4,7 @@
 //! left side is a weighted mean of the derivative, as another sensor measures it; the right side
 //! needs only the stream itself. Shifting the bump of one side in time tries a delay.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{DMatrix, SMatrix, SVector, SymmetricEigen};
 
 use crate::diagnose::series::median;
 use crate::log::import::Stream;
@@ -110,13 +110,31 @@ pub(super) struct Row<const P: usize> {
 /// Unknowns found, and how well.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fit<const P: usize> {
+    /// Where nothing shows an unknown, that nearest to the start.
     pub value: [f64; P],
-    /// Standard deviations.
-    pub deviation: [f64; P],
+    pub covariance: SMatrix<f64, P, P>,
+    /// Projects onto what the rows do not show.
+    pub hidden: SMatrix<f64, P, P>,
     /// Share of what is seen that is explained.
     pub explained: f64,
     /// Bumps used.
     pub bumps: usize,
+}
+
+impl<const P: usize> Fit<P> {
+    /// Standard deviation of an unknown; `None` where the rows do not show it.
+    pub fn deviation(&self, of: usize) -> Option<f64> {
+        deviation(&self.covariance, &self.hidden, of)
+    }
+}
+
+/// Standard deviation by its place in a covariance; `None` where it lies in what is hidden.
+pub(super) fn deviation<const P: usize>(
+    covariance: &SMatrix<f64, P, P>,
+    hidden: &SMatrix<f64, P, P>,
+    of: usize,
+) -> Option<f64> {
+    (hidden[(of, of)] < HIDDEN_MAX).then(|| covariance[(of, of)].max(0.0).sqrt())
 }
 
 /// Fewest bumps that anything is concluded from.
@@ -127,19 +145,27 @@ const BLOCK: usize = 6;
 const HUBER: f64 = 2.5;
 /// Iterations.
 const ITERATIONS: usize = 12;
+/// A direction of the unknowns is not shown if a step of their sizes changes what is expected by
+/// less than this share of what is seen.
+const SHOWN_MIN: f64 = 1e-3;
+/// An unknown is not shown if more than this share of it lies in such directions.
+const HIDDEN_MAX: f64 = 1e-3;
+/// Sweeps of a decomposition at most; ten are usual.
+const SWEEPS: usize = 200;
 
-/// Finds the unknowns by Gauss-Newton from `start`; wild misfits count less. The deviations hold
-/// for misfits that hang together over [`BLOCK`] bumps.
+/// Finds the unknowns by Gauss-Newton from `start`, in the directions that the rows show; `sizes`
+/// are steps of the unknowns that matter. Wild misfits count less. The deviations hold for misfits
+/// that hang together over [`BLOCK`] bumps.
 pub(super) fn fit<const P: usize>(
     start: [f64; P],
+    sizes: [f64; P],
     rows: impl Fn(&[f64; P]) -> Vec<Row<P>>,
 ) -> Option<Fit<P>> {
     let mut value = start;
     let mut step_before = f64::INFINITY;
     for _ in 0..ITERATIONS {
-        let rows = rows(&value);
-        let (gram, gradient, _) = normal(&rows)?;
-        let step = gram.try_inverse()? * gradient;
+        let normal = Normal::of(&rows(&value))?;
+        let step = normal.shown(&sizes)?.inverse * normal.gradient;
         for (value, step) in value.iter_mut().zip(&step) {
             *value += step;
         }
@@ -153,8 +179,9 @@ pub(super) fn fit<const P: usize>(
         step_before = size;
     }
     let rows = rows(&value);
-    let (gram, _, weights) = normal(&rows)?;
-    let inverse = gram.try_inverse()?;
+    let normal = Normal::of(&rows)?;
+    let Shown { inverse, hidden } = normal.shown(&sizes)?;
+    let weights = &normal.weights;
     let blocks = rows.len().div_ceil(BLOCK);
     let mut spread = SMatrix::<f64, P, P>::zeros();
     for (block, weights) in rows.chunks(BLOCK).zip(weights.chunks(BLOCK)) {
@@ -167,37 +194,77 @@ pub(super) fn fit<const P: usize>(
     let covariance = inverse * spread * inverse * few;
     let mean = rows.iter().map(|row| row.seen).sum::<SVector<f64, 3>>() / rows.len() as f64;
     let sum = |of: &dyn Fn(&Row<P>) -> f64| -> f64 {
-        rows.iter().zip(&weights).map(|(row, w)| w * of(row)).sum()
+        rows.iter().zip(weights).map(|(row, w)| w * of(row)).sum()
     };
     let total = sum(&|row| (row.seen - mean).norm_squared());
     let left = sum(&|row| row.misfit.norm_squared());
     Some(Fit {
         value,
-        deviation: std::array::from_fn(|i| covariance[(i, i)].max(0.0).sqrt()),
+        covariance,
+        hidden,
         explained: if total > 0.0 { 1.0 - left / total } else { 0.0 },
         bumps: rows.len(),
     })
 }
 
-/// Matrix and right side of the normal equations, and the weight of each row.
-type Normal<const P: usize> = (SMatrix<f64, P, P>, SVector<f64, P>, Vec<f64>);
+/// The normal equations, and the weight of each row.
+struct Normal<const P: usize> {
+    gram: SMatrix<f64, P, P>,
+    gradient: SVector<f64, P>,
+    /// Of what is seen.
+    power: f64,
+    weights: Vec<f64>,
+}
 
-fn normal<const P: usize>(rows: &[Row<P>]) -> Option<Normal<P>> {
-    if rows.len() < BUMPS_MIN.max(P) {
-        return None;
+/// What the rows show of the unknowns: the inverse of the Gram matrix there, zero elsewhere, and
+/// the projection onto the rest.
+struct Shown<const P: usize> {
+    inverse: SMatrix<f64, P, P>,
+    hidden: SMatrix<f64, P, P>,
+}
+
+impl<const P: usize> Normal<P> {
+    /// `None` if there are too few rows.
+    fn of(rows: &[Row<P>]) -> Option<Self> {
+        if rows.len() < BUMPS_MIN.max(P) {
+            return None;
+        }
+        let typical = median(rows.iter().map(|row| row.misfit.norm()).collect());
+        let weight = |row: &Row<P>| {
+            let size = row.misfit.norm();
+            if size > HUBER * typical { HUBER * typical / size } else { 1.0 }
+        };
+        let weights: Vec<f64> = rows.iter().map(weight).collect();
+        let (mut gram, mut gradient, mut power) = (SMatrix::zeros(), SVector::zeros(), 0.0);
+        for (row, weight) in rows.iter().zip(&weights) {
+            gram += row.slopes.transpose() * row.slopes * *weight;
+            gradient += row.slopes.transpose() * row.misfit * *weight;
+            power += row.seen.norm_squared() * *weight;
+        }
+        Some(Self { gram, gradient, power, weights })
     }
-    let typical = median(rows.iter().map(|row| row.misfit.norm()).collect());
-    let weight = |row: &Row<P>| {
-        let size = row.misfit.norm();
-        if size > HUBER * typical { HUBER * typical / size } else { 1.0 }
-    };
-    let weights: Vec<f64> = rows.iter().map(weight).collect();
-    let (mut gram, mut gradient) = (SMatrix::zeros(), SVector::zeros());
-    for (row, weight) in rows.iter().zip(&weights) {
-        gram += row.slopes.transpose() * row.slopes * *weight;
-        gradient += row.slopes.transpose() * row.misfit * *weight;
+
+    /// `None` if nothing is seen, or the numbers are of no size that can be reckoned with.
+    fn shown(&self, sizes: &[f64; P]) -> Option<Shown<P>> {
+        let sensitivity =
+            DMatrix::from_fn(P, P, |i, j| self.gram[(i, j)] * sizes[i] * sizes[j] / self.power);
+        if !sensitivity.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        let SymmetricEigen { eigenvalues, eigenvectors } =
+            SymmetricEigen::try_new(sensitivity, f64::EPSILON, SWEEPS)?;
+        let (mut inverse, mut hidden) = (SMatrix::zeros(), SMatrix::zeros());
+        for (value, vector) in eigenvalues.iter().zip(eigenvectors.column_iter()) {
+            let direction = SVector::<f64, P>::from_fn(|i, _| vector[i]);
+            if *value < SHOWN_MIN * SHOWN_MIN {
+                hidden += direction * direction.transpose();
+            } else {
+                let step = SVector::<f64, P>::from_fn(|i, _| direction[i] * sizes[i]);
+                inverse += step * step.transpose() / (*value * self.power);
+            }
+        }
+        Some(Shown { inverse, hidden })
     }
-    Some((gram, gradient, weights))
 }
 
 #[cfg(test)]

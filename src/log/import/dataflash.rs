@@ -7,16 +7,19 @@ mod ardupilot;
 mod layout;
 mod reader;
 
-use std::collections::BTreeMap;
-use std::io::{self, Read};
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
 
 use super::flight::Flight;
 use super::onboard::{Topics, Wanted};
 use super::tally::Tally;
+use super::{LogFault, foreign};
 use layout::{Access, Layout, Units};
 pub(super) use reader::MARKS;
 use reader::{Message, Reader};
 
+/// The field of a row that has its stamp, whatever the log calls it.
+const STAMP: &str = "TimeUS";
 /// Texts that are kept.
 const TEXTS_MAX: usize = 40;
 /// Fields that tell several sensors, cores or packs of one message apart.
@@ -44,14 +47,19 @@ struct Kept {
 impl Kept {
     fn new(kind: u8, layout: &Layout, units: &Units) -> Option<Self> {
         let source = ardupilot::SOURCES.iter().find(|s| s.wanted.topic == layout.name)?;
+        // Before ArduPilot 3.3 in ms.
         let stamp = match layout.field(&["TimeUS"]) {
             Some(field) => (field, 1e-6),
             None => (layout.field(&["TimeMS"])?, 1e-3),
         };
         let named = source.wanted.fields.iter().zip(source.unsaid);
         let found = |(name, unsaid): (&&'static str, &f64)| {
-            let access = layout.field(&[*name])?;
-            Some((access, units.factor(kind, access, *unsaid)))
+            if *name == STAMP {
+                return Some(stamp);
+            }
+            let access = layout.field(&ardupilot::names(name))?;
+            let unsaid = ardupilot::older_unit(layout, access).unwrap_or(*unsaid);
+            Some((access, units.factor(kind, access, unsaid)))
         };
         let instance = if source.has_instances { layout.field(&INSTANCES) } else { None };
         Some(Self { source: *source, stamp, instance, fields: named.map(found).collect() })
@@ -65,6 +73,8 @@ struct Contents {
     /// Last value of each parameter.
     parameters: BTreeMap<String, f64>,
     texts: Vec<String>,
+    /// Number of the build, by the message VER.
+    build: Option<f64>,
     units: Units,
     tally: Tally,
 }
@@ -75,22 +85,28 @@ pub(super) fn begins(head: &[u8]) -> bool {
         .is_some_and(|rest| rest.first().is_none_or(|kind| *kind == layout::FMT))
 }
 
-/// Reads a whole log into `flight`. Returns the number of messages: none where it is no log.
+/// Reads a whole log into `flight`. Returns what it holds.
 ///
 /// # Errors
-/// Those of `source`. Damage within the file is counted, and is no error.
-pub(super) fn read(source: impl Read, flight: &mut Flight) -> io::Result<u64> {
+/// Those of `source`, and a log of another program. Damage within the file is counted, and is no
+/// error.
+pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Contents, LogFault> {
     let mut reader = Reader::new(source);
     let mut contents = Contents::default();
     let mut kept: BTreeMap<u8, Option<Kept>> = BTreeMap::new();
+    let mut names = BTreeSet::new();
     let mut values = Vec::new();
     while let Some(message) = reader.next()? {
-        if contents.add_definition(&message) {
-            continue;
-        }
-        let Message { kind, layout, body } = message;
+        let Message { kind, layout, body } = &message;
         let units = &contents.units;
-        let Some(kept) = kept.entry(kind).or_insert_with(|| Kept::new(kind, layout, units)) else {
+        let fresh = kept.entry(*kind).or_insert_with(|| {
+            let has_stamp = layout.field(&[STAMP, "TimeMS"]).is_some();
+            let mark = if has_stamp { "" } else { " (without a time)" };
+            names.insert(format!("{}{mark}", layout.name));
+            Kept::new(*kind, layout, units)
+        });
+        let Some(kept) = fresh else {
+            contents.add_definition(&message);
             continue;
         };
         let number = |access: Access| access.number(body).unwrap_or(f64::NAN);
@@ -104,16 +120,23 @@ pub(super) fn read(source: impl Read, flight: &mut Flight) -> io::Result<u64> {
         );
         contents.topics.push(kept.source.wanted, instance, number(stamp) * seconds, &values);
     }
-    let (messages, damage) = (reader.messages, reader.damage);
+    if reader.messages == 0 {
+        return Err(LogFault::Foreign("no whole message of a DataFlash log".into()));
+    }
+    if reader.defines("TIME", "StartTime") {
+        return Err(LogFault::Foreign(foreign::SDLOG2.into()));
+    }
+    let damage = reader.damage;
     contents.tally.add("byte that belongs to no whole message", damage.bytes);
     contents.tally.add("damaged or contradictory definition of a message", damage.definitions);
     contents.fill(flight);
-    Ok(messages)
+    let names = names.into_iter().collect();
+    Ok(super::Contents { part: "message", names, reason: None })
 }
 
 impl Contents {
-    /// Takes in what says something about other messages or the vehicle. Returns whether it is so.
-    fn add_definition(&mut self, message: &Message<'_>) -> bool {
+    /// Takes in what says something about other messages or the vehicle.
+    fn add_definition(&mut self, message: &Message<'_>) {
         let Message { layout, body, .. } = message;
         let number = |name: &str| layout.field(&[name]).and_then(|f| f.number(body));
         let text = |name: &str| layout.field(&[name]).and_then(|f| f.text(body));
@@ -125,7 +148,8 @@ impl Contents {
             }
             "MSG" => {
                 if let (Some(text), true) = (text("Message"), self.texts.len() < TEXTS_MAX) {
-                    let time = number("TimeUS").unwrap_or(f64::NAN) * 1e-6;
+                    let ms = number("TimeMS").map(|ms| ms * 1e3);
+                    let time = number(STAMP).or(ms).unwrap_or(f64::NAN) * 1e-6;
                     self.texts.push(format!("{time:.3} s: {text}"));
                 }
             }
@@ -145,8 +169,8 @@ impl Contents {
                     self.units.add_fields(kind, units, multipliers);
                 }
             }
-            _ => return false,
+            "VER" => self.build = number("BU").or(self.build),
+            _ => {}
         }
-        true
     }
 }

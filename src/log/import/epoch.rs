@@ -1,9 +1,13 @@
 //! One run of a vehicle's clock: each source's samples, and whether the next belongs to it.
 
+use std::collections::BTreeMap;
+
 use sitl::frame::{Attitude, Frd, Ned};
 
 use super::clocks::{Arrival, Envelope, shift_onto};
 use super::flight::{Flight, MotorSource, MotorUnit, Stream};
+use super::functions::{self, MOTORS, Movement, OUTPUTS, Stated, numbered};
+use super::ranges;
 
 /// Jump of a message's stamp against the ground's clock that is more than delay and skew, s.
 const JUMP: f64 = 0.5;
@@ -29,10 +33,21 @@ pub(super) enum Source {
     LocalPosition,
     Odometry,
     Imu,
+    RawImu,
+    ScaledImu,
+    ScaledImu2,
+    ScaledImu3,
     ActuatorOutputs,
     ServoOutputs,
+    ServoOutputsAux,
     EscStatus,
 }
+
+/// Sources of the IMU, those of the first sensor first.
+pub(super) const IMUS: [Source; 5] =
+    [Source::Imu, Source::RawImu, Source::ScaledImu, Source::ScaledImu2, Source::ScaledImu3];
+/// Of these, as many are of the first sensor.
+const FIRST_SENSOR: usize = 3;
 
 pub(super) const SOURCES: usize = Source::EscStatus as usize + 1;
 
@@ -43,8 +58,13 @@ impl Source {
         Self::LocalPosition,
         Self::Odometry,
         Self::Imu,
+        Self::RawImu,
+        Self::ScaledImu,
+        Self::ScaledImu2,
+        Self::ScaledImu3,
         Self::ActuatorOutputs,
         Self::ServoOutputs,
+        Self::ServoOutputsAux,
         Self::EscStatus,
     ];
     /// In the order in which the vehicle's clock is taken from them: milliseconds since boot first.
@@ -54,9 +74,14 @@ impl Source {
         Self::LocalPosition,
         Self::Imu,
         Self::Odometry,
+        Self::ScaledImu,
+        Self::ScaledImu2,
+        Self::ScaledImu3,
+        Self::RawImu,
         Self::ActuatorOutputs,
         Self::EscStatus,
         Self::ServoOutputs,
+        Self::ServoOutputsAux,
     ];
 
     pub fn name(self) -> &'static str {
@@ -66,8 +91,13 @@ impl Source {
             Self::LocalPosition => "LOCAL_POSITION_NED",
             Self::Odometry => "ODOMETRY",
             Self::Imu => "HIGHRES_IMU",
+            Self::RawImu => "RAW_IMU",
+            Self::ScaledImu => "SCALED_IMU",
+            Self::ScaledImu2 => "SCALED_IMU2",
+            Self::ScaledImu3 => "SCALED_IMU3",
             Self::ActuatorOutputs => "ACTUATOR_OUTPUT_STATUS",
             Self::ServoOutputs => "SERVO_OUTPUT_RAW",
+            Self::ServoOutputsAux => "SERVO_OUTPUT_RAW of port 1",
             Self::EscStatus => "ESC_STATUS",
         }
     }
@@ -136,9 +166,11 @@ pub(super) struct Epoch {
     pub euler: Stream<(Attitude, Frd)>,
     pub local_position: Stream<(Ned, Ned)>,
     pub odometry: Stream<PoseSample>,
-    pub imu: Stream<ImuSample>,
+    /// By source, in the order of [`IMUS`].
+    pub imus: [Stream<ImuSample>; IMUS.len()],
     pub actuator_outputs: Stream<[f64; 4]>,
-    pub servo_outputs: Stream<[f64; 4]>,
+    /// By port.
+    pub servo_outputs: [Stream<[f64; OUTPUTS]>; 2],
     pub rpm: Stream<[f64; 4]>,
 }
 
@@ -153,9 +185,17 @@ impl Epoch {
             Source::Euler => self.euler.len(),
             Source::LocalPosition => self.local_position.len(),
             Source::Odometry => self.odometry.len(),
-            Source::Imu => self.imu.len(),
+            Source::Imu
+            | Source::RawImu
+            | Source::ScaledImu
+            | Source::ScaledImu2
+            | Source::ScaledImu3 => {
+                let at = IMUS.iter().position(|imu| *imu == source);
+                at.map_or(0, |at| self.imus[at].len())
+            }
             Source::ActuatorOutputs => self.actuator_outputs.len(),
-            Source::ServoOutputs => self.servo_outputs.len(),
+            Source::ServoOutputs => self.servo_outputs[0].len(),
+            Source::ServoOutputsAux => self.servo_outputs[1].len(),
             Source::EscStatus => self.rpm.len(),
         }
     }
@@ -173,12 +213,14 @@ impl Epoch {
             ends(self.euler.times()),
             ends(self.local_position.times()),
             ends(self.odometry.times()),
-            ends(self.imu.times()),
             ends(self.actuator_outputs.times()),
-            ends(self.servo_outputs.times()),
             ends(self.rpm.times()),
         ];
+        let imus = self.imus.iter().map(|imu| ends(imu.times()));
+        let servos = self.servo_outputs.iter().map(|outputs| ends(outputs.times()));
         all.into_iter()
+            .chain(imus)
+            .chain(servos)
             .flatten()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (from, to)| (a.min(from), b.max(to)))
     }
@@ -203,6 +245,39 @@ impl Epoch {
 }
 
 impl Epoch {
+    /// The port, and its outputs, that drive motors 1 to 4, and how that is known; or why there are
+    /// none.
+    fn motors(
+        &self,
+        parameters: &BTreeMap<String, f64>,
+    ) -> Result<(usize, [usize; MOTORS], String), String> {
+        match functions::ardupilot_motors(parameters) {
+            Stated::Motors(outputs) => {
+                let port = outputs[0] / OUTPUTS;
+                let is_one = outputs.iter().all(|output| output / OUTPUTS == port);
+                let channels = outputs.map(|output| output % OUTPUTS);
+                let reason = "by SERVOn_FUNCTION".to_owned();
+                let split = || "motors are on both ports of SERVO_OUTPUT_RAW".to_owned();
+                is_one.then_some((port, channels, reason)).ok_or_else(split)
+            }
+            Stated::Without(missing) => {
+                let missing: Vec<String> = missing.iter().map(usize::to_string).collect();
+                let missing = missing.join(", ");
+                Err(format!("SERVOn_FUNCTION states no output of motor {missing}"))
+            }
+            Stated::Nothing => {
+                let movement = |outputs: &Stream<[f64; OUTPUTS]>| {
+                    let mut movement = Movement::of(OUTPUTS);
+                    outputs.values().iter().for_each(|sample| movement.add(*sample));
+                    movement
+                };
+                let logged: Vec<Movement> = self.servo_outputs.iter().map(movement).collect();
+                let drive = functions::px4_drive(parameters, &logged)?;
+                Ok((drive.index, drive.channels, drive.reason()))
+            }
+        }
+    }
+
     /// What must be added to each source's times to be on one clock: `time_usec` may count from
     /// another epoch than `time_boot_ms`.
     pub fn shifts(&self) -> [f64; SOURCES] {
@@ -218,8 +293,14 @@ impl Epoch {
     }
 
     /// Fills the streams of `flight`, each from one source, its times shifted.
-    pub fn fill(self, shifts: [f64; SOURCES], flight: &mut Flight) {
+    pub fn fill(
+        self,
+        shifts: [f64; SOURCES],
+        parameters: &BTreeMap<String, f64>,
+        flight: &mut Flight,
+    ) {
         let shift = |source: Source| shifts[source as usize];
+        let motors = self.motors(parameters);
         let quaternion = (self.quaternion, shift(Source::Quaternion));
         let euler = (self.euler, shift(Source::Euler));
         let odometry = (&self.odometry, shift(Source::Odometry));
@@ -234,9 +315,21 @@ impl Epoch {
         let (attitude, attitude_shift) = attitude;
         flight.attitude = attitude.map(|(attitude, _)| *attitude).shifted(attitude_shift);
 
-        let imu_shift = shift(Source::Imu);
-        flight.specific_force = self.imu.filter_map(|(force, _)| *force).shifted(imu_shift);
-        flight.body_rate = self.imu.filter_map(|(_, rate)| *rate).shifted(imu_shift);
+        let mut chosen = 0;
+        for (at, imu) in self.imus.iter().enumerate() {
+            let before = &self.imus[chosen];
+            let is_more = at < FIRST_SENSOR && imu.rate() > CLEARLY_MORE * before.rate();
+            if is_more || before.is_empty() && !imu.is_empty() {
+                chosen = at;
+            }
+        }
+        let (imu, source) = (&self.imus[chosen], IMUS[chosen]);
+        if !imu.is_empty() {
+            flight.facts.notes.push(format!("specific force and body rate from {}", source.name()));
+        }
+        let imu_shift = shift(source);
+        flight.specific_force = imu.filter_map(|(force, _)| *force).shifted(imu_shift);
+        flight.body_rate = imu.filter_map(|(_, rate)| *rate).shifted(imu_shift);
         if flight.body_rate.is_empty() {
             flight.body_rate = attitude.map(|(_, rate)| *rate).shifted(attitude_shift);
         }
@@ -252,20 +345,48 @@ impl Epoch {
         }
 
         if self.actuator_outputs.is_empty() {
-            flight.outputs = self.servo_outputs.shifted(shift(Source::ServoOutputs));
             flight.motor_source = MotorSource::ServoOutputRaw;
+            if self.servo_outputs.iter().any(|outputs| !outputs.is_empty()) {
+                match motors {
+                    Ok((port, channels, reason)) => {
+                        let source = [Source::ServoOutputs, Source::ServoOutputsAux][port];
+                        let of_motors = |all: &[f64; OUTPUTS]| channels.map(|channel| all[channel]);
+                        flight.outputs =
+                            self.servo_outputs[port].map(of_motors).shifted(shift(source));
+                        let numbers = numbered(&channels);
+                        flight.facts.notes.push(format!(
+                            "motors 1 to 4 are outputs {numbers} of {}, {reason}",
+                            source.name()
+                        ));
+                    }
+                    Err(reason) => flight.facts.notes.push(format!("no motor outputs: {reason}")),
+                }
+            }
             // Of none there is nothing to know.
             if !flight.outputs.is_empty() {
                 flight.motor_unit = MotorUnit::VehicleFile;
+                flight.state_ranges(ranges::ardupilot(parameters));
             }
         } else {
-            flight.outputs = self.actuator_outputs.shifted(shift(Source::ActuatorOutputs));
+            let drive = functions::px4_drive(parameters, &[]).ok();
+            let of_motors = |all: &[f64; MOTORS]| match &drive {
+                Some(drive) if drive.channels.iter().all(|channel| *channel < MOTORS) => {
+                    drive.channels.map(|channel| all[channel])
+                }
+                _ => *all,
+            };
+            let shifted = self.actuator_outputs.shifted(shift(Source::ActuatorOutputs));
+            flight.outputs = shifted.map(of_motors);
             flight.motor_source = MotorSource::ActuatorOutputStatus;
             let is_fraction = |u: &&[f64; 4]| u.iter().all(|u| (0.0..=FRACTION_MAX).contains(u));
             let fractions = flight.outputs.values().iter().filter(is_fraction).count();
             let is_fraction = 2 * fractions > flight.outputs.len();
             flight.motor_unit =
                 if is_fraction { MotorUnit::ThrustFraction } else { MotorUnit::VehicleFile };
+            let most = flight.outputs.values().iter().flatten().copied().fold(0.0, f64::max);
+            if let Some(drive) = drive.filter(|_| !is_fraction) {
+                flight.state_ranges(ranges::px4(parameters, &drive, most));
+            }
         }
         flight.rotor_speed =
             self.rpm.map(|rpm| rpm.map(|rpm| rpm * RPM)).shifted(shift(Source::EscStatus));

@@ -22,10 +22,35 @@ pub enum ImportError {
         /// What it looks like.
         found: String,
     },
+    /// Nothing of the file is part of a flight.
+    #[error("{}: nothing of this {format} file can be used: {why}", path.display())]
+    Nothing {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        format: &'static str,
+        /// What it has in place of what is needed.
+        why: String,
+    },
+    /// The file has no boot of this number.
+    #[error(
+        "{}: expected a boot from 1 to {boots} (--boot), found {boot}: the vehicle was started so many \
+         times in this file",
+        path.display()
+    )]
+    NoBoot {
+        /// The file.
+        path: PathBuf,
+        /// The number that was asked for.
+        boot: usize,
+        /// How many there are.
+        boots: usize,
+    },
     /// A table came without a mapping file.
     #[error(
-        "{} is a table: what its columns are must be said in a mapping file (--mapping MAP.toml; \
-         config/mappings/ has one to start from)",
+        "{} is a table: what its columns are must be said in a mapping file (--mapping MAP.toml); \
+         `downwash log import --propose {}` prints one to start from",
+        path.display(),
         path.display()
     )]
     NoMapping {

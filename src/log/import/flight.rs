@@ -6,6 +6,7 @@ use sitl::frame::{Attitude, Frd, Ned};
 use sitl::vehicle::VehicleParams;
 
 use super::facts::VehicleFacts;
+use super::ranges::OutputRange;
 use crate::setpoint::Reference;
 
 /// Samples of one quantity, in the order of their times.
@@ -183,7 +184,8 @@ pub enum MotorUnit {
     /// u_i: commanded thrust over the rotor's `thrust_max_N`, 0..1.
     #[default]
     ThrustFraction,
-    /// As the vehicle file's `motor_output` says; made a thrust fraction with it.
+    /// As it was logged; made a thrust fraction by the vehicle file's `motor_output`, else by
+    /// [`VehicleFacts::output_ranges`].
     VehicleFile,
     /// Thrust of each rotor in N; a thrust fraction over the rotor's `thrust_max_N`.
     Newton,
@@ -326,6 +328,28 @@ impl Flight {
         }
     }
 
+    /// Whether anything of the vehicle's motion, or of what moves it, is there.
+    pub fn has_motion(&self) -> bool {
+        !(self.attitude.is_empty()
+            && self.position.is_empty()
+            && self.velocity.is_empty()
+            && self.body_rate.is_empty()
+            && self.specific_force.is_empty()
+            && self.outputs.is_empty()
+            && self.rotor_speed.is_empty()
+            && self.setpoint.is_empty()
+            && self.reference.is_empty()
+            && self.truth.is_empty())
+    }
+
+    /// Keeps what parameters say of the outputs' range.
+    pub(super) fn state_ranges(&mut self, stated: Option<([OutputRange; 4], String)>) {
+        if let Some((ranges, said)) = stated {
+            self.facts.output_ranges = Some(ranges);
+            self.facts.notes.push(format!("outputs over the range {said}"));
+        }
+    }
+
     /// Makes outputs thrust fractions of `vehicle`. Returns why not, if its file does not say how;
     /// where there are none, there is nothing to say.
     ///
@@ -347,7 +371,12 @@ impl Flight {
                     *outputs = outputs.map(|u| fraction(u).clamp(0.0, 1.0));
                 }
             }
-            (MotorUnit::VehicleFile, None) => return Err(UnitUnknown),
+            (MotorUnit::VehicleFile, None) => {
+                let ranges = self.facts.output_ranges.ok_or(UnitUnknown)?;
+                for outputs in &mut self.outputs.values {
+                    *outputs = std::array::from_fn(|i| ranges[i].fraction(outputs[i]));
+                }
+            }
         }
         self.motor_unit = MotorUnit::ThrustFraction;
         Ok(())
@@ -357,8 +386,9 @@ impl Flight {
 /// The unit of the motor outputs is not known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "its motor outputs are not in 0..1 and the vehicle file has no `motor_output` that says what \
-     they mean"
+    "its motor outputs are not in 0..1, it states no parameters of their range (PWM_MAIN_MINn and \
+     PWM_MAIN_MAXn, or MOT_PWM_* and MOT_SPIN_*), and the vehicle file has no `motor_output` that \
+     says what they mean"
 )]
 pub struct UnitUnknown;
 

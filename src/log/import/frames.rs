@@ -2,12 +2,13 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use mavlink::MessageData;
+use mavlink::{Message as _, MessageData};
 use wire::Frame;
 use wire::dialect::{
     HEARTBEAT_DATA, MavAutopilot, MavMessage, SET_ATTITUDE_TARGET_DATA, TIMESYNC_DATA,
 };
 
+use super::LogFault;
 use super::clocks::{Exchange, Heard};
 use super::flight::{AttitudeSetpoint, Flight};
 use super::setpoints::Sent;
@@ -91,6 +92,8 @@ pub(super) struct Frames {
     setpoints: BTreeMap<(Sender, u8), Vec<Sent>>,
     /// `ts1` of open requests of TIMESYNC and when they left.
     requests: VecDeque<(i64, f64)>,
+    /// Name of each message that came, by its number.
+    seen: BTreeMap<u32, String>,
     tally: Tally,
 }
 
@@ -102,6 +105,10 @@ impl Frames {
             let start = *self.start_ns.get_or_insert(ns);
             self.latest = (i128::from(ns) - i128::from(start)) as f64 * 1e-9;
         }
+        self.seen.entry(frame.id()).or_insert_with(|| match frame.message() {
+            Ok(message) => message.message_name().to_owned(),
+            Err(_) => format!("message {}", frame.id()),
+        });
         let heard = Heard { index: self.index, ground: self.latest };
         let sender = (frame.system(), frame.component());
         if !self.numbers.contains_key(&sender) && self.numbers.len() == SENDERS_MAX {
@@ -163,9 +170,12 @@ impl Frames {
         }
     }
 
-    /// Fills `flight` with the vehicle that sent most.
-    pub fn finish(self, flight: &mut Flight) {
-        let Self { mut vehicles, mut setpoints, mut tally, .. } = self;
+    /// Fills `flight` with the vehicle that sent most. Returns what else was sent.
+    ///
+    /// # Errors
+    /// A boot that the vehicle does not have.
+    pub fn finish(self, boot: Option<usize>, flight: &mut Flight) -> Result<Vec<String>, LogFault> {
+        let Self { mut vehicles, mut setpoints, mut tally, seen, .. } = self;
         let any_autopilot = vehicles.values().any(VehicleLog::is_autopilot);
         let weight = |log: &VehicleLog| {
             (log.is_autopilot() == any_autopilot, log.attitudes(), log.messages())
@@ -184,7 +194,7 @@ impl Frames {
                 .max_by_key(|(_, sent)| sent.len())
                 .map(|(key, _)| *key);
             let sent = commander.and_then(|key| setpoints.remove(&key)).unwrap_or_default();
-            tally.merge(vehicle.finish(sent, flight));
+            tally.merge(vehicle.finish(sent, boot, flight)?);
         }
         for (((system, component), target), sent) in setpoints {
             let reason = format!("setpoint from {system}/{component} to system {target}");
@@ -195,5 +205,6 @@ impl Frames {
             tally.add(&reason, log.messages());
         }
         flight.left_out.extend(tally.into_vec());
+        Ok(seen.into_values().collect())
     }
 }

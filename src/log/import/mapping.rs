@@ -5,23 +5,36 @@
 
 mod axes;
 mod bind;
+mod propose;
 mod row;
+mod shipped;
 
-use std::fs;
+use std::collections::BTreeMap;
+use std::fmt;
 use std::path::Path;
 
 use serde::Deserialize;
 
 use super::error::ImportError;
-pub use axes::{BodyFrame, WorldFrame, attitude_to_ned};
-pub(super) use row::{Outputs, Row, RowReader};
+pub use axes::{AttitudeTurn, BodyFrame, WorldFrame};
+pub(super) use bind::Heading;
+pub(super) use propose::propose;
+pub(super) use row::{Cell, Outputs, Row, RowReader};
+pub use shipped::SHIPPED;
 
 /// A mapping file, as read.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {
-    /// One character between the fields of a row; a comma where it is not said.
+    /// One character between the cells of a row; found by the columns where it is not said.
     pub separator: Option<char>,
+    /// What stands before the decimals; where it is not said, a comma does if no point does.
+    pub decimal: Option<DecimalMark>,
+    /// Lines before the one that names the columns; where it is not said, the names are looked for.
+    pub skip_lines: Option<u64>,
+    /// Cells above the table that must be followed by these, as `"Length Units" = "Meters"`.
+    #[serde(default)]
+    pub expect: BTreeMap<String, String>,
     /// Axes of the world.
     pub world_frame: Option<WorldFrame>,
     /// Axes of the body.
@@ -48,11 +61,47 @@ pub struct Mapping {
     pub setpoint: Option<SetpointMap>,
 }
 
+/// What stands before the decimals of a number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+pub enum DecimalMark {
+    /// 0.5
+    #[serde(rename = ".")]
+    Point,
+    /// 0,5
+    #[serde(rename = ",")]
+    Comma,
+}
+
+/// A column of a table.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected a column: its name, its number from 1, or a list of words that stand above it"
+)]
+pub enum Column {
+    /// By its name.
+    Name(String),
+    /// By its number, from 1.
+    Number(usize),
+    /// By its name, last, and words in the lines above it, where one name is there several times.
+    Words(Vec<String>),
+}
+
+impl fmt::Display for Column {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Name(name) => write!(f, "{name:?}"),
+            Self::Number(number) => write!(f, "number {number}"),
+            Self::Words(words) => write!(f, "{words:?}"),
+        }
+    }
+}
+
 /// `[time]`: a column with its unit, or the rate of rows without one.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TimeMap {
-    column: Option<String>,
+    column: Option<Column>,
     unit: Option<TimeUnit>,
     rate_hz: Option<f64>,
 }
@@ -71,8 +120,19 @@ enum TimeUnit {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PositionMap {
-    columns: [String; 3],
-    unit: Option<LengthUnit>,
+    columns: [Column; 3],
+    unit: Option<LengthText>,
+}
+
+/// A unit of lengths, or the cell above the table that is followed by one.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected \"m\", \"cm\" or \"mm\", or { above = \"a cell that the unit follows\" }"
+)]
+enum LengthText {
+    Unit(LengthUnit),
+    Above { above: String },
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -83,11 +143,32 @@ enum LengthUnit {
     Mm,
 }
 
+impl LengthUnit {
+    /// By its name, as other programs write it.
+    fn named(name: &str) -> Option<Self> {
+        Some(match name.to_ascii_lowercase().as_str() {
+            "m" | "meter" | "meters" | "metre" | "metres" => Self::M,
+            "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" => Self::Cm,
+            "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => Self::Mm,
+            _ => return None,
+        })
+    }
+
+    /// What one is in m.
+    fn in_m(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Cm => 0.01,
+            Self::Mm => 1e-3,
+        }
+    }
+}
+
 /// `[velocity]`.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VelocityMap {
-    columns: [String; 3],
+    columns: [Column; 3],
     unit: Option<SpeedUnit>,
     axes: Option<Axes>,
 }
@@ -114,11 +195,11 @@ enum Axes {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AttitudeMap {
-    quaternion: Option<[String; 4]>,
+    quaternion: Option<[Column; 4]>,
     order: Option<QuaternionOrder>,
-    euler: Option<[String; 3]>,
+    euler: Option<[Column; 3]>,
     unit: Option<AngleUnit>,
-    matrix: Option<[String; 9]>,
+    matrix: Option<[Column; 9]>,
     rotates: Option<Rotates>,
 }
 
@@ -147,7 +228,7 @@ enum Rotates {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RateMap {
-    columns: [String; 3],
+    columns: [Column; 3],
     unit: Option<RateUnit>,
     axes: Option<Axes>,
 }
@@ -164,7 +245,7 @@ enum RateUnit {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ForceMap {
-    columns: [String; 3],
+    columns: [Column; 3],
     unit: Option<AccelerationUnit>,
     meaning: Option<ForceMeaning>,
     axes: Option<Axes>,
@@ -190,7 +271,7 @@ enum ForceMeaning {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorMap {
-    columns: [String; 4],
+    columns: [Column; 4],
     meaning: Option<MotorMeaning>,
     range: Option<[f64; 2]>,
     #[serde(rename = "polynomial_N")]
@@ -222,7 +303,7 @@ enum RotorUnit {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SpeedMap {
-    columns: [String; 4],
+    columns: [Column; 4],
     unit: Option<RotorUnit>,
 }
 
@@ -230,7 +311,7 @@ pub struct SpeedMap {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VoltageMap {
-    column: String,
+    column: Column,
     unit: Option<VoltageUnit>,
 }
 
@@ -247,17 +328,16 @@ enum VoltageUnit {
 pub struct SetpointMap {
     attitude: Option<AttitudeMap>,
     body_rate: Option<RateMap>,
-    thrust_fraction: Option<String>,
+    thrust_fraction: Option<Column>,
 }
 
 impl Mapping {
-    /// Reads a mapping file.
+    /// Reads a mapping file, or takes a shipped one by its name where there is no such file.
     ///
     /// # Errors
     /// A file that cannot be read, is no TOML, or has keys or values that no mapping has.
     pub fn load(path: &Path) -> Result<Self, ImportError> {
-        let text = fs::read_to_string(path)
-            .map_err(|source| ImportError::Read { path: path.to_owned(), source })?;
+        let text = shipped::text(path)?;
         Self::parse(&text)
             .map_err(|message| ImportError::Mapping { path: path.to_owned(), message })
     }

@@ -1,28 +1,32 @@
 //! Flight logs of any origin, read into one representation.
 
 mod clocks;
-mod csv;
 mod dataflash;
 mod epoch;
 mod error;
 mod facts;
 mod flat;
 mod flight;
+mod foreign;
 mod frames;
+mod functions;
+mod kind;
 pub mod mapping;
 mod mcap;
 mod onboard;
+mod ranges;
 mod read_ahead;
 mod references;
 mod setpoints;
 mod source;
+mod table;
 mod tally;
 mod tlog;
 mod ulog;
 mod vehicle;
 
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, Read};
 use std::path::Path;
 
 pub use error::ImportError;
@@ -32,25 +36,44 @@ pub use flight::{
     AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, Origin, SetpointSource, Stream,
     TruthSample, UnitUnknown,
 };
+pub use kind::{StatedKind, VehicleKind};
+pub use ranges::OutputRange;
 
 use super::reader::{LogReader, ReadError};
-use csv::TableError;
 use mapping::Mapping;
 use source::Format;
+use table::TableError;
 use ulog::UlogError;
+
+/// How a log is to be read, where there is a choice.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Choice<'a> {
+    /// The mapping file of a table, or the name of a shipped one.
+    pub mapping: Option<&'a Path>,
+    /// Which start of the vehicle, from 1; the one that flew longest where it is not said.
+    pub boot: Option<usize>,
+}
 
 /// Reads a flight log, whatever it is, told by its content: an own log (.mcap), a telemetry log
 /// (.tlog), a log of PX4 (ULog) or ArduPilot (DataFlash), or a table (.csv) with the mapping file
 /// that says what its columns are. Damage within a log, and what does not belong to the flight, is
-/// counted in [`Flight::left_out`]; a log without a usable sample is an empty flight.
+/// counted in [`Flight::left_out`].
 ///
 /// # Errors
-/// [`ImportError`] if a file cannot be read, is no log, or a table's mapping leaves anything
-/// unsaid.
+/// [`ImportError`] if a file cannot be read, is no log, has nothing of a flight, or a table's
+/// mapping leaves anything unsaid.
 pub fn open(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> {
+    open_chosen(path, Choice { mapping, boot: None })
+}
+
+/// As [`open`], with a choice.
+///
+/// # Errors
+/// As of [`open`], and a boot that the log does not have.
+pub fn open_chosen(path: &Path, choice: Choice<'_>) -> Result<Flight, ImportError> {
     let io = |source| ImportError::Read { path: path.to_owned(), source };
     let format = source::recognise(path)?;
-    let mapping = match (format, mapping) {
+    let mapping = match (format, choice.mapping) {
         (Format::Csv, Some(file)) => Some((file, Mapping::load(file)?)),
         (Format::Csv, None) => return Err(ImportError::NoMapping { path: path.to_owned() }),
         (format, Some(_)) => {
@@ -61,24 +84,89 @@ pub fn open(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> 
     let origin = source::origin(path, format)?;
     let file = File::open(path).map_err(io)?;
     let mut flight = Flight::empty(origin, Clock::Single);
-    let source = BufReader::with_capacity(1 << 16, file);
-    match mapping {
-        None => read(source, format, &mut flight).map_err(|error| match error {
+    let source = io::BufReader::with_capacity(1 << 16, file);
+    let contents = match mapping {
+        None => read(source, format, choice.boot, &mut flight).map_err(|error| match error {
             LogFault::Io(source) => io(source),
             LogFault::Foreign(found) => ImportError::not_a_log(path, found),
+            LogFault::NoBoot { boot, boots } => {
+                ImportError::NoBoot { path: path.to_owned(), boot, boots }
+            }
         })?,
-        Some((file, mapping)) => {
-            csv::read(source, &mapping, &mut flight).map_err(|error| match error {
-                TableError::Io(source) => io(source),
-                TableError::Unmapped(message) => ImportError::Unmapped {
-                    path: path.to_owned(),
-                    mapping: file.to_owned(),
-                    message,
-                },
-            })?;
-        }
+        Some((file, mapping)) => table::read(source, &mapping, &mut flight)
+            .map_err(|error| unmapped(path, file, error))?,
+    };
+    if !flight.has_motion() {
+        let why = contents.why_nothing(&flight);
+        return Err(ImportError::Nothing { path: path.to_owned(), format: format.name(), why });
     }
     Ok(flight)
+}
+
+fn unmapped(path: &Path, mapping: &Path, error: TableError) -> ImportError {
+    match error {
+        TableError::Io(source) => ImportError::Read { path: path.to_owned(), source },
+        TableError::Unmapped(message) => {
+            ImportError::Unmapped { path: path.to_owned(), mapping: mapping.to_owned(), message }
+        }
+    }
+}
+
+/// A mapping file to start from for a table: by the names of its columns and its first rows.
+///
+/// # Errors
+/// [`ImportError`] if the file cannot be read or is no table.
+pub fn propose(path: &Path) -> Result<String, ImportError> {
+    let io = |source| ImportError::Read { path: path.to_owned(), source };
+    match source::recognise(path)? {
+        Format::Csv => {}
+        format => {
+            return Err(ImportError::NotATable { path: path.to_owned(), format: format.name() });
+        }
+    }
+    table::propose(File::open(path).map_err(io)?).map_err(|error| match error {
+        TableError::Io(source) => io(source),
+        TableError::Unmapped(found) => ImportError::not_a_log(path, found),
+    })
+}
+
+/// What a file holds, for a person who finds nothing of it in a flight.
+#[derive(Debug, Default)]
+struct Contents {
+    /// What its parts are called, as `topic` or `message`.
+    part: &'static str,
+    /// Its parts by name.
+    names: Vec<String>,
+    /// What is known of why.
+    reason: Option<String>,
+}
+
+impl Contents {
+    /// Parts that are named in an error.
+    const NAMED: usize = 12;
+    /// Reasons that are named in an error.
+    const REASONS: usize = 4;
+
+    fn why_nothing(&self, flight: &Flight) -> String {
+        let mut parts = Vec::from_iter(self.reason.clone());
+        let mut left_out: Vec<&(String, u64)> = flight.left_out.iter().collect();
+        left_out.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+        let left_out = left_out.iter().take(Self::REASONS);
+        parts.extend(left_out.map(|(what, count)| format!("left out {count} x {what}")));
+        let what = self.part;
+        match self.names.as_slice() {
+            [] if what.is_empty() => {}
+            [] => parts.push(format!("it has no {what}")),
+            names => {
+                let more = names.len().saturating_sub(Self::NAMED);
+                let named = names[..names.len() - more].join(", ");
+                let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+                parts.push(format!("no {what} that is known: it has {named}{more}"));
+            }
+        }
+        let missing = "neither pose, IMU, motor outputs nor setpoints".to_owned();
+        if parts.is_empty() { missing } else { parts.join("; ") }
+    }
 }
 
 /// As [`open`], of many logs with one mapping file: it is for the tables among them.
@@ -95,6 +183,11 @@ enum LogFault {
     Io(io::Error),
     /// It is something else; in words.
     Foreign(String),
+    /// The vehicle was not started so many times.
+    NoBoot {
+        boot: usize,
+        boots: usize,
+    },
 }
 
 impl From<io::Error> for LogFault {
@@ -121,17 +214,30 @@ impl From<UlogError> for LogFault {
     }
 }
 
-/// Reads a log that describes itself into `flight`.
-fn read(source: impl Read, format: Format, flight: &mut Flight) -> Result<(), LogFault> {
+/// Reads a log that describes itself into `flight`. Returns what it holds.
+fn read(
+    source: impl Read,
+    format: Format,
+    boot: Option<usize>,
+    flight: &mut Flight,
+) -> Result<Contents, LogFault> {
+    let boots = |boot: Option<usize>| match boot.filter(|boot| *boot != 1) {
+        Some(boot) => Err(LogFault::NoBoot { boot, boots: 1 }),
+        None => Ok(()),
+    };
     match format {
-        Format::Mcap => Ok(mcap::read(&mut LogReader::new(source)?, flight)?),
-        Format::Ulog => Ok(ulog::read(source, flight)?),
-        Format::DataFlash => match dataflash::read(source, flight)? {
-            0 => Err(LogFault::Foreign("no whole message of a DataFlash log".into())),
-            _ => Ok(()),
-        },
-        Format::Tlog | Format::Csv => Ok(tlog::read(source, flight)?),
+        Format::Mcap => mcap::read(&mut LogReader::new(source)?, boot, flight),
+        Format::Ulog => boots(boot).and_then(|()| Ok(ulog::read(source, flight)?)),
+        Format::DataFlash => boots(boot).and_then(|()| dataflash::read(source, flight)),
+        Format::Tlog | Format::Csv => tlog::read(source, boot, flight),
     }
+}
+
+/// The mapping that is proposed for bytes, if they look like a table: what the fuzz targets read
+/// them by.
+#[doc(hidden)]
+pub fn propose_bytes(bytes: &[u8]) -> Option<String> {
+    table::propose(bytes).ok()
 }
 
 /// Reads bytes as any log that they could be, a table by `mapping`, without knowing a file: what
@@ -148,13 +254,13 @@ pub fn read_bytes(bytes: &[u8], mapping: &str) -> Vec<Flight> {
     let mut flights = Vec::new();
     for format in [Format::Mcap, Format::Tlog, Format::Ulog, Format::DataFlash] {
         let mut flight = flight();
-        if read(bytes, format, &mut flight).is_ok() {
+        if read(bytes, format, None, &mut flight).is_ok() {
             flights.push(flight);
         }
     }
     let mut table = flight();
-    let read = Mapping::parse(mapping).map(|mapping| csv::read(bytes, &mapping, &mut table));
-    if let Ok(Ok(())) = read {
+    let read = Mapping::parse(mapping).map(|mapping| table::read(bytes, &mapping, &mut table));
+    if let Ok(Ok(_)) = read {
         flights.push(table);
     }
     flights

@@ -9,7 +9,7 @@ use wire::tlog::Reader;
 
 use super::error::ImportError;
 use super::flight::Origin;
-use super::{dataflash, ulog};
+use super::{dataflash, foreign, table, ulog};
 use crate::log::descriptor::hex;
 
 /// How much of a file tells what it is.
@@ -47,17 +47,12 @@ pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
     File::open(path).map_err(fail)?.take(HEAD).read_to_end(&mut head).map_err(fail)?;
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     let extension = extension.as_deref();
-    let magic = ::mcap::MAGIC;
-    if head.starts_with(magic) || !head.is_empty() && magic.starts_with(&head) {
-        return Ok(Format::Mcap);
+    if let Some(found) = foreign::known(&head, extension) {
+        return Err(ImportError::not_a_log(path, found.to_owned()));
     }
-    if head.is_empty() {
-        // A recording that never began.
-        return match extension {
-            Some("mcap") => Ok(Format::Mcap),
-            Some("tlog") => Ok(Format::Tlog),
-            _ => Err(ImportError::not_a_log(path, "an empty file".into())),
-        };
+    let magic = ::mcap::MAGIC;
+    if head.starts_with(magic) || magic.starts_with(&head) {
+        return Ok(Format::Mcap);
     }
     if head.starts_with(&ulog::MAGIC) {
         return Ok(Format::Ulog);
@@ -71,25 +66,34 @@ pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
             return Ok(Format::Tlog);
         }
     }
-    if is_text(&head) {
-        return Ok(Format::Csv);
-    }
-    Err(ImportError::not_a_log(path, "other data".into()))
+    let found = match text(&head) {
+        Some(text) => match foreign::known_text(&text) {
+            None if table::looks_like_one(&text) => return Ok(Format::Csv),
+            None => "text without a line of numbers",
+            Some(found) => found,
+        },
+        None => "data of another kind: no log's first bytes, and no frames of MAVLink with stamps",
+    };
+    Err(ImportError::not_a_log(path, found.to_owned()))
 }
 
-/// Whether the bytes are text with more than one line or one field: control characters and bytes
-/// that are no UTF-8 are in no table.
-fn is_text(head: &[u8]) -> bool {
-    let text = match std::str::from_utf8(head) {
-        Ok(text) => text,
+/// The text that the bytes are, in whatever encoding tables come in: control characters and bytes
+/// of no encoding are in none.
+fn text(head: &[u8]) -> Option<String> {
+    let mut bytes = Vec::new();
+    table::decoded(head).ok()?.read_to_end(&mut bytes).ok()?;
+    let text = match std::str::from_utf8(&bytes) {
+        Ok(text) => text.to_owned(),
         // The head may end within a character.
-        Err(error) if error.valid_up_to() + 4 > head.len() => {
-            std::str::from_utf8(&head[..error.valid_up_to()]).unwrap_or_default()
+        Err(error) if error.valid_up_to() + 4 > bytes.len() => {
+            String::from_utf8_lossy(bytes.get(..error.valid_up_to())?).into_owned()
         }
-        Err(_) => return false,
+        // Names with an umlaut or a degree sign in an encoding of before Unicode.
+        Err(_) => bytes.iter().map(|byte| char::from(*byte)).collect(),
     };
     let is_plain = |c: char| !c.is_control() || matches!(c, '\t' | '\r' | '\n');
-    text.contains('\n') && text.chars().all(is_plain)
+    let strange = text.chars().filter(|c| !c.is_ascii()).count();
+    (text.chars().all(is_plain) && 10 * strange <= text.chars().count()).then_some(text)
 }
 
 /// Where a flight comes from: its path, name and hash.

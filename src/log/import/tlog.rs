@@ -1,18 +1,23 @@
 //! Telemetry logs (.tlog) into flights.
 
-use std::io::{self, Read};
+use std::io::Read;
 
 use wire::Frame;
 use wire::tlog::Reader;
 
 use super::flight::Flight;
 use super::frames::Frames;
+use super::{Contents, LogFault};
 
-/// Reads all frames of `source` into `flight`.
+/// Reads all frames of `source` into `flight`. Returns which messages it holds.
 ///
 /// # Errors
-/// Those of `source`.
-pub(super) fn read(source: impl Read, flight: &mut Flight) -> io::Result<()> {
+/// Those of `source`, and a boot that the vehicle does not have.
+pub(super) fn read(
+    source: impl Read,
+    boot: Option<usize>,
+    flight: &mut Flight,
+) -> Result<Contents, LogFault> {
     let mut reader = Reader::new(source);
     let mut frames = Frames::default();
     while let Some(entry) = reader.read()? {
@@ -21,6 +26,6 @@ pub(super) fn read(source: impl Read, flight: &mut Flight) -> io::Result<()> {
         frames.add(entry.time_us.map(|us| us.saturating_mul(1000)), &frame);
     }
     frames.left_out("byte that belongs to no whole frame", reader.skipped_bytes());
-    frames.finish(flight);
-    Ok(())
+    let names = frames.finish(boot, flight)?;
+    Ok(Contents { part: "message", names, reason: None })
 }

@@ -7,7 +7,7 @@ mod format;
 mod px4;
 mod reader;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
 use super::flight::Flight;
@@ -33,6 +33,8 @@ struct Contents {
     /// `sys_name` and others.
     info: BTreeMap<String, String>,
     texts: Vec<String>,
+    /// Topics that rows were logged of.
+    names: BTreeSet<String>,
     tally: Tally,
 }
 
@@ -52,14 +54,15 @@ impl Kept {
     }
 }
 
-/// Reads a whole log into `flight`.
+/// Reads a whole log into `flight`. Returns what it holds.
 ///
 /// # Errors
 /// [`UlogError`]. Damage within the file is counted, and is no error.
-pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<(), UlogError> {
-    let contents = Contents::read(source)?;
+pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Contents, UlogError> {
+    let mut contents = Contents::read(source)?;
+    let names = std::mem::take(&mut contents.names).into_iter().collect();
     contents.fill(flight);
-    Ok(())
+    Ok(super::Contents { part: "topic", names, reason: None })
 }
 
 impl Contents {
@@ -77,9 +80,11 @@ impl Contents {
                         let reason = format!("row of {}, whose format the file lacks", topic.name);
                         contents.tally.add(&reason, 1);
                     }
-                    let Some(kept) = kept.entry(number).or_insert_with(|| Kept::new(topic)) else {
-                        continue;
-                    };
+                    let kept = kept.entry(number).or_insert_with(|| {
+                        contents.names.insert(topic.name.clone());
+                        Kept::new(topic)
+                    });
+                    let Some(kept) = kept else { continue };
                     let read = |place: &Place| place.read(bytes).unwrap_or(f64::NAN);
                     values.clear();
                     values.extend(

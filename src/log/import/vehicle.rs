@@ -2,20 +2,39 @@
 //!
 //! Each message is kept by its source, so that estimates are never mixed; which source becomes
 //! which stream is decided when all have been seen. Where the vehicle's clock jumps, as after a
-//! reboot, a new epoch begins; the flight is the epoch that holds most.
+//! reboot, a new epoch begins; the flight is the epoch that flew longest.
+
+mod boots;
+mod facts;
+
+use std::collections::BTreeMap;
 
 use mavlink::MessageData;
+use sitl::frame::Frd;
 use wire::Frame;
 use wire::dialect::*;
 
+use super::LogFault;
 use super::clocks::{Arrival, ClockMap, Exchange, Heard};
-use super::epoch::{Epoch, PoseSample, Source};
+use super::epoch::{Epoch, IMUS, ImuSample, PoseSample, Source};
 use super::flight::{Clock, Flight, Stream};
 use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
 use crate::link::codec::Codec;
-use crate::link::message::{self, AttitudeSource, Battery, Inbound, LandedState};
+use crate::link::message::{AttitudeSource, Battery, Inbound, LandedState};
+use crate::link::parameter::ParameterCast;
 
+/// MAV_AUTOPILOT.
+const PX4: u8 = MavAutopilot::MAV_AUTOPILOT_PX4 as u8;
+const ARDUPILOT: u8 = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA as u8;
+/// What autopilots and MAVLink mean by G, m/s^2.
+const STANDARD_GRAVITY: f64 = 9.806_65;
+/// Texts that are kept.
+const TEXTS_MAX: usize = 40;
+/// Boots that are named; a damaged log may have any number.
+const BOOTS_NAMED: usize = 20;
+/// Place of RAW_IMU among [`IMUS`].
+const RAW_IMU: usize = 1;
 /// Messages in a row that must agree on a jump of the vehicle's clock.
 const JUMP_MESSAGES: u32 = 8;
 /// Least downlink delay where nothing measures it and setpoints are to be placed, s.
@@ -25,7 +44,15 @@ const ASSUMED_DELAY: f64 = 1.5e-3;
 #[derive(Debug, Default)]
 pub(super) struct VehicleLog {
     codec: Codec,
-    is_autopilot: bool,
+    /// MAV_AUTOPILOT of its heartbeats.
+    autopilot: Option<u8>,
+    /// Heartbeats by MAV_TYPE.
+    types: BTreeMap<u8, u64>,
+    /// Last value of each parameter.
+    parameters: BTreeMap<String, f64>,
+    texts: Vec<String>,
+    /// Latest stamp, us: short counters are extended to it.
+    latest_us: u64,
     epochs: Vec<Epoch>,
     current: usize,
     /// Number of the frame from which on each epoch was the current one.
@@ -33,6 +60,9 @@ pub(super) struct VehicleLog {
     /// Messages in a row that do not follow the clock.
     jumped: u32,
     battery: Vec<(Heard, f64)>,
+    /// By SYS_STATUS.
+    system_voltage: Vec<(Heard, f64)>,
+    armed: Vec<(Heard, bool)>,
     landed: Vec<(Heard, bool)>,
     exchanges: Vec<Exchange>,
     messages: u64,
@@ -42,7 +72,7 @@ pub(super) struct VehicleLog {
 impl VehicleLog {
     /// Whether a HEARTBEAT of an autopilot came from here.
     pub fn is_autopilot(&self) -> bool {
-        self.is_autopilot
+        self.autopilot.is_some()
     }
 
     /// Messages that were understood.
@@ -62,8 +92,8 @@ impl VehicleLog {
 
     /// Takes in a frame of this vehicle.
     pub fn add(&mut self, heard: Heard, frame: &Frame) {
-        if frame.id() == ESC_STATUS_DATA::ID {
-            self.add_esc_status(heard, frame);
+        if let Some(raw) = Raw::of(frame.id()) {
+            self.add_raw(raw, heard, frame);
             return;
         }
         if !is_kept(frame.id()) {
@@ -78,11 +108,24 @@ impl VehicleLog {
             }
         };
         self.messages += 1;
+        self.latest_us = self.latest_us.max(time.map_or(0, |time| time.as_us()));
         let vehicle = time.map(|time| time.as_us() as f64 * 1e-6);
         match message {
-            Inbound::Heartbeat { autopilot, .. } => {
-                let invalid = MavAutopilot::MAV_AUTOPILOT_INVALID as u8;
-                self.is_autopilot |= autopilot != invalid;
+            Inbound::Heartbeat { autopilot, vehicle_type, armed, .. } => {
+                if autopilot != MavAutopilot::MAV_AUTOPILOT_INVALID as u8 {
+                    self.autopilot = Some(autopilot);
+                    *self.types.entry(vehicle_type).or_default() += 1;
+                    self.armed.push((heard, armed));
+                    if autopilot == PX4 {
+                        self.codec.set_parameter_cast(ParameterCast::Bytes);
+                    }
+                }
+            }
+            Inbound::Parameter { name, value } => {
+                self.parameters.insert(name, value);
+            }
+            Inbound::StatusText { text, .. } if self.texts.len() < TEXTS_MAX => {
+                self.texts.push(text);
             }
             Inbound::Attitude { source, attitude, body_rate } => {
                 let source = match source {
@@ -114,20 +157,12 @@ impl VehicleLog {
                     return;
                 }
                 let sample = (force.then_some(specific_force), rate.then_some(body_rate));
-                self.keep(Source::Imu, heard, vehicle, |epoch, time| epoch.imu.push(time, sample));
+                self.keep_imu(Source::Imu, heard, vehicle, sample);
             }
-            Inbound::MotorOutputs { source, outputs } => {
+            Inbound::MotorOutputs { outputs, .. } => {
                 let outputs = outputs.map(f64::from);
-                let (source, is_servo) = match source {
-                    message::MotorSource::ActuatorOutputStatus => (Source::ActuatorOutputs, false),
-                    message::MotorSource::ServoOutputRaw => (Source::ServoOutputs, true),
-                };
-                self.keep(source, heard, vehicle, |epoch, time| {
-                    let stream = match is_servo {
-                        true => &mut epoch.servo_outputs,
-                        false => &mut epoch.actuator_outputs,
-                    };
-                    stream.push(time, outputs)
+                self.keep(Source::ActuatorOutputs, heard, vehicle, |epoch, time| {
+                    epoch.actuator_outputs.push(time, outputs)
                 });
             }
             Inbound::Battery(Battery { voltage: Some(voltage), .. }) => {
@@ -145,18 +180,78 @@ impl VehicleLog {
         }
     }
 
-    fn add_esc_status(&mut self, heard: Heard, frame: &Frame) {
-        let Ok(MavMessage::ESC_STATUS(data)) = frame.message() else {
-            self.tally.add("ESC_STATUS: payload does not fit its message", 1);
+    /// Takes in a message that only logs need, and the link does not.
+    fn add_raw(&mut self, raw: Raw, heard: Heard, frame: &Frame) {
+        let Ok(message) = frame.message() else {
+            self.tally.add(&format!("{}: payload does not fit its message", raw.name()), 1);
             return;
         };
         self.messages += 1;
-        // The first of a group of four; others drive no rotor of a quadrotor.
-        if data.index == 0 {
-            let rpm = data.rpm.map(|rpm| f64::from(rpm).abs());
-            let time = Some(data.time_usec as f64 * 1e-6);
-            self.keep(Source::EscStatus, heard, time, |epoch, time| epoch.rpm.push(time, rpm));
+        let ms = |ms: u32| Some(f64::from(ms) * 1e-3);
+        let imu = |force: [i16; 3], rate: [i16; 3]| {
+            let force = force.map(|mg| f64::from(mg) * 1e-3 * STANDARD_GRAVITY);
+            let rate = rate.map(|mrad| f64::from(mrad) * 1e-3);
+            (Some(Frd::from(force)), Some(Frd::from(rate)))
+        };
+        match message {
+            MavMessage::ESC_STATUS(data) => {
+                // The first of a group of four; others drive no rotor of a quadrotor.
+                if data.index == 0 {
+                    let rpm = data.rpm.map(|rpm| f64::from(rpm).abs());
+                    let time = Some(data.time_usec as f64 * 1e-6);
+                    self.keep(Source::EscStatus, heard, time, |e, time| e.rpm.push(time, rpm));
+                }
+            }
+            MavMessage::RAW_IMU(d) => {
+                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
+                let time = Some(d.time_usec as f64 * 1e-6);
+                self.keep_imu(Source::RawImu, heard, time, sample);
+            }
+            MavMessage::SCALED_IMU(d) => {
+                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
+                self.keep_imu(Source::ScaledImu, heard, ms(d.time_boot_ms), sample);
+            }
+            MavMessage::SCALED_IMU2(d) => {
+                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
+                self.keep_imu(Source::ScaledImu2, heard, ms(d.time_boot_ms), sample);
+            }
+            MavMessage::SCALED_IMU3(d) => {
+                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
+                self.keep_imu(Source::ScaledImu3, heard, ms(d.time_boot_ms), sample);
+            }
+            MavMessage::SERVO_OUTPUT_RAW(d) => {
+                let first = [d.servo1_raw, d.servo2_raw, d.servo3_raw, d.servo4_raw];
+                let next = [d.servo5_raw, d.servo6_raw, d.servo7_raw, d.servo8_raw];
+                let third = [d.servo9_raw, d.servo10_raw, d.servo11_raw, d.servo12_raw];
+                let last = [d.servo13_raw, d.servo14_raw, d.servo15_raw, d.servo16_raw];
+                let groups = [first, next, third, last];
+                let outputs = std::array::from_fn(|at| f64::from(groups[at / 4][at % 4]));
+                let (source, port) = match d.port {
+                    0 => (Source::ServoOutputs, 0),
+                    1 => (Source::ServoOutputsAux, 1),
+                    _ => return,
+                };
+                let ahead = d.time_usec.wrapping_sub(self.latest_us as u32) as i32;
+                let us = self.latest_us.saturating_add_signed(ahead.into());
+                self.latest_us = self.latest_us.max(us);
+                self.keep(source, heard, Some(us as f64 * 1e-6), |epoch, time| {
+                    epoch.servo_outputs[port].push(time, outputs)
+                });
+            }
+            MavMessage::SYS_STATUS(d) => {
+                // 0 and the greatest number stand for none.
+                if !matches!(d.voltage_battery, 0 | u16::MAX) {
+                    let voltage = f64::from(d.voltage_battery) * 1e-3;
+                    self.system_voltage.push((heard, voltage));
+                }
+            }
+            _ => {}
         }
+    }
+
+    fn keep_imu(&mut self, source: Source, heard: Heard, time: Option<f64>, sample: ImuSample) {
+        let Some(at) = IMUS.iter().position(|imu| *imu == source) else { return };
+        self.keep(source, heard, time, |epoch, time| epoch.imus[at].push(time, sample));
     }
 
     /// Keeps a sample in the epoch that its stamp belongs to.
@@ -207,20 +302,36 @@ impl VehicleLog {
         self.switches.get(next.saturating_sub(1)).map(|(_, epoch)| *epoch)
     }
 
-    /// Fills `flight` with the epoch that holds most, and with the setpoints sent to it. Returns
-    /// what was left out.
-    pub fn finish(mut self, setpoints: Vec<Sent>, flight: &mut Flight) -> Tally {
+    /// Fills `flight` with one epoch and with the setpoints sent in it. Returns what was left out.
+    ///
+    /// # Errors
+    /// A boot that there is not.
+    pub fn finish(
+        mut self,
+        setpoints: Vec<Sent>,
+        boot: Option<usize>,
+        flight: &mut Flight,
+    ) -> Result<Tally, LogFault> {
         let mut tally = std::mem::take(&mut self.tally);
-        let weight = |epoch: &Epoch| (epoch.attitudes(), epoch.messages());
-        let order = |(a, x): &(usize, &Epoch), (b, y): &(usize, &Epoch)| {
-            weight(x).cmp(&weight(y)).then(b.cmp(a))
-        };
-        let Some(chosen) = self.epochs.iter().enumerate().max_by(order).map(|(at, _)| at) else {
-            return tally;
-        };
+        // What the log's own metadata state, and over it what was heard.
+        let mut stated = std::mem::take(&mut flight.facts.parameters);
+        stated.append(&mut self.parameters);
+        self.parameters = stated;
+        flight.facts = self.facts();
+        let flown = self.flown();
+        let Some(chosen) = self.chosen(boot, &flown)? else { return Ok(tally) };
+        let boots = self.epochs.len();
         for (at, epoch) in self.epochs.iter().enumerate() {
+            let (from, to) = epoch.span();
+            if boots > 1 && (at < BOOTS_NAMED || at == chosen) {
+                let taken = if at == chosen { ", taken" } else { "" };
+                let (boot, flown) = (at + 1, flown[at]);
+                flight.facts.notes.push(format!(
+                    "boot {boot} of {boots} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s of them \
+                     flown{taken}"
+                ));
+            }
             if at != chosen {
-                let (from, to) = epoch.span();
                 let reason = format!(
                     "message of another run of the vehicle's clock ({from:.2} to {to:.2} s)"
                 );
@@ -228,7 +339,16 @@ impl VehicleLog {
             }
         }
         let in_epoch = |heard: &Heard| self.epoch_at(heard.index) == Some(chosen);
-        let battery: Vec<_> = self.battery.iter().filter(|(h, _)| in_epoch(h)).copied().collect();
+        let of_epoch = |all: &[(Heard, f64)]| -> Vec<(Heard, f64)> {
+            all.iter().filter(|(heard, _)| in_epoch(heard)).copied().collect()
+        };
+        let (mut battery, mut voltage_source) = (of_epoch(&self.battery), "BATTERY_STATUS");
+        if battery.is_empty() {
+            (battery, voltage_source) = (of_epoch(&self.system_voltage), "SYS_STATUS");
+        }
+        if !battery.is_empty() {
+            flight.facts.notes.push(format!("voltage from {voltage_source}"));
+        }
         let landed: Vec<_> = self.landed.iter().filter(|(h, _)| in_epoch(h)).copied().collect();
         let exchanges: Vec<_> =
             self.exchanges.iter().filter(|e| in_epoch(&e.answered)).copied().collect();
@@ -237,8 +357,12 @@ impl VehicleLog {
             setpoints.into_iter().filter(|sent| in_epoch(&sent.heard)).collect();
         let other = (all - setpoints.len()) as u64;
         tally.add("setpoint during another run of the vehicle's clock", other);
-        let epoch = self.epochs.swap_remove(chosen);
-
+        let mut epoch = self.epochs.swap_remove(chosen);
+        if self.autopilot != Some(ARDUPILOT) {
+            // Only ArduPilot's are in mG and mrad/s.
+            let raw = std::mem::take(&mut epoch.imus[RAW_IMU]);
+            tally.add("RAW_IMU: in units that only the autopilot knows", raw.len() as u64);
+        }
         for source in Source::ALL {
             let reason = format!("{}: sent again or out of order", source.name());
             tally.add(&reason, epoch.unordered[source as usize]);
@@ -255,7 +379,7 @@ impl VehicleLog {
         };
         flight.ground_skew = map.skew();
         tally.add("step of the ground's clock (its stamps were tied anew)", map.steps());
-        place(&map, battery, &mut flight.voltage, "BATTERY_STATUS", &mut tally);
+        place(&map, battery, &mut flight.voltage, voltage_source, &mut tally);
         place(&map, landed, &mut flight.in_air, "EXTENDED_SYS_STATE", &mut tally);
         let setpoints = steadied(setpoints).into_iter();
         let setpoints = setpoints.map(|sent| (sent.heard, (sent.setpoint, sent.missing))).collect();
@@ -263,8 +387,8 @@ impl VehicleLog {
         place(&map, setpoints, &mut placed, "SET_ATTITUDE_TARGET", &mut tally);
         flight.setpoint = placed.map(|(setpoint, _)| *setpoint);
         flight.setpoints_missing = placed.filter_map(|(_, n)| (*n > 0).then_some(*n));
-        epoch.fill(shifts, flight);
-        tally
+        epoch.fill(shifts, &self.parameters, flight);
+        Ok(tally)
     }
 }
 
@@ -297,10 +421,35 @@ fn is_kept(id: u32) -> bool {
             | LOCAL_POSITION_NED_DATA::ID
             | HIGHRES_IMU_DATA::ID
             | ACTUATOR_OUTPUT_STATUS_DATA::ID
-            | SERVO_OUTPUT_RAW_DATA::ID
             | BATTERY_STATUS_DATA::ID
             | EXTENDED_SYS_STATE_DATA::ID
+            | PARAM_VALUE_DATA::ID
+            | STATUSTEXT_DATA::ID
     )
+}
+
+/// Messages that only logs need.
+#[derive(Clone, Copy, Debug)]
+struct Raw(u32);
+
+impl Raw {
+    fn of(id: u32) -> Option<Self> {
+        let known = matches!(
+            id,
+            ESC_STATUS_DATA::ID
+                | RAW_IMU_DATA::ID
+                | SCALED_IMU_DATA::ID
+                | SCALED_IMU2_DATA::ID
+                | SCALED_IMU3_DATA::ID
+                | SERVO_OUTPUT_RAW_DATA::ID
+                | SYS_STATUS_DATA::ID
+        );
+        known.then_some(Self(id))
+    }
+
+    fn name(self) -> String {
+        name_of(self.0)
+    }
 }
 
 /// Whether a HIGHRES_IMU has a new accelerometer and a new gyro sample, by its `fields_updated`;
@@ -330,6 +479,13 @@ fn name_of(id: u32) -> String {
         BATTERY_STATUS_DATA::ID => "BATTERY_STATUS".into(),
         EXTENDED_SYS_STATE_DATA::ID => "EXTENDED_SYS_STATE".into(),
         ESC_STATUS_DATA::ID => "ESC_STATUS".into(),
+        RAW_IMU_DATA::ID => "RAW_IMU".into(),
+        SCALED_IMU_DATA::ID => "SCALED_IMU".into(),
+        SCALED_IMU2_DATA::ID => "SCALED_IMU2".into(),
+        SCALED_IMU3_DATA::ID => "SCALED_IMU3".into(),
+        SYS_STATUS_DATA::ID => "SYS_STATUS".into(),
+        PARAM_VALUE_DATA::ID => "PARAM_VALUE".into(),
+        STATUSTEXT_DATA::ID => "STATUSTEXT".into(),
         id => format!("message {id}"),
     }
 }

@@ -50,8 +50,8 @@ fn picture(flight: &Reflown, explanation: &str) -> String {
         format!("<h3>{}, {:.0} s along {reference}</h3>", escape(&flight.name), flight.seconds);
     let curves = |[before, after]: &[Vec<f64>; 2]| {
         vec![
-            Curve { name: explanation.into(), style: Style::Colour(1), y: after.clone() },
-            Curve { name: "as shipped".into(), style: Style::Colour(2), y: before.clone() },
+            Curve { name: "as shipped".into(), style: Style::Colour(1), y: before.clone() },
+            Curve { name: explanation.into(), style: Style::Colour(2), y: after.clone() },
         ]
     };
     let panels = vec![

@@ -5,7 +5,7 @@ use wire::dialect::*;
 use super::{Protocol, Sender};
 use crate::autopilot::arming::Refusal;
 use crate::autopilot::commands::{Acknowledgement, Command};
-use crate::autopilot::streams::{IntervalError, Stream};
+use crate::autopilot::streams::Stream;
 use crate::autopilot::{Mode, identity};
 
 /// MAV_CMD_COMPONENT_ARM_DISARM's parameter 2 that disarms in the air.
@@ -26,25 +26,38 @@ impl Protocol {
 
     pub(super) fn command(&mut self, sender: Sender, command: &Command) {
         let result = match command.id {
-            None => MavResult::MAV_RESULT_UNSUPPORTED,
+            None => Some(MavResult::MAV_RESULT_UNSUPPORTED),
             Some(id) => self.execute(sender, id, command),
         };
-        self.acknowledge(sender, command.number, result);
+        if let Some(result) = result {
+            self.acknowledge(sender, command.number, result);
+        }
     }
 
-    fn execute(&mut self, sender: Sender, id: MavCmd, command: &Command) -> MavResult {
+    /// The answer, unless it was given already.
+    fn execute(&mut self, sender: Sender, id: MavCmd, command: &Command) -> Option<MavResult> {
         let now = self.now_us;
-        match id {
+        Some(match id {
             MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => self.arm_or_disarm(command),
             MavCmd::MAV_CMD_DO_SET_MODE => {
                 let custom = command.param(1) as u32 & 1 != 0;
-                let mode = Mode::from_main_and_sub(command.param(2) as u8, command.param(3) as u8);
+                let (main, sub) = (command.param(2) as u8, command.param(3) as u8);
+                let mode = self.flight.personality.mode_of_command(main, sub);
+                if let Some(answer) = self.flight.personality.early_answer() {
+                    self.acknowledge(sender, command.number, answer);
+                    // What was answered early is answered again only where it was wrong.
+                    let result = self.set_mode(custom, mode);
+                    return (result != answer).then_some(result);
+                }
                 self.set_mode(custom, mode)
             }
             MavCmd::MAV_CMD_NAV_TAKEOFF => {
                 // Parameter 7 is the altitude above sea level; below home's it is not meant.
                 let altitude = f64::from(command.param(7));
-                let home = self.origin.altitude_m - self.flight.home().down();
+                let home = match self.flight.personality.takes_off_to_height() {
+                    true => 0.0,
+                    false => self.origin.altitude_m - self.flight.home().down(),
+                };
                 let height = Some(altitude - home).filter(|height| *height > 0.1);
                 result(self.flight.request_take_off(now, height))
             }
@@ -82,13 +95,12 @@ impl Protocol {
                 MavResult::MAV_RESULT_ACCEPTED
             }
             _ => MavResult::MAV_RESULT_UNSUPPORTED,
-        }
+        })
     }
 
     fn arm_or_disarm(&mut self, command: &Command) -> MavResult {
         if command.param(1) == 1.0 {
-            // The force code does not skip the checks of an external arm, as measured on PX4.
-            result(self.flight.arm(self.now_us))
+            result(self.flight.arm(self.now_us, command.param(2) == FORCE))
         } else if command.param(1) == 0.0 {
             result(self.flight.disarm(command.param(2) == FORCE))
         } else {
@@ -100,8 +112,7 @@ impl Protocol {
         match mode {
             Some(mode) if custom => result(self.flight.request_mode(self.now_us, mode)),
             _ => {
-                let text =
-                    "Mode not available: use Hold, Position, Takeoff, Land, Return, Offboard";
+                let text = self.flight.personality.unknown_mode_text();
                 self.flight.commander.notify(MavSeverity::MAV_SEVERITY_WARNING, text);
                 MavResult::MAV_RESULT_DENIED
             }
@@ -112,20 +123,24 @@ impl Protocol {
         let schedule = &mut self.links[sender.link].schedule;
         match schedule.set_interval(command.param(1) as u32, command.param(2), self.now_us) {
             Ok(()) => MavResult::MAV_RESULT_ACCEPTED,
-            Err(IntervalError::Fixed | IntervalError::Unknown) => MavResult::MAV_RESULT_FAILED,
+            Err(error) => self.flight.personality.refused_interval(error),
         }
     }
 
     fn request_message(&mut self, sender: Sender, command: &Command) -> MavResult {
-        match Stream::from_id(command.param(1) as u32) {
+        let personality = self.flight.personality;
+        let stream = Stream::from_id(command.param(1) as u32);
+        match stream.filter(|stream| personality.streams().has(*stream)) {
             Some(Stream::AvailableModes) => {
                 // Index 0 asks for all of them.
                 let indices = match command.param(2) as usize {
-                    0 => 1..=Mode::ALL.len(),
+                    0 => 1..=personality.modes().len(),
                     index => index..=index,
                 };
                 let mut result = MavResult::MAV_RESULT_DENIED;
-                for message in indices.filter_map(identity::available_mode) {
+                let messages =
+                    indices.filter_map(|index| identity::available_mode(personality, index));
+                for message in messages {
                     self.reply(sender, &message);
                     result = MavResult::MAV_RESULT_ACCEPTED;
                 }

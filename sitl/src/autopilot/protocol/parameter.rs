@@ -3,7 +3,7 @@
 use wire::dialect::*;
 
 use super::{Protocol, Sender};
-use crate::autopilot::parameters::{Parameters, SetError, Value};
+use crate::autopilot::parameters::{Parameters, SetError};
 
 impl Protocol {
     pub(super) fn read_parameter(&mut self, sender: Sender, request: &PARAM_REQUEST_READ_DATA) {
@@ -11,38 +11,40 @@ impl Protocol {
             Ok(index) => Some(index),
             Err(_) => request.param_id.to_str().ok().and_then(|n| self.flight.parameters.find(n)),
         };
-        let answer = index
-            .and_then(|index| value_message(&self.flight.parameters, index))
-            .unwrap_or_else(|| {
-                let error = MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST;
-                error_message(sender, request.param_id, request.param_index, error)
-            });
-        self.reply(sender, &answer);
+        let answer = index.and_then(|index| value_message(&self.flight.parameters, index));
+        let error = || {
+            let error = MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST;
+            error_message(sender, request.param_id, request.param_index, error)
+        };
+        let explains = self.flight.personality.explains_refused_parameters();
+        if let Some(answer) = answer.or_else(|| explains.then(error)) {
+            self.reply(sender, &answer);
+        }
     }
 
     /// A change is told to everyone; a refusal to who asked, together with the value in force.
     pub(super) fn set_parameter(&mut self, sender: Sender, request: &PARAM_SET_DATA) {
         let name = request.param_id.to_str().unwrap_or_default();
-        let result = Value::from_wire(request.param_value, request.param_type)
-            .ok_or(SetError::Type)
-            .and_then(|value| self.flight.parameters.set(name, value));
-        match result {
+        match self.flight.set_parameter(name, request.param_value, request.param_type) {
             Ok(index) => {
                 if let Some(message) = value_message(&self.flight.parameters, index) {
                     self.broadcast(&message);
                 }
             }
             Err(error) => {
-                let severity = MavSeverity::MAV_SEVERITY_WARNING;
-                self.flight.commander.notify(severity, format!("{name} not set: {error}"));
                 let known = self.flight.parameters.find(name);
+                let explains = self.flight.personality.explains_refused_parameters();
                 let code = match error {
                     SetError::Unknown => MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
                     SetError::Type => MavParamError::MAV_PARAM_ERROR_TYPE_MISMATCH,
                     SetError::Range { .. } => MavParamError::MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
                     SetError::ReadOnly => MavParamError::MAV_PARAM_ERROR_READ_ONLY,
                 };
-                self.reply(sender, &error_message(sender, request.param_id, -1, code));
+                if explains {
+                    let severity = MavSeverity::MAV_SEVERITY_WARNING;
+                    self.flight.commander.notify(severity, format!("{name} not set: {error}"));
+                    self.reply(sender, &error_message(sender, request.param_id, -1, code));
+                }
                 let value = known.and_then(|i| value_message(&self.flight.parameters, i));
                 if let Some(message) = value {
                     self.reply(sender, &message);
@@ -54,11 +56,10 @@ impl Protocol {
 
 /// PARAM_VALUE of the parameter at `index`.
 pub(super) fn value_message(parameters: &Parameters, index: usize) -> Option<MavMessage> {
-    let (name, value) = parameters.at(index)?;
-    let (param_value, param_type) = value.to_wire();
+    let (name, param_value, param_type) = parameters.at(index)?;
     Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
         param_value,
-        param_count: Parameters::COUNT as u16,
+        param_count: parameters.count() as u16,
         param_index: index as u16,
         param_id: name.into(),
         param_type,

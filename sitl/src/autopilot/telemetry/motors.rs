@@ -3,15 +3,20 @@
 use wire::dialect::*;
 
 use super::Snapshot;
-use crate::vehicle::ROTORS;
+use crate::autopilot::personality::OutputScale;
+use crate::vehicle::{MotorOutput, ROTORS};
 
 impl Snapshot<'_> {
     /// The outputs as `message` carries them, each with its slot: as the vehicle file describes
-    /// them where it describes this message, else between `otherwise`'s zero, one and disarmed.
-    fn encoded_outputs(&self, message: &str, otherwise: [f64; 3]) -> [(usize, f64); ROTORS] {
+    /// them where it describes this message, else as the autopilot scales them.
+    fn encoded_outputs(&self, message: &str) -> [(usize, f64); ROTORS] {
         let described = self.motor_output.filter(|described| described.message == message);
-        let [zero, one, disarmed] = described
-            .map_or(otherwise, |described| [described.zero, described.one, described.disarmed]);
+        let OutputScale { zero, one, disarmed } = match described {
+            Some(MotorOutput { zero, one, disarmed, .. }) => {
+                OutputScale { zero: *zero, one: *one, disarmed: *disarmed }
+            }
+            None => self.personality.output_scale(message, self.parameters),
+        };
         std::array::from_fn(|rotor| {
             let field = described.and_then(|described| described.fields.get(rotor));
             let slot = field.and_then(|field| slot_of(field)).unwrap_or(rotor);
@@ -23,18 +28,19 @@ impl Snapshot<'_> {
     pub(super) fn actuator_output_status(&self) -> ACTUATOR_OUTPUT_STATUS_DATA {
         let mut actuator = [0.0; 32];
         let mut active = 0;
-        for (slot, value) in self.encoded_outputs("ACTUATOR_OUTPUT_STATUS", [0.0, 1.0, 0.0]) {
+        for (slot, value) in self.encoded_outputs("ACTUATOR_OUTPUT_STATUS") {
             if let Some(place) = actuator.get_mut(slot) {
                 *place = value as f32;
                 active |= 1 << slot;
             }
         }
+        let active = self.personality.active_outputs(active);
         ACTUATOR_OUTPUT_STATUS_DATA { time_usec: self.now_us, active, actuator }
     }
 
     pub(super) fn servo_output_raw(&self) -> SERVO_OUTPUT_RAW_DATA {
         let mut pwm = [0; 8];
-        for (slot, value) in self.encoded_outputs("SERVO_OUTPUT_RAW", [1000.0, 2000.0, 900.0]) {
+        for (slot, value) in self.encoded_outputs("SERVO_OUTPUT_RAW") {
             if let Some(place) = pwm.get_mut(slot) {
                 *place = value.round() as u16;
             }

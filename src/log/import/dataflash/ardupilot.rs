@@ -1,31 +1,44 @@
 //! Messages of ArduCopter as the streams of a flight.
 
+mod outputs;
+
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 
-use super::layout::RPM;
+use super::layout::{Access, Layout, RPM};
 use super::{Contents, Source};
-use crate::log::import::facts::{RotorFact, VehicleFacts};
-use crate::log::import::flight::{
-    AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream,
-};
+use crate::log::import::facts::VehicleFacts;
+use crate::log::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
+use crate::log::import::kind::{self, StatedKind};
 use crate::log::import::onboard::{Row, Sample, Topic, Wanted};
 use crate::log::import::tally::Tally;
+use crate::parameters::{Parameters, is_of_vehicle};
 
 /// Of two messages of one quantity the second is taken only where it is this much more frequent.
 const CLEARLY_MORE: f64 = 1.05;
-/// Function of an output that drives the first motor; the others follow.
-const MOTOR_1: f64 = 33.0;
 /// Outputs of RCOU.
 const CHANNELS: [&str; 14] =
     ["C1", "C2", "C3", "C4", "C5", "C6", "C7", "C8", "C9", "C10", "C11", "C12", "C13", "C14"];
-/// A pulse of 0 is no pulse.
-const PULSES: std::ops::RangeInclusive<f64> = 500.0..=2500.0;
+/// What they were called before, in the same order.
+const CHANNELS_BEFORE: [[&str; 2]; 14] = [
+    ["Ch1", "Chan1"],
+    ["Ch2", "Chan2"],
+    ["Ch3", "Chan3"],
+    ["Ch4", "Chan4"],
+    ["Ch5", "Chan5"],
+    ["Ch6", "Chan6"],
+    ["Ch7", "Chan7"],
+    ["Ch8", "Chan8"],
+    ["Ch9", "Chan9"],
+    ["Ch10", "Chan10"],
+    ["Ch11", "Chan11"],
+    ["Ch12", "Chan12"],
+    ["Ch13", "Chan13"],
+    ["Ch14", "Chan14"],
+];
+/// V in one of the whole numbers that a voltage was before ArduPilot 3.4.
+const CENTIVOLT: f64 = 0.01;
 /// Degrees in SI.
 const DEG: f64 = std::f64::consts::PI / 180.0;
-/// Outputs less often than this do not show how the rotors answer, Hz.
-const SLOW_HZ: f64 = 50.0;
-/// Speeds of the rotors of one round lie within this time, s.
-const ROUND: f64 = 0.5;
 
 macro_rules! sources {
     ($($topic:literal $has_instances:ident: [$($field:literal = $unsaid:expr),* $(,)?]),* $(,)?) => {
@@ -49,6 +62,7 @@ sources! {
     "NKQ" true: ["Q1" = 1.0, "Q2" = 1.0, "Q3" = 1.0, "Q4" = 1.0],
     "XKF1" true: ["VN" = 1.0, "VE" = 1.0, "VD" = 1.0, "PN" = 1.0, "PE" = 1.0, "PD" = 1.0],
     "NKF1" true: ["VN" = 1.0, "VE" = 1.0, "VD" = 1.0, "PN" = 1.0, "PE" = 1.0, "PD" = 1.0],
+    "EKF1" true: ["VN" = 1.0, "VE" = 1.0, "VD" = 1.0, "PN" = 1.0, "PE" = 1.0, "PD" = 1.0],
     "XKF4" true: ["PI" = 1.0],
     "NKF4" true: ["PI" = 1.0],
     "RCOU" false: ["C1" = 1.0, "C2" = 1.0, "C3" = 1.0, "C4" = 1.0, "C5" = 1.0, "C6" = 1.0, "C7" = 1.0,
@@ -60,6 +74,18 @@ sources! {
     "MODE" false: ["ModeNum" = 1.0, "Mode" = 1.0],
     "GUIA" false: ["Roll" = DEG, "Pitch" = DEG, "Yaw" = DEG, "RollRt" = DEG, "PitchRt" = DEG, "YawRt" = DEG,
         "Thrust" = 1.0, "ClimbRt" = 1.0],
+}
+
+/// All names that a field had over the years.
+pub(super) fn names(field: &'static str) -> Vec<&'static str> {
+    let channel = CHANNELS.iter().position(|channel| *channel == field);
+    let before = channel.into_iter().flat_map(|channel| CHANNELS_BEFORE[channel]);
+    std::iter::once(field).chain(before).collect()
+}
+
+/// What a number of a field is in SI where its format tells that it is an old one.
+pub(super) fn older_unit(layout: &Layout, access: Access) -> Option<f64> {
+    (layout.name == "CURR" && access.is_whole()).then_some(CENTIVOLT)
 }
 
 fn stamp(row: &Row<'_>) -> f64 {
@@ -103,45 +129,36 @@ impl Contents {
         let said = |words: &str| {
             self.texts.iter().find_map(|text| Some(text[text.find(words)?..].to_owned()))
         };
-        let firmwares = ["ArduCopter", "ArduPlane", "Rover", "ArduSub", "Blimp"];
-        let motors = self.parameter("FRAME_CLASS").and_then(|class| match class {
-            1.0 => Some(4),
-            2.0 | 5.0 => Some(6),
-            3.0 | 4.0 => Some(8),
-            7.0 => Some(3),
-            _ => None,
+        let firmwares = [
+            "ArduCopter",
+            "APM:Copter",
+            "ArduPlane",
+            "APM:Plane",
+            "ArduRover",
+            "APM:Rover",
+            "ArduSub",
+            "Blimp",
+        ];
+        let of_text = self.texts.iter().find_map(|text| {
+            let name = text.split_once(" s: ").map_or(text.as_str(), |(_, text)| text);
+            StatedKind::new(kind::of_firmware(text), || format!("the firmware is {name}"))
         });
-        let kept = |name: &str| {
-            let starts =
-                ["MOT_PWM_", "MOT_SPIN_", "MOT_THST_", "MOT_BAT_VOLT_", "FRAME_", "AHRS_TRIM"];
-            let exact = ["LOG_BITMASK", "SCHED_LOOP_RATE", "INS_GYRO_FILTER", "INS_ACCEL_FILTER"];
-            starts.iter().any(|start| name.starts_with(start)) || exact.contains(&name)
-        };
-        let parameters = self.parameters.iter().filter(|(name, _)| kept(name));
+        let of_build = self.build.and_then(|build| {
+            StatedKind::new(kind::of_build(build), || format!("BU of VER is {build}"))
+        });
+        let of_parameters = kind::of_parameters(&self.parameters);
+        let kinds = of_text.into_iter().chain(of_build).chain(of_parameters).collect();
+        let stated = Parameters::from(self.parameters.clone());
+        let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
         VehicleFacts {
             autopilot: firmwares.iter().find_map(|name| said(name)),
             frame: said("Frame: ").map(|text| text["Frame: ".len()..].to_owned()),
-            motors,
-            rotors: self.rotors(),
+            kinds,
+            motors: stated.motor_count(),
+            rotors: stated.rotors(),
             parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
             ..VehicleFacts::default()
         }
-    }
-
-    /// Rotors of the quadrotor frames, motor 1 first.
-    fn rotors(&self) -> Vec<RotorFact> {
-        let degrees: [f64; 4] = match (self.parameter("FRAME_CLASS"), self.parameter("FRAME_TYPE"))
-        {
-            (Some(1.0), Some(0.0)) => [90.0, -90.0, 0.0, 180.0],
-            (Some(1.0), Some(1.0)) => [45.0, -135.0, -45.0, 135.0],
-            _ => return Vec::new(),
-        };
-        let spins = [1, 1, -1, -1];
-        let place = |(degrees, spin): (f64, i8)| {
-            let (right, front) = degrees.to_radians().sin_cos();
-            RotorFact { front, right, spin }
-        };
-        degrees.into_iter().zip(spins).map(place).collect()
     }
 
     /// The core of the estimator that flies.
@@ -221,7 +238,7 @@ impl Contents {
         facts: &mut VehicleFacts,
         tally: &mut Tally,
     ) {
-        for name in ["XKF1", "NKF1"] {
+        for name in ["XKF1", "NKF1", "EKF1"] {
             let Some(topic) = self.topics.primary(name, core, tally) else { continue };
             let vector = |fields: [&'static str; 3], tally: &mut Tally| {
                 self.topics.stream(topic, tally, |row| {
@@ -272,86 +289,6 @@ impl Contents {
         facts
             .notes
             .push(format!("setpoints are the target that the autopilot shaped, from {name}"));
-    }
-
-    fn fill_outputs(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
-        let Some(topic) = self.topics.primary("RCOU", 0, tally) else { return };
-        let (channels, is_said) = self.motor_channels();
-        let names = channels.map(|channel| CHANNELS[channel.min(CHANNELS.len() - 1)]);
-        flight.outputs = self.topics.stream(topic, tally, |row| {
-            let pulses = row.finite(names).filter(|p| p.iter().all(|p| PULSES.contains(p)));
-            Sample::of(stamp(&row), pulses)
-        });
-        flight.motor_source = MotorSource::Rcou;
-        let order = if is_said { "by SERVOn_FUNCTION" } else { "as no SERVOn_FUNCTION says" };
-        facts.notes.push(format!("motors 1 to 4 are {} of RCOU, {order}", names.join(", ")));
-        match self.pulse_range() {
-            Some([zero, one]) => {
-                let fraction = |pulse: f64| ((pulse - zero) / (one - zero)).clamp(0.0, 1.0);
-                flight.outputs = flight.outputs.map(|pulses| pulses.map(fraction));
-                flight.motor_unit = MotorUnit::ThrustFraction;
-                facts.notes.push(format!(
-                    "outputs are pulses over {zero:.0} to {one:.0} us, by MOT_PWM_MIN, MOT_PWM_MAX, \
-                     MOT_SPIN_MIN and MOT_SPIN_MAX"
-                ));
-            }
-            None => flight.motor_unit = MotorUnit::VehicleFile,
-        }
-        let rate = flight.outputs.rate();
-        if rate < SLOW_HZ && !flight.outputs.is_empty() {
-            facts.notes.push(format!(
-                "outputs come at {rate:.0} Hz only: lag, delay and inertia do not show; record \
-                 SERVO_OUTPUT_RAW over telemetry at 50 Hz or more"
-            ));
-        }
-    }
-
-    /// The outputs that drive motors 1 to 4, and whether parameters say so.
-    fn motor_channels(&self) -> ([usize; 4], bool) {
-        let channel = |motor: f64| {
-            (0..CHANNELS.len()).find(|channel| {
-                self.parameter(&format!("SERVO{}_FUNCTION", channel + 1)) == Some(MOTOR_1 + motor)
-            })
-        };
-        let said = || Some([channel(0.0)?, channel(1.0)?, channel(2.0)?, channel(3.0)?]);
-        said().map_or(([0, 1, 2, 3], false), |channels| (channels, true))
-    }
-
-    /// Pulses at the least and at the full thrust of a motor, us.
-    fn pulse_range(&self) -> Option<[f64; 2]> {
-        let [low, high] = [self.parameter("MOT_PWM_MIN")?, self.parameter("MOT_PWM_MAX")?];
-        let [least, most] = [self.parameter("MOT_SPIN_MIN")?, self.parameter("MOT_SPIN_MAX")?];
-        let range = [least, most].map(|share| low + share * (high - low));
-        let is_sound = PULSES.contains(&low) && PULSES.contains(&high) && range[0] < range[1];
-        is_sound.then_some(range)
-    }
-
-    /// Rotor speeds come one by one: a sample is a round of all four.
-    fn fill_rotor_speed(&self, flight: &mut Flight, tally: &mut Tally) {
-        let (channels, _) = self.motor_channels();
-        let mut single: Vec<(usize, Stream<f64>)> = Vec::new();
-        for (motor, channel) in channels.into_iter().enumerate() {
-            let Some(topic) = self.topics.instance("ESC", channel as u8) else { return };
-            let stream = self.topics.stream(topic, tally, |row| {
-                let speed = row.get("RPM").abs();
-                Sample::of(stamp(&row), speed.is_finite().then_some(speed))
-            });
-            single.push((motor, stream));
-        }
-        let Some((_, first)) = single.first() else { return };
-        for (time, _) in first.iter() {
-            let near = |stream: &Stream<f64>| {
-                let after = stream.times().partition_point(|t| *t < time);
-                let at = [after.checked_sub(1)?, after].into_iter().filter(|at| *at < stream.len());
-                let distance = |at: &usize| (stream.times()[*at] - time).abs();
-                let at = at.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-                (distance(&at) < ROUND).then(|| stream.values()[at])
-            };
-            let speeds: Option<Vec<f64>> = single.iter().map(|(_, stream)| near(stream)).collect();
-            if let Some([a, b, c, d]) = speeds.as_deref() {
-                flight.rotor_speed.push(time, [*a, *b, *c, *d]);
-            }
-        }
     }
 
     fn fill_states(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {

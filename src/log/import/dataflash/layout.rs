@@ -67,6 +67,11 @@ pub(super) struct Access {
 }
 
 impl Access {
+    /// Whether the field is a whole number that its format does not scale.
+    pub fn is_whole(self) -> bool {
+        matches!(self.format, b'b' | b'B' | b'h' | b'H' | b'i' | b'I')
+    }
+
     /// The field's number, in the unit that its layout is labelled with, before multipliers.
     pub fn number(self, body: &[u8]) -> Option<f64> {
         let bytes = body.get(self.offset..)?;

@@ -59,6 +59,12 @@ impl<R: Read> Reader<R> {
         }
     }
 
+    /// Whether a message of this name and with this field is defined.
+    pub fn defines(&self, name: &str, field: &str) -> bool {
+        let mut layouts = self.layouts.iter().flatten();
+        layouts.any(|layout| layout.name == name && layout.field(&[field]).is_some())
+    }
+
     /// The next message of a defined type that is no definition; `None` at the end.
     ///
     /// # Errors

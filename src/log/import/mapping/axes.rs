@@ -3,74 +3,184 @@
 use serde::Deserialize;
 use sitl::frame::{Attitude, Frd, Ned};
 
-/// Axes of the world.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum WorldFrame {
-    /// North, east, down.
-    Ned,
-    /// East, north, up.
-    Enu,
-    /// North (or any horizontal x), west (left of x), up: most motion capture.
-    Nwu,
-}
+use super::row::from_matrix;
 
-/// Axes of the body.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum BodyFrame {
-    /// Front, right, down.
-    Frd,
-    /// Front, left, up.
-    Flu,
-}
+/// What world axes may be called, with the axis of NED and the sign.
+const WORLD: [(&str, (usize, f64)); 6] = [
+    ("north", (0, 1.0)),
+    ("south", (0, -1.0)),
+    ("east", (1, 1.0)),
+    ("west", (1, -1.0)),
+    ("down", (2, 1.0)),
+    ("up", (2, -1.0)),
+];
+/// What body axes may be called, with the axis of FRD and the sign.
+const BODY: [(&str, (usize, f64)); 6] = [
+    ("front", (0, 1.0)),
+    ("back", (0, -1.0)),
+    ("right", (1, 1.0)),
+    ("left", (1, -1.0)),
+    ("down", (2, 1.0)),
+    ("up", (2, -1.0)),
+];
 
-/// Half a turn about the first axis, which maps left and up to right and down.
-const HALF_TURN_X: Attitude = Attitude { w: 0.0, x: 1.0, y: 0.0, z: 0.0 };
-/// Half a turn about the middle of the first two axes, which maps east, north, up to north, east,
-/// down.
-const HALF_TURN_XY: Attitude = Attitude {
-    w: 0.0,
-    x: std::f64::consts::FRAC_1_SQRT_2,
-    y: std::f64::consts::FRAC_1_SQRT_2,
-    z: 0.0,
-};
+/// Where the first, second and third axis of a table point: an axis of ours, and its sign.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Axes([(usize, f64); 3]);
 
-impl WorldFrame {
-    /// A vector in these axes.
-    pub fn to_ned(self, [x, y, z]: [f64; 3]) -> Ned {
-        match self {
-            Self::Ned => Ned::new(x, y, z),
-            Self::Enu => Ned::new(y, x, -z),
-            Self::Nwu => Ned::new(x, -y, -z),
+impl Axes {
+    fn vector(self, components: [f64; 3]) -> [f64; 3] {
+        let mut out = [0.0; 3];
+        for ((axis, sign), component) in self.0.into_iter().zip(components) {
+            out[axis] = sign * component;
         }
+        out
     }
 
-    fn half_turn(self) -> Option<Attitude> {
-        match self {
-            Self::Ned => None,
-            Self::Enu => Some(HALF_TURN_XY),
-            Self::Nwu => Some(HALF_TURN_X),
+    /// +1 where the axes are right-handed, else -1.
+    fn hand(self) -> f64 {
+        let [(a, x), (b, y), (c, z)] = self.0;
+        let is_even = (b + 3 - a) % 3 == 1 && (c + 3 - b) % 3 == 1;
+        x * y * z * if is_even { 1.0 } else { -1.0 }
+    }
+
+    /// The rotation from these axes to ours; of left-handed ones, from their opposites.
+    fn turn(self) -> Attitude {
+        let hand = self.hand();
+        let mut matrix = [0.0; 9];
+        for (column, (row, sign)) in self.0.into_iter().enumerate() {
+            matrix[3 * row + column] = hand * sign;
         }
+        // A signed permutation without reflection is a rotation.
+        from_matrix(matrix).unwrap_or_default()
+    }
+
+    fn parse(
+        text: &AxesText,
+        named: &[(&str, Self)],
+        words: &[(&str, (usize, f64)); 6],
+    ) -> Result<Self, String> {
+        let list = || words.map(|(word, _)| word).join(", ");
+        let names =
+            || named.iter().map(|(name, _)| format!("{name:?}")).collect::<Vec<_>>().join(", ");
+        let unknown = |found: &str| {
+            format!(
+                "expected {}, or a list of where the three axes point, each one of {}; found {found}",
+                names(),
+                list()
+            )
+        };
+        match text {
+            AxesText::Name(name) => {
+                let known = named.iter().find(|(known, _)| known == name);
+                known.map(|(_, axes)| *axes).ok_or_else(|| unknown(&format!("{name:?}")))
+            }
+            AxesText::List(list) => {
+                let mut axes = [(0, 0.0); 3];
+                for (axis, word) in axes.iter_mut().zip(list) {
+                    let known = words.iter().find(|(known, _)| known == word);
+                    *axis = known.ok_or_else(|| unknown(&format!("{word:?}")))?.1;
+                }
+                let mut used = axes.map(|(axis, _)| axis);
+                used.sort_unstable();
+                match used {
+                    [0, 1, 2] => Ok(Self(axes)),
+                    _ => Err(unknown("two that point along one line")),
+                }
+            }
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "expected a name of axes, or a list of where the three axes point")]
+enum AxesText {
+    Name(String),
+    List([String; 3]),
+}
+
+/// Axes of the world: a name, or where the three axes point, as `["north", "up", "east"]`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "AxesText")]
+pub struct WorldFrame(Axes);
+
+impl TryFrom<AxesText> for WorldFrame {
+    type Error = String;
+
+    fn try_from(text: AxesText) -> Result<Self, String> {
+        let named = [("ned", Self::NED.0), ("enu", Self::ENU.0), ("nwu", Self::NWU.0)];
+        Axes::parse(&text, &named, &WORLD).map(Self)
+    }
+}
+
+impl WorldFrame {
+    /// North, east, down.
+    pub const NED: Self = Self(Axes([(0, 1.0), (1, 1.0), (2, 1.0)]));
+    /// East, north, up.
+    pub const ENU: Self = Self(Axes([(1, 1.0), (0, 1.0), (2, -1.0)]));
+    /// North (or any horizontal x), west (left of x), up: most motion capture.
+    pub const NWU: Self = Self(Axes([(0, 1.0), (1, -1.0), (2, -1.0)]));
+
+    /// A vector in these axes.
+    pub fn to_ned(self, vector: [f64; 3]) -> Ned {
+        self.0.vector(vector).into()
+    }
+
+    /// An angular velocity in these axes; in left-handed ones, turns are left-handed too.
+    pub fn turning_to_ned(self, vector: [f64; 3]) -> Ned {
+        self.to_ned(vector.map(|c| c * self.0.hand()))
+    }
+}
+
+/// Axes of the body: a name, or where the three axes point, as `["front", "up", "right"]`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "AxesText")]
+pub struct BodyFrame(Axes);
+
+impl TryFrom<AxesText> for BodyFrame {
+    type Error = String;
+
+    fn try_from(text: AxesText) -> Result<Self, String> {
+        let named = [("frd", Self::FRD.0), ("flu", Self::FLU.0)];
+        Axes::parse(&text, &named, &BODY).map(Self)
     }
 }
 
 impl BodyFrame {
+    /// Front, right, down.
+    pub const FRD: Self = Self(Axes([(0, 1.0), (1, 1.0), (2, 1.0)]));
+    /// Front, left, up.
+    pub const FLU: Self = Self(Axes([(0, 1.0), (1, -1.0), (2, -1.0)]));
+
     /// A vector in these axes.
-    pub fn to_frd(self, [x, y, z]: [f64; 3]) -> Frd {
-        match self {
-            Self::Frd => Frd::new(x, y, z),
-            Self::Flu => Frd::new(x, -y, -z),
-        }
+    pub fn to_frd(self, vector: [f64; 3]) -> Frd {
+        self.0.vector(vector).into()
+    }
+
+    /// An angular velocity in these axes; in left-handed ones, turns are left-handed too.
+    pub fn turning_to_frd(self, vector: [f64; 3]) -> Frd {
+        self.to_frd(vector.map(|c| c * self.0.hand()))
     }
 }
 
-/// The rotation from body to world in the given axes, as the one from FRD to NED.
-pub fn attitude_to_ned(world: WorldFrame, body: BodyFrame, rotation: Attitude) -> Attitude {
-    let rotation = world.half_turn().map_or(rotation, |half_turn| half_turn.compose(rotation));
-    match body {
-        BodyFrame::Frd => rotation,
-        BodyFrame::Flu => rotation.compose(HALF_TURN_X.inverse()),
+/// Turns rotations from body to world in a table's axes into those from FRD to NED.
+#[derive(Clone, Copy, Debug)]
+pub struct AttitudeTurn {
+    world: Attitude,
+    /// From FRD to the table's body axes.
+    body: Attitude,
+}
+
+impl AttitudeTurn {
+    /// Between these axes; `None` where one is the mirror image of the other: no rotation leads
+    /// from one to the other.
+    pub fn new(world: WorldFrame, body: BodyFrame) -> Option<Self> {
+        let is_one_hand = world.0.hand() == body.0.hand();
+        is_one_hand.then(|| Self { world: world.0.turn(), body: body.0.turn().inverse() })
     }
-    .normalized()
+
+    /// The rotation from FRD to NED.
+    pub fn apply(self, rotation: Attitude) -> Attitude {
+        self.world.compose(rotation).compose(self.body).normalized()
+    }
 }

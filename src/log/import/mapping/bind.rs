@@ -1,50 +1,127 @@
 //! Binds a mapping to the columns of a table: finds them by name, and asks for what is not said.
 
-use super::axes::{BodyFrame, WorldFrame};
+use super::axes::{AttitudeTurn, BodyFrame, WorldFrame};
 use super::row::{
     AttitudeReader, Columns, MotorReader, Outputs, Rotation, RowReader, TimeReader, VectorReader,
 };
 use super::{
-    AccelerationUnit, AngleUnit, AttitudeMap, Axes, ForceMeaning, LengthUnit, Mapping, MotorMap,
-    MotorMeaning, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit, TimeUnit, VoltageUnit,
+    AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMeaning, LengthText, LengthUnit,
+    Mapping, MotorMap, MotorMeaning, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit, TimeUnit,
+    VoltageUnit,
 };
 
 /// Standard gravity, m/s^2: what `g` is as a unit.
 const STANDARD_GRAVITY: f64 = 9.806_65;
+
+/// So many lines above the names point a column out.
+const NEAR: usize = 4;
 
 /// What a mapping needs and does not say.
 fn unsaid(field: &str, expected: &str) -> String {
     format!("{field} is not said: write {field} = {expected}")
 }
 
-/// Finds columns by name, and notes which are used.
+/// What stands above the rows of a table.
+#[derive(Clone, Copy, Debug)]
+pub struct Heading<'a> {
+    /// The lines above the names.
+    pub above: &'a [Vec<String>],
+    /// The names of the columns, `None` where no line names them.
+    pub names: Option<&'a [String]>,
+    /// Columns of a row.
+    pub width: usize,
+}
+
+impl Heading<'_> {
+    fn name(&self, column: usize) -> &str {
+        self.names.and_then(|names| names.get(column)).map_or("", String::as_str)
+    }
+
+    /// Whether a line above has this word in this column.
+    fn has_above(&self, column: usize, word: &str) -> bool {
+        self.above.iter().any(|line| line.get(column).is_some_and(|cell| cell == word))
+    }
+
+    /// Columns that are called so.
+    fn called(&self, column: &Column) -> Vec<usize> {
+        let is_called = |at: &usize| match column {
+            Column::Name(name) => self.names.is_some() && self.name(*at) == name,
+            Column::Number(number) => at + 1 == *number,
+            Column::Words(words) => words.split_last().is_some_and(|(name, words)| {
+                self.name(*at) == name && words.iter().all(|word| self.has_above(*at, word))
+            }),
+        };
+        (0..self.width).filter(is_called).collect()
+    }
+
+    /// A column as one would point it out: its number and all that stands above it.
+    fn pointed_out(&self, column: usize) -> String {
+        let near = &self.above[self.above.len().saturating_sub(NEAR)..];
+        let mut words: Vec<&str> =
+            near.iter().filter_map(|line| line.get(column)).map(String::as_str).collect();
+        words.push(self.name(column));
+        words.retain(|word| !word.is_empty());
+        words.dedup();
+        format!("{} ({})", column + 1, words.join(", "))
+    }
+
+    /// The cell that follows one of this content above the table.
+    pub fn after(&self, cell: &str) -> Option<&str> {
+        self.above.iter().find_map(|line| {
+            let at = line.iter().position(|known| known == cell)?;
+            line.get(at + 1).map(String::as_str)
+        })
+    }
+
+    /// What the table has in place of a column that it lacks.
+    fn offers(&self) -> String {
+        match self.names {
+            Some(names) => format!("it has {}", names.join(", ")),
+            None => format!("it has {} columns", self.width),
+        }
+    }
+}
+
+/// Finds columns, and notes which are used.
 struct Binder<'a> {
-    header: &'a [String],
+    heading: Heading<'a>,
     used: Vec<bool>,
+    /// What was taken where the mapping gives a number.
+    notes: Vec<String>,
     world: Option<WorldFrame>,
     body: Option<BodyFrame>,
 }
 
 impl Binder<'_> {
-    fn column(&mut self, field: &str, name: &str) -> Result<usize, String> {
-        let mut found = self.header.iter().enumerate().filter(|(_, known)| *known == name);
-        match (found.next(), found.next()) {
-            (Some((at, _)), None) => {
-                self.used[at] = true;
-                Ok(at)
+    fn column(&mut self, field: &str, column: &Column) -> Result<usize, String> {
+        match self.heading.called(column).as_slice() {
+            [at] => {
+                self.used[*at] = true;
+                if let (Column::Number(_), Some(_)) = (column, self.heading.names) {
+                    let found = self.heading.pointed_out(*at);
+                    self.notes.push(format!("{field}: column {found}"));
+                }
+                Ok(*at)
             }
-            (Some(_), Some(_)) => Err(format!("{field}: the table has two columns {name:?}")),
-            (None, _) => Err(format!(
-                "{field}: the table has no column {name:?}; it has {}",
-                self.header.join(", ")
-            )),
+            [] => {
+                Err(format!("{field}: the table has no column {column}; {}", self.heading.offers()))
+            }
+            several => {
+                let found = several.iter().map(|at| self.heading.pointed_out(*at));
+                Err(format!(
+                    "{field}: the table has {} columns {column}: {}; write the number of one, or a list \
+                     of words above it and its name",
+                    several.len(),
+                    found.collect::<Vec<_>>().join(", ")
+                ))
+            }
         }
     }
 
     fn columns<const N: usize>(
         &mut self,
         field: &str,
-        names: &[String; N],
+        names: &[Column; N],
         factor: f64,
     ) -> Result<Columns<N>, String> {
         let mut at = [0; N];
@@ -55,11 +132,21 @@ impl Binder<'_> {
     }
 
     fn world(&self) -> Result<WorldFrame, String> {
-        self.world.ok_or_else(|| unsaid("world_frame", r#""ned", "enu" or "nwu""#))
+        self.world.ok_or_else(|| {
+            unsaid(
+                "world_frame",
+                r#""ned", "enu", "nwu" or where its axes point, as ["north", "up", "east"]"#,
+            )
+        })
     }
 
     fn body(&self) -> Result<BodyFrame, String> {
-        self.body.ok_or_else(|| unsaid("body_frame", r#""frd" or "flu""#))
+        self.body.ok_or_else(|| {
+            unsaid(
+                "body_frame",
+                r#""frd", "flu" or where its axes point, as ["front", "up", "right"]"#,
+            )
+        })
     }
 
     fn axes(&self, field: &str, axes: Option<Axes>) -> Result<Axes, String> {
@@ -110,8 +197,13 @@ impl Binder<'_> {
             };
             (rotation, is_inverse)
         };
-        let (world, body) = (self.world()?, self.body()?);
-        Ok(AttitudeReader { rotation, is_inverse, world, body })
+        let turn = AttitudeTurn::new(self.world()?, self.body()?).ok_or_else(|| {
+            format!(
+                "{field}: of world_frame and body_frame one is right-handed and one left-handed: no \
+                 rotation leads from one to the other"
+            )
+        })?;
+        Ok(AttitudeReader { rotation, is_inverse, turn })
     }
 
     fn rate(&mut self, field: &str, map: &RateMap) -> Result<VectorReader, String> {
@@ -202,10 +294,15 @@ fn rad_per_s(unit: RotorUnit) -> f64 {
 
 impl RowReader {
     /// Binds the mapping to a table's columns; the error says what is missing and what to write.
-    pub fn new(mapping: &Mapping, header: &[String]) -> Result<Self, String> {
-        let used = vec![false; header.len()];
-        let mut binder =
-            Binder { header, used, world: mapping.world_frame, body: mapping.body_frame };
+    pub fn new(mapping: &Mapping, heading: Heading<'_>) -> Result<Self, String> {
+        let used = vec![false; heading.width];
+        let mut binder = Binder {
+            heading,
+            used,
+            notes: Vec::new(),
+            world: mapping.world_frame,
+            body: mapping.body_frame,
+        };
         let expected = "[time] with column and unit, or with rate_hz";
         let time = mapping.time.as_ref().ok_or_else(|| format!("expected {expected}"))?;
         let time = match (&time.column, time.rate_hz, time.unit) {
@@ -227,12 +324,18 @@ impl RowReader {
         let position = mapping.position.as_ref().map(|map| {
             binder.world()?;
             let expected = r#""m", "cm" or "mm""#;
-            let factor = match map.unit.ok_or_else(|| unsaid("position.unit", expected))? {
-                LengthUnit::M => 1.0,
-                LengthUnit::Cm => 0.01,
-                LengthUnit::Mm => 1e-3,
+            let unit = match &map.unit {
+                Some(LengthText::Unit(unit)) => *unit,
+                Some(LengthText::Above { above }) => {
+                    let said = binder.heading.after(above);
+                    said.and_then(LengthUnit::named).ok_or_else(|| {
+                        let found = said.map_or("no such cell".to_owned(), |s| format!("{s:?}"));
+                        format!("position.unit: expected a unit after {above:?}, found {found}: write it")
+                    })?
+                }
+                None => return Err(unsaid("position.unit", expected)),
             };
-            binder.columns("position.columns", &map.columns, factor)
+            binder.columns("position.columns", &map.columns, unit.in_m())
         });
         let position = position.transpose()?;
         let velocity = mapping.velocity.as_ref().map(|map| {
@@ -315,8 +418,8 @@ impl RowReader {
         }
         Ok(Self {
             // What is not said is not needed: whatever needs it has asked for it above.
-            world: mapping.world_frame.unwrap_or(WorldFrame::Ned),
-            body: mapping.body_frame.unwrap_or(BodyFrame::Frd),
+            world: mapping.world_frame.unwrap_or(WorldFrame::NED),
+            body: mapping.body_frame.unwrap_or(BodyFrame::FRD),
             time,
             position,
             velocity,
@@ -331,6 +434,7 @@ impl RowReader {
             setpoint_rate,
             setpoint_thrust,
             used: binder.used,
+            notes: binder.notes,
         })
     }
 }

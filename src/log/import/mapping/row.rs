@@ -2,14 +2,28 @@
 
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 
-use super::axes::{BodyFrame, WorldFrame, attitude_to_ned};
+use super::axes::{AttitudeTurn, BodyFrame, WorldFrame};
 use super::{Axes, ForceMeaning, QuaternionOrder};
 
 const NO_NUMBER: &str = "row with a cell that is no finite number";
 const NO_ROTATION: &str = "row whose attitude is no rotation";
 
-/// A row of the table, in SI, NED and FRD. `None` is what the table does not have, or what a
-/// row's empty cells leave out of voltage and setpoint.
+const NO_ATTITUDE: &str = "row without an attitude, which a vector in it must be turned by";
+
+/// A cell of a row.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Cell {
+    /// Nothing is in it, or a word for that.
+    #[default]
+    Empty,
+    /// A finite number.
+    Number(f64),
+    /// Anything else.
+    Other,
+}
+
+/// A row of the table, in SI, NED and FRD. `None` is what the table does not have, or what the
+/// row's empty cells leave out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Row {
     pub time: f64,
@@ -43,9 +57,23 @@ pub(super) struct Columns<const N: usize> {
 }
 
 impl<const N: usize> Columns<N> {
-    fn read(&self, cells: &[f64]) -> Option<[f64; N]> {
-        let values = self.at.map(|at| cells.get(at).copied().unwrap_or(f64::NAN) * self.factor);
-        values.iter().all(|value| value.is_finite()).then_some(values)
+    /// The numbers, or `None` where all cells are empty. The error says what else there is.
+    fn read(&self, cells: &[Cell]) -> Result<Option<[f64; N]>, &'static str> {
+        let cells = self.at.map(|at| cells.get(at).copied().unwrap_or_default());
+        if cells.iter().all(|cell| *cell == Cell::Empty) {
+            return Ok(None);
+        }
+        let mut values = [0.0; N];
+        for (value, cell) in values.iter_mut().zip(cells) {
+            let Cell::Number(number) = cell else { return Err(NO_NUMBER) };
+            *value = number * self.factor;
+        }
+        Ok(Some(values))
+    }
+
+    /// The numbers, where other cells are no fault of the row.
+    fn any(&self, cells: &[Cell]) -> Option<[f64; N]> {
+        self.read(cells).ok().flatten()
     }
 }
 
@@ -61,8 +89,7 @@ pub(super) enum Rotation {
 pub(super) struct AttitudeReader {
     pub(super) rotation: Rotation,
     pub(super) is_inverse: bool,
-    pub(super) world: WorldFrame,
-    pub(super) body: BodyFrame,
+    pub(super) turn: AttitudeTurn,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -97,6 +124,7 @@ pub struct RowReader {
     pub(super) setpoint_thrust: Option<Columns<1>>,
     pub(super) outputs: Outputs,
     pub(super) used: Vec<bool>,
+    pub(super) notes: Vec<String>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -111,94 +139,101 @@ impl RowReader {
         self.outputs
     }
 
+    /// Which columns were taken where the mapping gives their numbers.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
     /// Whether the mapping names a column.
     pub fn uses(&self, column: usize) -> bool {
         self.used.get(column).copied().unwrap_or(false)
     }
 
-    /// The row with number `index` from the cells of its columns, NaN where there is no number.
-    /// The error says why it is left out.
-    pub fn read(&self, index: u64, cells: &[f64]) -> Result<Row, &'static str> {
+    /// The row with number `index` from its cells. The error says why it is left out.
+    pub fn read(&self, index: u64, cells: &[Cell]) -> Result<Row, &'static str> {
         let time = match self.time {
-            TimeReader::Column(column) => column.read(cells).ok_or(NO_NUMBER)?[0],
+            TimeReader::Column(column) => column.read(cells)?.ok_or(NO_NUMBER)?[0],
             TimeReader::Rate(rate) => index as f64 / rate,
         };
-        let attitude = self.attitude.map(|reader| reader.read(cells)).transpose()?;
-        let vector = |reader: VectorReader| reader.columns.read(cells).ok_or(NO_NUMBER);
-        let position =
-            self.position.map(|columns| columns.read(cells).ok_or(NO_NUMBER)).transpose()?;
-        let turned = |reader: VectorReader| Ok::<_, &'static str>((vector(reader)?, reader.axes));
-        let velocity = self.velocity.map(turned).transpose()?;
-        let body_rate = self.body_rate.map(turned).transpose()?;
-        let force = self
-            .specific_force
-            .map(|(reader, meaning, gravity)| {
-                let (force, axes) = turned(reader)?;
-                Ok::<_, &'static str>((force, axes, meaning, gravity))
+        let attitude = self.attitude.as_ref().map(|reader| reader.read(cells));
+        let attitude = attitude.transpose()?.flatten();
+        let vector = |reader: Option<VectorReader>| -> Result<_, &'static str> {
+            let Some(VectorReader { columns, axes }) = reader else { return Ok(None) };
+            Ok(columns.read(cells)?.map(|vector| (vector, axes)))
+        };
+        let turn = || attitude.ok_or(NO_ATTITUDE);
+        let position = self.position.map(|columns| columns.read(cells)).transpose()?.flatten();
+        let velocity = match vector(self.velocity)? {
+            Some((v, Axes::World)) => Some(self.world.to_ned(v)),
+            Some((v, Axes::Body)) => Some(turn()?.to_world(self.body.to_frd(v))),
+            None => None,
+        };
+        let turning = |reader: Option<VectorReader>| -> Result<_, &'static str> {
+            Ok(match vector(reader)? {
+                Some((rate, Axes::Body)) => Some(self.body.turning_to_frd(rate)),
+                Some((rate, Axes::World)) => Some(turn()?.to_body(self.world.turning_to_ned(rate))),
+                None => None,
             })
-            .transpose()?;
-        let outputs = self.motors.as_ref().map(|reader| reader.read(cells).ok_or(NO_NUMBER));
-        let rotor_speed = self.rotor_speed.map(|columns| columns.read(cells).ok_or(NO_NUMBER));
-        // Turned vectors have an attitude: it was asked for when the mapping was bound.
-        let turn = attitude.unwrap_or_default();
+        };
+        let body_rate = turning(self.body_rate)?;
+        let specific_force = match self.specific_force {
+            Some((reader, meaning, gravity)) => match vector(Some(reader))? {
+                Some((force, axes)) => {
+                    let force = match axes {
+                        Axes::Body => self.body.to_frd(force),
+                        Axes::World => turn()?.to_body(self.world.to_ned(force)),
+                    };
+                    Some(match meaning {
+                        ForceMeaning::SpecificForce => force,
+                        ForceMeaning::Acceleration => {
+                            force - turn()?.to_body(Ned::new(0.0, 0.0, gravity))
+                        }
+                    })
+                }
+                None => None,
+            },
+            None => None,
+        };
+        let outputs = self.motors.as_ref().map(|reader| reader.read(cells)).transpose()?.flatten();
+        let speeds = self.rotor_speed.map(|columns| columns.read(cells)).transpose()?.flatten();
         Ok(Row {
             time,
             position: position.map(|p| self.world.to_ned(p)),
-            velocity: velocity.map(|(v, axes)| match axes {
-                Axes::World => self.world.to_ned(v),
-                Axes::Body => turn.to_world(self.body.to_frd(v)),
-            }),
+            velocity,
             attitude,
-            body_rate: body_rate.map(|(rate, axes)| self.to_body(rate, axes, turn)),
-            specific_force: force.map(|(force, axes, meaning, gravity)| {
-                let force = self.to_body(force, axes, turn);
-                match meaning {
-                    ForceMeaning::SpecificForce => force,
-                    ForceMeaning::Acceleration => force - turn.to_body(Ned::new(0.0, 0.0, gravity)),
-                }
-            }),
-            outputs: outputs.transpose()?,
-            rotor_speed: rotor_speed.transpose()?.map(|speeds| speeds.map(f64::abs)),
-            voltage: self.voltage.and_then(|column| column.read(cells)).map(|[v]| v),
-            setpoint_attitude: self.setpoint_attitude.and_then(|reader| reader.read(cells).ok()),
-            setpoint_rate: self.setpoint_rate.and_then(|reader| {
-                let rate = reader.columns.read(cells)?;
-                (reader.axes == Axes::Body || attitude.is_some())
-                    .then(|| self.to_body(rate, reader.axes, turn))
-            }),
-            setpoint_thrust: self.setpoint_thrust.and_then(|c| c.read(cells)).map(|[u]| u),
+            body_rate,
+            specific_force,
+            outputs,
+            rotor_speed: speeds.map(|speeds| speeds.map(f64::abs)),
+            voltage: self.voltage.and_then(|column| column.any(cells)).map(|[v]| v),
+            setpoint_attitude: (self.setpoint_attitude)
+                .and_then(|reader| reader.read(cells).ok().flatten()),
+            setpoint_rate: turning(self.setpoint_rate).ok().flatten(),
+            setpoint_thrust: self.setpoint_thrust.and_then(|c| c.any(cells)).map(|[u]| u),
         })
-    }
-
-    fn to_body(&self, vector: [f64; 3], axes: Axes, turn: Attitude) -> Frd {
-        match axes {
-            Axes::Body => self.body.to_frd(vector),
-            Axes::World => turn.to_body(self.world.to_ned(vector)),
-        }
     }
 }
 
 impl AttitudeReader {
-    fn read(&self, cells: &[f64]) -> Result<Attitude, &'static str> {
+    fn read(&self, cells: &[Cell]) -> Result<Option<Attitude>, &'static str> {
         let rotation = match self.rotation {
-            Rotation::Euler(columns) => {
-                let [roll, pitch, yaw] = columns.read(cells).ok_or(NO_NUMBER)?;
-                Euler::new(roll, pitch, yaw).attitude()
-            }
-            Rotation::Quaternion(columns, order) => {
-                let q = columns.read(cells).ok_or(NO_NUMBER)?;
+            Rotation::Euler(columns) => columns
+                .read(cells)?
+                .map(|[roll, pitch, yaw]| Ok(Euler::new(roll, pitch, yaw).attitude())),
+            Rotation::Quaternion(columns, order) => columns.read(cells)?.map(|q| {
                 let [w, x, y, z] = match order {
                     QuaternionOrder::Wxyz => q,
                     QuaternionOrder::Xyzw => [q[3], q[0], q[1], q[2]],
                 };
-                unit(Attitude { w, x, y, z }).ok_or(NO_ROTATION)?
-            }
+                unit(Attitude { w, x, y, z }).ok_or(NO_ROTATION)
+            }),
             Rotation::Matrix(columns) => {
-                from_matrix(columns.read(cells).ok_or(NO_NUMBER)?).ok_or(NO_ROTATION)?
+                columns.read(cells)?.map(|matrix| from_matrix(matrix).ok_or(NO_ROTATION))
             }
         };
-        let rotation = if self.is_inverse { rotation.inverse() } else { rotation };
-        Ok(attitude_to_ned(self.world, self.body, rotation))
+        let rotation = rotation.transpose()?;
+        let rotation = rotation.map(|r| if self.is_inverse { r.inverse() } else { r });
+        Ok(rotation.map(|rotation| self.turn.apply(rotation)))
     }
 }
 
@@ -209,7 +244,7 @@ fn unit(q: Attitude) -> Option<Attitude> {
 }
 
 /// The rotation of a matrix, row by row (Shepperd's method: the largest component first).
-fn from_matrix(m: [f64; 9]) -> Option<Attitude> {
+pub(super) fn from_matrix(m: [f64; 9]) -> Option<Attitude> {
     let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = m;
     let squares = [1.0 + xx + yy + zz, 1.0 + xx - yy - zz, 1.0 - xx + yy - zz, 1.0 - xx - yy + zz];
     let largest = (0..4).max_by(|a, b| squares[*a].total_cmp(&squares[*b]))?;
@@ -230,12 +265,13 @@ fn from_matrix(m: [f64; 9]) -> Option<Attitude> {
 }
 
 impl MotorReader {
-    fn read(&self, cells: &[f64]) -> Option<[f64; 4]> {
+    fn read(&self, cells: &[Cell]) -> Result<Option<[f64; 4]>, &'static str> {
         let [zero, one] = self.range;
-        let values = self.columns.read(cells)?.map(|value| (value - zero) / (one - zero));
-        Some(match &self.polynomial {
+        let values = self.columns.read(cells)?;
+        let values = values.map(|values| values.map(|value| (value - zero) / (one - zero)));
+        Ok(values.map(|values| match &self.polynomial {
             None => values,
             Some(c) => values.map(|x| c.iter().rev().fold(0.0, |sum, c| sum * x + c)),
-        })
+        }))
     }
 }

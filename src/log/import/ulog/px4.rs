@@ -8,10 +8,12 @@ use std::collections::BTreeMap;
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 
 use super::Contents;
-use crate::log::import::facts::{RotorFact, VehicleFacts};
+use crate::log::import::facts::VehicleFacts;
 use crate::log::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
+use crate::log::import::kind::{self, StatedKind, VehicleKind};
 use crate::log::import::onboard::{Row, Sample, Topics, Wanted};
 use crate::log::import::tally::Tally;
+use crate::parameters::{Parameters, is_of_vehicle};
 
 /// Of two topics of one quantity the second is taken only where it is this much more frequent.
 const CLEARLY_MORE: f64 = 1.05;
@@ -29,11 +31,12 @@ macro_rules! wanted {
 }
 
 wanted! {
-    "vehicle_attitude": ["timestamp_sample", "q[0]", "q[1]", "q[2]", "q[3]", "rollspeed", "pitchspeed",
-        "yawspeed"],
+    "vehicle_attitude": ["timestamp_sample", "q[0]", "q[1]", "q[2]", "q[3]", "roll", "pitch", "yaw",
+        "rollspeed", "pitchspeed", "yawspeed"],
     "vehicle_angular_velocity": ["timestamp_sample", "xyz[0]", "xyz[1]", "xyz[2]"],
     "vehicle_acceleration": ["timestamp_sample", "xyz[0]", "xyz[1]", "xyz[2]"],
-    "sensor_combined": ["gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]", "gyro_integral_dt",
+    "sensor_combined": ["gyro_rad_s[0]", "gyro_rad_s[1]", "gyro_rad_s[2]", "gyro_integral_dt",
+        "gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]",
         "accelerometer_timestamp_relative", "accelerometer_m_s2[0]", "accelerometer_m_s2[1]",
         "accelerometer_m_s2[2]", "accelerometer_integral_dt"],
     "vehicle_local_position": ["timestamp_sample", "x", "y", "z", "vx", "vy", "vz", "xy_valid",
@@ -52,7 +55,8 @@ wanted! {
         "esc[3].esc_rpm", "esc[0].actuator_function", "esc[1].actuator_function",
         "esc[2].actuator_function", "esc[3].actuator_function"],
     "vehicle_land_detected": ["landed", "maybe_landed", "ground_contact"],
-    "vehicle_status": ["arming_state", "nav_state"],
+    "vehicle_status": ["arming_state", "nav_state", "vehicle_type", "is_vtol", "is_rotary_wing",
+        "system_type"],
 }
 
 /// When a row was stamped, s.
@@ -66,10 +70,12 @@ fn sampled(row: &Row<'_>) -> f64 {
     if sampled > 0.0 { sampled * 1e-6 } else { stamp(row) }
 }
 
-/// The middle of the interval of `field` us before `time`, which the sample is a mean of.
+/// The middle of the interval of `field` before `time`, which the sample is a mean of.
 fn middle(row: &Row<'_>, time: f64, field: &str) -> f64 {
     let interval = row.get(field);
-    if interval.is_finite() { time - 0.5e-6 * interval } else { time }
+    // In us; before PX4 1.7 in s.
+    let seconds = if interval < 1.0 { interval } else { 1e-6 * interval };
+    if seconds.is_finite() { time - 0.5 * seconds } else { time }
 }
 
 fn attitude(components: [f64; 4]) -> Option<Attitude> {
@@ -97,17 +103,7 @@ impl Contents {
 
     fn facts(&self) -> VehicleFacts {
         let parameter = |name: &str| self.parameters.get(name).copied();
-        let motors = parameter("CA_ROTOR_COUNT").filter(|count| (1.0..=64.0).contains(count));
-        let rotor = |at: u32| {
-            let number = |axis: &str| parameter(&format!("CA_ROTOR{at}_{axis}"));
-            let moment = number("KM")?;
-            // A rotor whose coefficient is positive turns anticlockwise, seen from above, and
-            // turns the body clockwise: about +z.
-            let spin = if moment >= 0.0 { 1 } else { -1 };
-            Some(RotorFact { front: number("PX")?, right: number("PY")?, spin })
-        };
-        let count = motors.unwrap_or(0.0) as u32;
-        let rotors: Option<Vec<RotorFact>> = (0..count).map(rotor).collect();
+        let stated = Parameters::from(self.parameters.clone());
         let autopilot = self.info.get("sys_name").map(|name| {
             let version = self.info.get("ver_sw").map(|hash| hash.chars().take(8).collect());
             let release = self.info.get("ver_sw_release").and_then(|n| n.parse::<u32>().ok());
@@ -117,20 +113,21 @@ impl Contents {
                 [Some(name.clone()), release, version].into_iter().flatten().collect();
             parts.join(" ")
         });
-        let kept = |name: &str| {
-            let exact =
-                ["THR_MDL_FAC", "MC_BAT_SCALE_EN", "MPC_THR_HOVER", "SYS_AUTOSTART", "MAV_TYPE"];
-            exact.contains(&name) || name.starts_with("IMU_GYRO_CUTOFF") || name == "CA_AIRFRAME"
-        };
-        let parameters = self.parameters.iter().filter(|(name, _)| kept(name));
+        let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
+        let motors = stated.motor_count().or_else(|| {
+            let kind = parameter("MAV_TYPE").and_then(kind::motors_of_mav_type);
+            let system = self.status("system_type").and_then(kind::motors_of_mav_type);
+            kind.or(system)
+        });
         let mut facts = VehicleFacts {
             autopilot,
+            kinds: self.kinds(),
             frame: parameter("CA_AIRFRAME").map(|class| match class {
                 0.0 => "multirotor".to_owned(),
                 class => format!("airframe class {class}, no multirotor"),
             }),
-            motors: motors.map(|count| count as u32),
-            rotors: rotors.unwrap_or_default(),
+            motors,
+            rotors: stated.rotors(),
             parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
             ..VehicleFacts::default()
         };
@@ -138,6 +135,42 @@ impl Contents {
             facts.notes.push(format!("parameter {name} was changed to {value} during the log"));
         }
         facts
+    }
+
+    /// What most rows of `vehicle_status` say.
+    fn status(&self, field: &str) -> Option<f64> {
+        self.topics.instances("vehicle_status").next()?.1.most_frequent(field)
+    }
+
+    /// What states the kind of the vehicle.
+    fn kinds(&self) -> Vec<StatedKind> {
+        let status = |field: &str, kind: fn(f64) -> Option<VehicleKind>| {
+            let value = self.status(field)?;
+            StatedKind::new(kind(value), || format!("{field} of vehicle_status is {value}"))
+        };
+        let is_vtol = |value: f64| (value == 1.0).then_some(VehicleKind::Vtol);
+        let of_type = |value: f64| match value as u8 {
+            1 => Some(VehicleKind::Multirotor),
+            2 => Some(VehicleKind::FixedWing),
+            3 => Some(VehicleKind::Rover),
+            4 => Some(VehicleKind::Airship),
+            _ => None,
+        };
+        // Before PX4 1.10 there was only this.
+        let is_rotary = |value: f64| {
+            Some(if value == 0.0 { VehicleKind::Other } else { VehicleKind::Multirotor })
+        };
+        let rotary = || match self.status("vehicle_type") {
+            None => status("is_rotary_wing", is_rotary),
+            Some(_) => None,
+        };
+        let stated = [
+            status("is_vtol", is_vtol),
+            status("system_type", kind::of_mav_type),
+            status("vehicle_type", of_type),
+            rotary(),
+        ];
+        stated.into_iter().flatten().chain(kind::of_parameters(&self.parameters)).collect()
     }
 
     /// When the vehicle was armed, and in which modes it was.
@@ -208,7 +241,10 @@ fn fill_attitude(
 ) {
     let Some(topic) = topics.primary("vehicle_attitude", 0, tally) else { return };
     flight.attitude = topics.stream(topic, tally, |row| {
-        Sample::of(sampled(&row), attitude(row.all(["q[0]", "q[1]", "q[2]", "q[3]"])))
+        let quaternion = attitude(row.all(["q[0]", "q[1]", "q[2]", "q[3]"]));
+        let euler = || row.finite(["roll", "pitch", "yaw"]).filter(|_| row.get("q[0]").is_nan());
+        let euler = || euler().map(|[roll, pitch, yaw]| Euler::new(roll, pitch, yaw).attitude());
+        Sample::of(sampled(&row), quaternion.or_else(euler))
     });
     if topics.instances("vehicle_angular_velocity").next().is_none() && topic.has("rollspeed") {
         flight.body_rate = topics.stream(topic, tally, |row| {
@@ -235,7 +271,9 @@ fn fill_sensors(topics: &Topics, flight: &mut Flight, facts: &mut VehicleFacts, 
     if let Some(topic) = topics.primary("sensor_combined", 0, tally) {
         raw_rate = topics.stream(topic, tally, |row| {
             let rate = row.finite(["gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"]);
-            Sample::of(middle(&row, stamp(&row), "gyro_integral_dt"), rate.map(Frd::from))
+            let older = || row.finite(["gyro_rad_s[0]", "gyro_rad_s[1]", "gyro_rad_s[2]"]);
+            let time = middle(&row, stamp(&row), "gyro_integral_dt");
+            Sample::of(time, rate.or_else(older).map(Frd::from))
         });
         raw_force = topics.stream(topic, tally, |row| {
             let later = row.get("accelerometer_timestamp_relative");

@@ -1,0 +1,156 @@
+//! ArduCopter's attitude loop: the setpoint is shaped into a target that can be followed, the
+//! target's rate is fed forward, and a proportional law on the error to the target leads the rate
+//! loop.
+
+use super::super::rate_loop::{RateInput, RateLoop, clip};
+use super::super::{LoopInput, OnboardLoop, gains};
+use super::parameters::{ACCELERATION_MAX_RAD_S2, GAINS};
+use crate::autopilot::offboard::AttitudeSetpoint;
+use crate::autopilot::parameters::{Key, Parameters};
+use crate::effects::PdGain;
+use crate::frame::{Attitude, Frd, Ned};
+use crate::rotor::Allocation;
+use crate::vehicle::{AttitudeCascade, ROTORS};
+use wire::dialect::AttitudeTargetTypemask;
+
+#[derive(Debug)]
+pub(super) struct ArducopterLoop {
+    nominal: AttitudeCascade,
+    /// Moments of a normalised torque of 1, N m.
+    moments: [f64; 3],
+    truth: Option<PdGain>,
+    rate_loop: RateLoop,
+    thrust_curve: f64,
+    /// What the setpoint asks for, turned on by its rates between messages.
+    desired: Option<Attitude>,
+    /// What is followed; missing while the motors stand.
+    target: Option<Attitude>,
+    /// Rate of the target in its own axes, rad/s.
+    target_rate: Frd,
+}
+
+impl ArducopterLoop {
+    pub fn new(
+        nominal: AttitudeCascade,
+        moments: [f64; 3],
+        truth: Option<PdGain>,
+        allocation: Allocation,
+        parameters: &Parameters,
+    ) -> Self {
+        let mut made = Self {
+            nominal,
+            moments,
+            truth,
+            rate_loop: RateLoop::new(nominal, allocation),
+            thrust_curve: 0.0,
+            desired: None,
+            target: None,
+            target_rate: Frd::zero(),
+        };
+        made.configure(parameters);
+        made
+    }
+
+    /// The rate that the target is to have.
+    fn desired_rate(&mut self, input: &LoopInput<'_>, target: Attitude) -> Frd {
+        let AttitudeSetpoint { attitude, body_rate, .. } = *input.setpoint;
+        let Some(commanded) = attitude.map(|euler| euler.attitude()) else {
+            self.desired = None;
+            return body_rate;
+        };
+        let [x, y, z] = body_rate.to_array();
+        // The rates are turned by the commanded attitude before use, as measured.
+        let rate = Frd::from(commanded.to_world(Frd::new(x, y, z)).to_array());
+        let desired = match self.desired {
+            Some(desired) if !input.is_new && rate != Frd::zero() => {
+                turned(desired, rate * input.dt)
+            }
+            _ => commanded,
+        };
+        self.desired = Some(desired);
+        let error = rotation_vector(target, desired);
+        match self.rate_loop.cascade.input_time_constant_s {
+            Some(time_s) if time_s > 0.0 => rate + approach(error, time_s),
+            _ => rate + error * (1.0 / input.dt),
+        }
+    }
+}
+
+/// The rate that takes an angle to zero with a time constant, and no faster than the acceleration
+/// allows to stop again.
+fn approach(error: Frd, time_s: f64) -> Frd {
+    let error = error.to_array();
+    let [x, y, z] = std::array::from_fn(|axis| {
+        let limit = ACCELERATION_MAX_RAD_S2[axis];
+        let linear = limit * time_s * time_s;
+        let size = error[axis].abs();
+        let rate = if size <= linear {
+            size / time_s
+        } else {
+            (2.0 * limit * (size - 0.5 * linear)).sqrt()
+        };
+        rate.copysign(error[axis])
+    });
+    Frd::new(x, y, z)
+}
+
+/// `attitude` turned by a rotation vector in its own axes.
+fn turned(attitude: Attitude, by: Frd) -> Attitude {
+    let half = by * 0.5;
+    let angle = half.norm();
+    let share = if angle < 1e-9 { 1.0 } else { angle.sin() / angle };
+    let [x, y, z] = (half * share).to_array();
+    attitude.compose(Attitude { w: angle.cos(), x, y, z }).normalized()
+}
+
+/// The rotation from one attitude to another as angle times axis, in axes of the first.
+fn rotation_vector(from: Attitude, to: Attitude) -> Frd {
+    let d = from.inverse().compose(to).canonical();
+    let sine = (d.x * d.x + d.y * d.y + d.z * d.z).sqrt();
+    let scale = if sine < 1e-9 { 2.0 } else { 2.0 * sine.atan2(d.w) / sine };
+    Frd::new(d.x, d.y, d.z) * scale
+}
+
+impl OnboardLoop for ArducopterLoop {
+    fn outputs(&mut self, input: &LoopInput<'_>) -> [f64; ROTORS] {
+        let target = self.target.unwrap_or(input.attitude);
+        let desired_rate = self.desired_rate(input, target);
+        let step = ACCELERATION_MAX_RAD_S2.map(|limit| limit * input.dt);
+        self.target_rate += clip(desired_rate - self.target_rate, step);
+        let target = turned(target, self.target_rate * input.dt);
+        self.target = Some(target);
+        let AttitudeCascade { angle_p_per_s, rate_max_rad_s, .. } = self.rate_loop.cascade;
+        let error = rotation_vector(input.attitude, target).scale_by(angle_p_per_s);
+        let [north, east, down] = target.to_world(self.target_rate).to_array();
+        let forward = input.attitude.to_body(Ned::new(north, east, down));
+        self.rate_loop.outputs(&RateInput {
+            setpoint: clip(error, rate_max_rad_s) + forward,
+            body_rate: input.body_rate,
+            thrust: input.setpoint.thrust.max(0.0),
+            thrust_curve: self.thrust_curve,
+            landed: input.landed,
+            dt: input.dt,
+        })
+    }
+
+    fn rest(&mut self) {
+        self.rate_loop.rest();
+        (self.desired, self.target, self.target_rate) = (None, None, Frd::zero());
+    }
+
+    fn configure(&mut self, parameters: &Parameters) {
+        let said = gains::cascade(GAINS, parameters, &self.nominal, self.moments);
+        self.rate_loop.configure(gains::scaled(said, self.truth));
+        self.thrust_curve = parameters.get(Key::ThrustCurve);
+    }
+
+    /// The shaped target.
+    fn told(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
+        AttitudeSetpoint {
+            attitude: self.target.map(Attitude::euler),
+            body_rate: self.target_rate,
+            type_mask: AttitudeTargetTypemask::empty(),
+            ..setpoint
+        }
+    }
+}

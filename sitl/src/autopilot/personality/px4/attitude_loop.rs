@@ -1,0 +1,137 @@
+//! PX4's attitude loop: a proportional law on the quaternion that favours tilt over heading, around
+//! the rate loop.
+
+use super::super::rate_loop::{RateInput, RateLoop, clip};
+use super::super::{LoopInput, OnboardLoop, gains};
+use super::parameters::GAINS;
+use crate::autopilot::offboard::AttitudeSetpoint;
+use crate::autopilot::parameters::{Key, Parameters};
+use crate::effects::PdGain;
+use crate::frame::{Attitude, Frd, Ned};
+use crate::rotor::Allocation;
+use crate::vehicle::{AttitudeCascade, ROTORS};
+
+#[derive(Debug)]
+pub(super) struct Px4Loop {
+    nominal: AttitudeCascade,
+    /// Moments of a normalised torque of 1, N m.
+    moments: [f64; 3],
+    truth: Option<PdGain>,
+    rate_loop: RateLoop,
+    yaw_weight: f64,
+    thrust_curve: f64,
+}
+
+impl Px4Loop {
+    pub fn new(
+        nominal: AttitudeCascade,
+        moments: [f64; 3],
+        truth: Option<PdGain>,
+        allocation: Allocation,
+        parameters: &Parameters,
+    ) -> Self {
+        let rate_loop = RateLoop::new(nominal, allocation);
+        let mut made =
+            Self { nominal, moments, truth, rate_loop, yaw_weight: 1.0, thrust_curve: 0.0 };
+        made.configure(parameters);
+        made
+    }
+
+    /// The rates that turn `attitude` to `desired`.
+    fn rates_to(&self, attitude: Attitude, desired: Attitude, yaw_rate: f64) -> Frd {
+        let cascade = &self.rate_loop.cascade;
+        let weighted = weigh_yaw(attitude, desired, self.yaw_weight);
+        let error = attitude.inverse().compose(weighted).canonical();
+        // The heading's gain makes up for its weight.
+        let [roll, pitch, yaw] = cascade.angle_p_per_s;
+        let gain = [roll, pitch, yaw / self.yaw_weight];
+        let rates = (Frd::new(error.x, error.y, error.z) * 2.0).scale_by(gain);
+        let turn = attitude.to_body(Ned::new(0.0, 0.0, yaw_rate));
+        clip(rates + turn, cascade.rate_max_rad_s)
+    }
+}
+
+/// `desired` with the share `weight` of its turn about the thrust's axis: first the thrust is
+/// turned the short way, then the heading.
+fn weigh_yaw(attitude: Attitude, desired: Attitude, weight: f64) -> Attitude {
+    let down = Frd::new(0.0, 0.0, 1.0);
+    let (from, to) = (attitude.to_world(down), desired.to_world(down));
+    let axis = from.cross(to);
+    let w = 1.0 + from.dot(to);
+    if w < 1e-5 {
+        return desired;
+    }
+    let turn = Attitude { w, x: axis.north(), y: axis.east(), z: axis.down() }.normalized();
+    let tilted = turn.compose(attitude);
+    let heading = tilted.inverse().compose(desired).canonical();
+    let half = heading.z.atan2(heading.w) * weight;
+    tilted.compose(Attitude { w: half.cos(), x: 0.0, y: 0.0, z: half.sin() })
+}
+
+impl OnboardLoop for Px4Loop {
+    fn outputs(&mut self, input: &LoopInput<'_>) -> [f64; ROTORS] {
+        let AttitudeSetpoint { attitude, body_rate, thrust, .. } = *input.setpoint;
+        let sent = body_rate.to_array();
+        // A rate that is left out is the measured one.
+        let measured = input.body_rate.to_array();
+        let of_message =
+            std::array::from_fn(
+                |axis| {
+                    if sent[axis].is_nan() { measured[axis] } else { sent[axis] }
+                },
+            );
+        let has_rates = !sent[0].is_nan();
+        let setpoint = match attitude {
+            // Rates that come with an attitude stand in for those of the attitude loop until its
+            // next cycle.
+            Some(_) if has_rates && input.is_new => Frd::from(of_message),
+            Some(desired) => {
+                let yaw_rate = if sent[2].is_nan() { 0.0 } else { sent[2] };
+                self.rates_to(input.attitude, desired.attitude(), yaw_rate)
+            }
+            None => Frd::from(of_message),
+        };
+        self.rate_loop.outputs(&RateInput {
+            setpoint,
+            body_rate: input.body_rate,
+            thrust,
+            thrust_curve: self.thrust_curve,
+            landed: input.landed,
+            dt: input.dt,
+        })
+    }
+
+    fn rest(&mut self) {
+        self.rate_loop.rest();
+    }
+
+    fn configure(&mut self, parameters: &Parameters) {
+        let said = gains::cascade(GAINS, parameters, &self.nominal, self.moments);
+        self.rate_loop.configure(gains::scaled(said, self.truth));
+        self.yaw_weight = parameters.get(Key::YawWeight).clamp(0.01, 1.0);
+        self.thrust_curve = parameters.get(Key::ThrustCurve);
+    }
+
+    fn told(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
+        let known = |rate: f64| if rate.is_nan() { 0.0 } else { rate };
+        AttitudeSetpoint { body_rate: setpoint.body_rate.map(known), ..setpoint }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Euler;
+
+    #[test]
+    fn tilt_goes_before_heading_and_each_alone_is_whole() {
+        let level = Attitude::default();
+        let tilted = Euler::new(0.3, -0.2, 0.0).attitude();
+        assert!(weigh_yaw(level, tilted, 0.4).tilt() - tilted.tilt() < 1e-12);
+        let both = Euler::new(0.3, -0.2, 1.0).attitude();
+        let weighted = weigh_yaw(level, both, 0.4);
+        assert!((weighted.tilt() - both.tilt()).abs() < 1e-12, "the tilt is not weighed");
+        let turned = Euler::new(0.0, 0.0, 1.0).attitude();
+        assert!((weigh_yaw(level, turned, 0.4).yaw() - 0.4).abs() < 1e-12);
+    }
+}

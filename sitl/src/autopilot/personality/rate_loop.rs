@@ -1,0 +1,124 @@
+//! What the cascades of both autopilots share: the PID on the body rate, and the mixer.
+
+use super::low_pass::{Butterworth, Derivative};
+use crate::frame::Frd;
+use crate::rotor::Allocation;
+use crate::vehicle::{AttitudeCascade, ROTORS};
+
+/// The rate loop with its filters, its integral and the mixer behind it.
+#[derive(Clone, Debug)]
+pub(super) struct RateLoop {
+    pub cascade: AttitudeCascade,
+    allocation: Allocation,
+    gyro: Butterworth,
+    derivative: Derivative,
+    integral: Frd,
+    is_saturated: bool,
+}
+
+/// What the rate loop has at one tick.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RateInput {
+    /// Desired body rate, rad/s.
+    pub setpoint: Frd,
+    /// Gyro, rad/s.
+    pub body_rate: Frd,
+    /// Share of the rotors' full thrust.
+    pub thrust: f64,
+    /// Share of the square in the thrust curve that the firmware makes up for.
+    pub thrust_curve: f64,
+    /// Whether the integral rests.
+    pub landed: bool,
+    /// s
+    pub dt: f64,
+}
+
+impl RateLoop {
+    pub fn new(cascade: AttitudeCascade, allocation: Allocation) -> Self {
+        Self {
+            gyro: Butterworth::new(cascade.gyro_cutoff_hz, cascade.rate_hz),
+            derivative: Derivative::new(cascade.derivative_cutoff_hz),
+            integral: Frd::zero(),
+            is_saturated: false,
+            cascade,
+            allocation,
+        }
+    }
+
+    /// Takes other gains; filters begin afresh where their cutoff changes.
+    pub fn configure(&mut self, cascade: AttitudeCascade) {
+        if cascade.gyro_cutoff_hz != self.cascade.gyro_cutoff_hz
+            || cascade.derivative_cutoff_hz != self.cascade.derivative_cutoff_hz
+        {
+            self.gyro = Butterworth::new(cascade.gyro_cutoff_hz, cascade.rate_hz);
+            self.derivative = Derivative::new(cascade.derivative_cutoff_hz);
+        }
+        self.cascade = cascade;
+    }
+
+    pub fn rest(&mut self) {
+        self.gyro.reset();
+        self.derivative.reset();
+        self.integral = Frd::zero();
+        self.is_saturated = false;
+    }
+
+    /// The motor outputs, 0..1.
+    pub fn outputs(&mut self, input: &RateInput) -> [f64; ROTORS] {
+        let AttitudeCascade { rate_p_nms, rate_i_nm, rate_d_nms2, rate_ff_nms, .. } = self.cascade;
+        let rate = self.gyro.update(input.body_rate);
+        let acceleration = self.derivative.update(rate, input.dt);
+        let error = input.setpoint - rate;
+        let moment = error.scale_by(rate_p_nms) + self.integral
+            - acceleration.scale_by(rate_d_nms2)
+            + input.setpoint.scale_by(rate_ff_nms);
+        if !input.landed && !self.is_saturated {
+            let grown = self.integral + error.scale_by(rate_i_nm) * input.dt;
+            self.integral = clip(grown, self.cascade.integral_max_nm);
+        }
+        self.mix(input.thrust, moment).map(|share| output_of(share, input.thrust_curve))
+    }
+
+    /// Each rotor's share of its full thrust. Where one would be above 1, the collective gives way
+    /// to the moments.
+    fn mix(&mut self, thrust: f64, moment: Frd) -> [f64; ROTORS] {
+        let [roll, pitch, yaw] = moment.to_array();
+        let collective = thrust * self.allocation.collective_max();
+        let wanted = self.allocation.unclipped_outputs([collective, roll, pitch, yaw]);
+        let most = wanted.into_iter().fold(1.0, f64::max);
+        let given = wanted.map(|share| (share - (most - 1.0)).clamp(0.0, 1.0));
+        self.is_saturated = given != wanted;
+        given
+    }
+}
+
+/// Each axis within its bound.
+pub(super) fn clip(vector: Frd, bounds: [f64; 3]) -> Frd {
+    let [x, y, z] = vector.to_array();
+    let [a, b, c] = bounds;
+    Frd::new(x.clamp(-a, a), y.clamp(-b, b), z.clamp(-c, c))
+}
+
+/// The output at which a rotor gives `share` of its thrust, by share = (1 - a) u + a u^2.
+fn output_of(share: f64, a: f64) -> f64 {
+    if a <= 0.0 {
+        return share;
+    }
+    let linear = 1.0 - a;
+    2.0 * share / (linear + (linear * linear + 4.0 * a * share).sqrt()).max(1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outputs_undo_the_thrust_curve() {
+        for a in [0.0, 0.3, 0.65, 1.0] {
+            for share in [0.0, 0.2, 0.7, 1.0] {
+                let u = output_of(share, a);
+                assert!(((1.0 - a) * u + a * u * u - share).abs() < 1e-9, "{a} {share}");
+            }
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Errors of the position estimate beyond noise: a wander, and GPS that is wrong for a while.
+
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64Mcg;
+
+use crate::config::{EstimatorConfig, GpsGlitch};
+use crate::frame::Ned;
+
+/// What the estimator says of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EstimatorStatus {
+    /// Jumps of the estimate so far, modulo 256.
+    pub reset_count: u8,
+    /// Whether what GPS says is rejected.
+    pub rejects_gps: bool,
+}
+
+/// Error of the estimated position and velocity.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct EstimateError {
+    pub position: [f64; 3],
+    pub velocity: [f64; 3],
+}
+
+/// The errors as they go on.
+///
+/// The wander of an axis is white noise behind two equal lags, `x'' + 2 w x' + w^2 x = n`, with
+/// the deviation that is asked for: the velocity's error is its derivative, as a filter's is.
+#[derive(Clone, Debug)]
+pub(crate) struct ErrorModel {
+    config: EstimatorConfig,
+    rng: Pcg64Mcg,
+    wander: EstimateError,
+    /// Error that the estimate has taken over from GPS, m.
+    taken: [f64; 3],
+    /// Vehicle time since which GPS contradicts the estimate, us.
+    contradicts_since_us: Option<u64>,
+    status: EstimatorStatus,
+}
+
+impl ErrorModel {
+    pub fn new(config: EstimatorConfig, seed: u64) -> Self {
+        Self {
+            config,
+            rng: Pcg64Mcg::seed_from_u64(seed),
+            wander: EstimateError::default(),
+            taken: [0.0; 3],
+            contradicts_since_us: None,
+            status: EstimatorStatus::default(),
+        }
+    }
+
+    pub fn status(&self) -> EstimatorStatus {
+        self.status
+    }
+
+    /// The errors at `now_us`, `elapsed` s after the last.
+    pub fn advance(&mut self, now_us: u64, elapsed: f64) -> EstimateError {
+        if self.config.wander_m > 0.0 {
+            self.wander(elapsed);
+        }
+        if let Some(glitch) = self.config.gps_glitch {
+            self.follow_gps(&glitch, now_us);
+        }
+        let position = std::array::from_fn(|axis| self.wander.position[axis] + self.taken[axis]);
+        EstimateError { position, velocity: self.wander.velocity }
+    }
+
+    fn wander(&mut self, elapsed: f64) {
+        let w = 1.0 / self.config.wander_time_s;
+        let kick = (4.0 * w.powi(3) * elapsed).sqrt() * self.config.wander_m;
+        for (x, v) in self.wander.position.iter_mut().zip(&mut self.wander.velocity) {
+            let normal: f64 = self.rng.sample(StandardNormal);
+            *v += -(2.0 * w * *v + w * w * *x) * elapsed + kick * normal;
+            *x += *v * elapsed;
+        }
+    }
+
+    /// GPS that contradicts the estimate is rejected for a time; then the estimate jumps to it.
+    fn follow_gps(&mut self, glitch: &GpsGlitch, now_us: u64) {
+        let now_s = now_us as f64 * 1e-6;
+        let is_wrong = (glitch.at_s..glitch.at_s + glitch.for_s).contains(&now_s);
+        let gps = if is_wrong { glitch.offset_m } else { [0.0; 3] };
+        self.status.rejects_gps = gps != self.taken;
+        if !self.status.rejects_gps {
+            self.contradicts_since_us = None;
+            return;
+        }
+        let since = *self.contradicts_since_us.get_or_insert(now_us);
+        if now_us.saturating_sub(since) as f64 * 1e-6 >= self.config.reset_after_s {
+            self.taken = gps;
+            self.contradicts_since_us = None;
+            self.status.reset_count = self.status.reset_count.wrapping_add(1);
+            self.status.rejects_gps = false;
+        }
+    }
+}
+
+impl EstimateError {
+    pub fn position(&self) -> Ned {
+        Ned::from(self.position)
+    }
+
+    pub fn velocity(&self) -> Ned {
+        Ned::from(self.velocity)
+    }
+}

@@ -1,0 +1,288 @@
+//! Whether a vehicle file's numbers make sense together: what schema and signs do not show.
+//!
+//! The ranges are wide. Vehicles from 30 g to 25 kg lie inside; a number in the wrong unit, or of
+//! another vehicle, mostly does not.
+
+use serde::Serialize;
+
+use super::{ROTORS, VehicleParams};
+
+/// Full thrust over weight of vehicles that fly well.
+const THRUST_TO_WEIGHT: [f64; 2] = [1.3, 12.0];
+/// Full thrust over weight below which a vehicle cannot leave the ground.
+const LIFTS: f64 = 1.0;
+/// Share by which `hover_thrust` may differ from weight over full thrust.
+const HOVER_SHARE: f64 = 0.25;
+/// Radius of gyration about front and right, over the distance of the rotors from the centre.
+const GYRATION_TILT: [f64; 2] = [0.18, 0.95];
+/// The same about down.
+const GYRATION_YAW: [f64; 2] = [0.25, 1.3];
+/// Natural frequency of the on-board loop, rad/s.
+const LOOP_RAD_S: [f64; 2] = [1.0, 50.0];
+/// Its damping ratio.
+const LOOP_DAMPING: [f64; 2] = [0.3, 4.0];
+/// Rate gain over inertia times lag and delay, above which the rate loop swings.
+const RATE_LOOP_LAG: f64 = 3.0;
+/// Axes as they are named.
+const AXES: [&str; 3] = ["roll", "pitch", "yaw"];
+
+/// How bad a [`Remark`] is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Doubt {
+    /// Few vehicles are like that.
+    Unlikely,
+    /// Such a vehicle cannot fly.
+    CannotFly,
+}
+
+/// Two or more numbers of a vehicle file that do not fit each other.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Remark {
+    /// How bad.
+    pub doubt: Doubt,
+    /// The field to look at first.
+    pub field: &'static str,
+    /// What was computed from the file.
+    pub found: f64,
+    /// Least and most that is expected of it.
+    pub expected: [f64; 2],
+    /// Unit of both; empty for ratios.
+    pub unit: &'static str,
+    /// All of it as a sentence.
+    pub what: String,
+}
+
+impl VehicleParams {
+    /// Numbers of this vehicle that do not fit each other, worst first. The file itself is taken
+    /// to be valid, as [`VehicleParams::load`] leaves it.
+    pub fn remarks(&self) -> Vec<Remark> {
+        let mut remarks: Vec<Remark> = self.thrust_to_weight().into_iter().collect();
+        // Where mass or thrust is far off, what is compared with them says nothing more.
+        let is_light = remarks.iter().all(|remark| remark.doubt != Doubt::CannotFly);
+        remarks.extend(self.hover_remark().filter(|_| is_light));
+        remarks.extend(self.inertia_remarks());
+        remarks.extend(self.loop_remarks());
+        remarks.sort_by_key(|remark| std::cmp::Reverse(remark.doubt));
+        remarks
+    }
+
+    fn thrust_to_weight(&self) -> Option<Remark> {
+        let full: f64 = self.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
+        let weight = self.mass * self.gravity;
+        let ratio = full / weight;
+        let [least, most] = THRUST_TO_WEIGHT;
+        if (least..=most).contains(&ratio) {
+            return None;
+        }
+        let lifts = ratio >= LIFTS;
+        let grams = 1e3 * ratio;
+        let advice = if !lifts && (least..=most).contains(&grams) {
+            "; mass is in kg: it looks like grams"
+        } else if !lifts {
+            "; check mass (kg) and thrust_max_N (N, of one rotor)"
+        } else {
+            ""
+        };
+        Some(Remark {
+            doubt: if lifts { Doubt::Unlikely } else { Doubt::CannotFly },
+            field: "mass",
+            found: ratio,
+            expected: THRUST_TO_WEIGHT,
+            unit: "",
+            what: format!(
+                "full thrust of {} N is {} times the weight of {} N, expected {least} to {most} \
+                 times{advice}",
+                brief(full),
+                brief(ratio),
+                brief(weight)
+            ),
+        })
+    }
+
+    fn hover_remark(&self) -> Option<Remark> {
+        let share = self.hover_share();
+        let expected = [(1.0 - HOVER_SHARE) * share, ((1.0 + HOVER_SHARE) * share).min(1.0)];
+        if (expected[0]..=expected[1]).contains(&self.hover_thrust) {
+            return None;
+        }
+        Some(Remark {
+            doubt: Doubt::Unlikely,
+            field: "hover_thrust",
+            found: self.hover_thrust,
+            expected,
+            unit: "",
+            what: format!(
+                "hover_thrust is {}, but the mass of {} kg needs {} of the rotors' full thrust; \
+                 expected {} to {}",
+                brief(self.hover_thrust),
+                brief(self.mass),
+                brief(share),
+                brief(expected[0]),
+                brief(expected[1])
+            ),
+        })
+    }
+
+    fn arm_m(&self) -> f64 {
+        let arms = self.rotors.map(|rotor| rotor.position_m[0].hypot(rotor.position_m[1]));
+        arms.iter().sum::<f64>() / ROTORS as f64
+    }
+
+    fn inertia_remarks(&self) -> impl Iterator<Item = Remark> {
+        let arm = self.arm_m();
+        let ranges = [GYRATION_TILT, GYRATION_TILT, GYRATION_YAW];
+        let fields = ["inertia[0]", "inertia[1]", "inertia[2]"];
+        let moments = ranges.into_iter().zip(fields).zip(self.inertia);
+        moments.filter_map(move |((range, field), moment)| {
+            let gyration = (moment / self.mass).sqrt() / arm;
+            if (range[0]..=range[1]).contains(&gyration) {
+                return None;
+            }
+            let expected = range.map(|share| self.mass * (share * arm).powi(2));
+            Some(Remark {
+                doubt: Doubt::Unlikely,
+                field,
+                found: moment,
+                expected,
+                unit: "kg m^2",
+                what: format!(
+                    "{field} is {} kg m^2; of {} kg with rotors {} m from the centre, {} to {} \
+                     kg m^2 are expected",
+                    brief(moment),
+                    brief(self.mass),
+                    brief(arm),
+                    brief(expected[0]),
+                    brief(expected[1])
+                ),
+            })
+        })
+    }
+
+    fn loop_remarks(&self) -> Vec<Remark> {
+        let Some(pd) = self.attitude_loop_pd() else { return Vec::new() };
+        let field = if self.attitude_pd.is_some() { "attitude_pd" } else { "attitude_cascade" };
+        let lag = self.motor_time_constant_s + self.command_delay_s.min(0.01);
+        let mut remarks = Vec::new();
+        for (axis, name) in AXES.into_iter().enumerate() {
+            let (kp, kd, moment) = (pd.kp[axis], pd.kd[axis], self.inertia[axis]);
+            let natural = (kp / moment).sqrt();
+            let mut remark = |found: f64, expected: [f64; 2], unit, what: String| {
+                if !(expected[0]..=expected[1]).contains(&found) {
+                    remarks.push(Remark {
+                        doubt: Doubt::Unlikely,
+                        field,
+                        found,
+                        expected,
+                        unit,
+                        what,
+                    });
+                }
+            };
+            let told = |expected: [f64; 2]| format!("{} to {}", expected[0], expected[1]);
+            remark(
+                natural,
+                LOOP_RAD_S,
+                "rad/s",
+                format!(
+                    "the on-board loop in {name} turns {} kg m^2 at {} rad/s, expected {} rad/s: \
+                     gains (N m/rad) and inertia do not belong together",
+                    brief(moment),
+                    brief(natural),
+                    told(LOOP_RAD_S)
+                ),
+            );
+            let damping = kd / (2.0 * (kp * moment).sqrt());
+            if kp > 0.0 {
+                remark(
+                    damping,
+                    LOOP_DAMPING,
+                    "",
+                    format!(
+                        "the on-board loop in {name} has a damping ratio of {}, expected {}",
+                        brief(damping),
+                        told(LOOP_DAMPING)
+                    ),
+                );
+            }
+            let behind = kd / moment * lag;
+            remark(
+                behind,
+                [0.0, RATE_LOOP_LAG],
+                "",
+                format!(
+                    "the on-board loop in {name} follows rates within {} s, but its rotors lag by \
+                     {} s: it would swing; the second is expected to be less than {RATE_LOOP_LAG} \
+                     times the first",
+                    brief(moment / kd),
+                    brief(lag)
+                ),
+            );
+        }
+        remarks
+    }
+}
+
+/// A number for a person: three digits.
+fn brief(value: f64) -> String {
+    let size = value.abs();
+    if size != 0.0 && !(1e-3..1e5).contains(&size) {
+        return format!("{value:.2e}");
+    }
+    let decimals = (2 - size.max(1e-3).log10().floor() as i32).max(0) as usize;
+    format!("{value:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::AttitudePd;
+    use super::super::tests::quad;
+    use super::*;
+
+    fn remarks(change: impl FnOnce(&mut VehicleParams)) -> Vec<Remark> {
+        let mut vehicle = quad();
+        vehicle.attitude_pd =
+            Some(AttitudePd { kp: [1.9, 2.1, 0.52], kd: [0.27, 0.29, 0.19], rate_hz: 250.0 });
+        change(&mut vehicle);
+        vehicle.remarks()
+    }
+
+    #[test]
+    fn a_vehicle_of_sense_has_no_remark() {
+        assert_eq!(remarks(|_| {}), []);
+    }
+
+    #[test]
+    fn a_mass_in_grams_is_told_as_such() {
+        let found = remarks(|v| v.mass = 1200.0);
+        assert_eq!(found[0].doubt, Doubt::CannotFly);
+        assert_eq!(found[0].field, "mass");
+        assert!((found[0].found - 24.0 / (1200.0 * 9.80665)).abs() < 1e-12);
+        assert!(found[0].what.contains("looks like grams"), "{}", found[0].what);
+        assert!(found[0].what.contains("1.3 to 12 times"), "{}", found[0].what);
+    }
+
+    #[test]
+    fn every_pair_of_numbers_is_held_against_each_other() {
+        let field = |change: &dyn Fn(&mut VehicleParams)| remarks(change).first().map(|r| r.field);
+        assert_eq!(field(&|v| v.hover_thrust = 0.3), Some("hover_thrust"));
+        // In kg cm^2.
+        assert_eq!(field(&|v| v.inertia = [110.0, 120.0, 210.0]), Some("inertia[0]"));
+        assert_eq!(field(&|v| v.inertia[2] = 0.0005), Some("inertia[2]"));
+        // Normalised gains in place of N m.
+        let normalised = |v: &mut VehicleParams| {
+            v.attitude_pd = Some(AttitudePd { kp: [4.0; 3], kd: [0.0015; 3], rate_hz: 250.0 });
+        };
+        assert_eq!(field(&normalised), Some("attitude_pd"));
+        let slow = remarks(|v| v.motor_time_constant_s = 0.3);
+        assert!(slow[0].what.contains("rotors lag by 0.305 s"), "{}", slow[0].what);
+        let strong = remarks(|v| v.rotors.iter_mut().for_each(|r| r.thrust_max_n = 60.0));
+        assert_eq!((strong[0].doubt, strong[0].field), (Doubt::Unlikely, "mass"));
+    }
+
+    #[test]
+    fn numbers_are_brief() {
+        let told = [0.0, 0.0123456, 1.23456, 12.3456, 1234.56, 1.0e300, 2.0e-7].map(brief);
+        assert_eq!(told, ["0.00000", "0.0123", "1.23", "12.3", "1235", "1.00e300", "2.00e-7"]);
+    }
+}

@@ -1,0 +1,69 @@
+//! The vehicle files that the program brings along.
+
+use std::path::Path;
+
+/// A vehicle file by its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shipped {
+    /// Name, which is also the vehicle's.
+    pub name: &'static str,
+    /// What it is.
+    pub about: &'static str,
+    /// Text of the file, TOML.
+    pub text: &'static str,
+}
+
+/// All of them.
+pub const SHIPPED: [Shipped; 2] = [
+    Shipped {
+        name: "crazyflie",
+        about: "a nano quadrotor of 30 g, X layout",
+        text: include_str!("../../../config/vehicles/crazyflie.toml"),
+    },
+    Shipped {
+        name: "quad1200",
+        about: "a quadrotor of 1.2 kg with 10 inch propellers, X layout",
+        text: include_str!("../../../config/vehicles/quad1200.toml"),
+    },
+];
+
+/// The shipped vehicle that `path` names: by its bare name, where no such file is there.
+pub fn shipped(path: &Path) -> Option<&'static Shipped> {
+    let found = SHIPPED.iter().find(|shipped| path == Path::new(shipped.name))?;
+    (!path.exists()).then_some(found)
+}
+
+/// Text of a vehicle file: that at `path`, or the shipped one of that name.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn read(path: &Path) -> std::io::Result<String> {
+    match shipped(path) {
+        Some(shipped) => Ok(shipped.text.to_owned()),
+        None => std::fs::read_to_string(path),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{VehicleError, VehicleParams};
+    use super::*;
+
+    #[test]
+    fn shipped_vehicles_are_found_by_their_own_names_and_have_no_remark() {
+        for Shipped { name, text, .. } in SHIPPED {
+            let vehicle = VehicleParams::load(name).unwrap();
+            assert_eq!(vehicle.name, name);
+            assert_eq!(vehicle, VehicleParams::from_toml_str(text).unwrap());
+            assert_eq!(vehicle.remarks(), [], "{name}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_name_is_told_the_names_there_are() {
+        let error = VehicleParams::load("crazyfly").unwrap_err();
+        assert!(matches!(error, VehicleError::Read { .. }));
+        let told = error.to_string();
+        assert!(told.contains("crazyfly") && told.contains("crazyflie, quad1200"), "{told}");
+    }
+}

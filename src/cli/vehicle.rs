@@ -1,0 +1,102 @@
+//! Flags of what makes and looks at vehicle files.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+/// Commands on vehicle files.
+#[derive(Debug, Subcommand)]
+pub enum VehicleCommand {
+    /// The vehicles and trajectories that the program brings along; every command takes their
+    /// names.
+    List {
+        /// Prints one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Says which numbers of a vehicle file do not fit each other, and what is expected of them.
+    ///
+    /// Ends with exit code 10 if there are any.
+    Check {
+        /// Vehicle file, or the name of a shipped one.
+        file: PathBuf,
+        /// Prints one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Writes a commented vehicle file from an autopilot's parameters and from measured numbers.
+    ///
+    /// Parameters come from a vehicle on a link, a flight log, or a parameter file; nothing is
+    /// changed on the vehicle. What no source says is named, with the way to measure it and the
+    /// flag that takes it.
+    Init(Box<InitArgs>),
+}
+
+/// Flags of `vehicle init`.
+#[derive(Debug, Args)]
+pub struct InitArgs {
+    /// Flight log (.ulg, .bin, .mcap, .tlog), or parameter file (QGroundControl .params, Mission
+    /// Planner .param, PX4's `param save`).
+    #[arg(conflicts_with = "connect")]
+    pub file: Option<PathBuf>,
+    /// Reads the parameters of the vehicle there, such as udpin:0.0.0.0:14540.
+    #[arg(long, value_name = "URL")]
+    pub connect: Option<String>,
+    /// System id of the vehicle [default: the first autopilot that is heard].
+    #[arg(long, value_name = "ID", requires = "connect")]
+    pub system: Option<u8>,
+    /// The vehicle file to write [default: stdout].
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Writes over a file that is there.
+    #[arg(long, requires = "out")]
+    pub force: bool,
+    /// Name of the vehicle.
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Mass as it flies, battery included.
+    #[arg(long, value_name = "KG")]
+    pub mass: Option<f64>,
+    /// Moments of inertia about front, right and down.
+    #[arg(long, value_name = "KGM2", value_delimiter = ',', num_args = 3)]
+    pub inertia: Option<Vec<f64>>,
+    /// From the centre to a motor's axis.
+    #[arg(long, value_name = "M", conflicts_with = "wheelbase")]
+    pub arm: Option<f64>,
+    /// Between the axes of opposite motors.
+    #[arg(long, value_name = "M")]
+    pub wheelbase: Option<f64>,
+    /// Layout, where no parameters say it [default: x].
+    #[arg(long, value_enum)]
+    pub layout: Option<LayoutChoice>,
+    /// Full thrust of one rotor.
+    #[arg(long, value_name = "N")]
+    pub thrust: Option<f64>,
+    /// Throttle at which it hovers, 0 to 1.
+    #[arg(long, value_name = "SHARE", conflicts_with = "thrust")]
+    pub hover_throttle: Option<f64>,
+    /// Diameter of a propeller.
+    #[arg(long, value_name = "INCH")]
+    pub propeller: Option<f64>,
+    /// Drag torque of a rotor over its thrust.
+    #[arg(long, value_name = "M")]
+    pub torque_ratio: Option<f64>,
+    /// First-order lag of the rotors, 0 for none.
+    #[arg(long, value_name = "S")]
+    pub motor_lag: Option<f64>,
+    /// Cells in series.
+    #[arg(long, value_name = "COUNT")]
+    pub cells: Option<u8>,
+    /// Prints what is missing and estimated as JSON, with the file's text.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Layouts of quadrotors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LayoutChoice {
+    /// Two rotors in front.
+    X,
+    /// One rotor in front.
+    Plus,
+}

@@ -1,0 +1,67 @@
+//! Ctrl-C and SIGTERM, for the commands that fly no vehicle: each ends within two seconds.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use anyhow::Context;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
+use super::{Exit, say};
+use crate::log::partial;
+
+/// How long a command that looks for the end may take to keep what it has done.
+const GRACE: Duration = Duration::from_millis(1500);
+
+/// Whether the end of the command is wanted.
+pub(super) struct Interruption {
+    wanted: Arc<AtomicBool>,
+    looked_for: Arc<AtomicBool>,
+}
+
+impl Interruption {
+    /// From now on the first signal ends the program with [`Exit::Interrupted`]: at once, or, of a
+    /// command that looks for it by [`flag`](Self::flag), after [`GRACE`] at the latest. The
+    /// second one ends it at once. Files that are not complete go.
+    pub fn watch() -> anyhow::Result<Self> {
+        let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
+        let (wanted, looked_for) = (Arc::default(), Arc::default());
+        let this = Self { wanted: Arc::clone(&wanted), looked_for: Arc::clone(&looked_for) };
+        let waiting = move || {
+            let mut signals = signals.forever();
+            if signals.next().is_none() {
+                return;
+            }
+            wanted.store(true, Ordering::Relaxed);
+            if looked_for.load(Ordering::Relaxed) {
+                let limit = thread::Builder::new().name("grace".into()).spawn(|| {
+                    thread::sleep(GRACE);
+                    end();
+                });
+                if limit.is_ok() {
+                    signals.next();
+                }
+            }
+            end();
+        };
+        thread::Builder::new()
+            .name("signals".into())
+            .spawn(waiting)
+            .context("cannot watch for Ctrl-C")?;
+        Ok(this)
+    }
+
+    /// Set by the first signal. Who takes it looks at it often, and ends the command soon.
+    pub fn flag(&self) -> Arc<AtomicBool> {
+        self.looked_for.store(true, Ordering::Relaxed);
+        Arc::clone(&self.wanted)
+    }
+}
+
+fn end() {
+    partial::discard_unfinished();
+    say(format_args!("interrupted"));
+    std::process::exit(Exit::Interrupted.code().into());
+}

@@ -1,0 +1,187 @@
+//! The parameters of a vehicle on a link, read by their names. Nothing is changed on it.
+
+use std::time::Duration;
+
+use anyhow::anyhow;
+use wire::Endpoint;
+
+use super::setup::baud;
+use super::{Exit, ExitContext, say};
+use crate::clock::HostTime;
+use crate::daemon::HostClock;
+use crate::link::attitude_target::ThrustMap;
+use crate::link::connection::{Connection, Input};
+use crate::link::profile::Profile;
+use crate::link::request::{Outcome, Request};
+use crate::link::session::{Event, Session, Settings};
+use crate::parameters::{Autopilot, Parameters};
+
+/// Requests under way at once.
+const AT_ONCE: usize = 16;
+/// Wait for a vehicle.
+const SEARCH: Duration = Duration::from_secs(20);
+/// Wait before what is waited for is told.
+const TELL: Duration = Duration::from_secs(3);
+/// All of it.
+const LIMIT: Duration = Duration::from_secs(120);
+/// The longest sleep between two looks at the clock.
+const TICK: Duration = Duration::from_millis(50);
+
+/// Reads the parameters that say what the vehicle at `endpoint` is.
+///
+/// # Errors
+/// [`Exit::Link`] if no vehicle is heard or it answers nothing, [`Exit::Usage`] if it is neither
+/// PX4 nor ArduCopter.
+pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Parameters> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let thrust = ThrustMap::linear(1.0)?;
+    let clock = HostClock::start();
+    let settings = Settings {
+        vehicle_system: system,
+        // Its streams stay as they are.
+        telemetry: Some(Vec::new()),
+        baud: baud(&endpoint),
+        ..Settings::new(thrust)
+    };
+    let reading = Reading {
+        session: Session::new(settings, clock.now()),
+        connection: Connection::new(endpoint),
+        clock,
+        wanted: Vec::new(),
+        under_way: 0,
+        found: Parameters::default(),
+        is_told: false,
+    };
+    runtime.block_on(reading.run())
+}
+
+struct Reading {
+    session: Session,
+    connection: Connection,
+    clock: HostClock,
+    /// Names that are still to be asked for, last first.
+    wanted: Vec<String>,
+    under_way: usize,
+    found: Parameters,
+    is_told: bool,
+}
+
+impl Reading {
+    async fn run(mut self) -> anyhow::Result<Parameters> {
+        let mut buffer = vec![0; 1 << 16];
+        let start = self.clock.now();
+        let mut is_identified = false;
+        loop {
+            let input = tokio::time::timeout(TICK, self.connection.recv(&mut buffer)).await;
+            let now = self.clock.now();
+            if let Ok(input) = input {
+                self.take(now, input, &buffer);
+            }
+            self.session.poll(now);
+            while let Some(event) = self.session.next_event() {
+                match event {
+                    Event::Identified { profile, .. } if !is_identified => {
+                        self.ask_for(&profile)?;
+                        is_identified = true;
+                    }
+                    Event::Request { request: Request::ReadParameter(name), outcome, .. } => {
+                        self.under_way = self.under_way.saturating_sub(1);
+                        if let Outcome::Parameter(value) = outcome {
+                            self.found.set(name, value);
+                        }
+                    }
+                    _ => {}
+                }
+            }
+            while self.under_way < AT_ONCE
+                && let Some(name) = self.wanted.pop()
+            {
+                self.under_way += 1;
+                self.session.request(now, Request::ReadParameter(name));
+            }
+            let Self { session, connection, .. } = &mut self;
+            session.transmit(|peer, frame| connection.send(peer, frame));
+            if is_identified && self.under_way == 0 && self.wanted.is_empty() {
+                return self.answer();
+            }
+            self.tell_wait(now, start, is_identified)?;
+        }
+    }
+
+    fn take(&mut self, now: HostTime, input: Input, buffer: &[u8]) {
+        match input {
+            Input::Bytes { peer, len } => {
+                let is_datagram = self.connection.is_datagram();
+                self.session.receive(now, peer, &buffer[..len], is_datagram, &mut |_| {});
+            }
+            Input::Failed { error, .. } => {
+                if !self.is_told {
+                    say(format_args!("{error}; trying again until it opens"));
+                    self.is_told = true;
+                }
+            }
+            Input::Lost(_) => self.session.transport_closed(),
+            Input::PeerClosed(peer) => {
+                self.session.peer_closed(peer);
+            }
+            Input::Opened | Input::PeerOpened(_) => {}
+        }
+    }
+
+    fn ask_for(&mut self, profile: &Profile) -> anyhow::Result<()> {
+        let vehicle = self.session.vehicle().map(|id| id.to_string()).unwrap_or_default();
+        let autopilot = if profile.name == Profile::ARDUCOPTER.name {
+            Autopilot::ArduCopter
+        } else if profile.name == Profile::UNKNOWN.name {
+            let error = anyhow!("{vehicle}: only PX4 and ArduCopter say what their vehicle is");
+            return Err(error).or_exit(Exit::Usage);
+        } else {
+            Autopilot::Px4
+        };
+        self.wanted = autopilot.wanted();
+        self.wanted.reverse();
+        say(format_args!("{vehicle}: reading {} parameters", self.wanted.len()));
+        Ok(())
+    }
+
+    fn tell_wait(
+        &mut self,
+        now: HostTime,
+        start: HostTime,
+        is_identified: bool,
+    ) -> anyhow::Result<()> {
+        let waited = now.since(start);
+        let endpoint = self.connection.endpoint();
+        if waited > LIMIT {
+            let error = anyhow!("{endpoint}: {} parameters after {LIMIT:?}", self.found.len());
+            return Err(error).or_exit(Exit::Link);
+        }
+        if is_identified || self.session.vehicle().is_some() {
+            return Ok(());
+        }
+        let bytes = self.session.stats().received.bytes;
+        if waited > SEARCH {
+            let error = anyhow!("{endpoint}: no HEARTBEAT of an autopilot; {bytes} bytes came");
+            return Err(error).or_exit(Exit::Link);
+        }
+        if waited > TELL && !self.is_told {
+            self.is_told = true;
+            say(format_args!(
+                "waiting for the HEARTBEAT of an autopilot on {endpoint}; {bytes} bytes came so far"
+            ));
+        }
+        Ok(())
+    }
+
+    fn answer(self) -> anyhow::Result<Parameters> {
+        if self.found.is_empty() {
+            let error = anyhow!(
+                "{}: the vehicle answers no PARAM_REQUEST_READ",
+                self.connection.endpoint()
+            );
+            return Err(error).or_exit(Exit::Link);
+        }
+        say(format_args!("{} of them are there", self.found.len()));
+        Ok(self.found)
+    }
+}

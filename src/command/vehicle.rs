@@ -1,0 +1,281 @@
+//! `downwash vehicle`: vehicle files made, checked and listed.
+
+use std::path::Path;
+
+use anyhow::{Context, anyhow};
+use serde::Serialize;
+use sitl::vehicle::{Doubt, Remark, SHIPPED, VehicleParams};
+
+use super::fly::endpoint;
+use super::{
+    Exit, ExitContext, in_words, link_parameters, output, print_json, print_text, say, write_file,
+};
+use crate::cli::{InitArgs, LayoutChoice, VehicleCommand};
+use crate::log::import;
+use crate::parameters::{self, Parameters};
+use crate::plan::SHIPPED_TRAJECTORIES;
+use crate::vehicle_init::{Draft, Layout, Measured, Wanting};
+
+/// An inch in m.
+const INCH: f64 = 0.0254;
+/// Parameter files are shorter than this, bytes.
+const PARAMETER_FILE_MAX: u64 = 1 << 20;
+
+pub(super) fn run(command: VehicleCommand) -> anyhow::Result<Exit> {
+    match command {
+        VehicleCommand::List { json } => list(json),
+        VehicleCommand::Check { file, json } => check(&file, json),
+        VehicleCommand::Init(args) => init(&args),
+    }
+}
+
+#[derive(Serialize)]
+struct Listed {
+    schema: &'static str,
+    schema_version: u32,
+    vehicles: Vec<Named>,
+    trajectories: Vec<Named>,
+}
+
+#[derive(Serialize)]
+struct Named {
+    name: &'static str,
+    about: &'static str,
+}
+
+fn list(json: bool) -> anyhow::Result<Exit> {
+    let vehicles = SHIPPED.map(|shipped| Named { name: shipped.name, about: shipped.about });
+    let trajectories =
+        SHIPPED_TRAJECTORIES.map(|shipped| Named { name: shipped.name, about: shipped.about });
+    let listed = Listed {
+        schema: "downwash.vehicle.list",
+        schema_version: 1,
+        vehicles: vehicles.into(),
+        trajectories: trajectories.into(),
+    };
+    if json {
+        print_json(&listed)?;
+        return Ok(Exit::Ok);
+    }
+    let rows = |named: &[Named]| -> String {
+        named.iter().map(|named| format!("  {:17} {}\n", named.name, named.about)).collect()
+    };
+    let (vehicles, trajectories) = (rows(&listed.vehicles), rows(&listed.trajectories));
+    print_text(&format!(
+        "vehicles, for --vehicle\n{vehicles}trajectories, for `fly` and `plan`\n{trajectories}"
+    ))?;
+    Ok(Exit::Ok)
+}
+
+#[derive(Serialize)]
+struct Checked<'a> {
+    schema: &'static str,
+    schema_version: u32,
+    file: String,
+    vehicle: &'a str,
+    remarks: &'a [Remark],
+}
+
+fn check(file: &Path, json: bool) -> anyhow::Result<Exit> {
+    let vehicle = VehicleParams::load(file).or_exit(Exit::Usage)?;
+    let remarks = vehicle.remarks();
+    if json {
+        print_json(&Checked {
+            schema: "downwash.vehicle.check",
+            schema_version: 1,
+            file: file.display().to_string(),
+            vehicle: &vehicle.name,
+            remarks: &remarks,
+        })?;
+    } else if remarks.is_empty() {
+        print_text(&format!("{}: the numbers fit each other\n", file.display()))?;
+    } else {
+        let line = |remark: &Remark| format!("{}: {}\n", file.display(), told(remark));
+        print_text(&remarks.iter().map(line).collect::<String>())?;
+    }
+    Ok(if remarks.is_empty() { Exit::Ok } else { Exit::Check })
+}
+
+fn told(remark: &Remark) -> String {
+    match remark.doubt {
+        Doubt::Unlikely => format!("unlikely: {}", remark.what),
+        Doubt::CannotFly => format!("cannot fly: {}", remark.what),
+    }
+}
+
+/// Warns of what is unlikely of a vehicle that is to be flown or planned for.
+///
+/// # Errors
+/// [`Exit::Usage`] if it cannot fly.
+pub(super) fn refuse_grounded(file: &str, vehicle: &VehicleParams) -> anyhow::Result<()> {
+    for remark in vehicle.remarks() {
+        if remark.doubt == Doubt::CannotFly {
+            return Err(anyhow!("vehicle file {file}: {}", told(&remark))).or_exit(Exit::Usage);
+        }
+        say(format_args!("vehicle file {file}: {}", told(&remark)));
+    }
+    Ok(())
+}
+
+/// Says what is unlikely of a vehicle; what its user believes is taken.
+pub(super) fn warn(file: &Path, vehicle: &VehicleParams) {
+    for remark in vehicle.remarks() {
+        let file = file.display();
+        say(format_args!("vehicle file {file}: {}; it is taken as it is", told(&remark)));
+    }
+}
+
+#[derive(Serialize)]
+struct Made<'a> {
+    schema: &'static str,
+    schema_version: u32,
+    source: &'a str,
+    autopilot: Option<&'static str>,
+    out: Option<String>,
+    missing: &'a [Wanting],
+    estimated: &'a [Wanting],
+    remarks: Vec<Remark>,
+    toml: &'a str,
+}
+
+fn init(args: &InitArgs) -> anyhow::Result<Exit> {
+    let measured = measured(args)?;
+    if let Some(out) = &args.out {
+        output::refuse_input(out, args.file.as_deref())?;
+        if out.exists() && !args.force {
+            let error =
+                anyhow!("{} is there already: give another name, or --force", out.display());
+            return Err(error).or_exit(Exit::Usage);
+        }
+    }
+    let (source, parameters) = match (&args.file, &args.connect) {
+        (Some(file), _) => (file.display().to_string(), of_file(file)?),
+        (None, Some(url)) => {
+            let parameters = link_parameters::read(endpoint(url)?, args.system)?;
+            (format!("the parameters of the vehicle at {url}"), parameters)
+        }
+        (None, None) => ("measured numbers".to_owned(), Parameters::default()),
+    };
+    let draft = Draft::new(&source, &parameters, &measured)
+        .with_context(|| source.clone())
+        .or_exit(Exit::Usage)?;
+    let (toml, missing, estimated) = (draft.to_toml(), draft.missing(), draft.estimated());
+    let remarks = match VehicleParams::from_toml_str(&toml) {
+        Ok(vehicle) => vehicle.remarks(),
+        Err(_) if !missing.is_empty() => Vec::new(),
+        Err(error) => return Err(error).context(source).or_exit(Exit::Usage),
+    };
+    if let Some(out) = &args.out {
+        write_file(out, toml.as_bytes())?;
+    }
+    if args.json {
+        print_json(&Made {
+            schema: "downwash.vehicle.init",
+            schema_version: 1,
+            source: &source,
+            autopilot: draft.autopilot.map(parameters::Autopilot::name),
+            out: args.out.as_ref().map(|out| out.display().to_string()),
+            missing: &missing,
+            estimated: &estimated,
+            remarks,
+            toml: &toml,
+        })?;
+        return Ok(Exit::Ok);
+    }
+    if args.out.is_none() {
+        print_text(&toml)?;
+    }
+    for (word, wanting) in [("missing", &missing), ("estimated", &estimated)] {
+        for Wanting { key, what, how } in wanting {
+            say(format_args!("{word}: {key}, {what}: {how}"));
+        }
+    }
+    for remark in &remarks {
+        say(format_args!("{}", told(remark)));
+    }
+    if let Some(out) = &args.out {
+        let whole = if missing.is_empty() { "" } else { ", which lacks what is missing" };
+        say(format_args!("wrote {}{whole}", out.display()));
+    }
+    Ok(Exit::Ok)
+}
+
+fn measured(args: &InitArgs) -> anyhow::Result<Measured> {
+    let positive = |flag: &str, value: Option<f64>| match value {
+        Some(value) if !(value.is_finite() && value > 0.0) => {
+            Err(anyhow!("{flag}: expected a number above 0, found {value}")).or_exit(Exit::Usage)
+        }
+        value => Ok(value),
+    };
+    let arm = positive("--arm", args.arm)?;
+    let wheelbase = positive("--wheelbase", args.wheelbase)?;
+    let hover_throttle = positive("--hover-throttle", args.hover_throttle)?;
+    if hover_throttle.is_some_and(|share| share >= 1.0) {
+        let error = anyhow!("--hover-throttle: expected a share below 1, such as 0.45");
+        return Err(error).or_exit(Exit::Usage);
+    }
+    if args.motor_lag.is_some_and(|lag| !(0.0..=2.0).contains(&lag)) {
+        return Err(anyhow!("--motor-lag: expected seconds in 0..=2")).or_exit(Exit::Usage);
+    }
+    let inertia = match args.inertia.as_deref() {
+        Some(&[x, y, z]) => {
+            for moment in [x, y, z] {
+                positive("--inertia", Some(moment))?;
+            }
+            Some([x, y, z])
+        }
+        _ => None,
+    };
+    Ok(Measured {
+        name: args.name.clone(),
+        mass_kg: positive("--mass", args.mass)?,
+        inertia,
+        arm_m: arm.or(wheelbase.map(|length| 0.5 * length)),
+        layout: args.layout.map(|layout| match layout {
+            LayoutChoice::X => Layout::X,
+            LayoutChoice::Plus => Layout::Plus,
+        }),
+        thrust_max_n: positive("--thrust", args.thrust)?,
+        hover_throttle,
+        propeller_m: positive("--propeller", args.propeller)?.map(|inches| INCH * inches),
+        torque_ratio_m: positive("--torque-ratio", args.torque_ratio)?,
+        motor_lag_s: args.motor_lag,
+        cells: args.cells.filter(|cells| *cells > 0),
+    })
+}
+
+/// The parameters in a parameter file or a flight log.
+fn of_file(file: &Path) -> anyhow::Result<Parameters> {
+    let name = file.display().to_string();
+    let length = std::fs::metadata(file).context(name.clone()).or_exit(Exit::Usage)?.len();
+    let mut why_none = None;
+    if length <= PARAMETER_FILE_MAX {
+        let bytes = std::fs::read(file).context(name.clone()).or_exit(Exit::Usage)?;
+        match parameters::parse(&bytes) {
+            Ok(found) if found.autopilot().is_some() => return Ok(found),
+            Ok(_) => {
+                let error = anyhow!("{name}: its parameters are neither PX4's nor ArduCopter's");
+                return Err(error).or_exit(Exit::Usage);
+            }
+            Err(error) => why_none = Some(error),
+        }
+    }
+    let flight = match (import::open(file, None), why_none) {
+        (Ok(flight), _) => flight,
+        (Err(error), Some(why_none)) => {
+            let error = in_words(&error.into());
+            return Err(anyhow!("{error}; nor is it a parameter file: {why_none}"))
+                .or_exit(Exit::Usage);
+        }
+        (Err(error), None) => return Err(error).or_exit(Exit::Usage),
+    };
+    let found = Parameters::from(flight.facts.parameters);
+    if found.autopilot().is_none() {
+        let error = anyhow!(
+            "{name}: the log states no parameters of PX4 or ArduCopter; take a log that the \
+             autopilot wrote, a parameter file, or --connect"
+        );
+        return Err(error).or_exit(Exit::Usage);
+    }
+    Ok(found)
+}

@@ -1,0 +1,521 @@
+//! What pushes and turns the vehicle beside thrust, weight and the attitude loop, estimated, and
+//! the equilibrium that it moves.
+
+use serde::{Deserialize, Serialize};
+use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+
+use super::actuation::Actuation;
+use super::attitude_loop::{AttitudeError, AttitudeLoop, angle_error};
+use super::hover_model::HoverVehicle;
+use crate::clock::VehicleTime;
+use crate::setpoint::{Expected, Reference, Setpoint, State};
+
+/// Feedback that leaves no steady error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OffsetFreeSettings {
+    /// Whether disturbances are estimated and taken out.
+    pub observer: Use,
+    /// Whether a desired trajectory's own acceleration is fed forward.
+    pub feed_forward: Use,
+    /// Time constant after which the velocity that is fed back is the position's own slope, s. The
+    /// two disagree where an estimator corrects its position without saying so in its velocity; the
+    /// position is what is tracked.
+    pub velocity_time_constant_s: f64,
+    /// Time constant of the other estimates, s. Wind and an estimate's wander change over several
+    /// seconds; the velocity's noise over this time is an acceleration that is flown.
+    pub time_constant_s: f64,
+    /// Largest difference that is taken to be between the velocity that is reported and that of the
+    /// position, m/s.
+    pub velocity_max_m_s: f64,
+    /// Largest acceleration that is taken for a disturbance, m/s^2.
+    pub acceleration_max_m_s2: f64,
+    /// Largest error that is taken for the attitude loop's, or for the attitude's own, rad.
+    pub attitude_max_rad: f64,
+}
+
+impl Default for OffsetFreeSettings {
+    fn default() -> Self {
+        Self {
+            observer: Use::Auto,
+            feed_forward: Use::Auto,
+            velocity_time_constant_s: 0.2,
+            time_constant_s: 0.5,
+            velocity_max_m_s: 0.5,
+            acceleration_max_m_s2: 6.0,
+            attitude_max_rad: 0.2,
+        }
+    }
+}
+
+/// When something is used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Use {
+    /// With autopilots whose loop is their own; the bundled vehicle is flown as in the paper.
+    #[default]
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
+}
+
+impl Use {
+    /// Whether it is used with a vehicle whose attitude loop is its autopilot's own or not.
+    pub fn applies(self, is_own_loop: bool) -> bool {
+        match self {
+            Self::Auto => is_own_loop,
+            Self::On => true,
+            Self::Off => false,
+        }
+    }
+}
+
+/// Largest rate at which drag is taken to slow a vehicle, 1/s.
+const DRAG_MAX_PER_S: f64 = 2.0;
+/// Speed from which most of an unexplained acceleration along it is taken for drag, m/s.
+const DRAG_SPEED_M_S: f64 = 1.0;
+/// Share of an unexplained horizontal acceleration that is first taken to turn with the vehicle.
+const BODY_SHARE: f64 = 0.5;
+/// A longer time between samples leaves nothing to compare, s.
+const GAP_MAX_S: f64 = 0.2;
+/// Longest step of the attitude loop's model, s.
+const STEP_MAX_S: f64 = 2.5e-3;
+
+/// Constant disturbances, each bounded.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Disturbance {
+    /// By how much more than reported the position moves, m/s.
+    velocity: Ned,
+    /// Horizontal drag over speed and mass, 1/s.
+    drag_per_s: f64,
+    /// Horizontal acceleration fixed in the world, m/s^2: wind.
+    world: [f64; 2],
+    /// Horizontal acceleration in axes that turn with yaw, m/s^2: the attitude's own error.
+    body: [f64; 2],
+    /// Acceleration along the body's down axis, m/s^2: a weight or a thrust other than believed.
+    along_thrust: f64,
+    /// Attitude beside the one that the loop is sent, rad: moments that its gains give way to.
+    attitude: [f64; 3],
+}
+
+/// How an equilibrium lies beside the undisturbed one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shift {
+    /// Reported while the position rests, m/s.
+    pub velocity: Ned,
+    /// Roll, pitch and yaw that hold against the disturbances, rad.
+    pub attitude: Euler,
+    /// Thrust against them, and the setpoint for which the loop gives that attitude.
+    pub input: Setpoint,
+}
+
+/// What the loop and the rotors have made of the setpoints so far, by the model.
+#[derive(Clone, Copy, Debug)]
+struct Motion {
+    at: VehicleTime,
+    position: Ned,
+    velocity: Ned,
+    seen: Attitude,
+    /// The setpoint behind the delay.
+    delayed: Setpoint,
+    thrust_n: f64,
+    attitude: Euler,
+    body_rate: Frd,
+    turn: Frd,
+}
+
+/// Estimates the disturbances that explain how the vehicle moves: a Luenberger observer of the
+/// near-hover model with disturbances as further states.
+///
+/// ```text
+/// dp/dt = v + d_v
+/// dv/dt = g e3 + R(zeta) (0, 0, d_t - T/m) + d_w + R(psi) d_b - c v + expected
+/// zeta  = loop(sent) + d_a + expected
+/// ```
+///
+/// Position, velocity and attitude are measured, and the setpoint is the one that was sent, limits included,
+/// so that nothing winds up. What the reference's model expects is not estimated again. The
+/// attitude in the first line is the measured one: the estimate does not depend on how well the
+/// attitude loop is known, and feeding it back closes no loop through it.
+#[derive(Clone, Debug)]
+pub struct DisturbanceObserver {
+    settings: OffsetFreeSettings,
+    vehicle: HoverVehicle,
+    attitude_loop: AttitudeLoop,
+    error: AttitudeError,
+    actuation: Actuation,
+    motion: Option<Motion>,
+    disturbance: Disturbance,
+}
+
+impl DisturbanceObserver {
+    /// An observer that knows of no disturbance yet.
+    pub fn new(
+        settings: OffsetFreeSettings,
+        vehicle: HoverVehicle,
+        attitude_loop: AttitudeLoop,
+        error: AttitudeError,
+        actuation: Actuation,
+    ) -> Self {
+        let (motion, disturbance) = (None, Disturbance::default());
+        Self { settings, vehicle, attitude_loop, error, actuation, motion, disturbance }
+    }
+
+    /// Forgets everything: nothing is known on the ground, or of a vehicle that others flew.
+    pub fn reset(&mut self) {
+        (self.motion, self.disturbance) = (None, Disturbance::default());
+    }
+
+    /// Keeps the disturbances, and compares nothing with what was before: the estimate jumped, or
+    /// no setpoint left.
+    pub fn pause(&mut self) {
+        self.motion = None;
+    }
+
+    /// Takes the state at `at`, and the setpoint that was sent since the last one, its thrust as it
+    /// is believed to act.
+    pub fn observe(
+        &mut self,
+        at: VehicleTime,
+        state: &State,
+        sent: &Setpoint,
+        expected: &Expected,
+    ) {
+        let before = self.motion.filter(|motion| {
+            let dt = at.seconds_since(motion.at);
+            dt > 0.0 && dt < GAP_MAX_S
+        });
+        let Some(before) = before else {
+            self.motion = Some(Motion::starting(at, state, sent, &self.disturbance));
+            return;
+        };
+        let dt = at.seconds_since(before.at);
+        let mut motion = self.moved(before, sent, dt);
+        let decay = (-dt / self.settings.time_constant_s).exp();
+        self.learn_velocity(&mut motion, &before, state, dt);
+        self.learn_acceleration(&mut motion, &before, state, expected, dt, decay);
+        let unexplained = angle_error(state.attitude.euler(), motion.attitude);
+        let bound = self.settings.attitude_max_rad;
+        for (i, unexplained) in unexplained.into_iter().enumerate() {
+            let d = &mut self.disturbance.attitude[i];
+            *d += (1.0 - decay) * (unexplained - expected.attitude[i] - *d);
+            *d = d.clamp(-bound, bound);
+        }
+        (motion.at, motion.seen) = (at, state.attitude);
+        self.motion = Some(motion).filter(Motion::is_finite);
+    }
+
+    /// Both poles of position and velocity error at the same decay per step.
+    fn learn_velocity(&mut self, motion: &mut Motion, before: &Motion, state: &State, dt: f64) {
+        let decay = (-dt / self.settings.velocity_time_constant_s).exp();
+        let d = &mut self.disturbance.velocity;
+        let foreseen = before.position + (state.velocity + *d) * dt;
+        let error = state.position - foreseen;
+        motion.position = foreseen + error * (1.0 - decay * decay);
+        *d += error * ((1.0 - decay).powi(2) / dt);
+        let largest = self.settings.velocity_max_m_s;
+        *d = *d * (largest / d.norm()).min(1.0);
+    }
+
+    /// Both poles of velocity and acceleration error at `decay` per step.
+    fn learn_acceleration(
+        &mut self,
+        motion: &mut Motion,
+        before: &Motion,
+        state: &State,
+        expected: &Expected,
+        dt: f64,
+        decay: f64,
+    ) {
+        let mean = before.seen.between(state.attitude, 0.5);
+        let thrust_n = 0.5 * (before.thrust_n + motion.thrust_n);
+        let along = self.disturbance.along_thrust - thrust_n / self.vehicle.mass_kg;
+        let (sin, cos) = mean.yaw().sin_cos();
+        let Disturbance { world: [north, east], body: [front, right], drag_per_s, .. } =
+            self.disturbance;
+        let velocity = state.velocity + self.disturbance.velocity;
+        let flow = Ned::new(velocity.north(), velocity.east(), 0.0);
+        let acceleration = mean.to_world(Frd::new(0.0, 0.0, along))
+            + Ned::new(north, east, self.vehicle.gravity)
+            + Ned::new(cos * front - sin * right, sin * front + cos * right, 0.0)
+            - flow * drag_per_s
+            + expected.acceleration;
+        let foreseen = before.velocity + acceleration * dt;
+        let error = velocity - foreseen;
+        motion.velocity = foreseen + error * (1.0 - decay * decay);
+        let step = error * ((1.0 - decay).powi(2) / dt);
+        let [ahead, aside] =
+            [cos * step.north() + sin * step.east(), cos * step.east() - sin * step.north()];
+        let down = mean.to_body(step).down();
+        let largest = self.settings.acceleration_max_m_s2;
+        let trim = self.vehicle.gravity * self.settings.attitude_max_rad;
+        let d = &mut self.disturbance;
+        let share = 1.0 - BODY_SHARE;
+        d.world = bounded([north + share * step.north(), east + share * step.east()], largest);
+        d.body =
+            bounded([front + BODY_SHARE * ahead, right + BODY_SHARE * aside], trim.min(largest));
+        let slowed = -flow.dot(step) / (DRAG_SPEED_M_S.powi(2) + flow.dot(flow));
+        d.drag_per_s = (d.drag_per_s + slowed).clamp(0.0, DRAG_MAX_PER_S);
+        d.along_thrust = (d.along_thrust + down).clamp(-largest, largest);
+    }
+
+    /// The model's motion `dt` later: delay and lag are first-order, as the regulator's.
+    fn moved(&self, before: Motion, sent: &Setpoint, dt: f64) -> Motion {
+        let mut now = before;
+        let steps = (dt / STEP_MAX_S).ceil().max(1.0);
+        let h = dt / steps;
+        let share = |time_s: f64| 1.0 - (-h / time_s.max(1e-4)).exp();
+        let delay = share(self.actuation.command_delay_s);
+        let lag = share(self.actuation.motor_time_constant_s);
+        let turn_lag = if self.attitude_loop.is_before_the_rotors() { lag } else { 1.0 };
+        for _ in 0..steps as usize {
+            let [roll, pitch, yaw] = angle_error(sent.attitude, now.delayed.attitude);
+            let Euler { roll: r, pitch: p, yaw: y } = now.delayed.attitude;
+            now.delayed = Setpoint {
+                thrust_n: now.delayed.thrust_n + delay * (sent.thrust_n - now.delayed.thrust_n),
+                attitude: Euler::new(r + delay * roll, p + delay * pitch, y + delay * yaw),
+                body_rate: now.delayed.body_rate + (sent.body_rate - now.delayed.body_rate) * delay,
+            };
+            now.thrust_n += lag * (now.delayed.thrust_n - now.thrust_n);
+            let turn = self.attitude_loop.angular_acceleration(
+                self.vehicle.inertia,
+                self.error.between(now.delayed.attitude, now.attitude),
+                now.delayed.body_rate.to_array(),
+                now.body_rate.to_array(),
+            );
+            now.turn += (Frd::from(turn) - now.turn) * turn_lag;
+            now.body_rate += now.turn * h;
+            let [droll, dpitch, dyaw] = now.attitude.rates(now.body_rate);
+            let Euler { roll, pitch, yaw } = now.attitude;
+            now.attitude =
+                Euler::new(roll + h * droll, pitch + h * dpitch, wrap_angle(yaw + h * dyaw));
+        }
+        now
+    }
+
+    /// How the disturbances move what leads a vehicle at the heading `yaw` along `reference`.
+    pub fn shift(&self, reference: &Reference, yaw: f64) -> Shift {
+        let Disturbance {
+            velocity,
+            drag_per_s,
+            world: [north, east],
+            body: [front, right],
+            along_thrust,
+            attitude,
+        } = self.disturbance;
+        let (sin, cos) = yaw.sin_cos();
+        let turned = |north: f64, east: f64| [cos * north + sin * east, cos * east - sin * north];
+        let [vn, ve, _] = reference.velocity.to_array();
+        let [ahead, aside] = turned(north - drag_per_s * vn, east - drag_per_s * ve);
+        let (ahead, aside) = (ahead + front, aside + right);
+        // Nose up pushes back, right side down pushes right.
+        let gravity = self.vehicle.gravity;
+        let (roll, pitch) = ((-aside / gravity).atan(), (ahead / gravity).atan());
+        // Drag turns with the velocity; of what is fixed in the world the body makes no turn.
+        let thrust = reference.feedforward.thrust_n / self.vehicle.mass_kg;
+        let push = reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -thrust));
+        let [more_ahead, more_aside] =
+            turned(-drag_per_s * push.north(), -drag_per_s * push.east());
+        Shift {
+            velocity: -velocity,
+            attitude: Euler::new(roll, pitch, 0.0),
+            input: Setpoint {
+                thrust_n: self.vehicle.mass_kg * along_thrust,
+                attitude: Euler::new(roll - attitude[0], pitch - attitude[1], -attitude[2]),
+                body_rate: Frd::new(-more_aside / gravity, more_ahead / gravity, 0.0),
+            },
+        }
+    }
+}
+
+impl Motion {
+    fn starting(
+        at: VehicleTime,
+        state: &State,
+        sent: &Setpoint,
+        disturbance: &Disturbance,
+    ) -> Self {
+        Self {
+            at,
+            position: state.position,
+            velocity: state.velocity + disturbance.velocity,
+            seen: state.attitude,
+            delayed: *sent,
+            thrust_n: sent.thrust_n,
+            attitude: state.attitude.euler(),
+            body_rate: state.body_rate,
+            turn: Frd::zero(),
+        }
+    }
+
+    fn is_finite(&self) -> bool {
+        let Euler { roll, pitch, yaw } = self.attitude;
+        self.position.is_finite()
+            && self.velocity.is_finite()
+            && self.body_rate.is_finite()
+            && [roll, pitch, yaw, self.thrust_n].iter().all(|number| number.is_finite())
+    }
+}
+
+fn bounded([x, y]: [f64; 2], largest: f64) -> [f64; 2] {
+    let scale = (largest / x.hypot(y)).min(1.0);
+    [x * scale, y * scale]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sitl::rigid_body::RigidBody;
+
+    const QUAD: HoverVehicle =
+        HoverVehicle { mass_kg: 1.2, inertia: [0.0115, 0.0125, 0.021], gravity: 9.81 };
+    const PERIOD_S: f64 = 0.01;
+
+    fn observer() -> DisturbanceObserver {
+        DisturbanceObserver::new(
+            OffsetFreeSettings::default(),
+            QUAD,
+            AttitudeLoop::PX4,
+            AttitudeError::Rotation,
+            Actuation::IMMEDIATE,
+        )
+    }
+
+    fn at(tick: u32) -> VehicleTime {
+        VehicleTime::from_ms(1000 + tick * 10)
+    }
+
+    /// A vehicle that stays at `state`, moving and turning as that says, though it is sent `sent`.
+    fn watched(
+        state: State,
+        sent: &Setpoint,
+        expected: &Expected,
+        ticks: u32,
+    ) -> DisturbanceObserver {
+        let mut observer = observer();
+        for tick in 0..ticks {
+            let t = f64::from(tick) * PERIOD_S;
+            let position = state.position + state.velocity * t;
+            observer.observe(at(tick), &State { position, ..state }, sent, expected);
+        }
+        observer
+    }
+
+    fn hover(thrust_share: f64) -> Setpoint {
+        Setpoint { thrust_n: thrust_share * QUAD.hover_thrust_n(), ..Setpoint::default() }
+    }
+
+    #[test]
+    fn thrust_that_holds_a_heavier_vehicle_is_held() {
+        let observer = watched(State::default(), &hover(1.2), &Expected::default(), 500);
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!((shift.input.thrust_n - 0.2 * QUAD.hover_thrust_n()).abs() < 1e-3);
+        assert!(shift.attitude.pitch.abs() < 1e-6 && shift.velocity.norm() < 1e-6);
+    }
+
+    #[test]
+    fn tilt_that_stands_against_wind_is_held_at_every_heading() {
+        // Nose down into a wind from the north, which pushes south.
+        let attitude = Euler::new(0.0, -0.2, 0.0);
+        let state = State { attitude: attitude.attitude(), ..State::default() };
+        let sent = Setpoint { attitude, ..hover(1.0 / 0.2_f64.cos()) };
+        let observer = watched(state, &sent, &Expected::default(), 500);
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!((shift.attitude.pitch + 0.2).abs() < 0.01, "{shift:?}");
+        assert!((shift.input.attitude.pitch - shift.attitude.pitch).abs() < 0.005);
+    }
+
+    #[test]
+    fn what_the_reference_expects_is_not_estimated_again() {
+        let attitude = Euler::new(0.0, -0.2, 0.0);
+        let state = State { attitude: attitude.attitude(), ..State::default() };
+        let sent = Setpoint { attitude: Euler::new(0.0, -0.15, 0.0), ..hover(1.0) };
+        let push = 9.81 * 0.2_f64.sin();
+        let sink = 9.81 * (1.0 - 0.2_f64.cos());
+        let expected =
+            Expected { acceleration: Ned::new(-push, 0.0, -sink), attitude: [0.0, -0.05, 0.0] };
+        let observer = watched(state, &sent, &expected, 500);
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!(shift.attitude.pitch.abs() < 1e-3, "{shift:?}");
+        assert!(shift.input.attitude.pitch.abs() < 1e-3 && shift.input.thrust_n.abs() < 0.02);
+    }
+
+    #[test]
+    fn attitude_beside_the_one_sent_is_made_up_for() {
+        let state = State { attitude: Euler::new(0.05, 0.0, 0.1).attitude(), ..State::default() };
+        let observer = watched(state, &hover(1.0), &Expected::default(), 500);
+        let shift = observer.shift(&Reference::default(), 0.1);
+        let beside = shift.input.attitude.roll - shift.attitude.roll;
+        assert!((beside + 0.05).abs() < 1e-3, "{shift:?}");
+        assert!((shift.input.attitude.yaw + 0.1).abs() < 1e-3, "{shift:?}");
+    }
+
+    #[test]
+    fn velocity_that_the_position_does_not_have_is_left_out() {
+        let mut observer = observer();
+        let state = State { velocity: Ned::new(0.0, -0.13, 0.0), ..State::default() };
+        for tick in 0..300 {
+            observer.observe(at(tick), &state, &hover(1.0), &Expected::default());
+        }
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!((shift.velocity - state.velocity).norm() < 1e-3, "{shift:?}");
+        assert!(shift.attitude.roll.abs() < 0.01, "{shift:?}");
+    }
+
+    #[test]
+    fn nothing_beyond_its_bounds_is_believed_and_a_reset_forgets() {
+        let settings = OffsetFreeSettings::default();
+        let state = State { velocity: Ned::new(30.0, 0.0, 0.0), ..State::default() };
+        let mut observer = observer();
+        for tick in 0..200 {
+            let down = -0.5 * 40.0 * (f64::from(tick) * PERIOD_S).powi(2);
+            let state = State { position: Ned::new(0.0, 0.0, down), ..state };
+            let sent = Setpoint { attitude: Euler::new(0.5, 0.5, 2.0), ..hover(1.5) };
+            observer.observe(at(tick), &state, &sent, &Expected::default());
+            let Disturbance { velocity, drag_per_s, world, body, along_thrust, attitude } =
+                observer.disturbance;
+            assert!(velocity.norm() <= settings.velocity_max_m_s * (1.0 + 1e-9));
+            assert!((0.0..=DRAG_MAX_PER_S).contains(&drag_per_s));
+            let largest = settings.acceleration_max_m_s2 * (1.0 + 1e-9);
+            assert!(world[0].hypot(world[1]) <= largest && body[0].hypot(body[1]) <= largest);
+            assert!(along_thrust.abs() <= largest);
+            assert!(attitude.iter().all(|angle| angle.abs() <= settings.attitude_max_rad));
+        }
+        observer.reset();
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert_eq!(shift.input.thrust_n, 0.0);
+        assert_eq!(shift.velocity, Ned::zero());
+    }
+
+    #[test]
+    fn drag_of_a_circle_is_told_from_wind() {
+        const DRAG_PER_S: f64 = 0.6;
+        let wind = Ned::new(2.0, -1.0, 0.0);
+        let body = RigidBody::new(QUAD.mass_kg, QUAD.inertia, QUAD.gravity);
+        let mut observer = observer();
+        let turn = 1.3_f64;
+        for tick in 0..2000 {
+            let (sin, cos) = (turn * f64::from(tick) * PERIOD_S).sin_cos();
+            let position = Ned::new(sin, -cos, 0.0);
+            let velocity = Ned::new(cos, sin, 0.0) * turn;
+            let wanted = Ned::new(-sin, cos, 0.0) * turn.powi(2);
+            let carried = wanted + (velocity - wind) * DRAG_PER_S - Ned::new(0.0, 0.0, 9.81);
+            let [north, east, down] = carried.to_array();
+            let attitude = Euler::new((east / carried.norm()).asin(), (-north).atan2(-down), 0.0);
+            let thrust_n = QUAD.mass_kg * carried.norm();
+            let state =
+                State { position, velocity, attitude: attitude.attitude(), ..State::default() };
+            let (push, _) = body.accelerations(&state, Frd::new(0.0, 0.0, -thrust_n), Frd::zero());
+            assert!((push - wanted - (velocity - wind) * DRAG_PER_S).norm() < 1e-9);
+            let sent = Setpoint { thrust_n, attitude, ..Setpoint::default() };
+            observer.observe(at(tick), &state, &sent, &Expected::default());
+        }
+        let Disturbance { drag_per_s, world: [north, east], body: [front, right], .. } =
+            observer.disturbance;
+        assert!((drag_per_s - DRAG_PER_S).abs() < 0.05, "{drag_per_s}");
+        assert!((north + front - DRAG_PER_S * 2.0).abs() < 0.15, "{north} {front}");
+        assert!((east + right + DRAG_PER_S).abs() < 0.15, "{east} {right}");
+    }
+}

@@ -1,0 +1,34 @@
+//! What kind of vehicle the log is of: nothing is concluded of others than quadrotors.
+
+use super::{Audit, Finding, Severity};
+use crate::log::import::Flight;
+
+/// A quadrotor's motors.
+const MOTORS: u32 = 4;
+
+pub(super) fn check(flight: &Flight, audit: &mut Audit) {
+    if let Some(stated) = flight.facts.stated_otherwise() {
+        audit.findings.push(Finding {
+            severity: Severity::Fault,
+            check: "vehicle_kind",
+            stream: None,
+            found: 0.0,
+            expected: 1.0,
+            unit: "",
+            what: format!("the log is of {}: {}", stated.kind, stated.by),
+            advice: "only quadrotors are understood: nothing is concluded from this log",
+        });
+    }
+    if let Some(motors) = flight.facts.motors.filter(|motors| *motors != MOTORS) {
+        audit.findings.push(Finding {
+            severity: Severity::Fault,
+            check: "motor_count",
+            stream: Some("outputs"),
+            found: f64::from(motors),
+            expected: f64::from(MOTORS),
+            unit: "",
+            what: format!("the autopilot drives {motors} motors"),
+            advice: "only quadrotors are understood: the log is of another kind of vehicle",
+        });
+    }
+}

@@ -1,0 +1,81 @@
+//! Files that people take for flight logs, called what they are.
+
+/// First bytes, what begins with them, and what to do.
+const MAGICS: [(&[u8], &str); 16] = [
+    (
+        b"ULogEnc",
+        "an encrypted log of PX4 (.ulge): decrypt it with PX4's tools and the private key of the vehicle \
+         first",
+    ),
+    (b"PK\x03\x04", "a compressed file (zip): unpack it first"),
+    (b"\x1F\x8B", "a compressed file (gzip): unpack it first"),
+    (b"\xFD7zXZ\0", "a compressed file (xz): unpack it first"),
+    (b"BZh", "a compressed file (bzip2): unpack it first"),
+    (b"7z\xBC\xAF\x27\x1C", "a compressed file (7z): unpack it first"),
+    (b"\x28\xB5\x2F\xFD", "a compressed file (zstd): unpack it first"),
+    (b"#ROSBAG", "a bag of ROS 1: export its topics as a table (.csv)"),
+    (
+        b"SQLite format 3\0",
+        "a database, as of a ROS 2 bag (.db3): export its topics as a table (.csv)",
+    ),
+    (b"\x89HDF", "an HDF5 file: export it as a table (.csv)"),
+    (b"MATLAB ", "a MATLAB file: export it as a table (.csv)"),
+    (b"PAR1", "a Parquet file: export it as a table (.csv)"),
+    (
+        b"H Product:Blackbox",
+        "a blackbox log of Betaflight or INAV: export it as a table (.csv) with its decoder",
+    ),
+    (b"%PDF", "a PDF"),
+    (b"\x89PNG", "a picture"),
+    (b"version https://git-lfs", "a pointer of Git LFS in place of the file: fetch the file first"),
+];
+
+/// How texts of other kinds begin, and what they are.
+const TEXTS: [(&str, &str); 9] = [
+    (
+        "FMT, 128,",
+        "a log of ArduPilot as text, as ground stations write it: give the .bin that it was made of",
+    ),
+    ("<!doctype html", "a web page, perhaps of a download that failed: download the file anew"),
+    ("<html", "a web page, perhaps of a download that failed: download the file anew"),
+    ("<?xml", "an XML file"),
+    ("{", "a JSON file"),
+    ("QGC WPL", "waypoints of a ground station"),
+    ("# Onboard parameters", "parameters of a ground station (for `downwash vehicle init`)"),
+    ("# MAV ID", "parameters of a ground station (for `downwash vehicle init`)"),
+    ("#NOTE:", "parameters of a ground station (for `downwash vehicle init`)"),
+];
+
+/// What a file is that begins with `head`, if it is known and no log.
+pub(super) fn known(head: &[u8], extension: Option<&str>) -> Option<&'static str> {
+    if head.is_empty() {
+        return Some("an empty file: nothing was written, or the copy failed");
+    }
+    if head.iter().all(|byte| *byte == 0) {
+        return Some(
+            "zeros: space that was set aside and never written, or a damaged card; copy the log anew",
+        );
+    }
+    if let Some((_, found)) = MAGICS.iter().find(|(magic, _)| head.starts_with(magic)) {
+        return Some(found);
+    }
+    match extension {
+        // Before PX4 1.16 the key had a file of its own and the log no first bytes.
+        Some("ulge") if !head.starts_with(&super::ulog::MAGIC) => Some(MAGICS[0].1),
+        Some("ulgk") => Some("the key of an encrypted log of PX4, not the log"),
+        _ => None,
+    }
+}
+
+/// What a text is, if it is known and no table.
+pub(super) fn known_text(text: &str) -> Option<&'static str> {
+    let text = text.trim_start_matches(['\u{feff}', ' ', '\t', '\r', '\n']);
+    let begins = |start: &str| {
+        text.get(..start.len()).is_some_and(|begin| begin.eq_ignore_ascii_case(start))
+    };
+    TEXTS.iter().find(|(start, _)| begins(start)).map(|(_, found)| *found)
+}
+
+/// What a DataFlash file is that is none of ArduPilot's, by what it defines.
+pub(super) const SDLOG2: &str = "a log of PX4 before ULog (sdlog2, until 2016): PX4 1.4 and later write \
+                                 ULog (.ulg), which is read";

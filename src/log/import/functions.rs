@@ -1,0 +1,255 @@
+//! Which outputs drive motors, by the functions of outputs that parameters state.
+
+use std::collections::BTreeMap;
+
+/// Motors of a quadrotor.
+pub(super) const MOTORS: usize = 4;
+/// Outputs of a device at most.
+pub(super) const OUTPUTS: usize = 16;
+
+/// Devices of PX4 in the order in which they start, by how their parameters begin; others follow.
+const PX4_DEVICES: [&str; 3] = ["PWM_MAIN", "PWM_AUX", "UAVCAN_EC"];
+/// Function of PX4's first motor.
+pub(super) const PX4_MOTOR_1: f64 = 101.0;
+/// Function of ArduPilot's first motor.
+const ARDUPILOT_MOTOR_1: f64 = 33.0;
+/// Outputs of ArduPilot.
+const ARDUPILOT_OUTPUTS: usize = 32;
+/// An output that changes from sample to sample in less than this share of them does not move.
+const MOVES: f64 = 0.05;
+
+/// A device of PX4 whose outputs have stated functions.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Device {
+    /// How its parameters begin.
+    pub name: String,
+    /// Of each output, from the first.
+    functions: [Option<f64>; OUTPUTS],
+}
+
+impl Device {
+    /// The outputs of motors 1 to 4, all from 0.
+    fn motors(&self) -> [Option<usize>; MOTORS] {
+        std::array::from_fn(|motor| {
+            self.functions.iter().position(|f| *f == Some(PX4_MOTOR_1 + motor as f64))
+        })
+    }
+}
+
+/// The devices of PX4 that parameters state functions of.
+fn px4_devices(parameters: &BTreeMap<String, f64>) -> Vec<Device> {
+    let mut stated: BTreeMap<&str, [Option<f64>; OUTPUTS]> = BTreeMap::new();
+    for (name, function) in parameters {
+        let Some((device, number)) = name.rsplit_once("_FUNC") else { continue };
+        let output = number.parse::<usize>().ok().and_then(|number| number.checked_sub(1));
+        let Some(output) = output.filter(|output| *output < OUTPUTS) else { continue };
+        stated.entry(device).or_default()[output] = Some(*function);
+    }
+    let device = |(name, functions): (&str, _)| Device { name: name.to_owned(), functions };
+    let mut devices: Vec<Device> = stated.into_iter().map(device).collect();
+    let order = |device: &Device| PX4_DEVICES.iter().position(|name| *name == device.name);
+    devices.sort_by_key(|device| order(device).unwrap_or(PX4_DEVICES.len()));
+    devices
+}
+
+/// Which outputs of one device move. Those of motors do from sample to sample in flight; what only
+/// goes from disarmed to armed does not.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Movement {
+    samples: usize,
+    last: Option<[f64; OUTPUTS]>,
+    changes: [usize; OUTPUTS],
+    /// Outputs that the device has.
+    count: usize,
+}
+
+impl Movement {
+    /// Of a device with so many outputs.
+    pub fn of(count: usize) -> Self {
+        Self { count, ..Self::default() }
+    }
+
+    /// Takes in the next sample.
+    pub fn add(&mut self, outputs: [f64; OUTPUTS]) {
+        self.samples += 1;
+        if let Some(last) = self.last.replace(outputs) {
+            for ((changes, last), now) in self.changes.iter_mut().zip(last).zip(outputs) {
+                *changes += usize::from(now != last);
+            }
+        }
+    }
+
+    fn moves(&self, output: usize) -> bool {
+        let changes = self.changes.get(output).copied().unwrap_or(0);
+        output < self.count && changes > 2 && changes as f64 > MOVES * self.samples as f64
+    }
+}
+
+/// The outputs that drive motors 1 to 4.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Drive {
+    /// Which of the devices that log.
+    pub index: usize,
+    /// Its outputs, from 0.
+    pub channels: [usize; MOTORS],
+    /// How the parameters of the device begin; `None` where no parameter says so.
+    pub device: Option<String>,
+}
+
+impl Drive {
+    /// How the outputs are known, for a person.
+    pub fn reason(&self) -> String {
+        match &self.device {
+            Some(device) => format!("by {device}_FUNCn"),
+            None => {
+                "as no parameter says which output drives which motor: the first device was taken \
+                     whose outputs 1 to 4 all move"
+                    .to_owned()
+            }
+        }
+    }
+}
+
+/// The outputs that drive motors of PX4, of the devices that log. A log does not say which device is
+/// which: they start in one order, motors move in flight, and outputs without a function do not.
+///
+/// # Errors
+/// Why there are none, for a person.
+pub(super) fn px4_drive(
+    parameters: &BTreeMap<String, f64>,
+    logged: &[Movement],
+) -> Result<Drive, String> {
+    let devices = px4_devices(parameters);
+    let mut driving = devices.iter().enumerate().filter_map(|(at, device)| {
+        let [Some(a), Some(b), Some(c), Some(d)] = device.motors() else { return None };
+        Some((at, device, [a, b, c, d]))
+    });
+    let Some((at, device, channels)) = driving.next() else {
+        if !devices.is_empty() {
+            let split = devices.iter().filter(|device| device.motors().iter().any(Option::is_some));
+            let names: Vec<&str> = split.map(|device| device.name.as_str()).collect();
+            return Err(match names.as_slice() {
+                [] => "the functions of outputs that parameters state are of no motor".to_owned(),
+                names => format!(
+                    "no device drives all of motors 1 to 4: some are of {}",
+                    names.join(", ")
+                ),
+            });
+        }
+        let channels = [0, 1, 2, 3];
+        let all_move = |m: &Movement| channels.iter().all(|channel| m.moves(*channel));
+        let index = logged.iter().position(all_move).unwrap_or(0);
+        return Ok(Drive { index, channels, device: None });
+    };
+    let score = |index: usize, movement: &Movement| {
+        let motors = channels.iter().filter(|channel| movement.moves(**channel)).count();
+        let idle = |output: &usize| device.functions[*output] == Some(0.0);
+        let still = (0..OUTPUTS).filter(idle).filter(|output| !movement.moves(*output)).count();
+        (motors == MOTORS, still, index == at, motors)
+    };
+    let best = logged.iter().enumerate().rev().max_by_key(|(index, m)| score(*index, m));
+    let index = best.map_or(0, |(index, _)| index);
+    Ok(Drive { index, channels, device: Some(device.name.clone()) })
+}
+
+/// What ArduPilot's parameters state.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Stated {
+    /// No functions: outputs 1 to 4 drive motors 1 to 4, as before ArduCopter 3.5.
+    Nothing,
+    /// The outputs of motors 1 to 4, from 0.
+    Motors([usize; MOTORS]),
+    /// Functions, but not of these motors, from 1.
+    Without(Vec<usize>),
+}
+
+/// What drives motors 1 to 4 of ArduPilot (SERVOn_FUNCTION).
+pub(super) fn ardupilot_motors(parameters: &BTreeMap<String, f64>) -> Stated {
+    let function = |at: usize| parameters.get(&format!("SERVO{}_FUNCTION", at + 1)).copied();
+    if (0..ARDUPILOT_OUTPUTS).all(|at| function(at).is_none()) {
+        return Stated::Nothing;
+    }
+    let output = |motor: usize| {
+        let wanted = Some(ARDUPILOT_MOTOR_1 + motor as f64);
+        (0..ARDUPILOT_OUTPUTS).find(|at| function(*at) == wanted)
+    };
+    let outputs: [Option<usize>; MOTORS] = std::array::from_fn(output);
+    match outputs {
+        [Some(a), Some(b), Some(c), Some(d)] => Stated::Motors([a, b, c, d]),
+        outputs => {
+            let missing = (0..MOTORS).filter(|motor| outputs[*motor].is_none());
+            Stated::Without(missing.map(|motor| motor + 1).collect())
+        }
+    }
+}
+
+/// The numbers of outputs, from 1, for a person.
+pub(super) fn numbered(outputs: &[usize]) -> String {
+    let numbers: Vec<String> = outputs.iter().map(|output| (output + 1).to_string()).collect();
+    numbers.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parameters(named: &[(&str, f64)]) -> BTreeMap<String, f64> {
+        named.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect()
+    }
+
+    /// A device whose outputs in `moving` move.
+    fn logged(moving: &[usize]) -> Movement {
+        let mut movement = Movement::of(8);
+        for step in 0..50 {
+            let value = |at: usize| if moving.contains(&at) { f64::from(step) } else { 900.0 };
+            movement.add(std::array::from_fn(value));
+        }
+        movement
+    }
+
+    fn motors(device: &str) -> Vec<(String, f64)> {
+        (1..=8)
+            .map(|n| (format!("{device}_FUNC{n}"), if n < 5 { 100.0 + f64::from(n) } else { 0.0 }))
+            .collect()
+    }
+
+    #[test]
+    fn motors_are_where_functions_and_movement_agree() {
+        let mut stated: BTreeMap<String, f64> = motors("PWM_AUX").into_iter().collect();
+        stated.extend((1..=8).map(|n| (format!("PWM_MAIN_FUNC{n}"), 0.0)));
+        let found = |logged: &[Movement]| px4_drive(&stated, logged).map(|drive| drive.index);
+        let (gimbal, quad) = (logged(&[0]), logged(&[0, 1, 2, 3]));
+        assert_eq!(found(&[gimbal.clone(), quad.clone()]), Ok(1));
+        // Whatever the order in which the devices came up.
+        assert_eq!(found(&[quad.clone(), gimbal]), Ok(0));
+        // Servos on the first four of MAIN move too: the order of the devices decides.
+        stated.extend((1..=4).map(|n| (format!("PWM_MAIN_FUNC{n}"), 200.0 + f64::from(n))));
+        assert_eq!(px4_drive(&stated, &[quad.clone(), quad]).map(|drive| drive.index), Ok(1));
+    }
+
+    #[test]
+    fn without_functions_the_first_device_that_moves_is_taken() {
+        let none = BTreeMap::new();
+        let drive = px4_drive(&none, &[logged(&[]), logged(&[0, 1, 2, 3])]).expect("a drive");
+        assert_eq!((drive.index, drive.device), (1, None));
+        assert_eq!(px4_drive(&none, &[logged(&[])]).expect("a drive").index, 0);
+    }
+
+    #[test]
+    fn what_drives_no_motor_is_said() {
+        let wing = parameters(&[("PWM_MAIN_FUNC1", 201.0)]);
+        assert!(px4_drive(&wing, &[logged(&[0])]).unwrap_err().contains("of no motor"));
+        let split = parameters(&[("PWM_MAIN_FUNC1", 101.0), ("PWM_AUX_FUNC1", 102.0)]);
+        assert!(px4_drive(&split, &[logged(&[0])]).unwrap_err().contains("PWM_MAIN, PWM_AUX"));
+    }
+
+    #[test]
+    fn ardupilots_motors_are_by_their_functions() {
+        let stated: Vec<(String, f64)> =
+            (0..4).map(|n| (format!("SERVO{}_FUNCTION", 9 + n), 36.0 - f64::from(n))).collect();
+        assert_eq!(ardupilot_motors(&stated.into_iter().collect()), Stated::Motors([11, 10, 9, 8]));
+        assert_eq!(ardupilot_motors(&BTreeMap::new()), Stated::Nothing);
+        let wing = parameters(&[("SERVO1_FUNCTION", 4.0), ("SERVO3_FUNCTION", 70.0)]);
+        assert_eq!(ardupilot_motors(&wing), Stated::Without(vec![1, 2, 3, 4]));
+    }
+}

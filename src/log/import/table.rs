@@ -1,0 +1,200 @@
+//! Tables (CSV) into flights, by a mapping file.
+
+mod head;
+mod numbers;
+mod text;
+
+use std::io::{self, Cursor, Read};
+
+use super::Contents;
+use super::flight::{AttitudeSetpoint, Flight, MotorSource, MotorUnit, Stream};
+use super::mapping::{self, Cell, Mapping, Outputs, Row};
+use super::tally::Tally;
+pub(super) use head::{Head, Sheet};
+use head::{Layout, records};
+pub(super) use numbers::Numbers;
+pub(super) use text::decoded;
+
+/// A pause of more periods than this is a gap.
+const GAP_PERIODS: f64 = 3.0;
+/// Why a row is left out.
+const OTHER_WIDTH: &str = "row with more or fewer cells than the header";
+
+/// Why a table could not be read.
+#[derive(Debug)]
+pub(super) enum TableError {
+    /// Reading failed.
+    Io(io::Error),
+    /// The mapping does not fit the table, or the table has no header; in words.
+    Unmapped(String),
+}
+
+impl From<io::Error> for TableError {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl From<csv::Error> for TableError {
+    fn from(error: csv::Error) -> Self {
+        match error.into_kind() {
+            csv::ErrorKind::Io(error) => Self::Io(error),
+            other => Self::Unmapped(format!("the table cannot be cut into cells: {other:?}")),
+        }
+    }
+}
+
+/// Reads the table into `flight`. Returns what its first row is like that cannot be used.
+///
+/// # Errors
+/// [`TableError`]. Rows that cannot be used are counted, and are no error.
+pub(super) fn read(
+    source: impl Read,
+    mapping: &Mapping,
+    flight: &mut Flight,
+) -> Result<Contents, TableError> {
+    let mut source = decoded(source)?;
+    let head = Head::read(&mut source, mapping.skip_lines.unwrap_or(0))?;
+    let Layout { separator, records_above, cells: [least, most], reader } =
+        head.layout(mapping).map_err(TableError::Unmapped)?;
+    let mut table = records(separator, Cursor::new(head.bytes).chain(source));
+    let mut record = csv::ByteRecord::new();
+    for _ in 0..records_above {
+        table.read_byte_record(&mut record)?;
+    }
+
+    let mut tally = Tally::default();
+    let mut numbers = Numbers::new(mapping.decimal, separator);
+    let mut rows: Vec<f64> = Vec::new();
+    let mut cells = vec![Cell::Empty; most];
+    let mut refused = None;
+    let mut index = 0;
+    while table.read_byte_record(&mut record)? {
+        let number = index;
+        index += 1;
+        let filled = record.iter().rposition(|cell| !cell.is_empty()).map_or(0, |last| last + 1);
+        if filled == 0 {
+            continue;
+        }
+        if record.len() < least || filled > most {
+            // A quotation mark that nothing closes takes in all lines behind it.
+            let lines = 1 + record.as_slice().iter().filter(|byte| **byte == b'\n').count();
+            tally.add(OTHER_WIDTH, lines as u64);
+            refused.get_or_insert_with(|| {
+                format!("row {} has {} cells where the header has {most}", number + 1, record.len())
+            });
+            continue;
+        }
+        for (at, cell) in cells.iter_mut().enumerate() {
+            *cell = match record.get(at) {
+                Some(text) if reader.uses(at) => numbers.read(text),
+                _ => Cell::Empty,
+            };
+        }
+        match reader.read(number, &cells) {
+            Err(reason) => {
+                tally.add(reason, 1);
+                refused.get_or_insert_with(|| {
+                    format!("row {}: {}", number + 1, String::from_utf8_lossy(record.as_slice()))
+                });
+            }
+            Ok(row) => {
+                let last = rows.last().copied().unwrap_or(f64::NEG_INFINITY);
+                let [kept, unordered] = keep(&row, flight);
+                match (kept, unordered) {
+                    (0, 0) if row.time > last => rows.push(row.time),
+                    (0, _) if row.time == last => {
+                        tally.add("row with the time of the row before", 1)
+                    }
+                    (0, _) => tally.add("row with an earlier time than the row before", 1),
+                    (_, unordered) => {
+                        tally.add("sample at or before the time of the one before", unordered);
+                        if row.time > last {
+                            rows.push(row.time);
+                        }
+                    }
+                }
+            }
+        }
+    }
+    if let Some(doubt) = numbers.doubt() {
+        return Err(TableError::Unmapped(doubt));
+    }
+    flight.facts.notes.extend(reader.notes().iter().cloned());
+    flight.motor_source = MotorSource::Table;
+    flight.motor_unit = match reader.outputs() {
+        Outputs::Fraction => MotorUnit::ThrustFraction,
+        Outputs::Newton => MotorUnit::Newton,
+    };
+    tally.add("gap of more than 3 periods between rows", gaps(&rows));
+    flight.rows = Some(rows);
+    flight.left_out.extend(tally.into_vec());
+    Ok(Contents { reason: refused, ..Contents::default() })
+}
+
+/// Whether a text may be a table: some line of its beginning is one of numbers.
+pub(super) fn looks_like_one(text: &str) -> bool {
+    Head::read(&mut text.as_bytes(), 0).is_ok_and(|head| head.has_numbers())
+}
+
+/// A mapping file to start from for the table that `source` begins with.
+///
+/// # Errors
+/// Those of `source`, and a file that looks like no table, in words.
+pub(super) fn propose(source: impl Read) -> Result<String, TableError> {
+    let mut source = decoded(source)?;
+    let head = Head::read(&mut source, 0)?;
+    for (name, text) in mapping::SHIPPED {
+        // Those of one program's exports say what they expect of them.
+        let fits =
+            Mapping::parse(text).is_ok_and(|m| !m.expect.is_empty() && head.layout(&m).is_ok());
+        if fits {
+            let title =
+                format!("# The shipped mapping {name:?} fits this table (--mapping {name}):\n\n");
+            return Ok(title + text);
+        }
+    }
+    let sheet = head.table().ok_or_else(|| {
+        let message = "no line of names is followed by a line of numbers: it looks like no table";
+        TableError::Unmapped(message.to_owned())
+    })?;
+    Ok(mapping::propose(&sheet))
+}
+
+/// Appends a row's samples. Returns how many were kept, and how many were not later than one of
+/// theirs before.
+fn keep(row: &Row, flight: &mut Flight) -> [u64; 2] {
+    fn push<T>(stream: &mut Stream<T>, time: f64, value: Option<T>, count: &mut [u64; 2]) {
+        if let Some(value) = value {
+            count[usize::from(!stream.push(time, value))] += 1;
+        }
+    }
+    let (time, mut count) = (row.time, [0, 0]);
+    push(&mut flight.position, time, row.position, &mut count);
+    push(&mut flight.velocity, time, row.velocity, &mut count);
+    push(&mut flight.attitude, time, row.attitude, &mut count);
+    push(&mut flight.body_rate, time, row.body_rate, &mut count);
+    push(&mut flight.specific_force, time, row.specific_force, &mut count);
+    push(&mut flight.outputs, time, row.outputs, &mut count);
+    push(&mut flight.rotor_speed, time, row.rotor_speed, &mut count);
+    push(&mut flight.voltage, time, row.voltage, &mut count);
+    let setpoint = AttitudeSetpoint {
+        attitude: row.setpoint_attitude,
+        body_rate: row.setpoint_rate,
+        thrust: row.setpoint_thrust,
+    };
+    let is_any =
+        setpoint.attitude.is_some() || setpoint.body_rate.is_some() || setpoint.thrust.is_some();
+    push(&mut flight.setpoint, time, is_any.then_some(setpoint), &mut count);
+    count
+}
+
+fn gaps(rows: &[f64]) -> u64 {
+    let mut periods: Vec<f64> = rows.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    if periods.is_empty() {
+        return 0;
+    }
+    let middle = periods.len() / 2;
+    let median = *periods.select_nth_unstable_by(middle, f64::total_cmp).1;
+    periods.iter().filter(|period| **period > GAP_PERIODS * median).count() as u64
+}

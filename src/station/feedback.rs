@@ -1,0 +1,46 @@
+//! What flies a vehicle whose autopilot is known: the feedback, and the reference as it is followed.
+
+use std::sync::Arc;
+
+use super::StationSettings;
+use super::attitude_loop::attitude_loop;
+use crate::control::{AttitudeError, Controller, DesignError, DisturbanceObserver, Lqr};
+use crate::link::profile::Profile;
+use crate::plan::reference::{FeedForward, ReferenceSource};
+
+/// Feedback and reference for one autopilot.
+pub(super) struct Feedback {
+    pub controller: Controller,
+    pub reference: Arc<dyn ReferenceSource + Send + Sync>,
+}
+
+/// Feedback around the loop of `profile`'s autopilot.
+///
+/// The bundled vehicle's loop is the paper's, and so is its feedback unless it is set otherwise.
+/// Any other autopilot's is its own: it acts on the rotation to the desired attitude, and what the
+/// design does not know of it must not stay as an error.
+pub(super) fn feedback(
+    profile: &Profile,
+    settings: &StationSettings,
+) -> Result<Feedback, DesignError> {
+    let StationSettings { actuation, hover, lqr, attitude_pd, pilot, .. } = settings;
+    let is_own_loop = profile.name != Profile::BUNDLED.name;
+    let error = if is_own_loop { AttitudeError::Rotation } else { AttitudeError::Angles };
+    let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
+    let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
+    let observer = pilot.offset_free.observer.applies(is_own_loop).then(|| {
+        DisturbanceObserver::new(pilot.offset_free, *hover, attitude_loop, error, *actuation)
+    });
+    let feed_forward = pilot.offset_free.feed_forward.applies(is_own_loop).then(|| FeedForward {
+        mass_kg: hover.mass_kg,
+        gravity: hover.gravity,
+        tilt_max_rad: pilot.limits.tilt_max_rad,
+        attitude_delay_s: actuation.attitude_delay_s(&attitude_loop),
+        thrust_delay_s: actuation.thrust_delay_s(),
+    });
+    let fed_forward = feed_forward.and_then(|with| settings.reference.with_feed_forward(&with));
+    Ok(Feedback {
+        controller: Controller::new(lqr, error, observer),
+        reference: fed_forward.unwrap_or_else(|| Arc::clone(&settings.reference)),
+    })
+}

@@ -1,0 +1,89 @@
+//! Whole flights of the daemon's station with the simulated vehicle as each autopilot, in lockstep.
+
+mod lockstep;
+
+use downwash::clock::HostTime;
+use downwash::log::record::{Direction, Record};
+use downwash::station::End;
+use lockstep::{Bench, QUAD, errors, fly, hover, masks, params, settings, tracked};
+use sitl::config::{Autopilot, SitlConfig, Stall};
+
+/// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust.
+fn set_up(autopilot: Autopilot) -> SitlConfig {
+    let parameters: &[(&str, f64)] = match autopilot {
+        Autopilot::Bundled => &[],
+        Autopilot::Px4 => &[("COM_OF_LOSS_T", 0.2)],
+        Autopilot::Arducopter => {
+            &[("GUID_OPTIONS", 8.0), ("ATC_ANGLE_BOOST", 0.0), ("GUID_TIMEOUT", 0.2)]
+        }
+    };
+    let parameters = parameters.iter().map(|(name, value)| ((*name).to_owned(), *value));
+    SitlConfig { autopilot, parameters: parameters.collect(), ..SitlConfig::default() }
+}
+
+#[test]
+fn each_autopilot_is_flown_from_take_off_to_landing_with_the_mask_that_it_takes() {
+    let cases = [
+        (Autopilot::Bundled, "bundled", 0x00),
+        (Autopilot::Px4, "PX4", 0x07),
+        (Autopilot::Arducopter, "ArduCopter", 0x07),
+    ];
+    for (autopilot, name, mask) in cases {
+        let params = params(QUAD);
+        let settings = settings(&params, hover(10.0));
+        let (end, records) = fly(settings, &params, &[], set_up(autopilot), 1);
+        assert_eq!(end, End::Done, "{name}");
+        let named = records.iter().any(|record| match record {
+            Record::Event { text, .. } => text.contains(&format!("vehicle is {name}")),
+            _ => false,
+        });
+        assert!(named, "the station takes it for {name}");
+        assert_eq!(masks(&records), [mask], "{name}");
+        let (rms, most) = errors(&records);
+        assert!(rms < 0.2 && most < 0.5, "{name}: {rms} m, {most} m");
+    }
+}
+
+#[test]
+fn same_seed_gives_the_same_flight_with_wander_and_slip() {
+    for autopilot in [Autopilot::Px4, Autopilot::Arducopter] {
+        let flight = |seed| {
+            let params = params(QUAD);
+            let mut config = set_up(autopilot);
+            config.estimator.wander_m = 0.05;
+            config.clock.rate = 0.9999;
+            let settings = settings(&params, hover(2.0));
+            let (_, records) = fly(settings, &params, &[], config, seed);
+            tracked(&records).iter().map(|row| row.state.position.to_array()).collect::<Vec<_>>()
+        };
+        let first = flight(1);
+        assert!(first.len() > 50 && first == flight(1));
+        assert!(first != flight(2));
+    }
+}
+
+#[test]
+fn a_slipping_clock_shows_in_timesync_and_a_stall_in_what_arrives() {
+    let params = params(QUAD);
+    let mut config = set_up(Autopilot::Px4);
+    config.clock.rate = 0.989;
+    config.clock.stalls = vec![Stall { at_s: 4.0, for_s: 0.4 }];
+    let mut bench = Bench::with(settings(&params, hover(1.0)), &params, &[], config);
+    let vehicle_s = |bench: &Bench| bench.vehicle.now_us() as f64 * 1e-6;
+    bench.run(3.0);
+    assert!((vehicle_s(&bench) - 3.0 * 0.989).abs() < 0.002, "{} s", vehicle_s(&bench));
+    bench.run(7.0);
+    assert!((vehicle_s(&bench) - 9.6 * 0.989).abs() < 0.002, "{} s", vehicle_s(&bench));
+    let heard: Vec<_> = bench.records.iter().filter_map(arrival).collect();
+    let gaps = heard.windows(2).map(|pair| pair[1].since(pair[0]).as_secs_f64());
+    let longest = gaps.fold(0.0, f64::max);
+    assert!((0.4..0.45).contains(&longest), "nothing arrives for {longest} s");
+}
+
+/// When a frame of the vehicle came.
+fn arrival(record: &Record) -> Option<HostTime> {
+    match record {
+        Record::Frame(frame) if frame.direction == Direction::Rx => Some(frame.host),
+        _ => None,
+    }
+}

@@ -1,0 +1,159 @@
+"""Every command that flies no vehicle ends within two seconds of SIGINT or SIGTERM, with exit code
+130 and without half a file; one that flies says within a second what it does.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import time
+
+import pytest
+
+from conftest import CRAZYFLIE, DOWNWASH, ROOT, SHORT_HOVER
+
+SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
+MAPPING = ROOT / "config/mappings/motion-capture.toml"
+
+pytestmark = pytest.mark.xdist_group("interrupt")
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flights")
+    command = [*DOWNWASH, "collect", "--out", folder, "--seconds", "40"]
+    subprocess.run(list(map(str, command)), check=True, capture_output=True, timeout=120)
+    return sorted(folder.glob("*.mcap"))
+
+
+def ends(one, number):
+    """Sends the signal; what the program had printed at its end."""
+    sent = time.monotonic()
+    one.signal(number)
+    code, out = one.finish(10)
+    took = time.monotonic() - sent
+    assert code == 130, one.err
+    assert "interrupted" in one.err and "panicked" not in one.err
+    assert took < 2.0, f"{took:.2f} s"
+    return out
+
+
+@SIGNALS
+@pytest.mark.parametrize("stage", ["... logs", "... physics", "... networks"])
+def test_train(program, flights, tmp_path, number, stage):
+    model = tmp_path / "model.safetensors"
+    one = program("train", "--vehicle", CRAZYFLIE, *flights, "-o", model, "--passes", 100_000)
+    one.says(stage)
+    ends(one, number)
+    assert not model.exists() and not list(tmp_path.glob("*.part"))
+    if stage == "... networks":
+        assert "--resume" in one.err
+        assert (tmp_path / "model.safetensors.checkpoint").exists()
+
+
+@SIGNALS
+def test_trained_networks_are_kept_before_they_are_judged(program, flights, tmp_path, number):
+    model = tmp_path / "model.safetensors"
+    few = ["--passes", 15, "--hidden", 20, "--regularization", "1e-5"]
+    command = ["train", "--vehicle", CRAZYFLIE, *flights, "-o", model, *few]
+    one = program(*command)
+    one.says("... errors")
+    ends(one, number)
+    resumed = program(*command, "--resume")
+    assert resumed.finish(120)[0] == 0, resumed.err
+    assert model.exists()
+
+
+@SIGNALS
+@pytest.mark.parametrize("stage", ["... ", "... which effect"])
+def test_diagnose(program, flights, tmp_path, number, stage):
+    out = tmp_path / "improved.toml"
+    one = program("diagnose", "--vehicle", CRAZYFLIE, *flights, "-o", out)
+    one.says(stage)
+    ends(one, number)
+    assert not list(tmp_path.iterdir())
+
+
+@SIGNALS
+@pytest.mark.parametrize("stage", ["... flying", "... diagnosing"])
+def test_exam(program, tmp_path, number, stage):
+    # What it does in the second stage is the work of other processes.
+    one = program("exam", "--out", tmp_path / "exam", "--cases", 4, "--nulls", 0, "--seed", 3)
+    one.says(stage, timeout=240)
+    ends(one, number)
+    children = subprocess.run(
+        ["pgrep", "-f", str(tmp_path)], capture_output=True, text=True
+    ).stdout.split()
+    assert not children
+    if stage == "... diagnosing":
+        assert (tmp_path / "exam/commitment.txt").exists() and (tmp_path / "exam/key.json").exists()
+
+
+@SIGNALS
+def test_plan(program, tmp_path, number):
+    long = tmp_path / "long.toml"
+    long.write_text(
+        "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 30.0\namplitude_m = 0.4\n"
+        "period_s = 3.0\nyaw_period_s = 6.0\nramp_s = 0.5\n"
+    )
+    one = program("plan", long, "-o", tmp_path / "plan.json", "--solver", "penalty", "--json")
+    one.says("planning")
+    summary = json.loads(ends(one, number))
+    assert summary["status"] == "stopped" and (tmp_path / "plan.json").exists()
+
+
+@SIGNALS
+@pytest.mark.parametrize("stage", ["... flying", "... physics"])
+def test_demo(program, tmp_path, number, stage):
+    one = program("demo", "--out", tmp_path / "demo", "--learn", 120)
+    one.says(stage, timeout=240)
+    ends(one, number)
+
+
+READERS = {
+    "log info": ["log", "info", "INPUT"],
+    "log export": ["log", "export", "INPUT", "--topic", "/state", "--out", "OUT"],
+    "log report": ["log", "report", "INPUT", "--out", "OUT"],
+    "log import": ["log", "import", "INPUT", "--mapping", MAPPING, "-o", "OUT"],
+    "log audit": ["log", "audit", "INPUT", "--mapping", MAPPING],
+    "model info": ["model", "info", "INPUT"],
+    "model eval": ["model", "eval", "LOG", "--model", "INPUT"],
+    "model predict": ["model", "predict", "LOG", "--model", "INPUT", "--out", "OUT"],
+    "model export": ["model", "export", "INPUT", "--out", "OUT"],
+}
+
+
+@SIGNALS
+@pytest.mark.parametrize("command", READERS)
+def test_a_command_that_reads(program, tmp_path, number, command):
+    # A pipe that nobody writes to. Opening it waits until the command reads.
+    pipe = tmp_path / "input"
+    os.mkfifo(pipe)
+    places = {"INPUT": pipe, "LOG": pipe, "OUT": tmp_path / "out"}
+    one = program(*(places.get(word, word) for word in READERS[command]))
+    with pipe.open("wb"):
+        ends(one, number)
+    assert list(tmp_path.iterdir()) == [pipe]
+
+
+@SIGNALS
+def test_a_flight_says_at_once_what_it_does_and_lands(program, sitl, tmp_path, number):
+    trajectory = tmp_path / "hover.toml"
+    trajectory.write_text(SHORT_HOVER.replace("1.0", "30.0"))
+    vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
+    one = program(
+        "fly", trajectory, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE, "--log-dir", tmp_path
+    )
+    line = one.says(" track: ")
+    one.signal(number)
+    one.says("land", line, timeout=1.0)
+    assert one.finish(30)[0] == 130, one.err
+
+
+@SIGNALS
+def test_a_simulated_collection_says_at_once_that_it_ends(program, tmp_path, number):
+    one = program("collect", "--out", tmp_path, "--seconds", 100_000)
+    line = one.says("... flying")
+    one.signal(number)
+    one.says("stopping", line, timeout=1.0)
+    assert one.finish(10)[0] == 130, one.err
