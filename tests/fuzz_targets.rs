@@ -34,6 +34,18 @@ fn any_frame() -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
+/// A line of a parameter file: mostly a name that counts, with a number as wild as they come.
+fn any_parameter() -> impl Strategy<Value = String> {
+    use downwash::parameters::Autopilot;
+    let names = |autopilot: Autopilot| prop::sample::select(autopilot.wanted());
+    let name = prop_oneof![names(Autopilot::Px4), names(Autopilot::ArduCopter)];
+    let value = prop_oneof![
+        3 => (-5i32..130).prop_map(f64::from),
+        1 => any::<f64>(),
+    ];
+    (name, value).prop_map(|(name, value)| format!("{name} {value}"))
+}
+
 /// Chunks with their control bytes, as the link's target reads them.
 fn any_input() -> impl Strategy<Value = Vec<u8>> {
     let chunk = prop_oneof![
@@ -170,6 +182,13 @@ proptest! {
     #[test]
     fn no_bytes_break_a_table(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         fuzz::table(&bytes);
+    }
+
+    #[test]
+    fn no_parameters_break_the_vehicle_file(lines in prop::collection::vec(any_parameter(), 0..40)) {
+        if let Some(text) = fuzz::parameters(lines.join("\n").as_bytes()) {
+            prop_assert!(toml::from_str::<toml::Table>(&text).is_ok(), "{}", text);
+        }
     }
 
     #[test]

@@ -17,6 +17,7 @@ use downwash::log::import::{Flight, Stream, propose_bytes, read_bytes};
 use downwash::log::info::LogInfo;
 use downwash::report::FlightReport;
 use downwash::setpoint::Setpoint;
+use downwash::vehicle_init::{Draft, Measured};
 use wire::Endpoint;
 use wire::tlog::Reader;
 use wire::transport::Peer;
@@ -166,4 +167,11 @@ pub fn endpoint(data: &[u8]) {
     if let Ok(endpoint) = text.parse::<Endpoint>() {
         assert_eq!(endpoint.to_string().parse(), Ok(endpoint));
     }
+}
+
+/// A parameter file, and the text of the vehicle file that is made of it.
+pub fn parameters(data: &[u8]) -> Option<String> {
+    let found = downwash::parameters::parse(data).ok()?;
+    let measured = Measured { mass_kg: Some(1.0), arm_m: Some(0.2), ..Measured::default() };
+    Some(Draft::new("a file", &found, &measured).ok()?.to_toml())
 }

@@ -58,8 +58,8 @@ pub struct InitArgs {
     #[arg(long, value_name = "KG")]
     pub mass: Option<f64>,
     /// Moments of inertia about front, right and down.
-    #[arg(long, value_name = "KGM2", value_delimiter = ',', num_args = 3)]
-    pub inertia: Option<Vec<f64>>,
+    #[arg(long, value_name = "KGM2,KGM2,KGM2", value_delimiter = ',')]
+    pub inertia: Vec<f64>,
     /// From the centre to a motor's axis.
     #[arg(long, value_name = "M", conflicts_with = "wheelbase")]
     pub arm: Option<f64>,

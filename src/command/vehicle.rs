@@ -217,14 +217,19 @@ fn measured(args: &InitArgs) -> anyhow::Result<Measured> {
     if args.motor_lag.is_some_and(|lag| !(0.0..=2.0).contains(&lag)) {
         return Err(anyhow!("--motor-lag: expected seconds in 0..=2")).or_exit(Exit::Usage);
     }
-    let inertia = match args.inertia.as_deref() {
-        Some(&[x, y, z]) => {
+    let inertia = match args.inertia.as_slice() {
+        [] => None,
+        &[x, y, z] => {
             for moment in [x, y, z] {
                 positive("--inertia", Some(moment))?;
             }
             Some([x, y, z])
         }
-        _ => None,
+        other => {
+            let error =
+                anyhow!("--inertia: expected three numbers as 0.01,0.01,0.02, found {other:?}");
+            return Err(error).or_exit(Exit::Usage);
+        }
     };
     Ok(Measured {
         name: args.name.clone(),

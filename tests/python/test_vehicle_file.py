@@ -111,10 +111,11 @@ def test_nobody_on_the_link_is_told_within_seconds(tmp_path):
 def test_a_parameter_file_does_as_well(tmp_path):
     rows = [f"1\t1\t{name}\t{value:.18f}\t{6 if isinstance(value, int) else 9}" for name, value in SIH.items()]
     (tmp_path / "my.params").write_text("# Onboard parameters for Vehicle 1\n" + "\n".join(rows) + "\n")
-    done = downwash(tmp_path, "vehicle", "init", "my.params", "--mass", "1.2", "--name", "mine")
+    done = downwash(tmp_path, "vehicle", "init", "my.params", "--mass", "1.2", "--name", "mine", "--inertia", "0.02,0.02,0.03")
     assert done.returncode == 0, done.stderr
     file = tomllib.loads(done.stdout)
     assert (file["name"], file["mass"]) == ("mine", 1.2)
+    assert file["inertia"] == [0.02, 0.02, 0.03]
     assert file["hover_thrust"] == pytest.approx(1.2 * 9.80665 / 20, rel=1e-4)
 
 
