@@ -376,7 +376,8 @@ impl Proposal<'_> {
         if !free.is_empty() {
             let mut text = String::new();
             // Writing to a string cannot fail.
-            let _ = write!(text, "\n# Not used: {}", free.join(", ").replace(['\n', '\r'], " "));
+            let free = free.join(", ").replace(char::is_control, " ");
+            let _ = write!(text, "\n# Not used: {free}");
             self.line(&text);
         }
     }
