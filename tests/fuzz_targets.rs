@@ -114,6 +114,12 @@ fn attachments_that_are_cut_off_do_not_break_the_flight_log() {
     }
 }
 
+/// A name that no mapping takes, and that is no text.
+#[test]
+fn names_of_control_characters_do_not_break_a_proposal() {
+    fuzz::table(b"t\t\x0E\n0\t1\n");
+}
+
 proptest! {
     #[test]
     fn no_bytes_break_the_link(input in any_input()) {

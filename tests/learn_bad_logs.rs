@@ -98,8 +98,8 @@ fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
     assert_eq!(learn::logs(&summary).len(), SOUND.len() + spoiled.len());
 
     for (name, words) in [
-        ("empty.mcap", ""),
-        ("empty.tlog", "no attitude"),
+        ("empty.mcap", "an empty file"),
+        ("empty.tlog", "an empty file"),
         ("garbage.mcap", "garbage.mcap"),
         ("garbage.tlog", "no flight log"),
         ("twin.mcap", "the same file as"),

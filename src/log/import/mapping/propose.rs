@@ -1,7 +1,5 @@
 //! A mapping file to start from, by the names of a table's columns and its first rows.
 
-use std::fmt::Write as _;
-
 use super::super::table::{Numbers, Sheet};
 use super::Cell;
 
@@ -374,10 +372,8 @@ impl Proposal<'_> {
             .map(|(name, _)| name.as_str())
             .collect();
         if !free.is_empty() {
-            let mut text = String::new();
-            // Writing to a string cannot fail.
-            let _ = write!(text, "\n# Not used: {}", free.join(", ").replace(['\n', '\r'], " "));
-            self.line(&text);
+            let free = free.join(", ").replace(char::is_control, " ");
+            self.line(&format!("\n# Not used: {free}"));
         }
     }
 
