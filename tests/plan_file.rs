@@ -6,11 +6,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use downwash::plan::flyable::NotFlyable;
-use downwash::plan::planned::{Answer, Found, Plan, PlannedBody, PlannedReference, PlannedThrough};
+use downwash::plan::planned::{Answer, Found, Plan, PlannedReference, PlannedThrough};
 use downwash::plan::planner::PlanSettings;
 use downwash::plan::reference::ReferenceSource;
 use downwash::plan::scp::Status;
-use planning::{attitude_pd, physics, planned_vehicle, planner, rest, turning, vehicle};
+use planning::{attitude_pd, physics, planned_vehicle, planner, rest, turning};
 use proptest::prelude::*;
 
 fn a_plan() -> Plan {
@@ -21,12 +21,7 @@ fn a_plan() -> Plan {
     let found = Found {
         trajectory: "turning".to_owned(),
         vehicle: "crazyflie".to_owned(),
-        body: PlannedBody {
-            mass_kg: planned_vehicle().mass_kg,
-            inertia: vehicle().inertia,
-            gravity: planned_vehicle().gravity,
-            thrust_full_n: planned_vehicle().thrust_full_n,
-        },
+        body: planned_vehicle().body,
         model: PlannedThrough { kind: "physics".to_owned(), sha256: Some("ab".repeat(32)) },
         period_s: planner.period_s(),
         answer: Answer {
