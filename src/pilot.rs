@@ -171,7 +171,8 @@ impl Pilot {
         let sample = sample?;
 
         let phase = self.supervisor.state();
-        let guided = self.guidance.guide(phase, &sample, self.airborne());
+        let guided =
+            self.guidance.guide(phase, &sample, self.airborne(), self.controller.lifting_n());
         let mut reference = guided.reference;
         if guided.feedback {
             reference.feedforward.thrust_n *= self.voltage_gain();

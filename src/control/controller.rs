@@ -56,6 +56,11 @@ impl Controller {
         }
     }
 
+    /// The thrust that was sent last, N; `None` where no disturbance is looked for.
+    pub fn lifting_n(&self) -> Option<f64> {
+        self.observer.as_ref().and(self.sent).map(|sent| sent.thrust_n)
+    }
+
     /// The correction to the reference's input, and whether its position error was cut.
     pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, Saturation) {
         let Some(observer) = &self.observer else { return self.lqr.feedback(state, reference) };
