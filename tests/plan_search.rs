@@ -34,7 +34,7 @@ fn wrench_problem() -> Problem<4> {
         state
     };
     let vehicle = planned_vehicle();
-    let hover = vehicle.mass_kg * vehicle.gravity;
+    let hover = vehicle.body.mass_kg * vehicle.body.gravity;
     Problem {
         period_s: PERIOD,
         start: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -60,7 +60,7 @@ fn searched(
     let vehicle = planned_vehicle();
     let dynamics = WrenchDynamics::new(model, PERIOD);
     let settings = ScpSettings { progress: 1e-7, tolerance: 1e-7, ..ScpSettings::default() };
-    let hover = [vehicle.mass_kg * vehicle.gravity, 0.0, 0.0, 0.0];
+    let hover = [vehicle.body.mass_kg * vehicle.body.gravity, 0.0, 0.0, 0.0];
     search(problem, &dynamics, solver, &settings, Iterate::desired(problem, hover), &|_| false)
 }
 
