@@ -151,6 +151,9 @@ pub struct Profile {
     pub attitude_target: AttitudeTargetForm,
     /// How it reads rates.
     pub rate_frame: RateFrame,
+    /// Whether its attitude loop compares roll, pitch and yaw each for itself, as the paper's, and
+    /// does not turn to the attitude as a whole.
+    pub compares_angles: bool,
     /// Its modes.
     pub modes: Modes,
     /// Whether it tells the intended mode, by CURRENT_MODE.
@@ -224,6 +227,7 @@ impl Profile {
         name: "PX4",
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::Body,
+        compares_angles: false,
         modes: Modes {
             offboard: Some(Mode::px4(6, 0)),
             hold: Some(Mode::px4(4, 3)),
@@ -247,6 +251,7 @@ impl Profile {
     pub const BUNDLED: Self = Self {
         name: "bundled",
         attitude_target: AttitudeTargetForm::AttitudeRatesThrust,
+        compares_angles: true,
         ..Self::PX4
     };
 
@@ -255,6 +260,7 @@ impl Profile {
         name: "ArduCopter",
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::RotatedByCommand,
+        compares_angles: false,
         modes: Modes {
             offboard: Some(Mode::copter(4)),
             hold: Some(Mode::copter(17)), // BRAKE: needs no sticks, LOITER would descend.
@@ -291,6 +297,7 @@ impl Profile {
         name: "unknown",
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::Body,
+        compares_angles: false,
         modes: Modes { offboard: None, hold: None, land: None, takeoff: None },
         reports_intended_mode: false,
         loss_timeout: None,
@@ -320,6 +327,7 @@ impl Profile {
             ARDUPILOT if is_copter => Self::ARDUCOPTER,
             _ => Self::UNKNOWN,
         };
+        profile.compares_angles = autopilot == PX4 && version == Some(PD_VEHICLE);
         let is_arducopter = profile.name == Self::ARDUCOPTER.name;
         profile.attitude_target = match choice {
             FormChoice::ForceAttitudeRatesThrust => AttitudeTargetForm::AttitudeRatesThrust,
