@@ -177,8 +177,8 @@ impl Pilot {
         let sample = sample?;
 
         let phase = self.supervisor.state();
-        let airborne = self.airborne();
-        let guided = self.guidance.guide(phase, &sample, airborne);
+        let (airborne, lifting_n) = (self.airborne(), self.controller.lifting_n());
+        let guided = self.guidance.guide(phase, &sample, airborne, lifting_n);
         let mut reference = guided.reference;
         if guided.feedback {
             reference.feedforward.thrust_n *= self.voltage_gain();

@@ -103,7 +103,7 @@ fn vehicle_that_answers_late_is_settled_by_every_seed() {
             let rows = tracked(&records);
             let late = rows.iter().filter(|row| row.t > 8.0);
             let shaking = late.map(|row| row.state.body_rate.norm()).fold(0.0, f64::max);
-            assert!(largest < 0.1 && shaking < 0.3, "{name} {seed}: {largest} m, {shaking} rad/s");
+            assert!(largest < 0.1 && shaking < 0.5, "{name} {seed}: {largest} m, {shaking} rad/s");
         }
     }
 }
@@ -144,7 +144,7 @@ fn autopilot_with_a_loop_of_its_own_is_flown_without_offset_by_default() {
 
 #[test]
 fn thrust_at_its_limit_winds_nothing_up() {
-    // 1.2 m up at once, with a thrust limit that leaves little to climb with, and down again.
+    // Three metres up at once, with a thrust limit that leaves little to climb with, and down again.
     let steps = toml_trajectory(
         "family = \"waypoints\"\npace = { speed_m_s = 3.0, acceleration_m_s2 = 6.0 }\n\
          points = [{ north_m = 0, east_m = 0, altitude_m = 1, hold_s = 4 }, \
@@ -185,7 +185,7 @@ fn what_was_estimated_is_forgotten_when_the_pilot_takes_over() {
         });
         last.expect("a setpoint")
     };
-    assert!(tilt(&bench) < -0.05, "leans into the wind: {}", tilt(&bench));
+    assert!(tilt(&bench) > 0.05, "leans against a wind to the north: {}", tilt(&bench));
     // The pilot holds it, and gives it back.
     bench.pilot_mode(Mode::Position);
     bench.run(6.0);

@@ -82,7 +82,7 @@ impl AttitudeError {
 
     /// `setpoint`, whose roll and pitch are about the vehicle's heading `yaw`, as this loop must
     /// be sent it: with the same direction of thrust in the world, whatever yaw it asks for.
-    fn addressed(self, setpoint: Setpoint, yaw: f64) -> Setpoint {
+    pub(super) fn addressed(self, setpoint: Setpoint, yaw: f64) -> Setpoint {
         let Euler { roll, pitch, yaw: heading } = setpoint.attitude;
         let attitude = match self {
             Self::Angles => return setpoint,
@@ -138,16 +138,15 @@ impl AttitudeLoop {
         }
     }
 
-    /// `setpoint` as this loop must be sent it at the vehicle's heading `yaw`. Where it takes no
-    /// rates, they are folded into the attitude by its own law:
+    /// `setpoint` with the rates that this loop is not sent folded into the attitude by its own law:
     /// `kp (zeta_des + Kp^-1 Kd omega_des - zeta) - kd omega` is the moment of the loop that takes
     /// both.
-    pub fn addressed(&self, error: AttitudeError, setpoint: Setpoint, yaw: f64) -> Setpoint {
-        let Some(lead) = self.rate_lead_s() else { return error.addressed(setpoint, yaw) };
+    pub fn folded(&self, setpoint: Setpoint) -> Setpoint {
+        let Some(lead) = self.rate_lead_s() else { return setpoint };
         let ahead = setpoint.body_rate.scale_by(lead).to_array();
-        let Euler { roll, pitch, yaw: heading } = setpoint.attitude;
-        let attitude = Euler::new(roll + ahead[0], pitch + ahead[1], heading + ahead[2]);
-        error.addressed(Setpoint { attitude, body_rate: Frd::zero(), ..setpoint }, yaw)
+        let Euler { roll, pitch, yaw } = setpoint.attitude;
+        let attitude = Euler::new(roll + ahead[0], pitch + ahead[1], yaw + ahead[2]);
+        Setpoint { attitude, body_rate: Frd::zero(), ..setpoint }
     }
 
     /// Whether its gains make moments that the rotors then follow with their lag. The others were
@@ -230,7 +229,7 @@ mod tests {
                 AttitudeLoop::AttitudePd { kp: KP, kd: KD },
                 AttitudeLoop::Attitude { natural_frequency, damping },
             ] {
-                let sent = part.addressed(AttitudeError::Angles, setpoint, 0.3);
+                let sent = part.folded(setpoint);
                 prop_assert_eq!(sent.body_rate, Frd::zero());
                 let error = |attitude: Euler| [attitude.roll, attitude.pitch, attitude.yaw];
                 let turn = |it: &AttitudeLoop, sent: &Setpoint| {
@@ -242,7 +241,7 @@ mod tests {
                     prop_assert!((folded - both).abs() < 1e-9 * (1.0 + both.abs()));
                 }
             }
-            prop_assert_eq!(whole.addressed(AttitudeError::Angles, setpoint, 0.3), setpoint);
+            prop_assert_eq!(whole.folded(setpoint), setpoint);
         }
 
         #[test]
@@ -252,7 +251,7 @@ mod tests {
             let heading = wrap_angle(yaw + ahead);
             let setpoint =
                 Setpoint { attitude: Euler::new(roll, pitch, heading), ..Setpoint::default() };
-            let sent = AttitudeLoop::PX4.addressed(AttitudeError::Rotation, setpoint, yaw);
+            let sent = AttitudeError::Rotation.addressed(setpoint, yaw);
             let down = |attitude: Euler| attitude.attitude().to_world(Frd::new(0.0, 0.0, 1.0));
             let wanted = down(Euler::new(roll, pitch, yaw));
             prop_assert!((down(sent.attitude) - wanted).norm() < 1e-9);

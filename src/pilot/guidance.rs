@@ -87,6 +87,8 @@ pub(super) struct Guidance {
     /// The lowest that the vehicle was seen since it began to take off, m down: where the floor is
     /// by an estimate that wanders.
     lowest_down: f64,
+    /// Share of the horizontal feedback that thrust beyond weight has brought in.
+    lifted: f64,
     state: FlightState,
     entered: VehicleTime,
     segment: Segment,
@@ -113,6 +115,7 @@ impl Guidance {
             anchor: None,
             ground: None,
             lowest_down: 0.0,
+            lifted: 0.0,
             state: FlightState::Connect,
             entered: VehicleTime::default(),
             segment: Segment::default(),
@@ -146,7 +149,14 @@ impl Guidance {
     }
 
     /// The reference of this tick.
-    pub fn guide(&mut self, state: FlightState, sample: &Sample, airborne: Option<bool>) -> Guided {
+    /// The last thrust, N, says that the vehicle lifts off before its height does.
+    pub fn guide(
+        &mut self,
+        state: FlightState,
+        sample: &Sample,
+        airborne: Option<bool>,
+        last_thrust_n: Option<f64>,
+    ) -> Guided {
         if airborne == Some(false) {
             self.ground = Some(sample.state.position);
         }
@@ -156,7 +166,7 @@ impl Guidance {
         let t = sample.vehicle.seconds_since(self.entered);
         let here = &sample.state;
         let mut guided = match state {
-            FlightState::TakeOff => self.take_off(t, here),
+            FlightState::TakeOff => self.take_off(t, here, last_thrust_n),
             FlightState::Approach => self.approach(t, sample),
             FlightState::Track => self.track(t, here),
             FlightState::Hold | FlightState::Land => Guided::fly(self.hold(here)),
@@ -182,7 +192,7 @@ impl Guidance {
         match state {
             FlightState::TakeOff => {
                 self.anchor = Some(position);
-                self.lowest_down = position.down();
+                (self.lowest_down, self.lifted) = (position.down(), 0.0);
                 let start = self.trajectory.sample(0.0).position + position;
                 let top = Ned::new(position.north(), position.east(), start.down());
                 let yaw = here.attitude.yaw();
@@ -230,7 +240,7 @@ impl Guidance {
     }
 
     /// Thrust rises on the ground without feedback, then a minimum-jerk climb.
-    fn take_off(&mut self, t: f64, here: &State) -> Guided {
+    fn take_off(&mut self, t: f64, here: &State, last_thrust_n: Option<f64>) -> Guided {
         let s = self.settings;
         self.lowest_down = self.lowest_down.max(here.position.down());
         let spooled = (t / s.spool_s).min(1.0);
@@ -241,7 +251,10 @@ impl Guidance {
         let mut reference = self.along(climbing);
         let floor = self.segment.from.down().max(self.lowest_down - FLOOR_NOISE_M);
         let height = floor - here.position.down();
-        let share = (height / s.feedback_height_m).clamp(0.0, 1.0);
+        let risen = (height / s.feedback_height_m).clamp(0.0, 1.0);
+        let excess = last_thrust_n.map_or(0.0, |thrust_n| thrust_n / self.hover_thrust_n - 1.0);
+        self.lifted = self.lifted.max((excess / LIFTING_EXCESS).clamp(0.0, 1.0));
+        let share = risen.max(self.lifted);
         let (p, r, v) = (here.position, reference.position, here.velocity);
         reference.position = Ned::new(
             p.north() + share * (r.north() - p.north()),
@@ -260,7 +273,7 @@ impl Guidance {
             && off.abs() < s.settle_radius_m.max(0.25 * self.segment.step().norm())
             && here.velocity.norm() < 2.0 * s.settle_speed_m_s;
         let reached = there.then_some((Trigger::TakenOff, "at the start height"));
-        Guided { reached, aloft: share >= 1.0, ..Guided::fly(reference) }
+        Guided { reached, aloft: risen >= 1.0, ..Guided::fly(reference) }
     }
 
     fn approach(&mut self, t: f64, sample: &Sample) -> Guided {
@@ -357,6 +370,8 @@ struct Segment {
 
 /// Below the take-off point by no more than this the floor is where it was, m.
 const FLOOR_NOISE_M: f64 = 0.05;
+/// Thrust beyond weight, over it, at which a vehicle is taken to have left the ground.
+const LIFTING_EXCESS: f64 = 0.1;
 /// Shortest way, s.
 const SEGMENT_MIN_S: f64 = 1.0;
 /// Peak of the minimum-jerk profile's slope.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::StationSettings;
-use super::attitude_loop::attitude_loop;
+use super::attitude_loop::{assumption, attitude_loop};
 use crate::control::{AttitudeError, Controller, DesignError, DisturbanceObserver, Lqr};
 use crate::link::profile::Profile;
 use crate::plan::reference::{FeedForward, ReferenceSource};
@@ -17,15 +17,18 @@ pub(super) struct Feedback {
 /// Feedback around the loop of `profile`'s autopilot.
 ///
 /// The bundled vehicle's loop is the paper's, and so is its feedback unless it is set otherwise.
-/// Any other autopilot's is its own: it acts on the rotation to the desired attitude, and what the
-/// design does not know of it must not stay as an error.
+/// Any other autopilot's is its own, and what the design does not know of it must not stay as an
+/// error.
 pub(super) fn feedback(
     profile: &Profile,
     settings: &StationSettings,
 ) -> Result<Feedback, DesignError> {
     let StationSettings { actuation, hover, lqr, attitude_pd, pilot, .. } = settings;
     let is_own_loop = profile.name != Profile::BUNDLED.name;
-    let error = if is_own_loop { AttitudeError::Rotation } else { AttitudeError::Angles };
+    let error =
+        if profile.compares_angles { AttitudeError::Angles } else { AttitudeError::Rotation };
+    // By an assumed loop's lag, an attitude would lead too far.
+    let is_known = assumption(profile, *attitude_pd, lqr.attitude_response_rad_s).is_none();
     let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
     let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
     let observer = pilot.offset_free.observer.applies(is_own_loop).then(|| {
@@ -40,7 +43,7 @@ pub(super) fn feedback(
     });
     let fed_forward = feed_forward.and_then(|with| settings.reference.with_feed_forward(&with));
     Ok(Feedback {
-        controller: Controller::new(lqr, error, observer),
+        controller: Controller::new(lqr, error, is_known, observer),
         reference: fed_forward.unwrap_or_else(|| Arc::clone(&settings.reference)),
     })
 }
