@@ -183,11 +183,13 @@ impl Pilot {
         if guided.feedback {
             reference.feedforward.thrust_n *= self.voltage_gain();
         }
-        if phase.is_flying() && guided.aloft {
+        if !(phase.is_flying() && guided.feedback) {
+            self.controller.reset();
+        } else if guided.aloft {
             let thrust_gain = self.voltage_gain();
             self.controller.observe(sample.vehicle, &sample.state, &guided.expected, thrust_gain);
         } else {
-            self.controller.reset();
+            self.controller.pause();
         }
         let (feedback, cut) = if guided.feedback {
             self.controller.feedback(&sample.state, &reference)
@@ -326,7 +328,7 @@ impl Pilot {
             }
             Err(fault) if fault.is_jump() => {
                 self.jumped = true;
-                self.controller.jumped();
+                self.controller.pause();
                 self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
                 None
             }

@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use downwash::log::import::{self, Flight, MotorUnit, Stream};
+use downwash::log::import::{self, Flight, MotorUnit, RotorFact, Stream};
 use downwash::log::record::Record;
 use serde_json::Value;
 use sitl::config::SitlConfig;
@@ -275,4 +275,29 @@ fn too_little_flight_is_no_model() {
     assert_eq!(output.status.code(), Some(2), "{told}");
     assert!(told.contains("rows to train on") || told.contains("are usable"), "{told}");
     assert!(!model.exists());
+}
+
+#[test]
+fn a_vehicle_file_in_another_order_than_the_logs_motors_is_refused_with_both() {
+    let folder = learn::folder("order");
+    let mut flight = import::open(&SOUND[0], None).expect("a log");
+    let rotor = |front, right, spin| RotorFact { front, right, spin };
+    // PX4's order of an X; the shipped file is clockwise from front right.
+    flight.facts.rotors =
+        vec![rotor(1.0, 1.0, 1), rotor(-1.0, -1.0, 1), rotor(1.0, -1.0, -1), rotor(-1.0, 1.0, -1)];
+    let log = folder.join("px4.mcap");
+    import::write(&flight, &log).expect("a log");
+    let output = learn::downwash(&folder)
+        .args(["train", "--out", "model.safetensors", "--vehicle"])
+        .args([&learn::vehicle(), &log])
+        .current_dir(&folder)
+        .output()
+        .expect("the command runs");
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    let orders = [
+        "front right (spin +1), rear left (spin +1), front left (spin -1), rear right (spin -1)",
+        "front right (spin +1), rear right (spin -1), rear left (spin +1), front left (spin -1)",
+    ];
+    assert!(orders.iter().all(|order| told.contains(order)), "{told}");
 }

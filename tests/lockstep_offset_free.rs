@@ -68,8 +68,8 @@ fn no_disturbance_leaves_a_steady_error() {
             if name == NANO && effect.starts_with("wind") {
                 continue;
             }
-            let paper = late_error_m(Use::Off, &params, &hover(15.0), &[&effect], 1);
-            let free = late_error_m(Use::On, &params, &hover(15.0), &[&effect], 1);
+            let paper = late_error_m(Use::Off, &params, &hover(15.0), &[effect.as_str()], 1);
+            let free = late_error_m(Use::On, &params, &hover(15.0), &[effect.as_str()], 1);
             assert!(paper > 0.015, "{name} {effect}: {paper} m");
             assert!(free < 0.01, "{name} {effect}: {free} m");
         }
@@ -85,7 +85,7 @@ fn turning_circle_is_followed_whatever_the_vehicle_is() {
         let paper = late_error_m(Use::Off, &params, &circle, &[], 1);
         assert!(paper > 0.2, "{name}: {paper} m");
         for effect in disturbances(&params).iter().chain([&drag]) {
-            let free = late_error_m(Use::On, &params, &circle, &[effect], 1);
+            let free = late_error_m(Use::On, &params, &circle, &[effect.as_str()], 1);
             assert!(free < 0.06, "{name} {effect}: {free} m");
         }
     }
@@ -210,7 +210,7 @@ fn what_was_estimated_is_forgotten_when_the_pilot_takes_over() {
 fn drag_that_a_plan_knows_is_not_taken_out_twice() {
     let mut params = params(QUAD);
     let drag = format!("rotor_drag:d_xy={},d_z=0.11", 0.8 * params.mass);
-    params.modelled_effects = lockstep::effects(&[&drag]);
+    params.modelled_effects = lockstep::effects(&[drag.as_str()]);
     let attitude_pd = params.attitude_pd.expect("a loop");
     let body = PlannedBody {
         mass_kg: params.mass,

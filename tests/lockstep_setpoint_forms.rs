@@ -4,6 +4,7 @@
 
 mod lockstep;
 
+use downwash::control::Use;
 use downwash::link::profile::FormChoice;
 use downwash::log::record::Record;
 use downwash::plan::Trajectory;
@@ -81,6 +82,9 @@ fn unknown_loop(vehicle: &str, on_board: Option<f64>, setting: Option<[f64; 3]>)
     }
     let mut settings = sending(0x07, &params, trajectory("sinusoid-yaw.toml"));
     settings.attitude_pd = None;
+    // The regulator alone.
+    settings.pilot.offset_free.observer = Use::Off;
+    settings.pilot.offset_free.feed_forward = Use::Off;
     settings.lqr.attitude_response_rad_s = setting;
     let (end, records) = fly(settings, &params, &[], SitlConfig::default(), 1);
     assert_eq!((end, masks(&records)), (End::Done, vec![0x07]), "{vehicle}");

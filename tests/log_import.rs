@@ -606,3 +606,90 @@ fn practice_logs_are_read_and_their_streams_agree() {
         assert_eq!(flight.left_out, [], "{name}");
     }
 }
+
+#[test]
+fn outputs_span_what_the_autopilots_own_parameters_state() {
+    let (ardupilot, px4) =
+        (MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA, MavAutopilot::MAV_AUTOPILOT_PX4);
+    let recorded = |autopilot, stated: &[(&str, f32)], message: fn(u32) -> MavMessage| {
+        let mut log = Telemetry::new();
+        log.heartbeat(MavType::MAV_TYPE_QUADROTOR, autopilot, true);
+        for (name, value) in stated {
+            log.send(&parameter(name, *value));
+        }
+        log.fly(4, |log, _| {
+            let now = log.vehicle_ms;
+            log.send(&message(now));
+        });
+        import(&write_tlog("ranges", "flight.tlog", &log.entries))
+    };
+    let status = |ms: u32| {
+        let mut actuator = [0.0; 32];
+        actuator[..4].copy_from_slice(&[1100.0, 1500.0, 1900.0, 900.0]);
+        let time_usec = u64::from(ms) * 1000;
+        let actuator = actuator.into();
+        MavMessage::ACTUATOR_OUTPUT_STATUS(ACTUATOR_OUTPUT_STATUS_DATA {
+            time_usec,
+            active: 4,
+            actuator,
+        })
+    };
+    let functions = [1, 2, 3, 4].map(|n| (format!("PWM_MAIN_FUNC{n}"), 100.0 + n as f32));
+    let mut stated: Vec<(&str, f32)> = functions.iter().map(|(n, v)| (n.as_str(), *v)).collect();
+    let vehicle = lockstep::params(lockstep::NANO);
+    let normalised = |mut flight: Flight, vehicle: &sitl::vehicle::VehicleParams| {
+        flight.normalise_outputs(vehicle).expect("a unit");
+        flight.outputs.values()[50]
+    };
+    // PX4's simulated outputs have functions and no range.
+    let flight = recorded(px4, &stated, status);
+    assert_eq!(normalised(flight.clone(), &vehicle), [0.1, 0.5, 0.9, 0.0]);
+    // It outlives an import.
+    let copy = place("ranges", "copy.mcap");
+    write(&flight, &copy).expect("a log");
+    assert_eq!(normalised(import(&copy), &vehicle), [0.1, 0.5, 0.9, 0.0]);
+    // A range of the file's own wins.
+    let own = sitl::vehicle::MotorOutput {
+        message: "ACTUATOR_OUTPUT_STATUS".to_owned(),
+        fields: Vec::new(),
+        zero: 900.0,
+        one: 1900.0,
+        disarmed: 900.0,
+    };
+    let with_own = sitl::vehicle::VehicleParams { motor_output: Some(own), ..vehicle.clone() };
+    assert_eq!(normalised(flight, &with_own), [0.2, 0.6, 1.0, 0.0]);
+    // A real one states both.
+    let ends = [1, 2, 3, 4].map(|n| [format!("PWM_MAIN_MIN{n}"), format!("PWM_MAIN_MAX{n}")]);
+    for [low, high] in &ends {
+        stated.extend([(low.as_str(), 1100.0), (high.as_str(), 1900.0)]);
+    }
+    assert_eq!(normalised(recorded(px4, &stated, status), &vehicle), [0.0, 0.5, 1.0, 0.0]);
+    let servos = |ms: u32| {
+        MavMessage::SERVO_OUTPUT_RAW(SERVO_OUTPUT_RAW_DATA {
+            time_usec: ms * 1000,
+            servo1_raw: 1150,
+            servo2_raw: 1550,
+            servo3_raw: 1950,
+            servo4_raw: 1000,
+            ..Default::default()
+        })
+    };
+    let motors = [
+        ("SERVO1_FUNCTION", 33.0),
+        ("SERVO2_FUNCTION", 34.0),
+        ("SERVO3_FUNCTION", 35.0),
+        ("SERVO4_FUNCTION", 36.0),
+        ("MOT_PWM_MIN", 1000.0),
+        ("MOT_PWM_MAX", 2000.0),
+        ("MOT_SPIN_MIN", 0.15),
+        ("MOT_SPIN_MAX", 0.95),
+    ];
+    let found = normalised(recorded(ardupilot, &motors, servos), &vehicle);
+    for (found, expected) in found.into_iter().zip([0.0, 0.5, 1.0, 0.0]) {
+        assert!((found - expected).abs() < 1e-6, "{found}");
+    }
+    // Without a word on it nothing is concluded.
+    let mut flight = recorded(ardupilot, &motors[..4], servos);
+    let error = flight.normalise_outputs(&vehicle).expect_err("no unit").to_string();
+    assert!(error.contains("MOT_PWM_*") && error.contains("motor_output"), "{error}");
+}

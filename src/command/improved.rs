@@ -110,6 +110,7 @@ impl Additions {
 
     fn to_json(&self, text: &str) -> anyhow::Result<String> {
         let mut object: Ordered = serde_json::from_str(text).context("the vehicle file")?;
+        let indent = indent_of(text);
         for (name, additions) in [(EFFECTS, &self.effects), (PROVENANCE, &self.provenance)] {
             let mut inner: Ordered = match object.get(name) {
                 Some(raw) => serde_json::from_str(raw).context(name)?,
@@ -118,9 +119,10 @@ impl Additions {
             for (key, value) in additions {
                 inner.set(key, serde_json::to_string(value).context("a value")?);
             }
-            object.set(name, inner.text(2));
+            object.set(name, inner.text(indent, 1));
         }
-        Ok(object.text(0) + "\n")
+        let end = if text.ends_with('\n') { "\n" } else { "" };
+        Ok(object.text(indent, 0) + end)
     }
 }
 
@@ -168,6 +170,13 @@ fn toml_value(value: &Value) -> toml_edit::Value {
     }
 }
 
+/// What a JSON text indents its first key by; two spaces where it is not on a line of its own.
+fn indent_of(text: &str) -> &str {
+    let first = text.trim_start().strip_prefix('{').unwrap_or_default();
+    let blank = &first[..first.len() - first.trim_start().len()];
+    blank.rsplit_once('\n').map_or("  ", |(_, indent)| indent)
+}
+
 /// A JSON object whose keys keep their order, and whose values their text.
 struct Ordered(Vec<(String, Box<RawValue>)>);
 
@@ -185,13 +194,15 @@ impl Ordered {
         }
     }
 
-    /// The object as text whose lines are indented by so many spaces.
-    fn text(&self, indent: usize) -> String {
-        let pad = " ".repeat(indent);
+    /// The object as text, so many levels deep.
+    fn text(&self, indent: &str, depth: usize) -> String {
+        let pad = indent.repeat(depth);
         let entries: Vec<String> = self
             .0
             .iter()
-            .map(|(key, value)| format!("{pad}  {}: {}", Value::from(key.as_str()), value.get()))
+            .map(|(key, value)| {
+                format!("{pad}{indent}{}: {}", Value::from(key.as_str()), value.get())
+            })
             .collect();
         format!("{{\n{}\n{pad}}}", entries.join(",\n"))
     }
@@ -285,7 +296,7 @@ mod tests {
         let mut object: Ordered = serde_json::from_str(&serde_json::to_string(&vehicle)?)?;
         object.0.reverse();
         object.set("gravity", "9.81E0".into());
-        let text = object.text(0);
+        let text = object.text("\t", 0) + "\n";
         let out = additions().to_file(&text, &vehicle, [Form::Json; 2])?;
         let improved = VehicleParams::from_json_str(&out)?;
         assert_eq!(drag(&improved), json!({ "d_xy": 0.02, "d_z": 0.01 }));
@@ -293,7 +304,10 @@ mod tests {
             let object: Ordered = serde_json::from_str(text)?;
             Ok(object.0.into_iter().map(|(key, _)| key).collect())
         };
-        assert!(keys(&out)?.starts_with(&keys(&text)?) && out.contains("\"gravity\": 9.81E0,"));
+        assert!(keys(&out)?.starts_with(&keys(&text)?), "{out}");
+        for line in ["\t\"gravity\": 9.81E0,", "\t\t\"rotor_drag\": {\"d_xy\":0.02,\"d_z\":0.01}"] {
+            assert!(out.lines().any(|there| there == line), "{line}: {out}");
+        }
         Ok(())
     }
 

@@ -13,7 +13,7 @@ use super::{Exit, say};
 use crate::log::partial;
 
 /// How long a command that looks for the end may take to keep what it has done.
-const GRACE: Duration = Duration::from_millis(1500);
+const GRACE: Duration = Duration::from_millis(1200);
 
 /// Whether the end of the command is wanted.
 pub(super) struct Interruption {

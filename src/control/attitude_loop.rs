@@ -56,6 +56,9 @@ pub enum AttitudeLoop {
     },
 }
 
+/// Largest roll and pitch that are taken for a direction, rad; what is sent is limited beyond.
+const ANGLE_MAX_RAD: f64 = 1.2;
+
 /// Which attitude error an on-board loop acts on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttitudeError {
@@ -84,6 +87,10 @@ impl AttitudeError {
         let attitude = match self {
             Self::Angles => return setpoint,
             Self::Rotation => {
+                // Beyond a quarter turn the angles of a far error point nowhere.
+                let most = roll.abs().max(pitch.abs());
+                let cut = (ANGLE_MAX_RAD / most).min(1.0);
+                let (roll, pitch) = (cut * roll, cut * pitch);
                 let down = Euler::new(roll, pitch, wrap_angle(yaw - heading)).attitude();
                 let [x, y, z] = down.to_world(Frd::new(0.0, 0.0, 1.0)).to_array();
                 Euler::new((-y).clamp(-1.0, 1.0).asin(), x.atan2(z), heading)
@@ -136,7 +143,7 @@ impl AttitudeLoop {
     /// `kp (zeta_des + Kp^-1 Kd omega_des - zeta) - kd omega` is the moment of the loop that takes
     /// both.
     pub fn addressed(&self, error: AttitudeError, setpoint: Setpoint, yaw: f64) -> Setpoint {
-        let Some(lead) = self.rate_lead_s() else { return setpoint };
+        let Some(lead) = self.rate_lead_s() else { return error.addressed(setpoint, yaw) };
         let ahead = setpoint.body_rate.scale_by(lead).to_array();
         let Euler { roll, pitch, yaw: heading } = setpoint.attitude;
         let attitude = Euler::new(roll + ahead[0], pitch + ahead[1], heading + ahead[2]);

@@ -30,8 +30,8 @@ impl Controller {
         }
     }
 
-    /// The state is no longer where the last ones lead.
-    pub fn jumped(&mut self) {
+    /// The state is not where the last ones lead: the estimate jumped, or the ground holds it.
+    pub fn pause(&mut self) {
         if let Some(observer) = &mut self.observer {
             observer.pause();
         }

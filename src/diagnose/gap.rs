@@ -13,8 +13,9 @@ use super::noise::ReportNoise;
 use super::open_loop::{HORIZONS_S, LoopNoise, MARGIN_S, NoiseDraw, Simulator};
 use super::preparation::PreparedFlight;
 
-/// Quantities, each by the norm of its error.
-pub const QUANTITIES: [&str; 4] = ["pos", "vel", "att", "rate"];
+/// Quantities with their units, each by the norm of its error.
+pub const QUANTITIES: [(&str, &str); 4] =
+    [("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("body rate", "rad/s")];
 /// Time between the starts of windows, s.
 const SPACING_S: f64 = 0.25;
 

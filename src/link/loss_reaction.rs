@@ -39,6 +39,7 @@ impl LossLaw {
                 "GUID_TIMEOUT",
                 "FS_GCS_ENABLE",
                 "FS_GCS_TIMEOUT",
+                "FS_OPTIONS",
                 "MAV_GCS_SYSID",
                 "MAV_GCS_SYSID_HI",
                 "SYSID_MYGCS",
@@ -129,8 +130,14 @@ fn arducopter(read: &Parameters, own_system: u8) -> LossReaction {
         format!("after {wait_s} s without a setpoint ArduCopter levels; ")
     });
     let wait_s = read.get("FS_GCS_TIMEOUT").copied().unwrap_or(5.0);
+    // Bit 4: not in modes that the pilot flies by the sticks. ArduCopter's default has it set.
+    let spares_pilot = read.get("FS_OPTIONS").is_none_or(|options| *options as i64 & 16 != 0);
+    let over_pilot = match spares_pilot {
+        true => "",
+        false => ", also over the pilot's own modes, for FS_OPTIONS lacks bit 4 (16)",
+    };
     LossReaction::Acts(format!(
-        "{levels}{wait_s} s after this program's last HEARTBEAT ArduCopter {does}"
+        "{levels}{wait_s} s after this program's last HEARTBEAT ArduCopter {does}{over_pilot}"
     ))
 }
 
@@ -168,6 +175,11 @@ mod tests {
         assert!(is_nothing(reaction(1.0, ("SYSID_MYGCS", 255.0), 0.0)));
         let LossReaction::Acts(text) = reaction(5.0, ("SYSID_MYGCS", 254.0), 0.0) else { panic!() };
         assert_eq!(text, "5 s after this program's last HEARTBEAT ArduCopter lands");
+        let known = [("FS_GCS_ENABLE", 5.0), ("SYSID_MYGCS", 254.0), ("FS_OPTIONS", 0.0)];
+        let LossReaction::Acts(text) = LossLaw::ArduCopter.reaction(&read(&known), 254) else {
+            panic!()
+        };
+        assert!(text.ends_with("also over the pilot's own modes, for FS_OPTIONS lacks bit 4 (16)"));
         assert!(matches!(reaction(1.0, ("MAV_GCS_SYSID", 250.0), 255.0), LossReaction::Acts(_)));
     }
 }

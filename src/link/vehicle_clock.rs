@@ -5,9 +5,11 @@
 //! that slipped, because a queue makes round trips long and a slip does not. [`Arrival`] finds it
 //! from the stamps alone, for a vehicle that never answers.
 
+use std::time::Duration;
+
 use crate::clock::{HostTime, VehicleTime};
 use crate::link::arrival::Arrival;
-use crate::link::timesync::{Answer, TimeSync};
+use crate::link::timesync::{self, Answer, TimeSync};
 
 /// Largest skew that is followed, vehicle seconds per host second less one. Simulators that run
 /// late have several per cent; crystals have 0.01 %.
@@ -17,6 +19,11 @@ pub(super) const SKEW_MAX: f64 = 0.06;
 pub(super) const TOLERANCE_NS: f64 = 20e6;
 /// A stamp that is further behind the newest is of a vehicle that was started since, s.
 const RESTART_S: f64 = 1.0;
+
+/// A message that is late by more than this may be one of a clock that slipped, s.
+const DOUBT_S: f64 = 0.05;
+/// A round trip below this leaves room for requests in a row.
+const QUICK: Duration = Duration::from_millis(50);
 
 /// The vehicle's clock as a line over the host's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,6 +81,8 @@ pub struct VehicleClock {
     latest: HostTime,
     newest: Option<VehicleTime>,
     quickest: Option<Quickest>,
+    /// Whether the newest message was late, or the clock slipped.
+    is_late: bool,
 }
 
 /// Delay of the quickest message by the clock of TIMESYNC, which need not be that of the stamps.
@@ -104,9 +113,12 @@ impl VehicleClock {
         answer
     }
 
-    /// Whether the newest answers contradict what is known, so that another is wanted at once.
-    pub fn is_in_doubt(&self) -> bool {
-        self.sync.is_in_doubt()
+    /// Time between requests: a short one where messages are late, or the newest answers contradict
+    /// what is known, and the link is quick. Its answers tell at once whether the clock slipped.
+    pub fn period(&self) -> Duration {
+        let is_quick = self.round_trip().is_some_and(|time| time < QUICK);
+        let is_in_doubt = self.is_late || self.sync.is_in_doubt();
+        if is_quick && is_in_doubt { timesync::PERIOD_IN_DOUBT } else { timesync::PERIOD }
     }
 
     /// Takes the stamp of a message that just arrived; gives how long it was on its way.
@@ -132,6 +144,7 @@ impl VehicleClock {
         };
         quickest.seconds = quickest.seconds.min(first.seconds);
         quickest.at_most_s = quickest.at_most_s.min(first.at_most_s);
+        self.is_late = delay.at_least_s > DOUBT_S;
         delay
     }
 
@@ -141,7 +154,7 @@ impl VehicleClock {
     }
 
     /// Round trip of the newest answer.
-    pub fn round_trip(&self) -> Option<std::time::Duration> {
+    pub fn round_trip(&self) -> Option<Duration> {
         self.sync.round_trip()
     }
 
@@ -162,13 +175,9 @@ pub(super) fn ns_between(earlier: HostTime, later: HostTime) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use proptest::prelude::*;
 
     use super::*;
-    use crate::link::timesync::PERIOD;
-
     const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
     const BOOTED_S: f64 = 20.0;
     const LATE_S: f64 = 0.2;
@@ -230,8 +239,7 @@ mod tests {
                 arriving.push((held(t) + transport(k), t, None, model.reads(t)));
             }
             if model.is_answering && t >= ask {
-                let doubt = clock.is_in_doubt();
-                ask = t + if doubt { 0.01 } else { PERIOD.as_secs_f64() };
+                ask = t + clock.period().as_secs_f64();
                 let ts1 = clock.request(now);
                 // A vehicle that stands still answers when it goes on.
                 let mut at = t + transport(k + 7);
@@ -250,6 +258,7 @@ mod tests {
                     continue;
                 }
                 let delay = clock.observe(now, VehicleTime::from_us(us));
+                ask = ask.min(t + clock.period().as_secs_f64());
                 let is_late = delay.at_least_s > LATE_S;
                 let waited = t - sent;
                 if is_late && waited < 0.5 * LATE_S {

@@ -189,12 +189,12 @@ struct TrackingSums {
 }
 
 impl TrackingSums {
-    /// Counts a tick, if a trajectory was flown and the error is known.
+    /// Counts a tick that tracks.
     fn add(&mut self, control: &ControlMessage) {
-        let error = [control.error_n_m, control.error_e_m, control.error_d_m];
-        if control.trajectory_time_s.is_nan() || error.iter().any(|e| !e.is_finite()) {
+        if !is_tracking(control) {
             return;
         }
+        let error = [control.error_n_m, control.error_e_m, control.error_d_m];
         self.ticks += 1;
         for (sum, e) in self.squares.iter_mut().zip(error) {
             *sum += e * e;
@@ -215,6 +215,12 @@ impl TrackingSums {
             max_3d_m: self.max,
         })
     }
+}
+
+/// Whether a trajectory was flown at a tick, and the error is known.
+pub fn is_tracking(control: &ControlMessage) -> bool {
+    let error = [control.error_n_m, control.error_e_m, control.error_d_m];
+    !control.trajectory_time_s.is_nan() && error.iter().all(|e| e.is_finite())
 }
 
 /// Seconds from `start` to `time`, both in ns.

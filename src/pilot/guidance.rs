@@ -84,6 +84,9 @@ pub(super) struct Guidance {
     anchor: Option<Ned>,
     /// Where the vehicle was last seen on the ground.
     ground: Option<Ned>,
+    /// The lowest that the vehicle was seen since it began to take off, m down: where the floor is
+    /// by an estimate that wanders.
+    lowest_down: f64,
     state: FlightState,
     entered: VehicleTime,
     segment: Segment,
@@ -109,6 +112,7 @@ impl Guidance {
             trajectory,
             anchor: None,
             ground: None,
+            lowest_down: 0.0,
             state: FlightState::Connect,
             entered: VehicleTime::default(),
             segment: Segment::default(),
@@ -178,6 +182,7 @@ impl Guidance {
         match state {
             FlightState::TakeOff => {
                 self.anchor = Some(position);
+                self.lowest_down = position.down();
                 let start = self.trajectory.sample(0.0).position + position;
                 let top = Ned::new(position.north(), position.east(), start.down());
                 let yaw = here.attitude.yaw();
@@ -227,13 +232,15 @@ impl Guidance {
     /// Thrust rises on the ground without feedback, then a minimum-jerk climb.
     fn take_off(&mut self, t: f64, here: &State) -> Guided {
         let s = self.settings;
+        self.lowest_down = self.lowest_down.max(here.position.down());
         let spooled = (t / s.spool_s).min(1.0);
         if spooled < 1.0 {
             return self.idle(s.idle_thrust + (s.spool_thrust - s.idle_thrust) * spooled, here);
         }
         let climbing = t - s.spool_s;
         let mut reference = self.along(climbing);
-        let height = self.segment.from.down() - here.position.down();
+        let floor = self.segment.from.down().max(self.lowest_down - FLOOR_NOISE_M);
+        let height = floor - here.position.down();
         let share = (height / s.feedback_height_m).clamp(0.0, 1.0);
         let (p, r, v) = (here.position, reference.position, here.velocity);
         reference.position = Ned::new(
@@ -348,6 +355,8 @@ struct Segment {
     duration_s: f64,
 }
 
+/// Below the take-off point by no more than this the floor is where it was, m.
+const FLOOR_NOISE_M: f64 = 0.05;
 /// Shortest way, s.
 const SEGMENT_MIN_S: f64 = 1.0;
 /// Peak of the minimum-jerk profile's slope.

@@ -282,10 +282,10 @@ fn how_far(gap: &Gap, explanation: &str) -> String {
         ("noise alone", true),
     ]);
     let [before, after, floor] = &gap.errors;
-    for (q, quantity) in QUANTITIES.iter().enumerate() {
+    for (q, (quantity, unit)) in QUANTITIES.iter().enumerate() {
         for (h, horizon) in HORIZONS_S.iter().enumerate() {
             let cells = [before, after, floor].map(|errors| significant(errors.0[h][q]));
-            let mut row = vec![format!("{quantity} after {horizon} s")];
+            let mut row = vec![format!("{quantity} ({unit}) after {horizon} s")];
             row.extend(cells);
             table.row(Mood::Plain, &row);
         }

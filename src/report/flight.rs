@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::flight_page;
 use super::histogram::quantile;
 use crate::log::LogReader;
-use crate::log::info::{LogInfo, PhaseInfo, TrackingInfo};
+use crate::log::info::{LogInfo, PhaseInfo, TrackingInfo, is_tracking};
 use crate::log::reader::{Message, ReadError};
 use crate::log::schema::{
     ControlMessage, LinkStatsMessage, ReferenceMessage, SetpointMessage, StateMessage,
@@ -219,7 +219,7 @@ fn usual(intervals: &[f64]) -> Option<f64> {
 /// How long the ticks of a trajectory lasted, s: each until the next tick, pauses left out.
 fn tracked_s(rows: &[Row], usual: Option<f64>) -> f64 {
     let Some(usual) = usual else { return 0.0 };
-    let is_tracking = |row: &Row| row.control.as_ref().is_some_and(|c| c.error_3d_m.is_finite());
+    let is_tracking = |row: &Row| row.control.as_ref().is_some_and(is_tracking);
     let lasted = |pair: &[Row]| pair[1].log_ns.saturating_sub(pair[0].log_ns) as f64 * 1e-9;
     let lasting = rows.windows(2).filter(|pair| is_tracking(&pair[0])).map(lasted);
     let last = rows.last().filter(|row| is_tracking(row)).map_or(0.0, |_| usual);
@@ -303,22 +303,25 @@ fn link_summary(link: &[(u64, LinkStatsMessage)]) -> Option<LinkSummary> {
 mod tests {
     use super::*;
 
-    /// Ticks at these times, s, each with a trajectory.
+    /// Ticks at these times, s, which track from 0 on.
     fn ticks(times: &[f64]) -> Vec<Row> {
         let row = |time: &f64| Row {
-            log_ns: (time * 1e9).round() as u64,
+            log_ns: ((time + 10.0) * 1e9).round() as u64,
             state: StateMessage::default(),
             reference: None,
             setpoint: None,
-            control: Some(ControlMessage::default()),
+            control: Some(ControlMessage {
+                trajectory_time_s: if *time < 0.0 { f64::NAN } else { *time },
+                ..ControlMessage::default()
+            }),
         };
         times.iter().map(row).collect()
     }
 
     #[test]
     fn intervals_of_two_lengths_make_the_rate_that_they_make_together() {
-        // 26 s at 100 Hz, of which every tick is now 4 ms early, now 4 ms late.
-        let times: Vec<f64> = (0..2600)
+        // 26 s at 100 Hz after 5 s of take-off; every tick is now 2 ms early, now 2 ms late.
+        let times: Vec<f64> = (-500..2600)
             .map(|k| 0.01 * f64::from(k) + if k % 2 == 0 { 2e-3 } else { -2e-3 })
             .collect();
         let summary = control_summary(&ticks(&times));

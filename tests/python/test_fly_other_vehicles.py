@@ -251,12 +251,12 @@ class TestDoctor:
         return code, json.loads(out), running.err
 
     def test_a_sound_vehicle(self, program):
-        code, answer, err = self.ask(program, {"clock_rate": 0.97})
+        code, answer, err = self.ask(program, {"clock_rate": 0.95}, seconds="8")
         assert code == 0, (answer["findings"], err)
         report = answer["report"]
         assert answer["verdict"] == "can be flown"
         assert 80 < report["odometry_hz"] < 110
-        assert abs(report["clock_skew"] + 0.03) < 0.01
+        assert abs(report["clock_skew"] + 0.05) < 0.02
         assert report["odometry_frames"] == ["MAV_FRAME_LOCAL_NED, child MAV_FRAME_LOCAL_NED"]
         assert report["parameters"]["COM_OF_LOSS_T"] == 1.0
         assert {finding["subject"] for finding in answer["findings"]} >= {"parameter COM_OF_LOSS_T", "clock"}

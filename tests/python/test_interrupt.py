@@ -15,8 +15,6 @@ from conftest import CRAZYFLIE, DOWNWASH, ROOT, SHORT_HOVER
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
 MAPPING = ROOT / "config/mappings/motion-capture.toml"
 
-pytestmark = pytest.mark.xdist_group("interrupt")
-
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
@@ -55,21 +53,17 @@ def test_train(program, flights, tmp_path, number, stage):
 def test_trained_networks_are_kept_before_they_are_judged(program, flights, tmp_path, number):
     model = tmp_path / "model.safetensors"
     few = ["--passes", 15, "--hidden", 20, "--regularization", "1e-5"]
-    command = ["train", "--vehicle", CRAZYFLIE, *flights, "-o", model, *few]
-    one = program(*command)
+    one = program("train", "--vehicle", CRAZYFLIE, *flights, "-o", model, *few)
     one.says("... errors")
     ends(one, number)
-    resumed = program(*command, "--resume")
-    assert resumed.finish(120)[0] == 0, resumed.err
-    assert model.exists()
+    assert (tmp_path / "model.safetensors.checkpoint").exists() and not model.exists()
 
 
 @SIGNALS
-@pytest.mark.parametrize("stage", ["... ", "... which effect"])
-def test_diagnose(program, flights, tmp_path, number, stage):
+def test_diagnose(program, flights, tmp_path, number):
     out = tmp_path / "improved.toml"
     one = program("diagnose", "--vehicle", CRAZYFLIE, *flights, "-o", out)
-    one.says(stage)
+    one.says("... what nuisances explain")
     ends(one, number)
     assert not list(tmp_path.iterdir())
 
@@ -78,7 +72,7 @@ def test_diagnose(program, flights, tmp_path, number, stage):
 @pytest.mark.parametrize("stage", ["... flying", "... diagnosing"])
 def test_exam(program, tmp_path, number, stage):
     # What it does in the second stage is the work of other processes.
-    one = program("exam", "--out", tmp_path / "exam", "--cases", 4, "--nulls", 0, "--seed", 3)
+    one = program("exam", "--out", tmp_path / "exam", "--cases", 2, "--nulls", 0, "--seed", 3)
     one.says(stage, timeout=240)
     ends(one, number)
     children = subprocess.run(
@@ -93,7 +87,7 @@ def test_exam(program, tmp_path, number, stage):
 def test_plan(program, tmp_path, number):
     long = tmp_path / "long.toml"
     long.write_text(
-        "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 30.0\namplitude_m = 0.4\n"
+        "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 8.0\namplitude_m = 0.4\n"
         "period_s = 3.0\nyaw_period_s = 6.0\nramp_s = 0.5\n"
     )
     one = program("plan", long, "-o", tmp_path / "plan.json", "--solver", "penalty", "--json")
@@ -105,7 +99,7 @@ def test_plan(program, tmp_path, number):
 @SIGNALS
 @pytest.mark.parametrize("stage", ["... flying", "... physics"])
 def test_demo(program, tmp_path, number, stage):
-    one = program("demo", "--out", tmp_path / "demo", "--learn", 120)
+    one = program("demo", "--out", tmp_path / "demo", "--learn", 40)
     one.says(stage, timeout=240)
     ends(one, number)
 
@@ -152,7 +146,7 @@ def test_a_flight_says_at_once_what_it_does_and_lands(program, sitl, tmp_path, n
 
 @SIGNALS
 def test_a_simulated_collection_says_at_once_that_it_ends(program, tmp_path, number):
-    one = program("collect", "--out", tmp_path, "--seconds", 100_000)
+    one = program("collect", "--out", tmp_path, "--seconds", 3000)
     line = one.says("... flying")
     one.signal(number)
     one.says("stopping", line, timeout=1.0)

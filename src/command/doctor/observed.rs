@@ -338,7 +338,8 @@ impl fmt::Display for Report {
             writeln!(f, "loss       should downwash vanish: {reaction}")?;
         }
         for (name, value) in &self.parameters {
-            writeln!(f, "parameter  {name} {value}")?;
+            // PARAM_VALUE carries f32.
+            writeln!(f, "parameter  {name} {}", *value as f32)?;
         }
         for MessageRow { id, name, rate_hz, count } in &self.messages {
             writeln!(f, "message    {name} ({id}) {rate_hz:.1} Hz, {count} in all")?;

@@ -2,7 +2,7 @@
 //! gyro, position moves by the velocity, velocity changes by the accelerometer. Each pair yields a
 //! delay, a rotation, a bias and a scale.
 
-use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3};
 use serde::Serialize;
 use sitl::frame::{Attitude, Frd};
 
@@ -123,14 +123,18 @@ pub(super) fn turning_explained(flight: &Flight, read: Reading) -> Option<f64> {
     is_near.then_some(trial.explained)
 }
 
-/// How fast the vehicle turns, root mean square in rad/s: as the attitude and as the gyro show it,
-/// noise smoothed away.
+/// By how much the vehicle's turning changes, root mean square about the mean in rad/s: as the
+/// attitude and as the gyro show it, noise smoothed away. A steady spin shows nothing of how the two
+/// go together.
 pub(super) fn turns(flight: &Flight) -> Option<[f64; 2]> {
     let turning = Turning::of(flight, |q| q);
     let mean = |weighed: &dyn Fn(Bump) -> Option<Vector3<f64>>| {
         let rates = turning.bumps.iter().filter_map(|bump| Some(weighed(*bump)? / bump.area()));
-        let (sum, count) = rates.fold((0.0, 0.0), |(sum, n), w| (sum + w.norm_squared(), n + 1.0));
-        (count > 0.0).then(|| (sum / count).sqrt())
+        let rates: Vec<Vector3<f64>> = rates.collect();
+        let count = rates.len() as f64;
+        let mean = rates.iter().sum::<Vector3<f64>>() / count;
+        let power = rates.iter().map(|rate| (rate - mean).norm_squared()).sum::<f64>();
+        (count > 0.0).then(|| (power / count).sqrt())
     };
     let seen = mean(&|bump| turning.seen(bump))?;
     Some([seen, mean(&|bump| Some(turning.expected(bump, 0.0, |rate| rate)?.value))?])
@@ -172,7 +176,9 @@ fn agreement(trial: &Trial, whole: Fit<7>, halves: [Option<Fit<7>>; 2]) -> Optio
         return None;
     }
     let fine = Rotation3::new(vector([whole.value[1], whole.value[2], whole.value[3]]));
-    let turned = (fine * trial.rotation).inverse().scaled_axis();
+    // By way of the quaternion: a matrix's own axis is lost at half a turn.
+    let turned = UnitQuaternion::from_rotation_matrix(&(fine * trial.rotation)).inverse();
+    let turned = turned.scaled_axis();
     // The fit turns the stream's axes; what is told is in those of the other sensor.
     let there = |of: &SMatrix<f64, 7, 7>| {
         trial.rotation.transpose() * of.fixed_view::<3, 3>(1, 1) * trial.rotation

@@ -19,7 +19,7 @@ const SATURATED: f64 = 0.05;
 const CONTRADICTIONS: usize = 2;
 /// Outputs that change in a smaller share of the samples while the vehicle moves drive no motors.
 const CHANGES: f64 = 0.01;
-/// The vehicle moves where it turns or travels by more than this, rad/s and m/s.
+/// The vehicle moves where it rolls, pitches or travels by more than this, rad/s and m/s.
 const TURNS: f64 = 0.05;
 const TRAVELS: f64 = 0.2;
 /// For less time of motion nothing is said, s.
@@ -56,7 +56,10 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
 /// Whether outputs stand still while the vehicle moves; then they are none of its motors', and
 /// nothing else is to be said of them.
 fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
-    let turns = flight.body_rate.map(|rate| rate.norm() > TURNS);
+    let turns = flight.body_rate.map(|rate| {
+        let [p, q, _] = rate.to_array();
+        p.hypot(q) > TURNS
+    });
     let travels = flight.velocity.map(|velocity| velocity.norm() > TRAVELS);
     let in_motion =
         |time: f64| turns.held_at(time) == Some(&true) || travels.held_at(time) == Some(&true);

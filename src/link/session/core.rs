@@ -25,7 +25,7 @@ use crate::link::parameter;
 use crate::link::profile::Profile;
 use crate::link::request::{Action, Requests};
 use crate::link::sequence::{Order, Sequence};
-use crate::link::timesync::{self, Answer};
+use crate::link::timesync::Answer;
 use crate::link::vehicle_clock::VehicleClock;
 use crate::setpoint::Setpoint;
 
@@ -163,6 +163,7 @@ impl Core {
         match self.codec.decode(frame) {
             Ok(Some((vehicle, message))) => {
                 let delay = vehicle.map(|stamp| self.clock.observe(now, stamp));
+                self.timesync_due = self.timesync_due.min(now + self.clock.period());
                 self.message(now, &message);
                 on(Heard::Message(Received { host: now, vehicle, delay, message }));
             }
@@ -211,7 +212,10 @@ impl Core {
                 self.send_requests(now);
             }
             Inbound::AutopilotVersion { vendor_id, product_id, .. }
-                if self.version_due.is_some() =>
+                // Of an autopilot that is not known it decides nothing, and a known one may be about
+                // to be heard.
+                if self.version_due.is_some()
+                    && self.vehicle.as_ref().is_some_and(|vehicle| vehicle.id.is_known()) =>
             {
                 self.identify(now, Some((*vendor_id, *product_id)));
             }
@@ -282,9 +286,7 @@ impl Core {
             return;
         }
         let answer = self.clock.answer(now, data.tc1, data.ts1);
-        if self.clock.is_in_doubt() {
-            self.timesync_due = self.timesync_due.min(now + timesync::PERIOD_IN_DOUBT);
-        }
+        self.timesync_due = self.timesync_due.min(now + self.clock.period());
         if let Answer::Jump { by_ns } = answer {
             self.events.push_back(Event::ClockJump { by_ns });
             if by_ns.unsigned_abs() > JUMP_NS {
@@ -327,9 +329,7 @@ impl Core {
             self.set_state(LinkState::Stale);
         }
         if self.timesync_due <= now {
-            let is_in_doubt = self.clock.is_in_doubt();
-            self.timesync_due =
-                now + if is_in_doubt { timesync::PERIOD_IN_DOUBT } else { timesync::PERIOD };
+            self.timesync_due = now + self.clock.period();
             let ts1 = self.clock.request(now);
             let request = TIMESYNC_DATA { tc1: 0, ts1, ..self.timesync_target() };
             self.send(&MavMessage::TIMESYNC(request));

@@ -31,15 +31,17 @@ const MAGICS: [(&[u8], &str); 16] = [
 ];
 
 /// How texts of other kinds begin, and what they are.
-const TEXTS: [(&str, &str); 9] = [
+const TEXTS: [(&str, &str); 11] = [
     (
-        "FMT, 128,",
+        "FMT, ",
         "a log of ArduPilot as text, as ground stations write it: give the .bin that it was made of",
     ),
     ("<!doctype html", "a web page, perhaps of a download that failed: download the file anew"),
     ("<html", "a web page, perhaps of a download that failed: download the file anew"),
     ("<?xml", "an XML file"),
     ("{", "a JSON file"),
+    ("[{", "a JSON file"),
+    ("#!", "a script"),
     ("QGC WPL", "waypoints of a ground station"),
     ("# Onboard parameters", "parameters of a ground station (for `downwash vehicle init`)"),
     ("# MAV ID", "parameters of a ground station (for `downwash vehicle init`)"),

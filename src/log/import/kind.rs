@@ -195,12 +195,17 @@ fn of_functions(parameters: &BTreeMap<String, f64>) -> Option<StatedKind> {
 /// All that parameters of PX4 or ArduPilot state.
 pub(super) fn of_parameters(parameters: &BTreeMap<String, f64>) -> Vec<StatedKind> {
     type Rule = (&'static str, fn(f64) -> Option<VehicleKind>);
-    let rules: [Rule; 5] = [
+    let rules: [Rule; 9] = [
         ("CA_AIRFRAME", of_airframe_class),
         ("MAV_TYPE", of_mav_type),
         ("SYS_AUTOSTART", of_airframe),
         ("FRAME_CLASS", of_frame_class),
         ("Q_ENABLE", |on| (on >= 1.0).then_some(VehicleKind::Vtol)),
+        // Only these builds of ArduPilot have them.
+        ("TECS_CLMB_MAX", |_| Some(VehicleKind::FixedWing)),
+        ("ARSPD_FBW_MIN", |_| Some(VehicleKind::FixedWing)),
+        ("CRUISE_SPEED", |_| Some(VehicleKind::Rover)),
+        ("SURFACE_DEPTH", |_| Some(VehicleKind::Submarine)),
     ];
     let stated = rules.into_iter().filter_map(|(name, rule)| {
         let value = *parameters.get(name)?;
@@ -247,6 +252,7 @@ mod tests {
         assert_eq!(kinds(&[("CA_AIRFRAME", 0.0), ("MAV_TYPE", 2.0)]), [K::Multirotor; 2]);
         assert_eq!(kinds(&[("CA_AIRFRAME", 2.0), ("MAV_TYPE", 22.0)]), [K::Vtol; 2]);
         assert_eq!(kinds(&[("SYS_AUTOSTART", 50000.0), ("MAV_TYPE", 0.0)]), [K::Rover]);
+        assert_eq!(kinds(&[("SURFACE_DEPTH", -10.0)]), [K::Submarine]);
         assert_eq!(kinds(&[("THR_MDL_FAC", 0.3)]), []);
     }
 

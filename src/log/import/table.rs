@@ -17,6 +17,8 @@ pub(super) use text::decoded;
 
 /// A pause of more periods than this is a gap.
 const GAP_PERIODS: f64 = 3.0;
+/// Characters of a row that an error shows.
+const SHOWN: usize = 120;
 /// Why a row is left out.
 const OTHER_WIDTH: &str = "row with more or fewer cells than the header";
 
@@ -95,7 +97,9 @@ pub(super) fn read(
             Err(reason) => {
                 tally.add(reason, 1);
                 refused.get_or_insert_with(|| {
-                    format!("row {}: {}", number + 1, String::from_utf8_lossy(record.as_slice()))
+                    let cells: Vec<_> = record.iter().map(String::from_utf8_lossy).collect();
+                    let shown: String = cells.join(" ").chars().take(SHOWN).collect();
+                    format!("row {} is {shown:?}", number + 1)
                 });
             }
             Ok(row) => {

@@ -13,6 +13,8 @@ use super::{
 /// Standard gravity, m/s^2: what `g` is as a unit.
 const STANDARD_GRAVITY: f64 = 9.806_65;
 
+/// Columns that an error names.
+const OFFERED: usize = 60;
 /// So many lines above the names point a column out.
 const NEAR: usize = 4;
 
@@ -76,7 +78,12 @@ impl Heading<'_> {
     /// What the table has in place of a column that it lacks.
     fn offers(&self) -> String {
         match self.names {
-            Some(names) => format!("it has {}", names.join(", ")),
+            Some(names) => {
+                let named = names.len().min(OFFERED);
+                let more = names.len() - named;
+                let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+                format!("it has {}{more}", names[..named].join(", "))
+            }
             None => format!("it has {} columns", self.width),
         }
     }

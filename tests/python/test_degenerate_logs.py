@@ -1,0 +1,59 @@
+"""Exact motion about one axis, and logs of next to nothing: an answer, or the file's name and why not."""
+
+import json
+import math
+
+import pytest
+
+from conftest import CRAZYFLIE, ROOT
+
+MAPPING = ROOT / "config/mappings/motion-capture.toml"
+COLUMNS = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"
+ENDS_S = 120
+
+
+def table(path, axis, seconds=8.0, size=0.4):
+    """A turn to and fro about one axis, along which it travels as well: exact, without noise."""
+    rows = [COLUMNS]
+    for row in range(round(seconds * 100)):
+        t = 0.01 * row
+        angle, rate = size * math.sin(3 * t), 3 * size * math.cos(3 * t)
+        along = lambda value: [value if place == axis else 0.0 for place in range(3)]
+        attitude = [*along(math.sin(angle / 2)), math.cos(angle / 2)]
+        cells = [t, *along(angle), *along(rate), *attitude, *along(rate), 0.5, 0.5, 0.5, 0.5, 3.9]
+        rows.append(",".join(f"{cell:.8g}" for cell in cells))
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2], ids=["roll", "pitch", "yaw"])
+def test_the_audit_says_what_one_axis_does_not_show(program, tmp_path, axis):
+    path = table(tmp_path / "flight.csv", axis)
+    one = program("log", "audit", path, "--mapping", MAPPING, "--json")
+    code, out = one.finish(ENDS_S)
+    assert code == 0, one.err
+    assert "NaN" not in out
+    for pair in ("attitude", "position"):
+        agreement = json.loads(out)["logs"][0]["kinematics"][pair]
+        shown = [estimate is not None for estimate in agreement["rotation_rad"]]
+        assert shown == [place != axis for place in range(3)], (pair, agreement)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2], ids=["roll", "pitch", "yaw"])
+@pytest.mark.parametrize("command", ["train", "diagnose"])
+def test_what_learns_from_one_axis_ends(program, tmp_path, command, axis):
+    path = table(tmp_path / "flight.csv", axis)
+    few = ["-o", tmp_path / "model", "--passes", 5, "--hidden", 5, "--regularization", "1e-5"]
+    more = few if command == "train" else ["--twins", 4]
+    one = program(command, "--vehicle", CRAZYFLIE, path, "--mapping", MAPPING, *more)
+    code, _ = one.finish(ENDS_S)
+    assert code in (0, 2) and "panicked" not in one.err, one.err
+
+
+@pytest.mark.parametrize("command", ["train", "diagnose"])
+def test_too_little_names_its_file(program, tmp_path, command):
+    path = table(tmp_path / "short.csv", 1, seconds=4.0)
+    more = ["-o", tmp_path / "model"] if command == "train" else []
+    one = program(command, "--vehicle", CRAZYFLIE, path, "--mapping", MAPPING, *more)
+    assert one.finish(ENDS_S)[0] == 2, one.err
+    assert "short.csv" in one.err.splitlines()[-1]

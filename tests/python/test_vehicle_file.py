@@ -1,0 +1,162 @@
+"""Vehicle files made from a vehicle's parameters, checked, and found by name from any folder."""
+
+import json
+import subprocess
+import tomllib
+
+import pytest
+
+from conftest import CRAZYFLIE, DOWNWASH, SHORT_HOVER, free_port
+from hand_made_vehicle import HandMadeVehicle
+
+# What PX4's SIH quadrotor states; whole numbers are integers on the wire, sent as their bytes.
+SIH = {
+    "SYS_AUTOSTART": 10040,
+    "MAV_TYPE": 2,
+    "CA_AIRFRAME": 0,
+    "CA_ROTOR_COUNT": 4,
+    **{f"PWM_MAIN_FUNC{n}": 100 + n for n in range(1, 5)},
+    **{f"PWM_MAIN_FUNC{n}": 0 for n in range(5, 9)},
+    "MC_ROLL_P": 4.0,
+    "MC_PITCH_P": 4.0,
+    "MC_YAW_P": 2.8,
+    "IMU_GYRO_CUTOFF": 40.0,
+    "IMU_DGYRO_CUTOFF": 20.0,
+    "IMU_GYRO_RATEMAX": 800,
+    "THR_MDL_FAC": 0.0,
+    "MPC_THR_HOVER": 0.5,
+    "BAT1_N_CELLS": 4,
+    "BAT1_V_CHARGED": 4.05,
+    "SIH_MASS": 1.0,
+    "SIH_IXX": 0.025,
+    "SIH_IYY": 0.025,
+    "SIH_IZZ": 0.03,
+    "SIH_T_MAX": 5.0,
+    "SIH_Q_MAX": 0.1,
+    "SIH_L_ROLL": 0.2,
+    "SIH_L_PITCH": 0.2,
+    "SIH_T_TAU": 0.05,
+    "SIH_KDV": 1.0,
+    "SIH_KDW": 0.025,
+    "SIH_VEHICLE_TYPE": 0,
+}
+for rotor, (x, y, km) in enumerate([(1.0, 1.0, 0.05), (-1.0, -1.0, 0.05), (1.0, -1.0, -0.05), (-1.0, 1.0, -0.05)]):
+    SIH |= {f"CA_ROTOR{rotor}_PX": x, f"CA_ROTOR{rotor}_PY": y, f"CA_ROTOR{rotor}_KM": km}
+for axis, p, i, d, most in [
+    ("ROLL", 0.15, 0.2, 0.003, 220.0),
+    ("PITCH", 0.15, 0.2, 0.003, 220.0),
+    ("YAW", 0.2, 0.1, 0.0, 200.0),
+]:
+    name = f"MC_{axis}RATE"
+    SIH |= {f"{name}_P": p, f"{name}_I": i, f"{name}_D": d, f"{name}_FF": 0.0, f"{name}_K": 1.0, f"{name}_MAX": most}
+SIH |= {"MC_RR_INT_LIM": 0.3, "MC_PR_INT_LIM": 0.3, "MC_YR_INT_LIM": 0.3}
+
+
+def downwash(folder, *arguments, timeout=60):
+    command = [*DOWNWASH, *map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout)
+    assert "panicked" not in done.stderr
+    return done
+
+
+@pytest.fixture
+def px4(tmp_path):
+    """A hand-made vehicle with PX4's parameters; yields its link and cleans up."""
+    port = free_port()
+    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
+    vehicle.params = dict(SIH)
+    yield vehicle, f"udpin:127.0.0.1:{port}"
+    vehicle.stop()
+
+
+def test_a_file_is_made_of_what_the_vehicle_on_the_link_says(px4, tmp_path):
+    vehicle, url = px4
+    before = dict(vehicle.params)
+    done = downwash(tmp_path, "vehicle", "init", "--connect", url, "-o", "quad.toml", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert (told["schema"], told["autopilot"], told["missing"]) == ("downwash.vehicle.init", "PX4", [])
+    # Nothing was set, no stream was asked for, nothing was armed.
+    assert vehicle.params == before
+    assert {command for command, _, _ in vehicle.commands} <= {512}
+    file = tomllib.loads((tmp_path / "quad.toml").read_text())
+    assert file["mass"] == 1.0 and file["battery"]["cells"] == 4
+    loop = file["attitude_cascade"]
+    # MC_ROLLRATE_P times the mixer's 2 sqrt(2) N m, MC_YAWRATE_P times 0.4 N m.
+    assert loop["rate_p_Nms"] == pytest.approx([0.42426, 0.42426, 0.08], rel=1e-4)
+    assert loop["angle_p_per_s"] == [4.0, 4.0, 2.8]
+    assert file["provenance"]["mass"]["from"] == "SIH_MASS"
+
+    assert downwash(tmp_path, "vehicle", "check", "quad.toml").returncode == 0
+    # It is enough to plan with, as it is.
+    done = downwash(tmp_path, "plan", "hover", "--vehicle", "quad.toml", "--out", "plan.json", timeout=120)
+    assert done.returncode == 0, done.stderr
+    # And it is not written over.
+    done = downwash(tmp_path, "vehicle", "init", "--connect", url, "-o", "quad.toml")
+    assert done.returncode == 2 and "--force" in done.stderr
+
+
+def test_nobody_on_the_link_is_told_within_seconds(tmp_path):
+    command = [*DOWNWASH, "vehicle", "init", "--connect", f"udpin:127.0.0.1:{free_port()}"]
+    waiting = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        line = waiting.stderr.readline()
+        assert "waiting for the HEARTBEAT" in line and "0 bytes" in line
+    finally:
+        waiting.terminate()
+    waiting.communicate(timeout=10)
+    assert waiting.returncode == 130
+
+
+def test_a_parameter_file_does_as_well(tmp_path):
+    rows = [f"1\t1\t{name}\t{value:.18f}\t{6 if isinstance(value, int) else 9}" for name, value in SIH.items()]
+    (tmp_path / "my.params").write_text("# Onboard parameters for Vehicle 1\n" + "\n".join(rows) + "\n")
+    done = downwash(tmp_path, "vehicle", "init", "my.params", "--mass", "1.2", "--name", "mine")
+    assert done.returncode == 0, done.stderr
+    file = tomllib.loads(done.stdout)
+    assert (file["name"], file["mass"]) == ("mine", 1.2)
+    assert file["hover_thrust"] == pytest.approx(1.2 * 9.80665 / 20, rel=1e-4)
+
+
+def test_what_is_missing_is_named_with_the_way_to_measure_it(tmp_path):
+    done = downwash(tmp_path, "vehicle", "init", "--arm", "0.22", "-o", "quad.toml")
+    assert done.returncode == 0
+    assert "missing: mass" in done.stderr and "--mass" in done.stderr
+    done = downwash(tmp_path, "vehicle", "check", "quad.toml")
+    assert done.returncode == 2 and "no key mass" in done.stderr
+
+
+def test_what_holds_no_parameters_is_refused_by_name(tmp_path):
+    done = downwash(tmp_path, "vehicle", "init", CRAZYFLIE)
+    assert done.returncode == 2
+    assert "crazyflie.toml" in done.stderr and "parameter file" in done.stderr
+
+
+def test_a_mass_in_grams_is_told_before_any_use(tmp_path):
+    text = CRAZYFLIE.read_text().replace("mass = 0.030", "mass = 30.0")
+    (tmp_path / "grams.toml").write_text(text)
+    (tmp_path / "hover.toml").write_text(SHORT_HOVER)
+    done = downwash(tmp_path, "vehicle", "check", "grams.toml", "--json")
+    assert done.returncode == 10
+    remark = json.loads(done.stdout)["remarks"][0]
+    assert (remark["field"], remark["doubt"]) == ("mass", "cannot_fly")
+    for arguments in (["plan", "hover.toml"], ["fly", "hover.toml", "--connect", "udpout:127.0.0.1:9"]):
+        done = downwash(tmp_path, *arguments, "--vehicle", "grams.toml")
+        assert done.returncode == 2, done.stderr
+        assert "looks like grams" in done.stderr and "1.3 to 12 times" in done.stderr
+    huge = text.replace("mass = 30.0", "mass = 1e300")
+    (tmp_path / "huge.toml").write_text(huge)
+    done = downwash(tmp_path, "vehicle", "check", "huge.toml")
+    assert done.returncode == 2 and "at most 1e6" in done.stderr
+
+
+def test_shipped_vehicles_and_trajectories_go_by_their_names_from_any_folder(tmp_path):
+    listed = json.loads(downwash(tmp_path, "vehicle", "list", "--json").stdout)
+    vehicles = [vehicle["name"] for vehicle in listed["vehicles"]]
+    assert "crazyflie" in vehicles and "figure-8" in [entry["name"] for entry in listed["trajectories"]]
+    for vehicle in vehicles:
+        assert downwash(tmp_path, "vehicle", "check", vehicle).returncode == 0
+    done = downwash(tmp_path, "plan", "figure-9", "--vehicle", "crazyflie")
+    assert done.returncode == 2 and "figure-8" in done.stderr
+    done = downwash(tmp_path, "plan", "hover", "--vehicle", "crazyfly")
+    assert done.returncode == 2 and "crazyflie, quad1200" in done.stderr
