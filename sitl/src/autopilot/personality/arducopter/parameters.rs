@@ -11,7 +11,7 @@ pub(super) const TUNING: Tuning = Tuning {
     integral_per_s: [1.0, 1.0, 0.1],
     derivative_s: [0.0267, 0.0267, 0.0],
     integral_max: [0.5; 3],
-    rate_max_rad_s: [6.28; 3],
+    rate_max_rad_s: [std::f64::consts::TAU; 3],
     gyro_cutoff_hz: 20.0,
     derivative_cutoff_hz: 20.0,
     shapes_setpoints: true,
