@@ -30,30 +30,33 @@ def autopilot(vehicle_file, tmp_path):
 
 
 def answers(gcs, number, *params):
-    """Every result that a command gets within half a second."""
+    """Every result that a command gets within half a second, and the texts that come meanwhile."""
     params = list(params) + [0.0] * (7 - len(params))
     gcs.link.mav.command_long_send(1, 1, number, 0, *params)
-    results, end = [], time.monotonic() + 0.5
+    results, texts, end = [], "", time.monotonic() + 0.5
     while time.monotonic() < end:
-        ack = gcs.link.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.1)
-        if ack is not None and ack.command == number:
-            results.append(ack.result)
-    return results
+        message = gcs.link.recv_match(type=["COMMAND_ACK", "STATUSTEXT"], blocking=True, timeout=0.1)
+        if message is not None and message.get_type() == "STATUSTEXT":
+            texts += message.text
+        elif message is not None and message.command == number:
+            results.append(message.result)
+    return results, texts
 
 
 def test_px4(autopilot, pilot):
     gcs = pilot(autopilot("--autopilot", "px4").peer_url())
     assert gcs.wait("HEARTBEAT").autopilot == PX4
-    assert gcs.command(REQUEST_MESSAGE, 148) == ACCEPTED
+    gcs.link.mav.command_long_send(1, 1, REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
     version = gcs.wait("AUTOPILOT_VERSION")
     assert (version.vendor_id, version.product_id) == (0, 0)
     value = gcs.parameter("NAV_RCL_ACT").param_value
     assert struct.unpack("<i", struct.pack("<f", value)) == (2,), "byte cast"
     assert gcs.parameter("MC_ROLL_P").param_value == pytest.approx(8.0)
     # Disarmed, any mode is accepted; arming then waits for setpoints.
-    assert answers(gcs, SET_MODE, 1, 6) == [ACCEPTED]
-    assert answers(gcs, ARM_DISARM, 1) == [REJECTED]
-    gcs.texts("Arming denied: Resolve system health failures first")
+    assert answers(gcs, SET_MODE, 1, 6)[0] == [ACCEPTED]
+    results, texts = answers(gcs, ARM_DISARM, 1)
+    assert results == [REJECTED]
+    assert "Arming denied: Resolve system health failures first" in texts
     assert gcs.wait("SERVO_OUTPUT_RAW").servo1_raw == 900
 
 
@@ -64,7 +67,7 @@ def test_arducopter(autopilot, pilot):
     assert gcs.parameter("GUID_OPTIONS").param_value == 0.0
     gcs.link.mav.param_set_send(1, 1, b"GUID_OPTIONS", 8.0, gcs.mav.MAV_PARAM_TYPE_REAL32)
     assert gcs.wait("PARAM_VALUE", lambda value: value.param_id == "GUID_OPTIONS").param_value == 8.0
-    assert answers(gcs, SET_MODE, 1, 4) == [ACCEPTED], "one honest answer"
+    assert answers(gcs, SET_MODE, 1, 4)[0] == [ACCEPTED], "one honest answer"
     gcs.wait("HEARTBEAT", lambda beat: beat.custom_mode == 4)
     assert gcs.command(SET_INTERVAL, 331, 10_000) == DENIED, "no ODOMETRY"
     assert gcs.command(SET_INTERVAL, 36, 20_000) == ACCEPTED

@@ -37,7 +37,8 @@ pub(super) struct Tuning {
     pub rate_max_rad_s: [f64; 3],
     pub gyro_cutoff_hz: f64,
     pub derivative_cutoff_hz: f64,
-    pub input_time_constant_s: Option<f64>,
+    /// Whether setpoints are shaped before the loop sees them.
+    pub shapes_setpoints: bool,
     pub rate_hz: f64,
 }
 
@@ -67,7 +68,8 @@ impl Tuning {
             integral_max_nm: of(|tuning| tuning.integral_max, moments),
             gyro_cutoff_hz: self.gyro_cutoff_hz,
             derivative_cutoff_hz: self.derivative_cutoff_hz,
-            input_time_constant_s: self.input_time_constant_s,
+            // A shaped setpoint is followed with its time constant, which is then the PD's lag.
+            input_time_constant_s: self.shapes_setpoints.then(|| kd[0] / kp[0].max(1e-9)),
             rate_hz: self.rate_hz,
         })
     }

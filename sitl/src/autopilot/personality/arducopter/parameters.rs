@@ -5,16 +5,16 @@ use super::super::gains::{Gain, Tuning, Unit};
 use crate::autopilot::parameters::{Key, Spec, Value, fact, float, int};
 use crate::vehicle::{ROTORS, RotorParams, VehicleParams};
 
-/// ArduCopter's defaults: ATC_RAT_RLL_I over _P and _D over _P, _IMAX, the filters, ATC_INPUT_TC.
+/// ArduCopter's defaults: ATC_RAT_RLL_I over _P and _D over _P, _IMAX, the filters.
 /// It has no bound of the rates by default; this one is far beyond what a setpoint asks for.
 pub(super) const TUNING: Tuning = Tuning {
     integral_per_s: [1.0, 1.0, 0.1],
     derivative_s: [0.0267, 0.0267, 0.0],
     integral_max: [0.5; 3],
-    rate_max_rad_s: [6.28; 3],
+    rate_max_rad_s: [std::f64::consts::TAU; 3],
     gyro_cutoff_hz: 20.0,
     derivative_cutoff_hz: 20.0,
-    input_time_constant_s: Some(0.15),
+    shapes_setpoints: true,
     rate_hz: 400.0,
 };
 

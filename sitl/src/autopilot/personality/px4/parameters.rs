@@ -23,7 +23,7 @@ pub(super) const TUNING: Tuning = Tuning {
     rate_max_rad_s: [3.84, 3.84, 3.49],
     gyro_cutoff_hz: 40.0,
     derivative_cutoff_hz: 30.0,
-    input_time_constant_s: None,
+    shapes_setpoints: false,
     rate_hz: 250.0,
 };
 
