@@ -187,7 +187,7 @@ impl TimeSync {
         if span_ns < SKEW_SPAN_NS {
             return;
         }
-        let slope = (newer.offset_ns - older.offset_ns) as f64 / span_ns;
+        let slope = newer.offset_ns.saturating_sub(older.offset_ns) as f64 / span_ns;
         let error = (older.half_trip_ns() + newer.half_trip_ns()) / span_ns;
         let is_shown = slope.abs() > error + DRIFT;
         let found = Skew { value: if is_shown { slope } else { 0.0 }, error };

@@ -360,6 +360,23 @@ mod tests {
     }
 
     proptest! {
+        /// Whatever a vehicle sends, nothing overflows.
+        #[test]
+        fn no_stamp_and_no_answer_panics(heard in prop::collection::vec(any::<(u64, i64)>(), 1..60)) {
+            let mut clock = VehicleClock::default();
+            for (k, (us, tc1)) in heard.into_iter().enumerate() {
+                let now = START + Duration::from_millis(300) * k as u32;
+                let ts1 = clock.request(now);
+                clock.answer(now + Duration::from_millis(1), tc1, ts1);
+                let stamp = VehicleTime::from_us(us);
+                let delay = clock.observe(now, stamp);
+                prop_assert!(delay.seconds.is_finite() && delay.at_least_s.is_finite());
+                clock.to_host(stamp);
+            }
+        }
+    }
+
+    proptest! {
         #![proptest_config(ProptestConfig::with_cases(256))]
 
         /// Skews, jitter and round trips: nothing that was not held up is late; and what waited in
