@@ -88,7 +88,9 @@ impl Arrival {
         let points: Vec<(f64, f64)> = self
             .spans
             .iter()
-            .map(|q| (ns_between(first.at, q.at), (q.offset_ns - first.offset_ns) as f64))
+            .map(|q| {
+                (ns_between(first.at, q.at), q.offset_ns.saturating_sub(first.offset_ns) as f64)
+            })
             .collect();
         let middle = points.iter().map(|(t, _)| t).sum::<f64>() / points.len() as f64;
         let pairs = points

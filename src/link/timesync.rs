@@ -23,7 +23,11 @@ pub const PERIOD_IN_DOUBT: Duration = Duration::from_millis(10);
 /// Exchanges kept: 5 s of them.
 const WINDOW: usize = 50;
 /// Requests that can still be answered; older ones took longer than any useful round trip.
-const OUTSTANDING: usize = 16;
+const OUTSTANDING: usize = 32;
+/// With more open requests than this the link holds answers back.
+const OPEN_MAX: usize = 5;
+/// A round trip below this leaves room for requests in a row.
+const QUICK: Duration = Duration::from_millis(50);
 /// Worst drift between two crystal clocks.
 const DRIFT: f64 = 100e-6;
 /// Exchanges in a row that contradict the estimate before it is dropped.
@@ -111,7 +115,8 @@ impl TimeSync {
         let Some(index) = self.outstanding.iter().position(|&open| open == ts1) else {
             return Answer::NotOurs;
         };
-        self.outstanding.remove(index);
+        // Links keep the order: those before it are lost.
+        self.outstanding.drain(..=index);
         let Ok(sent) = u64::try_from(ts1) else { return Answer::NotOurs };
         let Some(round_trip_ns) = now.as_ns().checked_sub(sent) else { return Answer::NotOurs };
         let middle = ts1.saturating_add_unsigned(round_trip_ns / 2);
@@ -142,6 +147,11 @@ impl TimeSync {
         self.fit_skew();
         self.choose(now);
         Answer::Sample
+    }
+
+    /// Whether answers come at once, so that several requests in a row are no burden.
+    pub(super) fn is_quick(&self) -> bool {
+        self.outstanding.len() <= OPEN_MAX && self.round_trip.is_some_and(|time| time < QUICK)
     }
 
     pub(super) fn is_in_doubt(&self) -> bool {
@@ -177,7 +187,7 @@ impl TimeSync {
         if span_ns < SKEW_SPAN_NS {
             return;
         }
-        let slope = (newer.offset_ns - older.offset_ns) as f64 / span_ns;
+        let slope = newer.offset_ns.saturating_sub(older.offset_ns) as f64 / span_ns;
         let error = (older.half_trip_ns() + newer.half_trip_ns()) / span_ns;
         let is_shown = slope.abs() > error + DRIFT;
         let found = Skew { value: if is_shown { slope } else { 0.0 }, error };

@@ -22,8 +22,6 @@ const RESTART_S: f64 = 1.0;
 
 /// A message that is late by more than this may be one of a clock that slipped, s.
 const DOUBT_S: f64 = 0.05;
-/// A round trip below this leaves room for requests in a row.
-const QUICK: Duration = Duration::from_millis(50);
 
 /// The vehicle's clock as a line over the host's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -116,9 +114,12 @@ impl VehicleClock {
     /// Time between requests: a short one where messages are late, or the newest answers contradict
     /// what is known, and the link is quick. Its answers tell at once whether the clock slipped.
     pub fn period(&self) -> Duration {
-        let is_quick = self.round_trip().is_some_and(|time| time < QUICK);
         let is_in_doubt = self.is_late || self.sync.is_in_doubt();
-        if is_quick && is_in_doubt { timesync::PERIOD_IN_DOUBT } else { timesync::PERIOD }
+        if is_in_doubt && self.sync.is_quick() {
+            timesync::PERIOD_IN_DOUBT
+        } else {
+            timesync::PERIOD
+        }
     }
 
     /// Takes the stamp of a message that just arrived; gives how long it was on its way.
@@ -216,7 +217,7 @@ mod tests {
     struct Run {
         /// Messages that were not held up by a queue and are said to be late: when they came, s.
         wronged: Vec<f64>,
-        /// Messages that a queue held up by more than the limit and twice the transport, and that
+        /// Messages that a queue held up by two and a half times the limit, and that
         /// are not said to be late.
         missed: Vec<f64>,
         /// Largest error of the offset, s, in the last second.
@@ -264,7 +265,7 @@ mod tests {
                 if is_late && waited < 0.5 * LATE_S {
                     run.wronged.push(t);
                 }
-                if !is_late && waited > 2.0 * LATE_S {
+                if !is_late && waited > 2.5 * LATE_S {
                     run.missed.push(t);
                 }
                 if t > length_s - 1.0 {
@@ -281,6 +282,15 @@ mod tests {
 
     fn steady(skew: f64, is_answering: bool) -> Model {
         Model { skew, stall_at_s: f64::INFINITY, stall_s: 0.0, is_answering }
+    }
+
+    /// Transport times between `base` and `base + jitter`, s, mostly short.
+    fn jittery(base: f64, jitter: f64, seed: u32) -> impl Fn(u32) -> f64 {
+        move |k| {
+            let number = f64::from(k.wrapping_mul(7919).wrapping_add(seed));
+            let noise = (number * 0.618_033_988_75).fract();
+            base + jitter * noise * noise
+        }
     }
 
     const NO_QUEUE: (f64, f64) = (f64::INFINITY, f64::INFINITY);
@@ -315,7 +325,7 @@ mod tests {
         }
         let behind = |k: u32| if (10_000..40_000).contains(&k) { 0.6 } else { 0.001 };
         let behind = run(steady(0.0, true), 41.0, NO_QUEUE, behind);
-        assert!(behind.missed.is_empty(), "{:?}", behind.missed);
+        assert!(behind.missed.is_empty(), "from {:?} on", behind.missed.first());
     }
 
     #[test]
@@ -350,7 +360,24 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(48))]
+        /// Whatever a vehicle sends, nothing overflows.
+        #[test]
+        fn no_stamp_and_no_answer_panics(heard in prop::collection::vec(any::<(u64, i64)>(), 1..60)) {
+            let mut clock = VehicleClock::default();
+            for (k, (us, tc1)) in heard.into_iter().enumerate() {
+                let now = START + Duration::from_millis(300) * k as u32;
+                let ts1 = clock.request(now);
+                clock.answer(now + Duration::from_millis(1), tc1, ts1);
+                let stamp = VehicleTime::from_us(us);
+                let delay = clock.observe(now, stamp);
+                prop_assert!(delay.seconds.is_finite() && delay.at_least_s.is_finite());
+                clock.to_host(stamp);
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(256))]
 
         /// Skews, jitter and round trips: nothing that was not held up is late; and what waited in
         /// a queue is.
@@ -364,28 +391,27 @@ mod tests {
             queue_s in 0.5f64..2.0,
             seed in 0u32..1000,
         ) {
-            let transport = move |k: u32| {
-                let noise = (f64::from(k.wrapping_mul(7919).wrapping_add(seed)) * 0.618_033_988_75).fract();
-                base + jitter * noise * noise
-            };
             let queue = (queue_at, queue_at + queue_s);
-            let run = run(steady(skew, is_answering), 14.0, queue, transport);
+            let run = run(steady(skew, is_answering), 14.0, queue, jittery(base, jitter, seed));
             prop_assert!(run.wronged.is_empty(), "late: {:?}", run.wronged);
             prop_assert!(run.missed.is_empty(), "not late: {:?}", run.missed);
         }
 
-        /// A stall of any length below a second, at any skew: followed within a tenth of a second.
+        /// A stall of any length below a second, at any skew and through jitter: soon followed.
         #[test]
         fn stalls_are_followed(
             skew in -0.03f64..0.03,
             stall_at_s in 3.0f64..6.0,
             stall_s in 0.05f64..0.95,
+            base in 0.0005f64..0.02,
+            jitter in 0.0f64..0.02,
+            seed in 0u32..1000,
         ) {
             let model = Model { skew, stall_at_s, stall_s, is_answering: true };
-            let run = run(model, 12.0, NO_QUEUE, |_| 0.001);
+            let run = run(model, 12.0, NO_QUEUE, jittery(base, jitter, seed));
             let until = run.wronged.iter().fold(0.0, |a: f64, b| a.max(*b));
             prop_assert!(until < stall_at_s + stall_s + 0.3, "late until {until}");
-            prop_assert!(run.error_s < 0.02, "{} s", run.error_s);
+            prop_assert!(run.error_s < 0.02 + 2.0 * (base + jitter), "{} s", run.error_s);
         }
     }
 }
