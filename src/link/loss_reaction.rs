@@ -67,6 +67,7 @@ fn px4(read: &Parameters) -> LossReaction {
         return LossReaction::Unread("COM_OBL_RC_ACT");
     };
     let without_sticks = match read.get("NAV_RCL_ACT").map(|action| *action as i64) {
+        None if (0..=2).contains(&(*action as i64)) => return LossReaction::Unread("NAV_RCL_ACT"),
         Some(1) => "Hold",
         Some(2) => "Return",
         Some(3) => "Land",
@@ -74,6 +75,8 @@ fn px4(read: &Parameters) -> LossReaction {
         Some(6) => "a stop of the motors",
         _ => "what NAV_RCL_ACT says",
     };
+    // PARAM_VALUE carries f32.
+    let wait_s = *wait_s as f32;
     let then = match *action as i64 {
         0 => format!("Position, or without sticks {without_sticks}"),
         1 => format!("Altitude, or without sticks {without_sticks}"),
@@ -127,9 +130,9 @@ fn arducopter(read: &Parameters, own_system: u8) -> LossReaction {
         };
     }
     let levels = read.get("GUID_TIMEOUT").map_or_else(String::new, |wait_s| {
-        format!("after {wait_s} s without a setpoint ArduCopter levels; ")
+        format!("after {} s without a setpoint ArduCopter levels; ", *wait_s as f32)
     });
-    let wait_s = read.get("FS_GCS_TIMEOUT").copied().unwrap_or(5.0);
+    let wait_s = read.get("FS_GCS_TIMEOUT").copied().unwrap_or(5.0) as f32;
     // Bit 4: not in modes that the pilot flies by the sticks. ArduCopter's default has it set.
     let spares_pilot = read.get("FS_OPTIONS").is_none_or(|options| *options as i64 & 16 != 0);
     let over_pilot = match spares_pilot {
