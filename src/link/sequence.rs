@@ -113,7 +113,7 @@ impl Sequence {
                 self.remember(place, hash);
                 Order::Overtaken(place)
             }
-            1..=STEP_MAX => self.go_on(newest, step, hash),
+            _ if step <= STEP_MAX => self.go_on(newest, step, hash),
             _ if is_silent => self.begin(number, hash),
             _ => {
                 let behind = 256 - u64::from(step);
