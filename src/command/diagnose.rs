@@ -89,7 +89,8 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     if held_out.is_empty() && fitted.len() > 1 {
         held_out.extend(fitted.pop());
     } else if held_out.is_empty() {
-        (fitted, held_out) = halves(&fitted[0]).with_context(|| listed(&paths)).or_exit(Exit::Usage)?;
+        (fitted, held_out) =
+            halves(&fitted[0]).with_context(|| listed(&paths)).or_exit(Exit::Usage)?;
         say(format_args!("one flight: its second part is held out, {GUARD_S} s after the first"));
     }
     fitted.append(&mut new);
