@@ -34,7 +34,7 @@ fn report_is_one_file_that_fetches_nothing() {
     for broken in ["NaN", "inf ", "infinity"] {
         assert!(!html.contains(broken), "{broken}");
     }
-    assert!(html.contains("Tracked for 15.8 s"), "the sentence says how long");
+    assert!(html.contains("Tracked for 15.7 s"), "the sentence says how long");
     assert!(html.contains("Low battery, &quot;10 %&quot;"));
 }
 

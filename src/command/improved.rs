@@ -280,8 +280,9 @@ mod tests {
         );
         assert!(out.contains("tau_s = 5.0e-2\n"), "{out}");
         // Written inline, it stays inline.
+        let rest = TOML.replace("[modelled_effects]\n", "");
         let text =
-            format!("modelled_effects = {{ rotor_drag = {{ d_xy = 0.5, d_z = 1e-3 }} }}\n{TOML}");
+            format!("modelled_effects = {{ rotor_drag = {{ d_xy = 0.5, d_z = 1e-3 }} }}\n{rest}");
         let out = additions().to_file(&text, &vehicle, [Form::Toml; 2])?;
         assert!(
             out.starts_with("modelled_effects = { rotor_drag = { d_xy = 0.02, d_z = 0.01 } }\n"),

@@ -453,7 +453,7 @@ mod tests {
         assert_eq!(standing(0, 6, nine_tenths), Standing::Missed);
         assert_eq!(standing(40, 60, nine_tenths), Standing::Missed);
         assert_eq!(standing(1, 6, none), Standing::Missed);
-        assert_eq!(standing(1, 6, Bound::AtMost(0.03)), Standing::TooFew);
+        assert_eq!(standing(1, 10, Bound::AtMost(0.03)), Standing::TooFew);
         assert_eq!(standing(0, 0, nine_tenths), Standing::Kept);
     }
 }

@@ -119,7 +119,8 @@ pub(super) type Reading = fn(Attitude) -> Attitude;
 /// quaternions in another order or direction than stated.
 pub(super) fn turning_explained(flight: &Flight, read: Reading) -> Option<f64> {
     let trial = Turning::of(flight, read).trial()?;
-    let is_near = trial.angle() < 0.3 && !trial.is_mirrored;
+    // Of one axis alone any order could be true.
+    let is_near = trial.moving > 1 && trial.angle() < 0.3 && !trial.is_mirrored;
     is_near.then_some(trial.explained)
 }
 

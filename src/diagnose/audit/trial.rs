@@ -26,6 +26,8 @@ pub(super) struct Trial {
     pub scale: f64,
     pub explained: f64,
     pub is_mirrored: bool,
+    /// Axes that move.
+    pub moving: usize,
 }
 
 impl Trial {
@@ -80,7 +82,14 @@ impl Trial {
             .and_then(|svd| Some((svd.u?, svd.v_t?, svd.singular_values)));
         let Some((u, v, s)) = svd else {
             let rotation = Rotation3::identity();
-            return Self { delay, rotation, scale: 1.0, explained: 0.0, is_mirrored: false };
+            return Self {
+                delay,
+                rotation,
+                scale: 1.0,
+                explained: 0.0,
+                is_mirrored: false,
+                moving: 0,
+            };
         };
         let sign = (u * v).determinant().signum();
         let share = |power: f64| match x_power * y_power {
@@ -91,7 +100,14 @@ impl Trial {
         let mirrored = share(s.sum());
         if sign < 0.0 && s[2] > 0.1 * s[0] && mirrored > MIRRORED_MIN {
             let rotation = Rotation3::identity();
-            return Self { delay, rotation, scale: 1.0, explained: mirrored, is_mirrored: true };
+            return Self {
+                delay,
+                rotation,
+                scale: 1.0,
+                explained: mirrored,
+                is_mirrored: true,
+                moving: 3,
+            };
         }
         let power = s[0] + s[1] + sign * s[2];
         let scale = if x_power > 0.0 { power / x_power } else { 0.0 };
@@ -99,7 +115,7 @@ impl Trial {
         let to = [u.column(0).into_owned(), u.column(1).into_owned()];
         let moving = s.iter().filter(|value| **value > MOVES_MIN * s[0]).count();
         let rotation = rotation_of(from, to, moving);
-        Self { delay, rotation, scale, explained: share(power), is_mirrored: false }
+        Self { delay, rotation, scale, explained: share(power), is_mirrored: false, moving }
     }
 
     /// Angle of the rotation, rad.
