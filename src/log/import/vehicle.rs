@@ -111,14 +111,14 @@ impl VehicleLog {
         self.latest_us = self.latest_us.max(time.map_or(0, |time| time.as_us()));
         let vehicle = time.map(|time| time.as_us() as f64 * 1e-6);
         match message {
-            Inbound::Heartbeat { autopilot, vehicle_type, armed, .. } => {
-                if autopilot != MavAutopilot::MAV_AUTOPILOT_INVALID as u8 {
-                    self.autopilot = Some(autopilot);
-                    *self.types.entry(vehicle_type).or_default() += 1;
-                    self.armed.push((heard, armed));
-                    if autopilot == PX4 {
-                        self.codec.set_parameter_cast(ParameterCast::Bytes);
-                    }
+            Inbound::Heartbeat { autopilot, vehicle_type, armed, .. }
+                if autopilot != MavAutopilot::MAV_AUTOPILOT_INVALID as u8 =>
+            {
+                self.autopilot = Some(autopilot);
+                *self.types.entry(vehicle_type).or_default() += 1;
+                self.armed.push((heard, armed));
+                if autopilot == PX4 {
+                    self.codec.set_parameter_cast(ParameterCast::Bytes);
                 }
             }
             Inbound::Parameter { name, value } => {
@@ -194,13 +194,11 @@ impl VehicleLog {
             (Some(Frd::from(force)), Some(Frd::from(rate)))
         };
         match message {
-            MavMessage::ESC_STATUS(data) => {
-                // The first of a group of four; others drive no rotor of a quadrotor.
-                if data.index == 0 {
-                    let rpm = data.rpm.map(|rpm| f64::from(rpm).abs());
-                    let time = Some(data.time_usec as f64 * 1e-6);
-                    self.keep(Source::EscStatus, heard, time, |e, time| e.rpm.push(time, rpm));
-                }
+            // The first of a group of four; others drive no rotor of a quadrotor.
+            MavMessage::ESC_STATUS(data) if data.index == 0 => {
+                let rpm = data.rpm.map(|rpm| f64::from(rpm).abs());
+                let time = Some(data.time_usec as f64 * 1e-6);
+                self.keep(Source::EscStatus, heard, time, |e, time| e.rpm.push(time, rpm));
             }
             MavMessage::RAW_IMU(d) => {
                 let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
@@ -238,12 +236,10 @@ impl VehicleLog {
                     epoch.servo_outputs[port].push(time, outputs)
                 });
             }
-            MavMessage::SYS_STATUS(d) => {
-                // 0 and the greatest number stand for none.
-                if !matches!(d.voltage_battery, 0 | u16::MAX) {
-                    let voltage = f64::from(d.voltage_battery) * 1e-3;
-                    self.system_voltage.push((heard, voltage));
-                }
+            // 0 and the greatest number stand for none.
+            MavMessage::SYS_STATUS(d) if !matches!(d.voltage_battery, 0 | u16::MAX) => {
+                let voltage = f64::from(d.voltage_battery) * 1e-3;
+                self.system_voltage.push((heard, voltage));
             }
             _ => {}
         }

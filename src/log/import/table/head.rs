@@ -57,7 +57,7 @@ impl Head {
         let first = source.fill_buf()?.to_ascii_lowercase();
         if first.strip_prefix(b"\"").unwrap_or(&first).starts_with(b"sep=") {
             let line = text::line(source)?.unwrap_or_default();
-            head.separator = line.trim_matches('"').bytes().nth(4).filter(u8::is_ascii);
+            head.separator = line.trim_matches('"').as_bytes().get(4).copied().filter(u8::is_ascii);
         }
         for _ in 0..skip_lines {
             let Some(line) = text::line(source)? else { break };
