@@ -313,6 +313,9 @@ impl DisturbanceObserver {
         // Nose up pushes back, right side down pushes right.
         let gravity = self.vehicle.gravity;
         let (roll, pitch) = ((-aside / gravity).atan(), (ahead / gravity).atan());
+        // A tilted thrust must carry the same weight.
+        let tilted_n =
+            reference.feedforward.thrust_n * ((ahead.hypot(aside) / gravity).hypot(1.0) - 1.0);
         // Drag turns with the velocity; of what is fixed in the world the body makes no turn.
         let thrust = reference.feedforward.thrust_n / self.vehicle.mass_kg;
         let push = reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -thrust));
@@ -322,7 +325,7 @@ impl DisturbanceObserver {
             velocity: -velocity,
             attitude: Euler::new(roll, pitch, 0.0),
             input: Setpoint {
-                thrust_n: self.vehicle.mass_kg * along_thrust,
+                thrust_n: self.vehicle.mass_kg * along_thrust + tilted_n,
                 attitude: Euler::new(roll - attitude[0], pitch - attitude[1], -attitude[2]),
                 body_rate: Frd::new(-more_aside / gravity, more_ahead / gravity, 0.0),
             },
