@@ -627,7 +627,6 @@ fn outputs_span_what_the_autopilots_own_parameters_state() {
         let mut actuator = [0.0; 32];
         actuator[..4].copy_from_slice(&[1100.0, 1500.0, 1900.0, 900.0]);
         let time_usec = u64::from(ms) * 1000;
-        let actuator = actuator.into();
         MavMessage::ACTUATOR_OUTPUT_STATUS(ACTUATOR_OUTPUT_STATUS_DATA {
             time_usec,
             active: 4,

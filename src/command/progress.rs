@@ -22,11 +22,14 @@ pub(super) fn flight_bar(length_s: f64) -> ProgressBar {
     bar((length_s * 10.0) as u64, "{bar:40} {percent:>3} %  {msg}")
 }
 
+/// What is done with trained networks.
+pub(super) type Keep = Box<dyn Fn(&Progress) + Send>;
+
 /// A bar for each stage of a training.
 pub(super) struct StageBar {
     bar: ProgressBar,
     interrupted: Arc<AtomicBool>,
-    keep: Option<Box<dyn Fn(&Progress) + Send>>,
+    keep: Option<Keep>,
 }
 
 impl StageBar {
@@ -36,7 +39,7 @@ impl StageBar {
     }
 
     /// What to do with trained networks before they are judged.
-    pub fn keep_by(&mut self, keep: Option<Box<dyn Fn(&Progress) + Send>>) {
+    pub fn keep_by(&mut self, keep: Option<Keep>) {
         self.keep = keep;
     }
 

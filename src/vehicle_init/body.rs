@@ -40,7 +40,7 @@ pub(super) fn draft(source: &str, parameters: &Parameters, measured: &Measured) 
         is_simulated: parameters.is_simulated_in_hardware(),
     };
     let mass = read.one(measured.mass_kg, "--mass", "SIH_MASS");
-    let (positions, spins, layout) = read.rotors();
+    let Placed { positions, spins, order: layout } = read.rotors();
     let arm = positions.as_ref().map(|given| {
         given.value.iter().map(|[x, y, _]| x.hypot(*y)).sum::<f64>() / given.value.len() as f64
     });
@@ -84,6 +84,15 @@ pub(super) fn draft(source: &str, parameters: &Parameters, measured: &Measured) 
     }
 }
 
+/// Where the rotors are.
+struct Placed {
+    /// Front, right and down of each, m; `None` where nothing says it.
+    positions: Option<Given<[[f64; 3]; 4]>>,
+    spins: Given<[i8; 4]>,
+    /// The place of each in words.
+    order: [String; 4],
+}
+
 struct Read<'a> {
     parameters: &'a Parameters,
     measured: &'a Measured,
@@ -118,7 +127,7 @@ impl Read<'_> {
         })
     }
 
-    fn rotors(&self) -> (Option<Given<[[f64; 3]; 4]>>, Given<[i8; 4]>, [String; 4]) {
+    fn rotors(&self) -> Placed {
         let (rotors, from) = match <[RotorFact; 4]>::try_from(self.parameters.rotors()) {
             Ok(rotors) => (rotors, self.rotors_are_said_by()),
             Err(_) => self.usual_rotors(),
@@ -144,7 +153,7 @@ impl Read<'_> {
         } else {
             None
         };
-        (positions, spins, RotorFact::in_words(&rotors))
+        Placed { positions, spins, order: RotorFact::in_words(&rotors) }
     }
 
     fn rotors_are_said_by(&self) -> &'static str {

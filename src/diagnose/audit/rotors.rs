@@ -87,12 +87,10 @@ impl RotorEffects {
             pairs.iter().map(row).collect()
         };
         // An effect matters if the output's changes turn the body as it turns.
-        let power = |of: &dyn Fn(&(Vector3<f64>, SVector<f64, 4>)) -> f64| -> f64 {
-            pairs.iter().map(|pair| of(pair)).sum()
-        };
-        let turns = power(&|(seen, _)| (seen - turning).norm_squared());
+        let turns: f64 = pairs.iter().map(|(seen, _)| (seen - turning).norm_squared()).sum();
         let size = |output: usize| {
-            let moves = power(&|(_, outputs_of)| (outputs_of[output] - outputs[output]).powi(2));
+            let moved = |of: &SVector<f64, 4>| (of[output] - outputs[output]).powi(2);
+            let moves: f64 = pairs.iter().map(|(_, of)| moved(of)).sum();
             if moves > 0.0 { (turns / moves).sqrt() } else { 0.0 }
         };
         let fit = fit([0.0; 12], std::array::from_fn(|at| size(at / 3)), rows)?;
