@@ -10,14 +10,19 @@ use downwash::station::End;
 use lockstep::{Bench, QUAD, errors, fly, hover, masks, params, settings, tracked};
 use sitl::config::{Autopilot, SitlConfig, Stall};
 
-/// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust.
+/// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust and a
+/// failsafe that listens to the station.
 fn set_up(autopilot: Autopilot) -> SitlConfig {
     let parameters: &[(&str, f64)] = match autopilot {
         Autopilot::Bundled => &[],
         Autopilot::Px4 => &[("COM_OF_LOSS_T", 0.2)],
-        Autopilot::Arducopter => {
-            &[("GUID_OPTIONS", 8.0), ("ATC_ANGLE_BOOST", 0.0), ("GUID_TIMEOUT", 0.2)]
-        }
+        Autopilot::Arducopter => &[
+            ("GUID_OPTIONS", 8.0),
+            ("ATC_ANGLE_BOOST", 0.0),
+            ("GUID_TIMEOUT", 0.2),
+            ("FS_GCS_ENABLE", 5.0),
+            ("MAV_GCS_SYSID", 254.0),
+        ],
     };
     let parameters = parameters.iter().map(|(name, value)| ((*name).to_owned(), *value));
     SitlConfig { autopilot, parameters: parameters.collect(), ..SitlConfig::default() }
@@ -73,8 +78,9 @@ fn a_slipping_clock_shows_in_timesync_and_a_stall_in_what_arrives() {
     let mut bench = Bench::with(settings(&params, hover(1.0)), &params, &[], config);
     let arrivals = Rc::new(RefCell::new(Vec::new()));
     let heard = Rc::clone(&arrivals);
+    let clock = bench.vehicle.clock().clone();
     bench.downlink = Box::new(move |us, frame| {
-        heard.borrow_mut().push(us);
+        heard.borrow_mut().push(clock.host_us(us));
         vec![frame.to_vec()]
     });
     let vehicle_s = |bench: &Bench| bench.vehicle.now_us() as f64 * 1e-6;

@@ -345,7 +345,7 @@ fn motors_are_on_the_device_that_drives_them() {
     let [a, b, c, d, ..] = hovering(77).map(f64::from);
     assert_eq!(
         (flight.outputs.values()[77], flight.motor_unit),
-        ([b, a, d, c], MotorUnit::VehicleFile)
+        ([b, a, d, c].map(|pulse| (pulse - 1000.0) / 1000.0), MotorUnit::ThrustFraction)
     );
 }
 

@@ -16,8 +16,8 @@ use crate::log::schema::{
 
 /// An interval this many times the usual one means that ticks are missing.
 const MISSED_FROM: f64 = 1.5;
-/// Intervals whose mean tells the rate of a moment: a tenth of a second at 100 Hz.
-const RUN: usize = 10;
+/// Intervals whose mean tells the rate of a moment: a second at 100 Hz.
+const RUN: usize = 100;
 
 /// One control tick, as far as it was logged.
 #[derive(Clone, Debug)]

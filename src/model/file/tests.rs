@@ -169,11 +169,14 @@ fn a_model_is_for_its_vehicle_alone() {
     let mut renamed = vehicle();
     renamed.name = "other".to_owned();
     file.check_vehicle(&renamed, name()).expect("a name changes nothing");
+    let mut silent = vehicle();
+    silent.attitude_pd = None;
+    file.check_vehicle(&silent, name()).expect("a file that does not say it contradicts nothing");
     for (change, words) in [
         ((|v| v.mass *= 1.1) as fn(&mut VehicleParams), "mass"),
         (|v| v.inertia[1] *= 1.2, "inertia"),
         (|v| v.rotors[2].thrust_max_n *= 0.9, "thrust"),
-        (|v| v.attitude_pd = None, "attitude_pd"),
+        (|v| v.attitude_pd.as_mut().expect("a loop").kp[0] *= 2.0, "attitude_pd"),
     ] {
         let mut other = vehicle();
         change(&mut other);
