@@ -294,10 +294,12 @@ impl Control<'_> {
         }
     }
 
+    /// Sends what the station has to send since `now`. What was made before a pause of this process
+    /// does not leave after it.
     fn send(&mut self, station: &mut Station, now: HostTime) {
-        let Self { connection, tee, .. } = self;
+        let Self { clock, connection, tee, .. } = self;
         station.transmit(now, |peer, frame| {
-            let is_taken = connection.send(peer, frame);
+            let is_taken = clock.now().since(now) <= PAUSE && connection.send(peer, frame);
             if let Some(tee) = tee.as_mut().filter(|_| is_taken) {
                 tee.sent(now, frame);
             }

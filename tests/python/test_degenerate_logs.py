@@ -20,7 +20,9 @@ def table(path, axis, seconds=8.0, size=0.4):
         angle, rate = size * math.sin(3 * t), 3 * size * math.cos(3 * t)
         along = lambda value: [value if place == axis else 0.0 for place in range(3)]
         attitude = [*along(math.sin(angle / 2)), math.cos(angle / 2)]
-        cells = [t, *along(angle), *along(rate), *attitude, *along(rate), 0.5, 0.5, 0.5, 0.5, 3.9]
+        # Outputs that move, as those of motors do.
+        outputs = [0.5 + 0.01 * math.sin(7 * t + motor) for motor in range(4)]
+        cells = [t, *along(angle), *along(rate), *attitude, *along(rate), *outputs, 3.9]
         rows.append(",".join(f"{cell:.8g}" for cell in cells))
     path.write_text("\n".join(rows) + "\n")
     return path
