@@ -87,7 +87,7 @@ def test_exam(program, tmp_path, number, stage):
 def test_plan(program, tmp_path, number):
     long = tmp_path / "long.toml"
     long.write_text(
-        "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 8.0\namplitude_m = 0.4\n"
+        "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 4.0\namplitude_m = 0.4\n"
         "period_s = 3.0\nyaw_period_s = 6.0\nramp_s = 0.5\n"
     )
     one = program("plan", long, "-o", tmp_path / "plan.json", "--solver", "penalty", "--json")
