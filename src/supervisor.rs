@@ -25,6 +25,7 @@ mod safety;
 mod settings;
 mod table;
 mod takeover;
+mod words;
 
 use std::collections::BTreeMap;
 
@@ -401,65 +402,10 @@ impl Supervisor {
         Some((trigger, self.describe(trigger, seen)))
     }
 
-    fn describe(&self, trigger: Trigger, seen: &Observation) -> String {
-        let text = match trigger {
-            Trigger::ModeChanged => return self.control_ends(seen.status),
-            Trigger::OffboardFound if self.state == FlightState::Standby => {
-                return format!(
-                    "{} returned to OFFBOARD when it disarmed, which is no switch of the pilot's; \
-                     switch to another mode first",
-                    self.modes.autopilot
-                );
-            }
-            Trigger::OffboardFound => {
-                let mode = self.mode_name(seen.status);
-                return format!("the mode is {mode}; waiting until it is not OFFBOARD");
-            }
-            Trigger::TimedOut => return self.timed_out(seen),
-            Trigger::LinkLost => "the link is silent",
-            Trigger::VehicleHeard => "the vehicle is heard",
-            Trigger::EngageAsked => "ready for the pilot's next switch",
-            Trigger::Disarmed if self.state.is_flying() => "the motors were stopped in flight",
-            Trigger::Disarmed => "disarmed",
-            Trigger::Released
-                if self.modes.reports_intended && seen.status.intended_mode.is_none() =>
-            {
-                "free to stream, by the mode in HEARTBEAT alone: the vehicle sends no CURRENT_MODE \
-                 (PX4 before 1.15, or MAVLink 1), so a mode that it only intends is not known"
-            }
-            Trigger::Released => "free to stream",
-            Trigger::TelemetryLost => "telemetry is not fresh",
-            Trigger::TelemetryReady => "telemetry is fresh",
-            Trigger::PreflightPassed => "preflight checks passed",
-            Trigger::OffboardRead => "the mode is OFFBOARD",
-            Trigger::StreamEstablished => "asking for OFFBOARD",
-            Trigger::ArmedInAir => "in the air",
-            Trigger::Armed => "armed",
-            Trigger::HoldDone => "landing",
-            Trigger::Landed if seen.airborne == Some(false) => "on the ground",
-            Trigger::Landed => "at rest on the ground, though the vehicle reports no landing",
-            Trigger::TakenOff
-            | Trigger::StartReached
-            | Trigger::TrajectoryDone
-            | Trigger::HoldNow
-            | Trigger::LandNow
-            | Trigger::StopNow => "as asked",
-        };
-        text.to_owned()
-    }
-
     /// Whether the intended mode is not waited for: the vehicle has none, or does not tell it.
     fn goes_by_heartbeat(&self, now: HostTime, status: &VehicleStatus) -> bool {
         let known_s = status.mode_since.map_or(0.0, |since| now.since(since).as_secs_f64());
         !self.modes.reports_intended || known_s > INTENDED_MODE_WAIT_S
-    }
-
-    fn mode_name(&self, status: &VehicleStatus) -> String {
-        status.mode.map_or_else(|| "not known".to_owned(), |mode| self.modes.name(mode))
-    }
-
-    fn control_ends(&self, status: &VehicleStatus) -> String {
-        format!("control ends: the mode is {}", self.mode_name(status))
     }
 
     /// Whether the OFFBOARD that is read is the pilot's switch. In the air it is. On the ground it
@@ -507,42 +453,6 @@ impl Supervisor {
             FlightState::Land => Some(s.land_timeout_s),
             FlightState::Disarm => Some(s.disarm_after_s + s.land_timeout_s),
             _ => None,
-        }
-    }
-
-    fn timed_out(&self, seen: &Observation) -> String {
-        let what = match self.state {
-            FlightState::AwaitRelease => "the vehicle is in OFFBOARD, or its mode is not known; \
-                 switch it to another mode first"
-                .to_owned(),
-            FlightState::AwaitTelemetry | FlightState::Preflight => {
-                let late = seen.condition.late;
-                let lacks = match self.state {
-                    FlightState::AwaitTelemetry if late.count > 0 => {
-                        format!("no fresh attitude and position: {late}; ")
-                    }
-                    FlightState::AwaitTelemetry => "no fresh attitude and position; ".to_owned(),
-                    _ => String::new(),
-                };
-                let failed: Vec<_> = seen.preflight.iter().map(ToString::to_string).collect();
-                format!("{lacks}preflight: {}", failed.join("; "))
-            }
-            FlightState::Engage => "the mode did not become OFFBOARD".to_owned(),
-            FlightState::Arm if self.policy == EngagePolicy::PilotSwitch => format!(
-                "the pilot did not arm within {:.0} s of switching to OFFBOARD",
-                self.settings.pilot_arm_timeout_s
-            ),
-            FlightState::Arm => "arming had no effect".to_owned(),
-            FlightState::TakeOff => "the take-off did not reach its height".to_owned(),
-            FlightState::Approach => "the trajectory's start was not reached".to_owned(),
-            FlightState::Land => {
-                format!("the vehicle did not report that it landed{}", still_armed(seen.status))
-            }
-            _ => format!("the motors did not stop{}", still_armed(seen.status)),
-        };
-        match &seen.status.warning {
-            Some((host, text)) if *host >= self.since => format!("{what}; vehicle: {text}"),
-            _ => what,
         }
     }
 
@@ -609,9 +519,4 @@ impl Supervisor {
             self.actions.push(action);
         }
     }
-}
-
-/// What is left to do where the motors did not stop.
-fn still_armed(status: &VehicleStatus) -> &'static str {
-    if status.armed == Some(true) { "; it is still armed: disarm it by hand" } else { "" }
 }

@@ -318,8 +318,8 @@ fn motors_are_on_the_device_that_drives_them() {
     ] {
         let flight = import("devices", name, &px4_outputs(&functions, &instances).bytes);
         assert_eq!(flight.motor_unit, MotorUnit::ThrustFraction);
-        for motor in 0..4 {
-            assert!((flight.outputs.values()[100][motor] - expected[motor]).abs() < 1e-6, "{name}");
+        for (found, expected) in flight.outputs.values()[100].iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-6, "{name}");
         }
         let said = format!(
             "outputs 1, 2, 3, 4 of actuator_outputs, instance {instance}, by PWM_AUX_FUNCn"

@@ -209,25 +209,18 @@ pub(super) fn is_stamped(id: u32) -> bool {
 }
 
 fn is_understood(id: u32) -> bool {
-    matches!(
-        id,
-        ODOMETRY_DATA::ID
-            | ATTITUDE_QUATERNION_DATA::ID
-            | ATTITUDE_DATA::ID
-            | LOCAL_POSITION_NED_DATA::ID
-            | HIGHRES_IMU_DATA::ID
-            | ACTUATOR_OUTPUT_STATUS_DATA::ID
-            | SERVO_OUTPUT_RAW_DATA::ID
-            | BATTERY_STATUS_DATA::ID
-            | ATTITUDE_TARGET_DATA::ID
-            | SYS_STATUS_DATA::ID
-            | EXTENDED_SYS_STATE_DATA::ID
-            | AUTOPILOT_VERSION_DATA::ID
-            | CURRENT_MODE_DATA::ID
-            | COMMAND_ACK_DATA::ID
-            | PARAM_VALUE_DATA::ID
-            | STATUSTEXT_DATA::ID
-    )
+    is_stamped(id)
+        || matches!(
+            id,
+            BATTERY_STATUS_DATA::ID
+                | SYS_STATUS_DATA::ID
+                | EXTENDED_SYS_STATE_DATA::ID
+                | AUTOPILOT_VERSION_DATA::ID
+                | CURRENT_MODE_DATA::ID
+                | COMMAND_ACK_DATA::ID
+                | PARAM_VALUE_DATA::ID
+                | STATUSTEXT_DATA::ID
+        )
 }
 
 /// HEARTBEAT, read byte by byte: a vehicle type that the dialect lacks must not hide the vehicle.

@@ -285,12 +285,11 @@ pub fn old_dataflash(seconds: f64) -> DataFlash {
     log
 }
 
-/// Attitude, position and these instances of actuator_outputs, each of so many outputs and with its
-/// values at a row.
-pub fn px4_outputs(
-    parameters: &[(&str, i32)],
-    instances: &[(u32, &dyn Fn(usize) -> [f32; 16])],
-) -> Ulog {
+/// An instance of actuator_outputs: how many outputs it has, and their values at a row.
+pub type OutputInstance<'a> = (u32, &'a dyn Fn(usize) -> [f32; 16]);
+
+/// Attitude, position and these instances of actuator_outputs.
+pub fn px4_outputs(parameters: &[(&str, i32)], instances: &[OutputInstance]) -> Ulog {
     let mut log = Ulog::new();
     log.info("char[3] sys_name", b"PX4");
     log.format("vehicle_attitude:uint64_t timestamp;float[4] q;");

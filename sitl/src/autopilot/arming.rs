@@ -1,6 +1,6 @@
 //! Arming: what must hold, and the words for what does not.
 
-/// What is looked at before the motors are armed.
+/// What the vehicle checks before it arms its motors.
 #[derive(Clone, Copy, Debug)]
 pub struct Preflight {
     /// Angle between body down and world down, rad.

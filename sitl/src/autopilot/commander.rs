@@ -204,7 +204,7 @@ impl Commander {
         }
     }
 
-    /// Disarms by itself.
+    /// Stops the motors; `by` names who did, in the vehicle's text.
     pub(super) fn stop_motors(&mut self, by: &str) {
         self.armed = false;
         self.failsafe = false;

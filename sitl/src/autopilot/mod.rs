@@ -239,7 +239,7 @@ impl Vehicle {
         self.now_us
     }
 
-    /// How vehicle time goes with host time.
+    /// Vehicle time against host time.
     pub fn clock(&self) -> &Clock {
         &self.clock
     }

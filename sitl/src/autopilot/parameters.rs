@@ -168,22 +168,15 @@ impl Spec {
 
 /// A real number that the vehicle heeds.
 pub const fn float(key: Key, name: &'static str, default: f32, min: f64, max: f64) -> Spec {
-    let default = Value::Float(default);
-    Spec {
-        key: Some(key),
-        scale: 1.0,
-        name: Cow::Borrowed(name),
-        default,
-        min,
-        max,
-        writable: true,
-    }
+    heeded(key, name, Value::Float(default), [min, max])
 }
 
 /// An integer that the vehicle heeds.
 pub const fn int(key: Key, name: &'static str, default: i32, min: i32, max: i32) -> Spec {
-    let (min, max) = (min as f64, max as f64);
-    let default = Value::Int(default);
+    heeded(key, name, Value::Int(default), [min as f64, max as f64])
+}
+
+const fn heeded(key: Key, name: &'static str, default: Value, [min, max]: [f64; 2]) -> Spec {
     Spec {
         key: Some(key),
         scale: 1.0,

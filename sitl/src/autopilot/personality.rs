@@ -113,7 +113,7 @@ pub(super) struct StreamState {
     pub landed: bool,
 }
 
-/// How motor outputs are told: the values of 0, of 1, and of motors that are disarmed.
+/// The values that a message has for an output of 0, for 1, and for motors that are disarmed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OutputScale {
     pub zero: f64,
@@ -180,7 +180,7 @@ pub(super) trait Personality: fmt::Debug + Sync {
         !matches!(mode, Mode::Land | Mode::Return)
     }
 
-    /// Whether a change of mode is told at once by CURRENT_MODE.
+    /// Whether the vehicle sends CURRENT_MODE at once when its mode changes.
     fn announces_mode(&self) -> bool {
         true
     }
@@ -219,10 +219,10 @@ pub(super) trait Personality: fmt::Debug + Sync {
     /// [`NoLoop`].
     fn onboard(&self, vehicle: &VehicleParams, truth: Option<PdGain>) -> Result<Onboard, NoLoop>;
 
-    /// How motor outputs are told in the message of this name.
+    /// The scale of motor outputs in the message of this name.
     fn output_scale(&self, message: &str, parameters: &Parameters) -> OutputScale;
 
-    /// Whether outputs are told as the vehicle file's `motor_output` says, not as the autopilot's
+    /// Whether the vehicle sends outputs as the vehicle file's `motor_output` says, not as the autopilot's
     /// own parameters do.
     fn heeds_motor_output(&self) -> bool {
         false
