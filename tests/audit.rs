@@ -1,13 +1,11 @@
 //! What the audit finds in flights whose faults are known: those that were put in, and no others.
 
-mod damage;
-mod lockstep;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
+use crate::{damage, lockstep};
 use downwash::diagnose::audit::{Audit, Estimate, Severity, Tier};
 use downwash::log::import::{Flight, MotorUnit, Stream, open, write};
 use rand::{Rng, SeedableRng};

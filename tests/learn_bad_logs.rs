@@ -1,14 +1,11 @@
 //! Logs that are damaged, foreign or too short, among sound ones: `train` refuses or counts what is
 //! wrong by name, and learns from the rest.
 
-mod damage;
-mod learn;
-mod lockstep;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use crate::{damage, learn, lockstep};
 use downwash::log::import::{self, Flight, MotorUnit, RotorFact, Stream};
 use downwash::log::record::Record;
 use serde_json::Value;

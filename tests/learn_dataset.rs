@@ -1,12 +1,12 @@
 //! What `train` finds in flights whose truth is known: delays, labels, inputs, a model; and that
 //! neither threads nor an interruption change a byte of it.
 
-mod learn;
-
 use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
+use crate::learn;
+use crate::learn::{logs, number};
 use downwash::learn::commands::Onboard;
 use downwash::learn::dataset::{ObservedFlight, Row, WindowSettings};
 use downwash::learn::networks::Progress;
@@ -21,7 +21,6 @@ use downwash::model::features::Features;
 use downwash::model::file::AccelerationSource::SpecificForce;
 use downwash::model::file::ModelFile;
 use downwash::model::learned::NetworkModel;
-use learn::{logs, number};
 use serde_json::Value;
 use sitl::vehicle::VehicleParams;
 

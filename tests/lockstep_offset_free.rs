@@ -1,10 +1,13 @@
 //! Feedback that leaves no steady error: vehicles that are other than their file says, each flown
 //! with the paper's feedback and with disturbances taken out, as a PX4 is sent setpoints.
 
-mod lockstep;
-
 use std::sync::Arc;
 
+use crate::lockstep;
+use crate::lockstep::{
+    Bench, NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, params, settings, toml_trajectory,
+    tracked, trajectory,
+};
 use downwash::control::{Limits, Use};
 use downwash::log::record::{Direction, Record};
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
@@ -14,10 +17,6 @@ use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::receding::{RecedingReference, RecedingSettings};
 use downwash::station::{End, StationSettings};
 use downwash::supervisor::{EngagePolicy, FlightState};
-use lockstep::{
-    Bench, NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, params, settings, toml_trajectory,
-    tracked, trajectory,
-};
 use sitl::autopilot::Mode;
 use sitl::config::SitlConfig;
 use sitl::vehicle::VehicleParams;

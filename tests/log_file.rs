@@ -1,13 +1,12 @@
 //! The flight log: what goes in comes out, and a damaged file still gives what is whole.
 
-mod log_flight;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use crate::log_flight::{START, records, run_info, write};
 use downwash::log::descriptor::Layout;
 use downwash::log::export::{ExportError, Format, export_all, export_topic};
 use downwash::log::info::LogInfo;
@@ -16,7 +15,6 @@ use downwash::log::record::{Record, Severity, Source, Stamp, Tick};
 use downwash::log::schema::{BatteryMessage, ControlMessage, SetpointMessage, StateMessage};
 use downwash::log::{LogSink, LogWriter};
 use downwash::setpoint::{Setpoint, State};
-use log_flight::{START, records, run_info, write};
 use proptest::prelude::*;
 use sitl::frame::{Euler, Frd, Ned};
 

@@ -1,12 +1,12 @@
 //! Control ends when it must, and does not come back by itself.
 
-mod support;
-
+use crate::pilot_world::{
+    Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight,
+};
 use downwash::link::message::{Battery, Inbound};
 use downwash::pilot::{PilotSettings, Tick};
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
 use sitl::frame::{Frd, Ned};
-use support::{Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight};
 
 fn flight(policy: EngagePolicy) -> Flight {
     let path = |_| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);

@@ -1,8 +1,7 @@
 //! What the vehicle says when something is wrong with it: its estimate, its pack, its landing.
 
-mod bench;
-
-use bench::{Bench, Heard};
+use crate::bench;
+use crate::bench::{Bench, Heard};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, EstimatorConfig, GpsGlitch, SensorConfig, SitlConfig};
 use wire::dialect::*;

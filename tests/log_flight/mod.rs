@@ -1,8 +1,6 @@
 //! A made-up flight with the streams, rates and sizes of a real one: take-off, a sinusoid in x and
 //! y with turning yaw, landing. The vehicle follows the reference with a lag and some noise.
 
-#![allow(dead_code)] // Each test crate uses its own part.
-
 use std::time::{Duration, Instant};
 
 use downwash::clock::{HostTime, VehicleTime};

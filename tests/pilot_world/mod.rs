@@ -1,9 +1,6 @@
 //! A vehicle for the pilot to fly: rigid body, PD on board, first-order rotors, transport delay,
 //! modes and arming. Equations of its own, so that it shares no mistake with the model.
 
-// Each test file uses a part of it.
-#![allow(dead_code)]
-
 use std::collections::VecDeque;
 use std::time::Duration;
 
