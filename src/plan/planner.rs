@@ -17,7 +17,6 @@ use super::planned::PlannedBody;
 use super::problem::{
     ANGLE, InputBounds, InputPreference, Problem, STATES, StateLimits, StateVector, YAW,
 };
-use super::receding::RecedingSettings;
 use super::scp::{Outcome, Record, ScpSettings, search};
 use super::subproblem::SubproblemSolver;
 use super::trajectory::{DesiredPoint, Trajectory};
@@ -50,6 +49,27 @@ pub struct PlanSettings {
     pub keep_out: Vec<KeepOutSetting>,
     /// Least and greatest north, east and down of the plan, relative to the take-off point, m.
     pub box_m: Option<[[f64; 3]; 2]>,
+}
+
+/// How plans follow one another.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecedingSettings {
+    /// Time from one plan to the next, s.
+    pub period_s: f64,
+    /// Length of a plan, s.
+    pub horizon_s: f64,
+    /// From the state that a plan is made from to where the plan begins, s: the time that planning
+    /// may take.
+    pub lead_s: f64,
+    /// Most subproblems of a plan.
+    pub subproblems_max: usize,
+}
+
+impl Default for RecedingSettings {
+    fn default() -> Self {
+        Self { period_s: 0.1, horizon_s: 1.0, lead_s: 0.05, subproblems_max: 6 }
+    }
 }
 
 /// What solves the subproblems of a search.

@@ -3,21 +3,8 @@
 use sitl::frame::Ned;
 
 use super::keep_out::KeepOut;
-
-/// Size of the state `s = (p, v, zeta, omega)`.
-pub const STATES: usize = 12;
-/// Where the velocity begins in a [`StateVector`].
-pub(super) const VELOCITY: usize = 3;
-/// Where the attitude (roll, pitch, yaw) begins in a [`StateVector`].
-pub(super) const ANGLE: usize = 6;
-/// Where yaw is in a [`StateVector`].
-pub(super) const YAW: usize = 8;
-/// Where the body rate begins in a [`StateVector`].
-pub(super) const RATE: usize = 9;
-
-/// `s = (p, v, zeta, omega)`: position [m] and velocity [m/s] in world axes, roll, pitch and yaw
-/// [rad, continuous], body rate [rad/s].
-pub type StateVector = [f64; STATES];
+pub(super) use super::state_vector::{ANGLE, RATE, VELOCITY, YAW};
+pub use super::state_vector::{STATES, StateRow, StateVector};
 
 /// A planning problem with `INPUTS` inputs over N periods:
 ///
@@ -83,22 +70,6 @@ pub struct StateLimits {
     pub body_rate_max_rad_s: Option<[f64; 3]>,
     /// Least and greatest position, m.
     pub position: Option<(Ned, Ned)>,
-}
-
-/// A bound `excess(s) <= 0` and how it changes with the state.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StateRow {
-    /// By how much the bound is broken (m, rad, rad/s); negative inside.
-    pub excess: f64,
-    /// d(excess)/ds.
-    pub gradient: StateVector,
-}
-
-impl StateRow {
-    /// Whether it bounds where the vehicle is.
-    fn is_of_position(&self) -> bool {
-        self.gradient[..3].iter().any(|slope| *slope != 0.0)
-    }
 }
 
 /// What the bounds of a state are broken by.

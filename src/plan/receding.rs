@@ -10,7 +10,6 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use serde::{Deserialize, Serialize};
 use sitl::rigid_body::State;
 
 use super::discretisation::{CommandedDynamics, Dynamics};
@@ -19,32 +18,12 @@ use super::iterate::Iterate;
 use super::model_free::model_free;
 use super::planned::{Answer, PlannedReference};
 use super::planner::Planner;
+pub use super::planner::RecedingSettings;
 use super::problem::{STATES, StateVector, YAW};
 use super::reference::ReferenceSource;
 use super::scp::Outcome;
 use super::trajectory::Trajectory;
 use crate::setpoint::{Expected, Reference};
-
-/// How plans follow one another.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RecedingSettings {
-    /// Time from one plan to the next, s.
-    pub period_s: f64,
-    /// Length of a plan, s.
-    pub horizon_s: f64,
-    /// From the state that a plan is made from to where the plan begins, s: the time that planning
-    /// may take.
-    pub lead_s: f64,
-    /// Most subproblems of a plan.
-    pub subproblems_max: usize,
-}
-
-impl Default for RecedingSettings {
-    fn default() -> Self {
-        Self { period_s: 0.1, horizon_s: 1.0, lead_s: 0.05, subproblems_max: 6 }
-    }
-}
 
 /// A plan from a time on.
 #[derive(Clone, Debug)]
