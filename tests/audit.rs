@@ -185,7 +185,7 @@ fn clean_flights_raise_no_alarm() {
 }
 
 #[test]
-#[ignore = "takes minutes; the test above is a sample of it"]
+#[ignore = "long: tests/run --all; the test above is a sample of it"]
 fn two_hundred_clean_flights_raise_no_alarm() {
     assert_no_alarm(0..200);
 }

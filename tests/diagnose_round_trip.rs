@@ -100,6 +100,7 @@ fn a_vehicle_without_effects_is_found_to_have_none() {
 }
 
 #[test]
+#[ignore = "long: tests/run --all"]
 fn a_cause_that_the_catalogue_lacks_is_not_given_its_neighbours_name() {
     let logs = fly("left-out", NANO, 60, &["command_delay:delay_s=0.025"]);
     let with = answer(&diagnose("left-out", NANO, &logs, &["--twins", "10"]));
@@ -112,6 +113,7 @@ fn a_cause_that_the_catalogue_lacks_is_not_given_its_neighbours_name() {
 
 /// Two minutes drain the pack far enough for a weight that goes with its voltage to be none.
 #[test]
+#[ignore = "long: tests/run --all"]
 fn a_mass_that_goes_with_the_voltage_is_none() {
     let logs = fly("varies", QUAD, 120, &["battery_sag:exponent=0.15"]);
     let with = answer(&diagnose("varies", QUAD, &logs, &["--twins", "10"]));
@@ -137,6 +139,7 @@ fn a_delay_of_whole_ticks_is_named() {
 /// Near one throttle a curve of the thrust and a sagging pack do what another level of the thrust
 /// does.
 #[test]
+#[ignore = "long: tests/run --all"]
 fn a_number_that_is_taken_out_and_off_by_no_more_than_files_are_is_no_clean_flight() {
     let logs = fly("within", NANO, 40, &["thrust_scale:scale=0.985"]);
     let level = ["--without", "thrust_scale", "--without", "mass"];
@@ -150,6 +153,7 @@ fn a_number_that_is_taken_out_and_off_by_no_more_than_files_are_is_no_clean_flig
 
 /// Over the frequencies that are looked at, a short lag and a delay of the outputs are much alike.
 #[test]
+#[ignore = "long: tests/run --all"]
 fn a_lag_where_the_file_has_none_is_told_from_a_delay_of_the_outputs() {
     let file = folder("lag-file").join("nano.toml");
     let text = fs::read_to_string(vehicle(NANO)).expect("the vehicle file");

@@ -63,6 +63,7 @@ fn every_case_is_answered_and_the_key_is_the_one_committed_to() {
 }
 
 #[test]
+#[ignore = "long: tests/run --all"]
 fn round_trip_names_its_effect() {
     let out = folder("round-trip");
     let summary = summary(&exam(&out, &["--round-trip", "--cases", "1", "--seed", "4", "--keep"]));

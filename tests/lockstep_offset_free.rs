@@ -228,7 +228,7 @@ fn drag_that_a_plan_knows_is_not_taken_out_twice() {
     let planner = Planner::new(Arc::new(model), vehicle, PlanSettings::default());
     let planner = planner.expect("a planner");
     let circle = toml_trajectory(
-        "family = \"sinusoid-yaw\"\naltitude_m = 1.0\nduration_s = 10.0\namplitude_m = 1.0\n\
+        "family = \"sinusoid-yaw\"\naltitude_m = 1.0\nduration_s = 5.0\namplitude_m = 1.0\n\
          period_s = 5.0\nyaw_period_s = 10.0",
     );
     let flown = |observer: Use| {

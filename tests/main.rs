@@ -24,6 +24,7 @@ mod diagnose_reflight;
 mod diagnose_round_trip;
 mod diagnose_twins;
 mod exam;
+mod examples;
 mod fuzz_targets;
 mod learn_arguments;
 mod learn_bad_logs;
