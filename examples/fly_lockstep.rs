@@ -1,5 +1,5 @@
-//! Flies the simulated vehicle along a trajectory, faster than real time, with wind that the
-//! controller does not know of:
+//! Flies the simulated vehicle along a trajectory, faster than real time, with rotors that lift less
+//! than the controller believes:
 //!
 //!     cargo run --example fly_lockstep
 
@@ -21,7 +21,7 @@ use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
 
 /// How the flight ended, and the RMS distance from the trajectory, m.
-pub fn fly(wind: &str) -> anyhow::Result<(End, f64)> {
+pub fn fly(effect: &str) -> anyhow::Result<(End, f64)> {
     let params = VehicleParams::from_toml_str(include_str!("../config/vehicles/crazyflie.toml"))?;
     let trajectory = Trajectory::parse(
         "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 6.0\namplitude_m = 0.5\n\
@@ -31,7 +31,7 @@ pub fn fly(wind: &str) -> anyhow::Result<(End, f64)> {
 
     // The vehicle: its file, and what the file does not say.
     let mut effects = EffectSet::new();
-    effects.insert_argument(wind)?;
+    effects.insert_argument(effect)?;
     let mut vehicle = Vehicle::new(params.clone(), effects, SitlConfig::default(), 1)?;
 
     // The ground station: what it believes of the vehicle, and what it flies.
@@ -74,9 +74,9 @@ pub fn fly(wind: &str) -> anyhow::Result<(End, f64)> {
 }
 
 fn main() -> anyhow::Result<()> {
-    for north_m_s in [0.0, 1.0, 2.0] {
-        let (end, rms_m) = fly(&format!("wind:north_m_s={north_m_s},east_m_s=0,down_m_s=0"))?;
-        println!("wind {north_m_s} m/s: {end:?}, {rms_m:.3} m RMS from the trajectory");
+    for scale in [1.0, 0.95, 0.9] {
+        let (end, rms_m) = fly(&format!("thrust_scale:scale={scale}"))?;
+        println!("{scale} of the thrust: {end:?}, {rms_m:.3} m RMS from the trajectory");
     }
     Ok(())
 }
