@@ -65,6 +65,7 @@ pub fn fly(effect: &str) -> anyhow::Result<(End, f64)> {
     let record = |record| {
         if let Record::Tick(tick) = record
             && let Some(reference) = tick.reference
+            && tick.trajectory_time.is_some()
         {
             squares.push((tick.state.position - reference.position).norm().powi(2));
         }
