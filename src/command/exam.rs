@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
-use sitl::effects::EffectSet;
+use sitl::effects::{EffectId, EffectSet};
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
@@ -386,7 +386,8 @@ impl Hall<'_> {
         })
     }
 
-    /// What the answer truly closes on the flight held out; of an answer that names nothing, or
+    /// What the answer truly closes of the effects' own gap on the flight held out, were what is off
+    /// the file known: of what it names, that which is there. Of an answer that names nothing, or
     /// where the truth is outside of the catalogue, nothing can be said.
     fn closed(&self, case: &Flown, given: &Given) -> Option<f64> {
         let last = log_names(case.logs).last()?;
@@ -395,7 +396,11 @@ impl Hall<'_> {
         }
         let flight = open_for(&self.folder(&case.name).join(last), None, &case.known).ok()?;
         let held_out = [PreparedFlight::new(flight, &case.known).ok()?];
-        closure(&case.known, &case.truth, &given.effect_set(), &held_out, &case.noise).ok()?
+        let is_there =
+            |id: EffectId| case.truth.iter().any(|(true_id, _)| true_id.class() == id.class());
+        let mut answer = given.effect_set();
+        EffectId::ALL.into_iter().filter(|id| !is_there(*id)).for_each(|id| answer.remove(id));
+        closure(&case.known, &case.truth, &answer, &held_out, &case.noise).ok()?
     }
 }
 

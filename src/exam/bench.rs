@@ -491,7 +491,7 @@ mod tests {
     use wire::dialect::SET_ATTITUDE_TARGET_DATA;
 
     const SETTINGS: Settings =
-        Settings { flights: 1, seconds: 5.0, ratios: [1.0, 10.0], world: World::Builders };
+        Settings { flights: 1, seconds: 15.0, ratios: [1.0, 10.0], world: World::Builders };
 
     fn bench(number: u64) -> Bench {
         let order = Order::from(Kind::Single);
@@ -500,7 +500,7 @@ mod tests {
 
     #[test]
     fn what_flies_is_what_the_key_says() {
-        let (count, mut lost) = (40, 0);
+        let (count, mut lost) = (24, 0);
         for number in 0..count {
             let bench = bench(number);
             let mut effects = EffectSet::new();
@@ -534,7 +534,7 @@ mod tests {
             assert!((1.05..1.3).contains(&more), "{number}: {more}");
         }
         // A case whose flights are lost is drawn again.
-        assert!(lost < count / 8, "{lost}");
+        assert!(lost <= count / 6, "{lost}");
     }
 
     #[test]

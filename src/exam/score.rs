@@ -113,7 +113,7 @@ pub struct Row {
     pub covered: BTreeMap<String, Vec<bool>>,
     /// The closure that the answer claims.
     pub claimed_closure: Option<f64>,
-    /// What the named effects close of what the true ones do.
+    /// What the named effects that are there close of what the true ones do.
     pub true_closure: Option<f64>,
     /// The finding, or what went wrong.
     pub finding: String,
