@@ -20,7 +20,8 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("log", &["clock", "setpoint", "link", "parameters"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
-        ("diagnose", &["control", "learn", "log", "model", "pilot", "plan", "setpoint"]),
+        ("audit", &["learn", "log"]),
+        ("diagnose", &["audit", "control", "learn", "log", "model", "pilot", "plan", "setpoint"]),
         ("exam", &["control", "diagnose", "plan", "setpoint"]),
         (
             "report",

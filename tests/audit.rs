@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-use downwash::diagnose::audit::{Audit, Estimate, Severity, Tier};
+use downwash::audit::{Audit, Channels, Estimate, Severity, Tier};
+use downwash::diagnose::untestable;
 use downwash::log::import::{Flight, MotorUnit, Stream, open, write};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -373,13 +374,14 @@ fn a_flight_that_is_there_twice_is_found() {
 
 #[test]
 fn tiers_and_what_they_cannot_show() {
-    let audit = Audit::of(&FLIGHT);
-    assert!(audit.tier >= Some(Tier::T2), "{:?}", audit.channels);
-    let names = |audit: &Audit| -> Vec<&'static str> {
-        audit.untestable.iter().map(|untestable| untestable.effect.name()).collect()
+    let tier = |flight: &Flight| Audit::of(flight).tier;
+    let names = |flight: &Flight| -> Vec<&'static str> {
+        let untestable = untestable::of(flight, &Channels::of(flight));
+        untestable.iter().map(|untestable| untestable.effect.name()).collect()
     };
-    let whole = names(&audit);
-    assert!(!whole.contains(&"inertia") && !whole.contains(&"wind"), "{:?}", audit.untestable);
+    assert!(tier(&FLIGHT) >= Some(Tier::T2));
+    let whole = names(&FLIGHT);
+    assert!(!whole.contains(&"inertia") && !whole.contains(&"wind"), "{whole:?}");
 
     let mut slow = FLIGHT.clone();
     let mut number = 0;
@@ -387,8 +389,7 @@ fn tiers_and_what_they_cannot_show() {
         number += 1;
         (number % 10 == 0).then_some(*u)
     });
-    let audit = Audit::of(&slow);
-    let found = names(&audit);
+    let found = names(&slow);
     assert!(["motor_lag", "inertia"].iter().all(|id| found.contains(id)), "{found:?}");
     assert!(!found.contains(&"rotor_loss") && !found.contains(&"rotor_drag"), "{found:?}");
 
@@ -396,9 +397,8 @@ fn tiers_and_what_they_cannot_show() {
     blind.attitude = Stream::default();
     blind.position = Stream::default();
     blind.velocity = Stream::default();
-    let audit = Audit::of(&blind);
-    let found = names(&audit);
-    assert_eq!(audit.tier, None);
+    let found = names(&blind);
+    assert_eq!(tier(&blind), None);
     for id in ["wind", "rotor_drag", "ground_effect", "attitude_trim"] {
         assert!(found.contains(&id), "{found:?}");
     }
@@ -408,9 +408,8 @@ fn tiers_and_what_they_cannot_show() {
     poor.outputs = Stream::default();
     poor.rotor_speed = Stream::default();
     poor.voltage = Stream::default();
-    let audit = Audit::of(&poor);
-    let found = names(&audit);
-    assert_eq!(audit.tier, Some(Tier::T1));
+    let found = names(&poor);
+    assert_eq!(tier(&poor), Some(Tier::T1));
     for id in ["rotor_loss", "battery_sag", "yaw_torque"] {
         assert!(found.contains(&id), "{found:?}");
     }

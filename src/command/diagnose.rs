@@ -17,9 +17,9 @@ use super::setup::capability;
 use super::train::listed;
 use super::vehicle::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
+use crate::audit::{Audit, UnusableSpan};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
-use crate::diagnose::audit::{Audit, UnusableSpan};
 use crate::diagnose::case::{Case, Settings};
 use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
 use crate::diagnose::preparation::PreparedFlight;
@@ -200,8 +200,8 @@ fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -
         .into_par_iter()
         .zip(audits)
         .map(|(flight, audit)| AuditedLog {
+            audit: Some(LogAnswer::of(&audit, &flight)),
             flight: prepare(flight, &audit, vehicle),
-            audit: Some(LogAnswer::of(&audit)),
         })
         .collect();
     for (index, error) in refused {

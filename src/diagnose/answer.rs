@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
-use super::audit::{Audit, Severity, Tier, Untestable};
 use super::case::Case;
 use super::constancy::Variation;
 use super::gap::{Errors, OverNoise};
@@ -21,7 +20,10 @@ use super::reflight::ClosedLoop;
 use super::selection::{Rival, Selection, Thresholds};
 use super::strain::Strain;
 use super::twins::Twins;
+use super::untestable::{self, Untestable};
 use super::words::listed;
+use crate::audit::{Audit, Severity, Tier};
+use crate::log::import::Flight;
 
 /// The verdict in three words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -99,15 +101,15 @@ pub struct LogAnswer {
 }
 
 impl LogAnswer {
-    /// What an audit found.
-    pub fn of(audit: &Audit) -> Self {
+    /// What an audit found, and what its flight cannot show.
+    pub fn of(audit: &Audit, flight: &Flight) -> Self {
         let worth_a_word = audit.findings.iter().filter(|f| f.severity > Severity::Note);
         Self {
             name: audit.run.clone(),
             tier: audit.tier,
             faults: audit.faults().map(|finding| finding.what.clone()).collect(),
             findings: worth_a_word.map(ToString::to_string).collect(),
-            untestable: audit.untestable.clone(),
+            untestable: untestable::of(flight, &audit.channels),
         }
     }
 

@@ -4,9 +4,9 @@ use std::f64::consts::FRAC_PI_4;
 
 use sitl::frame::wrap_angle;
 
-use super::audit::{is_flat, voltage_range};
 use super::preparation::PreparedFlight;
 use super::series::attitude;
+use super::untestable::{is_flat, voltage_range};
 
 /// Headings this far from their mean turn a trim against a wind, rad.
 const HEADINGS: f64 = FRAC_PI_4;

@@ -3,7 +3,6 @@
 
 pub mod answer;
 pub mod arrival;
-pub mod audit;
 pub mod candidate;
 pub mod case;
 mod constancy;
@@ -44,4 +43,5 @@ mod tolerances;
 pub mod turbulence;
 pub mod twins;
 mod unchosen;
+pub mod untestable;
 pub mod words;

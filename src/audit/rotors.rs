@@ -5,7 +5,7 @@
 use nalgebra::{SMatrix, SVector, Vector3};
 use serde::Serialize;
 
-use super::kinematics::Estimate;
+use super::pair::Estimate;
 use super::tier::FAST_HZ;
 use super::weak::{Bump, Row, bumps, fit, weigh};
 use crate::log::import::{Flight, RotorFact};
@@ -52,7 +52,7 @@ impl RotorEffects {
         let periods = [flight.outputs.period(), flight.body_rate.period()];
         let half =
             periods.into_iter().flatten().fold(HALF, |h, period| h.max(HALF_PERIODS * period));
-        let bumps = bumps(flight.body_rate.times(), half);
+        let bumps = bumps(flight.body_rate.times(), &[half]);
         let all = (0..DELAYS).filter_map(|step| Self::at(flight, &bumps, DELAY_STEP * step as f64));
         let best = all.max_by(|a, b| a.explained.total_cmp(&b.explained))?;
         (best.explained > EXPLAINED_MIN).then_some(best)
@@ -82,7 +82,7 @@ impl RotorEffects {
                         slopes[(axis, 3 * i + axis)] = output[i];
                     }
                 }
-                Row { seen, misfit: seen - effects * output, slopes }
+                Row { group: 0, seen, misfit: seen - effects * output, slopes }
             };
             pairs.iter().map(row).collect()
         };

@@ -1,8 +1,8 @@
 //! Motor outputs: legal values, channels that are stuck, and which rotor is where.
 
 use super::tier::FAST_HZ;
+use super::weak::median;
 use super::{Audit, Finding, Severity};
-use crate::diagnose::series::median;
 use crate::log::import::{Flight, MotorUnit};
 
 /// How far beyond 0..1 rounding may bring a fraction.
@@ -38,8 +38,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     check_order(flight, audit);
     check_range(flight, audit);
     check_channels(flight, audit);
-    let rate = flight.outputs.rate();
-    if rate < FAST_HZ {
+    if let Some(rate) = audit.rates.outputs_hz.filter(|rate| *rate < FAST_HZ) {
         audit.findings.push(Finding {
             severity: Severity::Note,
             check: "slow_outputs",
@@ -47,7 +46,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             found: rate,
             expected: FAST_HZ,
             unit: "Hz",
-            what: format!("outputs come at {rate:.0} Hz only: lag, delay and inertia do not show"),
+            what: format!("new outputs come at {rate:.0} Hz only: lag, delay and inertia do not show"),
             advice: "log outputs at 50 Hz or more, by telemetry (SERVO_OUTPUT_RAW, ACTUATOR_OUTPUT_STATUS) or on board",
         });
     }

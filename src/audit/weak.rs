@@ -4,9 +4,8 @@
 //! left side is a weighted mean of the derivative, as another sensor measures it; the right side
 //! needs only the stream itself. Shifting the bump of one side in time tries a delay.
 
-use nalgebra::{DMatrix, SMatrix, SVector, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector, SymmetricEigen};
 
-use crate::diagnose::series::median;
 use crate::log::import::Stream;
 
 /// A bump `(1 - s^2)^3` with `s = (t - centre) / half`.
@@ -14,6 +13,8 @@ use crate::log::import::Stream;
 pub(super) struct Bump {
     pub centre: f64,
     pub half: f64,
+    /// Which of the lengths it has.
+    pub group: usize,
 }
 
 impl Bump {
@@ -81,24 +82,29 @@ pub(super) fn weigh<V, const N: usize>(
     Some(weighed)
 }
 
-/// Bumps over samples, each beginning at the middle of the one before; none where no sample is,
-/// however long a log pauses.
-pub(super) fn bumps(times: &[f64], half: f64) -> Vec<Bump> {
+/// Bumps of some half widths over samples in the order of their centres, each beginning at the
+/// middle of the one before of its length; none where no sample is, however long a log pauses.
+pub(super) fn bumps(times: &[f64], halves: &[f64]) -> Vec<Bump> {
     let Some(start) = times.first() else { return Vec::new() };
-    let mut last = 0.0;
     let mut bumps = Vec::new();
-    for time in times {
-        let number = ((time - start) / half).floor();
-        if number > last {
-            bumps.push(Bump { centre: start + number * half, half });
-            last = number;
+    for (group, half) in halves.iter().copied().enumerate() {
+        let mut last = 0.0;
+        for time in times {
+            let number = ((time - start) / half).floor();
+            if number > last {
+                bumps.push(Bump { centre: start + number * half, half, group });
+                last = number;
+            }
         }
     }
+    bumps.sort_by(|a, b| a.centre.total_cmp(&b.centre));
     bumps
 }
 
 /// One bump's misfit and how the unknowns change what is expected there.
 pub(super) struct Row<const P: usize> {
+    /// Which of the lengths the bump has.
+    pub group: usize,
     /// What is seen.
     pub seen: SVector<f64, 3>,
     /// Seen minus expected.
@@ -108,7 +114,7 @@ pub(super) struct Row<const P: usize> {
 }
 
 /// Unknowns found, and how well.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Fit<const P: usize> {
     /// Where nothing shows an unknown, that nearest to the start.
     pub value: [f64; P],
@@ -117,8 +123,8 @@ pub(super) struct Fit<const P: usize> {
     pub hidden: SMatrix<f64, P, P>,
     /// Share of what is seen that is explained.
     pub explained: f64,
-    /// Bumps used.
-    pub bumps: usize,
+    /// Weight of each row.
+    pub weights: Vec<f64>,
 }
 
 impl<const P: usize> Fit<P> {
@@ -137,10 +143,11 @@ pub(super) fn deviation<const P: usize>(
     (hidden[(of, of)] < HIDDEN_MAX).then(|| covariance[(of, of)].max(0.0).sqrt())
 }
 
-/// Fewest bumps that anything is concluded from.
-const BUMPS_MIN: usize = 12;
-/// Rows whose misfits hang together are taken as one of this many bumps.
-const BLOCK: usize = 6;
+/// Blocks of time that are left out in turn. Few of them are long, so that what a block leaves
+/// hardly hangs together with what the next one does.
+pub(super) const BLOCKS: usize = 12;
+/// Fewest rows of a block.
+const ROWS_MIN: usize = 2;
 /// Misfits beyond this many typical ones count linearly.
 const HUBER: f64 = 2.5;
 /// Iterations.
@@ -152,10 +159,15 @@ const SHOWN_MIN: f64 = 1e-3;
 const HIDDEN_MAX: f64 = 1e-3;
 /// Sweeps of a decomposition at most; ten are usual.
 const SWEEPS: usize = 200;
+/// Added to what is left of the Gram matrix without a block, against rounding.
+const LEFT_MIN: f64 = 1e-9;
+/// Lengths of bumps at most.
+const GROUPS: usize = 2;
 
 /// Finds the unknowns by Gauss-Newton from `start`, in the directions that the rows show; `sizes`
-/// are steps of the unknowns that matter. Wild misfits count less. The deviations hold for misfits
-/// that hang together over [`BLOCK`] bumps.
+/// are steps of the unknowns that matter, 0 of one that stays at its start. Wild misfits count
+/// less, and bumps of each length by what their misfits are. The covariance is that of the
+/// jackknife over blocks of time.
 pub(super) fn fit<const P: usize>(
     start: [f64; P],
     sizes: [f64; P],
@@ -165,7 +177,7 @@ pub(super) fn fit<const P: usize>(
     let mut step_before = f64::INFINITY;
     for _ in 0..ITERATIONS {
         let normal = Normal::of(&rows(&value))?;
-        let step = normal.shown(&sizes)?.inverse * normal.gradient;
+        let step = normal.shown(&sizes)?.step(&normal);
         for (value, step) in value.iter_mut().zip(&step) {
             *value += step;
         }
@@ -180,30 +192,22 @@ pub(super) fn fit<const P: usize>(
     }
     let rows = rows(&value);
     let normal = Normal::of(&rows)?;
-    let Shown { inverse, hidden } = normal.shown(&sizes)?;
-    let weights = &normal.weights;
-    let blocks = rows.len().div_ceil(BLOCK);
-    let mut spread = SMatrix::<f64, P, P>::zeros();
-    for (block, weights) in rows.chunks(BLOCK).zip(weights.chunks(BLOCK)) {
-        let score = block.iter().zip(weights).fold(SVector::<f64, P>::zeros(), |sum, (row, w)| {
-            sum + row.slopes.transpose() * row.misfit * *w
-        });
-        spread += score * score.transpose();
-    }
-    let few = blocks as f64 / blocks.saturating_sub(P).max(1) as f64;
-    let covariance = inverse * spread * inverse * few;
-    let mean = rows.iter().map(|row| row.seen).sum::<SVector<f64, 3>>() / rows.len() as f64;
+    let shown = normal.shown(&sizes)?;
+    let covariance = shown.jackknife(&rows, &normal);
+    let weights = normal.weights;
     let sum = |of: &dyn Fn(&Row<P>) -> f64| -> f64 {
-        rows.iter().zip(weights).map(|(row, w)| w * of(row)).sum()
+        rows.iter().zip(&weights).map(|(row, w)| w * of(row)).sum()
     };
+    let mean = rows.iter().zip(&weights).map(|(row, w)| row.seen * *w).sum::<SVector<f64, 3>>()
+        / weights.iter().sum::<f64>();
     let total = sum(&|row| (row.seen - mean).norm_squared());
     let left = sum(&|row| row.misfit.norm_squared());
     Some(Fit {
         value,
         covariance,
-        hidden,
+        hidden: shown.hidden,
         explained: if total > 0.0 { 1.0 - left / total } else { 0.0 },
-        bumps: rows.len(),
+        weights,
     })
 }
 
@@ -216,23 +220,21 @@ struct Normal<const P: usize> {
     weights: Vec<f64>,
 }
 
-/// What the rows show of the unknowns: the inverse of the Gram matrix there, zero elsewhere, and
-/// the projection onto the rest.
-struct Shown<const P: usize> {
-    inverse: SMatrix<f64, P, P>,
-    hidden: SMatrix<f64, P, P>,
-}
-
 impl<const P: usize> Normal<P> {
     /// `None` if there are too few rows.
     fn of(rows: &[Row<P>]) -> Option<Self> {
-        if rows.len() < BUMPS_MIN.max(P) {
+        if rows.len() < BLOCKS * ROWS_MIN {
             return None;
         }
-        let typical = median(rows.iter().map(|row| row.misfit.norm()).collect());
+        let typical: [f64; GROUPS] = std::array::from_fn(|group| {
+            median(rows.iter().filter(|r| r.group == group).map(|r| r.misfit.norm()).collect())
+        });
+        let least =
+            typical.iter().copied().filter(|size| *size > 0.0).fold(f64::INFINITY, f64::min);
         let weight = |row: &Row<P>| {
-            let size = row.misfit.norm();
-            if size > HUBER * typical { HUBER * typical / size } else { 1.0 }
+            let (size, typical) = (row.misfit.norm(), typical[row.group]);
+            let own = if typical > 0.0 { (least / typical).powi(2) } else { 1.0 };
+            if size > HUBER * typical { own * HUBER * typical / size } else { own }
         };
         let weights: Vec<f64> = rows.iter().map(weight).collect();
         let (mut gram, mut gradient, mut power) = (SMatrix::zeros(), SVector::zeros(), 0.0);
@@ -253,18 +255,69 @@ impl<const P: usize> Normal<P> {
         }
         let SymmetricEigen { eigenvalues, eigenvectors } =
             SymmetricEigen::try_new(sensitivity, f64::EPSILON, SWEEPS)?;
-        let (mut inverse, mut hidden) = (SMatrix::zeros(), SMatrix::zeros());
+        let (mut steps, mut hidden) = (Vec::new(), SMatrix::zeros());
         for (value, vector) in eigenvalues.iter().zip(eigenvectors.column_iter()) {
             let direction = SVector::<f64, P>::from_fn(|i, _| vector[i]);
             if *value < SHOWN_MIN * SHOWN_MIN {
                 hidden += direction * direction.transpose();
             } else {
                 let step = SVector::<f64, P>::from_fn(|i, _| direction[i] * sizes[i]);
-                inverse += step * step.transpose() / (*value * self.power);
+                steps.push(step / (*value * self.power).sqrt());
             }
         }
-        Some(Shown { inverse, hidden })
+        Some(Shown { steps, hidden })
     }
+}
+
+/// What the rows show of the unknowns: steps in which the Gram matrix is the identity, and the
+/// projection onto the rest.
+struct Shown<const P: usize> {
+    steps: Vec<SVector<f64, P>>,
+    hidden: SMatrix<f64, P, P>,
+}
+
+impl<const P: usize> Shown<P> {
+    /// The step of least squares.
+    fn step(&self, normal: &Normal<P>) -> SVector<f64, P> {
+        self.steps.iter().map(|step| step * step.dot(&normal.gradient)).sum()
+    }
+
+    /// Covariance by how the unknowns change as one block of rows after another is left out.
+    fn jackknife(&self, rows: &[Row<P>], normal: &Normal<P>) -> SMatrix<f64, P, P> {
+        let size = self.steps.len();
+        let mut covariance = SMatrix::zeros();
+        for block in 0..BLOCKS {
+            let within = |part: usize| part * rows.len() / BLOCKS;
+            let range = within(block)..within(block + 1);
+            let mut gram = DMatrix::<f64>::identity(size, size);
+            let mut score = DVector::<f64>::zeros(size);
+            for (row, weight) in rows[range.clone()].iter().zip(&normal.weights[range]) {
+                let slopes: Vec<SVector<f64, 3>> =
+                    self.steps.iter().map(|step| row.slopes * step).collect();
+                for (i, a) in slopes.iter().enumerate() {
+                    score[i] += a.dot(&row.misfit) * weight;
+                    for (j, b) in slopes.iter().enumerate() {
+                        gram[(i, j)] -= a.dot(b) * weight;
+                    }
+                }
+            }
+            // What only this block shows leaves nothing without it: then the change has no end.
+            for i in 0..size {
+                gram[(i, i)] += LEFT_MIN;
+            }
+            let Some(change) = gram.cholesky().map(|left| left.solve(&score)) else { continue };
+            let change: SVector<f64, P> =
+                self.steps.iter().zip(change.iter()).map(|(step, change)| step * *change).sum();
+            covariance += change * change.transpose();
+        }
+        covariance * ((BLOCKS - 1) as f64 / BLOCKS as f64)
+    }
+}
+
+/// The middle one of the values; 0 of none.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 #[cfg(test)]
@@ -285,29 +338,30 @@ mod tests {
     fn a_bump_weighs_a_derivative_without_taking_it() {
         let (x, v) = (sampled(|t| (3.0 * t).sin()), sampled(|t| 3.0 * (3.0 * t).cos()));
         let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
-        for bump in &bumps(x.times(), 0.25)[1..70] {
+        for bump in &bumps(x.times(), &[0.25])[1..70] {
             let seen = -weigh(&x, *bump, of).expect("samples").slope[0];
             let expected = weigh(&v, *bump, of).expect("samples").value[0];
             assert!((seen - expected).abs() < 1e-3, "{seen} {expected}");
         }
-        let one = weigh(&sampled(|_| 1.0), Bump { centre: 5.0, half: 0.3 }, of).expect("samples");
-        let area = Bump { centre: 0.0, half: 0.3 }.area();
+        let one = weigh(&sampled(|_| 1.0), Bump { centre: 5.0, half: 0.3, group: 0 }, of)
+            .expect("samples");
+        let area = Bump { centre: 0.0, half: 0.3, group: 0 }.area();
         assert!((one.value[0] - area).abs() < 1e-4 && one.slope[0].abs() < 1e-3);
     }
 
     #[test]
     fn a_pause_of_ages_has_no_bumps() {
         let times = [0.0, 0.1, 0.2, 0.3, 1e12, 1e12 + 0.1, 1e12 + 0.4];
-        assert!(bumps(&times, 0.1).len() < times.len());
+        assert!(bumps(&times, &[0.1]).len() < times.len());
     }
 
     #[test]
     fn no_bump_reaches_over_a_gap_or_an_end() {
         let x = sampled(|t| t).filter_map(|t| (!(5.0..5.3).contains(t)).then_some(*t));
         let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
-        assert!(weigh(&x, Bump { centre: 5.0, half: 0.25 }, of).is_none());
-        assert!(weigh(&x, Bump { centre: 0.1, half: 0.25 }, of).is_none());
-        assert!(weigh(&x, Bump { centre: 19.9, half: 0.25 }, of).is_none());
-        assert!(weigh(&x, Bump { centre: 8.0, half: 0.25 }, of).is_some());
+        assert!(weigh(&x, Bump { centre: 5.0, half: 0.25, group: 0 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 0.1, half: 0.25, group: 0 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 19.9, half: 0.25, group: 0 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 8.0, half: 0.25, group: 0 }, of).is_some());
     }
 }

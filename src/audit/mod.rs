@@ -9,6 +9,8 @@ mod duplicates;
 mod finding;
 mod kinematics;
 mod motors;
+mod pair;
+mod rates;
 mod rotors;
 mod tier;
 mod timing;
@@ -21,11 +23,13 @@ use serde::Serialize;
 
 use crate::log::import::Flight;
 pub use finding::{Finding, Severity};
-pub use kinematics::{Agreement, Estimate, Kinematics};
+pub use kinematics::Kinematics;
+pub use pair::{Agreement, Estimate};
+pub use rates::Rates;
 pub use rotors::{Contradiction, RotorEffects};
-pub use tier::{Channels, Tier, Untestable};
-pub(super) use tier::{is_flat, voltage_range};
+pub use tier::{Channels, FAST_HZ, Tier};
 pub use timing::{LEFT_OUT, NO_SAMPLES, StreamTiming};
+pub(crate) use weak::median;
 
 /// A time within which a stream must not be used.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -57,6 +61,8 @@ pub struct Audit {
     pub tier: Option<Tier>,
     /// Rates, gaps and jitter of each stream.
     pub streams: Vec<StreamTiming>,
+    /// How often streams bring something new.
+    pub rates: Rates,
     /// By how much of itself the ground's clock ran faster than the vehicle's.
     pub ground_skew: Option<f64>,
     /// How the streams fit each other.
@@ -67,8 +73,6 @@ pub struct Audit {
     pub findings: Vec<Finding>,
     /// Times that streams must not be used in, in their order.
     pub unusable: Vec<UnusableSpan>,
-    /// Effects that these channels cannot show, with the reason.
-    pub untestable: Vec<Untestable>,
 }
 
 impl Audit {
@@ -84,12 +88,12 @@ impl Audit {
             channels,
             tier: Tier::of(&channels),
             streams: timing::streams(flight),
+            rates: Rates::of(flight),
             ground_skew: flight.ground_skew,
             kinematics,
             rotors: RotorEffects::of(flight),
             findings: Vec::new(),
             unusable: Vec::new(),
-            untestable: tier::untestable(flight, &channels),
         };
         timing::check(flight, &mut audit);
         values::check(flight, &mut audit);

@@ -1,109 +1,13 @@
-//! What a log's channels can show.
-
-use std::fmt;
+//! Which effects of the catalogue a log's channels cannot show, whatever was flown.
 
 use serde::Serialize;
 use sitl::effects::EffectId;
 
-use crate::log::import::{Flight, SetpointSource};
+use crate::audit::{Channels, FAST_HZ, Rates};
+use crate::log::import::Flight;
 
-/// Least rate of an IMU that separates measurement from dynamics, Hz.
-const IMU_HZ: f64 = 80.0;
-/// Least rate of outputs, or of rates, that shows how rotors answer, Hz.
-pub(super) const FAST_HZ: f64 = 40.0;
 /// A voltage that changes less than this share shows no sag.
 const VOLTAGE_RANGE: f64 = 0.02;
-
-/// What was logged.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Channels {
-    /// Attitude.
-    pub attitude: bool,
-    /// Position and velocity.
-    pub motion: bool,
-    /// Body rate, from whatever source.
-    pub body_rate: bool,
-    /// Specific force and body rate at 80 Hz and more.
-    pub imu: bool,
-    /// Motor outputs.
-    pub outputs: bool,
-    /// Motor outputs often enough to show lag, delay and inertia.
-    pub fast_outputs: bool,
-    /// Pack voltage.
-    pub voltage: bool,
-    /// Rotor speeds.
-    pub rotor_speed: bool,
-    /// Setpoints as the ground sent them.
-    pub setpoint: bool,
-    /// All of attitude, rates and thrust in these.
-    pub whole_setpoint: bool,
-}
-
-impl Channels {
-    /// What a flight has.
-    pub fn of(flight: &Flight) -> Self {
-        let setpoints = flight.setpoint.values();
-        let is_whole = setpoints
-            .iter()
-            .any(|s| s.attitude.is_some() && s.body_rate.is_some() && s.thrust.is_some());
-        let from_ground = flight.setpoint_source == SetpointSource::Ground;
-        let imu = flight.body_rate.rate().min(flight.specific_force.rate());
-        Self {
-            attitude: !flight.attitude.is_empty(),
-            motion: !flight.position.is_empty() && !flight.velocity.is_empty(),
-            body_rate: !flight.body_rate.is_empty(),
-            imu: imu >= IMU_HZ,
-            outputs: !flight.outputs.is_empty(),
-            fast_outputs: flight.outputs.rate() >= FAST_HZ,
-            voltage: !flight.voltage.is_empty(),
-            rotor_speed: !flight.rotor_speed.is_empty(),
-            setpoint: !setpoints.is_empty() && from_ground,
-            whole_setpoint: is_whole && from_ground,
-        }
-    }
-
-    /// Position, velocity and attitude.
-    pub fn pose(&self) -> bool {
-        self.attitude && self.motion
-    }
-}
-
-/// How much of a flight was logged; each holds all that is below it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-pub enum Tier {
-    /// Pose, velocity and attitude.
-    T0,
-    /// And an IMU.
-    T1,
-    /// And motor outputs and voltage.
-    T2,
-    /// And rotor speeds.
-    T3,
-}
-
-impl Tier {
-    /// The most that channels reach; `None` without a pose.
-    pub fn of(channels: &Channels) -> Option<Self> {
-        let steps = [
-            (channels.pose(), Self::T0),
-            (channels.imu, Self::T1),
-            (channels.outputs && channels.voltage, Self::T2),
-            (channels.rotor_speed, Self::T3),
-        ];
-        steps.iter().take_while(|(has, _)| *has).last().map(|(_, tier)| *tier)
-    }
-}
-
-impl fmt::Display for Tier {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::T0 => "T0 (pose)",
-            Self::T1 => "T1 (pose, IMU)",
-            Self::T2 => "T2 (pose, IMU, motor outputs and voltage)",
-            Self::T3 => "T3 (pose, IMU, motor outputs and voltage, rotor speeds)",
-        })
-    }
-}
 
 /// An effect that a log cannot show.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -115,17 +19,17 @@ pub struct Untestable {
 }
 
 /// Lowest and highest voltage, V.
-pub fn voltage_range(voltages: impl Iterator<Item = f64>) -> [f64; 2] {
+pub(super) fn voltage_range(voltages: impl Iterator<Item = f64>) -> [f64; 2] {
     voltages.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
 }
 
 /// Whether voltages within a range show no sag.
-pub fn is_flat([low, high]: [f64; 2]) -> bool {
+pub(super) fn is_flat([low, high]: [f64; 2]) -> bool {
     high - low < VOLTAGE_RANGE * high
 }
 
 /// The effects of the catalogue that these channels cannot show, whatever was flown.
-pub(super) fn untestable(flight: &Flight, channels: &Channels) -> Vec<Untestable> {
+pub fn of(flight: &Flight, channels: &Channels) -> Vec<Untestable> {
     let missing = |effect: EffectId| {
         reason(effect, flight, channels).map(|reason| Untestable { effect, reason })
     };
@@ -149,8 +53,10 @@ fn reason(id: EffectId, flight: &Flight, channels: &Channels) -> Option<String> 
     };
     let fast = || {
         let slow = || {
-            let rate = flight.outputs.rate();
-            format!("motor outputs come at {rate:.0} Hz only; at least {FAST_HZ:.0} Hz are needed")
+            let rate = Rates::of(flight).outputs_hz.unwrap_or(0.0);
+            format!(
+                "new motor outputs come at {rate:.0} Hz only; at least {FAST_HZ:.0} Hz are needed"
+            )
         };
         let is_slow = channels.outputs && !channels.fast_outputs && !channels.rotor_speed;
         is_slow.then(slow)
