@@ -146,6 +146,43 @@ fn a_heading_that_is_wrong_is_found() {
 }
 
 #[test]
+fn the_scale_of_each_axis_is_recovered() {
+    let mut flight = FLIGHT.clone();
+    flight.velocity = flight.velocity.map(|v| {
+        let [n, e, d] = v.to_array();
+        Ned::new(1.08 * n, e, 0.94 * d)
+    });
+    let audit = Audit::of(&flight);
+    let position = audit.kinematics.position.expect("the vehicle moves");
+    for (scale, by) in position.scale.into_iter().zip([1.08, 1.0, 0.94]) {
+        assert_near(scale, 1.0 / by, 0.01, "scale");
+    }
+    let told: Vec<f64> =
+        audit.findings.iter().filter(|f| f.check == "scale").map(|f| f.found).collect();
+    assert!(told.iter().any(|found| (found - 1.0 / 1.08).abs() < 0.01), "{:?}", audit.findings);
+    assert!(!audit.is_faulty(), "{:#?}", audit.findings);
+}
+
+/// Noise in the velocity flattens the slope of the position on it; the interval holds the truth.
+#[test]
+fn noise_in_either_stream_is_in_the_interval_of_a_scale() {
+    let mut random = Pcg64Mcg::seed_from_u64(3);
+    let mut noisy = |v: &Ned| {
+        let mut noise = || random.random_range(-1.5..1.5);
+        *v + Ned::new(noise(), noise(), noise())
+    };
+    let mut flight = FLIGHT.clone();
+    flight.velocity = flight.velocity.map(&mut noisy);
+    let audit = Audit::of(&flight);
+    let position = audit.kinematics.position.expect("the vehicle moves");
+    for scale in position.scale.into_iter().flatten() {
+        assert!((scale.value - 1.0).abs() < scale.half_width, "{scale:?}");
+    }
+    assert!(position.scale[0].is_some_and(|scale| scale.half_width < 0.3), "{position:?}");
+    assert!(audit.findings.iter().all(|f| f.check != "scale"), "{:#?}", audit.findings);
+}
+
+#[test]
 fn clocks_of_different_rates_are_found() {
     let mut flight = FLIGHT.clone();
     let mut drifting = Stream::default();

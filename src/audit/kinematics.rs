@@ -18,10 +18,15 @@ const GRAVITY: f64 = 9.806_65;
 /// Half width of a bump: at least this, s, and this many periods of the slower stream.
 const HALF: f64 = 0.2;
 const HALF_PERIODS: f64 = 8.0;
+/// A fast vehicle turns by no more than this within half a bump, rad, which is at least so wide, s.
+const TURN_MAX: f64 = 1.0;
+const HALF_MIN: f64 = 0.05;
 /// Longer bumps see slow motion above the noise of a derivative; times as long.
 const LONGER: f64 = 3.0;
 /// A rotation that is this many times its interval is undone.
 const SURE: f64 = 2.0;
+/// A delay of the attitude that is known as well as this is undone, s.
+const LATE_SURE: f64 = 0.05;
 /// Beyond this lean the thrust that keeps the height says little of it, rad.
 const LEAN_MAX: f64 = 1.0;
 
@@ -49,7 +54,8 @@ impl Kinematics {
     /// The pairs of a flight.
     pub fn of(flight: &Flight) -> Self {
         let attitude = agreement(&Turning::of(flight, |q| q));
-        let late = attitude.map_or(0.0, |agreement| agreement.delay_s.value);
+        let late = attitude.filter(|agreement| agreement.delay_s.half_width < LATE_SURE);
+        let late = late.map_or(0.0, |agreement| agreement.delay_s.value);
         let turned = attitude.and_then(|agreement| {
             let shown = agreement.rotation_rad;
             let is_sure = shown.iter().flatten().any(|r| r.differs_from_zero(SURE));
@@ -144,6 +150,15 @@ fn three(a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>) -> Nine {
     all
 }
 
+/// The pace of turning that nine tenths of an attitude's samples stay below, rad/s.
+fn fastest(attitude: &Stream<Attitude>) -> f64 {
+    let pairs = attitude.times().windows(2).zip(attitude.values().windows(2));
+    let mut paces: Vec<f64> =
+        pairs.map(|(times, q)| q[0].angle_to(q[1]) / (times[1] - times[0])).collect();
+    paces.sort_by(f64::total_cmp);
+    paces.get(paces.len() * 9 / 10).copied().unwrap_or(0.0)
+}
+
 /// Attitude against the gyro. Within a bump the attitude is the rotation vector from that at its
 /// middle, whose derivative is the body rate times the inverse of its right Jacobian.
 struct Turning<'a> {
@@ -156,8 +171,10 @@ impl<'a> Turning<'a> {
     fn of(flight: &'a Flight, read: Reading) -> Self {
         let attitude = flight.attitude.map(|q| read(*q));
         let rate = &flight.body_rate;
+        let half = half_width([attitude.period(), rate.period()]);
         // A longer one might hold half a turn.
-        let bumps = bumps(attitude.times(), &[half_width([attitude.period(), rate.period()])]);
+        let half = half.min((TURN_MAX / fastest(&attitude)).max(HALF_MIN));
+        let bumps = bumps(attitude.times(), &[half]);
         Self { attitude, rate, bumps }
     }
 

@@ -32,7 +32,7 @@ const DELAY_FLOOR: f64 = 2e-4;
 /// time, s, if nothing else moved.
 const LOOP_S: f64 = 0.05;
 /// What is less sure is not shown: a delay, s; a drift; a rotation, rad; a scale.
-const DELAY_UNSURE: f64 = 0.05;
+const DELAY_UNSURE: f64 = 0.2;
 const DRIFT_UNSURE: f64 = 0.01;
 const ROTATION_UNSURE: f64 = 1.0;
 const SCALE_UNSURE: f64 = 0.5;
@@ -196,7 +196,8 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
     let noise = LOOP_S * (1.0 - own.fit.explained);
     let mut delay_s = Estimate::new(value[DELAY], own.fit.deviation(DELAY)?, DELAY_FLOOR);
     delay_s.half_width += noise;
-    if delay_s.half_width > DELAY_UNSURE + noise {
+    let is_shown = delay_s.half_width < DELAY_UNSURE + noise;
+    if !is_shown {
         return None;
     }
     let sure = |estimate: Estimate, limit: f64| (estimate.half_width < limit).then_some(estimate);

@@ -6,6 +6,7 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use serde::Serialize;
 
 use super::pair::Estimate;
+use super::rates::Rates;
 use super::tier::FAST_HZ;
 use super::weak::{Bump, Row, bumps, fit, weigh};
 use crate::log::import::{Flight, RotorFact};
@@ -46,7 +47,10 @@ pub struct Contradiction {
 impl RotorEffects {
     /// What the outputs of a flight do, if its motion shows that.
     pub fn of(flight: &Flight) -> Option<Self> {
-        if flight.outputs.rate() < FAST_HZ || flight.body_rate.rate() < FAST_HZ {
+        let Rates { outputs_hz, body_rate_hz, .. } = Rates::of(flight);
+        if outputs_hz.is_none_or(|rate| rate < FAST_HZ)
+            || body_rate_hz.is_none_or(|rate| rate < FAST_HZ)
+        {
             return None;
         }
         let periods = [flight.outputs.period(), flight.body_rate.period()];

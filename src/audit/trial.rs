@@ -18,6 +18,8 @@ const BETTER_DELAY: f64 = 0.95;
 const BETTER_DRIFT: f64 = 0.8;
 /// Axes of another handedness must leave less than this share.
 const BETTER_MIRRORED: f64 = 0.5;
+/// And either of them less by this share of what is seen: less is rounding, where all is explained.
+const NEGLIGIBLE: f64 = 1e-4;
 /// Bumps of the trial at most, and at least.
 const BUMPS: usize = 300;
 const BUMPS_MIN: usize = 24;
@@ -80,17 +82,17 @@ impl Trial {
                     steady = Some(trial);
                 }
             }
-            if let Some(steady) = steady {
-                if best.is_none_or(|best| steady.leaves_less(&best, BETTER_DRIFT)) {
-                    best = Some(steady);
-                }
+            if let Some(steady) = steady
+                && best.is_none_or(|best| steady.leaves_less(&best, BETTER_DRIFT))
+            {
+                best = Some(steady);
             }
         }
         best
     }
 
     fn leaves_less(&self, other: &Self, share: f64) -> bool {
-        1.0 - self.explained < share * (1.0 - other.explained)
+        1.0 - self.explained < share * (1.0 - other.explained) - NEGLIGIBLE
     }
 
     /// The best rotation and scale (Kabsch, Umeyama) of pairs less their means.
@@ -130,7 +132,7 @@ impl Trial {
             powers => (power * power / powers).min(1.0),
         };
         let (rotation, signs, power) =
-            if 1.0 - share(mirrored_power) < BETTER_MIRRORED * (1.0 - share(power)) {
+            if 1.0 - share(mirrored_power) < BETTER_MIRRORED * (1.0 - share(power)) - NEGLIGIBLE {
                 let (rotation, signs) = least_turn(&mirrored, turns);
                 (rotation, signs, mirrored_power)
             } else {

@@ -305,7 +305,8 @@ impl<const P: usize> Shown<P> {
             for i in 0..size {
                 gram[(i, i)] += LEFT_MIN;
             }
-            let Some(change) = gram.cholesky().map(|left| left.solve(&score)) else { continue };
+            let Some(left) = gram.cholesky() else { return SMatrix::repeat(f64::INFINITY) };
+            let change = left.solve(&score);
             let change: SVector<f64, P> =
                 self.steps.iter().zip(change.iter()).map(|(step, change)| step * *change).sum();
             covariance += change * change.transpose();
