@@ -9,7 +9,7 @@ use std::process::Command;
 use std::sync::LazyLock;
 
 use downwash::audit::{Audit, Channels, Estimate, Severity, Tier};
-use downwash::diagnose::untestable;
+use downwash::diagnose::{rotor_order, untestable};
 use downwash::log::import::{Flight, MotorUnit, Stream, open, write};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -355,6 +355,20 @@ fn outputs_in_another_order_are_found() {
     assert!(!Audit::of(&flight).is_faulty());
     flight.outputs = flight.outputs.map(|u| [u[1], u[2], u[3], u[0]]);
     assert_fault(&flight, "motor_order", "order");
+
+    // The log does not say where they are, the vehicle file does.
+    flight.facts.rotors.clear();
+    let mut audit = Audit::of(&flight);
+    assert!(!audit.is_faulty());
+    rotor_order::check(&mut audit, &params);
+    assert!(
+        audit.findings[0].to_string().contains("vehicle file's rotors"),
+        "{:?}",
+        audit.findings
+    );
+    let mut audit = Audit::of(&FLIGHT);
+    rotor_order::check(&mut audit, &params);
+    assert!(!audit.is_faulty(), "{:?}", audit.findings);
 }
 
 #[test]

@@ -154,7 +154,7 @@ fn frd(of: &Stream<Frd>, map: impl Fn([f64; 3]) -> [f64; 3]) -> Stream<Frd> {
     of.map(|v| Frd::from(map(v.to_array())))
 }
 
-const AXES: &[&str] = &["axes", "scale", "quaternion", "motion", "gravity"];
+const AXES: &[&str] = &["axes", "frame", "scale", "quaternion", "motion", "gravity"];
 const SCALE: &[&str] = &["scale", "unit"];
 const DELAY: &[&str] = &["delay", "clock_drift"];
 
@@ -237,6 +237,24 @@ fn corruptions() -> Vec<Corruption> {
                 s.attitude = s.attitude.map(|q| Attitude { w: q.w, x: q.x, y: -q.y, z: -q.z });
                 s
             });
+        }),
+        new("body rate in world axes", Told::Fault, AXES, |f| {
+            let (attitude, mut turned) = (f.attitude.clone(), Stream::default());
+            for (time, rate) in f.body_rate.iter() {
+                if let Some(q) = attitude.held_at(time) {
+                    turned.push(time, Frd::from(q.to_world(*rate).to_array()));
+                }
+            }
+            f.body_rate = turned;
+        }),
+        new("velocity in body axes", Told::Fault, AXES, |f| {
+            let (attitude, mut turned) = (f.attitude.clone(), Stream::default());
+            for (time, velocity) in f.velocity.iter() {
+                if let Some(q) = attitude.held_at(time) {
+                    turned.push(time, Ned::from(q.to_body(*velocity).to_array()));
+                }
+            }
+            f.velocity = turned;
         }),
         new("body rate in degrees", Told::Fault, SCALE, |f| {
             f.body_rate = frd(&f.body_rate, |w| w.map(f64::to_degrees));

@@ -14,8 +14,18 @@ const RATE_HZ: f64 = 100.0;
 const SECONDS: f64 = 12.0;
 const GRAVITY: f64 = 9.806_65;
 /// Checks of how two streams fit.
-const PAIRS: [&str; 9] =
-    ["axes", "unit", "scale", "delay", "clock_drift", "rotation", "bias", "quaternion", "motion"];
+const PAIRS: [&str; 10] = [
+    "axes",
+    "frame",
+    "unit",
+    "scale",
+    "delay",
+    "clock_drift",
+    "rotation",
+    "bias",
+    "quaternion",
+    "motion",
+];
 
 /// How an angle or a way goes with time.
 #[derive(Clone, Copy, Debug)]

@@ -1,8 +1,11 @@
 //! Units, axes and orders, by how streams fit each other; and delays, rotations and biases.
 
-use sitl::frame::Attitude;
+use sitl::frame::{Attitude, Frd, Ned};
 
-use super::kinematics::{Reading, moving_follows, turning_explained, turning_follows, turns};
+use super::kinematics::{
+    Kinematics, Reading, by_attitude, gaining_follows, moving_follows, turning_explained,
+    turning_follows, turns,
+};
 use super::pair::{Agreement, Estimate};
 use super::timing::is_logged;
 use super::weak::median;
@@ -17,6 +20,10 @@ const MOVES: f64 = 0.3;
 const READS: f64 = 0.8;
 /// Less than this is no following at all, but other motion.
 const FOLLOWS: f64 = 0.3;
+/// What explains more leaves nothing to ask of the frames.
+const FITS: f64 = 0.98;
+/// Other frames must leave less than this share of what is not explained.
+const LEAVES: f64 = 0.5;
 /// Where a shorter log does not show whether it does, that is no fault, s.
 const SHORT_S: f64 = 10.0;
 /// Scales beyond these are other units.
@@ -154,6 +161,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     if audit.kinematics.position.is_none() {
         check_moving(flight, audit);
     }
+    check_frames(flight, audit);
     check_force(flight, audit);
     check_voltage(flight, audit);
 }
@@ -393,6 +401,68 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
         what,
         advice: "check order, direction and frames of the attitude, and that both are of one vehicle",
     });
+}
+
+/// Vectors of the body that are in axes of the world, or the other way about: at one heading that
+/// is a turn like any other, at several it is none.
+fn check_frames(flight: &Flight, audit: &mut Audit) {
+    let Kinematics { attitude, position, velocity, .. } = audit.kinematics;
+    let is_open = |pair: Option<Agreement>| pair.is_none_or(|pair| pair.explained < FITS);
+    let follows_better = |stated: Option<f64>, otherwise: Option<f64>| {
+        let (stated, otherwise) = (stated?, otherwise?);
+        let is_better = otherwise > READS && 1.0 - otherwise < LEAVES * (1.0 - stated);
+        is_better.then_some(otherwise)
+    };
+    let mut tell = |stream, found: f64, what: &str| {
+        audit.findings.push(Finding {
+            severity: Severity::Fault,
+            check: "frame",
+            stream: Some(stream),
+            found,
+            expected: 1.0,
+            unit: "",
+            what: what.to_owned(),
+            advice: "check the frames that the log was said to have",
+        });
+    };
+    let with = |change: &dyn Fn(&mut Flight)| {
+        let mut other = flight.clone();
+        change(&mut other);
+        other
+    };
+    if is_open(attitude) {
+        let other = with(&|other| {
+            let body = |q: Attitude, w: &Frd| q.to_body(Ned::from(w.to_array()));
+            other.body_rate = by_attitude(flight, &flight.body_rate, body);
+        });
+        if let Some(found) = follows_better(turning_follows(flight), turning_follows(&other)) {
+            tell(
+                "body_rate",
+                found,
+                "goes with the attitude in axes of the world, not of the body",
+            );
+        }
+    }
+    if is_open(position) {
+        let other = with(&|other| {
+            let world = |q: Attitude, v: &Ned| q.to_world(Frd::from(v.to_array()));
+            other.velocity = by_attitude(flight, &flight.velocity, world);
+        });
+        let follows = |flight: &Flight| Some(moving_follows(flight)?.0);
+        if let Some(found) = follows_better(follows(flight), follows(&other)) {
+            tell("velocity", found, "goes with the position in axes of the body, not of the world");
+        }
+    }
+    if is_open(velocity) {
+        let other = with(&|other| {
+            let body = |q: Attitude, f: &Frd| q.to_body(Ned::from(f.to_array()));
+            other.specific_force = by_attitude(flight, &flight.specific_force, body);
+        });
+        if let Some(found) = follows_better(gaining_follows(flight), gaining_follows(&other)) {
+            let what = "goes with the velocity in axes of the world, not of the body";
+            tell("specific_force", found, what);
+        }
+    }
 }
 
 /// A position and a velocity of which one moves and the other does not go with it.

@@ -65,7 +65,9 @@ impl Kinematics {
         let velocity = agreement(&gaining);
         let has_force = !flight.specific_force.is_empty();
         let lean = (!has_force).then(|| agreement(&Gaining::by_lean(flight))).flatten();
-        let setpoint = agreement(&Following::of(flight));
+        // What comes before its setpoint does not follow it.
+        let follows = |pair: &Agreement| pair.delay_s.value > -pair.delay_s.half_width;
+        let setpoint = agreement(&Following::of(flight)).filter(follows);
         Self { attitude, position: agreement(&Moving::of(flight)), velocity, lean, setpoint }
     }
 }
@@ -80,6 +82,26 @@ pub(super) fn turning_follows(flight: &Flight) -> Option<f64> {
 pub(super) fn moving_follows(flight: &Flight) -> Option<(f64, [f64; 2])> {
     let moving = Moving::of(flight);
     Some((Trial::best(&moving)?.explained, changes(&moving)?))
+}
+
+/// How well the velocity follows the accelerometer at best.
+pub(super) fn gaining_follows(flight: &Flight) -> Option<f64> {
+    Some(Trial::best(&Gaining::by_accelerometer(flight, 0.0, [0.0; 3]))?.explained)
+}
+
+/// The attitude at each sample of a stream, where it is known, turned with the sample into another.
+pub(super) fn by_attitude<V, W>(
+    flight: &Flight,
+    stream: &Stream<V>,
+    turned: impl Fn(Attitude, &V) -> W,
+) -> Stream<W> {
+    let mut all = Stream::default();
+    for (time, value) in stream.iter() {
+        if let Some(attitude) = interpolated(&flight.attitude, time) {
+            all.push(time, turned(attitude, value));
+        }
+    }
+    all
 }
 
 /// What a quaternion means.

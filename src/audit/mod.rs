@@ -21,7 +21,7 @@ mod weak;
 
 use serde::Serialize;
 
-use crate::log::import::Flight;
+use crate::log::import::{Flight, RotorFact};
 pub use finding::{Finding, Severity};
 pub use kinematics::Kinematics;
 pub use pair::{Agreement, Estimate};
@@ -122,6 +122,15 @@ impl Audit {
     pub fn faults(&self) -> impl Iterator<Item = &Finding> {
         let faults = self.findings.iter().filter(|f| f.severity == Severity::Fault);
         faults.filter(|finding| finding.check != values::STOOD_STILL)
+    }
+
+    /// Adds a fault of the outputs' order against rotors that are known from elsewhere than the log;
+    /// `whose` they are.
+    pub(crate) fn check_order(&mut self, rotors: &[RotorFact; 4], whose: &str) {
+        let is_known = self.findings.iter().any(|finding| finding.check == rotors::MOTOR_ORDER);
+        let fault = self.rotors.and_then(|effects| effects.misordered(rotors, whose));
+        self.findings.extend(fault.filter(|_| !is_known));
+        self.sort();
     }
 
     fn sort(&mut self) {

@@ -15,8 +15,6 @@ const PULSE_LIKE: f64 = 500.0;
 const STUCK: f64 = 1e-3;
 /// Share of the time at a limit that is worth a word.
 const SATURATED: f64 = 0.05;
-/// So many contradictions are none by chance.
-const CONTRADICTIONS: usize = 2;
 /// Outputs that change in a smaller share of the samples while the vehicle moves drive no motors.
 const CHANGES: f64 = 0.01;
 /// The vehicle moves where it rolls, pitches or travels by more than this, rad/s and m/s.
@@ -95,28 +93,10 @@ fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
 
 /// Whether outputs do what rotors would where the autopilot believes them to be.
 fn check_order(flight: &Flight, audit: &mut Audit) {
-    let (Some(effects), [a, b, c, d]) = (&audit.rotors, flight.facts.rotors.as_slice()) else {
-        return;
-    };
-    let wrong = effects.contradictions(&[*a, *b, *c, *d]);
-    if wrong.len() < CONTRADICTIONS {
-        return;
+    if let (Some(effects), [a, b, c, d]) = (&audit.rotors, flight.facts.rotors.as_slice()) {
+        let fault = effects.misordered(&[*a, *b, *c, *d], "the autopilot's motors");
+        audit.findings.extend(fault);
     }
-    let named: Vec<String> =
-        wrong.iter().map(|wrong| format!("{} in {}", wrong.output + 1, wrong.axis)).collect();
-    audit.findings.push(Finding {
-        severity: Severity::Fault,
-        check: "motor_order",
-        stream: Some("outputs"),
-        found: wrong.len() as f64,
-        expected: 0.0,
-        unit: "",
-        what: format!(
-            "do not turn the vehicle as the autopilot's motors would: {}",
-            named.join(", ")
-        ),
-        advice: "check the order of the outputs and the sense of rotation",
-    });
 }
 
 /// The range that outputs may have in their unit; `None` where only a vehicle file can tell.

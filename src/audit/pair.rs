@@ -9,7 +9,7 @@
 //! r, small rotation w (rad), scales s and bias b. They are found by least squares, which takes x
 //! for exact. It is not: a slope is then too small by the share of noise in x, and that of x on y
 //! too small by the share of noise in y. The true one lies between (Frisch 1934), and the interval
-//! of a scale holds both. Deviations are of the jackknife over blocks of time (Kunsch 1989), so
+//! of a scale holds both. Intervals are of the jackknife over blocks of time (Kunsch 1989), so
 //! that misfits may hang together over any time shorter than a block, as those of estimators do,
 //! and what only one moment of the flight shows is not sure.
 
@@ -17,14 +17,11 @@ use nalgebra::{Matrix3, Rotation3, SMatrix, UnitQuaternion, Vector3};
 use serde::Serialize;
 
 use super::trial::Trial;
-use super::weak::{Bump, Fit, Row, fit};
+use super::weak::{Bump, Fit, Row, fit, half_width};
 
 /// Least share that must be explained for anything to be concluded.
 const EXPLAINED_MIN: f64 = 0.5;
-/// Standard deviations that hold a value in 95 of 100 cases, by Student's t of 12 blocks.
-const INTERVAL: f64 = 2.201;
-/// Times an interval by which a value must lie beyond a limit to do so for sure: 6.6 standard
-/// deviations, by which t of 12 blocks is wrong four times in 100 000.
+/// Times an interval by which a value must lie beyond a limit to do so for sure.
 const SURE: f64 = 3.0;
 /// Least half width of a delay's interval, s: stamps and sampling are not better known.
 const DELAY_FLOOR: f64 = 2e-4;
@@ -63,8 +60,8 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    pub(super) fn new(value: f64, deviation: f64, floor: f64) -> Self {
-        Self { value, half_width: (INTERVAL * deviation).max(floor) }
+    pub(super) fn new(value: f64, half_width: f64) -> Self {
+        Self { value, half_width }
     }
 
     fn times(self, factor: f64) -> Self {
@@ -194,24 +191,24 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
     }
     let value = &own.fit.value;
     let noise = LOOP_S * (1.0 - own.fit.explained);
-    let mut delay_s = Estimate::new(value[DELAY], own.fit.deviation(DELAY)?, DELAY_FLOOR);
-    delay_s.half_width += noise;
+    let delay_half = own.fit.half_width(DELAY)?.max(DELAY_FLOOR) + noise;
+    let delay_s = Estimate::new(value[DELAY], delay_half);
     let is_shown = delay_s.half_width < DELAY_UNSURE + noise;
     if !is_shown {
         return None;
     }
     let sure = |estimate: Estimate, limit: f64| (estimate.half_width < limit).then_some(estimate);
-    let of = |at: usize| Some(Estimate::new(value[at], own.fit.deviation(at)?, 0.0));
+    let of = |at: usize| Some(Estimate::new(value[at], own.fit.half_width(at)?));
     let drift = of(DRIFT).and_then(|drift| {
         // What noise looks like a delay may do so at one end and not at the other.
         let noise = 2.0 * noise / (last - first).max(1.0);
         sure(Estimate { half_width: drift.half_width + noise, ..drift }, DRIFT_UNSURE)
     });
     let scale = |i: usize| {
-        let least = Estimate::new(value[SCALE + i], own.fit.deviation(SCALE + i)?, 0.0);
+        let least = Estimate::new(value[SCALE + i], own.fit.half_width(SCALE + i)?);
         Some(sure(between(least, own.followed[i]), SCALE_UNSURE)?.times(unit))
     };
-    let common_scale = Estimate::new(common.fit.value[COMMON], common.fit.deviation(COMMON)?, 0.0);
+    let common_scale = Estimate::new(common.fit.value[COMMON], common.fit.half_width(COMMON)?);
     Some(Agreement {
         delay_s,
         drift,
@@ -320,7 +317,7 @@ impl<P: Pair> Comparison<'_, P> {
             }
             slopes.set_column(COMMON, &(turn * own.component_mul(&expected.plain)));
             let misfit = seen - expected.value;
-            Some(Row { group: bump.group, seen: *seen, misfit, slopes })
+            Some(Row { time: bump.centre, group: bump.group, seen: *seen, misfit, slopes })
         };
         self.seen.iter().filter_map(row).collect()
     }
@@ -339,8 +336,8 @@ impl Compared {
         };
         let (covariance, hidden) = (there(&self.fit.covariance), there(&self.fit.hidden));
         std::array::from_fn(|axis| {
-            let deviation = super::weak::deviation(&covariance, &hidden, axis)?;
-            let estimate = Estimate::new(vector[axis], deviation, 0.0);
+            let half_width = half_width(&covariance, &hidden, axis)?;
+            let estimate = Estimate::new(vector[axis], half_width);
             (estimate.half_width < ROTATION_UNSURE).then_some(estimate)
         })
     }

@@ -9,7 +9,11 @@ use super::pair::Estimate;
 use super::rates::Rates;
 use super::tier::FAST_HZ;
 use super::weak::{Bump, Row, bumps, fit, weigh};
+use super::{Finding, Severity};
 use crate::log::import::{Flight, RotorFact};
+
+/// Name of the check of which output is where.
+pub(super) const MOTOR_ORDER: &str = "motor_order";
 
 /// Half width of a bump: at least this, s, and this many periods of the slower stream.
 const HALF: f64 = 0.1;
@@ -23,6 +27,8 @@ const EXPLAINED_MIN: f64 = 0.4;
 const SURE: f64 = 2.0;
 /// Places nearer to the axis than this share of the arm have no side.
 const ON_AXIS: f64 = 0.2;
+/// So many contradictions are none by chance.
+const CONTRADICTIONS: usize = 2;
 
 /// What each output does to the body, rad/s^2 for a rise by 1 of the outputs' unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -65,12 +71,14 @@ impl RotorEffects {
     /// The best effects if outputs act `delay` later.
     fn at(flight: &Flight, bumps: &[Bump], delay_s: f64) -> Option<Self> {
         let mut pairs: Vec<(Vector3<f64>, SVector<f64, 4>)> = Vec::new();
+        let mut times = Vec::new();
         for bump in bumps {
             let turning = weigh(&flight.body_rate, *bump, |_, w| Some(Vector3::from(w.to_array())));
             let outputs =
                 weigh(&flight.outputs, bump.shifted(-delay_s), |_, u| Some(SVector::from(*u)));
             if let (Some(turning), Some(outputs)) = (turning, outputs) {
                 pairs.push((-turning.slope, outputs.value));
+                times.push(bump.centre);
             }
         }
         let count = pairs.len() as f64;
@@ -78,7 +86,7 @@ impl RotorEffects {
         let outputs = pairs.iter().map(|(_, outputs)| outputs).sum::<SVector<f64, 4>>() / count;
         let rows = |effects: &[f64; 12]| {
             let effects = SMatrix::<f64, 3, 4>::from_column_slice(effects);
-            let row = |(seen, output): &(Vector3<f64>, SVector<f64, 4>)| {
+            let row = |(time, (seen, output)): (&f64, &(Vector3<f64>, SVector<f64, 4>))| {
                 let (seen, output) = (seen - turning, output - outputs);
                 let mut slopes = SMatrix::<f64, 3, 12>::zeros();
                 for i in 0..4 {
@@ -86,9 +94,9 @@ impl RotorEffects {
                         slopes[(axis, 3 * i + axis)] = output[i];
                     }
                 }
-                Row { group: 0, seen, misfit: seen - effects * output, slopes }
+                Row { time: *time, group: 0, seen, misfit: seen - effects * output, slopes }
             };
-            pairs.iter().map(row).collect()
+            times.iter().zip(&pairs).map(row).collect()
         };
         // An effect matters if the output's changes turn the body as it turns.
         let turns: f64 = pairs.iter().map(|(seen, _)| (seen - turning).norm_squared()).sum();
@@ -100,7 +108,7 @@ impl RotorEffects {
         let fit = fit([0.0; 12], std::array::from_fn(|at| size(at / 3)), rows)?;
         let mut turning = [[Estimate { value: 0.0, half_width: 0.0 }; 3]; 4];
         for (at, estimate) in turning.as_flattened_mut().iter_mut().enumerate() {
-            *estimate = Estimate::new(fit.value[at], fit.deviation(at)?, 0.0);
+            *estimate = Estimate::new(fit.value[at], fit.half_width(at)?);
         }
         Some(Self { turning, delay_s, explained: fit.explained })
     }
@@ -121,5 +129,22 @@ impl RotorEffects {
             }
         }
         found
+    }
+
+    /// The fault that outputs are, which do not turn the vehicle as `whose` would at `rotors`.
+    pub fn misordered(&self, rotors: &[RotorFact; 4], whose: &str) -> Option<Finding> {
+        let wrong = self.contradictions(rotors);
+        let named = wrong.iter().map(|wrong| format!("{} in {}", wrong.output + 1, wrong.axis));
+        let named = named.collect::<Vec<_>>().join(", ");
+        (wrong.len() >= CONTRADICTIONS).then(|| Finding {
+            severity: Severity::Fault,
+            check: MOTOR_ORDER,
+            stream: Some("outputs"),
+            found: wrong.len() as f64,
+            expected: 0.0,
+            unit: "",
+            what: format!("do not turn the vehicle as {whose} would: {named}"),
+            advice: "check the order of the outputs and the sense of rotation",
+        })
     }
 }

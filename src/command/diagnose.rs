@@ -24,6 +24,7 @@ use crate::diagnose::case::{Case, Settings};
 use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
 use crate::diagnose::preparation::PreparedFlight;
 use crate::diagnose::procedure::{Diagnosis, diagnose};
+use crate::diagnose::rotor_order;
 use crate::diagnose::words::report;
 use crate::log::import::Flight;
 use crate::plan::manoeuvres::Room;
@@ -195,7 +196,8 @@ fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -
             Err(error) => refused.push((index, error)),
         }
     }
-    let audits = Audit::of_all(&flights);
+    let mut audits = Audit::of_all(&flights);
+    audits.iter_mut().for_each(|audit| rotor_order::check(audit, vehicle));
     let mut logs: Vec<AuditedLog> = flights
         .into_par_iter()
         .zip(audits)

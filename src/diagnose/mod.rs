@@ -32,6 +32,7 @@ pub mod procedure;
 pub mod reflight;
 pub mod replica;
 pub mod residuals;
+pub mod rotor_order;
 pub mod scored;
 mod search;
 pub mod selection;
