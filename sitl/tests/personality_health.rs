@@ -105,6 +105,35 @@ fn the_estimate_wanders_by_what_is_asked_for() {
 }
 
 #[test]
+fn the_velocity_wanders_beside_the_position() {
+    let mut bench = hovering(Autopilot::Px4, |config| {
+        config.estimator.velocity_wander_m_s = 0.16;
+        config.estimator.velocity_wander_time_s = 1.0;
+    });
+    let (mut squares, mut most, mut count) = (0.0, 0.0_f64, 0);
+    for _ in 0..600 {
+        bench.heard();
+        bench.run(0.5);
+        let truth = *bench.vehicle.plant().state();
+        let told = bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+            MavMessage::LOCAL_POSITION_NED(at) => Some([at.x, at.y, at.z, at.vx, at.vy, at.vz]),
+            _ => None,
+        });
+        let [x, y, z, velocity @ ..] = told.expect("a position").map(f64::from);
+        let off = velocity.into_iter().zip(truth.velocity.to_array()).map(|(a, b)| (a - b).powi(2));
+        squares += off.sum::<f64>();
+        count += 3;
+        for (told, true_) in [x, y, z].into_iter().zip(truth.position.to_array()) {
+            most = most.max((told - true_).abs());
+        }
+    }
+    let deviation = (squares / f64::from(count)).sqrt();
+    assert!((0.12..0.20).contains(&deviation), "{deviation} m/s");
+    // The position has no part in it: its noise, and what is flown within 33 ms.
+    assert!(most < 0.06, "{most} m");
+}
+
+#[test]
 fn the_position_is_unknown_until_the_estimator_is_ready() {
     let mut config = SitlConfig { autopilot: Autopilot::Arducopter, ..SitlConfig::default() };
     config.estimator.ready_after_s = 5.0;
