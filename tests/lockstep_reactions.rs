@@ -238,7 +238,7 @@ fn refused_arming_is_told_and_nothing_flies() {
     let Some(End::Refused(reason)) = bench.station.end() else {
         panic!("{:?}", bench.station.end());
     };
-    assert!(reason.contains("Arm"), "{reason}");
+    assert!(reason.contains("refuses to arm"), "{reason}");
     assert!(!bench.vehicle.flight().armed() && bench.position().down() > -0.01);
 }
 
