@@ -40,6 +40,7 @@ fn wrench_problem() -> Problem<4> {
         start: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         desired: (1..=100).map(point).collect(),
         state_weight: [1.0; STATES],
+        knee: 0.0,
         // Within what the rotors give together, so that none of them saturates.
         inputs: InputBounds {
             lower: [0.1, -0.001, -0.001, -0.0002],

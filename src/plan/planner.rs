@@ -167,6 +167,9 @@ pub struct Planner {
     model: Arc<dyn Model>,
     vehicle: PlannedVehicle,
     settings: PlanSettings,
+    /// As of [`RecedingSettings`]; 0 for plans that follow none.
+    knee: f64,
+    change_weight: f64,
 }
 
 /// Most periods of a plan: ten minutes at 100 Hz, which are planned in seconds.
@@ -185,16 +188,40 @@ impl Planner {
         settings: PlanSettings,
     ) -> Result<Self, PlannerError> {
         settings.check()?;
-        Ok(Self { model, vehicle, settings })
+        Ok(Self { model, vehicle, settings, knee: 0.0, change_weight: 0.0 })
     }
 
     /// The same for plans that begin as the last one goes on: a small trust region, for they are
     /// near already, and an end where little is gained.
-    pub fn replanning(mut self, subproblems_max: usize) -> Self {
-        self.settings.subproblems_max = subproblems_max;
+    pub fn replanning(mut self, receding: &RecedingSettings) -> Self {
+        self.settings.subproblems_max = receding.subproblems_max;
         self.settings.trust = self.settings.trust.min(0.1);
         self.settings.progress = self.settings.progress.max(1e-2);
+        (self.knee, self.change_weight) = receding.caution().unwrap_or_default();
         self
+    }
+
+    /// `seen` less what of its weighted distance to `planned` is within `knee`.
+    pub(super) fn beyond(
+        &self,
+        planned: &StateVector,
+        seen: &StateVector,
+        knee: f64,
+    ) -> StateVector {
+        let weight = self.state_weight();
+        let square: f64 = (0..STATES).map(|i| (weight[i] * (seen[i] - planned[i])).powi(2)).sum();
+        let distance = square.sqrt();
+        let share = if distance > knee { 1.0 - knee / distance } else { 0.0 };
+        std::array::from_fn(|i| planned[i] + share * (seen[i] - planned[i]))
+    }
+
+    fn state_weight(&self) -> StateVector {
+        let [position, velocity, attitude, rate] = self.settings.weight;
+        let mut weights = [0.0; STATES];
+        for (weights, weight) in weights.chunks_mut(3).zip([position, velocity, attitude, rate]) {
+            weights.fill(weight);
+        }
+        weights
     }
 
     /// What is planned through.
@@ -288,18 +315,12 @@ impl Planner {
 
     /// The problem of following desired states from `start`.
     pub fn problem(&self, desire: &Desire, start: StateVector) -> Problem<7> {
-        let [position, velocity, attitude, rate] = self.settings.weight;
-        let mut state_weight = [0.0; STATES];
-        for (weights, weight) in
-            state_weight.chunks_mut(3).zip([position, velocity, attitude, rate])
-        {
-            weights.fill(weight);
-        }
         Problem {
             period_s: self.period_s(),
             start,
             desired: desire.states[1..].to_vec(),
-            state_weight,
+            state_weight: self.state_weight(),
+            knee: self.knee,
             inputs: self.bounds(desire),
             preference: Some(InputPreference {
                 weight: self.settings.input_weight,
@@ -347,7 +368,10 @@ impl Planner {
         guess: Option<Iterate<7>>,
         stop: &dyn Fn(&[Record]) -> bool,
     ) -> Outcome<7> {
-        let problem = self.problem(desire, start);
+        let mut problem = self.problem(desire, start);
+        if let (Some(guess), Some(preference)) = (&guess, &mut problem.preference) {
+            preference.pull_to(&guess.inputs, self.change_weight);
+        }
         let dynamics =
             CommandedDynamics::new(self.model(), self.vehicle.attitude_pd, self.period_s());
         let mut guess = guess.unwrap_or_else(|| self.guess(desire, &problem));
@@ -398,10 +422,20 @@ impl PlanSettings {
         within("input_weight", self.input_weight, 1e-9, 1e9, "a weight above 0")?;
         within("trust", self.trust, 1e-6, 1e3, "a size above 0")?;
         within("progress", self.progress, 0.0, 1.0, "a share")?;
-        let RecedingSettings { period_s, horizon_s, lead_s, subproblems_max } = self.receding;
+        let RecedingSettings {
+            period_s,
+            horizon_s,
+            lead_s,
+            cautious: _,
+            knee,
+            change_weight,
+            subproblems_max,
+        } = self.receding;
         within("receding.period_s", period_s, 1e-3, 10.0, "1 ms to 10 s")?;
         within("receding.horizon_s", horizon_s, 0.05, 60.0, "0.05 to 60 s")?;
         within("receding.lead_s", lead_s, 0.0, 0.5 * horizon_s, "at most half the horizon")?;
+        within("receding.knee", knee, 0.0, 1e3, "a distance of at least 0")?;
+        within("receding.change_weight", change_weight, 0.0, 1e9, "a weight of at least 0")?;
         within("receding.subproblems_max", subproblems_max as f64, 1.0, 1e4, "1 or more")?;
         within("subproblems_max", self.subproblems_max as f64, 1.0, 1e6, "1 or more")?;
         within("time_limit_s", self.time_limit_s, 0.0, 1e9, "a time of at least 0")?;

@@ -23,7 +23,8 @@ pub type StateVector = [f64; STATES];
 ///
 /// minimise `sum_{n=1..N} |W (s_n - s_d,n)|_2 + weight/2 sum_n |(u_n - preferred_n) / scale|^2`
 /// over the states and inputs with `s_0` given and `s_{n+1} = f(s_n, u_n)` (Bansal et al. 2016,
-/// eq. 12), within the bounds.
+/// eq. 12), within the bounds. With a knee `k` the distance `d` counts as `sqrt(d^2 + k^2) - k`:
+/// below the knee as `d^2 / 2k`.
 #[derive(Clone, Debug)]
 pub struct Problem<const INPUTS: usize> {
     /// Length of a period, s.
@@ -34,6 +35,8 @@ pub struct Problem<const INPUTS: usize> {
     pub desired: Vec<StateVector>,
     /// The diagonal of W.
     pub state_weight: StateVector,
+    /// The knee of the distance, in its unit; 0 for the distance itself.
+    pub knee: f64,
     /// Bounds of each input.
     pub inputs: InputBounds<INPUTS>,
     /// What is preferred among inputs that lead to the same states.
@@ -72,6 +75,20 @@ pub struct InputPreference<const INPUTS: usize> {
     pub weight: f64,
     /// The preferred inputs, one a period.
     pub inputs: Vec<[f64; INPUTS]>,
+}
+
+impl<const INPUTS: usize> InputPreference<INPUTS> {
+    /// A second pull, of `weight` towards `inputs`: up to a constant, the two are one.
+    pub(super) fn pull_to(&mut self, inputs: &[[f64; INPUTS]], weight: f64) {
+        let sum = self.weight + weight;
+        let share = if sum > 0.0 { weight / sum } else { 0.0 };
+        for (preferred, input) in self.inputs.iter_mut().zip(inputs) {
+            for (preferred, input) in preferred.iter_mut().zip(input) {
+                *preferred += share * (input - *preferred);
+            }
+        }
+        self.weight = sum;
+    }
 }
 
 /// Bounds of the state. A missing one does not act.
@@ -164,13 +181,12 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         self.desired.len()
     }
 
-    /// Distance to the desired state at the end of period `n`, `|W (s - s_d)|`.
+    /// What the distance to the desired state at the end of period `n`, `|W (s - s_d)|`, counts as.
     pub fn distance(&self, n: usize, state: &StateVector) -> f64 {
         let desired = &self.desired[n];
-        (0..STATES)
-            .map(|i| (self.state_weight[i] * (state[i] - desired[i])).powi(2))
-            .sum::<f64>()
-            .sqrt()
+        let square: f64 =
+            (0..STATES).map(|i| (self.state_weight[i] * (state[i] - desired[i])).powi(2)).sum();
+        (square + self.knee * self.knee).sqrt() - self.knee
     }
 
     /// Cost of period `n` with its input and the state at its end.
@@ -260,6 +276,7 @@ mod tests {
             start: [0.0; STATES],
             desired: vec![[0.0; STATES]],
             state_weight: [1.0; STATES],
+            knee: 0.0,
             inputs: InputBounds { lower: [-1.0; 4], upper: [1.0; 4], scale: [1.0; 4] },
             preference: None,
             limits,

@@ -90,6 +90,7 @@ pub fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettin
         lqr: LqrSettings::default(),
         policy: EngagePolicy::Command,
         hover,
+        drag_kg_s: [0.0; 2],
         thrust_full_n,
         battery_full_v: params.battery.full_v,
         attitude_pd: params.attitude_pd,

@@ -143,6 +143,7 @@ pub fn records(duration: f64) -> Vec<Record> {
             stamp,
             state,
             reference: Some(reference),
+            desired: None,
             feedback,
             setpoint: (phase != "land" || t < duration - 0.5).then_some(setpoint),
             saturation: u32::from(ms % 5000 == 0) << 1,
