@@ -53,7 +53,8 @@ fn main() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("diagnosis-bench");
     let _ = fs::remove_dir_all(&folder);
     fs::create_dir_all(&folder).expect("a folder");
-    let settings = Settings { flights: minutes, seconds: 60.0, ratios: [RATIO; 2] };
+    let settings =
+        Settings { flights: minutes, seconds: 60.0, ratios: [RATIO; 2], ..Settings::default() };
     let case = Case::fly(&settings, seed, 0, "bench", &Order::from(Kind::Single)).expect("flights");
     let vehicle = serde_json::to_vec(&case.nominal).expect("a vehicle file");
     fs::write(folder.join("vehicle.json"), vehicle).expect("a vehicle file");

@@ -182,6 +182,7 @@ fn subproblem(dynamics: &CommandedDynamics<'_>, planner: &Planner) -> Subproblem
     Subproblem {
         stages: stages.collect(),
         state_weight: problem.state_weight,
+        knee: problem.knee,
         row_penalty: 10.0,
         dynamics: DynamicsForm::Equations,
         tolerance: 1e-6,

@@ -121,6 +121,9 @@ pub struct DiagnoseArgs {
     /// Seed of the simulated flights.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// The JSON file to write, of the evidence that the verdict rests on.
+    #[arg(long, value_name = "FILE")]
+    pub evidence: Option<PathBuf>,
     /// An effect that is not to be considered, nor another that acts in the same way; may be given
     /// again. What the flights hold of it is then a cause outside of the catalogue.
     #[arg(long, value_name = "EFFECT")]
@@ -149,14 +152,27 @@ pub struct ExamArgs {
     /// half their rate, with stamps 5 ms off, and with a tenth lost. Takes an hour or more.
     #[arg(long, conflicts_with = "kinds")]
     pub round_trip: bool,
+    /// Instead: the labelled flights of this folder, which somebody else made: a folder for each case
+    /// with vehicle.json and flight_1.tlog and so on, and key.json, graded by the script that lies
+    /// with them. Nothing is drawn, and nothing is ever fitted to them.
+    #[arg(
+        long,
+        value_name = "DIR",
+        conflicts_with_all = ["cases", "kinds", "round_trip", "exact", "seed", "fail_on_miss"]
+    )]
+    pub practice: Option<PathBuf>,
+    /// Instead of vehicle files as builders have them: files whose every number is the vehicle's, the
+    /// bundled on-board loop, and logs without nuisances.
+    #[arg(long)]
+    pub exact: bool,
     /// Seed of everything that is drawn [default: from the system, and said].
     #[arg(long)]
     pub seed: Option<u64>,
     /// Length of each of a case's flights, s.
     #[arg(long, default_value_t = 22.5)]
     pub seconds: f64,
-    /// How strongly single effects show, least and most: prediction errors that they cause over
-    /// those of noise.
+    /// How strongly single effects show with --exact, least and most: prediction errors that they
+    /// cause over those of noise.
     #[arg(long, value_name = "RATIO", num_args = 2, default_values_t = [0.3, 30.0])]
     pub strengths: Vec<f64>,
     /// Simulated flights without any effect in each diagnosis [default: as `diagnose`].

@@ -7,6 +7,7 @@ pub mod clock;
 pub mod parameters;
 pub mod setpoint;
 
+pub mod audit;
 pub mod control;
 pub mod diagnose;
 pub mod exam;

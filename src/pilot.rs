@@ -88,6 +88,8 @@ pub struct Tick {
     pub state: State,
     /// What it is to be.
     pub reference: Reference,
+    /// Where it is wanted: a plan that is made anew in flight leads there.
+    pub desired: Ned,
     /// The reference's input.
     pub feedforward: Setpoint,
     /// The correction `K T_R (s - s*)`, zero on the ground.
@@ -100,7 +102,7 @@ pub struct Tick {
     pub phase: FlightState,
     /// Seconds into the trajectory, while it is tracked.
     pub trajectory_time: Option<f64>,
-    /// Distance from the reference, m.
+    /// Distance from where it is wanted, m.
     pub tracking_error: f64,
     /// How much later than the quickest messages the state came, s.
     pub sample_age: f64,
@@ -187,7 +189,12 @@ impl Pilot {
             self.controller.reset();
         } else if guided.aloft {
             let thrust_gain = self.voltage_gain();
-            self.controller.observe(sample.vehicle, &sample.state, &guided.expected, thrust_gain);
+            // The same before the trajectory as along it, or what was learned on the way there would
+            // count twice.
+            let at_rest = || self.guidance.expected_at_rest(self.airframe.hover.mass_kg);
+            let expected = guided.expected.unwrap_or_else(at_rest);
+            let is_led = guided.expected.is_some();
+            self.controller.observe(sample.vehicle, &sample.state, &expected, is_led, thrust_gain);
         } else {
             self.controller.pause();
         }
@@ -203,7 +210,7 @@ impl Pilot {
         let sent = limited.filter(|_| permitted);
         self.controller.sent(sent.map(|(setpoint, _)| setpoint));
 
-        self.tracking_error = (sample.state.position - reference.position).norm();
+        self.tracking_error = (sample.state.position - guided.desired).norm();
         if let Some((trigger, why)) = guided.reached {
             self.supervisor.fire(now, trigger, why);
         }
@@ -212,6 +219,7 @@ impl Pilot {
             vehicle: sample.vehicle,
             state: sample.state,
             reference,
+            desired: guided.desired,
             feedforward: reference.feedforward,
             feedback,
             setpoint: sent.map(|(setpoint, _)| setpoint),

@@ -58,3 +58,13 @@ pub struct Expected {
     /// Attitude beside the one that the loop would give, rad.
     pub attitude: [f64; 3],
 }
+
+impl Expected {
+    /// By how much this is more than `other`.
+    pub fn beyond(&self, other: &Self) -> Self {
+        Self {
+            acceleration: self.acceleration - other.acceleration,
+            attitude: std::array::from_fn(|i| self.attitude[i] - other.attitude[i]),
+        }
+    }
+}

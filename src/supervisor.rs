@@ -74,6 +74,19 @@ pub enum Action {
     Disarm,
 }
 
+impl Action {
+    /// For people.
+    fn in_words(self) -> &'static str {
+        match self {
+            Self::SetModeOffboard => "OFFBOARD",
+            Self::SetModeHold => "the mode that holds",
+            Self::SetModeLand => "to land",
+            Self::Arm => "to arm",
+            Self::Disarm => "to disarm",
+        }
+    }
+}
+
 /// How much an event matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -206,8 +219,11 @@ impl Supervisor {
 
     /// The vehicle refused a request; `text` says why, where it is known.
     pub fn refused(&mut self, now: HostTime, action: Action, text: &str) {
-        let text = format!("the vehicle refuses {action:?}: {text}");
-        self.tell(now, Severity::Warning, text.clone());
+        let text = format!("the vehicle refuses {}: {text}", action.in_words());
+        // It is asked again every second, and mostly refuses for the same reason.
+        if self.refusal.as_ref() != Some(&text) {
+            self.tell(now, Severity::Warning, text.clone());
+        }
         self.refusal = Some(text);
     }
 

@@ -189,6 +189,14 @@ impl Draft {
         missing.filter_map(|(key, _)| wanting(key)).collect()
     }
 
+    /// What an estimate that matters most was taken to be, and by what.
+    pub fn assumption(&self, key: &str) -> Option<String> {
+        let inertia =
+            self.inertia.as_ref().filter(|given| given.is_estimate && key == "inertia")?;
+        let [roll, pitch, yaw] = inertia.value.map(body::tidy);
+        Some(format!("taken as {roll}, {pitch}, {yaw}, {}", inertia.from))
+    }
+
     /// What is in the file as an estimate only.
     pub fn estimated(&self) -> Vec<Wanting> {
         let is_estimate =
@@ -340,6 +348,15 @@ mod tests {
         assert_eq!(cascade.input_time_constant_s, Some(0.15));
         // The setpoint is followed within 0.15 s, its rate fed forward.
         close(vehicle.attitude_loop_pd().expect("a loop").kp[0], cascade.rate_p_nms[0] / 0.15);
+    }
+
+    #[test]
+    fn inertia_that_nothing_states_says_what_it_was_taken_as() {
+        let weighed = Measured { mass_kg: Some(3.0), arm_m: Some(0.35), ..Measured::default() };
+        let taken = draft(COPTER, weighed.clone()).assumption("inertia").expect("an assumption");
+        assert!(taken.contains("0.091875") && taken.contains("mass times arm squared"), "{taken}");
+        let stated = Measured { inertia: Some([0.023, 0.023, 0.046]), ..weighed };
+        assert_eq!(draft(COPTER, stated).assumption("inertia"), None);
     }
 
     #[test]

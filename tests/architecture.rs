@@ -1,4 +1,5 @@
-//! The directions in which modules may know each other, as ARCHITECTURE.md says.
+//! The directions in which modules may know each other, as ARCHITECTURE.md says, and that files
+//! know each other in no circle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -20,7 +21,21 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("log", &["clock", "setpoint", "link", "parameters"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
-        ("diagnose", &["control", "learn", "log", "model", "pilot", "plan", "setpoint"]),
+        ("audit", &["learn", "log", "parameters"]),
+        (
+            "diagnose",
+            &[
+                "audit",
+                "control",
+                "learn",
+                "log",
+                "model",
+                "parameters",
+                "pilot",
+                "plan",
+                "setpoint",
+            ],
+        ),
         ("exam", &["control", "diagnose", "plan", "setpoint"]),
         (
             "report",
@@ -57,74 +72,387 @@ const TOKIO: [&str; 6] = [
     "sitl/src/cli.rs",
 ];
 
-fn sources(folder: &Path) -> Vec<PathBuf> {
+/// Where files still know each other in circles: a step of a circle is let pass between two files
+/// that both begin with one of these.
+const CIRCLES: [&[&str]; 8] = [
+    &["src/audit/pair.rs", "src/audit/trial.rs"],
+    &["src/command"],
+    &["src/diagnose"],
+    &["src/exam"],
+    &[
+        "src/learn/judgement.rs",
+        "src/learn/networks.rs",
+        "src/learn/procedure.rs",
+        "src/learn/training_set.rs",
+    ],
+    &["src/plan/file", "src/plan/multisine.rs"],
+    &["sitl/src/autopilot/commander.rs", "sitl/src/autopilot/personality.rs"],
+    // The vehicle file holds effects, and effects act on the vehicle.
+    &["sitl/src/effects", "sitl/src/physics.rs", "sitl/src/rotor.rs", "sitl/src/vehicle.rs"],
+];
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The Rust files below a folder of the repository, as paths from its root with `/`.
+fn sources(folder: &str) -> Vec<String> {
     let mut found = Vec::new();
-    for entry in fs::read_dir(folder).expect("a source folder") {
-        let path = entry.expect("an entry").path();
-        if path.is_dir() {
+    for entry in fs::read_dir(root().join(folder)).expect("a source folder") {
+        let entry = entry.expect("an entry");
+        let path = format!("{folder}/{}", entry.file_name().to_string_lossy());
+        if entry.path().is_dir() {
             found.extend(sources(&path));
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
+        } else if Path::new(&path).extension().is_some_and(|extension| extension == "rs") {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Identifiers and punctuation of a Rust file; without comments, literals and what only tests see.
+fn code(file: &str) -> Vec<String> {
+    without_tests(&tokens(&fs::read_to_string(root().join(file)).expect("a source file")))
+}
+
+/// `::` is one token, each other punctuation mark its own; literals of text leave none.
+fn tokens(text: &str) -> Vec<String> {
+    let bytes = text.as_bytes();
+    let word = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
+    let find = |from: usize, end: &str| text[from..].find(end).map_or(text.len(), |at| from + at);
+    let (mut tokens, mut at) = (Vec::new(), 0);
+    while at < bytes.len() {
+        let rest = &text[at..];
+        if rest.starts_with("//") {
+            at = find(at, "\n");
+        } else if rest.starts_with("/*") {
+            let mut depth = 0;
+            while at < bytes.len() {
+                let step = match &bytes[at..] {
+                    [b'/', b'*', ..] => 1,
+                    [b'*', b'/', ..] => -1,
+                    _ => 0,
+                };
+                depth += step;
+                at += if step == 0 { 1 } else { 2 };
+                if depth == 0 {
+                    break;
+                }
+            }
+        } else if bytes[at] == b'"' {
+            at += 1;
+            while at < bytes.len() && bytes[at] != b'"' {
+                at += if bytes[at] == b'\\' { 2 } else { 1 };
+            }
+            at += 1;
+        } else if let Some(hashes) = raw_string(rest) {
+            let end = format!("\"{}", "#".repeat(hashes));
+            at = find(find(at, "\"") + 1, &end) + end.len();
+        } else if bytes[at] == b'\'' {
+            // A character has its closing quote; a lifetime has none.
+            let escaped = bytes.get(at + 1) == Some(&b'\\');
+            let mut characters = rest[1..].chars();
+            let length = characters.next().map_or(0, char::len_utf8);
+            if escaped {
+                at = find(at + 3, "'") + 1;
+            } else if characters.next() == Some('\'') {
+                at += length + 2;
+            } else {
+                at += 1;
+            }
+        } else if word(bytes[at]) {
+            let end = bytes[at..].iter().position(|&b| !word(b)).map_or(bytes.len(), |n| at + n);
+            tokens.push(text[at..end].to_owned());
+            at = end;
+        } else if rest.starts_with("::") {
+            tokens.push("::".to_owned());
+            at += 2;
+        } else {
+            if bytes[at].is_ascii_punctuation() {
+                tokens.push(char::from(bytes[at]).to_string());
+            }
+            at += 1;
+        }
+    }
+    tokens
+}
+
+/// The number of hashes of the raw string that begins here.
+fn raw_string(text: &str) -> Option<usize> {
+    let text = text.strip_prefix('b').unwrap_or(text).strip_prefix('r')?;
+    let hashes = text.len() - text.trim_start_matches('#').len();
+    text[hashes..].starts_with('"').then_some(hashes)
+}
+
+/// Leaves each item out that bears `#[cfg(test)]`, to its semicolon or closing brace.
+fn without_tests(tokens: &[String]) -> Vec<String> {
+    let mark = ["#", "[", "cfg", "(", "test", ")", "]"];
+    let (mut kept, mut at) = (Vec::new(), 0);
+    while at < tokens.len() {
+        if !tokens[at..].iter().take(mark.len()).eq(mark.iter()) {
+            kept.push(tokens[at].clone());
+            at += 1;
+            continue;
+        }
+        let (mut depth, mut attribute) = (0, true);
+        at += mark.len();
+        while at < tokens.len() {
+            let token = tokens[at].as_str();
+            attribute &= depth > 0 || token == "#" || token == "[";
+            depth += i32::from(["(", "[", "{"].contains(&token));
+            depth -= i32::from([")", "]", "}"].contains(&token));
+            at += 1;
+            if depth == 0 && !attribute && (token == ";" || token == "}") {
+                break;
+            }
+        }
+    }
+    kept
+}
+
+type Module = Vec<String>;
+
+/// One crate's files as modules.
+struct Crate {
+    modules: BTreeMap<Module, File>,
+}
+
+struct File {
+    path: String,
+    tokens: Vec<String>,
+    /// Names that `use` brings into the module, with their paths; `*` for all of a module's.
+    uses: Vec<(String, Vec<String>)>,
+}
+
+impl Crate {
+    fn read(folder: &str) -> Self {
+        let modules = sources(folder).into_iter().filter(|path| !path.ends_with("/main.rs"));
+        let modules = modules.map(|path| {
+            let inside = path.trim_start_matches(folder).trim_end_matches(".rs");
+            let mut module: Module =
+                inside.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect();
+            if module.last().is_some_and(|name| name == "mod" || name == "lib") {
+                module.pop();
+            }
+            let tokens = code(&path);
+            let uses = uses(&tokens);
+            (module, File { path, tokens, uses })
+        });
+        Self { modules: modules.collect() }
+    }
+
+    /// The module whose file defines what a path in `from` names, through re-exports; `None` for
+    /// what other crates define.
+    fn resolve(&self, from: &Module, path: &[String], depth: usize) -> Option<Module> {
+        let mut at = from.clone();
+        let mut names = path.iter().peekable();
+        match names.peek()?.as_str() {
+            "crate" => at = Module::new(),
+            "self" => {}
+            "super" => {
+                at.pop()?;
+            }
+            first if self.modules.contains_key(&join(from, first)) => at.push(first.to_owned()),
+            _ => return None,
+        }
+        names.next();
+        for (index, name) in path.iter().enumerate().skip(1) {
+            if name == "super" {
+                at.pop()?;
+            } else if self.modules.contains_key(&join(&at, name)) {
+                at.push(name.clone());
+            } else {
+                let rest = &path[index + 1..];
+                return Some(self.reexported(&at, name, rest, depth).unwrap_or(at));
+            }
+        }
+        Some(at)
+    }
+
+    /// Where a name that a module only hands on is from.
+    fn reexported(&self, at: &Module, name: &str, rest: &[String], depth: usize) -> Option<Module> {
+        let uses = &self.modules.get(at)?.uses;
+        let depth = depth.checked_sub(1)?;
+        for (used, path) in uses.iter().filter(|(used, _)| used == name || used == "*") {
+            if used == name {
+                return self.resolve(at, &[path, rest].concat(), depth);
+            }
+            let target = self.resolve(at, path, depth)?;
+            let defines = |file: &File| {
+                file.tokens
+                    .windows(2)
+                    .any(|pair| ITEMS.contains(&pair[0].as_str()) && pair[1] == name)
+            };
+            if self.modules.get(&target).is_some_and(defines) {
+                return Some(target);
+            }
+        }
+        None
+    }
+
+    /// The modules of other files that each module names.
+    fn graph(&self) -> BTreeMap<&Module, BTreeSet<Module>> {
+        let known = |(module, file): (_, &File)| {
+            let paths = file.uses.iter().map(|(_, path)| path.clone()).chain(paths(&file.tokens));
+            let known = paths.filter_map(|path| self.resolve(module, &path, 8));
+            (module, known.filter(|other| other != module).collect())
+        };
+        self.modules.iter().map(known).collect()
+    }
+}
+
+const ITEMS: [&str; 8] = ["fn", "struct", "enum", "trait", "const", "static", "type", "union"];
+
+fn join(module: &Module, name: &str) -> Module {
+    let mut joined = module.clone();
+    joined.push(name.to_owned());
+    joined
+}
+
+/// What `use` declarations name, group by group.
+fn uses(tokens: &[String]) -> Vec<(String, Vec<String>)> {
+    let mut found = Vec::new();
+    let begins = |at: &usize| tokens[*at] == "use" && (*at == 0 || tokens[at - 1] != "::");
+    for start in (0..tokens.len()).filter(begins) {
+        tree(tokens, start + 1, &[], &mut found);
+    }
+    found
+}
+
+/// Reads one tree of a `use`; where it ends.
+fn tree(
+    tokens: &[String],
+    mut at: usize,
+    prefix: &[String],
+    found: &mut Vec<(String, Vec<String>)>,
+) -> usize {
+    let mut path = prefix.to_vec();
+    while let Some(token) = tokens.get(at) {
+        match token.as_str() {
+            "::" => at += 1,
+            "{" => {
+                at += 1;
+                while tokens.get(at).is_some_and(|token| token != "}") {
+                    at = tree(tokens, at, &path, found);
+                    at += usize::from(tokens.get(at).is_some_and(|token| token == ","));
+                }
+                return at + 1;
+            }
+            "as" => {
+                found.push((tokens.get(at + 1).cloned().unwrap_or_default(), path));
+                return at + 2;
+            }
+            "*" => {
+                found.push(("*".to_owned(), path));
+                return at + 1;
+            }
+            "," | ";" | "}" => break,
+            name => {
+                path.push(name.to_owned());
+                at += 1;
+            }
+        }
+    }
+    if path.len() > 1 && path.last().is_some_and(|name| name == "self") {
+        path.pop();
+    }
+    found.push((path.last().cloned().unwrap_or_default(), path));
+    at
+}
+
+/// Paths in code that begin at the crate, the module or its parent.
+fn paths(tokens: &[String]) -> Vec<Vec<String>> {
+    let mut found = Vec::new();
+    for start in 0..tokens.len() {
+        let begins = ["crate", "self", "super"].contains(&tokens[start].as_str());
+        if !begins || start > 0 && tokens[start - 1] == "::" {
+            continue;
+        }
+        let mut path = vec![tokens[start].clone()];
+        let mut at = start + 1;
+        while tokens.get(at).is_some_and(|token| token == "::")
+            && tokens.get(at + 1).is_some_and(|name| name.starts_with(char::is_alphabetic))
+        {
+            path.push(tokens[at + 1].clone());
+            at += 2;
+        }
+        if path.len() > 1 {
             found.push(path);
         }
     }
     found
 }
 
-/// The text without comments and without the unit tests at its end.
-fn code(path: &Path) -> String {
-    let text = fs::read_to_string(path).expect("a source file");
-    let text = text.split("#[cfg(test)]").next().unwrap_or_default();
-    text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
-}
-
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
-
-fn relative(path: &Path) -> String {
-    path.strip_prefix(root()).expect("inside the repository").to_string_lossy().into_owned()
-}
-
 #[test]
 fn modules_know_only_what_lies_below_them() {
     let allowed = allowed();
+    let daemon = Crate::read("src");
     let mut wrong = Vec::new();
-    for path in sources(&root().join("src")) {
-        let inside = path.strip_prefix(root().join("src")).expect("inside src");
-        let first = inside.components().next().expect("a component").as_os_str();
-        let module = first.to_string_lossy().trim_end_matches(".rs").to_owned();
-        if ["lib", "main", "cli", "command"].contains(&module.as_str()) {
+    for (module, known) in daemon.graph() {
+        let path = &daemon.modules[module].path;
+        let Some(own) = module.first() else { continue };
+        if ["cli", "command"].contains(&own.as_str()) {
             continue;
         }
-        let known = allowed.get(module.as_str());
-        let Some(known) = known else {
-            wrong.push(format!("{}: module {module} has no row in the table", relative(&path)));
+        let Some(row) = allowed.get(own.as_str()) else {
+            wrong.push(format!("{path}: module {own} has no row in the table"));
             continue;
         };
-        let text = code(&path);
-        let named: BTreeSet<&str> = text
-            .split("crate::")
-            .skip(1)
-            .filter_map(|rest| rest.split(|c: char| !(c.is_alphanumeric() || c == '_')).next())
-            .collect();
-        for name in named {
-            if name != module && !name.is_empty() && !known.contains(&name) {
-                wrong.push(format!("{} names crate::{name}", relative(&path)));
+        for other in known.iter().filter_map(|known| known.first()).collect::<BTreeSet<_>>() {
+            if other != own && !row.contains(&other.as_str()) {
+                wrong.push(format!("{path} names crate::{other}"));
             }
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Parent and child may know each other.
+#[test]
+fn no_files_know_each_other_in_a_circle() {
+    let mut wrong = Vec::new();
+    for folder in ["src", "sitl/src", "wire/src"] {
+        let files = Crate::read(folder);
+        let mut graph = files.graph();
+        for (module, known) in &mut graph {
+            known.retain(|other| !other.starts_with(module) && !module.starts_with(other));
+        }
+        let reached = |from: &Module| {
+            let (mut reached, mut open) = (BTreeSet::new(), vec![from.clone()]);
+            while let Some(next) = open.pop() {
+                for other in graph.get(&next).into_iter().flatten() {
+                    if reached.insert(other.clone()) {
+                        open.push(other.clone());
+                    }
+                }
+            }
+            reached
+        };
+        let all: BTreeMap<_, _> = graph.keys().map(|module| (*module, reached(module))).collect();
+        for (module, known) in &graph {
+            let path = &files.modules[*module].path;
+            for other in known {
+                let (other, back) = (&files.modules[other].path, all.get(other));
+                let passes = |group: &&[&str]| {
+                    [path, other].iter().all(|path| group.iter().any(|g| path.starts_with(g)))
+                };
+                if back.is_some_and(|back| back.contains(*module)) && !CIRCLES.iter().any(passes) {
+                    wrong.push(format!("{path} -> {other}"));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "steps of circles:\n{}", wrong.join("\n"));
+}
+
 #[test]
 fn tokio_stays_at_the_edge() {
     let mut wrong = Vec::new();
-    for folder in ["src", "sitl/src"] {
-        for path in sources(&root().join(folder)) {
-            let name = relative(&path);
-            if !TOKIO.iter().any(|edge| name.starts_with(edge)) && code(&path).contains("tokio") {
-                wrong.push(name);
-            }
+    for file in ["src", "sitl/src"].into_iter().flat_map(sources) {
+        let edge = TOKIO.iter().any(|edge| file.starts_with(edge));
+        if !edge && code(&file).iter().any(|token| token == "tokio") {
+            wrong.push(file);
         }
     }
     assert!(wrong.is_empty(), "tokio outside of the edge: {}", wrong.join(", "));
@@ -134,4 +462,44 @@ fn tokio_stays_at_the_edge() {
 fn the_vehicle_knows_nothing_of_the_daemon() {
     let manifest = fs::read_to_string(root().join("sitl/Cargo.toml")).expect("the manifest");
     assert!(!manifest.lines().any(|line| line.trim_start().starts_with("downwash ")));
+}
+
+/// A file of tests that `main.rs` does not name would never run.
+#[test]
+fn every_file_of_tests_runs() {
+    for folder in ["tests", "sitl/tests"] {
+        let main = code(&format!("{folder}/main.rs"));
+        let named: BTreeSet<_> = main.windows(2).filter(|pair| pair[0] == "mod").collect();
+        for file in sources(folder) {
+            let name = file.trim_start_matches(folder).trim_matches('/').trim_end_matches(".rs");
+            let name = name.trim_end_matches("/mod");
+            if name != "main" {
+                assert!(named.iter().any(|pair| pair[1] == name), "{folder}/main.rs: mod {name};");
+            }
+        }
+    }
+}
+
+#[test]
+fn code_is_seen_after_tests_and_beside_text() {
+    let text = r###"
+        //! crate::comment
+        #[cfg(test)]
+        #[path = "x"]
+        mod early { use crate::hidden; fn f() { "}" } }
+        #[cfg(test)]
+        use crate::hidden;
+        /* crate::comment /* nested */ crate::comment */
+        const QUOTE: (char, char, &'static str) = ('"', '\'', r#"crate::"text"#);
+        use crate::{a::{self, B as C}, d::*};
+        fn late() { super::e::F::<crate::g::H>::new() }
+    "###;
+    let tokens = without_tests(&tokens(text));
+    let named: Vec<_> =
+        uses(&tokens).into_iter().map(|(name, path)| (name, path.join("::"))).collect();
+    let expected = [("a", "crate::a"), ("C", "crate::a::B"), ("*", "crate::d")];
+    assert_eq!(named, expected.map(|(name, path)| (name.to_owned(), path.to_owned())));
+    let paths: Vec<_> = paths(&tokens).iter().map(|path| path.join("::")).collect();
+    assert_eq!(paths, ["super::e::F", "crate::g::H"]);
+    assert!(!tokens.contains(&"hidden".to_owned()) && !tokens.contains(&"comment".to_owned()));
 }

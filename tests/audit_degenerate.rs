@@ -5,7 +5,7 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::Duration;
 
-use downwash::diagnose::audit::{Agreement, Audit, Estimate};
+use downwash::audit::{Agreement, Audit, Estimate};
 use downwash::log::import::{Clock, Flight, Origin};
 use proptest::prelude::*;
 use sitl::frame::{Attitude, Frd, Ned};
@@ -14,7 +14,18 @@ const RATE_HZ: f64 = 100.0;
 const SECONDS: f64 = 12.0;
 const GRAVITY: f64 = 9.806_65;
 /// Checks of how two streams fit.
-const PAIRS: [&str; 6] = ["axes", "unit", "delay", "rotation", "bias", "quaternion"];
+const PAIRS: [&str; 10] = [
+    "axes",
+    "frame",
+    "unit",
+    "scale",
+    "delay",
+    "clock_drift",
+    "rotation",
+    "bias",
+    "quaternion",
+    "motion",
+];
 
 /// How an angle or a way goes with time.
 #[derive(Clone, Copy, Debug)]
@@ -93,13 +104,17 @@ fn audited(flight: Flight) -> Audit {
 
 fn estimates(agreement: &Agreement) -> impl Iterator<Item = Estimate> {
     let shown = agreement.rotation_rad.into_iter().chain(agreement.bias).flatten();
-    shown.chain([agreement.delay_s]).chain(agreement.delay_drift_s)
+    let scales = agreement.scale.into_iter().flatten();
+    shown.chain(scales).chain([agreement.delay_s]).chain(agreement.drift)
 }
 
 fn assert_sound(audit: &Audit) {
     let pairs = &audit.kinematics;
     for agreement in [pairs.attitude, pairs.position, pairs.velocity].iter().flatten() {
-        assert!(agreement.explained.is_finite() && agreement.scale.is_finite(), "{agreement:?}");
+        assert!(
+            agreement.explained.is_finite() && agreement.common_scale.value.is_finite(),
+            "{agreement:?}"
+        );
         for estimate in estimates(agreement) {
             assert!(estimate.value.is_finite() && estimate.half_width.is_finite(), "{agreement:?}");
         }

@@ -9,12 +9,10 @@
 //! reports of those are rounded once more. Found: 1.5e-7 in SI units, 7e-7 rad/s in the body rate.
 //! The integrators' errors (RotorPy 1e-11 relative, RK4 at 1 ms) are far below.
 
-mod lockstep;
-
+use crate::lockstep::{fly, ideal, settings, toml_trajectory};
 use downwash::control::LqrSettings;
 use downwash::log::record::{Record, Tick};
 use downwash::station::{End, StationSettings};
-use lockstep::{fly, ideal, settings, toml_trajectory};
 use serde::Deserialize;
 use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 use sitl::vehicle::VehicleParams;

@@ -5,12 +5,10 @@
 //! that a setpoint is under way, is known exactly for small steps; what is left is of second order
 //! in the step, and the width of MAVLink's floats.
 
-mod lockstep;
-
+use crate::lockstep::{NANO, QUAD, fly, ideal, params, settings, toml_trajectory};
 use downwash::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr};
 use downwash::log::record::{Record, Tick};
 use downwash::station::End;
-use lockstep::{NANO, QUAD, fly, ideal, params, settings, toml_trajectory};
 use nalgebra::SVector;
 use sitl::vehicle::AttitudePd;
 

@@ -13,7 +13,7 @@ use downwash::diagnose::preparation::PreparedFlight;
 use downwash::diagnose::residuals::{
     ATTITUDE, CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, RATE, VELOCITY,
 };
-use downwash::diagnose::selection::{Selector, Thresholds};
+use downwash::diagnose::search::Search;
 use downwash::diagnose::spectrum::BANDS;
 use downwash::diagnose::twins::{TwinFits, screened};
 use downwash::exam::case::{Case, Kind, Order, Settings};
@@ -42,21 +42,17 @@ fn flights(vehicle: &Path) -> Vec<PathBuf> {
     logs
 }
 
+/// How good the files of these flights are: exact, but for what clocks blur.
+const FILE: f64 = 0.15;
+
 /// The catalogue with the delay that the flights tell.
 fn catalogue(vehicle: &VehicleParams, prepared: &[PreparedFlight], law: &OnboardLaw) -> Catalogue {
     let delay = Delay::of(prepared, law).expect("outputs that answer setpoints");
-    Catalogue::new(vehicle, true).with_delay(&delay)
+    Catalogue::at_scale(vehicle, true, FILE).with_delay(&delay)
 }
 
-fn selector<'a>(observed: &'a Observed<'a>, catalogue: &'a Catalogue) -> Selector<'a> {
-    Selector {
-        fitted: observed,
-        held_out: observed,
-        catalogue,
-        setpoint_leg: true,
-        thresholds: Thresholds::default(),
-        floor: None,
-    }
+fn search<'a>(observed: &'a Observed<'a>, catalogue: &'a Catalogue) -> Search<'a> {
+    Search { fitted: observed, choosing: observed, catalogue, chance: Vec::new() }
 }
 
 /// The flights of a case, whose logs are in a state.
@@ -91,8 +87,8 @@ fn ratios_up_to(
     let law = evaluator.onboard().expect("the on-board law");
     let catalogue = catalogue(vehicle, prepared, law);
     let observed = Observed::new(prepared, &evaluator, &catalogue);
-    let selector = selector(&observed, &catalogue);
-    let (null, about) = selector.null().expect("a fit");
+    let search = search(&observed, &catalogue);
+    let (null, about) = search.file().expect("a fit");
     let noise = report_noise(prepared, &null.fit.power, observed.counts());
     let twins =
         TwinFits::of_null(&observed, &about, law, &noise, (8, 1)).expect("a vehicle that flies");
@@ -177,15 +173,15 @@ fn twins_of_a_hover_have_its_evidence_for_an_inertia() {
     let law = evaluator.onboard().expect("the on-board law");
     let catalogue = catalogue(&case.nominal, &prepared, law);
     let observed = Observed::new(&prepared, &evaluator, &catalogue);
-    let selector = selector(&observed, &catalogue);
-    let (null, about) = selector.null().expect("a fit");
+    let search = search(&observed, &catalogue);
+    let (null, about) = search.file().expect("a fit");
     let noise = report_noise(&prepared, &null.fit.power, observed.counts());
     let draws = (8, 1);
     let twins = TwinFits::of_null(&observed, &about, law, &noise, draws).expect("twins");
-    let screened = screened(&selector, &null, &about, &twins, 1);
+    let screened = screened(&search, &null, &about, &twins, 1);
     let inertia = catalogue.hypotheses.iter().position(|h| h.effect == EffectId::Inertia);
     let inertia = inertia.expect("a hypothesis");
-    let gains = selector.screen(&about, &[]);
+    let gains = search.screen(&about, &[]);
     let (_, gain) = gains.iter().find(|(hypothesis, _)| *hypothesis == inertia).expect("its gain");
     let (chance, asked) = (screened.chance[inertia], screened.asked[inertia]);
     assert!(*gain > 20.0 && chance > 20.0, "{gain} {chance}");

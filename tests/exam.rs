@@ -8,6 +8,7 @@ use std::process::{Command, Output};
 
 use downwash::exam::case::{Case, Kind, Order, Settings};
 use downwash::exam::key::{Key, commitment};
+use downwash::exam::world::World;
 use serde_json::Value;
 
 /// A folder of the test's own that does not exist yet.
@@ -63,6 +64,7 @@ fn every_case_is_answered_and_the_key_is_the_one_committed_to() {
 }
 
 #[test]
+#[ignore = "long: tests/run --all"]
 fn round_trip_names_its_effect() {
     let out = folder("round-trip");
     let summary = summary(&exam(&out, &["--round-trip", "--cases", "1", "--seed", "4", "--keep"]));
@@ -74,15 +76,56 @@ fn round_trip_names_its_effect() {
     assert!(kept.contains("vehicle.json") && kept.contains("flight_4.tlog"), "{kept:?}");
 }
 
+/// A script as a set of practice flights brings along.
+const SCRIPT: &str = r#"import json, os, sys
+answers, key, out = sys.argv[1], sys.argv[2], sys.argv[sys.argv.index("--json") + 1]
+with open(key) as f:
+    cases = json.load(f)["cases"]
+right = [json.load(open(os.path.join(answers, n + ".json")))["verdict"] == c["verdict"] for n, c in cases.items()]
+print("graded", len(right))
+with open(out, "w") as f:
+    json.dump({"right": sum(right)}, f)
+"#;
+
+#[test]
+fn practice_flights_are_diagnosed_and_graded_by_their_own_script() {
+    let made = folder("practice-made");
+    let arguments = ["--round-trip", "--cases", "1", "--seed", "4", "--keep"];
+    summary(&exam(&made, &arguments));
+    let set = made.join("cases");
+    fs::write(set.join("score_exam.py"), SCRIPT).expect("a script");
+    let key = r#"{"cases":{"case_000":{"verdict":"effect","effects":[{"id":"wind"}]}}}"#;
+    fs::write(set.join("key.json"), key).expect("a key");
+    let out = folder("practice");
+    let summary = summary(&exam(&out, &["--practice", set.to_str().expect("a name")]));
+    assert_eq!(summary["schema"], "downwash.exam.practice");
+    assert_eq!(summary["cases"][0]["truth"], "wind");
+    assert_eq!(summary["cases"][0]["verdict"], "effect");
+    assert_eq!(summary["scores"]["right"], 1);
+    assert_eq!(names(&out.join("answers")), BTreeSet::from(["case_000.json".to_owned()]));
+    let text = Command::new(env!("CARGO_BIN_EXE_downwash"))
+        .args(["exam", "--twins", "0", "--practice"])
+        .arg(&set)
+        .arg("--out")
+        .arg(folder("practice-told"))
+        .output()
+        .expect("the command runs");
+    let text = String::from_utf8_lossy(&text.stdout);
+    assert!(text.contains("truth: wind") && text.contains("graded 1"), "{text}");
+}
+
 #[test]
 fn same_seed_gives_the_same_case() {
-    let settings = Settings { flights: 2, seconds: 6.0, ..Settings::default() };
-    for kind in [Kind::Single, Kind::Foreign, Kind::OtherLaw, Kind::Trap] {
-        let fly =
-            |number| Case::fly(&settings, 9, number, "case", &Order::from(kind)).expect("a case");
-        let (one, same, other) = (fly(1), fly(1), fly(2));
-        assert_eq!(one.key, same.key, "{kind:?}");
-        assert_eq!(one.logs, same.logs);
-        assert_ne!(one.nominal, other.nominal);
+    for world in [World::Exact, World::Builders] {
+        let settings = Settings { flights: 2, seconds: 6.0, world, ..Settings::default() };
+        for kind in [Kind::Null, Kind::Single, Kind::Foreign, Kind::OtherLaw, Kind::Trap] {
+            let fly = |number| {
+                Case::fly(&settings, 9, number, "case", &Order::from(kind)).expect("a case")
+            };
+            let (one, same, other) = (fly(1), fly(1), fly(2));
+            assert_eq!(one.key, same.key, "{kind:?}");
+            assert_eq!(one.logs, same.logs);
+            assert_ne!(one.nominal, other.nominal);
+        }
     }
 }

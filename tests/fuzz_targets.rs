@@ -1,11 +1,9 @@
 //! The fuzz targets' functions on random bytes, among them frames and logs that are nearly right.
 
-mod log_flight;
-
 use std::path::Path;
 use std::sync::LazyLock;
 
-use log_flight::{records, write};
+use crate::log_flight::{records, write};
 use proptest::prelude::*;
 use wire::Encoder;
 use wire::dialect::MavMessage;

@@ -1,11 +1,10 @@
 //! What `train` and `plan` refuse before any work, by their arguments alone.
 
-mod learn;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use learn::{downwash, folder};
+use crate::learn;
+use crate::learn::{downwash, folder};
 
 /// Runs a command that must be refused as wrong usage; what it says.
 fn refused(folder: &Path, arguments: &[&Path]) -> String {

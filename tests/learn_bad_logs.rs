@@ -1,15 +1,12 @@
 //! Logs that are damaged, foreign or too short, among sound ones: `train` refuses or counts what is
 //! wrong by name, and learns from the rest.
 
-mod damage;
-mod learn;
-mod lockstep;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use downwash::log::import::{self, Flight, MotorUnit, RotorFact, Stream};
+use crate::{damage, learn, lockstep};
+use downwash::log::import::{self, Flight, RotorFact, Stream};
 use downwash::log::record::Record;
 use serde_json::Value;
 use sitl::config::SitlConfig;
@@ -71,6 +68,9 @@ fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
             let start = entries[0].0;
             entries.retain(|(time, _)| (from..to).contains(&(time - start)));
         }),
+        changed(&folder, "turned.mcap", |flight| {
+            flight.attitude = flight.attitude.map(|attitude| attitude.inverse());
+        }),
     ];
     let spoiled = [
         file(&folder, "cut.mcap", &whole[..whole.len() * 2 / 3]),
@@ -89,6 +89,7 @@ fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
             let from = entries.len() * 2 / 3;
             damage::move_vehicle_clock(entries, from, 300_000);
         }),
+        changed(&folder, "frozen.mcap", frozen),
     ];
     let logs = [SOUND.as_slice(), &bad, &spoiled].concat();
     let (output, model) = learn::train("spoiled-model", &logs, &[]);
@@ -106,14 +107,17 @@ fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
         ("table.csv", "--mapping"),
         ("missing.mcap", "missing.mcap"),
         ("short.tlog", "are usable; at least"),
+        ("turned.mcap", "attitude"),
     ] {
         assert!(refusal(&summary, name).contains(words), "{name}: {}", refusal(&summary, name));
     }
+    assert!(refusal(&summary, "turned.mcap").starts_with("fault"), "as the audit says");
     for (run, words) in [
         ("cut", "cut"),
         ("nan", "ATTITUDE_QUATERNION"),
         ("double", "duplicated"),
         ("jump", "another run of the vehicle's clock"),
+        ("frozen", "body rate: frozen"),
     ] {
         assert!(left_out(&summary, run).contains(words), "{run}: {}", left_out(&summary, run));
     }
@@ -137,32 +141,19 @@ fn changed(folder: &Path, name: &str, change: impl FnOnce(&mut Flight)) -> PathB
     path
 }
 
-/// The audit's word holds for training too.
-#[test]
-fn what_the_audit_calls_unusable_is_not_learned_from() {
-    let folder = learn::folder("audited");
-    let frozen = changed(&folder, "frozen.mcap", |flight| {
-        let mut stood = Stream::default();
-        let mut held = None;
-        for (time, rate) in flight.body_rate.iter() {
-            let from = *held.get_or_insert((time + 8.0, *rate));
-            let still = (from.0..from.0 + 2.0).contains(&time);
-            if !still && time < from.0 {
-                held = Some((from.0, *rate));
-            }
-            stood.push(time, if still { from.1 } else { *rate });
+/// A flight whose gyro stands still for two seconds.
+fn frozen(flight: &mut Flight) {
+    let mut stood = Stream::default();
+    let mut held = None;
+    for (time, rate) in flight.body_rate.iter() {
+        let from = *held.get_or_insert((time + 8.0, *rate));
+        let still = (from.0..from.0 + 2.0).contains(&time);
+        if !still && time < from.0 {
+            held = Some((from.0, *rate));
         }
-        flight.body_rate = stood;
-    });
-    let turned = changed(&folder, "turned.mcap", |flight| {
-        flight.attitude = flight.attitude.map(|attitude| attitude.inverse());
-    });
-    let logs = [SOUND.as_slice(), &[frozen, turned]].concat();
-    let summary = learn::summary(&learn::train("audited-model", &logs, &[]).0);
-    let left_out = left_out(&summary, "frozen");
-    assert!(left_out.contains("body rate: frozen") && left_out.contains("2.1"), "{left_out}");
-    let refusal = refusal(&summary, "turned.mcap");
-    assert!(refusal.contains("attitude") && refusal.starts_with("fault"), "{refusal}");
+        stood.push(time, if still { from.1 } else { *rate });
+    }
+    flight.body_rate = stood;
 }
 
 /// A narrow window finds too few samples wherever they come seldom.
@@ -203,27 +194,6 @@ fn where_a_later_window_leaves_too_few_rows_the_earlier_ones_models_are_taken() 
     assert!(is_there && told.contains("the earlier window's models are taken"), "{told}");
     let taken = learn::number(&learn::summary(&output), "/settings/window_half_s");
     assert_eq!(taken, 0.022);
-}
-
-/// The paper's own set-up: setpoints and a known law, and no motor outputs.
-#[test]
-fn flights_without_motor_outputs_are_learned_from() {
-    let folder = learn::folder("no-outputs");
-    let logs: Vec<PathBuf> = (0..SOUND.len())
-        .map(|index| {
-            let mut flight = import::open(&SOUND[index], None).expect("a log");
-            flight.outputs = Stream::default();
-            flight.motor_unit = MotorUnit::VehicleFile;
-            let path = folder.join(format!("{index}.mcap"));
-            import::write(&flight, &path).expect("a log");
-            path
-        })
-        .collect();
-    let summary = learn::summary(&learn::train("no-outputs-model", &logs, &[]).0);
-    assert_eq!(learn::logs(&summary).len(), SOUND.len(), "{}", summary["data"]["refused"]);
-    for log in learn::logs(&summary) {
-        assert_eq!(log["source"], "setpoints through the on-board law");
-    }
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! What `train` finds in flights whose truth is known: delays, labels, inputs, a model; and that
 //! neither threads nor an interruption change a byte of it.
 
-mod learn;
-
 use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
+use crate::learn;
+use crate::learn::{logs, number};
 use downwash::learn::commands::Onboard;
 use downwash::learn::dataset::{ObservedFlight, Row, WindowSettings};
 use downwash::learn::networks::Progress;
@@ -15,18 +15,23 @@ use downwash::learn::refine::network_open_loop;
 use downwash::learn::summary::TrainSettings;
 use downwash::learn::training::Method;
 use downwash::learn::training_set::TrainingSet;
-use downwash::log::import;
+use downwash::log::import::{self, Flight, MotorUnit, Stream};
 use downwash::model::Model;
 use downwash::model::features::Features;
 use downwash::model::file::AccelerationSource::SpecificForce;
 use downwash::model::file::ModelFile;
 use downwash::model::learned::NetworkModel;
-use learn::{logs, number};
 use serde_json::Value;
 use sitl::vehicle::VehicleParams;
 
 static REALISTIC: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("realistic", 120, &[]));
-static SHORT: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("short", 40, &[]));
+static SHORT: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("short", 32, &[]));
+/// A model of the short flights, by one thread.
+static MODEL: LazyLock<PathBuf> = LazyLock::new(|| {
+    let (output, model) = learn::train("one-thread", &SHORT, &["--threads", "1"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    model
+});
 /// A training on the realistic flights.
 static SUMMARY: LazyLock<Value> =
     LazyLock::new(|| learn::summary(&learn::train("whole", &REALISTIC, &[]).0));
@@ -87,7 +92,8 @@ fn every_model_beats_the_mean_and_the_baselines() {
 
 #[test]
 fn latencies_of_the_estimate_are_found() {
-    let flights = observed(&learn::collect("late", 40, &["estimator_latency:latency_s=0.03"]));
+    let flights =
+        observed(flights(&learn::collect("late", 40, &["estimator_latency:latency_s=0.03"])));
     for flight in flights {
         let (attitude, velocity) = (flight.alignment.attitude_s, flight.alignment.velocity_s);
         assert!((attitude.expect("found") - 0.03).abs() < 0.002, "{attitude:?}");
@@ -98,7 +104,7 @@ fn latencies_of_the_estimate_are_found() {
 #[test]
 fn a_law_that_is_not_the_vehicles_gives_way_to_its_outputs() {
     let gain = "pd_gain:kp_scale=[2.0,2.0,2.0],kd_scale=[1.8,1.8,1.8]";
-    let flights = observed(&learn::collect("gain", 40, &[gain]));
+    let flights = observed(flights(&learn::collect("gain", 40, &[gain])));
     let by_outputs = |flight: &&ObservedFlight| flight.source.name() == "motor outputs";
     let found: Vec<_> = flights.iter().map(|f| (f.source, f.law_error)).collect();
     assert!(flights.iter().filter(by_outputs).count() >= 3, "{found:?}");
@@ -108,36 +114,47 @@ fn vehicle() -> VehicleParams {
     VehicleParams::load(learn::vehicle()).expect("a vehicle")
 }
 
-fn observed(logs: &[PathBuf]) -> Vec<ObservedFlight> {
+fn flights(logs: &[PathBuf]) -> impl Iterator<Item = Flight> {
+    logs.iter().map(|path| import::open(path, None).expect("a log"))
+}
+
+fn observed(flights: impl Iterator<Item = Flight>) -> Vec<ObservedFlight> {
     let vehicle = vehicle();
     let onboard = Onboard::new(&vehicle).expect("a mixer");
-    let observe = |path: &PathBuf| {
-        let flight = import::open(path, None).expect("a log");
-        ObservedFlight::new(flight, &vehicle, &onboard, &WindowSettings::default(), &[])
-            .expect("a flight")
-    };
-    logs.iter().map(observe).collect()
+    let windows = WindowSettings::default();
+    let observe = |flight| ObservedFlight::new(flight, &vehicle, &onboard, &windows, &[]);
+    flights.map(|flight| observe(flight).expect("a flight")).collect()
+}
+
+/// The paper's own set-up: setpoints and a known law, and no motor outputs.
+#[test]
+fn flights_without_motor_outputs_are_learned_from() {
+    let without = flights(&SHORT).map(|flight| Flight {
+        outputs: Stream::default(),
+        motor_unit: MotorUnit::VehicleFile,
+        ..flight
+    });
+    let flights = observed(without);
+    assert_eq!(flights.len(), SHORT.len());
+    for flight in &flights {
+        assert_eq!(flight.source.name(), "setpoints through the on-board law");
+    }
 }
 
 #[test]
 fn threads_and_the_order_of_logs_do_not_change_a_byte() {
-    let (one, first) = learn::train("one-thread", &SHORT, &["--threads", "1"]);
     let turned: Vec<PathBuf> = SHORT.iter().rev().cloned().collect();
     let (two, second) = learn::train("two-threads", &turned, &["--threads", "2"]);
-    assert!(one.status.success() && two.status.success());
-    assert!(fs::read(&first).expect("a model") == fs::read(second).expect("a model"));
-    let (_, other) = learn::train("other-seed", &SHORT, &["--seed", "2"]);
-    let weights = |path| ModelFile::load(path).expect("a model").net;
-    assert_ne!(weights(&first), weights(&other));
+    assert!(two.status.success());
+    assert!(fs::read(&*MODEL).expect("a model") == fs::read(second).expect("a model"));
 }
 
 #[test]
 fn half_a_second_shows_gains_that_are_off() {
     let vehicle = vehicle();
     let onboard = Onboard::new(&vehicle).expect("a mixer");
-    let flights = observed(&SHORT);
-    let (_, path) = learn::train("to-be-spoiled", &SHORT, &[]);
-    let ModelFile { net, actuation, .. } = ModelFile::load(&path).expect("a model");
+    let flights = observed(flights(&SHORT));
+    let ModelFile { net, actuation, .. } = ModelFile::load(&MODEL).expect("a model");
     let angular = net.angular.corrected([0.7, 0.7, 0.7], [0.3, -0.3, 0.0], &[]);
     let spoiled = NetworkModel { angular, ..net.clone() };
     let spans: Vec<_> = flights.iter().map(|f| (f, f.segments.spans.clone())).collect();
@@ -182,7 +199,7 @@ fn an_interrupted_training_ends_as_if_it_had_not_been() {
     let vehicle = vehicle();
     let onboard = Onboard::new(&vehicle).expect("a mixer");
     let windows = WindowSettings::default();
-    let mut flights = observed(&SHORT);
+    let mut flights = observed(flights(&SHORT));
     let set = TrainingSet::new(&vehicle, &onboard, &mut flights).expect("a set");
     let settings = TrainSettings {
         features: Features::Heading,

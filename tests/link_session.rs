@@ -13,9 +13,7 @@ use downwash::setpoint::Setpoint;
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
 
-mod link_world;
-
-use link_world::*;
+use crate::link_world::*;
 
 #[test]
 fn a_vehicle_is_found_identified_and_streams_as_asked() {

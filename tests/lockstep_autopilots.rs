@@ -1,13 +1,11 @@
 //! Whole flights of the daemon's station with the simulated vehicle as each autopilot, in lockstep.
 
-mod lockstep;
-
 use std::cell::RefCell;
 use std::rc::Rc;
 
+use crate::lockstep::{Bench, QUAD, errors, fly, hover, masks, params, settings, tracked};
 use downwash::log::record::Record;
 use downwash::station::End;
-use lockstep::{Bench, QUAD, errors, fly, hover, masks, params, settings, tracked};
 use sitl::config::{Autopilot, SitlConfig, Stall};
 
 /// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust and a

@@ -1,19 +1,19 @@
 //! Whole flights over the protocol, in lockstep: every trajectory, both vehicles, and agreement
 //! with closed forms.
 
-mod lockstep;
-
 use std::sync::Arc;
 use std::time::Instant;
 
+use crate::lockstep::{
+    NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, ideal, masks, params, settings,
+};
+use crate::lockstep::{tracked, trajectory};
 use downwash::control::{Actuation, AttitudeLoop, HoverModel, Lqr};
 use downwash::log::record::Record;
 use downwash::log::{LogReader, LogWriter, RunInfo};
 use downwash::plan::reference::ReferenceSource;
 use downwash::setpoint::{Reference, Setpoint};
 use downwash::station::{End, StationSettings};
-use lockstep::{NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, ideal, masks, params, settings};
-use lockstep::{tracked, trajectory};
 use nalgebra::SVector;
 use sitl::config::SitlConfig;
 use sitl::frame::{Euler, Frd, Ned};

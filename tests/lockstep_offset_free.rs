@@ -1,10 +1,13 @@
 //! Feedback that leaves no steady error: vehicles that are other than their file says, each flown
 //! with the paper's feedback and with disturbances taken out, as a PX4 is sent setpoints.
 
-mod lockstep;
-
 use std::sync::Arc;
 
+use crate::lockstep;
+use crate::lockstep::{
+    Bench, NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, params, settings, toml_trajectory,
+    tracked, trajectory,
+};
 use downwash::control::{Limits, Use};
 use downwash::log::record::{Direction, Record};
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
@@ -14,12 +17,8 @@ use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::receding::{RecedingReference, RecedingSettings};
 use downwash::station::{End, StationSettings};
 use downwash::supervisor::{EngagePolicy, FlightState};
-use lockstep::{
-    Bench, NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, params, settings, toml_trajectory,
-    tracked, trajectory,
-};
 use sitl::autopilot::Mode;
-use sitl::config::SitlConfig;
+use sitl::config::{Autopilot, SitlConfig};
 use sitl::vehicle::VehicleParams;
 
 /// As of an autopilot that does not say that it hears attitude, rates and thrust together.
@@ -206,11 +205,8 @@ fn what_was_estimated_is_forgotten_when_the_pilot_takes_over() {
     assert!(last.error_m < 0.05, "{} m", last.error_m);
 }
 
-#[test]
-fn drag_that_a_plan_knows_is_not_taken_out_twice() {
-    let mut params = params(QUAD);
-    let drag = format!("rotor_drag:d_xy={},d_z=0.11", 0.8 * params.mass);
-    params.modelled_effects = lockstep::effects(&[drag.as_str()]);
+/// What plans for the vehicle of a file by its own physics, and how it answers.
+fn nominal(params: &VehicleParams) -> (Planner, Answer) {
     let attitude_pd = params.attitude_pd.expect("a loop");
     let body = PlannedBody {
         mass_kg: params.mass,
@@ -224,12 +220,20 @@ fn drag_that_a_plan_knows_is_not_taken_out_twice() {
         voltage_exponent: 0.0,
         attitude_pd,
     };
-    let model = PhysicsModel::new(&params, &PhysicsParameters::default()).expect("physics");
+    let model = PhysicsModel::new(params, &PhysicsParameters::default()).expect("physics");
     let vehicle = PlannedVehicle { body, attitude_pd, limits: Limits::default() };
     let planner = Planner::new(Arc::new(model), vehicle, PlanSettings::default());
-    let planner = planner.expect("a planner");
+    (planner.expect("a planner"), answer)
+}
+
+#[test]
+fn drag_that_a_plan_knows_is_not_taken_out_twice() {
+    let mut params = params(QUAD);
+    let drag = format!("rotor_drag:d_xy={},d_z=0.11", 0.8 * params.mass);
+    params.modelled_effects = lockstep::effects(&[drag.as_str()]);
+    let (planner, answer) = nominal(&params);
     let circle = toml_trajectory(
-        "family = \"sinusoid-yaw\"\naltitude_m = 1.0\nduration_s = 10.0\namplitude_m = 1.0\n\
+        "family = \"sinusoid-yaw\"\naltitude_m = 1.0\nduration_s = 5.0\namplitude_m = 1.0\n\
          period_s = 5.0\nyaw_period_s = 10.0",
     );
     let flown = |observer: Use| {
@@ -243,4 +247,32 @@ fn drag_that_a_plan_knows_is_not_taken_out_twice() {
     };
     let (alone, observed) = (flown(Use::Off), flown(Use::On));
     assert!(alone < 0.06 && observed < alone + 0.01, "{alone} m, observed {observed} m");
+}
+
+#[test]
+fn plans_made_anew_lead_an_autopilots_own_loop_along_a_circle_though_its_estimate_wanders() {
+    let mut params = params(QUAD);
+    (params.command_delay_s, params.motor_time_constant_s) = (0.02, 0.06);
+    let (planner, answer) = nominal(&params);
+    let circle = trajectory("sinusoid-yaw.toml");
+    let receding = RecedingSettings::default().for_loop(true);
+    let mut settings = with(Use::On, &params, circle.clone());
+    settings.reference =
+        Arc::new(RecedingReference::inline(circle.clone(), planner, answer, receding));
+    let mut config = SitlConfig { autopilot: Autopilot::Px4, ..SitlConfig::default() };
+    config.estimator.wander_m = 0.1;
+    config.estimator.velocity_wander_m_s = 0.16;
+    let (end, records) = fly(settings, &params, &SLOW, config, 1);
+    assert_eq!(end, End::Done);
+    let mut errors = Vec::new();
+    for record in &records {
+        let Record::Tick(tick) = record else { continue };
+        let (Some(desired), Some(_)) = (tick.desired, tick.trajectory_time) else { continue };
+        errors.push((tick.state.position - desired).norm());
+    }
+    let square: f64 = errors.iter().map(|error| error * error).sum();
+    let rms = (square / errors.len() as f64).sqrt();
+    let cut = tracked(&records).iter().filter(|row| row.saturation != 0).count();
+    assert!(rms < 0.15, "{rms} m from the circle");
+    assert!(cut * 20 < errors.len(), "{cut} of {} setpoints at a limit", errors.len());
 }

@@ -1,10 +1,8 @@
 //! The pilot's switch, and what a link may carry beside the vehicle's own frames.
 
-mod lockstep;
-
+use crate::lockstep::{Bench, NANO, hover, params, settings};
 use downwash::station::End;
 use downwash::supervisor::{EngagePolicy, FlightState};
-use lockstep::{Bench, NANO, hover, params, settings};
 use proptest::prelude::*;
 use sitl::autopilot::Mode;
 

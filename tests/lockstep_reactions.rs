@@ -1,16 +1,15 @@
 //! What ends a flight early, each flown over the protocol: faults, silence, refusals.
 
-mod lockstep;
-
 use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Duration;
 
+use crate::lockstep;
+use crate::lockstep::{Bench, NANO, QUAD, effects, hover, message_id, params, settings};
 use downwash::lockstep::EPOCH;
 use downwash::log::record::Record;
 use downwash::station::End;
 use downwash::supervisor::{EngagePolicy, FlightState, Reaction};
-use lockstep::{Bench, NANO, QUAD, effects, hover, message_id, params, settings};
 use sitl::autopilot::{COMPONENT_ID, Mode, SYSTEM_ID, Vehicle};
 use sitl::config::{BatteryConfig, SitlConfig};
 use wire::Encoder;
@@ -238,7 +237,7 @@ fn refused_arming_is_told_and_nothing_flies() {
     let Some(End::Refused(reason)) = bench.station.end() else {
         panic!("{:?}", bench.station.end());
     };
-    assert!(reason.contains("Arm"), "{reason}");
+    assert!(reason.contains("refuses to arm"), "{reason}");
     assert!(!bench.vehicle.flight().armed() && bench.position().down() > -0.01);
 }
 

@@ -2,15 +2,13 @@
 //! a PX4 is sent (0x07); rates and thrust under the daemon's attitude loop (0x80). With the vehicle
 //! file's delay and lag, and with more of both than the file says.
 
-mod lockstep;
-
+use crate::lockstep::{SLOW, VEHICLES, errors, fly, hover, ideal, masks, params, settings};
+use crate::lockstep::{tracked, trajectory};
 use downwash::control::Use;
 use downwash::link::profile::FormChoice;
 use downwash::log::record::Record;
 use downwash::plan::Trajectory;
 use downwash::station::{End, StationSettings};
-use lockstep::{SLOW, VEHICLES, errors, fly, hover, ideal, masks, params, settings};
-use lockstep::{tracked, trajectory};
 use sitl::config::SitlConfig;
 use sitl::vehicle::VehicleParams;
 

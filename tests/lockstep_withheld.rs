@@ -1,17 +1,15 @@
 //! A setpoint is the answer to the newest sample, for the vehicle that it was made for, while the
 //! supervisor permits it: what else a read brings, nothing leaves.
 
-mod lockstep;
-
 use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Duration;
 
+use crate::lockstep::{Bench, Downlink, NANO, hover, masks, message_id, params, settings};
 use downwash::lockstep::EPOCH;
 use downwash::log::record::{Direction, Record};
 use downwash::station::{End, StationSettings};
 use downwash::supervisor::{EngagePolicy, FlightState};
-use lockstep::{Bench, Downlink, NANO, hover, masks, message_id, params, settings};
 use sitl::autopilot::{COMPONENT_ID, Mode, SYSTEM_ID};
 use wire::dialect::*;
 use wire::{Decoder, Encoder};

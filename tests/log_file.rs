@@ -1,13 +1,12 @@
 //! The flight log: what goes in comes out, and a damaged file still gives what is whole.
 
-mod log_flight;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use crate::log_flight::{START, records, run_info, write};
 use downwash::log::descriptor::Layout;
 use downwash::log::export::{ExportError, Format, export_all, export_topic};
 use downwash::log::info::LogInfo;
@@ -16,7 +15,6 @@ use downwash::log::record::{Record, Severity, Source, Stamp, Tick};
 use downwash::log::schema::{BatteryMessage, ControlMessage, SetpointMessage, StateMessage};
 use downwash::log::{LogSink, LogWriter};
 use downwash::setpoint::{Setpoint, State};
-use log_flight::{START, records, run_info, write};
 use proptest::prelude::*;
 use sitl::frame::{Euler, Frd, Ned};
 
@@ -323,7 +321,7 @@ proptest! {
         };
         let setpoint = Setpoint { thrust_n, attitude: Euler::new(0.1, 0.2, 0.3), body_rate: Frd::from(rate) };
         let tick = Tick {
-            stamp: Stamp::host(host), state, reference: None, feedback: Setpoint::default(),
+            stamp: Stamp::host(host), state, reference: None, desired: None, feedback: Setpoint::default(),
             setpoint: Some(setpoint), saturation, phase: "track", trajectory_time: None, sample_age: 0.001,
         };
         let event = Record::Event {

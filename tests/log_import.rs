@@ -1,14 +1,11 @@
 //! Flight logs of any origin become the same flight, and damage to them is counted.
 
-mod damage;
-mod lockstep;
-mod log_flight;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use damage::{move_vehicle_clock, sign, spoil};
+use crate::damage::{move_vehicle_clock, sign, spoil};
+use crate::{damage, lockstep, log_flight};
 use downwash::log::import::{
     Choice, Clock, Flight, ImportError, MotorSource, MotorUnit, Stream, VehicleKind, open,
     open_chosen, write,

@@ -1,16 +1,14 @@
 //! Logs that autopilots wrote themselves become flights, whole, old or damaged; and the same
 //! flights as those that telemetry recorded.
 
-mod onboard_log;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use crate::onboard_log::{DataFlash, Ulog, dataflash, floats, old_dataflash, px4_outputs, ulog};
 use downwash::log::import::{
     Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleKind, open, read_bytes, write,
 };
-use onboard_log::{DataFlash, Ulog, dataflash, floats, old_dataflash, px4_outputs, ulog};
 use proptest::prelude::*;
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::vehicle::VehicleParams;

@@ -1,12 +1,12 @@
 //! Control ends when it must, and does not come back by itself.
 
-mod support;
-
+use crate::pilot_world::{
+    Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight,
+};
 use downwash::link::message::{Battery, Inbound};
-use downwash::pilot::{PilotSettings, Tick};
+use downwash::pilot::{LinkEvent, PilotSettings, Tick};
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
 use sitl::frame::{Frd, Ned};
-use support::{Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight};
 
 fn flight(policy: EngagePolicy) -> Flight {
     let path = |_| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);
@@ -168,6 +168,22 @@ fn refused_arming_ends_the_flight_with_the_vehicles_reason() {
     assert_eq!(flight.pilot.flight_state(), FlightState::Abort);
     let reason = &flight.events.last().expect("an event").text;
     assert!(reason.contains("Arming denied: compass"), "{reason}");
+}
+
+#[test]
+fn a_refusal_that_repeats_is_told_once() {
+    let mut flight = flight(EngagePolicy::Command);
+    flight.until(FlightState::Track, 30.0);
+    for text in ["failed", "failed", "failed", "denied"] {
+        let refused = LinkEvent::Refused { action: Action::Disarm, text: text.into() };
+        flight.pilot.link_event(flight.vehicle.now(), refused);
+        flight.run(0.1);
+    }
+    let told = flight.events.iter().filter(|event| event.text.contains("refuses to disarm"));
+    let told: Vec<&str> = told.map(|event| event.text.as_str()).collect();
+    let expected =
+        ["the vehicle refuses to disarm: failed", "the vehicle refuses to disarm: denied"];
+    assert_eq!(told, expected);
 }
 
 #[test]

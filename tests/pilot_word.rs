@@ -1,15 +1,15 @@
 //! What is known of the vehicle's mode, and what is done where it is not: the pilot wins after
 //! silence and pauses too, and an engage is the pilot's act.
 
-mod support;
-
 use std::time::Duration;
 
+use crate::pilot_world::{
+    Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight,
+};
 use downwash::link::message::{Battery, ChargeState, Inbound, LandedState, Received, SystemState};
 use downwash::pilot::PilotSettings;
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Takeover};
 use sitl::frame::Ned;
-use support::{Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight};
 
 const RETURN_MODE: u32 = 0x0504_0000;
 

@@ -1,15 +1,13 @@
 //! What no vehicle can do: a status with the best there is, or an error that says what is wrong.
 
-mod planning;
-
 use std::cell::Cell;
 use std::sync::Arc;
 
+use crate::planning::{hasty, physics, plan, planned_vehicle, planner, rest, straight, trajectory};
 use downwash::model::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
 use downwash::plan::desire::Desire;
 use downwash::plan::planner::{KeepOutSetting, PlanSettings, Planner, PlannerError, SolverChoice};
 use downwash::plan::scp::{Outcome, Status};
-use planning::{hasty, physics, plan, planned_vehicle, planner, rest, straight, trajectory};
 use proptest::prelude::*;
 
 /// What every outcome must be, whatever was asked.

@@ -1,7 +1,6 @@
 //! The steps' derivatives against finite differences.
 
-mod planning;
-
+use crate::planning;
 use downwash::model::Model;
 use downwash::model::features::Features;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics, WrenchDynamics};

@@ -1,16 +1,14 @@
 //! The plan's file: what was written is read, and nothing else is.
 
-mod planning;
-
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use crate::planning::{attitude_pd, physics, planned_vehicle, planner, rest, turning};
 use downwash::plan::flyable::NotFlyable;
 use downwash::plan::planned::{Answer, Found, Plan, PlannedReference, PlannedThrough};
 use downwash::plan::planner::PlanSettings;
 use downwash::plan::reference::ReferenceSource;
 use downwash::plan::scp::Status;
-use planning::{attitude_pd, physics, planned_vehicle, planner, rest, turning};
 use proptest::prelude::*;
 
 fn a_plan() -> Plan {

@@ -1,12 +1,10 @@
 //! Regions to keep out of: the plan goes round them, or as near as it can.
 
-mod planning;
-
 use std::sync::Arc;
 
+use crate::planning::{physics, plan, planner, rest, straight};
 use downwash::plan::planner::{KeepOutSetting, PlanSettings};
 use downwash::plan::scp::{Outcome, Status};
-use planning::{physics, plan, planner, rest, straight};
 
 fn settings(regions: &[KeepOutSetting]) -> PlanSettings {
     PlanSettings { keep_out: regions.to_vec(), rate_hz: 50.0, ..PlanSettings::default() }

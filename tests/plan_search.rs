@@ -1,9 +1,10 @@
 //! Whole searches: the solvers agree, plans obey their model and bounds, and turn with the world.
 
-mod planning;
-
 use std::sync::Arc;
 
+use crate::planning::{
+    attitude_pd, hasty, hybrid, physics, plan, planned_vehicle, planner, rest, turning,
+};
 use downwash::control::Limits;
 use downwash::model::Model;
 use downwash::model::features::Features;
@@ -16,9 +17,6 @@ use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner, SolverChoic
 use downwash::plan::problem::{InputBounds, Problem, STATES, StateLimits, StateVector};
 use downwash::plan::scp::{Outcome, ScpSettings, Status, search};
 use downwash::plan::subproblem::SubproblemSolver;
-use planning::{
-    attitude_pd, hasty, hybrid, physics, plan, planned_vehicle, planner, rest, turning,
-};
 
 const PERIOD: f64 = 0.01;
 /// Of a turn of 1 m in 5 s, m/s.
@@ -40,6 +38,7 @@ fn wrench_problem() -> Problem<4> {
         start: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         desired: (1..=100).map(point).collect(),
         state_weight: [1.0; STATES],
+        knee: 0.0,
         // Within what the rotors give together, so that none of them saturates.
         inputs: InputBounds {
             lower: [0.1, -0.001, -0.001, -0.0002],

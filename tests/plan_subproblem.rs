@@ -27,6 +27,8 @@ struct Kind {
     growth: f64,
     /// Size of the errors at each stage.
     error: f64,
+    /// The distance's knee.
+    knee: f64,
     /// Size of the trust region.
     trust: f64,
     /// Bounds of the state in each stage.
@@ -74,6 +76,7 @@ fn subproblem<const INPUTS: usize>(kind: Kind, seed: u64) -> Subproblem<INPUTS> 
     Subproblem {
         stages,
         state_weight: std::array::from_fn(|i| 0.5 + 0.1 * i as f64),
+        knee: kind.knee,
         row_penalty: 5.0,
         dynamics: DynamicsForm::Equations,
         tolerance: 1e-9,
@@ -88,7 +91,7 @@ fn quadratic_objective<const INPUTS: usize>(
 ) -> f64 {
     let mut sum = 0.0;
     for ((stage, d), w) in problem.stages.iter().zip(states).zip(inputs) {
-        let norm = QuadraticNorm::new(&stage.error, &problem.state_weight);
+        let norm = QuadraticNorm::new(&stage.error, &problem.state_weight, problem.knee);
         let along: f64 = norm.ray.iter().zip(d).map(|(ray, d)| ray * d).sum();
         sum -= 0.5 * along * along;
         for i in 0..STATES {
@@ -119,7 +122,7 @@ fn oracle<const INPUTS: usize>(
     for (n, stage) in problem.stages.iter().enumerate() {
         let input = n * width;
         let (state, overrun) = (input + INPUTS, input + INPUTS + STATES);
-        let norm = QuadraticNorm::new(&stage.error, &problem.state_weight);
+        let norm = QuadraticNorm::new(&stage.error, &problem.state_weight, problem.knee);
         for i in 0..STATES {
             slope[state + i] = norm.gradient[i];
             for j in 0..STATES {
@@ -196,16 +199,24 @@ fn solved<const INPUTS: usize>(problem: &Subproblem<INPUTS>) -> Solution<INPUTS>
 }
 
 fn kinds() -> impl Strategy<Value = Kind> {
-    (2_usize..12, 0.6_f64..1.3, 0.3_f64..3.0, 0.01_f64..1.0, 0_usize..3, 0.0_f64..0.1).prop_map(
-        |(stages, growth, error, trust, rows, curvature)| Kind {
-            stages,
-            growth,
-            error,
-            trust,
-            rows,
-            curvature,
-        },
-    )
+    let kind = (
+        2_usize..12,
+        0.6_f64..1.3,
+        0.3_f64..3.0,
+        0.0_f64..0.3,
+        0.01_f64..1.0,
+        0_usize..3,
+        0.0_f64..0.1,
+    );
+    kind.prop_map(|(stages, growth, error, knee, trust, rows, curvature)| Kind {
+        stages,
+        growth,
+        error,
+        knee,
+        trust,
+        rows,
+        curvature,
+    })
 }
 
 fn compare<const INPUTS: usize>(
@@ -255,7 +266,15 @@ proptest! {
 
 #[test]
 fn the_penalty_gives_the_equations_solution_where_it_is_large() {
-    let kind = Kind { stages: 8, growth: 1.1, error: 1.0, trust: 0.3, rows: 1, curvature: 0.01 };
+    let kind = Kind {
+        stages: 8,
+        growth: 1.1,
+        error: 1.0,
+        knee: 0.05,
+        trust: 0.3,
+        rows: 1,
+        curvature: 0.01,
+    };
     let mut problem = subproblem::<4>(kind, 5);
     let mut exact = Solution::default();
     Conic::equations().solve(&problem, &mut exact).expect("a solution");
@@ -270,7 +289,15 @@ fn the_penalty_gives_the_equations_solution_where_it_is_large() {
 
 #[test]
 fn updating_in_place_gives_what_a_new_set_up_gives() {
-    let kind = Kind { stages: 6, growth: 1.0, error: 1.0, trust: 0.3, rows: 2, curvature: 0.01 };
+    let kind = Kind {
+        stages: 6,
+        growth: 1.0,
+        error: 1.0,
+        knee: 0.05,
+        trust: 0.3,
+        rows: 2,
+        curvature: 0.01,
+    };
     let mut kept = Conic::equations();
     for seed in 0..4 {
         let mut problem = subproblem::<4>(kind, seed);
@@ -287,7 +314,15 @@ fn updating_in_place_gives_what_a_new_set_up_gives() {
 
 #[test]
 fn numbers_that_are_none_are_an_error() {
-    let kind = Kind { stages: 5, growth: 1.0, error: 1.0, trust: 0.3, rows: 1, curvature: 0.01 };
+    let kind = Kind {
+        stages: 5,
+        growth: 1.0,
+        error: 1.0,
+        knee: 0.05,
+        trust: 0.3,
+        rows: 1,
+        curvature: 0.01,
+    };
     for stage in [1, 4] {
         let damages: [fn(&mut Stage<4>); 4] = [
             |stage| stage.step.state[3][4] = f64::NAN,
@@ -307,8 +342,15 @@ fn numbers_that_are_none_are_an_error() {
 
 #[test]
 fn a_long_unstable_horizon_keeps_its_dynamics() {
-    let kind =
-        Kind { stages: 1000, growth: 1.02, error: 1.0, trust: 0.5, rows: 0, curvature: 1e-3 };
+    let kind = Kind {
+        stages: 1000,
+        growth: 1.02,
+        error: 1.0,
+        knee: 0.0,
+        trust: 0.5,
+        rows: 0,
+        curvature: 1e-3,
+    };
     let problem = subproblem::<4>(kind, 3);
     let solution = solved(&problem);
     let size = solution.states.iter().flatten().fold(1.0, |most: f64, d| most.max(d.abs()));

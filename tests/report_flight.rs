@@ -1,15 +1,13 @@
 //! The flight report: what it says agrees with the log, whatever state the log is in.
 
-mod log_flight;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::log_flight::{START, records, write};
 use downwash::log::info::LogInfo;
 use downwash::log::record::{Severity, Source};
 use downwash::log::{LogReader, Record};
 use downwash::report::FlightReport;
-use log_flight::{START, records, write};
 
 fn log(name: &str, records: &[Record]) -> PathBuf {
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("report_flight").join(name);

@@ -297,6 +297,7 @@ fn main() {
                 start: course.s0,
                 desired: course.sd[1..].to_vec(),
                 state_weight: [1.0; STATES],
+                knee: 0.0,
                 inputs: InputBounds {
                     lower: physics.u_min,
                     upper: physics.u_max,

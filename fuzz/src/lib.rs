@@ -4,8 +4,8 @@
 use std::io;
 use std::time::Duration;
 
+use downwash::audit::Audit;
 use downwash::clock::HostTime;
-use downwash::diagnose::audit::Audit;
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::request::{FlightMode, Request};
 use downwash::link::session::{Heard, Session, Settings};

@@ -23,12 +23,27 @@ pub struct SitlConfig {
     pub battery: BatteryConfig,
     /// Noise and bias.
     pub sensors: SensorConfig,
+    /// Lines of the rotors in gyro and accelerometer.
+    pub vibration: Vibration,
     /// Errors of the position estimate beyond noise.
     pub estimator: EstimatorConfig,
     /// How the vehicle's clock runs.
     pub clock: ClockConfig,
     /// Parameters of the autopilot that differ from its defaults, by name.
     pub parameters: BTreeMap<String, f64>,
+}
+
+/// What the rotors shake gyro and accelerometer by: a sine for each rotor at its speed, with the
+/// same amplitude about or along every axis and another phase.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Vibration {
+    /// Turns of a rotor at full speed, Hz.
+    pub rotor_max_hz: f64,
+    /// Amplitude of each rotor in the gyro, rad/s.
+    pub gyro_rad_s: f64,
+    /// Amplitude of each rotor in the accelerometer, m/s^2.
+    pub accelerometer_m_s2: f64,
 }
 
 /// Errors of the estimated position.
@@ -39,6 +54,11 @@ pub struct EstimatorConfig {
     pub wander_m: f64,
     /// Time constant of the wander, s.
     pub wander_time_s: f64,
+    /// Standard deviation per axis of a slow error of the velocity that the position has no part
+    /// in, m/s: an estimator that corrects its position does not say so in its velocity.
+    pub velocity_wander_m_s: f64,
+    /// Time constant of that, s.
+    pub velocity_wander_time_s: f64,
     /// Time after switching on from which the position is known, s.
     pub ready_after_s: f64,
     /// GPS that is wrong for a while.
@@ -53,6 +73,8 @@ impl Default for EstimatorConfig {
         Self {
             wander_m: 0.0,
             wander_time_s: 5.0,
+            velocity_wander_m_s: 0.0,
+            velocity_wander_time_s: 3.0,
             ready_after_s: 0.0,
             gps_glitch: None,
             reset_after_s: 9.0,
@@ -297,11 +319,36 @@ impl SitlConfig {
         let above = below <= self.floor_down_m;
         require("start.position_m", below, above, "a down coordinate not below floor_down_m")?;
         require("start.heading_rad", self.start.heading_rad, true, "an angle in rad")?;
-        let EstimatorConfig { wander_m, wander_time_s, ready_after_s, gps_glitch, reset_after_s } =
-            self.estimator;
-        require("estimator.wander_m", wander_m, wander_m >= 0.0, "0 or more m")?;
+        let Vibration { rotor_max_hz, gyro_rad_s, accelerometer_m_s2 } = self.vibration;
+        for (field, value) in [
+            ("vibration.rotor_max_hz", rotor_max_hz),
+            ("vibration.gyro_rad_s", gyro_rad_s),
+            ("vibration.accelerometer_m_s2", accelerometer_m_s2),
+        ] {
+            require(field, value, value >= 0.0, "0 or more")?;
+        }
+        let EstimatorConfig {
+            wander_m,
+            wander_time_s,
+            velocity_wander_m_s,
+            velocity_wander_time_s,
+            ready_after_s,
+            gps_glitch,
+            reset_after_s,
+        } = self.estimator;
+        for (field, deviation) in [
+            ("estimator.wander_m", wander_m),
+            ("estimator.velocity_wander_m_s", velocity_wander_m_s),
+        ] {
+            require(field, deviation, deviation >= 0.0, "0 or more")?;
+        }
         let expected = "a time above 0.01 s";
-        require("estimator.wander_time_s", wander_time_s, wander_time_s > 0.01, expected)?;
+        for (field, time) in [
+            ("estimator.wander_time_s", wander_time_s),
+            ("estimator.velocity_wander_time_s", velocity_wander_time_s),
+        ] {
+            require(field, time, time > 0.01, expected)?;
+        }
         for (field, time) in
             [("estimator.ready_after_s", ready_after_s), ("estimator.reset_after_s", reset_after_s)]
         {

@@ -23,15 +23,35 @@ pub(crate) struct EstimateError {
     pub velocity: [f64; 3],
 }
 
+/// An error that wanders: white noise behind two equal lags, `x'' + 2 w x' + w^2 x = n`.
+#[derive(Clone, Copy, Debug, Default)]
+struct Wander {
+    value: [f64; 3],
+    slope: [f64; 3],
+}
+
+impl Wander {
+    /// `elapsed` s later; `deviation` is that of each axis in the long run.
+    fn advance(&mut self, deviation: f64, time_s: f64, elapsed: f64, rng: &mut Pcg64Mcg) {
+        let w = 1.0 / time_s;
+        let kick = (4.0 * w.powi(3) * elapsed).sqrt() * deviation;
+        for (x, v) in self.value.iter_mut().zip(&mut self.slope) {
+            let normal: f64 = rng.sample(StandardNormal);
+            *v += -(2.0 * w * *v + w * w * *x) * elapsed + kick * normal;
+            *x += *v * elapsed;
+        }
+    }
+}
+
 /// The errors as they go on.
 ///
-/// The wander of an axis is white noise behind two equal lags, `x'' + 2 w x' + w^2 x = n`, with
-/// the deviation that is asked for: the velocity's error is its derivative, as a filter's is.
+/// The velocity's error is the slope of the position's, as a filter's is, and another beside it.
 #[derive(Clone, Debug)]
 pub(crate) struct ErrorModel {
     config: EstimatorConfig,
     rng: Pcg64Mcg,
-    wander: EstimateError,
+    position: Wander,
+    velocity: Wander,
     /// Error that the estimate has taken over from GPS, m.
     taken: [f64; 3],
     /// Vehicle time since which GPS contradicts the estimate, us.
@@ -44,7 +64,8 @@ impl ErrorModel {
         Self {
             config,
             rng: Pcg64Mcg::seed_from_u64(seed),
-            wander: EstimateError::default(),
+            position: Wander::default(),
+            velocity: Wander::default(),
             taken: [0.0; 3],
             contradicts_since_us: None,
             status: EstimatorStatus::default(),
@@ -57,23 +78,29 @@ impl ErrorModel {
 
     /// The errors at `now_us`, `elapsed` s after the last.
     pub fn advance(&mut self, now_us: u64, elapsed: f64) -> EstimateError {
-        if self.config.wander_m > 0.0 {
-            self.wander(elapsed);
+        let EstimatorConfig {
+            wander_m,
+            wander_time_s,
+            velocity_wander_m_s,
+            velocity_wander_time_s,
+            gps_glitch,
+            ..
+        } = self.config;
+        let rng = &mut self.rng;
+        if wander_m > 0.0 {
+            self.position.advance(wander_m, wander_time_s, elapsed, rng);
         }
-        if let Some(glitch) = self.config.gps_glitch {
+        if velocity_wander_m_s > 0.0 {
+            self.velocity.advance(velocity_wander_m_s, velocity_wander_time_s, elapsed, rng);
+        }
+        if let Some(glitch) = gps_glitch {
             self.follow_gps(&glitch, now_us);
         }
-        let position = std::array::from_fn(|axis| self.wander.position[axis] + self.taken[axis]);
-        EstimateError { position, velocity: self.wander.velocity }
-    }
-
-    fn wander(&mut self, elapsed: f64) {
-        let w = 1.0 / self.config.wander_time_s;
-        let kick = (4.0 * w.powi(3) * elapsed).sqrt() * self.config.wander_m;
-        for (x, v) in self.wander.position.iter_mut().zip(&mut self.wander.velocity) {
-            let normal: f64 = self.rng.sample(StandardNormal);
-            *v += -(2.0 * w * *v + w * w * *x) * elapsed + kick * normal;
-            *x += *v * elapsed;
+        EstimateError {
+            position: std::array::from_fn(|axis| self.position.value[axis] + self.taken[axis]),
+            velocity: std::array::from_fn(|axis| {
+                self.position.slope[axis] + self.velocity.value[axis]
+            }),
         }
     }
 

@@ -1,6 +1,5 @@
 //! What the catalogue of effects does not have: disturbances from outside, and other laws than the
-//! catalogue's for causes that it knows. Checks of a diagnosis are made with them; a simulated
-//! vehicle has one at most.
+//! catalogue's for causes that it knows. Checks of a diagnosis are made with them.
 
 use std::f64::consts::TAU;
 
@@ -11,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::effects::Wrench;
 use crate::frame::{Frd, Ned};
-use crate::physics::Loads;
+use crate::physics::{Loads, RotorConstants};
 use crate::rigid_body::State;
 use crate::vehicle::ROTORS;
 
@@ -19,6 +18,12 @@ use crate::vehicle::ROTORS;
 const SHEAR_HEIGHT: f64 = 3.0;
 /// Least height that the shear is taken at, m.
 const SHEAR_HEIGHT_MIN: f64 = 0.1;
+
+/// Least height of a rotor over the floor, radii.
+const GROUND_HEIGHT_MIN: f64 = 0.5;
+/// Eddies of an axis, and the ratio of one's length to the next.
+const EDDIES: usize = 9;
+const EDDY_RATIO: f64 = 1.9;
 
 /// A disturbance, or another law.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -102,6 +107,11 @@ pub enum Foreign {
         /// x, N s^2/m^2.
         cross: f64,
     },
+    /// Drag of flat plates: each axis by its own component's square, F_i = -q_i |v_i| v_i.
+    DragPlates {
+        /// q along body front, right, down, N s^2/m^2.
+        quadratic: [f64; 3],
+    },
     /// Rotors that follow by two equal lags in a row.
     LagSecondOrder {
         /// Each, s.
@@ -121,6 +131,49 @@ pub enum Foreign {
         /// m
         length_m: f64,
     },
+    /// Each rotor near the floor for itself, by 1 / (1 - (c R / 4 h_i)^2) at its own height h_i
+    /// (Cheeseman and Bennett 1955): a tilted vehicle is levelled.
+    GroundPerRotor {
+        /// c R: the radius of a rotor, with what four side by side gain, m.
+        radius_m: f64,
+    },
+    /// Thrust that grows with the speed v across the rotors and saturates:
+    /// times 1 + gain v^2 / (v^2 + speed^2).
+    LiftSaturating {
+        /// -
+        gain: f64,
+        /// m/s
+        speed_m_s: f64,
+    },
+    /// A worn rotor: it loses thrust, and a smaller share of its drag torque.
+    RotorWear {
+        /// Which.
+        rotor: usize,
+        /// Share of the thrust that is lost.
+        loss: f64,
+        /// Share of the drag torque that is lost, over that of the thrust.
+        torque_share: f64,
+    },
+    /// Drag torque that goes with another power of the rotor's speed, and with its spin:
+    /// torque_i = (1 + by +- apart) (f_i / f_hover)^(power - 1) of the nominal.
+    YawTorquePower {
+        /// by
+        by: f64,
+        /// apart; plus where the spin is +1.
+        apart: f64,
+        /// power
+        power: f64,
+        /// Thrust of a rotor in hover, N.
+        hover_n: f64,
+    },
+    /// Thrust times 1 - slope (1 - V / full): affine in the voltage inside the pack, behind a
+    /// first-order lag.
+    SagAffine {
+        /// -
+        slope: f64,
+        /// s
+        recovery_s: f64,
+    },
     /// Thrust times (V / full)^exponent, V the terminal voltage behind a first-order lag: the pack
     /// recovers.
     SagRecovery {
@@ -133,6 +186,31 @@ pub enum Foreign {
     CurveCubic {
         /// b
         b: f64,
+    },
+    /// Thrust by a dead zone and a power: ((s - dead) / (1 - dead))^power.
+    CurvePower {
+        /// -
+        dead: f64,
+        /// -
+        power: f64,
+    },
+    /// Gusts of another spectrum than Dryden's: eddies of many lengths with energy by the length to
+    /// 5/3 (Kolmogorov), carried past at a speed.
+    GustEddies {
+        /// Standard deviation per axis, m/s.
+        sigma_m_s: f64,
+        /// The longest eddy, m.
+        length_m: f64,
+        /// m/s
+        speed_m_s: f64,
+    },
+    /// A payload on a rod below the rotors: the drag of the vehicle, which has its centre above the
+    /// new centre of mass, turns it; M = z x F with F = -c v.
+    PayloadLever {
+        /// c, N s/m.
+        drag_ns_m: f64,
+        /// z: how far the centre of mass has sunk, m.
+        sunk_m: f64,
     },
     /// Wind that grows with height by a power law: v (h / 3 m)^exponent.
     WindShear {
@@ -156,6 +234,15 @@ impl Foreign {
             Self::YawRateForce { .. } => "yaw_rate_force",
             Self::DragPower { .. } => "drag_power",
             Self::DragBody { .. } => "drag_body",
+            Self::DragPlates { .. } => "drag_plates",
+            Self::GroundPerRotor { .. } => "ground_per_rotor",
+            Self::LiftSaturating { .. } => "lift_saturating",
+            Self::RotorWear { .. } => "rotor_wear",
+            Self::YawTorquePower { .. } => "yaw_torque_power",
+            Self::SagAffine { .. } => "sag_affine",
+            Self::CurvePower { .. } => "curve_power",
+            Self::GustEddies { .. } => "gust_eddies",
+            Self::PayloadLever { .. } => "payload_lever",
             Self::LagSecondOrder { .. } => "lag_second_order",
             Self::LagAsymmetric { .. } => "lag_asymmetric",
             Self::GroundExponential { .. } => "ground_exponential",
@@ -170,6 +257,9 @@ impl Foreign {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scene<'a> {
     pub state: &'a State,
+    pub rotors: &'a [RotorConstants; ROTORS],
+    /// Of each rotor before aerodynamic factors, N.
+    pub thrusts: [f64; ROTORS],
     pub loads: &'a Loads<f64>,
     pub air_velocity: Ned,
     /// Above the floor, m.
@@ -194,6 +284,31 @@ pub(crate) struct Active {
     /// Rotors' states between two lags.
     between: [f64; ROTORS],
     slow_voltage: Option<f64>,
+    eddies: Option<Eddies>,
+}
+
+/// Frozen turbulence of unit deviation: per axis sines whose length falls by a constant ratio.
+#[derive(Clone, Debug)]
+struct Eddies([[f64; EDDIES]; 3]);
+
+impl Eddies {
+    fn new(rng: &mut Pcg64Mcg) -> Self {
+        Self(std::array::from_fn(|_| std::array::from_fn(|_| TAU * rng.random::<f64>())))
+    }
+
+    /// The air's velocity so many longest eddies along the way.
+    fn velocity(&self, way: f64) -> Ned {
+        // Bands of equal ratio hold energy by their length to 2/3.
+        let energy = |eddy: usize| EDDY_RATIO.powf(-2.0 / 3.0 * eddy as f64);
+        let total: f64 = (0..EDDIES).map(energy).sum();
+        Ned::from(self.0.map(|phases| {
+            let sines = phases.iter().enumerate().map(|(eddy, phase)| {
+                let amplitude = (2.0 * energy(eddy) / total).sqrt();
+                amplitude * (TAU * way * EDDY_RATIO.powi(eddy as i32) + phase).sin()
+            });
+            sines.sum::<f64>()
+        }))
+    }
 }
 
 /// A load under the vehicle: north and east.
@@ -224,6 +339,7 @@ impl Active {
             moment: Moment { begins: 0.0, ends: 0.0, direction: Ned::zero() },
             between: [0.0; ROTORS],
             slow_voltage: None,
+            eddies: None,
             law,
         }
     }
@@ -244,6 +360,9 @@ impl Active {
             let s = states[i];
             let bent = match self.law {
                 Foreign::CurveCubic { b } => s + b * (s * s * s - s),
+                Foreign::CurvePower { dead, power } => {
+                    ((s - dead) / (1.0 - dead)).max(0.0).powf(power)
+                }
                 _ => s,
             };
             bent * self.factors[i]
@@ -354,12 +473,65 @@ impl Active {
                 *slow += (scene.voltage - *slow) * (step / recovery_s).min(1.0);
                 self.factors = [slow.powf(exponent); ROTORS];
             }
+            Foreign::SagAffine { slope, recovery_s } => {
+                let slow = self.slow_voltage.get_or_insert(scene.voltage);
+                *slow += (scene.voltage - *slow) * (step / recovery_s).min(1.0);
+                self.factors = [(1.0 - slope * (1.0 - *slow)).max(0.0); ROTORS];
+            }
+            Foreign::DragPlates { quadratic } => {
+                let [x, y, z] = relative.to_array();
+                force = Frd::new(-x * x.abs(), -y * y.abs(), -z * z.abs()).scale_by(quadratic);
+            }
+            Foreign::GroundPerRotor { radius_m } => {
+                for (rotor, thrust) in scene.rotors.iter().zip(scene.thrusts) {
+                    let arm = state.attitude.to_world(Frd::new(rotor.x, rotor.y, 0.0));
+                    let height = (scene.height - arm.down()).max(GROUND_HEIGHT_MIN * radius_m);
+                    let share = (radius_m / (4.0 * height)).powi(2);
+                    let more = thrust * share / (1.0 - share);
+                    force += Frd::new(0.0, 0.0, -more);
+                    moment += Frd::new(-rotor.y * more, rotor.x * more, 0.0);
+                }
+            }
+            Foreign::LiftSaturating { gain, speed_m_s } => {
+                let [x, y, _] = relative.to_array();
+                let speed2 = x * x + y * y;
+                let more = gain * speed2 / (speed2 + speed_m_s * speed_m_s);
+                let [roll, pitch] = scene.loads.tilting_moments();
+                force = Frd::new(0.0, 0.0, -more * scene.loads.thrust());
+                moment = Frd::new(more * roll, more * pitch, 0.0);
+            }
+            Foreign::RotorWear { rotor, loss, torque_share } => {
+                let rotor = rotor.min(ROTORS - 1);
+                self.factors[rotor] = 1.0 - loss;
+                // The thrusts are those after the loss.
+                let kept = loss * (1.0 - torque_share) / (1.0 - loss).max(1e-9);
+                let torque = scene.thrusts[rotor] * scene.rotors[rotor].torque_per_thrust;
+                moment = Frd::new(0.0, 0.0, kept * torque);
+            }
+            Foreign::YawTorquePower { by, apart, power, hover_n } => {
+                let mut yaw = 0.0;
+                for (rotor, thrust) in scene.rotors.iter().zip(scene.thrusts) {
+                    let bent = (thrust / hover_n).max(0.0).powf(power - 1.0);
+                    let factor = (1.0 + by + apart * rotor.spin) * bent;
+                    yaw += thrust * rotor.torque_per_thrust * (factor - 1.0);
+                }
+                moment = Frd::new(0.0, 0.0, yaw);
+            }
+            Foreign::GustEddies { sigma_m_s, length_m, speed_m_s } => {
+                let eddies = self.eddies.get_or_insert_with(|| Eddies::new(&mut self.rng));
+                self.air = eddies.velocity(self.time * speed_m_s / length_m) * sigma_m_s;
+            }
+            Foreign::PayloadLever { drag_ns_m, sunk_m } => {
+                let [x, y, _] = relative.to_array();
+                moment = Frd::new(-y, x, 0.0) * (sunk_m * drag_ns_m);
+            }
             Foreign::WindShear { velocity_m_s: [north, east], exponent } => {
                 let height = scene.height.max(SHEAR_HEIGHT_MIN) / SHEAR_HEIGHT;
                 self.air = Ned::new(north, east, 0.0) * height.powf(exponent);
             }
             Foreign::LagSecondOrder { .. }
             | Foreign::LagAsymmetric { .. }
+            | Foreign::CurvePower { .. }
             | Foreign::CurveCubic { .. } => {}
         }
         self.wrench = Wrench { force, moment };

@@ -1,6 +1,7 @@
 //! A simulated quadrotor and its autopilot: physics, effects, sensors, and a vehicle that behaves
 //! on the MAVLink wire as PX4 does. It knows nothing of the daemon.
 
+#![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod autopilot;

@@ -26,7 +26,7 @@ pub struct Plant {
     battery: Battery,
     power: PowerModel,
     turbulence: Option<(Turbulence, Pcg64Mcg)>,
-    foreign: Option<Box<Active>>,
+    foreign: Vec<Active>,
     gravity: f64,
     full_voltage: f64,
     max_rpm: Option<f64>,
@@ -78,7 +78,7 @@ impl Plant {
             power: PowerModel::new(vehicle),
             battery,
             turbulence,
-            foreign: None,
+            foreign: Vec::new(),
             gravity: vehicle.gravity,
             full_voltage: vehicle.battery.full_v,
             max_rpm: vehicle.rotor_max_rpm,
@@ -106,32 +106,38 @@ impl Plant {
         Self { coarse: true, ..self }
     }
 
-    /// Lets something from outside the catalogue act from now on; `seed` draws what of it is
-    /// random.
+    /// Lets something from outside the catalogue act from now on, beside what does already; `seed`
+    /// draws what of it is random.
     pub fn disturb(&mut self, foreign: Foreign, seed: u64) {
         let mut active = Active::new(foreign, seed);
         active.reset(&self.rotors);
-        self.foreign = Some(Box::new(active));
+        self.foreign.push(active);
         self.loads = self.loads_of(&self.rotors);
     }
 
     /// What rotors in states s_i do to the body.
     #[inline]
     fn loads_of(&self, rotors: &[f64; ROTORS]) -> Loads<f64> {
-        match &self.foreign {
-            None => self.physics.loads(rotors, &self.environment),
-            Some(foreign) => self.physics.loads(&foreign.bent(rotors), &self.environment),
+        if self.foreign.is_empty() {
+            self.physics.loads(rotors, &self.environment)
+        } else {
+            self.physics.loads(&self.bent(rotors), &self.environment)
         }
     }
 
     /// The states that thrust and speed go with.
-    fn bent(&self) -> [f64; ROTORS] {
-        self.foreign.as_ref().map_or(self.rotors, |foreign| foreign.bent(&self.rotors))
+    fn bent(&self, rotors: &[f64; ROTORS]) -> [f64; ROTORS] {
+        self.foreign.iter().fold(*rotors, |rotors, foreign| foreign.bent(&rotors))
     }
 
     fn advance_foreign(&mut self) {
-        let Some(foreign) = &mut self.foreign else { return };
+        if self.foreign.is_empty() {
+            return;
+        }
+        let thrusts = self.rotor_thrusts();
         let scene = Scene {
+            rotors: &self.physics.constants().rotors,
+            thrusts,
             state: &self.state,
             loads: &self.loads,
             air_velocity: self.environment.air_velocity,
@@ -139,9 +145,13 @@ impl Plant {
             voltage: self.battery.voltage() / self.full_voltage,
             gravity: self.gravity,
         };
-        foreign.advance(&scene, Self::STEP);
+        let mut air_velocity = self.physics.wind();
+        for foreign in &mut self.foreign {
+            foreign.advance(&scene, Self::STEP);
+            air_velocity += foreign.air_velocity();
+        }
         if self.turbulence.is_none() {
-            self.environment.air_velocity = self.physics.wind() + foreign.air_velocity();
+            self.environment.air_velocity = air_velocity;
         }
     }
 
@@ -160,7 +170,7 @@ impl Plant {
         if self.steps.is_multiple_of(BATTERY_STEPS) {
             self.draw_power();
         }
-        let foreign_lag = self.foreign.as_mut().filter(|foreign| foreign.lags());
+        let foreign_lag = self.foreign.iter_mut().find(|foreign| foreign.lags());
         let followed =
             foreign_lag.map(|foreign| foreign.follow(&self.rotors, &outputs, Self::STEP));
         self.state = if self.lag.is_none() && followed.is_none() {
@@ -216,7 +226,7 @@ impl Plant {
     /// The state one step later, under the loads of each stage.
     #[inline]
     fn integrate<'a>(&self, loads: impl Fn(Stage) -> &'a Loads<f64>) -> State {
-        if self.foreign.is_none() && self.floor.is_clear(&self.state, Self::STEP) {
+        if self.foreign.is_empty() && self.floor.is_clear(&self.state, Self::STEP) {
             let slope = |state: &State, stage| {
                 self.physics.accelerations_under(state, loads(stage), &self.environment)
             };
@@ -235,7 +245,7 @@ impl Plant {
         let floor = self.floor.wrench(state);
         wrench.force += floor.force;
         wrench.moment += floor.moment;
-        if let Some(foreign) = &self.foreign {
+        for foreign in &self.foreign {
             let more = foreign.wrench();
             wrench.force += more.force;
             wrench.moment += more.moment;
@@ -274,9 +284,7 @@ impl Plant {
         let states = states.map(|s| s.max(0.0).min(1.0));
         self.rotors = states;
         self.outputs = states;
-        if let Some(foreign) = &mut self.foreign {
-            foreign.reset(&states);
-        }
+        self.foreign.iter_mut().for_each(|foreign| foreign.reset(&states));
         self.loads = self.loads_of(&states);
     }
 
@@ -293,12 +301,12 @@ impl Plant {
 
     /// Thrust of each rotor before aerodynamic factors, N.
     pub fn rotor_thrusts(&self) -> [f64; ROTORS] {
-        self.physics.thrusts(&self.bent(), &self.environment)
+        self.physics.thrusts(&self.bent(&self.rotors), &self.environment)
     }
 
     /// n_i: the rotors' speeds as fractions of the maximum.
     pub fn rotor_speeds(&self) -> [f64; ROTORS] {
-        self.physics.rotor_speeds(&self.bent(), &self.environment)
+        self.physics.rotor_speeds(&self.bent(&self.rotors), &self.environment)
     }
 
     /// The rotors' speeds in 1/min with the sign of `spin`, if the vehicle file has

@@ -6,13 +6,14 @@ use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 
-use crate::config::{ImuNoise, SensorConfig, SitlConfig};
+use crate::config::{ImuNoise, SensorConfig, SitlConfig, Vibration};
 use crate::effects::{AttitudeTrim, EffectSet, EstimatorLatency};
 use crate::estimate_error::ErrorModel;
 pub use crate::estimate_error::EstimatorStatus;
 use crate::frame::{Attitude, Frd, Ned};
 use crate::plant::Plant;
 use crate::rigid_body::State;
+use crate::vehicle::ROTORS;
 
 /// What the sensors say at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,6 +58,7 @@ pub struct Sensors {
     attitude_error: [f64; 3],
     gyro: Imu,
     accelerometer: Imu,
+    vibration: Shaking,
     errors: ErrorModel,
     sampled_at: Option<u64>,
 }
@@ -67,6 +69,7 @@ impl Sensors {
         let latency = effects.get::<EstimatorLatency>().map_or(0.0, |effect| effect.latency_s);
         let trim = effects.get::<AttitudeTrim>();
         let errors = ErrorModel::new(config.estimator, Stream::seed(seed, 6));
+        let vibration = Shaking::new(config.vibration, Stream::new(seed, 7));
         let config = config.sensors;
         let mut attitude = Stream::new(seed, 3);
         let attitude_error = attitude.normals().map(|n| n * config.attitude_noise_rad);
@@ -80,6 +83,7 @@ impl Sensors {
             gyro: Imu::new(config.gyro, Stream::new(seed, 4)),
             accelerometer: Imu::new(config.accelerometer, Stream::new(seed, 5)),
             config,
+            vibration,
             errors,
             sampled_at: None,
         }
@@ -103,7 +107,8 @@ impl Sensors {
         let error = small_rotation(self.attitude_error);
         let reported =
             |true_attitude: Attitude| true_attitude.compose(self.trim).compose(error).normalized();
-        let gyro = self.gyro.read(truth.body_rate, elapsed);
+        let [shaken, shaken_force] = self.vibration.advance(plant, elapsed);
+        let gyro = self.gyro.read(truth.body_rate + shaken, elapsed);
         let estimate = State {
             position: late.position
                 + off.position()
@@ -119,7 +124,7 @@ impl Sensors {
             estimate,
             onboard_attitude: reported(truth.attitude),
             gyro,
-            specific_force: self.accelerometer.read(plant.specific_force(), elapsed),
+            specific_force: self.accelerometer.read(plant.specific_force() + shaken_force, elapsed),
             battery: BatteryReading {
                 voltage: plant.voltage(),
                 current: plant.current(),
@@ -183,6 +188,45 @@ impl Imu {
         let walk = self.noise.bias_walk * elapsed.sqrt();
         self.bias += Frd::from(self.stream.normals()) * walk;
         truth + self.bias + Frd::from(self.stream.normals()) * self.noise.noise
+    }
+}
+
+/// The rotors' lines in gyro and accelerometer.
+#[derive(Clone, Debug)]
+struct Shaking {
+    config: Vibration,
+    /// Of each rotor, rad.
+    phases: [f64; ROTORS],
+    /// Of each axis after that, of the gyro and of the accelerometer, rad.
+    offsets: [[f64; 3]; 2],
+}
+
+impl Shaking {
+    fn new(config: Vibration, mut stream: Stream) -> Self {
+        let turn = |stream: &mut Stream| std::f64::consts::TAU * stream.0.random::<f64>();
+        let phases = std::array::from_fn(|_| turn(&mut stream));
+        let offsets = std::array::from_fn(|_| std::array::from_fn(|_| turn(&mut stream)));
+        Self { config, phases, offsets }
+    }
+
+    /// What is added to the body rate [rad/s] and to the specific force [m/s^2].
+    fn advance(&mut self, plant: &Plant, elapsed: f64) -> [Frd; 2] {
+        let Vibration { rotor_max_hz, gyro_rad_s, accelerometer_m_s2 } = self.config;
+        if gyro_rad_s == 0.0 && accelerometer_m_s2 == 0.0 {
+            return [Frd::zero(); 2];
+        }
+        let full_turn = std::f64::consts::TAU * rotor_max_hz * elapsed;
+        for (phase, speed) in self.phases.iter_mut().zip(plant.rotor_speeds()) {
+            *phase = (*phase + full_turn * speed) % std::f64::consts::TAU;
+        }
+        let lines = |offsets: [f64; 3], amplitude: f64| {
+            let line = |offset: f64| {
+                self.phases.iter().map(|phase| (phase + offset).sin()).sum::<f64>() * amplitude
+            };
+            Frd::from(offsets.map(line))
+        };
+        let [gyro, accelerometer] = self.offsets;
+        [lines(gyro, gyro_rad_s), lines(accelerometer, accelerometer_m_s2)]
     }
 }
 

@@ -1,8 +1,7 @@
 //! Arming, take-off, position hold, landing, and who is in command, on the virtual clock.
 
-mod bench;
-
-use bench::{Bench, setpoint};
+use crate::bench;
+use crate::bench::{Bench, setpoint};
 use sitl::autopilot::{Mode, Peer};
 use wire::dialect::*;
 

@@ -1,8 +1,7 @@
 //! OFFBOARD: how it is entered, what each type mask does, and what follows when the stream stops.
 
-mod bench;
-
-use bench::{Bench, setpoint};
+use crate::bench;
+use crate::bench::{Bench, setpoint};
 use sitl::autopilot::Mode;
 use wire::dialect::*;
 

@@ -1,10 +1,9 @@
 //! The wire: streams and their rates, commands, parameters, versions, addresses, several peers.
 
-mod bench;
-
 use std::collections::BTreeMap;
 
-use bench::{Bench, GROUND, count};
+use crate::bench;
+use crate::bench::{Bench, GROUND, count};
 use mavlink::{MavlinkVersion, Message, MessageData};
 use sitl::autopilot::Peer;
 use wire::dialect::*;

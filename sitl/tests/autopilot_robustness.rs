@@ -1,8 +1,7 @@
 //! The same seed and bytes give the same bytes; no bytes make it fail.
 
-mod bench;
-
-use bench::{Bench, setpoint};
+use crate::bench;
+use crate::bench::{Bench, setpoint};
 use proptest::prelude::*;
 use sitl::autopilot::{LinkKind, Mode, Peer};
 use wire::Encoder;

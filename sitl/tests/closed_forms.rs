@@ -1,8 +1,6 @@
 //! The plant against motions that are known in closed form.
 
-mod common;
-
-use common::{airborne, effects, moving, quad};
+use crate::common::{airborne, effects, moving, quad};
 use sitl::effects::EffectSet;
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 use sitl::plant::Plant;

@@ -3,9 +3,7 @@
 //! Expected values are worked out here from EFFECTS' formulas in plain numbers, at one state in
 //! which every effect acts.
 
-mod common;
-
-use common::{ROTOR_STATES, airborne, effects, moving, quad};
+use crate::common::{ROTOR_STATES, airborne, effects, moving, quad};
 use sitl::effects::{EffectId, EffectSet, Kind, Neutral, Slots};
 use sitl::frame::{Frd, Ned};
 use sitl::physics::{Environment, Physics};

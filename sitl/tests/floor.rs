@@ -1,8 +1,6 @@
 //! On the floor: sit, take off, land hard, tip over, never blow up.
 
-mod common;
-
-use common::{effects, quad, root};
+use crate::common::{effects, quad, root};
 use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
 use sitl::frame::{Euler, Frd, Ned};

@@ -1,8 +1,6 @@
 //! Jacobians from dual numbers against central differences, with every effect on.
 
-mod common;
-
-use common::{ROTOR_STATES, effects, moving, quad};
+use crate::common::{ROTOR_STATES, effects, moving, quad};
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 use sitl::physics::Physics;
 use sitl::rigid_body::State;

@@ -2,11 +2,9 @@
 //! statistics of gusts. These effects occur in no practice flight; `effects.rs` has their
 //! equations at one state.
 
-mod common;
-
 use std::f64::consts::{PI, TAU};
 
-use common::{airborne, effects, quad};
+use crate::common::{airborne, effects, quad};
 use sitl::frame::{Attitude, Euler, Frd, Ned};
 use sitl::plant::Plant;
 use sitl::rigid_body::State;

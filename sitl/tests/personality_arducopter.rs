@@ -1,8 +1,7 @@
 //! `autopilot = "arducopter"`: what was measured on ArduCopter, on the simulated vehicle.
 
-mod bench;
-
-use bench::{Bench, setpoint};
+use crate::bench;
+use crate::bench::{Bench, setpoint};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, SitlConfig};
 use sitl::frame::Euler;

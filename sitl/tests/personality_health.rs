@@ -1,8 +1,7 @@
 //! What the vehicle says when something is wrong with it: its estimate, its pack, its landing.
 
-mod bench;
-
-use bench::{Bench, Heard};
+use crate::bench;
+use crate::bench::{Bench, Heard};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, EstimatorConfig, GpsGlitch, SensorConfig, SitlConfig};
 use wire::dialect::*;
@@ -102,6 +101,35 @@ fn the_estimate_wanders_by_what_is_asked_for() {
     }
     let deviation = (squares / f64::from(count)).sqrt();
     assert!((0.13..0.21).contains(&deviation), "{deviation} m");
+}
+
+#[test]
+fn the_velocity_wanders_beside_the_position() {
+    let mut bench = hovering(Autopilot::Px4, |config| {
+        config.estimator.velocity_wander_m_s = 0.16;
+        config.estimator.velocity_wander_time_s = 1.0;
+    });
+    let (mut squares, mut most, mut count) = (0.0, 0.0_f64, 0);
+    for _ in 0..600 {
+        bench.heard();
+        bench.run(0.5);
+        let truth = *bench.vehicle.plant().state();
+        let told = bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+            MavMessage::LOCAL_POSITION_NED(at) => Some([at.x, at.y, at.z, at.vx, at.vy, at.vz]),
+            _ => None,
+        });
+        let [x, y, z, velocity @ ..] = told.expect("a position").map(f64::from);
+        let off = velocity.into_iter().zip(truth.velocity.to_array()).map(|(a, b)| (a - b).powi(2));
+        squares += off.sum::<f64>();
+        count += 3;
+        for (told, true_) in [x, y, z].into_iter().zip(truth.position.to_array()) {
+            most = most.max((told - true_).abs());
+        }
+    }
+    let deviation = (squares / f64::from(count)).sqrt();
+    assert!((0.12..0.20).contains(&deviation), "{deviation} m/s");
+    // The position has no part in it: its noise, and what is flown within 33 ms.
+    assert!(most < 0.06, "{most} m");
 }
 
 #[test]

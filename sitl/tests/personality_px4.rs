@@ -1,8 +1,7 @@
 //! `autopilot = "px4"`: what was measured on PX4, on the simulated vehicle.
 
-mod bench;
-
-use bench::{Bench, Heard, count, setpoint};
+use crate::bench;
+use crate::bench::{Bench, Heard, count, setpoint};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, SitlConfig};
 use sitl::vehicle::{AttitudeCascade, VehicleParams};

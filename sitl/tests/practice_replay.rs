@@ -5,13 +5,11 @@
 //! logged motor outputs: with the effects that the vehicle has, what is left of the prediction's
 //! error must be what the noise leaves, and without them it is more.
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
 
-use common::practice_folders;
+use crate::common::practice_folders;
 use serde::Deserialize;
 use sitl::config::SitlConfig;
 use sitl::effects::{AttitudeTrim, EffectId, EffectSet, EstimatorLatency, ParameterValue};

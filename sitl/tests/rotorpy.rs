@@ -5,8 +5,6 @@
 //! file's ten digits, which the tumbling flight amplifies; 1e-6 is far above both and far below
 //! any wrong sign, frame or coefficient.
 
-mod common;
-
 use serde::Deserialize;
 use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;

@@ -1,8 +1,6 @@
 //! What the vehicle reports about its state.
 
-mod common;
-
-use common::{airborne, effects, quad};
+use crate::common::{airborne, effects, quad};
 use sitl::config::{SensorConfig, SitlConfig};
 use sitl::effects::EffectSet;
 use sitl::frame::{Attitude, Euler, Frd, Ned};

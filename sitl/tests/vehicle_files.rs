@@ -1,8 +1,6 @@
 //! The vehicle files that ship, and those of the practice flights where they are at hand.
 
-mod common;
-
-use common::{practice_folders, root};
+use crate::common::{practice_folders, root};
 use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
 use sitl::physics::Physics;

@@ -63,6 +63,9 @@ pub struct CollectArgs {
     /// Flies the vehicle there, one flight after the other, instead of the simulated one.
     #[arg(long, value_name = "URL", conflicts_with_all = ["sitl_config", "effects", "effect", "jobs"])]
     pub connect: Option<String>,
+    /// System id of the vehicle, where several are on the link.
+    #[arg(long, value_name = "ID", requires = "connect")]
+    pub system: Option<u8>,
     /// Length of the programme's trajectories, s; landings and take-offs are extra.
     #[arg(long, value_name = "SECONDS", default_value_t = 2400.0)]
     pub seconds: f64,
@@ -100,6 +103,7 @@ impl CollectArgs {
             out,
             vehicle: None,
             connect: None,
+            system: None,
             seconds,
             combined: 0.0,
             seed,

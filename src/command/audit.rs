@@ -7,16 +7,25 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{Exit, ExitContext, print_json, print_text, say};
+use crate::audit::{Agreement, Audit, Estimate, Severity};
 use crate::cli::FailOnFinding;
-use crate::diagnose::audit::{Agreement, Audit, Estimate, Severity};
+use crate::diagnose::untestable::{self, Untestable};
 use crate::log::import::{self, Flight, ImportError};
 
 /// The JSON of `log audit`.
 #[derive(Serialize)]
-struct Summary<'a> {
+struct Summary {
     schema: &'static str,
     schema_version: u32,
-    logs: &'a [Audit],
+    logs: Vec<Log>,
+}
+
+/// What a log is worth, and which effects it cannot show.
+#[derive(Serialize)]
+struct Log {
+    #[serde(flatten)]
+    audit: Audit,
+    untestable: Vec<Untestable>,
 }
 
 pub(super) fn run(
@@ -35,36 +44,45 @@ pub(super) fn run(
         }
     }
     let audits = Audit::of_all(&flights);
+    let logs: Vec<Log> = audits
+        .into_iter()
+        .zip(&flights)
+        .map(|(audit, flight)| {
+            let untestable = untestable::of(flight, &audit.channels);
+            Log { audit, untestable }
+        })
+        .collect();
     // One log that is none keeps nothing back of the others.
     let last = refused.pop();
     refused.iter().for_each(|error| say(format_args!("{error}")));
-    if audits.is_empty() {
+    if logs.is_empty() {
         return last.map_or(Ok(()), Err).or_exit(Exit::Usage).map(|()| Exit::Ok);
     }
-    if json {
-        print_json(&Summary { schema: "downwash.log.audit", schema_version: 1, logs: &audits })?;
-    } else {
-        print_text(&audits.iter().map(text).collect::<Vec<_>>().join("\n"))?;
-    }
-    last.map_or(Ok(()), Err).or_exit(Exit::Usage)?;
     let limit = fail_on.map(|limit| match limit {
         FailOnFinding::Fault => Severity::Fault,
         FailOnFinding::Measurement => Severity::Measurement,
     });
-    let is_failed = |audit: &Audit| {
-        limit.is_some_and(|limit| audit.findings.iter().any(|f| f.severity >= limit))
+    let is_failed = |log: &Log| {
+        limit.is_some_and(|limit| log.audit.findings.iter().any(|f| f.severity >= limit))
     };
-    Ok(if audits.iter().any(is_failed) { Exit::Check } else { Exit::Ok })
+    let exit = if logs.iter().any(is_failed) { Exit::Check } else { Exit::Ok };
+    if json {
+        print_json(&Summary { schema: "downwash.log.audit", schema_version: 2, logs })?;
+    } else {
+        print_text(&logs.iter().map(text).collect::<Vec<_>>().join("\n"))?;
+    }
+    last.map_or(Ok(()), Err).or_exit(Exit::Usage)?;
+    Ok(exit)
 }
 
-fn text(audit: &Audit) -> String {
+fn text(log: &Log) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
-    let _ = print(audit, &mut text);
+    let _ = print(log, &mut text);
     text
 }
 
-fn print(audit: &Audit, out: &mut String) -> std::fmt::Result {
+fn print(Log { audit, untestable }: &Log, out: &mut String) -> std::fmt::Result {
     writeln!(out, "{}: {} log", audit.file, audit.format)?;
     match audit.tier {
         Some(tier) => writeln!(out, "  tier {tier}")?,
@@ -85,14 +103,23 @@ fn print(audit: &Audit, out: &mut String) -> std::fmt::Result {
     agreement(out, "attitude against gyro", kinematics.attitude.as_ref(), "rad/s")?;
     agreement(out, "position against velocity", kinematics.position.as_ref(), "m/s")?;
     agreement(out, "velocity against accelerometer", kinematics.velocity.as_ref(), "m/s^2")?;
+    if let Some(lean) = &kinematics.lean {
+        agreement(out, "velocity against lean", Some(lean), "m/s^2")?;
+    }
+    if let Some(setpoint) = &kinematics.setpoint {
+        agreement(out, "attitude against setpoint", Some(setpoint), "rad")?;
+    }
+    if let Some(rate) = audit.rates.outputs_hz {
+        writeln!(out, "  new motor outputs at {rate:.1} Hz")?;
+    }
     for finding in &audit.findings {
         writeln!(out, "  {finding}")?;
     }
     if audit.findings.is_empty() {
         writeln!(out, "  nothing found")?;
     }
-    for untestable in &audit.untestable {
-        writeln!(out, "  cannot show {}: {}", untestable.effect, untestable.reason)?;
+    for Untestable { effect, reason } in untestable {
+        writeln!(out, "  cannot show {effect}: {reason}")?;
     }
     Ok(())
 }
@@ -106,7 +133,7 @@ fn agreement(
     let Some(agreement) = agreement else {
         return writeln!(out, "  {name}: not shown by this log");
     };
-    let Agreement { delay_s, rotation_rad, bias, explained, .. } = agreement;
+    let Agreement { delay_s, rotation_rad, scale, bias, explained, .. } = agreement;
     write!(out, "  {name}: {:+.1} +- {:.1} ms", 1e3 * delay_s.value, 1e3 * delay_s.half_width)?;
     let numbers = |of: &[Option<Estimate>; 3], precise: usize, factor: f64| {
         let number = |of: &Option<Estimate>| match of {
@@ -117,8 +144,9 @@ fn agreement(
     };
     writeln!(
         out,
-        ", turned ({}) deg, bias ({}) {unit}, {:.1} % explained",
+        ", turned ({}) deg, scale ({}), bias ({}) {unit}, {:.1} % explained",
         numbers(rotation_rad, 2, 1f64.to_degrees()),
+        numbers(scale, 3, 1.0),
         numbers(bias, 3, 1.0),
         100.0 * explained
     )

@@ -16,6 +16,7 @@ use serde::Serialize;
 use self::kept::{Identity, LogOf, logs_of_flights};
 use self::on_link::fly_vehicle;
 use self::simulated::Simulator;
+use super::fly::system_flag;
 use super::progress::flight_bar;
 use super::setup::{VehicleFile, capability, required};
 use super::simulation::Truth;
@@ -103,6 +104,7 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
     if let Some(url) = &args.connect {
         flags.push(("--connect", "connect", toml::Value::String(url.clone())));
     }
+    flags.extend(system_flag(args.system));
     let config = config::load(args.config.as_deref(), flags)?;
     let vehicle = match (&args.vehicle, &args.connect) {
         (Some(path), _) => VehicleFile::load(path)?,

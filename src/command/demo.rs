@@ -202,7 +202,7 @@ impl Demo<'_> {
             self.desired.clone().context("a plan is not planned again").or_exit(Exit::Usage)?;
         let through = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
         let (planner, answer) = planner(&self.vehicle.params, &through, &self.config)?;
-        let settings = self.config.settings.plan.receding;
+        let settings = self.config.settings.plan.receding.for_loop(false);
         let reference = RecedingReference::inline(goal.clone(), planner, answer, settings);
         Ok(Course::Receding { goal, reference: Arc::new(reference) })
     }

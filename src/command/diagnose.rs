@@ -17,13 +17,14 @@ use super::setup::capability;
 use super::train::listed;
 use super::vehicle::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
+use crate::audit::{Audit, UnusableSpan};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
-use crate::diagnose::audit::{Audit, UnusableSpan};
 use crate::diagnose::case::{Case, Settings};
 use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
+use crate::diagnose::pipeline::{Diagnosis, diagnose};
 use crate::diagnose::preparation::PreparedFlight;
-use crate::diagnose::procedure::{Diagnosis, diagnose};
+use crate::diagnose::rotor_order;
 use crate::diagnose::words::report;
 use crate::log::import::Flight;
 use crate::plan::manoeuvres::Room;
@@ -116,6 +117,10 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         }
         diagnosis.answer.next_flight = next;
     }
+    if let Some(path) = &args.evidence {
+        let evidence = serde_json::to_vec(&diagnosis.evidence).context("the evidence")?;
+        write_file(path, &evidence)?;
+    }
     diagnosis.answer.take_up(logs);
     tell(args, &vehicle, &diagnosis.answer, &diagnosis.effects)
 }
@@ -195,13 +200,14 @@ fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -
             Err(error) => refused.push((index, error)),
         }
     }
-    let audits = Audit::of_all(&flights);
+    let mut audits = Audit::of_all(&flights);
+    audits.iter_mut().for_each(|audit| rotor_order::check(audit, vehicle));
     let mut logs: Vec<AuditedLog> = flights
         .into_par_iter()
         .zip(audits)
         .map(|(flight, audit)| AuditedLog {
+            audit: Some(LogAnswer::of(&audit, &flight)),
             flight: prepare(flight, &audit, vehicle),
-            audit: Some(LogAnswer::of(&audit)),
         })
         .collect();
     for (index, error) in refused {

@@ -4,6 +4,8 @@
 //! by a process of its own whose folder and environment hold nothing but that case's files. The
 //! key stays in this process until the last answer is in.
 
+mod practice;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, IsTerminal, Read};
@@ -19,7 +21,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
-use sitl::effects::EffectSet;
+use sitl::effects::{EffectId, EffectSet};
 use sitl::vehicle::VehicleParams;
 
 use super::logs::open_for;
@@ -34,6 +36,7 @@ use crate::exam::draw::Draw;
 use crate::exam::key::{Key, KeyEntry, commitment, entropy};
 use crate::exam::score::Row;
 use crate::exam::summary::Summary;
+use crate::exam::world::World;
 use crate::report::exam;
 
 /// Stream of the exam's seed that the kinds and their order are drawn from.
@@ -65,7 +68,7 @@ struct ExamSummary<'a> {
 /// A case whose logs are on disk, with what stays in memory.
 struct Flown {
     name: String,
-    nominal: VehicleParams,
+    known: VehicleParams,
     truth: EffectSet,
     key: KeyEntry,
     noise: ReportNoise,
@@ -74,7 +77,9 @@ struct Flown {
 
 pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let seed = args.seed.unwrap_or_else(entropy);
-    say(format_args!("seed {seed}"));
+    if args.practice.is_none() {
+        say(format_args!("seed {seed}"));
+    }
     let interrupted = interruption.flag();
     fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
@@ -82,6 +87,9 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     let out = args.out.canonicalize().with_context(|| args.out.display().to_string())?;
     let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
     let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
+    if let Some(set) = &args.practice {
+        return practice::run(args, set, &hall);
+    }
     let orders = orders(args, seed)?;
     if orders.is_empty() {
         return Err(anyhow!("--cases, --nulls: expected at least one case, found none"))
@@ -171,6 +179,17 @@ fn kinds(args: &ExamArgs) -> Vec<Kind> {
 /// How often it is looked whether a diagnosis has ended, or the exam is to.
 const ENDED_PERIOD: Duration = Duration::from_millis(20);
 
+/// What a diagnosis is given of a case.
+struct Sheet<'a> {
+    /// Where the vehicle file and the logs are.
+    folder: &'a Path,
+    logs: &'a [String],
+    /// Those of them to keep; none for the last.
+    holdout: &'a [String],
+    /// Effects that it is to do without.
+    without: &'a [String],
+}
+
 /// Where an exam is held.
 struct Hall<'a> {
     args: &'a ExamArgs,
@@ -197,7 +216,7 @@ impl Hall<'_> {
         let next = AtomicUsize::new(0);
         let done = Mutex::new(BTreeMap::new());
         let worker = || -> anyhow::Result<()> {
-            while !self.interrupted.load(Ordering::Relaxed) {
+            while !self.is_interrupted() {
                 let turn = next.fetch_add(1, Ordering::Relaxed);
                 if turn >= count {
                     break;
@@ -233,7 +252,9 @@ impl Hall<'_> {
                     .or_exit(Exit::Usage);
             }
         };
-        let settings = Settings { seconds: self.args.seconds, ratios, ..Settings::default() };
+        let world = if self.args.exact { World::Exact } else { World::Builders };
+        let settings =
+            Settings { seconds: self.args.seconds, ratios, world, ..Settings::default() };
         let cases = self.out.join("cases");
         if cases.exists() {
             bail!("{} exists already: give an exam an --out of its own", cases.display());
@@ -258,7 +279,7 @@ impl Hall<'_> {
             }
             Ok(Some(Flown {
                 name,
-                nominal: case.nominal,
+                known: case.known,
                 truth: case.truth,
                 key: case.key,
                 noise: case.noise,
@@ -275,7 +296,14 @@ impl Hall<'_> {
         let rows = self.each(flown.len(), "diagnosing", |number| {
             let case = &flown[number];
             let began = Instant::now();
-            let Some(answer) = self.answer(case).transpose() else { return Ok(None) };
+            let logs: Vec<String> = log_names(case.logs).collect();
+            let sheet = Sheet {
+                folder: &self.folder(&case.name),
+                logs: &logs,
+                holdout: &[],
+                without: &case.key.without,
+            };
+            let Some(answer) = self.answer(&sheet).transpose() else { return Ok(None) };
             let seconds = began.elapsed().as_secs_f64();
             let given = answer.and_then(|bytes| {
                 write_file(&answers.join(format!("{}.json", case.name)), &bytes)?;
@@ -292,24 +320,31 @@ impl Hall<'_> {
         Ok(rows.into_iter().flatten().collect())
     }
 
+    fn is_interrupted(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed)
+    }
+
     /// What a process that sees nothing but the case's files answers; `None` where it was
     /// interrupted.
-    fn answer(&self, case: &Flown) -> anyhow::Result<Option<Vec<u8>>> {
+    fn answer(&self, sheet: &Sheet<'_>) -> anyhow::Result<Option<Vec<u8>>> {
         let program = std::env::current_exe().context("this program's own file")?;
         let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let mut command = Command::new(program);
         command
             .env_clear()
             .env("RAYON_NUM_THREADS", (cores / self.jobs).max(1).to_string())
-            .current_dir(self.folder(&case.name))
+            .current_dir(sheet.folder)
             // Ctrl-C is for this process, which ends the others.
             .process_group(0)
             .args(["diagnose", "--json", "--vehicle", "vehicle.json"])
-            .args(log_names(case.logs));
+            .args(sheet.logs);
+        for log in sheet.holdout {
+            command.args(["--holdout", log]);
+        }
         if let Some(twins) = self.args.twins {
             command.args(["--twins", &twins.to_string()]);
         }
-        for effect in &case.key.without {
+        for effect in sheet.without {
             command.args(["--without", effect]);
         }
         let output = self.output(&mut command).context("cannot run the diagnosis")?;
@@ -334,7 +369,7 @@ impl Hall<'_> {
                 if let Some(status) = process.try_wait()? {
                     break Some(status);
                 }
-                if self.interrupted.load(Ordering::Relaxed) {
+                if self.is_interrupted() {
                     process.kill()?;
                     process.wait()?;
                     break None;
@@ -351,16 +386,21 @@ impl Hall<'_> {
         })
     }
 
-    /// What the answer truly closes on the flight held out; of an answer that names nothing, or
+    /// What the answer truly closes of the effects' own gap on the flight held out, were what is off
+    /// the file known: of what it names, that which is there. Of an answer that names nothing, or
     /// where the truth is outside of the catalogue, nothing can be said.
     fn closed(&self, case: &Flown, given: &Given) -> Option<f64> {
         let last = log_names(case.logs).last()?;
         if case.truth.is_empty() || given.verdict != "effect" {
             return None;
         }
-        let flight = open_for(&self.folder(&case.name).join(last), None, &case.nominal).ok()?;
-        let held_out = [PreparedFlight::new(flight, &case.nominal).ok()?];
-        closure(&case.nominal, &case.truth, &given.effect_set(), &held_out, &case.noise).ok()?
+        let flight = open_for(&self.folder(&case.name).join(last), None, &case.known).ok()?;
+        let held_out = [PreparedFlight::new(flight, &case.known).ok()?];
+        let is_there =
+            |id: EffectId| case.truth.iter().any(|(true_id, _)| true_id.class() == id.class());
+        let mut answer = given.effect_set();
+        EffectId::ALL.into_iter().filter(|id| !is_there(*id)).for_each(|id| answer.remove(id));
+        closure(&case.known, &case.truth, &answer, &held_out, &case.noise).ok()?
     }
 }
 

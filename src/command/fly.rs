@@ -144,7 +144,8 @@ fn replanned(
     let goal = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
     let through = plan::model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
     let (planner, answer) = plan::planner(&vehicle.params, &through, config)?;
-    let settings = config.settings.plan.receding;
+    let is_own_loop = vehicle.params.attitude_pd.is_none();
+    let settings = config.settings.plan.receding.for_loop(is_own_loop);
     let reference = RecedingReference::threaded(goal.clone(), planner, answer, settings)
         .context("cannot start the planning thread")?;
     let file = GoalFile::watch(

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::output::refuse_input;
 use super::{Exit, ExitContext, print_json, print_text};
-use crate::diagnose::audit::{Channels, Tier};
+use crate::audit::{Channels, Tier};
 use crate::log::import::{
     self, Choice, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleFacts,
 };

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use sitl::vehicle::VehicleParams;
 
 use super::{in_words, say};
-use crate::diagnose::audit::{Audit, LEFT_OUT, NO_SAMPLES, UnusableSpan};
+use crate::audit::{Audit, LEFT_OUT, NO_SAMPLES, UnusableSpan};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
 use crate::learn::segments::Cut;

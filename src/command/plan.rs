@@ -99,8 +99,9 @@ pub(super) fn planner(
         .attitude_pd
         .ok_or_else(|| {
             anyhow!(
-                "vehicle {}: a plan needs the on-board attitude loop, and the file has no \
-                 attitude_pd; add its gains, or fly the trajectory without a plan",
+                "vehicle {}: a plan needs the on-board attitude loop, and the file has neither \
+                 attitude_cascade, which `downwash vehicle init --connect` reads from the autopilot, \
+                 nor attitude_pd; or fly the trajectory without a plan",
                 vehicle.name
             )
         })

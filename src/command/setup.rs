@@ -112,6 +112,7 @@ pub(super) fn station_settings(
         lqr: settings.control,
         policy,
         hover: effective.hover,
+        drag_kg_s: effective.drag_kg_s,
         thrust_full_n: effective.thrust_full_n,
         battery_full_v: vehicle.params.battery.full_v,
         attitude_pd: effective.attitude_pd,

@@ -187,7 +187,8 @@ fn init(args: &InitArgs) -> anyhow::Result<Exit> {
     }
     for (word, wanting) in [("missing", &missing), ("estimated", &estimated)] {
         for Wanting { key, what, how } in wanting {
-            say(format_args!("{word}: {key}, {what}: {how}"));
+            let taken = draft.assumption(key).map(|taken| format!(" ({taken})"));
+            say(format_args!("{word}: {key}, {what}{}: {how}", taken.unwrap_or_default()));
         }
     }
     for remark in &remarks {

@@ -15,6 +15,8 @@ pub struct Controller {
     folds_rates: bool,
     observer: Option<DisturbanceObserver>,
     sent: Option<Setpoint>,
+    /// Whether a model leads, and what was expected last.
+    expected: (bool, Expected),
 }
 
 impl Controller {
@@ -27,12 +29,14 @@ impl Controller {
         folds_rates: bool,
         observer: Option<DisturbanceObserver>,
     ) -> Self {
-        Self { lqr, error, folds_rates, observer, sent: None }
+        let expected = (false, Expected::default());
+        Self { lqr, error, folds_rates, observer, sent: None, expected }
     }
 
     /// Nothing that was estimated holds any more.
     pub fn reset(&mut self) {
         self.sent = None;
+        self.expected = (false, Expected::default());
         if let Some(observer) = &mut self.observer {
             observer.reset();
         }
@@ -45,16 +49,22 @@ impl Controller {
         }
     }
 
-    /// Takes the state that the last setpoint led to. `thrust_gain` is by how much more than what
-    /// acts that setpoint's thrust was.
+    /// Takes the state that the last setpoint led to. `expected` is what the reference's model has
+    /// beside thrust, weight and loop, or what the thrust at rest says where none `is_led` by.
+    /// `thrust_gain` is by how much more than what acts that setpoint's thrust was.
     pub fn observe(
         &mut self,
         at: VehicleTime,
         state: &State,
         expected: &Expected,
+        is_led: bool,
         thrust_gain: f64,
     ) {
         let Some(observer) = &mut self.observer else { return };
+        let (was_led, before) = std::mem::replace(&mut self.expected, (is_led, *expected));
+        if is_led != was_led {
+            observer.expect_anew(&expected.beyond(&before));
+        }
         match &self.sent {
             Some(sent) => {
                 let sent = Setpoint { thrust_n: sent.thrust_n / thrust_gain, ..*sent };

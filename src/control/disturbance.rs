@@ -39,9 +39,9 @@ impl Default for OffsetFreeSettings {
         Self {
             observer: Use::Auto,
             feed_forward: Use::Auto,
-            velocity_time_constant_s: 0.1,
+            velocity_time_constant_s: 0.05,
             time_constant_s: 0.5,
-            velocity_max_m_s: 0.5,
+            velocity_max_m_s: 1.0,
             acceleration_max_m_s2: 6.0,
             attitude_max_rad: 0.2,
         }
@@ -172,6 +172,18 @@ impl DisturbanceObserver {
     /// no setpoint left.
     pub fn pause(&mut self) {
         self.motion = None;
+    }
+
+    /// Another model leads from here on, which expects more by `change`: as much less is left to be
+    /// a disturbance.
+    pub fn expect_anew(&mut self, change: &Expected) {
+        let [north, east, down] = change.acceleration.to_array();
+        let d = &mut self.disturbance;
+        d.world = [d.world[0] - north, d.world[1] - east];
+        d.along_thrust -= down;
+        for (d, change) in d.attitude.iter_mut().zip(change.attitude) {
+            *d -= change;
+        }
     }
 
     /// Takes the state at `at`, and the setpoint that was sent since the last one, its thrust as it
@@ -443,6 +455,15 @@ mod tests {
         let shift = observer.shift(&Reference::default(), 0.0);
         assert!(shift.attitude.pitch.abs() < 1e-3, "{shift:?}");
         assert!(shift.input.attitude.pitch.abs() < 1e-3 && shift.input.thrust_n.abs() < 0.02);
+    }
+
+    #[test]
+    fn what_a_new_model_expects_does_not_count_twice() {
+        let heavier = Ned::new(0.0, 0.0, 0.2 * QUAD.gravity);
+        let mut observer = watched(State::default(), &hover(1.2), &Expected::default(), 500);
+        observer.expect_anew(&Expected { acceleration: heavier, ..Expected::default() });
+        let shift = observer.shift(&Reference::default(), 0.0);
+        assert!(shift.input.thrust_n.abs() < 0.01, "{shift:?}");
     }
 
     #[test]

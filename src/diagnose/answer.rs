@@ -5,23 +5,21 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
-use super::audit::{Audit, Severity, Tier, Untestable};
+use super::attribution::Share;
 use super::case::Case;
-use super::constancy::Variation;
 use super::gap::{Errors, OverNoise};
-use super::hypothesis::Catalogue;
-use super::judgement::{Balance, Unexplained};
-use super::leftover::{UnmodelledForce, UnmodelledMoment};
+use super::leftover::UnmodelledForce;
 use super::map::ResidualMap;
-use super::misfit::Misfit;
 use super::next_flight::NextFlight;
 use super::noise::ReportNoise;
 use super::preparation::{Channels, PreparedFlight};
 use super::reflight::ClosedLoop;
-use super::selection::{Rival, Selection, Thresholds};
-use super::strain::Strain;
 use super::twins::Twins;
+use super::untestable::{self, Untestable};
+use super::verdict::Unexplained;
 use super::words::listed;
+use crate::audit::{Audit, Severity, Tier};
+use crate::log::import::Flight;
 
 /// The verdict in three words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -99,15 +97,15 @@ pub struct LogAnswer {
 }
 
 impl LogAnswer {
-    /// What an audit found.
-    pub fn of(audit: &Audit) -> Self {
+    /// What an audit found, and what its flight cannot show.
+    pub fn of(audit: &Audit, flight: &Flight) -> Self {
         let worth_a_word = audit.findings.iter().filter(|f| f.severity > Severity::Note);
         Self {
             name: audit.run.clone(),
             tier: audit.tier,
             faults: audit.faults().map(|finding| finding.what.clone()).collect(),
             findings: worth_a_word.map(ToString::to_string).collect(),
-            untestable: audit.untestable.clone(),
+            untestable: untestable::of(flight, &audit.channels),
         }
     }
 
@@ -185,7 +183,7 @@ pub struct Gap {
     pub scatter: f64,
     /// (before - after) / (before - floor), where there is a gap.
     pub closure: Option<f64>,
-    /// With the nuisances within their tolerances alone.
+    /// With the vehicle file's numbers within their tolerances alone.
     pub nuisances_only: Option<f64>,
     /// With the named effects and the nuisances.
     pub with_nuisances: Option<f64>,
@@ -213,38 +211,17 @@ impl Gap {
     }
 }
 
-/// A hypothesis as it fared.
+/// A set of effects as it fared.
 #[derive(Clone, Debug, Serialize)]
-pub struct HypothesisAnswer {
-    /// The effect.
-    pub id: EffectId,
-    /// Evidence over nuisances alone and beyond chance, nats.
+pub struct ExplanationAnswer {
+    /// Its effects.
+    pub effects: Vec<String>,
+    /// Evidence over the vehicle file within its tolerances, nats.
     pub evidence: f64,
-    /// How much of it is asked, nats.
-    pub asked: f64,
-    /// Density of the flights held out over nuisances alone, nats, and its standard error.
-    pub held_out: [f64; 2],
+    /// Its posterior mass, 0..1.
+    pub mass: f64,
     /// Fitted numbers.
     pub numbers: Vec<f64>,
-}
-
-impl HypothesisAnswer {
-    /// Every single hypothesis of a search, the best first.
-    pub fn all(catalogue: &Catalogue, selection: &Selection, thresholds: &Thresholds) -> Vec<Self> {
-        let of_one = |Rival { hypothesis, scored }: &Rival| {
-            let (gain, error) = scored.gain_over(&selection.null);
-            let asked = thresholds.asked_of(*hypothesis);
-            let hypothesis = &catalogue.hypotheses[*hypothesis];
-            Self {
-                id: hypothesis.effect,
-                evidence: scored.evidence - selection.null.evidence,
-                asked,
-                held_out: [gain, error],
-                numbers: hypothesis.numbers.iter().map(|n| scored.fit.values[*n]).collect(),
-            }
-        };
-        selection.singles.iter().map(of_one).collect()
-    }
 }
 
 /// A flight that was looked at.
@@ -306,21 +283,14 @@ pub struct Answer {
     pub next_flight: Option<NextFlight>,
     /// Force that nothing explains, before and after.
     pub unmodelled_force: Option<[UnmodelledForce; 2]>,
-    /// Angular acceleration that nothing explains, before and after.
-    pub unmodelled_moment: Option<[UnmodelledMoment; 2]>,
-    /// What is left of forces and moments against what is explained, in units of what matters.
-    pub balance: Balance,
-    /// What the explanation leaves of each group of equations against what it explains.
-    pub misfit: Vec<Misfit>,
-    /// Numbers of the vehicle file that lie further off than files are, beside the explanation.
-    pub strained: Vec<Strain>,
-    /// How a number of what explains the most would have to vary with the way the vehicle flies,
-    /// where it should not.
-    pub variation: Option<Variation>,
+    /// Shares of the squared gap on the flights held out.
+    pub attribution: Vec<Share>,
+    /// How good the vehicle file is: the scale of the tolerances that it does not state.
+    pub file_scale: f64,
     /// Flights simulated without an effect.
     pub twins: Option<Twins>,
-    /// Single hypotheses, the best first.
-    pub hypotheses: Vec<HypothesisAnswer>,
+    /// What was fitted, the best first.
+    pub explanations: Vec<ExplanationAnswer>,
     /// The flights.
     pub flights: Vec<FlightAnswer>,
 }
@@ -377,13 +347,10 @@ impl Answer {
             not_testable: Vec::new(),
             next_flight: None,
             unmodelled_force: None,
-            unmodelled_moment: None,
-            balance: Balance::default(),
-            misfit: Vec::new(),
-            strained: Vec::new(),
-            variation: None,
+            attribution: Vec::new(),
+            file_scale: 1.0,
             twins: None,
-            hypotheses: Vec::new(),
+            explanations: Vec::new(),
             flights: Vec::new(),
         }
     }

@@ -26,24 +26,51 @@ pub type Window = [[f64; 4]; 3];
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Errors(pub Window);
 
-impl Errors {
-    /// The mean of position, velocity and attitude at 0.5 and 1 s, each over its noise: the
-    /// metric `mean`.
-    pub fn mean_over(&self, noise: &Errors) -> f64 {
-        let mut sum = 0.0;
-        for horizon in 1..3 {
-            for quantity in 0..3 {
-                let scale = noise.0[horizon][quantity].max(1e-12);
-                sum += self.0[horizon][quantity] / scale;
-            }
+/// What of the errors tells how far a simulator is from flights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Metric {
+    /// Position, velocity and attitude at 0.5 and 1 s.
+    Mean,
+    /// For want of a known on-board loop: position and velocity at 0.5 and 1 s with the body
+    /// turning as reported, attitude and body rate at 0.1 s. A small moment that nothing
+    /// counteracts turns a body far within a second.
+    Guided,
+    /// The same without the body's turning, where motor outputs do not tell it.
+    Forces,
+}
+
+impl Metric {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mean => "mean",
+            Self::Guided => "guided",
+            Self::Forces => "forces",
         }
-        sum / 6.0
     }
 
-    /// The mean of the body rate at 0.5 and 1 s, each over its noise.
-    pub fn rates_over(&self, noise: &Errors) -> f64 {
-        let over = |horizon: usize| self.0[horizon][3] / noise.0[horizon][3].max(1e-12);
-        0.5 * (over(1) + over(2))
+    /// The horizons and quantities that it is the mean over.
+    fn parts(self) -> &'static [(usize, usize)] {
+        match self {
+            Self::Mean => &[(1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2)],
+            Self::Guided => &[(1, 0), (1, 1), (2, 0), (2, 1), (0, 2), (0, 3)],
+            Self::Forces => &[(1, 0), (1, 1), (2, 0), (2, 1)],
+        }
+    }
+}
+
+impl Errors {
+    /// The mean of what `metric` looks at, each over its noise.
+    pub fn over(&self, noise: &Errors, metric: Metric) -> f64 {
+        let parts = metric.parts();
+        let ratio = |(h, q): &(usize, usize)| self.0[*h][*q] / noise.0[*h][*q].max(1e-12);
+        parts.iter().map(ratio).sum::<f64>() / parts.len() as f64
+    }
+
+    /// The metric `mean`.
+    pub fn mean_over(&self, noise: &Errors) -> f64 {
+        self.over(noise, Metric::Mean)
     }
 }
 
@@ -118,7 +145,7 @@ impl Simulator {
             .collect();
         let errors = root_mean_square(draws.iter().flatten())?;
         let of_one = draws.iter().filter_map(root_mean_square);
-        let squares = of_one.map(|draw| (draw.mean_over(&errors) - 1.0).powi(2));
+        let squares = of_one.map(|draw| (draw.over(&errors, self.metric()) - 1.0).powi(2));
         let sum = squares.sum::<f64>() + USUAL_DRAWS * USUAL_SCATTER.powi(2);
         let scatter = (sum / (USUAL_DRAWS + (FLOOR_DRAWS - 1) as f64)).sqrt();
         Some(Floor { errors, scatter })
@@ -155,7 +182,7 @@ impl Simulator {
     ) -> Option<OverNoise> {
         let flight = std::slice::from_ref(flight);
         let Floor { errors, scatter } = self.floor(flight, noise, seed)?;
-        Some(OverNoise { gap: self.errors(flight)?.mean_over(&errors), scatter })
+        Some(OverNoise { gap: self.errors(flight)?.over(&errors, self.metric()), scatter })
     }
 }
 
@@ -229,33 +256,4 @@ fn root_mean_square<'a>(errors: impl IntoIterator<Item = &'a Window>) -> Option<
         }
     }
     (count > 0.0).then(|| Errors(sums.map(|row| row.map(|sum: f64| (sum / count).sqrt()))))
-}
-
-/// One window counts at most so much, in squares of the floor: few windows alone do not decide.
-const GAIN_MAX: f64 = 4.0;
-
-/// How much smaller `after`'s squared errors are than `before`'s, in squares of the floor: by
-/// horizon and quantity the mean over windows, and its standard error.
-pub fn improvement(before: &[Window], after: &[Window], floor: &Errors) -> [[[f64; 2]; 4]; 3] {
-    std::array::from_fn(|h| {
-        std::array::from_fn(|q| {
-            let scale = floor.0[h][q].max(1e-12).powi(-2);
-            let gains: Vec<f64> = before
-                .iter()
-                .zip(after)
-                .map(|(b, a)| (b[h][q].powi(2) - a[h][q].powi(2)) * scale)
-                .map(|gain| gain.clamp(-GAIN_MAX, GAIN_MAX))
-                .filter(|gain| gain.is_finite())
-                .collect();
-            let n = gains.len() as f64;
-            if n < 2.0 {
-                return [0.0, f64::INFINITY];
-            }
-            let mean = gains.iter().sum::<f64>() / n;
-            let variance = gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0);
-            // Windows that overlap count once.
-            let effective = (n * SPACING_S / HORIZONS_S[2]).max(1.0);
-            [mean, (variance / effective).sqrt()]
-        })
-    })
 }

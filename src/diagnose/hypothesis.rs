@@ -9,7 +9,7 @@ use sitl::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
 use sitl::vehicle::{ROTORS, VehicleParams};
 
 use super::arrival::Delay;
-use super::tolerances::{DAMPING_RATE, DAMPING_TIME_S, OUTPUT_DELAY_S, Scales, THRUST};
+use super::tolerances::{DAMPING_RATE, DAMPING_TIME_S, Known, Scales, Tolerances};
 
 /// A nuisance stays within so many tolerances: what asks for more is an effect.
 const TOLERANCES_MAX: f64 = 3.0;
@@ -69,6 +69,8 @@ pub struct Number {
     /// Width of the prior within tolerance; 0 where the number stays at its reference unless its
     /// effect is looked at.
     pub tolerance: f64,
+    /// What the vehicle file's numbers may bring about of it, one standard deviation.
+    pub unremarkable: f64,
     /// Width of the prior where its effect is looked at: a typical magnitude.
     pub magnitude: f64,
     /// Physical bounds.
@@ -78,15 +80,31 @@ pub struct Number {
 }
 
 impl Number {
+    /// A number of which so much is known beside its reference.
+    fn new(target: Target, reference: f64, known: Known, bounds: [f64; 2]) -> Self {
+        let Known { offset, tolerance, unremarkable, magnitude } = known;
+        let expected = reference + offset;
+        Self {
+            target,
+            reference,
+            expected,
+            tolerance,
+            unremarkable,
+            magnitude,
+            bounds,
+            quadratic: false,
+        }
+    }
+
     /// A number that is expected at its reference, with its tolerance and magnitude.
-    fn new(
+    fn nuisance(
         target: Target,
         reference: f64,
         [tolerance, magnitude]: [f64; 2],
         bounds: [f64; 2],
     ) -> Self {
-        let expected = reference;
-        Self { target, reference, expected, tolerance, magnitude, bounds, quadratic: false }
+        let known = Known { offset: 0.0, tolerance, unremarkable: tolerance, magnitude };
+        Self::new(target, reference, known, bounds)
     }
 
     /// Middle and width of the prior: wide about the reference where its effect is looked at.
@@ -133,6 +151,12 @@ impl Catalogue {
     /// The catalogue for a vehicle. `setpoint_leg`: setpoints and the on-board law are known, so
     /// that command_delay and pd_gain act there; else command_delay is from output to thrust.
     pub fn new(vehicle: &VehicleParams, setpoint_leg: bool) -> Self {
+        Self::at_scale(vehicle, setpoint_leg, 1.0)
+    }
+
+    /// The same with the tolerances that the vehicle file does not state times `scale`.
+    pub fn at_scale(vehicle: &VehicleParams, setpoint_leg: bool, scale: f64) -> Self {
+        let known = Tolerances::of(vehicle, scale);
         let mut catalogue = Self {
             vehicle: vehicle.clone(),
             numbers: Vec::new(),
@@ -149,27 +173,28 @@ impl Catalogue {
         };
         for effect in EffectId::ALL.into_iter().filter(is_testable) {
             match effect {
-                EffectId::RotorLoss => catalogue.add_rotor_losses(),
-                EffectId::CommandDelay if !setpoint_leg => catalogue.add_late_outputs(),
-                _ => catalogue.add_effect(effect, &scales),
+                EffectId::RotorLoss => catalogue.add_rotor_losses(&known),
+                EffectId::CommandDelay if !setpoint_leg => catalogue.add_late_outputs(&known),
+                _ => catalogue.add_effect(effect, &scales, &known),
             }
         }
         if setpoint_leg {
-            catalogue.add_output_delay();
+            catalogue.add_output_delay(&known);
         }
         catalogue.add_dampings();
-        catalogue.add_rotor_gains();
+        catalogue.add_rotor_gains(&known);
         catalogue
     }
 
     /// An effect whose slots are its numbers.
-    fn add_effect(&mut self, effect: EffectId, scales: &Scales) {
+    fn add_effect(&mut self, effect: EffectId, scales: &Scales, known: &Tolerances) {
         let mut numbers = Vec::new();
         for slot in effect.spec().slots() {
-            let Some(widths) = scales.of_slot(effect, slot.index) else { continue };
+            let Some(known) = scales.of_slot(known, effect, slot.index) else { continue };
             let reference = reference(&self.vehicle, effect, slot.index);
             let target = Target::Effect(effect, slot.index);
-            let number = Number::new(target, reference, widths, bounds(effect, slot.parameter));
+            let bounds = bounds(effect, slot.parameter, reference, known.magnitude);
+            let number = Number::new(target, reference, known, bounds);
             let quadratic = effect == EffectId::GroundEffect;
             numbers.push(self.add(Number { quadratic, ..number }));
         }
@@ -185,29 +210,32 @@ impl Catalogue {
     }
 
     /// Each rotor by itself may have lost thrust.
-    fn add_rotor_losses(&mut self) {
+    fn add_rotor_losses(&mut self, known: &Tolerances) {
         for rotor in 0..ROTORS {
             let reference = modelled_scale(&self.vehicle, rotor);
             let target = Target::RotorScale(rotor);
-            let number = self.add(Number::new(target, reference, [0.0, 0.15], [0.05, 1.0]));
+            let number = Number::nuisance(target, reference, [0.0, 0.15], [0.05, 1.0]);
+            let number = self.add(Number { unremarkable: known.rotor(), ..number });
             self.hypothesis(EffectId::RotorLoss, vec![number], &[]);
         }
     }
 
     /// A command_delay that is from a logged output to its thrust, for want of setpoints.
-    fn add_late_outputs(&mut self) {
+    fn add_late_outputs(&mut self, known: &Tolerances) {
         let effect = EffectId::CommandDelay;
         let reference = reference(&self.vehicle, effect, 0);
-        let widths = [OUTPUT_DELAY_S, 0.02];
-        let number = self.add(Number::new(Target::OutputDelay, reference, widths, OUTPUT_DELAYS_S));
+        let widths = [known.output_delay(), 0.02];
+        let number = Number::nuisance(Target::OutputDelay, reference, widths, OUTPUT_DELAYS_S);
+        let number = self.add(number);
         self.hypothesis(effect, vec![number], &[&[0.01], &[0.03], &[0.06]]);
         self.outputs_late = true;
     }
 
     /// The outputs' own delay, a nuisance beside command_delay.
-    fn add_output_delay(&mut self) {
-        let widths = [OUTPUT_DELAY_S, 0.01];
-        let delay = self.add(Number::new(Target::OutputDelay, 0.0, widths, OUTPUT_DELAYS_S));
+    fn add_output_delay(&mut self, known: &Tolerances) {
+        let widths = [known.output_delay(), 0.01];
+        let delay = Number::nuisance(Target::OutputDelay, 0.0, widths, OUTPUT_DELAYS_S);
+        let delay = self.add(delay);
         // Where nuisances alone are fitted, the delay stands in for a lag.
         for hypothesis in &mut self.hypotheses {
             if hypothesis.effect == EffectId::MotorLag {
@@ -222,13 +250,15 @@ impl Catalogue {
             let inertia = self.vehicle.inertia[axis];
             let tolerance = (DAMPING_TIME_S * kp).max(DAMPING_RATE * inertia);
             let bounds = [-10.0 * inertia, 10.0 * inertia];
-            self.add(Number::new(Target::Damping(axis), 0.0, [tolerance, inertia], bounds));
+            let widths = [tolerance, inertia];
+            self.add(Number::nuisance(Target::Damping(axis), 0.0, widths, bounds));
         }
     }
 
-    fn add_rotor_gains(&mut self) {
+    fn add_rotor_gains(&mut self, known: &Tolerances) {
         for rotor in 0..ROTORS {
-            self.add(Number::new(Target::RotorGain(rotor), 1.0, [THRUST, 0.1], [0.5, 2.0]));
+            let widths = [known.rotor(), 0.1];
+            self.add(Number::nuisance(Target::RotorGain(rotor), 1.0, widths, [0.5, 2.0]));
         }
     }
 
@@ -270,23 +300,24 @@ impl Catalogue {
         self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
     }
 
-    /// The catalogue with the tolerances of the vehicle file's numbers times `share`; those of
-    /// times, which the clocks blur, and of the damping stay.
-    pub fn taken_at(mut self, share: f64) -> Self {
-        for number in &mut self.numbers {
-            let is_time = matches!(
-                number.target,
-                Target::Effect(
-                    EffectId::MotorLag | EffectId::CommandDelay | EffectId::EstimatorLatency,
-                    _
-                ) | Target::OutputDelay
-                    | Target::Damping(_)
-            );
-            if !is_time {
-                number.tolerance *= share;
-            }
+    /// The same where reports of the outputs are in force to within `half_period_s` of their stamps.
+    pub fn with_outputs_held(mut self, half_period_s: f64) -> Self {
+        let delays = self.numbers.iter_mut().filter(|n| n.target == Target::OutputDelay);
+        for number in delays {
+            number.tolerance = number.tolerance.hypot(half_period_s);
+            number.unremarkable = number.tolerance;
         }
         self
+    }
+
+    /// The catalogue with some numbers known to be as `values` have them.
+    pub fn with_pinned(&self, numbers: &[usize], values: &[f64]) -> Self {
+        let mut pinned = self.clone();
+        for index in numbers {
+            let number = &mut pinned.numbers[*index];
+            (number.expected, number.tolerance) = (values[*index], 0.0);
+        }
+        pinned
     }
 
     /// The catalogue with a nuisance as free as if its effect were looked at.
@@ -351,13 +382,23 @@ impl Catalogue {
     }
 }
 
-/// Where a number may physically lie: rotors flap away from the wind, and packs sag as they empty.
-fn bounds(effect: EffectId, parameter: &Parameter) -> [f64; 2] {
+/// Magnitudes within which an effect's number lies where it occurs.
+const MAGNITUDES_MAX: f64 = 5.0;
+
+/// Where a number may lie: where it physically can (rotors flap away from the wind, and packs sag as
+/// they empty), and within what occurs: nothing that flies has a multiple of its file's inertia.
+fn bounds(effect: EffectId, parameter: &Parameter, reference: f64, magnitude: f64) -> [f64; 2] {
     let low = match effect {
         EffectId::BladeFlapping | EffectId::BatterySag => 0.0,
         _ => parameter.min,
     };
-    [low, parameter.max]
+    let most = MAGNITUDES_MAX * magnitude;
+    // A factor is as large one way as the other.
+    let [least, most] = match parameter.neutral {
+        Neutral::Value(1.0) => [reference / (1.0 + most), reference * (1.0 + most)],
+        _ => [reference - most, reference + most],
+    };
+    [low.max(least), parameter.max.min(most)]
 }
 
 /// What the vehicle file says of a slot: its modelled value, else the neutral one.
@@ -460,7 +501,7 @@ mod tests {
         let target = Target::Effect(EffectId::Inertia, 0);
         let number = catalogue.numbers.iter().position(|n| n.target == target).unwrap();
         let [low, high] = catalogue.limits(number, &[]);
-        assert!(low > 0.9 && high < 1.1);
+        assert!((low - 0.775).abs() < 1e-9 && (high - 1.225).abs() < 1e-9);
         assert_eq!(catalogue.limits(number, &[number]), catalogue.numbers[number].bounds);
     }
 }

@@ -68,6 +68,11 @@ pub struct Layout {
 impl Layout {
     /// What can be looked at in a flight.
     pub fn new(flight: &PreparedFlight) -> Self {
+        Self::without(flight, &[])
+    }
+
+    /// The same without the channels `unused`.
+    pub fn without(flight: &PreparedFlight, unused: &[usize]) -> Self {
         let channels = &flight.channels;
         let has_pose = channels.attitude && channels.body_rate;
         let input = flight.outputs.rate();
@@ -99,6 +104,7 @@ impl Layout {
             // Position and outputs alone: hovering on average, it neither climbs nor turns.
             AT_REST.iter().for_each(|channel| limits[*channel] = LEVEL_MAX_HZ);
         }
+        unused.iter().for_each(|channel| limits[*channel] = 0.0);
         let mut layout = Self { places: Vec::new(), blocks: vec![0], limits, is_at_rest };
         for block in &flight.blocks {
             for channel in 0..CHANNELS {

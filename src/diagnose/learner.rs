@@ -26,12 +26,12 @@ use crate::model::{ACCELERATIONS, Model, Point};
 /// Cells that a row is the mean over, and from one row to the next.
 const ROW_CELLS: usize = 10;
 const STRIDE_CELLS: usize = 5;
-/// One block of so many is for validation.
-const VALIDATION_EVERY: usize = 4;
+/// Share of each block, at its end, that is for validation.
+const VALIDATION: f64 = 0.25;
 /// Weights of the squared weights that are tried.
 const REGULARIZATION: [f64; 3] = [1e-4, 1e-3, 1e-2];
 /// Fewer rows teach nothing.
-const ROWS_MIN: usize = 100;
+const ROWS_MIN: usize = 40;
 
 /// Accelerations that a simulator lacks, learned.
 #[derive(Clone, Debug)]
@@ -62,9 +62,13 @@ impl Learner {
             })
             .collect();
         let part = |validates: bool| -> Vec<&Row> {
-            let kept = rows.iter().enumerate();
-            kept.filter(|(i, _)| (i % VALIDATION_EVERY == VALIDATION_EVERY - 1) == validates)
-                .flat_map(|(_, rows)| rows)
+            let of_block = |rows: &'_ Vec<Row>| (rows.len() as f64 * (1.0 - VALIDATION)) as usize;
+            rows.iter()
+                .flat_map(
+                    |rows| {
+                        if validates { &rows[of_block(rows)..] } else { &rows[..of_block(rows)] }
+                    },
+                )
                 .collect()
         };
         let (training, validation) = (part(false), part(true));

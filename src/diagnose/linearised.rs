@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::hypothesis::{Catalogue, Values};
 use super::layout::Place;
-use super::observed::{Observed, Residuals, noise_cost};
+use super::observed::{Observed, Residuals, level, noise_cost, pools};
 
 /// Rounds of weights in a solve.
 const WEIGHT_ROUNDS: usize = 40;
@@ -300,6 +300,8 @@ impl Linearised {
             gram: of_places(&self.gram, &pairs),
             cross: of_places(&self.cross, used),
             square: places.iter().map(|place| self.square[*place]).collect(),
+            pools: pools(counts),
+            counts: counts.to_vec(),
             places,
         }
     }
@@ -315,6 +317,9 @@ struct Quadratic {
     /// Products with the residuals, of one place after another.
     cross: Vec<f64>,
     square: Vec<f64>,
+    counts: Vec<f64>,
+    /// Places that have one variance together.
+    pools: Vec<Vec<usize>>,
 }
 
 impl Quadratic {
@@ -342,6 +347,7 @@ impl Quadratic {
             }
             power[place] = q.max(1e-9 * square).max(f64::MIN_POSITIVE);
         }
+        self.pools.iter().for_each(|pool| level(&mut power, &self.counts, pool));
         power
     }
 

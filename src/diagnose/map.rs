@@ -8,7 +8,7 @@ use sitl::frame::Ned;
 use super::candidate::Candidate;
 use super::layout::Place;
 use super::observed::Observed;
-use super::preparation::{Channels, PreparedFlight};
+use super::preparation::PreparedFlight;
 use super::residuals::{CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, Groups, VELOCITY};
 use super::spectrum::{BANDS, CELL_S, edges, mean_square_share};
 
@@ -180,12 +180,6 @@ pub fn samples(
                 .collect::<Vec<_>>()
         })
         .collect()
-}
-
-/// Which of the [`QUANTITIES`] a flight's log tells; the others are 0 at any time.
-pub(super) fn told(flight: &PreparedFlight) -> [bool; QUANTITIES.len()] {
-    let Channels { velocity, outputs, voltage, body_rate, .. } = flight.channels;
-    [velocity, velocity, velocity, outputs, voltage, body_rate, true]
 }
 
 /// The [`QUANTITIES`] of a flight at a time, which counts from its first airborne time, s.

@@ -18,7 +18,6 @@ use sitl::vehicle::VehicleParams;
 pub use self::live::{Live, OpenQuestions, typical};
 use self::rehearsal::{Rehearsal, Stage};
 use super::flight_simulator::NotSimulated;
-use super::naming::{TEMPER, credence};
 use super::noise::ReportNoise;
 use crate::plan::FlightEnvelope;
 use crate::plan::manoeuvres::{Manoeuvre, Room, library};
@@ -28,6 +27,8 @@ use crate::plan::manoeuvres::{Manoeuvre, Room, library};
 const PLENTY: f64 = 100.0;
 /// Share of the most telling manoeuvre's evidence that a shorter one must have to be preferred.
 const COMPARABLE: f64 = 0.5;
+/// Share of the simulated evidence that counts: channels share what models are not right about.
+const INDEPENDENT: f64 = 0.25;
 /// Evidence that makes an effect visible, nats.
 const VISIBLE: f64 = 20.0;
 
@@ -224,20 +225,20 @@ fn choose(mut judged: Vec<Judged>, hypotheses: &[Live], plenty: f64) -> Option<N
 
 fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
     let truth = &hypotheses[rehearsal.truth];
-    // Relative to the truth's own weight, tempered as names are.
+    // Relative to the truth's own weight, fewer, for channels share noise.
     let others: f64 = rehearsal
         .evidence
         .iter()
         .map(|(rival, nats)| {
             let odds = hypotheses[*rival].probability / truth.probability.max(1e-9);
-            odds * (-TEMPER * nats).exp()
+            odds * (-INDEPENDENT * nats).exp()
         })
         .sum();
     Outlook {
         truth: truth.names(),
         now: truth.probability,
         // A flight tells hypotheses apart; whether the catalogue has the cause it does not.
-        expected: credence(&[], None) / (1.0 + others),
+        expected: 1.0 / (1.0 + others),
         evidence: rehearsal
             .evidence
             .iter()

@@ -149,6 +149,12 @@ fn increment_gain(frequency_hz: f64) -> f64 {
     (2.0 * (std::f64::consts::PI * frequency_hz * CELL_S).sin() / CELL_S).powi(2)
 }
 
+/// Variance of a coefficient of the increments of white noise of `deviation` at `rate` samples per
+/// second, in a band.
+pub(super) fn increments_of_white(deviation: f64, rate: f64, band: usize) -> f64 {
+    deviation * deviation * increment_gain(middle(band)) / (rate * CELL_S).max(f64::MIN_POSITIVE)
+}
+
 fn middle(band: usize) -> f64 {
     let [lower, upper] = edges(band);
     0.5 * (lower + upper)

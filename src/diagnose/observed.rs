@@ -7,6 +7,7 @@ use super::hypothesis::Catalogue;
 use super::layout::{AT_REST, Layout, Place};
 use super::preparation::{Block, PreparedFlight};
 use super::residuals::{CHANNELS, COMMAND, Evaluator, Groups, RATE, VELOCITY};
+use super::spectrum::BANDS;
 
 /// Flights with what is looked at in them.
 #[derive(Debug)]
@@ -17,6 +18,8 @@ pub struct Observed<'a> {
     pub layouts: Vec<Layout>,
     pub(super) evaluator: &'a Evaluator,
     pub(super) catalogue: &'a Catalogue,
+    /// Channels that are not looked at.
+    unused: Vec<usize>,
     /// Runs of coefficients of one place: flight, place, start, end.
     runs: Vec<Run>,
     pub(super) counts: Vec<f64>,
@@ -69,7 +72,18 @@ impl<'a> Observed<'a> {
         evaluator: &'a Evaluator,
         catalogue: &'a Catalogue,
     ) -> Self {
-        let layouts: Vec<Layout> = flights.iter().map(Layout::new).collect();
+        Self::without(flights, evaluator, catalogue, &[])
+    }
+
+    /// The same without the channels `unused`.
+    pub fn without(
+        flights: &'a [PreparedFlight],
+        evaluator: &'a Evaluator,
+        catalogue: &'a Catalogue,
+        unused: &[usize],
+    ) -> Self {
+        let layouts: Vec<Layout> =
+            flights.iter().map(|flight| Layout::without(flight, unused)).collect();
         let mut runs: Vec<Run> = Vec::new();
         let mut counts = vec![0.0; Place::COUNT];
         for (flight, layout) in layouts.iter().enumerate() {
@@ -96,7 +110,8 @@ impl<'a> Observed<'a> {
         let least = (0..Place::COUNT)
             .map(|place| counts[place] * deviation[Place::channel_of(place)].powi(2))
             .collect();
-        Self { flights, layouts, evaluator, catalogue, runs, counts, least }
+        let unused = unused.to_vec();
+        Self { flights, layouts, evaluator, catalogue, unused, runs, counts, least }
     }
 
     /// The same look at other flights.
@@ -104,7 +119,7 @@ impl<'a> Observed<'a> {
     where
         'a: 'b,
     {
-        Observed::new(flights, self.evaluator, self.catalogue)
+        Observed::without(flights, self.evaluator, self.catalogue, &self.unused)
     }
 
     /// The blocks of the flights that have what is asked for, in order.
@@ -144,7 +159,10 @@ impl<'a> Observed<'a> {
 
     /// Sum of squares at each place, with the least that is left.
     pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
-        self.least.iter().zip(self.power_of(residuals)).map(|(least, q)| least + q).collect()
+        let least = self.least.iter().zip(self.power_of(residuals));
+        let mut power: Vec<f64> = least.map(|(least, q)| least + q).collect();
+        pools(&self.counts).iter().for_each(|pool| level(&mut power, &self.counts, pool));
+        power
     }
 
     /// Sum of squares at each place.
@@ -152,46 +170,25 @@ impl<'a> Observed<'a> {
         self.dot(values, values)
     }
 
-    /// Log density of each block in nats, without constants, under noise whose spectrum has the
-    /// shape of `noise` in every channel and whose strength in the block is not known: a flight
-    /// held out may be rougher than the fitted ones, and a bump does not decide.
-    pub fn log_density(&self, residuals: &Residuals, noise: &[f64]) -> Vec<f64> {
-        let mut first = 0;
-        let mut density = Vec::new();
-        // Of each channel in a block: number, sum of squares in units of the noise.
-        let mut sums = [[0.0; 2]; CHANNELS];
-        let strength = |sums: &mut [[f64; 2]; CHANNELS]| -> f64 {
-            std::mem::take(sums)
-                .iter()
-                .filter(|[n, _]| *n > 0.0)
-                .map(|[n, q]| 0.5 * n * (q / n).max(f64::MIN_POSITIVE).ln())
-                .sum()
-        };
-        for (index, run) in self.runs.iter().enumerate() {
-            if index == 0
-                || (run.flight, run.block) != (self.runs[first].flight, self.runs[first].block)
-            {
-                if let Some(last) = density.last_mut() {
-                    *last -= strength(&mut sums);
-                }
+    /// Log density of each block in nats, without constants, under noise whose strength at each
+    /// place is that of all blocks together: other flights may be rougher than those that were
+    /// fitted.
+    pub fn log_density(&self, residuals: &Residuals) -> Vec<f64> {
+        let power = self.power(residuals);
+        let mut density: Vec<f64> = Vec::new();
+        let mut last = None;
+        for run in &self.runs {
+            if last != Some((run.flight, run.block)) {
                 density.push(0.0);
-                first = index;
+                last = Some((run.flight, run.block));
             }
-            let variance = noise[run.place];
-            if variance <= 0.0 {
-                continue;
-            }
+            let variance = (power[run.place] / self.counts[run.place]).max(f64::MIN_POSITIVE);
             let part = &residuals[run.flight][run.start..run.end];
             let n = (run.end - run.start) as f64;
-            let [count, square] = &mut sums[Place::channel_of(run.place)];
-            *count += n;
-            *square += part.iter().map(|r| r * r).sum::<f64>() / variance;
-            if let Some(last) = density.last_mut() {
-                *last -= 0.5 * n * variance.ln();
+            let square = product(part, part);
+            if let Some(density) = density.last_mut() {
+                *density -= 0.5 * (n * variance.ln() + square / variance);
             }
-        }
-        if let Some(last) = density.last_mut() {
-            *last -= strength(&mut sums);
         }
         density
     }
@@ -292,6 +289,41 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
         sums.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a * b);
     }
     sums.iter().sum::<f64>() + rest.map(|(a, b)| a * b).sum::<f64>()
+}
+
+/// Coefficients that tell a variance: neighbouring bands of a channel with fewer have one together.
+const POOLED_MIN: f64 = 8.0;
+
+/// Places that have one variance together, where each by itself has too few coefficients to tell
+/// it: what a few numbers explain to the last digit there is no evidence.
+pub(super) fn pools(counts: &[f64]) -> Vec<Vec<usize>> {
+    let mut pools: Vec<Vec<usize>> = Vec::new();
+    for channel in 0..CHANNELS {
+        let mut open: Vec<usize> = Vec::new();
+        let first = pools.len();
+        for band in 0..BANDS.len() {
+            let place = Place::index_of(channel, band);
+            if counts[place] > 0.0 {
+                open.push(place);
+            }
+            if open.iter().map(|place| counts[*place]).sum::<f64>() >= POOLED_MIN {
+                pools.push(std::mem::take(&mut open));
+            }
+        }
+        match pools.get_mut(first..).and_then(<[_]>::last_mut) {
+            Some(last) => last.append(&mut open),
+            None => pools.push(open),
+        }
+    }
+    pools.retain(|pool| pool.len() > 1);
+    pools
+}
+
+/// Gives the places of a pool one variance.
+pub(super) fn level(power: &mut [f64], counts: &[f64], pool: &[usize]) {
+    let sum: f64 = pool.iter().map(|place| power[*place]).sum();
+    let count: f64 = pool.iter().map(|place| counts[*place]).sum();
+    pool.iter().for_each(|place| power[*place] = counts[*place] * sum / count);
 }
 
 /// Cost of sums of squares, in nats.

@@ -17,6 +17,7 @@ use sitl::plant::Plant;
 use sitl::rigid_body::State;
 use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
 
+use super::gap::Metric;
 use super::learner::Learner;
 use super::noise::{ReportNoise, gyro_bias, normals, small_rotation};
 use super::onboard::{TICK_TOLERANCE_S, setpoint_at};
@@ -44,8 +45,9 @@ pub struct Simulator {
     trim: Attitude,
     latency: f64,
     command_delay: f64,
-    /// Position and velocity are predicted with the body turning as reported.
-    guided: bool,
+    /// What its predictions are compared by; but for the mean, position and velocity are predicted
+    /// with the body turning as reported.
+    metric: Metric,
     /// What is added to the plant's accelerations.
     learner: Option<Learner>,
 }
@@ -78,21 +80,40 @@ impl Simulator {
             trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
             command_delay: all.get::<CommandDelay>().map_or(vehicle.command_delay_s, |e| e.delay_s),
-            guided: false,
+            metric: Metric::Mean,
             learner: None,
         })
     }
 
-    /// The same simulator, in which forces are put to the test by themselves: where logged outputs
-    /// drive the plant without a loop, a small moment turns the body far within a second, and no
-    /// force would show beside it.
-    pub fn guided(self) -> Self {
-        Self { guided: self.law.is_none(), ..self }
+    /// The same simulator with the plant of another vehicle and effects, flown by the same on-board
+    /// law: the numbers of a vehicle that its firmware does not know.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn flying(
+        self,
+        vehicle: &VehicleParams,
+        effects: &EffectSet,
+    ) -> Result<Self, VehicleError> {
+        let mut calm = effects.clone();
+        calm.remove(Gusts::ID);
+        let plant = Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?.airborne().coarse();
+        Ok(Self { plant, ..self })
+    }
+
+    /// The same simulator with predictions compared by `metric`.
+    pub fn compared_by(self, metric: Metric) -> Self {
+        Self { metric, ..self }
     }
 
     /// The same simulator with what a learner adds to its accelerations.
     pub fn with_learner(self, learner: Learner) -> Self {
         Self { learner: Some(learner), ..self }
+    }
+
+    /// What its predictions are compared by.
+    pub fn metric(&self) -> Metric {
+        self.metric
     }
 
     /// How late the vehicle reports its attitude, s.
@@ -117,7 +138,7 @@ impl Simulator {
     ) -> Option<[State; 3]> {
         let start = start - self.latency;
         let mut plant = self.set_off(flight, start, from);
-        let mut turned = self.guided.then(|| Turned::new(self, &plant, flight));
+        let mut turned = (self.metric != Metric::Mean).then(|| Turned::new(self, &plant, flight));
         let mut inputs = Inputs::new(self, flight, sensed);
         let mut voltage = flight.channels.voltage.then(|| flight.voltage.cursor());
         let steps = (HORIZONS_S[2] / Plant::STEP).round() as usize;
@@ -139,6 +160,7 @@ impl Simulator {
                     learned = learner.accelerations(plant.state(), outputs);
                 }
                 push(&mut plant, learned);
+                turned.iter_mut().for_each(|turned| push(&mut turned.plant, learned));
             }
             if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
                 let state = *plant.state();

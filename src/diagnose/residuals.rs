@@ -219,6 +219,25 @@ impl Evaluator {
         out
     }
 
+    /// The coefficients of the angular acceleration as the gyro has it, in `layout`'s order; 0 in
+    /// other channels.
+    pub fn turning(&self, flight: &PreparedFlight, layout: &Layout) -> Vec<f64> {
+        let mut out = Vec::with_capacity(layout.places.len());
+        let mut scratch = Vec::new();
+        for block in &flight.blocks {
+            let mut series: [Vec<f64>; CHANNELS] = std::array::from_fn(|_| vec![0.0; block.cells]);
+            let mut rate = flight.body_rate.cursor();
+            let mut before = Frd::from(rate.at(block.start));
+            for k in 0..block.cells {
+                let after = Frd::from(rate.at(block.edge(k + 1)));
+                put(&mut series, RATE, k, ((after - before) * (1.0 / CELL_S)).to_array());
+                before = after;
+            }
+            self.transform_into(&mut out, (layout, block), series, Groups::ALL, &mut scratch);
+        }
+        out
+    }
+
     /// The residuals of a block over time, one series a channel.
     pub fn series(
         &self,
@@ -323,7 +342,12 @@ impl Evaluator {
                 found.push((*time, onboard.allocation().wrench(difference)));
             }
         }
-        if found.len() < 2 {
+        if to - from < 2 {
+            return;
+        }
+        if found.len() < 2 || found.len() < (to - from) / 2 {
+            // A law that says nothing of what was logged explains nothing.
+            series[COMMAND..].iter_mut().for_each(|channel| channel.fill(f64::NAN));
             return;
         }
         let mut index = 0;

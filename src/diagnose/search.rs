@@ -1,230 +1,222 @@
-//! The search: which effects are chosen against what nuisances and chance explain, what their fit
-//! is off by, and what it leaves.
+//! The search: which sets of effects are worth a fit.
+//!
+//! Every hypothesis is screened in the linearised problem and the best are fitted; then all pairs
+//! of the best, for two effects may mask one another, and what the best set gains by one more. The
+//! search judges nothing: every set that was fitted goes into the evidence.
 
-use sitl::effects::{EffectId, EffectSet};
+use rayon::prelude::*;
 
-use super::constancy::Constancy;
-use super::fit::Fit;
-use super::hypothesis::Catalogue;
-use super::inquiry::Inquiry;
+use super::explanation::Explanation;
+use super::fit::fit;
+use super::hypothesis::{Catalogue, Hypothesis};
 use super::linearised::Linearised;
-use super::misfit::{Misfit, misfit, share_left};
-use super::naming::idle;
-use super::noise::{ReportNoise, report_noise};
-use super::procedure::DiagnoseError;
-use super::scored::Scored;
-use super::selection::{Selection, Selector, Thresholds};
-use super::strain::{Strain, level_in_place_of, strains};
-use super::twins::{TwinFits, Twins, screened};
+use super::observed::Observed;
 
-/// Twins of the best explanation, against which what it leaves is compared.
-const TWINS_OF_BEST: u32 = 16;
+/// Most effects at once.
+const EFFECTS_MAX: usize = 3;
+/// Hypotheses that are fitted in full after a screening, alone and beside others.
+const SURVIVORS: usize = 8;
+const SURVIVORS_BESIDE: usize = 4;
+/// Single hypotheses whose pairs are all fitted.
+const PAIRED: usize = 5;
+/// Least gain of evidence in the linearised problem that is worth a fit, nats.
+const SCREENED_MIN: f64 = 1.0;
+/// The file's numbers are fitted again, with derivatives where they ended, at most so often, and as
+/// long as that gains so much, nats.
+const REFITS: usize = 3;
+const GAIN_MIN: f64 = 1.0;
 
-/// What was found.
-pub(super) struct Search {
-    /// The chosen effects, without what the fit is off by, and their rivals.
-    pub selection: Selection,
-    /// Noise of the reports.
-    pub noise: ReportNoise,
-    /// What twins without an effect have by chance.
-    pub twins: Option<Twins>,
-    /// What was asked of an effect.
-    pub thresholds: Thresholds,
-    /// What the chosen effects leave, or the nuisances alone where there are none; nothing where no
-    /// twins can be flown.
-    pub misfit: Vec<Misfit>,
-    /// Numbers that are strained beside the chosen effects.
-    pub strained: Vec<Strain>,
-    /// The thrust's level, where it may be all that a chosen effect stands for.
-    pub level: Option<Strain>,
-    /// Whether the chosen effects are constant, as far as twins tell.
-    pub constancy: Constancy,
-    /// The hypothesis that was chosen alone and dropped, for its numbers may be the file's.
-    pub dropped: Option<usize>,
-    /// Twins without an effect, and of the chosen effects where there are any.
-    pub of_null: Option<TwinFits>,
-    pub of_best: Option<TwinFits>,
+/// The flights that are searched, and what is searched for.
+#[derive(Debug)]
+pub struct Search<'a> {
+    /// Flights for fitting.
+    pub fitted: &'a Observed<'a>,
+    /// Flights for choosing.
+    pub choosing: &'a Observed<'a>,
+    /// The catalogue.
+    pub catalogue: &'a Catalogue,
+    /// Evidence that chance gives each hypothesis, nats.
+    pub chance: Vec<f64>,
 }
 
-impl Search {
-    /// The chosen effects.
-    pub fn named(&self, catalogue: &Catalogue) -> Vec<EffectId> {
-        let chosen = self.selection.best.fit.hypotheses.iter();
-        chosen.map(|h| catalogue.hypotheses[*h].effect).collect()
+impl Search<'_> {
+    fn numbers(&self) -> Vec<usize> {
+        (0..self.catalogue.numbers.len()).collect()
     }
-}
 
-/// What a fit leaves beyond its twins, and numbers that are strained.
-type Checked = (Vec<Misfit>, Vec<Strain>);
+    fn hypothesis(&self, index: usize) -> &Hypothesis {
+        &self.catalogue.hypotheses[index]
+    }
 
-/// Twins of the vehicle of a fit, and the derivatives there.
-pub(super) struct FlownFit {
-    pub about: Linearised,
-    pub twins: TwinFits,
-}
+    fn explanation(&self, fit: super::fit::Fit) -> Option<Explanation> {
+        let chance = fit.hypotheses.iter().map(|h| self.chance.get(*h).copied().unwrap_or(0.0));
+        let chance = chance.sum();
+        Explanation::new(fit, chance, self.fitted, self.choosing)
+    }
 
-impl Inquiry<'_> {
-    /// Twins, and the search among the effects against what they say.
-    pub fn search(&self, progress: &dyn Fn(&str)) -> Result<Search, DiagnoseError> {
-        let Self { settings, fitted, catalogue, .. } = self;
-        let mut selector = Selector {
-            fitted,
-            held_out: &self.held_out,
-            catalogue,
-            setpoint_leg: self.leg(),
-            thresholds: Thresholds::default(),
-            floor: None,
-        };
-        progress("what nuisances explain");
-        let (null, about) = selector.null().ok_or(DiagnoseError::Nothing)?;
-        let noise = report_noise(self.case.fitted, &null.fit.power, fitted.counts());
-        let mut chance = None;
-        if settings.twins > 0 {
-            progress("twins without an effect");
-            let found = self.chance(&selector, &null, &about, &noise)?;
-            selector.thresholds.asked.clone_from(&found.0.asked);
-            selector.thresholds.chance.clone_from(&found.0.chance);
-            chance = Some(found);
+    /// The vehicle file's numbers within their tolerances, and the derivatives there.
+    pub fn file(&self) -> Option<(Explanation, Linearised)> {
+        let numbers = self.numbers();
+        let first = Linearised::new(self.fitted, &self.catalogue.expected(), &numbers)?;
+        let mut best = fit(self.fitted, &first, &[], &[])?;
+        let mut about = Linearised::new(self.fitted, &best.values, &numbers)?;
+        // Where derivatives far from the start are others, a fit stops short; what it lacks, any
+        // effect would seem to explain.
+        for _ in 0..REFITS {
+            let again = fit(self.fitted, &about, &[], &[])?;
+            if best.cost - again.cost < GAIN_MIN {
+                break;
+            }
+            about = Linearised::new(self.fitted, &again.values, &numbers)?;
+            best = again;
         }
-        let (twins, of_null) = chance.unzip();
-        let sensors = self.sensors(of_null.as_ref(), &noise);
-        let shipped = self.simulator(&EffectSet::new())?.guided();
-        selector.floor =
-            shipped.floor(self.case.fitted, &noise, settings.seed).map(|floor| floor.errors);
-        progress("which effect");
-        let mut selection = selector.select(null, &about).ok_or(DiagnoseError::Nothing)?;
-        let mut dropped = None;
-        let nearest = loop {
-            let nearest = self.nearest_twins(&mut selection, &sensors);
-            let Some((_, flown)) = &nearest else { break nearest };
-            correct(&mut selection.best, catalogue, &flown.twins);
-            self.take_up_delay(&mut selection.best);
-            let Some(place) = idle(&selection, catalogue) else { break nearest };
-            let Some(less) = selector.dropping(&about, &selection, place) else { break nearest };
-            if let [alone] = selection.best.fit.hypotheses[..] {
-                dropped = Some(alone);
-            }
-            selection = less;
-        };
-        let flown = nearest.as_ref().map(|(_, flown)| flown);
-        let constancy = flown.map(|flown| self.constancy(&selection, flown)).unwrap_or_default();
-        let level = level_in_place_of(&selection.best.fit, fitted, &about);
-        let ((misfit, strained), of_best) = match nearest {
-            Some((checked, flown)) => (checked, Some(flown.twins)),
-            None => {
-                let null = &selection.null.fit;
-                let found = !selection.best.fit.hypotheses.is_empty();
-                let alone = of_null.as_ref().filter(|_| !found && self.leg());
-                (alone.map(|twins| self.checked(null, null, twins)).unwrap_or_default(), None)
-            }
-        };
-        let thresholds = selector.thresholds;
-        Ok(Search {
-            selection,
-            noise,
-            twins,
-            thresholds,
-            misfit,
-            strained,
-            level,
-            constancy,
-            dropped,
-            of_null,
-            of_best,
-        })
+        Some((self.explanation(best)?, about))
     }
 
-    /// What chance gives the hypotheses, and the twins without an effect that tell it. `null`: the
-    /// fit of the nuisances, with the derivatives there; `noise`: of the reports.
-    fn chance(
+    /// The sum of squares that the file's numbers and the hypothesis with the most evidence leave
+    /// at each place in the linearised problem.
+    pub fn least_power(&self, about: &Linearised) -> Option<Vec<f64>> {
+        let (best, _) = *self.screen(about, &[]).first()?;
+        let numbers = &self.hypothesis(best).numbers;
+        Some(about.solve(self.catalogue, self.fitted.counts(), numbers)?.power)
+    }
+
+    /// The hypotheses by how much evidence each adds to `set` in the linearised problem, the best
+    /// first.
+    pub fn screen(&self, about: &Linearised, set: &[usize]) -> Vec<(usize, f64)> {
+        let counts = self.fitted.counts();
+        let numbers = |set: &[usize]| -> Vec<usize> {
+            set.iter().flat_map(|h| self.hypothesis(*h).numbers.iter().copied()).collect()
+        };
+        let Some(base) = about.solve(self.catalogue, counts, &numbers(set)) else {
+            return Vec::new();
+        };
+        let mut gains: Vec<(usize, f64)> = (0..self.catalogue.hypotheses.len())
+            .into_par_iter()
+            .filter(|h| self.joins(*h, set))
+            .filter_map(|h| {
+                let mut joint = set.to_vec();
+                joint.push(h);
+                let joint = numbers(&joint);
+                let solution = about.solve_from(self.catalogue, counts, &joint, &base.values)?;
+                Some((h, solution.evidence - base.evidence))
+            })
+            .collect();
+        gains.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        gains
+    }
+
+    /// Whether a hypothesis can join a set: each effect once, and one of mass and thrust_scale.
+    fn joins(&self, hypothesis: usize, set: &[usize]) -> bool {
+        let class = |h: usize| self.hypothesis(h).effect.class();
+        set.iter().all(|h| class(*h) != class(hypothesis))
+    }
+
+    /// Fits a set. The active numbers start where `from` has them, and the newest hypothesis also
+    /// at its own starts.
+    fn fit_of(
         &self,
-        selector: &Selector<'_>,
-        null: &Scored,
         about: &Linearised,
-        noise: &ReportNoise,
-    ) -> Result<(Twins, TwinFits), DiagnoseError> {
-        let Self { settings, fitted, catalogue, .. } = self;
-        let draws = (settings.twins, settings.seed);
-        let Some(law) = self.onboard else {
-            let twins = TwinFits::of_noise(fitted, &null.fit.power, draws);
-            let about = about.resting_at(catalogue.expected());
-            return Ok((screened(selector, null, &about, &twins, settings.seed), twins));
+        set: &[usize],
+        from: &[(usize, f64)],
+    ) -> Option<Explanation> {
+        let newest = self.hypothesis(*set.last()?);
+        let starts: Vec<Vec<(usize, f64)>> = newest
+            .starts
+            .iter()
+            .cloned()
+            .chain(std::iter::once(Vec::new()))
+            .map(|mut start| {
+                start.extend(from.iter().copied());
+                start
+            })
+            .collect();
+        self.explanation(fit(self.fitted, about, set, &starts)?)
+    }
+
+    fn numbers_of(&self, explanation: &Explanation) -> Vec<(usize, f64)> {
+        let active = explanation.fit.active(self.catalogue);
+        active.into_iter().map(|number| (number, explanation.fit.values[number])).collect()
+    }
+
+    /// Hypotheses in addition to `set`, fitted together with it, the best first.
+    fn additions(&self, about: &Linearised, set: &Explanation, count: usize) -> Vec<Explanation> {
+        let from = self.numbers_of(set);
+        let mut screened = self.screen(about, &set.fit.hypotheses);
+        for (hypothesis, gain) in &mut screened {
+            *gain -= self.chance.get(*hypothesis).copied().unwrap_or(0.0);
+        }
+        screened.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        let found = screened.into_par_iter().enumerate();
+        // Alone, what the linearisation may not see at all is fitted as well.
+        let worth = |rank: usize, h: usize, gain: f64| {
+            let starts = set.fit.hypotheses.is_empty() && self.hypothesis(h).starts.len() > 1;
+            rank < count && gain > SCREENED_MIN || starts
         };
-        let twins = TwinFits::of_null(fitted, about, law, noise, draws)?;
-        Ok((screened(selector, null, about, &twins, settings.seed), twins))
+        let mut found: Vec<Explanation> = found
+            .filter(|(rank, (h, gain))| worth(*rank, *h, *gain))
+            .filter_map(|(_, (h, _))| {
+                let mut joint = set.fit.hypotheses.clone();
+                joint.push(h);
+                self.fit_of(about, &joint, &from)
+            })
+            .collect();
+        in_order(&mut found);
+        found
     }
 
-    /// The twins of what was chosen that come nearest to the flights, and what is left beyond them.
-    ///
-    /// Within a tick of the loop a fit finds any delay, and the outputs tell about as much: which
-    /// of the two was flown, twins of both must say.
-    fn nearest_twins(
-        &self,
-        selection: &mut Selection,
-        sensors: &ReportNoise,
-    ) -> Option<(Checked, FlownFit)> {
-        let mut flown = vec![selection.best.clone()];
-        if self.take_up_delay(&mut selection.best) {
-            flown.push(selection.best.clone());
-        }
-        let of_flown = flown.iter().filter_map(|scored| {
-            let flown = self.twins_of(scored, sensors)?;
-            Some((self.checked(&selection.null.fit, &scored.fit, &flown.twins), flown))
+    /// All pairs of the best single hypotheses.
+    fn pairs(&self, about: &Linearised, singles: &[Explanation]) -> Vec<Explanation> {
+        let top = &singles[..singles.len().min(PAIRED)];
+        let pairs: Vec<(&Explanation, &Explanation)> = top
+            .iter()
+            .enumerate()
+            .flat_map(|(i, a)| top[i + 1..].iter().map(move |b| (a, b)))
+            .filter(|(a, b)| self.joins(b.fit.hypotheses[0], &a.fit.hypotheses))
+            .collect();
+        let fitted = pairs.into_par_iter().filter_map(|(a, b)| {
+            let mut from = self.numbers_of(a);
+            from.extend(self.numbers_of(b));
+            self.fit_of(about, &[a.fit.hypotheses[0], b.fit.hypotheses[0]], &from)
         });
-        of_flown.min_by(|((a, _), _), ((b, _), _)| share_left(a).total_cmp(&share_left(b)))
+        fitted.collect()
     }
 
-    /// What a fit leaves beyond its twins, and the numbers that they show to be strained.
-    fn checked(&self, null: &Fit, fit: &Fit, twins: &TwinFits) -> Checked {
-        let misfit = misfit(null, fit, twins, self.fitted.counts());
-        (misfit, strains(self.catalogue, fit, twins))
-    }
-
-    /// Noise of the sensors: as twins without an effect tell it, or that of the reports.
-    fn sensors(&self, of_null: Option<&TwinFits>, reports: &ReportNoise) -> ReportNoise {
-        of_null.filter(|_| self.leg()).map_or(*reports, |twins| twins.sensors)
-    }
-
-    /// `scored` without what its own twins are off by, with their error.
-    pub(super) fn freed(&self, search: &Search, mut scored: Scored) -> Scored {
-        let sensors = self.sensors(search.of_null.as_ref(), &search.noise);
-        if let Some(flown) = self.twins_of(&scored, &sensors) {
-            correct(&mut scored, self.catalogue, &flown.twins);
+    /// Every set that is worth a fit, beside the file's numbers alone; `about`: derivatives there.
+    pub fn explanations(&self, file: &Explanation, about: &Linearised) -> Vec<Explanation> {
+        let singles = self.additions(about, file, SURVIVORS);
+        let mut all = singles.clone();
+        all.extend(self.pairs(about, &singles));
+        for size in 1..EFFECTS_MAX {
+            let of_size = all.iter().filter(|e| e.fit.hypotheses.len() == size);
+            let Some(best) = of_size.max_by(|a, b| a.score().total_cmp(&b.score())).cloned() else {
+                break;
+            };
+            let Some(about) = Linearised::new(self.fitted, &best.fit.values, &self.numbers())
+            else {
+                break;
+            };
+            let set = |e: &Explanation| {
+                let mut set = e.fit.hypotheses.clone();
+                set.sort_unstable();
+                set
+            };
+            for more in self.additions(&about, &best, SURVIVORS_BESIDE) {
+                match all.iter_mut().find(|old| set(old) == set(&more)) {
+                    Some(old) if old.score() < more.score() => *old = more,
+                    Some(_) => {}
+                    None => all.push(more),
+                }
+            }
         }
-        scored
-    }
-
-    /// Twins of the vehicle of a fit; `None` without an effect or a law to fly them by, or where
-    /// none are asked for.
-    fn twins_of(&self, scored: &Scored, sensors: &ReportNoise) -> Option<FlownFit> {
-        let count = TWINS_OF_BEST.min(self.settings.twins);
-        let law = self.onboard.filter(|_| count > 0 && !scored.fit.hypotheses.is_empty())?;
-        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
-        let about = Linearised::new(&self.fitted, &scored.fit.values, &numbers)?;
-        let active = scored.fit.active(self.catalogue);
-        let draws = (count, self.settings.seed);
-        let twins =
-            TwinFits::of_effects(&self.fitted, &about, &active, law, sensors, draws).ok()?;
-        Some(FlownFit { about, twins })
-    }
-
-    /// A command_delay that was chosen is as the outputs say, where they do. Whether it was.
-    fn take_up_delay(&self, best: &mut Scored) -> bool {
-        let number = self.catalogue.number_of(EffectId::CommandDelay, 0);
-        let chosen = number.filter(|n| best.fit.active(self.catalogue).contains(n));
-        let Some((number, delay)) = chosen.zip(self.arrival) else { return false };
-        best.fit.values[number] = delay.mean;
-        best.fit.deviation[number] = delay.deviation;
-        true
+        in_order(&mut all);
+        all
     }
 }
 
-/// Takes off a fit's effects what its twins are off by, and gives them the twins' error.
-pub(super) fn correct(scored: &mut Scored, catalogue: &Catalogue, twins: &TwinFits) {
-    for number in scored.fit.active(catalogue) {
-        let [low, high] = catalogue.numbers[number].bounds;
-        let value = &mut scored.fit.values[number];
-        *value = (*value - twins.bias[number]).clamp(low, high);
-        scored.fit.deviation[number] = twins.error(number);
-    }
+/// The best first.
+fn in_order(explanations: &mut [Explanation]) {
+    explanations.sort_by(|a, b| {
+        b.score().total_cmp(&a.score()).then(a.fit.hypotheses.cmp(&b.fit.hypotheses))
+    });
 }

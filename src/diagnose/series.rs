@@ -2,6 +2,7 @@
 
 use sitl::frame::Attitude;
 
+pub(super) use crate::audit::median;
 use crate::log::import::Stream;
 
 /// Streams faster than this are averaged over [`SMOOTHING_S`] first, Hz: what lies above the bands
@@ -173,12 +174,6 @@ impl<const N: usize> Cursor<'_, N> {
         }
         self.series.between(self.index, time)
     }
-}
-
-/// The middle one of the values; 0 of none.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 #[cfg(test)]

@@ -1,13 +1,127 @@
-//! How well a vehicle file's numbers are known, and how large effects typically are, in a vehicle's
-//! own units.
+//! How well a vehicle file's numbers are known, and how large effects are where they occur, in a
+//! vehicle's own units.
 
+use serde_json::{Map, Value};
 use sitl::effects::EffectId;
 use sitl::vehicle::{ROTORS, VehicleParams};
 
-/// Sizes that turn dimensionless tolerances and magnitudes into a vehicle's units.
+/// Standard deviations of a vehicle file's numbers: what its `provenance` claims, else what a
+/// careful builder reaches with a kitchen scale, a bifilar pendulum and one motor on a load cell,
+/// times a scale that the flights tell (0 for a file without an error).
+#[derive(Clone, Debug)]
+pub(super) struct Tolerances {
+    thrust_common: f64,
+    thrust_each: f64,
+    mass: f64,
+    inertia: f64,
+    drag_torque: f64,
+    lag_s: f64,
+    centre_m: f64,
+    delay_s: f64,
+    attitude_rad: f64,
+    latency_s: [f64; 2],
+    gains: f64,
+    /// Of what the file models: a drag, a sag, a thrust curve; a share.
+    modelled: f64,
+    /// Largest drag that a file without one leaves out, as a share of a typical one.
+    small_drag: f64,
+}
+
+/// What clocks and logs blur, whatever the file claims, s: of the rotors' lag, the setpoints' delay,
+/// the latency of the pose, and the delay from a logged output to its thrust (half a period of logs
+/// at 250 Hz).
+const LAG_S: f64 = 0.001;
+const DELAY_S: f64 = 0.0015;
+const LATENCY_S: f64 = 0.0007;
+const OUTPUT_DELAY_S: f64 = 0.002;
+/// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
+/// inertia per second.
+pub(super) const DAMPING_TIME_S: f64 = 0.002;
+pub(super) const DAMPING_RATE: f64 = 0.1;
+/// What a number is known to that its file calls assumed, in tolerances of one that was measured.
+const ASSUMED: f64 = 4.0;
+
+impl Tolerances {
+    /// Of a vehicle file; what it does not state is as a careful builder leaves it times `scale`.
+    pub fn of(vehicle: &VehicleParams, scale: f64) -> Self {
+        let stated = Stated { provenance: &vehicle.provenance, scale };
+        let arm = Scales::of(vehicle).arm;
+        let lag = vehicle.motor_time_constant_s;
+        let thrust = "rotors.thrust_max_N";
+        let latency = stated.range("pose_latency_s");
+        Self {
+            thrust_common: stated.number(thrust, &["sigma_share_common", "sigma_share"], 0.02),
+            thrust_each: stated.number(thrust, &["sigma_share_each", "sigma_share"], 0.015),
+            mass: stated.number("mass", &["sigma_share"], 0.005),
+            inertia: stated.number("inertia", &["sigma_share"], 0.075),
+            drag_torque: stated.number("rotors.drag_torque_per_thrust_m", &["sigma_share"], 0.05),
+            lag_s: stated.number("motor_time_constant_s", &["sigma_share"], 0.1) * lag,
+            centre_m: stated.number("rotors.position_m", &["sigma_com_m"], 0.01 * arm),
+            delay_s: stated.number("command_delay_s", &["sigma_s"], 0.002),
+            attitude_rad: stated.number("attitude", &["sigma_rad"], 0.0087),
+            latency_s: latency.unwrap_or([0.0, 0.0015 * scale]),
+            gains: stated.number("attitude_pd", &["sigma_share"], 0.01),
+            modelled: 0.05 * scale,
+            small_drag: if vehicle.provenance.contains_key("rotor_drag") {
+                0.5
+            } else {
+                0.5 * scale
+            },
+        }
+    }
+
+    /// Of the thrust to mass, a share: which of the two is off, flights do not tell.
+    pub fn thrust_to_mass(&self) -> f64 {
+        self.thrust_common.hypot(self.mass)
+    }
+
+    /// Of each rotor's thrust, a share.
+    pub fn rotor(&self) -> f64 {
+        self.thrust_each
+    }
+
+    /// Middle and deviation of how late the pose is reported beyond the file's, s.
+    pub fn latency(&self) -> [f64; 2] {
+        let [low, high] = self.latency_s;
+        [0.5 * (low + high), (0.5 * (high - low)).max(LATENCY_S)]
+    }
+
+    /// Of the delay from a logged output to its thrust, s.
+    pub fn output_delay(&self) -> f64 {
+        OUTPUT_DELAY_S.hypot(self.delay_s)
+    }
+}
+
+/// What a file says of its numbers' errors.
+struct Stated<'a> {
+    provenance: &'a Map<String, Value>,
+    scale: f64,
+}
+
+impl Stated<'_> {
+    /// The first of `keys` that the file states of a number; else `usual`, scaled.
+    fn number(&self, of: &str, keys: &[&str], usual: f64) -> f64 {
+        let Some(of) = self.provenance.get(of) else { return usual * self.scale };
+        let stated = keys.iter().find_map(|key| of.get(key)?.as_f64());
+        let stated = stated.filter(|sigma| sigma.is_finite() && *sigma >= 0.0);
+        stated.unwrap_or_else(|| {
+            let says = |word: &str| of.to_string().to_lowercase().contains(word);
+            if says("assumed") { usual * ASSUMED } else { usual * self.scale }
+        })
+    }
+
+    /// The range of a number in which the file says that it lies.
+    fn range(&self, of: &str) -> Option<[f64; 2]> {
+        let range = self.provenance.get(of)?.get("range_s")?;
+        let [low, high] = [0, 1].map(|end| range.get(end).and_then(Value::as_f64));
+        low.zip(high).filter(|(low, high)| low <= high && high.is_finite()).map(|(a, b)| [a, b])
+    }
+}
+
+/// Sizes that turn dimensionless magnitudes into a vehicle's units.
 pub(super) struct Scales {
     mass: f64,
-    arm: f64,
+    pub arm: f64,
     weight: f64,
     yaw_inertia: f64,
     drag_modelled: Option<[f64; 2]>,
@@ -17,38 +131,40 @@ pub(super) struct Scales {
     rotor_radius: f64,
     air_density: f64,
     rotor_speed_max: f64,
+    models_drag: bool,
 }
 
-/// Tolerance of the thrust, of all rotors and of each, as a share: a load cell's.
-pub(super) const THRUST: f64 = 0.003;
-/// Tolerance of the delay from a logged output to its thrust, s: half a period of logs that are
-/// written at 250 Hz.
-pub(super) const OUTPUT_DELAY_S: f64 = 0.002;
-/// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
-/// inertia per second.
-pub(super) const DAMPING_TIME_S: f64 = 0.002;
-pub(super) const DAMPING_RATE: f64 = 0.1;
-/// Tolerance of an effect's value that the vehicle file models, as a share: what a careful
-/// identification leaves.
-const MODELLED_TOLERANCE: f64 = 0.03;
+/// What is known of a slot beforehand.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Known {
+    /// Where it is expected, beyond the file's value.
+    pub offset: f64,
+    /// Its tolerance as a nuisance; 0 where only its effect moves it.
+    pub tolerance: f64,
+    /// What the file's numbers may bring about of it, one standard deviation: an effect is of
+    /// practical size beyond three of these.
+    pub unremarkable: f64,
+    /// A typical magnitude where the effect occurs.
+    pub magnitude: f64,
+}
 
 impl Scales {
     pub fn of(vehicle: &VehicleParams) -> Self {
         let arms = vehicle.rotors.map(|r| r.position_m[0].hypot(r.position_m[1]));
         let effects = &vehicle.modelled_effects;
         let value = |id, slot: usize| effects.slots(id).map(|slots| slots[slot]);
+        let linear = vehicle.linear_drag_n_per_m_s;
+        let drag = effects.slots(EffectId::RotorDrag).map(|s| [s[0], s[1]]);
+        let parasitic_modelled = value(EffectId::ParasiticDrag, 0);
         Self {
             mass: vehicle.mass,
             arm: arms.iter().sum::<f64>() / ROTORS as f64,
             weight: vehicle.mass * vehicle.gravity,
             yaw_inertia: vehicle.inertia[2],
-            // The exact linear drag is not a tolerance of rotor_drag's.
-            drag_modelled: vehicle
-                .linear_drag_n_per_m_s
-                .is_none()
-                .then(|| effects.slots(EffectId::RotorDrag).map(|s| [s[0], s[1]]))
-                .flatten(),
-            parasitic_modelled: value(EffectId::ParasiticDrag, 0),
+            models_drag: linear.is_some() || drag.is_some() || parasitic_modelled.is_some(),
+            // The exact linear drag is another law than rotor_drag's, which replaces it.
+            drag_modelled: drag.filter(|_| linear.is_none()),
+            parasitic_modelled,
             sag_modelled: value(EffectId::BatterySag, 0),
             curve_modelled: value(EffectId::ThrustCurve, 0),
             rotor_radius: vehicle.rotor_radius_m,
@@ -57,43 +173,67 @@ impl Scales {
         }
     }
 
-    /// Tolerance and magnitude of a slot that may be fitted.
-    pub fn of_slot(&self, effect: EffectId, slot: usize) -> Option<[f64; 2]> {
+    /// What is known of a slot that may be fitted.
+    pub fn of_slot(&self, known: &Tolerances, effect: EffectId, slot: usize) -> Option<Known> {
         use EffectId::*;
-        let modelled = |value: Option<f64>| value.map_or(0.0, |v| MODELLED_TOLERANCE * v.abs());
+        let modelled = |value: Option<f64>| value.map_or(0.0, |v| known.modelled * v.abs());
+        // A file that models no drag leaves a small one out; three deviations reach its limit.
+        let left_out = if self.models_drag { 0.0 } else { known.small_drag / 3.0 };
+        let nuisance = |tolerance: f64, magnitude: f64| Known {
+            offset: 0.0,
+            tolerance,
+            unremarkable: tolerance,
+            magnitude,
+        };
+        let alone = |unremarkable: f64, magnitude: f64| Known {
+            tolerance: 0.0,
+            ..nuisance(unremarkable, magnitude)
+        };
         Some(match (effect, slot) {
-            (ThrustScale, 0) => [THRUST, 0.15],
-            (Mass, 0) => [0.0, 0.15 * self.mass],
-            (ThrustCurve, 0) => [modelled(self.curve_modelled), 0.4],
-            (BatterySag, 0) => [modelled(self.sag_modelled), 1.5],
-            (MotorLag, 0) => [0.001, 0.04],
-            (CommandDelay, 0) => [0.0015, 0.03],
+            (ThrustScale, 0) => nuisance(known.thrust_to_mass(), 0.15),
+            (Mass, 0) => alone(known.thrust_to_mass() * self.mass, 0.15 * self.mass),
+            (ThrustCurve, 0) => nuisance(modelled(self.curve_modelled), 0.4),
+            (BatterySag, 0) => nuisance(modelled(self.sag_modelled), 1.5),
+            (MotorLag, 0) => nuisance(LAG_S.hypot(known.lag_s), 0.04),
+            (CommandDelay, 0) => nuisance(DELAY_S.hypot(known.delay_s), 0.03),
             // A time constant of drag of three seconds.
-            (RotorDrag, 0) => [modelled(self.drag_modelled.map(|d| d[0])), self.mass / 3.0],
-            (RotorDrag, 1) => [modelled(self.drag_modelled.map(|d| d[1])), self.mass / 6.0],
+            (RotorDrag, 0) => {
+                let typical = self.mass / 3.0;
+                let modelled = modelled(self.drag_modelled.map(|d| d[0]));
+                nuisance(modelled.max(left_out * typical), typical)
+            }
+            (RotorDrag, 1) => {
+                let typical = self.mass / 6.0;
+                let modelled = modelled(self.drag_modelled.map(|d| d[1]));
+                nuisance(modelled.max(left_out * typical), typical)
+            }
             // A tenth of the weight at 8 m/s.
-            (ParasiticDrag, 0) => [
-                modelled(self.parasitic_modelled),
-                0.1 * self.weight / (0.5 * self.air_density * 64.0),
-            ],
-            (Wind, 0 | 1) => [0.03, 4.0],
+            (ParasiticDrag, 0) => {
+                let typical = 0.1 * self.weight / (0.5 * self.air_density * 64.0);
+                nuisance(modelled(self.parasitic_modelled).max(left_out * typical), typical)
+            }
+            (Wind, 0 | 1) => nuisance(0.03, 4.0),
             // A steady wind blows along the floor.
-            (Wind, 2) => [0.03, 0.2],
-            (GroundEffect, 0) => [0.0, 4.0 * self.rotor_radius],
-            (TranslationalLift, 0) => [0.0, 0.005],
+            (Wind, 2) => nuisance(0.03, 0.2),
+            (GroundEffect, 0) => alone(0.0, 4.0 * self.rotor_radius),
+            (TranslationalLift, 0) => alone(0.0, 0.005),
             // A tenth of the weight at a tenth of the arm per m/s.
-            (BladeFlapping, 0) => [0.0, 0.01 * self.weight * self.arm],
-            (BladeFlapping, 1) => [0.0, 0.01],
-            (VortexRing, 0) => [0.0, 0.3],
-            (Inertia, 0..=2) => [0.017, 0.35],
-            (ComOffset, 0 | 1) => [0.001 * self.arm, 0.05 * self.arm],
+            (BladeFlapping, 0) => alone(0.0, 0.01 * self.weight * self.arm),
+            (BladeFlapping, 1) => alone(0.0, 0.01),
+            (VortexRing, 0) => alone(0.0, 0.3),
+            (Inertia, 0..=2) => nuisance(known.inertia, 0.35),
+            (ComOffset, 0 | 1) => nuisance(known.centre_m, 0.05 * self.arm),
             // The four rotors from rest to full speed against the yaw inertia: 30 rad/s of yaw.
-            (RotorGyroscopic, 0) => [0.0, 7.5 * self.yaw_inertia / self.rotor_speed_max],
-            (YawTorque, 0) => [0.01, 0.35],
-            (AttitudeTrim, 0 | 1) => [0.0007, 0.03],
-            (AttitudeTrim, 2) => [0.002, 0.03],
-            (EstimatorLatency, 0) => [0.0007, 0.04],
-            (PdGain, 0..=5) => [0.01, 0.3],
+            (RotorGyroscopic, 0) => alone(0.0, 7.5 * self.yaw_inertia / self.rotor_speed_max),
+            (YawTorque, 0) => nuisance(known.drag_torque, 0.35),
+            (AttitudeTrim, 0 | 1) => nuisance(known.attitude_rad.max(1e-4), 0.03),
+            // Headings are not levelled by eye.
+            (AttitudeTrim, 2) => nuisance((0.25 * known.attitude_rad).max(5e-4), 0.03),
+            (EstimatorLatency, 0) => {
+                let [offset, tolerance] = known.latency();
+                Known { offset, ..nuisance(tolerance, 0.04) }
+            }
+            (PdGain, 0..=5) => nuisance(known.gains, 0.3),
             _ => return None,
         })
     }

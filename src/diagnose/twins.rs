@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sitl::vehicle::VehicleError;
 
+use super::explanation::Explanation;
 use super::fit::Z90;
 use super::hypothesis::{Number, Values};
 use super::layout::Place;
@@ -23,9 +24,10 @@ use super::observed::{Observed, Residuals};
 use super::onboard::OnboardLaw;
 use super::preparation::PreparedFlight;
 use super::replica::Replica;
-use super::scored::Scored;
-use super::selection::{EVIDENCE_MIN, Selector};
+use super::search::Search;
 
+/// What is asked beyond chance at least, nats.
+const CHANCE_MIN: f64 = 3.0;
 /// Share of twins in which any hypothesis may reach what is asked of it.
 const EXCEEDED: f64 = 0.01;
 
@@ -327,16 +329,6 @@ impl TwinFits {
         }
     }
 
-    /// Twins of a vehicle, all fitted alike.
-    #[cfg(test)]
-    pub(super) fn alike(truth: Values, fitted: Values, bias: Values) -> Self {
-        let values = vec![fitted; 4];
-        let (power, screened) = (Vec::new(), Vec::new());
-        let sensors = ReportNoise::default();
-        let noisy = Vec::new();
-        Self { truth, sensors, bias, pilots: 4, noisy, values, power, screened }
-    }
-
     /// Standard error of a number that was fitted and freed of [`bias`](Self::bias): the fits'
     /// scatter, the mean's over the pilots, and that a few twins tell the scatter itself to within a
     /// tenth or so (the first term of Student's quantile at 95 % over the normal one, Cornish and
@@ -381,16 +373,16 @@ fn moments(draws: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
 
 /// Screens twins of the flights that are fitted; `null` is the fit of the nuisances alone.
 pub fn screened(
-    selector: &Selector<'_>,
-    null: &Scored,
+    search: &Search<'_>,
+    null: &Explanation,
     about: &Linearised,
     twins: &TwinFits,
     seed: u64,
 ) -> Twins {
-    let observed = selector.fitted;
+    let observed = search.fitted;
     // Beyond the sensors' noise: turbulence, vibration, what the model lacks. What the best of the
     // hypotheses explains is not noise: what lasts, like a moment, would pass for itself by chance.
-    let least = selector.least_power(about).unwrap_or_else(|| null.fit.power.clone());
+    let least = search.least_power(about).unwrap_or_else(|| null.fit.power.clone());
     let more: Vec<f64> = twins
         .moments()
         .iter()
@@ -408,14 +400,14 @@ pub fn screened(
             let mut residuals = residuals.clone();
             add_noise(observed, &more, !seed.wrapping_add(twin as u64), &mut residuals);
             let about = about.about_with(observed, &residuals, own);
-            let mut gains = vec![0.0; selector.catalogue.hypotheses.len()];
-            for (hypothesis, gain) in selector.screen(&about, &[]) {
+            let mut gains = vec![0.0; search.catalogue.hypotheses.len()];
+            for (hypothesis, gain) in search.screen(&about, &[]) {
                 gains[hypothesis] = gain;
             }
             gains
         })
         .collect();
-    let hypotheses = selector.catalogue.hypotheses.len();
+    let hypotheses = search.catalogue.hypotheses.len();
     let (chance, asked): (Vec<f64>, Vec<f64>) = (0..hypotheses)
         .map(|h| chance_and_asked(gains.iter().map(|gains| gains[h]).collect(), hypotheses))
         .unzip();
@@ -434,7 +426,7 @@ pub(super) fn chance_and_asked(mut gains: Vec<f64>, tried: usize) -> (f64, f64) 
     gains.sort_by(f64::total_cmp);
     let chance = gains.get(gains.len() / 2).map_or(0.0, |gain| gain.max(0.0));
     let reached = exceeded_by(&gains, EXCEEDED / tried.max(1) as f64);
-    (chance, (reached - chance).max(EVIDENCE_MIN))
+    (chance, (reached - chance).max(CHANCE_MIN))
 }
 
 /// Adds noise with a deviation at each place.

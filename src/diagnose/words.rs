@@ -3,11 +3,9 @@
 use sitl::effects::EffectId;
 
 use super::answer::{Answer, EffectAnswer, FullVerdict, Parameter, Verdict};
-use super::judgement::{Balance, Unexplained, is_open_alone};
-use super::misfit::{Misfit, share_left, standing_out};
 use super::next_flight::NextFlight;
 use super::reflight::ClosedLoop;
-use super::strain::Strain;
+use super::verdict::Unexplained;
 
 /// The full verdict of an answer, in a sentence or two.
 pub fn finding(answer: &Answer) -> String {
@@ -20,108 +18,45 @@ pub fn finding(answer: &Answer) -> String {
 
 /// That nothing stands out, how well the simulator predicts, and what leaves a trace all the same.
 fn none(answer: &Answer) -> String {
-    let mut text = match &answer.gap {
+    match &answer.gap {
         Some(gap) => format!(
             "No effect stands out: the simulator predicts the flights held out to {:.2} times \
              what noise alone leaves.",
             gap.before / gap.floor.max(f64::MIN_POSITIVE)
         ),
         None => "No effect stands out in what these logs can show.".to_owned(),
-    };
-    let trace = answer.effects.first();
-    if let Some(tried) = trace.and_then(|t| answer.hypotheses.iter().find(|h| h.id == t.id)) {
-        text += &format!(
-            " There is a trace of {}: {:.0} nats of evidence where {:.0} are asked, in nothing that \
-             predictions would show.",
-            tried.id, tried.evidence, tried.asked
-        );
     }
-    text
 }
 
 /// Why what was seen counts as unexplained.
 fn unknown(answer: &Answer) -> String {
     let head = "Something acts that no listed effect explains";
+    let gap = answer.gap.as_ref();
     let why = match answer.finding.because {
-        Some(Unexplained::Leftover) => leftover(answer),
-        Some(Unexplained::Neighbour) => Some(format!(
-            "the nearest leaves {:.0} % of the evidence that a full explanation would have",
-            100.0 * share_left(&answer.misfit)
-        )),
-        Some(Unexplained::Propped) => answer.gap.as_ref().map(|gap| {
+        Some(Unexplained::Force) => answer.unmodelled_force.as_ref().map(|[_, after]| {
             format!(
-                "the nearest brings predictions to {:.2} times what noise alone leaves, and to \
-                 {:.2} only with numbers of the vehicle file as far off as files are",
-                gap.after / gap.floor.max(f64::MIN_POSITIVE),
-                gap.open()
+                "{:.2} m/s^2 of force per mass that velocity and accelerometer agree on is left",
+                after.rms()
             )
         }),
-        Some(Unexplained::Varies) => answer.variation.as_ref().map(|varies| {
+        Some(Unexplained::Doubt) => gap.map(|gap| {
             format!(
-                "{} explains most of it only if its {} is not constant but goes with {}",
-                varies.effect, varies.number, varies.quantity
+                "the nearest brings predictions from {:.2} to {:.2} times what noise alone leaves, \
+                 and is less likely than not to be the cause",
+                gap.before, gap.after
             )
         }),
-        Some(Unexplained::Doubt) => answer.gap.as_ref().map(|gap| {
+        Some(Unexplained::Remainder) => gap.map(|gap| {
             format!(
-                "the nearest leaves {:.0} % of the evidence that a full explanation would have, and \
-                 predictions at {:.2} times what noise alone leaves: it is less likely than not",
-                100.0 * share_left(&answer.misfit),
-                gap.open()
+                "the flights held out are predicted to {:.2} times what noise alone leaves, and to \
+                 {:.2} with what comes nearest",
+                gap.before,
+                gap.with_nuisances.unwrap_or(gap.after)
             )
         }),
-        Some(Unexplained::OpenGap) => answer.gap.as_ref().map(|gap| {
-            format!(
-                "the flights held out are predicted to {:.2} times what noise alone leaves",
-                gap.before / gap.floor.max(f64::MIN_POSITIVE)
-            )
-        }),
-        Some(Unexplained::OpenOnOne) => {
-            let flights = answer.flights.iter().filter_map(|f| Some((f.over_noise?, &f.name)));
-            let open = flights.filter(|(over, _)| is_open_alone(over));
-            let worst = open.max_by(|(a, _), (b, _)| a.gap.total_cmp(&b.gap));
-            worst.map(|(over, name)| {
-                format!("{name} is predicted to {:.2} times what noise alone leaves", over.gap)
-            })
-        }
-        Some(Unexplained::Misfit) => standing_out(&answer.misfit, false)
-            .or_else(|| standing_out(&answer.misfit, true))
-            .map(|misfit| {
-            let Misfit { equations, left, error, .. } = misfit;
-            format!(
-                "in {equations} {left:.0} nats are left beyond what the vehicle's own noise makes, \
-                 give or take {error:.0}"
-            )
-        }),
-        Some(Unexplained::Strain) => {
-            answer.strained.first().map(|Strain { number, tolerances, .. }| {
-                format!(
-                    "{number} of the vehicle file would have to be {tolerances:.1} tolerances off"
-                )
-            })
-        }
         None => None,
     };
     why.map_or_else(|| format!("{head}."), |why| format!("{head}: {why}."))
-}
-
-/// What is left that nothing explains: the larger of force and moment.
-fn leftover(answer: &Answer) -> Option<String> {
-    let Balance { force, moment } = answer.balance;
-    if moment.left > force.left
-        && let Some([_, after]) = &answer.unmodelled_moment
-    {
-        let rms = after.rms().map(|rms| rms * rms).iter().sum::<f64>().sqrt();
-        return Some(format!(
-            "{rms:.2} rad/s^2 of angular acceleration beyond what the vehicle's noise makes is left"
-        ));
-    }
-    answer.unmodelled_force.as_ref().map(|[_, after]| {
-        format!(
-            "{:.2} m/s^2 of force per mass that velocity and accelerometer agree on is left",
-            after.rms()
-        )
-    })
 }
 
 /// Least probability of an effect that is worth a word where none is named.
@@ -136,13 +71,11 @@ fn effect(answer: &Answer) -> String {
     } else {
         format!("Found: {}.", named.join(", and "))
     };
-    if answer.finding.verdict == FullVerdict::OtherLaw {
-        return text
-            + " No other effect explains what it does, but the catalogue's law for it does not predict \
-               it: the gap stays open, and the vehicle file is left as it is.";
-    }
     if let Some(gap) = &answer.gap {
         text += &shrinks([gap.before, gap.after], gap.closure);
+    }
+    if answer.finding.verdict == FullVerdict::OtherLaw {
+        text += " Its equation is not quite the catalogue's: a part of the gap stays open.";
     }
     if !answer.ambiguous_with.is_empty() {
         let others = listed(answer.ambiguous_with.iter().copied());
@@ -246,7 +179,7 @@ fn short(number: f64) -> String {
 /// What a gap after the search is told with: effects are only named where they explain it.
 pub fn explanation(finding: FullVerdict) -> &'static str {
     match finding {
-        FullVerdict::Named | FullVerdict::Ambiguous => "with the effects",
+        FullVerdict::Named | FullVerdict::Ambiguous | FullVerdict::OtherLaw => "with the effects",
         _ => "with what comes nearest",
     }
 }
@@ -271,17 +204,23 @@ pub fn report(answer: &Answer) -> String {
         text += "\n";
     }
     if answer.effects.is_empty() {
-        for (line, tried) in answer.hypotheses.iter().take(3).enumerate() {
+        for (line, tried) in answer.explanations.iter().take(3).enumerate() {
             let head = if line == 0 { "nearest" } else { "" };
-            text += &format!("{head:10} {:18} {:.1} nats of evidence", tried.id, tried.evidence);
-            text += &format!(", {:.1} on the flights held out\n", tried.held_out[0]);
+            let set = tried.effects.join(" and ");
+            text += &format!("{head:10} {set:18} {:.1} nats of evidence\n", tried.evidence);
         }
+    }
+    if !answer.attribution.is_empty() {
+        let shares = answer.attribution.iter();
+        let shares: Vec<String> =
+            shares.map(|share| format!("{} {:.0} %", share.of, 100.0 * share.share)).collect();
+        text += &format!("shares     of the squared gap: {}\n", shares.join(", "));
     }
     let with = explanation(answer.finding.verdict);
     if let Some(gap) = &answer.gap {
         text += &format!("how far    gap held out {:.2}", gap.before);
         if let Some(nuisances) = gap.nuisances_only {
-            text += &format!(", {nuisances:.2} with nuisances alone");
+            text += &format!(", {nuisances:.2} with the file's numbers alone");
         }
         text += &format!(", {:.2} {with}", gap.after);
         if let Some(learner) = gap.with_learner {
@@ -314,16 +253,6 @@ pub fn report(answer: &Answer) -> String {
             before.rms()
         );
     }
-    let share = share_left(&answer.misfit);
-    if share > 0.0 {
-        let share = 100.0 * share;
-        text += &format!(
-            "left over  {share:.0} % of the evidence that a full explanation would have\n"
-        );
-    }
-    for Strain { number, tolerances, .. } in &answer.strained {
-        text += &format!("strained   {number} by {tolerances:.1} tolerances\n");
-    }
     if let Some(next) = &answer.next_flight {
         text += &format!("next       {}\n", next_flight(next));
     }
@@ -343,8 +272,6 @@ pub fn report(answer: &Answer) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::judgement::Size;
-    use super::super::leftover::{UnmodelledForce, UnmodelledMoment};
     use super::*;
 
     #[test]
@@ -354,31 +281,5 @@ mod tests {
             let text = shrinks(gaps, Some(0.3));
             assert!(text.contains("does not shrink"), "{text}");
         }
-    }
-
-    #[test]
-    fn what_nothing_explains_is_told_by_the_larger_of_force_and_moment() {
-        let force = UnmodelledForce {
-            mean_square: [0.25, 0.0, 0.0],
-            error: 0.01,
-            slow_significance: 25.0,
-            bands: vec![],
-        };
-        let moment = UnmodelledMoment { mean_square: [0.0, 4.0, 0.0], error: 0.1 };
-        let size = |left| Size { left, explained: 0.0 };
-        let mut answer = Answer {
-            unmodelled_force: Some([force.clone(), force]),
-            unmodelled_moment: Some([moment.clone(), moment]),
-            balance: Balance { force: size(3.0), moment: size(1.0) },
-            ..Answer::data_fault(Vec::new())
-        };
-        answer.finding.because = Some(Unexplained::Leftover);
-        assert!(finding(&answer).contains("0.50 m/s^2"), "{}", finding(&answer));
-        answer.balance.moment = size(5.0);
-        assert!(finding(&answer).contains("2.00 rad/s^2"), "{}", finding(&answer));
-        answer.finding.because = Some(Unexplained::Strain);
-        answer.strained =
-            vec![Strain { number: "mass mass_kg".to_owned(), effect: None, tolerances: -2.8 }];
-        assert!(finding(&answer).contains("mass mass_kg"), "{}", finding(&answer));
     }
 }

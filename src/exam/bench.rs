@@ -3,12 +3,13 @@
 
 use std::collections::BTreeMap;
 
-use sitl::config::{ImuNoise, SensorConfig, SitlConfig};
-use sitl::effects::{EffectId, EffectSet, ParameterValue};
+use sitl::config::{EstimatorConfig, ImuNoise, SensorConfig, SitlConfig, Vibration};
+use sitl::effects::{EffectId, EffectSet, ParameterValue, Slots};
 use sitl::foreign::Foreign;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::airframe;
+use super::builder::{Deviation, Deviations};
 use super::case::{Case, Kind, Order, Settings};
 use super::condition::Condition;
 use super::draw::{Draw, rounded};
@@ -18,17 +19,15 @@ use super::key::{KeyEntry, TrueEffect};
 use super::magnitude::Direction;
 use super::motion::Motion;
 use super::programme::{Restriction, Vigour, programme};
+use super::size::{Shown, Wanted};
 use super::stranger::Stranger;
-use super::strength::{Errors, Predictor, Strength};
+use super::strength::Strength;
 use super::trap::{STEADY_PACK, TRAPS, Trap};
+use super::world::{self, FileKind, Setting, World};
 use crate::diagnose::answer::{Parameter, Verdict, parameters};
 use crate::diagnose::hypothesis::reference;
 use crate::diagnose::noise::ReportNoise;
 
-/// Searches for a size of the wanted strength.
-const SEARCHES: usize = 4;
-/// A strength within this factor of the wanted one is as good.
-const CLOSE: f64 = 1.35;
 /// A pair's effects show at least and at most so strongly by themselves.
 const PAIR_RATIOS: [f64; 2] = [2.0, 10.0];
 /// The same of an effect that the catalogue is to lack: what hardly shows is not missed.
@@ -37,42 +36,58 @@ const LEFT_OUT_RATIOS: [f64; 2] = [1.0, 10.0];
 const FOREIGN_RATIOS: [f64; 2] = [1.0, 10.0];
 /// And of what a trap hides, on flights that would show it.
 const TRAP_RATIOS: [f64; 2] = [3.0, 12.0];
+/// Sizes of a pair's effects and of what a trap hides, and of what is not in the catalogue.
+const PAIR_SIZES: [f64; 2] = [1.15, 4.0];
+const UNKNOWN_SIZES: [f64; 2] = [1.3, 4.0];
+/// Turns of a rotor at full speed where the file does not say, Hz.
+const ROTOR_MAX_HZ: f64 = 150.0;
 /// Effects that act on the velocity relative to the air.
 const DRAGS: [EffectId; 2] = [EffectId::RotorDrag, EffectId::ParasiticDrag];
 /// And those that act through them.
 const NEED_DRAG: [EffectId; 2] = [EffectId::Wind, EffectId::Gusts];
 
-/// What the vehicle has beyond its file.
+/// What the vehicle has as an effect.
 #[derive(Clone, Debug, Default)]
-struct Truth {
-    effects: EffectSet,
-    foreign: Option<Foreign>,
+pub(super) struct Truth {
+    pub effects: EffectSet,
+    pub foreign: Option<Foreign>,
+    /// The causes of what the catalogue does not have.
+    pub causes: &'static [EffectId],
+    /// The rotor that this acts on.
+    pub rotor: Option<usize>,
 }
 
 impl From<EffectSet> for Truth {
     fn from(effects: EffectSet) -> Self {
-        Self { effects, foreign: None }
+        Self { effects, ..Self::default() }
     }
 }
 
-/// What strengths are measured with.
-struct Judge {
-    predictor: Predictor,
-    /// Of the nominal vehicle itself.
-    nominal: Errors,
+/// A truth on the vehicle that is really there.
+struct Real {
+    body: VehicleParams,
+    effects: EffectSet,
+    foreign: Vec<Foreign>,
 }
 
 /// All of a case but what the vehicle has beyond its file.
 pub(super) struct Bench {
-    nominal: VehicleParams,
+    /// The vehicle file.
+    pub nominal: VehicleParams,
+    /// The same with the loop that is on board.
+    pub believed: VehicleParams,
+    /// What is off it.
+    pub deviations: Deviations,
+    pub setting: Setting,
+    pub world: World,
     /// By flight: pack and sensors.
-    configs: Vec<SitlConfig>,
+    pub configs: Vec<SitlConfig>,
     rates: Rates,
     link: Link,
     motions: Vec<Motion>,
     seconds: f64,
-    ratios: [f64; 2],
-    seed: u64,
+    pub ratios: [f64; 2],
+    pub seed: u64,
     notes: Vec<String>,
     trap: Option<&'static Trap>,
 }
@@ -104,13 +119,39 @@ impl Bench {
             nominal.modelled_effects = Direction::draw(draw, &nominal, drag).at(size);
             notes.push(format!("the vehicle file models {drag}"));
         }
+        nominal = nominal.checked()?;
+        let outputs_hz = if draw.chance(0.2) { 250.0 } else { 100.0 };
+        let setting = match settings.world {
+            World::Builders if is_free => {
+                let full_hz = nominal.rotor_max_rpm.map_or(ROTOR_MAX_HZ, |rpm| rpm / 60.0);
+                Setting::draw(draw, full_hz)
+            }
+            _ => Setting::exact(outputs_hz),
+        };
+        notes.extend(setting.notes());
+        let mut believed = nominal.clone();
+        if let (false, Some(pd)) = (setting.on_board.is_known(), nominal.attitude_pd) {
+            believed.attitude_cascade = Some(world::cascade(draw, &nominal, &pd));
+            believed.attitude_pd = None;
+            nominal.attitude_pd = None;
+        }
+        let deviations = match setting.file {
+            FileKind::Exact => Deviations::none(&nominal),
+            FileKind::Claimed | FileKind::Unclaimed => Deviations::draw(draw, &nominal),
+        };
+        if setting.file == FileKind::Claimed {
+            nominal.provenance = deviations.tolerances.provenance();
+        }
         let noise = if draw.chance(0.15) {
             notes.push("noisy sensors".to_owned());
             draw.within([2.0, 4.0])
         } else {
             draw.within([0.7, 1.4])
         };
-        let sensors = noisier(SensorConfig::default(), noise);
+        let mut sensors = noisier(SensorConfig::default(), noise);
+        if let Some(time_s) = setting.attitude_correlation_s {
+            sensors.attitude_correlation_s = time_s;
+        }
         let rates = Rates {
             attitude: if draw.chance(0.5) { 250.0 } else { 125.0 },
             imu: match draw.chance(0.3) {
@@ -119,23 +160,28 @@ impl Bench {
                 false => 100.0,
             },
             position: 100.0,
-            outputs: if draw.chance(0.2) { 250.0 } else { 100.0 },
+            outputs: setting.outputs_hz,
             battery: 5.0,
             rpm: if draw.chance(0.4) { 50.0 } else { 0.0 },
         };
-        let link = Link {
+        let link = setting.link(Link {
             delay_s: 1.5e-3,
             jitter_s: draw.within([0.8e-3, 1.5e-3]),
             offset_s: draw.within([-1e4, 1e4]),
             skew: draw.within([-2e-5, 2e-5]),
-        };
+        });
         let vigour = Vigour::draw(draw, nominal.rotor_radius_m);
         let restriction = trap.map_or(Restriction::None, |trap| trap.restriction);
         let motions = programme(draw, &vigour, restriction, settings.flights, settings.seconds);
         let configs = motions
             .iter()
             .map(|_| {
-                let mut config = SitlConfig { sensors, ..SitlConfig::default() };
+                let mut config = SitlConfig {
+                    sensors,
+                    vibration: setting.vibration,
+                    estimator: setting.estimator,
+                    ..SitlConfig::default()
+                };
                 config.battery.charge = draw.within([0.45, 1.0]);
                 if trap.is_some_and(|trap| trap.steady_pack) {
                     config.battery = STEADY_PACK;
@@ -144,7 +190,11 @@ impl Bench {
             })
             .collect();
         Ok(Self {
-            nominal: nominal.checked()?,
+            nominal,
+            believed,
+            deviations,
+            setting,
+            world: if is_free { settings.world } else { World::Exact },
             configs,
             rates,
             link,
@@ -157,17 +207,34 @@ impl Bench {
         })
     }
 
-    fn sorties<'a>(&'a self, truth: &'a Truth, ideal: bool) -> impl Iterator<Item = Sortie<'a>> {
+    /// What is off the file beside a truth.
+    pub(super) fn deviations_beside(&self, truth: &Truth) -> Deviations {
+        self.deviations.beside(&truth.effects, truth.causes, truth.rotor)
+    }
+
+    fn real(&self, truth: &Truth) -> Real {
+        let deviations = self.deviations_beside(truth);
+        Real {
+            body: deviations.body(&self.believed),
+            effects: deviations.effects().overlay(&truth.effects),
+            foreign: deviations.foreign().into_iter().chain(&truth.foreign).cloned().collect(),
+        }
+    }
+
+    fn sorties<'a>(&'a self, real: &'a Real, ideal: bool) -> impl Iterator<Item = Sortie<'a>> {
         self.motions.iter().zip(&self.configs).enumerate().map(move |(number, flight)| {
             let (motion, config) = flight;
             let mut config = config.clone();
             if ideal {
                 config.sensors = SensorConfig::IDEAL;
+                config.vibration = Vibration::default();
+                config.estimator = EstimatorConfig::default();
             }
             Sortie {
-                nominal: &self.nominal,
-                effects: &truth.effects,
-                foreign: truth.foreign.as_ref(),
+                believed: &self.believed,
+                body: &real.body,
+                effects: &real.effects,
+                foreign: &real.foreign,
                 config,
                 rates: self.rates,
                 link: self.link,
@@ -178,123 +245,72 @@ impl Bench {
         })
     }
 
-    /// How strongly the truth shows, flown without sensor noise.
-    fn strength(&self, judge: &Judge, truth: &Truth) -> Result<Strength, FlightError> {
-        Ok(self.errors(&judge.predictor, truth)?.strength(&judge.nominal))
-    }
-
-    fn errors(&self, predictor: &Predictor, truth: &Truth) -> Result<Errors, FlightError> {
-        let tracks: Vec<Track> = self
-            .sorties(truth, true)
-            .map(|sortie| sortie.fly().map(|flown| flown.track))
-            .collect::<Result<_, _>>()?;
-        Ok(predictor.errors(&tracks, &truth.effects, self.seed))
-    }
-
-    /// A truth of a size that shows about as strongly as wanted, as far as that is sensible.
-    fn sized(
-        &self,
-        judge: &Judge,
-        at: &dyn Fn(f64) -> Truth,
-        power: f64,
-        wanted: f64,
-    ) -> Result<(Truth, f64), FlightError> {
-        let mut size: f64 = 0.3;
-        let mut last = Err(FlightError::Lost(0.0));
-        for _ in 0..SEARCHES {
-            let truth = at(size);
-            let ratio = match self.strength(judge, &truth) {
-                Ok(strength) => strength.ratio,
-                Err(error) => {
-                    last = Err(error);
-                    size *= 0.4;
-                    continue;
-                }
-            };
-            last = Ok((truth, ratio));
-            let off = wanted / ratio.max(1e-6);
-            let is_close = (1.0 / CLOSE..CLOSE).contains(&off);
-            if is_close || (size >= 1.0 && off > 1.0) {
-                break;
-            }
-            size = (size * off.powf(power)).min(1.0);
-        }
-        last
-    }
-
-    fn sized_effect(
-        &self,
-        draw: &mut Draw,
-        judge: &Judge,
-        effect: EffectId,
-        ratios: [f64; 2],
-    ) -> Result<(EffectSet, f64), FlightError> {
-        let direction = Direction::draw(draw, &self.nominal, effect);
-        let power = if direction.quadratic { 0.5 } else { 1.0 };
-        let wanted = draw.log_within(ratios);
-        let (truth, ratio) = self.sized(judge, &|size| direction.at(size).into(), power, wanted)?;
-        Ok((truth.effects, ratio))
-    }
-
-    fn sized_stranger(
-        &self,
-        draw: &mut Draw,
-        judge: &Judge,
-        stranger: &Stranger,
-        ratios: [f64; 2],
-    ) -> Result<Truth, FlightError> {
-        let at = |size: f64| Truth { foreign: Some(stranger.at(size)), ..Truth::default() };
-        Ok(self.sized(judge, &at, 1.0, draw.log_within(ratios))?.0)
+    pub(super) fn tracks(&self, truth: &Truth) -> Result<Vec<Track>, FlightError> {
+        let real = self.real(truth);
+        self.sorties(&real, true).map(|sortie| Ok(sortie.fly()?.track)).collect()
     }
 
     /// Flies the case with a truth that `order` asks for.
     pub(super) fn case(mut self, draw: &mut Draw, order: &Order) -> Result<Case, FlightError> {
         let kind = order.kind;
-        let Ok(Some(predictor)) = Predictor::new(&self.nominal, self.configs[0].sensors) else {
-            return Err(FlightError::Lost(0.0));
-        };
-        let nominal = self.errors(&predictor, &Truth::default())?;
-        let judge = Judge { predictor, nominal };
         let mut truth = Truth::default();
-        let mut ratios = BTreeMap::new();
-        let mut causes: &[EffectId] = &[];
+        let mut sizes: Vec<(EffectId, Option<Shown>)> = Vec::new();
         let mut candidates = Vec::new();
-        match kind {
-            Kind::Null => {}
-            Kind::Foreign => {
-                let stranger = Stranger::disturbance(draw, &self.nominal);
-                truth = self.sized_stranger(draw, &judge, &stranger, FOREIGN_RATIOS)?;
-            }
-            Kind::OtherLaw => {
-                let stranger = Stranger::law(draw, &self.nominal, self.has_drag());
-                causes = stranger.causes;
-                truth = self.sized_stranger(draw, &judge, &stranger, self.ratios)?;
-            }
-            Kind::Trap => {
-                let effect = self.trap.map_or(EffectId::GroundEffect, |trap| trap.effect);
-                candidates = self.trap.map_or(&[][..], |trap| trap.candidates).to_vec();
-                let (sized, ratio) = if candidates.is_empty() {
-                    // As much as other flights would show plainly.
-                    (Direction::draw(draw, &self.nominal, effect).at(0.5), 0.0)
-                } else {
-                    self.sized_effect(draw, &judge, effect, TRAP_RATIOS)?
-                };
-                truth.effects = sized;
-                ratios.insert(effect, ratio);
-            }
-            _ => {
-                for (effect, range) in self.wanted(draw, order) {
-                    let (sized, ratio) = self.sized_effect(draw, &judge, effect, range)?;
-                    truth.effects = truth.effects.overlay(&sized);
-                    ratios.insert(effect, ratio);
+        let mut whole = None;
+        if kind != Kind::Null {
+            let baseline = self.baseline()?;
+            match kind {
+                Kind::Foreign | Kind::OtherLaw => {
+                    let (stranger, wanted) = match kind {
+                        Kind::Foreign => {
+                            let stranger = Stranger::disturbance(draw, &self.nominal);
+                            (stranger, self.measure(FOREIGN_RATIOS, UNKNOWN_SIZES))
+                        }
+                        _ => {
+                            let stranger = Stranger::law(draw, &self.nominal, self.has_drag());
+                            (stranger, self.single(draw))
+                        }
+                    };
+                    let (sized, shown) = self.sized_stranger(draw, &baseline, &stranger, wanted)?;
+                    (truth, whole) = (sized, Some(shown));
+                }
+                Kind::Trap => {
+                    let effect = self.trap.map_or(EffectId::GroundEffect, |trap| trap.effect);
+                    candidates = self.trap.map_or(&[][..], |trap| trap.candidates).to_vec();
+                    let (sized, shown) = if candidates.is_empty() {
+                        // As much as other flights would show plainly.
+                        (Direction::draw(draw, &self.nominal, effect).at(0.5), None)
+                    } else {
+                        let wanted = self.measure(TRAP_RATIOS, PAIR_SIZES);
+                        let (sized, shown) = self.sized_effect(draw, &baseline, effect, wanted)?;
+                        (sized, Some(shown))
+                    };
+                    truth.effects = sized;
+                    sizes.push((effect, shown));
+                }
+                _ => {
+                    for (effect, wanted) in self.wanted(draw, order) {
+                        let (sized, shown) = self.sized_effect(draw, &baseline, effect, wanted)?;
+                        truth.effects = truth.effects.overlay(&sized);
+                        sizes.push((effect, Some(shown)));
+                    }
                 }
             }
+            if whole.is_none() {
+                whole = match sizes.as_mut_slice() {
+                    [(_, Some(one))] => Some(one.clone()),
+                    _ => Some(self.shown(&baseline, &truth)?),
+                };
+            }
         }
-        let snr = self.strength(&judge, &truth)?;
+        let real = self.real(&truth);
         let condition = order.round_trip.as_ref().map_or(Condition::Plain, |trip| trip.condition);
         let logs = self
-            .sorties(&truth, false)
-            .map(|sortie| Ok(condition.apply(&sortie.fly()?.tlog, sortie.seed)))
+            .sorties(&real, false)
+            .map(|sortie| {
+                let tlog = condition.apply(&sortie.fly()?.tlog, sortie.seed);
+                Ok(self.setting.logged(tlog, sortie.seed))
+            })
             .collect::<Result<_, FlightError>>()?;
         let verdict = match kind {
             Kind::Null => Verdict::None,
@@ -302,29 +318,54 @@ impl Bench {
             Kind::LeftOut | Kind::Foreign => Verdict::Unknown,
             _ => Verdict::Effect,
         };
-        let mut effects: Vec<TrueEffect> = ratios
+        let shown_as = |shown: &Option<Shown>| shown.as_ref().map_or(0.0, |s| s.strength.ratio);
+        let mut effects: Vec<TrueEffect> = sizes
             .iter()
-            .map(|(effect, ratio)| true_effect(&self.nominal, &truth.effects, *effect, *ratio))
+            .map(|(effect, shown)| {
+                true_effect(&self.nominal, &truth.effects, *effect, shown_as(shown))
+            })
             .collect();
-        effects.extend(causes.first().map(|cause| TrueEffect {
+        let is_other_law = kind == Kind::OtherLaw;
+        effects.extend(truth.causes.first().map(|cause| TrueEffect {
             id: cause.name().to_owned(),
             parameters: BTreeMap::new(),
             neutral: BTreeMap::new(),
-            ratio: rounded(snr.ratio),
+            ratio: rounded(shown_as(&whole)),
         }));
+        let is_practical = match whole.as_ref() {
+            None => false,
+            Some(whole) if sizes.is_empty() => self.is_practical(whole),
+            Some(_) => sizes.iter().all(|(_, s)| s.as_ref().is_some_and(|s| self.is_practical(s))),
+        };
+        let beside = self.deviations_beside(&truth);
         let names = |ids: &[EffectId]| ids.iter().map(|id| id.name().to_owned()).collect();
         let sensors = self.configs[0].sensors;
+        let strength = whole.as_ref().map_or_else(Strength::none, |whole| whole.strength.clone());
+        let file_numbers = whole.filter(|_| self.world == World::Builders);
+        let mut deviations = beside.listed(&self.nominal);
+        if is_other_law {
+            deviations.extend(payload(&self.nominal, &truth.effects));
+        }
         let key = KeyEntry {
             kind,
             condition,
+            file: self.setting.file,
+            on_board: self.setting.on_board,
+            outputs_hz: self.setting.outputs_hz,
             verdict: verdict.name().to_owned(),
             effects,
-            also_right: names(causes.get(1..).unwrap_or_default()),
+            also_right: names(truth.causes.get(1..).unwrap_or_default()),
             candidates: names(&candidates),
-            foreign: truth.foreign,
+            foreign: truth.foreign.clone(),
             without: if kind == Kind::LeftOut { names(&ids(&truth.effects)) } else { Vec::new() },
-            is_weak: snr.ratio < 1.0,
-            snr,
+            deviations,
+            beyond_tolerances: file_numbers.as_ref().map_or_else(Vec::new, |shown| {
+                shown.tolerances.iter().map(|off| off.map(rounded)).collect()
+            }),
+            ratio_beyond_file: file_numbers.map(|shown| rounded(shown.beyond.ratio)),
+            is_practical,
+            is_weak: strength.ratio < 1.0,
+            snr: strength,
             nominal_mass_kg: self.nominal.mass,
             tags: std::mem::take(&mut self.notes),
         };
@@ -335,31 +376,35 @@ impl Bench {
             body_rate: sensors.gyro.noise,
             specific_force: sensors.accelerometer.noise,
         };
-        Ok(Case { nominal: self.nominal, logs, truth: truth.effects, noise, key })
+        let mut known = beside.body(&self.nominal);
+        known.modelled_effects = known.modelled_effects.overlay(&beside.effects());
+        let truth = if truth.foreign.is_some() { EffectSet::new() } else { truth.effects };
+        Ok(Case { nominal: self.nominal, known, logs, truth, noise, key })
     }
 
     /// The effects of a case, and how strongly each is to show.
-    fn wanted(&self, draw: &mut Draw, order: &Order) -> Vec<(EffectId, [f64; 2])> {
+    fn wanted(&self, draw: &mut Draw, order: &Order) -> Vec<(EffectId, Wanted)> {
         if let Some(trip) = &order.round_trip {
-            return vec![(trip.effect, [trip.ratio; 2])];
+            return vec![(trip.effect, Wanted::Ratio([trip.ratio; 2]))];
         }
         let first = self.effect(draw, |_| true);
         match order.kind {
-            Kind::LeftOut => vec![(first, LEFT_OUT_RATIOS)],
+            Kind::LeftOut => vec![(first, self.measure(LEFT_OUT_RATIOS, UNKNOWN_SIZES))],
             Kind::Pair => {
                 let second = self.effect(draw, |other| other.class() != first.class());
-                vec![(first, PAIR_RATIOS), (second, PAIR_RATIOS)]
+                let wanted = self.measure(PAIR_RATIOS, PAIR_SIZES);
+                vec![(first, wanted), (second, wanted)]
             }
             Kind::Modelled => {
                 let modelled = ids(&self.nominal.modelled_effects).first().copied();
                 let effect = modelled.filter(|_| draw.chance(0.5)).unwrap_or(EffectId::Wind);
-                vec![(effect, self.ratios)]
+                vec![(effect, self.single(draw))]
             }
-            _ => vec![(first, self.ratios)],
+            _ => vec![(first, self.single(draw))],
         }
     }
 
-    fn has_drag(&self) -> bool {
+    pub(super) fn has_drag(&self) -> bool {
         DRAGS.iter().any(|drag| self.nominal.modelled_effects.contains(*drag))
     }
 
@@ -371,6 +416,8 @@ impl Bench {
             let possible = match effect {
                 _ if NEED_DRAG.contains(&effect) => has_drag,
                 EffectId::RotorGyroscopic => self.nominal.rotor_max_rpm.is_some(),
+                // Between setpoints and outputs nothing is known.
+                EffectId::PdGain | EffectId::CommandDelay => self.setting.on_board.is_known(),
                 _ => !self.nominal.modelled_effects.contains(effect),
             };
             if possible && wanted(effect) {
@@ -380,7 +427,7 @@ impl Bench {
     }
 }
 
-fn ids(effects: &EffectSet) -> Vec<EffectId> {
+pub(super) fn ids(effects: &EffectSet) -> Vec<EffectId> {
     effects.iter().map(|(effect, _)| effect).collect()
 }
 
@@ -395,7 +442,7 @@ fn true_effect(
         all.iter().map(|(name, value)| ((*name).to_owned(), value_of(value))).collect()
     };
     let mut neutral = EffectSet::new();
-    let mut slots = sitl::effects::Slots::default();
+    let mut slots = Slots::default();
     for slot in effect.spec().slots() {
         slots[slot.index] = reference(nominal, effect, slot.index);
     }
@@ -406,6 +453,15 @@ fn true_effect(
         neutral: values(&neutral),
         ratio: rounded(ratio),
     }
+}
+
+/// The inertia of a payload, which is no effect of its own.
+fn payload(nominal: &VehicleParams, effects: &EffectSet) -> Option<Deviation> {
+    effects.contains(EffectId::Inertia).then(|| {
+        let TrueEffect { id, parameters, neutral, .. } =
+            true_effect(nominal, effects, EffectId::Inertia, 0.0);
+        Deviation { id, parameters, neutral, alternatives: Vec::new(), tolerances: None }
+    })
 }
 
 fn value_of(parameter: &Parameter) -> ParameterValue {
@@ -422,5 +478,107 @@ fn noisier(sensors: SensorConfig, factor: f64) -> SensorConfig {
         gyro: imu(sensors.gyro),
         accelerometer: imu(sensors.accelerometer),
         ..sensors
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::world::LoopKind;
+    use super::*;
+    use crate::exam::condition::rewritten;
+    use mavlink::MessageData;
+    use sitl::plant::Plant;
+    use wire::dialect::SET_ATTITUDE_TARGET_DATA;
+
+    const SETTINGS: Settings =
+        Settings { flights: 1, seconds: 15.0, ratios: [1.0, 10.0], world: World::Builders };
+
+    fn bench(number: u64) -> Bench {
+        let order = Order::from(Kind::Single);
+        Bench::draw(&mut Draw::new(3, number), &SETTINGS, "quad", &order).expect("a bench")
+    }
+
+    #[test]
+    fn what_flies_is_what_the_key_says() {
+        let (count, mut lost) = (24, 0);
+        for number in 0..count {
+            let bench = bench(number);
+            let mut effects = EffectSet::new();
+            let mass = rounded(1.15 * bench.nominal.mass);
+            effects.insert_argument(&format!("mass:mass_kg={mass}")).expect("an effect");
+            let truth = Truth::from(effects);
+            let real = bench.real(&truth);
+            let config = SitlConfig::default();
+            let plant = Plant::new(&real.body, &real.effects, &config, 1).expect("a plant");
+            assert_eq!(plant.physics().constants().mass, mass);
+            let listed = bench.deviations_beside(&truth).listed(&bench.nominal);
+            assert_eq!(listed.is_empty(), bench.setting.file == FileKind::Exact);
+            for deviation in listed.iter().filter(|deviation| deviation.id == "inertia") {
+                let ParameterValue::Vector(scale) = &deviation.parameters["scale"] else {
+                    panic!("{deviation:?}");
+                };
+                let flown = plant.physics().constants().inertia;
+                for axis in 0..3 {
+                    let said = scale[axis] * bench.nominal.inertia[axis];
+                    assert!((flown[axis] / said - 1.0).abs() < 1e-4);
+                }
+            }
+            let (Ok(with), Ok(without)) = (bench.tracks(&truth), bench.tracks(&Truth::default()))
+            else {
+                eprintln!("{number}: lost, {:?}", bench.setting);
+                lost += 1;
+                continue;
+            };
+            let thrust = |tracks: &[Track]| tracks[0].outputs.iter().flatten().sum::<f64>();
+            let more = thrust(&with) / thrust(&without);
+            assert!((1.05..1.3).contains(&more), "{number}: {more}");
+        }
+        // A case whose flights are lost is drawn again.
+        assert!(lost <= count / 3, "{lost}");
+    }
+
+    #[test]
+    fn nulls_have_no_effect_and_their_files_say_what_they_are_to() {
+        let mut met = std::collections::BTreeSet::new();
+        for number in 0..16 {
+            let case = Case::fly(&SETTINGS, 4, number, "quad", &Kind::Null.into()).expect("a case");
+            let key = &case.key;
+            assert!(key.effects.is_empty() && key.foreign.is_none() && case.truth.is_empty());
+            assert_eq!(key.verdict, "none");
+            assert!(!key.is_practical);
+            assert_eq!(key.deviations.is_empty(), key.file == FileKind::Exact);
+            assert_eq!(case.nominal.attitude_pd.is_some(), key.on_board == LoopKind::Pd);
+            assert!(case.nominal.attitude_cascade.is_none());
+            assert_eq!(case.nominal.provenance.is_empty(), key.file != FileKind::Claimed);
+            let mut setpoints = 0;
+            rewritten(&case.logs[0], |frame| {
+                setpoints += usize::from(frame.id() == SET_ATTITUDE_TARGET_DATA::ID);
+                None
+            });
+            assert_eq!(setpoints == 0, key.on_board == LoopKind::CascadeUnlogged);
+            met.insert((key.file, key.on_board));
+        }
+        assert!(met.len() > 4, "{met:?}");
+    }
+
+    #[test]
+    fn size_is_what_the_file_cannot_explain() {
+        // Thrust that is 4 % off is within the tolerances of a load cell and a scale; 20 % is not.
+        let exact = |number: &u64| {
+            let bench = bench(*number);
+            bench.setting.file == FileKind::Exact && bench.setting.on_board == LoopKind::Pd
+        };
+        let bench = bench((0..100).find(exact).expect("an exact file"));
+        let baseline = bench.baseline().expect("a flight");
+        let shown = |scale: f64| {
+            let mut effects = EffectSet::new();
+            effects.insert_argument(&format!("thrust_scale:scale={scale}")).expect("an effect");
+            bench.shown(&baseline, &effects.into()).expect("a flight")
+        };
+        let (small, large) = (shown(0.96), shown(0.8));
+        assert!(small.beyond.ratio < 0.1 * small.strength.ratio, "{small:?}");
+        assert!(large.beyond.ratio > 0.3 * large.strength.ratio, "{large:?}");
+        assert!(large.beyond.ratio < large.strength.ratio);
+        assert!(small.size() < 1.0 && large.size() > 1.0, "{small:?} {large:?}");
     }
 }

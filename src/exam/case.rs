@@ -9,6 +9,7 @@ use super::condition::Condition;
 use super::draw::Draw;
 use super::flight::FlightError;
 use super::key::KeyEntry;
+use super::world::World;
 use crate::diagnose::noise::ReportNoise;
 
 /// Draws until one flies.
@@ -131,13 +132,15 @@ pub struct Settings {
     pub flights: usize,
     /// Length of a log, s.
     pub seconds: f64,
-    /// Signal-to-noise ratios of single effects.
+    /// Signal-to-noise ratios of single effects, where files are exact.
     pub ratios: [f64; 2],
+    /// Which vehicles.
+    pub world: World,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { flights: 4, seconds: 22.5, ratios: [0.3, 30.0] }
+        Self { flights: 4, seconds: 22.5, ratios: [0.3, 30.0], world: World::Exact }
     }
 }
 
@@ -146,9 +149,12 @@ impl Default for Settings {
 pub struct Case {
     /// The vehicle file.
     pub nominal: VehicleParams,
+    /// The file as it would be, were the builder's numbers right and nothing lacking in it but the
+    /// effects.
+    pub known: VehicleParams,
     /// The logs.
     pub logs: Vec<Vec<u8>>,
-    /// What the vehicle has beyond its file.
+    /// The effects of the catalogue that it has.
     pub truth: EffectSet,
     /// Noise of its reports.
     pub noise: ReportNoise,

@@ -48,15 +48,8 @@ impl Condition {
             return log.to_vec();
         }
         let mut draw = Draw::new(seed, self as u64);
-        let mut out = Writer::new(Vec::with_capacity(log.len()));
         let mut counts = std::collections::BTreeMap::<(u32, u32), u64>::new();
-        let mut reader = Reader::new(log);
-        // Reading from memory cannot fail, nor can writing to it.
-        while let Ok(Some(entry)) = reader.read() {
-            let (Some(time_us), Some(frame)) = (entry.time_us, Frame::parse(&entry.frame)) else {
-                continue;
-            };
-            let is_heartbeat = frame.id() == HEARTBEAT_DATA::ID;
+        rewritten(log, |frame| {
             let count = counts.entry((frame.system(), frame.id())).or_default();
             *count += 1;
             let is_kept = match self {
@@ -64,17 +57,30 @@ impl Condition {
                 Self::Dropouts => !draw.chance(LOST),
                 Self::Plain | Self::Jitter => true,
             };
-            if !is_kept && !is_heartbeat {
-                continue;
-            }
             let off = match self {
-                Self::Jitter => draw.within([-JITTER_US, JITTER_US]).round() as i64,
+                Self::Jitter if is_kept => draw.within([-JITTER_US, JITTER_US]).round() as i64,
                 _ => 0,
             };
+            (is_kept || frame.id() == HEARTBEAT_DATA::ID).then_some(off)
+        })
+    }
+}
+
+/// The log without the frames for which `keep` gives nothing; the others' stamps are off by what it
+/// gives, us.
+pub fn rewritten(log: &[u8], mut keep: impl FnMut(&Frame) -> Option<i64>) -> Vec<u8> {
+    let mut out = Writer::new(Vec::with_capacity(log.len()));
+    let mut reader = Reader::new(log);
+    // Reading from memory cannot fail, nor can writing to it.
+    while let Ok(Some(entry)) = reader.read() {
+        let (Some(time_us), Some(frame)) = (entry.time_us, Frame::parse(&entry.frame)) else {
+            continue;
+        };
+        if let Some(off) = keep(&frame) {
             let _ = out.write(time_us.saturating_add_signed(off), &entry.frame);
         }
-        out.into_inner()
     }
+    out.into_inner()
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Draws of an exam: everything in a case follows from the exam's seed and the case's number.
 
 use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 
 /// A source of random draws.
@@ -24,6 +25,11 @@ impl Draw {
         self.within([low.ln(), high.ln()]).exp()
     }
 
+    /// From the standard normal distribution.
+    pub fn normal(&mut self) -> f64 {
+        self.0.sample(StandardNormal)
+    }
+
     /// Either sign.
     pub fn sign(&mut self) -> f64 {
         if self.chance(0.5) { 1.0 } else { -1.0 }
@@ -32,6 +38,17 @@ impl Draw {
     /// Whether something of this probability happens.
     pub fn chance(&mut self, probability: f64) -> bool {
         self.0.random::<f64>() < probability
+    }
+
+    /// One of several, by their shares, which sum to 1.
+    pub fn one_of<T: Copy>(&mut self, shares: &[(T, f64)]) -> T {
+        let mut left = self.0.random::<f64>();
+        let found = shares.iter().find(|(_, share)| {
+            left -= share;
+            left < 0.0
+        });
+        // Rounding may leave a rest, which is the last one's.
+        found.unwrap_or(&shares[shares.len() - 1]).0
     }
 
     /// A whole number below `count`, which is at least 1.

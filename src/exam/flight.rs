@@ -50,12 +50,14 @@ pub struct Link {
 /// One flight.
 #[derive(Clone, Debug)]
 pub struct Sortie<'a> {
-    /// The vehicle file.
-    pub nominal: &'a VehicleParams,
-    /// What the vehicle has beyond it.
+    /// What the firmware and the ground station believe of the vehicle, its loop included.
+    pub believed: &'a VehicleParams,
+    /// What its numbers are.
+    pub body: &'a VehicleParams,
+    /// What the vehicle has beyond them.
     pub effects: &'a EffectSet,
     /// And what the catalogue does not have.
-    pub foreign: Option<&'a Foreign>,
+    pub foreign: &'a [Foreign],
     /// Pack, sensors, start; the start's place is the motion's.
     pub config: SitlConfig,
     /// Streams.
@@ -118,12 +120,12 @@ impl Sortie<'_> {
         let [north, east, down, yaw] = self.motion.start();
         config.start.position_m = [north, east, down];
         config.start.heading_rad = yaw;
-        let mut vehicle =
-            Vehicle::new(self.nominal.clone(), self.effects.clone(), config, self.seed)?;
-        if let Some(foreign) = self.foreign {
+        let (believed, body) = (self.believed.clone(), self.body.clone());
+        let mut vehicle = Vehicle::built(believed, body, self.effects.clone(), config, self.seed)?;
+        for foreign in self.foreign {
             vehicle.disturb(foreign.clone(), self.seed);
         }
-        let mut ground = Ground::new(self.nominal)?;
+        let mut ground = Ground::new(self.believed)?;
         let mut rng = Pcg64Mcg::seed_from_u64(self.seed ^ 0x11_9e);
         let mut under_way: VecDeque<(u64, Vec<u8>)> = VecDeque::new();
         let mut log = Writer::new(Vec::new());

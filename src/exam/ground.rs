@@ -51,7 +51,7 @@ pub enum GroundError {
     #[error(transparent)]
     Design(#[from] crate::control::DesignError),
     /// The file has no on-board loop.
-    #[error("vehicle {0}: the file has no attitude_pd, which the flights of an exam need")]
+    #[error("vehicle {0}: the file has no on-board loop, which the flights of an exam need")]
     NoLoop(String),
 }
 
@@ -74,7 +74,8 @@ impl Ground {
     pub fn new(vehicle: &VehicleParams) -> Result<Self, GroundError> {
         let physics = Physics::new(vehicle, &EffectSet::new())?;
         let constants = physics.constants();
-        let pd = vehicle.attitude_pd.ok_or_else(|| GroundError::NoLoop(vehicle.name.clone()))?;
+        let pd = vehicle.attitude_loop_pd();
+        let pd = pd.ok_or_else(|| GroundError::NoLoop(vehicle.name.clone()))?;
         let gains = vehicle.modelled_effects.get::<PdGain>();
         let pd = gains.map_or(pd, |gains| gains.apply(&pd));
         let hover = HoverVehicle {

@@ -9,9 +9,14 @@ use sha2::{Digest, Sha256};
 use sitl::effects::ParameterValue;
 use sitl::foreign::Foreign;
 
+use super::builder::Deviation;
 use super::case::Kind;
 use super::condition::Condition;
 use super::strength::Strength;
+use super::world::{FileKind, LoopKind};
+
+/// Values of an effect's parameters, by name.
+pub type Parameters = BTreeMap<String, ParameterValue>;
 
 /// An effect that the vehicle has beyond its file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,9 +24,9 @@ pub struct TrueEffect {
     /// Id.
     pub id: String,
     /// The vehicle's values.
-    pub parameters: BTreeMap<String, ParameterValue>,
+    pub parameters: Parameters,
     /// What the vehicle file says, or the neutral values.
-    pub neutral: BTreeMap<String, ParameterValue>,
+    pub neutral: Parameters,
     /// How strongly it shows by itself.
     pub ratio: f64,
 }
@@ -33,6 +38,12 @@ pub struct KeyEntry {
     pub kind: Kind,
     /// State of the logs.
     pub condition: Condition,
+    /// How good the vehicle file is.
+    pub file: FileKind,
+    /// Which loop is on board.
+    pub on_board: LoopKind,
+    /// Rate of the logged outputs, Hz.
+    pub outputs_hz: f64,
     /// The right verdict.
     pub verdict: String,
     /// The effects that the vehicle has beyond its file, by their causes' ids.
@@ -45,6 +56,18 @@ pub struct KeyEntry {
     pub foreign: Option<Foreign>,
     /// Effects that the diagnosis is to do without.
     pub without: Vec<String>,
+    /// What of the vehicle file is off by its tolerances, which is never the answer.
+    pub deviations: Vec<Deviation>,
+    /// How many claimed standard deviations each effect is off the file; none of one that no number
+    /// of the file is.
+    pub beyond_tolerances: Vec<Option<f64>>,
+    /// How strongly all of it shows when every number of the file has moved by up to three
+    /// tolerances to explain it.
+    pub ratio_beyond_file: Option<f64>,
+    /// Whether each effect is of practical size: at least three tolerances off the file, and as
+    /// strong as three times noise when its numbers have moved. Of an exact file with an exact
+    /// world about it, whether it shows twice as much as noise.
+    pub is_practical: bool,
     /// How strongly all of it shows.
     pub snr: Strength,
     /// Whether it shows less than noise.

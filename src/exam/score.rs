@@ -3,42 +3,51 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-use sitl::effects::ParameterValue;
 
 use super::answer::{Given, NAMED, class_of};
 use super::case::Kind;
 use super::condition::Condition;
+use super::estimate::{coverage, estimate, is_deviation, relative_errors};
+use super::grade::{Grade, Stated, grade};
 use super::key::{KeyEntry, TrueEffect};
+use super::world::{FileKind, LoopKind};
 
-/// A wrong name from this probability on does harm.
+/// A wrong name beyond this probability does harm, whatever stands beside it.
 const CONFIDENT: f64 = 0.8;
-/// Relative errors count up to this.
-const ERROR_MAX: f64 = 10.0;
-/// Parameters that are compared, by effect; those of one group as one vector.
-const SCORED: [(&str, &[&[&str]]); 22] = [
-    ("thrust_scale", &[&["scale"]]),
-    ("mass", &[&["mass_kg"]]),
-    ("thrust_curve", &[&["a"]]),
-    ("battery_sag", &[&["exponent"]]),
-    ("rotor_loss", &[&["scale"]]),
-    ("motor_lag", &[&["tau_s"]]),
-    ("command_delay", &[&["delay_s"]]),
-    ("rotor_drag", &[&["d_xy"]]),
-    ("parasitic_drag", &[&["cda_m2"]]),
-    ("wind", &[&["north_m_s", "east_m_s"]]),
-    ("gusts", &[&["sigma_m_s"]]),
-    ("ground_effect", &[&["r_eff_m"]]),
-    ("translational_lift", &[&["k_s2_m2"]]),
-    ("blade_flapping", &[&["moment_Nms_m"], &["tilt_rad_s_m"]]),
-    ("vortex_ring", &[&["loss_max"]]),
-    ("inertia", &[&["scale"]]),
-    ("com_offset", &[&["x_m", "y_m"]]),
-    ("rotor_gyroscopic", &[&["rotor_inertia_kgm2"]]),
-    ("yaw_torque", &[&["scale"]]),
-    ("attitude_trim", &[&["roll_rad", "pitch_rad"]]),
-    ("estimator_latency", &[&["latency_s"]]),
-    ("pd_gain", &[&["kp_scale"], &["kd_scale"]]),
-];
+/// By which law the truth of a case acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Law {
+    /// There is none.
+    Null,
+    /// The catalogue's.
+    Catalogue,
+    /// Another, for a cause that the catalogue has.
+    Other,
+    /// One that the diagnosis does not have.
+    Unknown,
+}
+
+impl Law {
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Null => "nothing",
+            Self::Catalogue => "catalogue",
+            Self::Other => "other law",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    fn of(kind: Kind) -> Self {
+        match kind {
+            Kind::Null => Self::Null,
+            Kind::OtherLaw => Self::Other,
+            Kind::LeftOut | Kind::Foreign => Self::Unknown,
+            _ => Self::Catalogue,
+        }
+    }
+}
 
 /// How one case went.
 #[derive(Clone, Debug, Serialize)]
@@ -49,10 +58,28 @@ pub struct Row {
     pub kind: Kind,
     /// State of its logs.
     pub condition: Condition,
+    /// By which law its truth acts.
+    pub law: Law,
+    /// How good its vehicle file is.
+    pub file: FileKind,
+    /// Which loop is on board.
+    pub on_board: LoopKind,
+    /// Rate of the logged outputs, Hz.
+    pub outputs_hz: f64,
+    /// Whether its effects are of practical size, and are to be named.
+    pub is_practical: bool,
+    /// How the answer stands to the key.
+    pub grade: Grade,
+    /// Deviations of the vehicle file that are named with their values right.
+    pub deviations_named: Vec<String>,
+    /// What is named and is not there.
+    pub false_named: Vec<String>,
     /// The true effects.
     pub truth: Vec<String>,
     /// Classes of effects that are right to name.
     pub right: Vec<String>,
+    /// Classes of the answer's effects that are deviations of the vehicle file, values right.
+    pub deviations: Vec<String>,
     /// How strongly they show.
     pub ratio: f64,
     /// The right verdict.
@@ -75,7 +102,8 @@ pub struct Row {
     pub exact: bool,
     /// In a trap: whether the answer admits what the flights cannot tell.
     pub trap_right: bool,
-    /// A wrong effect that the answer is confident of.
+    /// An effect that is named and is not there, unless the answer admits that it may be the truth
+    /// in its place.
     pub confidently_wrong: Option<String>,
     /// Sum over effects of (probability - truth)^2.
     pub brier: f64,
@@ -85,7 +113,7 @@ pub struct Row {
     pub covered: BTreeMap<String, Vec<bool>>,
     /// The closure that the answer claims.
     pub claimed_closure: Option<f64>,
-    /// What the named effects close of what the true ones do.
+    /// What the named effects that are there close of what the true ones do.
     pub true_closure: Option<f64>,
     /// The finding, or what went wrong.
     pub finding: String,
@@ -114,13 +142,55 @@ impl Row {
         let also: Vec<String> = key.also_right.iter().map(|id| class_of(id)).collect();
         let is_true = |id: &String| truth.contains(id) || also.contains(id);
         let says_effect = verdict == "effect";
+        let deviations: Vec<String> = match given {
+            Ok(given) => given
+                .effects
+                .iter()
+                .filter(|effect| !is_true(&class_of(&effect.id)))
+                .filter(|effect| is_deviation(effect, key))
+                .map(|effect| class_of(&effect.id))
+                .collect(),
+            Err(_) => Vec::new(),
+        };
+        let is_there = |id: &String| is_true(id) || deviations.contains(id);
         let named: Vec<&String> =
             probabilities.iter().filter(|(_, p)| *p >= NAMED).map(|(id, _)| id).collect();
-        let top = probabilities.first().map(|(id, _)| id).filter(|_| says_effect);
+        // Of an answer that names nothing though it says `effect`, the first stands.
+        let first = probabilities.first().map(|(id, _)| id).filter(|_| named.is_empty());
+        let asserted: Vec<&String> =
+            named.iter().copied().chain(first).filter(|_| says_effect).collect();
+        let false_named: Vec<String> =
+            asserted.iter().filter(|id| !is_there(id)).map(|id| (*id).clone()).collect();
+        let deviations_named: Vec<String> =
+            asserted.iter().filter(|id| deviations.contains(id)).map(|id| (*id).clone()).collect();
+        let top = probabilities
+            .iter()
+            .map(|(id, _)| id)
+            .find(|id| !deviations.contains(id))
+            .filter(|_| says_effect);
         let mut set: Vec<&String> = top.into_iter().chain(&ambiguous).collect();
         set.sort_unstable();
         set.dedup();
         let top_right = top.is_some_and(is_true);
+        let admits = ambiguous.iter().any(is_true);
+        let confidently_wrong = probabilities
+            .iter()
+            .filter(|(id, _)| false_named.contains(id))
+            .find(|(_, p)| *p > CONFIDENT || !admits)
+            .map(|(id, _)| id.clone());
+        let trap_right = trap_right(key, given.ok(), &set, &named);
+        let found = asserted.iter().filter(|id| is_true(id)).count();
+        let grade = grade(&Stated {
+            key,
+            verdict: &verdict,
+            trap_right,
+            found,
+            wanted: truth.len(),
+            first: asserted.first().is_some_and(|id| is_true(id)),
+            is_false: !false_named.is_empty(),
+            is_deviation: !deviations_named.is_empty(),
+            admits: admits && false_named.len() <= 1 && confidently_wrong.is_none(),
+        });
         let (mut errors, mut covered) = (BTreeMap::new(), BTreeMap::new());
         if let (Ok(given), true) = (given, says_effect) {
             for effect in findable {
@@ -128,7 +198,8 @@ impl Row {
                     continue;
                 }
                 if let Some(found) = estimate(given, effect, key.nominal_mass_kg) {
-                    errors.insert(effect.id.clone(), relative_errors(effect, &found));
+                    let TrueEffect { id, parameters, neutral, .. } = effect;
+                    errors.insert(id.clone(), relative_errors(id, parameters, neutral, &found));
                 }
                 covered.insert(effect.id.clone(), coverage(given, effect));
             }
@@ -137,6 +208,12 @@ impl Row {
             case: case.to_owned(),
             kind: key.kind,
             condition: key.condition,
+            law: Law::of(key.kind),
+            file: key.file,
+            on_board: key.on_board,
+            outputs_hz: key.outputs_hz,
+            is_practical: key.is_practical,
+            grade,
             truth: truth_in_words(key),
             right: truth.iter().chain(&also).cloned().collect(),
             ratio: key.snr.ratio,
@@ -145,16 +222,16 @@ impl Row {
             in_set: says_effect && set.len() <= 2 && set.iter().any(|id| is_true(id)),
             is_definite: top_right && ambiguous.is_empty(),
             all_named: says_effect && truth.iter().all(|id| named.contains(&id)),
-            exact: says_effect && named.len() == truth.len() && named.iter().all(|id| is_true(id)),
-            confidently_wrong: probabilities
-                .iter()
-                .find(|(id, p)| says_effect && *p > CONFIDENT && !is_true(id))
-                .map(|(id, _)| id.clone()),
-            trap_right: trap_right(key, given.ok(), &set, &named),
+            exact: says_effect && found == truth.len() && false_named.is_empty(),
+            confidently_wrong,
+            trap_right,
             brier: match key.hides_its_effect() {
-                true => brier(&probabilities, &[], &truth),
-                false => brier(&probabilities, &truth, &also),
+                true => brier(&probabilities, &[], &truth, &deviations),
+                false => brier(&probabilities, &truth, &also, &deviations),
             },
+            deviations_named,
+            false_named,
+            deviations,
             errors,
             covered,
             claimed_closure: given.ok().and_then(|given| given.gap?.closure()),
@@ -167,14 +244,14 @@ impl Row {
         }
     }
 
-    /// Whether an effect of the answer is a true one.
+    /// Whether an effect of the answer is there: a true one, or a deviation of the vehicle file.
     pub fn is_right(&self, id: &str) -> bool {
-        self.right.iter().any(|right| right == id)
+        self.right.iter().chain(&self.deviations).any(|right| right == id)
     }
 
     /// Whether the verdict is the right one.
     pub fn verdict_right(&self) -> bool {
-        self.verdict == self.right_verdict
+        self.verdict == self.right_verdict || self.kind == Kind::Null && self.grade.is_good()
     }
 
     /// Whether the answer admits that it does not know: unknown, or several that cannot be told
@@ -212,97 +289,30 @@ fn trap_right(key: &KeyEntry, given: Option<&Given>, set: &[&String], named: &[&
 
 /// Where an effect has several right names, the best of them counts; to name what is right `also`
 /// where nothing must be named is no harm.
-fn brier(probabilities: &[(String, f64)], truth: &[String], also: &[String]) -> f64 {
+/// Nor is a deviation of the vehicle file that is there.
+fn brier(
+    probabilities: &[(String, f64)],
+    truth: &[String],
+    also: &[String],
+    deviations: &[String],
+) -> f64 {
     let of =
         |id: &String| probabilities.iter().find(|(other, _)| other == id).map_or(0.0, |(_, p)| *p);
     let also_given: f64 = also.iter().map(of).sum();
     let right: f64 = truth.iter().map(|id| (1.0 - (of(id) + also_given).min(1.0)).powi(2)).sum();
     let wrong: f64 = probabilities
         .iter()
-        .filter(|(id, _)| !truth.contains(id) && !also.contains(id))
+        .filter(|(id, _)| ![truth, also, deviations].into_iter().any(|ids| ids.contains(id)))
         .map(|(_, p)| p * p)
         .sum();
     right + wrong
 }
 
-type Parameters = BTreeMap<String, ParameterValue>;
-
-/// The answer's parameters of a true effect, under its true name.
-fn estimate(given: &Given, truth: &TrueEffect, nominal_mass: f64) -> Option<Parameters> {
-    let found = given.effect(&truth.id)?;
-    if found.id == truth.id {
-        return Some(found.parameters.clone());
-    }
-    let (from, to) = match truth.id.as_str() {
-        "mass" => ("scale", "mass_kg"),
-        _ => ("mass_kg", "scale"),
-    };
-    let ParameterValue::Number(value) = found.parameters.get(from)? else { return None };
-    let value = ParameterValue::Number(nominal_mass / value);
-    Some(Parameters::from([(to.to_owned(), value)]))
-}
-
-fn numbers(values: &Parameters, name: &str) -> Vec<f64> {
-    match values.get(name) {
-        Some(ParameterValue::Number(number)) => vec![*number],
-        Some(ParameterValue::Vector(numbers)) => numbers.clone(),
-        None => Vec::new(),
-    }
-}
-
-/// |estimate - true| / |true - neutral| of each group of parameters.
-fn relative_errors(truth: &TrueEffect, found: &Parameters) -> Vec<f64> {
-    let groups = SCORED.iter().find(|(id, _)| *id == truth.id).map_or(&[][..], |(_, g)| g);
-    let same_rotor = numbers(found, "rotor") == numbers(&truth.parameters, "rotor");
-    groups
-        .iter()
-        .filter_map(|group| {
-            let (mut off, mut size) = (0.0, 0.0);
-            for name in *group {
-                let right = numbers(&truth.parameters, name);
-                let neutral = numbers(&truth.neutral, name);
-                let mut estimate = numbers(found, name);
-                if estimate.len() == 1 {
-                    estimate.resize(right.len(), estimate[0]);
-                }
-                if estimate.len() != right.len() || neutral.len() != right.len() {
-                    return Some(ERROR_MAX);
-                }
-                for ((estimate, right), neutral) in estimate.iter().zip(&right).zip(&neutral) {
-                    off += (estimate - right).powi(2);
-                    size += (right - neutral).powi(2);
-                }
-            }
-            let error = (off / size).sqrt();
-            let error = if same_rotor { error } else { error.max(1.0) };
-            // A group that is not off its neutral value has no relative error.
-            (size > 0.0).then(|| if error.is_finite() { error.min(ERROR_MAX) } else { ERROR_MAX })
-        })
-        .collect()
-}
-
-/// Of the intervals that the answer gives for a true effect under its own name, which hold it.
-fn coverage(given: &Given, truth: &TrueEffect) -> Vec<bool> {
-    let Some(found) = given.effects.iter().find(|effect| effect.id == truth.id) else {
-        return Vec::new();
-    };
-    found
-        .intervals
-        .iter()
-        .filter_map(|(name, [low, high])| {
-            let (name, component) = match name.split_once('[') {
-                Some((name, rest)) => (name, rest.trim_end_matches(']').parse().ok()?),
-                None => (name.as_str(), 0),
-            };
-            let right = *numbers(&truth.parameters, name).get(component)?;
-            Some((*low..=*high).contains(&right))
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::exam::builder::Deviation;
+    use crate::exam::key::Parameters;
     use crate::exam::strength::Strength;
 
     fn parameters(text: &str) -> Parameters {
@@ -319,6 +329,13 @@ mod tests {
         KeyEntry {
             kind,
             condition: Condition::Plain,
+            file: FileKind::Claimed,
+            on_board: LoopKind::Pd,
+            outputs_hz: 100.0,
+            deviations: Vec::new(),
+            beyond_tolerances: vec![Some(4.0)],
+            ratio_beyond_file: Some(5.0),
+            is_practical: true,
             verdict: "effect".to_owned(),
             effects: effects.collect(),
             also_right: Vec::new(),
@@ -423,5 +440,76 @@ mod tests {
             r#"{"verdict":"effect","ambiguous_with":["gusts"],
             "effects":[{"id":"wind","probability":0.9}]}"#
         ));
+    }
+
+    /// A mass that is 10 % above a file of which thrust and inertia are off.
+    fn off_file(kind: Kind) -> KeyEntry {
+        let deviation = |id: &str, is: &str, said: &str| Deviation {
+            id: id.to_owned(),
+            parameters: parameters(is),
+            neutral: parameters(said),
+            alternatives: Vec::new(),
+            tolerances: Some(1.0),
+        };
+        let effects: &[_] = match kind {
+            Kind::Null => &[],
+            _ => &[("mass", r#"{"mass_kg":1.32}"#, r#"{"mass_kg":1.2}"#)],
+        };
+        let inertia = deviation("inertia", r#"{"scale":[1.08,1.0,0.95]}"#, r#"{"scale":[1,1,1]}"#);
+        let verdict = if kind == Kind::Null { "none" } else { "effect" };
+        KeyEntry { deviations: vec![inertia], verdict: verdict.to_owned(), ..key(kind, effects) }
+    }
+
+    #[test]
+    fn a_deviation_is_acceptable_with_its_value_and_wrong_without() {
+        let null = off_file(Kind::Null);
+        let graded = |scale: &str, intervals: &str| {
+            let effect = format!(
+                r#"{{"id":"inertia","probability":0.9,"parameters":{{"scale":{scale}}}{intervals}}}"#
+            );
+            row(&null, &format!(r#"{{"verdict":"effect","effects":[{effect}]}}"#))
+        };
+        let right = graded("[1.07,1.01,0.96]", "");
+        assert_eq!(right.grade, Grade::Acceptable);
+        assert!(right.confidently_wrong.is_none() && right.brier == 0.0 && right.verdict_right());
+        let wrong = graded("[1.3,1.01,0.96]", "");
+        assert_eq!(wrong.grade, Grade::Wrong);
+        assert_eq!(wrong.confidently_wrong.as_deref(), Some("inertia"));
+        let wide =
+            r#","intervals":{"scale[0]":[1.0,1.1],"scale[1]":[0.95,1.1],"scale[2]":[0.9,1.0]}"#;
+        assert_eq!(graded("[1.05,1.04,0.95]", "").grade, Grade::Wrong);
+        assert_eq!(graded("[1.05,1.04,0.95]", wide).grade, Grade::Acceptable);
+        let unknown = row(&null, r#"{"verdict":"unknown"}"#);
+        assert!(unknown.grade == Grade::Wrong && !unknown.verdict_right());
+    }
+
+    #[test]
+    fn truth_beside_a_deviation_is_right_and_beside_something_else_mixed() {
+        let case = off_file(Kind::Single);
+        let mass = r#"{"id":"mass","probability":0.95,"parameters":{"mass_kg":1.3}}"#;
+        let inertia = r#"{"id":"inertia","probability":0.97,"parameters":{"scale":[1.08,1,0.95]}}"#;
+        let wind = r#"{"id":"wind","probability":0.7}"#;
+        let graded =
+            |effects: &str| row(&case, &format!(r#"{{"verdict":"effect","effects":[{effects}]}}"#));
+        assert_eq!(graded(mass).grade, Grade::Right);
+        let both = graded(&format!("{mass},{inertia}"));
+        assert!(both.grade == Grade::Acceptable && both.top_right && both.exact, "{both:?}");
+        let mixed = graded(&format!("{mass},{wind}"));
+        assert_eq!(
+            (mixed.grade, mixed.false_named.as_slice()),
+            (Grade::Mixed, &["wind".to_owned()][..])
+        );
+        assert_eq!(graded(wind).grade, Grade::Wrong);
+        assert_eq!(row(&case, r#"{"verdict":"unknown"}"#).grade, Grade::Missed);
+    }
+
+    #[test]
+    fn below_the_practical_size_naming_and_none_are_both_right() {
+        let case = KeyEntry { is_practical: false, ..off_file(Kind::Single) };
+        let mass = r#"{"verdict":"effect","effects":[{"id":"mass","probability":0.8}]}"#;
+        assert_eq!(row(&case, r#"{"verdict":"none"}"#).grade, Grade::Right);
+        assert_eq!(row(&case, mass).grade, Grade::Right);
+        let wind = r#"{"verdict":"effect","effects":[{"id":"wind","probability":0.8}]}"#;
+        assert_eq!(row(&case, wind).grade, Grade::Wrong);
     }
 }

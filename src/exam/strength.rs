@@ -12,6 +12,7 @@ use sitl::autopilot::offboard::AttitudeSetpoint;
 use sitl::autopilot::pd::AttitudeLoop;
 use sitl::config::{SensorConfig, SitlConfig};
 use sitl::effects::{AttitudeTrim, CommandDelay, EffectSet, EstimatorLatency, PdGain};
+use sitl::foreign::Foreign;
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::plant::Plant;
 use sitl::rigid_body::State;
@@ -24,6 +25,12 @@ use super::flight::Track;
 const HORIZONS: [usize; 3] = [100, 500, 1000];
 /// Steps between the starts of windows, and before the first.
 const SPACING: usize = 500;
+/// The same where a file's numbers are moved, one after the other.
+const SPARSE: usize = 1_000;
+/// Steps from one reading of the pack's voltage to the next.
+const VOLTAGE_STEPS: usize = 20;
+/// Rounds of coordinate descent: columns that are alike converge slowly.
+const SWEEPS: usize = 500;
 const MARGIN: usize = 400;
 /// Position, velocity, attitude and body rate, three axes each.
 const CHANNELS: usize = 12;
@@ -32,8 +39,11 @@ const NAMES: [&str; CHANNELS] = [
     "rate_y", "rate_z",
 ];
 
-/// Sums of squares over windows, by horizon and channel.
-type Squares = [[f64; CHANNELS]; HORIZONS.len()];
+/// An effect is to be named from this strength on, where the vehicle file is exact.
+pub const DETECTABLE: f64 = 2.0;
+
+/// Errors, or sums of their squares, by horizon and channel.
+type Table = [[f64; CHANNELS]; HORIZONS.len()];
 
 /// The ratio and where it is largest.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -44,66 +54,150 @@ pub struct Strength {
     pub channel: String,
 }
 
-/// What the nominal simulator is off by over some flights.
-#[derive(Clone, Debug, Default)]
-pub struct Errors {
-    due: Squares,
-    noise: Squares,
-    windows: f64,
-}
-
-impl Errors {
-    /// How much larger these errors are than those of the nominal vehicle itself, which come of the
-    /// link's jitter.
-    pub fn strength(&self, nominal: &Errors) -> Strength {
-        let mut best = Strength { ratio: 0.0, channel: String::new() };
-        for (place, horizon) in HORIZONS.iter().enumerate() {
-            for (channel, name) in NAMES.iter().enumerate() {
-                let mean = |squares: &Squares, windows: f64| {
-                    squares[place][channel] / f64::max(windows, 1.0)
-                };
-                let due = mean(&self.due, self.windows) - mean(&nominal.due, nominal.windows);
-                let noise = mean(&self.noise, self.windows).max(1e-30);
-                let ratio = (due.max(0.0) / noise).sqrt();
-                if ratio > best.ratio {
-                    let channel = format!("{name}@{}s", *horizon as f64 * 1e-3);
-                    best = Strength { ratio, channel };
-                }
-            }
-        }
-        best
+impl Strength {
+    /// Of nothing.
+    pub fn none() -> Self {
+        Self { ratio: 0.0, channel: String::new() }
     }
 }
 
-/// Predicts with the nominal vehicle.
+/// What a simulator is off by over some flights.
+#[derive(Clone, Debug, Default)]
+pub struct Errors {
+    /// Of each window.
+    due: Vec<Table>,
+    noise: Table,
+}
+
+/// A table by its elements.
+fn each(element: impl Fn(usize, usize) -> f64) -> Table {
+    std::array::from_fn(|place| std::array::from_fn(|channel| element(place, channel)))
+}
+
+/// Means of the squares of some errors.
+fn mean_squares(errors: &[Table]) -> Table {
+    each(|place, channel| {
+        let squares = errors.iter().map(|error| error[place][channel].powi(2));
+        squares.sum::<f64>() / errors.len().max(1) as f64
+    })
+}
+
+/// The largest RMS error beyond `without`'s over the noise; all three are mean squares.
+fn strongest(due: &Table, without: &Table, noise: &Table) -> Strength {
+    let mut best = Strength::none();
+    for (place, horizon) in HORIZONS.iter().enumerate() {
+        for (channel, name) in NAMES.iter().enumerate() {
+            let due = due[place][channel] - without[place][channel];
+            let noise = (noise[place][channel] + without[place][channel]).max(1e-30);
+            let ratio = (due.max(0.0) / noise).sqrt();
+            if ratio > best.ratio {
+                let channel = format!("{name}@{}s", *horizon as f64 * 1e-3);
+                best = Strength { ratio, channel };
+            }
+        }
+    }
+    best
+}
+
+impl Errors {
+    fn noise(&self) -> Table {
+        let count = self.due.len().max(1) as f64;
+        each(|place, channel| self.noise[place][channel] / count)
+    }
+
+    /// How much larger these errors are than those of the vehicle without the difference, which
+    /// come of the link's jitter and of outputs that are logged slowly.
+    pub fn strength(&self, without: &Errors) -> Strength {
+        strongest(&mean_squares(&self.due), &mean_squares(&without.due), &self.noise())
+    }
+}
+
+/// What predictions are made with.
+#[derive(Clone, Copy, Debug)]
+pub struct Model<'a> {
+    /// What the firmware believes: loop and mixer.
+    pub believed: &'a VehicleParams,
+    /// The vehicle's numbers.
+    pub body: &'a VehicleParams,
+    /// What it has beyond them.
+    pub effects: &'a EffectSet,
+    /// And beyond the catalogue.
+    pub foreign: &'a [Foreign],
+    /// The turn of the attitude that the loop flies by.
+    pub trim: Attitude,
+    /// Where the loop is not known and predictions follow the logged outputs: how often these are
+    /// logged, Hz.
+    pub outputs_hz: Option<f64>,
+}
+
+/// Predicts.
+#[derive(Clone, Debug)]
 pub struct Predictor {
     plant: Plant,
-    law: AttitudeLoop,
-    rate_hz: f64,
+    /// The loop and its rate, Hz.
+    law: Option<(AttitudeLoop, f64)>,
+    trim: Attitude,
+    /// Steps from one logged output to the next.
+    outputs_steps: usize,
     delay_s: f64,
     lag: Lag,
     noise: SensorConfig,
 }
 
+/// A number of a vehicle file that is moved by one tolerance.
+#[derive(Clone, Debug)]
+pub struct Moved {
+    predictor: Predictor,
+    /// Turn of the reported attitude and age of the pose that come with it.
+    trim: Attitude,
+    latency_s: f64,
+    /// How many tolerances it may move by.
+    most: f64,
+}
+
+impl Moved {
+    /// A number of which the prediction is `predictor`'s; it may move by `most` tolerances.
+    pub fn of(predictor: Predictor, most: f64) -> Self {
+        Self { predictor, trim: Attitude::default(), latency_s: 0.0, most }
+    }
+
+    /// A trim of the reported attitude.
+    pub fn trim(self, trim: Attitude) -> Self {
+        Self { trim, ..self }
+    }
+
+    /// An age of the reported pose, s.
+    pub fn latency(self, latency_s: f64) -> Self {
+        Self { latency_s, ..self }
+    }
+}
+
 impl Predictor {
-    /// For the vehicle file, and sensors of this noise.
+    /// For a model, and sensors of this noise.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses; one without its on-board loop has none to predict with.
-    pub fn new(nominal: &VehicleParams, noise: SensorConfig) -> Result<Option<Self>, VehicleError> {
-        let Some(pd) = nominal.attitude_pd else { return Ok(None) };
-        let effects = &nominal.modelled_effects;
-        let pd = effects.get::<PdGain>().map_or(pd, |gains| gains.apply(&pd));
-        let plant = Plant::new(nominal, &EffectSet::new(), &SitlConfig::default(), 0)?;
+    /// A vehicle that the physics refuses.
+    pub fn new(model: &Model<'_>, noise: SensorConfig) -> Result<Self, VehicleError> {
+        let Model { believed, body, effects, foreign, trim, outputs_hz } = *model;
+        let all = body.modelled_effects.overlay(effects);
+        let pd = believed.attitude_pd.filter(|_| outputs_hz.is_none());
+        let law = match pd.map(|pd| all.get::<PdGain>().map_or(pd, |gains| gains.apply(&pd))) {
+            Some(pd) => Some((AttitudeLoop::new(pd, believed.allocation()?), pd.rate_hz)),
+            None => None,
+        };
+        let mut plant = Plant::new(body, effects, &SitlConfig::default(), 0)?;
+        foreign.iter().for_each(|foreign| plant.disturb(foreign.clone(), 0));
         let lag = plant.physics().constants().motor_time_constant;
-        Ok(Some(Self {
-            law: AttitudeLoop::new(pd, nominal.allocation()?),
-            rate_hz: pd.rate_hz,
-            delay_s: effects.get::<CommandDelay>().map_or(nominal.command_delay_s, |e| e.delay_s),
+        let steps = outputs_hz.map_or(1.0, |hz| 1.0 / (hz * Plant::STEP));
+        Ok(Self {
+            law,
+            trim,
+            outputs_steps: (steps.round() as usize).max(1),
+            delay_s: all.get::<CommandDelay>().map_or(body.command_delay_s, |e| e.delay_s),
             lag: Lag::new(lag, Plant::STEP),
             plant,
             noise,
-        }))
+        })
     }
 
     /// The errors over flights of a vehicle with `truth`, flown without sensor noise.
@@ -111,34 +205,120 @@ impl Predictor {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let mut errors = Errors::default();
         let reporter = Reporter::new(truth);
-        for track in tracks {
-            let last = track.states.len().saturating_sub(HORIZONS[2] + 1);
-            for start in (MARGIN..last).step_by(SPACING) {
-                let reports = HORIZONS.map(|horizon| reporter.report(track, start + horizon));
-                let from = reporter.report(track, start);
-                let predicted = self.predict(track, start, &from);
-                add(&mut errors.due, &reports, &predicted);
-                let noisy = self.predict(track, start, &self.noisy(&from, &mut rng));
-                add(&mut errors.noise, &predicted.map(|s| self.noisy(&s, &mut rng)), &noisy);
-                errors.windows += 1.0;
-            }
+        for (track, start) in windows(tracks, SPACING) {
+            let reports = HORIZONS.map(|horizon| reporter.report(track, start + horizon));
+            let from = reporter.report(track, start);
+            let predicted = self.predict(track, start, &from);
+            errors.due.push(apart(&reports, &predicted));
+            let noisy = self.predict(track, start, &self.noisy(&from, &mut rng));
+            let noise = apart(&predicted.map(|s| self.noisy(&s, &mut rng)), &noisy);
+            errors.noise = each(|i, j| errors.noise[i][j] + noise[i][j].powi(2));
         }
         errors
     }
 
+    /// How strongly the difference shows where the numbers of a file move, each within its bound, so
+    /// that as little as possible of it is left: with e the errors and e_j those with number j moved
+    /// by a tolerance, |e + sum_j b_j (e_j - e)|^2 in units of the noise is made least over
+    /// |b_j| <= most_j.
+    pub fn beyond(
+        &self,
+        tracks: &[Track],
+        truth: &EffectSet,
+        moved: &[Moved],
+        measured: &Errors,
+        without: &Errors,
+    ) -> Strength {
+        let noise = measured.noise();
+        let baseline = mean_squares(&without.due);
+        let scale = each(|i, j| (noise[i][j] + baseline[i][j]).max(1e-30).sqrt().recip());
+        let whitened = |predictor: &Predictor, reporter: &Reporter| -> Vec<Table> {
+            windows(tracks, SPARSE)
+                .map(|(track, start)| {
+                    let reports = HORIZONS.map(|horizon| reporter.report(track, start + horizon));
+                    let from = reporter.report(track, start);
+                    let error = apart(&reports, &predictor.predict(track, start, &from));
+                    each(|i, j| error[i][j] * scale[i][j])
+                })
+                .collect()
+        };
+        let reporter = Reporter::new(truth);
+        let mut left = whitened(self, &reporter);
+        let columns: Vec<Vec<Table>> = moved
+            .iter()
+            .map(|moved| {
+                let mut column = whitened(&moved.predictor, &reporter.moved(moved));
+                for (column, error) in column.iter_mut().zip(&left) {
+                    *column = each(|i, j| column[i][j] - error[i][j]);
+                }
+                column
+            })
+            .collect();
+        shrink(&mut left, &columns, moved);
+        let whitened = each(|i, j| baseline[i][j] * scale[i][j] * scale[i][j]);
+        let noise = each(|i, j| noise[i][j] * scale[i][j] * scale[i][j]);
+        strongest(&mean_squares(&left), &whitened, &noise)
+    }
+
     /// The states at each horizon after step `start` of a track, from `state`.
     fn predict(&self, track: &Track, start: usize, state: &State) -> [State; HORIZONS.len()] {
+        match &self.law {
+            Some((law, rate_hz)) => self.by_setpoints(law, *rate_hz, track, start, state),
+            None => self.by_outputs(track, start, state),
+        }
+    }
+
+    fn set_off(&self, track: &Track, start: usize, state: &State) -> Plant {
         let mut plant = self.plant.clone();
         plant.hold_voltage(track.voltage[start]);
         plant.set_rotor_states(self.rotors(track, start));
         plant.set_state(*state);
+        plant
+    }
+
+    /// Along the logged outputs. Where these turn the body is one prediction; where it goes is
+    /// another, in which it turns as it was reported to, as a small moment would hide every force.
+    fn by_outputs(&self, track: &Track, start: usize, state: &State) -> [State; HORIZONS.len()] {
+        let mut plant = self.set_off(track, start, state);
+        let mut turned = plant.clone();
+        let off = track.states[start].attitude.inverse().compose(state.attitude);
+        let mut ahead = [*state; HORIZONS.len()];
+        for step in 0..HORIZONS[2] {
+            if step % VOLTAGE_STEPS == 0 {
+                plant.hold_voltage(track.voltage[start + step]);
+                turned.hold_voltage(track.voltage[start + step]);
+            }
+            let outputs = self.logged(track, start + step);
+            plant.step(outputs);
+            turned.step(outputs);
+            let State { attitude, body_rate, .. } = track.states[start + step + 1];
+            let attitude = attitude.compose(off);
+            turned.set_state(State { attitude, body_rate, ..*turned.state() });
+            if let Some(place) = HORIZONS.iter().position(|horizon| *horizon == step + 1) {
+                let State { position, velocity, .. } = *turned.state();
+                ahead[place] = State { position, velocity, ..*plant.state() };
+            }
+        }
+        ahead
+    }
+
+    /// By the loop, along the setpoints.
+    fn by_setpoints(
+        &self,
+        law: &AttitudeLoop,
+        rate_hz: f64,
+        track: &Track,
+        start: usize,
+        state: &State,
+    ) -> [State; HORIZONS.len()] {
+        let mut plant = self.set_off(track, start, state);
         let mut ahead = [*state; HORIZONS.len()];
         let mut outputs = track.outputs[start];
         let mut ticked = None;
         let mut sent = track.setpoints.partition_point(|(us, _)| self.rules_at(track, *us, start));
         for step in 0..HORIZONS[2] {
             let time = self.seconds(track, start + step);
-            let tick = (time * self.rate_hz + 1e-6).floor() as u64;
+            let tick = (time * rate_hz + 1e-6).floor() as u64;
             if ticked != Some(tick) {
                 ticked = Some(tick);
                 let next = |sent: usize| track.setpoints.get(sent);
@@ -149,10 +329,11 @@ impl Predictor {
                     sent.checked_sub(1).and_then(next).map(|(_, setpoint)| *setpoint);
                 if let Some(setpoint) = setpoint {
                     let state = plant.state();
-                    outputs = self.law.outputs(&setpoint, state.attitude.euler(), state.body_rate);
+                    let reported = state.attitude.compose(self.trim).euler();
+                    outputs = law.outputs(&setpoint, reported, state.body_rate);
                 }
             }
-            if step % 20 == 0 {
+            if step % VOLTAGE_STEPS == 0 {
                 plant.hold_voltage(track.voltage[start + step]);
             }
             plant.step(outputs);
@@ -175,12 +356,17 @@ impl Predictor {
     /// The nominal rotors' states at a step: their lag over the outputs before.
     fn rotors(&self, track: &Track, start: usize) -> [f64; ROTORS] {
         if self.lag.is_none() {
-            return track.outputs[start];
+            return self.logged(track, start);
         }
         let before = start - MARGIN;
         (before..start).fold(track.outputs[before], |states, step| {
-            self.lag.advance(&states, &track.outputs[step])[1]
+            self.lag.advance(&states, &self.logged(track, step))[1]
         })
+    }
+
+    /// The outputs at a step as a log has them: held from one message to the next.
+    fn logged(&self, track: &Track, step: usize) -> [f64; ROTORS] {
+        track.outputs[step - step % self.outputs_steps]
     }
 
     fn noisy(&self, state: &State, rng: &mut Pcg64Mcg) -> State {
@@ -202,20 +388,25 @@ impl Predictor {
 /// What the true vehicle reports, but for noise.
 struct Reporter {
     trim: Attitude,
-    latency: usize,
+    latency_s: f64,
 }
 
 impl Reporter {
     fn new(truth: &EffectSet) -> Self {
-        let latency = truth.get::<EstimatorLatency>().map_or(0.0, |effect| effect.latency_s);
         Self {
             trim: truth.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
-            latency: (latency / Plant::STEP).round() as usize,
+            latency_s: truth.get::<EstimatorLatency>().map_or(0.0, |effect| effect.latency_s),
         }
     }
 
+    /// The same with a number of the file moved.
+    fn moved(&self, moved: &Moved) -> Self {
+        Self { trim: self.trim.compose(moved.trim), latency_s: self.latency_s + moved.latency_s }
+    }
+
     fn report(&self, track: &Track, step: usize) -> State {
-        let late = &track.states[step.saturating_sub(self.latency)];
+        let latency = (self.latency_s / Plant::STEP).round() as usize;
+        let late = &track.states[step.saturating_sub(latency)];
         State {
             attitude: late.attitude.compose(self.trim),
             body_rate: track.states[step].body_rate,
@@ -224,18 +415,59 @@ impl Reporter {
     }
 }
 
-fn add(squares: &mut Squares, reports: &[State], predicted: &[State]) {
-    for (squares, (a, b)) in squares.iter_mut().zip(reports.iter().zip(predicted)) {
+/// Starts of windows in flights, so many steps from one to the next.
+fn windows(tracks: &[Track], spacing: usize) -> impl Iterator<Item = (&Track, usize)> {
+    tracks.iter().flat_map(move |track| {
+        let last = track.states.len().saturating_sub(HORIZONS[2] + 1);
+        (MARGIN..last).step_by(spacing).map(move |start| (track, start))
+    })
+}
+
+/// Reported minus predicted.
+fn apart(reports: &[State; HORIZONS.len()], predicted: &[State; HORIZONS.len()]) -> Table {
+    std::array::from_fn(|place| {
+        let (a, b) = (&reports[place], &predicted[place]);
         let turn = b.attitude.inverse().compose(a.attitude);
         let sign = if turn.w < 0.0 { -2.0 } else { 2.0 };
-        let errors = [
-            (a.position - b.position).to_array(),
-            (a.velocity - b.velocity).to_array(),
-            [sign * turn.x, sign * turn.y, sign * turn.z],
-            (a.body_rate - b.body_rate).to_array(),
-        ];
-        for (square, error) in squares.iter_mut().zip(errors.iter().flatten()) {
-            *square += error * error;
+        let [px, py, pz] = (a.position - b.position).to_array();
+        let [vx, vy, vz] = (a.velocity - b.velocity).to_array();
+        let [wx, wy, wz] = (a.body_rate - b.body_rate).to_array();
+        [px, py, pz, vx, vy, vz, sign * turn.x, sign * turn.y, sign * turn.z, wx, wy, wz]
+    })
+}
+
+/// Adds to `left` each column, times what makes the sum of squares least within the columns'
+/// bounds: coordinate descent, which converges as the problem is convex.
+fn shrink(left: &mut [Table], columns: &[Vec<Table>], moved: &[Moved]) {
+    let product = |a: &[Table], b: &[Table]| -> f64 {
+        a.iter()
+            .zip(b)
+            .map(|(a, b)| {
+                a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum::<f64>()
+            })
+            .sum()
+    };
+    let norms: Vec<f64> = columns.iter().map(|column| product(column, column)).collect();
+    let products: Vec<Vec<f64>> =
+        columns.iter().map(|a| columns.iter().map(|b| product(a, b)).collect()).collect();
+    let mut slopes: Vec<f64> = columns.iter().map(|column| product(column, left)).collect();
+    let mut moves = vec![0.0; columns.len()];
+    for _ in 0..SWEEPS {
+        for (number, moved) in moved.iter().enumerate() {
+            if norms[number] <= 0.0 {
+                continue;
+            }
+            let wanted: f64 = moves[number] - slopes[number] / norms[number];
+            let step = wanted.clamp(-moved.most, moved.most) - moves[number];
+            moves[number] += step;
+            for (slope, product) in slopes.iter_mut().zip(&products[number]) {
+                *slope += step * product;
+            }
+        }
+    }
+    for (column, by) in columns.iter().zip(moves) {
+        for (left, column) in left.iter_mut().zip(column) {
+            *left = each(|i, j| left[i][j] + by * column[i][j]);
         }
     }
 }
@@ -263,15 +495,25 @@ mod tests {
         let vigour = Vigour::draw(&mut draw, nominal.rotor_radius_m);
         let motions = programme(&mut draw, &vigour, Restriction::None, 2, 8.0);
         let noise = SensorConfig::default();
-        let predictor = Predictor::new(&nominal, noise).expect("a vehicle").expect("a loop");
+        let nothing = EffectSet::new();
+        let model = Model {
+            believed: &nominal,
+            body: &nominal,
+            effects: &nothing,
+            foreign: &[],
+            trim: Attitude::default(),
+            outputs_hz: None,
+        };
+        let predictor = Predictor::new(&model, noise).expect("a vehicle");
         let errors = |argument: Option<&str>| {
             let mut effects = EffectSet::new();
             argument.into_iter().for_each(|text| effects.insert_argument(text).expect("an effect"));
             let fly = |motion| {
                 let sortie = Sortie {
-                    nominal: &nominal,
+                    believed: &nominal,
+                    body: &nominal,
                     effects: &effects,
-                    foreign: None,
+                    foreign: &[],
                     config: SitlConfig { sensors: SensorConfig::IDEAL, ..SitlConfig::default() },
                     rates: Rates {
                         attitude: 250.0,

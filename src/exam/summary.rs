@@ -6,18 +6,22 @@ use serde::Serialize;
 
 use super::case::Kind;
 use super::condition::Condition;
+use super::grade::Grade;
 use super::interval::{Rate, median};
-use super::score::Row;
+use super::score::{Law, Row};
+use super::world::{FileKind, LoopKind};
 
-/// An effect is to be named from this strength on.
-pub const DETECTABLE: f64 = 2.0;
 /// Borders between strengths in detection curves.
 pub const STRENGTHS: [f64; 9] = [0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0, 8.0, 15.0];
 /// Borders between probabilities in the reliability table.
 pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
 
 /// The Brier score is to be at most this.
-pub const BRIER_MAX: f64 = 0.08;
+pub const BRIER_MAX: f64 = 0.05;
+/// And the expected calibration error.
+pub const CALIBRATION_MAX: f64 = 0.03;
+/// Bins of the reliability table count from so many cases on.
+const BIN_MIN: usize = 30;
 
 /// A rate that something is asked of.
 #[derive(Clone, Debug, Serialize)]
@@ -110,6 +114,94 @@ pub struct Reliability {
     pub is_true: Rate,
 }
 
+impl Reliability {
+    /// Whether the mean that was given lies where the true rate may; a bin of few counts as such.
+    pub fn holds(&self) -> bool {
+        let [low, high] = self.is_true.interval;
+        self.is_true.of < BIN_MIN || (low..=high).contains(&self.mean)
+    }
+}
+
+/// How a family of cases fared: those of one law on one loop with one kind of file, or of all in
+/// the place of what is missing.
+#[derive(Clone, Debug, Serialize)]
+pub struct FamilySummary {
+    /// By which law the truth acts.
+    pub law: Option<Law>,
+    /// Which loop is on board.
+    pub on_board: Option<LoopKind>,
+    /// How good the vehicle files are.
+    pub file: Option<FileKind>,
+    /// How many are right or acceptable.
+    pub good: Rate,
+    /// How many name their effect first, of those of practical size.
+    pub named: Rate,
+    /// How many name what is not there.
+    pub confidently_wrong: Rate,
+    /// Mean Brier score of causes of practical size and of nulls.
+    pub brier: Option<f64>,
+}
+
+impl FamilySummary {
+    fn new(
+        rows: &[Row],
+        law: Option<Law>,
+        on_board: Option<LoopKind>,
+        file: Option<FileKind>,
+    ) -> Self {
+        let is = |row: &&Row| {
+            law.is_none_or(|law| row.law == law)
+                && on_board.is_none_or(|on_board| row.on_board == on_board)
+                && file.is_none_or(|file| row.file == file)
+        };
+        let all: Vec<&Row> = rows.iter().filter(is).collect();
+        let has_cause = |row: &&&Row| row.is_practical && row.law != Law::Unknown;
+        let counted = |row: &&&Row| row.is_practical || row.kind == Kind::Null;
+        Self {
+            law,
+            on_board,
+            file,
+            good: Rate::of(all.iter().map(|row| row.grade.is_good())),
+            named: Rate::of(all.iter().filter(has_cause).map(|row| row.top_right)),
+            confidently_wrong: Rate::of(all.iter().map(|row| row.confidently_wrong.is_some())),
+            brier: mean(all.iter().filter(counted).map(|row| row.brier)),
+        }
+    }
+}
+
+/// Every law, loop and kind of file by itself, then every one that was met of all three together.
+fn families(rows: &[Row]) -> Vec<FamilySummary> {
+    let mut laws: Vec<Law> = rows.iter().map(|row| row.law).collect();
+    let mut loops: Vec<LoopKind> = rows.iter().map(|row| row.on_board).collect();
+    let mut files: Vec<FileKind> = rows.iter().map(|row| row.file).collect();
+    let mut all: Vec<_> = rows.iter().map(|row| (row.law, row.on_board, row.file)).collect();
+    laws.sort_unstable();
+    laws.dedup();
+    loops.sort_unstable();
+    loops.dedup();
+    files.sort_unstable();
+    files.dedup();
+    all.sort_unstable();
+    all.dedup();
+    if loops.len() < 2 && files.len() < 2 {
+        return Vec::new();
+    }
+    let laws = laws.into_iter().map(|law| (Some(law), None, None));
+    let loops = loops.into_iter().map(|on_board| (None, Some(on_board), None));
+    let files = files.into_iter().map(|file| (None, None, Some(file)));
+    let all = all.into_iter().map(|(law, on_board, file)| (Some(law), Some(on_board), Some(file)));
+    laws.chain(loops)
+        .chain(files)
+        .chain(all)
+        .map(|(law, on_board, file)| FamilySummary::new(rows, law, on_board, file))
+        .collect()
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_usize), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
 /// How one effect fared where it shows.
 #[derive(Clone, Debug, Serialize)]
 pub struct EffectSummary {
@@ -149,11 +241,14 @@ pub struct Summary {
     pub count: usize,
     /// Rates.
     pub measures: Vec<Measure>,
-    /// Mean Brier score; to be at most [`BRIER_MAX`].
+    /// Mean Brier score of causes of practical size and of nulls; to be at most [`BRIER_MAX`]. No
+    /// answer can be sure of what hardly shows.
     pub brier: Option<f64>,
-    /// The same where the cause is detectable, or there is none: no answer can be sure of what
-    /// hardly shows.
-    pub brier_detectable: Option<f64>,
+    /// The same of every case.
+    pub brier_of_all: Option<f64>,
+    /// Mean difference between the probabilities that were given and the shares that are true, over
+    /// the bins of the reliability table; to be at most [`CALIBRATION_MAX`].
+    pub calibration_error: Option<f64>,
     /// Median relative error of parameters.
     pub error: Option<f64>,
     /// 90 % intervals that hold the truth.
@@ -164,6 +259,8 @@ pub struct Summary {
     pub closure_off: Option<f64>,
     /// Reliability.
     pub reliability: Vec<Reliability>,
+    /// By law, loop and file.
+    pub families: Vec<FamilySummary>,
     /// Detection, all effects together.
     pub detection: Vec<Detection>,
     /// By effect.
@@ -178,7 +275,7 @@ impl Summary {
     /// Of all rows.
     pub fn new(rows: &[Row]) -> Self {
         let of = |kind: Kind| rows.iter().filter(move |row| row.kind == kind);
-        let detectable = |row: &&Row| row.ratio >= DETECTABLE;
+        let detectable = |row: &&Row| row.is_practical;
         let all_singles = || of(Kind::Single).chain(of(Kind::Modelled)).chain(of(Kind::RoundTrip));
         let singles = || all_singles().filter(detectable);
         let known = || {
@@ -186,6 +283,8 @@ impl Summary {
                 .filter(|row| !matches!(row.kind, Kind::LeftOut | Kind::Trap))
                 .filter(detectable)
         };
+        let intervals =
+            || known().flat_map(|row| row.covered.values().flatten().copied()).collect();
         let measure =
             |name, outcomes: Vec<bool>, wanted| Measure { name, rate: Rate::of(outcomes), wanted };
         let at_least = |bound| Some(Bound::AtLeast(bound));
@@ -194,13 +293,13 @@ impl Summary {
             measure(
                 "verdict right",
                 rows.iter()
-                    .filter(|row| row.ratio >= 1.0 || row.kind == Kind::Null)
+                    .filter(|row| row.is_practical || row.kind == Kind::Null)
                     .map(Row::verdict_right)
                     .collect(),
                 at_least(0.9),
             ),
             measure(
-                "top-1, detectable singles",
+                "named first, singles of practical size",
                 singles().map(|r| r.top_right).collect(),
                 at_least(0.95),
             ),
@@ -215,14 +314,23 @@ impl Summary {
                 at_least(0.8),
             ),
             measure(
-                "confidently wrong, detectable singles",
+                "confidently wrong, such singles",
                 singles().map(|r| r.confidently_wrong.is_some()).collect(),
-                at_most(0.03),
+                at_most(0.02),
             ),
             measure(
                 "confidently wrong, everything",
                 rows.iter().map(|r| r.confidently_wrong.is_some()).collect(),
-                at_most(0.03),
+                at_most(0.02),
+            ),
+            measure(
+                "right or acceptable, below practical size",
+                rows.iter()
+                    .filter(|r| matches!(r.law, Law::Catalogue | Law::Other) && !r.is_practical)
+                    .filter(|r| !r.kind.is_trap())
+                    .map(|r| r.grade.is_good())
+                    .collect(),
+                None,
             ),
             measure(
                 "top-1, wrong values in the file",
@@ -231,14 +339,23 @@ impl Summary {
             ),
             measure(
                 "pairs, both named",
-                of(Kind::Pair).map(|r| r.all_named).collect(),
+                of(Kind::Pair).filter(detectable).map(|r| r.all_named).collect(),
                 at_least(0.8),
             ),
-            measure("pairs, exactly these", of(Kind::Pair).map(|r| r.exact).collect(), None),
+            measure(
+                "pairs, exactly these",
+                of(Kind::Pair).filter(detectable).map(|r| r.exact).collect(),
+                None,
+            ),
             measure(
                 "false alarms on nulls",
-                of(Kind::Null).map(|r| r.verdict != "none").collect(),
+                of(Kind::Null).map(|r| !r.grade.is_good()).collect(),
                 at_most(0.01),
+            ),
+            measure(
+                "nulls that name only what is off the file",
+                of(Kind::Null).map(|r| r.grade == Grade::Acceptable).collect(),
+                None,
             ),
             measure(
                 "left out: unknown or ambiguous",
@@ -270,6 +387,8 @@ impl Summary {
                 of(Kind::Trap).map(|r| r.confidently_wrong.is_some()).collect(),
                 at_most(0.03),
             ),
+            measure("90 % intervals that hold, at least", intervals(), at_least(0.85)),
+            measure("90 % intervals that hold, at most", intervals(), at_most(0.95)),
             measure(
                 "no answer",
                 rows.iter().map(|r| r.verdict == "missing").collect(),
@@ -285,22 +404,21 @@ impl Summary {
         // Of the same cases, so that they can be compared.
         let closed = || known().filter_map(|row| Some([row.claimed_closure?, row.true_closure?]));
         let closure = |i: usize| median(closed().map(|both| both[i]).collect());
-        let brier = |rows: &mut dyn Iterator<Item = &Row>| {
-            let briers: Vec<f64> = rows.map(|row| row.brier).collect();
-            (!briers.is_empty()).then(|| briers.iter().sum::<f64>() / briers.len() as f64)
-        };
-        let shows = |row: &&Row| row.ratio >= DETECTABLE || row.kind == Kind::Null;
+        let shows = |row: &&Row| row.is_practical || row.kind == Kind::Null;
+        let bins = reliability(rows);
         let off = closed().map(|[claimed, is]| (claimed - is).abs()).collect();
         Self {
             count: rows.len(),
             measures,
-            brier: brier(&mut rows.iter()),
-            brier_detectable: brier(&mut rows.iter().filter(shows)),
+            brier: mean(rows.iter().filter(shows).map(|row| row.brier)),
+            brier_of_all: mean(rows.iter().map(|row| row.brier)),
+            calibration_error: calibration_error(&bins),
             error: errors(&mut known().filter(|row| row.top_right)),
             covered: covered(&mut known()),
             closure: [closure(0), closure(1)],
             closure_off: median(off),
-            reliability: reliability(rows),
+            reliability: bins,
+            families: families(rows),
             detection: detection(&all_singles().collect::<Vec<_>>()),
             effects: effects(rows),
             conditions: conditions(rows),
@@ -322,9 +440,21 @@ impl Summary {
         (self.count as f64) < 1.0 / BRIER_MAX
     }
 
-    /// Whether no measure, nor the Brier score, misses its bound.
+    /// How the expected calibration error stands to its bound.
+    pub fn calibration_standing(&self) -> Standing {
+        match self.calibration_error {
+            Some(error) if error > CALIBRATION_MAX && self.is_of_few() => Standing::TooFew,
+            Some(error) if error > CALIBRATION_MAX => Standing::Missed,
+            _ => Standing::Kept,
+        }
+    }
+
+    /// Whether no measure misses its bound, nor the Brier score, nor the calibration.
     pub fn holds(&self) -> bool {
-        self.brier_standing() != Standing::Missed && self.of(Standing::Missed).next().is_none()
+        self.brier_standing() != Standing::Missed
+            && self.calibration_standing() != Standing::Missed
+            && self.reliability.iter().all(Reliability::holds)
+            && self.of(Standing::Missed).next().is_none()
     }
 
     /// The measures that stand so.
@@ -346,7 +476,7 @@ fn effects(rows: &[Row]) -> Vec<EffectSummary> {
     by_effect
         .into_iter()
         .map(|(id, rows)| {
-            let seen = || rows.iter().filter(|row| row.ratio >= DETECTABLE);
+            let seen = || rows.iter().filter(|row| row.is_practical);
             let found = seen().filter(|row| row.top_right);
             EffectSummary {
                 named: Rate::of(seen().map(|row| row.top_right)),
@@ -424,6 +554,15 @@ fn reliability(rows: &[Row]) -> Vec<Reliability> {
             })
         })
         .collect()
+}
+
+/// Mean distance between what was given and what is true, by how many are in each bin.
+fn calibration_error(bins: &[Reliability]) -> Option<f64> {
+    let total: usize = bins.iter().map(|bin| bin.is_true.of).sum();
+    let off = bins
+        .iter()
+        .filter_map(|bin| Some((bin.mean - bin.is_true.rate?).abs() * bin.is_true.of as f64));
+    (total > 0).then(|| off.sum::<f64>() / total as f64)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use serde::Serialize;
 use sitl::frame::{Attitude, Frd, Ned};
 use sitl::vehicle::{ROTORS, VehicleParams};
 
+use super::ROW_RATE_HZ;
 use super::alignment::{Alignment, interpolated};
 use super::commands::{CommandSource, Onboard, OutputTrace, lerp};
 use super::gaps::unbroken;
@@ -16,9 +17,6 @@ use crate::log::import::{Flight, Stream};
 use crate::model::actuation::{Actuation, RotorState};
 use crate::model::file::AccelerationSource;
 use crate::model::{ACCELERATIONS, Point};
-
-/// Rows a second.
-pub const ROW_RATE_HZ: f64 = 100.0;
 
 /// How labels are made.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

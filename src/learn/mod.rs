@@ -28,3 +28,6 @@ mod objective;
 mod packed;
 mod rprop;
 mod window;
+
+/// Rows a second of a dataset.
+pub const ROW_RATE_HZ: f64 = 100.0;

@@ -293,7 +293,7 @@ mod tests {
     use sitl::frame::{Attitude, Frd, Ned};
 
     use super::*;
-    use crate::diagnose::audit::Audit;
+    use crate::audit::Audit;
     use crate::log::import::{AttitudeSetpoint, Clock, Origin};
 
     /// Mean output that hovers.

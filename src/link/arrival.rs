@@ -9,8 +9,8 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use super::vehicle_clock::{ClockEstimate, ClockSource, SKEW_MAX, TOLERANCE_NS};
-use super::vehicle_clock::{nanoseconds, ns_between};
+use super::clock_estimate::{ClockEstimate, ClockSource, SKEW_MAX, TOLERANCE_NS};
+use super::clock_estimate::{nanoseconds, ns_between};
 use crate::clock::{HostTime, VehicleTime};
 
 /// One largest offset is kept for so long.

@@ -39,6 +39,7 @@
 mod arrival;
 pub mod attitude_target;
 pub mod budget;
+mod clock_estimate;
 pub mod codec;
 pub mod connection;
 pub mod counters;

@@ -1,5 +1,6 @@
 //! Requests to the vehicle: sent, repeated until answered, and believed only when read back.
 
+use std::fmt;
 use std::time::Duration;
 
 use wire::dialect::MavCmd;
@@ -82,6 +83,40 @@ pub enum Outcome {
     Superseded,
     /// It is not wanted any more.
     Withdrawn,
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let words = match self {
+            Self::Done => "done",
+            Self::Parameter(value) => return write!(f, "the value is {value}"),
+            Self::Refused { result } => {
+                return match result_in_words(*result) {
+                    Some(words) => f.write_str(words),
+                    None => write!(f, "MAV_RESULT {result}"),
+                };
+            }
+            Self::NotInForce => "accepted, but not in force",
+            Self::NoAnswer => "no answer",
+            Self::Unsupported => "this autopilot has no such thing",
+            Self::NotIdentified => "the vehicle is not identified yet",
+            Self::NotConnected => "no vehicle is connected",
+            Self::Superseded => "a newer request took its place",
+            Self::Withdrawn => "withdrawn",
+        };
+        f.write_str(words)
+    }
+}
+
+/// A MAV_RESULT of a refusal.
+fn result_in_words(result: u8) -> Option<&'static str> {
+    match result {
+        1 => Some("temporarily rejected"),
+        2 => Some("denied"),
+        3 => Some("unsupported"),
+        4 => Some("failed"),
+        _ => None,
+    }
 }
 
 /// What goes out for a request.

@@ -13,7 +13,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use super::vehicle_clock::{ClockEstimate, ClockSource, SKEW_MAX, TOLERANCE_NS, ns_between};
+use super::clock_estimate::{ClockEstimate, ClockSource, SKEW_MAX, TOLERANCE_NS, ns_between};
 use crate::clock::HostTime;
 
 /// Time between requests.

@@ -141,6 +141,8 @@ pub struct Tick {
     pub state: State,
     /// The point of the reference, if there is one to follow.
     pub reference: Option<Reference>,
+    /// Where the vehicle is wanted, if that is known.
+    pub desired: Option<Ned>,
     /// The feedback's share of `u_hat`: what it adds to the reference's feed-forward.
     pub feedback: Setpoint,
     /// What was sent, after limits; `None` if the tick sent nothing.

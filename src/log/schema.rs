@@ -157,8 +157,9 @@ flat_messages! {
         double r_radps = 7;
     }
 
-    /// `/control`: how the setpoint came about. Errors are state minus reference; `saturation` has
-    /// one bit for each component of the setpoint, in the setpoint's order.
+    /// `/control`: how the setpoint came about. Errors are state minus reference; where the
+    /// reference is planned anew in flight, state minus the trajectory that it leads to.
+    /// `saturation` has one bit for each component of the setpoint, in the setpoint's order.
     ControlMessage = "downwash.Control" {
         string phase = 1;
         double trajectory_time_s = 2;

@@ -1,7 +1,7 @@
 //! What a vehicle file says the vehicle is, its modelled effects applied: what feedback, limits and
 //! feed-forward are made with.
 
-use sitl::effects::{CommandDelay, EffectSet, PdGain, ThrustCurve};
+use sitl::effects::{CommandDelay, EffectSet, PdGain, RotorDrag, ThrustCurve};
 use sitl::physics::Physics;
 use sitl::vehicle::{AttitudePd, VehicleError, VehicleParams};
 
@@ -25,6 +25,8 @@ pub enum Uncontrollable {
 pub struct EffectiveVehicle {
     /// Mass, inertia and gravity.
     pub hover: HoverVehicle,
+    /// Drag over speed along front and right, and along down, kg/s.
+    pub drag_kg_s: [f64; 2],
     /// Thrust of all rotors at full output, N.
     pub thrust_full_n: f64,
     /// From thrust to what is sent.
@@ -56,7 +58,9 @@ impl EffectiveVehicle {
             params.modelled_effects.get::<ThrustCurve>().filter(|_| params.attitude_pd.is_some());
         let thrust = ThrustMap::curve(thrust_full_n, bend.map_or(0.0, |curve| curve.a))?;
         let delay = params.modelled_effects.get::<CommandDelay>();
+        let drag = params.modelled_effects.get::<RotorDrag>();
         Ok(Self {
+            drag_kg_s: drag.map_or([0.0; 2], |drag| [drag.d_xy, drag.d_z]),
             hover: HoverVehicle {
                 mass_kg: constants.mass,
                 inertia: constants.inertia,

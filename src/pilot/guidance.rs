@@ -62,12 +62,14 @@ impl Default for GuidanceSettings {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Guided {
     pub reference: Reference,
+    /// Where the vehicle is wanted.
+    pub desired: Ned,
     /// Whether feedback acts; on the ground only the feed-forward does.
     pub feedback: bool,
     /// Whether the vehicle is off the ground, where it moves by its setpoints alone.
     pub aloft: bool,
-    /// What the reference's model expects.
-    pub expected: Expected,
+    /// What the reference's model expects, while one leads.
+    pub expected: Option<Expected>,
     /// Seconds into the trajectory, while it is tracked.
     pub trajectory_time: Option<f64>,
     /// What the state was waiting for.
@@ -78,6 +80,8 @@ pub(super) struct Guided {
 /// off, or last stood, or else the floor of the local frame below it; its axes are the world's.
 pub(super) struct Guidance {
     settings: GuidanceSettings,
+    /// By the vehicle file, and by the trajectory's model, which is believed within reason.
+    weight_n: f64,
     hover_thrust_n: f64,
     trajectory: Box<dyn ReferenceSource + Send>,
     /// Of the present flight.
@@ -105,11 +109,11 @@ impl Guidance {
         hover_thrust_n: f64,
         trajectory: Box<dyn ReferenceSource + Send>,
     ) -> Self {
-        // A model that knows better what holds the vehicle up is believed, within reason.
-        let hover_thrust_n =
-            trajectory.start_thrust_n().clamp(0.75 * hover_thrust_n, 1.25 * hover_thrust_n);
+        let weight_n = hover_thrust_n;
+        let hover_thrust_n = trajectory.start_thrust_n().clamp(0.75 * weight_n, 1.25 * weight_n);
         Self {
             settings,
+            weight_n,
             hover_thrust_n,
             trajectory,
             anchor: None,
@@ -134,6 +138,12 @@ impl Guidance {
     /// As the reference has it.
     pub fn voltage_exponent(&self) -> f64 {
         self.trajectory.voltage_exponent()
+    }
+
+    /// What the thrust that is taken to hold a vehicle of this mass says of it, beside its weight.
+    pub fn expected_at_rest(&self, mass_kg: f64) -> Expected {
+        let more = (self.hover_thrust_n - self.weight_n) / mass_kg;
+        Expected { acceleration: Ned::new(0.0, 0.0, more), ..Expected::default() }
     }
 
     /// Where the vehicle was last seen on the ground.
@@ -304,6 +314,7 @@ impl Guidance {
         reference.position += anchor;
         let over = t >= self.trajectory.duration();
         Guided {
+            desired: self.trajectory.desired(t) + anchor,
             expected: self.trajectory.expected(t),
             trajectory_time: Some(t),
             reached: over.then_some((Trigger::TrajectoryDone, "the trajectory is done")),
@@ -348,10 +359,11 @@ impl Guidance {
 impl Guided {
     fn fly(reference: Reference) -> Self {
         Self {
+            desired: reference.position,
             reference,
             feedback: true,
             aloft: true,
-            expected: Expected::default(),
+            expected: None,
             trajectory_time: None,
             reached: None,
         }

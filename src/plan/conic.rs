@@ -31,6 +31,9 @@ struct SetUp {
     order: Vec<usize>,
 }
 
+/// Size of a stage's cone: the distance, the weighted error, the knee.
+const CONE: usize = STATES + 2;
+
 /// Which variables and constraints there are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Layout {
@@ -78,7 +81,7 @@ impl Layout {
     }
 
     fn constraints(&self) -> usize {
-        self.stages * (STATES + self.inequalities() + STATES + 1)
+        self.stages * (STATES + self.inequalities() + CONE)
     }
 
     fn cones(&self) -> Vec<SupportedConeT<f64>> {
@@ -86,7 +89,7 @@ impl Layout {
             ZeroConeT(self.stages * STATES),
             NonnegativeConeT(self.stages * self.inequalities()),
         ];
-        cones.extend((0..self.stages).map(|_| SecondOrderConeT(STATES + 1)));
+        cones.extend((0..self.stages).map(|_| SecondOrderConeT(CONE)));
         cones
     }
 }
@@ -295,8 +298,9 @@ fn program<const INPUTS: usize>(problem: &Subproblem<INPUTS>, layout: &Layout) -
                 }
             }
         }
-        // (tau, error + W d) in the cone
-        let cone = cones + n * (STATES + 1);
+        // (tau, error + W d, knee) in the cone
+        let cone = cones + n * CONE;
+        program.bounds[cone + 1 + STATES] = problem.knee;
         program.entries.push((cone, layout.distance(n), -1.0));
         program.slopes[layout.distance(n)] = 1.0;
         for i in 0..STATES {

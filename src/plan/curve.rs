@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use sitl::frame::Ned;
 
-use super::trajectory::DesiredPoint;
+use super::desired_point::DesiredPoint;
 
 /// offset + amplitude (sin(2 pi tau / period + phase) - sin(phase)) + rate tau, over phase time
 /// tau. At tau = 0 it is at `offset`.

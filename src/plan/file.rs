@@ -57,7 +57,27 @@ fn shipped_names(path: &Path) -> String {
     format!("; shipped trajectories are {names}")
 }
 
-pub(super) fn load(path: &Path) -> Result<Trajectory, TrajectoryError> {
+impl Trajectory {
+    /// Reads a trajectory file, or the shipped one of that name: TOML by its schema, or CSV with a
+    /// header.
+    ///
+    /// # Errors
+    /// [`TrajectoryError`] names the file, the field, what was expected and what was found.
+    pub fn load(path: &Path) -> Result<Self, TrajectoryError> {
+        load(path)
+    }
+
+    /// Parses the text of a TOML trajectory file; `origin` names it in errors.
+    ///
+    /// # Errors
+    /// As [`Trajectory::load`]. A file that refers to another file by a relative path is looked up
+    /// beside `origin`.
+    pub fn parse(text: &str, origin: &Path) -> Result<Self, TrajectoryError> {
+        parse(text, origin)
+    }
+}
+
+fn load(path: &Path) -> Result<Trajectory, TrajectoryError> {
     if let Some(shipped) = shipped(path) {
         return parse(shipped.text, path);
     }
@@ -81,7 +101,7 @@ pub(super) fn load(path: &Path) -> Result<Trajectory, TrajectoryError> {
     parse(&text, path)
 }
 
-pub(super) fn parse(text: &str, origin: &Path) -> Result<Trajectory, TrajectoryError> {
+fn parse(text: &str, origin: &Path) -> Result<Trajectory, TrajectoryError> {
     let family: Family = toml::from_str(text).map_err(|error| TrajectoryError::Syntax {
         path: origin.into(),
         message: error.to_string(),

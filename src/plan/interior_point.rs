@@ -182,7 +182,7 @@ impl<const INPUTS: usize> Work<INPUTS> {
     /// Puts the point inside the bounds.
     #[inline(always)]
     fn start(&mut self, stage: &Stage<INPUTS>, problem: &Subproblem<INPUTS>) {
-        self.cost = QuadraticNorm::new(&stage.error, &problem.state_weight);
+        self.cost = QuadraticNorm::new(&stage.error, &problem.state_weight, problem.knee);
         self.state = [0.0; STATES];
         for i in 0..INPUTS {
             // An input that is fixed is let move by nothing that matters.

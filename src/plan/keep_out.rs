@@ -2,7 +2,7 @@
 
 use sitl::frame::Ned;
 
-use super::problem::{STATES, StateRow, StateVector};
+use super::state_vector::{STATES, StateRow, StateVector};
 
 /// A region that the vehicle's position must not enter.
 #[derive(Clone, Copy, Debug, PartialEq)]

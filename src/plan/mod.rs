@@ -4,6 +4,7 @@
 pub mod conic;
 mod curve;
 pub mod desire;
+mod desired_point;
 mod detour;
 pub mod discretisation;
 mod feasibility;
@@ -27,6 +28,7 @@ pub mod scp;
 mod shipped;
 mod slack;
 mod stage_algebra;
+pub mod state_vector;
 pub mod subproblem;
 mod table;
 pub mod trajectory;

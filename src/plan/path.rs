@@ -6,7 +6,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use sitl::frame::{Ned, wrap_angle};
 
-use super::trajectory::DesiredPoint;
+use super::desired_point::DesiredPoint;
 
 /// A point to reach and how long to stay there.
 #[derive(Clone, Copy, Debug, PartialEq)]

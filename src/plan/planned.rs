@@ -252,8 +252,9 @@ impl Plan {
 pub struct PlannedReference {
     period_s: f64,
     states: Vec<StateVector>,
-    /// As they are sent, one for each state.
-    setpoints: Vec<CommandedInput>,
+    /// The inputs with the lag's inverse before them, each at the state that it acts from.
+    led: Vec<CommandedInput>,
+    delay_s: f64,
     /// What the plan's model expects beside weight, thrust and the attitude loop from each state to
     /// the next: acceleration, and attitude.
     expected: Vec<[f64; 6]>,
@@ -358,8 +359,6 @@ impl PlannedReference {
                 sent
             })
             .collect();
-        let setpoints =
-            (0..states.len()).map(|n| between(&led, n as f64 + delay_s / period)).collect();
         let steps = states.windows(2).zip(inputs);
         let expected =
             steps.map(|(pair, input)| body.expected(pair, input, period, &attitude_pd)).collect();
@@ -368,10 +367,25 @@ impl PlannedReference {
         Self {
             period_s: period,
             states: states.to_vec(),
-            setpoints,
+            led,
+            delay_s,
             expected,
             start_thrust_n,
             voltage_exponent,
+        }
+    }
+}
+
+impl PlannedReference {
+    /// What is sent at `t` seconds, which acts the delay later. A plan's first inputs are sent
+    /// before it begins.
+    pub(super) fn sent(&self, t: f64) -> Setpoint {
+        let [thrust_n, roll, pitch, yaw, p, q, r] =
+            between(&self.led, (t + self.delay_s) / self.period_s);
+        Setpoint {
+            thrust_n,
+            attitude: Euler::new(roll, pitch, wrap_angle(yaw)),
+            body_rate: Frd::new(p, q, r),
         }
     }
 }
@@ -390,9 +404,9 @@ impl ReferenceSource for PlannedReference {
         (self.states.len() - 1) as f64 * self.period_s
     }
 
-    fn expected(&self, t: f64) -> Expected {
+    fn expected(&self, t: f64) -> Option<Expected> {
         let [north, east, down, attitude @ ..] = between(&self.expected, t / self.period_s);
-        Expected { acceleration: Ned::new(north, east, down), attitude }
+        Some(Expected { acceleration: Ned::new(north, east, down), attitude })
     }
 
     fn start_thrust_n(&self) -> f64 {
@@ -406,18 +420,13 @@ impl ReferenceSource for PlannedReference {
     fn sample(&self, t: f64) -> Reference {
         let index = t / self.period_s;
         let [n, e, d, vn, ve, vd, roll, pitch, yaw, p, q, r] = between(&self.states, index);
-        let [thrust_n, roll_des, pitch_des, yaw_des, p_des, q_des, r_des] =
-            between(&self.setpoints, index);
         Reference {
             position: Ned::new(n, e, d),
             velocity: Ned::new(vn, ve, vd),
             attitude: Euler::new(roll, pitch, wrap_angle(yaw)),
             body_rate: Frd::new(p, q, r),
-            feedforward: Setpoint {
-                thrust_n,
-                attitude: Euler::new(roll_des, pitch_des, wrap_angle(yaw_des)),
-                body_rate: Frd::new(p_des, q_des, r_des),
-            },
+            // Before the beginning and after the end it holds.
+            feedforward: self.sent(t.clamp(0.0, self.duration())),
         }
     }
 }

@@ -17,11 +17,10 @@ use super::planned::PlannedBody;
 use super::problem::{
     ANGLE, InputBounds, InputPreference, Problem, STATES, StateLimits, StateVector, YAW,
 };
-use super::receding::RecedingSettings;
 use super::scp::{Outcome, Record, ScpSettings, search};
 use super::subproblem::SubproblemSolver;
 use super::trajectory::{DesiredPoint, Trajectory};
-use crate::control::Limits;
+use crate::control::{Limits, Use};
 use crate::model::Model;
 
 /// How plans are made. Weights are per m, m/s, rad and rad/s.
@@ -50,6 +49,60 @@ pub struct PlanSettings {
     pub keep_out: Vec<KeepOutSetting>,
     /// Least and greatest north, east and down of the plan, relative to the take-off point, m.
     pub box_m: Option<[[f64; 3]; 2]>,
+}
+
+/// How plans follow one another.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecedingSettings {
+    /// Time from one plan to the next, s.
+    pub period_s: f64,
+    /// Length of a plan, s.
+    pub horizon_s: f64,
+    /// From the state that a plan is made from to where its first input is sent, s: the time that
+    /// planning may take.
+    pub lead_s: f64,
+    /// Whether plans are made as below: where the on-board loop is an autopilot's own, which a plan's
+    /// model has without its integrals and filters, and which answers through rotors that lag. A
+    /// plan that trusts such a model, and an estimate that wanders, gives every input that there is
+    /// to be rid of the last millimetre, and the vehicle swings.
+    pub cautious: Use,
+    /// Distances to the desired state below this count by their square, and a vehicle that is
+    /// nearer than this to the plan before is left to feedback: the next plan goes on from there.
+    /// In units of the weighted state.
+    pub knee: f64,
+    /// Weight of the inputs' distance to those of the plan before: what one plan alone asks for,
+    /// which the next will not, is hardly flown.
+    pub change_weight: f64,
+    /// Most subproblems of a plan.
+    pub subproblems_max: usize,
+}
+
+impl Default for RecedingSettings {
+    fn default() -> Self {
+        Self {
+            period_s: 0.1,
+            horizon_s: 1.0,
+            lead_s: 0.05,
+            cautious: Use::Auto,
+            knee: 0.2,
+            change_weight: 1.0,
+            subproblems_max: 6,
+        }
+    }
+}
+
+impl RecedingSettings {
+    /// For a vehicle whose on-board loop is its autopilot's own or not.
+    pub fn for_loop(self, is_own_loop: bool) -> Self {
+        let cautious = if self.cautious.applies(is_own_loop) { Use::On } else { Use::Off };
+        Self { cautious, ..self }
+    }
+
+    /// The knee and the weight of changes as they act.
+    pub(super) fn caution(&self) -> Option<(f64, f64)> {
+        (self.cautious == Use::On).then_some((self.knee, self.change_weight))
+    }
 }
 
 /// What solves the subproblems of a search.
@@ -167,6 +220,9 @@ pub struct Planner {
     model: Arc<dyn Model>,
     vehicle: PlannedVehicle,
     settings: PlanSettings,
+    /// As of [`RecedingSettings`]; 0 for plans that follow none.
+    knee: f64,
+    change_weight: f64,
 }
 
 /// Most periods of a plan: ten minutes at 100 Hz, which are planned in seconds.
@@ -185,16 +241,40 @@ impl Planner {
         settings: PlanSettings,
     ) -> Result<Self, PlannerError> {
         settings.check()?;
-        Ok(Self { model, vehicle, settings })
+        Ok(Self { model, vehicle, settings, knee: 0.0, change_weight: 0.0 })
     }
 
     /// The same for plans that begin as the last one goes on: a small trust region, for they are
     /// near already, and an end where little is gained.
-    pub fn replanning(mut self, subproblems_max: usize) -> Self {
-        self.settings.subproblems_max = subproblems_max;
+    pub fn replanning(mut self, receding: &RecedingSettings) -> Self {
+        self.settings.subproblems_max = receding.subproblems_max;
         self.settings.trust = self.settings.trust.min(0.1);
         self.settings.progress = self.settings.progress.max(1e-2);
+        (self.knee, self.change_weight) = receding.caution().unwrap_or_default();
         self
+    }
+
+    /// `seen` less what of its weighted distance to `planned` is within `knee`.
+    pub(super) fn beyond(
+        &self,
+        planned: &StateVector,
+        seen: &StateVector,
+        knee: f64,
+    ) -> StateVector {
+        let weight = self.state_weight();
+        let square: f64 = (0..STATES).map(|i| (weight[i] * (seen[i] - planned[i])).powi(2)).sum();
+        let distance = square.sqrt();
+        let share = if distance > knee { 1.0 - knee / distance } else { 0.0 };
+        std::array::from_fn(|i| planned[i] + share * (seen[i] - planned[i]))
+    }
+
+    fn state_weight(&self) -> StateVector {
+        let [position, velocity, attitude, rate] = self.settings.weight;
+        let mut weights = [0.0; STATES];
+        for (weights, weight) in weights.chunks_mut(3).zip([position, velocity, attitude, rate]) {
+            weights.fill(weight);
+        }
+        weights
     }
 
     /// What is planned through.
@@ -288,18 +368,12 @@ impl Planner {
 
     /// The problem of following desired states from `start`.
     pub fn problem(&self, desire: &Desire, start: StateVector) -> Problem<7> {
-        let [position, velocity, attitude, rate] = self.settings.weight;
-        let mut state_weight = [0.0; STATES];
-        for (weights, weight) in
-            state_weight.chunks_mut(3).zip([position, velocity, attitude, rate])
-        {
-            weights.fill(weight);
-        }
         Problem {
             period_s: self.period_s(),
             start,
             desired: desire.states[1..].to_vec(),
-            state_weight,
+            state_weight: self.state_weight(),
+            knee: self.knee,
             inputs: self.bounds(desire),
             preference: Some(InputPreference {
                 weight: self.settings.input_weight,
@@ -347,7 +421,10 @@ impl Planner {
         guess: Option<Iterate<7>>,
         stop: &dyn Fn(&[Record]) -> bool,
     ) -> Outcome<7> {
-        let problem = self.problem(desire, start);
+        let mut problem = self.problem(desire, start);
+        if let (Some(guess), Some(preference)) = (&guess, &mut problem.preference) {
+            preference.pull_to(&guess.inputs, self.change_weight);
+        }
         let dynamics =
             CommandedDynamics::new(self.model(), self.vehicle.attitude_pd, self.period_s());
         let mut guess = guess.unwrap_or_else(|| self.guess(desire, &problem));
@@ -398,10 +475,20 @@ impl PlanSettings {
         within("input_weight", self.input_weight, 1e-9, 1e9, "a weight above 0")?;
         within("trust", self.trust, 1e-6, 1e3, "a size above 0")?;
         within("progress", self.progress, 0.0, 1.0, "a share")?;
-        let RecedingSettings { period_s, horizon_s, lead_s, subproblems_max } = self.receding;
+        let RecedingSettings {
+            period_s,
+            horizon_s,
+            lead_s,
+            cautious: _,
+            knee,
+            change_weight,
+            subproblems_max,
+        } = self.receding;
         within("receding.period_s", period_s, 1e-3, 10.0, "1 ms to 10 s")?;
         within("receding.horizon_s", horizon_s, 0.05, 60.0, "0.05 to 60 s")?;
         within("receding.lead_s", lead_s, 0.0, 0.5 * horizon_s, "at most half the horizon")?;
+        within("receding.knee", knee, 0.0, 1e3, "a distance of at least 0")?;
+        within("receding.change_weight", change_weight, 0.0, 1e9, "a weight of at least 0")?;
         within("receding.subproblems_max", subproblems_max as f64, 1.0, 1e4, "1 or more")?;
         within("subproblems_max", self.subproblems_max as f64, 1.0, 1e6, "1 or more")?;
         within("time_limit_s", self.time_limit_s, 0.0, 1e9, "a time of at least 0")?;

@@ -3,27 +3,15 @@
 use sitl::frame::Ned;
 
 use super::keep_out::KeepOut;
-
-/// Size of the state `s = (p, v, zeta, omega)`.
-pub const STATES: usize = 12;
-/// Where the velocity begins in a [`StateVector`].
-pub(super) const VELOCITY: usize = 3;
-/// Where the attitude (roll, pitch, yaw) begins in a [`StateVector`].
-pub(super) const ANGLE: usize = 6;
-/// Where yaw is in a [`StateVector`].
-pub(super) const YAW: usize = 8;
-/// Where the body rate begins in a [`StateVector`].
-pub(super) const RATE: usize = 9;
-
-/// `s = (p, v, zeta, omega)`: position [m] and velocity [m/s] in world axes, roll, pitch and yaw
-/// [rad, continuous], body rate [rad/s].
-pub type StateVector = [f64; STATES];
+pub(super) use super::state_vector::{ANGLE, RATE, VELOCITY, YAW};
+pub use super::state_vector::{STATES, StateRow, StateVector};
 
 /// A planning problem with `INPUTS` inputs over N periods:
 ///
 /// minimise `sum_{n=1..N} |W (s_n - s_d,n)|_2 + weight/2 sum_n |(u_n - preferred_n) / scale|^2`
 /// over the states and inputs with `s_0` given and `s_{n+1} = f(s_n, u_n)` (Bansal et al. 2016,
-/// eq. 12), within the bounds.
+/// eq. 12), within the bounds. With a knee `k` the distance `d` counts as `sqrt(d^2 + k^2) - k`:
+/// below the knee as `d^2 / 2k`.
 #[derive(Clone, Debug)]
 pub struct Problem<const INPUTS: usize> {
     /// Length of a period, s.
@@ -34,6 +22,8 @@ pub struct Problem<const INPUTS: usize> {
     pub desired: Vec<StateVector>,
     /// The diagonal of W.
     pub state_weight: StateVector,
+    /// The knee of the distance, in its unit; 0 for the distance itself.
+    pub knee: f64,
     /// Bounds of each input.
     pub inputs: InputBounds<INPUTS>,
     /// What is preferred among inputs that lead to the same states.
@@ -74,6 +64,20 @@ pub struct InputPreference<const INPUTS: usize> {
     pub inputs: Vec<[f64; INPUTS]>,
 }
 
+impl<const INPUTS: usize> InputPreference<INPUTS> {
+    /// A second pull, of `weight` towards `inputs`: up to a constant, the two are one.
+    pub(super) fn pull_to(&mut self, inputs: &[[f64; INPUTS]], weight: f64) {
+        let sum = self.weight + weight;
+        let share = if sum > 0.0 { weight / sum } else { 0.0 };
+        for (preferred, input) in self.inputs.iter_mut().zip(inputs) {
+            for (preferred, input) in preferred.iter_mut().zip(input) {
+                *preferred += share * (input - *preferred);
+            }
+        }
+        self.weight = sum;
+    }
+}
+
 /// Bounds of the state. A missing one does not act.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StateLimits {
@@ -83,22 +87,6 @@ pub struct StateLimits {
     pub body_rate_max_rad_s: Option<[f64; 3]>,
     /// Least and greatest position, m.
     pub position: Option<(Ned, Ned)>,
-}
-
-/// A bound `excess(s) <= 0` and how it changes with the state.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StateRow {
-    /// By how much the bound is broken (m, rad, rad/s); negative inside.
-    pub excess: f64,
-    /// d(excess)/ds.
-    pub gradient: StateVector,
-}
-
-impl StateRow {
-    /// Whether it bounds where the vehicle is.
-    fn is_of_position(&self) -> bool {
-        self.gradient[..3].iter().any(|slope| *slope != 0.0)
-    }
 }
 
 /// What the bounds of a state are broken by.
@@ -164,13 +152,12 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         self.desired.len()
     }
 
-    /// Distance to the desired state at the end of period `n`, `|W (s - s_d)|`.
+    /// What the distance to the desired state at the end of period `n`, `|W (s - s_d)|`, counts as.
     pub fn distance(&self, n: usize, state: &StateVector) -> f64 {
         let desired = &self.desired[n];
-        (0..STATES)
-            .map(|i| (self.state_weight[i] * (state[i] - desired[i])).powi(2))
-            .sum::<f64>()
-            .sqrt()
+        let square: f64 =
+            (0..STATES).map(|i| (self.state_weight[i] * (state[i] - desired[i])).powi(2)).sum();
+        (square + self.knee * self.knee).sqrt() - self.knee
     }
 
     /// Cost of period `n` with its input and the state at its end.
@@ -260,6 +247,7 @@ mod tests {
             start: [0.0; STATES],
             desired: vec![[0.0; STATES]],
             state_weight: [1.0; STATES],
+            knee: 0.0,
             inputs: InputBounds { lower: [-1.0; 4], upper: [1.0; 4], scale: [1.0; 4] },
             preference: None,
             limits,

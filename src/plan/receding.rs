@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use serde::{Deserialize, Serialize};
+use sitl::frame::Ned;
 use sitl::rigid_body::State;
 
 use super::discretisation::{CommandedDynamics, Dynamics};
@@ -19,32 +19,12 @@ use super::iterate::Iterate;
 use super::model_free::model_free;
 use super::planned::{Answer, PlannedReference};
 use super::planner::Planner;
+pub use super::planner::RecedingSettings;
 use super::problem::{STATES, StateVector, YAW};
 use super::reference::ReferenceSource;
 use super::scp::Outcome;
 use super::trajectory::Trajectory;
 use crate::setpoint::{Expected, Reference};
-
-/// How plans follow one another.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RecedingSettings {
-    /// Time from one plan to the next, s.
-    pub period_s: f64,
-    /// Length of a plan, s.
-    pub horizon_s: f64,
-    /// From the state that a plan is made from to where the plan begins, s: the time that planning
-    /// may take.
-    pub lead_s: f64,
-    /// Most subproblems of a plan.
-    pub subproblems_max: usize,
-}
-
-impl Default for RecedingSettings {
-    fn default() -> Self {
-        Self { period_s: 0.1, horizon_s: 1.0, lead_s: 0.05, subproblems_max: 6 }
-    }
-}
 
 /// A plan from a time on.
 #[derive(Clone, Debug)]
@@ -61,12 +41,16 @@ impl Stretch {
     }
 }
 
-/// What is to be followed, and the stretches that were planned: the one in use and the next.
+/// Stretches that are kept.
+const SLOTS: usize = 4;
+
+/// What is to be followed, and the stretches that were planned.
 struct Board {
     goal: Mutex<Arc<Trajectory>>,
-    /// The newest stretch is at `newest`; the other one is older. A reader never waits for a
-    /// writer: while one slot is written, the other is read.
-    slots: [Mutex<Option<Arc<Stretch>>>; 2],
+    /// The newest stretch is at `newest`, the ones before it in the slots before, round and round:
+    /// while the vehicle is slow to answer, several are on their way. A reader never waits for a
+    /// writer: while one slot is written, the others are read.
+    slots: [Mutex<Option<Arc<Stretch>>>; SLOTS],
     newest: AtomicUsize,
 }
 
@@ -74,18 +58,29 @@ impl Board {
     /// The newest stretch that reaches to `t`.
     fn at(&self, t: f64) -> Option<Arc<Stretch>> {
         let newest = self.newest.load(Ordering::Acquire);
-        [newest, 1 - newest].into_iter().find_map(|slot| {
-            let stretch = self.slots[slot].try_lock().ok()?.clone()?;
+        (0..SLOTS).find_map(|back| {
+            let slot = &self.slots[(newest + SLOTS - back) % SLOTS];
+            let stretch = slot.try_lock().ok()?.clone()?;
             stretch.reaches(t).then_some(stretch)
         })
     }
 
+    /// The reference at `t`, and the setpoint that acts `delay_s` later.
+    fn reference(&self, t: f64, delay_s: f64) -> Option<Reference> {
+        let state = self.at(t)?;
+        let mut reference = state.reference.sample(t - state.from_s);
+        if let Some(acting) = self.at(t + delay_s) {
+            reference.feedforward = acting.reference.sent(t - acting.from_s);
+        }
+        Some(reference)
+    }
+
     fn publish(&self, stretch: Stretch) {
-        let older = 1 - self.newest.load(Ordering::Acquire);
-        if let Ok(mut slot) = self.slots[older].lock() {
+        let oldest = (self.newest.load(Ordering::Acquire) + 1) % SLOTS;
+        if let Ok(mut slot) = self.slots[oldest].lock() {
             *slot = Some(Arc::new(stretch));
         }
-        self.newest.store(older, Ordering::Release);
+        self.newest.store(oldest, Ordering::Release);
     }
 
     fn clear(&self) {
@@ -155,10 +150,10 @@ impl Replanner {
     fn new(goal: Trajectory, planner: Planner, answer: Answer, settings: RecedingSettings) -> Self {
         let board = Arc::new(Board {
             goal: Mutex::new(Arc::new(goal)),
-            slots: [Mutex::new(None), Mutex::new(None)],
+            slots: std::array::from_fn(|_| Mutex::new(None)),
             newest: AtomicUsize::new(0),
         });
-        let planner = planner.replanning(settings.subproblems_max);
+        let planner = planner.replanning(&settings);
         Self { planner, answer, settings, board }
     }
 
@@ -166,13 +161,20 @@ impl Replanner {
     fn replan(&self, seen: &Sighting) -> Result<(), ReplanError> {
         let goal = self.board.goal().ok_or(ReplanError::NoGoal)?;
         let period = self.planner.period_s();
-        let lead = (self.settings.lead_s / period).round() as usize;
+        // Until then acts what the last plan has sent.
+        let lead = ((self.settings.lead_s + self.answer.delay_s) / period).round() as usize;
         let from_s = seen.t + lead as f64 * period;
         let periods = (self.settings.horizon_s / period).round().max(1.0) as usize;
         let desire = self.planner.desire_from(&goal, from_s, periods)?;
 
-        let before = self.board.at(seen.t);
-        let start = self.foreseen(seen, lead, before.as_deref(), &desire.states[0]);
+        let before = self.board.at(from_s);
+        let mut start = self.foreseen(seen, lead, &desire.states[0]);
+        if let (Some(stretch), Some((knee, _))) = (&before, self.settings.caution()) {
+            let first = ((from_s - stretch.from_s) / period).round() as usize;
+            if let Some(planned) = stretch.iterate.states.get(first) {
+                start = self.planner.beyond(planned, &start, knee);
+            }
+        }
         // The last plan, as far as it reaches into this one.
         let guess = before.map(|stretch| {
             let mut guess =
@@ -197,26 +199,20 @@ impl Replanner {
         Ok(())
     }
 
-    /// The state some periods after it was seen, by the model and the inputs that are being sent.
+    /// The state some periods after it was seen, by the model and the inputs that act until then.
     /// Yaw is brought to the turn of the desired one.
-    fn foreseen(
-        &self,
-        seen: &Sighting,
-        periods: usize,
-        stretch: Option<&Stretch>,
-        desired: &StateVector,
-    ) -> StateVector {
+    fn foreseen(&self, seen: &Sighting, periods: usize, desired: &StateVector) -> StateVector {
         let mut state = seen.state;
         let turn = std::f64::consts::TAU;
         state[YAW] += ((desired[YAW] - state[YAW]) / turn).round() * turn;
-        let Some(stretch) = stretch else { return state };
-        let dynamics = CommandedDynamics::new(
-            self.planner.model(),
-            self.answer.attitude_pd,
-            self.planner.period_s(),
-        );
-        let first = ((seen.t - stretch.from_s) / self.planner.period_s()).round() as usize;
-        for input in stretch.iterate.inputs.iter().skip(first).take(periods) {
+        let period = self.planner.period_s();
+        let dynamics =
+            CommandedDynamics::new(self.planner.model(), self.answer.attitude_pd, period);
+        for n in 0..periods {
+            let middle = seen.t + (n as f64 + 0.5) * period;
+            let Some(stretch) = self.board.at(middle) else { return state };
+            let index = ((middle - stretch.from_s) / period) as usize;
+            let Some(input) = stretch.iterate.inputs.get(index) else { return state };
             state = dynamics.step(&state, input);
         }
         state
@@ -238,6 +234,7 @@ pub struct RecedingReference {
     work: Work,
     hover_thrust_n: f64,
     voltage_exponent: f64,
+    delay_s: f64,
 }
 
 /// Moves the goal of a [`RecedingReference`] in flight.
@@ -274,8 +271,8 @@ impl RecedingReference {
         thread::Builder::new()
             .name("replanning".to_owned())
             .spawn(move || work(&replanner, &receiver))?;
-        let voltage_exponent = answer.voltage_exponent;
-        Ok(Self { board, work: Work::Thread(sender), hover_thrust_n, voltage_exponent })
+        let Answer { voltage_exponent, delay_s, .. } = answer;
+        Ok(Self { board, work: Work::Thread(sender), hover_thrust_n, voltage_exponent, delay_s })
     }
 
     /// Plans inside of [`ReferenceSource::observe`], on the clock that the times are of.
@@ -292,6 +289,7 @@ impl RecedingReference {
             work: Work::Inline { replanner, due: Mutex::new(Due::default()) },
             hover_thrust_n,
             voltage_exponent: answer.voltage_exponent,
+            delay_s: answer.delay_s,
         }
     }
 
@@ -321,8 +319,8 @@ impl ReferenceSource for RecedingReference {
     }
 
     fn sample(&self, t: f64) -> Reference {
-        if let Some(stretch) = self.board.at(t) {
-            return stretch.reference.sample(t - stretch.from_s);
+        if let Some(reference) = self.board.reference(t, self.delay_s) {
+            return reference;
         }
         match self.board.goal() {
             Some(goal) => model_free(&goal, t, self.hover_thrust_n),
@@ -330,9 +328,13 @@ impl ReferenceSource for RecedingReference {
         }
     }
 
-    fn expected(&self, t: f64) -> Expected {
-        let stretch = self.board.at(t);
-        stretch.map_or_else(Expected::default, |it| it.reference.expected(t - it.from_s))
+    fn desired(&self, t: f64) -> Ned {
+        self.board.goal().map_or_else(|| self.sample(t).position, |goal| goal.sample(t).position)
+    }
+
+    fn expected(&self, t: f64) -> Option<Expected> {
+        let stretch = self.board.at(t)?;
+        stretch.reference.expected(t - stretch.from_s)
     }
 
     fn voltage_exponent(&self) -> f64 {

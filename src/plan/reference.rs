@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use sitl::frame::Ned;
+
 use crate::setpoint::{Expected, Reference, State};
 
 /// What an acceleration is fed forward with.
@@ -11,6 +13,8 @@ pub struct FeedForward {
     pub mass_kg: f64,
     /// m/s^2
     pub gravity: f64,
+    /// Drag over speed along front and right, and along down, kg/s.
+    pub drag_kg_s: [f64; 2],
     /// The attitude is taken no further from level than this, rad.
     pub tilt_max_rad: f64,
     /// From a desired attitude's sending to its use, lag of the rotors included, s.
@@ -27,10 +31,16 @@ pub trait ReferenceSource {
     /// The reference at `t` seconds.
     fn sample(&self, t: f64) -> Reference;
 
+    /// Where the vehicle is wanted at `t` seconds. A reference that begins where the vehicle is seen
+    /// leads there, and is no measure of how near it comes.
+    fn desired(&self, t: f64) -> Ned {
+        self.sample(t).position
+    }
+
     /// What its model expects of the vehicle at `t` seconds beside thrust, weight and the attitude
-    /// loop.
-    fn expected(&self, _t: f64) -> Expected {
-        Expected::default()
+    /// loop; `None` while no model leads.
+    fn expected(&self, _t: f64) -> Option<Expected> {
+        None
     }
 
     /// The same with the trajectory's own acceleration fed forward; `None` where the input is a
@@ -67,7 +77,11 @@ impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
         self.as_ref().sample(t)
     }
 
-    fn expected(&self, t: f64) -> Expected {
+    fn desired(&self, t: f64) -> Ned {
+        self.as_ref().desired(t)
+    }
+
+    fn expected(&self, t: f64) -> Option<Expected> {
         self.as_ref().expected(t)
     }
 

@@ -279,6 +279,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
         Subproblem {
             stages: vec![stage; self.problem.horizon()],
             state_weight: self.problem.state_weight,
+            knee: self.problem.knee,
             row_penalty: self.row_penalty,
             dynamics: DynamicsForm::Equations,
             tolerance: 0.0,

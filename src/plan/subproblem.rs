@@ -42,7 +42,7 @@ pub enum DynamicsForm {
 pub const TRUST_SHAPE: StateVector = [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 5.0, 5.0, 5.0];
 
 /// The subproblem: minimise
-/// `sum |error + W d| + input_gradient . w + input_curvature/2 |w|^2 + row_penalty sum max(0,
+/// `sum sqrt(|error + W d|^2 + knee^2) + input_gradient . w + input_curvature/2 |w|^2 + row_penalty sum max(0,
 /// rows)`.
 #[derive(Clone, Debug)]
 pub struct Subproblem<const INPUTS: usize> {
@@ -50,6 +50,8 @@ pub struct Subproblem<const INPUTS: usize> {
     pub stages: Vec<Stage<INPUTS>>,
     /// The diagonal of W.
     pub state_weight: StateVector,
+    /// The knee of the distance.
+    pub knee: f64,
     /// Cost of a unit by which a bound of the state is broken.
     pub row_penalty: f64,
     /// How the dynamics enter.
@@ -102,13 +104,13 @@ pub trait SubproblemSolver<const INPUTS: usize> {
     fn dynamics(&self, penalty: f64, trust: f64) -> DynamicsForm;
 }
 
-/// Below this distance [weighted state] the norm counts as the parabola with the same curvature:
-/// a millimetre, a milliradian.
+/// Least knee, below which the norm counts as the parabola with the same curvature: a millimetre, a
+/// milliradian.
 const KINK: f64 = 1e-3;
 /// Curvature along the error, where a norm has none, keeps a quadratic program bounded.
 const LEAST_CURVATURE: f64 = 1e-6;
 
-/// `|error + W d|` to second order: `gradient . d + d' (diag(diagonal) - ray ray') d / 2`.
+/// The distance to second order: `gradient . d + d' (diag(diagonal) - ray ray') d / 2`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct QuadraticNorm {
     /// Slope by `d`.
@@ -120,10 +122,10 @@ pub struct QuadraticNorm {
 }
 
 impl QuadraticNorm {
-    /// Of `|error + W d|` about `d = 0`.
-    pub fn new(error: &StateVector, weight: &StateVector) -> Self {
+    /// Of `sqrt(|error + W d|^2 + knee^2)` about `d = 0`.
+    pub fn new(error: &StateVector, weight: &StateVector, knee: f64) -> Self {
         let square: f64 = error.iter().map(|e| e * e).sum();
-        let distance = (square + KINK * KINK).sqrt();
+        let distance = (square + knee.max(KINK).powi(2)).sqrt();
         let mut norm = Self::default();
         for i in 0..STATES {
             norm.gradient[i] = weight[i] * error[i] / distance;
@@ -144,7 +146,8 @@ impl<const INPUTS: usize> Subproblem<INPUTS> {
                     .map(|i| (stage.error[i] + scale * self.state_weight[i] * d[i]).powi(2));
                 squares.sum::<f64>()
             };
-            change += square(1.0).sqrt() - square(0.0).sqrt();
+            let distance = |scale: f64| (square(scale) + self.knee * self.knee).sqrt();
+            change += distance(1.0) - distance(0.0);
             for (w, gradient) in w.iter().zip(&stage.input_gradient) {
                 change += w * (gradient + 0.5 * stage.input_curvature * w);
             }

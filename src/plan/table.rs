@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use sitl::frame::{Ned, wrap_angle};
 
-use super::trajectory::DesiredPoint;
+use super::desired_point::DesiredPoint;
 
 /// Rows at increasing times, joined by cubic Hermite splines (position) and straight lines (yaw).
 #[derive(Clone, Debug)]

@@ -1,29 +1,9 @@
 //! A desired trajectory: position and yaw over time, relative to where it is anchored.
 
-use std::path::Path;
-
-use sitl::frame::Ned;
-
 use super::curve::{Envelope, HarmonicCurve};
-use super::file::{self, TrajectoryError};
+pub use super::desired_point::DesiredPoint;
 use super::path::MinimumJerkPath;
 use super::table::Table;
-
-/// What is wanted at one instant. World axes, SI, radians. The origin is the trajectory's anchor:
-/// the take-off point on the floor; its axes are the world's.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct DesiredPoint {
-    /// Position, m.
-    pub position: Ned,
-    /// Velocity, m/s.
-    pub velocity: Ned,
-    /// Acceleration, m/s^2.
-    pub acceleration: Ned,
-    /// Yaw, rad, continuous (not wrapped).
-    pub yaw: f64,
-    /// Yaw rate, rad/s.
-    pub yaw_rate: f64,
-}
 
 /// A desired trajectory from time 0 to [`Trajectory::duration`].
 #[derive(Clone, Debug)]
@@ -47,24 +27,6 @@ pub(super) enum Shape {
 impl Trajectory {
     pub(super) fn new(name: impl Into<String>, shape: Shape) -> Self {
         Self { name: name.into(), shape }
-    }
-
-    /// Reads a trajectory file, or the shipped one of that name: TOML by its schema, or CSV with a
-    /// header.
-    ///
-    /// # Errors
-    /// [`TrajectoryError`] names the file, the field, what was expected and what was found.
-    pub fn load(path: &Path) -> Result<Self, TrajectoryError> {
-        file::load(path)
-    }
-
-    /// Parses the text of a TOML trajectory file; `origin` names it in errors.
-    ///
-    /// # Errors
-    /// As [`Trajectory::load`]. A file that refers to another file by a relative path is looked up
-    /// beside `origin`.
-    pub fn parse(text: &str, origin: &Path) -> Result<Self, TrajectoryError> {
-        file::parse(text, origin)
     }
 
     /// What it is called in logs and reports.

@@ -2,6 +2,7 @@
 
 mod next_flight;
 mod reflight;
+mod waterfall;
 
 use std::fmt::Write;
 
@@ -11,9 +12,7 @@ use super::table::{Table, definitions};
 use crate::diagnose::answer::{Answer, Gap, Verdict};
 use crate::diagnose::gap::QUANTITIES;
 use crate::diagnose::map::Regime;
-use crate::diagnose::misfit::Misfit;
 use crate::diagnose::open_loop::HORIZONS_S;
-use crate::diagnose::strain::Strain;
 use crate::diagnose::words::{self, closed_loop, one};
 
 /// Size of a drawing, pixels.
@@ -42,7 +41,7 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
         page.section(
             "How far",
             "Open-loop predictions of the flights held out, from every quarter of a second: root mean square errors with the vehicle file as shipped, with the effects, and what noise alone leaves. The learner is a network on what the vehicle file as shipped leaves of the fitted flights.",
-            &how_far(gap, words::explanation(answer.finding.verdict)),
+            &how_far(answer, gap),
         );
     }
     if let Some(flown) = &answer.closed_loop {
@@ -163,33 +162,31 @@ fn place(answer: &Answer) -> String {
 }
 
 fn which(answer: &Answer) -> String {
+    let set = |effects: &[String]| effects.join(" and ");
     let rows: Vec<(String, f64, f64)> = answer
-        .hypotheses
+        .explanations
         .iter()
         .take(SHOWN)
-        .map(|h| (h.id.to_string(), h.evidence, h.asked))
+        .map(|explanation| (set(&explanation.effects), explanation.evidence, 0.0))
         .collect();
-    let mut html =
-        String::from("<h3>Evidence of each effect alone, nats (mark: what is asked of it)</h3>");
+    let mut html = String::from(
+        "<h3>Evidence of each set of effects over the vehicle file within its tolerances, nats</h3>",
+    );
     html += &bars(&rows, "");
     let mut table = Table::new(&[
-        ("effect", false),
+        ("effects", false),
         ("evidence", true),
-        ("held out", true),
-        ("\u{b1}", true),
+        ("posterior mass", true),
         ("fitted numbers", false),
     ]);
-    for h in &answer.hypotheses {
-        let numbers: Vec<String> = h.numbers.iter().map(|x| significant(*x)).collect();
-        let named = answer.named().any(|effect| effect.id == h.id);
-        let mood = if named { Mood::Good } else { Mood::Plain };
+    for explanation in &answer.explanations {
+        let numbers: Vec<String> = explanation.numbers.iter().map(|x| significant(*x)).collect();
         table.row(
-            mood,
+            Mood::Plain,
             &[
-                h.id.to_string(),
-                format!("{:.1}", h.evidence),
-                format!("{:.1}", h.held_out[0]),
-                format!("{:.1}", h.held_out[1]),
+                set(&explanation.effects),
+                format!("{:.1}", explanation.evidence),
+                format!("{:.1} %", 100.0 * explanation.mass),
                 numbers.join(", "),
             ],
         );
@@ -218,62 +215,28 @@ fn which(answer: &Answer) -> String {
         }
         html += &table.into_html();
     }
-    html + &misfit(answer) + &strained(&answer.strained)
+    html
 }
 
-/// What the explanation leaves in each group of equations, or the nuisances alone where there is
-/// none.
-fn misfit(answer: &Answer) -> String {
-    if answer.misfit.is_empty() {
-        return String::new();
-    }
-    let explains = answer.misfit.iter().any(|misfit| misfit.explained != 0.0);
-    let mut columns = vec![("equations", false), ("left", true), ("\u{b1}", true)];
-    if explains {
-        columns.insert(1, ("explained", true));
-    }
-    let mut table = Table::new(&columns);
-    for Misfit { equations, explained, left, error } in &answer.misfit {
-        let mut row = vec![(*equations).to_owned()];
-        row.extend(explains.then(|| format!("{explained:.0}")));
-        row.extend([left, error].map(|nats| format!("{nats:.0}")));
-        table.row(Mood::Plain, &row);
-    }
-    let heading = if explains {
-        "<h3>What it explains and what it leaves beyond its twins, nats below 3.2 Hz</h3>"
-    } else {
-        "<h3>What nuisances alone leave beyond their twins, nats below 3.2 Hz</h3>"
-    };
-    heading.to_owned() + &table.into_html()
-}
-
-/// Numbers of the vehicle file that lie further off than files are.
-fn strained(strains: &[Strain]) -> String {
-    if strains.is_empty() {
-        return String::new();
-    }
-    let mut table = Table::new(&[("number of the vehicle file", false), ("off, tolerances", true)]);
-    for Strain { number, tolerances, .. } in strains {
-        table.row(Mood::Warning, &[number.clone(), format!("{tolerances:+.1}")]);
-    }
-    "<h3>Further off than files are</h3>".to_owned() + &table.into_html()
-}
-
-fn how_far(gap: &Gap, explanation: &str) -> String {
+fn how_far(answer: &Answer, gap: &Gap) -> String {
+    let explanation = words::explanation(answer.finding.verdict);
     let mut rows = vec![
         ("as shipped".to_owned(), gap.before, gap.floor),
         (explanation.to_owned(), gap.after, gap.floor),
         ("noise alone".to_owned(), gap.floor, gap.floor),
     ];
     if let Some(nuisances) = gap.nuisances_only {
-        rows.insert(1, ("nuisances alone".to_owned(), nuisances, gap.floor));
+        rows.insert(1, ("the file's numbers alone".to_owned(), nuisances, gap.floor));
     }
     if let Some(learner) = gap.with_learner {
         rows.insert(rows.len() - 1, ("with a learner".to_owned(), learner, gap.floor));
     }
-    let mut html = String::from(
-        "<h3>Mean of position, velocity and attitude at 0.5 and 1 s, in units of the noise</h3>",
-    );
+    let mut html = String::new();
+    if !answer.attribution.is_empty() {
+        html += "<h3>Where the squared gap comes from</h3>";
+        html += &waterfall::svg(&answer.attribution);
+    }
+    let _ = write!(html, "<h3>{}, in units of the noise</h3>", metric_in_words(gap.metric));
     html += &bars(&rows, "");
     let mut table = Table::new(&[
         ("quantity", false),
@@ -291,6 +254,18 @@ fn how_far(gap: &Gap, explanation: &str) -> String {
         }
     }
     html + &table.into_html()
+}
+
+/// What a gap's metric is the mean of.
+fn metric_in_words(metric: &str) -> &'static str {
+    match metric {
+        "guided" => {
+            "Mean of position and velocity at 0.5 and 1 s, the body turning as reported, and of \
+             attitude and body rate at 0.1 s"
+        }
+        "forces" => "Mean of position and velocity at 0.5 and 1 s, the body turning as reported",
+        _ => "Mean of position, velocity and attitude at 0.5 and 1 s",
+    }
 }
 
 fn untold(answer: &Answer) -> String {
@@ -360,8 +335,8 @@ fn provenance(answer: &Answer) -> String {
     }
     let mut html = table.into_html();
     html += "<p>Each equation of motion and measurement is compared with the reports over cells of 10 ms and \
-             weighed by frequency with the noise that is left, whose spectrum is not assumed. Every hypothesis is \
-             fitted with the same nuisances; several effects at once by forward selection, pairs and pruning.</p>";
+             weighed by frequency with the noise that is left, whose spectrum is not assumed. Every set of effects is \
+             fitted with the vehicle file's numbers free within their tolerances.</p>";
     if let Some(twins) = &answer.twins {
         let _ = write!(
             html,

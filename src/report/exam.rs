@@ -8,7 +8,10 @@ use super::page::{Mood, Page, escape};
 use super::table::{Table, definitions};
 use crate::exam::interval::Rate;
 use crate::exam::score::Row;
-use crate::exam::summary::{BRIER_MAX, Bound, Detection, Measure, Standing, Summary};
+use crate::exam::summary::{
+    BRIER_MAX, Bound, CALIBRATION_MAX, Detection, FamilySummary, Measure, Standing, Summary,
+};
+use crate::exam::world::{FileKind, LoopKind};
 
 /// Height of a figure's frame, pixels.
 const HEIGHT: f64 = 220.0;
@@ -29,8 +32,11 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
     let mut text = String::new();
     for row in rows {
         let [case, kind, truth, ratio, verdict, found] = cells(row);
-        let mark = if is_right(row) { "ok" } else { "--" };
-        let _ = writeln!(text, "{mark} {case} {kind:9} {truth:30} {ratio:>6}  {verdict:7} {found}");
+        let (grade, world) = (row.grade.name(), world(row));
+        let _ = writeln!(
+            text,
+            "{grade:10} {case} {kind:9} {world:22} {truth:30} {ratio:>6}  {verdict:7} {found}"
+        );
     }
     text.push('\n');
     for measure in &summary.measures {
@@ -40,6 +46,9 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
     }
     let mark = mark(summary.brier_standing());
     let _ = writeln!(text, "{:42} {}{mark}", brier_name(), number(summary.brier));
+    let mark = self::mark(summary.calibration_standing());
+    let error = number(summary.calibration_error);
+    let _ = writeln!(text, "{:42} {error}{mark}", calibration_name());
     for (name, value) in numbers(summary) {
         let _ = writeln!(text, "{name:42} {value}");
     }
@@ -50,7 +59,21 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
     for line in &summary.reliability {
         let [low, high] = line.probabilities;
         let share = percent(&line.is_true);
-        let _ = writeln!(text, "{low:.2} - {high:.2}   {:.3}   {share}", line.mean);
+        let off = if line.holds() { "" } else { "  off" };
+        let _ = writeln!(text, "{low:.2} - {high:.2}   {:.3}   {share}{off}", line.mean);
+    }
+    if !summary.families.is_empty() {
+        let _ = writeln!(
+            text,
+            "\n{:48} {:30} {:30} {:30} Brier",
+            "family", "right or acceptable", "named first", "confidently wrong"
+        );
+        for family in &summary.families {
+            let (good, named) = (percent(&family.good), percent(&family.named));
+            let (wrong, brier) = (percent(&family.confidently_wrong), number(family.brier));
+            let name = family_name(family);
+            let _ = writeln!(text, "{name:48} {good:30} {named:30} {wrong:30} {brier}");
+        }
     }
     text += "\nstrength        named                           noticed\n";
     for line in &summary.detection {
@@ -86,9 +109,12 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
             format!("{}: {} ({})", measure.name, percent(&measure.rate), wanted(measure))
         };
         let mut all: Vec<String> = summary.of(standing).map(told).collect();
-        if summary.brier_standing() == standing && standing != Standing::Kept {
-            all.push(format!("{}: {}", brier_name(), number(summary.brier)));
-        }
+        let scores = [
+            (summary.brier_standing(), brier_name(), summary.brier),
+            (summary.calibration_standing(), calibration_name(), summary.calibration_error),
+        ];
+        let told = scores.into_iter().filter(|(is, ..)| *is == standing && *is != Standing::Kept);
+        all.extend(told.map(|(_, name, value)| format!("{name}: {}", number(value))));
         all
     };
     let (failures, open) = (standing(Standing::Missed), standing(Standing::TooFew));
@@ -105,7 +131,7 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     }
     page.section(
         "Rates",
-        "As counted, with Wilson's 95 % interval. Singles are detectable where they cause twice the prediction error that noise alone does.",
+        "As counted, with Wilson's 95 % interval. An effect is of practical size at three tolerances of the vehicle file, and three times noise when every number of the file has moved by as many; of an exact file, at twice noise.",
         &measures(summary),
     );
     page.section(
@@ -113,6 +139,13 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
         "How often an effect that is given a probability is there: on the line, probabilities are what they say.",
         &reliability(summary),
     );
+    if !summary.families.is_empty() {
+        page.section(
+            "By family",
+            "By law, loop and file, then by all three. Named first: of causes of practical size.",
+            &families(summary),
+        );
+    }
     if !summary.effects.is_empty() {
         page.section(
             "Detection",
@@ -171,9 +204,19 @@ fn mark(standing: Standing) -> &'static str {
     }
 }
 
-fn is_right(row: &Row) -> bool {
-    let names_what_it_must = row.right.is_empty() || row.top_right;
-    row.trap_right && row.kind.is_trap() || row.verdict_right() && names_what_it_must
+/// The loop and the file of a case.
+fn world(row: &Row) -> String {
+    let on_board = match row.on_board {
+        LoopKind::Pd => "PD",
+        LoopKind::Cascade => "cascade",
+        LoopKind::CascadeUnlogged => "cascade unlogged",
+    };
+    let file = match row.file {
+        FileKind::Exact => "exact",
+        FileKind::Claimed => "off",
+        FileKind::Unclaimed => "off unsaid",
+    };
+    format!("{on_board}, {file}")
 }
 
 /// Case, kind, truth, strength, verdict, what was found.
@@ -213,14 +256,18 @@ fn number(value: Option<f64>) -> String {
 }
 
 fn brier_name() -> String {
-    format!("Brier score (<= {BRIER_MAX})")
+    format!("Brier score, practical causes and nulls (<= {BRIER_MAX})")
+}
+
+fn calibration_name() -> String {
+    format!("expected calibration error (<= {CALIBRATION_MAX})")
 }
 
 fn numbers(summary: &Summary) -> [(&'static str, String); 5] {
     let [claimed, truly] = summary.closure.map(number);
     let apart = number(summary.closure_off);
     [
-        ("Brier score, detectable causes and nulls", number(summary.brier_detectable)),
+        ("Brier score of every case", number(summary.brier_of_all)),
         ("median relative parameter error", number(summary.error)),
         ("90 % intervals that hold", percent(&summary.covered)),
         ("median closure", format!("{claimed} claimed, {truly} true, {apart} apart")),
@@ -257,6 +304,9 @@ fn measures(summary: &Summary) -> String {
     }
     table
         .row(mood(summary.brier_standing()), &[brier_name(), number(summary.brier), String::new()]);
+    let error = number(summary.calibration_error);
+    let cells = [calibration_name(), error, String::new()];
+    table.row(mood(summary.calibration_standing()), &cells);
     for (name, value) in numbers(summary) {
         table.row(Mood::Plain, &[name.to_owned(), value, String::new()]);
     }
@@ -375,6 +425,37 @@ fn effects(summary: &Summary) -> String {
     table.into_html()
 }
 
+fn family_name(family: &FamilySummary) -> String {
+    let parts = [
+        family.law.map(|law| law.name()),
+        family.on_board.map(|on_board| on_board.name()),
+        family.file.map(|file| file.name()),
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(" / ")
+}
+
+fn families(summary: &Summary) -> String {
+    let columns = [
+        ("", false),
+        ("right or acceptable", false),
+        ("named first", false),
+        ("confidently wrong", false),
+        ("Brier", true),
+    ];
+    let mut table = Table::new(&columns);
+    for family in &summary.families {
+        let cells = [
+            family_name(family),
+            unbroken(&family.good),
+            unbroken(&family.named),
+            unbroken(&family.confidently_wrong),
+            number(family.brier),
+        ];
+        table.row(Mood::Plain, &cells);
+    }
+    table.into_html()
+}
+
 fn conditions(summary: &Summary) -> String {
     let columns =
         [("", false), ("log", false), ("named", false), ("90 % intervals that hold", false)];
@@ -391,14 +472,19 @@ fn cases(rows: &[Row]) -> String {
     let columns = [
         ("case", false),
         ("asks", false),
+        ("loop and file", false),
         ("truth", false),
         ("strength", true),
+        ("grade", false),
         ("verdict", false),
         ("found", false),
     ];
     let mut table = Table::new(&columns);
     for row in rows {
-        table.row(if is_right(row) { Mood::Good } else { Mood::Bad }, &cells(row));
+        let [case, kind, truth, ratio, verdict, found] = cells(row);
+        let cells =
+            [case, kind, world(row), truth, ratio, row.grade.name().to_owned(), verdict, found];
+        table.row(if row.grade.is_good() { Mood::Good } else { Mood::Bad }, &cells);
     }
     table.into_html()
 }

@@ -5,7 +5,6 @@ use std::io::Read;
 
 use serde::Serialize;
 
-use super::flight_page;
 use super::histogram::quantile;
 use crate::log::LogReader;
 use crate::log::info::{LogInfo, PhaseInfo, TrackingInfo, is_tracking};
@@ -152,11 +151,6 @@ impl FlightReport {
     /// Whether the log held nothing to report on: no tick, no link, no event.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty() && self.link.is_empty() && self.info.events_total == 0
-    }
-
-    /// The page.
-    pub fn to_html(&self) -> String {
-        flight_page::html(self)
     }
 
     /// Intervals between ticks, s.

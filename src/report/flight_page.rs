@@ -18,8 +18,14 @@ use crate::log::schema::{
 const EVENTS_LISTED: usize = 200;
 const TIME: &str = "time since the start of the log (s)";
 
-/// The whole page.
-pub(super) fn html(report: &FlightReport) -> String {
+impl FlightReport {
+    /// The page.
+    pub fn to_html(&self) -> String {
+        html(self)
+    }
+}
+
+fn html(report: &FlightReport) -> String {
     let run = |key: &str| report.info.run.get(key).map_or("unknown", String::as_str);
     let mut page = Page::new(
         &format!("Flight report: {}", run("run")),

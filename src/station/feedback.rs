@@ -37,6 +37,7 @@ pub(super) fn feedback(
     let feed_forward = pilot.offset_free.feed_forward.applies(is_own_loop).then(|| FeedForward {
         mass_kg: hover.mass_kg,
         gravity: hover.gravity,
+        drag_kg_s: settings.drag_kg_s,
         tilt_max_rad: pilot.limits.tilt_max_rad,
         attitude_delay_s: actuation.attitude_delay_s(&attitude_loop),
         thrust_delay_s: actuation.thrust_delay_s(),

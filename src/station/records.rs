@@ -40,6 +40,7 @@ pub(super) fn tick_record(tick: &Tick, sampled: HostTime) -> record::Tick {
         stamp: Stamp::new(tick.host, tick.vehicle, sampled),
         state: tick.state,
         reference: Some(tick.reference),
+        desired: Some(tick.desired),
         feedback: tick.feedback,
         setpoint: tick.setpoint,
         saturation: tick.saturation.bits(),

@@ -72,8 +72,8 @@ impl Station {
             (now.since(*at).as_secs_f64() < 3.0).then(|| text.clone())
         });
         let text = match warning {
-            Some(words) => format!("{outcome:?}: {words}"),
-            None => format!("{outcome:?}"),
+            Some(words) => format!("{outcome}: {words}"),
+            None => outcome.to_string(),
         };
         let action = action_of(request);
         match (action, &mut self.pilot) {

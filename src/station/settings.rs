@@ -23,6 +23,8 @@ pub struct StationSettings {
     pub policy: EngagePolicy,
     /// Effective mass, inertia and gravity.
     pub hover: HoverVehicle,
+    /// Drag over speed along front and right, and along down, as far as it is known, kg/s.
+    pub drag_kg_s: [f64; 2],
     /// Thrust of all rotors at full output, N.
     pub thrust_full_n: f64,
     /// The pack's voltage when full, V.

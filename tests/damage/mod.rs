@@ -1,7 +1,5 @@
 //! Telemetry logs made from a flight's records, and ways to damage them.
 
-#![allow(dead_code)] // Each test crate uses its own part.
-
 use std::fs;
 use std::path::Path;
 

@@ -1,7 +1,5 @@
 //! Flights of the bundled vehicle to learn from, and `train` on them.
 
-#![allow(dead_code)] // Each test crate uses its own part.
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

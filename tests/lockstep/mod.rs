@@ -1,8 +1,6 @@
 //! A station and the simulated vehicle on one virtual clock, with a link between them that a test
 //! can cut, delay or spoil, and a pilot with a ground station of his own.
 
-#![allow(dead_code)] // Each test crate uses its own part.
-
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -90,6 +88,7 @@ pub fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettin
         lqr: LqrSettings::default(),
         policy: EngagePolicy::Command,
         hover,
+        drag_kg_s: [0.0; 2],
         thrust_full_n,
         battery_full_v: params.battery.full_v,
         attitude_pd: params.attitude_pd,

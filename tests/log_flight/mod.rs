@@ -1,8 +1,6 @@
 //! A made-up flight with the streams, rates and sizes of a real one: take-off, a sinusoid in x and
 //! y with turning yaw, landing. The vehicle follows the reference with a lag and some noise.
 
-#![allow(dead_code)] // Each test crate uses its own part.
-
 use std::time::{Duration, Instant};
 
 use downwash::clock::{HostTime, VehicleTime};
@@ -143,6 +141,7 @@ pub fn records(duration: f64) -> Vec<Record> {
             stamp,
             state,
             reference: Some(reference),
+            desired: None,
             feedback,
             setpoint: (phase != "land" || t < duration - 0.5).then_some(setpoint),
             saturation: u32::from(ms % 5000 == 0) << 1,

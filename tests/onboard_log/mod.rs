@@ -1,7 +1,5 @@
 //! Logs as PX4 and ArduPilot write them, made up row by row.
 
-#![allow(dead_code)] // Each test crate uses its own part.
-
 /// A ULog under way.
 pub struct Ulog {
     pub bytes: Vec<u8>,

@@ -1,8 +1,6 @@
 //! A nano quadrotor, models of it and desired trajectories, for the tests of planning.
 
 // Each test file uses a part of it.
-#![allow(dead_code)]
-
 use std::path::Path;
 use std::sync::Arc;
 

@@ -15,6 +15,18 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "long: only tests/run --all runs it")
+    config.addinivalue_line("markers", "computes: takes the whole machine, so no real-time flight runs beside it")
+
+
+# Where both signals take one path, the second one is for tests/run --all.
+SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
+SIGNALS_AT_LENGTH = pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)], ids=["int", "term"]
+)
+
 # One vehicle for the tests, in the schema of vehicle files.
 VEHICLE = {
     "name": "test_quad",

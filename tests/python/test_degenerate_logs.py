@@ -7,6 +7,8 @@ import pytest
 
 from conftest import CRAZYFLIE, ROOT
 
+pytestmark = pytest.mark.computes
+
 MAPPING = ROOT / "config/mappings/motion-capture.toml"
 COLUMNS = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"
 ENDS_S = 120

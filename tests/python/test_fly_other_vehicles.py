@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from conftest import CRAZYFLIE, ROOT, bounds_time, free_port
+from conftest import CRAZYFLIE, ROOT, SHORT_HOVER, bounds_time, free_port
 from hand_made_vehicle import HOLD, LAND, OFFBOARD, HandMadeVehicle
 
 LONG_HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 12.0\n"
@@ -98,7 +98,7 @@ def flight(tmp_path, program):
     """Starts vehicles and `downwash fly` on them."""
     vehicles = []
 
-    def start(*habits, trajectory="family = 'hover'\naltitude_m = 0.8\nduration_s = 1.0\n", options=()):
+    def start(*habits, trajectory=SHORT_HOVER, options=()):
         port = free_port()
         url = f"udpin:127.0.0.1:{port}"
         file = tmp_path / "hover.toml"
@@ -115,8 +115,15 @@ def flight(tmp_path, program):
         vehicle.stop()
 
 
-@pytest.mark.parametrize("answers", [True, False])
-@pytest.mark.parametrize("rate", [0.95, 1.03])
+@pytest.mark.parametrize(
+    "rate, answers",
+    [
+        (0.95, True),
+        (1.03, False),
+        pytest.param(0.95, False, marks=pytest.mark.long),
+        pytest.param(1.03, True, marks=pytest.mark.long),
+    ],
+)
 def test_a_vehicle_whose_clock_slips_is_flown(flight, rate, answers):
     _, daemon = flight({"clock_rate": rate, "answers_timesync": answers}, trajectory=LONG_HOVER)
     code, _ = daemon.finish(90)

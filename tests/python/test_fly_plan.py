@@ -114,6 +114,7 @@ def test_the_goal_moves_with_its_file_in_flight(program, tmp_path):
     assert abs(north[-1] - north[0] - 0.5) < 0.1, (north[0], north[-1])
 
 
+@pytest.mark.computes
 @pytest.mark.timeout(300)
 def test_the_experiment_learns_plans_flies_and_compares(tmp_path):
     trajectory = tmp_path / "turn.toml"

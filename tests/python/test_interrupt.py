@@ -10,9 +10,8 @@ import time
 
 import pytest
 
-from conftest import CRAZYFLIE, DOWNWASH, ROOT, SHORT_HOVER
+from conftest import CRAZYFLIE, DOWNWASH, ROOT, SHORT_HOVER, SIGNALS, SIGNALS_AT_LENGTH
 
-SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
 MAPPING = ROOT / "config/mappings/motion-capture.toml"
 
 
@@ -36,6 +35,7 @@ def ends(one, number):
     return out
 
 
+@pytest.mark.computes
 @SIGNALS
 @pytest.mark.parametrize("stage", ["... logs", "... physics", "... networks"])
 def test_train(program, flights, tmp_path, number, stage):
@@ -49,7 +49,8 @@ def test_train(program, flights, tmp_path, number, stage):
         assert (tmp_path / "model.safetensors.checkpoint").exists()
 
 
-@SIGNALS
+@pytest.mark.computes
+@SIGNALS_AT_LENGTH
 def test_trained_networks_are_kept_before_they_are_judged(program, flights, tmp_path, number):
     model = tmp_path / "model.safetensors"
     few = ["--passes", 15, "--hidden", 20, "--regularization", "1e-5"]
@@ -59,16 +60,18 @@ def test_trained_networks_are_kept_before_they_are_judged(program, flights, tmp_
     assert (tmp_path / "model.safetensors.checkpoint").exists() and not model.exists()
 
 
+@pytest.mark.computes
 @SIGNALS
 def test_diagnose(program, flights, tmp_path, number):
     out = tmp_path / "improved.toml"
     one = program("diagnose", "--vehicle", CRAZYFLIE, *flights, "-o", out)
-    one.says("... what nuisances explain")
+    one.says("... how good the vehicle file is")
     ends(one, number)
     assert not list(tmp_path.iterdir())
 
 
-@SIGNALS
+@pytest.mark.computes
+@SIGNALS_AT_LENGTH
 @pytest.mark.parametrize("stage", ["... flying", "... diagnosing"])
 def test_exam(program, tmp_path, number, stage):
     # What it does in the second stage is the work of other processes.
@@ -83,6 +86,7 @@ def test_exam(program, tmp_path, number, stage):
         assert (tmp_path / "exam/commitment.txt").exists() and (tmp_path / "exam/key.json").exists()
 
 
+@pytest.mark.computes
 @SIGNALS
 def test_plan(program, tmp_path, number):
     long = tmp_path / "long.toml"
@@ -96,7 +100,8 @@ def test_plan(program, tmp_path, number):
     assert summary["status"] == "stopped" and (tmp_path / "plan.json").exists()
 
 
-@SIGNALS
+@pytest.mark.computes
+@SIGNALS_AT_LENGTH
 @pytest.mark.parametrize("stage", ["... flying", "... physics"])
 def test_demo(program, tmp_path, number, stage):
     one = program("demo", "--out", tmp_path / "demo", "--learn", 40)

@@ -4,10 +4,13 @@ import json
 import math
 import subprocess
 
+import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from conftest import DOWNWASH, ROOT
+
+pytestmark = pytest.mark.computes
 
 MAPPING = ROOT / "config/mappings/motion-capture.toml"
 COLUMNS = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"

@@ -36,7 +36,7 @@ VIEWER = {
 
 
 # One worker has the log.
-pytestmark = pytest.mark.xdist_group("log")
+pytestmark = [pytest.mark.computes, pytest.mark.xdist_group("log")]
 
 
 @pytest.fixture(scope="module")

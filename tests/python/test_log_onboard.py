@@ -14,6 +14,8 @@ from pyulog import ULog
 
 from conftest import DOWNWASH, ROOT
 
+pytestmark = pytest.mark.computes
+
 PRACTICE = Path(os.environ.get("DOWNWASH_PRACTICE", ROOT / "../shared/practice-autopilot"))
 ULOGS = sorted(PRACTICE.glob("*/*.ulg"))
 DATAFLASHES = sorted(PRACTICE.glob("*/*.BIN"))

@@ -23,7 +23,7 @@ SMALL = ["--passes", "15", "--hidden", "20", "--regularization", "1e-5"]
 PREDICTIONS = "run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz"
 
 # Every worker would fly and train for itself.
-pytestmark = [pytest.mark.xdist_group("model"), pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.computes, pytest.mark.xdist_group("model"), pytest.mark.timeout(300)]
 
 
 def run(*arguments, code=0):

@@ -9,6 +9,8 @@ import pytest
 
 from conftest import CRAZYFLIE, DOWNWASH, ROOT
 
+pytestmark = pytest.mark.computes
+
 FAR = "udpout:127.0.0.1:9"
 SHORT = """family = 'sinusoid-yaw'
 altitude_m = 1.0

@@ -4,6 +4,7 @@
 //! ground-station log of such frames. [`endpoint`] names where bytes come from, and `transport`
 //! (feature `transport`) opens it.
 
+#![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod endpoint;

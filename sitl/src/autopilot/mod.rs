@@ -66,9 +66,8 @@ const EVENT_WITHIN_US: u64 = 20_000;
 pub enum VehicleRefused {
     /// The vehicle file has no attitude loop that the autopilot flies.
     #[error(
-        "vehicle {vehicle}: the file has no attitude_pd, so its autopilot's attitude loop is not \
-         known; add attitude_pd (kp, kd, rate_hz) to simulate it, or simulate a file with \
-         attitude_cascade as PX4 or ArduCopter"
+        "vehicle {vehicle}: the file has neither attitude_pd nor attitude_cascade, so its \
+         autopilot's attitude loop is not known; add attitude_pd (kp, kd, rate_hz) to simulate it"
     )]
     NoAttitudeLoop {
         /// The vehicle's name.
@@ -115,9 +114,24 @@ impl Vehicle {
         config: SitlConfig,
         seed: u64,
     ) -> Result<Self, VehicleRefused> {
-        let params = params.checked()?;
-        let airframe = Airframe::new(&params, &effects, &config, seed)?;
-        let effects = params.modelled_effects.overlay(&effects);
+        Self::built(params.clone(), params, effects, config, seed)
+    }
+
+    /// A vehicle whose firmware believes `params` (its loop, its mixer, its hover thrust), and whose
+    /// body, rotors and link are `body`'s, as a builder's numbers are never quite the vehicle's.
+    ///
+    /// # Errors
+    /// [`VehicleRefused`].
+    pub fn built(
+        params: VehicleParams,
+        body: VehicleParams,
+        effects: EffectSet,
+        config: SitlConfig,
+        seed: u64,
+    ) -> Result<Self, VehicleRefused> {
+        let (params, body) = (params.checked()?, body.checked()?);
+        let airframe = Airframe::new(&body, &effects, &config, seed)?;
+        let effects = body.modelled_effects.overlay(&effects);
         let personality = personality::of(config.autopilot);
         let mut onboard = match personality.onboard(&params, effects.get::<PdGain>()) {
             Ok(onboard) => onboard,
@@ -134,7 +148,7 @@ impl Vehicle {
         onboard.attitude_loop.configure(&onboard.parameters);
         let loop_hz = onboard.rate_hz;
         let delay_s =
-            effects.get::<CommandDelay>().map_or(params.command_delay_s, |delay| delay.delay_s);
+            effects.get::<CommandDelay>().map_or(body.command_delay_s, |delay| delay.delay_s);
         let (perception, airborne) = (airframe.perceive(), airframe.airborne());
         let flight = FlightControl::new(
             &params,
@@ -160,8 +174,8 @@ impl Vehicle {
         })
     }
 
-    /// Lets something from outside the catalogue act on the vehicle from now on; `seed` draws what
-    /// of it is random.
+    /// Lets something from outside the catalogue act on the vehicle from now on, beside what does
+    /// already; `seed` draws what of it is random.
     pub fn disturb(&mut self, foreign: Foreign, seed: u64) {
         self.airframe.disturb(foreign, seed);
     }

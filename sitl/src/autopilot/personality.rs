@@ -3,6 +3,7 @@
 
 mod arducopter;
 mod bundled;
+mod bundled_cascade;
 mod gains;
 mod low_pass;
 mod px4;

@@ -1,7 +1,5 @@
 //! A vehicle on a virtual clock, and peers that talk to it in frames.
 
-#![allow(dead_code, reason = "each test file uses its own part")]
-
 use mavlink::{MavlinkVersion, Message};
 use sitl::autopilot::{LinkKind, Mode, Peer, Vehicle};
 use sitl::config::{Autopilot, SensorConfig, SitlConfig};

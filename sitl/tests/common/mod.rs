@@ -1,6 +1,4 @@
 //! What the tests share: vehicles and states.
-#![allow(dead_code)] // each test file uses its part
-
 use std::path::PathBuf;
 
 use sitl::config::{SensorConfig, SitlConfig};

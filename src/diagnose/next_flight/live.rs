@@ -5,9 +5,8 @@ use std::collections::BTreeSet;
 use sitl::effects::{EffectId, EffectSet};
 
 use super::super::answer::Answer;
+use super::super::explanation::Explanation;
 use super::super::hypothesis::{Catalogue, Target};
-use super::super::scored::Scored;
-use super::super::selection::Selection;
 
 /// An explanation that may be true: effects with their numbers.
 #[derive(Clone, Debug)]
@@ -40,10 +39,10 @@ pub struct OpenQuestions {
 }
 
 impl OpenQuestions {
-    /// What the answer to a selection leaves open.
-    pub fn of(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Self {
+    /// What an answer leaves open of what was found.
+    pub fn of(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -> Self {
         Self {
-            explanations: explanations(catalogue, selection, answer),
+            explanations: explanations(catalogue, found, answer),
             untested: untested(catalogue, answer),
         }
     }
@@ -52,33 +51,39 @@ impl OpenQuestions {
 /// The explanations that an answer leaves open: the chosen set, and for each effect that it cannot
 /// be told from the set with that effect in the place of the one it stands for. Probabilities are
 /// in the proportion of those in the answer.
-fn explanations(catalogue: &Catalogue, selection: &Selection, answer: &Answer) -> Vec<Live> {
+fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -> Vec<Live> {
     if answer.ambiguous_with.is_empty() {
         return Vec::new();
     }
-    let set = |scored: &Scored| {
-        let ids: Vec<EffectId> =
-            scored.fit.hypotheses.iter().map(|h| catalogue.hypotheses[*h].effect).collect();
-        catalogue.effects(&scored.fit.values, Some(&ids))
+    let ids = |explanation: &Explanation| -> Vec<EffectId> {
+        let hypotheses = explanation.fit.hypotheses.iter();
+        hypotheses.map(|h| catalogue.hypotheses[*h].effect).collect()
     };
     let probability = |id: EffectId| {
         let found = answer.effects.iter().find(|effect| effect.id == id);
         found.map_or(LEAST, |effect| effect.probability.max(LEAST))
     };
-    let best = set(&selection.best);
-    let named = best.iter().map(|(id, _)| probability(id)).fold(f64::INFINITY, f64::min);
-    let mut found = vec![Live { effects: best, probability: named.min(1.0) }];
+    let is_open = |explanation: &&Explanation| {
+        let is_in_answer = |id: &EffectId| {
+            answer.ambiguous_with.contains(id) || answer.named().any(|named| named.id == *id)
+        };
+        ids(explanation).iter().all(is_in_answer)
+    };
+    let mut found_live: Vec<Live> = Vec::new();
     let mut seen = BTreeSet::new();
-    let in_place = selection.places.iter().flat_map(|(_, rivals)| rivals);
-    for rival in in_place.chain(&selection.singles) {
-        let effect = catalogue.hypotheses[rival.hypothesis].effect;
-        if answer.ambiguous_with.contains(&effect) && seen.insert(effect) {
-            let effects = set(&rival.scored);
-            if !effects.is_empty() {
-                found.push(Live { effects, probability: probability(effect) });
-            }
+    for explanation in found.iter().filter(is_open) {
+        let ids = ids(explanation);
+        if ids.iter().all(|id| seen.contains(id)) {
+            continue;
+        }
+        let effects = catalogue.effects(&explanation.fit.values, Some(&ids));
+        if !effects.is_empty() {
+            let least = ids.iter().map(|id| probability(*id)).fold(1.0, f64::min);
+            found_live.push(Live { effects, probability: least });
+            seen.extend(ids);
         }
     }
+    let mut found = found_live;
     // What was not fitted in full is taken at its usual strength.
     for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(id)) {
         if !seen.contains(&effect) {

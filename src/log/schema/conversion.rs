@@ -105,7 +105,7 @@ impl ControlMessage {
         phase.push_str(tick.phase);
         let ([error_n_m, error_e_m, error_d_m], error_3d_m, error_yaw_rad) = match &tick.reference {
             Some(reference) => {
-                let error = tick.state.position - reference.position;
+                let error = tick.state.position - tick.desired.unwrap_or(reference.position);
                 let yaw = tick.state.attitude.euler().yaw - reference.attitude.yaw;
                 (error.to_array(), error.norm(), sitl::frame::wrap_angle(yaw))
             }

@@ -1,8 +1,10 @@
 //! The vehicle that comes with the daemon: PX4's face, and an attitude loop that is a PD on
-//! attitude and rates together.
+//! attitude and rates together, or the cascade of the vehicle file where that has no PD.
 
 use wire::dialect::{AUTOPILOT_VERSION_DATA, SET_ATTITUDE_TARGET_DATA};
 
+use super::bundled_cascade::CascadeLoop;
+use super::gains::scaled;
 use super::px4_rules;
 use super::{
     LoopInput, NoLoop, Onboard, OnboardLoop, OutputScale, Personality, Reception, Refused,
@@ -115,11 +117,19 @@ impl Personality for Bundled {
     }
 
     fn onboard(&self, vehicle: &VehicleParams, truth: Option<PdGain>) -> Result<Onboard, NoLoop> {
-        let nominal = vehicle.attitude_pd.ok_or(NoLoop::Missing)?;
-        let gains = truth.map_or(nominal, |gain| gain.apply(&nominal));
+        let nominal = vehicle.attitude_loop_pd().ok_or(NoLoop::Missing)?;
+        let allocation = vehicle.allocation()?;
+        let attitude_loop: Box<dyn OnboardLoop> =
+            match vehicle.attitude_cascade.filter(|_| vehicle.attitude_pd.is_none()) {
+                Some(cascade) => Box::new(CascadeLoop::new(scaled(cascade, truth), allocation)),
+                None => {
+                    let gains = truth.map_or(nominal, |gain| gain.apply(&nominal));
+                    Box::new(AttitudeLoop::new(gains, allocation))
+                }
+            };
         Ok(Onboard {
             parameters: parameters(vehicle, &nominal),
-            attitude_loop: Box::new(AttitudeLoop::new(gains, vehicle.allocation()?)),
+            attitude_loop,
             rate_hz: nominal.rate_hz,
         })
     }

@@ -3,8 +3,6 @@
 use serde::Deserialize;
 use sitl::frame::{Attitude, Frd, Ned};
 
-use super::row::from_matrix;
-
 /// What world axes may be called, with the axis of NED and the sign.
 const WORLD: [(&str, (usize, f64)); 6] = [
     ("north", (0, 1.0)),
@@ -183,4 +181,31 @@ impl AttitudeTurn {
     pub fn apply(self, rotation: Attitude) -> Attitude {
         self.world.compose(rotation).compose(self.body).normalized()
     }
+}
+
+/// The quaternion scaled to unit length, if it is within 1 % of it.
+pub(super) fn unit(q: Attitude) -> Option<Attitude> {
+    let norm = q.w.hypot(q.x).hypot(q.y).hypot(q.z);
+    ((norm - 1.0).abs() < 0.01).then(|| q.normalized())
+}
+
+/// The rotation of a matrix, row by row (Shepperd's method: the largest component first).
+pub(super) fn from_matrix(m: [f64; 9]) -> Option<Attitude> {
+    let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = m;
+    let squares = [1.0 + xx + yy + zz, 1.0 + xx - yy - zz, 1.0 - xx + yy - zz, 1.0 - xx - yy + zz];
+    let largest = (0..4).max_by(|a, b| squares[*a].total_cmp(&squares[*b]))?;
+    let q = match largest {
+        0 => [squares[0], zy - yz, xz - zx, yx - xy],
+        1 => [zy - yz, squares[1], xy + yx, xz + zx],
+        2 => [xz - zx, xy + yx, squares[2], yz + zy],
+        _ => [yx - xy, xz + zx, yz + zy, squares[3]],
+    };
+    let [w, x, y, z] = q.map(|c| c / (2.0 * squares[largest].max(0.0).sqrt()));
+    let rotation = unit(Attitude { w, x, y, z })?;
+    // A mirrored or skewed matrix comes back as another one.
+    let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        .map(|axis| rotation.to_world(Frd::from(axis)).to_array());
+    let is_rotation = (0..3)
+        .all(|row| (0..3).all(|column| (axes[column][row] - m[3 * row + column]).abs() < 0.02));
+    is_rotation.then_some(rotation)
 }

@@ -1,0 +1,418 @@
+//! How streams of one motion fit each other, with no model of the vehicle: attitude turns by the
+//! gyro, position moves by the velocity, velocity changes by the accelerometer, and, of anything
+//! that hangs on its rotors, by the lean. The attitude follows its setpoint. Each pair yields a
+//! delay, a drift, a rotation, scales and a bias ([`super::pair`]).
+
+use nalgebra::{Matrix3, SVector, Vector3};
+use serde::Serialize;
+use sitl::frame::{Attitude, Frd, Ned, wrap_angle};
+
+use super::pair::{Agreement, Correction, Expected, Pair, agreement};
+use super::trial::Trial;
+use super::weak::{Bump, Weighed, bumps, median, weigh};
+use crate::learn::alignment::interpolated;
+use crate::log::import::{Flight, Stream};
+
+/// Standard gravity, m/s^2. Places differ by 0.03, which adds to the vertical bias.
+const GRAVITY: f64 = 9.806_65;
+/// Half width of a bump: at least this, s, and this many periods of the slower stream.
+const HALF: f64 = 0.2;
+const HALF_PERIODS: f64 = 8.0;
+/// A fast vehicle turns by no more than this within half a bump, rad, which is at least so wide, s.
+const TURN_MAX: f64 = 1.0;
+const HALF_MIN: f64 = 0.05;
+/// Longer bumps see slow motion above the noise of a derivative; times as long.
+const LONGER: f64 = 3.0;
+/// A rotation that is this many times its interval is undone.
+const SURE: f64 = 2.0;
+/// A delay of the attitude that is known as well as this is undone, s.
+const LATE_SURE: f64 = 0.05;
+/// Beyond this lean the thrust that keeps the height says little of it, rad.
+const LEAN_MAX: f64 = 1.0;
+
+/// All pairs of a flight; `None` where a stream is missing or its motion shows nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Kinematics {
+    /// Attitude against the gyro: rotation in body axes, bias in rad/s.
+    pub attitude: Option<Agreement>,
+    /// Position against velocity: rotation in world axes, bias in m/s.
+    pub position: Option<Agreement>,
+    /// Velocity against the accelerometer: rotation only about down (the heading), scales in world
+    /// axes, bias in body axes in m/s^2. A rotation of the attitude that the gyro shows for sure is
+    /// undone before; what the gyro does not show of a tilt is in the bias.
+    pub velocity: Option<Agreement>,
+    /// Velocity against the lean, where no accelerometer is logged: the acceleration across of a
+    /// thrust that holds the height at this attitude. Rotation only about down; bias as of the
+    /// accelerometer. Drag and climbs are in all of them, so that it is good for axes alone.
+    pub lean: Option<Agreement>,
+    /// Attitude against its setpoint, as lean to the north, lean to the east and heading: how the
+    /// vehicle's loop follows, so that neither delay nor scale is any flaw.
+    pub setpoint: Option<Agreement>,
+}
+
+impl Kinematics {
+    /// The pairs of a flight.
+    pub fn of(flight: &Flight) -> Self {
+        let attitude = agreement(&Turning::of(flight, |q| q));
+        let late = attitude.filter(|agreement| agreement.delay_s.half_width < LATE_SURE);
+        let late = late.map_or(0.0, |agreement| agreement.delay_s.value);
+        let turned = attitude.and_then(|agreement| {
+            let shown = agreement.rotation_rad;
+            let is_sure = shown.iter().flatten().any(|r| r.differs_from_zero(SURE));
+            is_sure.then(|| shown.map(|r| r.map_or(0.0, |r| -r.value)))
+        });
+        let gaining = Gaining::by_accelerometer(flight, late, turned.unwrap_or_default());
+        let velocity = agreement(&gaining);
+        let has_force = !flight.specific_force.is_empty();
+        let lean = (!has_force).then(|| agreement(&Gaining::by_lean(flight))).flatten();
+        // What comes before its setpoint does not follow it.
+        let follows = |pair: &Agreement| pair.delay_s.value > -pair.delay_s.half_width;
+        let setpoint = agreement(&Following::of(flight)).filter(follows);
+        Self { attitude, position: agreement(&Moving::of(flight)), velocity, lean, setpoint }
+    }
+}
+
+/// How well the attitude follows the gyro at best, in whatever axes.
+pub(super) fn turning_follows(flight: &Flight) -> Option<f64> {
+    Some(Trial::best(&Turning::of(flight, |q| q))?.explained)
+}
+
+/// How well the position follows the velocity at best, in whatever axes, and by how much either
+/// typically differs from its mean, m/s.
+pub(super) fn moving_follows(flight: &Flight) -> Option<(f64, [f64; 2])> {
+    let moving = Moving::of(flight);
+    Some((Trial::best(&moving)?.explained, changes(&moving)?))
+}
+
+/// How well the velocity follows the accelerometer at best.
+pub(super) fn gaining_follows(flight: &Flight) -> Option<f64> {
+    Some(Trial::best(&Gaining::by_accelerometer(flight, 0.0, [0.0; 3]))?.explained)
+}
+
+/// The attitude at each sample of a stream, where it is known, turned with the sample into another.
+pub(super) fn by_attitude<V, W>(
+    flight: &Flight,
+    stream: &Stream<V>,
+    turned: impl Fn(Attitude, &V) -> W,
+) -> Stream<W> {
+    let mut all = Stream::default();
+    for (time, value) in stream.iter() {
+        if let Some(attitude) = interpolated(&flight.attitude, time) {
+            all.push(time, turned(attitude, value));
+        }
+    }
+    all
+}
+
+/// What a quaternion means.
+pub(super) type Reading = fn(Attitude) -> Attitude;
+
+/// How well the attitude follows the gyro when its quaternions are read as `read` does: for
+/// quaternions in another order or direction than stated.
+pub(super) fn turning_explained(flight: &Flight, read: Reading) -> Option<f64> {
+    let trial = Trial::best(&Turning::of(flight, read))?;
+    // Of one axis alone any order could be true.
+    let is_near = trial.moving > 1 && trial.angle() < 0.3 && trial.signs.min() > 0.0;
+    is_near.then_some(trial.explained)
+}
+
+/// By how much the vehicle's turning typically differs from its mean, rad/s: as the attitude and as
+/// the gyro show it, noise smoothed away. A steady spin shows nothing of how the two
+/// go together.
+pub(super) fn turns(flight: &Flight) -> Option<[f64; 2]> {
+    changes(&Turning::of(flight, |q| q))
+}
+
+/// By how much what is seen and what is expected change: the typical distance from the mean.
+fn changes(pair: &impl Pair) -> Option<[f64; 2]> {
+    let typical = |values: Vec<Vector3<f64>>| {
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<Vector3<f64>>() / count;
+        let distances = values.iter().map(|value| (value - mean).norm()).collect();
+        (count > 0.0).then(|| median(distances))
+    };
+    let bumps = || pair.bumps().iter().filter(|bump| bump.group == 0);
+    let seen = bumps().filter_map(|bump| pair.seen(*bump)).collect();
+    let expected = |bump: &Bump| Some(pair.expected(*bump, 0.0, &Correction::NONE)?.value);
+    Some([typical(seen)?, typical(bumps().filter_map(expected).collect())?])
+}
+
+fn half_width(periods: [Option<f64>; 2]) -> f64 {
+    periods.into_iter().flatten().fold(HALF, |half, period| half.max(HALF_PERIODS * period))
+}
+
+fn vector(v: [f64; 3]) -> Vector3<f64> {
+    Vector3::from(v)
+}
+
+/// The rotation vector of a rotation.
+fn rotation_vector(q: Attitude) -> Vector3<f64> {
+    let q = q.canonical();
+    let v = Vector3::new(q.x, q.y, q.z);
+    let sine = v.norm();
+    if sine < 1e-9 { 2.0 * v } else { v * (2.0 * sine.atan2(q.w) / sine) }
+}
+
+/// The rotation of a rotation vector.
+fn of_vector(v: Vector3<f64>) -> Attitude {
+    let angle = v.norm();
+    let (sine, w) = (0.5 * angle).sin_cos();
+    let [x, y, z] = if angle > 0.0 { (v * (sine / angle)).into() } else { [0.0; 3] };
+    Attitude { w, x, y, z }
+}
+
+/// Three vectors in one that is weighed.
+type Nine = SVector<f64, 9>;
+
+fn three(a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>) -> Nine {
+    let mut all = Nine::zeros();
+    all.fixed_rows_mut::<3>(0).copy_from(&a);
+    all.fixed_rows_mut::<3>(3).copy_from(&b);
+    all.fixed_rows_mut::<3>(6).copy_from(&c);
+    all
+}
+
+/// The pace of turning that nine tenths of an attitude's samples stay below, rad/s.
+fn fastest(attitude: &Stream<Attitude>) -> f64 {
+    let pairs = attitude.times().windows(2).zip(attitude.values().windows(2));
+    let mut paces: Vec<f64> =
+        pairs.map(|(times, q)| q[0].angle_to(q[1]) / (times[1] - times[0])).collect();
+    paces.sort_by(f64::total_cmp);
+    paces.get(paces.len() * 9 / 10).copied().unwrap_or(0.0)
+}
+
+/// Attitude against the gyro. Within a bump the attitude is the rotation vector from that at its
+/// middle, whose derivative is the body rate times the inverse of its right Jacobian.
+struct Turning<'a> {
+    attitude: Stream<Attitude>,
+    rate: &'a Stream<Frd>,
+    bumps: Vec<Bump>,
+}
+
+impl<'a> Turning<'a> {
+    fn of(flight: &'a Flight, read: Reading) -> Self {
+        let attitude = flight.attitude.map(|q| read(*q));
+        let rate = &flight.body_rate;
+        let half = half_width([attitude.period(), rate.period()]);
+        // A longer one might hold half a turn.
+        let half = half.min((TURN_MAX / fastest(&attitude)).max(HALF_MIN));
+        let bumps = bumps(attitude.times(), &[half]);
+        Self { attitude, rate, bumps }
+    }
+
+    fn turn(&self, middle: Attitude, time: f64) -> Option<Vector3<f64>> {
+        let now = interpolated(&self.attitude, time)?;
+        Some(rotation_vector(middle.inverse().compose(now)))
+    }
+}
+
+impl Pair for Turning<'_> {
+    fn bumps(&self) -> &[Bump] {
+        &self.bumps
+    }
+
+    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
+        let middle = interpolated(&self.attitude, bump.centre)?;
+        let turn = |_, q: &Attitude| Some(rotation_vector(middle.inverse().compose(*q)));
+        Some(-weigh(&self.attitude, bump, turn)?.slope / bump.area())
+    }
+
+    fn expected(&self, bump: Bump, delay: f64, correction: &Correction) -> Option<Expected> {
+        let middle = interpolated(&self.attitude, bump.centre + delay)?;
+        let Weighed { value, slope } = weigh(self.rate, bump, |time, rate: &Frd| {
+            let plain = vector(rate.to_array()) - correction.bias;
+            let rate = correction.map * plain;
+            // Outside of the bump's support the turn does not matter.
+            let turn = self.turn(middle, time + delay).unwrap_or_default();
+            let turning = rate + turn.cross(&rate) / 2.0 + turn.cross(&turn.cross(&rate)) / 12.0;
+            Some(three(turning, plain, Vector3::zeros()))
+        })?;
+        let part = |of: Nine, at: usize| of.fixed_rows::<3>(at).into_owned() / bump.area();
+        Some(Expected {
+            value: part(value, 0),
+            late: part(slope, 0),
+            plain: part(value, 3),
+            bias: -Matrix3::identity(),
+        })
+    }
+}
+
+/// Position against velocity.
+struct Moving<'a> {
+    position: &'a Stream<Ned>,
+    velocity: &'a Stream<Ned>,
+    bumps: Vec<Bump>,
+}
+
+impl<'a> Moving<'a> {
+    fn of(flight: &'a Flight) -> Self {
+        let (position, velocity) = (&flight.position, &flight.velocity);
+        let half = half_width([position.period(), velocity.period()]);
+        let bumps = bumps(position.times(), &[half, LONGER * half]);
+        Self { position, velocity, bumps }
+    }
+}
+
+impl Pair for Moving<'_> {
+    fn bumps(&self) -> &[Bump] {
+        &self.bumps
+    }
+
+    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
+        // From the bump's middle on, so that a position far from the origin loses nothing.
+        let origin = vector(self.position.held_at(bump.centre)?.to_array());
+        let from_there = |_, p: &Ned| Some(vector(p.to_array()) - origin);
+        Some(-weigh(self.position, bump, from_there)?.slope / bump.area())
+    }
+
+    fn expected(&self, bump: Bump, _: f64, correction: &Correction) -> Option<Expected> {
+        let Weighed { value, slope } =
+            weigh(self.velocity, bump, |_, v| Some(vector(v.to_array())))?;
+        let plain = value / bump.area() - correction.bias;
+        Some(Expected {
+            value: correction.map * plain,
+            late: correction.map * slope / bump.area(),
+            plain,
+            bias: -Matrix3::identity(),
+        })
+    }
+}
+
+/// Velocity against a specific force, by an attitude whose delay is known.
+struct Gaining<'a> {
+    velocity: &'a Stream<Ned>,
+    /// Attitude and specific force.
+    force: Stream<(Attitude, Vector3<f64>)>,
+    bumps: Vec<Bump>,
+    /// Whether only what is gained across is looked at.
+    is_level: bool,
+}
+
+/// Acceleration in the world, and the attitude's matrix by columns.
+type Felt = SVector<f64, 12>;
+
+impl<'a> Gaining<'a> {
+    fn by_accelerometer(flight: &'a Flight, attitude_late: f64, turned: [f64; 3]) -> Self {
+        let mut force = Stream::default();
+        let turn = of_vector(vector(turned));
+        for (time, f) in flight.specific_force.iter() {
+            if let Some(attitude) = interpolated(&flight.attitude, time + attitude_late) {
+                force.push(time, (attitude.compose(turn), vector(f.to_array())));
+            }
+        }
+        Self::of(flight, force, false)
+    }
+
+    /// By the thrust that holds the height.
+    fn by_lean(flight: &'a Flight) -> Self {
+        let force = flight.attitude.filter_map(|q| {
+            let upright = q.to_world(Frd::new(0.0, 0.0, 1.0)).to_array()[2];
+            let thrust = Vector3::new(0.0, 0.0, -GRAVITY / upright);
+            (upright > LEAN_MAX.cos()).then_some((*q, thrust))
+        });
+        Self::of(flight, force, true)
+    }
+
+    fn of(flight: &'a Flight, force: Stream<(Attitude, Vector3<f64>)>, is_level: bool) -> Self {
+        let velocity = &flight.velocity;
+        let half = half_width([velocity.period(), force.period()]);
+        let bumps = bumps(velocity.times(), &[half, LONGER * half]);
+        Self { velocity, force, bumps, is_level }
+    }
+}
+
+impl Pair for Gaining<'_> {
+    fn bumps(&self) -> &[Bump] {
+        &self.bumps
+    }
+
+    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
+        let gained = weigh(self.velocity, bump, |_, v| Some(vector(v.to_array())))?;
+        let mut gained = -gained.slope / bump.area();
+        if self.is_level {
+            gained.z = 0.0;
+        }
+        Some(gained)
+    }
+
+    fn expected(&self, bump: Bump, _: f64, correction: &Correction) -> Option<Expected> {
+        let Weighed { value, slope } = weigh(&self.force, bump, |_, (attitude, force)| {
+            let axis = |v: Vector3<f64>| {
+                vector(attitude.to_world(Frd::from(<[f64; 3]>::from(v))).to_array())
+            };
+            let acceleration = axis(force - correction.bias) + Vector3::z() * GRAVITY;
+            let mut felt = Felt::zeros();
+            felt.fixed_rows_mut::<3>(0).copy_from(&acceleration);
+            for i in 0..3 {
+                felt.fixed_rows_mut::<3>(3 + 3 * i).copy_from(&axis(Vector3::ith(i, 1.0)));
+            }
+            Some(felt)
+        })?;
+        let part = |of: &Felt, at: usize| of.fixed_rows::<3>(at).into_owned() / bump.area();
+        let columns = [part(&value, 3), part(&value, 6), part(&value, 9)];
+        let mut plain = part(&value, 0);
+        let mut late = part(&slope, 0);
+        let mut bias = -Matrix3::from_columns(&columns);
+        if self.is_level {
+            (plain.z, late.z) = (0.0, 0.0);
+            bias.row_mut(2).fill(0.0);
+            // Along the thrust it is a scale.
+            bias.column_mut(2).fill(0.0);
+        }
+        let map = correction.map;
+        Some(Expected { value: map * plain, late: map * late, plain, bias })
+    }
+
+    fn turns(&self) -> [bool; 3] {
+        [false, false, true]
+    }
+}
+
+/// Attitude against its setpoint: lean and heading themselves, not their derivatives.
+struct Following {
+    attitude: Stream<Vector3<f64>>,
+    setpoint: Stream<Vector3<f64>>,
+    bumps: Vec<Bump>,
+}
+
+impl Following {
+    fn of(flight: &Flight) -> Self {
+        let attitude = leans(&flight.attitude);
+        let setpoint = leans(&flight.setpoint.filter_map(|setpoint| setpoint.attitude));
+        let half = half_width([attitude.period(), setpoint.period()]);
+        let bumps = bumps(attitude.times(), &[half]);
+        Self { attitude, setpoint, bumps }
+    }
+}
+
+/// The lean to the north and to the east, in the world so that a heading that is not followed turns
+/// nothing, and the heading without jumps.
+fn leans(attitude: &Stream<Attitude>) -> Stream<Vector3<f64>> {
+    let mut yaw = 0.0;
+    attitude.map(|q| {
+        yaw += wrap_angle(q.yaw() - yaw);
+        let [north, east, _] = q.to_world(Frd::new(0.0, 0.0, -1.0)).to_array();
+        Vector3::new(north, east, yaw)
+    })
+}
+
+impl Pair for Following {
+    fn bumps(&self) -> &[Bump] {
+        &self.bumps
+    }
+
+    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
+        Some(weigh(&self.attitude, bump, |_, lean| Some(*lean))?.value / bump.area())
+    }
+
+    fn expected(&self, bump: Bump, _: f64, correction: &Correction) -> Option<Expected> {
+        let Weighed { value, slope } = weigh(&self.setpoint, bump, |_, lean| Some(*lean))?;
+        let plain = value / bump.area() - correction.bias;
+        Some(Expected {
+            value: correction.map * plain,
+            late: correction.map * slope / bump.area(),
+            plain,
+            bias: -Matrix3::identity(),
+        })
+    }
+}

@@ -1,0 +1,194 @@
+//! Motor outputs: legal values, channels that are stuck, and which rotor is where.
+
+use super::tier::FAST_HZ;
+use super::weak::median;
+use super::{Audit, Finding, Severity};
+use crate::log::import::{Flight, MotorUnit};
+
+/// How far beyond 0..1 rounding may bring a fraction.
+const ROUNDING: f64 = 0.02;
+/// Pulses that a motor is driven with, us, when outputs are pulses.
+const PULSES: std::ops::RangeInclusive<f64> = 750.0..=2250.0;
+/// Outputs look like pulses when their median is above.
+const PULSE_LIKE: f64 = 500.0;
+/// A channel whose values spread by less than this share of the others' is stuck.
+const STUCK: f64 = 1e-3;
+/// Share of the time at a limit that is worth a word.
+const SATURATED: f64 = 0.05;
+/// Outputs that change in a smaller share of the samples while the vehicle moves drive no motors.
+const CHANGES: f64 = 0.01;
+/// The vehicle moves where it rolls, pitches or travels by more than this, rad/s and m/s.
+const TURNS: f64 = 0.05;
+const TRAVELS: f64 = 0.2;
+/// For less time of motion nothing is said, s.
+const MOTION_MIN: f64 = 2.0;
+const MOTION_SAMPLES: u32 = 20;
+/// Below this mean of a full range the vehicle does not fly.
+const FLIES: f64 = 0.1;
+
+pub(super) fn check(flight: &Flight, audit: &mut Audit) {
+    if flight.outputs.is_empty() {
+        return;
+    }
+    if check_movement(flight, audit) {
+        return;
+    }
+    check_order(flight, audit);
+    check_range(flight, audit);
+    check_channels(flight, audit);
+    if let Some(rate) = audit.rates.outputs_hz.filter(|rate| *rate < FAST_HZ) {
+        audit.findings.push(Finding {
+            severity: Severity::Note,
+            check: "slow_outputs",
+            stream: Some("outputs"),
+            found: rate,
+            expected: FAST_HZ,
+            unit: "Hz",
+            what: format!("new outputs come at {rate:.0} Hz only: lag, delay and inertia do not show"),
+            advice: "log outputs at 50 Hz or more, by telemetry (SERVO_OUTPUT_RAW, ACTUATOR_OUTPUT_STATUS) or on board",
+        });
+    }
+}
+
+/// Whether outputs stand still while the vehicle moves; then they are none of its motors', and
+/// nothing else is to be said of them.
+fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
+    let turns = flight.body_rate.map(|rate| {
+        let [p, q, _] = rate.to_array();
+        p.hypot(q) > TURNS
+    });
+    let travels = flight.velocity.map(|velocity| velocity.norm() > TRAVELS);
+    let in_motion =
+        |time: f64| turns.held_at(time) == Some(&true) || travels.held_at(time) == Some(&true);
+    let outputs = &flight.outputs;
+    let (mut moving_s, mut count, mut changes) = (0.0, 0, 0);
+    for (times, values) in outputs.times().windows(2).zip(outputs.values().windows(2)) {
+        if in_motion(times[1]) && flight.in_air.held_at(times[1]) != Some(&false) {
+            moving_s += times[1] - times[0];
+            count += 1;
+            changes += usize::from(values[0] != values[1]);
+        }
+    }
+    let share = f64::from(changes as u32) / f64::from(count.max(1));
+    if moving_s < MOTION_MIN || count < MOTION_SAMPLES || share > CHANGES {
+        return false;
+    }
+    let [a, b, c, d] = outputs.values().last().copied().unwrap_or_default();
+    audit.findings.push(Finding {
+        severity: Severity::Fault,
+        check: "still_outputs",
+        stream: Some("outputs"),
+        found: share,
+        expected: CHANGES,
+        unit: "",
+        what: format!(
+            "all four stand still at {a:.3}, {b:.3}, {c:.3}, {d:.3} for {moving_s:.1} s in which the \
+             vehicle moves"
+        ),
+        advice: "they drive no motors of this vehicle: log the outputs of the device that drives them, and \
+                 its functions",
+    });
+    true
+}
+
+/// Whether outputs do what rotors would where the autopilot believes them to be.
+fn check_order(flight: &Flight, audit: &mut Audit) {
+    if let (Some(effects), [a, b, c, d]) = (&audit.rotors, flight.facts.rotors.as_slice()) {
+        let fault = effects.misordered(&[*a, *b, *c, *d], "the autopilot's motors");
+        audit.findings.extend(fault);
+    }
+}
+
+/// The range that outputs may have in their unit; `None` where only a vehicle file can tell.
+fn legal(flight: &Flight) -> Option<(f64, f64, &'static str)> {
+    match flight.motor_unit {
+        MotorUnit::ThrustFraction => Some((-ROUNDING, 1.0 + ROUNDING, "")),
+        MotorUnit::Newton => Some((-ROUNDING, f64::INFINITY, "N")),
+        MotorUnit::VehicleFile if flight.outputs.is_empty() => None,
+        MotorUnit::VehicleFile => {
+            let all = flight.outputs.values().iter().flatten().copied().collect();
+            (median(all) > PULSE_LIKE).then_some((*PULSES.start(), *PULSES.end(), "us"))
+        }
+    }
+}
+
+fn check_range(flight: &Flight, audit: &mut Audit) {
+    let Some((low, high, unit)) = legal(flight) else { return };
+    // A pulse of 0 is none: a motor that is switched off.
+    let is_legal = |u: f64| (low..=high).contains(&u) || u == 0.0;
+    let wrong = flight.outputs.values().iter().filter(|u| !u.iter().all(|u| is_legal(*u)));
+    let (count, worst) = wrong.fold((0_usize, 0.0_f64), |(count, worst), outputs| {
+        let beyond = |u: f64| (u - high).max(low - u);
+        let own = outputs.iter().copied().max_by(|a, b| beyond(*a).total_cmp(&beyond(*b)));
+        let own = own.unwrap_or(0.0);
+        (count + 1, if beyond(own) > beyond(worst) || count == 0 { own } else { worst })
+    });
+    if count == 0 {
+        return;
+    }
+    let share = count as f64 / flight.outputs.len() as f64;
+    audit.findings.push(Finding {
+        severity: Severity::Fault,
+        check: "illegal_output",
+        stream: Some("outputs"),
+        found: worst,
+        expected: if worst > high { high } else { low },
+        unit,
+        what: format!(
+            "{:.1} % of the samples have a motor outside of {low:.2} to {high:.2} {unit}, at worst {worst:.2}",
+            100.0 * share
+        ),
+        advice: "the unit or the range is not what was said, or rows are damaged",
+    });
+}
+
+fn check_channels(flight: &Flight, audit: &mut Audit) {
+    // In flight, by the outputs themselves.
+    let values = flight.outputs.values();
+    let top = values.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
+    let bottom = values.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+    let floor = bottom + FLIES * (top - bottom);
+    let flying: Vec<&[f64; 4]> =
+        values.iter().filter(|u| u.iter().sum::<f64>() > 4.0 * floor).collect();
+    if flying.len() < 50 || top <= bottom {
+        return;
+    }
+    let count = flying.len() as f64;
+    let spread: [f64; 4] = std::array::from_fn(|i| {
+        let mean = flying.iter().map(|u| u[i]).sum::<f64>() / count;
+        (flying.iter().map(|u| (u[i] - mean).powi(2)).sum::<f64>() / count).sqrt()
+    });
+    let widest = spread.iter().copied().fold(0.0, f64::max);
+    for (motor, spread) in spread.into_iter().enumerate() {
+        if spread < STUCK * widest {
+            audit.findings.push(Finding {
+                severity: Severity::Fault,
+                check: "stuck_output",
+                stream: Some("outputs"),
+                found: spread,
+                expected: widest,
+                unit: "",
+                what: format!("output {} stands still while the others move", motor + 1),
+                advice: "the channel drives no motor, or was not logged: check the order of the outputs",
+            });
+        }
+    }
+    if flight.motor_unit != MotorUnit::ThrustFraction {
+        return;
+    }
+    let limits =
+        flying.iter().filter(|u| u.iter().any(|u| !(1e-3..1.0 - 1e-3).contains(u))).count();
+    let share = limits as f64 / count;
+    if share > SATURATED {
+        audit.findings.push(Finding {
+            severity: Severity::Note,
+            check: "saturation",
+            stream: Some("outputs"),
+            found: share,
+            expected: SATURATED,
+            unit: "",
+            what: format!("a motor is at its limit in {:.0} % of the samples", 100.0 * share),
+            advice: "what was asked for is not what was logged there; fly gentler to learn the plant",
+        });
+    }
+}

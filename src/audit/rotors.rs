@@ -1,0 +1,150 @@
+//! Which output drives which rotor, by what it does: an output whose rise rolls the vehicle to the
+//! left is on the right, one that pitches it up is in front, one that yaws it right is a rotor
+//! whose drag turns the body right.
+
+use nalgebra::{SMatrix, SVector, Vector3};
+use serde::Serialize;
+
+use super::pair::Estimate;
+use super::rates::Rates;
+use super::tier::FAST_HZ;
+use super::weak::{Bump, Row, bumps, fit, weigh};
+use super::{Finding, Severity};
+use crate::log::import::{Flight, RotorFact};
+
+/// Name of the check of which output is where.
+pub(super) const MOTOR_ORDER: &str = "motor_order";
+
+/// Half width of a bump: at least this, s, and this many periods of the slower stream.
+const HALF: f64 = 0.1;
+const HALF_PERIODS: f64 = 5.0;
+/// Delays from an output to the rotor's answer that are tried, s.
+const DELAYS: usize = 9;
+const DELAY_STEP: f64 = 0.015;
+/// Least share of the turning that the outputs must explain.
+const EXPLAINED_MIN: f64 = 0.4;
+/// An effect must be this many times its interval to have a sign.
+const SURE: f64 = 2.0;
+/// Places nearer to the axis than this share of the arm have no side.
+const ON_AXIS: f64 = 0.2;
+/// So many contradictions are none by chance.
+const CONTRADICTIONS: usize = 2;
+
+/// What each output does to the body, rad/s^2 for a rise by 1 of the outputs' unit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RotorEffects {
+    /// About front, right and down, for each output.
+    pub turning: [[Estimate; 3]; 4],
+    /// From an output to its effect, s; roughly.
+    pub delay_s: f64,
+    /// Share of the turning that outputs explain.
+    pub explained: f64,
+}
+
+/// An output that does not do what a rotor at its place would.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Contradiction {
+    /// Index of the output.
+    pub output: usize,
+    /// `roll`, `pitch` or `yaw`.
+    pub axis: &'static str,
+}
+
+impl RotorEffects {
+    /// What the outputs of a flight do, if its motion shows that.
+    pub fn of(flight: &Flight) -> Option<Self> {
+        let Rates { outputs_hz, body_rate_hz, .. } = Rates::of(flight);
+        if outputs_hz.is_none_or(|rate| rate < FAST_HZ)
+            || body_rate_hz.is_none_or(|rate| rate < FAST_HZ)
+        {
+            return None;
+        }
+        let periods = [flight.outputs.period(), flight.body_rate.period()];
+        let half =
+            periods.into_iter().flatten().fold(HALF, |h, period| h.max(HALF_PERIODS * period));
+        let bumps = bumps(flight.body_rate.times(), &[half]);
+        let all = (0..DELAYS).filter_map(|step| Self::at(flight, &bumps, DELAY_STEP * step as f64));
+        let best = all.max_by(|a, b| a.explained.total_cmp(&b.explained))?;
+        (best.explained > EXPLAINED_MIN).then_some(best)
+    }
+
+    /// The best effects if outputs act `delay` later.
+    fn at(flight: &Flight, bumps: &[Bump], delay_s: f64) -> Option<Self> {
+        let mut pairs: Vec<(Vector3<f64>, SVector<f64, 4>)> = Vec::new();
+        let mut times = Vec::new();
+        for bump in bumps {
+            let turning = weigh(&flight.body_rate, *bump, |_, w| Some(Vector3::from(w.to_array())));
+            let outputs =
+                weigh(&flight.outputs, bump.shifted(-delay_s), |_, u| Some(SVector::from(*u)));
+            if let (Some(turning), Some(outputs)) = (turning, outputs) {
+                pairs.push((-turning.slope, outputs.value));
+                times.push(bump.centre);
+            }
+        }
+        let count = pairs.len() as f64;
+        let turning = pairs.iter().map(|(turning, _)| turning).sum::<Vector3<f64>>() / count;
+        let outputs = pairs.iter().map(|(_, outputs)| outputs).sum::<SVector<f64, 4>>() / count;
+        let rows = |effects: &[f64; 12]| {
+            let effects = SMatrix::<f64, 3, 4>::from_column_slice(effects);
+            let row = |(time, (seen, output)): (&f64, &(Vector3<f64>, SVector<f64, 4>))| {
+                let (seen, output) = (seen - turning, output - outputs);
+                let mut slopes = SMatrix::<f64, 3, 12>::zeros();
+                for i in 0..4 {
+                    for axis in 0..3 {
+                        slopes[(axis, 3 * i + axis)] = output[i];
+                    }
+                }
+                Row { time: *time, group: 0, seen, misfit: seen - effects * output, slopes }
+            };
+            times.iter().zip(&pairs).map(row).collect()
+        };
+        // An effect matters if the output's changes turn the body as it turns.
+        let turns: f64 = pairs.iter().map(|(seen, _)| (seen - turning).norm_squared()).sum();
+        let size = |output: usize| {
+            let moved = |of: &SVector<f64, 4>| (of[output] - outputs[output]).powi(2);
+            let moves: f64 = pairs.iter().map(|(_, of)| moved(of)).sum();
+            if moves > 0.0 { (turns / moves).sqrt() } else { 0.0 }
+        };
+        let fit = fit([0.0; 12], std::array::from_fn(|at| size(at / 3)), rows)?;
+        let mut turning = [[Estimate { value: 0.0, half_width: 0.0 }; 3]; 4];
+        for (at, estimate) in turning.as_flattened_mut().iter_mut().enumerate() {
+            *estimate = Estimate::new(fit.value[at], fit.half_width(at)?);
+        }
+        Some(Self { turning, delay_s, explained: fit.explained })
+    }
+
+    /// Where these effects surely contradict rotors that are said to be at `rotors`.
+    pub fn contradictions(&self, rotors: &[RotorFact; 4]) -> Vec<Contradiction> {
+        let arm = rotors.iter().map(|r| r.front.hypot(r.right)).fold(0.0, f64::max);
+        let mut found = Vec::new();
+        for (output, (turning, rotor)) in self.turning.iter().zip(rotors).enumerate() {
+            let side = |place: f64| if place.abs() < ON_AXIS * arm { 0.0 } else { place };
+            let expected = [-side(rotor.right), side(rotor.front), f64::from(rotor.spin)];
+            for ((axis, effect), expected) in
+                ["roll", "pitch", "yaw"].into_iter().zip(turning).zip(expected)
+            {
+                if effect.differs_from_zero(SURE) && effect.value * expected < 0.0 {
+                    found.push(Contradiction { output, axis });
+                }
+            }
+        }
+        found
+    }
+
+    /// The fault that outputs are, which do not turn the vehicle as `whose` would at `rotors`.
+    pub fn misordered(&self, rotors: &[RotorFact; 4], whose: &str) -> Option<Finding> {
+        let wrong = self.contradictions(rotors);
+        let named = wrong.iter().map(|wrong| format!("{} in {}", wrong.output + 1, wrong.axis));
+        let named = named.collect::<Vec<_>>().join(", ");
+        (wrong.len() >= CONTRADICTIONS).then(|| Finding {
+            severity: Severity::Fault,
+            check: MOTOR_ORDER,
+            stream: Some("outputs"),
+            found: wrong.len() as f64,
+            expected: 0.0,
+            unit: "",
+            what: format!("do not turn the vehicle as {whose} would: {named}"),
+            advice: "check the order of the outputs and the sense of rotation",
+        })
+    }
+}

@@ -1,0 +1,263 @@
+//! A first guess of how two streams fit: the delay, rotation and scale that explain most.
+
+use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
+
+use super::pair::{Correction, Pair};
+use super::weak::Bump;
+
+/// Delays either side that are tried, s.
+const DELAY_MAX: f64 = 0.5;
+/// Step of the trial, in half widths of a bump.
+const STEP: f64 = 0.1;
+/// Drifts either side that are tried, steps of the delay at the ends of the log.
+const DRIFTS: i32 = 16;
+/// Clocks differ by no more: those of resonators without a quartz do by half of it.
+const DRIFT_MAX: f64 = 0.015;
+/// Another delay, and another drift, must leave less than this share of what is not explained.
+const BETTER_DELAY: f64 = 0.95;
+const BETTER_DRIFT: f64 = 0.8;
+/// Axes of another handedness must leave less than this share.
+const BETTER_MIRRORED: f64 = 0.5;
+/// And either of them less by this share of what is seen: less is rounding, where all is explained.
+const NEGLIGIBLE: f64 = 1e-4;
+/// Bumps of the trial at most, and at least.
+const BUMPS: usize = 300;
+const BUMPS_MIN: usize = 24;
+/// Axes whose singular value is below this share of the first one's do not move.
+const MOVES_MIN: f64 = 1e-6;
+/// Sweeps of a decomposition at most; ten are usual.
+const SWEEPS: usize = 200;
+
+/// The first guess: the delay at which a rotation and a scale explain most.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trial {
+    /// Delay at `middle`, s.
+    pub delay: f64,
+    pub drift: f64,
+    /// Mean time of the motion, s.
+    pub middle: f64,
+    /// From the axes of what is expected to those of what is seen.
+    pub rotation: Rotation3<f64>,
+    /// -1 of an axis of what is expected that runs contrary.
+    pub signs: Vector3<f64>,
+    pub scale: f64,
+    pub explained: f64,
+    /// Axes that move.
+    pub moving: usize,
+}
+
+impl Trial {
+    /// Tries all delays and drifts.
+    pub fn best(pair: &impl Pair) -> Option<Self> {
+        let bumps: Vec<&Bump> = pair.bumps().iter().filter(|bump| bump.group == 0).collect();
+        let stride = bumps.len().div_ceil(BUMPS).max(1);
+        let step = STEP * bumps.first()?.half;
+        let steps = (DELAY_MAX / step).ceil() as i32;
+        let moments: Vec<Moment> = bumps
+            .into_iter()
+            .step_by(stride)
+            .filter_map(|bump| Moment::of(pair, *bump, step, steps))
+            .collect();
+        let (first, last) = (moments.first()?.centre, moments.last()?.centre);
+        let power = |moment: &Moment| moment.seen.norm_squared();
+        let whole: f64 = moments.iter().map(power).sum();
+        let middle = moments.iter().map(|m| m.centre * power(m)).sum::<f64>() / whole;
+        let half = 0.5 * (last - first);
+        let turns = pair.turns();
+        let mut best: Option<Self> = None;
+        for drift in outwards(DRIFTS).map(|end| f64::from(end) * step / half) {
+            if drift.abs() > DRIFT_MAX {
+                continue;
+            }
+            let mut steady: Option<Self> = None;
+            for delay in outwards(steps).map(|delay| f64::from(delay) * step) {
+                let late = |m: &Moment| ((delay + drift * (m.centre - middle)) / step).round();
+                let pairs = moments.iter().filter_map(|m| Some((m.seen, m.at(late(m) as i32)?)));
+                let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = pairs.collect();
+                if pairs.len() < BUMPS_MIN {
+                    continue;
+                }
+                let trial = Self { delay, drift, middle, ..Self::at(&pairs, turns) };
+                if steady.is_none_or(|best| trial.leaves_less(&best, BETTER_DELAY)) {
+                    steady = Some(trial);
+                }
+            }
+            if let Some(steady) = steady
+                && best.is_none_or(|best| steady.leaves_less(&best, BETTER_DRIFT))
+            {
+                best = Some(steady);
+            }
+        }
+        best
+    }
+
+    fn leaves_less(&self, other: &Self, share: f64) -> bool {
+        1.0 - self.explained < share * (1.0 - other.explained) - NEGLIGIBLE
+    }
+
+    /// The best rotation and scale (Kabsch, Umeyama) of pairs less their means.
+    fn at(pairs: &[(Vector3<f64>, Vector3<f64>)], turns: [bool; 3]) -> Self {
+        let count = pairs.len() as f64;
+        let (y_mean, x_mean) =
+            pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| {
+                (a + y / count, b + x / count)
+            });
+        let (mut cross, mut x_power, mut y_power) = (Matrix3::zeros(), 0.0, 0.0);
+        for (y, x) in pairs {
+            let (y, x) = (y - y_mean, x - x_mean);
+            cross += y * x.transpose();
+            x_power += x.norm_squared();
+            y_power += y.norm_squared();
+        }
+        let mut trial = Self {
+            delay: 0.0,
+            drift: 0.0,
+            middle: 0.0,
+            rotation: Rotation3::identity(),
+            signs: Vector3::repeat(1.0),
+            scale: 1.0,
+            explained: 0.0,
+            moving: 0,
+        };
+        // Damaged numbers may be of any size.
+        if !(cross.norm().is_finite() && x_power.is_finite() && y_power.is_finite()) {
+            return trial;
+        }
+        let found = if turns == [true; 3] { Fitting::any(&cross) } else { Fitting::level(&cross) };
+        let Some(Fitting { proper, power, mirrored, mirrored_power, moving }) = found else {
+            return trial;
+        };
+        let share = |power: f64| match x_power * y_power {
+            0.0 => 0.0,
+            powers => (power * power / powers).min(1.0),
+        };
+        let (rotation, signs, power) =
+            if 1.0 - share(mirrored_power) < BETTER_MIRRORED * (1.0 - share(power)) - NEGLIGIBLE {
+                let (rotation, signs) = least_turn(&mirrored, turns);
+                (rotation, signs, mirrored_power)
+            } else {
+                (proper, Vector3::repeat(1.0), power)
+            };
+        trial.rotation = rotation;
+        trial.signs = signs;
+        trial.moving = moving;
+        trial.explained = share(power);
+        trial.scale = if x_power > 0.0 { power / x_power } else { 0.0 };
+        trial
+    }
+
+    /// Angle of the rotation, rad.
+    pub fn angle(&self) -> f64 {
+        self.rotation.angle()
+    }
+
+    /// The scale, where it is no accuracy but a unit.
+    pub fn unit(&self) -> f64 {
+        if (0.7..1.4).contains(&self.scale) { 1.0 } else { self.scale }
+    }
+}
+
+/// Numbers from 0 outwards.
+fn outwards(most: i32) -> impl Iterator<Item = i32> {
+    std::iter::once(0).chain((1..=most).flat_map(|k| [k, -k]))
+}
+
+/// What is seen at a moment, and what is expected at each delay.
+struct Moment {
+    centre: f64,
+    seen: Vector3<f64>,
+    expected: Vec<Option<Vector3<f64>>>,
+}
+
+impl Moment {
+    fn of(pair: &impl Pair, bump: Bump, step: f64, steps: i32) -> Option<Self> {
+        let seen = pair.seen(bump)?;
+        let at = |k: i32| {
+            let delay = f64::from(k) * step;
+            Some(pair.expected(bump.shifted(-delay), delay, &Correction::NONE)?.value)
+        };
+        Some(Self { centre: bump.centre, seen, expected: (-steps..=steps).map(at).collect() })
+    }
+
+    fn at(&self, steps: i32) -> Option<Vector3<f64>> {
+        let middle = self.expected.len() / 2;
+        *self.expected.get(middle.checked_add_signed(steps as isize)?)?
+    }
+}
+
+/// The best rotation, and the best turn of axes of another handedness, with what they explain.
+struct Fitting {
+    proper: Rotation3<f64>,
+    power: f64,
+    mirrored: Matrix3<f64>,
+    mirrored_power: f64,
+    moving: usize,
+}
+
+impl Fitting {
+    /// About any axis.
+    fn any(cross: &Matrix3<f64>) -> Option<Self> {
+        let svd = cross.try_svd(true, true, f64::EPSILON, SWEEPS)?;
+        let (u, v, s) = (svd.u?, svd.v_t?, svd.singular_values);
+        let sign = (u * v).determinant().signum();
+        let from = [v.row(0).transpose(), v.row(1).transpose()];
+        let to = [u.column(0).into_owned(), u.column(1).into_owned()];
+        let moving = s.iter().filter(|value| **value > MOVES_MIN * s[0]).count();
+        Some(Self {
+            proper: rotation_of(from, to, moving),
+            power: s[0] + s[1] + sign * s[2],
+            mirrored: u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -sign)) * v,
+            mirrored_power: s[0] + s[1] - sign * s[2],
+            moving,
+        })
+    }
+
+    /// About down.
+    fn level(cross: &Matrix3<f64>) -> Option<Self> {
+        let [along, across] = [cross[(0, 0)] + cross[(1, 1)], cross[(1, 0)] - cross[(0, 1)]];
+        let [even, odd] = [cross[(0, 0)] - cross[(1, 1)], cross[(1, 0)] + cross[(0, 1)]];
+        let down = cross[(2, 2)];
+        let heading = |angle: f64| Rotation3::from_axis_angle(&Vector3::z_axis(), angle);
+        let flip = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
+        Some(Self {
+            proper: heading(across.atan2(along)),
+            power: along.hypot(across) + down,
+            mirrored: heading(odd.atan2(even)).into_inner() * flip,
+            mirrored_power: even.hypot(odd) + down,
+            moving: 3,
+        })
+    }
+}
+
+/// A turn of axes of another handedness as one contrary axis and the least rotation.
+fn least_turn(mirrored: &Matrix3<f64>, turns: [bool; 3]) -> (Rotation3<f64>, Vector3<f64>) {
+    let with = |axis: usize| {
+        let mut signs = Vector3::repeat(1.0);
+        signs[axis] = -1.0;
+        let rotation = mirrored * Matrix3::from_diagonal(&signs);
+        (Rotation3::from_matrix_unchecked(rotation), signs)
+    };
+    // Where only the heading turns, down stays.
+    let axes = if turns == [true; 3] { 0..3 } else { 0..2 };
+    let mut all = axes.map(with);
+    let first = all.next().unwrap_or_else(|| with(0));
+    all.fold(first, |best, next| if next.0.angle() < best.0.angle() { next } else { best })
+}
+
+/// The rotation that takes `from` to `to`, unit vectors of which the first `moving` count. One
+/// leaves the turn about itself open: then it is the shortest rotation.
+fn rotation_of(from: [Vector3<f64>; 2], to: [Vector3<f64>; 2], moving: usize) -> Rotation3<f64> {
+    match moving {
+        0 => Rotation3::identity(),
+        1 => Rotation3::rotation_between(&from[0], &to[0]).unwrap_or_else(|| {
+            // Opposite ones: by half a turn about an axis across.
+            let across = from[0].cross(&Vector3::ith(from[0].iamin(), 1.0));
+            Rotation3::from_axis_angle(&Unit::new_normalize(across), std::f64::consts::PI)
+        }),
+        _ => {
+            let right_handed =
+                |[a, b]: [Vector3<f64>; 2]| Matrix3::from_columns(&[a, b, a.cross(&b)]);
+            Rotation3::from_matrix_unchecked(right_handed(to) * right_handed(from).transpose())
+        }
+    }
+}

@@ -1,0 +1,383 @@
+//! Kinematics in weak form: what a stream's derivative must be, without differentiating it.
+//!
+//! For a bump phi that vanishes with its slope at both ends, `int phi dx/dt = -int phi' x`. The
+//! left side is a weighted mean of the derivative, as another sensor measures it; the right side
+//! needs only the stream itself. Shifting the bump of one side in time tries a delay.
+
+use nalgebra::{DMatrix, DVector, SMatrix, SVector, SymmetricEigen};
+
+use crate::log::import::Stream;
+
+/// A bump `(1 - s^2)^3` with `s = (t - centre) / half`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bump {
+    pub centre: f64,
+    pub half: f64,
+    /// Which of the lengths it has.
+    pub group: usize,
+}
+
+impl Bump {
+    fn value(self, time: f64) -> f64 {
+        let s = (time - self.centre) / self.half;
+        (1.0 - s * s).max(0.0).powi(3)
+    }
+
+    fn slope(self, time: f64) -> f64 {
+        let s = (time - self.centre) / self.half;
+        -6.0 * s * (1.0 - s * s).max(0.0).powi(2) / self.half
+    }
+
+    /// The bump `by` seconds later.
+    pub fn shifted(self, by: f64) -> Self {
+        Self { centre: self.centre + by, ..self }
+    }
+
+    /// The bump's own integral.
+    pub fn area(self) -> f64 {
+        self.half * 32.0 / 35.0
+    }
+}
+
+/// Integrals of a signal under a bump and under its slope.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Weighed<const N: usize> {
+    pub value: SVector<f64, N>,
+    pub slope: SVector<f64, N>,
+}
+
+/// Longest gap within a bump, of its half width: beyond, a line between the ends is a guess.
+const GAP_MAX: f64 = 0.5;
+
+/// Weighs a signal, which runs straight from sample to sample; `None` where the samples do not
+/// cover the bump.
+pub(super) fn weigh<V, const N: usize>(
+    stream: &Stream<V>,
+    bump: Bump,
+    mut signal: impl FnMut(f64, &V) -> Option<SVector<f64, N>>,
+) -> Option<Weighed<N>> {
+    let (from, to) = (bump.centre - bump.half, bump.centre + bump.half);
+    let mut at = stream.index_at(from)?;
+    let times = stream.times();
+    let mut weighed = Weighed { value: SVector::zeros(), slope: SVector::zeros() };
+    let mut left = signal(times[at], &stream.values()[at])?;
+    while times[at] < to {
+        let (a, b) = (times[at], *times.get(at + 1)?);
+        if b - a > GAP_MAX * bump.half {
+            return None;
+        }
+        let right = signal(b, &stream.values()[at + 1])?;
+        // Simpson's rule on the straight piece, within the bump.
+        let (start, end) = (a.max(from), b.min(to));
+        let middle = 0.5 * (start + end);
+        let line = |t: f64| left + (right - left) * ((t - a) / (b - a));
+        for (time, weight) in [(start, 1.0), (middle, 4.0), (end, 1.0)] {
+            let share = weight * (end - start) / 6.0;
+            weighed.value += line(time) * (share * bump.value(time));
+            weighed.slope += line(time) * (share * bump.slope(time));
+        }
+        left = right;
+        at += 1;
+    }
+    Some(weighed)
+}
+
+/// Bumps of some half widths over samples in the order of their centres, each beginning at the
+/// middle of the one before of its length; none where no sample is, however long a log pauses.
+pub(super) fn bumps(times: &[f64], halves: &[f64]) -> Vec<Bump> {
+    let Some(start) = times.first() else { return Vec::new() };
+    let mut bumps = Vec::new();
+    for (group, half) in halves.iter().copied().enumerate() {
+        let mut last = 0.0;
+        for time in times {
+            let number = ((time - start) / half).floor();
+            if number > last {
+                bumps.push(Bump { centre: start + number * half, half, group });
+                last = number;
+            }
+        }
+    }
+    bumps.sort_by(|a, b| a.centre.total_cmp(&b.centre));
+    bumps
+}
+
+/// One bump's misfit and how the unknowns change what is expected there.
+pub(super) struct Row<const P: usize> {
+    /// The bump's middle, s.
+    pub time: f64,
+    /// Which of the lengths the bump has.
+    pub group: usize,
+    /// What is seen.
+    pub seen: SVector<f64, 3>,
+    /// Seen minus expected.
+    pub misfit: SVector<f64, 3>,
+    /// Slope of what is expected.
+    pub slopes: SMatrix<f64, 3, P>,
+}
+
+/// Unknowns found, and how well.
+#[derive(Clone, Debug)]
+pub(super) struct Fit<const P: usize> {
+    /// Where nothing shows an unknown, that nearest to the start.
+    pub value: [f64; P],
+    /// In half widths of the interval: see [`interval`].
+    pub covariance: SMatrix<f64, P, P>,
+    /// Projects onto what the rows do not show.
+    pub hidden: SMatrix<f64, P, P>,
+    /// Share of what is seen that is explained.
+    pub explained: f64,
+    /// Weight of each row.
+    pub weights: Vec<f64>,
+}
+
+impl<const P: usize> Fit<P> {
+    /// Half width of an unknown's interval; `None` where the rows do not show it.
+    pub fn half_width(&self, of: usize) -> Option<f64> {
+        half_width(&self.covariance, &self.hidden, of)
+    }
+}
+
+/// Half width by its place in a covariance; `None` where it lies in what is hidden.
+pub(super) fn half_width<const P: usize>(
+    covariance: &SMatrix<f64, P, P>,
+    hidden: &SMatrix<f64, P, P>,
+    of: usize,
+) -> Option<f64> {
+    (hidden[(of, of)] < HIDDEN_MAX).then(|| covariance[(of, of)].max(0.0).sqrt())
+}
+
+/// Blocks of time that are left out in turn: few of them are long, so that what a block leaves
+/// hardly hangs together with what the next one does.
+const BLOCKS: std::ops::RangeInclusive<usize> = 4..=12;
+/// Shorter ones would hang together by the width of the bumps alone, s.
+const BLOCK_S: f64 = 1.5;
+/// Fewest rows.
+const ROWS_MIN: usize = 24;
+/// Misfits beyond this many typical ones count linearly.
+const HUBER: f64 = 2.5;
+/// Iterations.
+const ITERATIONS: usize = 12;
+/// A direction of the unknowns is not shown if a step of their sizes changes what is expected by
+/// less than this share of what is seen.
+const SHOWN_MIN: f64 = 1e-3;
+/// An unknown is not shown if more than this share of it lies in such directions.
+const HIDDEN_MAX: f64 = 1e-3;
+/// Sweeps of a decomposition at most; ten are usual.
+const SWEEPS: usize = 200;
+/// Standard deviations of as many blocks that hold a value in at least 95 of 100 cases, and thrice
+/// as many in 9998 of 10 000, by Student's t.
+fn interval(blocks: usize) -> f64 {
+    const OF_4: [f64; 9] = [7.40, 4.34, 3.23, 2.67, 2.36, 2.31, 2.26, 2.23, 2.20];
+    OF_4.get(blocks.saturating_sub(4)).copied().unwrap_or(2.20)
+}
+
+/// Added to what is left of the Gram matrix without a block, against rounding.
+const LEFT_MIN: f64 = 1e-9;
+/// Lengths of bumps at most.
+const GROUPS: usize = 2;
+
+/// Finds the unknowns by Gauss-Newton from `start`, in the directions that the rows show; `sizes`
+/// are steps of the unknowns that matter, 0 of one that stays at its start. Wild misfits count
+/// less, and bumps of each length by what their misfits are. The covariance is that of the
+/// jackknife over blocks of time.
+pub(super) fn fit<const P: usize>(
+    start: [f64; P],
+    sizes: [f64; P],
+    rows: impl Fn(&[f64; P]) -> Vec<Row<P>>,
+) -> Option<Fit<P>> {
+    let mut value = start;
+    let mut step_before = f64::INFINITY;
+    for _ in 0..ITERATIONS {
+        let normal = Normal::of(&rows(&value))?;
+        let step = normal.shown(&sizes)?.step(&normal);
+        for (value, step) in value.iter_mut().zip(&step) {
+            *value += step;
+        }
+        let size = step.norm();
+        if !size.is_finite() {
+            return None;
+        }
+        if size < 1e-9 || size >= step_before && size < 1e-6 {
+            break;
+        }
+        step_before = size;
+    }
+    let rows = rows(&value);
+    let normal = Normal::of(&rows)?;
+    let shown = normal.shown(&sizes)?;
+    let covariance = shown.jackknife(&rows, &normal);
+    let weights = normal.weights;
+    let sum = |of: &dyn Fn(&Row<P>) -> f64| -> f64 {
+        rows.iter().zip(&weights).map(|(row, w)| w * of(row)).sum()
+    };
+    let mean = rows.iter().zip(&weights).map(|(row, w)| row.seen * *w).sum::<SVector<f64, 3>>()
+        / weights.iter().sum::<f64>();
+    let total = sum(&|row| (row.seen - mean).norm_squared());
+    let left = sum(&|row| row.misfit.norm_squared());
+    Some(Fit {
+        value,
+        covariance,
+        hidden: shown.hidden,
+        explained: if total > 0.0 { 1.0 - left / total } else { 0.0 },
+        weights,
+    })
+}
+
+/// The normal equations, and the weight of each row.
+struct Normal<const P: usize> {
+    gram: SMatrix<f64, P, P>,
+    gradient: SVector<f64, P>,
+    /// Of what is seen.
+    power: f64,
+    weights: Vec<f64>,
+}
+
+impl<const P: usize> Normal<P> {
+    /// `None` if there are too few rows.
+    fn of(rows: &[Row<P>]) -> Option<Self> {
+        if rows.len() < ROWS_MIN {
+            return None;
+        }
+        let typical: [f64; GROUPS] = std::array::from_fn(|group| {
+            median(rows.iter().filter(|r| r.group == group).map(|r| r.misfit.norm()).collect())
+        });
+        let least =
+            typical.iter().copied().filter(|size| *size > 0.0).fold(f64::INFINITY, f64::min);
+        let weight = |row: &Row<P>| {
+            let (size, typical) = (row.misfit.norm(), typical[row.group]);
+            let own = if typical > 0.0 { (least / typical).powi(2) } else { 1.0 };
+            if size > HUBER * typical { own * HUBER * typical / size } else { own }
+        };
+        let weights: Vec<f64> = rows.iter().map(weight).collect();
+        let (mut gram, mut gradient, mut power) = (SMatrix::zeros(), SVector::zeros(), 0.0);
+        for (row, weight) in rows.iter().zip(&weights) {
+            gram += row.slopes.transpose() * row.slopes * *weight;
+            gradient += row.slopes.transpose() * row.misfit * *weight;
+            power += row.seen.norm_squared() * *weight;
+        }
+        Some(Self { gram, gradient, power, weights })
+    }
+
+    /// `None` if nothing is seen, or the numbers are of no size that can be reckoned with.
+    fn shown(&self, sizes: &[f64; P]) -> Option<Shown<P>> {
+        let sensitivity =
+            DMatrix::from_fn(P, P, |i, j| self.gram[(i, j)] * sizes[i] * sizes[j] / self.power);
+        if !sensitivity.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        let SymmetricEigen { eigenvalues, eigenvectors } =
+            SymmetricEigen::try_new(sensitivity, f64::EPSILON, SWEEPS)?;
+        let (mut steps, mut hidden) = (Vec::new(), SMatrix::zeros());
+        for (value, vector) in eigenvalues.iter().zip(eigenvectors.column_iter()) {
+            let direction = SVector::<f64, P>::from_fn(|i, _| vector[i]);
+            if *value < SHOWN_MIN * SHOWN_MIN {
+                hidden += direction * direction.transpose();
+            } else {
+                let step = SVector::<f64, P>::from_fn(|i, _| direction[i] * sizes[i]);
+                steps.push(step / (*value * self.power).sqrt());
+            }
+        }
+        Some(Shown { steps, hidden })
+    }
+}
+
+/// What the rows show of the unknowns: steps in which the Gram matrix is the identity, and the
+/// projection onto the rest.
+struct Shown<const P: usize> {
+    steps: Vec<SVector<f64, P>>,
+    hidden: SMatrix<f64, P, P>,
+}
+
+impl<const P: usize> Shown<P> {
+    /// The step of least squares.
+    fn step(&self, normal: &Normal<P>) -> SVector<f64, P> {
+        self.steps.iter().map(|step| step * step.dot(&normal.gradient)).sum()
+    }
+
+    /// Covariance by how the unknowns change as one block of rows after another is left out, in
+    /// half widths of the interval.
+    fn jackknife(&self, rows: &[Row<P>], normal: &Normal<P>) -> SMatrix<f64, P, P> {
+        let size = self.steps.len();
+        let span = rows.first().zip(rows.last()).map_or(0.0, |(a, b)| b.time - a.time);
+        let blocks = ((span / BLOCK_S) as usize).clamp(*BLOCKS.start(), *BLOCKS.end());
+        let mut covariance = SMatrix::zeros();
+        for block in 0..blocks {
+            let within = |part: usize| part * rows.len() / blocks;
+            let range = within(block)..within(block + 1);
+            let mut gram = DMatrix::<f64>::identity(size, size);
+            let mut score = DVector::<f64>::zeros(size);
+            for (row, weight) in rows[range.clone()].iter().zip(&normal.weights[range]) {
+                let slopes: Vec<SVector<f64, 3>> =
+                    self.steps.iter().map(|step| row.slopes * step).collect();
+                for (i, a) in slopes.iter().enumerate() {
+                    score[i] += a.dot(&row.misfit) * weight;
+                    for (j, b) in slopes.iter().enumerate() {
+                        gram[(i, j)] -= a.dot(b) * weight;
+                    }
+                }
+            }
+            // What only this block shows leaves nothing without it: then the change has no end.
+            for i in 0..size {
+                gram[(i, i)] += LEFT_MIN;
+            }
+            let Some(left) = gram.cholesky() else { return SMatrix::repeat(f64::INFINITY) };
+            let change = left.solve(&score);
+            let change: SVector<f64, P> =
+                self.steps.iter().zip(change.iter()).map(|(step, change)| step * *change).sum();
+            covariance += change * change.transpose();
+        }
+        covariance * (interval(blocks).powi(2) * (blocks - 1) as f64 / blocks as f64)
+    }
+}
+
+/// The middle one of the values; 0 of none.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sampled(f: impl Fn(f64) -> f64) -> Stream<f64> {
+        let mut stream = Stream::default();
+        for k in 0..2000 {
+            // Uneven, as the stamps of real loggers are.
+            let t = 0.01 * f64::from(k) + 0.003 * (f64::from(k) * 1.7).sin();
+            stream.push(t, f(t));
+        }
+        stream
+    }
+
+    #[test]
+    fn a_bump_weighs_a_derivative_without_taking_it() {
+        let (x, v) = (sampled(|t| (3.0 * t).sin()), sampled(|t| 3.0 * (3.0 * t).cos()));
+        let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
+        for bump in &bumps(x.times(), &[0.25])[1..70] {
+            let seen = -weigh(&x, *bump, of).expect("samples").slope[0];
+            let expected = weigh(&v, *bump, of).expect("samples").value[0];
+            assert!((seen - expected).abs() < 1e-3, "{seen} {expected}");
+        }
+        let one = weigh(&sampled(|_| 1.0), Bump { centre: 5.0, half: 0.3, group: 0 }, of)
+            .expect("samples");
+        let area = Bump { centre: 0.0, half: 0.3, group: 0 }.area();
+        assert!((one.value[0] - area).abs() < 1e-4 && one.slope[0].abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_pause_of_ages_has_no_bumps() {
+        let times = [0.0, 0.1, 0.2, 0.3, 1e12, 1e12 + 0.1, 1e12 + 0.4];
+        assert!(bumps(&times, &[0.1]).len() < times.len());
+    }
+
+    #[test]
+    fn no_bump_reaches_over_a_gap_or_an_end() {
+        let x = sampled(|t| t).filter_map(|t| (!(5.0..5.3).contains(t)).then_some(*t));
+        let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
+        assert!(weigh(&x, Bump { centre: 5.0, half: 0.25, group: 0 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 0.1, half: 0.25, group: 0 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 19.9, half: 0.25, group: 0 }, of).is_none());
+        assert!(weigh(&x, Bump { centre: 8.0, half: 0.25, group: 0 }, of).is_some());
+    }
+}

@@ -1,0 +1,326 @@
+//! The answer, put together from what was found and what was decided.
+
+use std::collections::BTreeMap;
+
+use sitl::effects::{EffectId, EffectSet};
+
+use super::answer::{
+    Answer, EffectAnswer, ExplanationAnswer, Finding, FlightAnswer, FullVerdict, Gap, NotTestable,
+    Verdict, parameters,
+};
+use super::attribution::{Share, shapley};
+use super::evidence::Evidence;
+use super::explanation::Explanation;
+use super::fit::Z90;
+use super::gap::{Errors, Floor};
+use super::leftover::{UnmodelledForce, unmodelled_force};
+use super::map::{ResidualMap, depends_on, map, samples};
+use super::names::parameter_name;
+use super::noise::ReportNoise;
+use super::open_loop::Simulator;
+use super::pipeline::{DiagnoseError, Stage};
+use super::preparation::PreparedFlight;
+use super::reflight::reflight;
+use super::twins::Twins;
+use super::verdict::Decision;
+use super::words::finding;
+
+/// Beyond the floor by less, in units of it, there is no gap that could be closed.
+const GAP_MIN: f64 = 0.05;
+/// Least probability of an effect that the answer mentions.
+const MENTIONED: f64 = 0.01;
+/// Share of a typical magnitude that a number must be known to for its effect to be testable.
+const TESTABLE: f64 = 0.5;
+
+/// What an answer is made of.
+pub(super) struct Assembly<'a> {
+    pub stage: &'a Stage<'a>,
+    pub file: &'a Explanation,
+    pub found: &'a [Explanation],
+    /// The explanation that the verdict rests on, fitted to all flights but those reported on.
+    pub best: &'a Explanation,
+    pub noise: &'a ReportNoise,
+    pub twins: Option<Twins>,
+    pub evidence: &'a Evidence,
+    pub decision: &'a Decision,
+}
+
+impl Assembly<'_> {
+    /// The answer, and the named effects with the vehicle's true values.
+    pub fn answer(self) -> Result<(Answer, EffectSet), DiagnoseError> {
+        let Self { stage, decision, evidence, .. } = &self;
+        let named: Vec<EffectId> = stage.effects_of(self.best);
+        let effects = stage.catalogue.effects(&self.best.fit.values, Some(&named));
+        let not_testable = self.not_testable();
+        let gap = self.gap(&effects)?;
+        let flights = self.flights()?;
+        let (closed_loop, closed_loop_missing) =
+            match reflight(stage.case, &effects, self.noise, stage.settings) {
+                Ok(closed_loop) => (Some(closed_loop), None),
+                Err(reason) => (None, Some(reason.to_string())),
+            };
+        let (verdict, depends_on) = self.full_verdict()?;
+        let best = evidence.explanations.first().map_or(0.0, |file| file.score());
+        let explanations = evidence.explanations.iter().zip(&decision.masses).skip(1);
+        let mut answer = Answer {
+            verdict: decision.verdict,
+            effects: self.effects(),
+            closed_loop,
+            closed_loop_missing,
+            ambiguous_with: ids(&decision.ambiguous_with),
+            finding: Finding {
+                verdict,
+                sentence: String::new(),
+                because: decision.because,
+                depends_on,
+            },
+            logs: Vec::new(),
+            map: self.map()?,
+            not_testable,
+            next_flight: None,
+            unmodelled_force: self.force(),
+            attribution: self.attribution(gap.as_ref(), &named)?,
+            gap,
+            file_scale: evidence.scale,
+            twins: self.twins.clone(),
+            explanations: explanations
+                .map(|(explained, mass)| ExplanationAnswer {
+                    effects: explained.effects.clone(),
+                    evidence: explained.score() - best,
+                    mass: *mass,
+                    numbers: explained.numbers.iter().map(|number| number.value).collect(),
+                })
+                .collect(),
+            flights,
+        };
+        answer.finding.sentence = finding(&answer);
+        let effects = if answer.verdict == Verdict::Effect { effects } else { EffectSet::new() };
+        Ok((answer, effects))
+    }
+
+    /// Effects with their probabilities: those of the best explanation with its numbers, others
+    /// with those of the best that has them.
+    fn effects(&self) -> Vec<EffectAnswer> {
+        let Self { stage, decision, .. } = self;
+        let has =
+            |explanation: &Explanation, id: EffectId| stage.effects_of(explanation).contains(&id);
+        let mentioned = decision.effects.iter().filter(|(_, probability)| *probability > MENTIONED);
+        let answers = mentioned.filter_map(|(name, probability)| {
+            let id: EffectId = name.parse().ok()?;
+            if id == EffectId::Gusts {
+                let set = self.gusts()?;
+                return Some(EffectAnswer {
+                    id,
+                    probability: *probability,
+                    parameters: parameters(&set, id),
+                    intervals: BTreeMap::new(),
+                });
+            }
+            let own = std::iter::once(self.best).chain(self.found);
+            let explanation = own.into_iter().find(|explanation| has(explanation, id))?;
+            let set = stage.catalogue.effects(&explanation.fit.values, Some(&[id]));
+            Some(EffectAnswer {
+                id,
+                probability: *probability,
+                parameters: parameters(&set, id),
+                intervals: self.intervals(explanation, id),
+            })
+        });
+        answers.collect()
+    }
+
+    /// Gusts of the strength that the force left over takes.
+    fn gusts(&self) -> Option<EffectSet> {
+        let mut slots = sitl::effects::Slots::default();
+        for slot in EffectId::Gusts.spec().slots() {
+            slots[slot.index] = slot.parameter.default.unwrap_or(0.0);
+        }
+        slots[0] = self.evidence.gusts_m_s?;
+        let mut set = EffectSet::new();
+        set.insert(EffectId::Gusts, slots).ok()?;
+        Some(set)
+    }
+
+    /// 90 % intervals of an effect's fitted numbers.
+    fn intervals(&self, explanation: &Explanation, id: EffectId) -> BTreeMap<String, [f64; 2]> {
+        let catalogue = self.stage.catalogue;
+        let hypotheses = explanation.fit.hypotheses.iter().map(|h| &catalogue.hypotheses[*h]);
+        let numbers = hypotheses.filter(|h| h.effect == id).flat_map(|h| &h.numbers);
+        let fit = &explanation.fit;
+        let of_number = |number: &usize| {
+            let (value, error) = (fit.values[*number], Z90 * fit.deviation[*number]);
+            (parameter_name(catalogue.numbers[*number].target), [value - error, value + error])
+        };
+        numbers.map(of_number).collect()
+    }
+
+    /// The gap on the flights held out without and with `effects`.
+    fn gap(&self, effects: &EffectSet) -> Result<Option<Gap>, DiagnoseError> {
+        let Self { stage, best, file, .. } = self;
+        let held_out = stage.case.held_out;
+        let with_all = |explanation: &Explanation| {
+            stage.simulator_of(explanation, &stage.effects_of(explanation), true)
+        };
+        let shipped = stage.simulator(&EffectSet::new())?;
+        let repaired = stage.simulator(effects)?;
+        let floor = repaired.floor(held_out, self.noise, stage.settings.seed);
+        let (Some(Floor { errors: floor, scatter }), Some(before), Some(after)) =
+            (floor, shipped.errors(held_out), repaired.errors(held_out))
+        else {
+            return Ok(None);
+        };
+        let over = |errors: &Errors| errors.over(&floor, stage.metric);
+        let gap = |simulator: Simulator| simulator.errors(held_out).map(|errors| over(&errors));
+        let [b, a, f] = [before, after, floor].map(|errors| over(&errors));
+        Ok(Some(Gap {
+            metric: stage.metric.name(),
+            before: b,
+            after: a,
+            floor: f,
+            scatter,
+            closure: (b - f > GAP_MIN).then(|| (b - a) / (b - f)),
+            nuisances_only: gap(with_all(file)?),
+            with_nuisances: gap(with_all(best)?),
+            with_learner: self.evidence.learned,
+            errors: [before, after, floor],
+            noise: *self.noise,
+        }))
+    }
+
+    /// Shares of the squared gap as shipped, on the flights held out.
+    fn attribution(
+        &self,
+        gap: Option<&Gap>,
+        named: &[EffectId],
+    ) -> Result<Vec<Share>, DiagnoseError> {
+        let Self { stage, best, .. } = self;
+        let Some(gap) = gap else { return Ok(Vec::new()) };
+        let held_out = stage.case.held_out;
+        let players = named.len() + 1;
+        let square = |set: usize| -> Result<f64, DiagnoseError> {
+            let is_in = |bit: usize| set & (1 << bit) != 0;
+            let which: Vec<EffectId> =
+                (0..named.len()).filter(|bit| is_in(*bit)).map(|bit| named[bit]).collect();
+            let simulator = stage.simulator_of(best, &which, is_in(named.len()))?;
+            let errors = simulator.errors(held_out);
+            Ok(errors.map_or(f64::NAN, |e| e.over(&gap.errors[2], stage.metric).powi(2)))
+        };
+        let squares = (0..1 << players).map(square).collect::<Result<Vec<f64>, _>>()?;
+        let (before, after) = (squares[0], squares[squares.len() - 1]);
+        let shares = shapley(players, &squares);
+        let noise = (gap.floor * gap.floor).min(after);
+        let names = named.iter().map(|id| id.name()).chain(["file"]);
+        let mut found: Vec<(&str, f64)> = names.zip(shares).collect();
+        found.push(("remainder", after - noise));
+        found.push(("noise", noise));
+        Ok(found
+            .into_iter()
+            .map(|(of, square)| Share { of: of.to_owned(), share: square / before })
+            .collect())
+    }
+
+    /// The flights, with the gap of each as shipped.
+    fn flights(&self) -> Result<Vec<FlightAnswer>, DiagnoseError> {
+        let Self { stage, noise, .. } = self;
+        let shipped = stage.simulator(&EffectSet::new())?;
+        let gap = |flight: &PreparedFlight| shipped.gap(flight, noise, stage.settings.seed);
+        Ok(FlightAnswer::all(stage.case, gap))
+    }
+
+    /// Where the gap lies.
+    fn map(&self) -> Result<ResidualMap, DiagnoseError> {
+        let Self { stage, best, .. } = self;
+        let references = stage.catalogue.references();
+        let shipped = stage.catalogue.candidate(&references)?;
+        let before = stage.all.residuals(&references).ok_or(DiagnoseError::Nothing)?;
+        let after = stage.all.residuals(&best.fit.values).ok_or(DiagnoseError::Nothing)?;
+        let [before, after] = [before, after].map(|residuals| stage.all.power(&residuals));
+        Ok(map(&stage.all, stage.evaluator, &shipped, &before, &after))
+    }
+
+    /// Forces that are left, before and after.
+    fn force(&self) -> Option<[UnmodelledForce; 2]> {
+        let Self { stage, best, file, .. } = self;
+        let force = |explanation: &Explanation| {
+            let candidate = stage.catalogue.candidate(&explanation.fit.values).ok()?;
+            unmodelled_force(&stage.all, stage.evaluator, &candidate)
+        };
+        force(file).zip(force(best)).map(|(before, after)| [before, after])
+    }
+
+    /// The full verdict, and what a gap that nothing explains goes with.
+    fn full_verdict(&self) -> Result<(FullVerdict, Vec<String>), DiagnoseError> {
+        let Self { stage, decision, best, .. } = self;
+        Ok(match decision.verdict {
+            Verdict::None => (FullVerdict::None, Vec::new()),
+            Verdict::Effect if !decision.ambiguous_with.is_empty() => {
+                (FullVerdict::Ambiguous, Vec::new())
+            }
+            Verdict::Effect if decision.is_inexact => (FullVerdict::OtherLaw, Vec::new()),
+            Verdict::Effect => (FullVerdict::Named, Vec::new()),
+            Verdict::Unknown => {
+                let candidate = stage.catalogue.candidate(&best.fit.values)?;
+                let samples = samples(&stage.all, stage.evaluator, &candidate);
+                let depends_on = depends_on(&samples);
+                if depends_on.is_empty() {
+                    (FullVerdict::UnobservedDisturbance, depends_on)
+                } else {
+                    (FullVerdict::UnknownStructured, depends_on)
+                }
+            }
+        })
+    }
+
+    /// Effects that could not have been told from these logs, and why.
+    fn not_testable(&self) -> Vec<NotTestable> {
+        let Self { stage, evidence, found, .. } = self;
+        let catalogue = stage.catalogue;
+        let axes = ["roll", "pitch", "yaw"];
+        let unused: Vec<&str> = axes
+            .into_iter()
+            .zip(&evidence.turning)
+            .filter(|(_, turning)| !turning.is_usable)
+            .map(|(axis, _)| axis)
+            .collect();
+        let reason = |effect: EffectId| {
+            if effect == EffectId::PdGain && !stage.leg() {
+                return Some("setpoints or the on-board law's gains are not known".to_owned());
+            }
+            if effect == EffectId::RotorGyroscopic && catalogue.vehicle.rotor_max_rpm.is_none() {
+                return Some("the vehicle file has no rotor_max_rpm".to_owned());
+            }
+            let alone = found.iter().filter(|explanation| {
+                explanation.fit.hypotheses.len() == 1 && stage.effects_of(explanation) == [effect]
+            });
+            let tried: Vec<&Explanation> = alone.collect();
+            let is_seen = tried.iter().any(|explanation| {
+                explanation.fit.active(catalogue).into_iter().any(|number| {
+                    explanation.fit.deviation[number]
+                        < TESTABLE * catalogue.numbers[number].magnitude
+                })
+            });
+            let turns = matches!(
+                effect,
+                EffectId::Inertia
+                    | EffectId::YawTorque
+                    | EffectId::ComOffset
+                    | EffectId::RotorGyroscopic
+                    | EffectId::BladeFlapping
+            );
+            if turns && !unused.is_empty() && !is_seen {
+                return Some(format!(
+                    "the motor outputs of these logs do not tell how the body turns in {}",
+                    unused.join(", ")
+                ));
+            }
+            (!tried.is_empty() && !is_seen)
+                .then(|| "the motion and the channels of these logs do not show it".to_owned())
+        };
+        let all = EffectId::ALL.into_iter();
+        all.filter_map(|id| Some(NotTestable { id, reason: reason(id)? })).collect()
+    }
+}
+
+fn ids(names: &[String]) -> Vec<EffectId> {
+    names.iter().filter_map(|name| name.parse().ok()).collect()
+}

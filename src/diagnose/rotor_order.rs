@@ -1,0 +1,17 @@
+//! Whether a log's outputs drive the rotors that the vehicle file places where it does. In another
+//! order they would be taken for another inertia, another centre of mass and a lost rotor.
+
+use sitl::vehicle::VehicleParams;
+
+use crate::audit::Audit;
+use crate::log::import::RotorFact;
+
+/// Adds a fault to the audit of a log whose outputs turn the vehicle otherwise than its file's
+/// rotors would.
+pub fn check(audit: &mut Audit, vehicle: &VehicleParams) {
+    let rotors = vehicle.rotors.each_ref().map(|rotor| {
+        let [front, right, _] = rotor.position_m;
+        RotorFact { front, right, spin: rotor.spin }
+    });
+    audit.check_order(&rotors, "the vehicle file's rotors");
+}

@@ -1,0 +1,509 @@
+//! The decision: from the evidence to a verdict.
+//!
+//! Each explanation has a posterior mass. The one with the most, without what changes no
+//! prediction, is what the verdict rests on. It is `effect` where its effects close a substantial
+//! share of what the vehicle file's numbers leave open within their tolerances; else `none` where
+//! those numbers close the gap, or noise is all that is left; else `unknown`.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, Exp1, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+use serde::Serialize;
+use sitl::effects::EffectId;
+
+use super::answer::{NAMED, Verdict};
+use super::evidence::{Evidence, Explained, ForceLeft};
+
+/// Why what was seen counts as unexplained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Unexplained {
+    /// What no explanation closes of the gap is the larger part of it.
+    Remainder,
+    /// A force acts that two sensors agree on and nothing explains.
+    Force,
+    /// The effects that come nearest are less likely than not to be the cause.
+    Doubt,
+}
+
+/// What is made of the evidence.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decision {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Why it is unknown, where it is.
+    pub because: Option<Unexplained>,
+    /// Which of the evidence's explanations it rests on.
+    pub explanation: usize,
+    /// Effects with their probabilities, the most probable first; under `none` traces.
+    pub effects: Vec<(String, f64)>,
+    /// Effects that cannot be told from those named.
+    pub ambiguous_with: Vec<String>,
+    /// Whether a part of the gap stays open with what is named: its equation is not the catalogue's.
+    pub is_inexact: bool,
+    /// Posterior mass of each explanation.
+    pub masses: Vec<f64>,
+    /// Share of what can be closed of the squared gap that stays open.
+    pub remainder: f64,
+}
+
+/// No law of the catalogue is right to more than about this share of its evidence: the standard
+/// deviation of what each explanation's evidence is off by.
+const LAW: f64 = 0.06;
+/// The price of an effect, nats: about forty may act, and one does in half of the cases.
+const PRICE: f64 = 3.7;
+/// Draws of the flights (Bayesian bootstrap over blocks) that masses are the mean over.
+const DRAWS: usize = 400;
+/// Share of what the file leaves open that an effect must close to change predictions.
+const CHANGES: f64 = 0.12;
+/// Or share of the evidence: the body rate shows a lag that is over before a position tells.
+const CARRIES: f64 = 0.3;
+/// The same for all effects together to be a substantial part.
+const SUBSTANTIAL: f64 = 0.2;
+/// Evidence of an effect that by itself counts, nats: odds of twenty thousand to one, for a
+/// model that is never quite right.
+const EVIDENCE: f64 = 10.0;
+/// A gap that is open, in units of what noise alone leaves, beyond four times its scatter.
+const OPEN: f64 = 1.15;
+/// Log odds that what explains the flights is their cause where nothing is left, and by how much
+/// they fall with the share that is left.
+const CREDENCE: [f64; 2] = [3.5, 8.0];
+/// Probability of gusts where a force looks like turbulence, as other forces may.
+const GUSTS: f64 = 0.7;
+/// Least mass of an effect that cannot be told from what is named.
+const RIVAL: f64 = 0.1;
+/// A remainder that shows that an equation is not exact, as a share.
+const INEXACT: f64 = 0.1;
+
+/// What changes the level of the thrust, by class, and the share of its probability that one of
+/// them keeps where nothing tells it from the others.
+const THRUST: [&str; 3] = ["battery_sag", "thrust_curve", "thrust_scale"];
+const UNTOLD: f64 = 0.6;
+
+/// Effects that act alike have one name here.
+fn class(effect: &str) -> &str {
+    effect.parse::<EffectId>().map_or(effect, |id| id.class().name())
+}
+
+/// The evidence with what decisions need of it at hand.
+struct Hearing<'a> {
+    evidence: &'a Evidence,
+    masses: Vec<f64>,
+}
+
+/// Posterior masses of the explanations: the mean over draws of the flights' blocks (pseudo-BMA+;
+/// Yao, Vehtari, Simpson and Gelman 2018), each explanation's evidence off by what its law is not
+/// exact, and by what chance gives it. What stands for something else has none.
+pub fn masses(evidence: &Evidence) -> Vec<f64> {
+    let explanations = &evidence.explanations;
+    let Some(file) = explanations.first() else { return Vec::new() };
+    let scores = evidence.scores();
+    let count = evidence.fitted_blocks.min(file.blocks.len());
+    let fitted = |explained: &Explained| -> Vec<f64> {
+        let blocks = explained.blocks.iter().zip(&file.blocks).take(count);
+        blocks.map(|(own, file)| own - file).collect()
+    };
+    let gains: Vec<Vec<f64>> = explanations.iter().map(fitted).collect();
+    let mut rng = Pcg64Mcg::seed_from_u64(0);
+    let mut masses = vec![0.0; explanations.len()];
+    for _ in 0..DRAWS {
+        let weights: Vec<f64> = (0..count).map(|_| Exp1.sample(&mut rng)).collect();
+        let mean = (weights.iter().sum::<f64>() / count.max(1) as f64).max(f64::MIN_POSITIVE);
+        let draws: Vec<f64> = explanations
+            .iter()
+            .zip(&gains)
+            .zip(&scores)
+            .map(|((explained, gains), score)| {
+                let z: f64 = StandardNormal.sample(&mut rng);
+                let is_worse = evidence.is_worse([file.choosing, explained.choosing], 0);
+                if explained.is_at_bound() || is_worse {
+                    return f64::NEG_INFINITY;
+                }
+                let predicted = score - gains.iter().sum::<f64>();
+                let drawn: f64 = gains.iter().zip(&weights).map(|(g, w)| g * w / mean).sum();
+                let off = (LAW * score.max(0.0)).hypot(explained.chance);
+                drawn + predicted + z * off - PRICE * explained.effects.len() as f64
+            })
+            .collect();
+        let top = draws.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let odds: Vec<f64> = draws.iter().map(|draw| (draw - top).exp()).collect();
+        let total: f64 = odds.iter().sum();
+        masses.iter_mut().zip(odds).for_each(|(mass, odds)| *mass += odds / total / DRAWS as f64);
+    }
+    masses
+}
+
+impl Hearing<'_> {
+    fn explained(&self, index: usize) -> &Explained {
+        &self.evidence.explanations[index]
+    }
+
+    /// The squared gap on the flights for choosing, at most as shipped: the file's numbers need not
+    /// be off.
+    fn chosen(&self, index: usize) -> Option<f64> {
+        let own = self.explained(index).choosing_square()?;
+        let shipped = self.evidence.shipped[0]?.powi(2);
+        Some(if index == 0 { own.min(shipped) } else { own })
+    }
+
+    /// The same on the flights reported on.
+    fn reported(&self, index: usize) -> Option<f64> {
+        let own = self.explained(index).reported_square()?;
+        let shipped = self.evidence.shipped[1]?.powi(2);
+        Some(if index == 0 { own.min(shipped) } else { own })
+    }
+
+    /// The explanation of the most mass with these effects, or what acts as they do.
+    fn of(&self, effects: &BTreeSet<&str>) -> Option<usize> {
+        let is_it = |index: &usize| {
+            let own = &self.explained(*index).effects;
+            own.len() == effects.len() && own.iter().all(|own| effects.contains(class(own)))
+        };
+        let all = (0..self.masses.len()).filter(is_it);
+        all.max_by(|a, b| self.masses[*a].total_cmp(&self.masses[*b]))
+    }
+
+    /// The share of what the file leaves open on the flights for choosing that the explanation
+    /// `less` leaves more than `more`; of the evidence, where nothing is predicted.
+    fn share(&self, more: usize, less: usize) -> f64 {
+        match (self.chosen(0), self.chosen(more), self.chosen(less)) {
+            (Some(file), Some(more), Some(less)) => {
+                // Near the floor shares are large and say little.
+                (less - more) / (file - 1.0).max(2.0 * (OPEN * OPEN - 1.0))
+            }
+            _ => self.evidence_share(more, less),
+        }
+    }
+
+    /// The share of the evidence for `more` that `less` lacks.
+    fn evidence_share(&self, more: usize, less: usize) -> f64 {
+        let scores = self.evidence.scores();
+        let gain = scores[more] - scores[less];
+        if gain > EVIDENCE { gain / scores[more] } else { 0.0 }
+    }
+
+    /// The explanation of the most mass without effects that change no prediction.
+    fn best(&self) -> usize {
+        let by_mass = |a: &usize, b: &usize| self.masses[*a].total_cmp(&self.masses[*b]);
+        let mut best = (0..self.masses.len()).max_by(by_mass).unwrap_or(0);
+        loop {
+            let effects = &self.explained(best).effects;
+            let without = |effect: &String| {
+                let rest: BTreeSet<&str> =
+                    effects.iter().filter(|other| *other != effect).map(|e| class(e)).collect();
+                let less = self.of(&rest)?;
+                let share = self.share(best, less);
+                let carries = share > -CHANGES
+                    && self.explained(best).is_remarkable(effect)
+                    && self.evidence_share(best, less) > CARRIES;
+                Some((if carries { share.max(CHANGES) } else { share }, less))
+            };
+            let least = effects.iter().filter_map(without).min_by(|a, b| a.0.total_cmp(&b.0));
+            match least {
+                Some((share, less)) if share < CHANGES => best = less,
+                _ => return best,
+            }
+        }
+    }
+
+    /// Probability that each effect acts, by its class.
+    fn inclusion(&self) -> BTreeMap<&str, f64> {
+        let mut inclusion: BTreeMap<&str, f64> = BTreeMap::new();
+        for (explained, mass) in self.evidence.explanations.iter().zip(&self.masses) {
+            for effect in &explained.effects {
+                *inclusion.entry(class(effect)).or_default() += mass;
+            }
+        }
+        inclusion
+    }
+}
+
+/// The verdict on the evidence.
+pub fn decide(evidence: &Evidence) -> Decision {
+    let hearing = Hearing { evidence, masses: masses(evidence) };
+    let best = if hearing.masses.is_empty() { 0 } else { hearing.best() };
+    let inclusion = hearing.inclusion();
+    let mut decision = Decision {
+        verdict: Verdict::None,
+        because: None,
+        explanation: best,
+        effects: Vec::new(),
+        ambiguous_with: Vec::new(),
+        is_inexact: false,
+        masses: hearing.masses.clone(),
+        remainder: 0.0,
+    };
+    let Some(explained) = evidence.explanations.get(best) else { return decision };
+    let mut rivals: Vec<String> = {
+        let own: BTreeSet<&str> = explained.effects.iter().map(|effect| class(effect)).collect();
+        let others = inclusion.iter().filter(|(effect, mass)| {
+            !own.contains(*effect) && **mass > RIVAL && hearing.is_in_place(best, effect)
+        });
+        others.map(|(effect, _)| (*effect).to_owned()).collect()
+    };
+    // Near one throttle only a pack's voltage that falls tells apart what changes the thrust.
+    let is_level = |effect: &str| THRUST.contains(&class(effect));
+    let is_level = explained.effects.iter().any(|effect| is_level(effect));
+    let untold = if is_level && !evidence.voltage_differs { UNTOLD } else { 1.0 };
+    if untold < 1.0 {
+        let own = |effect: &&str| explained.effects.iter().any(|own| class(own) == *effect);
+        rivals.extend(THRUST.iter().filter(|effect| !own(effect)).map(|e| (*e).to_owned()));
+        rivals.sort_unstable();
+        rivals.dedup();
+    }
+    let weighed = |credence: f64| -> Vec<(String, f64)> {
+        let own = explained.effects.iter();
+        let mut own: Vec<(String, f64)> = own
+            .map(|effect| {
+                let mass = inclusion.get(class(effect)).copied().unwrap_or(0.0);
+                let told = if THRUST.contains(&class(effect)) { untold } else { 1.0 };
+                (effect.clone(), told * credence * mass.min(1.0))
+            })
+            .collect();
+        own.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        own
+    };
+    let Some((file, shipped)) = hearing.reported(0).zip(evidence.shipped[1]) else {
+        // Nothing is predicted: the equations alone tell.
+        let credence = 1.0 / (1.0 + (-CREDENCE[0]).exp());
+        decision.effects = weighed(credence);
+        let surest = decision.effects.first().map_or(0.0, |(_, probability)| *probability);
+        if surest >= NAMED {
+            decision.verdict = Verdict::Effect;
+            decision.ambiguous_with = rivals;
+        } else if hearing.masses.first().is_some_and(|file| *file < NAMED) {
+            decision.verdict = Verdict::Unknown;
+            decision.because = Some(Unexplained::Doubt);
+        }
+        return decision;
+    };
+    let after = hearing.reported(best).unwrap_or(file);
+    let is_forced = evidence.force.is_some_and(ForceLeft::is_practical);
+    let noise = evidence.noise(after, is_forced);
+    let open = (OPEN + 4.0 * evidence.scatter).powi(2);
+    let closable = (file - noise).max(f64::MIN_POSITIVE);
+    let closed = file - after;
+    decision.remainder = ((after - noise) / closable).clamp(0.0, 1.0);
+    // Of what is open, and more than noise moves the gap by.
+    let is_substantial = closed > SUBSTANTIAL * (file - 1.0).max(f64::MIN_POSITIVE)
+        && closed > 0.1 + 4.0 * evidence.scatter;
+    let file_gaps = evidence.explanations.first().and_then(|file| file.reported);
+    let is_worse = evidence.is_worse([file_gaps, explained.reported], 1);
+    if !explained.effects.is_empty() && is_substantial && !is_worse {
+        let credence = 1.0 / (1.0 + (-CREDENCE[0] + CREDENCE[1] * decision.remainder).exp());
+        decision.effects = weighed(credence);
+        let surest = decision.effects.first().map_or(0.0, |(_, probability)| *probability);
+        if surest >= NAMED || decision.remainder < 0.5 {
+            decision.verdict = Verdict::Effect;
+            decision.is_inexact = decision.remainder > INEXACT;
+            decision.ambiguous_with = rivals;
+        } else {
+            decision.verdict = Verdict::Unknown;
+            decision.because = Some(Unexplained::Doubt);
+        }
+        return decision;
+    }
+    let is_open = shipped.powi(2) > open;
+    if is_forced && is_open {
+        if evidence.gusts_m_s.is_some() {
+            decision.verdict = Verdict::Effect;
+            decision.effects = vec![(EffectId::Gusts.name().to_owned(), GUSTS)];
+        } else {
+            decision.verdict = Verdict::Unknown;
+            decision.because = Some(Unexplained::Force);
+        }
+        decision.explanation = 0;
+        return decision;
+    }
+    let is_left = file > noise * open && file - noise > SUBSTANTIAL * (shipped.powi(2) - noise);
+    if is_open && is_left {
+        decision.verdict = Verdict::Unknown;
+        decision.because = Some(Unexplained::Remainder);
+    }
+    decision.explanation = 0;
+    decision
+}
+
+impl Hearing<'_> {
+    /// Whether an effect stands in the place of one of an explanation's, rather than beside it.
+    fn is_in_place(&self, best: usize, effect: &str) -> bool {
+        let own: BTreeSet<&str> = self.explained(best).effects.iter().map(|e| class(e)).collect();
+        let with = self.evidence.explanations.iter().zip(&self.masses).filter(|(explained, _)| {
+            explained.effects.iter().any(|other| class(other) == effect)
+                && !own.iter().all(|own| explained.effects.iter().any(|o| class(o) == *own))
+        });
+        with.map(|(_, mass)| mass).sum::<f64>() > RIVAL
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::evidence::{Found, Gaps, Turning};
+    use super::*;
+
+    /// A set of effects with evidence over the file's in each of four blocks, and the gap with its
+    /// effects and with the file's numbers as well.
+    fn explained(effects: &[&str], nats: f64, [of_effects, both]: [f64; 2]) -> Explained {
+        let gaps = Gaps { effects: of_effects, file: both, both };
+        let number = |effect: &&str| Found {
+            effect: (*effect).to_owned(),
+            name: "number".to_owned(),
+            value: 2.0,
+            deviation: 0.01,
+            reference: 1.0,
+            magnitude: 1.0,
+            ..Found::default()
+        };
+        Explained {
+            effects: effects.iter().map(|effect| (*effect).to_owned()).collect(),
+            numbers: effects.iter().map(number).collect(),
+            blocks: vec![nats / 4.0; 4],
+            choosing: Some(gaps),
+            reported: Some(gaps),
+            ..Explained::default()
+        }
+    }
+
+    /// The evidence of explanations, the file within its tolerances first, on flights with a gap of
+    /// `shipped`.
+    fn evidence(shipped: f64, explanations: Vec<Explained>) -> Evidence {
+        Evidence {
+            loop_known: true,
+            metric: "mean".to_owned(),
+            scale: 1.0,
+            turning: [Turning { is_usable: true, ..Turning::default() }; 3],
+            fitted_blocks: 4,
+            chosen_s: 20.0,
+            explanations,
+            shipped: [Some(shipped); 2],
+            scatter: 0.02,
+            voltage_differs: true,
+            ..Evidence::default()
+        }
+    }
+
+    fn named(decision: &Decision) -> Vec<&str> {
+        let named = decision.effects.iter().filter(|(_, p)| *p >= NAMED);
+        let mut named: Vec<&str> = named.map(|(id, _)| id.as_str()).collect();
+        named.sort_unstable();
+        named
+    }
+
+    #[test]
+    fn nothing_is_named_where_the_files_numbers_close_the_gap() {
+        let file = explained(&[], 0.0, [8.0, 1.05]);
+        let drag = explained(&["rotor_drag"], 12.0, [7.0, 1.04]);
+        let decision = decide(&evidence(8.0, vec![file, drag]));
+        assert_eq!((decision.verdict, decision.explanation), (Verdict::None, 0));
+        assert!((decision.masses.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_effect_is_named_that_closes_what_the_file_leaves_whatever_remains() {
+        let file = explained(&[], 0.0, [8.0, 6.0]);
+        let whole = explained(&["rotor_drag"], 300.0, [1.1, 1.05]);
+        let decision = decide(&evidence(8.0, vec![file.clone(), whole]));
+        assert_eq!(decision.verdict, Verdict::Effect);
+        assert_eq!(named(&decision), ["rotor_drag"]);
+        assert!(!decision.is_inexact && decision.effects[0].1 > 0.9);
+        let most = explained(&["rotor_drag"], 300.0, [2.6, 2.5]);
+        let decision = decide(&evidence(8.0, vec![file, most]));
+        assert_eq!(named(&decision), ["rotor_drag"]);
+        assert!(decision.is_inexact, "{decision:?}");
+    }
+
+    #[test]
+    fn what_changes_no_prediction_is_no_part_of_the_answer() {
+        let file = explained(&[], 0.0, [8.0, 6.0]);
+        let drag = explained(&["rotor_drag"], 300.0, [1.1, 1.05]);
+        let beside = explained(&["rotor_drag", "motor_lag"], 330.0, [1.1, 1.05]);
+        let sets = vec![file.clone(), beside.clone(), drag.clone()];
+        assert_eq!(named(&decide(&evidence(8.0, sets))), ["rotor_drag"]);
+        // Unless it carries much of the evidence, or of the prediction.
+        let carries = explained(&["rotor_drag", "motor_lag"], 600.0, [1.1, 1.05]);
+        let sets = vec![file.clone(), carries, drag];
+        assert_eq!(named(&decide(&evidence(8.0, sets))), ["motor_lag", "rotor_drag"]);
+        let less = explained(&["rotor_drag"], 300.0, [4.0, 4.0]);
+        let sets = vec![file, beside, less];
+        assert_eq!(named(&decide(&evidence(8.0, sets))), ["motor_lag", "rotor_drag"]);
+    }
+
+    #[test]
+    fn what_no_vehicle_has_is_no_explanation() {
+        let file = explained(&[], 0.0, [8.0, 6.0]);
+        let mut far = explained(&["inertia"], 900.0, [1.1, 1.05]);
+        far.numbers[0].is_at_bound = true;
+        let decision = decide(&evidence(8.0, vec![file.clone(), far]));
+        assert!(decision.effects.is_empty() && decision.verdict == Verdict::Unknown);
+        // Nor what makes predictions worse, and needs the file's numbers to make up for it.
+        let worse = explained(&["battery_sag"], 900.0, [20.0, 1.05]);
+        let decision = decide(&evidence(8.0, vec![file, worse]));
+        assert!(decision.effects.is_empty(), "{decision:?}");
+    }
+
+    #[test]
+    fn a_gap_that_nothing_closes_is_unknown_or_noise_that_no_learner_predicts() {
+        let file = explained(&[], 0.0, [8.0, 7.9]);
+        let drag = explained(&["rotor_drag"], 3.0, [7.9, 7.9]);
+        let mut open = evidence(8.0, vec![file, drag]);
+        let decision = decide(&open);
+        assert_eq!(decision.because, Some(Unexplained::Remainder));
+        // Half explained by what is less likely than not the cause.
+        let half = explained(&["rotor_drag"], 300.0, [6.6, 6.6]);
+        let mut doubtful = open.clone();
+        doubtful.explanations[1] = half;
+        assert_eq!(decide(&doubtful).because, Some(Unexplained::Doubt));
+        open.loop_known = false;
+        assert_eq!(decide(&open).verdict, Verdict::None);
+        open.learned = Some(2.0);
+        assert_eq!(decide(&open).because, Some(Unexplained::Remainder));
+    }
+
+    #[test]
+    fn a_force_that_two_sensors_agree_on_is_unknown_or_gusts() {
+        let mut forced = evidence(8.0, vec![explained(&[], 0.0, [8.0, 7.9])]);
+        forced.force = Some(ForceLeft { before: 1.0, after: 1.0, significance: 9.0, size: 3.0 });
+        assert_eq!(decide(&forced).because, Some(Unexplained::Force));
+        forced.gusts_m_s = Some(1.5);
+        assert_eq!(named(&decide(&forced)), ["gusts"]);
+    }
+
+    #[test]
+    fn where_nothing_is_predicted_the_equations_alone_tell() {
+        let unseen = |nats: f64| {
+            let mut all =
+                [explained(&[], 0.0, [1.0; 2]), explained(&["motor_lag"], nats, [1.0; 2])];
+            all.iter_mut().for_each(|one| (one.choosing, one.reported) = (None, None));
+            let mut evidence = evidence(1.0, all.into());
+            evidence.shipped = [None; 2];
+            decide(&evidence)
+        };
+        assert_eq!(named(&unseen(200.0)), ["motor_lag"]);
+        assert_eq!(unseen(8.0).because, Some(Unexplained::Doubt));
+        assert_eq!(unseen(0.0).verdict, Verdict::None);
+    }
+
+    #[test]
+    fn a_level_of_the_thrust_is_ambiguous_without_a_voltage_that_falls() {
+        let file = explained(&[], 0.0, [8.0, 6.0]);
+        let mass = explained(&["mass"], 300.0, [1.1, 1.05]);
+        let mut level = evidence(8.0, vec![file, mass]);
+        assert!(decide(&level).ambiguous_with.is_empty());
+        level.voltage_differs = false;
+        let decision = decide(&level);
+        assert_eq!(decision.ambiguous_with, ["battery_sag", "thrust_curve"]);
+        assert_eq!(named(&decision), ["mass"]);
+    }
+
+    #[test]
+    fn two_that_explain_alike_are_ambiguous() {
+        let file = explained(&[], 0.0, [8.0, 6.0]);
+        let wind = explained(&["wind"], 100.0, [1.1, 1.05]);
+        let trim = explained(&["attitude_trim"], 99.5, [1.1, 1.05]);
+        let decision = decide(&evidence(8.0, vec![file, wind, trim]));
+        assert_eq!(decision.verdict, Verdict::Effect);
+        assert_eq!(decision.ambiguous_with.len(), 1);
+    }
+}

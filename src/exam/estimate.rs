@@ -1,0 +1,157 @@
+//! Numbers of an answer against those of the key.
+
+use sitl::effects::ParameterValue;
+
+use super::answer::{Given, GivenEffect, class_of};
+use super::builder::Deviation;
+use super::key::{KeyEntry, Parameters, TrueEffect};
+
+/// Relative errors count up to this.
+const ERROR_MAX: f64 = 10.0;
+/// Parameters that are compared, by effect; those of one group as one vector.
+const SCORED: [(&str, &[&[&str]]); 22] = [
+    ("thrust_scale", &[&["scale"]]),
+    ("mass", &[&["mass_kg"]]),
+    ("thrust_curve", &[&["a"]]),
+    ("battery_sag", &[&["exponent"]]),
+    ("rotor_loss", &[&["scale"]]),
+    ("motor_lag", &[&["tau_s"]]),
+    ("command_delay", &[&["delay_s"]]),
+    ("rotor_drag", &[&["d_xy"]]),
+    ("parasitic_drag", &[&["cda_m2"]]),
+    ("wind", &[&["north_m_s", "east_m_s"]]),
+    ("gusts", &[&["sigma_m_s"]]),
+    ("ground_effect", &[&["r_eff_m"]]),
+    ("translational_lift", &[&["k_s2_m2"]]),
+    ("blade_flapping", &[&["moment_Nms_m"], &["tilt_rad_s_m"]]),
+    ("vortex_ring", &[&["loss_max"]]),
+    ("inertia", &[&["scale"]]),
+    ("com_offset", &[&["x_m", "y_m"]]),
+    ("rotor_gyroscopic", &[&["rotor_inertia_kgm2"]]),
+    ("yaw_torque", &[&["scale"]]),
+    ("attitude_trim", &[&["roll_rad", "pitch_rad"]]),
+    ("estimator_latency", &[&["latency_s"]]),
+    ("pd_gain", &[&["kp_scale"], &["kd_scale"]]),
+];
+
+/// A deviation of the vehicle file is named rightly within this share of it, or where the answer's
+/// 90 % interval holds it when widened by this factor, to one of 99 %.
+const RIGHT_SHARE: f64 = 0.35;
+const WIDER: f64 = 1.6;
+/// Whether an effect of an answer is a deviation of the vehicle file that is really there, with its
+/// value right.
+pub(super) fn is_deviation(given: &GivenEffect, key: &KeyEntry) -> bool {
+    let class = class_of(&given.id);
+    let same = |deviation: &&Deviation| class_of(&deviation.id) == class;
+    key.deviations.iter().filter(same).any(|deviation| {
+        let Some(found) = renamed(given, &deviation.id, key.nominal_mass_kg) else { return false };
+        let ways = std::iter::once(&deviation.parameters).chain(&deviation.alternatives);
+        ways.into_iter().any(|way| {
+            let errors = relative_errors(&deviation.id, way, &deviation.neutral, &found);
+            let worst = errors.iter().copied().fold(0.0, f64::max);
+            let is_nearer = !errors.is_empty() && worst < 1.0;
+            is_nearer && (worst <= RIGHT_SHARE || holds(given, &deviation.id, way))
+        })
+    })
+}
+
+/// Whether the answer's intervals, widened, hold these values under their own name.
+fn holds(given: &GivenEffect, id: &str, values: &Parameters) -> bool {
+    if given.id != id || given.intervals.is_empty() {
+        return false;
+    }
+    let groups = SCORED.iter().find(|(scored, _)| *scored == id).map_or(&[][..], |(_, g)| g);
+    groups.iter().copied().flatten().all(|name| {
+        let values = numbers(values, name);
+        values.iter().enumerate().all(|(place, value)| {
+            let key =
+                if values.len() > 1 { format!("{name}[{place}]") } else { (*name).to_owned() };
+            given.intervals.get(&key).is_some_and(|[low, high]| {
+                let (middle, half) = (0.5 * (low + high), 0.5 * WIDER * (high - low).abs());
+                (value - middle).abs() <= half
+            })
+        })
+    })
+}
+
+/// The answer's parameters of a true effect, under its true name.
+pub(super) fn estimate(given: &Given, truth: &TrueEffect, nominal_mass: f64) -> Option<Parameters> {
+    renamed(given.effect(&truth.id)?, &truth.id, nominal_mass)
+}
+
+/// The parameters of an effect of an answer under the name of one that no flight tells from it.
+fn renamed(found: &GivenEffect, id: &str, nominal_mass: f64) -> Option<Parameters> {
+    if found.id == id {
+        return Some(found.parameters.clone());
+    }
+    let (from, to) = match id {
+        "mass" => ("scale", "mass_kg"),
+        _ => ("mass_kg", "scale"),
+    };
+    let ParameterValue::Number(value) = found.parameters.get(from)? else { return None };
+    let value = ParameterValue::Number(nominal_mass / value);
+    Some(Parameters::from([(to.to_owned(), value)]))
+}
+
+fn numbers(values: &Parameters, name: &str) -> Vec<f64> {
+    match values.get(name) {
+        Some(ParameterValue::Number(number)) => vec![*number],
+        Some(ParameterValue::Vector(numbers)) => numbers.clone(),
+        None => Vec::new(),
+    }
+}
+
+/// |estimate - true| / |true - neutral| of each group of parameters.
+pub(super) fn relative_errors(
+    id: &str,
+    truth: &Parameters,
+    neutral: &Parameters,
+    found: &Parameters,
+) -> Vec<f64> {
+    let groups = SCORED.iter().find(|(scored, _)| *scored == id).map_or(&[][..], |(_, g)| g);
+    let same_rotor = numbers(found, "rotor") == numbers(truth, "rotor");
+    groups
+        .iter()
+        .filter_map(|group| {
+            let (mut off, mut size) = (0.0, 0.0);
+            for name in *group {
+                let right = numbers(truth, name);
+                let neutral = numbers(neutral, name);
+                let mut estimate = numbers(found, name);
+                if estimate.len() == 1 {
+                    estimate.resize(right.len(), estimate[0]);
+                }
+                if estimate.len() != right.len() || neutral.len() != right.len() {
+                    return Some(ERROR_MAX);
+                }
+                for ((estimate, right), neutral) in estimate.iter().zip(&right).zip(&neutral) {
+                    off += (estimate - right).powi(2);
+                    size += (right - neutral).powi(2);
+                }
+            }
+            let error = (off / size).sqrt();
+            let error = if same_rotor { error } else { error.max(1.0) };
+            // A group that is not off its neutral value has no relative error.
+            (size > 0.0).then(|| if error.is_finite() { error.min(ERROR_MAX) } else { ERROR_MAX })
+        })
+        .collect()
+}
+
+/// Of the intervals that the answer gives for a true effect under its own name, which hold it.
+pub(super) fn coverage(given: &Given, truth: &TrueEffect) -> Vec<bool> {
+    let Some(found) = given.effects.iter().find(|effect| effect.id == truth.id) else {
+        return Vec::new();
+    };
+    found
+        .intervals
+        .iter()
+        .filter_map(|(name, [low, high])| {
+            let (name, component) = match name.split_once('[') {
+                Some((name, rest)) => (name, rest.trim_end_matches(']').parse().ok()?),
+                None => (name.as_str(), 0),
+            };
+            let right = *numbers(&truth.parameters, name).get(component)?;
+            Some((*low..=*high).contains(&right))
+        })
+        .collect()
+}

@@ -1,0 +1,269 @@
+//! How large a truth is: how strongly it shows over noise, and how much of that is left when the
+//! numbers of the vehicle file have moved within their tolerances to explain it.
+
+use sitl::autopilot::VehicleRefused;
+use sitl::effects::{AttitudeTrim, EffectId, EffectSet, RotorDrag, Slots};
+use sitl::foreign::Foreign;
+use sitl::frame::{Attitude, Euler};
+use sitl::vehicle::{ROTORS, VehicleParams};
+
+use super::bench::{Bench, Truth, ids};
+use super::draw::Draw;
+use super::flight::FlightError;
+use super::magnitude::Direction;
+use super::stranger::Stranger;
+use super::strength::{DETECTABLE, Errors, Model, Moved, Predictor, Strength};
+use super::world::World;
+
+/// Searches for a size of the wanted strength.
+const SEARCHES: usize = 4;
+/// A strength within this factor of the wanted one is as good.
+const CLOSE: f64 = 1.35;
+/// Sizes of effects over the practical one: of most cases, and of those below it.
+const PRACTICAL: [f64; 2] = [1.15, 7.0];
+const SMALL: [f64; 2] = [0.15, 0.9];
+/// Share of single effects that are drawn below the practical size.
+const SMALL_SHARE: f64 = 0.2;
+/// The practical size: so many tolerances off the file, and so strong when every number of the file
+/// has moved by as many.
+const PRACTICAL_TOLERANCES: f64 = 3.0;
+const PRACTICAL_RATIO: f64 = 3.0;
+/// Half of a typical drag, which a file may lack: over the mass, 1/s, and that along the thrust over
+/// that across.
+const LACKING_DRAG: f64 = 0.15;
+const LACKING_DRAG_ALONG: f64 = 0.4;
+
+/// How strongly a truth shows.
+#[derive(Clone, Debug)]
+pub(super) struct Shown {
+    /// By itself.
+    pub strength: Strength,
+    /// What is left when the numbers of the file have moved.
+    pub beyond: Strength,
+    /// How many tolerances the effects are off the file, of those that numbers of it are.
+    pub tolerances: Vec<Option<f64>>,
+}
+
+impl Shown {
+    /// Its size over the practical one.
+    pub fn size(&self) -> f64 {
+        let off = self.tolerances.iter().flatten().map(|off| off / PRACTICAL_TOLERANCES);
+        off.fold(self.beyond.ratio / PRACTICAL_RATIO, f64::min)
+    }
+}
+
+/// How strongly a truth is to show.
+#[derive(Clone, Copy)]
+pub(super) enum Wanted {
+    /// Over noise alone.
+    Ratio([f64; 2]),
+    /// Over the practical size.
+    Size([f64; 2]),
+}
+
+impl Bench {
+    /// The vehicle that is there without a truth, which predictions are made with: were what is off
+    /// the file known. `change` is made to its numbers and effects.
+    fn predictor(
+        &self,
+        truth: &Truth,
+        change: impl FnOnce(&mut VehicleParams, &mut EffectSet),
+    ) -> Result<Predictor, VehicleRefused> {
+        let deviations = self.deviations_beside(truth);
+        let (mut body, mut effects) = (deviations.body(&self.believed), deviations.effects());
+        // Reports are compared as they are without these.
+        let trim =
+            effects.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation());
+        effects.remove(EffectId::AttitudeTrim);
+        effects.remove(EffectId::EstimatorLatency);
+        change(&mut body, &mut effects);
+        let foreign: Vec<Foreign> = deviations.foreign().into_iter().cloned().collect();
+        let model = Model {
+            believed: &self.believed,
+            body: &body,
+            effects: &effects,
+            foreign: &foreign,
+            trim,
+            outputs_hz: (!self.setting.on_board.is_known()).then_some(self.setting.outputs_hz),
+        };
+        Ok(Predictor::new(&model, self.configs[0].sensors)?)
+    }
+
+    /// The numbers of the file, each moved by a tolerance.
+    fn moved(&self, truth: &Truth) -> Result<Vec<Moved>, VehicleRefused> {
+        let sigma = self.deviations.tolerances;
+        let by = |most: f64, change: &dyn Fn(&mut VehicleParams, &mut EffectSet)| {
+            Ok::<_, VehicleRefused>(Moved::of(self.predictor(truth, change)?, most))
+        };
+        let most = PRACTICAL_TOLERANCES;
+        let mut moved = Vec::new();
+        // Thrust common to all rotors is told from the mass by no log.
+        let level = sigma.thrust_common + sigma.mass;
+        moved.push(by(most, &|body, _| {
+            body.rotors.iter_mut().for_each(|rotor| rotor.thrust_max_n *= 1.0 + level);
+        })?);
+        for number in 0..ROTORS {
+            moved.push(by(most, &|body, _| {
+                body.rotors[number].thrust_max_n *= 1.0 + sigma.thrust_each;
+            })?);
+        }
+        for axis in 0..3 {
+            moved.push(by(most, &|body, _| body.inertia[axis] *= 1.0 + sigma.inertia)?);
+        }
+        for axis in 0..2 {
+            moved.push(by(most, &|body, _| {
+                body.rotors.iter_mut().for_each(|rotor| rotor.position_m[axis] -= sigma.centre_m);
+            })?);
+        }
+        moved.push(by(most, &|body, _| {
+            let torques = body.rotors.iter_mut().map(|rotor| &mut rotor.drag_torque_per_thrust_m);
+            torques.for_each(|torque| *torque *= 1.0 + sigma.drag_torque);
+        })?);
+        if self.nominal.motor_time_constant_s > 0.0 {
+            moved.push(by(most, &|body, _| body.motor_time_constant_s *= 1.0 + sigma.lag)?);
+        }
+        if self.setting.on_board.is_known() {
+            moved.push(by(most, &|body, _| body.command_delay_s += sigma.delay_s)?);
+        }
+        let same = || self.predictor(truth, |_, _| {});
+        for [roll, pitch] in [[sigma.trim_rad, 0.0], [0.0, sigma.trim_rad]] {
+            let trim = Euler::new(roll, pitch, 0.0).attitude();
+            moved.push(Moved::of(same()?, most).trim(trim));
+        }
+        moved.push(Moved::of(same()?, 1.0).latency(sigma.pose_s[1]));
+        if !self.has_drag() {
+            let mass = self.nominal.mass;
+            moved.push(by(1.0, &|_, effects| {
+                let drag = effects.get::<RotorDrag>();
+                let (across, along) = drag.map_or((0.0, 0.0), |drag| (drag.d_xy, drag.d_z));
+                let more = LACKING_DRAG * mass;
+                let mut slots = Slots::default();
+                (slots[0], slots[1]) = (across + more, along + LACKING_DRAG_ALONG * more);
+                // A drag within what the catalogue accepts.
+                let _ = effects.insert(EffectId::RotorDrag, slots);
+            })?);
+        }
+        Ok(moved)
+    }
+
+    /// What predictions are off by without any truth.
+    pub(super) fn baseline(&self) -> Result<Errors, FlightError> {
+        let nothing = Truth::default();
+        let predictor = self.predictor(&nothing, |_, _| {})?;
+        Ok(predictor.errors(&self.tracks(&nothing)?, &EffectSet::new(), self.seed))
+    }
+
+    /// How strongly the truth shows, flown without sensor noise, and in [`World::Builders`] how much
+    /// of that the file's numbers leave.
+    pub(super) fn shown(&self, baseline: &Errors, truth: &Truth) -> Result<Shown, FlightError> {
+        let predictor = self.predictor(truth, |_, _| {})?;
+        let tracks = self.tracks(truth)?;
+        let errors = predictor.errors(&tracks, &truth.effects, self.seed);
+        let strength = errors.strength(baseline);
+        let (beyond, tolerances) = match self.world {
+            World::Exact => (strength.clone(), Vec::new()),
+            World::Builders => {
+                let moved = self.moved(truth)?;
+                let beyond = predictor.beyond(&tracks, &truth.effects, &moved, &errors, baseline);
+                // Of another law, only its cause is what the file's number is off.
+                let cause = |id: &EffectId| truth.causes.first().is_none_or(|cause| cause == id);
+                let sigma = &self.deviations.tolerances;
+                let off = |id: EffectId| sigma.beyond(&self.nominal, &truth.effects, id);
+                (beyond, ids(&truth.effects).into_iter().filter(cause).map(off).collect())
+            }
+        };
+        Ok(Shown { strength, beyond, tolerances })
+    }
+
+    /// A truth of a size that shows about as strongly as wanted, as far as that is sensible.
+    fn sized(
+        &self,
+        draw: &mut Draw,
+        baseline: &Errors,
+        at: &dyn Fn(f64) -> Truth,
+        power: f64,
+        wanted: Wanted,
+    ) -> Result<(Truth, Shown), FlightError> {
+        let (Wanted::Ratio(range) | Wanted::Size(range)) = wanted;
+        let goal = draw.log_within(range);
+        let mut size: f64 = 0.3;
+        let mut last = Err(FlightError::Lost(0.0));
+        for _ in 0..SEARCHES {
+            let truth = at(size);
+            let shown = match self.shown(baseline, &truth) {
+                Ok(shown) => shown,
+                Err(error) => {
+                    last = Err(error);
+                    size *= 0.4;
+                    continue;
+                }
+            };
+            let reached = match wanted {
+                Wanted::Ratio(_) => shown.strength.ratio,
+                Wanted::Size(_) => shown.size(),
+            };
+            last = Ok((truth, shown));
+            let off = goal / reached.max(1e-6);
+            // A size on the wrong side of the practical one is not close.
+            let is_close = (1.0 / CLOSE..CLOSE).contains(&off)
+                && (matches!(wanted, Wanted::Ratio(_)) || (goal < 1.0) == (reached < 1.0));
+            if is_close || (size >= 1.0 && off > 1.0) {
+                break;
+            }
+            size = (size * off.powf(power)).min(1.0);
+        }
+        last
+    }
+
+    pub(super) fn sized_effect(
+        &self,
+        draw: &mut Draw,
+        baseline: &Errors,
+        effect: EffectId,
+        wanted: Wanted,
+    ) -> Result<(EffectSet, Shown), FlightError> {
+        let direction = Direction::draw(draw, &self.nominal, effect);
+        let power = if direction.quadratic { 0.5 } else { 1.0 };
+        let at = |size| direction.at(size).into();
+        let (truth, shown) = self.sized(draw, baseline, &at, power, wanted)?;
+        Ok((truth.effects, shown))
+    }
+
+    pub(super) fn sized_stranger(
+        &self,
+        draw: &mut Draw,
+        baseline: &Errors,
+        stranger: &Stranger,
+        wanted: Wanted,
+    ) -> Result<(Truth, Shown), FlightError> {
+        let at = |size: f64| Truth {
+            effects: stranger.effects(size),
+            foreign: Some(stranger.at(size)),
+            causes: stranger.causes,
+            rotor: stranger.rotor(),
+        };
+        self.sized(draw, baseline, &at, 1.0, wanted)
+    }
+
+    /// By this world's measure: a ratio over noise, or a size over the practical one.
+    pub(super) fn measure(&self, ratio: [f64; 2], size: [f64; 2]) -> Wanted {
+        match self.world {
+            World::Exact => Wanted::Ratio(ratio),
+            World::Builders => Wanted::Size(size),
+        }
+    }
+
+    /// The same of a single effect, which may be below the practical size.
+    pub(super) fn single(&self, draw: &mut Draw) -> Wanted {
+        let is_small = self.world == World::Builders && draw.chance(SMALL_SHARE);
+        self.measure(self.ratios, if is_small { SMALL } else { PRACTICAL })
+    }
+
+    /// Whether what shows so is to be named.
+    pub(super) fn is_practical(&self, shown: &Shown) -> bool {
+        match self.world {
+            World::Exact => shown.strength.ratio >= DETECTABLE,
+            World::Builders => shown.size() >= 1.0,
+        }
+    }
+}

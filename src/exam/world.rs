@@ -1,0 +1,263 @@
+//! What a case is flown with beside its vehicle and its truth: how good the vehicle file is, which
+//! loop is on board and what of it is known, and what else real logs come with.
+
+use mavlink::MessageData;
+use serde::{Deserialize, Serialize};
+use sitl::autopilot::SYSTEM_ID;
+use sitl::config::{EstimatorConfig, Vibration};
+use sitl::vehicle::{AttitudeCascade, AttitudePd, VehicleParams};
+
+use wire::dialect::{HEARTBEAT_DATA, SET_ATTITUDE_TARGET_DATA};
+
+use super::condition::rewritten;
+use super::draw::{Draw, rounded};
+use super::flight::Link;
+
+/// Stream of a flight's seed that lost frames are drawn from.
+const LOSS: u64 = 0x105e;
+
+/// Which vehicles an exam flies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum World {
+    /// As their files say, with the bundled loop: what differs is the effect and noise.
+    #[default]
+    Exact,
+    /// As builders have them.
+    Builders,
+}
+
+/// How good a vehicle file is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FileKind {
+    /// Every number is the vehicle's.
+    Exact,
+    /// Off by a builder's tolerances, which it states.
+    Claimed,
+    /// Off by them, and it does not say so.
+    Unclaimed,
+}
+
+/// Which loop is on board, and what the diagnosis sees of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LoopKind {
+    /// A PD that the file states.
+    Pd,
+    /// A cascade that it does not; setpoints are logged.
+    Cascade,
+    /// The same without logged setpoints.
+    CascadeUnlogged,
+}
+
+/// Shares of each.
+const FILES: [(FileKind, f64); 3] =
+    [(FileKind::Exact, 0.2), (FileKind::Claimed, 0.6), (FileKind::Unclaimed, 0.2)];
+const LOOPS: [(LoopKind, f64); 3] =
+    [(LoopKind::Pd, 0.5), (LoopKind::Cascade, 0.3), (LoopKind::CascadeUnlogged, 0.2)];
+/// Rates at which outputs are logged, Hz.
+const OUTPUTS_HZ: [(f64, f64); 4] = [(250.0, 0.1), (100.0, 0.45), (50.0, 0.3), (10.0, 0.15)];
+/// Shares of the other nuisances.
+const VIBRATION: f64 = 0.25;
+const WANDER: f64 = 0.3;
+const DRIFT: f64 = 0.2;
+const LOST: f64 = 0.25;
+const ROUGH_LINK: f64 = 0.2;
+
+impl FileKind {
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::Claimed => "off, claimed",
+            Self::Unclaimed => "off, not claimed",
+        }
+    }
+}
+
+impl LoopKind {
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pd => "PD",
+            Self::Cascade => "cascade",
+            Self::CascadeUnlogged => "cascade, no setpoints",
+        }
+    }
+
+    /// Whether the diagnosis knows the loop.
+    pub fn is_known(self) -> bool {
+        self == Self::Pd
+    }
+}
+
+/// What a case is flown with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    /// The file.
+    pub file: FileKind,
+    /// The loop.
+    pub on_board: LoopKind,
+    /// Rate of the logged outputs, Hz.
+    pub outputs_hz: f64,
+    /// Lines in the inertial unit.
+    pub vibration: Vibration,
+    /// Wander of the estimate.
+    pub estimator: EstimatorConfig,
+    /// How long the attitude's error lasts, s.
+    pub attitude_correlation_s: Option<f64>,
+    /// Rate by which the ground's clock is off; none where it is a good one.
+    pub drift: Option<f64>,
+    /// Mean delay of the link beyond the least, s; none where it is a good one.
+    pub jitter_s: Option<f64>,
+    /// Share of the vehicle's frames that the log lacks.
+    pub lost: f64,
+}
+
+impl Setting {
+    /// One of [`World::Exact`].
+    pub fn exact(outputs_hz: f64) -> Self {
+        Self {
+            file: FileKind::Exact,
+            on_board: LoopKind::Pd,
+            outputs_hz,
+            vibration: Vibration::default(),
+            estimator: EstimatorConfig::default(),
+            attitude_correlation_s: None,
+            drift: None,
+            jitter_s: None,
+            lost: 0.0,
+        }
+    }
+
+    /// One of [`World::Builders`], for rotors that turn so fast at full speed, Hz.
+    pub fn draw(draw: &mut Draw, rotor_max_hz: f64) -> Self {
+        let (file, on_board) = (draw.one_of(&FILES), draw.one_of(&LOOPS));
+        let outputs_hz = draw.one_of(&OUTPUTS_HZ);
+        let mut setting = Self { file, on_board, ..Self::exact(outputs_hz) };
+        if draw.chance(VIBRATION) {
+            setting.vibration = Vibration {
+                rotor_max_hz: rounded(rotor_max_hz),
+                gyro_rad_s: rounded(draw.log_within([0.003, 0.03])),
+                accelerometer_m_s2: rounded(draw.log_within([0.2, 2.0])),
+            };
+        }
+        if draw.chance(WANDER) {
+            // An estimator's velocity is off by this, whatever its position is.
+            let velocity_m_s = draw.log_within([0.01, 0.1]);
+            let wander_time_s = rounded(draw.within([2.0, 6.0]));
+            setting.estimator.wander_time_s = wander_time_s;
+            setting.estimator.wander_m = rounded(velocity_m_s * wander_time_s);
+            setting.attitude_correlation_s = Some(rounded(draw.log_within([0.05, 2.0])));
+        }
+        setting.drift =
+            draw.chance(DRIFT).then(|| rounded(draw.sign() * draw.log_within([2e-4, 8e-3])));
+        setting.jitter_s = draw.chance(ROUGH_LINK).then(|| rounded(draw.within([2e-3, 6e-3])));
+        if draw.chance(LOST) {
+            setting.lost = rounded(draw.log_within([0.01, 0.1]));
+        }
+        setting
+    }
+
+    /// The link, a good one where nothing else is said.
+    pub fn link(&self, good: Link) -> Link {
+        Link {
+            skew: self.drift.unwrap_or(good.skew),
+            jitter_s: self.jitter_s.unwrap_or(good.jitter_s),
+            ..good
+        }
+    }
+
+    /// What a log of a flight holds of it: frames are lost, and no setpoint is logged where it is
+    /// not to be. Heartbeats stay.
+    pub fn logged(&self, log: Vec<u8>, seed: u64) -> Vec<u8> {
+        let is_unlogged = self.on_board == LoopKind::CascadeUnlogged;
+        if self.lost == 0.0 && !is_unlogged {
+            return log;
+        }
+        let mut draw = Draw::new(seed, LOSS);
+        rewritten(&log, |frame| {
+            let is_lost = draw.chance(self.lost) && frame.system() == u32::from(SYSTEM_ID);
+            let is_hidden = is_unlogged && frame.id() == SET_ATTITUDE_TARGET_DATA::ID;
+            let is_heartbeat = frame.id() == HEARTBEAT_DATA::ID;
+            (is_heartbeat || !is_lost && !is_hidden).then_some(0)
+        })
+    }
+
+    /// In words, what is not as in a good log.
+    pub fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        let mut note = |holds: bool, what: String| notes.extend(holds.then_some(what));
+        note(self.outputs_hz < 100.0, format!("outputs at {} Hz", self.outputs_hz));
+        note(self.vibration.rotor_max_hz > 0.0, "vibration".to_owned());
+        note(self.estimator.wander_m > 0.0, "estimator wanders".to_owned());
+        note(self.drift.is_some(), "clocks drift".to_owned());
+        note(self.jitter_s.is_some(), "rough link".to_owned());
+        note(self.lost > 0.0, "frames lost".to_owned());
+        notes
+    }
+}
+
+/// How much slower a cascade's attitude loop is than the PD's, and how much softer its rate loop: the
+/// filters and the integral take of what the rotors' lag leaves.
+const ANGLE_SHARE: f64 = 0.6;
+const RATE_SHARE: f64 = 0.85;
+
+/// A cascade with the PD's proportions: an attitude loop around a rate loop with an integral, behind
+/// filters.
+pub fn cascade(draw: &mut Draw, vehicle: &VehicleParams, pd: &AttitudePd) -> AttitudeCascade {
+    let arm = vehicle.rotors[0].position_m[0].hypot(vehicle.rotors[0].position_m[1]);
+    // As much as half of the weight on one side gives.
+    let tilting = 0.25 * vehicle.mass * vehicle.gravity * arm;
+    let turning =
+        0.25 * vehicle.mass * vehicle.gravity * vehicle.rotors[0].drag_torque_per_thrust_m;
+    let rate_p_nms = pd.kd.map(|kd| rounded(RATE_SHARE * kd));
+    let angle = |axis: usize| rounded(ANGLE_SHARE * pd.kp[axis] / pd.kd[axis].max(1e-12));
+    let integral_per_s = draw.within([0.5, 1.5]);
+    let derivative_s = draw.within([0.005, 0.02]);
+    AttitudeCascade {
+        angle_p_per_s: std::array::from_fn(angle),
+        rate_max_rad_s: [rounded(draw.within([3.5, 6.0])), 3.8, 3.5],
+        rate_p_nms,
+        rate_i_nm: rate_p_nms.map(|p| rounded(integral_per_s * p)),
+        rate_d_nms2: [
+            rounded(derivative_s * rate_p_nms[0]),
+            rounded(derivative_s * rate_p_nms[1]),
+            0.0,
+        ],
+        rate_ff_nms: [0.0; 3],
+        integral_max_nm: [tilting, tilting, turning].map(rounded),
+        gyro_cutoff_hz: rounded(draw.within([40.0, 90.0])),
+        derivative_cutoff_hz: rounded(draw.within([20.0, 50.0])),
+        input_time_constant_s: None,
+        rate_hz: draw.one_of(&[(250.0, 0.4), (400.0, 0.3), (500.0, 0.3)]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_are_those_that_are_stated() {
+        let drawn: Vec<Setting> =
+            (0..2000).map(|number| Setting::draw(&mut Draw::new(2, number), 150.0)).collect();
+        let share = |is: &dyn Fn(&Setting) -> bool| {
+            drawn.iter().filter(|setting| is(setting)).count() as f64 / drawn.len() as f64
+        };
+        let near = |share: f64, wanted: f64| (share - wanted).abs() < 0.04;
+        for (file, wanted) in FILES {
+            assert!(near(share(&|setting| setting.file == file), wanted), "{file:?}");
+        }
+        for (on_board, wanted) in LOOPS {
+            assert!(near(share(&|setting| setting.on_board == on_board), wanted), "{on_board:?}");
+        }
+        for (hz, wanted) in OUTPUTS_HZ {
+            assert!(near(share(&|setting| setting.outputs_hz == hz), wanted), "{hz}");
+        }
+        assert!(near(share(&|setting| setting.lost > 0.0), LOST));
+        assert!(near(share(&|setting| setting.vibration.gyro_rad_s > 0.0), VIBRATION));
+        assert!(near(share(&|setting| setting.estimator.wander_m > 0.0), WANDER));
+        assert!(near(share(&|setting| setting.drift.is_some()), DRIFT));
+    }
+}

@@ -1,0 +1,57 @@
+//! What is known of the vehicle's clock: a line over the host's, and its error.
+
+use crate::clock::{HostTime, VehicleTime};
+
+/// Largest skew that is followed, vehicle seconds per host second less one. Simulators that run
+/// late have several per cent; crystals have 0.01 %.
+pub(super) const SKEW_MAX: f64 = 0.06;
+/// What two bounds on an offset may contradict each other by, ns: stamps in whole milliseconds and
+/// the time from the stamp to the wire.
+pub(super) const TOLERANCE_NS: f64 = 20e6;
+
+/// The vehicle's clock as a line over the host's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockEstimate {
+    /// Vehicle time minus host time at `at`, ns.
+    pub offset_ns: i64,
+    /// Where the line is anchored.
+    pub at: HostTime,
+    /// Vehicle seconds per host second, less one.
+    pub skew: f64,
+    /// Half the width of the interval that holds the true offset, ns. For [`ClockSource::Arrival`]
+    /// it is not known.
+    pub error_ns: Option<u64>,
+    /// Where the estimate comes from.
+    pub source: ClockSource,
+}
+
+/// Where a [`ClockEstimate`] comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClockSource {
+    /// Answers to TIMESYNC.
+    Timesync,
+    /// The least delay of stamped messages.
+    Arrival,
+}
+
+impl ClockEstimate {
+    /// Host time at which the vehicle's clock reads `time`; `None` before the epoch.
+    pub fn to_host(&self, time: VehicleTime) -> Option<HostTime> {
+        u64::try_from(self.host_ns(time)).ok().map(HostTime::from_ns)
+    }
+
+    pub(super) fn host_ns(&self, time: VehicleTime) -> i64 {
+        let unskewed = nanoseconds(time).saturating_sub(self.offset_ns);
+        let since = unskewed.saturating_sub(self.at.as_ns() as i64) as f64;
+        unskewed.saturating_sub((since * self.skew / (1.0 + self.skew)) as i64)
+    }
+}
+
+pub(super) fn nanoseconds(time: VehicleTime) -> i64 {
+    i64::try_from(time.as_us()).unwrap_or(i64::MAX).saturating_mul(1000)
+}
+
+/// Nanoseconds from `earlier` to `later`, negative if it is the other way round.
+pub(super) fn ns_between(earlier: HostTime, later: HostTime) -> f64 {
+    (later.as_ns() as i64).saturating_sub(earlier.as_ns() as i64) as f64
+}

@@ -1,0 +1,19 @@
+//! What is wanted at one instant of a trajectory.
+
+use sitl::frame::Ned;
+
+/// What is wanted at one instant. World axes, SI, radians. The origin is the trajectory's anchor:
+/// the take-off point on the floor; its axes are the world's.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DesiredPoint {
+    /// Position, m.
+    pub position: Ned,
+    /// Velocity, m/s.
+    pub velocity: Ned,
+    /// Acceleration, m/s^2.
+    pub acceleration: Ned,
+    /// Yaw, rad, continuous (not wrapped).
+    pub yaw: f64,
+    /// Yaw rate, rad/s.
+    pub yaw_rate: f64,
+}

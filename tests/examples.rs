@@ -1,0 +1,52 @@
+//! The examples do what they say.
+
+use std::fs;
+use std::path::Path;
+
+use crate::{lockstep, log_flight};
+use downwash::plan::scp::Status;
+use downwash::station::End;
+use sitl::config::SitlConfig;
+
+#[path = "../examples/fly_lockstep.rs"]
+#[allow(dead_code, reason = "`main` is for `cargo run --example`")]
+mod fly_lockstep;
+#[path = "../examples/plan_trajectory.rs"]
+#[allow(dead_code, reason = "`main` is for `cargo run --example`")]
+mod plan_trajectory;
+#[path = "../examples/read_log.rs"]
+#[allow(dead_code, reason = "`main` is for `cargo run --example`")]
+mod read_log;
+
+#[test]
+fn a_log_is_described() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("examples");
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).expect("a folder");
+    let params = lockstep::params(lockstep::NANO);
+    let settings = lockstep::settings(&params, lockstep::hover(2.0));
+    let (_, records) = lockstep::fly(settings, &params, &[], SitlConfig::default(), 1);
+    let log = log_flight::write(&folder, &records);
+    let text = read_log::describe(&log).expect("a flight");
+    assert!(text.contains("position: ") && text.contains("above the origin"), "{text}");
+    assert!(read_log::describe(&folder.join("missing.ulg")).is_err());
+}
+
+#[test]
+fn weak_rotors_throw_feedback_alone_off() {
+    let (end, sound_m) = fly_lockstep::fly("thrust_scale:scale=1").expect("flown");
+    let (_, weak_m) = fly_lockstep::fly("thrust_scale:scale=0.9").expect("flown");
+    assert_eq!(end, End::Done);
+    assert!(weak_m > sound_m, "{weak_m} {sound_m}");
+}
+
+#[test]
+fn a_plan_passes_the_ball() {
+    let outcome = plan_trajectory::plan().expect("a plan");
+    assert_ne!(outcome.status, Status::Failed);
+    let nearest = |state: &[f64; 12]| {
+        ((state[0] - 1.0).powi(2) + (state[1] - 0.1).powi(2) + (state[2] + 1.0).powi(2)).sqrt()
+    };
+    let nearest = outcome.iterate.states.iter().map(nearest).fold(f64::INFINITY, f64::min);
+    assert!(nearest > 0.249, "{nearest} m from the centre");
+}
