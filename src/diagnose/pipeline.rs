@@ -508,7 +508,10 @@ impl Stage<'_> {
                     let [low, high] = self.catalogue.numbers[number].bounds;
                     let value = &mut again.fit.values[number];
                     *value = (*value - twins.bias[number]).clamp(low, high);
-                    again.fit.deviation[number] = twins.error(number);
+                    // Twins are of one draw of the file's numbers; what their tolerances leave open
+                    // is in the fit's own deviation.
+                    let own = again.fit.deviation[number];
+                    again.fit.deviation[number] = twins.error(number).max(own);
                 }
             }
         }
