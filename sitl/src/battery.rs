@@ -76,14 +76,14 @@ impl Battery {
         Self { full_voltage, capacity, resistance, charge, voltage, current: 0.0, held: None }
     }
 
-    /// From now on the terminal voltage is `voltage` [V] whatever is drawn, as when a logged
+    /// From now on the terminal voltage is `voltage` (V) whatever is drawn, as when a logged
     /// flight is replayed.
     pub fn hold(&mut self, voltage: f64) {
         self.held = Some(voltage);
         self.voltage = voltage;
     }
 
-    /// Draws `power` [W] for `duration` [s].
+    /// Draws `power` (W) for `duration` (s).
     pub fn advance(&mut self, power: f64, duration: f64) {
         (self.voltage, self.current) = match self.held {
             Some(voltage) => (voltage, power / voltage),

@@ -340,7 +340,7 @@ impl Attitude {
         .normalized()
     }
 
-    /// The rotation from `self` to `other` as angle times axis [rad], in body axes of `self`, the
+    /// The rotation from `self` to `other` as angle times axis (rad), in body axes of `self`, the
     /// short way round.
     pub fn rotation_to(self, other: Self) -> Frd {
         let d = self.inverse().compose(other).canonical();

@@ -263,7 +263,7 @@ impl Physics {
         self.spin_momentum_max.is_some()
     }
 
-    /// Steady wind and `gust` [m/s], the pack at terminal voltage `voltage` [V], the floor at 0.
+    /// Steady wind and `gust` [m/s], the pack at terminal voltage `voltage` (V), the floor at 0.
     pub fn environment(&self, voltage: f64, gust: Ned) -> Environment {
         Environment {
             air_velocity: self.wind + gust,
@@ -277,7 +277,7 @@ impl Physics {
         self.environment(self.full_voltage, Ned::zero())
     }
 
-    /// Factor of the terminal voltage [V] on thrust and squared rotor speed.
+    /// Factor of the terminal voltage (V) on thrust and squared rotor speed.
     pub fn voltage_factor(&self, voltage: f64) -> f64 {
         self.sag.map_or(1.0, |sag| sag.factor(voltage / self.full_voltage))
     }
@@ -335,7 +335,7 @@ impl Physics {
         loads
     }
 
-    /// Force without gravity [N] and moment [N m] on the body.
+    /// Force without gravity (N) and moment [N m] on the body.
     #[inline]
     pub fn wrench<T: Scalar>(
         &self,
@@ -439,7 +439,7 @@ impl Physics {
     }
 
     /// As [`Physics::accelerations`], once the rotors have followed the outputs that the firmware
-    /// gives for a commanded collective [N] and moments [N m], unclipped above. A model for
+    /// gives for a commanded collective (N) and moments [N m], unclipped above. A model for
     /// control about hover: it has neither lag nor saturation.
     pub fn accelerations_for_wrench<T: Scalar>(
         &self,
@@ -460,7 +460,7 @@ impl Physics {
         })
     }
 
-    /// The commanded collective [N] that, shared evenly, lifts the weight at rest in calm air far
+    /// The commanded collective (N) that, shared evenly, lifts the weight at rest in calm air far
     /// from the floor: m g of the nominal vehicle, another number with effects on the thrust.
     ///
     /// Returns `None` where full output does not lift it.

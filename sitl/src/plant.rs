@@ -288,7 +288,7 @@ impl Plant {
         self.loads = self.loads_of(&states);
     }
 
-    /// Holds the pack's terminal voltage at `voltage` [V] from now on, as a log says.
+    /// Holds the pack's terminal voltage at `voltage` (V) from now on, as a log says.
     pub fn hold_voltage(&mut self, voltage: f64) {
         self.battery.hold(voltage);
         self.apply_voltage();

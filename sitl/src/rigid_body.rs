@@ -42,7 +42,7 @@ pub struct RigidBody {
 }
 
 impl RigidBody {
-    /// A body of `mass` [kg] and principal moments of inertia [kg m^2], both positive, under
+    /// A body of `mass` (kg) and principal moments of inertia [kg m^2], both positive, under
     /// `gravity` [m/s^2] towards down.
     pub fn new(mass: f64, inertia: [f64; 3], gravity: f64) -> Self {
         let inverse_inertia = inertia.map(f64::recip);

@@ -2,7 +2,7 @@
 
 use crate::vehicle::{ROTORS, RotorParams};
 
-/// A collective thrust along -z body [N] and moments about body front, right, down [N m].
+/// A collective thrust along -z body (N) and moments about body front, right, down [N m].
 pub type Wrench4 = [f64; 4];
 
 /// The firmware's mixer: how collective and moments are shared among the rotors.
@@ -44,7 +44,7 @@ impl Allocation {
         })
     }
 
-    /// Outputs in 0..=1 that give collective [N] and moments [N m], each clipped by itself.
+    /// Outputs in 0..=1 that give collective (N) and moments [N m], each clipped by itself.
     pub fn outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
         self.unclipped_outputs(wrench).map(|u| u.clamp(0.0, 1.0))
     }
@@ -55,7 +55,7 @@ impl Allocation {
         std::array::from_fn(|i| thrusts[i] / self.thrust_max[i])
     }
 
-    /// Collective [N] and moments [N m] that outputs give on the nominal vehicle, without lag.
+    /// Collective (N) and moments [N m] that outputs give on the nominal vehicle, without lag.
     pub fn wrench(&self, outputs: [f64; ROTORS]) -> Wrench4 {
         product(&self.effectiveness, std::array::from_fn(|i| outputs[i] * self.thrust_max[i]))
     }

@@ -88,7 +88,7 @@ pub struct CollectArgs {
     /// nothing.
     #[arg(long, value_name = "FOLDER")]
     pub write_trajectories: Option<PathBuf>,
-    /// Configuration file; its [collect] says where and how boldly is flown.
+    /// Configuration file; its `collect` says where and how boldly is flown.
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Prints the flights as JSON.

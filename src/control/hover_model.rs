@@ -58,7 +58,7 @@ impl HoverModel {
         }
     }
 
-    /// The model over a period [s] during which the input is held:
+    /// The model over a period (s) during which the input is held:
     /// `exp([A B; 0 0] period) = [A_d B_d; 0 I]` (van Loan, 1978).
     pub fn discretised(&self, period_s: f64) -> Self {
         let mut augmented = SMatrix::<f64, VARIABLES, VARIABLES>::zeros();

@@ -34,7 +34,7 @@ pub struct UnmodelledForce {
     pub error: f64,
     /// Standard errors above 0 of the sum up to some band, the most: what is slow stands out there.
     pub slow_significance: f64,
-    /// Of the sum, by band: from, to [Hz] and mean square [m^2/s^4].
+    /// Of the sum, by band: from, to (Hz) and mean square [m^2/s^4].
     pub bands: Vec<[f64; 3]>,
 }
 

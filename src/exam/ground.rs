@@ -165,7 +165,7 @@ impl Ground {
     }
 
     /// Takes a frame of the vehicle; a position is answered with a setpoint towards `motion` at
-    /// `time` [s] into it: the frame, and what the vehicle will make of it.
+    /// `time` (s) into it: the frame, and what the vehicle will make of it.
     pub fn receive(
         &mut self,
         frame: &Frame,

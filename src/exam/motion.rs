@@ -6,7 +6,7 @@ use sitl::frame::Ned;
 
 use crate::plan::DesiredPoint;
 
-/// North, east, down [m] and yaw [rad].
+/// North, east, down (m) and yaw (rad).
 pub type Place = [f64; 4];
 
 /// Coordinates of a [`Place`].

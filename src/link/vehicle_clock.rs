@@ -1,8 +1,8 @@
 //! The vehicle's clock against the host's, and how long each message was on its way.
 //!
-//! A clock model is a line: `vehicle = host + offset + skew * (host - at)`. [`TimeSync`] finds it
+//! A clock model is a line: `vehicle = host + offset + skew * (host - at)`. `TimeSync` finds it
 //! from exchanges, whose round trip bounds the error: a message that waited is told from a clock
-//! that slipped, because a queue makes round trips long and a slip does not. [`Arrival`] finds it
+//! that slipped, because a queue makes round trips long and a slip does not. `Arrival` finds it
 //! from the stamps alone, for a vehicle that never answers.
 
 use std::time::Duration;

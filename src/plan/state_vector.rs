@@ -11,7 +11,7 @@ pub(super) const YAW: usize = 8;
 /// Where the body rate begins in a [`StateVector`].
 pub(super) const RATE: usize = 9;
 
-/// `s = (p, v, zeta, omega)`: position [m] and velocity [m/s] in world axes, roll, pitch and yaw
+/// `s = (p, v, zeta, omega)`: position (m) and velocity [m/s] in world axes, roll, pitch and yaw
 /// [rad, continuous], body rate [rad/s].
 pub type StateVector = [f64; STATES];
 
