@@ -69,7 +69,7 @@ fn a_heavy_vehicle_shows_in_the_thrust_and_is_repaired_in_both() {
     arguments.extend(logs.iter().map(|log| text(log)));
     let answer = run(&folder, &arguments);
     assert_eq!(answer["schema"], "downwash.diagnose");
-    assert_eq!(answer["schema_version"], 1);
+    assert_eq!(answer["schema_version"], 2);
     assert_eq!(answer["closed_loop"]["flights"][0]["reference"], "logged");
     for quantity in ["position_m", "thrust_n", "output"] {
         let [before, after, floor] = difference(&answer, quantity);

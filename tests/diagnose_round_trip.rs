@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
+use sitl::effects::EffectId;
+use sitl::vehicle::VehicleParams;
 
 const NANO: &str = "crazyflie.toml";
 const QUAD: &str = "quad1200.toml";
@@ -88,6 +90,26 @@ fn drag_is_named_with_its_number_and_closes_the_gap_in_the_improved_file() {
     let improved = sitl::vehicle::VehicleParams::load(&improved).expect("the improved file");
     let written = improved.modelled_effects.value(sitl::effects::EffectId::RotorDrag, "d_xy", 0);
     assert!(written.is_some_and(|written| (written - d_xy).abs() < 1e-12));
+}
+
+/// Gusts are told from what is left over, and by no explanation's fit.
+#[test]
+fn gusts_are_in_the_improved_file() {
+    let nominal = folder("gusts-file").join("nano.toml");
+    let text = fs::read_to_string(vehicle(NANO)).expect("the vehicle file");
+    let drag = "[modelled_effects]\nparasitic_drag = { cda_m2 = 0.02 }\n";
+    let with_drag = text.replace("[modelled_effects]\n", drag);
+    assert_ne!(with_drag, text);
+    fs::write(&nominal, with_drag).expect("a file");
+    let nominal = nominal.to_str().expect("a path in UTF-8");
+    let logs = fly("gusts", nominal, 40, &["gusts:sigma_m_s=0.8"]);
+    let improved = folder("gusts-improved").join("improved.toml");
+    let out = improved.to_str().expect("a path in UTF-8");
+    let answer = answer(&diagnose("gusts", nominal, &logs, &["--twins", "10", "-o", out]));
+    assert_eq!(named(&answer), ["gusts"], "{}", answer["finding"]);
+    let improved = VehicleParams::load(&improved).expect("the improved file");
+    let sigma = improved.modelled_effects.value(EffectId::Gusts, "sigma_m_s", 0);
+    assert!(sigma.is_some_and(|sigma| (0.4..1.2).contains(&sigma)), "{sigma:?}");
 }
 
 #[test]

@@ -19,7 +19,6 @@ mod closed_loop_linear;
 mod collect;
 mod control_riccati;
 mod demo_diagnose;
-mod diagnose_derivatives;
 mod diagnose_next_flight;
 mod diagnose_reflight;
 mod diagnose_round_trip;

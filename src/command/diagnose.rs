@@ -132,7 +132,7 @@ fn tell(
     answer: &Answer,
     effects: &EffectSet,
 ) -> anyhow::Result<Exit> {
-    let told = Told { schema: "downwash.diagnose", schema_version: 1, answer };
+    let told = Told { schema: "downwash.diagnose", schema_version: 2, answer };
     if let Some(folder) = &args.report {
         let page = crate::report::diagnosis::html(answer, &vehicle.name);
         write_file(&folder.join("report.html"), page.as_bytes())?;

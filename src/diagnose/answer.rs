@@ -201,14 +201,6 @@ impl Gap {
         let left = self.with_nuisances.map_or(self.after, |with| with.min(self.after));
         left / self.floor.max(f64::MIN_POSITIVE)
     }
-
-    /// The largest error that is left, over all quantities and horizons, in units of what noise
-    /// alone leaves.
-    pub fn most_visible(&self) -> f64 {
-        let [_, after, floor] = &self.errors;
-        let pairs = after.0.iter().flatten().zip(floor.0.iter().flatten());
-        pairs.map(|(after, floor)| after / floor.max(1e-12)).fold(0.0, f64::max)
-    }
 }
 
 /// A set of effects as it fared.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use sitl::effects::{EffectId, EffectSet};
+use sitl::effects::{EffectId, EffectSet, Slots};
 
 use super::answer::{
     Answer, EffectAnswer, ExplanationAnswer, Finding, FlightAnswer, FullVerdict, Gap, NotTestable,
@@ -10,18 +10,16 @@ use super::answer::{
 };
 use super::attribution::{Share, shapley};
 use super::evidence::Evidence;
-use super::explanation::Explanation;
+use super::explanation::{Explanation, Explanations};
 use super::fit::Z90;
 use super::gap::{Errors, Floor};
+use super::inquiry::Inquiry;
 use super::leftover::{UnmodelledForce, unmodelled_force};
 use super::map::{ResidualMap, depends_on, map, samples};
-use super::names::parameter_name;
-use super::noise::ReportNoise;
 use super::open_loop::Simulator;
-use super::pipeline::{DiagnoseError, Stage};
+use super::pipeline::DiagnoseError;
 use super::preparation::PreparedFlight;
 use super::reflight::reflight;
-use super::twins::Twins;
 use super::verdict::Decision;
 use super::words::finding;
 
@@ -34,13 +32,10 @@ const TESTABLE: f64 = 0.5;
 
 /// What an answer is made of.
 pub(super) struct Assembly<'a> {
-    pub stage: &'a Stage<'a>,
-    pub file: &'a Explanation,
-    pub found: &'a [Explanation],
+    pub inquiry: &'a Inquiry<'a>,
+    pub found: &'a Explanations,
     /// The explanation that the verdict rests on, fitted to all flights but those reported on.
     pub best: &'a Explanation,
-    pub noise: &'a ReportNoise,
-    pub twins: Option<Twins>,
     pub evidence: &'a Evidence,
     pub decision: &'a Decision,
 }
@@ -48,14 +43,19 @@ pub(super) struct Assembly<'a> {
 impl Assembly<'_> {
     /// The answer, and the named effects with the vehicle's true values.
     pub fn answer(self) -> Result<(Answer, EffectSet), DiagnoseError> {
-        let Self { stage, decision, evidence, .. } = &self;
-        let named: Vec<EffectId> = stage.effects_of(self.best);
-        let effects = stage.catalogue.effects(&self.best.fit.values, Some(&named));
+        let Self { inquiry, decision, evidence, .. } = &self;
+        let named: Vec<EffectId> = inquiry.effects_of(self.best);
+        let mut effects = inquiry.catalogue.effects(&self.best.fit.values, Some(&named));
         let not_testable = self.not_testable();
         let gap = self.gap(&effects)?;
         let flights = self.flights()?;
+        let has_gusts = decision.effects.iter().any(|(id, _)| id == EffectId::Gusts.name());
+        if let Some(slots) = self.gusts().filter(|_| has_gusts) {
+            // Slots within the effect's ranges, as `turbulence` makes them.
+            let _ = effects.insert(EffectId::Gusts, slots);
+        }
         let (closed_loop, closed_loop_missing) =
-            match reflight(stage.case, &effects, self.noise, stage.settings) {
+            match reflight(inquiry.case, &effects, &self.found.noise, inquiry.settings) {
                 Ok(closed_loop) => (Some(closed_loop), None),
                 Err(reason) => (None, Some(reason.to_string())),
             };
@@ -64,7 +64,7 @@ impl Assembly<'_> {
         let explanations = evidence.explanations.iter().zip(&decision.masses).skip(1);
         let mut answer = Answer {
             verdict: decision.verdict,
-            effects: self.effects(),
+            effects: self.effects(&effects),
             closed_loop,
             closed_loop_missing,
             ambiguous_with: ids(&decision.ambiguous_with),
@@ -82,7 +82,7 @@ impl Assembly<'_> {
             attribution: self.attribution(gap.as_ref(), &named)?,
             gap,
             file_scale: evidence.scale,
-            twins: self.twins.clone(),
+            twins: self.found.twins.clone(),
             explanations: explanations
                 .map(|(explained, mass)| ExplanationAnswer {
                     effects: explained.effects.clone(),
@@ -98,92 +98,74 @@ impl Assembly<'_> {
         Ok((answer, effects))
     }
 
-    /// Effects with their probabilities: those of the best explanation with its numbers, others
-    /// with those of the best that has them.
-    fn effects(&self) -> Vec<EffectAnswer> {
-        let Self { stage, decision, .. } = self;
-        let has =
-            |explanation: &Explanation, id: EffectId| stage.effects_of(explanation).contains(&id);
-        let mentioned = decision.effects.iter().filter(|(_, probability)| *probability > MENTIONED);
+    /// Effects with their probabilities and the numbers of the best explanation.
+    fn effects(&self, set: &EffectSet) -> Vec<EffectAnswer> {
+        let mentioned = self.decision.effects.iter().filter(|(_, p)| *p > MENTIONED);
         let answers = mentioned.filter_map(|(name, probability)| {
             let id: EffectId = name.parse().ok()?;
-            if id == EffectId::Gusts {
-                let set = self.gusts()?;
-                return Some(EffectAnswer {
-                    id,
-                    probability: *probability,
-                    parameters: parameters(&set, id),
-                    intervals: BTreeMap::new(),
-                });
-            }
-            let own = std::iter::once(self.best).chain(self.found);
-            let explanation = own.into_iter().find(|explanation| has(explanation, id))?;
-            let set = stage.catalogue.effects(&explanation.fit.values, Some(&[id]));
             Some(EffectAnswer {
                 id,
                 probability: *probability,
-                parameters: parameters(&set, id),
-                intervals: self.intervals(explanation, id),
+                parameters: parameters(set, id),
+                intervals: self.intervals(id),
             })
         });
         answers.collect()
     }
 
-    /// Gusts of the strength that the force left over takes.
-    fn gusts(&self) -> Option<EffectSet> {
-        let mut slots = sitl::effects::Slots::default();
+    /// Gusts of the strength that the force left over takes, of the usual shape.
+    fn gusts(&self) -> Option<Slots> {
+        let mut slots = Slots::default();
         for slot in EffectId::Gusts.spec().slots() {
             slots[slot.index] = slot.parameter.default.unwrap_or(0.0);
         }
         slots[0] = self.evidence.gusts_m_s?;
-        let mut set = EffectSet::new();
-        set.insert(EffectId::Gusts, slots).ok()?;
-        Some(set)
+        Some(slots)
     }
 
     /// 90 % intervals of an effect's fitted numbers.
-    fn intervals(&self, explanation: &Explanation, id: EffectId) -> BTreeMap<String, [f64; 2]> {
-        let catalogue = self.stage.catalogue;
-        let hypotheses = explanation.fit.hypotheses.iter().map(|h| &catalogue.hypotheses[*h]);
+    fn intervals(&self, id: EffectId) -> BTreeMap<String, [f64; 2]> {
+        let catalogue = self.inquiry.catalogue;
+        let hypotheses = self.best.fit.hypotheses.iter().map(|h| &catalogue.hypotheses[*h]);
         let numbers = hypotheses.filter(|h| h.effect == id).flat_map(|h| &h.numbers);
-        let fit = &explanation.fit;
+        let fit = &self.best.fit;
         let of_number = |number: &usize| {
             let (value, error) = (fit.values[*number], Z90 * fit.deviation[*number]);
-            (parameter_name(catalogue.numbers[*number].target), [value - error, value + error])
+            (catalogue.numbers[*number].target.name(), [value - error, value + error])
         };
         numbers.map(of_number).collect()
     }
 
     /// The gap on the flights held out without and with `effects`.
     fn gap(&self, effects: &EffectSet) -> Result<Option<Gap>, DiagnoseError> {
-        let Self { stage, best, file, .. } = self;
-        let held_out = stage.case.held_out;
+        let Self { inquiry, best, found, .. } = self;
+        let held_out = inquiry.case.held_out;
         let with_all = |explanation: &Explanation| {
-            stage.simulator_of(explanation, &stage.effects_of(explanation), true)
+            inquiry.simulator_of(explanation, &inquiry.effects_of(explanation), true)
         };
-        let shipped = stage.simulator(&EffectSet::new())?;
-        let repaired = stage.simulator(effects)?;
-        let floor = repaired.floor(held_out, self.noise, stage.settings.seed);
+        let shipped = inquiry.simulator(&EffectSet::new())?;
+        let repaired = inquiry.simulator(effects)?;
+        let floor = repaired.floor(held_out, &self.found.noise, inquiry.settings.seed);
         let (Some(Floor { errors: floor, scatter }), Some(before), Some(after)) =
             (floor, shipped.errors(held_out), repaired.errors(held_out))
         else {
             return Ok(None);
         };
-        let over = |errors: &Errors| errors.over(&floor, stage.metric);
+        let over = |errors: &Errors| errors.over(&floor, inquiry.metric);
         let gap = |simulator: Simulator| simulator.errors(held_out).map(|errors| over(&errors));
         let [b, a, f] = [before, after, floor].map(|errors| over(&errors));
         Ok(Some(Gap {
-            metric: stage.metric.name(),
+            metric: inquiry.metric.name(),
             before: b,
             after: a,
             floor: f,
             scatter,
             closure: (b - f > GAP_MIN).then(|| (b - a) / (b - f)),
-            nuisances_only: gap(with_all(file)?),
+            nuisances_only: gap(with_all(&found.file)?),
             with_nuisances: gap(with_all(best)?),
             with_learner: self.evidence.learned,
             errors: [before, after, floor],
-            noise: *self.noise,
+            noise: self.found.noise,
         }))
     }
 
@@ -193,17 +175,17 @@ impl Assembly<'_> {
         gap: Option<&Gap>,
         named: &[EffectId],
     ) -> Result<Vec<Share>, DiagnoseError> {
-        let Self { stage, best, .. } = self;
+        let Self { inquiry, best, .. } = self;
         let Some(gap) = gap else { return Ok(Vec::new()) };
-        let held_out = stage.case.held_out;
+        let held_out = inquiry.case.held_out;
         let players = named.len() + 1;
         let square = |set: usize| -> Result<f64, DiagnoseError> {
             let is_in = |bit: usize| set & (1 << bit) != 0;
             let which: Vec<EffectId> =
                 (0..named.len()).filter(|bit| is_in(*bit)).map(|bit| named[bit]).collect();
-            let simulator = stage.simulator_of(best, &which, is_in(named.len()))?;
+            let simulator = inquiry.simulator_of(best, &which, is_in(named.len()))?;
             let errors = simulator.errors(held_out);
-            Ok(errors.map_or(f64::NAN, |e| e.over(&gap.errors[2], stage.metric).powi(2)))
+            Ok(errors.map_or(f64::NAN, |e| e.over(&gap.errors[2], inquiry.metric).powi(2)))
         };
         let squares = (0..1 << players).map(square).collect::<Result<Vec<f64>, _>>()?;
         let (before, after) = (squares[0], squares[squares.len() - 1]);
@@ -221,36 +203,37 @@ impl Assembly<'_> {
 
     /// The flights, with the gap of each as shipped.
     fn flights(&self) -> Result<Vec<FlightAnswer>, DiagnoseError> {
-        let Self { stage, noise, .. } = self;
-        let shipped = stage.simulator(&EffectSet::new())?;
-        let gap = |flight: &PreparedFlight| shipped.gap(flight, noise, stage.settings.seed);
-        Ok(FlightAnswer::all(stage.case, gap))
+        let Self { inquiry, found, .. } = self;
+        let shipped = inquiry.simulator(&EffectSet::new())?;
+        let gap =
+            |flight: &PreparedFlight| shipped.gap(flight, &found.noise, inquiry.settings.seed);
+        Ok(FlightAnswer::all(inquiry.case, gap))
     }
 
     /// Where the gap lies.
     fn map(&self) -> Result<ResidualMap, DiagnoseError> {
-        let Self { stage, best, .. } = self;
-        let references = stage.catalogue.references();
-        let shipped = stage.catalogue.candidate(&references)?;
-        let before = stage.all.residuals(&references).ok_or(DiagnoseError::Nothing)?;
-        let after = stage.all.residuals(&best.fit.values).ok_or(DiagnoseError::Nothing)?;
-        let [before, after] = [before, after].map(|residuals| stage.all.power(&residuals));
-        Ok(map(&stage.all, stage.evaluator, &shipped, &before, &after))
+        let Self { inquiry, best, .. } = self;
+        let references = inquiry.catalogue.references();
+        let shipped = inquiry.catalogue.candidate(&references)?;
+        let before = inquiry.all.residuals(&references).ok_or(DiagnoseError::Nothing)?;
+        let after = inquiry.all.residuals(&best.fit.values).ok_or(DiagnoseError::Nothing)?;
+        let [before, after] = [before, after].map(|residuals| inquiry.all.power(&residuals));
+        Ok(map(&inquiry.all, inquiry.evaluator, &shipped, &before, &after))
     }
 
     /// Forces that are left, before and after.
     fn force(&self) -> Option<[UnmodelledForce; 2]> {
-        let Self { stage, best, file, .. } = self;
+        let Self { inquiry, best, found, .. } = self;
         let force = |explanation: &Explanation| {
-            let candidate = stage.catalogue.candidate(&explanation.fit.values).ok()?;
-            unmodelled_force(&stage.all, stage.evaluator, &candidate)
+            let candidate = inquiry.catalogue.candidate(&explanation.fit.values).ok()?;
+            unmodelled_force(&inquiry.all, inquiry.evaluator, &candidate)
         };
-        force(file).zip(force(best)).map(|(before, after)| [before, after])
+        force(&found.file).zip(force(best)).map(|(before, after)| [before, after])
     }
 
     /// The full verdict, and what a gap that nothing explains goes with.
     fn full_verdict(&self) -> Result<(FullVerdict, Vec<String>), DiagnoseError> {
-        let Self { stage, decision, best, .. } = self;
+        let Self { inquiry, decision, best, .. } = self;
         Ok(match decision.verdict {
             Verdict::None => (FullVerdict::None, Vec::new()),
             Verdict::Effect if !decision.ambiguous_with.is_empty() => {
@@ -259,8 +242,8 @@ impl Assembly<'_> {
             Verdict::Effect if decision.is_inexact => (FullVerdict::OtherLaw, Vec::new()),
             Verdict::Effect => (FullVerdict::Named, Vec::new()),
             Verdict::Unknown => {
-                let candidate = stage.catalogue.candidate(&best.fit.values)?;
-                let samples = samples(&stage.all, stage.evaluator, &candidate);
+                let candidate = inquiry.catalogue.candidate(&best.fit.values)?;
+                let samples = samples(&inquiry.all, inquiry.evaluator, &candidate);
                 let depends_on = depends_on(&samples);
                 if depends_on.is_empty() {
                     (FullVerdict::UnobservedDisturbance, depends_on)
@@ -273,8 +256,8 @@ impl Assembly<'_> {
 
     /// Effects that could not have been told from these logs, and why.
     fn not_testable(&self) -> Vec<NotTestable> {
-        let Self { stage, evidence, found, .. } = self;
-        let catalogue = stage.catalogue;
+        let Self { inquiry, evidence, found, .. } = self;
+        let catalogue = inquiry.catalogue;
         let axes = ["roll", "pitch", "yaw"];
         let unused: Vec<&str> = axes
             .into_iter()
@@ -283,14 +266,14 @@ impl Assembly<'_> {
             .map(|(axis, _)| axis)
             .collect();
         let reason = |effect: EffectId| {
-            if effect == EffectId::PdGain && !stage.leg() {
+            if effect == EffectId::PdGain && !inquiry.leg() {
                 return Some("setpoints or the on-board law's gains are not known".to_owned());
             }
             if effect == EffectId::RotorGyroscopic && catalogue.vehicle.rotor_max_rpm.is_none() {
                 return Some("the vehicle file has no rotor_max_rpm".to_owned());
             }
-            let alone = found.iter().filter(|explanation| {
-                explanation.fit.hypotheses.len() == 1 && stage.effects_of(explanation) == [effect]
+            let alone = found.sets.iter().filter(|explanation| {
+                explanation.fit.hypotheses.len() == 1 && inquiry.effects_of(explanation) == [effect]
             });
             let tried: Vec<&Explanation> = alone.collect();
             let is_seen = tried.iter().any(|explanation| {

@@ -122,8 +122,6 @@ pub struct Explained {
     pub choosing: Option<Gaps>,
     /// The same on the flights reported on.
     pub reported: Option<Gaps>,
-    /// By how many tolerances the file's numbers are off beside it, at most.
-    pub strain: f64,
 }
 
 impl Explained {
@@ -201,8 +199,6 @@ pub struct Found {
     pub reference: f64,
     /// Standard deviation of what the vehicle file's errors bring about of it.
     pub unremarkable: f64,
-    /// A typical magnitude where the effect occurs.
-    pub magnitude: f64,
     /// Whether the fit holds it at the end of its range.
     pub is_at_bound: bool,
 }
@@ -210,11 +206,9 @@ pub struct Found {
 /// Force per mass that nothing explains.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ForceLeft {
-    /// Root mean square before and after the best explanation, m/s^2.
-    pub before: f64,
-    /// See [`before`](Self::before).
-    pub after: f64,
-    /// Standard errors by which it stands out after it.
+    /// Root mean square that the best explanation leaves, m/s^2.
+    pub rms: f64,
+    /// Standard errors by which it stands out.
     pub significance: f64,
     /// In units of what moves a prediction by more than the reports are uncertain.
     pub size: f64,

@@ -2,7 +2,9 @@
 //! them.
 
 use super::fit::Fit;
+use super::noise::ReportNoise;
 use super::observed::Observed;
+use super::twins::Twins;
 
 /// A set of effects, fitted; the empty set is the vehicle file within its tolerances.
 #[derive(Clone, Debug)]
@@ -42,5 +44,28 @@ impl Explanation {
     /// Log evidence of all flights but those reported on, nats.
     pub fn score(&self) -> f64 {
         self.blocks.iter().sum()
+    }
+}
+
+/// Every explanation of a case, and what tells chance from them.
+#[derive(Debug)]
+pub struct Explanations {
+    /// The vehicle file within its tolerances.
+    pub file: Explanation,
+    /// Sets of effects, the best first.
+    pub sets: Vec<Explanation>,
+    /// Noise of the reports.
+    pub noise: ReportNoise,
+    /// Twins without an effect, where any were asked for.
+    pub twins: Option<Twins>,
+}
+
+impl Explanations {
+    /// The explanation with the most evidence.
+    pub fn best(&self) -> &Explanation {
+        match self.sets.first() {
+            Some(best) if best.score() > self.file.score() => best,
+            _ => &self.file,
+        }
     }
 }

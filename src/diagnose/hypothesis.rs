@@ -57,6 +57,26 @@ pub enum Target {
     OutputDelay,
 }
 
+impl Target {
+    /// The name of a number within its effect: of its parameter, and the component where it has
+    /// several.
+    pub fn name(self) -> String {
+        match self {
+            Self::Effect(id, slot) => match id.spec().slots().find(|s| s.index == slot) {
+                Some(slot) if slot.parameter.kind.slots() > 1 => {
+                    format!("{}[{}]", slot.parameter.name, slot.component)
+                }
+                Some(slot) => slot.parameter.name.to_owned(),
+                None => slot.to_string(),
+            },
+            Self::RotorScale(_) => "scale".to_owned(),
+            Self::OutputDelay => "delay_s".to_owned(),
+            Self::RotorGain(rotor) => format!("thrust of rotor {rotor}"),
+            Self::Damping(axis) => format!("damping of the rate[{axis}]"),
+        }
+    }
+}
+
 /// A number that may be fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct Number {
@@ -271,11 +291,6 @@ impl Catalogue {
         self
     }
 
-    /// Whether an effect is a hypothesis.
-    pub fn considers(&self, effect: EffectId) -> bool {
-        self.hypotheses.iter().any(|hypothesis| hypothesis.effect == effect)
-    }
-
     fn add(&mut self, number: Number) -> usize {
         self.numbers.push(number);
         self.numbers.len() - 1
@@ -318,14 +333,6 @@ impl Catalogue {
             (number.expected, number.tolerance) = (values[*index], 0.0);
         }
         pinned
-    }
-
-    /// The catalogue with a nuisance as free as if its effect were looked at.
-    pub fn with_free(&self, number: usize) -> Self {
-        let mut free = self.clone();
-        let number = &mut free.numbers[number];
-        [number.expected, number.tolerance] = number.prior(true);
-        free
     }
 
     /// The number of an effect's slot.
@@ -453,7 +460,8 @@ mod tests {
         let rest = whole.clone().without(&[EffectId::Mass, EffectId::Wind]);
         assert_eq!(rest.hypotheses.len(), whole.hypotheses.len() - 3);
         let left_out = [EffectId::Mass, EffectId::ThrustScale, EffectId::Wind];
-        assert!(left_out.iter().all(|effect| !rest.considers(*effect)));
+        let considers = |effect: EffectId| rest.hypotheses.iter().any(|h| h.effect == effect);
+        assert!(left_out.iter().all(|effect| !considers(*effect)));
         assert_eq!(rest.numbers.len(), whole.numbers.len());
     }
 

@@ -1,4 +1,4 @@
-//! What is left of forces and moments after the best explanation.
+//! What is left of forces after the best explanation.
 //!
 //! Velocity and accelerometer see the same force through noises that have nothing in common: the
 //! product of what each leaves unexplained is, on average, the power of forces that no hypothesis
@@ -9,12 +9,10 @@ use serde::Serialize;
 use sitl::frame::Frd;
 
 use super::candidate::Candidate;
-use super::layout::Place;
 use super::observed::Observed;
 use super::preparation::{Block, PreparedFlight};
-use super::residuals::{Evaluator, FORCE, Groups, RATE, VELOCITY};
+use super::residuals::{Evaluator, FORCE, Groups, VELOCITY};
 use super::spectrum::{BANDS, CosineTransform, band, edges, frequency, mean_square_share};
-use super::twins::TwinFits;
 
 /// Forces are looked at up to here, Hz: above, rotors and delays that are not quite right show.
 const FORCE_MAX_HZ: f64 = 4.5;
@@ -53,60 +51,6 @@ impl UnmodelledForce {
     pub fn significance(&self) -> f64 {
         if self.error > 0.0 { self.total() / self.error } else { 0.0 }
     }
-}
-
-/// Angular acceleration that nothing explains.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct UnmodelledMoment {
-    /// Mean square up to 4.5 Hz beyond what the twins have, about front, right, down,
-    /// rad^2/s^4; below 0 by chance only.
-    pub mean_square: [f64; 3],
-    /// Standard error of the sum of the three.
-    pub error: f64,
-}
-
-impl UnmodelledMoment {
-    /// Root mean square about each axis, rad/s^2.
-    pub fn rms(&self) -> [f64; 3] {
-        self.mean_square.map(|square| square.max(0.0).sqrt())
-    }
-
-    /// Standard errors above 0.
-    pub fn significance(&self) -> f64 {
-        if self.error > 0.0 { self.mean_square.iter().sum::<f64>() / self.error } else { 0.0 }
-    }
-}
-
-/// Angular acceleration that a fit leaves unexplained, `power` at each place, beyond what twins of
-/// its vehicle leave. The gyro alone shows it, so that the twins' noise stands for the second
-/// sensor. `None` where the logs lack the body rate, or there are no twins.
-pub fn unmodelled_moment(
-    observed: &Observed<'_>,
-    power: &[f64],
-    twins: &TwinFits,
-) -> Option<UnmodelledMoment> {
-    // Place, axis and what a coefficient's square is of the mean square.
-    let mut places: Vec<(usize, usize, f64)> = Vec::new();
-    for axis in 0..3 {
-        for band in (0..BANDS.len()).take_while(|band| BANDS[*band] <= FORCE_MAX_HZ) {
-            let place = Place::index_of(RATE + axis, band);
-            let n = observed.counts()[place];
-            if n >= 1.0 {
-                places.push((place, axis, mean_square_share(band) / n));
-            }
-        }
-    }
-    if places.is_empty() || twins.power.is_empty() {
-        return None;
-    }
-    let square = |power: &[f64], about: usize| -> f64 {
-        let of_axis = places.iter().filter(|(_, axis, _)| *axis == about);
-        of_axis.map(|(place, _, share)| power[*place] * share).sum()
-    };
-    let of_axis = |axis| square(power, axis) - twins.moments_of(|power| square(power, axis))[0];
-    // Of the twins' sums: what one has too much of in one band it may have in the others.
-    let [_, error] = twins.moments_of(|power| (0..3).map(|axis| square(power, axis)).sum());
-    Some(UnmodelledMoment { mean_square: [0, 1, 2].map(of_axis), error })
 }
 
 /// Force that `candidate` leaves unexplained; `None` where the logs lack accelerometer or velocity.

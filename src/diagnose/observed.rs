@@ -23,6 +23,8 @@ pub struct Observed<'a> {
     /// Runs of coefficients of one place: flight, place, start, end.
     runs: Vec<Run>,
     pub(super) counts: Vec<f64>,
+    /// Places that have one variance together.
+    pools: Vec<Vec<usize>>,
     /// Sum of squares at each place that is left at least.
     least: Vec<f64>,
 }
@@ -111,7 +113,17 @@ impl<'a> Observed<'a> {
             .map(|place| counts[place] * deviation[Place::channel_of(place)].powi(2))
             .collect();
         let unused = unused.to_vec();
-        Self { flights, layouts, evaluator, catalogue, unused, runs, counts, least }
+        Self {
+            flights,
+            layouts,
+            evaluator,
+            catalogue,
+            unused,
+            runs,
+            pools: pools(&counts),
+            counts,
+            least,
+        }
     }
 
     /// The same look at other flights.
@@ -161,7 +173,7 @@ impl<'a> Observed<'a> {
     pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
         let least = self.least.iter().zip(self.power_of(residuals));
         let mut power: Vec<f64> = least.map(|(least, q)| least + q).collect();
-        pools(&self.counts).iter().for_each(|pool| level(&mut power, &self.counts, pool));
+        self.pools.iter().for_each(|pool| level(&mut power, &self.counts, pool));
         power
     }
 
@@ -231,43 +243,6 @@ impl<'a> Observed<'a> {
             })
             .collect();
         Some(column)
-    }
-
-    /// Derivatives of the residuals with respect to changes of one number, each in proportion to
-    /// one of several weights of flight and time.
-    pub fn columns_by_weight(
-        &self,
-        values: &[f64],
-        number: usize,
-        weights: impl Fn(&PreparedFlight, f64) -> Vec<f64> + Sync,
-    ) -> Option<Vec<Residuals>> {
-        let described = &self.catalogue.numbers[number];
-        let step = described.step(values[number]);
-        let up = values[number] + step <= described.bounds[1];
-        let step = if up { step } else { -step };
-        let mut moved = values.to_vec();
-        moved[number] += step;
-        let [here, there] = [values, &moved].map(|values| self.catalogue.candidate(values).ok());
-        let (here, there) = here.zip(there)?;
-        let groups = Groups::of(described.target);
-        let of_flights: Vec<Vec<Vec<f64>>> = self
-            .flights
-            .par_iter()
-            .zip(&self.layouts)
-            .map(|(flight, layout)| {
-                let per_step = |time: f64| -> Vec<f64> {
-                    weights(flight, time).into_iter().map(|weight| weight / step).collect()
-                };
-                let candidates = [&here, &there];
-                self.evaluator.weighted_change(flight, layout, candidates, groups, per_step)
-            })
-            .collect();
-        let count = of_flights.first()?.len();
-        let mut columns = vec![Residuals::new(); count];
-        for of_flight in of_flights {
-            columns.iter_mut().zip(of_flight).for_each(|(column, part)| column.push(part));
-        }
-        Some(columns)
     }
 
     pub(super) fn dot(&self, a: &Residuals, b: &Residuals) -> Vec<f64> {

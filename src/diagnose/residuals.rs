@@ -190,35 +190,6 @@ impl Evaluator {
         }
     }
 
-    /// The coefficients of how residuals change from one candidate to another, times each of
-    /// several weights of the time.
-    pub fn weighted_change(
-        &self,
-        flight: &PreparedFlight,
-        layout: &Layout,
-        [from, to]: [&Candidate; 2],
-        groups: Groups,
-        weights: impl Fn(f64) -> Vec<f64>,
-    ) -> Vec<Vec<f64>> {
-        let mut out: Vec<Vec<f64>> = Vec::new();
-        let mut scratch = Vec::new();
-        for block in &flight.blocks {
-            let [from, to] = [from, to].map(|one| self.series(flight, layout, block, one, groups));
-            let weights: Vec<Vec<f64>> =
-                (0..block.cells).map(|k| weights(block.middle(k))).collect();
-            let count = weights.first().map_or(0, Vec::len);
-            out.resize_with(count, Vec::new);
-            for (quantity, out) in out.iter_mut().enumerate() {
-                let series = std::array::from_fn(|channel| {
-                    let cells = from[channel].iter().zip(&to[channel]).zip(&weights);
-                    cells.map(|((from, to), weights)| (to - from) * weights[quantity]).collect()
-                });
-                self.transform_into(out, (layout, block), series, groups, &mut scratch);
-            }
-        }
-        out
-    }
-
     /// The coefficients of the angular acceleration as the gyro has it, in `layout`'s order; 0 in
     /// other channels.
     pub fn turning(&self, flight: &PreparedFlight, layout: &Layout) -> Vec<f64> {

@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use super::explanation::Explanation;
-use super::fit::fit;
+use super::fit::{Fit, fit};
 use super::hypothesis::{Catalogue, Hypothesis};
 use super::linearised::Linearised;
 use super::observed::Observed;
@@ -39,7 +39,12 @@ pub struct Search<'a> {
     pub chance: Vec<f64>,
 }
 
-impl Search<'_> {
+impl<'a> Search<'a> {
+    /// A search in which chance gives nothing, on flights that choose nothing.
+    pub fn without_chance(fitted: &'a Observed<'a>, catalogue: &'a Catalogue) -> Self {
+        Self { fitted, choosing: fitted, catalogue, chance: Vec::new() }
+    }
+
     fn numbers(&self) -> Vec<usize> {
         (0..self.catalogue.numbers.len()).collect()
     }
@@ -48,7 +53,7 @@ impl Search<'_> {
         &self.catalogue.hypotheses[index]
     }
 
-    fn explanation(&self, fit: super::fit::Fit) -> Option<Explanation> {
+    fn explanation(&self, fit: Fit) -> Option<Explanation> {
         let chance = fit.hypotheses.iter().map(|h| self.chance.get(*h).copied().unwrap_or(0.0));
         let chance = chance.sum();
         Explanation::new(fit, chance, self.fitted, self.choosing)

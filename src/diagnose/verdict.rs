@@ -37,7 +37,7 @@ pub struct Decision {
     pub because: Option<Unexplained>,
     /// Which of the evidence's explanations it rests on.
     pub explanation: usize,
-    /// Effects with their probabilities, the most probable first; under `none` traces.
+    /// Effects with their probabilities, the most probable first; none of a half or more but under `effect`.
     pub effects: Vec<(String, f64)>,
     /// Effects that cannot be told from those named.
     pub ambiguous_with: Vec<String>,
@@ -45,8 +45,6 @@ pub struct Decision {
     pub is_inexact: bool,
     /// Posterior mass of each explanation.
     pub masses: Vec<f64>,
-    /// Share of what can be closed of the squared gap that stays open.
-    pub remainder: f64,
 }
 
 /// No law of the catalogue is right to more than about this share of its evidence: the standard
@@ -87,25 +85,35 @@ fn class(effect: &str) -> &str {
     effect.parse::<EffectId>().map_or(effect, |id| id.class().name())
 }
 
-/// The evidence with what decisions need of it at hand.
-struct Hearing<'a> {
+/// Probability that what explains the flights is their cause, by the share of the gap that it leaves.
+fn credence(remainder: f64) -> f64 {
+    let [log_odds, by_share] = CREDENCE;
+    1.0 / (1.0 + (by_share * remainder - log_odds).exp())
+}
+
+/// The evidence with the score and the posterior mass of each explanation.
+struct Posterior<'a> {
     evidence: &'a Evidence,
+    scores: Vec<f64>,
     masses: Vec<f64>,
 }
 
 /// Posterior masses of the explanations: the mean over draws of the flights' blocks (pseudo-BMA+;
 /// Yao, Vehtari, Simpson and Gelman 2018), each explanation's evidence off by what its law is not
 /// exact, and by what chance gives it. What stands for something else has none.
-pub fn masses(evidence: &Evidence) -> Vec<f64> {
+fn masses(evidence: &Evidence, scores: &[f64]) -> Vec<f64> {
     let explanations = &evidence.explanations;
     let Some(file) = explanations.first() else { return Vec::new() };
-    let scores = evidence.scores();
     let count = evidence.fitted_blocks.min(file.blocks.len());
     let fitted = |explained: &Explained| -> Vec<f64> {
         let blocks = explained.blocks.iter().zip(&file.blocks).take(count);
         blocks.map(|(own, file)| own - file).collect()
     };
     let gains: Vec<Vec<f64>> = explanations.iter().map(fitted).collect();
+    let is_implausible = |explained: &Explained| {
+        explained.is_at_bound() || evidence.is_worse([file.choosing, explained.choosing], 0)
+    };
+    let implausible: Vec<bool> = explanations.iter().map(is_implausible).collect();
     let mut rng = Pcg64Mcg::seed_from_u64(0);
     let mut masses = vec![0.0; explanations.len()];
     for _ in 0..DRAWS {
@@ -114,11 +122,11 @@ pub fn masses(evidence: &Evidence) -> Vec<f64> {
         let draws: Vec<f64> = explanations
             .iter()
             .zip(&gains)
-            .zip(&scores)
-            .map(|((explained, gains), score)| {
+            .zip(scores)
+            .zip(&implausible)
+            .map(|(((explained, gains), score), is_implausible)| {
                 let z: f64 = StandardNormal.sample(&mut rng);
-                let is_worse = evidence.is_worse([file.choosing, explained.choosing], 0);
-                if explained.is_at_bound() || is_worse {
+                if *is_implausible {
                     return f64::NEG_INFINITY;
                 }
                 let predicted = score - gains.iter().sum::<f64>();
@@ -135,7 +143,7 @@ pub fn masses(evidence: &Evidence) -> Vec<f64> {
     masses
 }
 
-impl Hearing<'_> {
+impl Posterior<'_> {
     fn explained(&self, index: usize) -> &Explained {
         &self.evidence.explanations[index]
     }
@@ -179,9 +187,8 @@ impl Hearing<'_> {
 
     /// The share of the evidence for `more` that `less` lacks.
     fn evidence_share(&self, more: usize, less: usize) -> f64 {
-        let scores = self.evidence.scores();
-        let gain = scores[more] - scores[less];
-        if gain > EVIDENCE { gain / scores[more] } else { 0.0 }
+        let gain = self.scores[more] - self.scores[less];
+        if gain > EVIDENCE { gain / self.scores[more] } else { 0.0 }
     }
 
     /// The explanation of the most mass without effects that change no prediction.
@@ -218,13 +225,25 @@ impl Hearing<'_> {
         }
         inclusion
     }
+
+    /// Whether an effect stands in the place of one of an explanation's, rather than beside it.
+    fn is_in_place(&self, best: usize, effect: &str) -> bool {
+        let own: BTreeSet<&str> = self.explained(best).effects.iter().map(|e| class(e)).collect();
+        let with = self.evidence.explanations.iter().zip(&self.masses).filter(|(explained, _)| {
+            explained.effects.iter().any(|other| class(other) == effect)
+                && !own.iter().all(|own| explained.effects.iter().any(|o| class(o) == *own))
+        });
+        with.map(|(_, mass)| mass).sum::<f64>() > RIVAL
+    }
 }
 
 /// The verdict on the evidence.
 pub fn decide(evidence: &Evidence) -> Decision {
-    let hearing = Hearing { evidence, masses: masses(evidence) };
-    let best = if hearing.masses.is_empty() { 0 } else { hearing.best() };
-    let inclusion = hearing.inclusion();
+    let scores = evidence.scores();
+    let masses = masses(evidence, &scores);
+    let posterior = Posterior { evidence, scores, masses };
+    let best = if posterior.masses.is_empty() { 0 } else { posterior.best() };
+    let inclusion = posterior.inclusion();
     let mut decision = Decision {
         verdict: Verdict::None,
         because: None,
@@ -232,14 +251,13 @@ pub fn decide(evidence: &Evidence) -> Decision {
         effects: Vec::new(),
         ambiguous_with: Vec::new(),
         is_inexact: false,
-        masses: hearing.masses.clone(),
-        remainder: 0.0,
+        masses: posterior.masses.clone(),
     };
     let Some(explained) = evidence.explanations.get(best) else { return decision };
     let mut rivals: Vec<String> = {
         let own: BTreeSet<&str> = explained.effects.iter().map(|effect| class(effect)).collect();
         let others = inclusion.iter().filter(|(effect, mass)| {
-            !own.contains(*effect) && **mass > RIVAL && hearing.is_in_place(best, effect)
+            !own.contains(*effect) && **mass > RIVAL && posterior.is_in_place(best, effect)
         });
         others.map(|(effect, _)| (*effect).to_owned()).collect()
     };
@@ -265,39 +283,37 @@ pub fn decide(evidence: &Evidence) -> Decision {
         own.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         own
     };
-    let Some((file, shipped)) = hearing.reported(0).zip(evidence.shipped[1]) else {
+    let Some((file, shipped)) = posterior.reported(0).zip(evidence.shipped[1]) else {
         // Nothing is predicted: the equations alone tell.
-        let credence = 1.0 / (1.0 + (-CREDENCE[0]).exp());
-        decision.effects = weighed(credence);
+        decision.effects = weighed(credence(0.0));
         let surest = decision.effects.first().map_or(0.0, |(_, probability)| *probability);
         if surest >= NAMED {
             decision.verdict = Verdict::Effect;
             decision.ambiguous_with = rivals;
-        } else if hearing.masses.first().is_some_and(|file| *file < NAMED) {
+        } else if posterior.masses.first().is_some_and(|file| *file < NAMED) {
             decision.verdict = Verdict::Unknown;
             decision.because = Some(Unexplained::Doubt);
         }
         return decision;
     };
-    let after = hearing.reported(best).unwrap_or(file);
+    let after = posterior.reported(best).unwrap_or(file);
     let is_forced = evidence.force.is_some_and(ForceLeft::is_practical);
     let noise = evidence.noise(after, is_forced);
     let open = (OPEN + 4.0 * evidence.scatter).powi(2);
     let closable = (file - noise).max(f64::MIN_POSITIVE);
     let closed = file - after;
-    decision.remainder = ((after - noise) / closable).clamp(0.0, 1.0);
+    let remainder = ((after - noise) / closable).clamp(0.0, 1.0);
     // Of what is open, and more than noise moves the gap by.
     let is_substantial = closed > SUBSTANTIAL * (file - 1.0).max(f64::MIN_POSITIVE)
         && closed > 0.1 + 4.0 * evidence.scatter;
     let file_gaps = evidence.explanations.first().and_then(|file| file.reported);
     let is_worse = evidence.is_worse([file_gaps, explained.reported], 1);
     if !explained.effects.is_empty() && is_substantial && !is_worse {
-        let credence = 1.0 / (1.0 + (-CREDENCE[0] + CREDENCE[1] * decision.remainder).exp());
-        decision.effects = weighed(credence);
+        decision.effects = weighed(credence(remainder));
         let surest = decision.effects.first().map_or(0.0, |(_, probability)| *probability);
-        if surest >= NAMED || decision.remainder < 0.5 {
+        if surest >= NAMED || remainder < 0.5 {
             decision.verdict = Verdict::Effect;
-            decision.is_inexact = decision.remainder > INEXACT;
+            decision.is_inexact = remainder > INEXACT;
             decision.ambiguous_with = rivals;
         } else {
             decision.verdict = Verdict::Unknown;
@@ -326,18 +342,6 @@ pub fn decide(evidence: &Evidence) -> Decision {
     decision
 }
 
-impl Hearing<'_> {
-    /// Whether an effect stands in the place of one of an explanation's, rather than beside it.
-    fn is_in_place(&self, best: usize, effect: &str) -> bool {
-        let own: BTreeSet<&str> = self.explained(best).effects.iter().map(|e| class(e)).collect();
-        let with = self.evidence.explanations.iter().zip(&self.masses).filter(|(explained, _)| {
-            explained.effects.iter().any(|other| class(other) == effect)
-                && !own.iter().all(|own| explained.effects.iter().any(|o| class(o) == *own))
-        });
-        with.map(|(_, mass)| mass).sum::<f64>() > RIVAL
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::evidence::{Found, Gaps, Turning};
@@ -353,7 +357,6 @@ mod tests {
             value: 2.0,
             deviation: 0.01,
             reference: 1.0,
-            magnitude: 1.0,
             ..Found::default()
         };
         Explained {
@@ -464,7 +467,7 @@ mod tests {
     #[test]
     fn a_force_that_two_sensors_agree_on_is_unknown_or_gusts() {
         let mut forced = evidence(8.0, vec![explained(&[], 0.0, [8.0, 7.9])]);
-        forced.force = Some(ForceLeft { before: 1.0, after: 1.0, significance: 9.0, size: 3.0 });
+        forced.force = Some(ForceLeft { rms: 1.0, significance: 9.0, size: 3.0 });
         assert_eq!(decide(&forced).because, Some(Unexplained::Force));
         forced.gusts_m_s = Some(1.5);
         assert_eq!(named(&decide(&forced)), ["gusts"]);

@@ -65,11 +65,11 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
     };
     let is_open = |explanation: &&Explanation| {
         let is_in_answer = |id: &EffectId| {
-            answer.ambiguous_with.contains(id) || answer.named().any(|named| named.id == *id)
+            answer.ambiguous_with.contains(id) || answer.effects.iter().any(|own| own.id == *id)
         };
         ids(explanation).iter().all(is_in_answer)
     };
-    let mut found_live: Vec<Live> = Vec::new();
+    let mut live: Vec<Live> = Vec::new();
     let mut seen = BTreeSet::new();
     for explanation in found.iter().filter(is_open) {
         let ids = ids(explanation);
@@ -79,21 +79,20 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
         let effects = catalogue.effects(&explanation.fit.values, Some(&ids));
         if !effects.is_empty() {
             let least = ids.iter().map(|id| probability(*id)).fold(1.0, f64::min);
-            found_live.push(Live { effects, probability: least });
+            live.push(Live { effects, probability: least });
             seen.extend(ids);
         }
     }
-    let mut found = found_live;
     // What was not fitted in full is taken at its usual strength.
     for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(id)) {
         if !seen.contains(&effect) {
             let usual = typical(catalogue, effect, 1.0);
-            found.extend(usual.map(|usual| Live { probability: probability(effect), ..usual }));
+            live.extend(usual.map(|usual| Live { probability: probability(effect), ..usual }));
         }
     }
-    let sum: f64 = found.iter().map(|live| live.probability).sum();
-    found.iter_mut().for_each(|live| live.probability /= sum);
-    found
+    let sum: f64 = live.iter().map(|one| one.probability).sum();
+    live.iter_mut().for_each(|one| one.probability /= sum);
+    live
 }
 
 /// Effects that an answer calls not testable for want of motion, each at its usual strength.
@@ -122,4 +121,52 @@ pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option
     }
     let effects = catalogue.effects(&values, Some(&[effect]));
     (!effects.is_empty()).then_some(Live { effects, probability: 0.5 })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use sitl::vehicle::VehicleParams;
+
+    use super::super::super::answer::EffectAnswer;
+    use super::super::super::fit::Fit;
+    use super::*;
+
+    #[test]
+    fn what_is_first_in_an_ambiguous_answer_is_open_though_less_likely_than_not() {
+        let text = include_str!("../../../config/vehicles/quad1200.toml");
+        let catalogue = Catalogue::new(&VehicleParams::from_toml_str(text).unwrap(), true);
+        let explanation = |effect: EffectId| {
+            let is_it = |hypothesis: &usize| catalogue.hypotheses[*hypothesis].effect == effect;
+            let hypothesis = (0..catalogue.hypotheses.len()).find(is_it).unwrap();
+            let number = catalogue.hypotheses[hypothesis].numbers[0];
+            let mut values = catalogue.references();
+            values[number] += 0.2 * catalogue.numbers[number].magnitude;
+            let fit = Fit {
+                hypotheses: vec![hypothesis],
+                deviation: vec![0.0; values.len()],
+                values,
+                evidence: 0.0,
+                cost: 0.0,
+                power: Vec::new(),
+            };
+            Explanation { fit, evidence: 0.0, blocks: Vec::new() }
+        };
+        let found = [EffectId::Mass, EffectId::ThrustCurve].map(explanation);
+        let mass = EffectAnswer {
+            id: EffectId::Mass,
+            probability: 0.45,
+            parameters: BTreeMap::new(),
+            intervals: BTreeMap::new(),
+        };
+        let answer = Answer {
+            effects: vec![mass],
+            ambiguous_with: vec![EffectId::ThrustCurve],
+            ..Answer::data_fault(Vec::new())
+        };
+        let live = explanations(&catalogue, &found, &answer);
+        let names: Vec<_> = live.iter().flat_map(Live::names).collect();
+        assert_eq!(names, ["mass", "thrust_curve"]);
+    }
 }

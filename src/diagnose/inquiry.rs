@@ -1,0 +1,76 @@
+//! What a diagnosis looks at: flights, catalogue and on-board law, and vehicles by an explanation's
+//! numbers.
+
+use sitl::effects::{EffectId, EffectSet};
+use sitl::vehicle::VehicleError;
+
+use super::arrival::Delay;
+use super::case::{Case, Settings};
+use super::explanation::Explanation;
+use super::gap::Metric;
+use super::hypothesis::Catalogue;
+use super::observed::Observed;
+use super::onboard::OnboardLaw;
+use super::open_loop::Simulator;
+use super::residuals::Evaluator;
+
+/// What a diagnosis looks at.
+pub(super) struct Inquiry<'a> {
+    pub case: &'a Case<'a>,
+    pub settings: &'a Settings,
+    pub evaluator: &'a Evaluator,
+    pub catalogue: &'a Catalogue,
+    /// The law that made outputs of setpoints, where both were logged.
+    pub onboard: Option<&'a OnboardLaw>,
+    /// The setpoints' delay as read off the outputs.
+    pub arrival: Option<Delay>,
+    /// Flights for fitting, for choosing, both, and those reported on.
+    pub fitted: Observed<'a>,
+    pub choosing: Observed<'a>,
+    pub all: Observed<'a>,
+    pub reported: Observed<'a>,
+    /// What predictions are compared by.
+    pub metric: Metric,
+}
+
+impl Inquiry<'_> {
+    /// Whether the leg from setpoints to outputs is looked at.
+    pub fn leg(&self) -> bool {
+        self.onboard.is_some()
+    }
+
+    /// The vehicle of the file with `effects` over it.
+    pub fn simulator(&self, effects: &EffectSet) -> Result<Simulator, VehicleError> {
+        let simulator = Simulator::new(self.case.vehicle, effects, self.leg())?;
+        Ok(simulator.compared_by(self.metric))
+    }
+
+    /// The vehicle by some of an explanation's numbers: those of the effects `which`, and with
+    /// `file` those of the vehicle file.
+    pub fn simulator_of(
+        &self,
+        explanation: &Explanation,
+        which: &[EffectId],
+        file: bool,
+    ) -> Result<Simulator, VehicleError> {
+        let values = &explanation.fit.values;
+        let own = self.effects_of(explanation);
+        let (vehicle, all) = self.catalogue.vehicle_of(values);
+        let mut effects = EffectSet::new();
+        for (id, slots) in all.iter() {
+            let is_in = if own.contains(&id) { which.contains(&id) } else { file };
+            if is_in {
+                // It was accepted before.
+                let _ = effects.insert(id, *slots);
+            }
+        }
+        let simulator = self.simulator(&effects)?;
+        if file { simulator.flying(&vehicle, &effects) } else { Ok(simulator) }
+    }
+
+    /// The effects of an explanation.
+    pub fn effects_of(&self, explanation: &Explanation) -> Vec<EffectId> {
+        let hypotheses = explanation.fit.hypotheses.iter();
+        hypotheses.map(|h| self.catalogue.hypotheses[*h].effect).collect()
+    }
+}
