@@ -92,7 +92,7 @@ fn drag_is_named_with_its_number_and_closes_the_gap_in_the_improved_file() {
     assert!(written.is_some_and(|written| (written - d_xy).abs() < 1e-12));
 }
 
-/// Gusts are told from what is left over, and by no explanation's fit.
+/// No fit finds gusts: the diagnosis reads them off the force that is left over.
 #[test]
 fn gusts_are_in_the_improved_file() {
     let nominal = folder("gusts-file").join("nano.toml");

@@ -44,7 +44,7 @@ impl Allocation {
         })
     }
 
-    /// Outputs in 0..=1 that give collective (N) and moments [N m], each clipped by itself.
+    /// Outputs that give collective (N) and moments [N m]; each rotor's is clipped to 0..=1.
     pub fn outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
         self.unclipped_outputs(wrench).map(|u| u.clamp(0.0, 1.0))
     }

@@ -231,7 +231,7 @@ impl Assembly<'_> {
         force(&found.file).zip(force(best)).map(|(before, after)| [before, after])
     }
 
-    /// The full verdict, and what a gap that nothing explains goes with.
+    /// The full verdict, and the quantities that an unexplained gap depends on.
     fn full_verdict(&self) -> Result<(FullVerdict, Vec<String>), DiagnoseError> {
         let Self { inquiry, decision, best, .. } = self;
         Ok(match decision.verdict {
@@ -254,7 +254,7 @@ impl Assembly<'_> {
         })
     }
 
-    /// Effects that could not have been told from these logs, and why.
+    /// Effects that these logs could not have shown, and why.
     fn not_testable(&self) -> Vec<NotTestable> {
         let Self { inquiry, evidence, found, .. } = self;
         let catalogue = inquiry.catalogue;

@@ -38,7 +38,7 @@ pub struct Evidence {
     /// The gap on the flights reported on with the best explanation and what a flexible learner
     /// finds beyond it.
     pub learned: Option<f64>,
-    /// Whether the pack's voltage goes far enough for a sag to be told from a level of the thrust.
+    /// Whether the pack's voltage varies enough to tell a sag from another level of the thrust.
     pub voltage_differs: bool,
     /// Force that nothing explains, where velocity and accelerometer agree on it.
     pub force: Option<ForceLeft>,

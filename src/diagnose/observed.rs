@@ -18,7 +18,7 @@ pub struct Observed<'a> {
     pub layouts: Vec<Layout>,
     pub(super) evaluator: &'a Evaluator,
     pub(super) catalogue: &'a Catalogue,
-    /// Channels that are not looked at.
+    /// Channels that are left out.
     unused: Vec<usize>,
     /// Runs of coefficients of one place: flight, place, start, end.
     runs: Vec<Run>,
@@ -269,8 +269,8 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
 /// Coefficients that tell a variance: neighbouring bands of a channel with fewer have one together.
 const POOLED_MIN: f64 = 8.0;
 
-/// Places that have one variance together, where each by itself has too few coefficients to tell
-/// it: what a few numbers explain to the last digit there is no evidence.
+/// Places that share one variance, where one place alone has too few coefficients to estimate it:
+/// what a few numbers explain to the last digit there is no evidence.
 pub(super) fn pools(counts: &[f64]) -> Vec<Vec<usize>> {
     let mut pools: Vec<Vec<usize>> = Vec::new();
     for channel in 0..CHANNELS {

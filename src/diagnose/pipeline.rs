@@ -40,7 +40,7 @@ pub struct Diagnosis {
     pub effects: EffectSet,
     /// What a next flight is for.
     pub open: OpenQuestions,
-    /// Whether the leg from setpoints to outputs was looked at.
+    /// Whether the leg from setpoints to outputs was compared.
     pub setpoint_leg: bool,
     /// Noise of the reports.
     pub noise: ReportNoise,

@@ -1,4 +1,4 @@
-//! How good a vehicle file is: the scale of its numbers' tolerances, as the flights tell it.
+//! How good a vehicle file is: the scale of its numbers' tolerances, estimated from the flights.
 
 use super::hypothesis::Catalogue;
 use super::linearised::Linearised;
@@ -6,7 +6,7 @@ use super::search::Search;
 
 /// Scales that are tried: from a careful builder's file to one without an error.
 const SCALES: [f64; 6] = [1.0, 0.4, 0.15, 0.05, 0.015, 0.005];
-/// Effects that may act beside the file's errors while the scale is told.
+/// Effects that may act beside the file's errors while the scale is estimated.
 const EFFECTS: usize = 2;
 /// Least evidence of such an effect, nats: the price of choosing it.
 const EFFECT_MIN: f64 = 4.0;

@@ -9,7 +9,7 @@ use super::residuals::RATE;
 use super::search::Search;
 use super::spectrum::{BANDS, mean_square_share};
 
-/// The body's turning is looked at up to here, Hz.
+/// Highest frequency at which the body's turning is compared, Hz.
 const MAX_HZ: f64 = 6.0;
 
 /// How well moments predict the body's turning about each axis, and the channels of the axes that

@@ -26,7 +26,7 @@ use super::preparation::PreparedFlight;
 use super::replica::Replica;
 use super::search::Search;
 
-/// What is asked beyond chance at least, nats.
+/// Least evidence beyond chance that counts as more than chance, nats.
 const CHANCE_MIN: f64 = 3.0;
 /// Share of twins in which any hypothesis may reach what is asked of it.
 const EXCEEDED: f64 = 0.01;

@@ -39,7 +39,7 @@ pub struct Decision {
     pub explanation: usize,
     /// Effects with their probabilities, the most probable first; none of a half or more but under `effect`.
     pub effects: Vec<(String, f64)>,
-    /// Effects that cannot be told from those named.
+    /// Effects that would explain the flights as well in the place of those named.
     pub ambiguous_with: Vec<String>,
     /// Whether a part of the gap stays open with what is named: its equation is not the catalogue's.
     pub is_inexact: bool,
@@ -60,8 +60,8 @@ const CHANGES: f64 = 0.12;
 const CARRIES: f64 = 0.3;
 /// The same for all effects together to be a substantial part.
 const SUBSTANTIAL: f64 = 0.2;
-/// Evidence of an effect that by itself counts, nats: odds of twenty thousand to one, for a
-/// model that is never quite right.
+/// Least evidence that counts, nats: odds of twenty thousand to one, for a model that is never
+/// quite right.
 const EVIDENCE: f64 = 10.0;
 /// A gap that is open, in units of what noise alone leaves, beyond four times its scatter.
 const OPEN: f64 = 1.15;
@@ -70,7 +70,7 @@ const OPEN: f64 = 1.15;
 const CREDENCE: [f64; 2] = [3.5, 8.0];
 /// Probability of gusts where a force looks like turbulence, as other forces may.
 const GUSTS: f64 = 0.7;
-/// Least mass of an effect that cannot be told from what is named.
+/// Least mass of an effect that would explain the flights as well as what is named.
 const RIVAL: f64 = 0.1;
 /// A remainder that shows that an equation is not exact, as a share.
 const INEXACT: f64 = 0.1;

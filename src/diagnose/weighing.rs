@@ -214,8 +214,8 @@ impl Inquiry<'_> {
     }
 }
 
-/// Whether the pack's voltage goes far enough, within flights or from one to the next, for sag to
-/// be told from another level of the thrust.
+/// Whether the pack's voltage varies enough, within flights or from one to the next, to tell a sag
+/// from another level of the thrust.
 fn voltages_differ(flights: &[PreparedFlight]) -> bool {
     let all = flights.iter().flat_map(|flight| flight.voltage.values().iter().map(|[v]| *v));
     flights.iter().all(|flight| flight.channels.voltage) && !is_flat(voltage_range(all))

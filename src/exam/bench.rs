@@ -9,9 +9,9 @@ use sitl::foreign::Foreign;
 use sitl::vehicle::{VehicleError, VehicleParams};
 
 use super::airframe;
-use super::builder::{Deviation, Deviations};
 use super::case::{Case, Kind, Order, Settings};
 use super::condition::Condition;
+use super::deviations::{Deviation, Deviations};
 use super::draw::{Draw, rounded};
 use super::flight::{FlightError, Link, Sortie, Track};
 use super::ground::Rates;

@@ -3,7 +3,7 @@
 use sitl::effects::ParameterValue;
 
 use super::answer::{Given, GivenEffect, class_of};
-use super::builder::Deviation;
+use super::deviations::Deviation;
 use super::key::{KeyEntry, Parameters, TrueEffect};
 
 /// Relative errors count up to this.

@@ -9,9 +9,9 @@ use sha2::{Digest, Sha256};
 use sitl::effects::ParameterValue;
 use sitl::foreign::Foreign;
 
-use super::builder::Deviation;
 use super::case::Kind;
 use super::condition::Condition;
+use super::deviations::Deviation;
 use super::strength::Strength;
 use super::world::{FileKind, LoopKind};
 

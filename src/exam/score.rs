@@ -311,7 +311,7 @@ fn brier(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exam::builder::Deviation;
+    use crate::exam::deviations::Deviation;
     use crate::exam::key::Parameters;
     use crate::exam::strength::Strength;
 

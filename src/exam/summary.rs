@@ -8,20 +8,17 @@ use super::case::Kind;
 use super::condition::Condition;
 use super::grade::Grade;
 use super::interval::{Rate, median};
+use super::reliability::{Reliability, calibration_error, reliability};
 use super::score::{Law, Row};
 use super::world::{FileKind, LoopKind};
 
 /// Borders between strengths in detection curves.
 pub const STRENGTHS: [f64; 9] = [0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0, 8.0, 15.0];
-/// Borders between probabilities in the reliability table.
-pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
 
 /// The Brier score is to be at most this.
 pub const BRIER_MAX: f64 = 0.05;
 /// And the expected calibration error.
 pub const CALIBRATION_MAX: f64 = 0.03;
-/// Bins of the reliability table count from so many cases on.
-const BIN_MIN: usize = 30;
 
 /// A rate that something is asked of.
 #[derive(Clone, Debug, Serialize)]
@@ -101,25 +98,6 @@ pub struct Detection {
     pub named: Rate,
     /// Share with any verdict other than none.
     pub noticed: Rate,
-}
-
-/// How often what is given this probability is true.
-#[derive(Clone, Debug, Serialize)]
-pub struct Reliability {
-    /// Probabilities from and to.
-    pub probabilities: [f64; 2],
-    /// Mean of those given.
-    pub mean: f64,
-    /// Share that is true.
-    pub is_true: Rate,
-}
-
-impl Reliability {
-    /// Whether the mean that was given lies where the true rate may; a bin of few counts as such.
-    pub fn holds(&self) -> bool {
-        let [low, high] = self.is_true.interval;
-        self.is_true.of < BIN_MIN || (low..=high).contains(&self.mean)
-    }
 }
 
 /// How a family of cases fared: those of one law on one loop with one kind of file, or of all in
@@ -514,7 +492,7 @@ fn conditions(rows: &[Row]) -> Vec<ConditionSummary> {
 }
 
 /// Ranges between borders; the last has no end.
-fn ranges(borders: &[f64]) -> impl Iterator<Item = [f64; 2]> + '_ {
+pub(super) fn ranges(borders: &[f64]) -> impl Iterator<Item = [f64; 2]> + '_ {
     let ends = borders.iter().skip(1).copied().chain([f64::INFINITY]);
     borders.iter().copied().zip(ends).map(|(low, high)| [low, high])
 }
@@ -531,38 +509,6 @@ fn detection(rows: &[&Row]) -> Vec<Detection> {
         })
         .filter(|detection| detection.named.of > 0)
         .collect()
-}
-
-fn reliability(rows: &[Row]) -> Vec<Reliability> {
-    let given: Vec<(f64, bool)> = rows
-        .iter()
-        .flat_map(|row| {
-            let is_true = |id: &String| row.kind != Kind::LeftOut && row.is_right(id);
-            row.probabilities.iter().map(move |(id, p)| (*p, is_true(id))).collect::<Vec<_>>()
-        })
-        .collect();
-    ranges(&PROBABILITIES)
-        .filter_map(|[low, high]| {
-            let here: Vec<_> = given.iter().filter(|(p, _)| (low..high).contains(p)).collect();
-            if here.is_empty() {
-                return None;
-            }
-            Some(Reliability {
-                probabilities: [low, high.min(1.0)],
-                mean: here.iter().map(|(p, _)| p).sum::<f64>() / here.len() as f64,
-                is_true: Rate::of(here.iter().map(|(_, is_true)| *is_true)),
-            })
-        })
-        .collect()
-}
-
-/// Mean distance between what was given and what is true, by how many are in each bin.
-fn calibration_error(bins: &[Reliability]) -> Option<f64> {
-    let total: usize = bins.iter().map(|bin| bin.is_true.of).sum();
-    let off = bins
-        .iter()
-        .filter_map(|bin| Some((bin.mean - bin.is_true.rate?).abs() * bin.is_true.of as f64));
-    (total > 0).then(|| off.sum::<f64>() / total as f64)
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
 //! The commander: armed or not, which mode is in force and which one is intended, and the changes
-//! between them. When they happen by themselves, the `Personality` says.
+//! between them. The `Personality` says when the vehicle takes one of its own accord.
 
 use wire::dialect::MavSeverity;
 

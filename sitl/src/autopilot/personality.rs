@@ -270,7 +270,8 @@ pub(super) trait Personality: fmt::Debug + Sync {
     /// The mode after disarming, now that `chosen` was asked for; `None`: it stays as it was.
     fn mode_after_disarming(&self, chosen: Mode, armed: bool) -> Option<Mode>;
 
-    /// One tick of an armed vehicle: failsafes, the pilot's sticks, disarming by itself.
+    /// Runs one tick of an armed vehicle: takes failsafes, follows the pilot's sticks, and disarms
+    /// after a landing or a time-out.
     fn watch(&self, commander: &mut Commander, now: &Situation, parameters: &Parameters);
 
     /// Words for a refused arming, mode or disarming.

@@ -79,8 +79,8 @@ impl RateLoop {
         self.mix(input.thrust, moment).map(|share| output_of(share, input.thrust_curve))
     }
 
-    /// Each rotor's share of its full thrust. Where one would be above 1, the collective gives way
-    /// to the moments.
+    /// Each rotor's share of its full thrust, 0..=1. Where one would exceed 1, the mixer lowers the
+    /// collective and keeps the moments.
     fn mix(&mut self, thrust: f64, moment: Frd) -> [f64; ROTORS] {
         let [roll, pitch, yaw] = moment.to_array();
         let collective = thrust * self.allocation.collective_max();

@@ -1,4 +1,4 @@
-//! Commands: what is asked of the vehicle, and the answer.
+//! Commands: the vehicle carries out COMMAND_LONG and COMMAND_INT, and acknowledges each.
 
 use wire::dialect::*;
 

@@ -22,7 +22,8 @@ impl Protocol {
         }
     }
 
-    /// A change is told to everyone; a refusal to who asked, together with the value in force.
+    /// Sets a parameter. The vehicle broadcasts the new value; a refusal goes to the sender alone,
+    /// with the value in force.
     pub(super) fn set_parameter(&mut self, sender: Sender, request: &PARAM_SET_DATA) {
         let name = request.param_id.to_str().unwrap_or_default();
         match self.flight.set_parameter(name, request.param_value, request.param_type) {
