@@ -7,7 +7,7 @@ use downwash::control::{
     AttitudeLoop, HoverModel, HoverVehicle, Limits, Lqr, LqrSettings, solve_dare,
 };
 use downwash::setpoint::{Reference, State};
-use sitl::frame::{Euler, Ned};
+use vehicle::frame::{Euler, Ned};
 
 const VEHICLE: HoverVehicle =
     HoverVehicle { mass_kg: 0.0343, inertia: [1.67e-5, 1.74e-5, 3.15e-5], gravity: 9.81 };

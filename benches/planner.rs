@@ -22,7 +22,7 @@ use downwash::plan::subproblem::{DynamicsForm, Solution, Stage, Subproblem, Subp
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 const HIDDEN: usize = 100;
 /// How far from zero the fit's points lie: v, omega, zeta, u of a nano quadrotor.

@@ -17,8 +17,8 @@ use downwash::station::{End, Station, StationSettings};
 use downwash::supervisor::EngagePolicy;
 use sitl::autopilot::Vehicle;
 use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
 
 /// How the flight ended, and the RMS distance from the trajectory, m.
 pub fn fly(effect: &str) -> anyhow::Result<(End, f64)> {

@@ -11,7 +11,7 @@ use downwash::plan::Trajectory;
 use downwash::plan::planned::PlannedBody;
 use downwash::plan::planner::{KeepOutSetting, PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::scp::Outcome;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 /// Two metres north past a ball; the plan, with the thrust, attitude and rates of every step.
 pub fn plan() -> anyhow::Result<Outcome<7>> {

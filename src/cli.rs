@@ -9,8 +9,8 @@ mod vehicle;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
+use ::vehicle::effects::EffectId;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use sitl::effects::EffectId;
 
 pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};

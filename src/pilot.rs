@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
 use self::guidance::Guidance;
 pub use self::guidance::GuidanceSettings;
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use crate::clock::{HostTime, VehicleTime};
 use crate::control::{Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation};

@@ -1,8 +1,8 @@
 //! What the controller asks of the vehicle, and what it tracks.
 
-use sitl::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Ned};
 
-pub use sitl::rigid_body::State;
+pub use vehicle::rigid_body::State;
 
 /// The commanded input `u_hat = (u1, zeta_des, omega_des)` of the PD-augmented vehicle, in R^7.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -7,8 +7,8 @@ mod rate;
 mod status;
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::rigid_body::State;
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::rigid_body::State;
 
 pub use self::fault::TelemetryFault;
 pub use self::lateness::LateMessages;

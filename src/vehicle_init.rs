@@ -8,7 +8,7 @@ mod document;
 mod onboard_loop;
 
 use serde::Serialize;
-use sitl::vehicle::{AttitudeCascade, BatteryParams};
+use vehicle::{AttitudeCascade, BatteryParams};
 
 use crate::parameters::{Autopilot, Parameters};
 
@@ -271,7 +271,7 @@ fn wanting(key: &str) -> Option<Wanting> {
 
 #[cfg(test)]
 mod tests {
-    use sitl::vehicle::VehicleParams;
+    use vehicle::VehicleParams;
 
     use super::*;
     use crate::parameters::tests::{COPTER, SIH, parameters};
@@ -340,7 +340,8 @@ mod tests {
         let thrust = 3.0 * GRAVITY / 4.0 / 0.39;
         close(vehicle.rotors[0].thrust_max_n, thrust);
         close(vehicle.rotors[0].position_m[1], 0.35);
-        let curve = vehicle.modelled_effects.get::<sitl::effects::ThrustCurve>().expect("a curve");
+        let curve =
+            vehicle.modelled_effects.get::<vehicle::effects::ThrustCurve>().expect("a curve");
         close(curve.a, 0.65);
         // Two motors at half each about roll.
         let cascade = vehicle.attitude_cascade.expect("a cascade");

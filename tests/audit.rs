@@ -13,7 +13,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::Value;
 use sitl::config::{ImuNoise, SensorConfig, SitlConfig};
-use sitl::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 /// Turns and travels in every axis.
 const LIVELY: &str = r#"

@@ -14,7 +14,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use sitl::config::{EstimatorConfig, SensorConfig, SitlConfig};
-use sitl::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 /// A flight of a vehicle, effects, sensors, an estimator and a motion that the seed draws.
 fn drawn(seed: u64) -> Flight {

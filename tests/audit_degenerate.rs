@@ -8,7 +8,7 @@ use std::time::Duration;
 use downwash::audit::{Agreement, Audit, Estimate};
 use downwash::log::import::{Clock, Flight, Origin};
 use proptest::prelude::*;
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 const RATE_HZ: f64 = 100.0;
 const SECONDS: f64 = 12.0;

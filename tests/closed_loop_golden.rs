@@ -14,8 +14,8 @@ use downwash::control::LqrSettings;
 use downwash::log::record::{Record, Tick};
 use downwash::station::{End, StationSettings};
 use serde::Deserialize;
-use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 
 /// What two flights that are the same may differ by, in SI units; thrust as a fraction of weight.
 const TOLERANCE: f64 = 2e-6;

@@ -10,7 +10,7 @@ use downwash::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr};
 use downwash::log::record::{Record, Tick};
 use downwash::station::End;
 use nalgebra::SVector;
-use sitl::vehicle::AttitudePd;
+use vehicle::AttitudePd;
 
 /// Errors in position, velocity, (roll, pitch, yaw) and body rate.
 type Errors = SVector<f64, 12>;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 fn run(name: &str, arguments: &[&str]) -> (PathBuf, Value) {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("demo-diagnose").join(name);

@@ -12,8 +12,8 @@ use downwash::plan::manoeuvres::Room;
 use downwash::plan::programme::{Capability, ProgrammeSettings};
 use serde_json::Value;
 use sitl::config::SensorConfig;
-use sitl::effects::EffectSet;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
 
 const NANO: &str = "crazyflie.toml";
 const QUAD: &str = "quad1200.toml";

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
-use sitl::effects::EffectId;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectId;
 
 const NANO: &str = "crazyflie.toml";
 const QUAD: &str = "quad1200.toml";
@@ -87,8 +87,8 @@ fn drag_is_named_with_its_number_and_closes_the_gap_in_the_improved_file() {
     let learner = gap("with_learner");
     assert!(gap("before") - learner > 0.5 * (gap("before") - gap("floor")), "{}", answer["gap"]);
 
-    let improved = sitl::vehicle::VehicleParams::load(&improved).expect("the improved file");
-    let written = improved.modelled_effects.value(sitl::effects::EffectId::RotorDrag, "d_xy", 0);
+    let improved = vehicle::VehicleParams::load(&improved).expect("the improved file");
+    let written = improved.modelled_effects.value(vehicle::effects::EffectId::RotorDrag, "d_xy", 0);
     assert!(written.is_some_and(|written| (written - d_xy).abs() < 1e-12));
 }
 

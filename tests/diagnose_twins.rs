@@ -19,8 +19,8 @@ use downwash::diagnose::twins::{TwinFits, screened};
 use downwash::exam::case::{Case, Kind, Order, Settings};
 use downwash::exam::condition::Condition;
 use downwash::log::import;
-use sitl::effects::EffectId;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectId;
 
 /// Flights of the shipped nano quadrotor without an effect.
 fn flights(vehicle: &Path) -> Vec<PathBuf> {

@@ -22,7 +22,7 @@ use downwash::model::file::AccelerationSource::SpecificForce;
 use downwash::model::file::ModelFile;
 use downwash::model::learned::NetworkModel;
 use serde_json::Value;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 static REALISTIC: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("realistic", 120, &[]));
 static SHORT: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("short", 32, &[]));

@@ -16,7 +16,7 @@ use downwash::setpoint::{Reference, Setpoint};
 use downwash::station::{End, StationSettings};
 use nalgebra::SVector;
 use sitl::config::SitlConfig;
-use sitl::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Ned};
 
 /// What the vehicles have beyond what the feedback is designed on, taken away.
 const PROMPT: [&str; 2] = ["motor_lag:tau_s=0", "command_delay:delay_s=0"];
@@ -246,7 +246,7 @@ fn reference_may_turn_and_move_at_once() {
     let mut settings = settings(&params, hover(1.0));
     let weight = settings.hover.hover_thrust_n();
     settings.reference = Arc::new(Curve(8.0, move |t| {
-        let yaw = sitl::frame::wrap_angle(0.8 * t);
+        let yaw = vehicle::frame::wrap_angle(0.8 * t);
         let rate = Frd::new(0.0, 0.0, 0.8);
         let mut reference = level(Ned::new(0.3 * t, 0.0, -1.0), Ned::new(0.3, 0.0, 0.0), weight);
         reference.attitude = Euler::new(0.0, 0.0, yaw);

@@ -19,7 +19,7 @@ use downwash::station::{End, StationSettings};
 use downwash::supervisor::{EngagePolicy, FlightState};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, SitlConfig};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 /// As of an autopilot that does not say that it hears attitude, rates and thrust together.
 fn with(offset_free: Use, params: &VehicleParams, trajectory: Trajectory) -> StationSettings {

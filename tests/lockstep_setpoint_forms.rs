@@ -10,7 +10,7 @@ use downwash::log::record::Record;
 use downwash::plan::Trajectory;
 use downwash::station::{End, StationSettings};
 use sitl::config::SitlConfig;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 const MASKS: [u8; 3] = [0x00, 0x07, 0x80];
 

@@ -16,7 +16,7 @@ use downwash::log::schema::{BatteryMessage, ControlMessage, SetpointMessage, Sta
 use downwash::log::{LogSink, LogWriter};
 use downwash::setpoint::{Setpoint, State};
 use proptest::prelude::*;
-use sitl::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Ned};
 
 /// A fresh directory for the test `name`.
 fn directory(name: &str) -> PathBuf {

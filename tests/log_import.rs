@@ -633,7 +633,7 @@ fn outputs_span_what_the_autopilots_own_parameters_state() {
     let functions = [1, 2, 3, 4].map(|n| (format!("PWM_MAIN_FUNC{n}"), 100.0 + n as f32));
     let mut stated: Vec<(&str, f32)> = functions.iter().map(|(n, v)| (n.as_str(), *v)).collect();
     let vehicle = lockstep::params(lockstep::NANO);
-    let normalised = |mut flight: Flight, vehicle: &sitl::vehicle::VehicleParams| {
+    let normalised = |mut flight: Flight, vehicle: &vehicle::VehicleParams| {
         flight.normalise_outputs(vehicle).expect("a unit");
         flight.outputs.values()[50]
     };
@@ -645,14 +645,14 @@ fn outputs_span_what_the_autopilots_own_parameters_state() {
     write(&flight, &copy).expect("a log");
     assert_eq!(normalised(import(&copy), &vehicle), [0.1, 0.5, 0.9, 0.0]);
     // A range of the file's own wins.
-    let own = sitl::vehicle::MotorOutput {
+    let own = vehicle::MotorOutput {
         message: "ACTUATOR_OUTPUT_STATUS".to_owned(),
         fields: Vec::new(),
         zero: 900.0,
         one: 1900.0,
         disarmed: 900.0,
     };
-    let with_own = sitl::vehicle::VehicleParams { motor_output: Some(own), ..vehicle.clone() };
+    let with_own = vehicle::VehicleParams { motor_output: Some(own), ..vehicle.clone() };
     assert_eq!(normalised(flight, &with_own), [0.2, 0.6, 1.0, 0.0]);
     // A real one states both.
     let ends = [1, 2, 3, 4].map(|n| [format!("PWM_MAIN_MIN{n}"), format!("PWM_MAIN_MAX{n}")]);

@@ -10,8 +10,8 @@ use downwash::log::import::{
     Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleKind, open, read_bytes, write,
 };
 use proptest::prelude::*;
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::frame::{Attitude, Frd, Ned};
 
 fn place(test: &str, name: &str) -> PathBuf {
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("log_onboard").join(test);

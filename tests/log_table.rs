@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use downwash::log::import::mapping::{AttitudeTurn, BodyFrame, Mapping, WorldFrame};
 use downwash::log::import::{Flight, ImportError, MotorUnit, open, open_among, write};
 use proptest::prelude::*;
-use sitl::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 fn place(test: &str, name: &str) -> PathBuf {
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("log_table").join(test);

@@ -6,7 +6,7 @@ use crate::pilot_world::{
 use downwash::link::message::{Battery, Inbound};
 use downwash::pilot::{LinkEvent, PilotSettings, Tick};
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
-use sitl::frame::{Frd, Ned};
+use vehicle::frame::{Frd, Ned};
 
 fn flight(policy: EngagePolicy) -> Flight {
     let path = |_| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);

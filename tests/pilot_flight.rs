@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use crate::pilot_world::{Curve, Flight, Hovering, NANO, Numbers, QUAD, Vehicle, weight};
 use downwash::pilot::PilotSettings;
 use downwash::supervisor::{EngagePolicy, FlightState};
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 fn hover(_: f64) -> (Ned, Ned, f64, f64) {
     (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0)

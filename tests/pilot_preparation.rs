@@ -4,7 +4,7 @@ use crate::pilot_world::{Curve, Flight, Hovering, QUAD, Vehicle, weight};
 use downwash::link::message::{Battery, Inbound, Received};
 use downwash::pilot::PilotSettings;
 use downwash::supervisor::{EngagePolicy, FlightState};
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 fn flight() -> Flight {
     let hover = |_: f64| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);

@@ -9,7 +9,7 @@ use crate::pilot_world::{
 use downwash::link::message::{Battery, ChargeState, Inbound, LandedState, Received, SystemState};
 use downwash::pilot::PilotSettings;
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Takeover};
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 const RETURN_MODE: u32 = 0x0504_0000;
 

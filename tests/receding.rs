@@ -18,8 +18,8 @@ use downwash::plan::reference::ReferenceSource;
 use downwash::setpoint::State;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use sitl::frame::{Euler, Frd, Ned};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::frame::{Euler, Frd, Ned};
 
 const PERIOD_S: f64 = 0.01;
 

@@ -7,7 +7,7 @@ use downwash::link::message::{AttitudeSource, Inbound, Received};
 use downwash::link::vehicle_clock::VehicleClock;
 use downwash::telemetry::{Sample, SampleSource, Telemetry, TelemetryFault, TelemetrySettings};
 use proptest::prelude::*;
-use sitl::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 const START: HostTime = HostTime::from_ns(1_000_000_000_000);
 

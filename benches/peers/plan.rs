@@ -23,7 +23,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use sitl::scalar::{Dual, Scalar};
+use vehicle::scalar::{Dual, Scalar};
 
 #[derive(Deserialize)]
 struct Params {

@@ -4,8 +4,8 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use sitl::autopilot::{LinkKind, Peer, Vehicle};
 use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
 use wire::Encoder;
 use wire::dialect::*;
 

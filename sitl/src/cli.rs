@@ -10,9 +10,9 @@ use wire::transport::OpenError;
 
 use crate::autopilot::{Vehicle, VehicleRefused};
 use crate::config::{Autopilot, ConfigError, SitlConfig};
-use crate::effects::{EffectSet, EffectsRefused};
 use crate::server::Server;
-use crate::vehicle::{VehicleError, VehicleParams};
+use vehicle::effects::{EffectSet, EffectsRefused};
+use vehicle::{VehicleError, VehicleParams};
 
 /// Options of `sitl`.
 #[derive(Clone, Debug, clap::Args)]

@@ -4,6 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use vehicle::plant::Setup;
+
+pub use vehicle::battery::BatteryConfig;
+pub use vehicle::plant::Start;
 
 /// Settings of the simulated vehicle; every key has a default, any other key is refused.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -152,36 +156,6 @@ impl Default for Home {
     }
 }
 
-/// Where the vehicle begins, at rest and level.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Start {
-    /// North, east, down in m.
-    pub position_m: [f64; 3],
-    /// Heading from north towards east in rad.
-    pub heading_rad: f64,
-}
-
-/// The pack beyond its nominal data.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BatteryConfig {
-    /// Capacity in mAh; missing: eight minutes of hover.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub capacity_mah: Option<f64>,
-    /// Internal resistance in ohm; missing: 4 % of the full voltage at hover.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub resistance_ohm: Option<f64>,
-    /// Charge at the start, 0..=1.
-    pub charge: f64,
-}
-
-impl Default for BatteryConfig {
-    fn default() -> Self {
-        Self { capacity_mah: None, resistance_ohm: None, charge: 1.0 }
-    }
-}
-
 /// Standard deviations, per axis. The defaults are motion capture and a small MEMS IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -298,6 +272,11 @@ impl SitlConfig {
             message: error.to_string(),
         })?;
         config.checked()
+    }
+
+    /// What of it the plant begins with.
+    pub fn plant(&self) -> Setup {
+        Setup { start: self.start, floor_down_m: self.floor_down_m, battery: self.battery }
     }
 
     fn checked(self) -> Result<Self, ConfigError> {

@@ -5,7 +5,7 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 
 use crate::config::{EstimatorConfig, GpsGlitch};
-use crate::frame::Ned;
+use vehicle::frame::Ned;
 
 /// What the estimator says of itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -7,13 +7,13 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 
 use crate::config::{ImuNoise, SensorConfig, SitlConfig, Vibration};
-use crate::effects::{AttitudeTrim, EffectSet, EstimatorLatency};
 use crate::estimate_error::ErrorModel;
 pub use crate::estimate_error::EstimatorStatus;
-use crate::frame::{Attitude, Frd, Ned};
-use crate::plant::Plant;
-use crate::rigid_body::State;
-use crate::vehicle::ROTORS;
+use vehicle::ROTORS;
+use vehicle::effects::{AttitudeTrim, EffectSet, EstimatorLatency};
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::plant::Plant;
+use vehicle::rigid_body::State;
 
 /// What the sensors say at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]

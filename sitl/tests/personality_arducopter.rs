@@ -4,7 +4,7 @@ use crate::bench;
 use crate::bench::{Bench, setpoint};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, SitlConfig};
-use sitl::frame::Euler;
+use vehicle::frame::Euler;
 use wire::dialect::*;
 
 const ACCEPTED: MavResult = MavResult::MAV_RESULT_ACCEPTED;

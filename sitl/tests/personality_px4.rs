@@ -4,7 +4,7 @@ use crate::bench;
 use crate::bench::{Bench, Heard, count, setpoint};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, SitlConfig};
-use sitl::vehicle::{AttitudeCascade, VehicleParams};
+use vehicle::{AttitudeCascade, VehicleParams};
 use wire::dialect::*;
 
 const ACCEPTED: MavResult = MavResult::MAV_RESULT_ACCEPTED;
@@ -201,7 +201,7 @@ fn an_attitude_step_takes_the_loops_time_whatever_the_rate_of_setpoints() {
 #[test]
 fn integrals_take_up_a_steady_moment() {
     // A centre of mass off to the front: the PD alone would hang in pitch by M / kp.
-    let mut effects = sitl::effects::EffectSet::new();
+    let mut effects = vehicle::effects::EffectSet::new();
     effects.insert_argument("com_offset:x_m=0.005,y_m=0").unwrap();
     let mut config = SitlConfig { autopilot: Autopilot::Px4, ..SitlConfig::default() };
     config.sensors = sitl::config::SensorConfig::IDEAL;

@@ -1,11 +1,38 @@
 //! What the vehicle reports about its state.
 
-use crate::common::{airborne, effects, quad};
-use sitl::config::{SensorConfig, SitlConfig};
-use sitl::effects::EffectSet;
-use sitl::frame::{Attitude, Euler, Frd, Ned};
-use sitl::rigid_body::State;
+use std::path::Path;
+
+use sitl::config::{SensorConfig, SitlConfig, Vibration};
 use sitl::sensors::{Readings, Sensors};
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
+
+/// The shipped 1.2 kg quadrotor without drag and without lag.
+fn quad() -> VehicleParams {
+    let mut vehicle = VehicleParams::load("quad1200").unwrap();
+    vehicle.modelled_effects = EffectSet::new();
+    vehicle.motor_time_constant_s = 0.0;
+    vehicle
+}
+
+fn effects(arguments: &[&str]) -> EffectSet {
+    let mut set = EffectSet::new();
+    for argument in arguments {
+        set.insert_argument(argument).unwrap();
+    }
+    set
+}
+
+/// A plant high above the floor with a pack that does not sag.
+fn airborne(vehicle: &VehicleParams, effects: &EffectSet) -> Plant {
+    let mut setup = Setup::default();
+    setup.battery.resistance_ohm = Some(0.0);
+    setup.start.position_m = [0.0, 0.0, -100.0];
+    Plant::new(vehicle, effects, &setup, 7).unwrap()
+}
 
 fn ideal() -> SitlConfig {
     SitlConfig { sensors: SensorConfig::IDEAL, ..SitlConfig::default() }
@@ -133,4 +160,37 @@ fn latency_longer_than_the_flight_reports_the_start() {
         sensors.record(&plant);
     }
     assert!(sensors.sample(&plant).estimate.position.down() < -99.9);
+}
+
+#[test]
+fn rotors_shake_the_sensors_at_their_own_speed() {
+    let vehicle = quad();
+    let vibration = Vibration { rotor_max_hz: 100.0, gyro_rad_s: 0.1, accelerometer_m_s2: 2.0 };
+    let config = SitlConfig { sensors: SensorConfig::IDEAL, vibration, ..SitlConfig::default() };
+    let mut plant = airborne(&vehicle, &effects(&[]));
+    let outputs = [vehicle.hover_share(); 4];
+    plant.set_rotor_states(outputs);
+    let mut sensors = Sensors::new(&config, &EffectSet::new(), 1);
+    let (mut squares, mut crossings, mut last) = (0.0, 0, 0.0);
+    let steps = 2_000;
+    for _ in 0..steps {
+        plant.step(outputs);
+        let shaken = sensors.sample(&plant).gyro.front() - plant.state().body_rate.front();
+        crossings += usize::from((shaken > 0.0) != (last > 0.0));
+        last = shaken;
+        squares += shaken * shaken / f64::from(steps);
+    }
+    // The pack is nearly full, so the speed is that of the output's root.
+    let wanted = 2.0 * 100.0 * vehicle.hover_share().sqrt() * 2.0;
+    assert!((crossings as f64 / wanted - 1.0).abs() < 0.05, "{crossings} {wanted}");
+    // Four lines of fixed phases: between nothing and four times the amplitude.
+    assert!(squares.sqrt() < 0.4 && squares > 0.0, "{squares}");
+}
+
+#[test]
+fn the_example_configuration_is_the_default() {
+    let config =
+        SitlConfig::load(Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/sitl.toml"))
+            .unwrap();
+    assert_eq!(config, SitlConfig::default());
 }

@@ -1,6 +1,6 @@
 //! Units, axes and orders, by how streams fit each other; and delays, rotations and biases.
 
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::kinematics::{
     Kinematics, Reading, by_attitude, gaining_follows, moving_follows, turning_explained,

@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix3, SVector, Vector3};
 use serde::Serialize;
-use sitl::frame::{Attitude, Frd, Ned, wrap_angle};
+use vehicle::frame::{Attitude, Frd, Ned, wrap_angle};
 
 use super::pair::{Agreement, Correction, Expected, Pair, agreement};
 use super::trial::Trial;

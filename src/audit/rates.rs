@@ -5,7 +5,7 @@
 //! lost but folded into what is slower.
 
 use serde::Serialize;
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::weak::median;
 use crate::log::import::{Flight, Stream};

@@ -1,6 +1,6 @@
 //! Values that repeat, jump, or cannot be.
 
-use sitl::frame::{Frd, Ned};
+use vehicle::frame::{Frd, Ned};
 
 use super::{Audit, Finding, Severity, UnusableSpan};
 use crate::log::import::{Flight, Stream};

@@ -14,8 +14,8 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::effects::{EffectId, EffectSet};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::{EffectId, EffectSet};
 
 use super::collect::gather;
 use super::course::Course;

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::effects::EffectSet;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
 
 use super::improved::{Additions, Form};
 use super::logs::open_for;

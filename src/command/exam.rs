@@ -21,8 +21,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
-use sitl::effects::{EffectId, EffectSet};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::{EffectId, EffectSet};
 
 use super::logs::open_for;
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};

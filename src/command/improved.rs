@@ -9,9 +9,9 @@ use anyhow::{Context, anyhow};
 use serde::de::{self, Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use serde_json::{Map, Value, json};
-use sitl::effects::EffectSet;
-use sitl::vehicle::VehicleParams;
 use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike};
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
 
 use crate::diagnose::answer::Answer;
 use crate::log::name::date;

@@ -6,7 +6,7 @@ use std::sync::Mutex;
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 use super::{in_words, say};
 use crate::audit::{Audit, LEFT_OUT, NO_SAMPLES, UnusableSpan};

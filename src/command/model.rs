@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 use super::logs::Logs;
 use super::output::{Output, refuse_input};

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use sitl::effects::BatterySag;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::BatterySag;
 
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use crate::link::attitude_target::ThrustMap;
 use crate::model::{ACCELERATIONS, Jacobian, Model, Point};
 use crate::pilot::EffectiveVehicle;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 /// Column of the thrust in a [`Jacobian`].
 const THRUST: usize = 9;
@@ -79,7 +79,7 @@ impl Model for SentThrust {
 mod tests {
     use super::*;
     use crate::model::physics::{PhysicsModel, PhysicsParameters};
-    use sitl::effects::EffectSet;
+    use vehicle::effects::EffectSet;
 
     #[test]
     fn asking_for_the_weight_hovers_whatever_the_rotors_lack() {

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use sitl::frame::Frd;
-use sitl::vehicle::{AttitudePd, VehicleParams};
+use vehicle::frame::Frd;
+use vehicle::{AttitudePd, VehicleParams};
 use wire::Endpoint;
 
 use super::course::Course;
@@ -35,7 +35,7 @@ impl VehicleFile {
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let params = VehicleParams::load(path).or_exit(Exit::Usage)?;
         refuse_grounded(&path.display().to_string(), &params)?;
-        let text = sitl::vehicle::read(path)
+        let text = vehicle::read(path)
             .with_context(|| format!("vehicle file {}", path.display()))
             .or_exit(Exit::Usage)?;
         Ok(Self { name: path.display().to_string(), text, params })

@@ -7,8 +7,8 @@ use std::time::Instant;
 use anyhow::Context;
 use sitl::autopilot::Vehicle;
 use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
 
 use super::course::Course;
 use super::setup::{VehicleFile, run_info, station_settings};

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, anyhow};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 use super::logs::Logs;
 use super::output::{create_report_folder, refuse_input, sha256};

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, anyhow};
 use serde::Serialize;
-use sitl::vehicle::{Doubt, Remark, SHIPPED, VehicleParams};
+use vehicle::{Doubt, Remark, SHIPPED, VehicleParams};
 
 use super::fly::endpoint;
 use super::{

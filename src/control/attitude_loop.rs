@@ -1,9 +1,9 @@
 //! The attitude loop between the setpoint and the vehicle's angular acceleration.
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Euler, Frd, wrap_angle};
-use sitl::scalar::Scalar;
-use sitl::vehicle::AttitudePd;
+use vehicle::AttitudePd;
+use vehicle::frame::{Euler, Frd, wrap_angle};
+use vehicle::scalar::Scalar;
 
 use crate::setpoint::Setpoint;
 

@@ -2,7 +2,7 @@
 //! the equilibrium that it moves.
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 
 use super::actuation::Actuation;
 use super::attitude_loop::{AttitudeError, AttitudeLoop, angle_error};
@@ -382,7 +382,7 @@ fn bounded([x, y]: [f64; 2], largest: f64) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sitl::rigid_body::RigidBody;
+    use vehicle::rigid_body::RigidBody;
 
     const QUAD: HoverVehicle =
         HoverVehicle { mass_kg: 1.2, inertia: [0.0115, 0.0125, 0.021], gravity: 9.81 };

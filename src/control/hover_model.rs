@@ -2,9 +2,9 @@
 //! attitude loop inside, linearised at hover and zero yaw.
 
 use nalgebra::SMatrix;
-use sitl::frame::{Euler, Frd, Ned};
-use sitl::rigid_body::{RigidBody, State};
-use sitl::scalar::{Dual, Scalar};
+use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::rigid_body::{RigidBody, State};
+use vehicle::scalar::{Dual, Scalar};
 
 use super::attitude_loop::AttitudeLoop;
 

@@ -1,7 +1,7 @@
 //! The last bounds on a setpoint before the supervisor.
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Euler, Frd, wrap_angle};
+use vehicle::frame::{Euler, Frd, wrap_angle};
 
 use crate::setpoint::Setpoint;
 

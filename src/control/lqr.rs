@@ -2,8 +2,8 @@
 
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Euler, Frd, Ned};
-use sitl::rigid_body::State;
+use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::rigid_body::State;
 
 use super::actuation::{Actuation, DELAYED_STATES, DelayedModel};
 use super::attitude_loop::{AttitudeLoop, angle_error};

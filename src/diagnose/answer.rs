@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-use sitl::effects::{EffectId, EffectSet, Kind, ParameterValue};
+use vehicle::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
 use super::attribution::Share;
 use super::case::Case;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use sitl::effects::{EffectId, EffectSet, Slots};
+use vehicle::effects::{EffectId, EffectSet, Slots};
 
 use super::answer::{
     Answer, EffectAnswer, ExplanationAnswer, Finding, FlightAnswer, FullVerdict, Gap, NotTestable,

@@ -1,10 +1,10 @@
 //! Values of a catalogue's numbers as a vehicle: what flies, what drives it and how it reports.
 
-use sitl::effects::{
+use vehicle::effects::{
     AttitudeTrim, CommandDelay, EffectId, EffectSet, EstimatorLatency, PdGain, Slots,
 };
-use sitl::physics::Physics;
-use sitl::vehicle::{VehicleError, VehicleParams};
+use vehicle::physics::Physics;
+use vehicle::{VehicleError, VehicleParams};
 
 use super::hypothesis::{Catalogue, Target, reference};
 

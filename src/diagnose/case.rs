@@ -1,7 +1,7 @@
 //! A case: the flights, their vehicle, and how they are to be looked at.
 
-use sitl::effects::EffectId;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectId;
 
 use super::preparation::PreparedFlight;
 

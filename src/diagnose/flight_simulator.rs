@@ -8,12 +8,12 @@ use rand_pcg::Pcg64Mcg;
 use sitl::autopilot::offboard::{AttitudeSetpoint as OnboardSetpoint, OffboardStream};
 use sitl::autopilot::pd::AttitudeLoop as OnboardLoop;
 use sitl::config::{SensorConfig, SitlConfig};
-use sitl::effects::{CommandDelay, EffectSet, PdGain};
-use sitl::frame::Attitude;
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
 use sitl::sensors::{Readings, Sensors};
-use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
+use vehicle::effects::{CommandDelay, EffectSet, PdGain};
+use vehicle::frame::Attitude;
+use vehicle::plant::Plant;
+use vehicle::rigid_body::State;
+use vehicle::{ROTORS, VehicleError, VehicleParams};
 use wire::dialect::AttitudeTargetTypemask;
 
 use super::series::Series;
@@ -144,7 +144,7 @@ impl<'a> FlightSimulator<'a> {
         let gains = all.get::<PdGain>().map_or(pd, |gains| gains.apply(&pd));
         let config = SitlConfig { sensors, ..SitlConfig::default() };
         // Refused here rather than at each flight.
-        Plant::new(vehicle, effects, &config, 0)?;
+        Plant::new(vehicle, effects, &config.plant(), 0)?;
         Ok(Self {
             control,
             vehicle,
@@ -171,7 +171,8 @@ impl<'a> FlightSimulator<'a> {
         voltage: Option<&Series<1>>,
         seed: u64,
     ) -> Result<Flight, VehicleError> {
-        let mut plant = Plant::new(self.vehicle, &self.effects, &self.config, seed)?.airborne();
+        let mut plant =
+            Plant::new(self.vehicle, &self.effects, &self.config.plant(), seed)?.airborne();
         plant.set_rotor_states(departure.rotors);
         plant.set_state(departure.state);
         let all = self.vehicle.modelled_effects.overlay(&self.effects);
@@ -307,7 +308,7 @@ impl Recorder {
 mod tests {
     use super::*;
     use crate::setpoint::Setpoint;
-    use sitl::frame::{Euler, Frd, Ned};
+    use vehicle::frame::{Euler, Frd, Ned};
 
     fn nano() -> VehicleParams {
         VehicleParams::from_toml_str(include_str!("../../config/vehicles/crazyflie.toml"))

@@ -6,8 +6,8 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::frame::Frd;
-use sitl::rigid_body::State;
+use vehicle::frame::Frd;
+use vehicle::rigid_body::State;
 
 use super::noise::ReportNoise;
 use super::open_loop::{HORIZONS_S, LoopNoise, MARGIN_S, NoiseDraw, Simulator};

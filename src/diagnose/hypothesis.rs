@@ -5,8 +5,8 @@
 //! every hypothesis and held by a prior of that width. An effect is named when its numbers must
 //! lie further off; its hypothesis takes them out of the tolerance and gives them a wide prior.
 
-use sitl::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
+use vehicle::{ROTORS, VehicleParams};
 
 use super::arrival::Delay;
 use super::tolerances::{DAMPING_RATE, DAMPING_TIME_S, Known, Scales, Tolerances};

@@ -1,8 +1,8 @@
 //! What a diagnosis looks at: flights, catalogue and on-board law, and vehicles by an explanation's
 //! numbers.
 
-use sitl::effects::{EffectId, EffectSet};
-use sitl::vehicle::VehicleError;
+use vehicle::VehicleError;
+use vehicle::effects::{EffectId, EffectSet};
 
 use super::arrival::Delay;
 use super::case::{Case, Settings};

@@ -6,9 +6,9 @@
 //! increments of velocity and body rate, which nothing differentiates twice.
 
 use rayon::prelude::*;
-use sitl::frame::{Frd, Ned};
-use sitl::rigid_body::State;
-use sitl::rotor::Allocation;
+use vehicle::frame::{Frd, Ned};
+use vehicle::rigid_body::State;
+use vehicle::rotor::Allocation;
 
 use super::candidate::Candidate;
 use super::observed::Observed;

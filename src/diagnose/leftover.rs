@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::frame::Frd;
+use vehicle::frame::Frd;
 
 use super::candidate::Candidate;
 use super::observed::Observed;

@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::candidate::Candidate;
 use super::layout::Place;

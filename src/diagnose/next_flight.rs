@@ -13,7 +13,7 @@ mod rehearsal;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 pub use self::live::{Live, OpenQuestions, typical};
 use self::rehearsal::{Rehearsal, Stage};

@@ -4,8 +4,8 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
 use sitl::config::{ImuNoise, SensorConfig};
-use sitl::frame::{Attitude, Euler, Frd, Ned};
-use sitl::rigid_body::State;
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::rigid_body::State;
 
 use super::layout::Place;
 use super::preparation::PreparedFlight;

@@ -1,7 +1,7 @@
 //! Flights as what is looked at in them: coefficients by place, their products and derivatives.
 
 use rayon::prelude::*;
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::{ROTORS, VehicleParams};
 
 use super::hypothesis::Catalogue;
 use super::layout::{AT_REST, Layout, Place};

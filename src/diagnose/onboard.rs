@@ -2,10 +2,10 @@
 
 use sitl::autopilot::offboard::{AttitudeSetpoint as OnboardSetpoint, JITTER_MEAN_S};
 use sitl::autopilot::pd::AttitudeLoop;
-use sitl::effects::PdGain;
-use sitl::frame::Frd;
-use sitl::rotor::Allocation;
-use sitl::vehicle::{AttitudePd, VehicleParams};
+use vehicle::effects::PdGain;
+use vehicle::frame::Frd;
+use vehicle::rotor::Allocation;
+use vehicle::{AttitudePd, VehicleParams};
 
 use super::preparation::PreparedFlight;
 use super::series::median;

@@ -8,14 +8,14 @@ use rand_distr::{Distribution, Exp1};
 use rand_pcg::Pcg64Mcg;
 use sitl::autopilot::offboard::JITTER_MEAN_S;
 use sitl::autopilot::pd::AttitudeLoop;
-use sitl::config::{SensorConfig, SitlConfig};
-use sitl::effects::{
+use sitl::config::SensorConfig;
+use vehicle::effects::{
     AttitudeTrim, CommandDelay, Effect, EffectSet, EstimatorLatency, Gusts, PdGain,
 };
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
+use vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::gap::Metric;
 use super::learner::Learner;
@@ -75,7 +75,7 @@ impl Simulator {
             None => None,
         };
         Ok(Self {
-            plant: Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?.airborne().coarse(),
+            plant: Plant::new(vehicle, &calm, &Setup::default(), 0)?.airborne().coarse(),
             law,
             trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
@@ -97,7 +97,7 @@ impl Simulator {
     ) -> Result<Self, VehicleError> {
         let mut calm = effects.clone();
         calm.remove(Gusts::ID);
-        let plant = Plant::new(vehicle, &calm, &SitlConfig::default(), 0)?.airborne().coarse();
+        let plant = Plant::new(vehicle, &calm, &Setup::default(), 0)?.airborne().coarse();
         Ok(Self { plant, ..self })
     }
 

@@ -1,7 +1,7 @@
 //! From flights to an answer.
 
-use sitl::effects::{EffectId, EffectSet};
-use sitl::vehicle::VehicleError;
+use vehicle::VehicleError;
+use vehicle::effects::{EffectId, EffectSet};
 
 use super::answer::Answer;
 use super::arrival::Delay;

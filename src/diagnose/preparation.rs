@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
-use sitl::frame::Attitude;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::frame::Attitude;
 
 use super::onboard::as_onboard;
 use super::series::{Series, next_to};

@@ -9,11 +9,11 @@ mod course;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::effects::{AttitudeTrim, Effect, EffectSet, EstimatorLatency, Gusts};
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::rigid_body::State;
-use sitl::rotor::Allocation;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::{AttitudeTrim, Effect, EffectSet, EstimatorLatency, Gusts};
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::rigid_body::State;
+use vehicle::rotor::Allocation;
 
 pub use self::course::ReferenceOrigin;
 use self::course::{Course, courses};

@@ -14,12 +14,12 @@ use rand_pcg::Pcg64Mcg;
 use sitl::autopilot::offboard::JITTER_MEAN_S;
 use sitl::autopilot::pd::AttitudeLoop;
 use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
 use sitl::sensors::{Readings, Sensors};
-use sitl::vehicle::{ROTORS, VehicleError};
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+use vehicle::plant::Plant;
+use vehicle::rigid_body::State;
+use vehicle::{ROTORS, VehicleError};
 
 use super::hypothesis::Catalogue;
 use super::noise::ReportNoise;
@@ -72,7 +72,7 @@ impl Replica {
         let (vehicle, overlay) = catalogue.vehicle_of(values);
         let config = SitlConfig { sensors: noise.sensors(), ..SitlConfig::default() };
         Ok(Self {
-            plant: Plant::new(&vehicle, &overlay, &config, 0)?.airborne().coarse(),
+            plant: Plant::new(&vehicle, &overlay, &config.plant(), 0)?.airborne().coarse(),
             effects: vehicle.modelled_effects.overlay(&overlay),
             config,
             attitude_loop: onboard.with_gains(candidate.gains),

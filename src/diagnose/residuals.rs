@@ -13,12 +13,12 @@
 //!
 //! The accelerometer's and the gyro's constant biases fall out with the blocks' means.
 
-use sitl::effects::EffectId;
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::physics::{Loads, Physics};
-use sitl::rigid_body::State;
-use sitl::rotor::Lag;
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::effects::EffectId;
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::physics::{Loads, Physics};
+use vehicle::rigid_body::State;
+use vehicle::rotor::Lag;
+use vehicle::{ROTORS, VehicleParams};
 
 use super::arrival::Delay;
 use super::candidate::Candidate;

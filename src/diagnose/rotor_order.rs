@@ -1,7 +1,7 @@
 //! Whether a log's outputs drive the rotors that the vehicle file places where it does. In another
 //! order they would be taken for another inertia, another centre of mass and a lost rotor.
 
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 
 use crate::audit::Audit;
 use crate::log::import::RotorFact;

@@ -1,6 +1,6 @@
 //! Series: samples of a stream as plain numbers, read linearly between them.
 
-use sitl::frame::Attitude;
+use vehicle::frame::Attitude;
 
 pub(super) use crate::audit::median;
 use crate::log::import::Stream;

@@ -8,7 +8,7 @@
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use sitl::frame::{Attitude, Frd};
+use vehicle::frame::{Attitude, Frd};
 
 use super::noise::{MEDIAN_SQUARE, normals};
 use super::series::median;
@@ -310,7 +310,7 @@ mod tests {
 
     use super::*;
     use rand::SeedableRng;
-    use sitl::frame::Euler;
+    use vehicle::frame::Euler;
 
     fn setpoint(roll: f64, thrust: f64) -> AttitudeSetpoint {
         let attitude = Euler { roll, pitch: 0.1, yaw: 2.0 }.attitude();

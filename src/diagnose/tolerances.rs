@@ -2,8 +2,8 @@
 //! vehicle's own units.
 
 use serde_json::{Map, Value};
-use sitl::effects::EffectId;
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::effects::EffectId;
+use vehicle::{ROTORS, VehicleParams};
 
 /// Standard deviations of a vehicle file's numbers: what its `provenance` claims, else what a
 /// careful builder reaches with a kitchen scale, a bifilar pendulum and one motor on a load cell,

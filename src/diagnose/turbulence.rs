@@ -5,8 +5,8 @@
 //! vehicle's own motion. The gusts' strength is what makes that force through the vehicle's drags.
 
 use nalgebra::{DMatrix, DVector};
-use sitl::effects::{EffectId, EffectSet, Slots};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::{EffectId, EffectSet, Slots};
 
 use super::leftover::UnmodelledForce;
 use super::map::Sample;

@@ -12,7 +12,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::vehicle::VehicleError;
+use vehicle::VehicleError;
 
 use super::explanation::Explanation;
 use super::fit::Z90;

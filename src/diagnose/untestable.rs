@@ -1,7 +1,7 @@
 //! Which effects of the catalogue a log's channels cannot show, whatever was flown.
 
 use serde::Serialize;
-use sitl::effects::EffectId;
+use vehicle::effects::EffectId;
 
 use crate::audit::{Channels, FAST_HZ, Rates};
 use crate::log::import::Flight;

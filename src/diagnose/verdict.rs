@@ -11,7 +11,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, Exp1, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
-use sitl::effects::EffectId;
+use vehicle::effects::EffectId;
 
 use super::answer::{NAMED, Verdict};
 use super::evidence::{Evidence, Explained, ForceLeft};

@@ -1,8 +1,8 @@
 //! From explanations to evidence: what each makes of the flights for choosing and of those reported
 //! on.
 
-use sitl::effects::{EffectId, EffectSet};
-use sitl::vehicle::VehicleError;
+use vehicle::VehicleError;
+use vehicle::effects::{EffectId, EffectSet};
 
 use super::evidence::{Evidence, Explained, ForceLeft, Found, Gaps, Turning};
 use super::explanation::{Explanation, Explanations};

@@ -1,6 +1,6 @@
 //! The finding as a person would say it.
 
-use sitl::effects::EffectId;
+use vehicle::effects::EffectId;
 
 use super::answer::{Answer, EffectAnswer, FullVerdict, Parameter, Verdict};
 use super::next_flight::NextFlight;

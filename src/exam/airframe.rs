@@ -1,7 +1,7 @@
 //! Vehicles: quadrotors from 25 g to 4 kg with the proportions of real ones.
 
-use sitl::effects::EffectSet;
-use sitl::vehicle::{AttitudePd, BatteryParams, RotorParams, VehicleParams};
+use vehicle::effects::EffectSet;
+use vehicle::{AttitudePd, BatteryParams, RotorParams, VehicleParams};
 
 use super::draw::{Draw, rounded};
 

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
-use sitl::effects::{EffectId, EffectSet, ParameterValue};
+use vehicle::effects::{EffectId, EffectSet, ParameterValue};
 
 /// Effects are named from this probability on.
 pub const NAMED: f64 = 0.5;

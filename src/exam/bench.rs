@@ -4,9 +4,9 @@
 use std::collections::BTreeMap;
 
 use sitl::config::{EstimatorConfig, ImuNoise, SensorConfig, SitlConfig, Vibration};
-use sitl::effects::{EffectId, EffectSet, ParameterValue, Slots};
-use sitl::foreign::Foreign;
-use sitl::vehicle::{VehicleError, VehicleParams};
+use vehicle::effects::{EffectId, EffectSet, ParameterValue, Slots};
+use vehicle::foreign::Foreign;
+use vehicle::{VehicleError, VehicleParams};
 
 use super::airframe;
 use super::case::{Case, Kind, Order, Settings};
@@ -487,7 +487,7 @@ mod tests {
     use super::*;
     use crate::exam::condition::rewritten;
     use mavlink::MessageData;
-    use sitl::plant::Plant;
+    use vehicle::plant::Plant;
     use wire::dialect::SET_ATTITUDE_TARGET_DATA;
 
     const SETTINGS: Settings =
@@ -509,7 +509,7 @@ mod tests {
             let truth = Truth::from(effects);
             let real = bench.real(&truth);
             let config = SitlConfig::default();
-            let plant = Plant::new(&real.body, &real.effects, &config, 1).expect("a plant");
+            let plant = Plant::new(&real.body, &real.effects, &config.plant(), 1).expect("a plant");
             assert_eq!(plant.physics().constants().mass, mass);
             let listed = bench.deviations_beside(&truth).listed(&bench.nominal);
             assert_eq!(listed.is_empty(), bench.setting.file == FileKind::Exact);

@@ -1,8 +1,8 @@
 //! A case: a vehicle file and flights of a vehicle that differs from it in a known way.
 
 use serde::{Deserialize, Serialize};
-use sitl::effects::{EffectId, EffectSet};
-use sitl::vehicle::{VehicleError, VehicleParams};
+use vehicle::effects::{EffectId, EffectSet};
+use vehicle::{VehicleError, VehicleParams};
 
 use super::bench::Bench;
 use super::condition::Condition;

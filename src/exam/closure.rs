@@ -1,7 +1,7 @@
 //! What an answer truly closes of the gap, whatever it claims.
 
-use sitl::effects::EffectSet;
-use sitl::vehicle::{VehicleError, VehicleParams};
+use vehicle::effects::EffectSet;
+use vehicle::{VehicleError, VehicleParams};
 
 use crate::diagnose::noise::ReportNoise;
 use crate::diagnose::open_loop::Simulator;

@@ -2,9 +2,9 @@
 //! acts that nobody measured.
 
 use serde::{Deserialize, Serialize};
-use sitl::effects::{EffectId, EffectSet, ParameterValue, RotorDrag, RotorLoss, Slots};
-use sitl::foreign::Foreign;
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::effects::{EffectId, EffectSet, ParameterValue, RotorDrag, RotorLoss, Slots};
+use vehicle::foreign::Foreign;
+use vehicle::{ROTORS, VehicleParams};
 
 use super::draw::{Draw, rounded};
 use super::key::Parameters;
@@ -350,7 +350,7 @@ fn slots(values: &[f64]) -> Slots {
 
 #[cfg(test)]
 mod tests {
-    use sitl::effects::{AttitudeTrim, EstimatorLatency};
+    use vehicle::effects::{AttitudeTrim, EstimatorLatency};
 
     use super::super::airframe;
     use super::*;

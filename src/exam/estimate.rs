@@ -1,6 +1,6 @@
 //! Numbers of an answer against those of the key.
 
-use sitl::effects::ParameterValue;
+use vehicle::effects::ParameterValue;
 
 use super::answer::{Given, GivenEffect, class_of};
 use super::deviations::Deviation;

@@ -9,10 +9,10 @@ use rand_pcg::Pcg64Mcg;
 use sitl::autopilot::offboard::AttitudeSetpoint;
 use sitl::autopilot::{LinkKind, Peer, Vehicle, VehicleRefused};
 use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::foreign::Foreign;
-use sitl::rigid_body::State;
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::effects::EffectSet;
+use vehicle::foreign::Foreign;
+use vehicle::rigid_body::State;
+use vehicle::{ROTORS, VehicleParams};
 use wire::Frame;
 use wire::tlog::Writer;
 

@@ -4,10 +4,10 @@
 use mavlink::MessageData;
 use sitl::autopilot::Mode;
 use sitl::autopilot::offboard::AttitudeSetpoint;
-use sitl::effects::{EffectSet, PdGain};
-use sitl::frame::{Attitude, Euler, Frd, Ned};
-use sitl::physics::Physics;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::{EffectSet, PdGain};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::physics::Physics;
 use wire::dialect::*;
 use wire::{Encoder, Frame};
 
@@ -46,7 +46,7 @@ pub struct Rates {
 pub enum GroundError {
     /// Its file lacks the loop, or is refused.
     #[error(transparent)]
-    Vehicle(#[from] sitl::vehicle::VehicleError),
+    Vehicle(#[from] vehicle::VehicleError),
     /// No regulator.
     #[error(transparent)]
     Design(#[from] crate::control::DesignError),
@@ -233,7 +233,7 @@ impl Ground {
         ];
         let bounded = rates.map(|rate| rate.clamp(-4.0, 4.0));
         let body_rate = attitude.body_rate(bounded);
-        let attitude = Euler { yaw: sitl::frame::wrap_angle(attitude.yaw), ..attitude };
+        let attitude = Euler { yaw: vehicle::frame::wrap_angle(attitude.yaw), ..attitude };
         Reference {
             position: point.position,
             velocity: point.velocity,

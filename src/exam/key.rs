@@ -6,8 +6,8 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use sitl::effects::ParameterValue;
-use sitl::foreign::Foreign;
+use vehicle::effects::ParameterValue;
+use vehicle::foreign::Foreign;
 
 use super::case::Kind;
 use super::condition::Condition;

@@ -1,8 +1,8 @@
 //! Effects with a direction and a size: one number that grows from nothing to as much as a vehicle
 //! may sensibly have, so that a wanted strength can be searched for.
 
-use sitl::effects::{EffectId, EffectSet, Slots};
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::effects::{EffectId, EffectSet, Slots};
+use vehicle::{ROTORS, VehicleParams};
 
 use super::draw::{Draw, rounded};
 use crate::diagnose::hypothesis::reference;

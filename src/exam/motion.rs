@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use crate::plan::DesiredPoint;
 

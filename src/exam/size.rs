@@ -2,10 +2,10 @@
 //! numbers of the vehicle file have moved within their tolerances to explain it.
 
 use sitl::autopilot::VehicleRefused;
-use sitl::effects::{AttitudeTrim, EffectId, EffectSet, RotorDrag, Slots};
-use sitl::foreign::Foreign;
-use sitl::frame::{Attitude, Euler};
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::effects::{AttitudeTrim, EffectId, EffectSet, RotorDrag, Slots};
+use vehicle::foreign::Foreign;
+use vehicle::frame::{Attitude, Euler};
+use vehicle::{ROTORS, VehicleParams};
 
 use super::bench::{Bench, Truth, ids};
 use super::draw::Draw;

@@ -3,9 +3,9 @@
 
 use std::f64::consts::TAU;
 
-use sitl::effects::{EffectId, EffectSet, Slots};
-use sitl::foreign::Foreign;
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::effects::{EffectId, EffectSet, Slots};
+use vehicle::foreign::Foreign;
+use vehicle::{ROTORS, VehicleParams};
 
 use super::draw::{Draw, rounded};
 

@@ -10,14 +10,14 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use sitl::autopilot::offboard::AttitudeSetpoint;
 use sitl::autopilot::pd::AttitudeLoop;
-use sitl::config::{SensorConfig, SitlConfig};
-use sitl::effects::{AttitudeTrim, CommandDelay, EffectSet, EstimatorLatency, PdGain};
-use sitl::foreign::Foreign;
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::rotor::Lag;
-use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
+use sitl::config::SensorConfig;
+use vehicle::effects::{AttitudeTrim, CommandDelay, EffectSet, EstimatorLatency, PdGain};
+use vehicle::foreign::Foreign;
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
+use vehicle::rotor::Lag;
+use vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::flight::Track;
 
@@ -185,7 +185,7 @@ impl Predictor {
             Some(pd) => Some((AttitudeLoop::new(pd, believed.allocation()?), pd.rate_hz)),
             None => None,
         };
-        let mut plant = Plant::new(body, effects, &SitlConfig::default(), 0)?;
+        let mut plant = Plant::new(body, effects, &Setup::default(), 0)?;
         foreign.iter().for_each(|foreign| plant.disturb(foreign.clone(), 0));
         let lag = plant.physics().constants().motor_time_constant;
         let steps = outputs_hz.map_or(1.0, |hz| 1.0 / (hz * Plant::STEP));
@@ -479,6 +479,8 @@ fn turned(attitude: Attitude, [x, y, z]: [f64; 3]) -> Attitude {
 
 #[cfg(test)]
 mod tests {
+    use sitl::config::SitlConfig;
+
     use super::*;
     use crate::exam::airframe;
     use crate::exam::draw::Draw;

@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
-use sitl::effects::{
+use vehicle::effects::{
     AttitudeTrim, ComOffset, CommandDelay, EffectId, EffectSet, EstimatorLatency, Inertia, Mass,
     MotorLag, RotorLoss, ThrustScale, YawTorque,
 };
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::{ROTORS, VehicleParams};
 
 use super::draw::{Draw, rounded};
 

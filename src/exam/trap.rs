@@ -1,7 +1,7 @@
 //! Traps: flights on which one effect looks like another, or like nothing.
 
 use sitl::config::BatteryConfig;
-use sitl::effects::EffectId;
+use vehicle::effects::EffectId;
 
 use super::programme::Restriction;
 

@@ -5,7 +5,7 @@ use mavlink::MessageData;
 use serde::{Deserialize, Serialize};
 use sitl::autopilot::SYSTEM_ID;
 use sitl::config::{EstimatorConfig, Vibration};
-use sitl::vehicle::{AttitudeCascade, AttitudePd, VehicleParams};
+use vehicle::{AttitudeCascade, AttitudePd, VehicleParams};
 
 use wire::dialect::{HEARTBEAT_DATA, SET_ATTITUDE_TARGET_DATA};
 

@@ -4,7 +4,7 @@
 //! rotated specific force. No vehicle model enters.
 
 use serde::Serialize;
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 use crate::log::import::{Flight, Stream};
 

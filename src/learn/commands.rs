@@ -6,10 +6,10 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 use sitl::autopilot::offboard::AttitudeSetpoint;
 use sitl::autopilot::pd::AttitudeLoop;
-use sitl::effects::PdGain;
-use sitl::frame::Frd;
-use sitl::rotor::Allocation;
-use sitl::vehicle::{ROTORS, VehicleError, VehicleParams};
+use vehicle::effects::PdGain;
+use vehicle::frame::Frd;
+use vehicle::rotor::Allocation;
+use vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::alignment::interpolated;
 use super::gaps::{unbroken, unbroken_over};
@@ -209,7 +209,7 @@ impl Onboard {
     pub(super) fn law_outputs(
         &self,
         setpoint: &import::AttitudeSetpoint,
-        attitude: sitl::frame::Attitude,
+        attitude: vehicle::frame::Attitude,
         body_rate: Frd,
     ) -> Option<[f64; ROTORS]> {
         let asked = AttitudeSetpoint {

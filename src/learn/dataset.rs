@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use serde::Serialize;
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::vehicle::{ROTORS, VehicleParams};
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::{ROTORS, VehicleParams};
 
 use super::ROW_RATE_HZ;
 use super::alignment::{Alignment, interpolated};

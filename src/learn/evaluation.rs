@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sitl::rigid_body::State;
+use vehicle::rigid_body::State;
 
 use super::dataset::Row;
 use super::not_finite;

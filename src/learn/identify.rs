@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
-use sitl::effects::BatterySag;
-use sitl::frame::Ned;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::BatterySag;
+use vehicle::frame::Ned;
 
 use super::commands::{CommandSource, Onboard};
 use super::dataset::{Observation, ObservedFlight};

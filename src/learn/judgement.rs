@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
-use sitl::vehicle::VehicleError;
+use vehicle::VehicleError;
 
 use super::commands::Onboard;
 use super::dataset::{ObservedFlight, Row};

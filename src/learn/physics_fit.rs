@@ -2,11 +2,11 @@
 //! flapping and damping.
 
 use nalgebra::DVector;
-use sitl::effects::{
+use vehicle::effects::{
     AttitudeTrim, BladeFlapping, ComOffset, Effect, EffectSet, Inertia, RotorDrag, Slots,
     ThrustScale,
 };
-use sitl::vehicle::{VehicleError, VehicleParams};
+use vehicle::{VehicleError, VehicleParams};
 
 use super::dataset::Row;
 use super::least_squares::{huber, least_squares};

@@ -1,9 +1,9 @@
 //! Open loop: what a model says will happen, from the state at one instant and the recorded
 //! inputs.
 
-use sitl::frame::{Attitude, Frd};
-use sitl::rigid_body::{Stage, State, rk4};
-use sitl::vehicle::ROTORS;
+use vehicle::ROTORS;
+use vehicle::frame::{Attitude, Frd};
+use vehicle::rigid_body::{Stage, State, rk4};
 
 use super::alignment::interpolated;
 use super::commands::{CommandSource, EVERYTHING, Onboard, fresh_setpoint, lerp};

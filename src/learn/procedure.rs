@@ -1,7 +1,7 @@
 //! From observed flights to a model file, step by step: split, actuation, physics, networks,
 //! errors.
 
-use sitl::vehicle::VehicleError;
+use vehicle::VehicleError;
 
 use super::dataset::{Row, WindowSettings};
 use super::judgement::{Best, deviation, judge, label_error};

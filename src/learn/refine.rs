@@ -8,8 +8,8 @@
 
 use nalgebra::DVector;
 use rayon::prelude::*;
-use sitl::rigid_body::State;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::rigid_body::State;
 
 use super::commands::Onboard;
 use super::dataset::ObservedFlight;

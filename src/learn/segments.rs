@@ -290,7 +290,7 @@ fn in_air(flight: &Flight, lifts: f64) -> Vec<Range<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use sitl::frame::{Attitude, Frd, Ned};
+    use vehicle::frame::{Attitude, Frd, Ned};
 
     use super::*;
     use crate::audit::Audit;

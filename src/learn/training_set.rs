@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use sitl::vehicle::{VehicleError, VehicleParams};
+use vehicle::{VehicleError, VehicleParams};
 
 use super::commands::Onboard;
 use super::dataset::{ObservedFlight, Row};

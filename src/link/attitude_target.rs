@@ -1,6 +1,6 @@
 //! Setpoint to SET_ATTITUDE_TARGET: intent in, the profile's message out.
 
-use sitl::frame::{Attitude, Frd};
+use vehicle::frame::{Attitude, Frd};
 use wire::Frame;
 use wire::dialect::{AttitudeTargetTypemask, MavMessage, SET_ATTITUDE_TARGET_DATA};
 
@@ -169,7 +169,7 @@ pub fn decode(frame: &Frame) -> Result<Option<AttitudeTarget>, Refusal> {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use sitl::frame::Euler;
+    use vehicle::frame::Euler;
 
     use super::*;
     use crate::link::profile::FormChoice;

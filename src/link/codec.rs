@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use mavlink::MessageData;
-use sitl::frame::{Attitude, Euler, Ned};
+use vehicle::frame::{Attitude, Euler, Ned};
 use wire::Frame;
 use wire::dialect::*;
 

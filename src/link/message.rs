@@ -1,6 +1,6 @@
 //! What the link hears, in the units and frames of the project. The dialect's types stop here.
 
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 use crate::clock::{HostTime, VehicleTime};
 use crate::link::vehicle_clock::Delay;

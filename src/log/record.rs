@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use sitl::frame::{Frd, Ned};
+use vehicle::frame::{Frd, Ned};
 use wire::framing::Frame;
 
 use crate::clock::{HostTime, VehicleTime};

@@ -5,7 +5,7 @@ use foxglove::messages::{
     Color, CubePrimitive, CylinderPrimitive, FrameTransform, Log, Pose, PoseInFrame, Quaternion,
     SceneEntity, SceneUpdate, Timestamp, Vector3, log,
 };
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::record::{Severity, Source};
 use crate::clock::HostTime;
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn rotating_then_converting_is_converting_then_rotating() {
-        let attitude = sitl::frame::Euler::new(0.3, -0.4, 1.2).attitude();
+        let attitude = vehicle::frame::Euler::new(0.3, -0.4, 1.2).attitude();
         let body = Frd::new(1.0, 2.0, 3.0);
         let expected = enu(attitude.to_world(body));
         let q = enu_flu(attitude);

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use foxglove::Encode;
 use foxglove::messages::{FrameTransform, Log, PoseInFrame, SceneUpdate};
 use prost::Message;
-use sitl::frame::Frd;
+use vehicle::frame::Frd;
 
 use super::mcap_file::{McapFile, Times};
 use super::name;

@@ -1,8 +1,8 @@
 //! From logged commands to the input that acts: transport delay, lag of the rotors, voltage.
 
 use serde::{Deserialize, Serialize};
-use sitl::rotor::{Allocation, Lag};
-use sitl::vehicle::ROTORS;
+use vehicle::ROTORS;
+use vehicle::rotor::{Allocation, Lag};
 
 /// How the rotors answer their commands.
 ///

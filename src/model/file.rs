@@ -7,7 +7,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use sitl::vehicle::{Difference, VehicleError, VehicleParams};
+use vehicle::{Difference, VehicleError, VehicleParams};
 
 use super::actuation::Actuation;
 use super::features::{FEATURES_MAX, Features, Head, OUTPUTS};

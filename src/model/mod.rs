@@ -16,7 +16,7 @@ pub mod physics;
 #[cfg(test)]
 mod tests;
 
-use sitl::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Ned};
 
 /// Number of variables of a [`Point`]: v, omega, zeta, u.
 pub const VARIABLES: usize = 13;

@@ -1,12 +1,12 @@
 //! The nominal vehicle's physics with parameters found from logs.
 
 use serde::{Deserialize, Serialize};
-use sitl::effects::{AttitudeTrim, EffectSet};
-use sitl::frame::{Attitude, Euler, Frd, Ned};
-use sitl::physics::{Environment, Physics};
-use sitl::rigid_body::State;
-use sitl::scalar::{Dual, Scalar};
-use sitl::vehicle::{VehicleError, VehicleParams};
+use vehicle::effects::{AttitudeTrim, EffectSet};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::physics::{Environment, Physics};
+use vehicle::rigid_body::State;
+use vehicle::scalar::{Dual, Scalar};
+use vehicle::{VehicleError, VehicleParams};
 
 use super::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
 

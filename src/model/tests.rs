@@ -4,9 +4,9 @@ use std::f64::consts::PI;
 
 use proptest::prelude::*;
 use proptest::test_runner::TestCaseError;
-use sitl::effects::EffectSet;
-use sitl::frame::{Attitude, Euler};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Attitude, Euler};
 
 use super::features::{FEATURES_MAX, Features, Head, OUTPUTS};
 use super::hybrid::Hybrid;

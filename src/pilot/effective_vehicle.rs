@@ -1,9 +1,9 @@
 //! What a vehicle file says the vehicle is, its modelled effects applied: what feedback, limits and
 //! feed-forward are made with.
 
-use sitl::effects::{CommandDelay, EffectSet, PdGain, RotorDrag, ThrustCurve};
-use sitl::physics::Physics;
-use sitl::vehicle::{AttitudePd, VehicleError, VehicleParams};
+use vehicle::effects::{CommandDelay, EffectSet, PdGain, RotorDrag, ThrustCurve};
+use vehicle::physics::Physics;
+use vehicle::{AttitudePd, VehicleError, VehicleParams};
 
 use crate::control::{Actuation, HoverVehicle};
 use crate::link::attitude_target::{ThrustMap, ThrustMapError};

@@ -1,8 +1,8 @@
 //! What the vehicle is to do in each state of the flight: the reference of the moment.
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Euler, Frd, Ned, wrap_angle};
-use sitl::rigid_body::State;
+use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
+use vehicle::rigid_body::State;
 
 use crate::clock::VehicleTime;
 use crate::plan::reference::ReferenceSource;

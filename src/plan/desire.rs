@@ -1,6 +1,6 @@
 //! A desired trajectory as desired states: what a vehicle without drag would do to follow it.
 
-use sitl::frame::{Euler, Ned};
+use vehicle::frame::{Euler, Ned};
 
 use super::planned::CommandedInput;
 use super::problem::{ANGLE, RATE, StateVector, YAW};

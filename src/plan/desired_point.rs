@@ -1,6 +1,6 @@
 //! What is wanted at one instant of a trajectory.
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 /// What is wanted at one instant. World axes, SI, radians. The origin is the trajectory's anchor:
 /// the take-off point on the floor; its axes are the world's.

@@ -159,7 +159,7 @@ fn shift_about(
 
 #[cfg(test)]
 mod tests {
-    use sitl::frame::Ned;
+    use vehicle::frame::Ned;
 
     use super::*;
 

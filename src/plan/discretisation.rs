@@ -1,7 +1,7 @@
 //! From a model of the accelerations to the step of a planning problem.
 
-use sitl::frame::{Euler, Frd, Ned};
-use sitl::vehicle::AttitudePd;
+use vehicle::AttitudePd;
+use vehicle::frame::{Euler, Frd, Ned};
 
 use super::problem::{ANGLE, RATE, STATES, StateVector};
 use crate::model::{ACCELERATIONS, Model, Point};

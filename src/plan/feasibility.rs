@@ -1,7 +1,7 @@
 //! Whether a trajectory asks for more than the vehicle may be asked, before it is armed.
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Ned};
 
 use super::planned::Plan;
 use super::problem::YAW;

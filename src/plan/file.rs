@@ -111,7 +111,7 @@ fn parse(text: &str, origin: &Path) -> Result<Trajectory, TrajectoryError> {
 
 #[cfg(test)]
 mod tests {
-    use sitl::frame::Ned;
+    use vehicle::frame::Ned;
 
     use super::*;
 

@@ -1,6 +1,6 @@
 //! The reference of a desired trajectory with its own acceleration fed forward.
 
-use sitl::frame::{Euler, Frd, Ned, wrap_angle};
+use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
 use super::desire::Weight;
 use super::reference::{FeedForward, ReferenceSource};

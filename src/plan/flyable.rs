@@ -114,7 +114,7 @@ pub(super) fn check_led(states: &[StateVector], period_s: f64) -> Result<(), Not
 
 #[cfg(test)]
 mod tests {
-    use sitl::frame::Ned;
+    use vehicle::frame::Ned;
 
     use super::*;
     use crate::plan::iterate::Iterate;

@@ -1,6 +1,6 @@
 //! Regions that a plan keeps out of, at its states and between them.
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::state_vector::{STATES, StateRow, StateVector};
 

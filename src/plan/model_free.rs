@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use sitl::frame::{Euler, Frd, wrap_angle};
+use vehicle::frame::{Euler, Frd, wrap_angle};
 
 use super::flat::FlatReference;
 use super::reference::{FeedForward, ReferenceSource};

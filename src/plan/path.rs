@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use sitl::frame::{Ned, wrap_angle};
+use vehicle::frame::{Ned, wrap_angle};
 
 use super::desired_point::DesiredPoint;
 

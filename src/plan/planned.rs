@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::{Euler, Frd, Ned, wrap_angle};
-use sitl::vehicle::AttitudePd;
+use vehicle::AttitudePd;
+use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
 use super::flyable::{NotFlyable, check_led, check_violation};
 use super::iterate::Violation;

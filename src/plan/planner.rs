@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use sitl::frame::Ned;
-use sitl::vehicle::AttitudePd;
+use vehicle::AttitudePd;
+use vehicle::frame::Ned;
 
 use super::conic::Conic;
 use super::desire::{Desire, Weight};

@@ -1,6 +1,6 @@
 //! What a plan is asked for: the desired states, the bounds, and what to keep out of.
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::keep_out::KeepOut;
 pub(super) use super::state_vector::{ANGLE, RATE, VELOCITY, YAW};

@@ -10,8 +10,8 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use sitl::frame::Ned;
-use sitl::rigid_body::State;
+use vehicle::frame::Ned;
+use vehicle::rigid_body::State;
 
 use super::discretisation::{CommandedDynamics, Dynamics};
 use super::flyable::{NotFlyable, check_in_flight};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use crate::setpoint::{Expected, Reference, State};
 

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use sitl::frame::{Ned, wrap_angle};
+use vehicle::frame::{Ned, wrap_angle};
 
 use super::desired_point::DesiredPoint;
 

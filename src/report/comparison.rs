@@ -1,7 +1,7 @@
 //! Flights along one desired trajectory, side by side.
 
 use serde::Serialize;
-use sitl::frame::{Ned, wrap_angle};
+use vehicle::frame::{Ned, wrap_angle};
 
 use super::flight::{FlightReport, Row};
 use crate::log::schema::{ControlMessage, ReferenceMessage};

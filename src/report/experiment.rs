@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use sitl::effects::EffectSet;
-use sitl::frame::Ned;
+use vehicle::effects::EffectSet;
+use vehicle::frame::Ned;
 
 use super::axis::significant;
 use super::chart::{Chart, Curve, Panel, Style};

@@ -1,6 +1,6 @@
 //! The page of a flight's report.
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::axis::significant;
 use super::chart::{Band, Chart, Curve, Panel, Style};

@@ -1,6 +1,6 @@
 //! The page of a plan's report.
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::axis::significant;
 use super::chart::{Chart, Curve, Panel, Style};

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::axis::significant;
 use super::chart::Style;

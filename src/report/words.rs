@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use sitl::effects::{EffectSet, Kind};
+use vehicle::effects::{EffectSet, Kind};
 
 use super::axis::significant;
 
@@ -31,7 +31,7 @@ fn short(value: f64) -> String {
 
 /// Effects with their parameters, in the catalogue's order and units.
 pub fn effects(effects: &EffectSet) -> String {
-    let one = |(id, slots): (sitl::effects::EffectId, &sitl::effects::Slots)| {
+    let one = |(id, slots): (vehicle::effects::EffectId, &vehicle::effects::Slots)| {
         let parameters: Vec<String> = id
             .spec()
             .slots()

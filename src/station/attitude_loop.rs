@@ -1,6 +1,6 @@
 //! Which attitude loop the feedback is designed around, by what is known of the vehicle.
 
-use sitl::vehicle::AttitudePd;
+use vehicle::AttitudePd;
 
 use crate::control::AttitudeLoop;
 use crate::link::profile::{AttitudeTargetForm, Profile};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use sitl::vehicle::AttitudePd;
+use vehicle::AttitudePd;
 
 use crate::control::{Actuation, HoverVehicle, LqrSettings};
 use crate::link::session;

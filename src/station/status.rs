@@ -1,6 +1,6 @@
 //! What the station shows of itself.
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::Station;
 use crate::link::counters::LinkState;

@@ -1,6 +1,6 @@
 //! The body, its rotors and its pack.
 
-use sitl::vehicle::BatteryParams;
+use vehicle::BatteryParams;
 
 use super::{Draft, GRAVITY, Given, Layout, Measured, Tolerance};
 use crate::parameters::{Autopilot, Parameters, RotorFact};

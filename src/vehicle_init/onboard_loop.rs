@@ -1,6 +1,6 @@
 //! The autopilot's attitude loop in physical units.
 
-use sitl::vehicle::AttitudeCascade;
+use vehicle::AttitudeCascade;
 
 use super::body::tidy;
 use super::{Draft, Given};

@@ -18,9 +18,9 @@ use downwash::station::{End, Station, StationSettings};
 use downwash::supervisor::{EngagePolicy, FlightState};
 use sitl::autopilot::{self, LinkKind, Mode, Vehicle};
 use sitl::config::{SensorConfig, SitlConfig};
-use sitl::effects::EffectSet;
-use sitl::physics::Physics;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::physics::Physics;
 use wire::dialect::*;
 use wire::transport::Peer;
 use wire::{Decoder, Encoder};
@@ -320,7 +320,7 @@ impl Bench {
         self.records.iter().any(|record| matches!(record, Record::FlightEnds))
     }
 
-    pub fn position(&self) -> sitl::frame::Ned {
+    pub fn position(&self) -> vehicle::frame::Ned {
         self.vehicle.plant().state().position
     }
 

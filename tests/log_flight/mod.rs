@@ -9,7 +9,7 @@ use downwash::log::record::{
 };
 use downwash::log::{LogWriter, RunInfo};
 use downwash::setpoint::{Reference, Setpoint, State};
-use sitl::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Ned};
 
 pub const START: HostTime = HostTime::from_ns(1_767_225_600_000_000_000);
 const HOVER_N: f64 = 0.33;
@@ -53,7 +53,7 @@ fn plan(t: f64, duration: f64) -> (&'static str, Option<f64>, Reference) {
     let (w, a, yaw_rate) = (1.2, 0.8, 0.4);
     reference.position = Ned::new(a * (w * s).sin(), a * (0.5 * w * s).sin(), -height);
     reference.velocity = Ned::new(a * w * (w * s).cos(), 0.5 * a * w * (0.5 * w * s).cos(), 0.0);
-    reference.attitude = Euler::new(0.0, 0.0, sitl::frame::wrap_angle(yaw_rate * s));
+    reference.attitude = Euler::new(0.0, 0.0, vehicle::frame::wrap_angle(yaw_rate * s));
     reference.body_rate = Frd::new(0.0, 0.0, yaw_rate);
     reference.feedforward.attitude = reference.attitude;
     ("track", Some(s), reference)

@@ -11,7 +11,7 @@ use downwash::pilot::{Airframe, Pilot, PilotSettings, Tick};
 use downwash::plan::reference::ReferenceSource;
 use downwash::setpoint::{Reference, Setpoint, State};
 use downwash::supervisor::{Action, EngagePolicy, Event, FlightState, ModeMap};
-use sitl::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 
 pub const MODES: ModeMap = ModeMap {
     autopilot: "PX4",

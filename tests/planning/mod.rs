@@ -18,7 +18,7 @@ use downwash::plan::problem::StateVector;
 use downwash::plan::scp::Outcome;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use sitl::vehicle::{AttitudePd, VehicleParams};
+use vehicle::{AttitudePd, VehicleParams};
 
 pub fn vehicle() -> VehicleParams {
     VehicleParams::from_toml_str(include_str!("../../config/vehicles/crazyflie.toml"))

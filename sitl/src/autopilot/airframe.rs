@@ -1,11 +1,11 @@
 //! The airframe under the autopilot: the plant and its sensors.
 
 use crate::config::SitlConfig;
-use crate::effects::EffectSet;
-use crate::foreign::Foreign;
-use crate::plant::Plant;
 use crate::sensors::{Readings, Sensors};
-use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
+use vehicle::effects::EffectSet;
+use vehicle::foreign::Foreign;
+use vehicle::plant::Plant;
+use vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::flight::Perception;
 use super::protocol::Report;
@@ -33,7 +33,7 @@ impl Airframe {
         config: &SitlConfig,
         seed: u64,
     ) -> Result<Self, VehicleError> {
-        let mut plant = Plant::new(vehicle, truth, config, seed)?;
+        let mut plant = Plant::new(vehicle, truth, &config.plant(), seed)?;
         let airborne = plant.state().position.down() < config.floor_down_m - AIRBORNE_ABOVE_M;
         if airborne {
             let physics = plant.physics();

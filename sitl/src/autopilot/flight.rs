@@ -7,9 +7,9 @@ use wire::dialect::{
 };
 
 use crate::config::SitlConfig;
-use crate::frame::{Attitude, Euler, Frd, Ned};
 use crate::sensors::EstimatorStatus;
-use crate::vehicle::{ROTORS, VehicleParams};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::{ROTORS, VehicleParams};
 
 use super::Mode;
 use super::arming::{Preflight, Refusal};

@@ -1,6 +1,6 @@
 //! Where the vehicle goes in each mode but OFFBOARD: the target of the position controller.
 
-use crate::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::Mode;
 use super::parameters::{Key, Parameters};
@@ -188,7 +188,7 @@ impl Guidance {
         parameters: &Parameters,
         dt: f64,
     ) -> PositionTarget {
-        self.yaw = crate::frame::wrap_angle(self.yaw + sticks.turn * YAW_RATE_MAX * dt);
+        self.yaw = vehicle::frame::wrap_angle(self.yaw + sticks.turn * YAW_RATE_MAX * dt);
         self.anchor = pose.position + pose.velocity * BRAKING_S;
         let (sin, cos) = self.yaw.sin_cos();
         let speed = parameters.get(Key::MpcXyVelMax);

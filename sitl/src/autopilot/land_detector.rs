@@ -1,6 +1,6 @@
 //! Whether the vehicle stands on the ground, judged from what the autopilot itself knows.
 
-use crate::frame::{Frd, Ned};
+use vehicle::frame::{Frd, Ned};
 
 /// Still for this long, with little thrust, is landed, us.
 const STILL_US: u64 = 500_000;

@@ -44,10 +44,10 @@ use self::personality::NoLoop;
 use self::protocol::Protocol;
 use crate::clock::Clock;
 use crate::config::SitlConfig;
-use crate::effects::{CommandDelay, EffectSet, PdGain};
-use crate::foreign::Foreign;
-use crate::plant::Plant;
-use crate::vehicle::{VehicleError, VehicleParams};
+use vehicle::effects::{CommandDelay, EffectSet, PdGain};
+use vehicle::foreign::Foreign;
+use vehicle::plant::Plant;
+use vehicle::{VehicleError, VehicleParams};
 
 /// MAVLink system id of the vehicle.
 pub const SYSTEM_ID: u8 = 1;

@@ -7,7 +7,7 @@ use rand::Rng;
 use rand_distr::{Distribution, Exp1};
 use wire::dialect::{AttitudeTargetTypemask, SET_ATTITUDE_TARGET_DATA};
 
-use crate::frame::{Attitude, Euler, Frd};
+use vehicle::frame::{Attitude, Euler, Frd};
 
 /// Mean of the transport jitter, s: the exponential part of the command delay.
 pub const JITTER_MEAN_S: f64 = 0.001;

@@ -4,9 +4,9 @@
 //! M = kd (omega_des - omega). The mixer and the collective always use the vehicle file's numbers:
 //! they are what the firmware believes. Only the gains can be the true ones.
 
-use crate::frame::{Euler, Frd, wrap_angle};
-use crate::rotor::Allocation;
-use crate::vehicle::{AttitudePd, ROTORS};
+use vehicle::frame::{Euler, Frd, wrap_angle};
+use vehicle::rotor::Allocation;
+use vehicle::{AttitudePd, ROTORS};
 
 use super::offboard::AttitudeSetpoint;
 
@@ -49,8 +49,8 @@ impl AttitudeLoop {
 mod tests {
     use super::*;
     use crate::autopilot::testing;
-    use crate::vehicle::VehicleParams;
     use proptest::prelude::*;
+    use vehicle::VehicleParams;
     use wire::dialect::AttitudeTargetTypemask;
 
     fn attitude_loop() -> (VehicleParams, AttitudePd, AttitudeLoop) {

@@ -25,9 +25,9 @@ use super::offboard::AttitudeSetpoint;
 use super::parameters::{Key, Parameters};
 use super::streams::{IntervalError, StreamRules};
 use crate::config::Autopilot;
-use crate::effects::PdGain;
-use crate::frame::{Attitude, Frd};
-use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
+use vehicle::effects::PdGain;
+use vehicle::frame::{Attitude, Frd};
+use vehicle::{ROTORS, VehicleError, VehicleParams};
 
 /// The personality that `autopilot` names.
 pub(super) fn of(autopilot: Autopilot) -> &'static dyn Personality {

@@ -1,7 +1,7 @@
 //! Position hold: position -> velocity -> acceleration -> attitude and collective thrust, with the
 //! numbers that the firmware believes.
 
-use crate::frame::{Euler, Ned, wrap_angle};
+use vehicle::frame::{Euler, Ned, wrap_angle};
 
 use super::parameters::{Key, Parameters};
 
@@ -133,8 +133,8 @@ impl PositionController {
 mod tests {
     use super::*;
     use crate::autopilot::testing::parameters;
-    use crate::frame::Frd;
     use proptest::prelude::*;
+    use vehicle::frame::Frd;
 
     #[test]
     fn at_the_target_it_hovers_level() {

@@ -10,9 +10,9 @@ use wire::Frame;
 use wire::dialect::*;
 
 use crate::config::Home;
-use crate::frame::{Attitude, Frd, Ned};
 use crate::sensors::EstimatorStatus;
-use crate::vehicle::{MotorOutput, ROTORS};
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::{MotorOutput, ROTORS};
 
 use super::commands::Command;
 use super::flight::FlightControl;

@@ -8,9 +8,9 @@ mod motors;
 use wire::dialect::*;
 
 use crate::config::Home;
-use crate::frame::{Attitude, Euler, Frd, Ned};
 use crate::sensors::EstimatorStatus;
-use crate::vehicle::{MotorOutput, ROTORS};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::{MotorOutput, ROTORS};
 
 use self::geodetic::geodetic;
 use super::Mode;

@@ -1,7 +1,7 @@
 //! A vehicle for the unit tests, and its parameters.
 
 use super::parameters::Parameters;
-use crate::vehicle::{AttitudePd, BatteryParams, RotorParams, VehicleParams};
+use vehicle::{AttitudePd, BatteryParams, RotorParams, VehicleParams};
 
 /// A quadrotor of half a kilogram, X configuration.
 pub(crate) fn vehicle() -> VehicleParams {

@@ -3,7 +3,7 @@
 use mavlink::{MavlinkVersion, Message};
 use sitl::autopilot::{LinkKind, Mode, Peer, Vehicle};
 use sitl::config::{Autopilot, SensorConfig, SitlConfig};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
 
@@ -336,7 +336,7 @@ pub fn command_long(command: MavCmd, params: &[f32]) -> MavMessage {
 /// A setpoint: roll in rad, body roll rate in rad/s, thrust, type mask.
 pub fn setpoint(roll: f64, roll_rate: f32, thrust: f32, mask: u8) -> SET_ATTITUDE_TARGET_DATA {
     SET_ATTITUDE_TARGET_DATA {
-        q: sitl::frame::Euler::new(roll, 0.0, 0.0).attitude().to_wire(),
+        q: vehicle::frame::Euler::new(roll, 0.0, 0.0).attitude().to_wire(),
         body_roll_rate: roll_rate,
         thrust,
         target_system: 1,

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use serde::Serialize;
-use sitl::effects::EffectSet;
+use vehicle::effects::EffectSet;
 
 use super::flights::Flown;
 use super::{Demo, Learned};

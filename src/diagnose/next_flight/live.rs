@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use sitl::effects::{EffectId, EffectSet};
+use vehicle::effects::{EffectId, EffectSet};
 
 use super::super::answer::Answer;
 use super::super::explanation::Explanation;
@@ -127,7 +127,7 @@ pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option
 mod tests {
     use std::collections::BTreeMap;
 
-    use sitl::vehicle::VehicleParams;
+    use vehicle::VehicleParams;
 
     use super::super::super::answer::EffectAnswer;
     use super::super::super::fit::Fit;

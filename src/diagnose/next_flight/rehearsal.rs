@@ -1,9 +1,9 @@
 //! A manoeuvre flown in simulation with one hypothesis true, and what the others make of it.
 
-use sitl::effects::{EffectId, EffectSet};
-use sitl::frame::{Euler, Ned};
-use sitl::physics::Physics;
-use sitl::rigid_body::State;
+use vehicle::effects::{EffectId, EffectSet};
+use vehicle::frame::{Euler, Ned};
+use vehicle::physics::Physics;
+use vehicle::rigid_body::State;
 
 use super::super::fit::fit;
 use super::super::flight_simulator::{Departure, FlightSimulator, GroundControl, NotSimulated};

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use serde::Serialize;
-use sitl::frame::{Euler, Frd, Ned, wrap_angle};
+use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
 use super::super::flight_simulator::GroundControl;
 use super::super::preparation::PreparedFlight;

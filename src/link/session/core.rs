@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use mavlink::{MavlinkVersion, MessageData};
-use sitl::frame::Attitude;
+use vehicle::frame::Attitude;
 use wire::dialect::*;
 use wire::transport::Peer;
 use wire::{Encoder, Frame};

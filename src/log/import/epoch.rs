@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::clocks::{Arrival, Envelope, shift_onto};
 use super::flight::{Flight, MotorSource, MotorUnit, Stream};

@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use prost::Message as _;
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::flight::{
     AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, TruthSample,

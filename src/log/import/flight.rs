@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use sitl::frame::{Attitude, Frd, Ned};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::facts::VehicleFacts;
 use super::ranges::OutputRange;

@@ -1,6 +1,6 @@
 //! What the daemon tracked, from the messages that it logs of each control tick.
 
-use sitl::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Ned};
 
 use super::flight::Stream;
 use crate::log::reader::Message;

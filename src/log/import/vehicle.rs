@@ -10,7 +10,7 @@ mod facts;
 use std::collections::BTreeMap;
 
 use mavlink::MessageData;
-use sitl::frame::Frd;
+use vehicle::frame::Frd;
 use wire::Frame;
 use wire::dialect::*;
 

@@ -1,6 +1,6 @@
 //! What is recorded, as the project's messages.
 
-use sitl::frame::{Euler, Frd};
+use vehicle::frame::{Euler, Frd};
 
 use super::{
     ActuatorsMessage, ControlMessage, ImuMessage, LinkStatsMessage, MavlinkFrameMessage,
@@ -107,7 +107,7 @@ impl ControlMessage {
             Some(reference) => {
                 let error = tick.state.position - tick.desired.unwrap_or(reference.position);
                 let yaw = tick.state.attitude.euler().yaw - reference.attitude.yaw;
-                (error.to_array(), error.norm(), sitl::frame::wrap_angle(yaw))
+                (error.to_array(), error.norm(), vehicle::frame::wrap_angle(yaw))
             }
             None => ([f64::NAN; 3], f64::NAN, f64::NAN),
         };

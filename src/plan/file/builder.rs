@@ -3,7 +3,7 @@
 use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
-use sitl::frame::Ned;
+use vehicle::frame::Ned;
 
 use super::family::{Family, PaceFields, Sinusoid, Steps};
 use super::{DURATION_MAX_S, TrajectoryError, load};

@@ -20,9 +20,9 @@ use crate::autopilot::guidance::Sticks;
 use crate::autopilot::offboard::AttitudeSetpoint;
 use crate::autopilot::parameters::{Cast, Key, Parameters};
 use crate::autopilot::streams::{self, IntervalError, StreamRules};
-use crate::effects::PdGain;
-use crate::frame::{Attitude, Euler, Frd};
-use crate::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::PdGain;
+use vehicle::frame::{Attitude, Euler, Frd};
 
 #[derive(Debug)]
 pub(super) struct Arducopter;

@@ -17,8 +17,8 @@ use crate::autopilot::offboard::AttitudeSetpoint;
 use crate::autopilot::parameters::{Cast, Key, Parameters, Spec, Value, fact, float, int};
 use crate::autopilot::pd::AttitudeLoop;
 use crate::autopilot::streams::{self, StreamRules};
-use crate::effects::PdGain;
-use crate::vehicle::{AttitudePd, ROTORS, VehicleParams};
+use vehicle::effects::PdGain;
+use vehicle::{AttitudePd, ROTORS, VehicleParams};
 
 #[derive(Debug)]
 pub(super) struct Bundled;

@@ -4,9 +4,9 @@
 use super::rate_loop::{RateInput, RateLoop, clip};
 use super::{LoopInput, OnboardLoop};
 use crate::autopilot::offboard::AttitudeSetpoint;
-use crate::frame::Frd;
-use crate::rotor::Allocation;
-use crate::vehicle::{AttitudeCascade, ROTORS};
+use vehicle::frame::Frd;
+use vehicle::rotor::Allocation;
+use vehicle::{AttitudeCascade, ROTORS};
 
 #[derive(Debug)]
 pub(super) struct CascadeLoop(RateLoop);

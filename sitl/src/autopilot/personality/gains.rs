@@ -3,8 +3,8 @@
 
 use super::NoLoop;
 use crate::autopilot::parameters::{Parameters, Spec, gain};
-use crate::effects::PdGain;
-use crate::vehicle::{AttitudeCascade, AttitudePd, VehicleParams};
+use vehicle::effects::PdGain;
+use vehicle::{AttitudeCascade, AttitudePd, VehicleParams};
 
 /// The unit of a parameter against the cascade's.
 #[derive(Clone, Copy, Debug)]

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{SQRT_2, TAU};
 
-use crate::frame::Frd;
+use vehicle::frame::Frd;
 
 /// A second-order Butterworth low-pass per axis, which both autopilots have on the gyro.
 #[derive(Clone, Debug)]

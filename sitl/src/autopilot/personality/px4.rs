@@ -19,8 +19,8 @@ use crate::autopilot::identity::PX4_VERSION;
 use crate::autopilot::offboard::{self, AttitudeSetpoint};
 use crate::autopilot::parameters::{Cast, Key, Parameters};
 use crate::autopilot::streams::{self, StreamRules};
-use crate::effects::PdGain;
-use crate::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::PdGain;
 
 #[derive(Debug)]
 pub(super) struct Px4;

@@ -1,9 +1,9 @@
 //! What the cascades of both autopilots share: the PID on the body rate, and the mixer.
 
 use super::low_pass::{Butterworth, Derivative};
-use crate::frame::Frd;
-use crate::rotor::Allocation;
-use crate::vehicle::{AttitudeCascade, ROTORS};
+use vehicle::frame::Frd;
+use vehicle::rotor::Allocation;
+use vehicle::{AttitudeCascade, ROTORS};
 
 /// The rate loop with its filters, its integral and the mixer behind it.
 #[derive(Clone, Debug)]

@@ -4,8 +4,8 @@ use wire::dialect::*;
 
 use super::{Snapshot, floats};
 use crate::config::Home;
-use crate::frame::Ned;
-use crate::vehicle::ROTORS;
+use vehicle::ROTORS;
+use vehicle::frame::Ned;
 
 /// Radius of the earth for the local tangent plane, m (PX4's).
 const EARTH_RADIUS_M: f64 = 6_371_000.0;

@@ -4,7 +4,7 @@ use wire::dialect::*;
 
 use super::Snapshot;
 use crate::autopilot::personality::OutputScale;
-use crate::vehicle::{MotorOutput, ROTORS};
+use vehicle::{MotorOutput, ROTORS};
 
 impl Snapshot<'_> {
     /// The outputs as `message` carries them, each with its slot: as the vehicle file describes

@@ -2,7 +2,7 @@
 
 mod outputs;
 
-use sitl::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 use super::layout::{Access, Layout, RPM};
 use super::{Contents, Source};

@@ -1,7 +1,7 @@
 //! Axes that tables use, and their conversion to NED and FRD.
 
 use serde::Deserialize;
-use sitl::frame::{Attitude, Frd, Ned};
+use vehicle::frame::{Attitude, Frd, Ned};
 
 /// What world axes may be called, with the axis of NED and the sign.
 const WORLD: [(&str, (usize, f64)); 6] = [

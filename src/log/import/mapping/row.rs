@@ -1,6 +1,6 @@
 //! Rows of a table into samples, once the mapping is bound to its columns.
 
-use sitl::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 use super::axes::{AttitudeTurn, BodyFrame, WorldFrame, from_matrix, unit};
 use super::{Axes, ForceMeaning, QuaternionOrder};

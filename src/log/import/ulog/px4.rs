@@ -5,7 +5,7 @@ mod outputs;
 
 use std::collections::BTreeMap;
 
-use sitl::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 use super::Contents;
 use crate::log::import::facts::VehicleFacts;

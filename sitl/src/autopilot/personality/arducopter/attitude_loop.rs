@@ -7,10 +7,10 @@ use super::super::{LoopInput, OnboardLoop, gains};
 use super::parameters::{ACCELERATION_MAX_RAD_S2, GAINS};
 use crate::autopilot::offboard::AttitudeSetpoint;
 use crate::autopilot::parameters::{Key, Parameters};
-use crate::effects::PdGain;
-use crate::frame::{Attitude, Frd, Ned};
-use crate::rotor::Allocation;
-use crate::vehicle::{AttitudeCascade, ROTORS};
+use vehicle::effects::PdGain;
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::rotor::Allocation;
+use vehicle::{AttitudeCascade, ROTORS};
 use wire::dialect::AttitudeTargetTypemask;
 
 #[derive(Debug)]

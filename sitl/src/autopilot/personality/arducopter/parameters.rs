@@ -3,7 +3,7 @@
 
 use super::super::gains::{Gain, Tuning, Unit};
 use crate::autopilot::parameters::{Key, Spec, Value, fact, float, int};
-use crate::vehicle::{ROTORS, RotorParams, VehicleParams};
+use vehicle::{ROTORS, RotorParams, VehicleParams};
 
 /// ArduCopter's defaults: ATC_RAT_RLL_I over _P and _D over _P, _IMAX, the filters.
 /// It has no bound of the rates by default; this one is far beyond what a setpoint asks for.
@@ -98,7 +98,7 @@ const FRAMES: [(i32, [(f64, i8); ROTORS]); 2] = [
 fn frame(vehicle: &VehicleParams) -> (i32, [i32; ROTORS]) {
     let apart = |rotor: &RotorParams, degrees: f64| {
         let angle = rotor.position_m[1].atan2(rotor.position_m[0]);
-        crate::frame::wrap_angle(angle - degrees.to_radians()).abs()
+        vehicle::frame::wrap_angle(angle - degrees.to_radians()).abs()
     };
     let fit = |motors: &[(f64, i8); ROTORS]| {
         let mut total = 0.0;
@@ -120,7 +120,7 @@ pub(super) fn table(vehicle: &VehicleParams, rate_hz: f64) -> Vec<Spec> {
     let (frame_type, motors) = frame(vehicle);
     let cells = f64::from(vehicle.battery.cells);
     let low_v = (CELL_LOW_V * cells) as f32;
-    let curve = vehicle.modelled_effects.get::<crate::effects::ThrustCurve>();
+    let curve = vehicle.modelled_effects.get::<vehicle::effects::ThrustCurve>();
     let curve = curve.map_or(0.0, |curve| curve.a.max(0.0)) as f32;
     let centi = |spec: Spec| spec.scaled(0.01);
     let mut specs = vec![

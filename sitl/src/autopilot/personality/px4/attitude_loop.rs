@@ -6,10 +6,10 @@ use super::super::{LoopInput, OnboardLoop, gains};
 use super::parameters::GAINS;
 use crate::autopilot::offboard::AttitudeSetpoint;
 use crate::autopilot::parameters::{Key, Parameters};
-use crate::effects::PdGain;
-use crate::frame::{Attitude, Frd, Ned};
-use crate::rotor::Allocation;
-use crate::vehicle::{AttitudeCascade, ROTORS};
+use vehicle::effects::PdGain;
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::rotor::Allocation;
+use vehicle::{AttitudeCascade, ROTORS};
 
 #[derive(Debug)]
 pub(super) struct Px4Loop {
@@ -130,7 +130,7 @@ impl OnboardLoop for Px4Loop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::Euler;
+    use vehicle::frame::Euler;
 
     #[test]
     fn tilt_goes_before_heading_and_each_alone_is_whole() {

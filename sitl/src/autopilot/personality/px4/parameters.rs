@@ -3,8 +3,8 @@
 
 use super::super::gains::{Gain, Tuning, Unit};
 use crate::autopilot::parameters::{Key, Spec, Value, fact, float, int};
-use crate::rotor::Allocation;
-use crate::vehicle::{ROTORS, VehicleParams};
+use vehicle::rotor::Allocation;
+use vehicle::{ROTORS, VehicleParams};
 
 /// Pulses of an output of 0, of 1, and of motors that are disarmed, us.
 pub(super) const PULSES_US: [f64; 3] = [1000.0, 2000.0, 900.0];
@@ -139,7 +139,7 @@ pub(super) fn table(vehicle: &VehicleParams) -> Vec<Spec> {
         specs.push(fact(format!("PWM_MAIN_DIS{output}"), disarmed));
     }
     let [ixx, iyy, izz] = vehicle.inertia;
-    let mean = |of: fn(&crate::vehicle::RotorParams) -> f64| {
+    let mean = |of: fn(&vehicle::RotorParams) -> f64| {
         vehicle.rotors.iter().map(of).sum::<f64>() / ROTORS as f64
     };
     // The simulation in hardware tells what it simulates.

@@ -1,15 +1,14 @@
 //! On the floor: sit, take off, land hard, tip over, never blow up.
 
 use crate::common::{effects, quad, root};
-use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::frame::{Euler, Frd, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
 
 fn on_floor(vehicle: &VehicleParams, set: &EffectSet) -> Plant {
-    Plant::new(vehicle, set, &SitlConfig::default(), 1).unwrap()
+    Plant::new(vehicle, set, &Setup::default(), 1).unwrap()
 }
 
 fn vehicles() -> [VehicleParams; 2] {
@@ -129,9 +128,9 @@ fn extreme_effects_do_not_make_the_floor_unstable() {
 
 #[test]
 fn a_floor_elsewhere_holds_as_well() {
-    let mut config = SitlConfig { floor_down_m: 2.0, ..SitlConfig::default() };
-    config.start.position_m = [3.0, 4.0, 2.0];
-    let mut plant = Plant::new(&quad(), &EffectSet::new(), &config, 1).unwrap();
+    let mut setup = Setup { floor_down_m: 2.0, ..Setup::default() };
+    setup.start.position_m = [3.0, 4.0, 2.0];
+    let mut plant = Plant::new(&quad(), &EffectSet::new(), &setup, 1).unwrap();
     for _ in 0..1000 {
         plant.step([0.0; 4]);
     }

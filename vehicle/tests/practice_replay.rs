@@ -11,12 +11,11 @@ use std::path::Path;
 
 use crate::common::practice_folders;
 use serde::Deserialize;
-use sitl::config::SitlConfig;
-use sitl::effects::{AttitudeTrim, EffectId, EffectSet, EstimatorLatency, ParameterValue};
-use sitl::frame::{Attitude, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::{AttitudeTrim, EffectId, EffectSet, EstimatorLatency, ParameterValue};
+use vehicle::frame::{Attitude, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
 use wire::Decoder;
 use wire::dialect::MavMessage;
 use wire::tlog::Reader;
@@ -196,7 +195,7 @@ impl Model {
         let trim = effects_of_reports.get::<AttitudeTrim>();
         let latency = effects_of_reports.get::<EstimatorLatency>();
         Self {
-            plant: Plant::new(vehicle, effects, &SitlConfig::default(), 0).unwrap(),
+            plant: Plant::new(vehicle, effects, &Setup::default(), 0).unwrap(),
             trim: trim.map_or(Attitude::default(), |trim| trim.rotation()),
             latency: latency.map_or(0.0, |effect| effect.latency_s),
         }

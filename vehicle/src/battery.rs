@@ -1,7 +1,28 @@
 //! The pack: charge, terminal voltage under load, current.
 
-use crate::config::BatteryConfig;
-use crate::vehicle::{ROTORS, VehicleParams};
+use serde::{Deserialize, Serialize};
+
+use crate::params::{ROTORS, VehicleParams};
+
+/// The pack beyond its nominal data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BatteryConfig {
+    /// Capacity in mAh; missing: eight minutes of hover.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub capacity_mah: Option<f64>,
+    /// Internal resistance in ohm; missing: 4 % of the full voltage at hover.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resistance_ohm: Option<f64>,
+    /// Charge at the start, 0..=1.
+    pub charge: f64,
+}
+
+impl Default for BatteryConfig {
+    fn default() -> Self {
+        Self { capacity_mah: None, resistance_ohm: None, charge: 1.0 }
+    }
+}
 
 /// Open-circuit voltage of a lithium polymer cell as a fraction of the full one, at these states
 /// of charge.
@@ -133,7 +154,7 @@ fn open_circuit(charge: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vehicle::tests::quad;
+    use crate::params::tests::quad;
 
     #[test]
     fn voltage_current_and_power_agree() {

@@ -1,6 +1,6 @@
 //! What the catalogue says about an effect: its id, and its parameters with units and ranges.
 
-use crate::vehicle::VehicleParams;
+use crate::params::VehicleParams;
 
 /// Most numbers that one effect has; vectors count three.
 pub const MAX_SLOTS: usize = 6;

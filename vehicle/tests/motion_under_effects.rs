@@ -5,9 +5,9 @@
 use std::f64::consts::{PI, TAU};
 
 use crate::common::{airborne, effects, quad};
-use sitl::frame::{Attitude, Euler, Frd, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::plant::Plant;
+use vehicle::rigid_body::State;
 
 const G: f64 = 9.80665;
 const MASS: f64 = 1.2;

@@ -2,8 +2,8 @@
 //! propeller or a worn motor.
 
 use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use crate::params::ROTORS;
 use crate::physics::Constants;
-use crate::vehicle::ROTORS;
 
 /// One weak rotor.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,10 +4,11 @@
 //! which every effect acts.
 
 use crate::common::{ROTOR_STATES, airborne, effects, moving, quad};
-use sitl::effects::{EffectId, EffectSet, Kind, Neutral, Slots};
-use sitl::frame::{Frd, Ned};
-use sitl::physics::{Environment, Physics};
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::{EffectId, EffectSet, Kind, Neutral, Slots};
+use vehicle::frame::{Frd, Ned};
+use vehicle::physics::{Environment, Physics};
+use vehicle::plant::{Plant, Setup};
 
 /// Force without gravity [N] and moment [N m], from the accelerations and the true constants.
 fn force_and_moment(physics: &Physics, env: &Environment) -> (Frd, Frd) {
@@ -205,9 +206,9 @@ fn wind_acts_through_drag_and_not_without() {
 fn gusts_move_the_air_with_the_seed() {
     let set = effects(&["gusts:sigma_m_s=2,length_m=1,speed_m_s=2", "rotor_drag:d_xy=0.3"]);
     let fly = |seed| {
-        let mut config = sitl::config::SitlConfig::default();
-        config.start.position_m = [0.0, 0.0, -50.0];
-        let mut plant = sitl::plant::Plant::new(&quad(), &set, &config, seed).unwrap();
+        let mut setup = Setup::default();
+        setup.start.position_m = [0.0, 0.0, -50.0];
+        let mut plant = Plant::new(&quad(), &set, &setup, seed).unwrap();
         for _ in 0..500 {
             plant.step([0.5; 4]);
         }

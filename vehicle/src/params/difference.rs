@@ -103,8 +103,8 @@ impl VehicleParams {
 
 #[cfg(test)]
 mod tests {
-    use crate::vehicle::tests::quad;
-    use crate::vehicle::{MotorOutput, VehicleParams};
+    use crate::params::tests::quad;
+    use crate::params::{MotorOutput, VehicleParams};
 
     #[test]
     fn of_four_rotors_the_one_that_differs_is_named() {
@@ -137,8 +137,8 @@ mod tests {
     #[test]
     fn a_file_that_gains_a_line_is_of_the_same_vehicle() {
         let gains: [&dyn Fn(&mut VehicleParams); 6] = [
-            &|v| v.attitude_cascade = Some(crate::vehicle::cascade::tests::cascade()),
-            &|v| v.attitude_pd = Some(crate::vehicle::cascade::tests::cascade().as_pd()),
+            &|v| v.attitude_cascade = Some(crate::params::cascade::tests::cascade()),
+            &|v| v.attitude_pd = Some(crate::params::cascade::tests::cascade().as_pd()),
             &|v| v.linear_drag_n_per_m_s = Some(0.1),
             &|v| v.angular_damping_nms = Some([0.1; 3]),
             &|v| v.rotor_max_rpm = None,

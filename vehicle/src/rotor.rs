@@ -1,6 +1,6 @@
 //! The rotors: which outputs give which force and moments, and how their states follow outputs.
 
-use crate::vehicle::{ROTORS, RotorParams};
+use crate::params::{ROTORS, RotorParams};
 
 /// A collective thrust along -z body (N) and moments about body front, right, down [N m].
 pub type Wrench4 = [f64; 4];

@@ -1,11 +1,11 @@
 //! The plant against motions that are known in closed form.
 
 use crate::common::{airborne, effects, moving, quad};
-use sitl::effects::EffectSet;
-use sitl::frame::{Attitude, Euler, Frd, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::rotor::Allocation;
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::plant::Plant;
+use vehicle::rigid_body::State;
+use vehicle::rotor::Allocation;
 
 fn run(plant: &mut Plant, steps: usize, outputs: [f64; 4]) {
     for _ in 0..steps {

@@ -1,10 +1,10 @@
 //! Jacobians from dual numbers against central differences, with every effect on.
 
 use crate::common::{ROTOR_STATES, effects, moving, quad};
-use sitl::frame::{Attitude, Euler, Frd, Ned};
-use sitl::physics::Physics;
-use sitl::rigid_body::State;
-use sitl::scalar::{Dual, Scalar};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::physics::Physics;
+use vehicle::rigid_body::State;
+use vehicle::scalar::{Dual, Scalar};
 
 const VARIABLES: usize = 16;
 

@@ -10,10 +10,10 @@ use crate::effects::{
     ThrustCurve, ThrustEffect, ThrustScale, TranslationalLift, VortexRing, Wind, Wrench, YawTorque,
 };
 use crate::frame::{Frd, Ned};
+use crate::params::{ROTORS, VehicleError, VehicleParams};
 use crate::rigid_body::{RigidBody, State};
 use crate::rotor::Allocation;
 use crate::scalar::Scalar;
-use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
 
 /// The numbers of a vehicle that effects may change.
 #[derive(Clone, Copy, Debug, PartialEq)]

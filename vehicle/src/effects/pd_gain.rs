@@ -3,7 +3,7 @@
 //! Acts in the autopilot, not in the plant.
 
 use super::{Effect, EffectId, Parameter, Slots, Spec};
-use crate::vehicle::AttitudePd;
+use crate::params::AttitudePd;
 
 /// True gains of the on-board attitude loop.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,10 +1,9 @@
 //! The vehicle files that ship, and those of the practice flights where they are at hand.
 
 use crate::common::{practice_folders, root};
-use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::physics::Physics;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::physics::Physics;
 
 #[test]
 fn shipped_vehicles_hover_where_they_say() {
@@ -24,12 +23,6 @@ fn shipped_vehicles_hover_where_they_say() {
             assert!((0.7..=1.0).contains(&damping), "{name}, axis {axis}: damping {damping}");
         }
     }
-}
-
-#[test]
-fn the_example_configuration_is_the_default() {
-    let config = SitlConfig::load(root().join("config/sitl.toml")).unwrap();
-    assert_eq!(config, SitlConfig::default());
 }
 
 #[test]

@@ -1,13 +1,10 @@
 //! Laws that are not the catalogue's, against their equations at one state.
 
 use crate::common::{airborne, effects, quad};
-use sitl::config::{SensorConfig, SitlConfig, Vibration};
-use sitl::effects::EffectSet;
-use sitl::foreign::Foreign;
-use sitl::frame::{Euler, Frd, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::sensors::Sensors;
+use vehicle::foreign::Foreign;
+use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::plant::Plant;
+use vehicle::rigid_body::State;
 
 const HIGH: f64 = -50.0;
 
@@ -156,29 +153,4 @@ fn eddies_have_the_deviation_that_is_asked_for() {
     for square in squares {
         assert!((square.sqrt() / 2.0 - 1.0).abs() < 0.1, "{squares:?}");
     }
-}
-
-#[test]
-fn rotors_shake_the_sensors_at_their_own_speed() {
-    let vehicle = quad();
-    let vibration = Vibration { rotor_max_hz: 100.0, gyro_rad_s: 0.1, accelerometer_m_s2: 2.0 };
-    let config = SitlConfig { sensors: SensorConfig::IDEAL, vibration, ..SitlConfig::default() };
-    let mut plant = airborne(&vehicle, &effects(&[]));
-    let outputs = [vehicle.hover_share(); 4];
-    plant.set_rotor_states(outputs);
-    let mut sensors = Sensors::new(&config, &EffectSet::new(), 1);
-    let (mut squares, mut crossings, mut last) = (0.0, 0, 0.0);
-    let steps = 2_000;
-    for _ in 0..steps {
-        plant.step(outputs);
-        let shaken = sensors.sample(&plant).gyro.front() - plant.state().body_rate.front();
-        crossings += usize::from((shaken > 0.0) != (last > 0.0));
-        last = shaken;
-        squares += shaken * shaken / f64::from(steps);
-    }
-    // The pack is nearly full, so the speed is that of the output's root.
-    let wanted = 2.0 * 100.0 * vehicle.hover_share().sqrt() * 2.0;
-    assert!((crossings as f64 / wanted - 1.0).abs() < 0.05, "{crossings} {wanted}");
-    // Four lines of fixed phases: between nothing and four times the amplitude.
-    assert!(squares.sqrt() < 0.4 && squares > 0.0, "{squares}");
 }

@@ -1,12 +1,11 @@
 //! What the tests share: vehicles and states.
 use std::path::PathBuf;
 
-use sitl::config::{SensorConfig, SitlConfig};
-use sitl::effects::EffectSet;
-use sitl::frame::{Euler, Frd, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
 
 pub fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..")
@@ -28,12 +27,12 @@ pub fn effects(arguments: &[&str]) -> EffectSet {
     set
 }
 
-/// A plant with perfect sensors' configuration, a pack that does not sag, high above the floor.
+/// A plant with a pack that does not sag, high above the floor.
 pub fn airborne(vehicle: &VehicleParams, effects: &EffectSet) -> Plant {
-    let mut config = SitlConfig { sensors: SensorConfig::IDEAL, ..SitlConfig::default() };
-    config.battery.resistance_ohm = Some(0.0);
-    config.start.position_m = [0.0, 0.0, -100.0];
-    Plant::new(vehicle, effects, &config, 7).unwrap()
+    let mut setup = Setup::default();
+    setup.battery.resistance_ohm = Some(0.0);
+    setup.start.position_m = [0.0, 0.0, -100.0];
+    Plant::new(vehicle, effects, &setup, 7).unwrap()
 }
 
 /// A state in which every effect acts.

@@ -2,9 +2,9 @@
 
 use crate::effects::Wrench;
 use crate::frame::{Frd, Ned};
+use crate::params::ROTORS;
 use crate::physics::{Loads, RotorConstants};
 use crate::rigid_body::State;
-use crate::vehicle::ROTORS;
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Exp1, StandardNormal};
 use rand_pcg::Pcg64Mcg;

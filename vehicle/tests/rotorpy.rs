@@ -6,12 +6,11 @@
 //! any wrong sign, frame or coefficient.
 
 use serde::Deserialize;
-use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::frame::{Attitude, Ned};
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Attitude, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
 
 #[derive(Deserialize)]
 struct Golden {
@@ -55,8 +54,8 @@ fn the_plant_flies_as_rotorpy_does() {
     assert_eq!(golden.flights.len(), 2);
     for Flight { name, vehicle, samples } in golden.flights {
         let vehicle = vehicle.checked().unwrap();
-        let config = SitlConfig { floor_down_m: 1000.0, ..SitlConfig::default() };
-        let mut plant = Plant::new(&vehicle, &EffectSet::new(), &config, 0).unwrap();
+        let setup = Setup { floor_down_m: 1000.0, ..Setup::default() };
+        let mut plant = Plant::new(&vehicle, &EffectSet::new(), &setup, 0).unwrap();
         plant.set_state(samples[0].state());
         plant.set_rotor_states(samples[0].rotors);
         let mut worst = [0.0_f64; 5];

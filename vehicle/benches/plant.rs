@@ -1,17 +1,16 @@
 //! Steps of the plant per second on one core: one vehicle for many steps, and many in turn.
 //!
-//! `cargo bench -p downwash-sitl --bench plant`, pinned to one core for steady numbers.
+//! `cargo bench -p downwash-vehicle --bench plant`, pinned to one core for steady numbers.
 
 use std::hint::black_box;
 use std::path::PathBuf;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use sitl::config::SitlConfig;
-use sitl::effects::EffectSet;
-use sitl::frame::Frd;
-use sitl::plant::Plant;
-use sitl::rigid_body::State;
-use sitl::vehicle::VehicleParams;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::frame::Frd;
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
 
 /// Every effect that acts in the plant, at values that keep it flying.
 const EVERY_EFFECT: [&str; 19] = [
@@ -49,8 +48,8 @@ fn plant(lag: f64, effects: &[&str]) -> Plant {
     for effect in effects {
         set.insert_argument(effect).expect("the effects above are valid");
     }
-    let config = SitlConfig { floor_down_m: 1e9, ..SitlConfig::default() };
-    Plant::new(&vehicle, &set, &config, 1).expect("the shipped vehicle's mixer can be inverted")
+    let setup = Setup { floor_down_m: 1e9, ..Setup::default() };
+    Plant::new(&vehicle, &set, &setup, 1).expect("the shipped vehicle's mixer can be inverted")
 }
 
 fn steps(criterion: &mut Criterion) {

@@ -2,20 +2,41 @@
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
 
-use crate::battery::{Battery, PowerModel};
-use crate::config::SitlConfig;
+use crate::battery::{Battery, BatteryConfig, PowerModel};
 use crate::contact::Floor;
 use crate::effects::{EffectSet, Gusts, Turbulence, Wrench};
 use crate::foreign::{Active, Foreign, Scene};
 use crate::frame::{Euler, Frd, Ned};
+use crate::params::{ROTORS, VehicleError, VehicleParams};
 use crate::physics::{Environment, Loads, Physics};
 use crate::rigid_body::{Stage, State, midpoint, rk4};
 use crate::rotor::Lag;
-use crate::vehicle::{ROTORS, VehicleError, VehicleParams};
 
 /// Steps between updates of the pack: 4 ms is short against the rotors' lag.
 const BATTERY_STEPS: u64 = 4;
+
+/// Where the vehicle begins, at rest and level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Start {
+    /// North, east, down in m.
+    pub position_m: [f64; 3],
+    /// Heading from north towards east in rad.
+    pub heading_rad: f64,
+}
+
+/// Where a plant begins, on which floor and with which pack.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Setup {
+    /// Where the vehicle begins.
+    pub start: Start,
+    /// Down coordinate of the floor in m.
+    pub floor_down_m: f64,
+    /// The pack.
+    pub battery: BatteryConfig,
+}
 
 /// The simulated vehicle without its autopilot: motor outputs in, motion out.
 #[derive(Clone, Debug)]
@@ -55,26 +76,26 @@ impl Plant {
     pub fn new(
         vehicle: &VehicleParams,
         truth: &EffectSet,
-        config: &SitlConfig,
+        setup: &Setup,
         seed: u64,
     ) -> Result<Self, VehicleError> {
         let physics = Physics::new(vehicle, truth)?;
-        let battery = Battery::new(vehicle, &config.battery);
+        let battery = Battery::new(vehicle, &setup.battery);
         let mut environment = physics.environment(battery.voltage(), Ned::zero());
-        environment.floor = config.floor_down_m;
+        environment.floor = setup.floor_down_m;
         let gusts = vehicle.modelled_effects.overlay(truth).get::<Gusts>();
         let turbulence = gusts.filter(|gusts| gusts.sigma_m_s > 0.0).map(|gusts| {
             let mut rng = Pcg64Mcg::seed_from_u64(seed);
             (Turbulence::new(&gusts, Self::STEP, &mut rng), rng)
         });
         let state = State {
-            position: config.start.position_m.into(),
-            attitude: Euler::new(0.0, 0.0, config.start.heading_rad).attitude(),
+            position: setup.start.position_m.into(),
+            attitude: Euler::new(0.0, 0.0, setup.start.heading_rad).attitude(),
             ..State::default()
         };
         Ok(Self {
             lag: Lag::new(physics.constants().motor_time_constant, Self::STEP),
-            floor: Floor::new(config.floor_down_m, physics.constants(), vehicle.gravity),
+            floor: Floor::new(setup.floor_down_m, physics.constants(), vehicle.gravity),
             power: PowerModel::new(vehicle),
             battery,
             turbulence,

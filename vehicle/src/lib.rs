@@ -1,0 +1,42 @@
+//! A quadrotor as a model: the vehicle file, the catalogue of what real vehicles do beyond it, and
+//! the plant that integrates both.
+//!
+//! [`VehicleParams`] is the nominal vehicle, [`effects`] what a real one does beyond it,
+//! [`physics::Physics`] the equations of both from rotor states to accelerations, generic over
+//! [`scalar::Scalar`] so that dual numbers give exact Jacobians. [`plant::Plant`] steps them, with
+//! rotors, pack and floor. [`frame`] types vectors and attitudes by their frame. SI units; NED
+//! world, FRD body.
+//!
+//! ```
+//! use vehicle::VehicleParams;
+//! use vehicle::effects::EffectSet;
+//! use vehicle::plant::{Plant, Setup};
+//!
+//! let quad = VehicleParams::load("quad1200")?;
+//! let mut plant = Plant::new(&quad, &EffectSet::new(), &Setup::default(), 1)?;
+//! for _ in 0..500 {
+//!     plant.step([0.8; 4]);
+//! }
+//! assert!(plant.state().position.down() < 0.0, "it climbs");
+//! # Ok::<(), vehicle::VehicleError>(())
+//! ```
+
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+
+pub mod battery;
+mod contact;
+pub mod effects;
+pub mod foreign;
+pub mod frame;
+mod params;
+pub mod physics;
+pub mod plant;
+pub mod rigid_body;
+pub mod rotor;
+pub mod scalar;
+
+pub use params::{
+    AttitudeCascade, AttitudePd, BatteryParams, Difference, Doubt, MotorOutput, ROTORS, Remark,
+    RotorParams, SHIPPED, Shipped, VehicleError, VehicleParams, read, shipped,
+};

@@ -1,0 +1,13 @@
+//! Integration tests of the vehicle model in one binary. `common` is what several tests share.
+
+mod common;
+
+mod closed_forms;
+mod effects;
+mod floor;
+mod foreign_laws;
+mod jacobian;
+mod motion_under_effects;
+mod practice_replay;
+mod rotorpy;
+mod vehicle_files;
