@@ -4,6 +4,7 @@ mod demo;
 mod flight;
 mod log;
 mod model;
+mod simulate;
 mod vehicle;
 
 use std::num::NonZeroUsize;
@@ -16,6 +17,7 @@ pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+pub use self::simulate::SimulateArgs;
 pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
 use crate::exam::case::Kind;
 
@@ -46,6 +48,9 @@ pub enum Command {
     /// trajectory through it, and flies it with and without the plans. Leaves a report, its
     /// numbers, the model, the plans and the logs.
     Demo(DemoArgs),
+    /// Flies the simulated vehicle along one trajectory, in lockstep, and prints the flight as one
+    /// row of numbers.
+    Simulate(SimulateArgs),
     /// Connects to a vehicle, flies one trajectory from take-off to landing, and logs it.
     Fly(FlyArgs),
     /// Flies a programme that a model can be learned from, and logs each flight.

@@ -26,7 +26,7 @@ struct Report<'a> {
 /// Loads the configuration of a command: files, environment, then `flags`.
 pub(super) fn load(
     file: Option<&Path>,
-    flags: Vec<(&'static str, &'static str, Value)>,
+    flags: Vec<(&'static str, &str, Value)>,
 ) -> anyhow::Result<Config> {
     Config::load(file, std::env::vars_os(), flags).or_exit(Exit::Usage)
 }

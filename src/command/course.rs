@@ -15,7 +15,7 @@ use crate::plan::{ModelFreeReference, Trajectory};
 
 /// A desired trajectory, or a plan that leads along one.
 #[derive(Clone)]
-pub(super) enum Course {
+pub enum Course {
     /// Followed by feedback alone.
     Desired(Trajectory),
     /// Followed with its inputs.

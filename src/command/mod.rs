@@ -28,6 +28,7 @@ mod plan;
 mod progress;
 mod sent_thrust;
 mod setup;
+mod simulate;
 mod simulation;
 mod sitl;
 mod status_line;
@@ -44,9 +45,13 @@ use serde::Serialize;
 
 use crate::cli::{Cli, Command};
 use crate::log::partial::PartialFile;
+pub use course::Course;
 pub use exit::Exit;
 use interruption::Interruption;
 pub use messages::Messages;
+pub use setup::VehicleFile;
+pub use simulate::{Inputs, Row, Simulation, configuration};
+pub use simulation::Truth;
 
 /// Runs the command.
 ///
@@ -68,6 +73,10 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         }
         Command::Sitl(args) => sitl::run(&args),
         Command::Demo(args) => demo::run(&args, &Interruption::watch()?),
+        Command::Simulate(args) => {
+            Interruption::watch()?;
+            simulate::run(&args)
+        }
         Command::Train(args) => train::run(&args, &Interruption::watch()?),
         Command::Plan(args) => plan::run(&args, &Interruption::watch()?),
         Command::Exam(args) => exam::run(&args, &Interruption::watch()?),

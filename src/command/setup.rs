@@ -24,9 +24,13 @@ use crate::station::StationSettings;
 use crate::supervisor::EngagePolicy;
 
 /// A vehicle file with its text, as the log keeps it.
-pub(super) struct VehicleFile {
+#[derive(Clone, Debug)]
+pub struct VehicleFile {
+    /// Its path, or what it is called instead.
     pub name: String,
+    /// As it is written: TOML or JSON.
     pub text: String,
+    /// As it is read.
     pub params: VehicleParams,
 }
 
