@@ -89,7 +89,7 @@ pub enum Command {
 }
 
 /// Flags of `diagnose`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct DiagnoseArgs {
     /// Flight logs of the real vehicle.
     #[arg(required = true)]
@@ -121,7 +121,7 @@ pub struct DiagnoseArgs {
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
     /// Simulated flights without any effect, which say how large chance makes the evidence.
-    #[arg(long, default_value_t = 40)]
+    #[arg(long, default_value_t = TWINS)]
     pub twins: u32,
     /// Seed of the simulated flights.
     #[arg(long, default_value_t = 1)]
@@ -139,6 +139,32 @@ pub struct DiagnoseArgs {
     /// Prints the answer as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Simulated flights without any effect in a diagnosis.
+const TWINS: u32 = 40;
+
+impl DiagnoseArgs {
+    /// A diagnosis of `logs` against the vehicle file `vehicle`, as without another flag.
+    pub fn new(logs: Vec<PathBuf>, vehicle: PathBuf) -> Self {
+        Self {
+            logs,
+            vehicle,
+            holdout: Vec::new(),
+            new: Vec::new(),
+            out: None,
+            report: None,
+            next_flight: None,
+            config: None,
+            mapping: None,
+            twins: TWINS,
+            seed: 1,
+            evidence: None,
+            without: Vec::new(),
+            fail_on: None,
+            json: false,
+        }
+    }
 }
 
 /// Flags of `exam`.
@@ -219,4 +245,22 @@ pub struct ConfigArgs {
     /// Prints one JSON object.
     #[arg(long)]
     pub json: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Parser)]
+    struct Diagnose {
+        #[command(flatten)]
+        args: DiagnoseArgs,
+    }
+
+    #[test]
+    fn a_diagnosis_without_flags_is_the_one_of_the_command_line() {
+        let typed = Diagnose::try_parse_from(["diagnose", "a.mcap", "--vehicle", "v.toml"]);
+        let made = DiagnoseArgs::new(vec!["a.mcap".into()], "v.toml".into());
+        assert_eq!(format!("{:?}", typed.expect("arguments").args), format!("{made:?}"));
+    }
 }

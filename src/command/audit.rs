@@ -12,9 +12,9 @@ use crate::cli::FailOnFinding;
 use crate::diagnose::untestable::{self, Untestable};
 use crate::log::import::{self, Flight, ImportError};
 
-/// The JSON of `log audit`.
+/// What logs are worth: the JSON of `log audit`.
 #[derive(Serialize)]
-struct Summary {
+pub struct AuditSummary {
     schema: &'static str,
     schema_version: u32,
     logs: Vec<Log>,
@@ -28,12 +28,8 @@ struct Log {
     untestable: Vec<Untestable>,
 }
 
-pub(super) fn run(
-    files: &[PathBuf],
-    mapping: Option<&Path>,
-    fail_on: Option<FailOnFinding>,
-    json: bool,
-) -> anyhow::Result<Exit> {
+/// Audits logs together, and says which could not be read.
+pub fn audit(files: &[PathBuf], mapping: Option<&Path>) -> (AuditSummary, Vec<ImportError>) {
     let opened: Vec<Result<Flight, ImportError>> =
         files.par_iter().map(|file| import::open_among(file, mapping)).collect();
     let (mut flights, mut refused) = (Vec::new(), Vec::new());
@@ -52,6 +48,17 @@ pub(super) fn run(
             Log { audit, untestable }
         })
         .collect();
+    (AuditSummary { schema: "downwash.log.audit", schema_version: 2, logs }, refused)
+}
+
+pub(super) fn run(
+    files: &[PathBuf],
+    mapping: Option<&Path>,
+    fail_on: Option<FailOnFinding>,
+    json: bool,
+) -> anyhow::Result<Exit> {
+    let (summary, mut refused) = audit(files, mapping);
+    let logs = &summary.logs;
     // One log that is none keeps nothing back of the others.
     let last = refused.pop();
     refused.iter().for_each(|error| say(format_args!("{error}")));
@@ -67,7 +74,7 @@ pub(super) fn run(
     };
     let exit = if logs.iter().any(is_failed) { Exit::Check } else { Exit::Ok };
     if json {
-        print_json(&Summary { schema: "downwash.log.audit", schema_version: 2, logs })?;
+        print_json(&summary)?;
     } else {
         print_text(&logs.iter().map(text).collect::<Vec<_>>().join("\n"))?;
     }

@@ -37,27 +37,72 @@ mod summary;
 mod train;
 mod vehicle;
 
-use std::io::{self, Write};
+use std::ffi::OsString;
+use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 
 use anyhow::Context;
+use clap::Parser;
 use serde::Serialize;
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::time::uptime;
 
 use crate::cli::{Cli, Command};
 use crate::log::partial::PartialFile;
+pub use audit::{AuditSummary, audit};
 pub use course::Course;
+pub use diagnose::{Finding, find};
 pub use exit::Exit;
 use interruption::Interruption;
-pub use messages::Messages;
+use messages::Messages;
+pub use model::{EvaluationSummary, Info as ModelInfo, evaluated};
+pub use plan::{PlanModel, plan_trajectory};
 pub use setup::VehicleFile;
 pub use simulate::{Inputs, Row, Simulation, configuration};
 pub use simulation::Truth;
+pub use train::{Learning, Resume, Trained, learn};
+pub use vehicle::{Made, make};
+
+/// The whole program, for these arguments, the first of them its name. Help, the version and wrong
+/// flags end the process.
+pub fn main(args: impl IntoIterator<Item = OsString>) -> Exit {
+    let cli = Cli::parse_from(args);
+    let messages = match Messages::start() {
+        Ok(messages) => messages,
+        Err(error) => {
+            eprintln!("error: cannot start a thread: {error}");
+            return Exit::Failure;
+        }
+    };
+    // Who flies a vehicle is told what happens; elsewhere only what is wrong.
+    let told = matches!(cli.command, Command::Fly(_) | Command::Daemon(_));
+    let level =
+        ["warn", "info", "debug"][usize::from(cli.verbose).saturating_add(told.into()).min(2)];
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_target(false)
+        .with_timer(uptime())
+        .with_ansi(io::stderr().is_terminal())
+        .with_writer(messages.clone())
+        .init();
+    let result = run(cli);
+    messages.flush();
+    let exit = result.unwrap_or_else(|error| {
+        eprintln!("error: {}", in_words(&error));
+        exit_of(&error)
+    });
+    if exit == Exit::Interrupted {
+        eprintln!("interrupted");
+    }
+    exit
+}
 
 /// Runs the command.
 ///
 /// # Errors
 /// What failed, with context; [`exit_of`] finds the exit code in it.
-pub fn run(cli: Cli) -> anyhow::Result<Exit> {
+fn run(cli: Cli) -> anyhow::Result<Exit> {
     match cli.command {
         // These fly a vehicle, or are one, and end as that allows.
         Command::Fly(args) => fly::run(&args),

@@ -29,7 +29,7 @@ use crate::plan::{Feasibility, Trajectory};
 use crate::report::plan as page;
 
 /// A model to plan through, with what a plan says about it.
-pub(super) struct PlanModel {
+pub struct PlanModel {
     model: Arc<dyn Model>,
     note: PlannedThrough,
     /// Delay and lag from a setpoint to what acts, s.
@@ -40,6 +40,9 @@ pub(super) struct PlanModel {
 
 impl PlanModel {
     /// The vehicle file's own physics.
+    ///
+    /// # Errors
+    /// A vehicle whose effects make no vehicle.
     pub fn nominal(vehicle: &VehicleParams) -> anyhow::Result<Self> {
         let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
         let model =
@@ -56,7 +59,10 @@ impl PlanModel {
         })
     }
 
-    /// One of a model file's models.
+    /// One of a model file's models; `sha256` is that of the file.
+    ///
+    /// # Errors
+    /// A model that the file does not hold whole.
     pub fn learned(file: &ModelFile, kind: ModelKind, sha256: &str) -> anyhow::Result<Self> {
         let effective = EffectiveVehicle::new(&file.vehicle).or_exit(Exit::Usage)?;
         let model = file.model(kind).or_exit(Exit::Usage)?.into();
@@ -123,7 +129,10 @@ pub(super) fn planner(
 }
 
 /// Plans a trajectory for a vehicle. `watch` is shown the subproblems, and ends the search.
-pub(super) fn plan_trajectory(
+///
+/// # Errors
+/// A vehicle without an on-board loop, or a trajectory that cannot be planned for.
+pub fn plan_trajectory(
     trajectory: &Trajectory,
     vehicle: &VehicleParams,
     through: &PlanModel,
