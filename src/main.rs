@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    downwash::command::main(std::env::args_os()).into()
+    downwash::command::main(None, std::env::args_os()).into()
 }

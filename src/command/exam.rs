@@ -327,7 +327,7 @@ impl Hall<'_> {
     /// What a process that sees nothing but the case's files answers; `None` where it was
     /// interrupted.
     fn answer(&self, sheet: &Sheet<'_>) -> anyhow::Result<Option<Vec<u8>>> {
-        let program = std::env::current_exe().context("this program's own file")?;
+        let program = super::program()?;
         let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let mut command = Command::new(program);
         command

@@ -39,7 +39,8 @@ mod vehicle;
 
 use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use anyhow::Context;
 use clap::Parser;
@@ -56,16 +57,30 @@ pub use exit::Exit;
 use interruption::Interruption;
 use messages::Messages;
 pub use model::{EvaluationSummary, Info as ModelInfo, evaluated};
-pub use plan::{PlanModel, plan_trajectory};
+pub use plan::{PlanModel, plan_trajectory, sha256_of};
 pub use setup::VehicleFile;
 pub use simulate::{Inputs, Row, Simulation, configuration};
 pub use simulation::Truth;
 pub use train::{Learning, Resume, Trained, learn};
 pub use vehicle::{Made, make};
 
+/// Where this program lies, where that is not its process's own file.
+static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+
+/// The file that starts this program.
+fn program() -> anyhow::Result<PathBuf> {
+    match PROGRAM.get() {
+        Some(program) => Ok(program.clone()),
+        None => std::env::current_exe().context("this program's own file"),
+    }
+}
+
 /// The whole program, for these arguments, the first of them its name. Help, the version and wrong
-/// flags end the process.
-pub fn main(args: impl IntoIterator<Item = OsString>) -> Exit {
+/// flags end the process. `program` is the file to start it by, where another program runs it.
+pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) -> Exit {
+    if let Some(program) = program {
+        PROGRAM.get_or_init(|| program);
+    }
     let cli = Cli::parse_from(args);
     let messages = match Messages::start() {
         Ok(messages) => messages,

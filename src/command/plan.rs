@@ -89,7 +89,10 @@ pub(super) fn model_for(
 }
 
 /// SHA-256 of a file, in hexadecimal.
-pub(super) fn sha256_of(path: &Path) -> anyhow::Result<String> {
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn sha256_of(path: &Path) -> anyhow::Result<String> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     Ok(sha256(bytes))
 }
