@@ -5,6 +5,7 @@ mod flight;
 mod log;
 mod model;
 mod simulate;
+mod sweep;
 mod vehicle;
 
 use std::num::NonZeroUsize;
@@ -18,6 +19,7 @@ pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs,
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
 pub use self::simulate::SimulateArgs;
+pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
 use crate::exam::case::Kind;
 
@@ -51,6 +53,9 @@ pub enum Command {
     /// Flies the simulated vehicle along one trajectory, in lockstep, and prints the flight as one
     /// row of numbers.
     Simulate(SimulateArgs),
+    /// Flies many of these flights: grids, lists and draws of any input, on any number of workers,
+    /// into one table.
+    Sweep(SweepArgs),
     /// Connects to a vehicle, flies one trajectory from take-off to landing, and logs it.
     Fly(FlyArgs),
     /// Flies a programme that a model can be learned from, and logs each flight.

@@ -13,6 +13,7 @@ from ._model import ACCELERATIONS, INPUT, MOTION, Learner, Model
 from ._plan import PLAN_INPUT, PLAN_STATE, Plan, plan
 from ._plant import REST, STATE, Plant, rollouts
 from ._rows import Rows
+from ._sweep import sweep, table
 from ._trajectory import POINT, Trajectory
 from ._vehicle import Vehicle, effects
 
@@ -44,4 +45,6 @@ __all__ = [
     "plan",
     "read",
     "rollouts",
+    "sweep",
+    "table",
 ]

@@ -29,6 +29,7 @@ __all__ = [
     "main",
     "plan",
     "rollouts",
+    "sweep",
     "train",
 ]
 
@@ -170,6 +171,14 @@ def fly(
     jobs: int | None,
     progress: _Progress | None,
 ) -> list[str]: ...
+def sweep(
+    manifest: _Path,
+    out: _Path,
+    index: int,
+    count: int,
+    jobs: int | None,
+    progress: _Progress | None,
+) -> str: ...
 def plan(
     trajectory: Trajectory,
     vehicle: Vehicle,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from os import PathLike
 from typing import Any
 
 
@@ -20,6 +21,13 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
 class Rows(list[dict[str, Any]]):
     """Rows as dictionaries; tables inside them are columns with a dot when made a table."""
 
+    metadata: dict[str, str]
+    """What the whole table says of itself."""
+
+    def __init__(self, rows: Iterable[dict[str, Any]] = ()) -> None:
+        super().__init__(rows)
+        self.metadata = {}
+
     def flat(self) -> list[dict[str, Any]]:
         """The rows without tables inside: ``effects.rotor_drag.d_xy`` is a column."""
         return [dict(_flat("", row)) for row in self]
@@ -34,7 +42,17 @@ class Rows(list[dict[str, Any]]):
         """A pyarrow Table."""
         import pyarrow
 
-        return pyarrow.Table.from_pylist(self.flat())
+        rows = self.flat()
+        # Of a list of rows pyarrow would take the first one's columns alone.
+        names = dict.fromkeys(name for row in rows for name in row)
+        columns = {name: [row.get(name) for row in rows] for name in names}
+        return pyarrow.table(columns).replace_schema_metadata(self.metadata or None)
+
+    def to_parquet(self, path: str | PathLike[str]) -> None:
+        """Writes a Parquet file, by pyarrow."""
+        import pyarrow.parquet
+
+        pyarrow.parquet.write_table(self.to_arrow(), path)
 
     def _repr_html_(self) -> str | None:
         try:

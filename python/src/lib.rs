@@ -12,6 +12,7 @@ mod log;
 mod model;
 mod plan;
 mod plant;
+mod sweep;
 mod vehicle;
 mod watch;
 
@@ -45,6 +46,7 @@ fn _downwash(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(plant::rollouts, module)?)?;
     module.add_function(wrap_pyfunction!(log::audit, module)?)?;
     module.add_function(wrap_pyfunction!(flight::fly, module)?)?;
+    module.add_function(wrap_pyfunction!(sweep::sweep, module)?)?;
     module.add_function(wrap_pyfunction!(plan::plan, module)?)?;
     module.add_function(wrap_pyfunction!(model::train, module)?)?;
     module.add_function(wrap_pyfunction!(model::evaluate, module)?)?;

@@ -8,7 +8,7 @@ import pytest
 from conftest import ROOT
 
 
-def test_the_package_its_examples_and_its_tests_are_typed() -> None:
+def test_the_package_and_its_examples_are_typed() -> None:
     pytest.importorskip("mypy")
     python = ROOT / "python"
     files = [python / "downwash", *sorted((python / "examples").glob("*.py"))]

@@ -34,6 +34,7 @@ mod sitl;
 mod status_line;
 mod stop;
 mod summary;
+mod sweep;
 mod train;
 mod vehicle;
 
@@ -61,6 +62,7 @@ pub use plan::{PlanModel, plan_trajectory, sha256_of};
 pub use setup::VehicleFile;
 pub use simulate::{Inputs, Row, Simulation, configuration};
 pub use simulation::Truth;
+pub use sweep::{Sweep, SweepSummary};
 pub use train::{Learning, Resume, Trained, learn};
 pub use vehicle::{Made, make};
 
@@ -137,6 +139,7 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
             Interruption::watch()?;
             simulate::run(&args)
         }
+        Command::Sweep(args) => sweep::run(&args, &Interruption::watch()?),
         Command::Train(args) => train::run(&args, &Interruption::watch()?),
         Command::Plan(args) => plan::run(&args, &Interruption::watch()?),
         Command::Exam(args) => exam::run(&args, &Interruption::watch()?),
