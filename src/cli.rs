@@ -4,6 +4,7 @@ mod demo;
 mod flight;
 mod log;
 mod model;
+mod schema;
 mod simulate;
 mod sweep;
 mod vehicle;
@@ -18,6 +19,7 @@ pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+pub use self::schema::SchemaArgs;
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
@@ -91,6 +93,8 @@ pub enum Command {
     Exam(ExamArgs),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
+    /// JSON Schemas of what the commands print with --json.
+    Schema(SchemaArgs),
 }
 
 /// Flags of `diagnose`.

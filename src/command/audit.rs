@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{Exit, ExitContext, print_json, print_text, say};
@@ -13,7 +14,7 @@ use crate::diagnose::untestable::{self, Untestable};
 use crate::log::import::{self, Flight, ImportError};
 
 /// What logs are worth: the JSON of `log audit`.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 pub struct AuditSummary {
     schema: &'static str,
     schema_version: u32,
@@ -21,7 +22,7 @@ pub struct AuditSummary {
 }
 
 /// What a log is worth, and which effects it cannot show.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 struct Log {
     #[serde(flatten)]
     audit: Audit,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use sitl::effects::EffectSet;
 use sitl::vehicle::VehicleParams;
@@ -29,8 +30,8 @@ use crate::log::import::Flight;
 use crate::plan::manoeuvres::Room;
 
 /// The answer as it is printed and written.
-#[derive(Serialize)]
-struct Told<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Told<'a> {
     schema: &'static str,
     schema_version: u32,
     #[serde(flatten)]

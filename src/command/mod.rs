@@ -26,6 +26,7 @@ mod model;
 mod output;
 mod plan;
 mod progress;
+mod schema;
 mod sent_thrust;
 mod setup;
 mod simulate;
@@ -165,6 +166,10 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)
+        }
+        Command::Schema(args) => {
+            end_on_broken_pipe();
+            schema::run(&args)
         }
     }
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use sitl::vehicle::VehicleParams;
 
@@ -71,7 +72,7 @@ fn load(path: &Path, vehicle: Option<&Path>) -> anyhow::Result<ModelFile> {
 }
 
 /// What is in a model file: the JSON of `model info`.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 pub struct Info<'a> {
     schema: &'static str,
     schema_version: u32,
@@ -114,7 +115,7 @@ fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
 }
 
 /// How a model does on logs: the JSON of `model eval`.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 pub struct EvaluationSummary {
     schema: &'static str,
     schema_version: u32,

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
+use schemars::JsonSchema;
 use serde::Serialize;
 use sitl::effects::BatterySag;
 use sitl::vehicle::VehicleParams;
@@ -162,8 +163,8 @@ pub fn plan_trajectory(
 }
 
 /// The JSON of `plan`.
-#[derive(Serialize)]
-struct PlanSummary<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct PlanSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     trajectory: &'a str,

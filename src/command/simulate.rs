@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::anyhow;
+use schemars::JsonSchema;
 use serde::Serialize;
 use sitl::config::SitlConfig;
 use sitl::effects::EffectSet;
@@ -59,7 +60,7 @@ pub struct Simulation {
 }
 
 /// A simulated flight as one row: the JSON of `simulate`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Row {
     /// `downwash.simulate`.
     pub schema: &'static str,
@@ -72,8 +73,12 @@ pub struct Row {
     /// The trajectory's name.
     pub trajectory: String,
     /// Effects of the vehicle that the controller did not know.
+    #[schemars(
+        with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
+    )]
     pub effects: EffectSet,
     /// Settings that were given beside files.
+    #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
     pub settings: BTreeMap<String, Value>,
     /// Seed of noise, delays and gusts.
     pub seed: u64,

@@ -11,17 +11,19 @@ use std::time::Instant;
 
 use anyhow::Context;
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use self::manifest::{Manifest, Point};
-use self::rows::{Folder, Line, Rows};
+pub(super) use self::rows::Line;
+use self::rows::{Folder, Rows};
 use super::progress::count_bar;
 use super::simulate::{Row, Simulation};
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say};
 use crate::cli::{Shard, SweepArgs};
 
 /// What a sweep has come to: the JSON of `sweep`.
-#[derive(Debug, Serialize)]
+#[derive(Debug, JsonSchema, Serialize)]
 pub struct SweepSummary {
     schema: &'static str,
     schema_version: u32,
@@ -38,6 +40,15 @@ pub struct SweepSummary {
     ended_early: usize,
     /// The table; null while rows are missing.
     pub table: Option<PathBuf>,
+}
+
+/// A point of `--list`.
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Listed {
+    point: usize,
+    seed: u64,
+    #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
+    inputs: std::collections::BTreeMap<String, toml::Value>,
 }
 
 /// What of a sweep is flown here.
@@ -162,12 +173,6 @@ fn conclude(folder: &Folder, manifest: &Manifest) -> anyhow::Result<SweepSummary
 
 /// Prints the points of the shard.
 fn list(manifest: &Manifest, args: &SweepArgs) -> anyhow::Result<Exit> {
-    #[derive(Serialize)]
-    struct Listed {
-        point: usize,
-        seed: u64,
-        inputs: std::collections::BTreeMap<String, toml::Value>,
-    }
     for point in (0..manifest.points).filter(|point| args.shard.has(*point)) {
         let Point { varied, seed } = manifest.point(point);
         if args.json {

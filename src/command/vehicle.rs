@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
+use schemars::JsonSchema;
 use serde::Serialize;
 use sitl::vehicle::{Doubt, Remark, SHIPPED, VehicleParams};
 
@@ -30,15 +31,15 @@ pub(super) fn run(command: VehicleCommand) -> anyhow::Result<Exit> {
     }
 }
 
-#[derive(Serialize)]
-struct Listed {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Listed {
     schema: &'static str,
     schema_version: u32,
     vehicles: Vec<Named>,
     trajectories: Vec<Named>,
 }
 
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 struct Named {
     name: &'static str,
     about: &'static str,
@@ -68,12 +69,13 @@ fn list(json: bool) -> anyhow::Result<Exit> {
     Ok(Exit::Ok)
 }
 
-#[derive(Serialize)]
-struct Checked<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Checked<'a> {
     schema: &'static str,
     schema_version: u32,
     file: String,
     vehicle: &'a str,
+    #[schemars(with = "Vec<serde_json::Value>")]
     remarks: &'a [Remark],
 }
 
@@ -127,7 +129,7 @@ pub(super) fn warn(file: &Path, vehicle: &VehicleParams) {
 }
 
 /// A new vehicle file, and what it lacks: the JSON of `vehicle init`.
-#[derive(Debug, Serialize)]
+#[derive(Debug, JsonSchema, Serialize)]
 pub struct Made {
     schema: &'static str,
     schema_version: u32,
@@ -138,6 +140,7 @@ pub struct Made {
     pub missing: Vec<Wanting>,
     /// What is only estimated.
     pub estimated: Vec<Wanting>,
+    #[schemars(with = "Vec<serde_json::Value>")]
     remarks: Vec<Remark>,
     /// The file's text; whole where nothing is missing.
     pub toml: String,

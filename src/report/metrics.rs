@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use sitl::frame::{Ned, wrap_angle};
 
@@ -12,7 +13,7 @@ use crate::log::record::{Record, Severity, Stamp, Tick, Truth};
 const TRUTHS: usize = 20;
 
 /// Numbers of one flight; those over the trajectory are `None` where it was never begun.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Metrics {
     /// How long the trajectory was followed: its ticks over their rate, s.
     pub tracked_s: f64,

@@ -7,6 +7,7 @@ use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -14,7 +15,7 @@ use super::manifest::Manifest;
 use crate::cli::Shard;
 
 /// A row as it lies in a shard's file.
-#[derive(Debug, Deserialize, Serialize)]
+#[derive(Debug, JsonSchema, Deserialize, Serialize)]
 pub struct Line {
     /// The point's number.
     pub index: usize,
@@ -27,7 +28,7 @@ pub struct Line {
 }
 
 /// What the folder is of: sweep.json.
-#[derive(Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Debug, JsonSchema, Deserialize, PartialEq, Serialize)]
 struct Header {
     schema: String,
     schema_version: u32,
