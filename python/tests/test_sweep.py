@@ -3,6 +3,7 @@
 import csv
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -153,6 +154,16 @@ def test_a_task_index_is_all_that_a_scheduler_needs(manifest: Path, whole: bytes
         line = f'"{COMMAND}" sweep "{manifest}" --out "{tmp_path}" --shard "$SLURM_ARRAY_TASK_ID/3"'
         environment = os.environ | {"SLURM_ARRAY_TASK_ID": str(index)}
         subprocess.run(["sh", "-c", line], check=True, capture_output=True, env=environment)
+    assert (tmp_path / "table.csv").read_bytes() == whole
+
+
+def test_gnu_parallel_gives_the_same_bytes(manifest: Path, whole: bytes, tmp_path: Path) -> None:
+    parallel = shutil.which("parallel")
+    if parallel is None:
+        pytest.skip("GNU parallel is not installed")
+    line = f"{COMMAND} sweep {manifest} --out {tmp_path} --jobs 1 --shard {{}}/5"
+    run = [parallel, "--will-cite", line, ":::", *map(str, range(1, 6))]
+    subprocess.run(run, check=True, capture_output=True, timeout=120)
     assert (tmp_path / "table.csv").read_bytes() == whole
 
 
