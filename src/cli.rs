@@ -4,6 +4,9 @@ mod demo;
 mod flight;
 mod log;
 mod model;
+mod schema;
+mod simulate;
+mod sweep;
 mod vehicle;
 
 use std::num::NonZeroUsize;
@@ -16,6 +19,9 @@ pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+pub use self::schema::SchemaArgs;
+pub use self::simulate::SimulateArgs;
+pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
 use crate::exam::case::Kind;
 
@@ -46,6 +52,12 @@ pub enum Command {
     /// trajectory through it, and flies it with and without the plans. Leaves a report, its
     /// numbers, the model, the plans and the logs.
     Demo(DemoArgs),
+    /// Flies the simulated vehicle along one trajectory, in lockstep, and prints the flight as one
+    /// row of numbers.
+    Simulate(SimulateArgs),
+    /// Flies many of these flights: grids, lists and draws of any input, on any number of workers,
+    /// into one table.
+    Sweep(SweepArgs),
     /// Connects to a vehicle, flies one trajectory from take-off to landing, and logs it.
     Fly(FlyArgs),
     /// Flies a programme that a model can be learned from, and logs each flight.
@@ -81,10 +93,12 @@ pub enum Command {
     Exam(ExamArgs),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
+    /// JSON Schemas of what the commands print with --json.
+    Schema(SchemaArgs),
 }
 
 /// Flags of `diagnose`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct DiagnoseArgs {
     /// Flight logs of the real vehicle.
     #[arg(required = true)]
@@ -116,7 +130,7 @@ pub struct DiagnoseArgs {
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
     /// Simulated flights without any effect, which say how large chance makes the evidence.
-    #[arg(long, default_value_t = 40)]
+    #[arg(long, default_value_t = TWINS)]
     pub twins: u32,
     /// Seed of the simulated flights.
     #[arg(long, default_value_t = 1)]
@@ -134,6 +148,32 @@ pub struct DiagnoseArgs {
     /// Prints the answer as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Simulated flights without any effect in a diagnosis.
+const TWINS: u32 = 40;
+
+impl DiagnoseArgs {
+    /// A diagnosis of `logs` against the vehicle file `vehicle`, as without another flag.
+    pub fn new(logs: Vec<PathBuf>, vehicle: PathBuf) -> Self {
+        Self {
+            logs,
+            vehicle,
+            holdout: Vec::new(),
+            new: Vec::new(),
+            out: None,
+            report: None,
+            next_flight: None,
+            config: None,
+            mapping: None,
+            twins: TWINS,
+            seed: 1,
+            evidence: None,
+            without: Vec::new(),
+            fail_on: None,
+            json: false,
+        }
+    }
 }
 
 /// Flags of `exam`.
@@ -214,4 +254,22 @@ pub struct ConfigArgs {
     /// Prints one JSON object.
     #[arg(long)]
     pub json: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Parser)]
+    struct Diagnose {
+        #[command(flatten)]
+        args: DiagnoseArgs,
+    }
+
+    #[test]
+    fn a_diagnosis_without_flags_is_the_one_of_the_command_line() {
+        let typed = Diagnose::try_parse_from(["diagnose", "a.mcap", "--vehicle", "v.toml"]);
+        let made = DiagnoseArgs::new(vec!["a.mcap".into()], "v.toml".into());
+        assert_eq!(format!("{:?}", typed.expect("arguments").args), format!("{made:?}"));
+    }
 }

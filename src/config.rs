@@ -126,7 +126,7 @@ impl Config {
     pub fn load(
         file: Option<&Path>,
         environment: impl Iterator<Item = (OsString, OsString)>,
-        flags: Vec<(&'static str, &'static str, Value)>,
+        flags: Vec<(&'static str, &str, Value)>,
     ) -> Result<Self, ConfigError> {
         let mut config = Self::defaults();
         let standing = [Some(PathBuf::from("/etc")), user_folder(|name| std::env::var_os(name))];

@@ -6,6 +6,7 @@ mod lateness;
 mod rate;
 mod status;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::rigid_body::State;
@@ -20,7 +21,7 @@ use crate::link::message::{AttitudeSource, Inbound, Received};
 use crate::link::vehicle_clock::Delay;
 
 /// When a control tick fires, and what telemetry is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TelemetrySettings {
     /// Control rate, Hz; ticks are thinned to it. Not set by itself: it is the feedback's.

@@ -7,6 +7,7 @@ mod body;
 mod document;
 mod onboard_loop;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::{AttitudeCascade, BatteryParams};
 
@@ -90,7 +91,7 @@ impl<T> Given<T> {
 }
 
 /// Something that is not known, or only estimated, and how to measure it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 pub struct Wanting {
     /// Key of the vehicle file.
     pub key: &'static str,

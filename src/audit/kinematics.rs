@@ -4,6 +4,7 @@
 //! delay, a drift, a rotation, scales and a bias ([`super::pair`]).
 
 use nalgebra::{Matrix3, SVector, Vector3};
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::{Attitude, Frd, Ned, wrap_angle};
 
@@ -31,7 +32,7 @@ const LATE_SURE: f64 = 0.05;
 const LEAN_MAX: f64 = 1.0;
 
 /// All pairs of a flight; `None` where a stream is missing or its motion shows nothing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Kinematics {
     /// Attitude against the gyro: rotation in body axes, bias in rad/s.
     pub attitude: Option<Agreement>,

@@ -19,6 +19,7 @@ mod values;
 mod vehicle;
 mod weak;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::log::import::{Flight, RotorFact};
@@ -32,7 +33,7 @@ pub use timing::{LEFT_OUT, NO_SAMPLES, StreamTiming};
 pub(crate) use weak::median;
 
 /// A time within which a stream must not be used.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct UnusableSpan {
     /// The stream.
     pub stream: &'static str,
@@ -45,7 +46,7 @@ pub struct UnusableSpan {
 }
 
 /// What a log is worth.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Audit {
     /// The file.
     pub file: String,

@@ -14,6 +14,7 @@
 //! and what only one moment of the flight shows is not sure.
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, UnitQuaternion, Vector3};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::trial::Trial;
@@ -51,7 +52,7 @@ const COMMON: usize = 11;
 const UNKNOWNS: usize = 12;
 
 /// A value with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Estimate {
     /// Best value.
     pub value: f64,
@@ -80,7 +81,7 @@ impl Estimate {
 }
 
 /// How one stream fits the derivative that another sensor measures.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Agreement {
     /// By how much the stream shows the motion later than the other sensor, s, in the middle of
     /// the log.

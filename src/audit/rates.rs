@@ -4,6 +4,7 @@
 //! tells more than the source did, and what changes faster than half of the source's rate is not
 //! lost but folded into what is slower.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::{Attitude, Frd, Ned};
 
@@ -22,7 +23,7 @@ const VALUES_MIN: usize = 20;
 
 /// New values per second while they come, Hz; `None` of a stream that is not logged or never
 /// changes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Rates {
     /// Attitude.
     pub attitude_hz: Option<f64>,

@@ -3,6 +3,7 @@
 //! whose drag turns the body right.
 
 use nalgebra::{SMatrix, SVector, Vector3};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::pair::Estimate;
@@ -31,7 +32,7 @@ const ON_AXIS: f64 = 0.2;
 const CONTRADICTIONS: usize = 2;
 
 /// What each output does to the body, rad/s^2 for a rise by 1 of the outputs' unit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct RotorEffects {
     /// About front, right and down, for each output.
     pub turning: [[Estimate; 3]; 4],
@@ -42,7 +43,7 @@ pub struct RotorEffects {
 }
 
 /// An output that does not do what a rotor at its place would.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 pub struct Contradiction {
     /// Index of the output.
     pub output: usize,

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::Rates;
@@ -13,7 +14,7 @@ const IMU_HZ: f64 = 80.0;
 pub const FAST_HZ: f64 = 40.0;
 
 /// What was logged.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize)]
 pub struct Channels {
     /// Attitude.
     pub attitude: bool,
@@ -67,7 +68,7 @@ impl Channels {
 }
 
 /// How much of a flight was logged; each holds all that is below it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
 pub enum Tier {
     /// Pose, velocity and attitude.
     T0,

@@ -1,5 +1,6 @@
 //! Rates, gaps, jitter and clocks.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{Audit, Finding, Severity, UnusableSpan};
@@ -20,7 +21,7 @@ const SKEW_MAX: f64 = 1e-3;
 const DAMAGED_MAX: f64 = 0.1;
 
 /// How a stream's samples lie in time.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct StreamTiming {
     /// The stream.
     pub stream: &'static str,

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{Exit, ExitContext, print_json, print_text, say};
@@ -12,28 +13,24 @@ use crate::cli::FailOnFinding;
 use crate::diagnose::untestable::{self, Untestable};
 use crate::log::import::{self, Flight, ImportError};
 
-/// The JSON of `log audit`.
-#[derive(Serialize)]
-struct Summary {
+/// What logs are worth: the JSON of `log audit`.
+#[derive(JsonSchema, Serialize)]
+pub struct AuditSummary {
     schema: &'static str,
     schema_version: u32,
     logs: Vec<Log>,
 }
 
 /// What a log is worth, and which effects it cannot show.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 struct Log {
     #[serde(flatten)]
     audit: Audit,
     untestable: Vec<Untestable>,
 }
 
-pub(super) fn run(
-    files: &[PathBuf],
-    mapping: Option<&Path>,
-    fail_on: Option<FailOnFinding>,
-    json: bool,
-) -> anyhow::Result<Exit> {
+/// Audits logs together, and says which could not be read.
+pub fn audit(files: &[PathBuf], mapping: Option<&Path>) -> (AuditSummary, Vec<ImportError>) {
     let opened: Vec<Result<Flight, ImportError>> =
         files.par_iter().map(|file| import::open_among(file, mapping)).collect();
     let (mut flights, mut refused) = (Vec::new(), Vec::new());
@@ -52,6 +49,17 @@ pub(super) fn run(
             Log { audit, untestable }
         })
         .collect();
+    (AuditSummary { schema: "downwash.log.audit", schema_version: 2, logs }, refused)
+}
+
+pub(super) fn run(
+    files: &[PathBuf],
+    mapping: Option<&Path>,
+    fail_on: Option<FailOnFinding>,
+    json: bool,
+) -> anyhow::Result<Exit> {
+    let (summary, mut refused) = audit(files, mapping);
+    let logs = &summary.logs;
     // One log that is none keeps nothing back of the others.
     let last = refused.pop();
     refused.iter().for_each(|error| say(format_args!("{error}")));
@@ -67,7 +75,7 @@ pub(super) fn run(
     };
     let exit = if logs.iter().any(is_failed) { Exit::Check } else { Exit::Ok };
     if json {
-        print_json(&Summary { schema: "downwash.log.audit", schema_version: 2, logs })?;
+        print_json(&summary)?;
     } else {
         print_text(&logs.iter().map(text).collect::<Vec<_>>().join("\n"))?;
     }

@@ -11,6 +11,7 @@ use std::thread;
 use std::time::Instant;
 
 use anyhow::Context;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use self::kept::{Identity, LogOf, logs_of_flights};
@@ -29,7 +30,7 @@ use crate::plan::Feasibility;
 use crate::plan::programme::{FlightKind, ProgrammeFlight, programme};
 
 /// The JSON of `collect`.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 pub(super) struct CollectSummary {
     schema: &'static str,
     schema_version: u32,
@@ -48,7 +49,7 @@ pub(super) struct CollectSummary {
 }
 
 /// One flight of the programme.
-#[derive(Clone, Serialize)]
+#[derive(Clone, JsonSchema, Serialize)]
 struct FlightRow {
     name: String,
     kind: FlightKind,

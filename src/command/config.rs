@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use toml::Value;
 
@@ -10,14 +11,15 @@ use super::{Exit, ExitContext, print_json};
 use crate::cli::ConfigArgs;
 use crate::config::{Config, SCHEMA_VERSION};
 
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 struct Row<'a> {
+    #[schemars(with = "serde_json::Value")]
     value: &'a Value,
     origin: String,
 }
 
-#[derive(Serialize)]
-struct Report<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Report<'a> {
     schema: &'static str,
     schema_version: u32,
     settings: BTreeMap<String, Row<'a>>,
@@ -26,7 +28,7 @@ struct Report<'a> {
 /// Loads the configuration of a command: files, environment, then `flags`.
 pub(super) fn load(
     file: Option<&Path>,
-    flags: Vec<(&'static str, &'static str, Value)>,
+    flags: Vec<(&'static str, &str, Value)>,
 ) -> anyhow::Result<Config> {
     Config::load(file, std::env::vars_os(), flags).or_exit(Exit::Usage)
 }

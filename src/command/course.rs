@@ -15,7 +15,7 @@ use crate::plan::{ModelFreeReference, Trajectory};
 
 /// A desired trajectory, or a plan that leads along one.
 #[derive(Clone)]
-pub(super) enum Course {
+pub enum Course {
     /// Followed by feedback alone.
     Desired(Trajectory),
     /// Followed with its inputs.
@@ -31,6 +31,9 @@ pub(super) enum Course {
 
 impl Course {
     /// Reads a trajectory file or a plan, and checks that the vehicle may be asked to fly it.
+    ///
+    /// # Errors
+    /// As [`check`](Self::check), and a file that cannot be read.
     pub fn load(path: &Path, vehicle: &VehicleFile, config: &Config) -> anyhow::Result<Self> {
         let course = if Plan::is_plan(path) {
             Self::Planned(Arc::new(Plan::load(path).or_exit(Exit::Usage)?))
@@ -42,6 +45,9 @@ impl Course {
     }
 
     /// Whether the envelope allows it, and a plan is one for this vehicle that holds.
+    ///
+    /// # Errors
+    /// The first thing that speaks against flying it.
     pub fn check(&self, vehicle: &VehicleFile, config: &Config) -> anyhow::Result<()> {
         let envelope = &config.settings.envelope;
         let params = &vehicle.params;

@@ -12,6 +12,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 
+pub(super) use self::outcome::DemoSummary;
 use self::outcome::PlanRow;
 use super::collect::gather;
 use super::course::Course;

@@ -13,6 +13,7 @@ use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet};
@@ -66,8 +67,8 @@ const STRENGTH: [f64; 2] = [0.5, 1.0];
 const TWINS: u32 = 40;
 
 /// The JSON of `demo --diagnose`, and its summary.json.
-#[derive(Serialize)]
-struct RepairSummary {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct RepairSummary {
     schema: &'static str,
     schema_version: u32,
     /// How the flights ended: done, or the first that did not.
@@ -75,8 +76,14 @@ struct RepairSummary {
     seed: u64,
     trajectory: String,
     /// What the simulated vehicle has and the vehicle file does not say.
+    #[schemars(
+        with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
+    )]
     hidden: EffectSet,
     /// What was found.
+    #[schemars(
+        with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
+    )]
     found: EffectSet,
     finding: String,
     excited_s: f64,
@@ -93,7 +100,7 @@ struct RepairSummary {
 }
 
 /// A gap before and after.
-#[derive(Clone, Copy, Serialize)]
+#[derive(Clone, Copy, JsonSchema, Serialize)]
 struct RepairedGap {
     before: f64,
     after: f64,

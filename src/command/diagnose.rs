@@ -1,11 +1,11 @@
 //! `downwash diagnose`: where the gap lies, which effect causes it, how far it shrinks.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
@@ -30,18 +30,36 @@ use crate::log::import::Flight;
 use crate::plan::manoeuvres::Room;
 
 /// The answer as it is printed and written.
-#[derive(Serialize)]
-struct Told<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Told<'a> {
     schema: &'static str,
     schema_version: u32,
     #[serde(flatten)]
     answer: &'a Answer,
 }
 
+/// A diagnosis, and what it was made of.
+pub struct Finding {
+    args: DiagnoseArgs,
+    vehicle: VehicleParams,
+    /// The answer.
+    pub answer: Answer,
+    effects: EffectSet,
+}
+
 /// Guard between the halves of a single flight, s.
 const GUARD_S: f64 = 2.0;
 
 pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
+    find(args, &|stage| say(format_args!("... {stage}")))?.tell()
+}
+
+/// Diagnoses, and writes what does not hang on the answer's form: the next flight and the evidence.
+/// `progress` is shown the name of each stage as it begins.
+///
+/// # Errors
+/// Files that cannot be read, or logs that hold nothing to compare with.
+pub fn find(args: &DiagnoseArgs, progress: &dyn Fn(&str)) -> anyhow::Result<Finding> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     if let Some(out) = &args.out {
         let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
@@ -79,7 +97,8 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         fitted.append(&mut new);
     }
     if fitted.is_empty() && held_out.is_empty() && logs.iter().any(LogAnswer::is_faulty) {
-        return tell(args, &vehicle, &Answer::data_fault(logs), &EffectSet::new());
+        let answer = Answer::data_fault(logs);
+        return Ok(Finding { args: args.clone(), vehicle, answer, effects: EffectSet::new() });
     }
     if fitted.is_empty() && held_out.is_empty() {
         return Err(anyhow!("none of the logs can be used: {}", listed(&paths)))
@@ -105,11 +124,11 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         without: &args.without,
     };
     let settings = Settings { seed: args.seed, twins: args.twins };
-    let mut diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
+    let mut diagnosis = diagnose(&case, &settings, progress)
         .with_context(|| listed(&paths))
         .or_exit(Exit::Usage)?;
     if let Some((path, proposing)) = args.next_flight.as_ref().zip(proposing) {
-        say(format_args!("... which flight next"));
+        progress("which flight next");
         let next = propose(args, &proposing, &vehicle, &diagnosis)?;
         match &next {
             Some(next) => write_file(path, next.file.as_bytes())?,
@@ -122,25 +141,36 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         write_file(path, &evidence)?;
     }
     diagnosis.answer.take_up(logs);
-    tell(args, &vehicle, &diagnosis.answer, &diagnosis.effects)
+    let (answer, effects) = (diagnosis.answer, diagnosis.effects);
+    Ok(Finding { args: args.clone(), vehicle, answer, effects })
 }
 
-/// Writes what was asked for, and prints the answer.
-fn tell(
-    args: &DiagnoseArgs,
-    vehicle: &VehicleParams,
-    answer: &Answer,
-    effects: &EffectSet,
-) -> anyhow::Result<Exit> {
-    let told = Told { schema: "downwash.diagnose", schema_version: 2, answer };
-    if let Some(folder) = &args.report {
-        let page = crate::report::diagnosis::html(answer, &vehicle.name);
-        write_file(&folder.join("report.html"), page.as_bytes())?;
-        let json = serde_json::to_vec_pretty(&told).context("report.json")?;
-        write_file(&folder.join("report.json"), &json)?;
+impl Finding {
+    /// The answer as `--json` prints it.
+    ///
+    /// # Errors
+    /// None that is known: of writing JSON.
+    pub fn to_json(&self) -> anyhow::Result<String> {
+        serde_json::to_string_pretty(&self.told()).context("the answer")
     }
-    if let Some(out) = &args.out {
-        let text = fs::read_to_string(&args.vehicle)
+
+    /// The report, one page.
+    pub fn to_html(&self) -> String {
+        crate::report::diagnosis::html(&self.answer, &self.vehicle.name)
+    }
+
+    /// The answer in words.
+    pub fn to_text(&self) -> String {
+        report(&self.answer)
+    }
+
+    /// The vehicle file with the effects that were found, in the form of a file named `out`.
+    ///
+    /// # Errors
+    /// A vehicle file that is no longer there, or cannot be written in this form.
+    pub fn improved(&self, out: &Path) -> anyhow::Result<String> {
+        let Self { args, vehicle, answer, effects } = self;
+        let text = vehicle::read(&args.vehicle)
             .with_context(|| format!("cannot read {}", args.vehicle.display()))
             .or_exit(Exit::Usage)?;
         let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
@@ -148,18 +178,34 @@ fn tell(
         let names: BTreeSet<String> = names.collect();
         let additions = Additions::new(effects, answer, &Vec::from_iter(names))?;
         let forms = [Form::of(&args.vehicle, &text), Form::of(out, "")];
-        write_file(out, additions.to_file(&text, vehicle, forms)?.as_bytes())?;
+        additions.to_file(&text, vehicle, forms)
     }
-    if args.json {
-        print_json(&told)?;
-    } else {
-        print_text(&report(answer))?;
+
+    fn told(&self) -> Told<'_> {
+        Told { schema: "downwash.diagnose", schema_version: 2, answer: &self.answer }
     }
-    Ok(match args.fail_on {
-        Some(FailOnVerdict::Effect) if answer.verdict == Verdict::Effect => Exit::Check,
-        Some(FailOnVerdict::Gap) if answer.verdict != Verdict::None => Exit::Check,
-        _ => Exit::Ok,
-    })
+
+    /// Writes what was asked for, and prints the answer.
+    fn tell(&self) -> anyhow::Result<Exit> {
+        let Self { args, answer, .. } = self;
+        if let Some(folder) = &args.report {
+            write_file(&folder.join("report.html"), self.to_html().as_bytes())?;
+            write_file(&folder.join("report.json"), self.to_json()?.as_bytes())?;
+        }
+        if let Some(out) = &args.out {
+            write_file(out, self.improved(out)?.as_bytes())?;
+        }
+        if args.json {
+            print_json(&self.told())?;
+        } else {
+            print_text(&self.to_text())?;
+        }
+        Ok(match args.fail_on {
+            Some(FailOnVerdict::Effect) if answer.verdict == Verdict::Effect => Exit::Check,
+            Some(FailOnVerdict::Gap) if answer.verdict != Verdict::None => Exit::Check,
+            _ => Exit::Ok,
+        })
+    }
 }
 
 /// The flight that would tell what the logs leave open.

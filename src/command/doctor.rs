@@ -6,6 +6,7 @@ mod observed;
 use std::time::Duration;
 
 use anyhow::ensure;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use self::findings::{Finding, Weight, findings};
@@ -20,8 +21,8 @@ const SECONDS: f64 = 8.0;
 const STEP: Duration = Duration::from_millis(250);
 
 /// The JSON of `doctor`.
-#[derive(Serialize)]
-struct Answer<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Answer<'a> {
     schema: &'static str,
     schema_version: u32,
     verdict: &'static str,

@@ -20,10 +20,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet};
 
+pub(super) use self::practice::PracticeSummary;
 use super::logs::open_for;
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
 use crate::cli::ExamArgs;
@@ -50,8 +52,8 @@ const SHIPPED: [&str; 2] = [
 ];
 
 /// The JSON of `exam`, and its summary.json.
-#[derive(Serialize)]
-struct ExamSummary<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct ExamSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     seed: u64,
@@ -327,7 +329,7 @@ impl Hall<'_> {
     /// What a process that sees nothing but the case's files answers; `None` where it was
     /// interrupted.
     fn answer(&self, sheet: &Sheet<'_>) -> anyhow::Result<Option<Vec<u8>>> {
-        let program = std::env::current_exe().context("this program's own file")?;
+        let program = super::program()?;
         let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let mut command = Command::new(program);
         command

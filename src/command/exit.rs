@@ -32,7 +32,8 @@ impl From<Exit> for ExitCode {
 }
 
 impl Exit {
-    pub(super) fn code(self) -> u8 {
+    /// The process's exit code.
+    pub fn code(self) -> u8 {
         match self {
             Exit::Ok => 0,
             Exit::Failure => 1,

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use schemars::JsonSchema;
 use serde::Serialize;
 use wire::Endpoint;
 
@@ -34,8 +35,8 @@ use crate::supervisor::EngagePolicy;
 const WATCH_PERIOD: Duration = Duration::from_millis(100);
 
 /// The JSON of `fly`.
-#[derive(Serialize)]
-struct FlySummary {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct FlySummary {
     schema: &'static str,
     schema_version: u32,
     end: String,
@@ -105,8 +106,8 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
 const CHECK_LIMIT_S: f64 = 10.0;
 
 /// The JSON of `fly --check`.
-#[derive(Serialize)]
-struct CheckSummary {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct CheckSummary {
     schema: &'static str,
     schema_version: u32,
     end: String,

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::output::refuse_input;
@@ -12,8 +13,8 @@ use crate::log::import::{
 };
 
 /// The JSON of `log import`.
-#[derive(Serialize)]
-struct Summary {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Summary {
     schema: &'static str,
     schema_version: u32,
     file: String,
@@ -36,7 +37,7 @@ struct Summary {
     messages: u64,
 }
 
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 struct StreamSummary {
     stream: &'static str,
     samples: usize,
@@ -46,7 +47,7 @@ struct StreamSummary {
     longest_gap_s: Option<f64>,
 }
 
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 struct LeftOut {
     what: String,
     count: u64,

@@ -46,12 +46,18 @@ pub(super) struct Additions {
 }
 
 impl Additions {
-    /// The named effects of an answer that was found now from `logs`, by their names.
-    pub fn new(effects: &EffectSet, answer: &Answer, logs: &[String]) -> anyhow::Result<Self> {
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+    /// Effects by themselves.
+    pub fn of_effects(effects: &EffectSet) -> anyhow::Result<Self> {
         let Value::Object(effects) = serde_json::to_value(effects).context("the effects")? else {
             return Err(anyhow!("the effects are no table"));
         };
+        Ok(Self { effects, provenance: Map::new() })
+    }
+
+    /// The named effects of an answer that was found now from `logs`, by their names.
+    pub fn new(effects: &EffectSet, answer: &Answer, logs: &[String]) -> anyhow::Result<Self> {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+        let Self { effects, .. } = Self::of_effects(effects)?;
         let named = answer.named().filter(|effect| effects.contains_key(effect.id.name()));
         let provenance = named.map(|effect| {
             let source = json!({

@@ -6,6 +6,7 @@ use std::io::{self, IsTerminal};
 use std::time::Duration;
 
 use anyhow::ensure;
+use schemars::JsonSchema;
 use serde::Serialize;
 use wire::Frame;
 
@@ -26,8 +27,8 @@ const RATE_SPAN_S: f64 = 4.0;
 const VALUE_WIDTH: usize = 100;
 
 /// The JSON of `inspect`.
-#[derive(Serialize)]
-struct Report {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Report {
     schema: &'static str,
     schema_version: u32,
     seconds: f64,
@@ -35,7 +36,7 @@ struct Report {
 }
 
 /// One message of one sender.
-#[derive(Clone, Serialize)]
+#[derive(Clone, JsonSchema, Serialize)]
 struct Row {
     system: u32,
     component: u8,

@@ -26,33 +26,101 @@ mod model;
 mod output;
 mod plan;
 mod progress;
+mod schema;
 mod sent_thrust;
 mod setup;
+mod simulate;
 mod simulation;
 mod sitl;
 mod status_line;
 mod stop;
 mod summary;
+mod sweep;
 mod train;
 mod vehicle;
 
-use std::io::{self, Write};
-use std::path::Path;
+use std::ffi::OsString;
+use std::io::{self, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use anyhow::Context;
+use clap::Parser;
 use serde::Serialize;
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::time::uptime;
 
 use crate::cli::{Cli, Command};
 use crate::log::partial::PartialFile;
+pub use audit::{AuditSummary, audit};
+pub use course::Course;
+pub use diagnose::{Finding, find};
 pub use exit::Exit;
 use interruption::Interruption;
-pub use messages::Messages;
+use messages::Messages;
+pub use model::{EvaluationSummary, Info as ModelInfo, evaluated};
+pub use plan::{PlanModel, plan_trajectory, sha256_of};
+pub use setup::VehicleFile;
+pub use simulate::{Inputs, Row, Simulation, configuration};
+pub use simulation::Truth;
+pub use sweep::{Sweep, SweepSummary};
+pub use train::{Learning, Resume, Trained, learn};
+pub use vehicle::{Made, make};
+
+/// Where this program lies, where that is not its process's own file.
+static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+
+/// The file that starts this program.
+fn program() -> anyhow::Result<PathBuf> {
+    match PROGRAM.get() {
+        Some(program) => Ok(program.clone()),
+        None => std::env::current_exe().context("this program's own file"),
+    }
+}
+
+/// The whole program, for these arguments, the first of them its name. Help, the version and wrong
+/// flags end the process. `program` is the file to start it by, where another program runs it.
+pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) -> Exit {
+    if let Some(program) = program {
+        PROGRAM.get_or_init(|| program);
+    }
+    let cli = Cli::parse_from(args);
+    let messages = match Messages::start() {
+        Ok(messages) => messages,
+        Err(error) => {
+            eprintln!("error: cannot start a thread: {error}");
+            return Exit::Failure;
+        }
+    };
+    // Who flies a vehicle is told what happens; elsewhere only what is wrong.
+    let told = matches!(cli.command, Command::Fly(_) | Command::Daemon(_));
+    let level =
+        ["warn", "info", "debug"][usize::from(cli.verbose).saturating_add(told.into()).min(2)];
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_target(false)
+        .with_timer(uptime())
+        .with_ansi(io::stderr().is_terminal())
+        .with_writer(messages.clone())
+        .init();
+    let result = run(cli);
+    messages.flush();
+    let exit = result.unwrap_or_else(|error| {
+        eprintln!("error: {}", in_words(&error));
+        exit_of(&error)
+    });
+    if exit == Exit::Interrupted {
+        eprintln!("interrupted");
+    }
+    exit
+}
 
 /// Runs the command.
 ///
 /// # Errors
 /// What failed, with context; [`exit_of`] finds the exit code in it.
-pub fn run(cli: Cli) -> anyhow::Result<Exit> {
+fn run(cli: Cli) -> anyhow::Result<Exit> {
     match cli.command {
         // These fly a vehicle, or are one, and end as that allows.
         Command::Fly(args) => fly::run(&args),
@@ -68,6 +136,11 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         }
         Command::Sitl(args) => sitl::run(&args),
         Command::Demo(args) => demo::run(&args, &Interruption::watch()?),
+        Command::Simulate(args) => {
+            Interruption::watch()?;
+            simulate::run(&args)
+        }
+        Command::Sweep(args) => sweep::run(&args, &Interruption::watch()?),
         Command::Train(args) => train::run(&args, &Interruption::watch()?),
         Command::Plan(args) => plan::run(&args, &Interruption::watch()?),
         Command::Exam(args) => exam::run(&args, &Interruption::watch()?),
@@ -93,6 +166,10 @@ pub fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)
+        }
+        Command::Schema(args) => {
+            end_on_broken_pipe();
+            schema::run(&args)
         }
     }
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 
@@ -70,8 +71,9 @@ fn load(path: &Path, vehicle: Option<&Path>) -> anyhow::Result<ModelFile> {
     Ok(file)
 }
 
-#[derive(Serialize)]
-struct Info<'a> {
+/// What is in a model file: the JSON of `model info`.
+#[derive(JsonSchema, Serialize)]
+pub struct Info<'a> {
     schema: &'static str,
     schema_version: u32,
     vehicle: &'a str,
@@ -83,10 +85,10 @@ struct Info<'a> {
     training: &'a serde_json::Value,
 }
 
-fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
-    let file = load(path, None)?;
-    if json {
-        print_json(&Info {
+impl<'a> Info<'a> {
+    /// Of this file.
+    pub fn of(file: &'a ModelFile) -> Self {
+        Self {
             schema: "downwash.model_info",
             schema_version: 1,
             vehicle: &file.vehicle.name,
@@ -96,7 +98,14 @@ fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
             actuation: &file.actuation,
             physics: &file.physics,
             training: &file.training,
-        })?;
+        }
+    }
+}
+
+fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
+    let file = load(path, None)?;
+    if json {
+        print_json(&Info::of(&file))?;
         return Ok(Exit::Ok);
     }
     let summary: TrainingSummary = serde_json::from_value(file.training.clone())
@@ -105,24 +114,29 @@ fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
     Ok(Exit::Ok)
 }
 
-#[derive(Serialize)]
-struct EvaluationSummary {
+/// How a model does on logs: the JSON of `model eval`.
+#[derive(JsonSchema, Serialize)]
+pub struct EvaluationSummary {
     schema: &'static str,
     schema_version: u32,
     model: PathBuf,
     logs: Vec<String>,
     refused: Vec<RefusedLog>,
+    /// The errors.
     #[serde(flatten)]
-    evaluation: Evaluation,
+    pub evaluation: Evaluation,
 }
 
-fn eval(
+/// Judges the model file at `path` on logs of its vehicle.
+///
+/// # Errors
+/// Logs of which none can be used.
+pub fn evaluated(
     path: &Path,
     logs: &[PathBuf],
     vehicle: Option<&Path>,
     mapping: Option<&Path>,
-    json: bool,
-) -> anyhow::Result<Exit> {
+) -> anyhow::Result<EvaluationSummary> {
     let file = load(path, vehicle)?;
     let onboard = Onboard::new(&file.vehicle).or_exit(Exit::Usage)?;
     let windows = windows_of(&file);
@@ -136,17 +150,28 @@ fn eval(
     }
     let evaluation = evaluate(&file, &onboard, &mut logs.flights, &mut bar);
     bar.clear();
-    let evaluation = evaluation.or_exit(Exit::Usage)?;
+    Ok(EvaluationSummary {
+        schema: "downwash.model_eval",
+        schema_version: 1,
+        model: path.to_owned(),
+        logs: logs.flights.iter().map(|f| f.flight.origin.run.clone()).collect(),
+        refused: logs.refused,
+        evaluation: evaluation.or_exit(Exit::Usage)?,
+    })
+}
+
+fn eval(
+    path: &Path,
+    logs: &[PathBuf],
+    vehicle: Option<&Path>,
+    mapping: Option<&Path>,
+    json: bool,
+) -> anyhow::Result<Exit> {
+    let summary = evaluated(path, logs, vehicle, mapping)?;
     if json {
-        print_json(&EvaluationSummary {
-            schema: "downwash.model_eval",
-            schema_version: 1,
-            model: path.to_owned(),
-            logs: logs.flights.iter().map(|f| f.flight.origin.run.clone()).collect(),
-            refused: logs.refused,
-            evaluation,
-        })?;
+        print_json(&summary)?;
     } else {
+        let evaluation = &summary.evaluation;
         let mut text = one_step_head();
         for errors in &evaluation.one_step {
             text += &one_step_line(errors.model.name(), "labels", errors.labels.as_ref());

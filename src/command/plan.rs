@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::BatterySag;
@@ -29,7 +30,7 @@ use crate::plan::{Feasibility, Trajectory};
 use crate::report::plan as page;
 
 /// A model to plan through, with what a plan says about it.
-pub(super) struct PlanModel {
+pub struct PlanModel {
     model: Arc<dyn Model>,
     note: PlannedThrough,
     /// Delay and lag from a setpoint to what acts, s.
@@ -40,6 +41,9 @@ pub(super) struct PlanModel {
 
 impl PlanModel {
     /// The vehicle file's own physics.
+    ///
+    /// # Errors
+    /// A vehicle whose effects make no vehicle.
     pub fn nominal(vehicle: &VehicleParams) -> anyhow::Result<Self> {
         let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
         let model =
@@ -56,7 +60,10 @@ impl PlanModel {
         })
     }
 
-    /// One of a model file's models.
+    /// One of a model file's models; `sha256` is that of the file.
+    ///
+    /// # Errors
+    /// A model that the file does not hold whole.
     pub fn learned(file: &ModelFile, kind: ModelKind, sha256: &str) -> anyhow::Result<Self> {
         let effective = EffectiveVehicle::new(&file.vehicle).or_exit(Exit::Usage)?;
         let model = file.model(kind).or_exit(Exit::Usage)?.into();
@@ -83,7 +90,10 @@ pub(super) fn model_for(
 }
 
 /// SHA-256 of a file, in hexadecimal.
-pub(super) fn sha256_of(path: &Path) -> anyhow::Result<String> {
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn sha256_of(path: &Path) -> anyhow::Result<String> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     Ok(sha256(bytes))
 }
@@ -123,7 +133,10 @@ pub(super) fn planner(
 }
 
 /// Plans a trajectory for a vehicle. `watch` is shown the subproblems, and ends the search.
-pub(super) fn plan_trajectory(
+///
+/// # Errors
+/// A vehicle without an on-board loop, or a trajectory that cannot be planned for.
+pub fn plan_trajectory(
     trajectory: &Trajectory,
     vehicle: &VehicleParams,
     through: &PlanModel,
@@ -150,8 +163,8 @@ pub(super) fn plan_trajectory(
 }
 
 /// The JSON of `plan`.
-#[derive(Serialize)]
-struct PlanSummary<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct PlanSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     trajectory: &'a str,

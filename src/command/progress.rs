@@ -22,6 +22,11 @@ pub(super) fn flight_bar(length_s: f64) -> ProgressBar {
     bar((length_s * 10.0) as u64, "{bar:40} {percent:>3} %  {msg}")
 }
 
+/// A bar over so many of anything.
+pub(super) fn count_bar(count: u64) -> ProgressBar {
+    bar(count, "{bar:40} {pos}/{len}  {eta}")
+}
+
 /// What is done with trained networks.
 pub(super) type Keep = Box<dyn Fn(&Progress) + Send>;
 

@@ -17,6 +17,7 @@ use crate::cli::SimulationArgs;
 use crate::config::Config;
 use crate::lockstep;
 use crate::log::LogWriter;
+use crate::log::record::Record;
 use crate::station::{End, Station, Status};
 use crate::supervisor::EngagePolicy;
 
@@ -25,8 +26,9 @@ use crate::supervisor::EngagePolicy;
 const AROUND_S: f64 = 180.0;
 
 /// What of the simulated vehicle the vehicle file does not say.
-#[derive(Clone, Debug)]
-pub(super) struct Truth {
+#[derive(Clone, Debug, Default)]
+pub struct Truth {
+    /// Sensors, pack, start.
     pub config: SitlConfig,
     /// Beyond the vehicle file's modelled effects.
     pub effects: EffectSet,
@@ -34,7 +36,7 @@ pub(super) struct Truth {
 
 impl Truth {
     /// From flags: what `--effect` says goes over the file of `--effects`.
-    pub fn load(args: &SimulationArgs) -> anyhow::Result<Self> {
+    pub(super) fn load(args: &SimulationArgs) -> anyhow::Result<Self> {
         let config = match &args.sitl_config {
             Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
             None => SitlConfig::default(),
@@ -45,7 +47,7 @@ impl Truth {
     }
 
     /// The effects as they are written in a file, on one line.
-    pub fn effects_text(&self) -> anyhow::Result<String> {
+    pub(super) fn effects_text(&self) -> anyhow::Result<String> {
         serde_json::to_string(&self.effects).context("the effects")
     }
 }
@@ -74,18 +76,21 @@ pub(super) struct Simulated {
 }
 
 impl SimulatedFlight<'_> {
-    /// Flies from connecting to disarming. `watch` sees the status about every 10 ms of simulated
-    /// time.
-    pub fn fly(self, folder: &Path, mut watch: impl FnMut(&Status)) -> anyhow::Result<Simulated> {
-        let limit_s = self.course.duration() + AROUND_S;
-        let params = self.airframe.clone();
-        let truth = self.truth.clone();
-        let mut vehicle =
-            Vehicle::new(params, truth.effects, truth.config, self.seed).or_exit(Exit::Usage)?;
-        let policy = EngagePolicy::Command;
-        let settings = station_settings(self.config, self.vehicle, self.course, policy, None)?;
+    /// Flies from connecting to disarming, and writes a log into `folder`. `watch` sees the status
+    /// about every 10 ms of simulated time.
+    pub fn fly(self, folder: &Path, watch: impl FnMut(&Status)) -> anyhow::Result<Simulated> {
+        self.fly_logged(folder, |_| {}, watch)
+    }
+
+    /// As [`fly`](Self::fly); `record` sees what is logged.
+    pub fn fly_logged(
+        self,
+        folder: &Path,
+        mut record: impl FnMut(&Record),
+        watch: impl FnMut(&Status),
+    ) -> anyhow::Result<Simulated> {
         let mut info = run_info(self.config, self.vehicle, self.run, true, Some(self.seed));
-        info.extra = self.extra;
+        info.extra.clone_from(&self.extra);
         info.extra.insert("effects".to_owned(), self.truth.effects_text()?);
         let start = lockstep::host_time(0);
         // Never synced on the way, which would cut chunks by the wall clock: the same seed gives
@@ -93,20 +98,39 @@ impl SimulatedFlight<'_> {
         let mut writer = LogWriter::create(folder, &info, start, Instant::now())?;
         let mut failure = None;
         let log = writer.path().to_owned();
-        let mut station = Station::new(settings, start);
-        let end = lockstep::fly(
-            &mut vehicle,
-            &mut station,
-            limit_s,
-            |record| {
+        let flown = self.fly_unlogged(
+            |next| {
+                record(&next);
                 if failure.is_none() {
-                    failure = writer.write(&record).err();
+                    failure = writer.write(&next).err();
                 }
             },
-            |station, _| watch(&station.status()),
+            watch,
         );
         failure.map_or(Ok(()), Err)?;
         writer.finish()?;
-        Ok(Simulated { end: end?, log, simulated_s: vehicle.now_us() as f64 * 1e-6 })
+        let (end, simulated_s) = flown?;
+        Ok(Simulated { end, log, simulated_s })
+    }
+
+    /// Flies without a log; `record` sees what would be logged. How it ended, and the simulated
+    /// time, s.
+    pub fn fly_unlogged(
+        &self,
+        record: impl FnMut(Record),
+        mut watch: impl FnMut(&Status),
+    ) -> anyhow::Result<(End, f64)> {
+        let limit_s = self.course.duration() + AROUND_S;
+        let params = self.airframe.clone();
+        let truth = self.truth.clone();
+        let mut vehicle =
+            Vehicle::new(params, truth.effects, truth.config, self.seed).or_exit(Exit::Usage)?;
+        let policy = EngagePolicy::Command;
+        let settings = station_settings(self.config, self.vehicle, self.course, policy, None)?;
+        let mut station = Station::new(settings, lockstep::host_time(0));
+        let end = lockstep::fly(&mut vehicle, &mut station, limit_s, record, |station, _| {
+            watch(&station.status());
+        })?;
+        Ok((end, vehicle.now_us() as f64 * 1e-6))
     }
 }

@@ -52,14 +52,16 @@ pub(super) fn run(args: &TrainArgs, interruption: &Interruption) -> anyhow::Resu
 }
 
 /// What a training leaves beside its model file.
-pub(super) struct Trained {
+pub struct Trained {
+    /// What was learned from, and how well.
     pub summary: TrainingSummary,
     /// The report's page, where one was asked for.
     pub report: Option<PathBuf>,
 }
 
 /// How a training ended.
-pub(super) enum Learning {
+pub enum Learning {
+    /// The model file is written.
     Done(Box<Trained>),
     /// What was reached is in this checkpoint.
     Interrupted(PathBuf),
@@ -67,7 +69,8 @@ pub(super) enum Learning {
 
 /// Whether a training goes on from the checkpoint beside its model file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Resume {
+pub enum Resume {
+    /// It begins anew.
     Never,
     /// One that is missing, damaged, or of another training is an error.
     Always,
@@ -76,7 +79,10 @@ pub(super) enum Resume {
 }
 
 /// Trains, and writes the model file and the report. `args.resume` is the caller's to read.
-pub(super) fn learn(
+///
+/// # Errors
+/// Flags that fit no training, or logs of which none can be used.
+pub fn learn(
     args: &TrainArgs,
     resume: Resume,
     interrupted: &Arc<AtomicBool>,

@@ -1,8 +1,10 @@
 //! `downwash vehicle`: vehicle files made, checked and listed.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::{Doubt, Remark, SHIPPED, VehicleParams};
 
@@ -29,15 +31,15 @@ pub(super) fn run(command: VehicleCommand) -> anyhow::Result<Exit> {
     }
 }
 
-#[derive(Serialize)]
-struct Listed {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Listed {
     schema: &'static str,
     schema_version: u32,
     vehicles: Vec<Named>,
     trajectories: Vec<Named>,
 }
 
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 struct Named {
     name: &'static str,
     about: &'static str,
@@ -67,12 +69,13 @@ fn list(json: bool) -> anyhow::Result<Exit> {
     Ok(Exit::Ok)
 }
 
-#[derive(Serialize)]
-struct Checked<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Checked<'a> {
     schema: &'static str,
     schema_version: u32,
     file: String,
     vehicle: &'a str,
+    #[schemars(with = "Vec<serde_json::Value>")]
     remarks: &'a [Remark],
 }
 
@@ -125,29 +128,33 @@ pub(super) fn warn(file: &Path, vehicle: &VehicleParams) {
     }
 }
 
-#[derive(Serialize)]
-struct Made<'a> {
+/// A new vehicle file, and what it lacks: the JSON of `vehicle init`.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct Made {
     schema: &'static str,
     schema_version: u32,
-    source: &'a str,
+    source: String,
     autopilot: Option<&'static str>,
     out: Option<String>,
-    missing: &'a [Wanting],
-    estimated: &'a [Wanting],
+    /// What no source says, with the way to measure it.
+    pub missing: Vec<Wanting>,
+    /// What is only estimated.
+    pub estimated: Vec<Wanting>,
+    #[schemars(with = "Vec<serde_json::Value>")]
     remarks: Vec<Remark>,
-    toml: &'a str,
+    /// The file's text; whole where nothing is missing.
+    pub toml: String,
+    /// What was taken of what is estimated, by key.
+    #[serde(skip)]
+    assumptions: BTreeMap<&'static str, String>,
 }
 
-fn init(args: &InitArgs) -> anyhow::Result<Exit> {
+/// Makes a vehicle file from an autopilot's parameters and measured numbers, and writes none.
+///
+/// # Errors
+/// Numbers that no vehicle has, parameters that cannot be read, or of no quadrotor.
+pub fn make(args: &InitArgs) -> anyhow::Result<Made> {
     let measured = measured(args)?;
-    if let Some(out) = &args.out {
-        output::refuse_input(out, args.file.as_deref())?;
-        if out.exists() && !args.force {
-            let error =
-                anyhow!("{} is there already: give another name, or --force", out.display());
-            return Err(error).or_exit(Exit::Usage);
-        }
-    }
     let (source, parameters) = match (&args.file, &args.connect) {
         (Some(file), _) => (file.display().to_string(), of_file(file)?),
         (None, Some(url)) => {
@@ -165,33 +172,50 @@ fn init(args: &InitArgs) -> anyhow::Result<Exit> {
         Err(_) if !missing.is_empty() => Vec::new(),
         Err(error) => return Err(error).context(source).or_exit(Exit::Usage),
     };
+    let taken = missing.iter().chain(&estimated);
+    let taken = taken.filter_map(|wanting| Some((wanting.key, draft.assumption(wanting.key)?)));
+    Ok(Made {
+        schema: "downwash.vehicle.init",
+        schema_version: 1,
+        autopilot: draft.autopilot.map(parameters::Autopilot::name),
+        out: args.out.as_ref().map(|out| out.display().to_string()),
+        assumptions: taken.collect(),
+        source,
+        missing,
+        estimated,
+        remarks,
+        toml,
+    })
+}
+
+fn init(args: &InitArgs) -> anyhow::Result<Exit> {
     if let Some(out) = &args.out {
-        write_file(out, toml.as_bytes())?;
+        output::refuse_input(out, args.file.as_deref())?;
+        if out.exists() && !args.force {
+            let error =
+                anyhow!("{} is there already: give another name, or --force", out.display());
+            return Err(error).or_exit(Exit::Usage);
+        }
+    }
+    let made = make(args)?;
+    if let Some(out) = &args.out {
+        write_file(out, made.toml.as_bytes())?;
     }
     if args.json {
-        print_json(&Made {
-            schema: "downwash.vehicle.init",
-            schema_version: 1,
-            source: &source,
-            autopilot: draft.autopilot.map(parameters::Autopilot::name),
-            out: args.out.as_ref().map(|out| out.display().to_string()),
-            missing: &missing,
-            estimated: &estimated,
-            remarks,
-            toml: &toml,
-        })?;
+        print_json(&made)?;
         return Ok(Exit::Ok);
     }
+    let Made { missing, estimated, remarks, toml, assumptions, .. } = &made;
     if args.out.is_none() {
-        print_text(&toml)?;
+        print_text(toml)?;
     }
-    for (word, wanting) in [("missing", &missing), ("estimated", &estimated)] {
+    for (word, wanting) in [("missing", missing), ("estimated", estimated)] {
         for Wanting { key, what, how } in wanting {
-            let taken = draft.assumption(key).map(|taken| format!(" ({taken})"));
+            let taken = assumptions.get(key).map(|taken| format!(" ({taken})"));
             say(format_args!("{word}: {key}, {what}{}: {how}", taken.unwrap_or_default()));
         }
     }
-    for remark in &remarks {
+    for remark in remarks {
         say(format_args!("{}", told(remark)));
     }
     if let Some(out) = &args.out {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
@@ -22,7 +23,7 @@ use crate::audit::{Audit, Severity, Tier};
 use crate::log::import::Flight;
 
 /// The verdict in three words.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     /// Effects of the catalogue explain the gap.
@@ -45,7 +46,7 @@ impl Verdict {
 }
 
 /// The full verdict.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FullVerdict {
     /// Effects of the catalogue, and no others in their place.
@@ -68,7 +69,7 @@ pub enum FullVerdict {
 }
 
 /// The full verdict with its reasons.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Finding {
     /// The verdict.
     pub verdict: FullVerdict,
@@ -81,7 +82,7 @@ pub struct Finding {
 }
 
 /// What the audit found in a log.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct LogAnswer {
     /// Its name.
     pub name: String,
@@ -116,9 +117,10 @@ impl LogAnswer {
 }
 
 /// An effect with its probability.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct EffectAnswer {
     /// Its id.
+    #[schemars(with = "String")]
     pub id: EffectId,
     /// Probability that the vehicle has it, 0..1.
     pub probability: f64,
@@ -129,7 +131,7 @@ pub struct EffectAnswer {
 }
 
 /// A parameter's value.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 #[serde(untagged)]
 pub enum Parameter {
     /// A place in a list.
@@ -169,7 +171,7 @@ impl From<&Parameter> for ParameterValue {
 }
 
 /// The gap on the flights held out.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Gap {
     /// `mean`: of position, velocity and attitude at 0.5 and 1 s, each over its noise.
     pub metric: &'static str,
@@ -204,7 +206,7 @@ impl Gap {
 }
 
 /// A set of effects as it fared.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct ExplanationAnswer {
     /// Its effects.
     pub effects: Vec<String>,
@@ -217,7 +219,7 @@ pub struct ExplanationAnswer {
 }
 
 /// A flight that was looked at.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct FlightAnswer {
     /// Name.
     pub name: String,
@@ -248,7 +250,7 @@ impl FlightAnswer {
 }
 
 /// The whole answer.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Answer {
     /// The verdict.
     pub verdict: Verdict,
@@ -261,6 +263,7 @@ pub struct Answer {
     /// Why they were not, where they were not.
     pub closed_loop_missing: Option<String>,
     /// Effects that cannot be told from the named ones.
+    #[schemars(with = "Vec<String>")]
     pub ambiguous_with: Vec<EffectId>,
     /// The full verdict.
     pub finding: Finding,
@@ -288,9 +291,10 @@ pub struct Answer {
 }
 
 /// An effect that cannot be tested, and why.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct NotTestable {
     /// Its id.
+    #[schemars(with = "String")]
     pub id: EffectId,
     /// Why.
     pub reason: String,

@@ -5,10 +5,11 @@
 //! nothing; what is left is noise, and a remainder. Shares add up to one; one is negative where it
 //! makes predictions worse.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// A share of the squared gap.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Share {
     /// An effect's id, `file`, `remainder` or `noise`.
     pub of: String,

@@ -3,6 +3,7 @@
 //! [`decide`](super::verdict::decide) reads nothing else, so that any decision can be taken again
 //! from a file.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Share of what the file's numbers close of a squared gap that effects by themselves may add to it:
@@ -10,7 +11,7 @@ use serde::{Deserialize, Serialize};
 const MADE_UP: f64 = 0.5;
 
 /// Everything that a verdict rests on.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Evidence {
     /// Whether the on-board loop is known, so that setpoints drive the predictions.
     pub loop_known: bool,
@@ -95,7 +96,7 @@ impl Evidence {
 
 /// How well moments by the motor outputs predict the turning about one axis: mean squares of the
 /// angular acceleration, rad^2/s^4.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Turning {
     /// As measured.
     pub measured: f64,
@@ -108,7 +109,7 @@ pub struct Turning {
 }
 
 /// A set of effects as it fared.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Explained {
     /// Ids of its effects; empty for the vehicle file within its tolerances.
     pub effects: Vec<String>,
@@ -159,7 +160,7 @@ impl Explained {
 }
 
 /// The gap with parts of an explanation, in units of what noise alone leaves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Gaps {
     /// With its effects alone.
     pub effects: f64,
@@ -185,7 +186,7 @@ impl Gaps {
 }
 
 /// A number of an effect.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Found {
     /// The effect.
     pub effect: String,
@@ -204,7 +205,7 @@ pub struct Found {
 }
 
 /// Force per mass that nothing explains.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct ForceLeft {
     /// Root mean square that the best explanation leaves, m/s^2.
     pub rms: f64,

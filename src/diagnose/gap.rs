@@ -5,6 +5,7 @@
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::Frd;
 use vehicle::rigid_body::State;
@@ -23,11 +24,11 @@ const SPACING_S: f64 = 0.25;
 pub type Window = [[f64; 4]; 3];
 
 /// Root mean squares over windows: by horizon and quantity, in m, m/s, rad, rad/s.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Errors(pub Window);
 
 /// What of the errors tells how far a simulator is from flights.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Metric {
     /// Position, velocity and attitude at 0.5 and 1 s.
@@ -92,7 +93,7 @@ const USUAL_SCATTER: f64 = 0.024;
 const USUAL_DRAWS: f64 = 2.0;
 
 /// The metric `mean` in units of what noise alone leaves.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, JsonSchema, Serialize)]
 pub struct OverNoise {
     /// The metric.
     pub gap: f64,

@@ -5,6 +5,7 @@
 //! has, free of both noises.
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::Frd;
 
@@ -24,7 +25,7 @@ const SHARED_FACTOR: f64 = 3.0;
 const FORCE_MIN_HZ: f64 = 0.1;
 
 /// Force per mass that nothing explains.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct UnmodelledForce {
     /// Mean square over 0.1 to 4.5 Hz, along north, east, down, m^2/s^4; below 0 by chance only.
     pub mean_square: [f64; 3],

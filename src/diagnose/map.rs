@@ -2,6 +2,7 @@
 //! scale, by frame and by regime, against the floor.
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::Ned;
 
@@ -18,7 +19,7 @@ const SCALES: [(&str, f64); 3] = [("slow", 0.35), ("middle", 2.2), ("fast", 20.0
 const SAMPLE_CELLS: usize = 25;
 
 /// One channel at one time scale.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Cell {
     /// Which equation.
     pub channel: &'static str,
@@ -33,7 +34,7 @@ pub struct Cell {
 }
 
 /// How the unexplained acceleration goes with one quantity.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Regime {
     /// The quantity.
     pub quantity: &'static str,
@@ -44,7 +45,7 @@ pub struct Regime {
 }
 
 /// The map.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, JsonSchema, Serialize)]
 pub struct ResidualMap {
     /// Channels and time scales, the largest excess first.
     pub cells: Vec<Cell>,

@@ -12,6 +12,7 @@ mod live;
 mod rehearsal;
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 
@@ -50,7 +51,7 @@ pub struct Proposal<'a> {
 }
 
 /// The flight that is suggested.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct NextFlight {
     /// The manoeuvre's name.
     pub manoeuvre: &'static str,
@@ -68,7 +69,7 @@ pub struct NextFlight {
 }
 
 /// What a manoeuvre is expected to say if a hypothesis is true.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Outlook {
     /// Effects of the hypothesis; empty for none.
     pub truth: Vec<&'static str>,
@@ -81,7 +82,7 @@ pub struct Outlook {
 }
 
 /// Evidence against one rival.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct RivalEvidence {
     /// The rival's effects; empty for none.
     pub rival: Vec<&'static str>,
@@ -90,7 +91,7 @@ pub struct RivalEvidence {
 }
 
 /// A manoeuvre that was tried.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Tried {
     /// Its name.
     pub manoeuvre: &'static str,

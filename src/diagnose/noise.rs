@@ -2,6 +2,7 @@
 
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
+use schemars::JsonSchema;
 use serde::Serialize;
 use sitl::config::{ImuNoise, SensorConfig};
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
@@ -22,7 +23,7 @@ const WHITE_FROM_HZ: f64 = 8.0;
 pub(super) const MEDIAN_SQUARE: f64 = 0.455;
 
 /// Standard deviations of what is reported, per axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct ReportNoise {
     /// Position, m.
     pub position: f64,

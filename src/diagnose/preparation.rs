@@ -54,7 +54,7 @@ impl Block {
 }
 
 /// What a flight's log holds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, schemars::JsonSchema, serde::Serialize)]
 pub struct Channels {
     /// Position and velocity.
     pub velocity: bool,

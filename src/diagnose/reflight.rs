@@ -8,6 +8,7 @@
 mod course;
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::{AttitudeTrim, Effect, EffectSet, EstimatorLatency, Gusts};
@@ -47,7 +48,7 @@ pub enum NotReflown {
 }
 
 /// Root mean square difference between logs and simulation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Difference {
     /// With the vehicle file as shipped.
     pub before: f64,
@@ -67,7 +68,7 @@ impl Difference {
 }
 
 /// Flights held out and the same flown again in simulation.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct ClosedLoop {
     /// Length of the position's difference, m.
     pub position_m: Difference,
@@ -84,7 +85,7 @@ pub struct ClosedLoop {
 }
 
 /// One flight, or an unbroken part of one, flown again.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Reflown {
     /// The flight's name.
     pub name: String,

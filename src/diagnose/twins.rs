@@ -11,6 +11,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleError;
 
@@ -32,7 +33,7 @@ const CHANCE_MIN: f64 = 3.0;
 const EXCEEDED: f64 = 0.01;
 
 /// What the twins say.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Twins {
     /// How many there were.
     pub count: u32,

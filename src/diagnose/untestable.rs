@@ -1,5 +1,6 @@
 //! Which effects of the catalogue a log's channels cannot show, whatever was flown.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::EffectId;
 
@@ -10,9 +11,10 @@ use crate::log::import::Flight;
 const VOLTAGE_RANGE: f64 = 0.02;
 
 /// An effect that a log cannot show.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 pub struct Untestable {
     /// Its id in the catalogue.
+    #[schemars(with = "String")]
     pub effect: EffectId,
     /// What is missing.
     pub reason: String,

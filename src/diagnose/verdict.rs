@@ -10,6 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rand::SeedableRng;
 use rand_distr::{Distribution, Exp1, StandardNormal};
 use rand_pcg::Pcg64Mcg;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::EffectId;
 
@@ -17,7 +18,7 @@ use super::answer::{NAMED, Verdict};
 use super::evidence::{Evidence, Explained, ForceLeft};
 
 /// Why what was seen counts as unexplained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unexplained {
     /// What no explanation closes of the gap is the larger part of it.

@@ -1,5 +1,6 @@
 //! A case: a vehicle file and flights of a vehicle that differs from it in a known way.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::effects::{EffectId, EffectSet};
 use vehicle::{VehicleError, VehicleParams};
@@ -17,7 +18,17 @@ const ATTEMPTS: u64 = 8;
 
 /// What a case asks.
 #[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum,
+    Clone,
+    Copy,
+    Debug,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    JsonSchema,
+    Serialize,
+    Deserialize,
+    clap::ValueEnum,
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {

@@ -1,5 +1,6 @@
 //! What may have happened to a log: it was thinned, stamped badly, or has holes.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wire::Frame;
 use wire::dialect::HEARTBEAT_DATA;
@@ -15,7 +16,9 @@ const JITTER_US: f64 = 5_000.0;
 const LOST: f64 = 0.1;
 
 /// The state of a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum Condition {
     /// As it was written.

@@ -1,12 +1,13 @@
 //! How an answer stands to the key, in a word.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::case::Kind;
 use super::key::KeyEntry;
 
 /// How an answer stands to the key.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Grade {
     /// What it is to say. Of a size below the practical one, also `none`.

@@ -1,12 +1,13 @@
 //! Rates with what chance leaves open.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// Quantile of the normal distribution for 95 % intervals.
 const Z95: f64 = 1.959_964;
 
 /// So many of so many, with Wilson's 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Rate {
     /// How many.
     pub count: usize,

@@ -1,5 +1,6 @@
 //! Whether stated probabilities are as often true as they say.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::case::Kind;
@@ -13,7 +14,7 @@ pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.9
 const BIN_MIN: usize = 30;
 
 /// How often what is given this probability is true.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Reliability {
     /// Probabilities from and to.
     pub probabilities: [f64; 2],

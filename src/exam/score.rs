@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::answer::{Given, NAMED, class_of};
@@ -15,7 +16,7 @@ use super::world::{FileKind, LoopKind};
 /// A wrong name beyond this probability does harm, whatever stands beside it.
 const CONFIDENT: f64 = 0.8;
 /// By which law the truth of a case acts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Law {
     /// There is none.
@@ -50,7 +51,7 @@ impl Law {
 }
 
 /// How one case went.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Row {
     /// Its name.
     pub case: String,

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::case::Kind;
@@ -21,7 +22,7 @@ pub const BRIER_MAX: f64 = 0.05;
 pub const CALIBRATION_MAX: f64 = 0.03;
 
 /// A rate that something is asked of.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Measure {
     /// What is counted.
     pub name: &'static str,
@@ -33,7 +34,7 @@ pub struct Measure {
 }
 
 /// A bound on a rate.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bound {
     /// No less.
@@ -90,7 +91,7 @@ impl Measure {
 }
 
 /// Share named at one strength.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Detection {
     /// Strengths from and to.
     pub strengths: [f64; 2],
@@ -102,7 +103,7 @@ pub struct Detection {
 
 /// How a family of cases fared: those of one law on one loop with one kind of file, or of all in
 /// the place of what is missing.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct FamilySummary {
     /// By which law the truth acts.
     pub law: Option<Law>,
@@ -181,7 +182,7 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// How one effect fared where it shows.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct EffectSummary {
     /// Id.
     pub id: String,
@@ -199,7 +200,7 @@ pub struct EffectSummary {
 const EVERY_EFFECT: &str = "every effect";
 
 /// How one effect, or all of them together, fared with logs in one state.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct ConditionSummary {
     /// Id; `every effect` for all together.
     pub id: String,
@@ -212,7 +213,7 @@ pub struct ConditionSummary {
 }
 
 /// The whole result.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Summary {
     /// How many cases.
     #[serde(skip)]

@@ -1,5 +1,6 @@
 //! What a builder knows a vehicle file's numbers to: standard deviations, as `provenance` claims them.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use vehicle::effects::{
@@ -29,7 +30,7 @@ const POSE_S: [f64; 2] = [0.001, 0.002];
 const THRUST_EACH: [f64; 2] = [0.01, 0.02];
 const INERTIA: [f64; 2] = [0.05, 0.1];
 /// Standard deviations of a vehicle file's numbers, in their own units or as shares of them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Tolerances {
     /// Thrust, common to all rotors; a share.
     pub thrust_common: f64,

@@ -2,6 +2,7 @@
 //! loop is on board and what of it is known, and what else real logs come with.
 
 use mavlink::MessageData;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sitl::autopilot::SYSTEM_ID;
 use sitl::config::{EstimatorConfig, Vibration};
@@ -27,7 +28,9 @@ pub enum World {
 }
 
 /// How good a vehicle file is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum FileKind {
     /// Every number is the vehicle's.
@@ -39,7 +42,9 @@ pub enum FileKind {
 }
 
 /// Which loop is on board, and what the diagnosis sees of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum LoopKind {
     /// A PD that the file states.

@@ -1,5 +1,6 @@
 //! Adam (Kingma and Ba 2015) over batches, its step falling to zero along a half cosine.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Decay of the mean of the gradients.
@@ -10,7 +11,7 @@ const SQUARE_DECAY: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
 
 /// The optimiser's memory.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub(super) struct Adam {
     means: Vec<f32>,
     squares: Vec<f32>,

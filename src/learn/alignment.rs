@@ -3,6 +3,7 @@
 //! Attitude turns by the integral of the body rate, velocity changes by the integral of the
 //! rotated specific force. No vehicle model enters.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::{Attitude, Frd, Ned};
 
@@ -19,7 +20,7 @@ const EXPLAINED_MIN: f64 = 0.5;
 
 /// Lateness of a flight's streams against its gyro, s: a sample stamped t shows the state at
 /// `t - latency`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Alignment {
     /// Of the attitude; `None` where the motion does not show it, and 0 is taken.
     pub attitude_s: Option<f64>,

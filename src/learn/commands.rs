@@ -3,6 +3,7 @@
 
 use std::ops::Range;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sitl::autopilot::offboard::AttitudeSetpoint;
 use sitl::autopilot::pd::AttitudeLoop;
@@ -30,7 +31,9 @@ const LAW_SLOPES: Range<f64> = 0.7..1.4;
 pub(super) const EVERYTHING: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 
 /// Where u comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum CommandSource {
     /// Setpoints through the on-board law of the vehicle file (Bansal et al. 2016, eq. 9).

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::{ROTORS, VehicleParams};
@@ -19,7 +20,7 @@ use crate::model::file::AccelerationSource;
 use crate::model::{ACCELERATIONS, Point};
 
 /// How labels are made.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct WindowSettings {
     /// Half width of the window of rates, specific force and input, s.
     pub half_s: f64,

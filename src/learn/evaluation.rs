@@ -1,6 +1,7 @@
 //! How good a model is: its accelerations, and where its open loop leads.
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::rigid_body::State;
 
@@ -19,7 +20,7 @@ pub const ACCELERATION_NAMES: [&str; ACCELERATIONS] =
     ["a_n", "a_e", "a_d", "alpha_x", "alpha_y", "alpha_z"];
 
 /// Normalised mean squared errors: over the variance of the training rows' labels.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct OneStep {
     /// Of each acceleration.
     #[serde(deserialize_with = "not_finite::array")]
@@ -81,7 +82,7 @@ impl OneStep {
 }
 
 /// Root mean square of the norm of reported minus predicted, at one horizon.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct StateError {
     /// Of position, m.
     #[serde(deserialize_with = "not_finite::number")]

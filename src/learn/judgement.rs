@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::VehicleError;
 
@@ -27,7 +28,7 @@ const SERIES_S: f64 = 10.0;
 const SERIES: [usize; 2] = [1, 3];
 
 /// Errors of a model file on logs that it may never have seen.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Evaluation {
     /// Rows.
     pub rows: usize,
@@ -39,7 +40,7 @@ pub struct Evaluation {
 }
 
 /// Errors of a model's accelerations on one set of logs.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct EvaluatedModel {
     /// The model.
     pub model: ModelKind,

@@ -3,6 +3,7 @@
 use std::sync::Mutex;
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::dataset::Row;
@@ -110,7 +111,7 @@ impl Lesson {
 }
 
 /// How far a training is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum State {
     Waiting,
@@ -119,7 +120,7 @@ enum State {
 }
 
 /// How far the trainings of all networks are: what an interrupted `train` goes on from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Progress {
     /// What it belongs to: settings, vehicle and the logs' hashes.
     fingerprint: String,

@@ -2,6 +2,7 @@
 //! where a derivative changes its sign the step shrinks, is not taken, and is neither grown nor
 //! shrunk by the next one (iRprop-, Igel and Huesken 2000).
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// First step of every parameter.
@@ -15,7 +16,7 @@ const STEPS: std::ops::RangeInclusive<f32> = 1e-6..=50.0;
 
 /// The optimiser's memory: the gradient decides the direction only, the step is each parameter's
 /// own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub(super) struct Rprop {
     steps: Vec<f32>,
     /// The last gradient; 0 where its sign changed, so that the next step is neither grown nor

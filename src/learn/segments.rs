@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::commands::CommandSource;
@@ -21,7 +22,7 @@ const HEIGHT_IN_AIR: f64 = 0.1;
 const CUT_MARGIN_S: f64 = 0.05;
 
 /// Time left out of a flight and why.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Exclusion {
     /// Why.
     pub reason: String,

@@ -3,12 +3,15 @@
 
 use std::ops::Range;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::ROW_RATE_HZ;
 
 /// What rows are for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
     /// Weights are fitted on them.
@@ -59,7 +62,7 @@ pub(super) const BORDER_S: f64 = BORDER_ROWS as f64 / ROW_RATE_HZ;
 const OF_SHARE_MIN: f64 = 0.5;
 
 /// How rows were split.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SplitKind {
     /// Every flight is in one part.

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::evaluation::{MultiStep, OneStep};
@@ -15,7 +16,7 @@ use crate::model::file::{AccelerationSource, ModelKind};
 use crate::model::physics::PhysicsParameters;
 
 /// Everything about one training.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct TrainingSummary {
     /// `downwash.training`.
     pub schema: String,
@@ -49,7 +50,7 @@ pub struct TrainingSummary {
 }
 
 /// How a training is done.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct TrainSettings {
     /// What the networks are given.
     pub features: Features,
@@ -71,7 +72,7 @@ pub struct TrainSettings {
 }
 
 /// The data of a training.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct DataSummary {
     /// How rows were split.
     pub split: SplitKind,
@@ -93,7 +94,7 @@ pub struct DataSummary {
 }
 
 /// A log that was used.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct LogSummary {
     /// File name without extension.
     pub run: String,
@@ -124,7 +125,7 @@ pub struct LogSummary {
 }
 
 /// A log of which nothing was used.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct RefusedLog {
     /// The file.
     pub path: PathBuf,
@@ -133,7 +134,7 @@ pub struct RefusedLog {
 }
 
 /// One training of one network.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct LearningCurve {
     /// The model that it is part of.
     pub model: ModelKind,
@@ -153,7 +154,7 @@ pub struct LearningCurve {
 }
 
 /// Errors of a model's accelerations.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct OneStepSummary {
     /// The model.
     pub model: ModelKind,
@@ -164,7 +165,7 @@ pub struct OneStepSummary {
 }
 
 /// Open-loop errors of one predictor.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct MultiStepSummary {
     /// `net`, `physics`, `hybrid`, `hold`, `constant velocity`.
     pub predictor: String,
@@ -177,7 +178,7 @@ pub struct MultiStepSummary {
 }
 
 /// Accelerations over time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Series {
     /// The flight.
     pub run: String,

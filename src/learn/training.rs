@@ -6,6 +6,7 @@ use std::ops::ControlFlow;
 use rand::seq::SliceRandom;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::adam::{self, Adam};
@@ -28,7 +29,7 @@ const OUTPUT_WEIGHTS: f64 = 1.0 / 3.0;
 const ADAM_RATE: f64 = 1e-2;
 
 /// How the parameters follow the gradient.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
     /// Resilient backpropagation over all rows, one step a pass, as Bansal et al. 2016.
@@ -39,7 +40,7 @@ pub enum Method {
 }
 
 /// What a training is told.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Hidden units.
@@ -73,7 +74,7 @@ impl Default for Settings {
 }
 
 /// One pass through the training rows.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Pass {
     /// From 1.
     pub number: usize,
@@ -88,7 +89,7 @@ pub struct Pass {
 }
 
 /// Why a training ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Stop {
     /// All passes are done.
@@ -149,7 +150,7 @@ pub enum TrainingError {
 }
 
 /// A training between two passes. Continued from here, it ends with the same bits.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Checkpoint {
     settings: Settings,
     /// Of the training and the validation rows.
@@ -160,7 +161,7 @@ pub struct Checkpoint {
     curve: Vec<Pass>,
 }
 
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Optimizer {
     Rprop(Rprop),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Read;
 
 use prost::Message as _;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::reader::{LogReader, Message, ReadError};
@@ -15,7 +16,7 @@ const EVENTS_LISTED: usize = 1000;
 const GAP_FACTOR: f64 = 3.0;
 
 /// A log's summary, and the JSON of `downwash log info --json`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct LogInfo {
     /// `downwash.log.info`.
     pub schema: &'static str,
@@ -54,7 +55,7 @@ pub struct LogInfo {
 }
 
 /// One topic.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct TopicInfo {
     /// Name.
     pub topic: String,
@@ -73,7 +74,7 @@ pub struct TopicInfo {
 }
 
 /// One flight state.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct PhaseInfo {
     /// Name.
     pub name: String,
@@ -84,7 +85,7 @@ pub struct PhaseInfo {
 }
 
 /// Position error while a trajectory was flown.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct TrackingInfo {
     /// Control ticks with a trajectory.
     pub ticks: u64,
@@ -101,7 +102,7 @@ pub struct TrackingInfo {
 }
 
 /// Extremes of the battery.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct BatteryInfo {
     /// Lowest voltage, V; `null` where unknown.
     pub voltage_min_v: Option<f64>,
@@ -114,7 +115,7 @@ pub struct BatteryInfo {
 }
 
 /// One line of `/log`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct EventInfo {
     /// When, s after the log's start.
     pub time_s: f64,

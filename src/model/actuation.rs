@@ -1,5 +1,6 @@
 //! From logged commands to the input that acts: transport delay, lag of the rotors, voltage.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::ROTORS;
 use vehicle::rotor::{Allocation, Lag};
@@ -8,7 +9,7 @@ use vehicle::rotor::{Allocation, Lag};
 ///
 /// `tau ds_i/dt = u_i(t - delay) - s_i`, and rotor i gives `thrust_max_i s_i (V /
 /// full_V)^exponent`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Actuation {
     /// From the logged command (setpoint where the on-board law is known, else motor output) to

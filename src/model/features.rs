@@ -1,6 +1,7 @@
 //! What the networks are given of a point, and the axes that they see it in.
 
 use nalgebra::{Matrix3, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ACCELERATIONS, VARIABLES};
@@ -52,7 +53,7 @@ impl Head {
 }
 
 /// What a network is given of a [`Point`](super::Point).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Features {
     /// (v, omega, sin zeta, cos zeta) and u1 or (u2, u3, u4), all in the frames of the point

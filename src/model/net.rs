@@ -1,9 +1,10 @@
 //! A network with one hidden ReLU layer, and its normalisation.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// `y = V max(W x + b, 0) + c`, in normalised units.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Mlp {
     /// Number of inputs.
     pub inputs: usize,
@@ -206,7 +207,7 @@ fn product_sum<const FUSED: bool>(a: f64, b: f64, sum: f64) -> f64 {
 }
 
 /// `normalised = (value - mean) / deviation`, column by column.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Normalization {
     /// Means.
     pub mean: Vec<f64>,

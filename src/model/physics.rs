@@ -1,5 +1,6 @@
 //! The nominal vehicle's physics with parameters found from logs.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::effects::{AttitudeTrim, EffectSet};
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
@@ -15,9 +16,12 @@ use super::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
 const HEIGHT: f64 = 1e3;
 
 /// What a vehicle file's physics is changed by.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct PhysicsParameters {
     /// Effects put over the vehicle file's modelled ones.
+    #[schemars(
+        with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
+    )]
     pub effects: EffectSet,
     /// Moment against the body rate per axis, N m s.
     pub angular_damping_nms: [f64; 3],

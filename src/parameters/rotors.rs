@@ -1,11 +1,12 @@
 //! Where an autopilot believes its rotors to be.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Autopilot, Parameters};
 
 /// Where the autopilot believes a rotor to be.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct RotorFact {
     /// Towards the front, in the autopilot's unit: only its sign and ratio to others are meant.
     pub front: f64,

@@ -1,5 +1,6 @@
 //! Whether a trajectory asks for more than the vehicle may be asked, before it is armed.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, Ned};
 
@@ -8,7 +9,7 @@ use super::problem::YAW;
 use super::trajectory::Trajectory;
 
 /// What a trajectory may ask for at most.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlightEnvelope {
     /// Speed, m/s.
@@ -57,7 +58,7 @@ pub struct InfeasibleTrajectory {
 }
 
 /// The largest demands of a trajectory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Feasibility {
     /// Speed, m/s.
     pub speed_m_s: f64,

@@ -1,5 +1,6 @@
 //! Iterates of a search: states and inputs over the horizon, and what they miss.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::discretisation::Dynamics;
@@ -16,7 +17,7 @@ pub struct Iterate<const INPUTS: usize> {
 }
 
 /// What an iterate misses.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Violation {
     /// Largest defect of the dynamics in any state.
     pub defect: f64,

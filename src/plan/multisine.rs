@@ -1,5 +1,6 @@
 //! The multisine: sums of sinusoids of their own amplitude, period and phase in position and yaw.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::curve::{Envelope, Harmonic, HarmonicCurve};
@@ -8,7 +9,7 @@ use super::trajectory::{DesiredPoint, Shape};
 
 /// A trajectory file of the family `multisine`. At time 0 it is at `offset_m`, `altitude_m` and
 /// `heading_deg`; each wave adds `amplitude (sin(2 pi t / period + phase) - sin(phase))`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Multisine {
     pub altitude_m: f64,
@@ -35,7 +36,7 @@ pub(super) struct Multisine {
 }
 
 /// One sinusoid of a position axis.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Wave {
     pub amplitude_m: f64,
@@ -45,7 +46,7 @@ pub(super) struct Wave {
 }
 
 /// One sinusoid of the yaw angle.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct YawWave {
     pub amplitude_deg: f64,

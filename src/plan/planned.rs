@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::AttitudePd;
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
@@ -73,7 +74,7 @@ pub struct PlannedBody {
 }
 
 /// The model of a plan.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedThrough {
     /// net, physics or hybrid; nominal for the vehicle file's own physics.

@@ -11,6 +11,7 @@
 //! - where it does not, states and inputs are taken as they are, and what they miss of the dynamics
 //!   costs an l1 penalty that is raised until nothing is missed: the paper's form.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::discretisation::Dynamics;
@@ -51,7 +52,7 @@ impl Default for ScpSettings {
 }
 
 /// How a search ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
     /// No subproblem promises to improve the plan.
@@ -81,7 +82,7 @@ impl Status {
 }
 
 /// One subproblem of a search.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Record {
     /// Cost after it.
     pub cost: f64,

@@ -1,5 +1,6 @@
 //! Flights along one desired trajectory, side by side.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::{Ned, wrap_angle};
 
@@ -33,7 +34,7 @@ pub struct Track {
 }
 
 /// Errors of one flight along the trajectory.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct TrackErrors {
     /// Root mean square of the position error, north, east, down, m.
     pub rmse_ned_m: [f64; 3],
@@ -46,7 +47,7 @@ pub struct TrackErrors {
 }
 
 /// How much of the input each part gave.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct InputShare {
     /// Root mean square of the reference's input beyond that of hover at the desired yaw: thrust
     /// (N), roll, pitch, yaw (rad), body rates [rad/s].
@@ -59,7 +60,7 @@ pub struct InputShare {
 }
 
 /// The flights of one controller.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Contender {
     /// model-free, net, physics or hybrid.
     pub name: String,

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Read;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::histogram::quantile;
@@ -38,7 +39,7 @@ pub struct FlightReport {
 }
 
 /// The numbers of a flight, and the JSON beside the report.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct FlightSummary {
     /// `downwash.report.flight`.
     pub schema: &'static str,
@@ -65,7 +66,7 @@ pub struct FlightSummary {
 }
 
 /// The control loop's timing and limits.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, JsonSchema, Serialize)]
 pub struct ControlSummary {
     /// Control ticks.
     pub ticks: u64,
@@ -90,7 +91,7 @@ pub struct ControlSummary {
 }
 
 /// The link's counters.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct LinkSummary {
     /// Mean rate of received frames, 1/s.
     pub rx_frames_hz: f64,

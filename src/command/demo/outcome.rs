@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::EffectSet;
 
@@ -18,8 +19,8 @@ use crate::report::flight::FlightSummary;
 use crate::report::words::smallness;
 
 /// The JSON of `demo`, and its summary.json.
-#[derive(Serialize)]
-struct DemoSummary {
+#[derive(JsonSchema, Serialize)]
+pub(in crate::command) struct DemoSummary {
     schema: &'static str,
     schema_version: u32,
     /// How the flights ended: done, or the first that did not.
@@ -27,6 +28,9 @@ struct DemoSummary {
     seed: u64,
     trajectory: String,
     /// Effects of the simulated vehicle that the daemon did not know.
+    #[schemars(
+        with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
+    )]
     effects: EffectSet,
     /// Of the flights along the trajectory.
     simulated_s: f64,
@@ -48,7 +52,7 @@ struct DemoSummary {
 }
 
 /// One plan.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 pub(super) struct PlanRow {
     pub contender: &'static str,
     pub status: Status,
@@ -60,7 +64,7 @@ pub(super) struct PlanRow {
 }
 
 /// One flight's log.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 pub(super) struct LogRow {
     pub contender: &'static str,
     pub seed: u64,

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use wire::dialect::MavSysStatusSensor;
 
@@ -19,7 +20,7 @@ const ROUND_TRIP_TOLD_S: f64 = 0.05;
 const LATENCY_TIMER_TOLD_MS: u32 = 2;
 
 /// How much a finding matters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Weight {
     /// It may or may not matter.
@@ -29,7 +30,7 @@ pub(super) enum Weight {
 }
 
 /// Something that is not as it should be, and the cure.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize)]
 pub(super) struct Finding {
     pub weight: Weight,
     pub subject: String,

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::command::listen::Listener;
@@ -212,7 +213,7 @@ fn latency_timer(endpoint: &wire::Endpoint) -> Option<u32> {
 }
 
 /// All that was heard, as numbers.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 pub(super) struct Report {
     endpoint: String,
     seconds: f64,
@@ -255,7 +256,7 @@ pub(super) struct Report {
 }
 
 /// One message of the vehicle.
-#[derive(Serialize)]
+#[derive(JsonSchema, Serialize)]
 struct MessageRow {
     id: u32,
     name: String,

@@ -8,6 +8,7 @@ use std::process::Command;
 use std::time::Instant;
 
 use anyhow::{Context, anyhow};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -71,7 +72,7 @@ struct PracticeCase {
 }
 
 /// How a case went.
-#[derive(Debug, Serialize)]
+#[derive(Debug, JsonSchema, Serialize)]
 struct PracticeRow {
     case: String,
     truth: String,
@@ -84,8 +85,8 @@ struct PracticeRow {
 }
 
 /// The JSON of `exam --practice`, and its summary.json.
-#[derive(Serialize)]
-struct PracticeSummary<'a> {
+#[derive(JsonSchema, Serialize)]
+pub(in crate::command) struct PracticeSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     cases: &'a [PracticeRow],

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
@@ -29,7 +30,7 @@ const ROUNDS: usize = 3;
 const LASTING_TICKS: usize = 20;
 
 /// Where the reference of a flight comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ReferenceOrigin {
     /// The log holds what was tracked.

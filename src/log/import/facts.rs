@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::kind::{StatedKind, VehicleKind};
@@ -9,7 +10,7 @@ use super::ranges::OutputRange;
 pub use crate::parameters::RotorFact;
 
 /// Facts that a log states, or that its reader found in it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default)]
 pub struct VehicleFacts {
     /// Autopilot and its version.

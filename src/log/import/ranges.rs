@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::functions::{Drive, MOTORS, OUTPUTS};
@@ -18,7 +19,7 @@ const CAN: OutputRange = OutputRange { zero: 0.0, one: 8191.0 };
 const SIMULATED: OutputRange = OutputRange { zero: 1000.0, one: 2000.0 };
 
 /// A motor's output at no and at full thrust.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct OutputRange {
     /// At no thrust.
     pub zero: f64,

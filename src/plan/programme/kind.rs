@@ -1,9 +1,10 @@
 //! What a flight of the programme moves.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// What a flight moves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FlightKind {
     /// North and east.

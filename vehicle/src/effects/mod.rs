@@ -129,7 +129,7 @@ pub struct Wrench<T> {
 
 /// Names every effect once: the id's variants, its order and [`CATALOGUE`] cannot disagree.
 macro_rules! catalogue {
-    ($($effect:ident),+ $(,)?) => {
+    ($($effect:ident $file:literal),+ $(,)?) => {
         /// Names an effect of the catalogue.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[allow(missing_docs)] // the types of the same names are documented
@@ -144,6 +144,9 @@ macro_rules! catalogue {
 
         /// Every effect's specification, in the order of [`EffectId::ALL`].
         pub static CATALOGUE: [Spec; COUNT] = [$(<$effect as Effect>::SPEC),+];
+
+        /// Text of every effect's file, whose first lines say what it does.
+        static FILES: [&str; COUNT] = [$(include_str!($file)),+];
     };
 }
 
@@ -151,9 +154,28 @@ macro_rules! catalogue {
 pub const COUNT: usize = 22;
 
 catalogue! {
-    ThrustScale, Mass, ThrustCurve, BatterySag, RotorLoss, MotorLag, CommandDelay, RotorDrag,
-    ParasiticDrag, Wind, Gusts, GroundEffect, TranslationalLift, BladeFlapping, VortexRing, Inertia,
-    ComOffset, RotorGyroscopic, YawTorque, AttitudeTrim, EstimatorLatency, PdGain,
+    ThrustScale "thrust_scale.rs",
+    Mass "mass.rs",
+    ThrustCurve "thrust_curve.rs",
+    BatterySag "battery_sag.rs",
+    RotorLoss "rotor_loss.rs",
+    MotorLag "motor_lag.rs",
+    CommandDelay "command_delay.rs",
+    RotorDrag "rotor_drag.rs",
+    ParasiticDrag "parasitic_drag.rs",
+    Wind "wind.rs",
+    Gusts "gusts.rs",
+    GroundEffect "ground_effect.rs",
+    TranslationalLift "translational_lift.rs",
+    BladeFlapping "blade_flapping.rs",
+    VortexRing "vortex_ring.rs",
+    Inertia "inertia.rs",
+    ComOffset "com_offset.rs",
+    RotorGyroscopic "rotor_gyroscopic.rs",
+    YawTorque "yaw_torque.rs",
+    AttitudeTrim "attitude_trim.rs",
+    EstimatorLatency "estimator_latency.rs",
+    PdGain "pd_gain.rs",
 }
 
 impl EffectId {
@@ -165,6 +187,13 @@ impl EffectId {
     /// Its id in files.
     pub fn name(self) -> &'static str {
         self.spec().id
+    }
+
+    /// What it does, its equation and where that is from: the documentation of its file. The first
+    /// paragraph has the equation.
+    pub fn about(self) -> String {
+        let lines = FILES[self as usize].lines().map_while(|line| line.strip_prefix("//!"));
+        lines.map(str::trim).collect::<Vec<_>>().join("\n")
     }
 
     /// The effect that stands for all that no flight can tell from this one: mass and thrust act as
@@ -207,6 +236,10 @@ mod tests {
             let spec = id.spec();
             assert_eq!(spec.id.parse::<EffectId>().unwrap(), id);
             assert!(spec.slots().count() <= MAX_SLOTS, "{id}");
+            // What it is called begins what it does.
+            let name = spec.id.replace('_', " ");
+            let about = id.about().to_lowercase();
+            assert!(about.starts_with(&name) || id == EffectId::ComOffset, "{id}: {about}");
             for parameter in spec.parameters {
                 assert!(parameter.min < parameter.max, "{id}.{}", parameter.name);
                 if let Neutral::Value(neutral) = parameter.neutral {

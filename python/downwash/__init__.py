@@ -1,0 +1,50 @@
+"""downwash: simulate, learn, plan and diagnose quadrotors.
+
+World axes are north, east, down; body axes front, right, down; SI and radians. Names end in the unit.
+What downwash refuses raises `DownwashError` with the command line's sentence and its ``exit_code``;
+an argument that is wrong by itself raises ValueError or TypeError.
+"""
+
+from ._diagnosis import Diagnosis, diagnose
+from ._downwash import DownwashError, __version__
+from ._flight import fly
+from ._log import Log, Stream, audit, read
+from ._model import ACCELERATIONS, INPUT, MOTION, Learner, Model
+from ._plan import PLAN_INPUT, PLAN_STATE, Plan, plan
+from ._plant import REST, STATE, Plant, rollouts
+from ._rows import Rows
+from ._sweep import sweep, table
+from ._trajectory import POINT, Trajectory
+from ._vehicle import Vehicle, effects
+
+__all__ = [
+    "ACCELERATIONS",
+    "INPUT",
+    "MOTION",
+    "PLAN_INPUT",
+    "PLAN_STATE",
+    "POINT",
+    "REST",
+    "STATE",
+    "Diagnosis",
+    "DownwashError",
+    "Learner",
+    "Log",
+    "Model",
+    "Plan",
+    "Plant",
+    "Rows",
+    "Stream",
+    "Trajectory",
+    "Vehicle",
+    "__version__",
+    "audit",
+    "diagnose",
+    "effects",
+    "fly",
+    "plan",
+    "read",
+    "rollouts",
+    "sweep",
+    "table",
+]

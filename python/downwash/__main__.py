@@ -1,0 +1,5 @@
+"""``python -m downwash``."""
+
+from ._command import main
+
+main()

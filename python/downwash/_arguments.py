@@ -1,0 +1,90 @@
+"""Arguments as the native part takes them: arrays of float64 without a gap, and JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+Path: TypeAlias = "str | PathLike[str]"
+Effects: TypeAlias = "Mapping[str, Mapping[str, float | Sequence[float]]]"
+
+
+def numbers(what: str, value: ArrayLike, *shape: int | str) -> Array:
+    """``value`` as float64, without a copy where it is that already.
+
+    ``shape`` are the axes: a number that must be met, or the name of one that may be any.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{what}: expected real numbers, found {array.dtype}")
+    axes = "(" + ", ".join(str(axis) for axis in shape) + ")"
+    fits = array.ndim == len(shape) and all(
+        isinstance(axis, str) or axis == length for axis, length in zip(shape, array.shape)
+    )
+    if not fits:
+        raise ValueError(f"{what}: expected an array of shape {axes}, found {array.shape}")
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def flat(array: Array) -> Array:
+    """The same numbers in one row: a view."""
+    return array.reshape(-1)
+
+
+def count(what: str, value: int, least: int, most: int) -> int:
+    """A whole number within bounds."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{what}: expected a whole number, found {type(value).__name__}")
+    if not least <= value <= most:
+        raise ValueError(f"{what}: expected {least} to {most}, found {value}")
+    return int(value)
+
+
+def seed_of(value: int) -> int:
+    """A seed."""
+    return count("seed", value, 0, 2**64 - 1)
+
+
+def to_json(what: str, value: Any) -> str:
+    """JSON of what a user wrote; NumPy's numbers and arrays too."""
+
+    def plain(other: Any) -> Any:
+        if isinstance(other, (np.ndarray, np.generic)):
+            return other.tolist()
+        if isinstance(other, Mapping):
+            return dict(other)
+        raise TypeError(f"{what}: expected numbers, words, lists and tables, found {other!r}")
+
+    try:
+        return json.dumps(value, allow_nan=False, default=plain)
+    except ValueError as error:
+        raise ValueError(f"{what}: expected finite numbers: {error}") from None
+    except RecursionError:
+        raise ValueError(f"{what}: expected a table that does not hold itself") from None
+
+
+def effects_json(effects: Effects | None) -> str:
+    """JSON of effects."""
+    if effects is None:
+        return "{}"
+    if not isinstance(effects, Mapping):
+        raise TypeError("effects: expected a table {id: {parameter: value}}")
+    return to_json("effects", effects)
+
+
+def paths(what: str, given: Path | Sequence[Path]) -> list[Path]:
+    """One path, or several."""
+    import os
+
+    if isinstance(given, (str, os.PathLike)):
+        return [given]
+    found = list(given)
+    if not found:
+        raise ValueError(f"{what}: expected at least one path")
+    return found

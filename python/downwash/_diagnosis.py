@@ -1,0 +1,129 @@
+"""Diagnoses: where simulator and flights part, which effect causes it, how far the gap shrinks."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as _FilePath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from . import _downwash as _native
+from ._arguments import Path, count, paths, seed_of
+from ._progress import Progress, teller
+from ._vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer. Every field of the JSON of ``downwash diagnose`` is in `answer`, by its name; those
+    that most people look for are properties. In a notebook it shows its report."""
+
+    answer: dict[str, Any]
+    """The answer's JSON."""
+    html: str = field(repr=False)
+    """The report: a page that stands by itself."""
+    text: str = field(repr=False)
+    """The answer in words."""
+    vehicle: Vehicle = field(repr=False)
+    """The vehicle with the effects that were found."""
+
+    @property
+    def verdict(self) -> str:
+        """effect, none or unknown."""
+        found: str = self.answer["verdict"]
+        return found
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in a sentence or two."""
+        found: str = self.answer["finding"]["sentence"]
+        return found
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """Effects with probability, parameters and 90 % intervals, the most probable first."""
+        found: list[dict[str, Any]] = self.answer["effects"]
+        return found
+
+    @property
+    def gap(self) -> dict[str, Any] | None:
+        """The gap on the flights held out, before and after, in units of the noise."""
+        found: dict[str, Any] | None = self.answer["gap"]
+        return found
+
+    @property
+    def attribution(self) -> list[dict[str, Any]]:
+        """Shares of the squared gap."""
+        found: list[dict[str, Any]] = self.answer["attribution"]
+        return found
+
+    @property
+    def not_testable(self) -> list[dict[str, Any]]:
+        """Effects that these logs cannot show, and why."""
+        found: list[dict[str, Any]] = self.answer["not_testable"]
+        return found
+
+    def save(self, folder: Path) -> None:
+        """Writes report.html, report.json and the vehicle file improved.toml into a folder."""
+        out = _FilePath(folder)
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "report.html").write_text(self.html, encoding="utf-8")
+        text = json.dumps(self.answer, indent=2) + "\n"
+        (out / "report.json").write_text(text, encoding="utf-8")
+        self.vehicle.save(out / "improved.toml")
+
+    def __str__(self) -> str:
+        return self.text
+
+    def _repr_html_(self) -> str:
+        # A page of its own, so that its styles do not meet the notebook's.
+        page = html.escape(self.html, quote=True)
+        return f'<iframe srcdoc="{page}" style="width:100%;height:48em;border:0"></iframe>'
+
+
+def diagnose(
+    vehicle: Vehicle | Path,
+    logs: Path | Sequence[Path],
+    *,
+    holdout: Sequence[Path] = (),
+    new: Sequence[Path] = (),
+    mapping: Path | None = None,
+    twins: int | None = None,
+    seed: int = 1,
+    without: Sequence[str] = (),
+    next_flight: Path | None = None,
+    progress: Progress = None,
+) -> Diagnosis:
+    """Diagnoses flight logs against a vehicle file, as ``downwash diagnose`` does.
+
+    The last of the logs is held out from the fit, of a single one its second half, unless ``holdout``
+    names others. ``twins`` flights without an effect say how large chance makes the evidence. The
+    trajectory file of the flight that would tell most next is written to ``next_flight``. Ctrl-C
+    returns at once.
+    """
+    if isinstance(without, str):
+        raise TypeError("without: expected a list of effects, found one word")
+    with TemporaryDirectory() as folder:
+        if isinstance(vehicle, Vehicle):
+            file: Path = _FilePath(folder, "vehicle.toml")
+            vehicle.save(file)
+        else:
+            file = vehicle
+        native = _native.diagnose(
+            file,
+            paths("logs", logs),
+            list(holdout),
+            list(new),
+            mapping,
+            None if twins is None else count("twins", twins, 0, 100_000),
+            seed_of(seed),
+            list(without),
+            next_flight,
+            teller(progress),
+        )
+        improved = Vehicle.parse(native.improved("improved.toml"), "improved.toml")
+    answer: dict[str, Any] = json.loads(native.to_json())
+    return Diagnosis(answer, native.to_html(), native.to_text(), improved)

@@ -1,0 +1,72 @@
+"""Flights of the simulated vehicle in lockstep, and what they follow."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from . import _downwash as _native
+from ._arguments import Effects, Path, count, effects_json, seed_of, to_json
+from ._plan import Plan
+from ._progress import Progress, teller
+from ._rows import Rows
+from ._trajectory import Trajectory, trajectory_of
+from ._vehicle import Vehicle, vehicle_of
+
+
+def settings_of(
+    settings: Mapping[str, Any] | None, controller: str | Mapping[str, Any] | None
+) -> str:
+    """JSON of settings by their dotted paths, the controller's among them."""
+    found = dict(settings or {})
+    if isinstance(controller, str):
+        found["control.law"] = controller
+    elif isinstance(controller, Mapping):
+        found |= {f"control.{key}": value for key, value in controller.items()}
+    elif controller is not None:
+        raise TypeError("controller: expected the name of a law, or a table of its settings")
+    return to_json("settings", found)
+
+
+def fly(
+    vehicle: Vehicle | Path = "crazyflie",
+    trajectory: Trajectory | Plan | Mapping[str, Any] | Path = "sinusoid-yaw",
+    effects: Effects | None = None,
+    controller: str | Mapping[str, Any] | None = None,
+    seeds: int | Sequence[int] = 1,
+    *,
+    settings: Mapping[str, Any] | None = None,
+    config: Path | None = None,
+    simulation: Mapping[str, Any] | None = None,
+    logs: Path | None = None,
+    jobs: int | None = None,
+    progress: Progress = None,
+) -> Rows:
+    """Flies the simulated vehicle in lockstep, once for each seed, and gives a row for each flight.
+
+    The controller knows the vehicle's file; the vehicle also has ``effects``. ``controller`` is the
+    name of a law, or settings of ``control``; ``settings`` are any others by their dotted paths, over
+    the configuration file ``config``. ``simulation`` are keys of the simulated vehicle's own
+    configuration. With ``logs``, each flight's log goes into the folder ``seed-N`` there. ``jobs``
+    flights are flown at once, one for each core without a number. The rows are those of
+    ``downwash simulate --json``, in the order of the seeds, and depend on nothing else.
+    """
+    of = [seeds] if isinstance(seeds, (int, np.integer)) else list(seeds)
+    if jobs is not None:
+        jobs = count("jobs", jobs, 1, 1024)
+    rows = _native.fly(
+        vehicle_of(vehicle)._native,
+        trajectory._native if isinstance(trajectory, Plan) else trajectory_of(trajectory)._native,
+        effects_json(effects),
+        settings_of(settings, controller),
+        config,
+        None if simulation is None else to_json("simulation", dict(simulation)),
+        [seed_of(seed) for seed in of],
+        logs,
+        jobs,
+        teller(progress),
+    )
+    return Rows(json.loads(row) for row in rows)

@@ -1,0 +1,100 @@
+"""Flight logs of any kind as arrays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from . import _downwash as _native
+from ._arguments import Array, Path, count, paths
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Samples of one quantity at its own rate, on the flight's one clock."""
+
+    name: str
+    time_s: Array
+    """Times, shape (n,)."""
+    values: Array
+    """Values, shape (n, columns)."""
+    columns: tuple[str, ...]
+    """What each column is, with its unit."""
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def to_pandas(self) -> Any:
+        """A pandas DataFrame over time_s."""
+        import pandas
+
+        index = pandas.Index(self.time_s, name="time_s")
+        return pandas.DataFrame(self.values, index=index, columns=list(self.columns))
+
+    def to_arrow(self) -> Any:
+        """A pyarrow Table."""
+        import pyarrow
+
+        columns = {"time_s": self.time_s}
+        columns |= {name: self.values[:, index] for index, name in enumerate(self.columns)}
+        return pyarrow.table(columns)
+
+
+class Log(Mapping[str, Stream]):
+    """A flight: streams by name (``log["position"]``), and what the log says of itself."""
+
+    def __init__(self, native: _native.Log) -> None:
+        self._native = native
+        self._columns = {name: tuple(columns) for name, columns in native.streams}
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Format, SHA-256, what is known of the vehicle, and what was left out of the file."""
+        found: dict[str, Any] = json.loads(self._native.facts())
+        return found
+
+    def __getitem__(self, name: str) -> Stream:
+        columns = self._columns[name]
+        times, values = self._native.stream(name)
+        return Stream(name, times, values.reshape(len(times), len(columns)), columns)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def to_pandas(self) -> Any:
+        """One pandas DataFrame of every stream, over all of their times; NaN between samples."""
+        import pandas
+
+        frames = [stream.to_pandas().add_prefix(f"{stream.name}.") for stream in self.values()]
+        return pandas.concat(frames, axis=1).sort_index()
+
+    def audit(self) -> dict[str, Any]:
+        """What is wrong with it; see `audit`."""
+        found: dict[str, Any] = audit(self.facts["path"])["logs"][0]
+        return found
+
+    def __repr__(self) -> str:
+        return f"<downwash.Log {self.facts['run']!r}: {', '.join(self)}>"
+
+
+def read(path: Path, *, mapping: Path | None = None, boot: int | None = None) -> Log:
+    """Reads a flight log, whatever it is: .mcap, .tlog, ULog, DataFlash, or a table with the mapping
+    file that says what its columns are. ``boot``: which start of the vehicle, from 1."""
+    if boot is not None:
+        boot = count("boot", boot, 1, 2**32)
+    return Log(_native.Log.read(path, mapping, boot))
+
+
+def audit(logs: Path | Sequence[Path], *, mapping: Path | None = None) -> dict[str, Any]:
+    """What is wrong with logs before any physics: the JSON of ``downwash log audit``, with the logs
+    that cannot be read under ``refused``."""
+    text, refused = _native.audit(paths("logs", logs), mapping)
+    found: dict[str, Any] = json.loads(text)
+    if not found["logs"]:
+        raise _native.DownwashError("; ".join(refused))
+    return found | {"refused": refused}

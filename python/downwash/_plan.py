@@ -1,0 +1,131 @@
+"""Plans: feasible references near a desired trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path as _FilePath
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from . import _downwash as _native
+from ._arguments import Array, Path, to_json
+from ._progress import Progress, teller
+from ._trajectory import Trajectory, trajectory_of
+from ._vehicle import Vehicle, vehicle_of
+
+if TYPE_CHECKING:
+    from ._model import Model
+
+PLAN_STATE: Final = (
+    "north_m",
+    "east_m",
+    "down_m",
+    "north_m_s",
+    "east_m_s",
+    "down_m_s",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "roll_rad_s",
+    "pitch_rad_s",
+    "yaw_rad_s",
+)
+"""Names of a planned state's numbers: world axes, Euler angles, body rates."""
+
+PLAN_INPUT: Final = (
+    "thrust_n",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "roll_rad_s",
+    "pitch_rad_s",
+    "yaw_rad_s",
+)
+"""Names of a planned input's numbers: collective thrust, desired attitude and body rate."""
+
+
+class Plan:
+    """States with the inputs that lead through them. `fly` takes it in place of a trajectory."""
+
+    __slots__ = ("_native",)
+
+    def __init__(self, native: _native.Plan) -> None:
+        self._native = native
+
+    @classmethod
+    def load(cls, path: Path) -> Plan:
+        """Reads a plan's file."""
+        return cls(_native.Plan.load(path))
+
+    def save(self, path: Path) -> None:
+        """Writes its file, which ``downwash fly`` takes."""
+        _FilePath(path).write_text(self._native.to_json(), encoding="utf-8")
+
+    @property
+    def status(self) -> str:
+        """How the search ended."""
+        return self._native.status
+
+    @property
+    def not_flyable(self) -> str | None:
+        """Why it may not be flown; None where it may."""
+        return self._native.not_flyable
+
+    @property
+    def cost_m(self) -> float:
+        """Sum of the distances from the desired states."""
+        return self._native.cost
+
+    @property
+    def period_s(self) -> float:
+        """Time between states, s."""
+        return self._native.period_s
+
+    @property
+    def time_s(self) -> Array:
+        """Times of the states, shape (n + 1,)."""
+        return self.period_s * np.arange(len(self.states), dtype=np.float64)
+
+    @property
+    def states(self) -> Array:
+        """Planned states, shape (n + 1, 12), named by `PLAN_STATE`."""
+        return self._native.states().reshape(-1, len(PLAN_STATE))
+
+    @property
+    def desired(self) -> Array:
+        """Desired states, as `states`."""
+        return self._native.desired().reshape(-1, len(PLAN_STATE))
+
+    @property
+    def inputs(self) -> Array:
+        """Planned inputs, shape (n, 7), named by `PLAN_INPUT`."""
+        return self._native.inputs().reshape(-1, len(PLAN_INPUT))
+
+    def __repr__(self) -> str:
+        return f"<downwash.Plan along {self._native.trajectory!r}: {self.status}>"
+
+
+def plan(
+    trajectory: Trajectory | Mapping[str, Any] | Path,
+    vehicle: Vehicle | Path = "crazyflie",
+    model: Model | None = None,
+    *,
+    kind: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    config: Path | None = None,
+    progress: Progress = None,
+) -> Plan:
+    """Plans a feasible reference near a trajectory, through the vehicle's own physics or one of a
+    model's ``kind`` (net, physics, hybrid; the one that did best without a name)."""
+    return Plan(
+        _native.plan(
+            trajectory_of(trajectory)._native,
+            vehicle_of(vehicle)._native,
+            None if model is None else model._native,
+            kind,
+            config,
+            to_json("settings", dict(settings or {})),
+            teller(progress),
+        )
+    )

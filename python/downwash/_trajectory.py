@@ -1,0 +1,76 @@
+"""Desired trajectories."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _downwash as _native
+from ._arguments import Array, Path, flat, numbers, to_json
+
+POINT: Final = (
+    "north_m",
+    "east_m",
+    "down_m",
+    "north_m_s",
+    "east_m_s",
+    "down_m_s",
+    "north_m_s2",
+    "east_m_s2",
+    "down_m_s2",
+    "yaw_rad",
+    "yaw_rad_s",
+)
+"""Names of a desired point's numbers, in world axes."""
+
+
+class Trajectory:
+    """What a vehicle is to fly: a trajectory file, a shipped one by its name, or a file's keys as a
+    table, such as ``Trajectory({"family": "hover", "altitude_m": 1.0, "duration_s": 10.0})``."""
+
+    __slots__ = ("_native", "_source")
+
+    def __init__(self, source: Path | Mapping[str, Any]) -> None:
+        if isinstance(source, Mapping):
+            self._source: Any = dict(source)
+            self._native = _native.Trajectory.parse(to_json("trajectory", source), "trajectory")
+        elif isinstance(source, (str, os.PathLike)):
+            self._source = source
+            self._native = _native.Trajectory.load(source)
+        else:
+            raise TypeError(
+                f"trajectory: expected a path, a name or a table, found {type(source).__name__}"
+            )
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self._native.name
+
+    @property
+    def duration_s(self) -> float:
+        """Its length, s."""
+        return self._native.duration_s
+
+    def sample(self, time_s: ArrayLike) -> Array:
+        """The desired points at these times, shape (n, 11), named by `POINT`; times before the start
+        and after the end are those."""
+        times = numbers("time_s", time_s, "n")
+        points = np.empty((len(times), len(POINT)))
+        self._native.sample(times, flat(points))
+        return points
+
+    def __repr__(self) -> str:
+        return f"<downwash.Trajectory {self.name!r}, {self.duration_s:g} s>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Trajectory, (self._source,)
+
+
+def trajectory_of(given: Trajectory | Mapping[str, Any] | Path) -> Trajectory:
+    """A trajectory, or what makes one."""
+    return given if isinstance(given, Trajectory) else Trajectory(given)

@@ -1,0 +1,51 @@
+//! Errors as exceptions: the command line's sentences.
+
+use downwash::command::{Exit, exit_of, in_words};
+use pyo3::exceptions::{PyException, PyValueError};
+use pyo3::prelude::*;
+
+pyo3::create_exception!(downwash, DownwashError, PyException, "What downwash refuses, and why.");
+
+pub fn add(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    let class = module.py().get_type::<DownwashError>();
+    class.setattr("exit_code", 1)?;
+    module.add("DownwashError", class)
+}
+
+/// The exception of an error, with the exit code that the command line would have ended with.
+pub fn exception(py: Python<'_>, error: &anyhow::Error) -> PyErr {
+    raised(py, in_words(error), exit_of(error))
+}
+
+fn raised(py: Python<'_>, words: String, exit: Exit) -> PyErr {
+    let exception = DownwashError::new_err(words);
+    match exception.value(py).setattr("exit_code", exit.code()) {
+        Ok(()) => exception,
+        Err(failed) => failed,
+    }
+}
+
+/// What a library reads, or the exception of a file that is refused.
+pub fn read<T, E: Into<anyhow::Error>>(py: Python<'_>, result: Result<T, E>) -> PyResult<T> {
+    result.map_err(|error| raised(py, in_words(&error.into()), Exit::Usage))
+}
+
+/// The exception of an argument that is wrong by itself.
+pub fn wrong(what: impl Into<String>) -> PyErr {
+    PyValueError::new_err(what.into())
+}
+
+/// The exception of JSON that says something wrong. Where in the JSON is nothing to a user who did
+/// not write it.
+pub fn unread(what: &str, error: &serde_json::Error) -> PyErr {
+    let text = error.to_string();
+    let said = text.rsplit_once(" at line ").map_or(text.as_str(), |(said, _)| said);
+    wrong(format!("{what}: {said}"))
+}
+
+/// The exception of a panic: a fault of this program.
+pub fn fault(panic: &(dyn std::any::Any + Send)) -> PyErr {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
+    DownwashError::new_err(format!("internal error, please report it: {text}"))
+}

@@ -1,0 +1,139 @@
+//! Flights of the simulated vehicle in lockstep.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use downwash::command::{Course, Simulation, Truth, configuration};
+use numpy::{PyReadonlyArray1, PyReadwriteArray1};
+use pyo3::prelude::*;
+use rayon::prelude::*;
+use sitl::config::SitlConfig;
+
+use crate::errors::{exception, read, unread, wrong};
+use crate::plan::Plan;
+use crate::vehicle::{Vehicle, effects_of};
+use crate::watch::watched;
+
+/// Numbers of a desired point: position, velocity, acceleration, yaw, yaw rate.
+const POINT: usize = 11;
+
+/// What a vehicle is to fly.
+#[pyclass(frozen, module = "downwash._downwash")]
+pub struct Trajectory {
+    pub trajectory: downwash::plan::Trajectory,
+}
+
+#[pymethods]
+impl Trajectory {
+    #[staticmethod]
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let trajectory = read(py, downwash::plan::Trajectory::load(&path))?;
+        Ok(Self { trajectory })
+    }
+
+    /// From the keys of a trajectory file, as JSON.
+    #[staticmethod]
+    fn parse(py: Python<'_>, keys: &str, name: PathBuf) -> PyResult<Self> {
+        let keys: toml::Table =
+            serde_json::from_str(keys).map_err(|error| unread("trajectory", &error))?;
+        let trajectory = downwash::plan::Trajectory::parse(&keys.to_string(), &name);
+        Ok(Self { trajectory: read(py, trajectory)? })
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        self.trajectory.name()
+    }
+
+    #[getter]
+    fn duration_s(&self) -> f64 {
+        self.trajectory.duration()
+    }
+
+    fn sample(
+        &self,
+        times: PyReadonlyArray1<'_, f64>,
+        mut points: PyReadwriteArray1<'_, f64>,
+    ) -> PyResult<()> {
+        let (times, points) = (times.as_slice()?, points.as_slice_mut()?);
+        if times.iter().any(|time| !time.is_finite()) || points.len() != times.len() * POINT {
+            return Err(wrong("times: expected finite seconds"));
+        }
+        for (time, row) in times.iter().zip(points.chunks_exact_mut(POINT)) {
+            let point = self.trajectory.sample(*time);
+            let [position, velocity, acceleration] =
+                [point.position, point.velocity, point.acceleration].map(|v| v.to_array());
+            row[..3].copy_from_slice(&position);
+            row[3..6].copy_from_slice(&velocity);
+            row[6..9].copy_from_slice(&acceleration);
+            row[9..].copy_from_slice(&[point.yaw, point.yaw_rate]);
+        }
+        Ok(())
+    }
+}
+
+/// Settings from their JSON, by dotted paths.
+pub fn settings_of(text: &str) -> PyResult<BTreeMap<String, toml::Value>> {
+    serde_json::from_str(text).map_err(|error| unread("settings", &error))
+}
+
+/// A trajectory or a plan as what is flown.
+fn course(given: &Bound<'_, PyAny>) -> PyResult<Course> {
+    if let Ok(plan) = given.cast::<Plan>() {
+        return Ok(Course::Planned(Arc::clone(&plan.get().plan)));
+    }
+    let trajectory = given.cast::<Trajectory>()?;
+    Ok(Course::Desired(trajectory.get().trajectory.clone()))
+}
+
+/// One flight for each seed, `jobs` at once: the rows of `simulate`, as JSON, in the order of the
+/// seeds. With a folder, each log goes into its folder `seed-N`.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
+pub fn fly(
+    py: Python<'_>,
+    vehicle: &Vehicle,
+    trajectory: &Bound<'_, PyAny>,
+    effects: &str,
+    settings: &str,
+    config: Option<PathBuf>,
+    sitl_config: Option<&str>,
+    seeds: Vec<u64>,
+    logs: Option<PathBuf>,
+    jobs: Option<usize>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Vec<String>> {
+    let settings = settings_of(settings)?;
+    let truth = Truth {
+        effects: effects_of(effects)?,
+        config: match sitl_config {
+            Some(text) => serde_json::from_str::<SitlConfig>(text)
+                .map_err(|error| unread("simulation", &error))?,
+            None => SitlConfig::default(),
+        },
+    };
+    let config =
+        configuration(config.as_deref(), &settings).map_err(|error| exception(py, &error))?;
+    let vehicle = vehicle.file.clone();
+    let course = course(trajectory)?;
+    course.check(&vehicle, &config).map_err(|error| exception(py, &error))?;
+    let first = Simulation { config, vehicle, course, truth, settings, seed: 0 };
+    watched(py, jobs, progress.as_ref(), move |watch| {
+        let (done, of) = (AtomicU64::new(0), seeds.len() as u64);
+        let one = |seed: &u64| {
+            if watch.is_stopped() {
+                anyhow::bail!("interrupted");
+            }
+            let simulation = Simulation { seed: *seed, ..first.clone() };
+            let (row, _) = match &logs {
+                Some(folder) => simulation.fly_logged(&folder.join(format!("seed-{seed}")), |_| {}),
+                None => simulation.fly(|_| {}),
+            }?;
+            watch.tell("flights", done.fetch_add(1, Ordering::Relaxed) + 1, of);
+            Ok(serde_json::to_string(&row)?)
+        };
+        seeds.par_iter().map(one).collect()
+    })
+}

@@ -1,0 +1,55 @@
+//! The native part of the Python package `downwash`: each function hands its arguments to the
+//! library and its results back. What a user sees is in `downwash/*.py`, which makes arrays of what
+//! it is given: here every array is flat, contiguous and of f64.
+
+// PyO3's macros write paths and conversions of their own.
+#![allow(clippy::useless_conversion)]
+
+mod diagnosis;
+mod errors;
+mod flight;
+mod log;
+mod model;
+mod plan;
+mod plant;
+mod sweep;
+mod vehicle;
+mod watch;
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use pyo3::prelude::*;
+
+/// Runs the command line; the first argument is the program's own path. Its exit code.
+#[pyfunction]
+fn main(py: Python<'_>, program: PathBuf, args: Vec<OsString>) -> u8 {
+    py.detach(|| {
+        let args = std::iter::once(program.clone().into_os_string()).chain(args);
+        downwash::command::main(Some(program.clone()), args).code()
+    })
+}
+
+#[pymodule]
+fn _downwash(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    errors::add(module)?;
+    module.add_class::<vehicle::Vehicle>()?;
+    module.add_class::<plant::Plant>()?;
+    module.add_class::<log::Log>()?;
+    module.add_class::<flight::Trajectory>()?;
+    module.add_class::<plan::Plan>()?;
+    module.add_class::<model::Model>()?;
+    module.add_class::<diagnosis::Diagnosis>()?;
+    module.add_function(wrap_pyfunction!(main, module)?)?;
+    module.add_function(wrap_pyfunction!(vehicle::effects, module)?)?;
+    module.add_function(wrap_pyfunction!(plant::rollouts, module)?)?;
+    module.add_function(wrap_pyfunction!(log::audit, module)?)?;
+    module.add_function(wrap_pyfunction!(flight::fly, module)?)?;
+    module.add_function(wrap_pyfunction!(sweep::sweep, module)?)?;
+    module.add_function(wrap_pyfunction!(plan::plan, module)?)?;
+    module.add_function(wrap_pyfunction!(model::train, module)?)?;
+    module.add_function(wrap_pyfunction!(model::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(diagnosis::diagnose, module)?)?;
+    Ok(())
+}

@@ -1,0 +1,107 @@
+//! Plans: feasible references near a desired trajectory.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use downwash::command::{PlanModel, configuration, plan_trajectory};
+use downwash::plan::planned;
+use numpy::{IntoPyArray, PyArray1};
+use pyo3::prelude::*;
+
+use crate::errors::{exception, read, wrong};
+use crate::flight::{Trajectory, settings_of};
+use crate::model::Model;
+use crate::vehicle::Vehicle;
+use crate::watch::watched;
+
+/// States with the inputs that lead through them.
+#[pyclass(frozen, module = "downwash._downwash")]
+pub struct Plan {
+    pub plan: Arc<planned::Plan>,
+}
+
+#[pymethods]
+impl Plan {
+    #[staticmethod]
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let plan = read(py, py.detach(|| planned::Plan::load(&path)))?;
+        Ok(Self { plan: Arc::new(plan) })
+    }
+
+    fn to_json(&self) -> PyResult<String> {
+        self.plan.to_json().map_err(|error| wrong(error.to_string()))
+    }
+
+    #[getter]
+    fn trajectory(&self) -> &str {
+        &self.plan.trajectory
+    }
+
+    #[getter]
+    fn status(&self) -> &'static str {
+        self.plan.status.in_words()
+    }
+
+    #[getter]
+    fn cost(&self) -> f64 {
+        self.plan.cost
+    }
+
+    #[getter]
+    fn period_s(&self) -> f64 {
+        self.plan.period_s
+    }
+
+    /// Why it may not be flown.
+    #[getter]
+    fn not_flyable(&self) -> Option<String> {
+        self.plan.check_flyable().err().map(|reason| reason.to_string())
+    }
+
+    fn states<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.plan.states.iter().flatten().copied().collect::<Vec<_>>().into_pyarray(py)
+    }
+
+    fn desired<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.plan.desired.iter().flatten().copied().collect::<Vec<_>>().into_pyarray(py)
+    }
+
+    fn inputs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.plan.inputs.iter().flatten().copied().collect::<Vec<_>>().into_pyarray(py)
+    }
+}
+
+/// Plans a trajectory for a vehicle, through its own physics or a model.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
+pub fn plan(
+    py: Python<'_>,
+    trajectory: &Trajectory,
+    vehicle: &Vehicle,
+    model: Option<&Model>,
+    kind: Option<&str>,
+    config: Option<PathBuf>,
+    settings: &str,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Plan> {
+    let settings = settings_of(settings)?;
+    let config =
+        configuration(config.as_deref(), &settings).map_err(|error| exception(py, &error))?;
+    let (trajectory, vehicle) = (trajectory.trajectory.clone(), vehicle.file.params.clone());
+    let through = match model {
+        Some(model) => model.plan_model(kind),
+        None => PlanModel::nominal(&vehicle),
+    };
+    let through = through.map_err(|error| exception(py, &error))?;
+    let plan = watched(py, None, progress.as_ref(), move |watch| {
+        let began = Instant::now();
+        let limit =
+            Duration::try_from_secs_f64(config.settings.plan.time_limit_s).unwrap_or(Duration::MAX);
+        plan_trajectory(&trajectory, &vehicle, &through, &config, &|records| {
+            watch.tell("subproblems", records.len() as u64, 0);
+            watch.is_stopped() || began.elapsed() > limit
+        })
+    })?;
+    Ok(Plan { plan: Arc::new(plan) })
+}

@@ -1,0 +1,126 @@
+//! Work beside the interpreter: without its lock, in threads of this process, ended by Ctrl-C.
+
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::Context;
+use pyo3::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::errors::{exception, fault};
+
+/// How often Python's signals are looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Of a worker, bytes: that of a main thread.
+const STACK: usize = 8 << 20;
+
+/// What work is told of, and tells.
+#[derive(Clone)]
+pub struct Watch {
+    stop: Arc<AtomicBool>,
+    news: SyncSender<News>,
+}
+
+/// How far the work is: a stage with its steps done, of how many.
+struct News {
+    stage: String,
+    done: u64,
+    of: u64,
+}
+
+/// Unwinds work that was stopped at a stage; no panic.
+struct Stopped;
+
+impl Watch {
+    /// Set by Ctrl-C.
+    pub fn stop(&self) -> &Arc<AtomicBool> {
+        &self.stop
+    }
+
+    pub fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Tells how far the work is.
+    pub fn tell(&self, stage: &str, done: u64, of: u64) {
+        // Nobody to tell after Ctrl-C.
+        let _ = self.news.send(News { stage: stage.to_owned(), done, of });
+    }
+
+    /// A stage begins of work that cannot be told to stop otherwise.
+    pub fn stage(&self, name: &str) {
+        if self.is_stopped() {
+            resume_unwind(Box::new(Stopped));
+        }
+        self.tell(name, 0, 0);
+    }
+}
+
+/// The threads that this process works with: those of a parent are not in a forked child.
+pub fn pool(threads: Option<usize>) -> anyhow::Result<Arc<ThreadPool>> {
+    type Pools = Vec<(u32, Option<usize>, Arc<ThreadPool>)>;
+    // Never dropped: in a child that would wait for the parent's threads.
+    static POOLS: Mutex<Pools> = Mutex::new(Vec::new());
+    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    let process = std::process::id();
+    let known = pools.iter().find(|(of, count, _)| *of == process && *count == threads);
+    if let Some((.., pool)) = known {
+        return Ok(Arc::clone(pool));
+    }
+    let builder = ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).stack_size(STACK);
+    let pool = Arc::new(builder.build().context("cannot start threads")?);
+    pools.push((process, threads, Arc::clone(&pool)));
+    Ok(pool)
+}
+
+/// Works in `threads` threads, one for each core without a number, and shows `progress` how far it
+/// is as `(stage, done, of)`. Ctrl-C returns at once; the work ends when it next looks.
+pub fn watched<T: Send + 'static>(
+    py: Python<'_>,
+    threads: Option<usize>,
+    progress: Option<&Py<PyAny>>,
+    work: impl FnOnce(&Watch) -> anyhow::Result<T> + Send + 'static,
+) -> PyResult<T> {
+    let pool = py.detach(|| pool(threads)).map_err(|error| exception(py, &error))?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let (news, heard) = sync_channel(64);
+    // Locked by nobody else: what waits without the interpreter's lock must be `Sync`.
+    let heard = Mutex::new(heard);
+    let listen = || heard.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(LOOK_EVERY);
+    let (finished, result) = sync_channel(1);
+    let watch = Watch { stop: Arc::clone(&stop), news };
+    pool.spawn(move || {
+        let done = catch_unwind(AssertUnwindSafe(|| work(&watch)));
+        // Without its sender, the news end after the result is there.
+        let _ = finished.send(done);
+        drop(watch);
+    });
+    // Shown and looked at with the interpreter's lock; waited without.
+    let stopped = loop {
+        match py.detach(listen) {
+            Ok(News { stage, done, of }) => {
+                let told = progress.map(|told| told.call1(py, (stage, done, of)));
+                if let Some(Err(error)) = told {
+                    break Some(error);
+                }
+            }
+            Err(RecvTimeoutError::Disconnected) => break None,
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+        if let Err(error) = py.check_signals() {
+            break Some(error);
+        }
+    };
+    if let Some(error) = stopped {
+        stop.store(true, Ordering::Relaxed);
+        return Err(error);
+    }
+    match result.recv() {
+        Ok(Ok(done)) => done.map_err(|error| exception(py, &error)),
+        Ok(Err(panic)) => Err(fault(panic.as_ref())),
+        Err(_) => Err(fault(&"a thread ended early")),
+    }
+}

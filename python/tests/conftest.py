@@ -1,0 +1,36 @@
+"""What the tests of the wheel share."""
+
+import os
+from pathlib import Path
+
+import downwash as dw
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = {"family": "hover", "altitude_m": 1.0, "duration_s": 2.0}
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Flights of a nano quadrotor with drag that its file does not say, of 20 s each."""
+    folder = tmp_path_factory.mktemp("logs")
+    flown = []
+    for index, name in enumerate(["figure-8", "sinusoid-xz", "random-waypoints"]):
+        rows = dw.fly(
+            trajectory=name,
+            effects={"rotor_drag": {"d_xy": 0.02, "d_z": 0.01}},
+            seeds=index,
+            logs=folder / name,
+        )
+        flown += [Path(row["log"]) for row in rows]
+    return flown
+
+
+@pytest.fixture(scope="session")
+def practice() -> Path:
+    """Flights of PX4 and ArduCopter, where they are there."""
+    beside = ROOT / "../shared/practice-autopilot"
+    folder = Path(os.environ.get("DOWNWASH_PRACTICE", beside))
+    if not (folder / "px4_drag").is_dir():
+        pytest.skip("the practice flights are not here")
+    return folder

@@ -1,0 +1,135 @@
+"""Flights in lockstep: rows, seeds, logs, and what they are refused for."""
+
+import json
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import downwash as dw
+import pytest
+
+from conftest import SHORT
+
+
+def test_a_row_depends_on_the_seed_alone() -> None:
+    at_once = dw.fly(trajectory=SHORT, seeds=range(6), jobs=3)
+    alone = [dw.fly(trajectory=SHORT, seeds=seed)[0] for seed in range(6)]
+    assert list(at_once) == alone
+    assert len({row["position_rmse_m"] for row in alone}) == 6
+    assert all(row["end"] == "done" and row["exit"] == 0 for row in alone)
+
+
+def test_effects_and_settings_act_and_are_in_the_row() -> None:
+    wind = {"wind": {"north_m_s": 2.0}, "rotor_drag": {"d_xy": 0.03}}
+    (still,) = dw.fly(trajectory=SHORT)
+    (blown,) = dw.fly(trajectory=SHORT, effects=wind, controller={"position_m": [1.0, 1.0, 1.0]})
+    assert blown["position_rmse_m"] > 2 * still["position_rmse_m"]
+    assert blown["effects"]["rotor_drag"]["d_xy"] == 0.03
+    assert blown["settings"] == {"control.position_m": [1.0, 1.0, 1.0]}
+
+
+def test_logs_are_kept_where_asked(tmp_path: Path) -> None:
+    rows = dw.fly(trajectory=SHORT, seeds=[3, 4], logs=tmp_path)
+    for row, seed in zip(rows, [3, 4]):
+        assert Path(row["log"]).parent == tmp_path / f"seed-{seed}"
+        assert "position" in dw.read(row["log"])
+
+
+def test_rows_become_a_table() -> None:
+    rows = dw.fly(trajectory=SHORT, effects={"inertia": {"scale": [1.1, 1.0, 1.0]}})
+    assert rows.flat()[0]["effects.inertia.scale.0"] == 1.1
+    pandas = pytest.importorskip("pandas")
+    assert isinstance(rows.to_pandas(), pandas.DataFrame)
+
+
+def test_the_command_of_the_wheel_gives_the_same_row() -> None:
+    command = Path(sys.executable).with_name("downwash")
+    run = [command, "simulate", "hover", "--no-log", "--json", "--seed", "5"]
+    told = subprocess.run(run, capture_output=True, check=True, text=True)
+    assert json.loads(told.stdout) == dw.fly(trajectory="hover", seeds=5)[0]
+    wrong = subprocess.run([command, "simulate", "nowhere.toml"], capture_output=True, text=True)
+    assert wrong.returncode == 2 and "nowhere.toml" in wrong.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"vehicle": "nowhere.toml"}, "nowhere.toml"),
+        ({"trajectory": "nowhere.toml"}, "nowhere.toml"),
+        ({"trajectory": {"family": "spiral"}}, "spiral"),
+        ({"trajectory": SHORT | {"altitude_m": 1e9}}, "altitude|height|room|envelope"),
+        ({"settings": {"control.thrst": 1}}, "thrst"),
+        ({"controller": {"rate_hz": -1}}, "rate_hz"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_in_the_command_lines_words(
+    arguments: dict[str, object], words: str
+) -> None:
+    with pytest.raises(dw.DownwashError, match=words) as refused:
+        dw.fly(**arguments)  # type: ignore[arg-type]
+    assert refused.value.exit_code in (2, 4)
+
+
+def test_vehicles_and_trajectories_can_be_sent_to_other_processes() -> None:
+    vehicle = dw.Vehicle().with_effects({"motor_lag": {"tau_s": 0.05}})
+    again = pickle.loads(pickle.dumps(vehicle))
+    assert again.to_dict() == vehicle.to_dict()
+    trajectory = pickle.loads(pickle.dumps(dw.Trajectory(SHORT)))
+    assert dw.fly(again, trajectory) == dw.fly(vehicle, SHORT)
+
+
+def test_a_forked_process_flies_too() -> None:
+    code = f"""
+import os, downwash as dw
+here = dw.fly(trajectory={SHORT!r}, seeds=[1, 2])
+child = os.fork()
+if child == 0:
+    os._exit(0 if dw.fly(trajectory={SHORT!r}, seeds=[1, 2]) == here else 1)
+assert os.waitpid(child, 0)[1] == 0
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=120)
+
+
+def test_progress_is_told_to_the_end() -> None:
+    told: list[tuple[str, int, int]] = []
+    dw.fly(trajectory=SHORT, seeds=range(4), progress=lambda *news: told.append(news))
+    assert sorted(told) == [("flights", done, 4) for done in range(1, 5)]
+
+
+def test_an_error_in_what_is_told_is_the_callers() -> None:
+    def fail(stage: str, done: int, of: int) -> None:
+        raise LookupError(stage)
+
+    with pytest.raises(LookupError, match="flights"):
+        dw.fly(trajectory=SHORT, seeds=range(100), progress=fail)
+
+
+def test_ctrl_c_ends_flights() -> None:
+    def interrupt(stage: str, done: int, of: int) -> None:
+        if done == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        dw.fly(trajectory=SHORT, seeds=range(100_000), progress=interrupt)
+
+
+def test_the_interpreter_goes_on_while_flights_are_flown() -> None:
+    ticks = 0
+    over = threading.Event()
+
+    def tick() -> None:
+        nonlocal ticks
+        while not over.is_set():
+            ticks += 1
+            time.sleep(0)
+
+    other = threading.Thread(target=tick)
+    other.start()
+    dw.fly(trajectory=SHORT, seeds=range(20))
+    over.set()
+    other.join()
+    assert ticks > 20

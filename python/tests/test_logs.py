@@ -1,0 +1,112 @@
+"""Logs as arrays, learning and diagnosing from them."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import downwash as dw
+import numpy as np
+import pytest
+
+
+def test_a_log_is_arrays(logs: list[Path]) -> None:
+    log = dw.read(logs[0])
+    position = log["position"]
+    assert position.values.shape == (len(position.time_s), 3)
+    assert position.columns == ("north_m", "east_m", "down_m")
+    assert np.all(np.diff(position.time_s) > 0)
+    # The simulator's truth is in its logs, on the same clock.
+    truth = log["truth"]
+    down = np.interp(position.time_s, truth.time_s, truth.values[:, 2])
+    assert np.abs(position.values[:, 2] - down)[100:-100].max() < 0.1
+    assert log.facts["format"] == "mcap" and len(log.facts["sha256"]) == 64
+    assert not [f for f in log.audit()["findings"] if f["severity"] == "fault"]
+    with pytest.raises(KeyError):
+        log["altitude"]
+
+
+def test_a_log_is_a_table(logs: list[Path]) -> None:
+    pandas = pytest.importorskip("pandas")
+    log = dw.read(logs[0])
+    frame = log.to_pandas()
+    assert isinstance(frame, pandas.DataFrame)
+    assert frame["position.down_m"].notna().sum() == len(log["position"])
+    assert list(log["voltage"].to_pandas().columns) == ["voltage_v"]
+
+
+def test_a_learner_learns_and_predicts(logs: list[Path], tmp_path: Path) -> None:
+    learner = dw.Learner(hidden=12, passes=8)
+    assert learner.get_params()["hidden"] == 12
+    with pytest.raises(dw.DownwashError, match="fit"):
+        learner.predict(np.zeros((1, 13)))
+    learner.fit(logs)
+    assert learner.score(logs) > 0.8
+    x, u = np.zeros((5, 9)), np.tile([0.3, 0, 0, 0], (5, 1))
+    x[:, 0] = np.linspace(-1, 1, 5)
+    model = learner.model_
+    found, slopes = model.accelerations(x, u, jacobian=True, kind="hybrid")
+    assert found.shape == (5, 6) and slopes.shape == (5, 6, 13)
+    # The physics is smooth: its slopes are those of differences.
+    _, slopes = model.accelerations(x, u, jacobian=True, kind="physics")
+    for column in range(13):
+        step = np.zeros(13)
+        step[column] = 1e-6
+        ahead = model.accelerations(x + step[:9], u + step[9:], kind="physics")
+        behind = model.accelerations(x - step[:9], u - step[9:], kind="physics")
+        by_differences = (ahead - behind) / 2e-6
+        np.testing.assert_allclose(by_differences, slopes[:, :, column], atol=1e-2, rtol=1e-4)
+    again = pickle.loads(pickle.dumps(model))
+    np.testing.assert_array_equal(again.accelerations(x, u), model.accelerations(x, u))
+    learner.save(tmp_path / "m.safetensors")
+    assert dw.Model(tmp_path / "m.safetensors").preferred == model.preferred
+    plan = dw.plan({"family": "hover", "altitude_m": 1.0, "duration_s": 2.0}, model=model)
+    assert plan.states.shape == (len(plan.inputs) + 1, 12)
+
+
+def test_a_plan_is_flown_closer_than_its_trajectory(tmp_path: Path) -> None:
+    trajectory = dw.Trajectory("sinusoid-yaw")
+    plan = dw.plan(trajectory)
+    assert plan.not_flyable is None
+    plan.save(tmp_path / "plan.json")
+    again = dw.Plan.load(tmp_path / "plan.json")
+    np.testing.assert_array_equal(again.states, plan.states)
+    (feedback,), (planned,) = dw.fly(trajectory=trajectory), dw.fly(trajectory=again)
+    assert planned["position_rmse_m"] < 0.2 * feedback["position_rmse_m"]
+
+
+def test_a_diagnosis_finds_the_drag_and_its_vehicle_flies(logs: list[Path], tmp_path: Path) -> None:
+    stages: list[str] = []
+    found = dw.diagnose("crazyflie", logs, twins=4, progress=lambda stage, *_: stages.append(stage))
+    assert found.verdict == "effect" and found.effects[0]["id"] == "rotor_drag"
+    assert abs(found.effects[0]["parameters"]["d_xy"] - 0.02) < 0.004
+    assert found.gap is not None and found.gap["after"] < found.gap["before"]
+    assert "how far" in stages
+    assert found._repr_html_().startswith("<iframe") and "rotor_drag" in found.html
+    assert "rotor_drag" in str(found)
+    assert found.vehicle.to_dict()["modelled_effects"].keys() == {"rotor_drag"}
+    found.save(tmp_path)
+    assert dw.Vehicle(tmp_path / "improved.toml").to_dict() == found.vehicle.to_dict()
+    assert pickle.loads(pickle.dumps(found)).answer == found.answer
+
+
+def test_ctrl_c_ends_a_diagnosis_at_once(logs: list[Path]) -> None:
+    code = f"""
+import signal, downwash as dw
+def stage(*news):
+    signal.raise_signal(signal.SIGINT)
+try:
+    dw.diagnose("crazyflie", {[str(log) for log in logs]!r}, progress=stage)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert told.stdout == "interrupted\n", told
+
+
+def test_from_the_wheel_to_a_diagnosed_px4_log(practice: Path) -> None:
+    # The five lines of the documentation.
+    logs = sorted((practice / "px4_drag").glob("*.ulg"))
+    found = dw.diagnose(practice / "px4_drag/vehicle.json", logs, twins=8)
+    assert found.answer["schema"] == "downwash.diagnose"
+    assert found.verdict == "effect", found

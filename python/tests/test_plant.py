@@ -1,0 +1,54 @@
+"""Motor outputs in, motion out: physics by closed form, batches against single vehicles."""
+
+import numpy as np
+import downwash as dw
+
+
+def test_a_vehicle_without_thrust_falls() -> None:
+    plant = dw.Plant(state=[0, 0, -100, *[0] * 3, 1, *[0] * 6])
+    plant.step([0, 0, 0, 0], 1000)
+    gravity = dw.Vehicle().to_dict()["gravity"]
+    np.testing.assert_allclose(plant.state[2], -100 + 0.5 * gravity, atol=1e-9)
+    np.testing.assert_allclose(plant.state[5], gravity, atol=1e-9)
+    np.testing.assert_allclose(plant.specific_force_m_s2, 0, atol=1e-9)
+    assert plant.time_s == 1.0
+
+
+def test_wind_carries_a_falling_vehicle_with_drag() -> None:
+    effects = {"wind": {"north_m_s": 3.0}, "parasitic_drag": {"cda_m2": 0.01}}
+    start = [0, 0, -100, *[0] * 3, 1, *[0] * 6]
+    still, blown = dw.Plant(state=start), dw.Plant(effects=effects, state=start)
+    for plant in (still, blown):
+        plant.step([0] * 4, 500)
+    assert blown.state[3] > 0.1 > abs(still.state[3])
+    np.testing.assert_allclose(blown.air_velocity_m_s, [3, 0, 0])
+
+
+def test_a_batch_is_its_vehicles_one_by_one() -> None:
+    rng = np.random.default_rng(1)
+    outputs = rng.uniform(0.3, 0.7, (5, 40, 4))
+    start = np.tile(dw.REST, (5, 1))
+    start[:, 2] = -10
+    drags = [{"rotor_drag": {"d_xy": 0.01 * k}} for k in range(5)]
+    states = dw.rollouts(outputs, start, effects=drags, steps=5, airborne=False)
+    for vehicle, drag in enumerate(drags):
+        plant = dw.Plant(effects=drag, state=start[vehicle])
+        plant.rotor_states = outputs[vehicle, 0]
+        np.testing.assert_array_equal(plant.rollout(outputs[vehicle], 5), states[vehicle])
+
+
+def test_gusts_of_a_batch_are_seeded_one_by_one() -> None:
+    outputs = np.full((3, 50, 4), 0.5)
+    gusts = {"gusts": {"sigma_m_s": 2.0}, "rotor_drag": {"d_xy": 0.05}}
+    three = dw.rollouts(outputs, effects=gusts, seed=7)
+    second = dw.rollouts(outputs[:1], effects=gusts, seed=8)
+    np.testing.assert_array_equal(three[1], second[0])
+    assert not np.array_equal(three[0], three[1])
+
+
+def test_a_copy_goes_its_own_way() -> None:
+    plant = dw.Plant(state=[0, 0, -10, *[0] * 3, 1, *[0] * 6])
+    copy = plant.copy()
+    copy.step([1, 1, 1, 1], 100)
+    assert plant.time_s == 0 and copy.time_s > 0
+    assert plant.state[2] == -10 != copy.state[2]

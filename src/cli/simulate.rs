@@ -1,0 +1,41 @@
+//! Flags of one simulated flight.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::SimulationArgs;
+
+/// Flags of `simulate`.
+#[derive(Debug, Args)]
+pub struct SimulateArgs {
+    /// Trajectory file, the name of a shipped one, or a plan [default: the built-in sinusoid-yaw].
+    pub trajectory: Option<PathBuf>,
+    /// Vehicle file, or the name of a shipped one [default: a built-in nano quadrotor].
+    #[arg(long)]
+    pub vehicle: Option<PathBuf>,
+    /// The simulated vehicle.
+    #[command(flatten)]
+    pub simulation: SimulationArgs,
+    /// A setting over those of the configuration, such as control.thrust=0.5; may be given again.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Seed of noise, delays and gusts.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Folder for the log and its report; made if missing.
+    #[arg(long, value_name = "DIR", default_value = "simulate-out")]
+    pub out: PathBuf,
+    /// Keeps no log, and so makes no report.
+    #[arg(long)]
+    pub no_log: bool,
+    /// Makes no report.
+    #[arg(long)]
+    pub no_report: bool,
+    /// Configuration file.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints the row as JSON.
+    #[arg(long)]
+    pub json: bool,
+}

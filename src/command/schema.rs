@@ -1,0 +1,118 @@
+//! `downwash schema`: JSON Schemas of what the commands print as JSON.
+
+use anyhow::anyhow;
+use schemars::generate::SchemaSettings;
+use schemars::transform::{Transform, transform_subschemas};
+use schemars::{JsonSchema, Schema};
+use serde_json::{Value, json};
+
+use super::{Exit, ExitContext, audit, collect, config, demo, demo_diagnose, diagnose, doctor};
+use super::{exam, fly, import, inspect, model, plan, simulate, sweep, vehicle};
+use super::{print_json, print_text};
+use crate::cli::SchemaArgs;
+use crate::learn::summary::TrainingSummary;
+use crate::log::info::LogInfo;
+use crate::report::flight::FlightSummary;
+
+/// What a command prints.
+struct Output {
+    /// The value of its `schema`; what bears none is told by its name.
+    name: &'static str,
+    /// What prints it.
+    command: &'static str,
+    make: fn() -> Schema,
+}
+
+/// All of them, in the order of a table.
+const OUTPUTS: [Output; 26] = [
+    Output::new::<collect::CollectSummary>("downwash.collect", "collect --json"),
+    Output::new::<config::Report<'_>>("downwash.config", "config --json"),
+    Output::new::<demo::DemoSummary>("downwash.demo", "demo --json"),
+    Output::new::<demo_diagnose::RepairSummary>("downwash.demo.diagnose", "demo --diagnose --json"),
+    Output::new::<diagnose::Told<'_>>("downwash.diagnose", "diagnose --json"),
+    Output::new::<doctor::Answer<'_>>("downwash.doctor", "doctor --json"),
+    Output::new::<exam::ExamSummary<'_>>("downwash.exam", "exam --json"),
+    Output::new::<exam::PracticeSummary<'_>>(
+        "downwash.exam.practice",
+        "exam --practice DIR --json",
+    ),
+    Output::new::<fly::FlySummary>("downwash.fly", "fly --json"),
+    Output::new::<fly::CheckSummary>("downwash.check", "fly --check --json"),
+    Output::new::<inspect::Report>("downwash.inspect", "inspect --json"),
+    Output::new::<audit::AuditSummary>("downwash.log.audit", "log audit --json"),
+    Output::new::<import::Summary>("downwash.log.import", "log import --json"),
+    Output::new::<LogInfo>("downwash.log.info", "log info --json, a line for each file"),
+    Output::new::<FlightSummary>("downwash.report.flight", "log report --json"),
+    Output::new::<model::EvaluationSummary>("downwash.model_eval", "model eval --json"),
+    Output::new::<model::Info<'_>>("downwash.model_info", "model info --json"),
+    Output::new::<plan::PlanSummary<'_>>("downwash.plan.summary", "plan --json"),
+    Output::new::<simulate::Row>("downwash.simulate", "simulate --json"),
+    Output::new::<sweep::SweepSummary>("downwash.sweep.summary", "sweep --json"),
+    Output::new::<sweep::Listed>(
+        "downwash.sweep.point",
+        "sweep --list --json, a line for each point",
+    ),
+    Output::new::<sweep::Line>(
+        "downwash.sweep.row",
+        "sweep, a line of rows-*.jsonl for each point",
+    ),
+    Output::new::<TrainingSummary>("downwash.training", "train --json"),
+    Output::new::<vehicle::Checked<'_>>("downwash.vehicle.check", "vehicle check --json"),
+    Output::new::<vehicle::Made>("downwash.vehicle.init", "vehicle init --json"),
+    Output::new::<vehicle::Listed>("downwash.vehicle.list", "vehicle list --json"),
+];
+
+impl Output {
+    const fn new<T: JsonSchema>(name: &'static str, command: &'static str) -> Self {
+        Self { name, command, make: schema_of::<T> }
+    }
+
+    fn schema(&self) -> Value {
+        let mut schema = (self.make)();
+        schema.insert("$id".to_owned(), json!(self.name));
+        schema.insert("title".to_owned(), json!(self.name));
+        schema
+            .insert("$comment".to_owned(), json!(format!("printed by downwash {}", self.command)));
+        schema.to_value()
+    }
+}
+
+fn schema_of<T: JsonSchema>() -> Schema {
+    let settings = SchemaSettings::draft2020_12().for_serialize();
+    settings.with_transform(NumbersMayBeNull).into_generator().into_root_schema_for::<T>()
+}
+
+/// JSON has no number that is not finite: it is written as null.
+#[derive(Clone, Debug)]
+struct NumbersMayBeNull;
+
+impl Transform for NumbersMayBeNull {
+    fn transform(&mut self, schema: &mut Schema) {
+        if schema.get("type") == Some(&json!("number")) {
+            schema.insert("type".to_owned(), json!(["number", "null"]));
+        }
+        // What Rust calls them.
+        if schema.get("format").is_some() {
+            schema.remove("format");
+        }
+        transform_subschemas(self, schema);
+    }
+}
+
+pub(super) fn run(args: &SchemaArgs) -> anyhow::Result<Exit> {
+    if let Some(name) = &args.name {
+        let found = OUTPUTS.iter().find(|output| output.name == name);
+        let names = || OUTPUTS.iter().map(|output| output.name).collect::<Vec<_>>().join(", ");
+        let output = found
+            .ok_or_else(|| anyhow!("there is no schema {name:?}; there are {}", names()))
+            .or_exit(Exit::Usage)?;
+        print_text(&(serde_json::to_string_pretty(&output.schema())? + "\n"))?;
+    } else if args.json {
+        let all = OUTPUTS.iter().map(|output| (output.name.to_owned(), output.schema()));
+        print_json(&all.collect::<serde_json::Map<String, Value>>())?;
+    } else {
+        let line = |output: &Output| format!("{:24}{}\n", output.name, output.command);
+        print_text(&OUTPUTS.iter().map(line).collect::<String>())?;
+    }
+    Ok(Exit::Ok)
+}

@@ -1,0 +1,328 @@
+//! `downwash simulate`: one flight of the simulated vehicle in lockstep, as one row of numbers. It is
+//! what a sweep repeats.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::anyhow;
+use schemars::JsonSchema;
+use serde::Serialize;
+use sitl::config::SitlConfig;
+use toml::{Table, Value};
+use vehicle::effects::EffectSet;
+
+use super::course::Course;
+use super::progress::flight_bar;
+use super::setup::{VehicleFile, built_in_trajectory};
+use super::simulation::{SimulatedFlight, Truth};
+use super::{Exit, ExitContext, config, print_json, print_text, say, summary, write_file};
+use crate::cli::SimulateArgs;
+use crate::config::Config;
+use crate::log::record::Record;
+use crate::report::metrics::{Metrics, MetricsGatherer};
+use crate::station::Status;
+
+/// What a simulated flight is made of, as a person writes it.
+#[derive(Clone, Debug, Default)]
+pub struct Inputs {
+    /// Vehicle file, or the name of a shipped one; none takes the built-in nano quadrotor.
+    pub vehicle: Option<PathBuf>,
+    /// Trajectory file, the name of a shipped one, or a plan; none takes the built-in sinusoid-yaw.
+    pub trajectory: Option<PathBuf>,
+    /// Effects of the simulated vehicle that the controller does not know.
+    pub effects: EffectSet,
+    /// The simulated vehicle's own configuration.
+    pub sitl_config: Option<PathBuf>,
+    /// Configuration file.
+    pub config: Option<PathBuf>,
+    /// Settings over it, by their dotted paths.
+    pub settings: BTreeMap<String, Value>,
+    /// Seed of noise, delays and gusts.
+    pub seed: u64,
+}
+
+/// One simulated flight, read and checked.
+#[derive(Clone)]
+pub struct Simulation {
+    /// Settings of controller, planner and limits.
+    pub config: Config,
+    /// What the controller takes the vehicle for.
+    pub vehicle: VehicleFile,
+    /// What it follows.
+    pub course: Course,
+    /// What the vehicle is beside its file.
+    pub truth: Truth,
+    /// Settings that were given beside files, for the row.
+    pub settings: BTreeMap<String, Value>,
+    /// Seed of noise, delays and gusts.
+    pub seed: u64,
+}
+
+/// A simulated flight as one row: the JSON of `simulate`.
+#[derive(Clone, Debug, JsonSchema, Serialize)]
+pub struct Row {
+    /// `downwash.simulate`.
+    pub schema: &'static str,
+    /// Version of this JSON.
+    pub schema_version: u32,
+    /// Version of the program.
+    pub version: &'static str,
+    /// The vehicle's name.
+    pub vehicle: String,
+    /// The trajectory's name.
+    pub trajectory: String,
+    /// Effects of the vehicle that the controller did not know.
+    #[schemars(
+        with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
+    )]
+    pub effects: EffectSet,
+    /// Settings that were given beside files.
+    #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
+    pub settings: BTreeMap<String, Value>,
+    /// Seed of noise, delays and gusts.
+    pub seed: u64,
+    /// How it ended: `done`, or why not.
+    pub end: String,
+    /// The exit code of that end.
+    pub exit: u8,
+    /// From connecting to disarming, s.
+    pub simulated_s: f64,
+    /// The numbers.
+    #[serde(flatten)]
+    pub metrics: Metrics,
+    /// The log, if one was kept.
+    pub log: Option<PathBuf>,
+    /// The report, if one was made.
+    pub report: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
+    let began = Instant::now();
+    let effects = EffectSet::requested(args.simulation.effects.as_deref(), &args.simulation.effect)
+        .or_exit(Exit::Usage)?;
+    let simulation = Simulation::load(&Inputs {
+        vehicle: args.vehicle.clone(),
+        trajectory: args.trajectory.clone(),
+        effects,
+        sitl_config: args.simulation.sitl_config.clone(),
+        config: args.config.clone(),
+        settings: settings(&args.set)?,
+        seed: args.seed,
+    })?;
+    let bar = flight_bar(simulation.course.duration());
+    let watch = |status: &Status| {
+        bar.set_position((status.progress.map_or(0.0, |(t, _)| t) * 10.0) as u64);
+    };
+    let (mut row, exit) = if args.no_log {
+        simulation.fly(watch)?
+    } else {
+        simulation.fly_logged(&args.out, watch)?
+    };
+    bar.finish_and_clear();
+    if let Some(log) = row.log.as_ref().filter(|_| !args.no_report) {
+        let path = log.with_extension("html");
+        write_file(&path, summary::report_on(log)?.to_html().as_bytes())?;
+        row.report = Some(path);
+    }
+    if args.json {
+        print_json(&row)?;
+    } else {
+        print_text(&text(&row))?;
+    }
+    let wall_s = began.elapsed().as_secs_f64();
+    say(format_args!(
+        "simulated {:.1} s in {wall_s:.2} s: {:.0} times real time",
+        row.simulated_s,
+        row.simulated_s / wall_s
+    ));
+    Ok(exit)
+}
+
+impl Simulation {
+    /// Reads what the flight is made of, and checks that it may be flown.
+    ///
+    /// # Errors
+    /// A file or setting that is missing or wrong, or a trajectory outside of the envelope.
+    pub fn load(inputs: &Inputs) -> anyhow::Result<Self> {
+        let config = configuration(inputs.config.as_deref(), &inputs.settings)?;
+        let vehicle = match &inputs.vehicle {
+            Some(path) => VehicleFile::load(path)?,
+            None => VehicleFile::built_in()?,
+        };
+        let course = match &inputs.trajectory {
+            Some(path) => Course::load(path, &vehicle, &config)?,
+            None => Course::Desired(built_in_trajectory()?),
+        };
+        course.check(&vehicle, &config)?;
+        let truth = Truth {
+            config: match &inputs.sitl_config {
+                Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
+                None => SitlConfig::default(),
+            },
+            effects: inputs.effects.clone(),
+        };
+        let settings = inputs.settings.clone();
+        Ok(Self { config, vehicle, course, truth, settings, seed: inputs.seed })
+    }
+
+    /// Flies without a log. `watch` sees the status about every 10 ms of simulated time.
+    ///
+    /// # Errors
+    /// A vehicle that cannot be simulated, or a flight without an end.
+    pub fn fly(&self, watch: impl FnMut(&Status)) -> anyhow::Result<(Row, Exit)> {
+        let mut gatherer = MetricsGatherer::default();
+        let (end, simulated_s) =
+            self.flight().fly_unlogged(|record: Record| gatherer.add(&record), watch)?;
+        Ok(self.row(&end, simulated_s, &gatherer))
+    }
+
+    /// Flies, and writes a log into `folder`.
+    ///
+    /// # Errors
+    /// As [`fly`](Self::fly), and a log that cannot be written.
+    pub fn fly_logged(
+        &self,
+        folder: &Path,
+        watch: impl FnMut(&Status),
+    ) -> anyhow::Result<(Row, Exit)> {
+        let mut gatherer = MetricsGatherer::default();
+        let flown = self.flight().fly_logged(folder, |record| gatherer.add(record), watch)?;
+        let (row, exit) = self.row(&flown.end, flown.simulated_s, &gatherer);
+        Ok((Row { log: Some(flown.log), ..row }, exit))
+    }
+
+    fn flight(&self) -> SimulatedFlight<'_> {
+        SimulatedFlight {
+            config: &self.config,
+            vehicle: &self.vehicle,
+            airframe: &self.vehicle.params,
+            truth: &self.truth,
+            course: &self.course,
+            run: self.course.name(),
+            seed: self.seed,
+            extra: BTreeMap::new(),
+        }
+    }
+
+    fn row(
+        &self,
+        end: &crate::station::End,
+        simulated_s: f64,
+        gatherer: &MetricsGatherer,
+    ) -> (Row, Exit) {
+        let (words, exit) = summary::end_in_words(Some(end), None);
+        let row = Row {
+            schema: "downwash.simulate",
+            schema_version: 1,
+            version: env!("CARGO_PKG_VERSION"),
+            vehicle: self.vehicle.params.name.clone(),
+            trajectory: self.course.name().to_owned(),
+            effects: self.truth.effects.clone(),
+            settings: self.settings.clone(),
+            seed: self.seed,
+            end: words,
+            exit: exit.code(),
+            simulated_s,
+            metrics: gatherer.metrics(self.config.settings.control.rate_hz),
+            log: None,
+            report: None,
+        };
+        (row, exit)
+    }
+}
+
+/// A configuration with settings over its file, by their dotted paths.
+///
+/// # Errors
+/// A file or setting that is missing, unknown or impossible.
+pub fn configuration(
+    file: Option<&Path>,
+    settings: &BTreeMap<String, Value>,
+) -> anyhow::Result<Config> {
+    let flags = settings.iter().map(|(path, value)| ("--set", path.as_str(), value.clone()));
+    config::load(file, flags.collect())
+}
+
+/// Reads `KEY=VALUE`, the value as TOML or, where it is none, as a string.
+fn settings(given: &[String]) -> anyhow::Result<BTreeMap<String, Value>> {
+    let setting = |text: &String| {
+        let (key, value) = text
+            .split_once('=')
+            .ok_or_else(|| anyhow!("--set: expected KEY=VALUE, found {text:?}"))
+            .or_exit(Exit::Usage)?;
+        let value = value.trim();
+        // `Value` alone reads a dotted word as a table's header.
+        let read = format!("value = {value}").parse::<Table>().ok();
+        let read = read.and_then(|mut table| table.remove("value"));
+        Ok((key.trim().to_owned(), read.unwrap_or_else(|| Value::String(value.to_owned()))))
+    };
+    given.iter().map(setting).collect()
+}
+
+/// What stdout shows.
+fn text(row: &Row) -> String {
+    let metrics = &row.metrics;
+    let mut text = format!("flight  {}\n", row.end);
+    let mut line = |name: &str, value: Option<f64>, unit: &str| {
+        if let Some(value) = value {
+            text += &format!("{name:26}{value:10.4} {unit}\n");
+        }
+    };
+    line("position RMSE north", metrics.position_rmse_north_m, "m");
+    line("position RMSE east", metrics.position_rmse_east_m, "m");
+    line("position RMSE down", metrics.position_rmse_down_m, "m");
+    line("position RMSE", metrics.position_rmse_m, "m");
+    line("farthest", metrics.position_max_m, "m");
+    line("true position RMSE", metrics.true_position_rmse_m, "m");
+    line("yaw RMSE", metrics.yaw_rmse_rad, "rad");
+    line("greatest tilt", Some(metrics.tilt_max_rad), "rad");
+    for (name, path) in [("log", &row.log), ("report", &row.report)] {
+        if let Some(path) = path {
+            text += &format!("{name:8}{}\n", path.display());
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_setting_is_toml_or_else_a_word() -> anyhow::Result<()> {
+        let given = ["control.thrust=0.5", "control.position_m = [1, 2.5, 3]", "control.law=lqr"];
+        let read = settings(&given.map(str::to_owned))?;
+        assert_eq!(read["control.thrust"], Value::Float(0.5));
+        assert_eq!(read["control.position_m"].as_array().map(Vec::len), Some(3));
+        assert_eq!(read["control.law"], Value::String("lqr".to_owned()));
+        assert!(settings(&["control.thrust".to_owned()]).is_err());
+        Ok(())
+    }
+
+    #[test]
+    fn a_log_changes_nothing_in_the_row() -> anyhow::Result<()> {
+        let folder = std::env::temp_dir().join(format!("downwash-simulate-{}", std::process::id()));
+        std::fs::create_dir_all(&folder)?;
+        let trajectory = folder.join("short.toml");
+        std::fs::write(&trajectory, "family = 'hover'\naltitude_m = 1.0\nduration_s = 2.0\n")?;
+        let mut effects = EffectSet::new();
+        effects.insert_argument("wind:north_m_s=2")?;
+        let inputs = Inputs { trajectory: Some(trajectory), effects, seed: 7, ..Inputs::default() };
+        let simulation = Simulation::load(&inputs)?;
+        let (unlogged, exit) = simulation.fly(|_| {})?;
+        let (logged, _) = simulation.fly_logged(&folder, |_| {})?;
+        let kept = logged.log.as_deref().is_some_and(Path::exists);
+        let from_log = summary::report_on(logged.log.as_deref().unwrap_or(Path::new("")))?;
+        std::fs::remove_dir_all(&folder)?;
+        assert_eq!(exit, Exit::Ok);
+        assert!(kept);
+        assert_eq!(unlogged.metrics, logged.metrics);
+        // The log's reader finds the same errors.
+        let tracking = from_log.summary().tracking.unwrap_or_default();
+        let rmse = unlogged.metrics.position_rmse_m.unwrap_or_default();
+        assert!((tracking.rmse_3d_m - rmse).abs() < 1e-9, "{tracking:?} {rmse}");
+        assert_eq!(unlogged.metrics.ticks, from_log.summary().control.ticks);
+        Ok(())
+    }
+}

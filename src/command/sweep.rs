@@ -1,0 +1,197 @@
+//! `downwash sweep`: many simulated flights, on any number of workers, into one table.
+
+mod manifest;
+mod rows;
+mod table;
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::Context;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use self::manifest::{Manifest, Point};
+pub(super) use self::rows::Line;
+use self::rows::{Folder, Rows};
+use super::progress::count_bar;
+use super::simulate::{Row, Simulation};
+use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say};
+use crate::cli::{Shard, SweepArgs};
+
+/// What a sweep has come to: the JSON of `sweep`.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct SweepSummary {
+    schema: &'static str,
+    schema_version: u32,
+    /// Of the manifest and the files that it names.
+    manifest_sha256: String,
+    version: &'static str,
+    /// Points of the whole sweep.
+    points: usize,
+    /// Points whose rows are there, of all shards.
+    done: usize,
+    /// Of these, points that could not be flown.
+    failures: usize,
+    /// Of these, flights that did not end as planned.
+    ended_early: usize,
+    /// The table; null while rows are missing.
+    pub table: Option<PathBuf>,
+}
+
+/// A point of `--list`.
+#[derive(JsonSchema, Serialize)]
+pub(super) struct Listed {
+    point: usize,
+    seed: u64,
+    #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
+    inputs: std::collections::BTreeMap<String, toml::Value>,
+}
+
+/// What of a sweep is flown here.
+pub struct Sweep<'a> {
+    /// The manifest's file.
+    pub manifest: &'a Path,
+    /// The folder of the rows.
+    pub out: &'a Path,
+    /// Which worker this is.
+    pub shard: Shard,
+}
+
+pub(super) fn run(args: &SweepArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
+    let manifest = Manifest::load(&args.manifest).or_exit(Exit::Usage)?;
+    if args.list {
+        return list(&manifest, args);
+    }
+    if let Some(jobs) = args.jobs {
+        let builder = rayon::ThreadPoolBuilder::new().num_threads(jobs.into());
+        builder.build_global().context("threads")?;
+    }
+    let began = Instant::now();
+    let stop = interruption.flag();
+    let sweep = Sweep { manifest: &args.manifest, out: &args.out, shard: args.shard };
+    let bar = count_bar(0);
+    let summary = sweep.run(&stop, &|done, of| {
+        bar.set_length(of);
+        bar.set_position(done);
+    })?;
+    bar.finish_and_clear();
+    say(format_args!("{:.1} s", began.elapsed().as_secs_f64()));
+    if args.json {
+        print_json(&summary)?;
+    } else {
+        print_text(&text(&summary))?;
+    }
+    if stop.load(Ordering::Relaxed) {
+        say(format_args!("the same command goes on with the rows in {}", args.out.display()));
+        return Ok(Exit::Interrupted);
+    }
+    Ok(Exit::Ok)
+}
+
+impl Sweep<'_> {
+    /// Flies what of the shard is missing, in this thread pool, and writes the table where every row
+    /// is there. `progress` is shown the shard's points that are done, and how many it has.
+    ///
+    /// # Errors
+    /// A manifest that is refused, or a folder that cannot be written to, or is another sweep's.
+    pub fn run(
+        &self,
+        stop: &AtomicBool,
+        progress: &(dyn Fn(u64, u64) + Sync),
+    ) -> anyhow::Result<SweepSummary> {
+        let manifest = Manifest::load(self.manifest).or_exit(Exit::Usage)?;
+        let folder = Folder::open(self.out, &manifest).or_exit(Exit::Usage)?;
+        let done = folder.done()?;
+        let own = || (0..manifest.points).filter(|point| self.shard.has(*point));
+        let missing: Vec<usize> = own().filter(|point| !done.contains(point)).collect();
+        let of = own().count() as u64;
+        let rows = Mutex::new((folder.append(self.shard)?, of - missing.len() as u64));
+        // One after the other of what is missing, so that the first rows are there first.
+        missing.par_iter().with_max_len(1).try_for_each(|index| {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(());
+            }
+            let line = fly(&manifest, *index);
+            let mut rows = rows.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            let (file, flown): &mut (Rows, u64) = &mut rows;
+            *flown += 1;
+            progress(*flown, of);
+            file.add(&line)
+        })?;
+        conclude(&folder, &manifest)
+    }
+}
+
+/// The row of a point.
+fn fly(manifest: &Manifest, index: usize) -> Line {
+    let point = manifest.point(index);
+    let flown = row(manifest, &point).map(serde_json::to_value);
+    let (row, failure) = match flown {
+        Ok(Ok(row)) => (Some(row), None),
+        Ok(Err(error)) => (None, Some(error.to_string())),
+        Err(error) => (None, Some(in_words(&error))),
+    };
+    let inputs = point.varied.into_iter();
+    let inputs =
+        inputs.map(|(path, value)| (path, serde_json::to_value(value).unwrap_or_default()));
+    Line { index, inputs: inputs.collect(), failure, row }
+}
+
+fn row(manifest: &Manifest, point: &Point) -> anyhow::Result<Row> {
+    let simulation = Simulation::load(&manifest.inputs(point)?)?;
+    Ok(simulation.fly(|_| {})?.0)
+}
+
+/// Counts the rows, and writes the table where all are there.
+fn conclude(folder: &Folder, manifest: &Manifest) -> anyhow::Result<SweepSummary> {
+    let rows = folder.rows()?;
+    let ended_early = |line: &&Line| {
+        let end = line.row.as_ref().and_then(|row| row.get("end")?.as_str());
+        end.is_some_and(|end| end != "done")
+    };
+    let mut table = None;
+    if rows.len() == manifest.points {
+        Folder::replace(&folder.table(), &table::csv(&rows)?)?;
+        table = Some(folder.table());
+    }
+    Ok(SweepSummary {
+        schema: "downwash.sweep.summary",
+        schema_version: 1,
+        manifest_sha256: manifest.sha256.clone(),
+        version: env!("CARGO_PKG_VERSION"),
+        points: manifest.points,
+        done: rows.len(),
+        failures: rows.values().filter(|line| line.failure.is_some()).count(),
+        ended_early: rows.values().filter(ended_early).count(),
+        table,
+    })
+}
+
+/// Prints the points of the shard.
+fn list(manifest: &Manifest, args: &SweepArgs) -> anyhow::Result<Exit> {
+    for point in (0..manifest.points).filter(|point| args.shard.has(*point)) {
+        let Point { varied, seed } = manifest.point(point);
+        if args.json {
+            print_json(&Listed { point, seed, inputs: varied })?;
+        } else {
+            let inputs = varied.iter().map(|(path, value)| format!("  {path} = {value}"));
+            print_text(&format!("{point}  seed {seed}{}\n", inputs.collect::<String>()))?;
+        }
+    }
+    Ok(Exit::Ok)
+}
+
+fn text(summary: &SweepSummary) -> String {
+    let SweepSummary { points, done, failures, ended_early, table, .. } = summary;
+    let mut text = format!(
+        "{done} of {points} points: {failures} could not be flown, {ended_early} flights ended early\n"
+    );
+    if let Some(table) = table {
+        text += &format!("table   {}\n", table.display());
+    }
+    text
+}

@@ -1,0 +1,164 @@
+//! The rows of a sweep in its folder: one file a shard, which only grows by whole lines, so that any
+//! worker may die at any time.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File, OpenOptions};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::manifest::Manifest;
+use crate::cli::Shard;
+
+/// A row as it lies in a shard's file.
+#[derive(Debug, JsonSchema, Deserialize, Serialize)]
+pub struct Line {
+    /// The point's number.
+    pub index: usize,
+    /// What varies, by its path.
+    pub inputs: BTreeMap<String, Value>,
+    /// Why it could not be flown.
+    pub failure: Option<String>,
+    /// The row of `simulate`.
+    pub row: Option<Value>,
+}
+
+/// What the folder is of: sweep.json.
+#[derive(Debug, JsonSchema, Deserialize, PartialEq, Serialize)]
+struct Header {
+    schema: String,
+    schema_version: u32,
+    version: String,
+    manifest_sha256: String,
+    points: usize,
+}
+
+/// A sweep's folder.
+pub struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// Opens or makes the folder of a manifest's sweep.
+    pub fn open(path: &Path, manifest: &Manifest) -> anyhow::Result<Self> {
+        fs::create_dir_all(path)
+            .with_context(|| format!("cannot create the folder {}", path.display()))?;
+        let header = Header {
+            schema: "downwash.sweep".to_owned(),
+            schema_version: 1,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            manifest_sha256: manifest.sha256.clone(),
+            points: manifest.points,
+        };
+        let file = path.join("sweep.json");
+        if !file.exists() {
+            let text = serde_json::to_string_pretty(&header).context("the header")? + "\n";
+            Self::replace(&file, text.as_bytes())?;
+        }
+        let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
+        let found: Header =
+            serde_json::from_str(&text).with_context(|| file.display().to_string())?;
+        if found != header {
+            bail!(
+                "{} holds rows of another sweep: manifest {} by version {}, expected {} by {}; give \
+                 another --out",
+                path.display(),
+                found.manifest_sha256,
+                found.version,
+                header.manifest_sha256,
+                header.version
+            );
+        }
+        Ok(Self { path: path.to_owned() })
+    }
+
+    /// Writes a file whole, whoever else does the same.
+    pub fn replace(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let unique = format!(".{name}.{}.part", std::process::id());
+        let partial = path.with_file_name(unique);
+        let write = || fs::write(&partial, bytes).and_then(|()| fs::rename(&partial, path));
+        write().with_context(|| format!("cannot write {}", path.display()))
+    }
+
+    /// The numbers of the points whose rows are there.
+    pub fn done(&self) -> anyhow::Result<BTreeSet<usize>> {
+        let mut done = BTreeSet::new();
+        self.read(|line| {
+            done.insert(line.index);
+        })?;
+        Ok(done)
+    }
+
+    /// Every row, in the order of the points.
+    pub fn rows(&self) -> anyhow::Result<BTreeMap<usize, Line>> {
+        let mut rows = BTreeMap::new();
+        self.read(|line| {
+            rows.insert(line.index, line);
+        })?;
+        Ok(rows)
+    }
+
+    /// Shows every whole line; what a worker left that died in the middle of one is passed over.
+    fn read(&self, mut show: impl FnMut(Line)) -> anyhow::Result<()> {
+        let entries = fs::read_dir(&self.path).with_context(|| self.path.display().to_string())?;
+        for entry in entries {
+            let path = entry.with_context(|| self.path.display().to_string())?.path();
+            if path.extension().is_none_or(|extension| extension != "jsonl") {
+                continue;
+            }
+            let file = File::open(&path).with_context(|| path.display().to_string())?;
+            for text in BufReader::new(file).split(b'\n') {
+                let text = text.with_context(|| path.display().to_string())?;
+                if let Ok(line) = serde_json::from_slice(&text) {
+                    show(line);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Opens a shard's file to add rows to.
+    pub fn append(&self, shard: Shard) -> anyhow::Result<Rows> {
+        let path = self.path.join(format!("rows-{}-of-{}.jsonl", shard.index, shard.count));
+        let open = || -> std::io::Result<File> {
+            let mut file = OpenOptions::new().create(true).read(true).append(true).open(&path)?;
+            let mut last = [b'\n'];
+            if file.metadata()?.len() > 0 {
+                file.seek(SeekFrom::End(-1))?;
+                file.read_exact(&mut last)?;
+            }
+            // A worker died in the middle of its line.
+            if last != [b'\n'] {
+                file.write_all(b"\n")?;
+            }
+            Ok(file)
+        };
+        let file = open().with_context(|| format!("cannot open {}", path.display()))?;
+        Ok(Rows { file, path })
+    }
+
+    /// Where the table is.
+    pub fn table(&self) -> PathBuf {
+        self.path.join("table.csv")
+    }
+}
+
+/// A shard's file.
+pub struct Rows {
+    file: File,
+    path: PathBuf,
+}
+
+impl Rows {
+    /// Adds a row in one write.
+    pub fn add(&mut self, line: &Line) -> anyhow::Result<()> {
+        let mut text = serde_json::to_vec(line).context("a row")?;
+        text.push(b'\n');
+        self.file.write_all(&text).with_context(|| format!("cannot write {}", self.path.display()))
+    }
+}

@@ -1,0 +1,104 @@
+//! The table of a sweep: a line for each point, in their order.
+
+use std::collections::BTreeMap;
+
+use anyhow::Context;
+use serde_json::Value;
+
+use super::rows::Line;
+
+/// Of a row, what is the same in each or names files.
+const LEFT_OUT: [&str; 4] = ["schema", "schema_version", "log", "report"];
+
+/// The table as CSV. Its columns are the point's number, the failure, what varies (`input.`), and what
+/// the flights gave, tables inside with a dot.
+pub fn csv(rows: &BTreeMap<usize, Line>) -> anyhow::Result<Vec<u8>> {
+    let lines: Vec<Vec<(String, String)>> = rows.values().map(cells).collect();
+    let mut columns: Vec<&str> = Vec::new();
+    let mut places: BTreeMap<&str, usize> = BTreeMap::new();
+    // Whole rows first, so that a failure moves no column.
+    let whole = rows.values().zip(&lines).filter(|(row, _)| row.failure.is_none());
+    for line in whole.map(|(_, line)| line).chain(&lines) {
+        for (name, _) in line {
+            places.entry(name).or_insert_with(|| {
+                columns.push(name);
+                columns.len() - 1
+            });
+        }
+    }
+    let mut out = csv::Writer::from_writer(Vec::new());
+    out.write_record(&columns).context("the table")?;
+    for line in &lines {
+        let mut record = vec![""; columns.len()];
+        for (name, value) in line {
+            if let Some(cell) = places.get(name.as_str()).and_then(|place| record.get_mut(*place)) {
+                *cell = value;
+            }
+        }
+        out.write_record(&record).context("the table")?;
+    }
+    out.into_inner().context("the table")
+}
+
+fn cells(line: &Line) -> Vec<(String, String)> {
+    let mut cells = vec![
+        ("point".to_owned(), line.index.to_string()),
+        ("failure".to_owned(), line.failure.clone().unwrap_or_default()),
+    ];
+    for (path, value) in &line.inputs {
+        flatten(&format!("input.{path}"), value, &mut cells);
+    }
+    let row = line.row.iter().filter_map(Value::as_object).flatten();
+    for (key, value) in row.filter(|(key, _)| !LEFT_OUT.contains(&key.as_str())) {
+        flatten(key, value, &mut cells);
+    }
+    cells
+}
+
+fn flatten(name: &str, value: &Value, cells: &mut Vec<(String, String)>) {
+    match value {
+        Value::Object(inner) => {
+            inner.iter().for_each(|(key, value)| flatten(&format!("{name}.{key}"), value, cells));
+        }
+        Value::Array(inner) => {
+            let all = inner.iter().enumerate();
+            all.for_each(|(index, value)| flatten(&format!("{name}.{index}"), value, cells));
+        }
+        Value::Null => cells.push((name.to_owned(), String::new())),
+        Value::String(text) => cells.push((name.to_owned(), text.clone())),
+        other => cells.push((name.to_owned(), other.to_string())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_failure_is_a_line_like_the_others() -> anyhow::Result<()> {
+        let line = |index: usize, failure: Option<&str>, row: Option<Value>| Line {
+            index,
+            inputs: BTreeMap::from([("vehicle".to_owned(), json!("a,b"))]),
+            failure: failure.map(str::to_owned),
+            row,
+        };
+        let row = json!({ "schema": "x", "end": "done", "effects": { "wind": { "n": [1.5, 2] } }, "log": null });
+        let rows = [line(0, Some("no file"), None), line(1, None, Some(row))];
+        let rows = rows.into_iter().map(|line| (line.index, line)).collect();
+        let expected = "point,failure,input.vehicle,end,effects.wind.n.0,effects.wind.n.1\n\
+                        0,no file,\"a,b\",,,\n1,,\"a,b\",done,1.5,2\n";
+        let table = String::from_utf8(csv(&rows)?)?;
+        let sorted = |text: &str| {
+            let mut names: Vec<String> =
+                text.lines().next().unwrap_or("").split(',').map(str::to_owned).collect();
+            names.sort();
+            names
+        };
+        // serde_json sorts the keys of a value.
+        assert_eq!(sorted(&table), sorted(expected));
+        assert!(table.contains("0,no file,\"a,b\",,,"), "{table}");
+        Ok(())
+    }
+}

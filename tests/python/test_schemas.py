@@ -1,0 +1,143 @@
+"""What the commands print with --json is what their schemas say, key by key."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from conftest import ROOT, downwash_command
+
+DOWNWASH = downwash_command()
+DRAG = ["--effect", "rotor_drag:d_xy=0.02,d_z=0.01"]
+
+
+def run(*arguments):
+    done = subprocess.run([*DOWNWASH, *map(str, arguments)], capture_output=True, text=True, timeout=600)
+    assert done.returncode in (0, 4, 10), done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def schemas():
+    return json.loads(run("schema", "--json"))
+
+
+def closed(schema):
+    """The schema with no key that it does not name."""
+    if isinstance(schema, list):
+        return [closed(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    schema = {key: closed(value) for key, value in schema.items()}
+    if "properties" in schema and "additionalProperties" not in schema:
+        schema["unevaluatedProperties"] = False
+    return schema
+
+
+def check(schemas, name, text):
+    value = json.loads(text)
+    assert value.get("schema", name) == name
+    validator = jsonschema.Draft202012Validator(closed(schemas[name]))
+    errors = [f"{'/'.join(map(str, error.path))}: {error.message[:200]}" for error in validator.iter_errors(value)]
+    assert not errors, "\n".join(errors)
+    return value
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    """A short programme, with what `collect` said of it."""
+    folder = tmp_path_factory.mktemp("flights")
+    said = run("collect", "--out", folder, "--seconds", 60, "--json", *DRAG)
+    return sorted(folder.glob("*.mcap")), said
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return ROOT / "config/vehicles/crazyflie.toml"
+
+
+def test_every_schema_is_one(schemas):
+    for schema in schemas.values():
+        jsonschema.Draft202012Validator.check_schema(schema)
+
+
+def test_the_pages_are_of_this_program(tmp_path):
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    script = (ROOT / "docs/make_schemas.py").read_text()
+    (docs / "make_schemas.py").write_text(script)
+    subprocess.run([sys.executable, docs / "make_schemas.py", DOWNWASH[0]], check=True)
+    for made in [docs / "schemas.md", *docs.glob("schemas/*.json")]:
+        kept = ROOT / "docs" / made.relative_to(docs)
+        assert kept.read_text() == made.read_text(), f"{kept}: make it anew by docs/make_schemas.py"
+
+
+def test_vehicles_and_settings(schemas, vehicle):
+    check(schemas, "downwash.vehicle.list", run("vehicle", "list", "--json"))
+    check(schemas, "downwash.vehicle.check", run("vehicle", "check", vehicle, "--json"))
+    check(schemas, "downwash.vehicle.init", run("vehicle", "init", "--mass", 1, "--arm", 0.2, "--json"))
+    check(schemas, "downwash.config", run("config", "--json"))
+
+
+def test_simulate_and_sweep(schemas, tmp_path):
+    check(schemas, "downwash.simulate", run("simulate", "hover", "--out", tmp_path / "s", "--json", *DRAG))
+    manifest = tmp_path / "sweep.toml"
+    manifest.write_text("schema_version = 1\ntrajectory = 'hover'\n[grid]\nvehicle = ['crazyflie', 'none']\n")
+    summary = check(schemas, "downwash.sweep.summary", run("sweep", manifest, "--out", tmp_path / "out", "--json"))
+    assert summary["failures"] == 1
+    rows = (tmp_path / "out/rows-1-of-1.jsonl").read_text().splitlines()
+    for row in rows:
+        check(schemas, "downwash.sweep.row", row)
+        if json.loads(row)["row"]:
+            check(schemas, "downwash.simulate", json.dumps(json.loads(row)["row"]))
+    for line in run("sweep", manifest, "--list", "--json").splitlines():
+        check(schemas, "downwash.sweep.point", line)
+
+
+def test_logs(schemas, flights, tmp_path):
+    logs, said = flights
+    check(schemas, "downwash.collect", said)
+    check(schemas, "downwash.log.info", run("log", "info", logs[0], "--json"))
+    check(schemas, "downwash.log.audit", run("log", "audit", *logs, "--json"))
+    check(schemas, "downwash.log.import", run("log", "import", logs[0], "-o", tmp_path / "i.mcap", "--json"))
+    check(schemas, "downwash.report.flight", run("log", "report", logs[0], "-o", tmp_path / "r.html", "--json"))
+
+
+def test_models_and_plans(schemas, flights, vehicle, tmp_path):
+    logs, _ = flights
+    model = tmp_path / "m.safetensors"
+    train = ["--hidden", 8, "--passes", 4, "--vehicle", vehicle, "-o", model, "--json"]
+    check(schemas, "downwash.training", run("train", *logs, *train))
+    check(schemas, "downwash.model_info", run("model", "info", model, "--json"))
+    check(schemas, "downwash.model_eval", run("model", "eval", logs[0], "--model", model, "--json"))
+    check(schemas, "downwash.plan.summary", run("plan", "hover", "-o", tmp_path / "p.json", "--json"))
+
+
+@pytest.mark.computes
+def test_diagnoses(schemas, flights, vehicle, tmp_path):
+    logs, _ = flights
+    asked = ["--vehicle", vehicle, "--twins", 4, "--next-flight", tmp_path / "next.toml", "--json"]
+    answer = check(schemas, "downwash.diagnose", run("diagnose", *logs, *asked))
+    assert answer["verdict"] == "effect"
+    # Noise alone, and one flight.
+    still = run("simulate", "figure-8", "--out", tmp_path / "s", "--json")
+    log = json.loads(still)["log"]
+    check(schemas, "downwash.diagnose", run("diagnose", log, "--vehicle", vehicle, "--twins", 4, "--json"))
+
+
+@pytest.mark.computes
+def test_demos(schemas, tmp_path):
+    demo = ["--fly", "model-free,hybrid", "--learn", 60, "--out", tmp_path / "demo", "--json"]
+    check(schemas, "downwash.demo", run("demo", *demo, *DRAG))
+
+
+@pytest.mark.computes
+@pytest.mark.long
+def test_long_ones(schemas, tmp_path):
+    repair = ["--diagnose", "--excite", 60, "--out", tmp_path / "repair", "--json"]
+    check(schemas, "downwash.demo.diagnose", run("demo", *repair))
+    exam = ["--cases", 2, "--nulls", 1, "--seed", 1, "--twins", 4, "--out", tmp_path / "exam", "--json"]
+    check(schemas, "downwash.exam", run("exam", *exam))
