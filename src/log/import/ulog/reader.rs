@@ -166,7 +166,12 @@ impl<R: Read> Reader<R> {
             let room = self.room();
             match self.look(0, room) {
                 Look::Sound(length) if !self.is_lost || self.goes_on(length, room) => break length,
-                Look::Odd(length) if !self.is_lost && self.goes_on(length, room) => {
+                // A damaged length may lead to a message far behind: what lies between is not lost.
+                Look::Odd(length)
+                    if !self.is_lost
+                        && self.goes_on(length, room)
+                        && self.next_sound(length, room).is_none() =>
+                {
                     self.damage.messages += 1;
                     self.advance(length);
                 }
@@ -306,6 +311,15 @@ impl<R: Read> Reader<R> {
         at == room || matches!(self.look(at, room), Look::Sound(_))
     }
 
+    /// The next place, less than `within` bytes from here, from which two messages in a row are
+    /// sound.
+    fn next_sound(&self, within: usize, room: usize) -> Option<usize> {
+        (1..room.min(within)).find(|at| match self.look(*at, room) {
+            Look::Sound(length) => self.goes_on(at + length, room),
+            _ => false,
+        })
+    }
+
     /// Whether a message can be what it says it is.
     fn is_sound(&self, kind: u8, body: &[u8]) -> bool {
         match kind {
@@ -336,10 +350,7 @@ impl<R: Read> Reader<R> {
     fn search(&mut self) -> io::Result<()> {
         self.fill(SEARCH + 2 * MESSAGE_MAX)?;
         let room = self.room();
-        let found = (1..room.min(SEARCH)).find(|at| match self.look(*at, room) {
-            Look::Sound(length) => self.goes_on(at + length, room),
-            _ => false,
-        });
+        let found = self.next_sound(SEARCH, room);
         let passed = found.unwrap_or(room.min(SEARCH));
         // A sound sequence that ends within a message was cut there.
         let is_cut = found.is_none() && passed == room && !self.is_lost;
