@@ -9,6 +9,7 @@ mod vehicle;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use sitl::effects::EffectId;
 
@@ -17,6 +18,7 @@ pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs,
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
+use crate::control::{LAWS, Law};
 use crate::exam::case::Kind;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
@@ -214,4 +216,10 @@ pub struct ConfigArgs {
     /// Prints one JSON object.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Takes the id of a control law; its help is the table of laws.
+fn law() -> impl TypedValueParser<Value = Law> {
+    let values = LAWS.map(|spec| PossibleValue::new(spec.id).help(spec.summary));
+    PossibleValuesParser::new(values).map(|id| Law::named(&id).unwrap_or_default())
 }
