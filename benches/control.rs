@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use downwash::control::{
-    AttitudeLoop, HoverModel, HoverVehicle, Limits, Lqr, LqrSettings, solve_dare,
+    AttitudeLoop, ControlSettings, HoverModel, HoverVehicle, Limits, Lqr, solve_dare,
 };
 use downwash::setpoint::{Reference, State};
 use vehicle::frame::{Euler, Ned};
@@ -15,7 +15,7 @@ const PD: AttitudeLoop =
     AttitudeLoop::Pd { kp: [0.00524, 0.00549, 0.00242], kd: [0.000508, 0.000534, 0.000525] };
 
 fn control(c: &mut Criterion) {
-    let settings = LqrSettings::default();
+    let settings = ControlSettings::default();
     let model = HoverModel::continuous(&VEHICLE, &PD).discretised(0.01);
     let (q, r) = settings.weights(VEHICLE.hover_thrust_n());
     c.bench_function("riccati_12_states_7_inputs", |b| {

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use anyhow::Context;
-use downwash::control::{Actuation, HoverVehicle, LqrSettings};
+use downwash::control::{Actuation, ControlSettings, HoverVehicle, Law};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::session;
 use downwash::lockstep;
@@ -21,7 +21,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
 
 /// How the flight ended, and the RMS distance from the trajectory, m.
-pub fn fly(effect: &str) -> anyhow::Result<(End, f64)> {
+pub fn fly(effect: &str, law: Law) -> anyhow::Result<(End, f64)> {
     let params = VehicleParams::from_toml_str(include_str!("../config/vehicles/crazyflie.toml"))?;
     let trajectory = Trajectory::parse(
         "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 6.0\namplitude_m = 0.5\n\
@@ -45,7 +45,7 @@ pub fn fly(effect: &str) -> anyhow::Result<(End, f64)> {
             ..session::Settings::new(thrust)
         },
         pilot: PilotSettings::default(),
-        lqr: LqrSettings::default(),
+        control: ControlSettings { law, ..ControlSettings::default() },
         policy: EngagePolicy::Command,
         hover,
         thrust_full_n,
@@ -77,7 +77,7 @@ pub fn fly(effect: &str) -> anyhow::Result<(End, f64)> {
 
 fn main() -> anyhow::Result<()> {
     for scale in [1.0, 0.95, 0.9] {
-        let (end, rms_m) = fly(&format!("thrust_scale:scale={scale}"))?;
+        let (end, rms_m) = fly(&format!("thrust_scale:scale={scale}"), Law::default())?;
         println!("{scale} of the thrust: {end:?}, {rms_m:.3} m RMS from the trajectory");
     }
     Ok(())

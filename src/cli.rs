@@ -13,6 +13,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use ::vehicle::effects::EffectId;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::demo::{Contestant, DemoArgs};
@@ -23,6 +24,7 @@ pub use self::schema::SchemaArgs;
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
+use crate::control::{LAWS, Law};
 use crate::exam::case::Kind;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
@@ -254,6 +256,12 @@ pub struct ConfigArgs {
     /// Prints one JSON object.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Takes the id of a control law; its help is the table of laws.
+fn law() -> impl TypedValueParser<Value = Law> {
+    let values = LAWS.map(|spec| PossibleValue::new(spec.id).help(spec.summary));
+    PossibleValuesParser::new(values).map(|id| Law::named(&id).unwrap_or_default())
 }
 
 #[cfg(test)]

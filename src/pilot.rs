@@ -92,7 +92,7 @@ pub struct Tick {
     pub desired: Ned,
     /// The reference's input.
     pub feedforward: Setpoint,
-    /// The correction `K T_R (s - s*)`, zero on the ground.
+    /// What the control law adds to it, zero on the ground.
     pub feedback: Setpoint,
     /// Their sum within limits; `None` where nothing is sent.
     pub setpoint: Option<Setpoint>,
@@ -198,14 +198,15 @@ impl Pilot {
         } else {
             self.controller.pause();
         }
-        let (feedback, cut) = if guided.feedback {
-            self.controller.feedback(&sample.state, &reference)
-        } else {
-            Default::default()
-        };
         let yaw = sample.state.attitude.yaw();
-        let sum = self.controller.addressed(reference.feedforward.plus(feedback), yaw);
-        let limited = self.settings.limits.apply(sum, self.airframe.thrust_full_n, yaw);
+        let command = if guided.feedback {
+            let time_s = sample.vehicle.as_us() as f64 * 1e-6;
+            self.controller.command(time_s, &sample.state, &reference)
+        } else {
+            self.controller.open_loop(&reference, yaw)
+        };
+        let limits = &self.settings.limits;
+        let limited = limits.apply(command.setpoint, self.airframe.thrust_full_n, yaw);
         let permitted = self.permits(now);
         let sent = limited.filter(|_| permitted);
         self.controller.sent(sent.map(|(setpoint, _)| setpoint));
@@ -221,10 +222,10 @@ impl Pilot {
             reference,
             desired: guided.desired,
             feedforward: reference.feedforward,
-            feedback,
+            feedback: command.feedback,
             setpoint: sent.map(|(setpoint, _)| setpoint),
             saturation: sent.map_or_else(Saturation::default, |(_, met)| Saturation {
-                position_error: cut.position_error,
+                position_error: command.is_cut,
                 ..met
             }),
             phase,

@@ -10,7 +10,7 @@
 //! The integrators' errors (RotorPy 1e-11 relative, RK4 at 1 ms) are far below.
 
 use crate::lockstep::{fly, ideal, settings, toml_trajectory};
-use downwash::control::LqrSettings;
+use downwash::control::ControlSettings;
 use downwash::log::record::{Record, Tick};
 use downwash::station::{End, StationSettings};
 use serde::Deserialize;
@@ -25,7 +25,7 @@ struct Golden {
     /// From the first sample of the trajectory to the next on-board tick, one at that time counted.
     pd_phase_ms: u64,
     vehicle: VehicleParams,
-    feedback: LqrSettings,
+    feedback: ControlSettings,
     flights: Vec<Flight>,
 }
 
@@ -56,9 +56,14 @@ fn golden() -> Golden {
 }
 
 /// The ticks along the golden flight's trajectory, flown over the protocol with perfect sensors.
-fn ticks(golden: &Golden, flight: &Flight, feedback: LqrSettings, effects: &[&str]) -> Vec<Tick> {
+fn ticks(
+    golden: &Golden,
+    flight: &Flight,
+    feedback: &ControlSettings,
+    effects: &[&str],
+) -> Vec<Tick> {
     let mut settings = StationSettings {
-        lqr: feedback,
+        control: feedback.clone(),
         ..settings(&golden.vehicle, toml_trajectory(&flight.trajectory))
     };
     // What take-off left has died away when the trajectory begins.
@@ -112,7 +117,7 @@ fn the_vehicle_flies_as_rotorpy_does_under_an_independent_controller() {
     let golden = golden();
     assert_eq!(golden.flights.len(), 2);
     for flight in &golden.flights {
-        let ticks = ticks(&golden, flight, golden.feedback, &[]);
+        let ticks = ticks(&golden, flight, &golden.feedback, &[]);
         let start_ms = ticks[0].stamp.vehicle.expect("a vehicle's time").as_us() / 1000;
         let period_ms = 4;
         let phase_ms = (period_ms - start_ms % period_ms) % period_ms;
@@ -131,18 +136,18 @@ fn the_vehicle_flies_as_rotorpy_does_under_an_independent_controller() {
 fn small_errors_in_the_gain_the_vehicle_or_the_timing_would_be_seen() {
     let golden = golden();
     let flight = &golden.flights[0];
-    let feedback = golden.feedback;
-    let found = |feedback, effects: &[&str]| {
+    let feedback = &golden.feedback;
+    let found = |feedback: &ControlSettings, effects: &[&str]| {
         let ticks = ticks(&golden, flight, feedback, effects);
         differences(&golden, flight, &ticks).into_iter().fold(0.0, f64::max)
     };
-    let widened = |position_m| LqrSettings { position_m, ..feedback };
+    let widened = |position_m| ControlSettings { position_m, ..feedback.clone() };
     let gains = [
         ("5 % of the horizontal weight", widened([0.315, 0.315, 0.2])),
         ("5 % of the vertical weight", widened([0.3, 0.3, 0.21])),
     ];
     for (what, wrong) in gains {
-        let difference = found(wrong, &[]);
+        let difference = found(&wrong, &[]);
         assert!(difference > 1000.0 * TOLERANCE, "{what}: {difference}");
     }
     let effects = [

@@ -118,7 +118,7 @@ fn small_steps_are_answered_as_the_sampled_linear_loop_says() {
                 })
                 .collect();
             let pd = settings.attitude_pd.expect("a PD");
-            let lqr = Lqr::design(&settings.hover, &AttitudeLoop::from(pd), &settings.lqr)
+            let lqr = Lqr::design(&settings.hover, &AttitudeLoop::from(pd), &settings.control)
                 .expect("a gain");
             let start_ms = ticks[0].stamp.vehicle.expect("a vehicle's time").as_us() / 1000;
             let pd_phase_ms = (PD_MS - start_ms % PD_MS) % PD_MS;

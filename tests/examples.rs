@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::{lockstep, log_flight};
+use downwash::control::Law;
 use downwash::plan::scp::Status;
 use downwash::station::End;
 use sitl::config::SitlConfig;
@@ -11,6 +12,9 @@ use sitl::config::SitlConfig;
 #[path = "../examples/fly_lockstep.rs"]
 #[allow(dead_code, reason = "`main` is for `cargo run --example`")]
 mod fly_lockstep;
+#[path = "../examples/own_control_law.rs"]
+#[allow(dead_code, reason = "`main` is for `cargo run --example`")]
+mod own_control_law;
 #[path = "../examples/plan_trajectory.rs"]
 #[allow(dead_code, reason = "`main` is for `cargo run --example`")]
 mod plan_trajectory;
@@ -34,10 +38,17 @@ fn a_log_is_described() {
 
 #[test]
 fn weak_rotors_throw_feedback_alone_off() {
-    let (end, sound_m) = fly_lockstep::fly("thrust_scale:scale=1").expect("flown");
-    let (_, weak_m) = fly_lockstep::fly("thrust_scale:scale=0.9").expect("flown");
+    let (end, sound_m) = fly_lockstep::fly("thrust_scale:scale=1", Law::default()).expect("flown");
+    let (_, weak_m) = fly_lockstep::fly("thrust_scale:scale=0.9", Law::default()).expect("flown");
     assert_eq!(end, End::Done);
     assert!(weak_m > sound_m, "{weak_m} {sound_m}");
+}
+
+#[test]
+fn a_law_of_ones_own_flies_and_its_integral_takes_out_weak_rotors() {
+    let [(lqr, lqr_m), (own, own_m)] = own_control_law::compare().expect("flown");
+    assert_eq!((lqr, own), (End::Done, End::Done));
+    assert!(own_m < lqr_m, "{own_m} {lqr_m}");
 }
 
 #[test]

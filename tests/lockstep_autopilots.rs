@@ -10,7 +10,7 @@ use sitl::config::{Autopilot, SitlConfig, Stall};
 
 /// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust and a
 /// failsafe that listens to the station.
-fn set_up(autopilot: Autopilot) -> SitlConfig {
+pub fn set_up(autopilot: Autopilot) -> SitlConfig {
     let parameters: &[(&str, f64)] = match autopilot {
         Autopilot::Bundled => &[],
         Autopilot::Px4 => &[("COM_OF_LOSS_T", 0.2)],

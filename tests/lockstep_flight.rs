@@ -158,8 +158,8 @@ fn level(position: Ned, velocity: Ned, thrust_n: f64) -> Reference {
 fn nano_lqr() -> Lqr {
     let settings = settings(&params(NANO), hover(1.0));
     let attitude_loop = AttitudeLoop::from(settings.attitude_pd.expect("a PD"));
-    let StationSettings { actuation, hover, lqr, .. } = &settings;
-    Lqr::design_for(actuation, hover, &attitude_loop, lqr).expect("a gain")
+    let StationSettings { actuation, hover, control, .. } = &settings;
+    Lqr::design_for(actuation, hover, &attitude_loop, control).expect("a gain")
 }
 
 #[test]
@@ -210,7 +210,7 @@ fn small_steps_are_answered_as_the_linear_model_says() {
     let mut base = settings(&params, hover(1.0));
     base.actuation = Actuation::IMMEDIATE;
     let attitude_loop = AttitudeLoop::from(base.attitude_pd.expect("a PD"));
-    let lqr = Lqr::design(&base.hover, &attitude_loop, &base.lqr).expect("a gain");
+    let lqr = Lqr::design(&base.hover, &attitude_loop, &base.control).expect("a gain");
     let model = HoverModel::continuous(&base.hover, &attitude_loop).discretised(0.01);
     let weight = base.hover.hover_thrust_n();
     for axis in 0..3 {

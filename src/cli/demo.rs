@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::SimulationArgs;
+use crate::control::Law;
 use crate::model::file::ModelKind;
 
 /// Flags of `demo`.
@@ -28,6 +29,10 @@ pub struct DemoArgs {
     /// Length of the flights that are diagnosed, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 90.0, requires = "diagnose")]
     pub excite: f64,
+    /// Control laws, each of which flies the same flights, a row of the table for each [default:
+    /// control.law of the configuration].
+    #[arg(long, value_delimiter = ',', conflicts_with = "diagnose", value_parser = super::law())]
+    pub law: Vec<Law>,
     /// Flights of each, with seeds from --seed on.
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
     pub flights: u64,

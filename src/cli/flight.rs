@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::control::Law;
 use crate::model::file::ModelKind;
 
 /// Flags of `fly`.
@@ -27,6 +28,9 @@ pub struct FlyArgs {
     /// Which of its models [default: the one that predicted best].
     #[arg(long, value_enum, requires = "model")]
     pub kind: Option<ModelKind>,
+    /// Control law [default: control.law of the configuration].
+    #[arg(long, value_parser = super::law())]
+    pub law: Option<Law>,
     /// Takes over a vehicle that others fly: one that is armed or in the air.
     #[arg(long)]
     pub take_over: bool,

@@ -18,7 +18,7 @@ use super::collect::gather;
 use super::course::Course;
 use super::demo_diagnose;
 use super::plan::{PlanModel, plan_trajectory, planner, sha256_of};
-use super::setup::{VehicleFile, built_in_trajectory};
+use super::setup::{VehicleFile, built_in_trajectory, law_flag};
 use super::simulation::Truth;
 use super::train::{Learning, Resume, learn};
 use super::{Exit, ExitContext, Interruption, config, say, write_file};
@@ -34,6 +34,8 @@ use crate::plan::receding::RecedingReference;
 struct Demo<'a> {
     args: &'a DemoArgs,
     config: Config,
+    /// The same for each law that flies.
+    configs: Vec<Config>,
     vehicle: VehicleFile,
     desired: Option<Trajectory>,
     simulation: SimulationArgs,
@@ -54,7 +56,15 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
         return demo_diagnose::run(args, interruption);
     }
     let began = Instant::now();
-    let config = config::load(args.config.as_deref(), vec![])?;
+    let file = args.config.as_deref();
+    let config = config::load(file, vec![])?;
+    let configs = match args.law.as_slice() {
+        [] => vec![config.clone()],
+        laws => {
+            let configs = laws.iter().map(|law| config::load(file, vec![law_flag(*law)]));
+            configs.collect::<anyhow::Result<_>>()?
+        }
+    };
     let vehicle = match &args.vehicle {
         Some(path) => VehicleFile::load(path)?,
         None => VehicleFile::built_in()?,
@@ -77,6 +87,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
         truth: Truth::load(&simulation)?,
         simulation,
         config,
+        configs,
         interrupted: interruption.flag(),
     };
     let exit = demo.run(given, began)?;

@@ -13,7 +13,7 @@ use wire::Endpoint;
 
 use super::course::Course;
 use super::goal_file::GoalFile;
-use super::setup::{VehicleFile, path_flag, required, run_info, station_settings};
+use super::setup::{VehicleFile, law_flag, path_flag, required, run_info, station_settings};
 use super::status_line::StatusLine;
 use super::stop::StopSignals;
 use super::{Exit, ExitContext, config, plan, print_json, print_text, say, summary};
@@ -49,6 +49,7 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let mut flags = Vec::new();
     flags.extend(path_flag("--vehicle", "vehicle", &args.vehicle));
     flags.extend(path_flag("--log-dir", "log_dir", &args.log_dir));
+    flags.extend(args.law.map(law_flag));
     if args.take_over {
         let key = "pilot.supervisor.take_over";
         flags.push(("--take-over", key, toml::Value::Boolean(true)));

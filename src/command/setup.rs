@@ -15,7 +15,7 @@ use super::improved::{Additions, Form};
 use super::vehicle::refuse_grounded;
 use super::{Exit, ExitContext};
 use crate::config::{Config, FormSetting};
-use crate::control::{AttitudeLoop, Lqr, LqrSettings};
+use crate::control::{Actuation, AttitudeLoop, ControlProblem, ControlSettings, Controller, Law};
 use crate::link::profile::FormChoice;
 use crate::link::session;
 use crate::log::RunInfo;
@@ -104,7 +104,7 @@ pub(super) fn built_in_trajectory() -> anyhow::Result<Trajectory> {
 /// What a programme of flights may ask of the vehicle.
 pub(super) fn capability(
     params: &VehicleParams,
-    settings: &LqrSettings,
+    settings: &ControlSettings,
 ) -> anyhow::Result<Capability> {
     let effective = EffectiveVehicle::new(params).or_exit(Exit::Usage)?;
     let inertia: [f64; 3] = effective.hover.inertia;
@@ -134,7 +134,14 @@ pub(super) fn station_settings(
     let effective = EffectiveVehicle::new(&vehicle.params).or_exit(Exit::Usage)?;
     // The vehicle is not known yet, so neither is its loop; what no feedback can be designed with
     // is wrong with any.
-    Lqr::design(&effective.hover, &AttitudeLoop::PX4, &settings.control).or_exit(Exit::Usage)?;
+    Controller::design(&ControlProblem {
+        vehicle: &effective.hover,
+        actuation: &Actuation::IMMEDIATE,
+        attitude_loop: &AttitudeLoop::PX4,
+        limits: &settings.pilot.limits,
+        settings: &settings.control,
+    })
+    .or_exit(Exit::Usage)?;
     let endpoint = link;
     let link = &settings.link;
     let session = session::Settings {
@@ -155,7 +162,7 @@ pub(super) fn station_settings(
     Ok(StationSettings {
         session,
         pilot,
-        lqr: settings.control,
+        control: settings.control.clone(),
         policy,
         hover: effective.hover,
         drag_kg_s: effective.drag_kg_s,
@@ -231,6 +238,11 @@ pub(super) fn required<T: Clone>(value: &Option<T>, flag: &str, key: &str) -> an
         .clone()
         .ok_or_else(|| anyhow!("{flag} is missing: give the flag, or {key} in the configuration"))
         .or_exit(Exit::Usage)
+}
+
+/// `--law` as a configuration layer.
+pub(super) fn law_flag(law: Law) -> (&'static str, &'static str, toml::Value) {
+    ("--law", "control.law", toml::Value::String(law.to_string()))
 }
 
 /// A flag's value as a configuration layer.

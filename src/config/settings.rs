@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::SCHEMA_VERSION;
-use crate::control::LqrSettings;
+use crate::control::ControlSettings;
 use crate::pilot::PilotSettings;
 use crate::plan::FlightEnvelope;
 use crate::plan::planner::PlanSettings;
@@ -33,8 +33,8 @@ pub struct Settings {
     pub collect: ProgrammeSettings,
     /// Plans through a model.
     pub plan: PlanSettings,
-    /// The feedback. Its rate is that of the control ticks.
-    pub control: LqrSettings,
+    /// The control law and its gains. Its rate is that of the control ticks.
+    pub control: ControlSettings,
     /// Telemetry, flight states, reactions to faults, take-off, limits of the setpoint.
     pub pilot: PilotSettings,
 }
@@ -104,7 +104,7 @@ impl Default for Settings {
             envelope: FlightEnvelope::default(),
             collect: ProgrammeSettings::default(),
             plan: PlanSettings::default(),
-            control: LqrSettings::default(),
+            control: ControlSettings::default(),
             pilot: PilotSettings::default(),
         }
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use vehicle::AttitudePd;
-use vehicle::frame::{Euler, Frd, wrap_angle};
+use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 use vehicle::scalar::Scalar;
 
 use crate::setpoint::Setpoint;
@@ -92,8 +92,8 @@ impl AttitudeError {
                 let cut = (ANGLE_MAX_RAD / most).min(1.0);
                 let (roll, pitch) = (cut * roll, cut * pitch);
                 let down = Euler::new(roll, pitch, wrap_angle(yaw - heading)).attitude();
-                let [x, y, z] = down.to_world(Frd::new(0.0, 0.0, 1.0)).to_array();
-                Euler::new((-y).clamp(-1.0, 1.0).asin(), x.atan2(z), heading)
+                let [roll, pitch] = tilted(down.to_world(Frd::new(0.0, 0.0, 1.0)).to_array());
+                Euler::new(roll, pitch, heading)
             }
         };
         Setpoint { attitude, ..setpoint }
@@ -188,6 +188,20 @@ impl AttitudeLoop {
             }
         })
     }
+}
+
+/// Roll and pitch at which a body of heading `yaw` has its down axis along `down`, of any length
+/// but 0.
+pub(super) fn tilt_towards(down: Ned, yaw: f64) -> [f64; 2] {
+    let (sin, cos) = yaw.sin_cos();
+    let [north, east, down] = (down * (1.0 / down.norm())).to_array();
+    tilted([cos * north + sin * east, cos * east - sin * north, down])
+}
+
+/// The same for a unit vector in axes turned by yaw, where the body's down axis is
+/// (sin pitch cos roll, -sin roll, cos pitch cos roll).
+fn tilted([x, y, z]: [f64; 3]) -> [f64; 2] {
+    [(-y).clamp(-1.0, 1.0).asin(), x.atan2(z)]
 }
 
 /// `desired - actual` of roll, pitch and yaw, each wrapped to [-pi, pi).

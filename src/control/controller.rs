@@ -1,41 +1,70 @@
-//! From state and reference to the setpoint that a vehicle's attitude loop is sent.
+//! From state and reference to the setpoint that a vehicle's attitude loop is sent: a law, with what
+//! every law needs around it.
 
-use super::attitude_loop::AttitudeError;
+use super::attitude_loop::{AttitudeError, AttitudeLoop};
 use super::disturbance::DisturbanceObserver;
-use super::limits::Saturation;
-use super::lqr::Lqr;
+use super::laws::{Command, ControlLaw, ControlProblem, DesignError, Lqr};
 use crate::clock::VehicleTime;
 use crate::setpoint::{Expected, Reference, Setpoint, State};
 
-/// The regulator, and an observer of disturbances beside it.
+/// A control law, an observer of disturbances around it, and the form in which the vehicle's attitude
+/// loop takes its setpoints.
+///
+/// The observer works for any law: it moves the reference to the equilibrium that the disturbances
+/// leave, and the law tracks that.
 #[derive(Clone, Debug)]
 pub struct Controller {
-    lqr: Lqr,
+    law: Box<dyn ControlLaw>,
+    attitude_loop: AttitudeLoop,
     error: AttitudeError,
     folds_rates: bool,
     observer: Option<DisturbanceObserver>,
+    /// When the law was last asked, s.
+    asked_s: Option<f64>,
     sent: Option<Setpoint>,
     /// Whether a model leads, and what was expected last.
     expected: (bool, Expected),
 }
 
 impl Controller {
-    /// A regulator around a loop that acts on `error`; without an observer it is the paper's. Rates
-    /// that the loop is not sent are folded into the attitude if `folds_rates`, which takes a loop
-    /// that is known.
-    pub fn new(
-        lqr: Lqr,
-        error: AttitudeError,
-        folds_rates: bool,
-        observer: Option<DisturbanceObserver>,
-    ) -> Self {
-        let expected = (false, Expected::default());
-        Self { lqr, error, folds_rates, observer, sent: None, expected }
+    /// `law` over an attitude loop that acts on the differences of roll, pitch and yaw, as the
+    /// paper's does.
+    pub fn new(law: Box<dyn ControlLaw>, attitude_loop: AttitudeLoop) -> Self {
+        Self {
+            law,
+            attitude_loop,
+            error: AttitudeError::Angles,
+            folds_rates: true,
+            observer: None,
+            asked_s: None,
+            sent: None,
+            expected: (false, Expected::default()),
+        }
+    }
+
+    /// The law that the problem's settings name, designed for its vehicle.
+    ///
+    /// # Errors
+    /// [`DesignError`].
+    pub fn design(problem: &ControlProblem) -> Result<Self, DesignError> {
+        Ok(Self::new(problem.settings.law.design(problem)?, *problem.attitude_loop))
+    }
+
+    /// Over a loop that acts on `error`. Rates that the loop is not sent are folded into the attitude
+    /// if `folds_rates`, which takes a loop that is known.
+    pub fn addressing(self, error: AttitudeError, folds_rates: bool) -> Self {
+        Self { error, folds_rates, ..self }
+    }
+
+    /// With an observer of disturbances, or without: then it is the law's feedback alone.
+    pub fn observing(self, observer: Option<DisturbanceObserver>) -> Self {
+        Self { observer, ..self }
     }
 
     /// Nothing that was estimated holds any more.
     pub fn reset(&mut self) {
-        self.sent = None;
+        self.law.reset();
+        (self.sent, self.asked_s) = (None, None);
         self.expected = (false, Expected::default());
         if let Some(observer) = &mut self.observer {
             observer.reset();
@@ -79,22 +108,35 @@ impl Controller {
         self.observer.as_ref().and(self.sent).map(|sent| sent.thrust_n)
     }
 
-    /// The correction to the reference's input, and whether its position error was cut.
-    pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, Saturation) {
-        let Some(observer) = &self.observer else { return self.lqr.feedback(state, reference) };
-        let shift = observer.shift(reference, state.attitude.yaw());
-        let mut held = *reference;
-        held.velocity += shift.velocity;
-        held.attitude.roll += shift.attitude.roll;
-        held.attitude.pitch += shift.attitude.pitch;
-        let (feedback, cut) = self.lqr.feedback(state, &held);
-        (shift.input.plus(feedback), cut)
+    /// What the vehicle's loop is to be sent at `time_s` of the vehicle's clock, before any limit.
+    pub fn command(&mut self, time_s: f64, state: &State, reference: &Reference) -> Command {
+        let dt_s = self.asked_s.replace(time_s).map_or(0.0, |before| (time_s - before).max(0.0));
+        let yaw = state.attitude.yaw();
+        let command = match &self.observer {
+            None => self.law.command(state, reference, dt_s),
+            Some(observer) => {
+                let shift = observer.shift(reference, yaw);
+                let mut held = *reference;
+                held.velocity += shift.velocity;
+                held.attitude.roll += shift.attitude.roll;
+                held.attitude.pitch += shift.attitude.pitch;
+                held.feedforward = reference.feedforward.plus(shift.input);
+                let Command { feedback, is_cut, .. } = self.law.command(state, &held, dt_s);
+                Command::correcting(reference, shift.input.plus(feedback), is_cut)
+            }
+        };
+        Command { setpoint: self.addressed(command.setpoint, yaw), ..command }
     }
 
-    /// `setpoint` as the vehicle's loop must be sent it at the heading `yaw`.
-    pub fn addressed(&self, setpoint: Setpoint, yaw: f64) -> Setpoint {
-        let attitude_loop = self.lqr.attitude_loop();
-        let folded = if self.folds_rates { attitude_loop.folded(setpoint) } else { setpoint };
+    /// The reference's input alone, as the vehicle's loop is to be sent it at the heading `yaw`:
+    /// on the ground feedback would only tip it over.
+    pub fn open_loop(&self, reference: &Reference, yaw: f64) -> Command {
+        let command = Command::correcting(reference, Setpoint::default(), false);
+        Command { setpoint: self.addressed(command.setpoint, yaw), ..command }
+    }
+
+    fn addressed(&self, setpoint: Setpoint, yaw: f64) -> Setpoint {
+        let folded = if self.folds_rates { self.attitude_loop.folded(setpoint) } else { setpoint };
         self.error.addressed(folded, yaw)
     }
 
@@ -107,6 +149,7 @@ impl Controller {
 impl From<Lqr> for Controller {
     /// The paper's.
     fn from(lqr: Lqr) -> Self {
-        Self::new(lqr, AttitudeError::Angles, true, None)
+        let attitude_loop = *lqr.attitude_loop();
+        Self::new(Box::new(lqr), attitude_loop)
     }
 }

@@ -1,12 +1,13 @@
-//! State feedback: the near-hover model, its LQR, and the limits of what is asked of the vehicle.
+//! Control: laws from state and reference to a setpoint, what is common to them, and the limits of
+//! what is asked of the vehicle.
 
 mod actuation;
 mod attitude_loop;
 mod controller;
 mod disturbance;
 mod hover_model;
+mod laws;
 mod limits;
-mod lqr;
 mod output_feedback;
 mod riccati;
 
@@ -15,6 +16,9 @@ pub use attitude_loop::{AttitudeError, AttitudeLoop};
 pub use controller::Controller;
 pub use disturbance::{DisturbanceObserver, OffsetFreeSettings, Shift, Use};
 pub use hover_model::{HoverModel, HoverVehicle};
+pub use laws::{
+    CloneLaw, Command, ControlLaw, ControlProblem, ControlSettings, DesignError, Gain, Gains,
+    Geometric, LAWS, Law, LawSpec, Lqr, Reach,
+};
 pub use limits::{Limits, Saturation};
-pub use lqr::{DesignError, Lqr, LqrSettings};
 pub use riccati::{RiccatiError, RiccatiSolution, solve_dare};

@@ -1,5 +1,5 @@
 //! Whole flights of a vehicle under the daemon's feedback, as SITL flies them: plant, sensors, link
-//! delay, on-board loop and the ground's LQR on one clock, without the bytes in between.
+//! delay, on-board loop and the ground's controller on one clock, without the bytes in between.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -17,7 +17,9 @@ use vehicle::{ROTORS, VehicleError, VehicleParams};
 use wire::dialect::AttitudeTargetTypemask;
 
 use super::series::Series;
-use crate::control::{AttitudeLoop, DesignError, Limits, Lqr, LqrSettings};
+use crate::control::{
+    AttitudeLoop, ControlProblem, ControlSettings, Controller, DesignError, Limits,
+};
 use crate::log::import::{AttitudeSetpoint, Clock, Flight, Origin};
 use crate::pilot::{EffectiveVehicle, Uncontrollable};
 use crate::setpoint::Reference;
@@ -54,22 +56,37 @@ pub enum NotSimulated {
 #[derive(Clone, Debug)]
 pub struct GroundControl {
     vehicle: EffectiveVehicle,
-    lqr: Lqr,
+    /// As it begins a flight.
+    controller: Controller,
     limits: Limits,
 }
 
 impl GroundControl {
-    /// The daemon's default feedback for the vehicle of a file.
+    /// The daemon's default control of the vehicle of a file.
     ///
     /// # Errors
     /// [`NotSimulated`].
     pub fn new(vehicle: &VehicleParams) -> Result<Self, NotSimulated> {
+        Self::with(vehicle, &ControlSettings::default())
+    }
+
+    /// The same by other settings: another law, or other gains.
+    ///
+    /// # Errors
+    /// [`NotSimulated`].
+    pub fn with(vehicle: &VehicleParams, settings: &ControlSettings) -> Result<Self, NotSimulated> {
         let vehicle = EffectiveVehicle::new(vehicle)?;
         let pd = vehicle.attitude_pd.ok_or(NotSimulated::NoAttitudeLoop)?;
         let attitude_loop = AttitudeLoop::from(pd);
-        let settings = LqrSettings::default();
-        let lqr = Lqr::design_for(&vehicle.actuation, &vehicle.hover, &attitude_loop, &settings)?;
-        Ok(Self { vehicle, lqr, limits: Limits::default() })
+        let limits = Limits::default();
+        let controller = Controller::design(&ControlProblem {
+            vehicle: &vehicle.hover,
+            actuation: &vehicle.actuation,
+            attitude_loop: &attitude_loop,
+            limits: &limits,
+            settings,
+        })?;
+        Ok(Self { vehicle, controller, limits })
     }
 
     /// The same without the daemon's limits on what it asks for: for setpoints of others, who had
@@ -90,12 +107,17 @@ impl GroundControl {
         &self.vehicle
     }
 
-    /// What is sent at a reported state; `None` where that is not finite.
-    fn setpoint(&self, state: &State, reference: &Reference) -> Option<OnboardSetpoint> {
-        let (feedback, _) = self.lqr.feedback(state, reference);
-        let sum = reference.feedforward.plus(feedback);
-        let yaw = state.attitude.yaw();
-        let (setpoint, _) = self.limits.apply(sum, self.vehicle.thrust_full_n, yaw)?;
+    /// What `controller` sends at a state reported at `time`, s; `None` where that is not finite.
+    fn setpoint(
+        &self,
+        controller: &mut Controller,
+        time: f64,
+        state: &State,
+        reference: &Reference,
+    ) -> Option<OnboardSetpoint> {
+        let command = controller.command(time, state, reference);
+        let (full_n, yaw) = (self.vehicle.thrust_full_n, state.attitude.yaw());
+        let (setpoint, _) = self.limits.apply(command.setpoint, full_n, yaw)?;
         Some(OnboardSetpoint {
             attitude: Some(setpoint.attitude),
             body_rate: setpoint.body_rate,
@@ -183,6 +205,7 @@ impl<'a> FlightSimulator<'a> {
         let mut flight = Recorder::new(departure.time);
         let mut logged_voltage = voltage.map(|voltage| voltage.cursor());
         let mut voltage_due = departure.time;
+        let mut controller = self.control.controller.clone();
         let mut outputs = departure.rotors;
         let mut onboard = Due::new(self.rate_hz, departure.time);
         let mut next = 0;
@@ -204,7 +227,8 @@ impl<'a> FlightSimulator<'a> {
                 ticks.get(next).filter(|(due, _)| *due <= time + SAME_TIME_S)
             {
                 next += 1;
-                if let Some(setpoint) = self.control.setpoint(&readings.estimate, reference) {
+                let (control, state) = (self.control, &readings.estimate);
+                if let Some(setpoint) = control.setpoint(&mut controller, time, state, reference) {
                     flight.sent(time, &setpoint);
                     stream.receive(plant.time_us(), setpoint, &mut rng);
                 }

@@ -1,5 +1,5 @@
 //! A ground station that does no more than fly a motion: it hears where the vehicle is and answers
-//! each position with a setpoint of the daemon's regulator, designed for the nominal vehicle.
+//! each position with a setpoint of the daemon's controller, designed for the nominal vehicle.
 
 use mavlink::MessageData;
 use sitl::autopilot::Mode;
@@ -12,7 +12,9 @@ use wire::dialect::*;
 use wire::{Encoder, Frame};
 
 use super::motion::Motion;
-use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Limits, Lqr, LqrSettings};
+use crate::control::{
+    Actuation, AttitudeLoop, ControlProblem, ControlSettings, Controller, HoverVehicle, Limits,
+};
 use crate::plan::DesiredPoint;
 use crate::setpoint::{Reference, Setpoint, State};
 
@@ -47,7 +49,7 @@ pub enum GroundError {
     /// Its file lacks the loop, or is refused.
     #[error(transparent)]
     Vehicle(#[from] vehicle::VehicleError),
-    /// No regulator.
+    /// There is no control law for it.
     #[error(transparent)]
     Design(#[from] crate::control::DesignError),
     /// The file has no on-board loop.
@@ -57,7 +59,7 @@ pub enum GroundError {
 
 /// The ground station.
 pub struct Ground {
-    lqr: Lqr,
+    controller: Controller,
     limits: Limits,
     hover: HoverVehicle,
     thrust_full_n: f64,
@@ -88,10 +90,17 @@ impl Ground {
             motor_time_constant_s: constants.motor_time_constant,
         };
         let attitude_loop = AttitudeLoop::from(pd);
-        let lqr = Lqr::design_for(&actuation, &hover, &attitude_loop, &LqrSettings::default())?;
+        let limits = Limits { tilt_max_rad: TILT_MAX, ..Limits::default() };
+        let controller = Controller::design(&ControlProblem {
+            vehicle: &hover,
+            actuation: &actuation,
+            attitude_loop: &attitude_loop,
+            limits: &limits,
+            settings: &ControlSettings::default(),
+        })?;
         Ok(Self {
-            lqr,
-            limits: Limits { tilt_max_rad: TILT_MAX, ..Limits::default() },
+            controller,
+            limits,
             hover,
             thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
             encoder: Encoder::new(SYSTEM, COMPONENT),
@@ -199,10 +208,9 @@ impl Ground {
         time: f64,
     ) -> Option<(Vec<u8>, AttitudeSetpoint)> {
         let reference = self.reference(motion, time);
-        let (feedback, _) = self.lqr.feedback(state, &reference);
-        let sum = reference.feedforward.plus(feedback);
+        let command = self.controller.command(time, state, &reference);
         let yaw = state.attitude.yaw();
-        let (setpoint, _) = self.limits.apply(sum, self.thrust_full_n, yaw)?;
+        let (setpoint, _) = self.limits.apply(command.setpoint, self.thrust_full_n, yaw)?;
         let [p, q, r] = setpoint.body_rate.to_array().map(|rate| rate as f32);
         let data = SET_ATTITUDE_TARGET_DATA {
             time_boot_ms: (time.max(0.0) * 1e3) as u32,

@@ -62,7 +62,7 @@ pub struct InputShare {
 /// The flights of one controller.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Contender {
-    /// model-free, net, physics or hybrid.
+    /// model-free, net, physics or hybrid; with the control law where laws are compared.
     pub name: String,
     /// Mean over the flights.
     pub mean: TrackErrors,

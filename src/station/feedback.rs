@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::StationSettings;
 use super::attitude_loop::{assumption, attitude_loop};
-use crate::control::{AttitudeError, Controller, DesignError, DisturbanceObserver, Lqr};
+use crate::control::{AttitudeError, ControlProblem, Controller, DesignError, DisturbanceObserver};
 use crate::link::profile::Profile;
 use crate::plan::reference::{FeedForward, ReferenceSource};
 
@@ -23,14 +23,20 @@ pub(super) fn feedback(
     profile: &Profile,
     settings: &StationSettings,
 ) -> Result<Feedback, DesignError> {
-    let StationSettings { actuation, hover, lqr, attitude_pd, pilot, .. } = settings;
+    let StationSettings { actuation, hover, control, attitude_pd, pilot, .. } = settings;
     let is_own_loop = profile.name != Profile::BUNDLED.name;
     let error =
         if profile.compares_angles { AttitudeError::Angles } else { AttitudeError::Rotation };
     // By an assumed loop's lag, an attitude would lead too far.
-    let is_known = assumption(profile, *attitude_pd, lqr.attitude_response_rad_s).is_none();
-    let attitude_loop = attitude_loop(profile, *attitude_pd, lqr.attitude_response_rad_s);
-    let lqr = Lqr::design_for(actuation, hover, &attitude_loop, lqr)?;
+    let is_known = assumption(profile, *attitude_pd, control.attitude_response_rad_s).is_none();
+    let attitude_loop = attitude_loop(profile, *attitude_pd, control.attitude_response_rad_s);
+    let controller = Controller::design(&ControlProblem {
+        vehicle: hover,
+        actuation,
+        attitude_loop: &attitude_loop,
+        limits: &pilot.limits,
+        settings: control,
+    })?;
     let observer = pilot.offset_free.observer.applies(is_own_loop).then(|| {
         DisturbanceObserver::new(pilot.offset_free, *hover, attitude_loop, error, *actuation)
     });
@@ -44,7 +50,7 @@ pub(super) fn feedback(
     });
     let fed_forward = feed_forward.and_then(|with| settings.reference.with_feed_forward(&with));
     Ok(Feedback {
-        controller: Controller::new(lqr, error, is_known, observer),
+        controller: controller.addressing(error, is_known).observing(observer),
         reference: fed_forward.unwrap_or_else(|| Arc::clone(&settings.reference)),
     })
 }

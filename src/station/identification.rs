@@ -61,7 +61,7 @@ impl Station {
         if is_known || self.end.is_some() {
             return;
         }
-        let response = self.settings.lqr.attitude_response_rad_s;
+        let response = self.settings.control.attitude_response_rad_s;
         if let Some(assumed) = assumption(&profile, self.settings.attitude_pd, response) {
             self.tell(now, Severity::Notice, assumed);
         }

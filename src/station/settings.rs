@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use vehicle::AttitudePd;
 
-use crate::control::{Actuation, HoverVehicle, LqrSettings};
+use crate::control::{Actuation, ControlSettings, HoverVehicle};
 use crate::link::session;
 use crate::pilot::PilotSettings;
 use crate::plan::reference::ReferenceSource;
@@ -17,8 +17,8 @@ pub struct StationSettings {
     pub session: session::Settings,
     /// The pilot's parts.
     pub pilot: PilotSettings,
-    /// The feedback.
-    pub lqr: LqrSettings,
+    /// The control law and its settings.
+    pub control: ControlSettings,
     /// Who decides that a flight begins.
     pub policy: EngagePolicy,
     /// Effective mass, inertia and gravity.

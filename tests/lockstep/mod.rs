@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use downwash::clock::HostTime;
-use downwash::control::{Actuation, HoverVehicle, LqrSettings};
+use downwash::control::{Actuation, ControlSettings, HoverVehicle};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::session;
 use downwash::lockstep;
@@ -85,7 +85,7 @@ pub fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettin
             ..session::Settings::new(ThrustMap::linear(thrust_full_n).expect("a thrust"))
         },
         pilot: PilotSettings::default(),
-        lqr: LqrSettings::default(),
+        control: ControlSettings::default(),
         policy: EngagePolicy::Command,
         hover,
         drag_kg_s: [0.0; 2],

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use downwash::clock::{HostTime, VehicleTime};
-use downwash::control::{AttitudeLoop, HoverVehicle, Lqr, LqrSettings};
+use downwash::control::{AttitudeLoop, ControlSettings, HoverVehicle, Lqr};
 use downwash::link::message::{Inbound, LandedState, Received, SystemState};
 use downwash::pilot::{Airframe, Pilot, PilotSettings, Tick};
 use downwash::plan::reference::ReferenceSource;
@@ -61,7 +61,7 @@ pub fn airframe(numbers: &Numbers) -> Airframe {
 pub fn lqr(numbers: &Numbers) -> Lqr {
     let attitude_loop = AttitudeLoop::Pd { kp: numbers.kp, kd: numbers.kd };
     let hover = airframe(numbers).hover;
-    Lqr::design(&hover, &attitude_loop, &LqrSettings::default()).expect("a gain")
+    Lqr::design(&hover, &attitude_loop, &ControlSettings::default()).expect("a gain")
 }
 
 /// The vehicle.

@@ -6,12 +6,13 @@ use std::time::Instant;
 
 use super::Demo;
 use super::outcome::LogRow;
-use crate::cli::{Contestant, DemoArgs};
+use crate::cli::Contestant;
 use crate::command::course::Course;
 use crate::command::progress::flight_bar;
 use crate::command::setup::EffectiveVehicle;
 use crate::command::simulation::{Simulated, SimulatedFlight};
 use crate::command::{Exit, ExitContext, say, summary};
+use crate::config::Config;
 use crate::report::comparison::{Contender, Track};
 use crate::report::flight::FlightReport;
 use crate::station::End;
@@ -37,33 +38,34 @@ impl Demo<'_> {
             .hover
             .hover_thrust_n();
         let length: f64 = courses.iter().map(|(_, course)| course.duration()).sum();
-        let progress = flight_bar(length * args.flights as f64);
+        let progress = flight_bar(length * (args.flights * self.configs.len() as u64) as f64);
         let mut flown = None;
         let mut before_s = 0.0;
         let began = Instant::now();
         let mut reading_s = 0.0;
-        for (contestant, course) in courses {
+        let laws = |course| self.configs.iter().map(move |config| (course, config));
+        for ((contestant, course), config) in courses.iter().flat_map(laws) {
+            let name = self.name(*contestant, config);
             let mut tracks = Vec::new();
             for seed in args.seed..args.seed.saturating_add(args.flights) {
                 if self.interrupted.load(Ordering::Relaxed) {
                     return Ok(None);
                 }
                 let flight = SimulatedFlight {
-                    config: &self.config,
+                    config,
                     vehicle: &self.vehicle,
                     airframe: &self.vehicle.params,
                     truth: &self.truth,
                     course,
-                    run: &run_name(course, *contestant, seed, args),
+                    run: &self.run_name(course, &name, seed),
                     seed,
-                    extra: BTreeMap::from([("reference".to_owned(), contestant.name().to_owned())]),
+                    extra: BTreeMap::from([("reference".to_owned(), name.clone())]),
                 };
                 let Simulated { end, log, simulated_s } = flight.fly(&args.out, |status| {
                     let along_s = status.progress.map_or(0.0, |(t, _)| t);
                     progress.set_position(((before_s + along_s) * 10.0) as u64);
                     progress.set_message(format!(
-                        "{}: {}",
-                        contestant.name(),
+                        "{name}: {}",
                         status.phase.map_or("connect", |phase| phase.name())
                     ));
                 })?;
@@ -78,7 +80,7 @@ impl Demo<'_> {
                 reading_s += reading.elapsed().as_secs_f64();
                 let (words, exit) = summary::end_in_words(Some(&end), None);
                 if end != End::Done {
-                    say(format_args!("{} did not end as planned: {words}", contestant.name()));
+                    say(format_args!("{name} did not end as planned: {words}"));
                 }
                 let all = flown.get_or_insert_with(|| Flown {
                     first: report,
@@ -93,25 +95,33 @@ impl Demo<'_> {
                     (all.end, all.exit) = (words, exit);
                 }
                 all.simulated_s += simulated_s;
-                all.logs.push(LogRow { contender: contestant.name(), seed, log });
+                all.logs.push(LogRow { contender: name.clone(), seed, log });
             }
             if let Some(all) = &mut flown {
-                all.contenders.extend(Contender::new(contestant.name(), tracks));
+                all.contenders.extend(Contender::new(&name, tracks));
             }
         }
         progress.finish_and_clear();
         Ok(flown.map(|flown| Flown { wall_s: began.elapsed().as_secs_f64() - reading_s, ..flown }))
     }
-}
 
-/// What a flight is called in its log and in the log's name.
-fn run_name(course: &Course, contestant: Contestant, seed: u64, args: &DemoArgs) -> String {
-    let mut name = course.name().to_owned();
-    if args.fly.len() > 1 {
-        name += &format!("-{}", contestant.name());
+    /// What a row of the table is called: by what flies, and where laws are compared by the law.
+    fn name(&self, contestant: Contestant, config: &Config) -> String {
+        match self.configs.len() {
+            1 => contestant.name().to_owned(),
+            _ => format!("{} {}", contestant.name(), config.settings.control.law),
+        }
     }
-    if args.flights > 1 {
-        name += &format!("-{seed}");
+
+    /// What a flight is called in its log and in the log's name.
+    fn run_name(&self, course: &Course, contender: &str, seed: u64) -> String {
+        let mut name = course.name().to_owned();
+        if self.args.fly.len() * self.configs.len() > 1 {
+            name += &format!("-{}", contender.replace(' ', "-"));
+        }
+        if self.args.flights > 1 {
+            name += &format!("-{seed}");
+        }
+        name
     }
-    name
 }

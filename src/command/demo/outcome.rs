@@ -66,7 +66,7 @@ pub(super) struct PlanRow {
 /// One flight's log.
 #[derive(JsonSchema, Serialize)]
 pub(super) struct LogRow {
-    pub contender: &'static str,
+    pub contender: String,
     pub seed: u64,
     pub log: PathBuf,
 }
@@ -83,7 +83,7 @@ impl Demo<'_> {
         let args = self.args;
         let Flown { first, end, exit, logs, contenders, simulated_s, wall_s } = flown;
         let report_path = args.out.join("report.html");
-        let html = if args.fly.len() > 1 {
+        let html = if args.fly.len() * self.configs.len() > 1 {
             self.page(&contenders, learned.as_ref(), &plans, &logs)?
         } else {
             first.to_html()
@@ -142,7 +142,7 @@ impl Demo<'_> {
         );
         let mut notes = vec![(
             "flights",
-            "the bundled vehicle in lockstep, with the whole protocol; every controller has the same feedback, limits and rates".to_owned(),
+            "the bundled vehicle in lockstep, with the whole protocol; every row has the same limits and rates, and unless it names its control law the same feedback".to_owned(),
         )];
         if let Some(learned) = learned {
             notes.push((

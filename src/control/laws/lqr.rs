@@ -1,100 +1,37 @@
 //! The yaw-rotated linear quadratic regulator.
 
 use nalgebra::{SMatrix, SVector};
-use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, Ned};
 use vehicle::rigid_body::State;
 
-use super::actuation::{Actuation, DELAYED_STATES, DelayedModel};
-use super::attitude_loop::{AttitudeLoop, angle_error};
-use super::hover_model::{HoverModel, HoverVehicle, INPUTS, STATES};
-use super::limits::Saturation;
-use super::output_feedback::OutputFeedback;
-use super::riccati::{RiccatiError, solve_dare, spectral_radius};
+use super::super::actuation::{Actuation, DELAYED_STATES, DelayedModel};
+use super::super::attitude_loop::{AttitudeLoop, angle_error};
+use super::super::hover_model::{HoverModel, HoverVehicle, INPUTS, STATES};
+use super::super::output_feedback::OutputFeedback;
+use super::super::riccati::{solve_dare, spectral_radius};
+use super::{
+    Command, ControlLaw, ControlProblem, ControlSettings, DesignError, Gain, LawSpec, Reach,
+};
 use crate::setpoint::{Reference, Setpoint};
 
-/// The LQR's weights by Bryson's rule: each is 1 / (acceptable deviation)^2. Thrust counts in
-/// units of hover thrust and everything else is kinematic, so that one set flies a 30 g nano and
-/// a 1.2 kg quadrotor.
-///
-/// The defaults ask next to nothing of velocity, attitude and body rate: the attitude loop holds
-/// the last two, and what is fed back of them meets its resonance with the rotors' lag after the
-/// link's delay. [`Lqr::design_for`] takes back more of it where lag and delay are known; with what
-/// is not known, these fly with 30 ms of delay and 60 ms of lag.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LqrSettings {
-    /// Rate of the feedback, Hz.
-    pub rate_hz: f64,
-    /// Acceptable position error north, east, down in axes turned by yaw, m.
-    pub position_m: [f64; 3],
-    /// Acceptable velocity error, likewise, m/s.
-    pub velocity_m_s: [f64; 3],
-    /// Acceptable error of roll, pitch and yaw, rad.
-    pub attitude_rad: [f64; 3],
-    /// Acceptable error of the body rate, rad/s.
-    pub body_rate_rad_s: [f64; 3],
-    /// Acceptable thrust correction, as a fraction of hover thrust.
-    pub thrust: f64,
-    /// Acceptable correction of the desired roll, pitch and yaw, rad.
-    pub attitude_command_rad: [f64; 3],
-    /// Acceptable correction of the desired body rate, rad/s.
-    pub body_rate_command_rad_s: [f64; 3],
-    /// How quickly the vehicle's own attitude loop answers about roll, pitch and yaw: the natural
-    /// frequency of its response, taken to be critically damped, rad/s. For a vehicle that is sent
-    /// attitude and thrust and whose file has no gains; none takes the slowest that its autopilot
-    /// is expected to fly with.
-    pub attitude_response_rad_s: Option<[f64; 3]>,
-    /// The feedback sees at most this horizontal position error, so that a reference far away is
-    /// approached at a bounded speed, m.
-    pub horizontal_error_max_m: f64,
-    /// The same for height, m.
-    pub vertical_error_max_m: f64,
-}
+/// The LQR in the table of laws.
+pub(super) static SPEC: LawSpec = LawSpec {
+    id: "lqr",
+    summary: "The paper's LQR about hover, its horizontal errors turned by yaw.",
+    gains: &[
+        gain("position_m", "m", 3, "acceptable position error"),
+        gain("velocity_m_s", "m/s", 3, "acceptable velocity error"),
+        gain("attitude_rad", "rad", 3, "acceptable error of roll, pitch and yaw"),
+        gain("body_rate_rad_s", "rad/s", 3, "acceptable error of the body rate"),
+        gain("thrust", "hover thrusts", 1, "acceptable thrust correction"),
+        gain("attitude_command_rad", "rad", 3, "acceptable correction of the attitude setpoint"),
+        gain("body_rate_command_rad_s", "rad/s", 3, "acceptable correction of the rate setpoint"),
+    ],
+    design: |problem| Ok(Box::new(Lqr::for_problem(problem)?)),
+};
 
-impl Default for LqrSettings {
-    fn default() -> Self {
-        Self {
-            rate_hz: 100.0,
-            position_m: [0.3, 0.3, 0.2],
-            velocity_m_s: [3.0, 3.0, 1.0],
-            attitude_rad: [5.0, 5.0, 2.0],
-            body_rate_rad_s: [50.0, 50.0, 20.0],
-            thrust: 0.35,
-            attitude_command_rad: [0.25, 0.25, 0.3],
-            body_rate_command_rad_s: [0.05, 0.05, 0.05],
-            attitude_response_rad_s: None,
-            horizontal_error_max_m: 1.0,
-            vertical_error_max_m: 0.6,
-        }
-    }
-}
-
-/// Why a controller cannot be designed.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum DesignError {
-    /// A number that must be positive is not.
-    #[error("controller design: {quantity} is {found}, expected a positive finite number")]
-    NotPositive {
-        /// Which.
-        quantity: &'static str,
-        /// Its value.
-        found: f64,
-    },
-    /// The Riccati equation has no usable solution.
-    #[error("controller design: {0}; check the vehicle's inertia and attitude gains")]
-    Riccati(#[from] RiccatiError),
-    /// The loop with the vehicle's delay and lag does not settle under any gain that was tried.
-    #[error(
-        "controller design: no feedback settles the vehicle with a command delay of {delay_s} s \
-         and a motor lag of {lag_s} s; check both, and its inertia and attitude gains"
-    )]
-    TooSlow {
-        /// Command delay, s.
-        delay_s: f64,
-        /// Lag of the rotors, s.
-        lag_s: f64,
-    },
+const fn gain(key: &'static str, unit: &'static str, values: usize, meaning: &'static str) -> Gain {
+    Gain { key, unit, values, meaning }
 }
 
 /// Errors that the gain is made for where lag and delay leave a choice: north, east, down;
@@ -109,11 +46,19 @@ pub struct Lqr {
     attitude_loop: AttitudeLoop,
     gain: SMatrix<f64, INPUTS, STATES>,
     spectral_radius: f64,
-    horizontal_error_max_m: f64,
-    vertical_error_max_m: f64,
+    reach: Reach,
 }
 
 impl Lqr {
+    /// Designs the gain for a vehicle: [`Lqr::design_for`] with what a problem says of it.
+    ///
+    /// # Errors
+    /// As [`Lqr::design_for`].
+    pub fn for_problem(problem: &ControlProblem) -> Result<Self, DesignError> {
+        let ControlProblem { vehicle, actuation, attitude_loop, settings, .. } = problem;
+        Self::design_for(actuation, vehicle, attitude_loop, settings)
+    }
+
     /// Designs the gain on the near-hover model of `vehicle` with `attitude_loop` inside, which
     /// answers at once.
     ///
@@ -123,7 +68,7 @@ impl Lqr {
     pub fn design(
         vehicle: &HoverVehicle,
         attitude_loop: &AttitudeLoop,
-        settings: &LqrSettings,
+        settings: &ControlSettings,
     ) -> Result<Self, DesignError> {
         check(vehicle, attitude_loop, settings)?;
         let model =
@@ -134,8 +79,7 @@ impl Lqr {
             attitude_loop: *attitude_loop,
             gain: -solution.gain,
             spectral_radius: solution.spectral_radius,
-            horizontal_error_max_m: settings.horizontal_error_max_m,
-            vertical_error_max_m: settings.vertical_error_max_m,
+            reach: settings.into(),
         })
     }
 
@@ -150,7 +94,7 @@ impl Lqr {
         actuation: &Actuation,
         vehicle: &HoverVehicle,
         attitude_loop: &AttitudeLoop,
-        settings: &LqrSettings,
+        settings: &ControlSettings,
     ) -> Result<Self, DesignError> {
         let prompt = Self::design(vehicle, attitude_loop, settings)?;
         if *actuation == Actuation::IMMEDIATE {
@@ -196,6 +140,21 @@ impl Lqr {
         &self.gain
     }
 
+    /// Stiffness and damping of the position that the feedback gives with the attitude loop inside:
+    /// `dv/dt = -stiffness e - damping v` along north, east and down, 1/s^2 and 1/s. The attitude is
+    /// taken to be where the loop settles (its states' slopes are set to 0 and eliminated), so these
+    /// are the slow part of the closed loop.
+    pub fn translational(&self, vehicle: &HoverVehicle) -> ([f64; 3], [f64; 3]) {
+        const MOVES: usize = 6;
+        let hover = HoverModel::continuous(vehicle, &self.attitude_loop);
+        let closed_loop = hover.state + hover.input * self.gain;
+        let block = |row, column| closed_loop.fixed_view::<MOVES, MOVES>(row, column).into_owned();
+        let settled = block(MOVES, MOVES).lu().solve(&block(MOVES, 0)).unwrap_or_default();
+        let slow = block(0, 0) - block(0, MOVES) * settled;
+        let gain = |column| std::array::from_fn(|i| -slow[(3 + i, column + i)]);
+        (gain(0), gain(3))
+    }
+
     /// The loop that it is designed around.
     pub fn attitude_loop(&self) -> &AttitudeLoop {
         &self.attitude_loop
@@ -209,9 +168,9 @@ impl Lqr {
     /// The correction `K T_R (s - s*)` to the reference's input, and whether its position error
     /// was cut. `T_R` turns the horizontal errors of position and velocity by the present yaw
     /// (Bansal et al., eq. 12-14); the yaw error is wrapped.
-    pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, Saturation) {
+    pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, bool) {
         let attitude = state.attitude.euler();
-        let (error, cut) = self.bounded(state.position - reference.position);
+        let (error, is_cut) = self.reach.bounded(state.position - reference.position);
         let [pn, pe, pd] = turned_by_yaw(error, attitude.yaw);
         let [vn, ve, vd] = turned_by_yaw(state.velocity - reference.velocity, attitude.yaw);
         let [roll, pitch, yaw] = angle_error(attitude, reference.attitude);
@@ -223,24 +182,18 @@ impl Lqr {
             attitude: Euler::new(roll, pitch, yaw),
             body_rate: Frd::new(p, q, r),
         };
-        (correction, Saturation { position_error: cut, ..Saturation::default() })
-    }
-
-    /// The position error with its horizontal part and its height within bounds.
-    fn bounded(&self, error: Ned) -> (Ned, bool) {
-        let horizontal = (error.north().powi(2) + error.east().powi(2)).sqrt();
-        let scale = (self.horizontal_error_max_m / horizontal).min(1.0);
-        let down = error.down().clamp(-self.vertical_error_max_m, self.vertical_error_max_m);
-        let bounded = if scale < 1.0 {
-            Ned::new(error.north() * scale, error.east() * scale, down)
-        } else {
-            Ned::new(error.north(), error.east(), down)
-        };
-        (bounded, scale < 1.0 || down != error.down())
+        (correction, is_cut)
     }
 }
 
-impl LqrSettings {
+impl ControlLaw for Lqr {
+    fn command(&mut self, state: &State, reference: &Reference, _dt_s: f64) -> Command {
+        let (feedback, is_cut) = self.feedback(state, reference);
+        Command::correcting(reference, feedback, is_cut)
+    }
+}
+
+impl ControlSettings {
     /// The diagonal `Q` and `R`, in SI, for a vehicle whose hover thrust is `hover_thrust_n`.
     pub fn weights(
         &self,
@@ -266,7 +219,7 @@ fn turned_by_yaw(v: Ned, yaw: f64) -> [f64; 3] {
 fn check(
     vehicle: &HoverVehicle,
     attitude_loop: &AttitudeLoop,
-    settings: &LqrSettings,
+    settings: &ControlSettings,
 ) -> Result<(), DesignError> {
     let loop_numbers = match attitude_loop {
         AttitudeLoop::Pd { kp, kd } | AttitudeLoop::AttitudePd { kp, kd } => {
@@ -319,7 +272,7 @@ mod tests {
     const PD: AttitudeLoop = AttitudeLoop::Pd { kp: [1.46, 1.6, 0.355], kd: [0.19, 0.22, 0.163] };
 
     fn lqr() -> Lqr {
-        Lqr::design(&QUAD, &PD, &LqrSettings::default()).expect("a stabilising gain")
+        Lqr::design(&QUAD, &PD, &ControlSettings::default()).expect("a stabilising gain")
     }
 
     fn at_origin(yaw: f64) -> State {
@@ -369,16 +322,16 @@ mod tests {
 
     #[test]
     fn far_reference_asks_no_more_than_one_at_the_bound_and_says_so() {
-        let (far, saturation) = lqr().feedback(&at_origin(0.0), &reference(100.0, 0.0, 0.0, 0.0));
+        let (far, is_cut) = lqr().feedback(&at_origin(0.0), &reference(100.0, 0.0, 0.0, 0.0));
         let (bound, _) = lqr().feedback(&at_origin(0.0), &reference(1.0, 0.0, 0.0, 0.0));
-        assert!(saturation.position_error);
+        assert!(is_cut);
         assert!((far.attitude.pitch - bound.attitude.pitch).abs() < 1e-12);
     }
 
     #[test]
     fn feedback_of_no_error_is_zero() {
-        let (none, saturation) = lqr().feedback(&at_origin(1.0), &reference(0.0, 0.0, 0.0, 1.0));
-        assert!(none.thrust_n == 0.0 && none.attitude.yaw.abs() < 1e-12 && !saturation.any());
+        let (none, is_cut) = lqr().feedback(&at_origin(1.0), &reference(0.0, 0.0, 0.0, 1.0));
+        assert!(none.thrust_n == 0.0 && none.attitude.yaw.abs() < 1e-12 && !is_cut);
     }
 
     #[test]
@@ -386,12 +339,12 @@ mod tests {
         let rates = AttitudeLoop::Rates { gain: [6.0, 6.0, 3.0], time_constant_s: [0.05; 3] };
         for attitude_loop in [PD, AttitudeLoop::PX4, AttitudeLoop::ARDUCOPTER, rates] {
             for rate_hz in [50.0, 100.0, 500.0] {
-                let settings = LqrSettings { rate_hz, ..LqrSettings::default() };
+                let settings = ControlSettings { rate_hz, ..ControlSettings::default() };
                 let lqr = Lqr::design(&QUAD, &attitude_loop, &settings).expect("a gain");
                 assert!(lqr.spectral_radius() < 1.0);
             }
         }
-        let attitude_only = Lqr::design(&QUAD, &AttitudeLoop::PX4, &LqrSettings::default());
+        let attitude_only = Lqr::design(&QUAD, &AttitudeLoop::PX4, &ControlSettings::default());
         let rows = attitude_only.expect("a gain").gain().fixed_rows::<3>(4).norm();
         assert_eq!(rows, 0.0, "a loop that ignores rates is asked for none");
     }
@@ -408,7 +361,7 @@ mod tests {
     #[test]
     fn vehicle_that_answers_late_is_asked_for_less_and_one_that_does_not_for_the_same() {
         let (kp, kd) = (NANO_KP, NANO_KD);
-        let settings = LqrSettings::default();
+        let settings = ControlSettings::default();
         for attitude_loop in [
             AttitudeLoop::Pd { kp, kd },
             AttitudeLoop::AttitudePd { kp, kd },
@@ -436,7 +389,7 @@ mod tests {
         // By Routh, kd < lag kp.
         let attitude_loop = AttitudeLoop::Pd { kp: NANO_KP, kd: NANO_KD };
         let refused =
-            Lqr::design_for(&slow(0.05, 0.12), &NANO, &attitude_loop, &LqrSettings::default());
+            Lqr::design_for(&slow(0.05, 0.12), &NANO, &attitude_loop, &ControlSettings::default());
         let error = refused.expect_err("refused").to_string();
         assert!(error.contains("motor lag of 0.12 s"), "{error}");
     }
@@ -444,7 +397,7 @@ mod tests {
     #[test]
     fn gain_for_a_late_vehicle_keeps_the_signs_and_decouples_the_axes() {
         let attitude_loop = AttitudeLoop::AttitudePd { kp: NANO_KP, kd: NANO_KD };
-        let settings = LqrSettings::default();
+        let settings = ControlSettings::default();
         let lqr = Lqr::design_for(&slow(0.005, 0.04), &NANO, &attitude_loop, &settings);
         let gain = *lqr.expect("a gain").gain();
         // Found with SciPy on one axis alone, the delay in whole.
@@ -459,9 +412,9 @@ mod tests {
     #[test]
     fn impossible_numbers_are_named() {
         let vehicle = HoverVehicle { mass_kg: -1.0, ..QUAD };
-        let refused = Lqr::design(&vehicle, &PD, &LqrSettings::default());
+        let refused = Lqr::design(&vehicle, &PD, &ControlSettings::default());
         assert!(refused.expect_err("refused").to_string().contains("mass is -1"));
-        let settings = LqrSettings { rate_hz: f64::NAN, ..LqrSettings::default() };
+        let settings = ControlSettings { rate_hz: f64::NAN, ..ControlSettings::default() };
         assert!(Lqr::design(&QUAD, &PD, &settings).is_err());
     }
 }

@@ -1,0 +1,371 @@
+//! Geometric tracking on SE(3): the wanted force, as a vector, gives thrust and attitude.
+
+use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::rigid_body::State;
+
+use super::super::attitude_loop::tilt_towards;
+use super::{Command, ControlLaw, ControlProblem, DesignError, Gain, LawSpec, Lqr, Reach};
+use crate::setpoint::{Reference, Setpoint};
+
+/// The law in the table of laws.
+pub(super) static SPEC: LawSpec = LawSpec {
+    id: "geometric",
+    summary: "Tracking on SE(3) (Lee, Leok, McClamroch 2010): valid at any attitude.",
+    gains: &[
+        Gain {
+            key: "gains.position_per_s2",
+            unit: "1/s^2",
+            values: 2,
+            meaning: "acceleration over position error, horizontal and vertical: kx/m",
+        },
+        Gain {
+            key: "gains.velocity_per_s",
+            unit: "1/s",
+            values: 2,
+            meaning: "acceleration over velocity error, horizontal and vertical: kv/m",
+        },
+    ],
+    design: |problem| Ok(Box::new(Geometric::design(problem)?)),
+};
+
+/// The wanted force points up by at least this share of the weight, or its direction would not be
+/// an attitude (the paper's assumption `|A| > 0`).
+const LIFT_MIN: f64 = 0.1;
+
+/// The tracking law of Lee, Leok and McClamroch ("Geometric tracking control of a quadrotor UAV on
+/// SE(3)", CDC 2010, eq. 12, 15 and 16), over a loop that tracks the attitude in place of the
+/// paper's moments:
+///
+/// ```text
+/// f     = f* - kx (p - p*) - kv (v - v*)          wanted force over mass, world axes [m/s^2]
+/// u1    = -m f . (R e3)                           thrust [N], along the body's own axis
+/// R_d   : R_d e3 = -f / |f|, heading psi*         desired attitude
+/// omega = R^T R* omega*                           desired body rate, turned into the body's axes
+/// ```
+///
+/// `f* = -(u1*/m) R* e3` is the force of the reference, so that whatever a plan or a feed-forward
+/// holds against (acceleration, drag, wind) is held here too; what the reference's attitude setpoint
+/// adds to its attitude, to lead the loop, is added to `R_d`. The turn that the errors themselves
+/// ask of `R_d` is left to the attitude loop: it takes a derivative of the measured velocity.
+///
+/// Thrust is that part of the force which the body's axis can give now: upside down it is none,
+/// where the LQR goes on pushing its hover thrust into the ground. Where the wanted force is beyond the tilt limit, its
+/// horizontal part gives way, so that height is held.
+///
+/// The gains are those of the LQR for the same vehicle ([`Lqr::translational`]) unless set: the same
+/// bandwidth near hover, and what is known of lag and delay is in them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Geometric {
+    mass_kg: f64,
+    gravity: f64,
+    tilt_max_rad: f64,
+    reach: Reach,
+    /// Horizontal and vertical.
+    position_per_s2: [f64; 2],
+    velocity_per_s: [f64; 2],
+}
+
+impl Geometric {
+    /// Designs the law for a vehicle.
+    ///
+    /// # Errors
+    /// As [`Lqr::design_for`], whose bandwidth it takes over.
+    pub fn design(problem: &ControlProblem) -> Result<Self, DesignError> {
+        let ControlProblem { vehicle, limits, settings, .. } = problem;
+        let (stiffness, damping) = Lqr::for_problem(problem)?.translational(vehicle);
+        let axes = |[north, east, down]: [f64; 3]| [0.5 * (north + east), down];
+        let gains = &settings.gains;
+        Ok(Self {
+            mass_kg: vehicle.mass_kg,
+            gravity: vehicle.gravity,
+            tilt_max_rad: limits.tilt_max_rad,
+            reach: (*settings).into(),
+            position_per_s2: gains.get("position_per_s2").unwrap_or(axes(stiffness)),
+            velocity_per_s: gains.get("velocity_per_s").unwrap_or(axes(damping)),
+        })
+    }
+
+    /// Acceleration over position error, horizontal and vertical, 1/s^2.
+    pub fn position_per_s2(&self) -> [f64; 2] {
+        self.position_per_s2
+    }
+
+    /// Acceleration over velocity error, horizontal and vertical, 1/s.
+    pub fn velocity_per_s(&self) -> [f64; 2] {
+        self.velocity_per_s
+    }
+
+    /// `f` with a direction that can be flown: upwards, and within the tilt limit.
+    fn flyable(&self, force: Ned) -> Ned {
+        let [north, east, down] = force.to_array();
+        let down = down.min(-LIFT_MIN * self.gravity);
+        let most = -down * self.tilt_max_rad.tan();
+        // Beyond a quarter turn the tangent bounds nothing.
+        let scale = if most > 0.0 { (most / north.hypot(east)).min(1.0) } else { 1.0 };
+        Ned::new(north * scale, east * scale, down)
+    }
+}
+
+impl ControlLaw for Geometric {
+    fn command(&mut self, state: &State, reference: &Reference, _dt_s: f64) -> Command {
+        let Reference { attitude: wanted, feedforward, .. } = *reference;
+        let (error, is_cut) = self.reach.bounded(state.position - reference.position);
+        let axes = |[horizontal, vertical]: [f64; 2]| [horizontal, horizontal, vertical];
+        let feedback = error.scale_by(axes(self.position_per_s2))
+            + (state.velocity - reference.velocity).scale_by(axes(self.velocity_per_s));
+        let specific = feedforward.thrust_n / self.mass_kg;
+        let wanted_attitude = wanted.attitude();
+        let force =
+            self.flyable(wanted_attitude.to_world(Frd::new(0.0, 0.0, -specific)) - feedback);
+        let axis = state.attitude.to_world(Frd::new(0.0, 0.0, 1.0));
+        let thrust_n = -self.mass_kg * force.dot(axis);
+        let [roll, pitch] = tilt_towards(-force, state.attitude.yaw());
+        let ahead = feedforward.attitude;
+        let attitude = Euler::new(
+            roll + ahead.roll - wanted.roll,
+            pitch + ahead.pitch - wanted.pitch,
+            ahead.yaw,
+        );
+        let body_rate = state.attitude.to_body(wanted_attitude.to_world(feedforward.body_rate));
+        Command::absolute(
+            reference,
+            Setpoint { thrust_n: thrust_n.max(0.0), attitude, body_rate },
+            is_cut,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{ControlSettings, Law};
+    use super::*;
+    use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Limits};
+    use proptest::prelude::*;
+    use vehicle::frame::{Attitude, wrap_angle};
+
+    const QUAD: HoverVehicle =
+        HoverVehicle { mass_kg: 1.2, inertia: [0.0112, 0.0123, 0.0206], gravity: 9.81 };
+    const PD: AttitudeLoop = AttitudeLoop::Pd { kp: [1.46, 1.6, 0.355], kd: [0.19, 0.22, 0.163] };
+    const LATE: Actuation = Actuation { command_delay_s: 0.02, motor_time_constant_s: 0.04 };
+
+    fn designed(actuation: &Actuation, settings: &ControlSettings) -> Geometric {
+        let limits = Limits::default();
+        let problem = ControlProblem {
+            vehicle: &QUAD,
+            actuation,
+            attitude_loop: &PD,
+            limits: &limits,
+            settings,
+        };
+        Geometric::design(&problem).expect("a law")
+    }
+
+    fn law() -> Geometric {
+        designed(&Actuation::IMMEDIATE, &ControlSettings::default())
+    }
+
+    /// What carries the vehicle at this acceleration and heading.
+    fn carrying(acceleration: Ned, yaw: f64) -> Reference {
+        let force = acceleration - Ned::new(0.0, 0.0, QUAD.gravity);
+        let [roll, pitch] = tilt_towards(-force, yaw);
+        let attitude = Euler::new(roll, pitch, yaw);
+        let thrust_n = QUAD.mass_kg * force.norm();
+        let feedforward = Setpoint { thrust_n, attitude, ..Setpoint::default() };
+        Reference { attitude, feedforward, ..Reference::default() }
+    }
+
+    /// The vehicle where the reference wants it.
+    fn on(reference: &Reference) -> State {
+        State {
+            position: reference.position,
+            velocity: reference.velocity,
+            attitude: reference.attitude.attitude(),
+            body_rate: reference.body_rate,
+        }
+    }
+
+    fn setpoint(state: &State, reference: &Reference) -> Setpoint {
+        law().command(state, reference, 0.01).setpoint
+    }
+
+    fn is_near(a: Euler, b: Euler, within: f64) -> bool {
+        [a.roll - b.roll, a.pitch - b.pitch, a.yaw - b.yaw]
+            .into_iter()
+            .all(|off| wrap_angle(off).abs() < within)
+    }
+
+    #[test]
+    fn hover_takes_the_weight_and_a_level_attitude_at_any_heading() {
+        for yaw in [0.0, 1.0, -3.0] {
+            let reference = carrying(Ned::zero(), yaw);
+            let sent = setpoint(&on(&reference), &reference);
+            assert!((sent.thrust_n - QUAD.hover_thrust_n()).abs() < 1e-9);
+            assert!(is_near(sent.attitude, Euler::new(0.0, 0.0, yaw), 1e-12));
+            assert_eq!(sent.body_rate, Frd::zero());
+        }
+    }
+
+    #[test]
+    fn pure_yaw_is_a_heading_and_its_rate_and_no_tilt() {
+        let mut reference = carrying(Ned::zero(), 0.5);
+        reference.feedforward.body_rate = Frd::new(0.0, 0.0, 1.5);
+        reference.body_rate = reference.feedforward.body_rate;
+        // A quarter behind: the heading is asked for at once, and the thrust stays upright.
+        let state = State { attitude: Euler::new(0.0, 0.0, 0.25).attitude(), ..on(&reference) };
+        let sent = setpoint(&state, &reference);
+        assert!(is_near(sent.attitude, Euler::new(0.0, 0.0, 0.5), 1e-12));
+        assert!((sent.body_rate - Frd::new(0.0, 0.0, 1.5)).norm() < 1e-12);
+        assert!((sent.thrust_n - QUAD.hover_thrust_n()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn steady_acceleration_is_the_vector_sum_with_the_weight() {
+        // 3 m/s^2 to the north, heading east: the left side goes down.
+        let reference = carrying(Ned::new(3.0, 0.0, 0.0), std::f64::consts::FRAC_PI_2);
+        let sent = setpoint(&on(&reference), &reference);
+        let (length, tilt) = (3.0_f64.hypot(9.81), (3.0_f64 / 9.81).atan());
+        assert!((sent.thrust_n - 1.2 * length).abs() < 1e-9);
+        let expected = Euler::new(-tilt, 0.0, std::f64::consts::FRAC_PI_2);
+        assert!(is_near(sent.attitude, expected, 1e-9), "{:?}", sent.attitude);
+        let command = law().command(&on(&reference), &reference, 0.01);
+        assert!(command.feedback.thrust_n.abs() < 1e-9 && !command.is_cut);
+    }
+
+    #[test]
+    fn errors_ask_for_the_acceleration_that_the_gains_say() {
+        let reference = carrying(Ned::zero(), 0.0);
+        let state = State {
+            position: Ned::new(-0.4, 0.2, 0.1),
+            velocity: Ned::new(0.1, -0.2, 0.3),
+            ..on(&reference)
+        };
+        let sent = setpoint(&state, &reference);
+        let ([kx, kz], [dx, dz]) = (law().position_per_s2(), law().velocity_per_s());
+        let force =
+            Ned::new(0.4 * kx - 0.1 * dx, -0.2 * kx + 0.2 * dx, -9.81 - 0.1 * kz - 0.3 * dz);
+        assert!((sent.thrust_n + 1.2 * force.down()).abs() < 1e-9);
+        let down = sent.attitude.attitude().to_world(Frd::new(0.0, 0.0, 1.0));
+        assert!((down + force * (1.0 / force.norm())).norm() < 1e-9);
+    }
+
+    #[test]
+    fn upside_down_it_does_not_push() {
+        let reference = carrying(Ned::zero(), 0.0);
+        let over = State { attitude: Euler::new(2.97, 0.0, 0.0).attitude(), ..on(&reference) };
+        let sent = setpoint(&over, &reference);
+        assert_eq!(sent.thrust_n, 0.0);
+        assert!(is_near(sent.attitude, Euler::default(), 1e-9));
+    }
+
+    #[test]
+    fn force_beyond_the_tilt_limit_gives_way_sideways_and_keeps_the_height() {
+        let reference = carrying(Ned::zero(), 0.0);
+        let state = State { velocity: Ned::new(-30.0, 0.0, 0.0), ..on(&reference) };
+        let sent = setpoint(&state, &reference);
+        let tilt = sent.attitude.attitude().tilt();
+        assert!((tilt - Limits::default().tilt_max_rad).abs() < 1e-9);
+        assert!((sent.thrust_n - QUAD.hover_thrust_n()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn gains_are_the_lqrs_near_hover_unless_they_are_set() {
+        for actuation in [Actuation::IMMEDIATE, LATE] {
+            let settings = ControlSettings::default();
+            let geometric = designed(&actuation, &settings);
+            let lqr = Lqr::design_for(&actuation, &QUAD, &PD, &settings).expect("a gain");
+            let hover = Reference {
+                feedforward: Setpoint { thrust_n: QUAD.hover_thrust_n(), ..Setpoint::default() },
+                ..Reference::default()
+            };
+            // Both ask for the same thrust for height, and settle at the same tilt for distance.
+            let below = State { position: Ned::new(0.0, 0.0, 0.1), ..State::default() };
+            let (by_lqr, _) = lqr.feedback(&below, &hover);
+            let by_force = geometric.clone().command(&below, &hover, 0.0).feedback;
+            assert!((by_lqr.thrust_n - by_force.thrust_n).abs() < 1e-6 * by_lqr.thrust_n);
+            let ahead = State { position: Ned::new(0.1, 0.0, 0.0), ..State::default() };
+            let AttitudeLoop::Pd { kp, kd } = PD else { unreachable!() };
+            // The loop's moment at a pitch, by the LQR, is linear and 0 where the pitch settles.
+            let turning = |pitch: f64| {
+                let attitude = Euler::new(0.0, pitch, 0.0).attitude();
+                let (asked, _) = lqr.feedback(&State { attitude, ..ahead }, &hover);
+                let [_, rate, _] = asked.body_rate.to_array();
+                kp[1] * (asked.attitude.pitch - pitch) + kd[1] * rate
+            };
+            let settled = -turning(0.0) * 0.01 / (turning(0.01) - turning(0.0));
+            let by_force = geometric.clone().command(&ahead, &hover, 0.0).feedback.attitude.pitch;
+            assert!((by_force / settled - 1.0).abs() < 0.03, "{by_force} {settled}");
+        }
+        let mut settings = ControlSettings { law: Law::GEOMETRIC, ..ControlSettings::default() };
+        settings.gains.set("position_per_s2", &[4.0, 9.0]);
+        let set = designed(&LATE, &settings);
+        assert_eq!(set.position_per_s2(), [4.0, 9.0]);
+        assert_eq!(
+            set.velocity_per_s(),
+            designed(&LATE, &ControlSettings::default()).velocity_per_s()
+        );
+    }
+
+    fn any_attitude() -> impl Strategy<Value = Attitude> {
+        (-3.1..3.1f64, -1.5..1.5f64, -3.1..3.1f64)
+            .prop_map(|(roll, pitch, yaw)| Euler::new(roll, pitch, yaw).attitude())
+    }
+
+    fn any_state() -> impl Strategy<Value = State> {
+        let triple = |most: f64| prop::array::uniform3(-most..most);
+        (triple(20.0), triple(10.0), any_attitude(), triple(8.0)).prop_map(|(p, v, attitude, w)| {
+            State { position: p.into(), velocity: v.into(), attitude, body_rate: w.into() }
+        })
+    }
+
+    fn any_reference() -> impl Strategy<Value = Reference> {
+        let triple = |most: f64| prop::array::uniform3(-most..most);
+        (triple(5.0), triple(3.0), triple(5.0), triple(2.0), -3.1..3.1f64).prop_map(
+            |(p, v, a, rate, yaw)| {
+                let mut reference = carrying(a.into(), yaw);
+                (reference.position, reference.velocity) = (p.into(), v.into());
+                reference.feedforward.body_rate = rate.into();
+                reference
+            },
+        )
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_it_is_asked_is_finite_and_within_the_tilt_limit(
+            state in any_state(), reference in any_reference(),
+        ) {
+            let sent = setpoint(&state, &reference);
+            prop_assert!(sent.is_finite() && sent.thrust_n >= 0.0);
+            let tilt = Euler { yaw: 0.0, ..sent.attitude }.attitude().tilt();
+            prop_assert!(tilt <= Limits::default().tilt_max_rad + 1e-9);
+            // The thrust is at most what the wanted force is, whose errors are bounded but for speed.
+            let speed = (state.velocity - reference.velocity).norm();
+            let ([kx, kz], [dx, dz]) = (law().position_per_s2(), law().velocity_per_s());
+            let most = reference.feedforward.thrust_n / 1.2 + kx + kz + (dx + dz) * speed + 9.81;
+            prop_assert!(sent.thrust_n <= 1.2 * most / Limits::default().tilt_max_rad.cos());
+        }
+
+        #[test]
+        fn a_turned_world_turns_the_heading_and_nothing_else(
+            state in any_state(), reference in any_reference(), turn in -3.0..3.0f64,
+        ) {
+            let about = Euler::new(0.0, 0.0, turn).attitude();
+            let turned = |v: Ned| about.to_world(Frd::from(v.to_array()));
+            let heading = |Euler { roll, pitch, yaw }: Euler| Euler::new(roll, pitch, yaw + turn);
+            let moved = State {
+                position: turned(state.position),
+                velocity: turned(state.velocity),
+                attitude: about.compose(state.attitude),
+                ..state
+            };
+            let mut led = reference;
+            (led.position, led.velocity) = (turned(led.position), turned(led.velocity));
+            led.attitude = heading(led.attitude);
+            led.feedforward.attitude = heading(led.feedforward.attitude);
+            let (here, there) = (setpoint(&state, &reference), setpoint(&moved, &led));
+            prop_assert!((here.thrust_n - there.thrust_n).abs() < 1e-6);
+            prop_assert!(is_near(heading(here.attitude), there.attitude, 1e-6));
+            prop_assert!((here.body_rate - there.body_rate).norm() < 1e-6);
+        }
+    }
+}
