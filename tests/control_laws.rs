@@ -106,7 +106,8 @@ fn every_law_flies_as_px4_and_arducopter_are_flown() {
 fn recovered(vehicle: &str, law: Law) -> (State, f64) {
     let params = params(vehicle);
     let config = ideal();
-    let mut plant = Plant::new(&params, &EffectSet::new(), &config.plant(), 1).expect("a plant").airborne();
+    let mut plant =
+        Plant::new(&params, &EffectSet::new(), &config.plant(), 1).expect("a plant").airborne();
     let constants = plant.physics().constants();
     let thrust_full_n: f64 = constants.rotors.iter().map(|rotor| rotor.thrust_max).sum();
     let hover = HoverVehicle {
