@@ -180,14 +180,14 @@ fn text(summary: &DemoSummary) -> String {
     let mut text = if summary.contenders.len() > 1 {
         let heads = ["flights", "north", "east", "down", "3D", "most", "yaw/deg", "gain", "fb/%"];
         let heads = heads.map(|head| format!("{head:>9}")).concat();
-        let mut table = format!("flights {}\n{:18}{heads}\n", summary.end, "position RMSE / m");
+        let mut table = format!("flights {}\n{:22}{heads}\n", summary.end, "position RMSE / m");
         let reference = summary.contenders.first().map_or(f64::NAN, |c| c.mean.rmse_3d_m);
         for contender in &summary.contenders {
             let mean = &contender.mean;
             let [n, e, d] = mean.rmse_ned_m;
             let lengths = [n, e, d, mean.rmse_3d_m, mean.max_3d_m].map(|v| format!("{v:9.4}"));
             table += &format!(
-                "{:18}{:9}{}{:9.2}{:9.1}{:9.0}\n",
+                "{:22}{:9}{}{:9.2}{:9.1}{:9.0}\n",
                 contender.name,
                 contender.flights.len(),
                 lengths.concat(),
