@@ -3,17 +3,20 @@
 use std::sync::Arc;
 
 use crate::planning::{
-    attitude_pd, hasty, hybrid, physics, plan, planned_vehicle, planner, rest, turning,
+    attitude_pd, hasty, hybrid, physics, plan, planned_vehicle, planner, rest, turning, vehicle,
 };
 use downwash::control::Limits;
 use downwash::model::Model;
 use downwash::model::features::Features;
+use downwash::model::physics::{PhysicsModel, PhysicsParameters};
 use downwash::plan::conic::Conic;
 use downwash::plan::desire::Desire;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics, WrenchDynamics};
 use downwash::plan::interior_point::InteriorPoint;
 use downwash::plan::iterate::Iterate;
-use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner, SolverChoice};
+use downwash::plan::planner::{
+    PlanSettings, PlannedVehicle, Planner, RecedingSettings, SolverChoice,
+};
 use downwash::plan::problem::{InputBounds, Problem, STATES, StateLimits, StateVector};
 use downwash::plan::scp::{Outcome, ScpSettings, Status, search};
 use downwash::plan::subproblem::SubproblemSolver;
@@ -89,6 +92,27 @@ fn all_solvers_plan_for_the_vehicle_with_its_loop() {
     for cost in costs {
         assert!((cost - costs[0]).abs() < 1e-3 * costs[0], "{costs:?}");
     }
+}
+
+#[test]
+fn under_an_autopilots_own_loop_inputs_do_not_jump_from_period_to_period() {
+    let settings = PlanSettings::default();
+    let mut parameters = PhysicsParameters::default();
+    let trim = "attitude_trim:roll_rad=0.014,pitch_rad=-0.009";
+    parameters.effects.insert_argument(trim).expect("an effect");
+    let model = PhysicsModel::new(&vehicle(), &parameters).expect("a model");
+    let plain = planner(Arc::new(model), &settings);
+    let cautious = plain.clone().cautious(&RecedingSettings::default().for_loop(true));
+    let trajectory = hasty(6.0);
+    // Root mean square of the second differences of the desired roll rate, rad/s.
+    let [jumps, smooth] = [plain, cautious].map(|planner| {
+        let desire = planner.desire(&trajectory).expect("desired states");
+        let outcome = planner.plan(&desire, rest(&desire.states[0]), None, &|_| false);
+        let bends = outcome.iterate.inputs.windows(3).map(|w| w[0][4] - 2.0 * w[1][4] + w[2][4]);
+        let (sum, count) = bends.fold((0.0, 0.0), |(sum, n), bend| (sum + bend * bend, n + 1.0));
+        f64::sqrt(sum / count)
+    });
+    assert!(smooth < 0.01 && smooth < 0.5 * jumps, "{smooth} and {jumps} rad/s");
 }
 
 #[test]

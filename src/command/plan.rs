@@ -49,7 +49,7 @@ impl PlanModel {
         let model =
             PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
         Ok(Self {
-            model: behind_the_map(Arc::new(model), vehicle, &effective),
+            model: behind_the_map(Arc::new(model), vehicle, &effective).or_exit(Exit::Usage)?,
             note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
             delay_s: effective.actuation.command_delay_s,
             lag_s: effective.actuation.motor_time_constant_s,
@@ -68,7 +68,7 @@ impl PlanModel {
         let effective = EffectiveVehicle::new(&file.vehicle).or_exit(Exit::Usage)?;
         let model = file.model(kind).or_exit(Exit::Usage)?.into();
         Ok(Self {
-            model: behind_the_map(model, &file.vehicle, &effective),
+            model: behind_the_map(model, &file.vehicle, &effective).or_exit(Exit::Usage)?,
             note: PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) },
             delay_s: file.actuation.delay_s,
             lag_s: file.actuation.lag_s,
@@ -122,14 +122,17 @@ pub(super) fn planner(
         limits: config.settings.pilot.limits,
     };
     let settings = config.settings.plan.clone();
-    let planner = Planner::new(Arc::clone(&through.model), planned, settings);
+    let receding = settings.receding.for_loop(!effective.is_pd);
+    let planner = Planner::new(Arc::clone(&through.model), planned, settings)
+        .or_exit(Exit::Usage)?
+        .cautious(&receding);
     let answer = Answer {
         delay_s: through.delay_s,
         lag_s: through.lag_s,
         voltage_exponent: through.voltage_exponent,
         attitude_pd,
     };
-    Ok((planner.or_exit(Exit::Usage)?, answer))
+    Ok((planner, answer))
 }
 
 /// Plans a trajectory for a vehicle. `watch` is shown the subproblems, and ends the search.

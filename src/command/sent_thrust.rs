@@ -3,17 +3,22 @@
 //! Models take the rotors' thrust in the nominal vehicle's numbers, as the firmware's mixer has it.
 //! The daemon sends a thrust in newton through the map of the vehicle file's modelled effects, so
 //! that the rotors give what was asked for. A plan is in what is asked for: between the two is the
-//! map, or thrust effects would be made up for twice.
+//! map, or thrust effects would be made up for twice. An autopilot that straightens the curve of its
+//! motors itself does so for each rotor, behind its mixer.
 
 use std::sync::Arc;
 
 use crate::link::attitude_target::ThrustMap;
 use crate::model::{ACCELERATIONS, Jacobian, Model, Point};
-use crate::pilot::EffectiveVehicle;
-use vehicle::VehicleParams;
+use crate::pilot::{EffectiveVehicle, Uncontrollable};
+use vehicle::effects::ThrustCurve;
+use vehicle::rotor::Allocation;
+use vehicle::{ROTORS, VehicleParams};
 
-/// Column of the thrust in a [`Jacobian`].
-const THRUST: usize = 9;
+/// Column of the thrust in a [`Jacobian`]; the moments follow.
+const INPUT: usize = 9;
+/// Least slope of a rotor's thrust over its output, both over full, that is divided by.
+const SLOPE_MIN: f64 = 1e-3;
 /// Over this share of full thrust the map's slope is taken, to each side.
 const SLOPE_SHARE: f64 = 1e-4;
 
@@ -23,15 +28,19 @@ pub(super) fn behind_the_map(
     model: Arc<dyn Model>,
     params: &VehicleParams,
     vehicle: &EffectiveVehicle,
-) -> Arc<dyn Model> {
+) -> Result<Arc<dyn Model>, Uncontrollable> {
+    let curve = params.modelled_effects.get::<ThrustCurve>();
+    if let Some(curve) = curve.filter(|curve| !vehicle.is_pd && curve.a > 0.0) {
+        return Ok(Arc::new(LinearisedRotors::new(model, params, vehicle, curve.a)?));
+    }
     let sent = SentThrust::new(model, params, vehicle);
     if ThrustMap::linear(sent.nominal_full_n).is_ok_and(|linear| linear == sent.map) {
-        return sent.model;
+        return Ok(sent.model);
     }
-    Arc::new(sent)
+    Ok(Arc::new(sent))
 }
 
-/// A model whose thrust is what is asked for, N.
+/// A model whose input is what is asked for.
 struct SentThrust {
     model: Arc<dyn Model>,
     map: ThrustMap,
@@ -69,7 +78,73 @@ impl Model for SentThrust {
         let middle = at.input[0].clamp(step, self.asked_full_n - step);
         let slope = (self.nominal(middle + step) - self.nominal(middle - step)) / (2.0 * step);
         for row in &mut jacobian {
-            row[THRUST] *= slope;
+            row[INPUT] *= slope;
+        }
+        (accelerations, jacobian)
+    }
+}
+
+/// A model whose input is a wrench that the autopilot makes rotor by rotor: it bends each output so
+/// that the rotor gives the thrust that the mixer wants.
+struct LinearisedRotors {
+    model: Arc<dyn Model>,
+    mixer: Allocation,
+    /// From a rotor's thrust, over full, to its output.
+    map: ThrustMap,
+    square_share: f64,
+    /// Thrust at full output over that of the mixer.
+    scale: f64,
+}
+
+impl LinearisedRotors {
+    fn new(
+        model: Arc<dyn Model>,
+        params: &VehicleParams,
+        vehicle: &EffectiveVehicle,
+        square_share: f64,
+    ) -> Result<Self, Uncontrollable> {
+        let mixer = params.allocation()?;
+        let scale = vehicle.thrust_full_n / mixer.collective_max();
+        let map = ThrustMap::curve(1.0, square_share)?;
+        Ok(Self { model, mixer, map, square_share, scale })
+    }
+
+    /// Outputs for a wrench, and how fast each rises with the share of full thrust that its rotor
+    /// is to give.
+    fn outputs(&self, wrench: [f64; 4]) -> ([f64; ROTORS], [f64; ROTORS]) {
+        let shares = self.mixer.outputs(wrench);
+        let outputs = std::array::from_fn(|i| self.map.fraction(shares[i] / self.scale));
+        let slopes = std::array::from_fn(|i| {
+            let slope = 1.0 - self.square_share + 2.0 * self.square_share * outputs[i];
+            1.0 / (slope.max(SLOPE_MIN) * self.scale)
+        });
+        (outputs, slopes)
+    }
+
+    fn behind(&self, at: &Point) -> Point {
+        Point { input: self.mixer.wrench(self.outputs(at.input).0), ..*at }
+    }
+}
+
+impl Model for LinearisedRotors {
+    fn accelerations(&self, at: &Point) -> [f64; ACCELERATIONS] {
+        self.model.accelerations(&self.behind(at))
+    }
+
+    fn linearize(&self, at: &Point) -> ([f64; ACCELERATIONS], Jacobian) {
+        let (accelerations, mut jacobian) = self.model.linearize(&self.behind(at));
+        let (_, slopes) = self.outputs(at.input);
+        let inverse = self.mixer.inverse();
+        // Of the wrench that the outputs nominally are, by each component that is asked for.
+        let by_asked: [[f64; 4]; 4] = std::array::from_fn(|j| {
+            let full = self.mixer.thrust_max();
+            self.mixer.wrench(std::array::from_fn(|i| slopes[i] * inverse[i][j] / full[i]))
+        });
+        for row in &mut jacobian {
+            let by_nominal: [f64; 4] = std::array::from_fn(|k| row[INPUT + k]);
+            for (j, by_asked) in by_asked.iter().enumerate() {
+                row[INPUT + j] = by_nominal.iter().zip(by_asked).map(|(a, b)| a * b).sum();
+            }
         }
         (accelerations, jacobian)
     }
@@ -92,12 +167,58 @@ mod tests {
         params.modelled_effects = effects;
         let vehicle = EffectiveVehicle::new(&params).expect("a vehicle");
         let physics = PhysicsModel::new(&params, &PhysicsParameters::default()).expect("physics");
-        let model = behind_the_map(Arc::new(physics), &params, &vehicle);
+        let model = behind_the_map(Arc::new(physics), &params, &vehicle).expect("a mixer");
         let weight = params.mass * params.gravity;
         let hover = Point { input: [weight, 0.0, 0.0, 0.0], ..Point::default() };
         let (accelerations, jacobian) = model.linearize(&hover);
         assert!(accelerations.iter().all(|a| a.abs() < 1e-9), "{accelerations:?}");
         // A newton more lifts by a newton.
-        assert!((jacobian[2][THRUST] * params.mass + 1.0).abs() < 1e-5, "{}", jacobian[2][THRUST]);
+        assert!((jacobian[2][INPUT] * params.mass + 1.0).abs() < 1e-5, "{}", jacobian[2][INPUT]);
+    }
+
+    /// The nano under an autopilot's own loop, with motors that the autopilot straightens.
+    fn straightened() -> Arc<dyn Model> {
+        let text = include_str!("../../config/vehicles/crazyflie.toml");
+        let mut params = VehicleParams::from_toml_str(text).expect("a vehicle");
+        params.attitude_pd = None;
+        params.modelled_effects = EffectSet::new();
+        params.modelled_effects.insert_argument("thrust_curve:a=0.65").expect("an effect");
+        let vehicle = EffectiveVehicle::new(&params).expect("a vehicle");
+        let physics = PhysicsModel::new(&params, &PhysicsParameters::default()).expect("physics");
+        behind_the_map(Arc::new(physics), &params, &vehicle).expect("a mixer")
+    }
+
+    #[test]
+    fn autopilot_that_straightens_its_motors_gives_the_wrench_that_it_is_asked_for() {
+        let text = include_str!("../../config/vehicles/crazyflie.toml");
+        let params = VehicleParams::from_toml_str(text).expect("a vehicle");
+        let weight = params.mass * params.gravity;
+        let moments = [2e-4, -3e-4, 5e-5];
+        let [roll, pitch, yaw] = moments;
+        let at = Point { input: [1.1 * weight, roll, pitch, yaw], ..Point::default() };
+        let [_, _, down, turn @ ..] = straightened().accelerations(&at);
+        assert!((down + 0.1 * params.gravity).abs() < 1e-9, "{down}");
+        for ((turn, moment), inertia) in turn.into_iter().zip(moments).zip(params.inertia) {
+            assert!((turn * inertia - moment).abs() < 1e-12, "{turn}");
+        }
+    }
+
+    #[test]
+    fn jacobian_behind_straightened_motors_is_the_slope() {
+        let model = straightened();
+        let at = Point { input: [0.33, 2e-4, -3e-4, 5e-5], ..Point::default() };
+        let (_, jacobian) = model.linearize(&at);
+        for (j, step) in [1e-5, 1e-8, 1e-8, 1e-8].into_iter().enumerate() {
+            let moved = |by: f64| {
+                let mut at = at;
+                at.input[j] += by;
+                model.accelerations(&at)
+            };
+            for (i, (after, before)) in moved(step).into_iter().zip(moved(-step)).enumerate() {
+                let slope = (after - before) / (2.0 * step);
+                let found = jacobian[i][INPUT + j];
+                assert!((found - slope).abs() < 1e-5 * (1.0 + slope.abs()), "{i} {j}: {found}");
+            }
+        }
     }
 }

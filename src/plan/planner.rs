@@ -67,7 +67,8 @@ pub struct RecedingSettings {
     /// plan that trusts such a model, and an estimate that wanders, gives every input that there is
     /// to be rid of the last millimetre, and the vehicle swings.
     pub cautious: Use,
-    /// Distances to the desired state below this count by their square, and a vehicle that is
+    /// Distances to the desired state below this count by their square (also in plans that are made
+    /// before the flight, whose inputs would jump from period to period), and a vehicle that is
     /// nearer than this to the plan before is left to feedback: the next plan goes on from there.
     /// In units of the weighted state.
     pub knee: f64,
@@ -242,6 +243,13 @@ impl Planner {
     ) -> Result<Self, PlannerError> {
         settings.check()?;
         Ok(Self { model, vehicle, settings, knee: 0.0, change_weight: 0.0 })
+    }
+
+    /// The same with the knee of these settings, where they are cautious.
+    #[must_use]
+    pub fn cautious(mut self, receding: &RecedingSettings) -> Self {
+        self.knee = receding.caution().map_or(0.0, |(knee, _)| knee);
+        self
     }
 
     /// The same for plans that begin as the last one goes on: a small trust region, for they are
