@@ -11,7 +11,7 @@ use serde::Serialize;
 use wire::Frame;
 
 use super::listen::Listener;
-use super::{Exit, ExitContext, print_json, print_text};
+use super::{Exit, ExitContext, print_json, print_text, say};
 use crate::cli::ListenArgs;
 use crate::clock::HostTime;
 use crate::link::budget::message_name;
@@ -70,6 +70,10 @@ pub(super) fn run(args: &ListenArgs) -> anyhow::Result<Exit> {
     };
     checked().or_exit(Exit::Usage)?;
     let mut listener = Listener::open(args, false)?;
+    match limit_s {
+        Some(limit) => say(format_args!("listening on {} for {limit} s", listener.endpoint)),
+        None => say(format_args!("listening on {} until Ctrl-C", listener.endpoint)),
+    }
     let started = listener.clock.now();
     let mut table = Table::new();
     loop {

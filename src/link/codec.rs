@@ -47,7 +47,8 @@ pub enum Refusal {
     /// ODOMETRY in frames other than LOCAL_NED with LOCAL_NED or BODY_FRD.
     #[error(
         "frame {frame:?} with child frame {child:?}, expected MAV_FRAME_LOCAL_NED with \
-             MAV_FRAME_LOCAL_NED or MAV_FRAME_BODY_FRD"
+             MAV_FRAME_LOCAL_NED or MAV_FRAME_BODY_FRD; have the vehicle send the estimate of its \
+             autopilot, or ATTITUDE_QUATERNION and LOCAL_POSITION_NED"
     )]
     OdometryFrame {
         /// Of the pose.

@@ -32,7 +32,7 @@ pub struct RunInfo {
     pub tool_version: String,
     /// Revision of its source, where known.
     pub git_revision: Option<String>,
-    /// Whether the vehicle is simulated.
+    /// Whether this program simulates the vehicle itself, in lockstep.
     pub simulated: bool,
     /// Seed of the simulation.
     pub seed: Option<u64>,
@@ -61,7 +61,8 @@ impl RunInfo {
         put("tool_version", &self.tool_version);
         put("vehicle", &self.vehicle);
         put("run", &self.run);
-        put("source", if self.simulated { "sim" } else { "real" });
+        // Over a link a simulated vehicle looks like a real one.
+        put("source", if self.simulated { "sim" } else { "link" });
         put("dialect", &self.dialect);
         if let Some(revision) = &self.git_revision {
             put("git_revision", revision);
@@ -464,6 +465,13 @@ fn write_preamble(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_flight_over_a_link_is_not_called_real() {
+        let source =
+            |simulated| RunInfo { simulated, ..RunInfo::default() }.metadata()["source"].clone();
+        assert_eq!([source(true), source(false)], ["sim", "link"]);
+    }
 
     #[test]
     fn a_file_that_is_there_is_kept() {

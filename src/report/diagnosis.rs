@@ -34,7 +34,7 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
     page.section("Where", &answer.map.sentence, &place(answer));
     page.section(
         "Which",
-        "Evidence that each hypothesis adds to the nuisances (delay, lag, thrust, trims, biases within their tolerances), on the flights of the fit; and how much likelier it makes the flights held out. An effect must also make better open-loop predictions.",
+        "Evidence that each hypothesis adds to the file's numbers (delay, lag, thrust, trims, biases within their tolerances), on the flights of the fit; and how much likelier it makes the flights held out. An effect must also make better open-loop predictions.",
         &which(answer),
     );
     if let Some(gap) = &answer.gap {

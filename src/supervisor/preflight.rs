@@ -120,7 +120,7 @@ pub fn preflight(
         age <= settings.sample_age_max_s,
         "state",
         format!("at most {:.2} s old", settings.sample_age_max_s),
-        format!("{age:.2} s"),
+        if age.is_finite() { format!("{age:.2} s") } else { "none yet".to_owned() },
     );
     if let Some(left) = telemetry.status().battery.remaining {
         check(
@@ -153,7 +153,11 @@ pub fn preflight(
         start_distance_m <= settings.start_distance_max_m,
         "trajectory start",
         format!("within {:.1} m of the vehicle", settings.start_distance_max_m),
-        format!("{start_distance_m:.1} m"),
+        if start_distance_m.is_finite() {
+            format!("{start_distance_m:.1} m")
+        } else {
+            "no position yet".to_owned()
+        },
     );
     let is_armed = telemetry.status().armed == Some(true);
     match standing.policy {
@@ -191,6 +195,20 @@ fn whereabouts(is_armed: bool, airborne: Option<bool>) -> String {
 mod tests {
     use super::*;
     use crate::telemetry::TelemetrySettings;
+
+    #[test]
+    fn what_was_never_heard_is_said_in_words() {
+        let telemetry = Telemetry::new(TelemetrySettings::default());
+        let standing =
+            Standing { rate_hz: 100.0, start_distance_m: f64::NAN, ..Standing::default() };
+        let settings = PreflightSettings::default();
+        let failed = preflight(&settings, &standing, &telemetry, HostTime::default());
+        let found = |subject| {
+            failed.iter().find(|check| check.subject == subject).map(|check| check.found.as_str())
+        };
+        assert_eq!(found("state"), Some("none yet"));
+        assert_eq!(found("trajectory start"), Some("no position yet"));
+    }
 
     #[test]
     fn a_link_that_loses_too_much_is_refused() {

@@ -188,6 +188,7 @@ def says_within(daemon, words, seconds):
 def test_a_refused_frame_is_named(flight):
     _, daemon = flight({"frame": 20})
     says_within(daemon, "MAV_FRAME_LOCAL_FRD", 5.0)
+    says_within(daemon, "have the vehicle send", 5.0)
 
 
 @bounds_time
@@ -285,6 +286,7 @@ class TestDoctor:
         running = program("doctor", "--connect", f"udpin:127.0.0.1:{free_port()}", "--seconds", "1")
         code, out = running.finish(30)
         assert code == 3 and "0 bytes received" in out
+        assert "listening on udpin" in running.err
 
     def test_inspect_is_a_table_on_a_pipe(self, program):
         code, answer, _ = self.ask(program, {}, "inspect", "3")

@@ -27,6 +27,9 @@ pub const ROTORS: usize = 4;
 /// in the arithmetic.
 const MOST: f64 = 1e6;
 
+/// No vehicle weighs less, kg: its thrust would exceed its weight beyond what a controller takes.
+const LEAST_MASS_KG: f64 = 1e-6;
+
 /// A vehicle file, as read and checked. Units are in the field names where they are not SI.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -246,7 +249,8 @@ impl VehicleParams {
 
     fn check_body(&self) -> Result<(), VehicleError> {
         let is_possible = |value: f64| value > 0.0 && value <= MOST;
-        self.require("mass", self.mass, is_possible(self.mass), "a mass above 0 kg, at most 1e6")?;
+        let is_mass = (LEAST_MASS_KG..=MOST).contains(&self.mass);
+        self.require("mass", self.mass, is_mass, "a mass of at least 1e-6 kg, at most 1e6")?;
         for (axis, moment) in ["inertia[0]", "inertia[1]", "inertia[2]"].iter().zip(self.inertia) {
             let expected = "a moment of inertia above 0 kg m^2, at most 1e6";
             self.require(axis, moment, is_possible(moment), expected)?;
@@ -398,7 +402,8 @@ impl VehicleParams {
         if value.is_finite() && holds {
             return Ok(());
         }
-        Err(self.error(field, expected, value.to_string()))
+        // Debug writes very large and very small numbers with an exponent.
+        Err(self.error(field, expected, format!("{value:?}")))
     }
 
     fn error(&self, field: &str, expected: &'static str, found: String) -> VehicleError {
@@ -467,9 +472,10 @@ pub(crate) mod tests {
     fn impossible_values_are_refused_with_field_and_unit() {
         assert!(
             refused(|v| v.mass = -1.0)
-                .contains("mass: expected a mass above 0 kg, at most 1e6, found -1")
+                .contains("mass: expected a mass of at least 1e-6 kg, at most 1e6, found -1")
         );
-        assert!(refused(|v| v.mass = 1e300).contains("at most 1e6"));
+        assert!(refused(|v| v.mass = 1e300).ends_with("found 1e300"));
+        assert!(refused(|v| v.mass = 1e-300).ends_with("found 1e-300"));
         assert!(refused(|v| v.mass = f64::NAN).contains("found NaN"));
         assert!(refused(|v| v.inertia[1] = 0.0).contains("inertia[1]"));
         assert!(refused(|v| v.inertia = [0.01, 0.01, 0.03]).contains("sum of the other two"));
