@@ -488,7 +488,7 @@ fn a_piece_cut_out_costs_only_itself() {
 fn a_damaged_length_costs_no_message_behind_its_own() {
     let whole = survives(&ULOG).expect("a flight").body_rate.len();
     let middle = ULOG.len() / 2;
-    let head = |at: &usize| ULOG[*at..].starts_with(&[46, 0, b'D', 0, 0]);
+    let head = |at: &usize| ULOG[*at..].starts_with(&[46, 0, b'D', 1, 0]);
     let at = (middle..ULOG.len()).find(head).expect("a row of sensor_combined");
     for high in 1..=u8::MAX {
         let mut log = ULOG.clone();
