@@ -3,14 +3,14 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use vehicle::effects::{EffectId, EffectSet, ParameterValue};
 
 /// Effects are named from this probability on.
 pub const NAMED: f64 = 0.5;
 
 /// An answer.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 pub struct Given {
     /// `effect`, `none` or `unknown`.
     pub verdict: String,
@@ -32,7 +32,7 @@ pub struct Given {
 }
 
 /// The full verdict of an answer.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 pub struct GivenFinding {
     /// In a word.
     #[serde(default)]
@@ -43,7 +43,7 @@ pub struct GivenFinding {
 }
 
 /// An effect of an answer.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 pub struct GivenEffect {
     /// Id.
     pub id: String,
@@ -56,13 +56,10 @@ pub struct GivenEffect {
     /// 90 % intervals by parameter, with components in brackets.
     #[serde(default)]
     pub intervals: BTreeMap<String, [f64; 2]>,
-    /// Standard deviations of the fitted numbers, before what the file and the law add.
-    #[serde(default)]
-    pub deviations: BTreeMap<String, f64>,
 }
 
 /// The gap of an answer.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Deserialize)]
 pub struct GivenGap {
     /// As shipped.
     pub before: f64,
@@ -74,7 +71,7 @@ pub struct GivenGap {
 }
 
 /// An effect that the logs cannot show.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 pub struct Untestable {
     /// Id.
     pub id: String,

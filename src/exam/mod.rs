@@ -4,7 +4,6 @@
 pub mod airframe;
 pub mod answer;
 mod bench;
-pub mod calibrate;
 pub mod case;
 pub mod closure;
 pub mod condition;
@@ -22,7 +21,6 @@ pub mod programme;
 pub mod reliability;
 pub mod score;
 mod size;
-pub mod stored;
 pub mod stranger;
 pub mod strength;
 pub mod summary;

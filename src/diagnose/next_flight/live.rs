@@ -159,7 +159,6 @@ mod tests {
             probability: 0.45,
             parameters: BTreeMap::new(),
             intervals: BTreeMap::new(),
-            deviations: BTreeMap::new(),
         };
         let answer = Answer {
             effects: vec![mass],
