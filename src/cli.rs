@@ -203,6 +203,21 @@ pub struct ExamArgs {
         conflicts_with_all = ["cases", "kinds", "round_trip", "exact", "seed", "fail_on_miss"]
     )]
     pub practice: Option<PathBuf>,
+    /// Instead: the evidence of an earlier exam's cases, decided anew and scored; a folder that
+    /// --evidence filled. Nothing is flown.
+    #[arg(
+        long,
+        value_name = "DIR",
+        conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "exact", "seed"]
+    )]
+    pub decide: Vec<PathBuf>,
+    /// The file to write, of the numbers of the decision that serve these cases best: those of some
+    /// families of cases; the others test them.
+    #[arg(long, value_name = "FILE", requires = "decide")]
+    pub calibrate: Option<PathBuf>,
+    /// Folder for each case's key, answer and the evidence that its verdict rests on; made if missing.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["practice", "decide"])]
+    pub evidence: Option<PathBuf>,
     /// Instead of vehicle files as builders have them: files whose every number is the vehicle's, the
     /// bundled on-board loop, and logs without nuisances.
     #[arg(long)]

@@ -38,7 +38,11 @@ fn names(folder: &Path) -> BTreeSet<String> {
 #[test]
 fn every_case_is_answered_and_the_key_is_the_one_committed_to() {
     let out = folder("drawn");
-    let arguments = ["--cases", "2", "--nulls", "1", "--kinds", "single", "--seed", "5"];
+    let stored = out.join("evidence");
+    let stored = stored.to_str().expect("a name");
+    let mut arguments = vec!["--cases", "2", "--nulls", "1", "--kinds", "single", "--seed", "5"];
+    arguments.extend(["--evidence", stored]);
+    let decided = |out: &Path| summary(&exam(out, &["--decide", stored]));
     let summary = summary(&exam(&out, &arguments));
     let key = fs::read(out.join("key.json")).expect("the key");
     let committed = fs::read_to_string(out.join("commitment.txt")).expect("the commitment");
@@ -58,6 +62,15 @@ fn every_case_is_answered_and_the_key_is_the_one_committed_to() {
     assert!(rows.iter().all(|row| row["verdict"] != "missing"), "{rows:?}");
     let page = fs::read_to_string(out.join("report.html")).expect("the report");
     assert!(page.contains(&commitment(&fs::read(out.join("key.json")).expect("the key"))));
+
+    // Decided anew, the stored evidence gives the same verdicts.
+    let anew = decided(&out);
+    let verdicts = |rows: &[Value]| -> Vec<Value> {
+        rows.iter()
+            .map(|row| serde_json::json!([row["case"], row["verdict"], row["brier"]]))
+            .collect()
+    };
+    assert_eq!(verdicts(anew.as_array().expect("rows")), verdicts(rows));
 
     let again = exam(&out, &arguments);
     assert!(!again.status.success(), "another exam's folder is taken");

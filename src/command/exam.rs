@@ -4,6 +4,7 @@
 //! by a process of its own whose folder and environment hold nothing but that case's files. The
 //! key stays in this process until the last answer is in.
 
+mod decided;
 mod practice;
 
 use std::collections::BTreeMap;
@@ -37,6 +38,7 @@ use crate::exam::closure::closure;
 use crate::exam::draw::Draw;
 use crate::exam::key::{Key, KeyEntry, commitment, entropy};
 use crate::exam::score::Row;
+use crate::exam::stored::StoredCase;
 use crate::exam::summary::Summary;
 use crate::exam::world::World;
 use crate::report::exam;
@@ -45,6 +47,8 @@ use crate::report::exam;
 const ORDER: u64 = 0;
 /// Cases with something to find, where nothing else is asked for.
 const CASES: usize = 60;
+/// Where a diagnosis leaves its evidence.
+const EVIDENCE: &str = "evidence.json";
 /// The vehicles of a round trip.
 const SHIPPED: [&str; 2] = [
     include_str!("../../config/vehicles/crazyflie.toml"),
@@ -79,8 +83,11 @@ struct Flown {
 
 pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let seed = args.seed.unwrap_or_else(entropy);
-    if args.practice.is_none() {
+    if args.practice.is_none() && args.decide.is_empty() {
         say(format_args!("seed {seed}"));
+    }
+    if !args.decide.is_empty() {
+        return decided::run(args);
     }
     let interrupted = interruption.flag();
     fs::create_dir_all(&args.out)
@@ -96,6 +103,10 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     if orders.is_empty() {
         return Err(anyhow!("--cases, --nulls: expected at least one case, found none"))
             .or_exit(Exit::Usage);
+    }
+    if let Some(folder) = &args.evidence {
+        fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     let began = Instant::now();
     let flown = hall.fly(&orders)?;
@@ -190,6 +201,8 @@ struct Sheet<'a> {
     holdout: &'a [String],
     /// Effects that it is to do without.
     without: &'a [String],
+    /// Whether it leaves its evidence in the folder.
+    evidence: bool,
 }
 
 /// Where an exam is held.
@@ -304,6 +317,7 @@ impl Hall<'_> {
                 logs: &logs,
                 holdout: &[],
                 without: &case.key.without,
+                evidence: self.args.evidence.is_some(),
             };
             let Some(answer) = self.answer(&sheet).transpose() else { return Ok(None) };
             let seconds = began.elapsed().as_secs_f64();
@@ -312,6 +326,19 @@ impl Hall<'_> {
                 serde_json::from_slice::<Given>(&bytes).context("its answer")
             });
             let closed = given.as_ref().ok().and_then(|given| self.closed(case, given));
+            if let Some(folder) = &self.args.evidence {
+                let evidence = fs::read(self.folder(&case.name).join(EVIDENCE)).ok();
+                let stored = StoredCase {
+                    case: case.name.clone(),
+                    key: case.key.clone(),
+                    evidence: evidence.and_then(|bytes| serde_json::from_slice(&bytes).ok()),
+                    answer: given.as_ref().cloned().map_err(in_words),
+                    true_closure: closed,
+                    seconds,
+                };
+                let path = folder.join(format!("{}.json", case.name));
+                write_file(&path, &serde_json::to_vec(&stored).context("the evidence")?)?;
+            }
             if !self.args.keep {
                 let _ = fs::remove_dir_all(self.folder(&case.name));
             }
@@ -345,6 +372,9 @@ impl Hall<'_> {
         }
         if let Some(twins) = self.args.twins {
             command.args(["--twins", &twins.to_string()]);
+        }
+        if sheet.evidence {
+            command.args(["--evidence", EVIDENCE]);
         }
         for effect in sheet.without {
             command.args(["--without", effect]);

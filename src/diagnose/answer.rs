@@ -128,6 +128,9 @@ pub struct EffectAnswer {
     pub parameters: BTreeMap<&'static str, Parameter>,
     /// 90 % intervals of the fitted numbers, by parameter (component).
     pub intervals: BTreeMap<String, [f64; 2]>,
+    /// Standard deviations of the fitted numbers, as the fit has them: what the vehicle file and an
+    /// inexact law add is in the intervals only.
+    pub deviations: BTreeMap<String, f64>,
 }
 
 /// A parameter's value.

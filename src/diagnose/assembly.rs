@@ -8,11 +8,12 @@ use super::answer::{
     Answer, EffectAnswer, ExplanationAnswer, Finding, FlightAnswer, FullVerdict, Gap, NotTestable,
     Verdict, parameters,
 };
-use super::attribution::{Share, shapley};
+use super::attribution::{Share, shares};
+use super::calibration::Calibration;
 use super::evidence::Evidence;
 use super::explanation::{Explanation, Explanations};
-use super::fit::Z90;
-use super::gap::{Errors, Floor};
+use super::fit::interval;
+use super::gap::{Errors, Floor, Window, weighted};
 use super::inquiry::Inquiry;
 use super::leftover::{UnmodelledForce, unmodelled_force};
 use super::map::{ResidualMap, depends_on, map, samples};
@@ -108,6 +109,7 @@ impl Assembly<'_> {
                 probability: *probability,
                 parameters: parameters(set, id),
                 intervals: self.intervals(id),
+                deviations: self.deviations(id),
             })
         });
         answers.collect()
@@ -123,17 +125,31 @@ impl Assembly<'_> {
         Some(slots)
     }
 
+    /// Indices of an effect's fitted numbers.
+    fn numbers(&self, id: EffectId) -> impl Iterator<Item = &usize> {
+        let catalogue = self.inquiry.catalogue;
+        let hypotheses = self.best.fit.hypotheses.iter().map(|h| &catalogue.hypotheses[*h]);
+        hypotheses.filter(move |h| h.effect == id).flat_map(|h| &h.numbers)
+    }
+
+    /// Standard deviations of an effect's fitted numbers, as its fit has them.
+    fn deviations(&self, id: EffectId) -> BTreeMap<String, f64> {
+        let catalogue = self.inquiry.catalogue;
+        let named = |n: &usize| (catalogue.numbers[*n].target.name(), self.best.fit.deviation[*n]);
+        self.numbers(id).map(named).collect()
+    }
+
     /// 90 % intervals of an effect's fitted numbers.
     fn intervals(&self, id: EffectId) -> BTreeMap<String, [f64; 2]> {
         let catalogue = self.inquiry.catalogue;
-        let hypotheses = self.best.fit.hypotheses.iter().map(|h| &catalogue.hypotheses[*h]);
-        let numbers = hypotheses.filter(|h| h.effect == id).flat_map(|h| &h.numbers);
-        let fit = &self.best.fit;
+        let (fit, calibration) = (&self.best.fit, Calibration::shipped());
         let of_number = |number: &usize| {
-            let (value, error) = (fit.values[*number], Z90 * fit.deviation[*number]);
-            (catalogue.numbers[*number].target.name(), [value - error, value + error])
+            let (value, described) = (fit.values[*number], &catalogue.numbers[*number]);
+            let off = value - described.reference;
+            let deviation = calibration.deviation(fit.deviation[*number], off);
+            (described.target.name(), interval(value, deviation))
         };
-        numbers.map(of_number).collect()
+        self.numbers(id).map(of_number).collect()
     }
 
     /// The gap on the flights held out without and with `effects`.
@@ -179,26 +195,22 @@ impl Assembly<'_> {
         let Some(gap) = gap else { return Ok(Vec::new()) };
         let held_out = inquiry.case.held_out;
         let players = named.len() + 1;
-        let square = |set: usize| -> Result<f64, DiagnoseError> {
+        let windows = |set: usize| -> Result<Vec<Window>, DiagnoseError> {
             let is_in = |bit: usize| set & (1 << bit) != 0;
             let which: Vec<EffectId> =
                 (0..named.len()).filter(|bit| is_in(*bit)).map(|bit| named[bit]).collect();
             let simulator = inquiry.simulator_of(best, &which, is_in(named.len()))?;
-            let errors = simulator.errors(held_out);
-            Ok(errors.map_or(f64::NAN, |e| e.over(&gap.errors[2], inquiry.metric).powi(2)))
+            Ok(simulator.windows(held_out))
         };
-        let squares = (0..1 << players).map(square).collect::<Result<Vec<f64>, _>>()?;
-        let (before, after) = (squares[0], squares[squares.len() - 1]);
-        let shares = shapley(players, &squares);
-        let noise = (gap.floor * gap.floor).min(after);
-        let names = named.iter().map(|id| id.name()).chain(["file"]);
-        let mut found: Vec<(&str, f64)> = names.zip(shares).collect();
-        found.push(("remainder", after - noise));
-        found.push(("noise", noise));
-        Ok(found
-            .into_iter()
-            .map(|(of, square)| Share { of: of.to_owned(), share: square / before })
-            .collect())
+        let all = (0..1 << players).map(windows).collect::<Result<Vec<_>, _>>()?;
+        let squares = |weights: &[f64]| -> Option<Vec<f64>> {
+            let over = |errors: Errors| errors.over(&gap.errors[2], inquiry.metric).powi(2);
+            all.iter().map(|windows| weighted(windows, weights).map(over)).collect()
+        };
+        let names: Vec<&str> =
+            named.iter().map(|id| id.name()).chain(["file", "remainder", "noise"]).collect();
+        let noise = gap.floor * gap.floor;
+        Ok(shares(&names, all[0].len(), squares, noise).unwrap_or_default())
     }
 
     /// The flights, with the gap of each as shipped.

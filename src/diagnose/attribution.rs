@@ -5,6 +5,9 @@
 //! nothing; what is left is noise, and a remainder. Shares add up to one; one is negative where it
 //! makes predictions worse.
 
+use rand::SeedableRng;
+use rand_distr::{Distribution, Exp1};
+use rand_pcg::Pcg64Mcg;
 use schemars::JsonSchema;
 use serde::Serialize;
 
@@ -15,6 +18,59 @@ pub struct Share {
     pub of: String,
     /// The share.
     pub share: f64,
+    /// Its 90 % interval over the windows that predictions are made in.
+    pub interval: [f64; 2],
+}
+
+/// Draws of the windows (Bayesian bootstrap over runs of them) for intervals.
+const DRAWS: usize = 400;
+/// Windows that overlap or follow one another are drawn together: five seconds of them.
+const RUN: usize = 20;
+
+/// Shares of the squared gap, given the squared gap with each subset of the players (the bits of
+/// its index) under weights of the windows. `noise`: what noise leaves of it as shipped, at most.
+/// `names`: of the players, then of the remainder and of noise.
+pub fn shares(
+    names: &[&str],
+    windows: usize,
+    squares: impl Fn(&[f64]) -> Option<Vec<f64>>,
+    noise: f64,
+) -> Option<Vec<Share>> {
+    let players = names.len().checked_sub(2)?;
+    let parted = |weights: &[f64]| -> Option<Vec<f64>> {
+        let squares = squares(weights)?;
+        let (before, after) = (*squares.first()?, *squares.last()?);
+        let noise = noise.min(after);
+        let mut parts = shapley(players, &squares);
+        parts.extend([after - noise, noise]);
+        Some(parts.into_iter().map(|part| part / before).collect())
+    };
+    let found = parted(&vec![1.0; windows])?;
+    let mut rng = Pcg64Mcg::seed_from_u64(0);
+    let drawn: Vec<Vec<f64>> = (0..DRAWS)
+        .filter_map(|_| {
+            let runs: Vec<f64> =
+                (0..windows.div_ceil(RUN)).map(|_| Exp1.sample(&mut rng)).collect();
+            let weights: Vec<f64> = (0..windows).map(|window| runs[window / RUN]).collect();
+            parted(&weights)
+        })
+        .collect();
+    let interval = |part: usize| {
+        let mut all: Vec<f64> = drawn.iter().map(|parts| parts[part]).collect();
+        all.sort_by(f64::total_cmp);
+        let at = |quantile: f64| all.get((quantile * all.len() as f64) as usize).copied();
+        [at(0.05), at(0.95)].map(|end| end.unwrap_or(found[part]))
+    };
+    let named = names.iter().zip(&found).enumerate();
+    Some(
+        named
+            .map(|(part, (of, share))| Share {
+                of: (*of).to_owned(),
+                share: *share,
+                interval: interval(part),
+            })
+            .collect(),
+    )
 }
 
 /// Shapley values of `players`, given the squared gap with each subset of them, whose members are
@@ -39,6 +95,29 @@ pub fn shapley(players: usize, square: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_one_run_of_windows_shows_alone_has_a_wide_share() {
+        // One effect closes 3 of 4 in every window; the other 3 of 4 in the first run only.
+        let squares = |steady: bool| {
+            move |weights: &[f64]| {
+                let total: f64 = weights.iter().sum();
+                let closed: f64 = match steady {
+                    true => total,
+                    false => weights[..RUN].iter().sum(),
+                };
+                Some(vec![4.0, 4.0 - 3.0 * closed / total])
+            }
+        };
+        let names = ["wind", "remainder", "noise"];
+        let [steady, single] = [true, false]
+            .map(|steady| shares(&names, 4 * RUN, squares(steady), 1.0).expect("shares"));
+        let wind = &steady[0];
+        assert!((wind.share - 0.75).abs() < 1e-12 && (wind.interval[1] - 0.75).abs() < 1e-12);
+        assert!((steady.iter().map(|share| share.share).sum::<f64>() - 1.0).abs() < 1e-12);
+        let [low, high] = single[0].interval;
+        assert!(low < 0.1 && high > 0.3 && low < single[0].share && single[0].share < high);
+    }
 
     #[test]
     fn shares_add_up_and_what_does_nothing_has_none() {

@@ -3,8 +3,11 @@
 //! [`decide`](super::verdict::decide) reads nothing else, so that any decision can be taken again
 //! from a file.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use vehicle::effects::ParameterValue;
 
 /// Share of what the file's numbers close of a squared gap that effects by themselves may add to it:
 /// the true ones of a file that is off do, for what is off may cancel.
@@ -39,6 +42,9 @@ pub struct Evidence {
     /// The gap on the flights reported on with the best explanation and what a flexible learner
     /// finds beyond it.
     pub learned: Option<f64>,
+    /// Share of the force and of the moment left by the best explanation that a flexible learner
+    /// predicts on what it did not learn from; 0 where none could learn.
+    pub structure: [f64; 2],
     /// Whether the pack's voltage varies enough to tell a sag from another level of the thrust.
     pub voltage_differs: bool,
     /// Force that nothing explains, where velocity and accelerometer agree on it.
@@ -115,6 +121,9 @@ pub struct Explained {
     pub effects: Vec<String>,
     /// Its fitted numbers.
     pub numbers: Vec<Found>,
+    /// All parameters of its effects, by effect and name.
+    #[schemars(with = "BTreeMap<String, BTreeMap<String, super::answer::Parameter>>")]
+    pub parameters: BTreeMap<String, BTreeMap<String, ParameterValue>>,
     /// Log density of each block, nats.
     pub blocks: Vec<f64>,
     /// Standard deviation of the evidence that chance gives its effects, nats.
@@ -200,6 +209,8 @@ pub struct Found {
     pub reference: f64,
     /// Standard deviation of what the vehicle file's errors bring about of it.
     pub unremarkable: f64,
+    /// A typical magnitude where its effect occurs.
+    pub magnitude: f64,
     /// Whether the fit holds it at the end of its range.
     pub is_at_bound: bool,
 }

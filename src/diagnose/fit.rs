@@ -14,6 +14,11 @@ use super::observed::{Observed, Residuals, noise_cost};
 
 /// Quantile of the normal distribution for 90 % intervals.
 pub(super) const Z90: f64 = 1.645;
+/// 90 % interval of a number.
+pub fn interval(value: f64, deviation: f64) -> [f64; 2] {
+    [value - Z90 * deviation, value + Z90 * deviation]
+}
+
 /// A fit ends when a step lowers the cost by less, nats.
 const COST_STEP_MIN: f64 = 0.02;
 const STEPS_MAX: usize = 12;

@@ -244,6 +244,20 @@ fn windows(
         .collect()
 }
 
+/// Root mean squares over windows that count by `weights`; `None` without a window.
+pub fn weighted(windows: &[Window], weights: &[f64]) -> Option<Errors> {
+    let finite = |(e, _): &(&Window, &f64)| e.iter().flatten().all(|x| x.is_finite());
+    let mut sums = [[0.0; 4]; 3];
+    let mut total = 0.0;
+    for (window, weight) in windows.iter().zip(weights).filter(finite) {
+        total += weight;
+        for (sum, error) in sums.iter_mut().flatten().zip(window.iter().flatten()) {
+            *sum += weight * error * error;
+        }
+    }
+    (total > 0.0).then(|| Errors(sums.map(|row| row.map(|sum: f64| (sum / total).sqrt()))))
+}
+
 fn root_mean_square<'a>(errors: impl IntoIterator<Item = &'a Window>) -> Option<Errors> {
     let finite = |e: &&Window| e.iter().flatten().all(|x| x.is_finite());
     let mut sums = [[0.0; 4]; 3];

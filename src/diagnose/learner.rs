@@ -38,6 +38,8 @@ const ROWS_MIN: usize = 40;
 pub struct Learner {
     networks: NetworkModel,
     allocation: Allocation,
+    /// What it leaves of the mean square of force and moment on rows that it did not learn from, 0..1.
+    pub left: [f64; 2],
 }
 
 impl Learner {
@@ -84,7 +86,8 @@ impl Learner {
                 let fits = Head::BOTH.map(|head| Fit::of(&networks, head, &validation));
                 let networks = networks.scaled(fits.map(|fit| fit.share));
                 let left: f64 = fits.iter().map(|fit| fit.left).sum();
-                Some((left, Self { networks, allocation: *allocation }))
+                let allocation = *allocation;
+                Some((left, Self { networks, allocation, left: fits.map(|fit| fit.left) }))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
             .map(|(_, learner)| learner)

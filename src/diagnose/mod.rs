@@ -5,6 +5,7 @@ pub mod answer;
 pub mod arrival;
 mod assembly;
 pub mod attribution;
+pub mod calibration;
 pub mod candidate;
 pub mod case;
 pub mod evidence;

@@ -109,7 +109,9 @@ pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -
     let rate = |of: fn(&PreparedFlight) -> f64| {
         flights.iter().map(of).sum::<f64>() / flights.len().max(1) as f64
     };
-    let velocity = white(&variance, VELOCITY, rate(|f| f.velocity.rate()));
+    // Where slow outputs keep the equations from being looked at so high up, its samples tell.
+    let velocity = white(&variance, VELOCITY, rate(|f| f.velocity.rate()))
+        .unwrap_or_else(|| second_differences(flights, |flight| &flight.velocity));
     let body_rate = second_differences(flights, |flight| &flight.body_rate);
     let specific_force = second_differences(flights, |flight| &flight.specific_force);
     ReportNoise {
@@ -162,8 +164,9 @@ fn middle(band: usize) -> f64 {
 }
 
 /// Deviation of white noise at `rate` samples per second whose increments are seen in three
-/// channels from `first` on. The median over bands and axes: vibration and motion only add.
-fn white(variance: &[f64], first: usize, rate: f64) -> f64 {
+/// channels from `first` on, where any are looked at above the motion. The median over bands and
+/// axes: vibration and motion only add.
+fn white(variance: &[f64], first: usize, rate: f64) -> Option<f64> {
     let mut found: Vec<f64> = (first..first + 3)
         .flat_map(|channel| (0..BANDS.len()).map(move |band| (channel, band)))
         .filter(|(_, band)| middle(*band) > WHITE_FROM_HZ)
@@ -173,7 +176,7 @@ fn white(variance: &[f64], first: usize, rate: f64) -> f64 {
         .filter(|v| *v > 0.0)
         .collect();
     found.sort_by(f64::total_cmp);
-    found.get(found.len() / 2).map_or(0.0, |v| v.sqrt())
+    found.get(found.len() / 2).map(|v| v.sqrt())
 }
 
 /// Deviation of a stream's white noise, by the median of its second differences: a body turns and

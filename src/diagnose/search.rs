@@ -19,12 +19,10 @@ const SURVIVORS: usize = 8;
 const SURVIVORS_BESIDE: usize = 4;
 /// Single hypotheses whose pairs are all fitted.
 const PAIRED: usize = 5;
-/// Least gain of evidence in the linearised problem that is worth a fit, nats.
-const SCREENED_MIN: f64 = 1.0;
-/// The file's numbers are fitted again, with derivatives where they ended, at most so often, and as
-/// long as that gains so much, nats.
-const REFITS: usize = 3;
+/// Least gain of evidence that is worth a fit, nats.
 const GAIN_MIN: f64 = 1.0;
+/// The file's numbers are fitted again, with derivatives where they ended, at most so often.
+const REFITS: usize = 3;
 
 /// The flights that are searched, and what is searched for.
 #[derive(Debug)]
@@ -156,7 +154,7 @@ impl<'a> Search<'a> {
         // Alone, what the linearisation may not see at all is fitted as well.
         let worth = |rank: usize, h: usize, gain: f64| {
             let starts = set.fit.hypotheses.is_empty() && self.hypothesis(h).starts.len() > 1;
-            rank < count && gain > SCREENED_MIN || starts
+            rank < count && gain > GAIN_MIN || starts
         };
         let mut found: Vec<Explanation> = found
             .filter(|(rank, (h, gain))| worth(*rank, *h, *gain))

@@ -4,6 +4,7 @@
 use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
 
+use super::answer::parameters;
 use super::evidence::{Evidence, Explained, ForceLeft, Found, Gaps, Turning};
 use super::explanation::{Explanation, Explanations};
 use super::gap::Errors;
@@ -88,15 +89,24 @@ impl Inquiry<'_> {
                     deviation: fit.deviation[*index],
                     reference: number.reference,
                     unremarkable: number.unremarkable,
+                    magnitude: number.magnitude,
                     is_at_bound: off && (value - low < near || high - value < near),
                 }
             })
+        });
+        let which = self.effects_of(explanation);
+        let set = self.catalogue.effects(&fit.values, Some(&which));
+        let parameters = which.iter().map(|id| {
+            let values = parameters(&set, *id).into_iter();
+            let values = values.map(|(name, value)| (name.to_owned(), (&value).into())).collect();
+            (id.name().to_owned(), values)
         });
         let chance =
             |h: &usize| twins.and_then(|twins| twins.asked.get(*h)).map_or(0.0, |a| a / Z99);
         Explained {
             effects: hypotheses.map(|h| h.effect.name().to_owned()).collect(),
             numbers: numbers.collect(),
+            parameters: parameters.collect(),
             blocks: explanation.blocks.clone(),
             chance: fit.hypotheses.iter().map(chance).fold(0.0, f64::hypot),
             choosing: None,
@@ -151,6 +161,7 @@ impl Inquiry<'_> {
             shipped: shipped_gaps,
             scatter: floors[1].map_or(0.0, |floor| floor.scatter),
             learned: None,
+            structure: [0.0; 2],
             voltage_differs: voltages_differ(self.case.fitted),
             force: None,
             gusts_m_s: None,
@@ -174,6 +185,9 @@ impl Inquiry<'_> {
             evidence.explanations[rank].reported = gaps(one, 1)?;
         }
         let learner = self.learner(best);
+        if let Some(learner) = &learner {
+            evidence.structure = learner.left.map(|left| 1.0 - left);
+        }
         let learned =
             learner.and_then(|learner| over(&everything.clone().with_learner(learner), 1));
         let (force, gusts_m_s) = self.force(found)?;

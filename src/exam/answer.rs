@@ -3,14 +3,14 @@
 
 use std::collections::BTreeMap;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use vehicle::effects::{EffectId, EffectSet, ParameterValue};
 
 /// Effects are named from this probability on.
 pub const NAMED: f64 = 0.5;
 
 /// An answer.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Given {
     /// `effect`, `none` or `unknown`.
     pub verdict: String,
@@ -32,7 +32,7 @@ pub struct Given {
 }
 
 /// The full verdict of an answer.
-#[derive(Clone, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct GivenFinding {
     /// In a word.
     #[serde(default)]
@@ -43,7 +43,7 @@ pub struct GivenFinding {
 }
 
 /// An effect of an answer.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct GivenEffect {
     /// Id.
     pub id: String,
@@ -56,10 +56,13 @@ pub struct GivenEffect {
     /// 90 % intervals by parameter, with components in brackets.
     #[serde(default)]
     pub intervals: BTreeMap<String, [f64; 2]>,
+    /// Standard deviations of the fitted numbers, before what the file and the law add.
+    #[serde(default)]
+    pub deviations: BTreeMap<String, f64>,
 }
 
 /// The gap of an answer.
-#[derive(Clone, Copy, Debug, Deserialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct GivenGap {
     /// As shipped.
     pub before: f64,
@@ -71,7 +74,7 @@ pub struct GivenGap {
 }
 
 /// An effect that the logs cannot show.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Untestable {
     /// Id.
     pub id: String,

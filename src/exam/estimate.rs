@@ -137,6 +137,14 @@ pub(super) fn relative_errors(
         .collect()
 }
 
+/// The parameter and the component that an interval's name stands for.
+fn component_of(name: &str) -> Option<(&str, usize)> {
+    Some(match name.split_once('[') {
+        Some((name, rest)) => (name, rest.trim_end_matches(']').parse().ok()?),
+        None => (name, 0),
+    })
+}
+
 /// Of the intervals that the answer gives for a true effect under its own name, which hold it.
 pub(super) fn coverage(given: &Given, truth: &TrueEffect) -> Vec<bool> {
     let Some(found) = given.effects.iter().find(|effect| effect.id == truth.id) else {
@@ -146,10 +154,7 @@ pub(super) fn coverage(given: &Given, truth: &TrueEffect) -> Vec<bool> {
         .intervals
         .iter()
         .filter_map(|(name, [low, high])| {
-            let (name, component) = match name.split_once('[') {
-                Some((name, rest)) => (name, rest.trim_end_matches(']').parse().ok()?),
-                None => (name.as_str(), 0),
-            };
+            let (name, component) = component_of(name)?;
             let right = *numbers(&truth.parameters, name).get(component)?;
             Some((*low..=*high).contains(&right))
         })

@@ -4,6 +4,7 @@
 pub mod airframe;
 pub mod answer;
 mod bench;
+pub mod calibrate;
 pub mod case;
 pub mod closure;
 pub mod condition;
@@ -21,6 +22,7 @@ pub mod programme;
 pub mod reliability;
 pub mod score;
 mod size;
+pub mod stored;
 pub mod stranger;
 pub mod strength;
 pub mod summary;

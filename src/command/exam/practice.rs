@@ -114,6 +114,7 @@ pub(super) fn run(args: &ExamArgs, set: &Path, hall: &Hall<'_>) -> anyhow::Resul
             logs: &case.flights,
             holdout: &case.holdout,
             without: &[],
+            evidence: false,
         };
         let began = Instant::now();
         let Some(answer) = hall.answer(&sheet).transpose() else { return Ok(None) };

@@ -159,6 +159,7 @@ mod tests {
             probability: 0.45,
             parameters: BTreeMap::new(),
             intervals: BTreeMap::new(),
+            deviations: BTreeMap::new(),
         };
         let answer = Answer {
             effects: vec![mass],

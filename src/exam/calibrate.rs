@@ -1,0 +1,200 @@
+//! The calibration: the numbers of the decision that serve stored cases best, and how they fare on
+//! families of cases that they are not made on.
+
+use std::fmt::{self, Display};
+
+use nalgebra::{SMatrix, SVector};
+use rayon::prelude::*;
+
+use super::case::Kind;
+use super::score::Row;
+use super::stored::StoredCase;
+use super::summary::Summary;
+use crate::diagnose::calibration::{Calibration, SIGNS};
+use crate::diagnose::verdict::decide_by;
+
+/// What an answer that does not mention an effect gives it.
+const UNMENTIONED: f64 = 0.02;
+/// Weight of the squared weights of the signs: few cases lie outside of the catalogue.
+const RIDGE: f64 = 0.05;
+/// Values that are tried.
+const LAWS: [f64; 6] = [0.02, 0.03, 0.04, 0.06, 0.1, 0.15];
+/// Log scores that differ by less do not tell laws apart: their intervals do.
+const SAME: f64 = 0.002;
+/// Share of intervals that is to hold.
+const HELD: f64 = 0.9;
+
+/// A calibration with what it was made on and tested on.
+#[derive(Debug)]
+pub struct Calibrated {
+    /// The numbers.
+    pub calibration: Calibration,
+    fitted: Fared,
+    tested: Fared,
+    /// How those that are compiled in fare on the same.
+    before: [Fared; 2],
+    /// The log score on the cases that it was made on without each of the signs.
+    without: [f64; SIGNS],
+}
+
+/// How cases fare.
+#[derive(Debug)]
+struct Fared {
+    cases: usize,
+    log_score: f64,
+    summary: Summary,
+}
+
+impl Fared {
+    fn of(cases: &[&StoredCase], calibration: &Calibration) -> Self {
+        let rows: Vec<Row> = cases.par_iter().map(|case| case.row(calibration)).collect();
+        let counted: Vec<&Row> = rows.iter().filter(|row| is_counted(row)).collect();
+        Self {
+            cases: cases.len(),
+            log_score: counted.iter().map(|row| log_score(row)).sum::<f64>()
+                / counted.len().max(1) as f64,
+            summary: Summary::new(&rows),
+        }
+    }
+}
+
+fn is_counted(row: &Row) -> bool {
+    (row.is_practical || row.kind == Kind::Null) && row.kind != Kind::Trap
+}
+
+/// Logarithm of what an answer gives to what is there, and to each thing that it names and is not.
+fn log_score(row: &Row) -> f64 {
+    let within = |p: f64| p.clamp(UNMENTIONED, 1.0 - 0.5 * UNMENTIONED);
+    let is_outside = matches!(row.kind, Kind::LeftOut | Kind::Foreign);
+    let is_there = |id: &String| row.kind != Kind::LeftOut && row.is_right(id);
+    let given: f64 = row
+        .probabilities
+        .iter()
+        .map(|(id, p)| if is_there(id) { within(*p).ln() } else { within(1.0 - p).ln() })
+        .sum();
+    let names_one = row.probabilities.iter().any(|(id, _)| is_there(id));
+    let is_due = !is_outside && row.kind != Kind::Null;
+    let missed = (is_due && !names_one) || (is_outside && row.verdict == "none");
+    // What is unknown was at least noticed.
+    let noticed = if row.verdict == "unknown" { 0.5_f64.ln() } else { UNMENTIONED.ln() };
+    given
+        + match (missed, row.kind) {
+            (true, _) => noticed,
+            (false, Kind::Null) if row.verdict == "unknown" => 0.1_f64.ln(),
+            _ => 0.0,
+        }
+}
+
+/// Calibrates on the families of `cases` that are for it, and tests on the others.
+pub fn calibrate(cases: &[StoredCase]) -> Calibrated {
+    let (tested, fitted): (Vec<&StoredCase>, Vec<&StoredCase>) =
+        cases.iter().partition(|case| case.is_for_testing());
+    let shipped = Calibration::shipped();
+    let score = |calibration: &Calibration| Fared::of(&fitted, calibration).log_score;
+    let trials = LAWS.map(|law| {
+        let trial = Calibration { law, ..shipped.clone() };
+        let found = with_discrepancy(&fitted, &trial, [true; SIGNS]);
+        (Fared::of(&fitted, &found), found)
+    });
+    let top = trials.iter().map(|(fared, _)| fared.log_score).fold(f64::NEG_INFINITY, f64::max);
+    let off = |fared: &Fared| (fared.summary.covered.rate.unwrap_or(HELD) - HELD).abs();
+    let best = trials
+        .iter()
+        .filter(|(fared, _)| fared.log_score > top - SAME)
+        .min_by(|a, b| off(&a.0).total_cmp(&off(&b.0)));
+    let mut calibration = best.map_or_else(|| shipped.clone(), |(_, found)| found.clone());
+    let without = std::array::from_fn(|sign| {
+        let used = std::array::from_fn(|other| other != sign);
+        score(&with_discrepancy(&fitted, &calibration, used))
+    });
+    calibration.version = shipped.version + 1;
+    let fared = |calibration: &Calibration| [&fitted, &tested].map(|c| Fared::of(c, calibration));
+    let before = fared(shipped);
+    let [fitted, tested] = fared(&calibration);
+    Calibrated { calibration, fitted, tested, before, without }
+}
+
+/// The calibration with the weights of the signs by logistic regression (Newton's method, none
+/// below 0 but the first), whose cause is in the catalogue or not.
+fn with_discrepancy(
+    cases: &[&StoredCase],
+    calibration: &Calibration,
+    used: [bool; SIGNS],
+) -> Calibration {
+    let sign = |case: &&StoredCase| {
+        let is_outside = matches!(case.key.kind, Kind::LeftOut | Kind::Foreign);
+        let counts = case.key.is_practical || case.key.kind == Kind::Null;
+        let decision = decide_by(case.evidence.as_ref()?, calibration);
+        let is_counted = counts && case.key.kind != Kind::Trap;
+        is_counted.then(|| (SVector::from(decision.signs), f64::from(is_outside)))
+    };
+    let signs: Vec<(SVector<f64, SIGNS>, f64)> = cases.par_iter().filter_map(sign).collect();
+    let mut used = used;
+    loop {
+        let weights = logistic(&signs, used);
+        let Some(below) = (1..SIGNS).find(|i| weights[*i] < 0.0) else {
+            return Calibration { discrepancy: weights.into(), ..calibration.clone() };
+        };
+        used[below] = false;
+    }
+}
+
+fn logistic(signs: &[(SVector<f64, SIGNS>, f64)], used: [bool; SIGNS]) -> SVector<f64, SIGNS> {
+    const STEPS: usize = 30;
+    let mut weights = SVector::<f64, SIGNS>::zeros();
+    for _ in 0..STEPS {
+        let mut gradient = -weights * RIDGE;
+        let mut curvature = SMatrix::<f64, SIGNS, SIGNS>::identity() * RIDGE;
+        for (x, y) in signs {
+            let p = 1.0 / (1.0 + (-weights.dot(x)).exp());
+            gradient += x * (y - p);
+            curvature += x * x.transpose() * (p * (1.0 - p));
+        }
+        for sign in (0..SIGNS).filter(|sign| !used[*sign]) {
+            gradient[sign] = 0.0;
+            curvature.row_mut(sign).fill(0.0);
+            curvature.column_mut(sign).fill(0.0);
+            curvature[(sign, sign)] = 1.0;
+        }
+        let Some(step) = curvature.cholesky().map(|factor| factor.solve(&gradient)) else { break };
+        weights += step * (4.0 / step.norm().max(4.0));
+    }
+    weights
+}
+
+impl Display for Calibrated {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Calibration { version, law, discrepancy } = &self.calibration;
+        writeln!(f, "# Made by `downwash exam --decide DIR --calibrate FILE`.")?;
+        writeln!(f, "version = {version}")?;
+        writeln!(f, "law = {law}")?;
+        let rounded = discrepancy.map(|weight| (1e3 * weight).round() / 1e3);
+        writeln!(f, "discrepancy = {rounded:?}")?;
+        let [fitted_before, tested_before] = &self.before;
+        for (name, fared, before) in
+            [("made", &self.fitted, fitted_before), ("tested", &self.tested, tested_before)]
+        {
+            let Fared { cases, log_score, summary } = fared;
+            writeln!(f, "\n[{name}]\ncases = {cases}")?;
+            writeln!(f, "log_score = {log_score:.4}")?;
+            writeln!(f, "log_score_before = {:.4}", before.log_score)?;
+            if name == "made" {
+                writeln!(f, "log_score_without_each_sign = {:.4?}", self.without)?;
+            }
+            for (what, value) in [("brier", summary.brier), ("error", summary.calibration_error)] {
+                if let Some(value) = value {
+                    writeln!(f, "{what} = {value:.4}")?;
+                }
+            }
+            let held = &summary.covered;
+            writeln!(f, "intervals_that_hold = [{}, {}]", held.count, held.of)?;
+            writeln!(f, "# Stated, true, of so many.\nreliability = [")?;
+            for bin in &summary.reliability {
+                let is_true = &bin.is_true;
+                writeln!(f, "    [{:.3}, {}, {}],", bin.mean, is_true.count, is_true.of)?;
+            }
+            writeln!(f, "]")?;
+        }
+        Ok(())
+    }
+}

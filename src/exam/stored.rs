@@ -1,0 +1,101 @@
+//! A case's evidence with its key and its answer, so that another decision can be scored without
+//! flying or fitting anything again.
+
+use serde::{Deserialize, Serialize};
+
+use super::answer::{Given, GivenEffect, GivenGap};
+use super::case::Kind;
+use super::key::KeyEntry;
+use super::score::Row;
+use super::world::LoopKind;
+use crate::diagnose::calibration::Calibration;
+use crate::diagnose::evidence::{Evidence, Explained};
+use crate::diagnose::fit::interval;
+use crate::diagnose::verdict::decide_by;
+
+/// A case as `exam --evidence` writes it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StoredCase {
+    /// Its name.
+    pub case: String,
+    /// The right answer.
+    pub key: KeyEntry,
+    /// What the verdict rests on; none where there was no diagnosis, or the data were at fault.
+    pub evidence: Option<Evidence>,
+    /// The answer that was given, or why there is none.
+    pub answer: Result<Given, String>,
+    /// What the answer truly closes.
+    pub true_closure: Option<f64>,
+    /// Time that the diagnosis took, s.
+    pub seconds: f64,
+}
+
+impl StoredCase {
+    /// Whether it is of the families that a calibration is tested on, and not made on: cascades on
+    /// board with logged setpoints, outputs at 250 Hz, and other laws for the same cause.
+    pub fn is_for_testing(&self) -> bool {
+        let KeyEntry { kind, on_board, outputs_hz, .. } = &self.key;
+        *kind == Kind::OtherLaw || *on_board == LoopKind::Cascade || *outputs_hz > 200.0
+    }
+
+    /// The case decided anew and scored.
+    pub fn row(&self, calibration: &Calibration) -> Row {
+        let answer = self.answer.as_ref().map_err(String::as_str);
+        let decided = answer
+            .ok()
+            .and_then(|given| Some(decided(given, self.evidence.as_ref()?, calibration)));
+        let is_same = decided.as_ref().zip(answer.ok()).is_some_and(|(new, old)| {
+            let ids = |given: &Given| -> Vec<String> {
+                given.effects.iter().map(|effect| effect.id.clone()).collect()
+            };
+            ids(new) == ids(old)
+        });
+        let closure = self.true_closure.filter(|_| is_same || decided.is_none());
+        let given = decided.as_ref().map_or(answer, Ok);
+        Row::new(&self.case, &self.key, given, closure, self.seconds)
+    }
+}
+
+/// The answer by a new decision on the evidence. Numbers and intervals are as they were given where
+/// the effect was named before, else as fitted to the flights for fitting.
+fn decided(given: &Given, evidence: &Evidence, calibration: &Calibration) -> Given {
+    let decision = decide_by(evidence, calibration);
+    let explained = evidence.explanations.get(decision.explanation);
+    let effect = |(id, probability): &(String, f64)| {
+        let old = given.effects.iter().find(|effect| effect.id == *id);
+        let known = old.cloned().or_else(|| Some(as_fitted(explained?, id)));
+        let known = known.unwrap_or_else(|| GivenEffect { id: id.clone(), ..Default::default() });
+        let widened = |(name, [low, high]): (&String, &[f64; 2])| {
+            let numbers = &explained?.numbers;
+            let number = numbers.iter().find(|n| n.effect == *id && n.name == *name)?;
+            let (value, fitted) = (0.5 * (low + high), *known.deviations.get(name)?);
+            let deviation = calibration.deviation(fitted, value - number.reference);
+            Some((name.clone(), interval(value, deviation)))
+        };
+        let intervals = known.intervals.iter().filter_map(widened).collect();
+        GivenEffect { probability: *probability, intervals, ..known }
+    };
+    let gap = explained.and_then(|explained| {
+        let (before, after) = (evidence.shipped[1]?, explained.reported?.effects);
+        Some(GivenGap { before, after, floor: 1.0 })
+    });
+    Given {
+        verdict: decision.verdict.name().to_owned(),
+        effects: decision.effects.iter().map(effect).collect(),
+        gap: gap.or(given.gap),
+        ambiguous_with: decision.ambiguous_with.clone(),
+        ..given.clone()
+    }
+}
+
+/// An effect of an explanation with its fitted numbers and their 90 % intervals.
+fn as_fitted(explained: &Explained, id: &str) -> GivenEffect {
+    let own = explained.numbers.iter().filter(|number| number.effect == id);
+    GivenEffect {
+        id: id.to_owned(),
+        probability: 0.0,
+        parameters: explained.parameters.get(id).cloned().unwrap_or_default(),
+        intervals: own.clone().map(|n| (n.name.clone(), interval(n.value, n.deviation))).collect(),
+        deviations: own.map(|n| (n.name.clone(), n.deviation)).collect(),
+    }
+}
