@@ -7,8 +7,8 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-/// Signs that something acts that is not in the catalogue, and 1.
-pub const SIGNS: usize = 4;
+/// Signs that the cause is not in the catalogue: 1, and what an explanation leaves of the gap.
+pub const SIGNS: usize = 2;
 
 /// Numbers of the decision.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,7 +19,7 @@ pub struct Calibration {
     /// deviation of what each explanation's evidence is off by; and a number is off by this share of
     /// its distance from the vehicle file's, beside its fit's scatter.
     pub law: f64,
-    /// Log odds that something acts that is not in the catalogue, by its [signs](SIGNS).
+    /// Log odds that the cause is not in the catalogue, by its [signs](SIGNS).
     pub discrepancy: [f64; SIGNS],
 }
 
@@ -34,7 +34,7 @@ impl Calibration {
         &SHIPPED
     }
 
-    /// Probability that something acts that is not in the catalogue.
+    /// Probability that the cause is not in the catalogue.
     pub fn discrepancy(&self, signs: &[f64; SIGNS]) -> f64 {
         let log_odds: f64 = self.discrepancy.iter().zip(signs).map(|(w, x)| w * x).sum();
         1.0 / (1.0 + (-log_odds).exp())
@@ -58,9 +58,9 @@ mod tests {
     #[test]
     fn signs_add_up_to_log_odds() {
         let calibration =
-            Calibration { discrepancy: [-1.0, 2.0, 0.0, 0.5], ..Calibration::shipped().clone() };
-        assert!((calibration.discrepancy(&[1.0, 0.5, 9.0, 0.0]) - 0.5).abs() < 1e-12);
-        assert!(calibration.discrepancy(&[1.0, 0.5, 9.0, 1.0]) > 0.6);
+            Calibration { discrepancy: [-1.0, 2.0], ..Calibration::shipped().clone() };
+        assert!((calibration.discrepancy(&[1.0, 0.5]) - 0.5).abs() < 1e-12);
+        assert!(calibration.discrepancy(&[1.0, 1.0]) > 0.6);
     }
 
     #[test]
