@@ -15,7 +15,7 @@ use downwash::learn::refine::network_open_loop;
 use downwash::learn::summary::TrainSettings;
 use downwash::learn::training::Method;
 use downwash::learn::training_set::TrainingSet;
-use downwash::log::import::{self, Flight, MotorUnit, Stream};
+use downwash::log::import::{self, Flight, MotorSource, MotorUnit, Stream};
 use downwash::model::Model;
 use downwash::model::features::Features;
 use downwash::model::file::AccelerationSource::SpecificForce;
@@ -138,6 +138,27 @@ fn flights_without_motor_outputs_are_learned_from() {
     assert_eq!(flights.len(), SHORT.len());
     for flight in &flights {
         assert_eq!(flight.source.name(), "setpoints through the on-board law");
+    }
+}
+
+#[test]
+fn outputs_that_are_not_logged_are_what_the_onboard_law_makes_of_setpoints() {
+    let onboard = Onboard::new(&vehicle()).expect("a mixer");
+    for flight in flights(&SHORT) {
+        let logged = flight.outputs.clone();
+        assert!(!onboard.complete_outputs(&mut flight.clone()), "what is logged stays");
+        let mut without = Flight { outputs: Stream::default(), ..flight.clone() };
+        assert!(onboard.complete_outputs(&mut without));
+        assert_eq!(without.motor_source, MotorSource::OnboardLaw);
+        let off = without.outputs.iter().filter_map(|(time, made)| {
+            let index = logged.index_at(time)?;
+            let flown = flight.in_air.index_at(time).is_some_and(|i| flight.in_air.values()[i]);
+            let pairs = logged.values()[index].iter().zip(made);
+            flown.then(|| pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>() / 4.0)
+        });
+        let off: Vec<f64> = off.collect();
+        let rms = (off.iter().sum::<f64>() / off.len() as f64).sqrt();
+        assert!(off.len() > 500 && rms < 0.08, "{rms} over {}", off.len());
     }
 }
 

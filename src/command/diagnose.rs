@@ -26,6 +26,7 @@ use crate::diagnose::pipeline::{Diagnosis, diagnose};
 use crate::diagnose::preparation::PreparedFlight;
 use crate::diagnose::rotor_order;
 use crate::diagnose::words::report;
+use crate::learn::commands::Onboard;
 use crate::log::import::Flight;
 use crate::plan::manoeuvres::Room;
 
@@ -236,8 +237,18 @@ struct AuditedLog {
 /// Reads logs and audits them together. A log at fault is left out, and of others the times that
 /// cannot be used.
 fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -> Vec<AuditedLog> {
-    let read: Vec<anyhow::Result<Flight>> =
-        paths.par_iter().map(|path| open_for(path, mapping, vehicle)).collect();
+    let open = |path: &PathBuf| {
+        let mut flight = open_for(path, mapping, vehicle)?;
+        if Onboard::new(vehicle)?.complete_outputs(&mut flight) {
+            say(format_args!(
+                "{}: motor outputs are not logged; they are what attitude_pd of the vehicle file \
+                 makes of the setpoints",
+                path.display()
+            ));
+        }
+        Ok(flight)
+    };
+    let read: Vec<anyhow::Result<Flight>> = paths.par_iter().map(open).collect();
     let mut refused = Vec::new();
     let mut flights = Vec::new();
     for (index, flight) in read.into_iter().enumerate() {

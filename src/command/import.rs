@@ -114,6 +114,7 @@ fn summary(flight: &Flight, out: &Path, messages: u64) -> Summary {
         MotorSource::ActuatorMotors => "actuator_motors",
         MotorSource::ActuatorOutputs => "actuator_outputs",
         MotorSource::Rcou => "RCOU",
+        MotorSource::OnboardLaw => "on-board law",
         MotorSource::Table => "table",
     };
     let streams = vec![

@@ -47,10 +47,19 @@ pub struct Evidence {
     pub structure: [f64; 2],
     /// Whether the pack's voltage varies enough to tell a sag from another level of the thrust.
     pub voltage_differs: bool,
+    /// Whether motor outputs or rotor speeds are logged: without them a moment is known by the
+    /// on-board loop alone, and its scale, the loop's gain and the inertia act alike.
+    #[serde(default = "logged")]
+    pub outputs_logged: bool,
     /// Force that nothing explains, where velocity and accelerometer agree on it.
     pub force: Option<ForceLeft>,
     /// Standard deviation of gusts that would bring it about, where it looks like turbulence, m/s.
     pub gusts_m_s: Option<f64>,
+}
+
+/// What evidence that was stored before the field meant.
+fn logged() -> bool {
+    true
 }
 
 impl Evidence {

@@ -13,7 +13,9 @@ use super::spectrum::{BLOCK_MAX, BLOCK_MIN, CELL_S};
 use crate::learn::commands::CommandSource;
 use crate::learn::gaps::{intersection, length};
 use crate::learn::segments::Segments;
-use crate::log::import::{AttitudeSetpoint, Flight, SetpointSource, Stream, UnitUnknown};
+use crate::log::import::{
+    AttitudeSetpoint, Flight, MotorSource, SetpointSource, Stream, UnitUnknown,
+};
 use crate::setpoint::Reference;
 
 /// Share of the hover output above which a vehicle without a word on it is in the air.
@@ -117,7 +119,8 @@ pub enum NotPrepared {
     Empty,
     /// Nothing drives the plant.
     #[error(
-        "the log has no motor outputs (and no rotor speeds with rotor_max_rpm), which drive the model"
+        "the log has no motor outputs (and no rotor speeds with rotor_max_rpm, and no setpoints \
+         with attitude and thrust for the attitude_pd of the vehicle file), which drive the model"
     )]
     NoOutputs,
     /// Nothing answers.
@@ -187,7 +190,7 @@ impl PreparedFlight {
             attitude: !attitude.is_empty(),
             body_rate: !body_rate.is_empty(),
             specific_force: !specific_force.is_empty(),
-            outputs: !flight.outputs.is_empty(),
+            outputs: !flight.outputs.is_empty() && flight.motor_source != MotorSource::OnboardLaw,
             setpoint: vehicle.attitude_pd.is_some()
                 && !attitude.is_empty()
                 && !body_rate.is_empty()

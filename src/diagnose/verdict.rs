@@ -76,9 +76,25 @@ const RIVAL: f64 = 0.1;
 /// A remainder that shows that an equation is not exact, as a share.
 const INEXACT: f64 = 0.1;
 
-/// What changes the level of the thrust, by class, and the share of its probability that one of
-/// them keeps where nothing tells it from the others.
-const THRUST: [&str; 3] = ["battery_sag", "thrust_curve", "thrust_scale"];
+/// Effects that act alike where something is not measured, by class.
+struct Alike {
+    effects: [&'static str; 3],
+    are_told: fn(&Evidence) -> bool,
+}
+
+/// Near one throttle only a pack's voltage that falls tells apart what changes the thrust, and only
+/// motor outputs what changes a moment.
+const ALIKE: [Alike; 2] = [
+    Alike {
+        effects: ["battery_sag", "thrust_curve", "thrust_scale"],
+        are_told: |evidence| evidence.voltage_differs,
+    },
+    Alike {
+        effects: ["inertia", "pd_gain", "yaw_torque"],
+        are_told: |evidence| evidence.outputs_logged,
+    },
+];
+/// The share of its probability that one of them keeps then.
 const UNTOLD: f64 = 0.6;
 
 /// Effects that act alike have one name here.
@@ -263,22 +279,21 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
         });
         others.map(|(effect, _)| (*effect).to_owned()).collect()
     };
-    // Near one throttle only a pack's voltage that falls tells apart what changes the thrust.
-    let is_level = |effect: &str| THRUST.contains(&class(effect));
-    let is_level = explained.effects.iter().any(|effect| is_level(effect));
-    let untold = if is_level && !evidence.voltage_differs { UNTOLD } else { 1.0 };
-    if untold < 1.0 {
-        let own = |effect: &&str| explained.effects.iter().any(|own| class(own) == *effect);
-        rivals.extend(THRUST.iter().filter(|effect| !own(effect)).map(|e| (*e).to_owned()));
-        rivals.sort_unstable();
-        rivals.dedup();
-    }
+    let is_own = |effect: &&str| explained.effects.iter().any(|own| class(own) == *effect);
+    let untold: Vec<&str> = ALIKE
+        .iter()
+        .filter(|alike| alike.effects.iter().any(|e| is_own(e)) && !(alike.are_told)(evidence))
+        .flat_map(|alike| alike.effects)
+        .collect();
+    rivals.extend(untold.iter().filter(|effect| !is_own(effect)).map(|e| (*e).to_owned()));
+    rivals.sort_unstable();
+    rivals.dedup();
     let weighed = |outside: f64| -> Vec<(String, f64)> {
         let own = explained.effects.iter();
         let mut own: Vec<(String, f64)> = own
             .map(|effect| {
                 let mass = inclusion.get(class(effect)).copied().unwrap_or(0.0);
-                let told = if THRUST.contains(&class(effect)) { untold } else { 1.0 };
+                let told = if untold.contains(&class(effect)) { UNTOLD } else { 1.0 };
                 (effect.clone(), told * (1.0 - outside) * mass.min(1.0))
             })
             .collect();
@@ -387,6 +402,7 @@ mod tests {
             shipped: [Some(shipped); 2],
             scatter: 0.02,
             voltage_differs: true,
+            outputs_logged: true,
             ..Evidence::default()
         }
     }
@@ -515,6 +531,18 @@ mod tests {
         assert_eq!(named(&unseen(200.0)), ["motor_lag"]);
         assert_eq!(unseen(8.0).because, Some(Unexplained::Doubt));
         assert_eq!(unseen(0.0).verdict, Verdict::None);
+    }
+
+    #[test]
+    fn a_moment_is_ambiguous_without_motor_outputs() {
+        let file = explained(&[], 0.0, [8.0, 6.0]);
+        let inertia = explained(&["inertia"], 300.0, [1.1, 1.1]);
+        let mut moment = evidence(8.0, vec![file, inertia]);
+        assert!(decide(&moment).ambiguous_with.is_empty());
+        moment.outputs_logged = false;
+        let decision = decide(&moment);
+        assert_eq!(decision.ambiguous_with, ["pd_gain", "yaw_torque"]);
+        assert!(decision.effects[0].1 < 0.6);
     }
 
     #[test]

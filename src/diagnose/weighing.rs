@@ -163,6 +163,11 @@ impl Inquiry<'_> {
             learned: None,
             structure: [0.0; 2],
             voltage_differs: voltages_differ(self.case.fitted),
+            outputs_logged: self
+                .case
+                .fitted
+                .iter()
+                .all(|flight| flight.channels.outputs || flight.channels.rotor_speed),
             force: None,
             gusts_m_s: None,
         };

@@ -13,8 +13,8 @@ use vehicle::rotor::Allocation;
 use vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::alignment::interpolated;
-use super::gaps::{unbroken, unbroken_over};
-use crate::log::import::{self, Flight, Stream, UnitUnknown};
+use super::gaps::{intersection, unbroken, unbroken_over};
+use crate::log::import::{self, Flight, MotorSource, MotorUnit, Stream, UnitUnknown};
 use crate::model::actuation::{Actuation, RotorState, RotorStep};
 
 /// Rate of the grid where the on-board law is not known, Hz.
@@ -165,6 +165,21 @@ impl Onboard {
         self.law.is_some() && flight.setpoint.values().iter().any(|s| s.thrust.is_some())
     }
 
+    /// Gives a flight that logs neither motor outputs nor rotor speeds the outputs that the on-board
+    /// law makes of its setpoints, at the attitude and rate that it reports. Whether it did.
+    pub fn complete_outputs(&self, flight: &mut Flight) -> bool {
+        let is_told = !(flight.outputs.is_empty() && flight.rotor_speed.is_empty());
+        if is_told || !self.is_commanded(flight) {
+            return false;
+        }
+        let source = CommandSource::OnboardLaw;
+        let led = intersection(&source.unbroken(flight), &source.traced(flight));
+        flight.outputs = OutputTrace::new(self, flight, source, 0.0, 0.0, &led).outputs();
+        flight.motor_unit = MotorUnit::ThrustFraction;
+        flight.motor_source = MotorSource::OnboardLaw;
+        !flight.outputs.is_empty()
+    }
+
     /// Which source this flight's u comes from, and how well the law explains the logged outputs:
     /// the root mean square difference, where both are logged.
     pub fn source(&self, flight: &Flight, attitude_latency: f64) -> (CommandSource, Option<f64>) {
@@ -284,6 +299,19 @@ impl OutputTrace {
             Piece { start, outputs: ticks.map(outputs).collect() }
         };
         Self { step, pieces: spans.iter().map(piece).collect() }
+    }
+
+    /// Those that are known.
+    fn outputs(&self) -> Stream<[f64; ROTORS]> {
+        let mut stream = Stream::default();
+        for piece in &self.pieces {
+            for (k, outputs) in piece.outputs.iter().enumerate() {
+                if let Some(outputs) = outputs {
+                    stream.push(piece.start + k as f64 * self.step, *outputs);
+                }
+            }
+        }
+        stream
     }
 
     fn at(&self, time: f64) -> Option<[f64; ROTORS]> {

@@ -207,6 +207,8 @@ pub enum MotorSource {
     /// No message: columns of a table, in the order of the vehicle file's rotors.
     #[default]
     Table,
+    /// None were logged: what the on-board law of a vehicle file makes of the setpoints.
+    OnboardLaw,
 }
 
 /// Who wrote [`Flight::setpoint`].
