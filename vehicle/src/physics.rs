@@ -113,6 +113,11 @@ impl<T: Scalar> Loads<T> {
     pub fn spin_momentum(&self) -> T {
         self.spin_momentum
     }
+
+    /// The same loads, with the given rate of change of the rotors' angular momentum in N m.
+    pub fn with_spin_momentum_rate(self, rate: T) -> Self {
+        Self { spin_momentum_rate: rate, ..self }
+    }
 }
 
 /// The effects that depend on the air's flow past the vehicle, and damping.
@@ -381,7 +386,7 @@ impl Physics {
         }
         let [h0, h1, h2] = loads.each_ref().map(Loads::spin_momentum);
         let rates = [h1 * 4.0 - h0 * 3.0 - h2, h2 - h0, h0 - h1 * 4.0 + h2 * 3.0];
-        std::array::from_fn(|i| Loads { spin_momentum_rate: rates[i] / T::from(step), ..loads[i] })
+        std::array::from_fn(|i| loads[i].with_spin_momentum_rate(rates[i] / T::from(step)))
     }
 
     /// Loads of rotors that follow at once: those `after` the change all through the step.
@@ -393,7 +398,7 @@ impl Physics {
         step: f64,
     ) -> [Loads<T>; 3] {
         let rate = (after.spin_momentum - before.spin_momentum) / T::from(step);
-        [Loads { spin_momentum_rate: rate, ..after }; 3]
+        [after.with_spin_momentum_rate(rate); 3]
     }
 
     /// Force without gravity (N) and moment [N m] on the body.
