@@ -28,6 +28,7 @@ pub mod batch;
 pub mod battery;
 mod contact;
 pub mod effects;
+pub mod export;
 pub mod foreign;
 pub mod frame;
 mod params;
