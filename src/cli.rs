@@ -23,7 +23,7 @@ pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, Train
 pub use self::schema::SchemaArgs;
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
-pub use self::vehicle::{InitArgs, LayoutChoice, VehicleCommand};
+pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
 use crate::control::{LAWS, Law};
 use crate::exam::case::Kind;
 

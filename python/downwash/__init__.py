@@ -7,6 +7,7 @@ an argument that is wrong by itself raises ValueError or TypeError.
 
 from ._diagnosis import Diagnosis, diagnose
 from ._downwash import DownwashError, __version__
+from ._fleet import Fleet
 from ._flight import fly
 from ._log import Log, Stream, audit, read
 from ._model import ACCELERATIONS, INPUT, MOTION, Learner, Model
@@ -28,6 +29,7 @@ __all__ = [
     "STATE",
     "Diagnosis",
     "DownwashError",
+    "Fleet",
     "Learner",
     "Log",
     "Model",

@@ -2,18 +2,20 @@
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 _Path: TypeAlias = str | PathLike[str]
 _Array: TypeAlias = NDArray[np.float64]
+_Floats: TypeAlias = NDArray[np.floating[Any]]
 _Progress: TypeAlias = Callable[[str, int, int], object]
 
 __all__ = [
-    "DownwashError",
     "Diagnosis",
+    "DownwashError",
+    "Fleet",
     "Log",
     "Model",
     "Plan",
@@ -56,6 +58,7 @@ class Vehicle:
     def remarks(self) -> str: ...
     def with_effects(self, effects: str) -> Vehicle: ...
     def to_text(self, path: _Path) -> str: ...
+    def export(self, peer: str) -> tuple[str, list[str]]: ...
 
 @final
 class Plant:
@@ -80,6 +83,25 @@ class Plant:
     @property
     def time_s(self) -> float: ...
     def copy(self) -> Plant: ...
+
+@final
+class Fleet:
+    def __new__(
+        cls,
+        vehicle: Vehicle,
+        count: int,
+        effects: str,
+        seed: int,
+        airborne: bool,
+        single: bool,
+    ) -> Fleet: ...
+    def step(self, outputs: _Floats, every: int, states: _Floats) -> None: ...
+    def state(self, states: _Floats) -> None: ...
+    def set_state(self, states: _Floats, rotors: _Floats) -> None: ...
+    @property
+    def rotor_states(self) -> list[list[float]]: ...
+    @property
+    def instructions(self) -> str: ...
 
 @final
 class Log:

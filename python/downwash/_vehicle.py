@@ -109,6 +109,13 @@ class Vehicle:
         """Writes its file: JSON where the name ends so, else TOML."""
         _FilePath(path).write_text(self._native.to_text(path), encoding="utf-8")
 
+    def export(self, to: str) -> tuple[str, list[str]]:
+        """The text of this vehicle, its modelled effects included, for another simulator: "rotorpy",
+        "drone-models", "px4-sih", "mujoco" or "casadi"; and what that one does not express."""
+        if not isinstance(to, str):
+            raise TypeError(f"to: expected a name, found {type(to).__name__}")
+        return self._native.export(to)
+
     def __repr__(self) -> str:
         return f"<downwash.Vehicle {self.name!r} from {self._native.source!r}>"
 

@@ -1,12 +1,13 @@
 //! The native part of the Python package `downwash`: each function hands its arguments to the
 //! library and its results back. What a user sees is in `downwash/*.py`, which makes arrays of what
-//! it is given: here every array is flat, contiguous and of f64.
+//! it is given: here every array is flat and contiguous.
 
 // PyO3's macros write paths and conversions of their own.
 #![allow(clippy::useless_conversion)]
 
 mod diagnosis;
 mod errors;
+mod fleet;
 mod flight;
 mod log;
 mod model;
@@ -36,6 +37,7 @@ fn _downwash(module: &Bound<'_, PyModule>) -> PyResult<()> {
     errors::add(module)?;
     module.add_class::<vehicle::Vehicle>()?;
     module.add_class::<plant::Plant>()?;
+    module.add_class::<fleet::Fleet>()?;
     module.add_class::<log::Log>()?;
     module.add_class::<flight::Trajectory>()?;
     module.add_class::<plan::Plan>()?;

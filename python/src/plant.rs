@@ -8,8 +8,10 @@ use vehicle::plant::Setup;
 use vehicle::rigid_body::State;
 use vehicle::{ROTORS, VehicleError};
 
-use crate::errors::{exception, fault, wrong};
+use crate::errors::wrong;
+use crate::fleet;
 use crate::vehicle::{Vehicle, effects_of};
+use crate::watch::on_every_core;
 
 /// Numbers of a state: position, velocity, quaternion, body rate.
 pub const STATE: usize = 13;
@@ -28,7 +30,7 @@ pub fn to_array(state: &State) -> [f64; STATE] {
     [pn, pe, pd, vn, ve, vd, w, x, y, z, p, q, r]
 }
 
-fn from_array(state: &[f64]) -> PyResult<State> {
+pub fn from_array(state: &[f64]) -> PyResult<State> {
     let &[pn, pe, pd, vn, ve, vd, w, x, y, z, p, q, r] = state else {
         return Err(wrong(format!("state: expected {STATE} numbers, found {}", state.len())));
     };
@@ -203,9 +205,14 @@ pub fn rollouts(
     if effects.len() != 1 && effects.len() != count {
         return Err(wrong("effects: expected one set, or one for each start"));
     }
-    let sets = effects.iter().map(|effects| effects_of(effects)).collect::<PyResult<Vec<_>>>()?;
     let starts = start.chunks_exact(STATE).map(from_array).collect::<PyResult<Vec<_>>>()?;
     let rows = outputs.len() / count;
+    if let [effects] = effects.as_slice() {
+        let jobs = fleet::batches::<f64>(vehicle, effects, seed, count, airborne)?;
+        let rolls = fleet::Rolls { starts: &starts, outputs, rows: rows / ROTORS, every };
+        return fleet::roll(py, jobs, &rolls, states);
+    }
+    let sets = effects.iter().map(|effects| effects_of(effects)).collect::<PyResult<Vec<_>>>()?;
     let setup = Setup::default();
     let params = &vehicle.file.params;
     let one = |index: usize, start: State, outputs: &[f64], states: &mut [f64]| {
@@ -221,20 +228,10 @@ pub fn rollouts(
         roll(&mut plant, outputs, every, states);
         Ok::<(), VehicleError>(())
     };
-    let done = py.detach(|| {
-        let pool = crate::watch::pool(None)?;
-        let all = || {
-            let jobs = starts.into_par_iter().zip(outputs.par_chunks_exact(rows));
-            let jobs = jobs.zip(states.par_chunks_exact_mut(rows / ROTORS * STATE)).enumerate();
-            jobs.try_for_each(|(index, ((start, outputs), states))| {
-                one(index, start, outputs, states)
-            })
-        };
-        Ok(std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| pool.install(all))))
-    });
-    match done {
-        Ok(Ok(done)) => done.map_err(|error| wrong(error.to_string())),
-        Ok(Err(panic)) => Err(fault(panic.as_ref())),
-        Err(error) => Err(exception(py, &error)),
-    }
+    let done = on_every_core(py, || {
+        let jobs = starts.into_par_iter().zip(outputs.par_chunks_exact(rows));
+        let jobs = jobs.zip(states.par_chunks_exact_mut(rows / ROTORS * STATE)).enumerate();
+        jobs.try_for_each(|(index, ((start, outputs), states))| one(index, start, outputs, states))
+    })?;
+    done.map_err(|error| wrong(error.to_string()))
 }

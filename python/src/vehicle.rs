@@ -7,6 +7,7 @@ use downwash::command::{VehicleFile, make};
 use pyo3::prelude::*;
 use serde_json::json;
 use vehicle::effects::{EffectId, EffectSet, Kind, Neutral};
+use vehicle::export::Peer;
 
 use crate::errors::{exception, unread, wrong};
 
@@ -74,6 +75,16 @@ impl Vehicle {
         let effects = effects_of(effects)?;
         let file = self.file.with_effects(&effects).map_err(|error| exception(py, &error))?;
         Ok(Self { file })
+    }
+
+    /// The text for another simulator, and what that one does not express.
+    fn export(&self, peer: &str) -> PyResult<(String, Vec<String>)> {
+        let names = Peer::ALL.map(Peer::name);
+        let peer = Peer::ALL.into_iter().find(|known| known.name() == peer);
+        let peer = peer.ok_or_else(|| wrong(format!("to: expected one of {names:?}")))?;
+        let exported = vehicle::export::export(&self.file.params, peer);
+        let exported = exported.map_err(|error| wrong(error.to_string()))?;
+        Ok((exported.text, exported.lost))
     }
 
     /// The text for a file of this name.

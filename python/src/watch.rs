@@ -124,3 +124,16 @@ pub fn watched<T: Send + 'static>(
         Err(_) => Err(fault(&"a thread ended early")),
     }
 }
+
+/// Short work on every core, without the interpreter's lock; its panic is a fault.
+pub fn on_every_core<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
+    let done = py.detach(|| {
+        let pool = pool(None)?;
+        Ok(catch_unwind(AssertUnwindSafe(|| pool.install(work))))
+    });
+    match done {
+        Ok(Ok(done)) => Ok(done),
+        Ok(Err(panic)) => Err(fault(panic.as_ref())),
+        Err(error) => Err(exception(py, &error)),
+    }
+}

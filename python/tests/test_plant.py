@@ -1,6 +1,7 @@
 """Motor outputs in, motion out: physics by closed form, batches against single vehicles."""
 
 import numpy as np
+import pytest
 import downwash as dw
 
 
@@ -35,6 +36,13 @@ def test_a_batch_is_its_vehicles_one_by_one() -> None:
         plant = dw.Plant(effects=drag, state=start[vehicle])
         plant.rotor_states = outputs[vehicle, 0]
         np.testing.assert_array_equal(plant.rollout(outputs[vehicle], 5), states[vehicle])
+    # With one set of effects they are stepped together.
+    states = dw.rollouts(outputs, start, effects=drags[3], steps=5, airborne=False)
+    for vehicle in range(5):
+        plant = dw.Plant(effects=drags[3], state=start[vehicle])
+        plant.rotor_states = outputs[vehicle, 0]
+        alone = plant.rollout(outputs[vehicle], 5)
+        np.testing.assert_allclose(alone, states[vehicle], rtol=1e-10, atol=1e-10)
 
 
 def test_gusts_of_a_batch_are_seeded_one_by_one() -> None:
@@ -52,3 +60,24 @@ def test_a_copy_goes_its_own_way() -> None:
     copy.step([1, 1, 1, 1], 100)
     assert plant.time_s == 0 and copy.time_s > 0
     assert plant.state[2] == -10 != copy.state[2]
+
+
+@pytest.mark.parametrize("dtype, apart", [(np.float64, 1e-9), (np.float32, 1e-4)])
+def test_a_fleet_flies_as_plants_do(dtype: type, apart: float) -> None:
+    start = np.tile(dw.REST, (100, 1))
+    start[:, :3] = np.random.default_rng(3).normal(size=(100, 3))
+    start[:, 2] -= 20
+    effects = {"gusts": {"sigma_m_s": 1.0}, "rotor_drag": {"d_xy": 0.02}}
+    fleet = dw.Fleet(100, effects=effects, state=start, seed=5, dtype=dtype)
+    assert fleet.state.dtype == dtype and len(fleet) == 100
+    plants = [dw.Plant(effects=effects, state=state, seed=5 + k) for k, state in enumerate(start)]
+    for plant in plants:
+        plant.rotor_states = [0.5] * 4
+    fleet.set_state(start, [0.5] * 4)
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        outputs = rng.uniform(0.55, 0.6, (100, 4))
+        states = fleet.step(outputs.astype(dtype), 10)
+        alone = np.array([plant.step(row, 10) for plant, row in zip(plants, outputs)])
+        np.testing.assert_allclose(states, alone, atol=apart, rtol=apart)
+    np.testing.assert_allclose(fleet.rotor_states, [p.rotor_states for p in plants], atol=apart)

@@ -30,6 +30,40 @@ pub enum VehicleCommand {
     /// changed on the vehicle. What no source says is named, with the way to measure it and the
     /// flag that takes it.
     Init(Box<InitArgs>),
+    /// Writes a vehicle, its modelled effects included, for another simulator.
+    ///
+    /// What that one's equations cannot express is named on stderr and in the file.
+    Export {
+        /// Vehicle file, or the name of a shipped one.
+        file: PathBuf,
+        /// The simulator.
+        #[arg(long, value_enum, value_name = "NAME")]
+        to: PeerChoice,
+        /// The file to write [default: stdout].
+        #[arg(short, long, value_name = "FILE")]
+        out: Option<PathBuf>,
+        /// Writes over a file that is there.
+        #[arg(long, requires = "out")]
+        force: bool,
+    },
+}
+
+/// Simulators that vehicles are exported to.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum PeerChoice {
+    /// RotorPy: a Python module with `quad_params`.
+    #[value(name = "rotorpy")]
+    RotorPy,
+    /// drone-models and crazyflow: the TOML table of a drone.
+    DroneModels,
+    /// PX4's simulator on board: a parameter file.
+    Px4Sih,
+    /// MuJoCo: an XML model with a thruster for each rotor.
+    #[value(name = "mujoco")]
+    MuJoCo,
+    /// CasADi: a Python module that builds the equations of motion.
+    #[value(name = "casadi")]
+    CasAdi,
 }
 
 /// Flags of `vehicle init`.

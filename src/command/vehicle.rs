@@ -6,13 +6,14 @@ use std::path::Path;
 use anyhow::{Context, anyhow};
 use schemars::JsonSchema;
 use serde::Serialize;
+use vehicle::export::Peer;
 use vehicle::{Doubt, Remark, SHIPPED, VehicleParams};
 
 use super::fly::endpoint;
 use super::{
     Exit, ExitContext, in_words, link_parameters, output, print_json, print_text, say, write_file,
 };
-use crate::cli::{InitArgs, LayoutChoice, VehicleCommand};
+use crate::cli::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
 use crate::log::import;
 use crate::parameters::{self, Parameters};
 use crate::plan::SHIPPED_TRAJECTORIES;
@@ -28,6 +29,7 @@ pub(super) fn run(command: VehicleCommand) -> anyhow::Result<Exit> {
         VehicleCommand::List { json } => list(json),
         VehicleCommand::Check { file, json } => check(&file, json),
         VehicleCommand::Init(args) => init(&args),
+        VehicleCommand::Export { file, to, out, force } => export(&file, to, out.as_deref(), force),
     }
 }
 
@@ -66,6 +68,29 @@ fn list(json: bool) -> anyhow::Result<Exit> {
     print_text(&format!(
         "vehicles, for --vehicle\n{vehicles}trajectories, for `fly` and `plan`\n{trajectories}"
     ))?;
+    Ok(Exit::Ok)
+}
+
+fn export(file: &Path, to: PeerChoice, out: Option<&Path>, force: bool) -> anyhow::Result<Exit> {
+    let peer = match to {
+        PeerChoice::RotorPy => Peer::RotorPy,
+        PeerChoice::DroneModels => Peer::DroneModels,
+        PeerChoice::Px4Sih => Peer::Px4Sih,
+        PeerChoice::MuJoCo => Peer::MuJoCo,
+        PeerChoice::CasAdi => Peer::CasAdi,
+    };
+    if let Some(out) = out {
+        refuse_old(out, Some(file), force)?;
+    }
+    let vehicle = VehicleParams::load(file).or_exit(Exit::Usage)?;
+    let exported = vehicle::export::export(&vehicle, peer).or_exit(Exit::Usage)?;
+    for lost in &exported.lost {
+        say(format_args!("{} does not express {lost}", peer.name()));
+    }
+    match out {
+        None => print_text(&exported.text)?,
+        Some(path) => write_file(path, exported.text.as_bytes())?,
+    }
     Ok(Exit::Ok)
 }
 
@@ -188,14 +213,19 @@ pub fn make(args: &InitArgs) -> anyhow::Result<Made> {
     })
 }
 
+/// Refuses to write over what was read, and over what is there without `force`.
+fn refuse_old(out: &Path, read: Option<&Path>, force: bool) -> anyhow::Result<()> {
+    output::refuse_input(out, read)?;
+    if out.exists() && !force {
+        let error = anyhow!("{} is there already: give another name, or --force", out.display());
+        return Err(error).or_exit(Exit::Usage);
+    }
+    Ok(())
+}
+
 fn init(args: &InitArgs) -> anyhow::Result<Exit> {
     if let Some(out) = &args.out {
-        output::refuse_input(out, args.file.as_deref())?;
-        if out.exists() && !args.force {
-            let error =
-                anyhow!("{} is there already: give another name, or --force", out.display());
-            return Err(error).or_exit(Exit::Usage);
-        }
+        refuse_old(out, args.file.as_deref(), args.force)?;
     }
     let made = make(args)?;
     if let Some(out) = &args.out {

@@ -131,7 +131,7 @@ impl<'a> RecordedInputs<'a> {
                 let factor = self.onboard.voltage_factor(self.actuation, voltage);
                 let allocation = &self.onboard.allocation;
                 let inputs = [rotors, middle, end].map(|state| state.input(allocation, factor));
-                state = rk4(&state, step, |state, stage| {
+                state = rk4(&state, step, |state: &State, stage: Stage| {
                     let input = match stage {
                         Stage::Start => inputs[0],
                         Stage::Middle => inputs[1],

@@ -1,4 +1,4 @@
-//! Steps of the plant per second on one core: one vehicle for many steps, and many in turn.
+//! Steps of the plant per second on one core: one vehicle for many steps, and many in turn or together.
 //!
 //! `cargo bench -p downwash-vehicle --bench plant`, pinned to one core for steady numbers.
 
@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use vehicle::VehicleParams;
+use vehicle::batch::{Batch, Real};
 use vehicle::effects::EffectSet;
 use vehicle::frame::Frd;
 use vehicle::plant::{Plant, Setup};
@@ -39,7 +40,7 @@ const STEPS: u64 = 1000;
 /// Vehicles in a fleet.
 const FLEET: usize = 1000;
 
-fn plant(lag: f64, effects: &[&str]) -> Plant {
+fn parts(lag: f64, effects: &[&str]) -> (VehicleParams, EffectSet, Setup) {
     let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../config/vehicles/quad1200.toml");
     let mut vehicle = VehicleParams::load(file).expect("the shipped vehicle file is valid");
     vehicle.modelled_effects = EffectSet::new();
@@ -48,7 +49,11 @@ fn plant(lag: f64, effects: &[&str]) -> Plant {
     for effect in effects {
         set.insert_argument(effect).expect("the effects above are valid");
     }
-    let setup = Setup { floor_down_m: 1e9, ..Setup::default() };
+    (vehicle, set, Setup { floor_down_m: 1e9, ..Setup::default() })
+}
+
+fn plant(lag: f64, effects: &[&str]) -> Plant {
+    let (vehicle, set, setup) = parts(lag, effects);
     Plant::new(&vehicle, &set, &setup, 1).expect("the shipped vehicle's mixer can be inverted")
 }
 
@@ -101,5 +106,37 @@ fn fleet(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, steps, fleet);
+/// As fleets, but stepped together; each row of outputs for one step, as a controller gives them.
+fn batch<F: Real>(criterion: &mut Criterion, precision: &str) {
+    let mut group = criterion.benchmark_group(format!("batch_steps_{precision}"));
+    group.throughput(Throughput::Elements(FLEET as u64));
+    let without_gusts: Vec<&str> =
+        EVERY_EFFECT.into_iter().filter(|effect| !effect.starts_with("gusts")).collect();
+    for (name, lag, effects) in [
+        ("no_effects", 0.0, &[][..]),
+        ("motor_lag", 0.03, &[]),
+        ("every_effect_but_gusts", 0.03, &without_gusts),
+        ("every_effect", 0.03, &EVERY_EFFECT),
+    ] {
+        let (vehicle, set, setup) = parts(lag, effects);
+        let mut batch = Batch::<F>::new(&vehicle, &set, &setup, 1, FLEET).expect("as a plant");
+        let velocity = [1.0, -2.0, 3.0].into();
+        let state = State { velocity, body_rate: Frd::new(0.3, -0.2, 0.5), ..State::default() };
+        for index in 0..FLEET {
+            batch.set(index, state, [0.5; 4]);
+        }
+        let outputs = vec![[0.5, 0.49, 0.5, 0.51].map(F::from_f64); FLEET];
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| batch.step(black_box(&outputs), 1));
+        });
+    }
+    group.finish();
+}
+
+fn batches(criterion: &mut Criterion) {
+    batch::<f32>(criterion, "f32");
+    batch::<f64>(criterion, "f64");
+}
+
+criterion_group!(benches, steps, fleet, batches);
 criterion_main!(benches);

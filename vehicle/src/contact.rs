@@ -63,8 +63,13 @@ impl Floor {
     /// Whether no foot can reach the floor within `time` [s], a few milliseconds.
     #[inline]
     pub fn is_clear(&self, state: &State, time: f64) -> bool {
-        let sink = state.velocity.down().max(0.0) * time;
-        state.position.down() + sink + self.reach + MARGIN < self.down
+        self.is_clear_of(state.position.down(), state.velocity.down(), time)
+    }
+
+    /// Likewise, of a vehicle at `down` [m] that sinks at `speed` [m/s].
+    #[inline]
+    pub fn is_clear_of(&self, down: f64, speed: f64, time: f64) -> bool {
+        down + speed.max(0.0) * time + self.reach + MARGIN < self.down
     }
 
     /// Whether a foot is in the floor.

@@ -30,26 +30,26 @@ pub type Frd<T = f64> = Vec3<Body, T>;
 
 impl<F, T: Copy> Vec3<F, T> {
     /// The components in the frame's own order.
-    #[inline]
+    #[inline(always)]
     pub const fn new(x: T, y: T, z: T) -> Self {
         Self { components: [x, y, z], frame: PhantomData }
     }
 
     /// The components as an array.
-    #[inline]
+    #[inline(always)]
     pub const fn to_array(self) -> [T; 3] {
         self.components
     }
 
     /// Applies `f` to each component.
-    #[inline]
+    #[inline(always)]
     pub fn map<U>(self, f: impl FnMut(T) -> U) -> Vec3<F, U> {
         Vec3 { components: self.components.map(f), frame: PhantomData }
     }
 }
 
 impl<F, T> From<[T; 3]> for Vec3<F, T> {
-    #[inline]
+    #[inline(always)]
     fn from(components: [T; 3]) -> Self {
         Self { components, frame: PhantomData }
     }
@@ -63,17 +63,17 @@ impl<F, T: Copy> From<Vec3<F, T>> for [T; 3] {
 
 impl<T: Copy> Ned<T> {
     /// Component towards true north.
-    #[inline]
+    #[inline(always)]
     pub const fn north(&self) -> T {
         self.components[0]
     }
     /// Component towards east.
-    #[inline]
+    #[inline(always)]
     pub const fn east(&self) -> T {
         self.components[1]
     }
     /// Component towards the centre of the earth.
-    #[inline]
+    #[inline(always)]
     pub const fn down(&self) -> T {
         self.components[2]
     }
@@ -81,17 +81,17 @@ impl<T: Copy> Ned<T> {
 
 impl<T: Copy> Frd<T> {
     /// Component out of the vehicle's front; as a rate, roll.
-    #[inline]
+    #[inline(always)]
     pub const fn front(&self) -> T {
         self.components[0]
     }
     /// Component out of the vehicle's right side; as a rate, pitch.
-    #[inline]
+    #[inline(always)]
     pub const fn right(&self) -> T {
         self.components[1]
     }
     /// Component out of the vehicle's belly; as a rate, yaw.
-    #[inline]
+    #[inline(always)]
     pub const fn down(&self) -> T {
         self.components[2]
     }
@@ -104,27 +104,27 @@ impl<F: Copy, T: Scalar> Vec3<F, T> {
     }
 
     /// Inner product.
-    #[inline]
+    #[inline(always)]
     pub fn dot(self, other: Self) -> T {
         let ([a, b, c], [x, y, z]) = (self.components, other.components);
         a * x + b * y + c * z
     }
 
     /// Vector product, right-handed as both frames are.
-    #[inline]
+    #[inline(always)]
     pub fn cross(self, other: Self) -> Self {
         let ([a, b, c], [x, y, z]) = (self.components, other.components);
         Self::new(b * z - c * y, c * x - a * z, a * y - b * x)
     }
 
     /// Euclidean norm.
-    #[inline]
+    #[inline(always)]
     pub fn norm(self) -> T {
         self.dot(self).sqrt()
     }
 
     /// Component by component product, for diagonal matrices.
-    #[inline]
+    #[inline(always)]
     pub fn scale_by(self, diagonal: [T; 3]) -> Self {
         let ([a, b, c], [x, y, z]) = (self.components, diagonal);
         Self::new(a * x, b * y, c * z)
@@ -140,7 +140,7 @@ impl<F> Vec3<F, f64> {
 
 impl<F, T: Scalar> Add for Vec3<F, T> {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn add(self, other: Self) -> Self {
         let ([a, b, c], [x, y, z]) = (self.components, other.components);
         Self::new(a + x, b + y, c + z)
@@ -148,7 +148,7 @@ impl<F, T: Scalar> Add for Vec3<F, T> {
 }
 
 impl<F, T: Scalar> AddAssign for Vec3<F, T> {
-    #[inline]
+    #[inline(always)]
     fn add_assign(&mut self, other: Self) {
         for (mine, theirs) in self.components.iter_mut().zip(other.components) {
             *mine += theirs;
@@ -158,7 +158,7 @@ impl<F, T: Scalar> AddAssign for Vec3<F, T> {
 
 impl<F, T: Scalar> Sub for Vec3<F, T> {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn sub(self, other: Self) -> Self {
         let ([a, b, c], [x, y, z]) = (self.components, other.components);
         Self::new(a - x, b - y, c - z)
@@ -167,7 +167,7 @@ impl<F, T: Scalar> Sub for Vec3<F, T> {
 
 impl<F, T: Scalar> Neg for Vec3<F, T> {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn neg(self) -> Self {
         self.map(|c| -c)
     }
@@ -175,7 +175,7 @@ impl<F, T: Scalar> Neg for Vec3<F, T> {
 
 impl<F, T: Scalar> Mul<T> for Vec3<F, T> {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn mul(self, factor: T) -> Self {
         self.map(|c| c * factor)
     }
@@ -213,25 +213,25 @@ impl<T: Scalar> Default for Attitude<T> {
 
 impl<T: Scalar> Attitude<T> {
     /// `v` of body axes, in world axes.
-    #[inline]
+    #[inline(always)]
     pub fn to_world(self, v: Frd<T>) -> Ned<T> {
         Ned::from(self.rotate(v.to_array()))
     }
 
     /// `v` of world axes, in body axes.
-    #[inline]
+    #[inline(always)]
     pub fn to_body(self, v: Ned<T>) -> Frd<T> {
         Frd::from(self.inverse().rotate(v.to_array()))
     }
 
     /// The opposite rotation.
-    #[inline]
+    #[inline(always)]
     pub fn inverse(self) -> Self {
         Self { w: self.w, x: -self.x, y: -self.y, z: -self.z }
     }
 
     /// v + 2 w (r x v) + 2 r x (r x v), with r the vector part.
-    #[inline]
+    #[inline(always)]
     fn rotate(self, v: [T; 3]) -> [T; 3] {
         let [a, b, c] = v;
         let (tx, ty, tz) = (
@@ -247,7 +247,7 @@ impl<T: Scalar> Attitude<T> {
     }
 
     /// Hamilton product `self * other`: first `other`, then `self`.
-    #[inline]
+    #[inline(always)]
     pub fn compose(self, other: Self) -> Self {
         let (p, q) = (self, other);
         Self {
@@ -259,7 +259,7 @@ impl<T: Scalar> Attitude<T> {
     }
 
     /// Time derivative of the quaternion, half of `self * (0, body_rate)`, in 1/s.
-    #[inline]
+    #[inline(always)]
     pub fn derivative(self, body_rate: Frd<T>) -> [T; 4] {
         let [p, q, r] = body_rate.to_array();
         [
@@ -271,7 +271,7 @@ impl<T: Scalar> Attitude<T> {
     }
 
     /// The quaternion scaled to unit norm.
-    #[inline]
+    #[inline(always)]
     pub fn normalized(self) -> Self {
         let norm = (self.w * self.w + self.x * self.x + self.y * self.y + self.z * self.z).sqrt();
         let inverse = T::from(1.0) / norm;

@@ -4,7 +4,7 @@
 //! [`VehicleParams`] is the nominal vehicle, [`effects`] what a real one does beyond it,
 //! [`physics::Physics`] the equations of both from rotor states to accelerations, generic over
 //! [`scalar::Scalar`] so that dual numbers give exact Jacobians. [`plant::Plant`] steps them, with
-//! rotors, pack and floor. [`frame`] types vectors and attitudes by their frame. SI units; NED
+//! rotors, pack and floor, [`batch::Batch`] many at once. [`frame`] types vectors and attitudes by their frame. SI units; NED
 //! world, FRD body.
 //!
 //! ```
@@ -21,12 +21,14 @@
 //! # Ok::<(), vehicle::VehicleError>(())
 //! ```
 
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+pub mod batch;
 pub mod battery;
 mod contact;
 pub mod effects;
+pub mod export;
 pub mod foreign;
 pub mod frame;
 mod params;

@@ -258,6 +258,47 @@ impl Physics {
         self.sag.is_some()
     }
 
+    /// Whether neither the air nor the rotors' angular momentum acts on the body, but thrust alone.
+    pub(crate) fn is_bare(&self) -> bool {
+        self.aerodynamics.is_none() && !self.needs_rotor_speed && self.curve.is_none()
+    }
+
+    /// The physics of a vehicle that [is bare](Self::is_bare), which a compiler sees.
+    #[inline(always)]
+    pub(crate) fn bare(&self) -> Self {
+        Self {
+            aerodynamics: None,
+            spin_momentum_max: None,
+            needs_rotor_speed: false,
+            curve: None,
+            ..self.clone()
+        }
+    }
+
+    /// The same physics with every effect in its place, those that do not act with neutral numbers:
+    /// without a branch on which ones act, which would keep a loop from being vectorised.
+    #[inline(always)]
+    pub(crate) fn dense(&self) -> Self {
+        let some = self.aerodynamics.unwrap_or_default();
+        let aerodynamics = Aerodynamics {
+            ground_effect: Some(some.ground_effect.unwrap_or(Effect::neutral())),
+            translational_lift: Some(some.translational_lift.unwrap_or(Effect::neutral())),
+            vortex_ring: Some(some.vortex_ring.unwrap_or(Effect::neutral())),
+            rotor_drag: Some(some.rotor_drag.unwrap_or(Effect::neutral())),
+            parasitic_drag: Some(some.parasitic_drag.unwrap_or(Effect::neutral())),
+            blade_flapping: Some(some.blade_flapping.unwrap_or(Effect::neutral())),
+            linear_drag: Some(some.linear_drag.unwrap_or_default()),
+            angular_damping: Some(some.angular_damping.unwrap_or_default()),
+        };
+        Self {
+            aerodynamics: Some(aerodynamics),
+            spin_momentum_max: Some(self.spin_momentum_max.unwrap_or_default()),
+            needs_rotor_speed: true,
+            curve: Some(self.curve.unwrap_or(Effect::neutral())),
+            ..self.clone()
+        }
+    }
+
     /// Whether the rotors' angular momentum acts on the body.
     pub fn has_spin_momentum(&self) -> bool {
         self.spin_momentum_max.is_some()
@@ -284,7 +325,7 @@ impl Physics {
 
     /// Thrust of a rotor over `thrust_max`, also its squared speed over the squared maximum, at
     /// state `s`.
-    #[inline]
+    #[inline(always)]
     fn fraction<T: Scalar>(&self, s: T, env: &Environment) -> T {
         let bent = match &self.curve {
             Some(curve) => curve.fraction(s),
@@ -294,19 +335,19 @@ impl Physics {
     }
 
     /// Thrust of each rotor before aerodynamic factors, N.
-    #[inline]
+    #[inline(always)]
     pub fn thrusts<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> [T; ROTORS] {
         std::array::from_fn(|i| self.fraction(rotors[i], env) * self.constants.rotors[i].thrust_max)
     }
 
     /// n_i: speed of each rotor as a fraction of the maximum.
-    #[inline]
+    #[inline(always)]
     pub fn rotor_speeds<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> [T; ROTORS] {
         std::array::from_fn(|i| root(self.fraction(rotors[i], env)))
     }
 
     /// What rotors in states s_i do to the body; their angular momentum as if constant.
-    #[inline]
+    #[inline(always)]
     pub fn loads<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> Loads<T> {
         let mut loads = Loads {
             thrust: T::default(),
@@ -335,8 +376,33 @@ impl Physics {
         loads
     }
 
+    /// Loads at the start, middle and end of a step of `step` seconds, from those of rotors held
+    /// there: each with the rate of the parabola through the three, so that the rotors give the body
+    /// just what they gain, even from rest, where dh/dt is infinite.
+    #[inline(always)]
+    pub fn lagged_loads<T: Scalar>(&self, loads: [Loads<T>; 3], step: f64) -> [Loads<T>; 3] {
+        if !self.has_spin_momentum() {
+            return loads;
+        }
+        let [h0, h1, h2] = loads.each_ref().map(Loads::spin_momentum);
+        let rates = [h1 * 4.0 - h0 * 3.0 - h2, h2 - h0, h0 - h1 * 4.0 + h2 * 3.0];
+        std::array::from_fn(|i| loads[i].with_spin_momentum_rate(rates[i] / T::from(step)))
+    }
+
+    /// Loads of rotors that follow at once: those `after` the change all through the step.
+    #[inline(always)]
+    pub fn sudden_loads<T: Scalar>(
+        &self,
+        before: Loads<T>,
+        after: Loads<T>,
+        step: f64,
+    ) -> [Loads<T>; 3] {
+        let rate = (after.spin_momentum - before.spin_momentum) / T::from(step);
+        [after.with_spin_momentum_rate(rate); 3]
+    }
+
     /// Force without gravity (N) and moment [N m] on the body.
-    #[inline]
+    #[inline(always)]
     pub fn wrench<T: Scalar>(
         &self,
         state: &State<T>,
@@ -360,7 +426,7 @@ impl Physics {
         wrench
     }
 
-    #[inline]
+    #[inline(always)]
     fn add_aerodynamics<T: Scalar>(
         &self,
         aerodynamics: &Aerodynamics,
@@ -415,7 +481,7 @@ impl Physics {
 
     /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] under
     /// given loads.
-    #[inline]
+    #[inline(always)]
     pub fn accelerations_under<T: Scalar>(
         &self,
         state: &State<T>,
@@ -428,7 +494,7 @@ impl Physics {
 
     /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] with
     /// the rotors in states s_i, held there.
-    #[inline]
+    #[inline(always)]
     pub fn accelerations<T: Scalar>(
         &self,
         state: &State<T>,
@@ -484,7 +550,7 @@ impl Physics {
 
 /// The square root of a number that is at least 0 in exact arithmetic; with derivative 0 at 0,
 /// where the true one is infinite.
-#[inline]
+#[inline(always)]
 fn root<T: Scalar>(x: T) -> T {
-    if x.value() > 0.0 { x.sqrt() } else { T::default() }
+    if x.is_above(0.0) { x.sqrt() } else { T::default() }
 }

@@ -15,7 +15,7 @@ use crate::rigid_body::{Stage, State, midpoint, rk4};
 use crate::rotor::Lag;
 
 /// Steps between updates of the pack: 4 ms is short against the rotors' lag.
-const BATTERY_STEPS: u64 = 4;
+pub(crate) const BATTERY_STEPS: u64 = 4;
 
 /// Where the vehicle begins, at rest and level.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -195,23 +195,19 @@ impl Plant {
         let followed =
             foreign_lag.map(|foreign| foreign.follow(&self.rotors, &outputs, Self::STEP));
         self.state = if self.lag.is_none() && followed.is_none() {
-            let loads = self.loads_of(&outputs);
-            let change = loads.spin_momentum() - self.loads.spin_momentum();
+            let end = self.loads_of(&outputs);
+            let loads = self.physics.sudden_loads(self.loads, end, Self::STEP);
             self.rotors = outputs;
-            self.loads = loads;
-            let loads = loads.with_spin_momentum_rate(change / Self::STEP);
-            self.integrate(|_| &loads)
+            self.loads = end;
+            self.integrate(&loads)
         } else {
             let [middle, end] =
                 followed.unwrap_or_else(|| self.lag.advance(&self.rotors, &outputs));
-            let loads = self.lagged_loads(&middle, &end);
+            let loads = [self.loads, self.loads_of(&middle), self.loads_of(&end)];
+            let loads = self.physics.lagged_loads(loads, Self::STEP);
             self.rotors = end;
             self.loads = loads[2];
-            self.integrate(|stage| match stage {
-                Stage::Start => &loads[0],
-                Stage::Middle => &loads[1],
-                Stage::End => &loads[2],
-            })
+            self.integrate(&loads)
         };
         self.steps += 1;
     }
@@ -230,26 +226,12 @@ impl Plant {
         }
     }
 
-    /// Loads with the rotors in the states of a step's start, middle and end.
-    #[inline]
-    fn lagged_loads(&self, middle: &[f64; ROTORS], end: &[f64; ROTORS]) -> [Loads<f64>; 3] {
-        let loads = [self.loads, self.loads_of(middle), self.loads_of(end)];
-        if !self.physics.has_spin_momentum() {
-            return loads;
-        }
-        // Rates of the parabola through the three: over the step the rotors give the body just
-        // what they gain, even from rest, where dh/dt is infinite.
-        let [h0, h1, h2] = loads.each_ref().map(Loads::spin_momentum);
-        let rates = [4.0 * h1 - 3.0 * h0 - h2, h2 - h0, h0 - 4.0 * h1 + 3.0 * h2];
-        std::array::from_fn(|i| loads[i].with_spin_momentum_rate(rates[i] / Self::STEP))
-    }
-
     /// The state one step later, under the loads of each stage.
     #[inline]
-    fn integrate<'a>(&self, loads: impl Fn(Stage) -> &'a Loads<f64>) -> State {
+    fn integrate(&self, loads: &[Loads<f64>; 3]) -> State {
         if self.foreign.is_empty() && self.floor.is_clear(&self.state, Self::STEP) {
-            let slope = |state: &State, stage| {
-                self.physics.accelerations_under(state, loads(stage), &self.environment)
+            let slope = |state: &State, stage: Stage| {
+                self.physics.accelerations_under(state, &loads[stage.index()], &self.environment)
             };
             if self.coarse {
                 midpoint(&self.state, Self::STEP, slope)
@@ -257,19 +239,17 @@ impl Plant {
                 rk4(&self.state, Self::STEP, slope)
             }
         } else {
-            rk4(&self.state, Self::STEP, |state, stage| self.slope(state, loads(stage)))
+            rk4(&self.state, Self::STEP, |state: &State, stage: Stage| {
+                self.slope(state, &loads[stage.index()])
+            })
         }
     }
 
     fn wrench(&self, state: &State, loads: &Loads<f64>) -> Wrench<f64> {
         let mut wrench = self.physics.wrench(state, loads, &self.environment);
-        let floor = self.floor.wrench(state);
-        wrench.force += floor.force;
-        wrench.moment += floor.moment;
+        wrench += self.floor.wrench(state);
         for foreign in &self.foreign {
-            let more = foreign.wrench();
-            wrench.force += more.force;
-            wrench.moment += more.moment;
+            wrench += foreign.wrench();
         }
         wrench
     }

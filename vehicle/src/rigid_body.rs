@@ -69,7 +69,7 @@ impl RigidBody {
     ///
     /// Returns the acceleration in world axes [m/s^2] and the angular acceleration in body axes
     /// [rad/s^2].
-    #[inline]
+    #[inline(always)]
     pub fn accelerations<T: Scalar>(
         &self,
         state: &State<T>,
@@ -104,6 +104,29 @@ pub enum Stage {
     End,
 }
 
+impl Stage {
+    /// 0, 1 or 2 from the start to the end.
+    #[inline(always)]
+    pub fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] at a state and
+/// stage of a step. Closures are right-hand sides; a type of its own can be inlined at every stage,
+/// however long it is.
+pub trait RightHandSide<T: Scalar> {
+    /// The accelerations.
+    fn at(&mut self, state: &State<T>, stage: Stage) -> (Ned<T>, Frd<T>);
+}
+
+impl<T: Scalar, F: FnMut(&State<T>, Stage) -> (Ned<T>, Frd<T>)> RightHandSide<T> for F {
+    #[inline(always)]
+    fn at(&mut self, state: &State<T>, stage: Stage) -> (Ned<T>, Frd<T>) {
+        self(state, stage)
+    }
+}
+
 /// Rates of change of a state: attitude's is that of the quaternion.
 #[derive(Clone, Copy)]
 struct Slope<T> {
@@ -114,13 +137,9 @@ struct Slope<T> {
 }
 
 impl<T: Scalar> Slope<T> {
-    #[inline]
-    fn at(
-        state: &State<T>,
-        stage: Stage,
-        right_hand_side: &mut impl FnMut(&State<T>, Stage) -> (Ned<T>, Frd<T>),
-    ) -> Self {
-        let (acceleration, angular_acceleration) = right_hand_side(state, stage);
+    #[inline(always)]
+    fn at(state: &State<T>, stage: Stage, right_hand_side: &mut impl RightHandSide<T>) -> Self {
+        let (acceleration, angular_acceleration) = right_hand_side.at(state, stage);
         Self {
             velocity: state.velocity,
             acceleration,
@@ -130,7 +149,7 @@ impl<T: Scalar> Slope<T> {
     }
 
     /// `state + self * dt`, the quaternion's norm as it comes out.
-    #[inline]
+    #[inline(always)]
     fn carry(&self, state: &State<T>, dt: f64) -> State<T> {
         let dt = T::from(dt);
         let Attitude { w, x, y, z } = state.attitude;
@@ -147,13 +166,12 @@ impl<T: Scalar> Slope<T> {
 /// One step of the classical fourth-order Runge-Kutta method, the quaternion brought back to unit
 /// norm at its end.
 ///
-/// `right_hand_side` gives the acceleration in world axes and the angular acceleration in body
-/// axes at a state and stage; `step` is in s.
-#[inline]
+/// `step` is in s.
+#[inline(always)]
 pub fn rk4<T: Scalar>(
     state: &State<T>,
     step: f64,
-    mut right_hand_side: impl FnMut(&State<T>, Stage) -> (Ned<T>, Frd<T>),
+    mut right_hand_side: impl RightHandSide<T>,
 ) -> State<T> {
     let f = &mut right_hand_side;
     let k1 = Slope::at(state, Stage::Start, f);
@@ -177,11 +195,11 @@ pub fn rk4<T: Scalar>(
 }
 
 /// One step of the midpoint rule, likewise: of second order, for half of the work.
-#[inline]
+#[inline(always)]
 pub fn midpoint<T: Scalar>(
     state: &State<T>,
     step: f64,
-    mut right_hand_side: impl FnMut(&State<T>, Stage) -> (Ned<T>, Frd<T>),
+    mut right_hand_side: impl RightHandSide<T>,
 ) -> State<T> {
     let f = &mut right_hand_side;
     let start = Slope::at(state, Stage::Start, f);
@@ -193,10 +211,11 @@ pub fn midpoint<T: Scalar>(
 
 /// Brings a quaternion of almost unit norm back to it: one Newton step towards 1/sqrt, which
 /// leaves the square of the error and needs neither root nor division.
-#[inline]
+#[inline(always)]
 fn nearly_unit<T: Scalar>(q: Attitude<T>) -> Attitude<T> {
     let norm2 = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
-    if (norm2.value() - 1.0).abs() > 1e-5 {
+    let off = norm2 + -1.0;
+    if off.is_above(1e-5) || (-off).is_above(1e-5) {
         return q.normalized();
     }
     let inverse = norm2 * -0.5 + 1.5;
@@ -231,7 +250,9 @@ mod tests {
         let start = State { velocity: Ned::new(2.0, -1.0, -3.0), ..State::default() };
         let mut state = start;
         for _ in 0..2000 {
-            state = rk4(&state, 1e-3, |s, _| body.accelerations(s, Frd::zero(), Frd::zero()));
+            state = rk4(&state, 1e-3, |s: &State, _: Stage| {
+                body.accelerations(s, Frd::zero(), Frd::zero())
+            });
         }
         let fall = 0.5 * 9.81 * 4.0;
         assert!((state.position - Ned::new(4.0, -2.0, -6.0 + fall)).norm() < 1e-10);
@@ -243,7 +264,9 @@ mod tests {
         let body = RigidBody::new(1.0, [0.01, 0.02, 0.03], 0.0);
         let mut state = State { body_rate: Frd::new(0.0, 0.0, 2.0), ..State::default() };
         for _ in 0..1000 {
-            state = rk4(&state, 1e-3, |s, _| body.accelerations(s, Frd::zero(), Frd::zero()));
+            state = rk4(&state, 1e-3, |s: &State, _: Stage| {
+                body.accelerations(s, Frd::zero(), Frd::zero())
+            });
         }
         assert!((state.attitude.euler().yaw - 2.0).abs() < 1e-11);
     }
@@ -255,7 +278,9 @@ mod tests {
         let (energy, momentum) =
             (rotational_energy(&body, &state), angular_momentum(&body, &state));
         for _ in 0..10_000 {
-            state = rk4(&state, 1e-3, |s, _| body.accelerations(s, Frd::zero(), Frd::zero()));
+            state = rk4(&state, 1e-3, |s: &State, _: Stage| {
+                body.accelerations(s, Frd::zero(), Frd::zero())
+            });
         }
         assert!((rotational_energy(&body, &state) / energy - 1.0).abs() < 1e-9);
         assert!((angular_momentum(&body, &state) - momentum).norm() / momentum.norm() < 1e-8);
@@ -293,7 +318,9 @@ mod tests {
     fn a_coarse_step_keeps_the_quaternion_a_rotation() {
         let body = RigidBody::new(1.0, [0.01; 3], 9.81);
         let mut state = State { body_rate: Frd::new(0.0, 300.0, 0.0), ..State::default() };
-        state = rk4(&state, 1e-2, |s, _| body.accelerations(s, Frd::zero(), Frd::zero()));
+        state = rk4(&state, 1e-2, |s: &State, _: Stage| {
+            body.accelerations(s, Frd::zero(), Frd::zero())
+        });
         let q = state.attitude;
         assert!((q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z - 1.0).abs() < 1e-12);
     }

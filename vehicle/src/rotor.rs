@@ -1,6 +1,7 @@
 //! The rotors: which outputs give which force and moments, and how their states follow outputs.
 
 use crate::params::{ROTORS, RotorParams};
+use crate::scalar::Scalar;
 
 /// A collective thrust along -z body (N) and moments about body front, right, down [N m].
 pub type Wrench4 = [f64; 4];
@@ -132,8 +133,12 @@ impl Lag {
     }
 
     /// The states half way and at the end of a step through which `outputs` are held.
-    #[inline]
-    pub fn advance(&self, states: &[f64; ROTORS], outputs: &[f64; ROTORS]) -> [[f64; ROTORS]; 2] {
+    #[inline(always)]
+    pub fn advance<T: Scalar>(
+        &self,
+        states: &[T; ROTORS],
+        outputs: &[T; ROTORS],
+    ) -> [[T; ROTORS]; 2] {
         let after =
             |decay: f64| std::array::from_fn(|i| outputs[i] + (states[i] - outputs[i]) * decay);
         [after(self.half), after(self.full)]

@@ -6,7 +6,7 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 /// A real number, or one that carries derivatives.
 ///
-/// Comparisons and branches of the physics look at [`Scalar::value`] only.
+/// Comparisons and branches of the physics look at the value only.
 pub trait Scalar:
     Copy
     + Debug
@@ -38,6 +38,10 @@ pub trait Scalar:
     fn atan2(self, x: Self) -> Self;
     /// Arc sine, in radians.
     fn asin(self) -> Self;
+    /// Whether the value is above `bound`.
+    fn is_above(self, bound: f64) -> bool {
+        self.value() > bound
+    }
     /// The smaller by value.
     fn min(self, other: Self) -> Self {
         if other.value() < self.value() { other } else { self }

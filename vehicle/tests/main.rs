@@ -2,6 +2,7 @@
 
 mod common;
 
+mod batch;
 mod closed_forms;
 mod effects;
 mod floor;

@@ -32,7 +32,7 @@ impl Effect for BladeFlapping {
 }
 
 impl BodyEffect for BladeFlapping {
-    #[inline]
+    #[inline(always)]
     fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>) {
         let (x, y) = (flow.air_relative.front(), flow.air_relative.right());
         let moment = flow.rotor_speed_ratio * self.moment_nms_m;

@@ -27,12 +27,12 @@ impl Effect for GroundEffect {
 }
 
 impl ThrustEffect for GroundEffect {
-    #[inline]
+    #[inline(always)]
     fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T {
         let quarter2 = (0.25 * self.r_eff_m) * (0.25 * self.r_eff_m);
         let height2 = flow.height * flow.height;
         // 1 / (1 - (q / h)^2) with one division. On or below the floor the limit holds.
-        if flow.height.value() > 0.0 && height2.value() * LIMIT > quarter2 {
+        if flow.height.is_above(0.0) && (height2 * LIMIT).is_above(quarter2) {
             height2 / (height2 + -quarter2)
         } else if quarter2 > 0.0 {
             T::from(1.0 / (1.0 - LIMIT))

@@ -36,6 +36,7 @@ mod wind;
 mod yaw_torque;
 
 use std::fmt;
+use std::ops::AddAssign;
 use std::str::FromStr;
 
 pub use attitude_trim::AttitudeTrim;
@@ -79,6 +80,16 @@ pub trait Effect: Copy {
 
     /// From checked numbers, in the order of the specification.
     fn from_slots(slots: &Slots) -> Self;
+
+    /// With the defaults of its parameters, which do nothing where these are neutral; 0 for one that
+    /// has none.
+    fn neutral() -> Self {
+        let mut slots = Slots::default();
+        for (value, slot) in slots.iter_mut().zip(Self::SPEC.slots()) {
+            *value = slot.parameter.default.unwrap_or_default();
+        }
+        Self::from_slots(&slots)
+    }
 }
 
 /// Acts by changing a constant of the nominal vehicle.
@@ -125,6 +136,14 @@ pub struct Wrench<T> {
     pub force: Frd<T>,
     /// Moment in N m.
     pub moment: Frd<T>,
+}
+
+impl<T: Scalar> AddAssign for Wrench<T> {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        self.force += other.force;
+        self.moment += other.moment;
+    }
 }
 
 /// Names every effect once: the id's variants, its order and [`CATALOGUE`] cannot disagree.

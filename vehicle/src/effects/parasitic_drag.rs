@@ -23,12 +23,12 @@ impl Effect for ParasiticDrag {
 }
 
 impl BodyEffect for ParasiticDrag {
-    #[inline]
+    #[inline(always)]
     fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>) {
         let v = flow.air_relative;
         let speed2 = flow.horizontal_speed2 + v.down() * v.down();
         // The root's derivative is infinite at rest, where the force's is 0.
-        if speed2.value() > 0.0 {
+        if speed2.is_above(0.0) {
             wrench.force += v * (speed2.sqrt() * (-0.5 * flow.air_density * self.cda_m2));
         }
     }

@@ -31,7 +31,7 @@ impl Effect for RotorDrag {
 }
 
 impl BodyEffect for RotorDrag {
-    #[inline]
+    #[inline(always)]
     fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>) {
         let xy = flow.rotor_speed_ratio * -self.d_xy;
         let z = flow.rotor_speed_ratio * -self.d_z;

@@ -24,7 +24,7 @@ impl Effect for ThrustCurve {
 
 impl ThrustCurve {
     /// Thrust as a fraction of the maximum, at rotor state `s`.
-    #[inline]
+    #[inline(always)]
     pub fn fraction<T: Scalar>(&self, s: T) -> T {
         s * (s * self.a + (1.0 - self.a))
     }

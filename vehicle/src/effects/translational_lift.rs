@@ -23,7 +23,7 @@ impl Effect for TranslationalLift {
 }
 
 impl ThrustEffect for TranslationalLift {
-    #[inline]
+    #[inline(always)]
     fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T {
         (flow.horizontal_speed2 * self.k_s2_m2).min(T::from(0.5)) + 1.0
     }

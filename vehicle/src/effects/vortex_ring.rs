@@ -35,16 +35,16 @@ impl Effect for VortexRing {
 }
 
 impl ThrustEffect for VortexRing {
-    #[inline]
+    #[inline(always)]
     fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T {
         let inverse = flow.inverse_induced_velocity;
         let descent = flow.air_relative.down() * inverse + -self.onset_ratio;
-        if descent.value() <= 0.0 {
+        if !descent.is_above(0.0) {
             return T::from(1.0);
         }
         // An interval without length is a step.
         let span = self.full_ratio - self.onset_ratio;
-        let x = if descent.value() < span { descent * (1.0 / span) } else { T::from(1.0) };
+        let x = if (-descent).is_above(-span) { descent * (1.0 / span) } else { T::from(1.0) };
         let step = x * x * (x * -2.0 + 3.0);
         let clearing = (flow.horizontal_speed2 * (-inverse * inverse)).exp();
         step * clearing * -self.loss_max + 1.0

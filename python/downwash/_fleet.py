@@ -1,0 +1,98 @@
+"""Many vehicles of one kind, stepped together."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from . import _downwash as _native
+from ._arguments import Effects, Path, count, effects_json, numbers, seed_of
+from ._plant import _MOST_STEPS, REST, STATE
+from ._vehicle import Vehicle, vehicle_of
+
+Floats: TypeAlias = "NDArray[np.floating[Any]]"
+
+_MOST_VEHICLES = 1_000_000
+
+
+class Fleet:
+    """``vehicles`` vehicles that are stepped together, by the processor's widest vectors.
+
+    Each flies as a `Plant` does: to rounding in float64, to some 1e-5 m a second in float32, which is
+    the faster. Gusts of vehicle i are drawn from ``seed + i``. Without ``airborne`` there is a floor at
+    down 0. Many steps at once are shared among the cores.
+    """
+
+    def __init__(
+        self,
+        vehicles: int,
+        vehicle: Vehicle | Path = "crazyflie",
+        effects: Effects | None = None,
+        *,
+        state: ArrayLike = REST,
+        seed: int = 0,
+        airborne: bool = True,
+        dtype: DTypeLike = np.float64,
+    ) -> None:
+        self._count = count("vehicles", vehicles, 0, _MOST_VEHICLES)
+        self._dtype = np.dtype(dtype)
+        if self._dtype not in (np.float32, np.float64):
+            raise TypeError(f"dtype: expected float32 or float64, found {self._dtype}")
+        single = self._dtype == np.float32
+        native = vehicle_of(vehicle)._native
+        self._native = _native.Fleet(
+            native, self._count, effects_json(effects), seed_of(seed), bool(airborne), single
+        )
+        self.set_state(state)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """float32 or float64."""
+        return self._dtype
+
+    @property
+    def instructions(self) -> str:
+        """Name of the vector instructions that step the vehicles."""
+        return self._native.instructions
+
+    @property
+    def state(self) -> Floats:
+        """The states, shape (vehicles, 13), named by `STATE`."""
+        states = np.empty((self._count, len(STATE)), self._dtype)
+        self._native.state(states.reshape(-1))
+        return states
+
+    def set_state(self, state: ArrayLike, rotor_states: ArrayLike = (0.0,) * 4) -> None:
+        """Puts every vehicle into one state, or each into its own, shape (vehicles, 13); likewise the
+        rotors, four numbers in 0..1."""
+        self._native.set_state(
+            self._rows("state", state, len(STATE)), self._rows("rotor_states", rotor_states, 4)
+        )
+
+    @property
+    def rotor_states(self) -> Floats:
+        """What the rotors give of their full thrust, shape (vehicles, 4)."""
+        return np.array(self._native.rotor_states, self._dtype).reshape(self._count, 4)
+
+    def step(self, outputs: ArrayLike, steps: int = 1) -> Floats:
+        """Holds outputs, four numbers for all or shape (vehicles, 4), for ``steps`` steps; the states
+        after them."""
+        steps = count("steps", steps, 1, _MOST_STEPS)
+        rows = self._rows("outputs", outputs, 4)
+        states = np.empty((self._count, len(STATE)), self._dtype)
+        self._native.step(rows, steps, states.reshape(-1))
+        return states
+
+    def _rows(self, what: str, value: ArrayLike, length: int) -> Floats:
+        """A row for each vehicle, flat, in the fleet's dtype."""
+        array = np.asarray(value)
+        if array.ndim == 1:
+            array = np.broadcast_to(numbers(what, array, length), (self._count, length))
+        if array.dtype == self._dtype and array.shape == (self._count, length):
+            return np.ascontiguousarray(array).reshape(-1)
+        return numbers(what, array, self._count, length).reshape(-1).astype(self._dtype)

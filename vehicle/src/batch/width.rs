@@ -1,0 +1,156 @@
+//! The step of a block of vehicles, compiled once for each set of vector instructions.
+
+use super::lane::{Lane, Real};
+use super::{LANES, Lanes, Model, Motion};
+use crate::frame::{Frd, Ned};
+use crate::params::ROTORS;
+use crate::physics::{Environment, Loads, Physics};
+use crate::plant::Plant;
+use crate::rigid_body::{RightHandSide, Stage, State, rk4};
+
+/// What holds over a step, of each lane.
+#[derive(Clone, Debug)]
+pub struct Held<F> {
+    /// Motor outputs, 0..=1.
+    pub outputs: [Lanes<F>; ROTORS],
+    /// Velocity of the air in world axes, m/s.
+    pub air_velocity: [Lanes<F>; 3],
+    /// Factor of the pack's voltage on thrust.
+    pub voltage_factor: Lanes<F>,
+}
+
+/// Sets of vector instructions that the step is compiled for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Width {
+    /// Those that every processor of the target has.
+    Baseline,
+    /// AVX2: eight single-precision numbers.
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    /// AVX-512: sixteen.
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Width {
+    /// The widest that this processor has.
+    pub fn of_this_processor() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        {
+            let has_512 = is_x86_feature_detected!("avx512f")
+                && is_x86_feature_detected!("avx512dq")
+                && is_x86_feature_detected!("avx512vl")
+                && is_x86_feature_detected!("avx512bw");
+            if has_512 {
+                return Self::Avx512;
+            }
+            if is_x86_feature_detected!("avx2") {
+                return Self::Avx2;
+            }
+        }
+        Self::Baseline
+    }
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Baseline => "baseline",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => "AVX2",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => "AVX-512",
+        }
+    }
+}
+
+/// A precision that blocks are stepped in.
+pub trait Precision: Sized {
+    /// Advances every lane by one step, without a floor to touch.
+    fn step(width: Width, motion: &mut Motion<Self>, held: &Held<Self>, model: &Model);
+}
+
+/// Compiles the step here, once, whoever makes batches.
+macro_rules! precisions {
+    ($($real:ty: $avx2:ident $avx512:ident;)*) => {$(
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2")]
+        fn $avx2(motion: &mut Motion<$real>, held: &Held<$real>, model: &Model) {
+            step(motion, held, model);
+        }
+
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
+        fn $avx512(motion: &mut Motion<$real>, held: &Held<$real>, model: &Model) {
+            step(motion, held, model);
+        }
+
+        impl Precision for $real {
+            #[allow(unsafe_code, reason = "a width is one that this processor has")]
+            fn step(width: Width, motion: &mut Motion<Self>, held: &Held<Self>, model: &Model) {
+                match width {
+                    Width::Baseline => step(motion, held, model),
+                    #[cfg(target_arch = "x86_64")]
+                    Width::Avx2 => unsafe { $avx2(motion, held, model) },
+                    #[cfg(target_arch = "x86_64")]
+                    Width::Avx512 => unsafe { $avx512(motion, held, model) },
+                }
+            }
+        }
+    )*};
+}
+precisions! {
+    f32: step_f32_avx2 step_f32_avx512;
+    f64: step_f64_avx2 step_f64_avx512;
+}
+
+#[inline(always)]
+fn step<F: Real>(motion: &mut Motion<F>, held: &Held<F>, model: &Model) {
+    if model.physics.is_bare() {
+        step_lanes::<F, true>(motion, held, model);
+    } else {
+        step_lanes::<F, false>(motion, held, model);
+    }
+}
+
+/// `BARE` leaves out what no bare vehicle has, which the loop would else compute and drop.
+#[inline(always)]
+fn step_lanes<F: Real, const BARE: bool>(motion: &mut Motion<F>, held: &Held<F>, model: &Model) {
+    let physics = if BARE { &model.physics.bare() } else { &model.physics.dense() };
+    let is_sudden = model.lag.is_none();
+    for lane in 0..LANES {
+        let environment = Environment {
+            air_velocity: Ned::from(held.air_velocity.each_ref().map(|v| v[lane].to_f64())),
+            voltage_factor: held.voltage_factor[lane].to_f64(),
+            floor: model.floor_down,
+        };
+        let outputs = held.outputs.each_ref().map(|values| Lane(values[lane]));
+        let rotors = motion.rotors(lane);
+        let start = physics.loads(&rotors, &environment);
+        let [middle, end] = model.lag.advance(&rotors, &outputs);
+        let end_loads = physics.loads(&end, &environment);
+        let loads = if is_sudden {
+            physics.sudden_loads(start, end_loads, Plant::STEP)
+        } else {
+            let middle = physics.loads(&middle, &environment);
+            physics.lagged_loads([start, middle, end_loads], Plant::STEP)
+        };
+        let flight = Flight { physics, loads, environment };
+        let state = rk4(&motion.state(lane), Plant::STEP, flight);
+        motion.set_state(lane, &state);
+        motion.set_rotors(lane, end);
+    }
+}
+
+/// A vehicle in the air, through a step.
+struct Flight<'a, F> {
+    physics: &'a Physics,
+    loads: [Loads<Lane<F>>; 3],
+    environment: Environment,
+}
+
+impl<F: Real> RightHandSide<Lane<F>> for Flight<'_, F> {
+    #[inline(always)]
+    fn at(&mut self, state: &State<Lane<F>>, stage: Stage) -> (Ned<Lane<F>>, Frd<Lane<F>>) {
+        let loads = &self.loads[stage.index()];
+        self.physics.accelerations_under(state, loads, &self.environment)
+    }
+}

@@ -1,0 +1,258 @@
+//! Vehicles for other simulators: what a vehicle file says, its modelled effects included, in the
+//! form that these read.
+//!
+//! Each form has its own equations. What of a vehicle these cannot express is named in
+//! [`Export::lost`], and nothing else is left out. Bodies are front, left, up where the other
+//! simulator has them so: y and z change their signs, and a rotor's drag torque about down is the
+//! opposite about up.
+
+mod casadi;
+mod drone_models;
+mod mujoco;
+mod px4_sih;
+mod rotorpy;
+
+use std::fmt::Write as _;
+
+use crate::effects::{Effect, EffectId, EffectSet, RotorDrag};
+use crate::frame::Ned;
+use crate::params::{VehicleError, VehicleParams};
+use crate::physics::{Constants, Physics};
+
+/// Speed of a rotor at full output where the vehicle file does not say it, rad/s. Thrusts and
+/// moments are the same for any.
+const ASSUMED_SPEED: f64 = 2000.0;
+
+/// A simulator that vehicles are exported to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Peer {
+    /// RotorPy's parameters: a Python module.
+    RotorPy,
+    /// A drone of `drone-models` (and `crazyflow`): its TOML.
+    DroneModels,
+    /// PX4's simulator on board, SIH: a parameter file.
+    Px4Sih,
+    /// MuJoCo: an XML model.
+    MuJoCo,
+    /// CasADi: a Python module that builds the equations of motion.
+    CasAdi,
+}
+
+impl Peer {
+    /// Every one.
+    pub const ALL: [Self; 5] =
+        [Self::RotorPy, Self::DroneModels, Self::Px4Sih, Self::MuJoCo, Self::CasAdi];
+
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::RotorPy => "rotorpy",
+            Self::DroneModels => "drone-models",
+            Self::Px4Sih => "px4-sih",
+            Self::MuJoCo => "mujoco",
+            Self::CasAdi => "casadi",
+        }
+    }
+}
+
+/// A vehicle as another simulator reads it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Export {
+    /// The file's text.
+    pub text: String,
+    /// What of the vehicle the other simulator cannot express, a sentence each.
+    pub lost: Vec<String>,
+}
+
+/// Writes `vehicle` for `peer`.
+///
+/// # Errors
+/// A vehicle whose mixer cannot be inverted, or an effect that the file lacks a number for.
+pub fn export(vehicle: &VehicleParams, peer: Peer) -> Result<Export, VehicleError> {
+    let physics = Physics::new(vehicle, &EffectSet::new())?;
+    let mut model = Model {
+        vehicle,
+        constants: *physics.constants(),
+        wind: physics.wind(),
+        speed_max: vehicle
+            .rotor_max_rpm
+            .map_or(ASSUMED_SPEED, |rpm| rpm * std::f64::consts::TAU / 60.0),
+        lost: Vec::new(),
+    };
+    let text = match peer {
+        Peer::RotorPy => rotorpy::text(&mut model),
+        Peer::DroneModels => drone_models::text(&mut model),
+        Peer::Px4Sih => px4_sih::text(&mut model),
+        Peer::MuJoCo => mujoco::text(&mut model),
+        Peer::CasAdi => casadi::text(&mut model),
+    };
+    Ok(Export { text, lost: model.lost })
+}
+
+/// A vehicle with the effects that change its constants applied.
+struct Model<'a> {
+    vehicle: &'a VehicleParams,
+    constants: Constants,
+    wind: Ned,
+    /// Rotor speed at full output, rad/s.
+    speed_max: f64,
+    lost: Vec<String>,
+}
+
+impl Model<'_> {
+    /// An effect of the vehicle, beside those in its constants.
+    fn effect<E: Effect>(&self) -> Option<E> {
+        self.vehicle.modelled_effects.get()
+    }
+
+    /// What acts on the air-relative velocity in proportion, N per m/s along front, right and down,
+    /// with the rotors at the speed of hover; and whether it is proportional to their speed.
+    fn linear_drag(&self) -> Option<([f64; 3], bool)> {
+        if let Some(drag) = self.vehicle.linear_drag_n_per_m_s {
+            return Some(([drag; 3], false));
+        }
+        self.effect().map(|RotorDrag { d_xy, d_z }| ([d_xy, d_xy, d_z], true))
+    }
+
+    /// n at hover, as a fraction of the full speed.
+    fn hover_speed(&self) -> f64 {
+        self.vehicle.hover_thrust.sqrt()
+    }
+
+    /// The rotors' mean thrust at full output, N, and drag torque per thrust, m.
+    fn mean_rotor(&self) -> (f64, f64) {
+        let rotors = &self.constants.rotors;
+        let mean = |of: &dyn Fn(usize) -> f64| {
+            (0..rotors.len()).map(of).sum::<f64>() / rotors.len() as f64
+        };
+        (mean(&|i| rotors[i].thrust_max), mean(&|i| rotors[i].torque_per_thrust.abs()))
+    }
+
+    fn lose(&mut self, what: impl Into<String>) {
+        self.lost.push(what.into());
+    }
+
+    /// Names the effects in force that are not among `expressed`, and what else no peer takes.
+    fn lose_but(&mut self, expressed: &[EffectId]) {
+        const IN_CONSTANTS: [EffectId; 7] = [
+            EffectId::ThrustScale,
+            EffectId::Mass,
+            EffectId::RotorLoss,
+            EffectId::MotorLag,
+            EffectId::Inertia,
+            EffectId::ComOffset,
+            EffectId::YawTorque,
+        ];
+        let given = |id: &EffectId| IN_CONSTANTS.contains(id) || expressed.contains(id);
+        let effects = self.vehicle.modelled_effects.iter().map(|(id, _)| id);
+        let lost: Vec<EffectId> = effects.filter(|id| !given(id)).collect();
+        for id in lost {
+            self.lose(format!("the effect {}", id.name()));
+        }
+    }
+
+    /// One thrust and one torque stand for all rotors.
+    fn lose_unlike_rotors(&mut self) {
+        let (thrust, torque) = self.mean_rotor();
+        let is_off = |value: f64, mean: f64| (value - mean).abs() > 1e-9 * mean;
+        let rotors = &self.constants.rotors;
+        if rotors.iter().any(|r| is_off(r.thrust_max, thrust)) {
+            let each = self.constants.rotors.map(|rotor| rotor.thrust_max);
+            self.lose(format!(
+                "rotors of different thrust, {each:?} N: each has their mean, {thrust} N"
+            ));
+        }
+        let rotors = &self.constants.rotors;
+        if rotors.iter().any(|r| is_off(r.torque_per_thrust.abs(), torque)) {
+            self.lose(format!("rotors of different drag torque: each has their mean, {torque} m"));
+        }
+    }
+
+    fn lose_assumed_speed(&mut self) {
+        if self.vehicle.rotor_max_rpm.is_none() {
+            self.lose(format!(
+                "the rotors' speed, which the vehicle file does not say (rotor_max_rpm): \
+                 {ASSUMED_SPEED} rad/s stand for full output"
+            ));
+        }
+    }
+
+    fn lose_gravity(&mut self, theirs: f64) {
+        let gravity = self.vehicle.gravity;
+        if (gravity - theirs).abs() > 1e-9 {
+            self.lose(format!("gravity of {gravity} m/s^2: theirs is {theirs}"));
+        }
+    }
+
+    /// The first lines of a file: what it is of, and what it lacks; each behind `mark`.
+    fn head(&self, mark: &str) -> String {
+        let mut head =
+            format!("{mark} {}, by `downwash vehicle export`.\n", one_line(self.vehicle));
+        for lost in &self.lost {
+            let _ = writeln!(head, "{mark} Not expressed: {lost}.");
+        }
+        head
+    }
+}
+
+/// The vehicle's name, of any characters, for a comment or a quoted word.
+fn one_line(vehicle: &VehicleParams) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || " _-.".contains(c);
+    vehicle.name.chars().map(|c| if plain(c) { c } else { '_' }).collect()
+}
+
+/// A number that every reader takes for a real one.
+fn real(value: f64) -> String {
+    format!("{value:e}")
+}
+
+/// Numbers between commas.
+fn reals(values: &[f64]) -> String {
+    values.iter().map(|value| real(*value)).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::tests::quad;
+
+    fn with(effects: &[&str]) -> VehicleParams {
+        let mut vehicle = quad();
+        for effect in effects {
+            vehicle.modelled_effects.insert_argument(effect).unwrap();
+        }
+        vehicle
+    }
+
+    #[test]
+    fn what_cannot_be_expressed_is_named_in_the_file_too() {
+        let vehicle = with(&["battery_sag:exponent=1", "rotor_drag:d_xy=0.2,d_z=0.1"]);
+        for peer in Peer::ALL {
+            let Export { text, lost } = export(&vehicle, peer).unwrap();
+            let says_sag = lost.iter().any(|lost| lost.contains("battery_sag"));
+            assert_eq!(says_sag, peer != Peer::CasAdi, "{peer:?}: {lost:?}");
+            assert_eq!(text.matches("Not expressed").count(), lost.len(), "{peer:?}");
+        }
+    }
+
+    #[test]
+    fn effects_on_constants_are_in_the_numbers() {
+        let vehicle = with(&["mass:mass_kg=2.5", "inertia:scale=[2,1,1]"]);
+        for peer in Peer::ALL {
+            let Export { text, .. } = export(&vehicle, peer).unwrap();
+            assert!(text.contains("2.5"), "{peer:?}: {text}");
+            assert!(text.contains(&real(2.0 * quad().inertia[0])), "{peer:?}: {text}");
+        }
+    }
+
+    #[test]
+    fn a_name_breaks_out_of_no_comment() {
+        let mut vehicle = quad();
+        vehicle.name = "a\"]\nimport os --> <x/>".to_owned();
+        for peer in Peer::ALL {
+            let Export { text, .. } = export(&vehicle, peer).unwrap();
+            let breaks = ["\nimport os", "a\"]", "<x/>"].iter().any(|part| text.contains(part));
+            assert!(!breaks, "{peer:?}: {text}");
+        }
+    }
+}

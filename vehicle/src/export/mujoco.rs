@@ -1,0 +1,65 @@
+//! MuJoCo: a free body with four thrusters, each with its own torque; the lag is the thrusters' own.
+
+use std::fmt::Write as _;
+
+use super::{Model, one_line, real};
+use crate::effects::EffectId;
+
+pub(super) fn text(model: &mut Model<'_>) -> String {
+    model.lose_but(&[EffectId::ThrustCurve]);
+    if model.vehicle.linear_drag_n_per_m_s.is_some() {
+        model.lose("linear_drag_N_per_m_s");
+    }
+    if model.vehicle.angular_damping_nms.is_some() {
+        model.lose("angular_damping_Nms");
+    }
+    let name = one_line(model.vehicle);
+    let lost = model.lost.iter().map(|lost| format!("  Not expressed: {}.\n", dashes(lost)));
+    let mut text = format!(
+        "<!-- {}, by `downwash vehicle export`.\n{}  Controls are motor outputs u, 0 to 1, bent by \
+         thrust_curve where there is one.\n  x is front, y left, z up. -->\n",
+        dashes(&name),
+        lost.collect::<String>()
+    );
+    let [ix, iy, iz] = model.constants.inertia;
+    let tau = model.constants.motor_time_constant;
+    let lag = if tau > 0.0 {
+        format!(" dyntype=\"filterexact\" dynprm=\"{}\"", real(tau))
+    } else {
+        String::new()
+    };
+    let _ = writeln!(
+        text,
+        "<mujoco model=\"{name}\">\n  <option gravity=\"0 0 {}\" timestep=\"0.001\" \
+         integrator=\"RK4\"/>\n  <worldbody>\n    <body name=\"vehicle\" pos=\"0 0 1\">\n      \
+         <freejoint/>\n      <inertial pos=\"0 0 0\" mass=\"{}\" diaginertia=\"{} {} {}\"/>",
+        real(-model.vehicle.gravity),
+        real(model.constants.mass),
+        real(ix),
+        real(iy),
+        real(iz)
+    );
+    for (index, rotor) in model.constants.rotors.iter().enumerate() {
+        let (x, y) = (real(rotor.x), real(-rotor.y));
+        let _ = writeln!(text, "      <site name=\"rotor{}\" pos=\"{x} {y} 0\"/>", index + 1);
+    }
+    text.push_str("    </body>\n  </worldbody>\n  <actuator>\n");
+    for (index, rotor) in model.constants.rotors.iter().enumerate() {
+        let (thrust, torque) = (rotor.thrust_max, -rotor.thrust_max * rotor.torque_per_thrust);
+        let _ = writeln!(
+            text,
+            "    <general name=\"motor{number}\" site=\"rotor{number}\" gear=\"0 0 {} 0 0 {}\" \
+             ctrlrange=\"0 1\"{lag}/>",
+            real(thrust),
+            real(torque),
+            number = index + 1
+        );
+    }
+    text.push_str("  </actuator>\n</mujoco>\n");
+    text
+}
+
+/// A comment of XML must not hold two dashes in a row.
+fn dashes(text: &str) -> String {
+    text.replace("--", "- -")
+}

@@ -1,0 +1,141 @@
+//! A batch flies as as many plants do, whatever acts.
+
+use vehicle::VehicleParams;
+use vehicle::batch::{Batch, Real};
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
+
+use crate::common::{effects, quad};
+
+/// More than one block, and not all of its lanes.
+const COUNT: usize = 70;
+const SECOND: usize = 1000;
+
+/// Every effect that acts in the plant, at values that keep it flying.
+const EVERY_EFFECT: [&str; 16] = [
+    "mass:mass_kg=1.25",
+    "thrust_curve:a=0.2",
+    "battery_sag:exponent=1.2",
+    "rotor_loss:rotor=1,scale=0.98",
+    "motor_lag:tau_s=0.03",
+    "rotor_drag:d_xy=0.3,d_z=0.1",
+    "parasitic_drag:cda_m2=0.01",
+    "wind:north_m_s=2,east_m_s=-1",
+    "gusts:sigma_m_s=0.5",
+    "ground_effect:r_eff_m=0.3",
+    "translational_lift:k_s2_m2=0.002",
+    "blade_flapping:moment_Nms_m=0.01,tilt_rad_s_m=0.002",
+    "vortex_ring:loss_max=0.2",
+    "inertia:scale=[1.1,1.1,1.1]",
+    "com_offset:x_m=0.002,y_m=-0.001",
+    "rotor_gyroscopic:rotor_inertia_kgm2=4e-5",
+];
+
+/// Outputs that hold a height and a level attitude.
+fn controlled(vehicle: &VehicleParams, state: &State, height: f64) -> [f64; 4] {
+    let Euler { roll, pitch, yaw } = state.attitude.euler();
+    let [p, q, r] = state.body_rate.to_array();
+    let [ix, iy, iz] = vehicle.inertia;
+    let up = 6.0 * (state.position.down() + height) + 4.0 * state.velocity.down();
+    let moment = |inertia: f64, angle: f64, rate: f64| -inertia * (90.0 * angle + 16.0 * rate);
+    let allocation = vehicle.allocation().unwrap();
+    allocation.outputs([
+        vehicle.mass * (vehicle.gravity + up),
+        moment(ix, roll, p),
+        moment(iy, pitch, q),
+        moment(iz, 0.1 * yaw, r),
+    ])
+}
+
+fn start(index: usize, height: f64) -> State {
+    let spread = |k: usize| ((index * k) % 17) as f64 / 17.0 - 0.5;
+    State {
+        position: Ned::new(spread(3), spread(5), -height),
+        velocity: Ned::new(2.0 * spread(7), 2.0 * spread(11), 3.0 * spread(2)),
+        attitude: Euler::new(0.4 * spread(13), 0.4 * spread(4), 3.0 * spread(6)).attitude(),
+        body_rate: Frd::new(spread(9), spread(10), spread(12)),
+    }
+}
+
+/// The largest distance (m) and angle (rad) between a batch and plants after a second of flight
+/// under feedback from each one's own state.
+fn apart<F: Real>(vehicle: &VehicleParams, effects: &EffectSet, height: f64) -> (f64, f64) {
+    let mut setup = Setup::default();
+    setup.start.heading_rad = 0.3;
+    let mut batch = Batch::<F>::new(vehicle, effects, &setup, 40, COUNT).unwrap();
+    let mut plants: Vec<Plant> = (0..COUNT as u64)
+        .map(|index| Plant::new(vehicle, effects, &setup, 40 + index).unwrap())
+        .collect();
+    for (index, plant) in plants.iter_mut().enumerate() {
+        let state = start(index, height);
+        plant.set_state(state);
+        plant.set_rotor_states([0.5; 4]);
+        batch.set(index, state, [0.5; 4]);
+    }
+    for _ in 0..SECOND {
+        let outputs: Vec<[F; 4]> = (0..COUNT)
+            .map(|index| controlled(vehicle, &batch.state(index).unwrap(), 1.0).map(F::from_f64))
+            .collect();
+        batch.step(&outputs, 1);
+        for plant in &mut plants {
+            plant.step(controlled(vehicle, plant.state(), 1.0));
+        }
+    }
+    plants.iter().enumerate().fold((0.0, 0.0), |(distance, angle): (f64, f64), (index, plant)| {
+        let state = batch.state(index).unwrap();
+        let off = (state.position - plant.state().position).norm();
+        let turned = state.attitude.angle_to(plant.state().attitude);
+        (distance.max(off), angle.max(turned))
+    })
+}
+
+#[test]
+fn a_batch_flies_as_plants_do_with_every_effect_alone_and_together() {
+    let mut vehicle = quad();
+    // Feedback against the reaction of rotors that follow at once amplifies rounding.
+    vehicle.motor_time_constant_s = 0.02;
+    let alone = EVERY_EFFECT.iter().map(|effect| effects(&[effect]));
+    let at_once = effects(&["motor_lag:tau_s=0"]);
+    for set in alone.chain([EffectSet::new(), at_once, effects(&EVERY_EFFECT)]) {
+        let (distance, angle) = apart::<f64>(&vehicle, &set, 1.2);
+        assert!(distance < 1e-8 && angle < 1e-8, "{set:?}: {distance} m, {angle} rad");
+        let (distance, angle) = apart::<f32>(&vehicle, &set, 1.2);
+        assert!(distance < 1e-4 && angle < 1e-4, "{set:?}: {distance} m, {angle} rad");
+    }
+}
+
+#[test]
+fn feet_meet_the_floor_as_a_plants_do() {
+    // Some fall onto the floor, turned, before they climb.
+    let mut vehicle = quad();
+    for lag in [0.0, 0.03] {
+        vehicle.motor_time_constant_s = lag;
+        let (distance, angle) = apart::<f64>(&vehicle, &EffectSet::new(), 0.15);
+        assert!(distance < 1e-7 && angle < 1e-7, "{distance} m, {angle} rad");
+    }
+    let mut batch =
+        Batch::<f32>::new(&vehicle, &EffectSet::new(), &Setup::default(), 1, 3).unwrap();
+    batch.step(&[[0.0; 4]; 3], 500);
+    let rest = batch.state(2).unwrap();
+    assert!(rest.position.norm() < 1e-3 && rest.velocity.norm() < 1e-3, "{rest:?}");
+}
+
+#[test]
+fn a_batch_takes_any_numbers() {
+    let vehicle = quad();
+    let new = |count| {
+        Batch::<f32>::new(&vehicle, &EffectSet::new(), &Setup::default(), 1, count).unwrap()
+    };
+    let mut none = new(0);
+    none.step(&[[0.5; 4]], 10);
+    assert!(none.is_empty() && none.state(0).is_none());
+    let mut batch = new(65).airborne();
+    assert_eq!(batch.len(), 65);
+    batch.step(&[[f32::NAN, f32::INFINITY, -1.0, 0.5]; 65], 1);
+    assert_eq!(batch.rotor_states(64).unwrap(), [0.0, 1.0, 0.0, 0.5]);
+    batch.set(64, State { position: Ned::new(f64::NAN, 0.0, 0.0), ..State::default() }, [0.0; 4]);
+    assert!(batch.state(64).unwrap().is_finite());
+    assert!(batch.state(65).is_none());
+}
