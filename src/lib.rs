@@ -11,6 +11,7 @@ pub mod audit;
 pub mod control;
 pub mod diagnose;
 pub mod exam;
+pub mod guard;
 pub mod learn;
 pub mod link;
 pub mod log;

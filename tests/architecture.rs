@@ -12,12 +12,16 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("setpoint", &[]),
         ("parameters", &[]),
         ("vehicle_init", &["parameters"]),
-        ("link", &["clock", "setpoint"]),
+        ("guard", &["clock", "control", "setpoint"]),
+        ("link", &["clock", "guard", "setpoint"]),
         ("telemetry", &["clock", "setpoint", "link"]),
         ("control", &["clock", "setpoint"]),
         ("plan", &["control", "model", "setpoint"]),
-        ("supervisor", &["clock", "setpoint", "link", "telemetry"]),
-        ("pilot", &["clock", "setpoint", "link", "telemetry", "control", "plan", "supervisor"]),
+        ("supervisor", &["clock", "guard", "setpoint", "link", "telemetry"]),
+        (
+            "pilot",
+            &["clock", "guard", "setpoint", "link", "telemetry", "control", "plan", "supervisor"],
+        ),
         ("log", &["clock", "setpoint", "link", "parameters"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
@@ -45,6 +49,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
             "station",
             &[
                 "clock",
+                "guard",
                 "setpoint",
                 "control",
                 "link",
@@ -57,7 +62,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
             ],
         ),
         ("lockstep", &["clock", "link", "log", "station"]),
-        ("daemon", &["clock", "link", "log", "station", "supervisor"]),
+        ("daemon", &["clock", "guard", "link", "log", "station", "supervisor"]),
         ("config", &["control", "link", "log", "pilot", "plan", "supervisor", "telemetry"]),
     ])
 }

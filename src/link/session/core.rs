@@ -15,6 +15,7 @@ use self::selection::autopilot_of;
 use super::outbox::{Outbox, command_long, heartbeat};
 use super::{Event, Heard, SetpointError, Settings, VehicleId};
 use crate::clock::HostTime;
+use crate::guard::Cleared;
 use crate::link::attitude_target;
 use crate::link::budget::LineBudget;
 use crate::link::codec::{self, Codec};
@@ -27,7 +28,6 @@ use crate::link::request::{Action, Requests};
 use crate::link::sequence::{Order, Sequence};
 use crate::link::timesync::Answer;
 use crate::link::vehicle_clock::VehicleClock;
-use crate::setpoint::Setpoint;
 
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
 /// AUTOPILOT_VERSION is asked for this often, this many times.
@@ -402,7 +402,7 @@ impl Core {
     pub(super) fn send_setpoint(
         &mut self,
         now: HostTime,
-        setpoint: &Setpoint,
+        setpoint: &Cleared,
     ) -> Result<(), SetpointError> {
         let vehicle = self.vehicle.as_ref().filter(|_| self.state == LinkState::Connected);
         let (id, to) = vehicle
