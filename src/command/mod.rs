@@ -26,6 +26,7 @@ mod model;
 mod output;
 mod plan;
 mod progress;
+mod rows;
 mod schema;
 mod sent_thrust;
 mod setup;

@@ -37,10 +37,10 @@ impl Default for Limits {
             tilt_max_rad: 0.61,
             body_rate_max_rad_s: 6.0,
             yaw_error_max_rad: 0.8,
-            // No vehicle follows as quickly: from one end to the other within some 50 ms.
-            thrust_change_max_per_s: 20.0,
-            attitude_change_max_rad_s: 20.0,
-            body_rate_change_max_rad_s2: 600.0,
+            // What feedback at 100 Hz may ask from one answer to the next, and no more in less time.
+            thrust_change_max_per_s: 50.0,
+            attitude_change_max_rad_s: 100.0,
+            body_rate_change_max_rad_s2: 1200.0,
         }
     }
 }

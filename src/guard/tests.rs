@@ -110,15 +110,20 @@ fn fifty_milliseconds_are_no_stall() {
 }
 
 #[test]
-fn a_setpoint_that_leaves_the_limits_cannot_come_back_at_once() {
-    let mut guard = guard();
+fn a_setpoint_changes_no_quicker_than_its_limits_say() {
+    let slow = Limits {
+        thrust_change_max_per_s: 20.0,
+        attitude_change_max_rad_s: 20.0,
+        ..Limits::default()
+    };
+    let mut guard = Guard::new(slow, FULL_N, START);
     guard.pass(at(10), &level(10), OBEYED).expect("a first");
     let mut wild = level(20);
     wild.setpoint.thrust_n = 9.0;
     wild.setpoint.attitude = Euler::new(0.6, 0.0, 0.0);
-    let (slow, met) = guard.propose(at(20), &wild, OBEYED).expect("permitted");
-    assert!((slow.thrust_n - 7.0).abs() < 1e-9, "{slow:?}");
-    assert!((slow.attitude.roll - 0.2).abs() < 1e-9, "{slow:?}");
+    let (bounded, met) = guard.propose(at(20), &wild, OBEYED).expect("permitted");
+    assert!((bounded.thrust_n - 7.0).abs() < 1e-9, "{bounded:?}");
+    assert!((bounded.attitude.roll - 0.2).abs() < 1e-9, "{bounded:?}");
     assert!(met.thrust && met.tilt && !met.yaw_error);
 }
 
@@ -183,11 +188,11 @@ proptest! {
             // And their changes.
             if let Some((ms, before)) = before.filter(|(ms, _)| now_ms - ms <= 500) {
                 let dt_s = (now_ms - ms).max(5) as f64 * 1e-3;
-                prop_assert!((setpoint.thrust_n - before.thrust_n).abs() <= 200.0 * dt_s + 1e-9);
+                prop_assert!((setpoint.thrust_n - before.thrust_n).abs() <= 500.0 * dt_s + 1e-9);
                 for (rate, was) in
                     setpoint.body_rate.to_array().iter().zip(before.body_rate.to_array())
                 {
-                    prop_assert!((rate - was).abs() <= 600.0 * dt_s + 1e-9);
+                    prop_assert!((rate - was).abs() <= 1200.0 * dt_s + 1e-9);
                 }
             }
             before = Some((now_ms, setpoint));

@@ -22,6 +22,7 @@ use crate::link::codec::{self, Codec};
 use crate::link::counters::{Counters, LinkState};
 use crate::link::intervals::Intervals;
 use crate::link::message::{AttitudeSource, Inbound, Received};
+use crate::link::mode_words::ModeWords;
 use crate::link::parameter;
 use crate::link::profile::Profile;
 use crate::link::request::{Action, Requests};
@@ -82,6 +83,7 @@ pub(super) struct Core {
     /// Place in the sequence of the newest word on each thing that the vehicle tells again and
     /// again.
     pub(super) told: [u64; THINGS_TOLD],
+    pub(super) mode_words: ModeWords,
     pub(super) clock: VehicleClock,
     pub(super) intervals: Intervals,
     pub(super) requests: Requests,
@@ -107,6 +109,7 @@ impl Core {
             counters: Counters::default(),
             sequence: Sequence::default(),
             told: [0; THINGS_TOLD],
+            mode_words: ModeWords::default(),
             clock: VehicleClock::default(),
             intervals: Intervals::default(),
             requests: Requests::default(),
@@ -180,12 +183,26 @@ impl Core {
             Order::Copy => return false,
             Order::New(place) | Order::Overtaken(place) => place,
         };
+        self.mode_words.heard(now);
         let Some(told) = thing_told(frame.id()).and_then(|thing| self.told.get_mut(thing)) else {
             return true;
         };
         let is_newer = place > *told;
         *told = place.max(*told);
-        is_newer
+        is_newer && self.is_mode_believed(frame)
+    }
+
+    /// Whether what the frame says of the mode, if that is what it says, is no copy of an old word.
+    fn is_mode_believed(&mut self, frame: &Frame) -> bool {
+        if !matches!(frame.id(), HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID) {
+            return true;
+        }
+        // The first field of either. Zeros at a payload's end are not sent.
+        let mut word = [0; 4];
+        word.iter_mut().zip(frame.payload()).for_each(|(to, from)| *to = *from);
+        let obeys = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
+        let obeys = obeys.map(|mode| mode.custom_mode);
+        self.mode_words.is_believed(frame.bytes(), u32::from_le_bytes(word), obeys)
     }
 
     fn message(&mut self, now: HostTime, message: &Inbound) {
