@@ -10,6 +10,8 @@ use vehicle::frame::{Euler, wrap_angle};
 
 use crate::clock::{HostTime, VehicleTime};
 use crate::control::{Limits, Saturation};
+#[cfg(test)]
+use crate::planted::{self, Planted};
 use crate::setpoint::Setpoint;
 
 /// A line that runs again after longer than this stood still: what it reads then may have lain
@@ -141,6 +143,8 @@ impl Guard {
     /// The line runs, at `now`: to be told at every turn, whether anything was heard or not.
     pub fn turn(&mut self, now: HostTime) {
         let passed = now.since(self.turned);
+        #[cfg(test)]
+        let passed = if planted::is(Planted::StallDoubled) { passed / 2 } else { passed };
         if passed > STALL {
             (self.woke, self.stalled, self.pending) = (now, passed, None);
         }
@@ -198,6 +202,8 @@ impl Guard {
             Stance::Offer => true,
             Stance::Control => order.is_obeyed,
         };
+        #[cfg(test)]
+        let permitted = permitted || planted::is(Planted::GuardRemoved);
         if !permitted {
             return Err(Withheld::NotPermitted);
         }
@@ -228,6 +234,10 @@ impl Guard {
         yaw: f64,
     ) -> Option<(Setpoint, Saturation)> {
         let (limited, mut met) = self.limits.apply(*setpoint, self.thrust_full_n, yaw)?;
+        #[cfg(test)]
+        if planted::is(Planted::LimitsRemoved) {
+            return Some((*setpoint, met));
+        }
         let Some((at, before)) = self.last.filter(|(at, _)| now.since(*at) <= FORGOTTEN) else {
             return Some((limited, met));
         };

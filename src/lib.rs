@@ -8,6 +8,7 @@ pub mod parameters;
 pub mod setpoint;
 
 pub mod audit;
+pub mod campaign;
 pub mod control;
 pub mod diagnose;
 pub mod exam;
@@ -30,3 +31,6 @@ pub mod lockstep;
 pub mod cli;
 pub mod command;
 pub mod config;
+
+#[cfg(test)]
+mod planted;

@@ -43,6 +43,8 @@ use self::takeover::ModeTaken;
 pub use self::takeover::Takeover;
 use crate::clock::HostTime;
 use crate::guard::Stance;
+#[cfg(test)]
+use crate::planted::{self, Planted};
 use crate::telemetry::VehicleStatus;
 
 /// Time for CURRENT_MODE, which is asked for twice a second, after the first HEARTBEAT, s.
@@ -333,11 +335,15 @@ impl Supervisor {
 
     /// What the guard before the output is to let pass.
     pub fn stance(&self, now: HostTime) -> Stance {
+        let handover_s = self.settings.land_handover_s;
+        #[cfg(test)]
+        let handover_s = match planted::is(Planted::DeadlineDoubled) {
+            true => 2.0 * handover_s,
+            false => handover_s,
+        };
         match self.state {
             FlightState::Standby | FlightState::Engage => Stance::Offer,
-            FlightState::Land if self.seconds_in_state(now) >= self.settings.land_handover_s => {
-                Stance::Silent
-            }
+            FlightState::Land if self.seconds_in_state(now) >= handover_s => Stance::Silent,
             state if state.may_stream() => Stance::Control,
             _ => Stance::Silent,
         }

@@ -40,6 +40,10 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
                 "setpoint",
             ],
         ),
+        (
+            "campaign",
+            &["clock", "control", "exam", "lockstep", "plan", "setpoint", "station", "supervisor"],
+        ),
         ("exam", &["control", "diagnose", "plan", "setpoint"]),
         (
             "report",

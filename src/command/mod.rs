@@ -1,6 +1,7 @@
 //! The commands: validated options, then work, then an exit code.
 
 mod audit;
+mod campaign;
 mod collect;
 mod config;
 mod course;
@@ -141,6 +142,7 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
             Interruption::watch()?;
             simulate::run(&args)
         }
+        Command::Campaign(args) => campaign::run(&args, &Interruption::watch()?),
         Command::Sweep(args) => sweep::run(&args, &Interruption::watch()?),
         Command::Train(args) => train::run(&args, &Interruption::watch()?),
         Command::Plan(args) => plan::run(&args, &Interruption::watch()?),

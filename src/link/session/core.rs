@@ -29,6 +29,8 @@ use crate::link::request::{Action, Requests};
 use crate::link::sequence::{Order, Sequence};
 use crate::link::timesync::Answer;
 use crate::link::vehicle_clock::VehicleClock;
+#[cfg(test)]
+use crate::planted::{self, Planted};
 
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
 /// AUTOPILOT_VERSION is asked for this often, this many times.
@@ -84,6 +86,8 @@ pub(super) struct Core {
     /// again.
     pub(super) told: [u64; THINGS_TOLD],
     pub(super) mode_words: ModeWords,
+    #[cfg(test)]
+    sent: Option<(HostTime, Peer, MavMessage)>,
     pub(super) clock: VehicleClock,
     pub(super) intervals: Intervals,
     pub(super) requests: Requests,
@@ -110,6 +114,8 @@ impl Core {
             sequence: Sequence::default(),
             told: [0; THINGS_TOLD],
             mode_words: ModeWords::default(),
+            #[cfg(test)]
+            sent: None,
             clock: VehicleClock::default(),
             intervals: Intervals::default(),
             requests: Requests::default(),
@@ -189,6 +195,10 @@ impl Core {
         };
         let is_newer = place > *told;
         *told = place.max(*told);
+        #[cfg(test)]
+        if planted::is(Planted::OlderHeartbeat) {
+            return true;
+        }
         is_newer && self.is_mode_believed(frame)
     }
 
@@ -329,6 +339,8 @@ impl Core {
     }
 
     pub(super) fn poll(&mut self, now: HostTime) {
+        #[cfg(test)]
+        self.send_again(now);
         if self.heartbeat_due <= now {
             self.heartbeat_due = now + HEARTBEAT_PERIOD;
             self.outbox.push(None, &heartbeat());
@@ -435,8 +447,24 @@ impl Core {
             target_component: id.component,
             ..data
         };
-        self.outbox.push(Some(to), &MavMessage::SET_ATTITUDE_TARGET(data));
+        let message = MavMessage::SET_ATTITUDE_TARGET(data);
+        self.outbox.push(Some(to), &message);
+        #[cfg(test)]
+        {
+            self.sent = Some((now, to, message));
+        }
         Ok(())
+    }
+
+    /// A bug of the tests': a setpoint that nobody cleared.
+    #[cfg(test)]
+    fn send_again(&mut self, now: HostTime) {
+        if let Some((at, to, message)) = &self.sent
+            && planted::is(Planted::SentAgain)
+            && now.since(*at) > Duration::from_millis(30)
+        {
+            self.outbox.push(Some(*to), message);
+        }
     }
 
     fn request_intervals(&mut self, now: HostTime) {
