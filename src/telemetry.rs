@@ -63,6 +63,8 @@ const THIN_ABOVE: f64 = 1.25;
 /// A vehicle in the air is never told in just the same state for this long, s, unless its estimator
 /// stands still.
 const FROZEN_S: f64 = 0.2;
+/// What says that it moves by less than this meanwhile may be still, m or rad.
+const STILL: f64 = 1e-4;
 /// Longest tolerated distance of a pair's stamps while a rate is not measured yet, s.
 const PAIR_GAP_MAX_S: f64 = 0.05;
 
@@ -245,7 +247,7 @@ impl Telemetry {
                     |before| turn_jump(before, &turn, limit),
                 )?;
                 let same_since = stream.same_since;
-                self.not_frozen(same_since, stamp)?;
+                self.not_frozen(same_since, stamp, body_rate.norm())?;
                 self.choose_attitude(source, stamp);
                 self.not_late(delay)?;
                 Ok(self.pair(received.host, delay))
@@ -262,7 +264,7 @@ impl Telemetry {
                     |p| p.is_like(&pose),
                     |p| pose_jump(p, &pose, &settings),
                 )?;
-                self.not_frozen(self.position.same_since, stamp)?;
+                self.not_frozen(self.position.same_since, stamp, velocity.norm())?;
                 self.not_late(delay)?;
                 Ok(self.pair(received.host, delay))
             }
@@ -286,7 +288,8 @@ impl Telemetry {
                         turn_jump(turn, &both.1, settings.attitude_jump_rad)
                     },
                 )?;
-                self.not_frozen(self.odometry.same_since, stamp)?;
+                let speed = velocity.norm().max(body_rate.norm());
+                self.not_frozen(self.odometry.same_since, stamp, speed)?;
                 self.not_late(delay)?;
                 if !self.odometry_drives(stamp) {
                     return Ok(None);
@@ -323,18 +326,20 @@ impl Telemetry {
         Ok(delay)
     }
 
-    /// On the ground, and where nobody says where it is, a vehicle may well lie still.
+    /// On the ground, and where nobody says where it is, a vehicle may well lie still; and so may one
+    /// that a simulation without noise hovers. `speed`, m/s or rad/s, is by its own word.
     fn not_frozen(
         &self,
         same_since: Option<VehicleTime>,
         stamp: VehicleTime,
+        speed: f64,
     ) -> Result<(), TelemetryFault> {
         let is_aloft = matches!(
             self.status.landed,
             LandedState::InAir | LandedState::TakingOff | LandedState::Landing
         );
         let seconds = same_since.map_or(0.0, |since| stamp.seconds_since(since));
-        if is_aloft && seconds > FROZEN_S {
+        if is_aloft && seconds > FROZEN_S && speed * seconds > STILL {
             return Err(TelemetryFault::Frozen { seconds });
         }
         Ok(())

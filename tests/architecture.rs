@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
     BTreeMap::from([
         ("clock", &[] as &[_]),
+        ("planted", &[]),
         ("setpoint", &[]),
         ("parameters", &[]),
         ("vehicle_init", &["parameters"]),

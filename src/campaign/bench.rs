@@ -127,6 +127,7 @@ pub fn fly(script: &Script, kit: &Kit) -> Result<Flown, VehicleRefused> {
         turned_us: 0,
         seen_us: 0,
         digest: crc32fast::Hasher::new(),
+        end: None,
     };
     bench.vehicle.connect(STATION, LinkKind::Datagrams);
     bench.fly()?;
@@ -161,6 +162,8 @@ struct Bench<'a> {
     /// When the truth is to be seen next.
     seen_us: u64,
     digest: crc32fast::Hasher,
+    /// The station's word on how the flight ended.
+    end: Option<String>,
 }
 
 impl Bench<'_> {
@@ -192,7 +195,8 @@ impl Bench<'_> {
             self.advance();
         }
         // The program has ended: nobody answers any more.
-        self.station = None;
+        let ended = self.station.take();
+        self.end = ended.as_ref().and_then(Station::end).map(|end| format!("{end:?}"));
         let adrift_us = self.now_us + ADRIFT_US;
         while self.ending() == Ending::Adrift && self.now_us < adrift_us {
             self.listen();
@@ -206,9 +210,8 @@ impl Bench<'_> {
 
     fn flown(self) -> Flown {
         let ending = self.station.is_none().then(|| self.ending());
-        let end = self.station.as_ref().and_then(Station::end).map(|end| format!("{end:?}"));
         Flown {
-            end: end.unwrap_or_default(),
+            end: self.end.unwrap_or_default(),
             ending,
             violations: self.judge.violations().to_vec(),
             setpoints: self.judge.setpoints,

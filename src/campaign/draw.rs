@@ -83,7 +83,7 @@ fn scene(draw: &mut Draw, faults: &mut Vec<Timed>) {
     let for_s = draw.log_within([0.03, 8.0]);
     let timed = |fault| Timed { at_s, for_s, fault };
     let pilot = |at_s, act| Timed { at_s, for_s: 0.0, fault: Fault::Pilot { act } };
-    match draw.below(14) {
+    match draw.below(15) {
         0..=3 => faults.push(timed(link(draw))),
         4 => faults.push(timed(clock(draw))),
         5 | 6 => faults.push(timed(telemetry(draw))),
@@ -124,6 +124,14 @@ fn scene(draw: &mut Draw, faults: &mut Vec<Timed>) {
             if draw.chance(0.3) {
                 faults.push(pilot(at_s + draw.within([0.0, for_s]), PilotAct::Position));
             }
+        }
+        12 => {
+            // The vehicle does not hear, or will not do, that it is to land.
+            let at_s = draw.within([11.0, 18.0]);
+            let for_s = draw.within([2.0, 8.0]);
+            let fault =
+                if draw.chance(0.5) { Fault::Refusals } else { Fault::Cut { way: Way::Up } };
+            faults.push(Timed { at_s, for_s, fault });
         }
         _ => faults.push(timed(process(draw))),
     }

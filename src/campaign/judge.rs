@@ -61,6 +61,7 @@ struct Mode {
 #[derive(Clone, Copy, Debug)]
 struct State {
     said_us: u64,
+    heard_us: u64,
     due_us: u64,
 }
 
@@ -165,7 +166,7 @@ impl Judge {
         let (frame, said_us) = (bytes.as_slice(), *said_us);
         if word::is_state(frame) {
             // One that others changed is a state too, and the pilot must take it for one.
-            self.states.push(State { said_us, due_us: *due_us });
+            self.states.push(State { said_us, heard_us: now_us, due_us: *due_us });
             self.quickest_us = self.quickest_us.min(due_us.saturating_sub(said_us));
         }
         if *origin == Origin::Nobody {
@@ -239,11 +240,11 @@ impl Judge {
 
     /// Answers to states: the newest that was heard in this instant, and no other.
     fn check_fresh(&mut self, now_us: u64) {
-        let newest = self.states.iter().max_by_key(|state| (state.due_us, state.said_us)).copied();
-        let delivered = self.states.len();
+        let now = self.states.iter().filter(|state| state.heard_us == now_us);
+        let newest = now.max_by_key(|state| (state.due_us, state.said_us)).copied();
         self.states.clear();
-        let Some(state) = newest.filter(|_| delivered > 0) else {
-            return self.violated(Rule::Fresh, now_us, "no state came since the last setpoint");
+        let Some(state) = newest else {
+            return self.violated(Rule::Fresh, now_us, "it answers no state that came just now");
         };
         // Delays that the link always had are not to be told without a clock in common.
         let base_s = self.quickest_us as f64 * 1e-6;

@@ -54,18 +54,18 @@ pub fn shrunk(script: &Script, mut fails: impl FnMut(&Script) -> bool) -> Script
 mod tests {
     use super::*;
     use crate::campaign::draw;
-    use crate::campaign::script::{Fault, Timed, Way};
+    use crate::campaign::script::{Fault, Timed};
 
     #[test]
     fn what_is_not_needed_goes() {
-        let cut = Timed { at_s: 3.0, for_s: 4.0, fault: Fault::Cut { way: Way::Down } };
+        let foreign = Timed { at_s: 3.0, for_s: 4.0, fault: Fault::Foreign { system: 77 } };
         let mut script = draw::script(1, 1);
-        script.faults.insert(1, cut);
+        script.faults.insert(1, foreign);
         let fails = |script: &Script| {
-            script.faults.iter().any(|it| it.fault == cut.fault && it.for_s >= 0.9)
+            script.faults.iter().any(|it| it.fault == foreign.fault && it.for_s >= 0.9)
         };
         let shrunk = shrunk(&script, fails);
-        assert_eq!(shrunk.faults, [Timed { for_s: 1.0, ..cut }]);
+        assert_eq!(shrunk.faults, [Timed { for_s: 1.0, ..foreign }]);
         assert!(fails(&shrunk) && shrunk.law == "lqr");
     }
 }
