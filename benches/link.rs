@@ -4,6 +4,8 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use downwash::clock::HostTime;
+use downwash::control::Limits;
+use downwash::guard::{Answered, Cleared, Guard, Order, Proposal, Stance};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::session::{Session, Settings};
 use downwash::setpoint::Setpoint;
@@ -18,6 +20,16 @@ fn frame(encoder: &mut Encoder, message: MavMessage) -> Vec<u8> {
     let mut bytes = Vec::new();
     encoder.encode(&message, &mut bytes);
     bytes
+}
+
+/// A setpoint that may leave.
+fn cleared(now: HostTime) -> Cleared {
+    let mut guard = Guard::new(Limits::default(), 20.0, now);
+    let setpoint = Setpoint { thrust_n: 9.81, ..Setpoint::default() };
+    let sample = Answered { host: now, ..Answered::default() };
+    let order = Order { stance: Stance::Offer, is_obeyed: false };
+    guard.propose(now, &Proposal { setpoint, sample }, order).expect("permitted");
+    guard.clear(now, order).expect("permitted")
 }
 
 /// A session with an identified vehicle.
@@ -54,7 +66,7 @@ fn link(criterion: &mut Criterion) {
         ..Default::default()
     });
     let datagram = frame(&mut encoder, odometry);
-    let setpoint = Setpoint { thrust_n: 9.81, ..Default::default() };
+    let setpoint = cleared(NOW);
     criterion.bench_function("odometry datagram to message", |bencher| {
         bencher.iter(|| {
             session.receive(NOW, VEHICLE, black_box(&datagram), true, &mut |heard| {

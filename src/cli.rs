@@ -1,5 +1,6 @@
 //! The command line: raw flags only. Each command checks them and does the work.
 
+mod campaign;
 mod demo;
 mod flight;
 mod log;
@@ -16,6 +17,7 @@ use ::vehicle::effects::EffectId;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub use self::campaign::CampaignArgs;
 pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
@@ -60,6 +62,13 @@ pub enum Command {
     /// Flies many of these flights: grids, lists and draws of any input, on any number of workers,
     /// into one table.
     Sweep(SweepArgs),
+    /// Flies simulated flights under drawn faults, and judges by the wire and by the vehicle's true
+    /// state what the daemon made of them.
+    ///
+    /// Vehicle, autopilot, trajectory, controller and faults follow from the seed. A flight that breaks
+    /// a rule is shrunk to the shortest fault script that does. Exit code 10: some flight broke a
+    /// rule.
+    Campaign(CampaignArgs),
     /// Connects to a vehicle, flies one trajectory from take-off to landing, and logs it.
     Fly(FlyArgs),
     /// Flies a programme that a model can be learned from, and logs each flight.

@@ -10,6 +10,7 @@ use sd_notify::NotifyState;
 use tokio::time::timeout_at;
 
 use crate::clock::HostTime;
+use crate::guard::STALL;
 use crate::link::connection::{Connection, Input};
 use crate::link::tee::TeeThread;
 use crate::log::LogSink;
@@ -294,12 +295,12 @@ impl Control<'_> {
         }
     }
 
-    /// Sends what the station has to send since `now`. What was made before a pause of this process
+    /// Sends what the station has to send since `now`. What was made before this process stood still
     /// does not leave after it.
     fn send(&mut self, station: &mut Station, now: HostTime) {
         let Self { clock, connection, tee, .. } = self;
         station.transmit(now, |peer, frame| {
-            let is_taken = clock.now().since(now) <= PAUSE && connection.send(peer, frame);
+            let is_taken = clock.now().since(now) <= STALL && connection.send(peer, frame);
             if let Some(tee) = tee.as_mut().filter(|_| is_taken) {
                 tee.sent(now, frame);
             }

@@ -8,9 +8,11 @@ pub mod parameters;
 pub mod setpoint;
 
 pub mod audit;
+pub mod campaign;
 pub mod control;
 pub mod diagnose;
 pub mod exam;
+pub mod guard;
 pub mod learn;
 pub mod link;
 pub mod log;
@@ -29,3 +31,6 @@ pub mod lockstep;
 pub mod cli;
 pub mod command;
 pub mod config;
+
+#[cfg(test)]
+mod planted;

@@ -1,8 +1,10 @@
-//! The line from a message to a setpoint: state -> reference -> feedback -> limits -> supervisor.
+//! The line from a message to a setpoint: state -> reference -> feedback -> supervisor -> guard.
 //! Pure: time comes with the messages, requests and setpoints are handed out.
 
 mod effective_vehicle;
 mod guidance;
+
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -13,6 +15,7 @@ use vehicle::frame::Ned;
 
 use crate::clock::{HostTime, VehicleTime};
 use crate::control::{Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation};
+use crate::guard::{Answered, Cleared, Guard, Order, Proposal, Withheld};
 use crate::link::message::{ChargeState, Inbound, LandedState, Received};
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::{Reference, Setpoint, State};
@@ -125,6 +128,9 @@ pub struct Pilot {
     telemetry: Telemetry,
     supervisor: Supervisor,
     guidance: Guidance,
+    guard: Guard,
+    /// When it was last told that this process stood still.
+    stall_told: Option<HostTime>,
     standing_checks: Vec<PreflightCheck>,
     /// The checks that failed at the last look before the stream.
     failed_checks: Vec<PreflightCheck>,
@@ -154,6 +160,8 @@ impl Pilot {
             telemetry: Telemetry::new(settings.telemetry),
             supervisor,
             guidance: Guidance::new(settings.guidance, hover_thrust_n, trajectory),
+            guard: Guard::new(settings.limits, airframe.thrust_full_n, now),
+            stall_told: None,
             settings,
             policy,
             airframe,
@@ -205,10 +213,12 @@ impl Pilot {
         } else {
             self.controller.open_loop(&reference, yaw)
         };
-        let limits = &self.settings.limits;
-        let limited = limits.apply(command.setpoint, self.airframe.thrust_full_n, yaw);
-        let permitted = self.permits(now);
-        let sent = limited.filter(|_| permitted);
+        let proposal = Proposal { setpoint: command.setpoint, sample: answered(&sample) };
+        let proposed = self.guard.propose(now, &proposal, self.order(now));
+        if proposed == Err(Withheld::Stalled) {
+            self.tell_stall(now);
+        }
+        let sent = proposed.ok();
         self.controller.sent(sent.map(|(setpoint, _)| setpoint));
 
         self.tracking_error = (sample.state.position - guided.desired).norm();
@@ -235,10 +245,32 @@ impl Pilot {
         })
     }
 
-    /// Whether a setpoint may leave now. Where more was heard since a tick, its setpoint needs this
-    /// word anew.
-    pub fn permits(&self, now: HostTime) -> bool {
-        self.supervisor.permits(now, self.telemetry.status())
+    /// The answer to the newest tick, if it may leave by all that was heard since.
+    pub fn clear(&mut self, now: HostTime) -> Option<Cleared> {
+        let order = self.order(now);
+        self.guard.clear(now, order).ok()
+    }
+
+    fn order(&self, now: HostTime) -> Order {
+        let status = self.telemetry.status();
+        Order {
+            stance: self.supervisor.stance(now),
+            is_obeyed: self.supervisor.is_obeyed(now, status),
+        }
+    }
+
+    /// Says, every two seconds at most, that what lay unread while this process stood still is not
+    /// answered.
+    fn tell_stall(&mut self, now: HostTime) {
+        if self.stall_told.is_some_and(|told| now.since(told) < STALL_TOLD) {
+            return;
+        }
+        self.stall_told = Some(now);
+        let text = format!(
+            "this process stood still for {:.3} s: what lay unread is not answered",
+            self.guard.stalled().as_secs_f64()
+        );
+        self.supervisor.tell(now, Severity::Warning, text);
     }
 
     /// What became of the newest tick: whether its setpoint left. OFFBOARD is asked for, and taken
@@ -254,6 +286,7 @@ impl Pilot {
     /// change of the mode ends control; nothing else is decided, and no setpoint answers it.
     /// [`Pilot::resumed`] follows the last of them.
     pub fn catch_up(&mut self, received: &Received) {
+        self.guard.turn(received.host);
         self.take(received);
         self.supervisor.heed_mode(received.host, self.telemetry.status());
     }
@@ -267,8 +300,14 @@ impl Pilot {
         self.observe(now);
     }
 
+    /// The line runs: at every turn of it, before what was heard is taken.
+    pub fn turn(&mut self, now: HostTime) {
+        self.guard.turn(now);
+    }
+
     /// Looks at the clock in silence: time-outs and stale telemetry. Never makes a setpoint.
     pub fn poll(&mut self, now: HostTime) {
+        self.guard.turn(now);
         self.observe(now);
     }
 
@@ -347,7 +386,12 @@ impl Pilot {
 
     fn lose_link(&mut self, now: HostTime, why: &str) {
         self.supervisor.fire(now, Trigger::LinkLost, why);
+        self.forget();
+    }
+
+    fn forget(&mut self) {
         self.telemetry.forget();
+        self.guard.forget();
     }
 
     fn observe(&mut self, now: HostTime) {
@@ -426,7 +470,7 @@ impl Pilot {
         }
         let silence_s = self.telemetry.status().silence_s(now);
         if silence_s.is_finite() && silence_s > self.settings.supervisor.link_lost_after_s {
-            self.telemetry.forget();
+            self.forget();
         }
     }
 
@@ -465,6 +509,19 @@ impl Pilot {
             && speed.is_some_and(|speed| speed < RESTING_SPEED_M_S)
     }
 }
+
+/// What the guard is told of a sample.
+fn answered(sample: &Sample) -> Answered {
+    Answered {
+        host: sample.host,
+        vehicle: sample.vehicle,
+        excess_delay_s: sample.excess_delay_s,
+        yaw: sample.state.attitude.yaw(),
+    }
+}
+
+/// A stall of this process is told at most this often.
+const STALL_TOLD: Duration = Duration::from_secs(2);
 
 /// Share of the tick rate asked for at first that must be kept while a hold is streamed, so that a
 /// pause which is not stale yet does not end the stream.

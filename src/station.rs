@@ -187,6 +187,9 @@ impl Station {
         let Self { session, pilot, profile, records, ticks, .. } = self;
         let motors = profile.as_ref().map(|profile| profile.motor_outputs);
         let first = records.len();
+        if let Some(pilot) = pilot {
+            pilot.turn(now);
+        }
         session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
             Heard::Frame { bytes, .. } => {
                 records
@@ -218,9 +221,9 @@ impl Station {
     /// The setpoint that answers the samples since `first_tick`, on its way where it may leave.
     fn answer(&mut self, now: HostTime, first_tick: usize) {
         // Of several samples in one read only the newest is acted upon.
-        let setpoint = self.ticks[first_tick..].last().and_then(|tick| tick.setpoint);
-        let is_sent = setpoint
-            .is_some_and(|setpoint| self.permits(now) && self.send_setpoint(now, &setpoint));
+        let is_proposed = self.ticks[first_tick..].last().is_some_and(|it| it.setpoint.is_some());
+        let cleared = if is_proposed { self.cleared(now) } else { None };
+        let is_sent = cleared.is_some_and(|setpoint| self.send_setpoint(now, &setpoint));
         // The log has what was sent; what of this does not leave is withheld then.
         let withheld = self.ticks.len() - usize::from(is_sent);
         self.ticks[first_tick..withheld].iter_mut().for_each(Tick::withhold);

@@ -1,4 +1,4 @@
-//! The flight's state machine, and the last word before the output.
+//! The flight's state machine, which says what the guard before the output may let pass.
 //!
 //! ```text
 //! Connect -> AwaitRelease -> AwaitTelemetry -> Preflight -> Standby -> [Engage] -> Arm -> TakeOff
@@ -42,6 +42,9 @@ pub use self::table::{FlightState, STATES, TRIGGERS, Trigger};
 use self::takeover::ModeTaken;
 pub use self::takeover::Takeover;
 use crate::clock::HostTime;
+use crate::guard::Stance;
+#[cfg(test)]
+use crate::planted::{self, Planted};
 use crate::telemetry::VehicleStatus;
 
 /// Time for CURRENT_MODE, which is asked for twice a second, after the first HEARTBEAT, s.
@@ -330,16 +333,25 @@ impl Supervisor {
         }
     }
 
-    /// Whether a setpoint may leave now: the last word.
-    pub fn permits(&self, now: HostTime, status: &VehicleStatus) -> bool {
-        let offboard = status.mode == Some(self.modes.offboard) && status.knows_mode(now);
+    /// What the guard before the output is to let pass.
+    pub fn stance(&self, now: HostTime) -> Stance {
+        let handover_s = self.settings.land_handover_s;
+        #[cfg(test)]
+        let handover_s = match planted::is(Planted::DeadlineDoubled) {
+            true => 2.0 * handover_s,
+            false => handover_s,
+        };
         match self.state {
-            FlightState::Standby | FlightState::Engage => true,
-            FlightState::Land => {
-                offboard && self.seconds_in_state(now) < self.settings.land_handover_s
-            }
-            state => state.may_stream() && offboard,
+            FlightState::Standby | FlightState::Engage => Stance::Offer,
+            FlightState::Land if self.seconds_in_state(now) >= handover_s => Stance::Silent,
+            state if state.may_stream() => Stance::Control,
+            _ => Stance::Silent,
         }
+    }
+
+    /// Whether the vehicle told lately that it is in the mode in which setpoints are obeyed.
+    pub fn is_obeyed(&self, now: HostTime, status: &VehicleStatus) -> bool {
+        status.mode == Some(self.modes.offboard) && status.knows_mode(now)
     }
 
     /// What became of the answer to the newest sample: whether a setpoint left.

@@ -17,7 +17,7 @@ use self::lateness::Lateness;
 use self::rate::RateMeter;
 pub use self::status::VehicleStatus;
 use crate::clock::{HostTime, VehicleTime};
-use crate::link::message::{AttitudeSource, Inbound, Received};
+use crate::link::message::{AttitudeSource, Inbound, LandedState, Received};
 use crate::link::vehicle_clock::Delay;
 
 /// When a control tick fires, and what telemetry is refused.
@@ -60,6 +60,11 @@ const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
 const KEEPS_TO: f64 = 0.9;
 /// Samples are thinned where they come at more than this many times the control rate.
 const THIN_ABOVE: f64 = 1.25;
+/// A vehicle in the air is never told in just the same state for this long, s, unless its estimator
+/// stands still.
+const FROZEN_S: f64 = 0.2;
+/// What says that it moves by less than this meanwhile may be still, m or rad.
+const STILL: f64 = 1e-4;
 /// Longest tolerated distance of a pair's stamps while a rate is not measured yet, s.
 const PAIR_GAP_MAX_S: f64 = 0.05;
 
@@ -101,17 +106,33 @@ struct Turn {
     body_rate: Frd,
 }
 
+impl Pose {
+    /// Whether all but the stamps is the same.
+    fn is_like(&self, other: &Self) -> bool {
+        (self.position, self.velocity) == (other.position, other.velocity)
+    }
+}
+
+impl Turn {
+    /// Whether all but the stamps is the same.
+    fn is_like(&self, other: &Self) -> bool {
+        (self.attitude, self.body_rate) == (other.attitude, other.body_rate)
+    }
+}
+
 /// One kind of message: its newest value, whether that was used, its rate.
 #[derive(Clone, Debug)]
 struct Stream<T> {
     newest: Option<T>,
     unused: bool,
+    /// Since when the values are the same but for their stamps.
+    same_since: Option<VehicleTime>,
     rate: RateMeter,
 }
 
 impl<T> Default for Stream<T> {
     fn default() -> Self {
-        Self { newest: None, unused: false, rate: RateMeter::default() }
+        Self { newest: None, unused: false, same_since: None, rate: RateMeter::default() }
     }
 }
 
@@ -222,8 +243,11 @@ impl Telemetry {
                     turn,
                     stamp,
                     |t| t.stamp,
+                    |before| before.is_like(&turn),
                     |before| turn_jump(before, &turn, limit),
                 )?;
+                let same_since = stream.same_since;
+                self.not_frozen(same_since, stamp, body_rate.norm())?;
                 self.choose_attitude(source, stamp);
                 self.not_late(delay)?;
                 Ok(self.pair(received.host, delay))
@@ -237,8 +261,10 @@ impl Telemetry {
                     pose,
                     stamp,
                     |p| p.stamp,
+                    |p| p.is_like(&pose),
                     |p| pose_jump(p, &pose, &settings),
                 )?;
+                self.not_frozen(self.position.same_since, stamp, velocity.norm())?;
                 self.not_late(delay)?;
                 Ok(self.pair(received.host, delay))
             }
@@ -253,6 +279,7 @@ impl Telemetry {
                     both,
                     stamp,
                     |(p, _)| p.stamp,
+                    |(pose, turn)| pose.is_like(&both.0) && turn.is_like(&both.1),
                     |(pose, turn)| {
                         if reset.is_some_and(|before| before != reset_counter) {
                             return Err(TelemetryFault::EstimateReset);
@@ -261,6 +288,8 @@ impl Telemetry {
                         turn_jump(turn, &both.1, settings.attitude_jump_rad)
                     },
                 )?;
+                let speed = velocity.norm().max(body_rate.norm());
+                self.not_frozen(self.odometry.same_since, stamp, speed)?;
                 self.not_late(delay)?;
                 if !self.odometry_drives(stamp) {
                     return Ok(None);
@@ -295,6 +324,25 @@ impl Telemetry {
         }
         self.newest_stamp = self.newest_stamp.max(Some(stamp));
         Ok(delay)
+    }
+
+    /// On the ground, and where nobody says where it is, a vehicle may well lie still; and so may one
+    /// that a simulation without noise hovers. `speed`, m/s or rad/s, is by its own word.
+    fn not_frozen(
+        &self,
+        same_since: Option<VehicleTime>,
+        stamp: VehicleTime,
+        speed: f64,
+    ) -> Result<(), TelemetryFault> {
+        let is_aloft = matches!(
+            self.status.landed,
+            LandedState::InAir | LandedState::TakingOff | LandedState::Landing
+        );
+        let seconds = same_since.map_or(0.0, |since| stamp.seconds_since(since));
+        if is_aloft && seconds > FROZEN_S && speed * seconds > STILL {
+            return Err(TelemetryFault::Frozen { seconds });
+        }
+        Ok(())
     }
 
     fn not_late(&mut self, delay: Delay) -> Result<(), TelemetryFault> {
@@ -420,6 +468,7 @@ impl<T: Copy> Stream<T> {
         value: T,
         stamp: VehicleTime,
         stamp_of: impl Fn(&T) -> VehicleTime,
+        is_same: impl Fn(&T) -> bool,
         check: impl Fn(&T) -> Result<(), TelemetryFault>,
     ) -> Result<(), TelemetryFault> {
         let before = self.newest;
@@ -428,6 +477,8 @@ impl<T: Copy> Stream<T> {
         }
         self.newest = Some(value);
         self.rate.count(stamp);
+        let same = before.filter(|before| is_same(before));
+        self.same_since = same.map(|before| self.same_since.unwrap_or(stamp_of(&before)));
         let judged = before.map_or(Ok(()), |before| check(&before));
         self.unused = judged.is_ok();
         judged

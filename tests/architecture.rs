@@ -9,15 +9,20 @@ use std::path::{Path, PathBuf};
 fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
     BTreeMap::from([
         ("clock", &[] as &[_]),
+        ("planted", &[]),
         ("setpoint", &[]),
         ("parameters", &[]),
         ("vehicle_init", &["parameters"]),
-        ("link", &["clock", "setpoint"]),
+        ("guard", &["clock", "control", "setpoint"]),
+        ("link", &["clock", "guard", "setpoint"]),
         ("telemetry", &["clock", "setpoint", "link"]),
         ("control", &["clock", "setpoint"]),
         ("plan", &["control", "model", "setpoint"]),
-        ("supervisor", &["clock", "setpoint", "link", "telemetry"]),
-        ("pilot", &["clock", "setpoint", "link", "telemetry", "control", "plan", "supervisor"]),
+        ("supervisor", &["clock", "guard", "setpoint", "link", "telemetry"]),
+        (
+            "pilot",
+            &["clock", "guard", "setpoint", "link", "telemetry", "control", "plan", "supervisor"],
+        ),
         ("log", &["clock", "setpoint", "link", "parameters"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
@@ -36,6 +41,10 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
                 "setpoint",
             ],
         ),
+        (
+            "campaign",
+            &["clock", "control", "exam", "lockstep", "plan", "setpoint", "station", "supervisor"],
+        ),
         ("exam", &["control", "diagnose", "plan", "setpoint"]),
         (
             "report",
@@ -45,6 +54,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
             "station",
             &[
                 "clock",
+                "guard",
                 "setpoint",
                 "control",
                 "link",
@@ -57,7 +67,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
             ],
         ),
         ("lockstep", &["clock", "link", "log", "station"]),
-        ("daemon", &["clock", "link", "log", "station", "supervisor"]),
+        ("daemon", &["clock", "guard", "link", "log", "station", "supervisor"]),
         ("config", &["control", "link", "log", "pilot", "plan", "supervisor", "telemetry"]),
     ])
 }

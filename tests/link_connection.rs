@@ -8,12 +8,13 @@ use downwash::clock::HostTime;
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::connection::{Connection, Input};
 use downwash::link::session::{Heard, Session, Settings};
-use downwash::setpoint::Setpoint;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, UdpSocket};
 use tokio_serial::{SerialPort, SerialStream};
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
+
+use crate::link_world::cleared;
 
 /// Bounds what waits for the system; nothing in these tests takes this long unless it hangs.
 async fn soon<F: Future>(future: F) -> F::Output {
@@ -193,7 +194,7 @@ async fn a_vehicle_over_udp_is_greeted_found_and_sent_a_setpoint() {
     });
     assert_eq!(messages, 2);
     session.transmit(|_, _| true);
-    session.send_setpoint(now, &Setpoint { thrust_n: 10.0, ..Default::default() }).unwrap();
+    session.send_setpoint(now, &cleared(now, 10.0)).unwrap();
     session.transmit(|to, frame| connection.send(to, frame));
     assert_eq!(session.stats().dropped, 0);
     let (heard, _) = hear(&vehicle).await;

@@ -9,7 +9,6 @@ use downwash::link::profile::Profile;
 use downwash::link::request::{FlightMode, Outcome, Request};
 use downwash::link::session::{Event, Heard, Session, SetpointError, Settings};
 use downwash::link::vehicle_clock::ClockSource;
-use downwash::setpoint::Setpoint;
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
 
@@ -37,11 +36,11 @@ fn a_vehicle_that_does_not_tell_its_version_gets_the_safe_form() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     vehicle.version = None;
     world.run(&mut vehicle, seconds(1.0));
-    let early = world.session.send_setpoint(world.now, &Setpoint::default());
+    let early = world.session.send_setpoint(world.now, &cleared(world.now, 0.0));
     assert_eq!(early, Err(SetpointError::NotIdentified));
     world.run(&mut vehicle, seconds(3.0));
     assert_eq!(world.session.profile(), Some(&Profile::PX4));
-    world.session.send_setpoint(world.now, &Setpoint::default()).expect("sent");
+    world.session.send_setpoint(world.now, &cleared(world.now, 0.0)).expect("sent");
     world.run(&mut vehicle, STEP);
     assert_eq!(vehicle.setpoints[0].type_mask.bits(), 0x07);
     assert_eq!(vehicle.setpoints[0].target_system, 1);
@@ -97,7 +96,7 @@ fn silence_is_stale_then_lost_and_the_vehicle_is_found_again_elsewhere() {
     world.silence(STEP);
     assert_eq!(world.outcomes(), [Outcome::NoAnswer, Outcome::NotConnected]);
     assert_eq!(
-        world.session.send_setpoint(world.now, &Setpoint::default()),
+        world.session.send_setpoint(world.now, &cleared(world.now, 0.0)),
         Err(SetpointError::NotConnected)
     );
     let bytes = vehicle.encode(&vehicle.heartbeat());
@@ -114,13 +113,13 @@ fn a_closed_connection_is_relearnt_at_once() {
     world.run(&mut vehicle, seconds(2.0));
     assert!(!world.session.peer_closed(STRANGER) && world.session.peer_closed(VEHICLE));
     assert_eq!(
-        world.session.send_setpoint(world.now, &Setpoint::default()),
+        world.session.send_setpoint(world.now, &cleared(world.now, 0.0)),
         Err(SetpointError::NotConnected)
     );
     let bytes = vehicle.encode(&vehicle.heartbeat());
     world.deliver(STRANGER, &bytes);
     assert_eq!(world.session.vehicle().map(|vehicle| vehicle.peer), Some(STRANGER));
-    assert!(world.session.send_setpoint(world.now, &Setpoint::default()).is_ok());
+    assert!(world.session.send_setpoint(world.now, &cleared(world.now, 0.0)).is_ok());
     assert_eq!(world.states(), [LinkState::Connected]);
 }
 
@@ -202,7 +201,7 @@ fn another_autopilot_under_the_vehicles_ids_is_identified_anew() {
         let bytes = vehicle.encode(&vehicle.heartbeat());
         world.deliver(VEHICLE, &bytes);
         assert_eq!(world.session.profile(), None);
-        let early = world.session.send_setpoint(world.now, &Setpoint::default());
+        let early = world.session.send_setpoint(world.now, &cleared(world.now, 0.0));
         assert_eq!(early, Err(SetpointError::NotIdentified));
         world.run(&mut vehicle, seconds(2.0));
         assert_eq!(world.session.profile(), Some(&Profile::ARDUCOPTER), "{is_silent}");
@@ -541,7 +540,7 @@ fn a_vehicle_that_speaks_mavlink_1_only_is_spoken_to_in_it() {
     vehicle.version = None;
     world.run(&mut vehicle, seconds(4.0));
     assert_eq!(world.session.protocol(), Some(1));
-    world.session.send_setpoint(world.now, &Setpoint::default()).expect("sent");
+    world.session.send_setpoint(world.now, &cleared(world.now, 0.0)).expect("sent");
     let mut markers = Vec::new();
     world.session.transmit(|_, bytes| {
         markers.push(bytes[0]);

@@ -334,3 +334,28 @@ fn offboard_is_not_asked_for_while_no_setpoint_leaves() {
     assert_eq!(bench.phase(), Some(FlightState::Standby), "{:#?}", bench.texts());
     assert!(!bench.told("refuses"), "{:#?}", bench.texts());
 }
+
+/// What the queue holds after a stall looks fresh to whoever reads it late.
+#[test]
+fn after_a_stall_nothing_is_sent_until_a_sample_that_is_newer_than_it() {
+    for stall_s in [0.06, 0.1, 0.25] {
+        let mut bench = in_track(Bench::hovering(NANO, 30.0));
+        let stopped_us = bench.now_us();
+        bench.stall(stall_s);
+        let woke_us = bench.now_us();
+        assert_eq!(bench.setpoints_after(stopped_us), 0, "{stall_s}");
+        bench.run(0.004);
+        assert_eq!(bench.setpoints_after(stopped_us), 0, "{stall_s}");
+        bench.run(0.03);
+        assert!(bench.setpoints_after(woke_us) >= 2, "{stall_s}: {:#?}", bench.texts());
+        bench.run(0.5);
+        assert!(bench.told("this process stood still for"), "{:#?}", bench.texts());
+        assert_eq!(bench.phase(), Some(FlightState::Track), "{stall_s}: {:#?}", bench.texts());
+    }
+    // A short one is none.
+    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let stopped_us = bench.now_us();
+    bench.stall(0.04);
+    assert!(bench.setpoints_after(stopped_us) >= 3);
+    assert!(!bench.told("this process stood still"));
+}

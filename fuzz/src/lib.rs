@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use downwash::audit::Audit;
 use downwash::clock::HostTime;
+use downwash::control::Limits;
+use downwash::guard::{Answered, Cleared, Guard, Order, Proposal, Stance};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::request::{FlightMode, Request};
 use downwash::link::session::{Heard, Session, Settings};
@@ -21,6 +23,16 @@ use downwash::vehicle_init::{Draft, Measured};
 use wire::Endpoint;
 use wire::tlog::Reader;
 use wire::transport::Peer;
+
+/// A setpoint that may leave.
+fn cleared(now: HostTime) -> Cleared {
+    let mut guard = Guard::new(Limits::default(), 20.0, now);
+    let setpoint = Setpoint { thrust_n: 9.81, ..Setpoint::default() };
+    let sample = Answered { host: now, ..Answered::default() };
+    let order = Order { stance: Stance::Offer, is_obeyed: false };
+    guard.propose(now, &Proposal { setpoint, sample }, order).expect("permitted");
+    guard.clear(now, order).expect("permitted")
+}
 
 /// A session that hears anything, in any chunks, from several peers, as time goes by.
 pub fn link(data: &[u8]) {
@@ -53,7 +65,7 @@ pub fn link(data: &[u8]) {
         session.poll(now);
         assert!(session.next_deadline() > now, "a poll does all that is due");
         // May be refused; must not panic.
-        let _ = session.send_setpoint(now, &Setpoint::default());
+        let _ = session.send_setpoint(now, &cleared(now));
         session.transmit(|_, frame| {
             assert!(!frame.is_empty());
             true

@@ -6,7 +6,9 @@ use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema};
 use serde_json::{Value, json};
 
-use super::{Exit, ExitContext, audit, collect, config, demo, demo_diagnose, diagnose, doctor};
+use super::{
+    Exit, ExitContext, audit, campaign, collect, config, demo, demo_diagnose, diagnose, doctor,
+};
 use super::{exam, fly, import, inspect, model, plan, simulate, sweep, vehicle};
 use super::{print_json, print_text};
 use crate::cli::SchemaArgs;
@@ -24,7 +26,12 @@ struct Output {
 }
 
 /// All of them, in the order of a table.
-const OUTPUTS: [Output; 26] = [
+const OUTPUTS: [Output; 28] = [
+    Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
+    Output::new::<campaign::CampaignFlight>(
+        "downwash.campaign.flight",
+        "campaign --script FILE --json, a line of rows-*.jsonl for each flight",
+    ),
     Output::new::<collect::CollectSummary>("downwash.collect", "collect --json"),
     Output::new::<config::Report<'_>>("downwash.config", "config --json"),
     Output::new::<demo::DemoSummary>("downwash.demo", "demo --json"),

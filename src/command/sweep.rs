@@ -1,7 +1,7 @@
 //! `downwash sweep`: many simulated flights, on any number of workers, into one table.
 
+mod line;
 mod manifest;
-mod rows;
 mod table;
 
 use std::path::{Path, PathBuf};
@@ -14,10 +14,10 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+pub(super) use self::line::Line;
 use self::manifest::{Manifest, Point};
-pub(super) use self::rows::Line;
-use self::rows::{Folder, Rows};
 use super::progress::count_bar;
+use super::rows::{Folder, Header, Rows};
 use super::simulate::{Row, Simulation};
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say};
 use crate::cli::{Shard, SweepArgs};
@@ -104,7 +104,14 @@ impl Sweep<'_> {
         progress: &(dyn Fn(u64, u64) + Sync),
     ) -> anyhow::Result<SweepSummary> {
         let manifest = Manifest::load(self.manifest).or_exit(Exit::Usage)?;
-        let folder = Folder::open(self.out, &manifest).or_exit(Exit::Usage)?;
+        let header = Header {
+            schema: "downwash.sweep".to_owned(),
+            schema_version: 1,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            manifest_sha256: manifest.sha256.clone(),
+            points: manifest.points,
+        };
+        let folder = Folder::open(self.out, "sweep.json", &header).or_exit(Exit::Usage)?;
         let done = folder.done()?;
         let own = || (0..manifest.points).filter(|point| self.shard.has(*point));
         let missing: Vec<usize> = own().filter(|point| !done.contains(point)).collect();
@@ -117,12 +124,12 @@ impl Sweep<'_> {
             }
             let line = fly(&manifest, *index);
             let mut rows = rows.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            let (file, flown): &mut (Rows, u64) = &mut rows;
+            let (file, flown): &mut (Rows<Line>, u64) = &mut rows;
             *flown += 1;
             progress(*flown, of);
             file.add(&line)
         })?;
-        conclude(&folder, &manifest)
+        conclude(&folder, &manifest, &self.out.join("table.csv"))
     }
 }
 
@@ -147,7 +154,11 @@ fn row(manifest: &Manifest, point: &Point) -> anyhow::Result<Row> {
 }
 
 /// Counts the rows, and writes the table where all are there.
-fn conclude(folder: &Folder, manifest: &Manifest) -> anyhow::Result<SweepSummary> {
+fn conclude(
+    folder: &Folder<Line>,
+    manifest: &Manifest,
+    csv: &Path,
+) -> anyhow::Result<SweepSummary> {
     let rows = folder.rows()?;
     let ended_early = |line: &&Line| {
         let end = line.row.as_ref().and_then(|row| row.get("end")?.as_str());
@@ -155,8 +166,8 @@ fn conclude(folder: &Folder, manifest: &Manifest) -> anyhow::Result<SweepSummary
     };
     let mut table = None;
     if rows.len() == manifest.points {
-        Folder::replace(&folder.table(), &table::csv(&rows)?)?;
-        table = Some(folder.table());
+        Folder::<Line>::replace(csv, &table::csv(&rows)?)?;
+        table = Some(csv.to_owned());
     }
     Ok(SweepSummary {
         schema: "downwash.sweep.summary",

@@ -74,8 +74,16 @@ pub(super) fn check_pilot(settings: &PilotSettings) -> Result<(), Impossible> {
 }
 
 fn check_limits(limits: &Limits) -> Result<(), Impossible> {
-    let Limits { thrust_min, thrust_max, tilt_max_rad, body_rate_max_rad_s, yaw_error_max_rad } =
-        *limits;
+    let Limits {
+        thrust_min,
+        thrust_max,
+        tilt_max_rad,
+        body_rate_max_rad_s,
+        yaw_error_max_rad,
+        thrust_change_max_per_s,
+        attitude_change_max_rad_s,
+        body_rate_change_max_rad_s2,
+    } = *limits;
     require(thrust_max > 0.0 && thrust_max <= 1.0, || Impossible {
         settings: &["pilot.limits.thrust_max"],
         expected: "a share above 0 and at most 1".to_owned(),
@@ -88,7 +96,10 @@ fn check_limits(limits: &Limits) -> Result<(), Impossible> {
     })?;
     positive(&["pilot.limits.tilt_max_rad"], tilt_max_rad)?;
     positive(&["pilot.limits.body_rate_max_rad_s"], body_rate_max_rad_s)?;
-    positive(&["pilot.limits.yaw_error_max_rad"], yaw_error_max_rad)
+    positive(&["pilot.limits.yaw_error_max_rad"], yaw_error_max_rad)?;
+    positive(&["pilot.limits.thrust_change_max_per_s"], thrust_change_max_per_s)?;
+    positive(&["pilot.limits.attitude_change_max_rad_s"], attitude_change_max_rad_s)?;
+    positive(&["pilot.limits.body_rate_change_max_rad_s2"], body_rate_change_max_rad_s2)
 }
 
 fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {

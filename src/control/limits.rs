@@ -21,6 +21,12 @@ pub struct Limits {
     pub body_rate_max_rad_s: f64,
     /// Largest distance of the desired from the present yaw, rad.
     pub yaw_error_max_rad: f64,
+    /// Largest change of the collective thrust in a second, as a fraction of the rotors' maximum.
+    pub thrust_change_max_per_s: f64,
+    /// Largest change of each desired angle in a second, rad/s.
+    pub attitude_change_max_rad_s: f64,
+    /// Largest change of each desired body rate in a second, rad/s^2.
+    pub body_rate_change_max_rad_s2: f64,
 }
 
 impl Default for Limits {
@@ -31,6 +37,10 @@ impl Default for Limits {
             tilt_max_rad: 0.61,
             body_rate_max_rad_s: 6.0,
             yaw_error_max_rad: 0.8,
+            // What feedback at 100 Hz may ask from one answer to the next, and no more in less time.
+            thrust_change_max_per_s: 50.0,
+            attitude_change_max_rad_s: 100.0,
+            body_rate_change_max_rad_s2: 1200.0,
         }
     }
 }
@@ -60,6 +70,17 @@ impl Saturation {
             | bit(self.yaw_error, 0x08)
             | bit(self.body_rate, 0x70)
             | bit(self.position_error, 0x80)
+    }
+
+    /// What this or `other` met.
+    pub fn and(self, other: Self) -> Self {
+        Self {
+            position_error: self.position_error || other.position_error,
+            thrust: self.thrust || other.thrust,
+            tilt: self.tilt || other.tilt,
+            body_rate: self.body_rate || other.body_rate,
+            yaw_error: self.yaw_error || other.yaw_error,
+        }
     }
 
     /// Whether any limit was met.

@@ -98,6 +98,7 @@ impl GroundControl {
             tilt_max_rad: FRAC_PI_2,
             body_rate_max_rad_s: f64::INFINITY,
             yaw_error_max_rad: PI,
+            ..self.limits
         };
         Self { limits, ..self.clone() }
     }

@@ -6,6 +6,7 @@ use wire::dialect::{AttitudeTargetTypemask, MavMessage, SET_ATTITUDE_TARGET_DATA
 
 use super::codec::Refusal;
 use super::profile::{AttitudeTargetForm, Profile, RateFrame};
+use crate::guard::Cleared;
 use crate::setpoint::Setpoint;
 
 /// Collective thrust in newtons to the thrust field, 0..1.
@@ -83,7 +84,17 @@ pub enum EncodeError {
 /// # Errors
 /// [`EncodeError`]: a message that is not finite is never made.
 pub fn encode(
+    cleared: &Cleared,
+    attitude: Option<Attitude>,
+    profile: &Profile,
+    thrust: &ThrustMap,
+) -> Result<SET_ATTITUDE_TARGET_DATA, EncodeError> {
+    encode_bounded(cleared.setpoint(), cleared.body_rate_max_rad_s(), attitude, profile, thrust)
+}
+
+fn encode_bounded(
     setpoint: &Setpoint,
+    body_rate_max_rad_s: f64,
     attitude: Option<Attitude>,
     profile: &Profile,
     thrust: &ThrustMap,
@@ -102,7 +113,8 @@ pub fn encode(
         }
         (AttitudeTargetForm::RatesThrust { gain }, _) => {
             let attitude = attitude.ok_or(EncodeError::NoAttitude)?;
-            setpoint.body_rate + attitude.rotation_to(desired).scale_by(gain)
+            let closed = setpoint.body_rate + attitude.rotation_to(desired).scale_by(gain);
+            closed.map(|rate| rate.clamp(-body_rate_max_rad_s, body_rate_max_rad_s))
         }
     };
     let q = desired.to_wire();
@@ -182,6 +194,17 @@ mod tests {
         }
     }
 
+    const RATE_MAX: f64 = 6.0;
+
+    fn encode(
+        setpoint: &Setpoint,
+        attitude: Option<Attitude>,
+        profile: &Profile,
+        thrust: &ThrustMap,
+    ) -> Result<SET_ATTITUDE_TARGET_DATA, EncodeError> {
+        encode_bounded(setpoint, RATE_MAX, attitude, profile, thrust)
+    }
+
     fn map() -> ThrustMap {
         ThrustMap::linear(20.0).unwrap()
     }
@@ -235,6 +258,9 @@ mod tests {
         assert_eq!(data.type_mask.bits(), 0x80);
         assert!((data.body_roll_rate - 0.6).abs() < 1e-6, "{}", data.body_roll_rate);
         assert!(data.body_pitch_rate.abs() < 1e-6 && data.body_yaw_rate.abs() < 1e-6);
+        let far = Setpoint { attitude: Euler::new(0.0, 0.0, -1.0), ..at_rest };
+        let data = encode(&far, Some(level), &profile, &map()).unwrap();
+        assert_eq!(f64::from(data.body_yaw_rate), -RATE_MAX, "what closes the loop is bounded too");
     }
 
     #[test]

@@ -46,6 +46,7 @@ pub mod counters;
 pub mod intervals;
 pub mod loss_reaction;
 pub mod message;
+mod mode_words;
 pub mod parameter;
 pub mod profile;
 pub mod request;

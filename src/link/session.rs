@@ -25,7 +25,7 @@ use super::profile::{FormChoice, MessageRate, Profile};
 use super::request::{Outcome, Request, RequestId};
 use super::vehicle_clock::ClockEstimate;
 use crate::clock::{HostTime, VehicleTime};
-use crate::setpoint::Setpoint;
+use crate::guard::Cleared;
 
 /// Message id of the frames that carry setpoints.
 pub const SETPOINT_ID: u32 = SET_ATTITUDE_TARGET_DATA::ID;
@@ -299,7 +299,7 @@ impl Session {
     pub fn send_setpoint(
         &mut self,
         now: HostTime,
-        setpoint: &Setpoint,
+        setpoint: &Cleared,
     ) -> Result<(), SetpointError> {
         self.core.send_setpoint(now, setpoint)
     }

@@ -5,22 +5,22 @@ use wire::transport::Peer;
 use super::Station;
 use super::records::tick_record;
 use crate::clock::HostTime;
+use crate::guard::Cleared;
 use crate::link::session;
 use crate::log::record::{Direction, FrameRecord, Record, Severity};
-use crate::setpoint::Setpoint;
 
 impl Station {
-    /// Whether the answer to a sample may leave, now that the rest of the read is known: what was
+    /// The answer to a sample, if it may leave now that the rest of the read is known: what was
     /// heard after the sample may have ended control, or may come from a vehicle that the pilot is
     /// not made for. And whatever the pilot makes of what is heard after the end: nothing is sent.
-    pub(super) fn permits(&self, now: HostTime) -> bool {
+    pub(super) fn cleared(&mut self, now: HostTime) -> Option<Cleared> {
         let is_another = self.session.profile().is_some_and(|it| self.profile.as_ref() != Some(it));
         let is_over = self.end.is_some() || is_another || self.is_check;
-        !is_over && self.pilot.as_ref().is_some_and(|pilot| pilot.permits(now))
+        if is_over { None } else { self.pilot.as_mut()?.clear(now) }
     }
 
     /// Gives whether it is on its way.
-    pub(super) fn send_setpoint(&mut self, now: HostTime, setpoint: &Setpoint) -> bool {
+    pub(super) fn send_setpoint(&mut self, now: HostTime, setpoint: &Cleared) -> bool {
         let sent = self.session.send_setpoint(now, setpoint);
         let before = std::mem::replace(&mut self.setpoint_error, sent.err());
         // Said once, not at every tick.

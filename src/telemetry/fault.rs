@@ -29,6 +29,12 @@ pub enum TelemetryFault {
         /// Step beyond what the body rate explains.
         radians: f64,
     },
+    /// The state is told again and again as it was, in flight.
+    #[error("the state has been told unchanged for {seconds:.2} s")]
+    Frozen {
+        /// For how long.
+        seconds: f64,
+    },
     /// ODOMETRY.reset_counter changed.
     #[error("the vehicle reset its estimate")]
     EstimateReset,
@@ -50,6 +56,9 @@ impl TelemetryFault {
     /// Whether the estimate is no longer the one that control was relying on, rather than one
     /// message being of no use.
     pub fn is_jump(&self) -> bool {
-        !matches!(self, Self::NotFinite | Self::OutOfOrder | Self::Late { .. })
+        !matches!(
+            self,
+            Self::NotFinite | Self::OutOfOrder | Self::Late { .. } | Self::Frozen { .. }
+        )
     }
 }

@@ -4,12 +4,15 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use downwash::clock::HostTime;
+use downwash::control::Limits;
+use downwash::guard::{Answered, Cleared, Guard, Order, Proposal, Stance};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::counters::LinkState;
 use downwash::link::message::Received;
 use downwash::link::profile::{MessageRate, PD_VEHICLE};
 use downwash::link::request::Outcome;
 use downwash::link::session::{Event, Heard, Session, Settings};
+use downwash::setpoint::Setpoint;
 use wire::dialect::*;
 use wire::transport::Peer;
 use wire::{Decoder, Encoder};
@@ -27,6 +30,16 @@ pub fn settings() -> Settings {
         vehicle_has_attitude_pd: true,
         ..Settings::new(ThrustMap::linear(20.0).expect("valid"))
     }
+}
+
+/// A setpoint that may leave.
+pub fn cleared(now: HostTime, thrust_n: f64) -> Cleared {
+    let mut guard = Guard::new(Limits::default(), 20.0, now);
+    let setpoint = Setpoint { thrust_n, ..Setpoint::default() };
+    let sample = Answered { host: now, ..Answered::default() };
+    let order = Order { stance: Stance::Offer, is_obeyed: false };
+    guard.propose(now, &Proposal { setpoint, sample }, order).expect("permitted");
+    guard.clear(now, order).expect("permitted")
 }
 
 /// A vehicle that answers as PX4 does, in as far as the session asks.

@@ -243,7 +243,7 @@ impl Bench {
     /// One turn of the loop that `lockstep::fly` is.
     fn turn(&mut self, until_us: u64) {
         let (now, now_us) = (self.now(), self.now_us());
-        let Self { vehicle, station, downlink, setpoints_us, uplink, is_jammed, .. } = self;
+        let Self { vehicle, station, downlink, .. } = self;
         vehicle.take_output(|peer, frame| {
             if peer == STATION {
                 for datagram in downlink(now_us, frame) {
@@ -252,6 +252,14 @@ impl Bench {
             }
         });
         station.poll(now);
+        self.transmit();
+        self.station.take_records(|record| self.records.push(record));
+        self.advance(until_us);
+    }
+
+    fn transmit(&mut self) {
+        let (now, now_us) = (self.now(), self.now_us());
+        let Self { vehicle, station, setpoints_us, uplink, is_jammed, .. } = self;
         station.transmit(now, |_, frame| {
             if *is_jammed {
                 return false;
@@ -264,12 +272,34 @@ impl Bench {
             }
             true
         });
-        station.take_records(|record| self.records.push(record));
+    }
+
+    fn advance(&mut self, until_us: u64) {
         let clock = self.vehicle.clock();
         let due_us = self.booted_us + clock.host_us(self.vehicle.next_event_us());
-        self.simulated_us = due_us.min(until_us).min(now_us + 20_000);
+        self.simulated_us = due_us.min(until_us).min(self.simulated_us + 20_000);
         let vehicle_us = clock.vehicle_us(self.simulated_us - self.booted_us);
         self.vehicle.advance_to(vehicle_us);
+    }
+
+    /// The station's process stands still while the vehicle goes on, then reads one by one what lay
+    /// unread, and answers as it reads.
+    pub fn stall(&mut self, seconds: f64) {
+        let until_us = self.now_us() + (seconds * 1e6) as u64;
+        let mut unread = Vec::new();
+        while self.now_us() < until_us {
+            self.advance(until_us);
+            self.vehicle.take_output(|peer, frame| {
+                if peer == STATION {
+                    unread.push(frame.to_vec());
+                }
+            });
+        }
+        let now = self.now();
+        for frame in unread {
+            self.station.receive(now, VEHICLE, &frame, true);
+            self.transmit();
+        }
     }
 
     pub fn run(&mut self, seconds: f64) {

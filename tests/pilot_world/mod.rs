@@ -277,10 +277,12 @@ impl Flight {
                     continue;
                 }
                 if let Some(tick) = self.pilot.handle(&message) {
-                    if let Some(setpoint) = tick.setpoint {
-                        self.vehicle.send(setpoint);
+                    let cleared = self.pilot.clear(message.host);
+                    assert_eq!(cleared.as_ref().map(|it| *it.setpoint()), tick.setpoint);
+                    self.pilot.sent(cleared.is_some());
+                    if let Some(cleared) = cleared {
+                        self.vehicle.send(*cleared.setpoint());
                     }
-                    self.pilot.sent(tick.setpoint.is_some());
                     self.ticks.push(tick);
                 }
             }

@@ -158,3 +158,34 @@ def test_a_failsafe_during_a_pause_is_left_alone(flight):
     code, _, err = finish(daemon)
     assert code == 5 and "PX4 failsafe: Return; vehicle: Failsafe activated" in err, err
     assert not [command for command in vehicle.commands if command[0] in (176, 400)], vehicle.commands
+
+
+@bounds_time
+@pytest.mark.parametrize("stall_s", [0.07, 0.15])
+def test_what_lay_unread_during_a_short_stall_is_not_answered(flight, stall_s):
+    """Shorter than a pause after which the mode is doubted: the samples that lay in the socket look fresh."""
+    vehicle, daemon, _ = flight
+    times = []
+
+    def step(vehicle, _):
+        now = time.monotonic()
+        if not times and vehicle.armed and vehicle.position[2] < -0.5:
+            daemon.send_signal(signal.SIGSTOP)
+            times.append(now)
+        elif len(times) == 1 and now - times[0] >= stall_s:
+            # Those of the stall are all there is to read for a while.
+            vehicle.telemetry = False
+            times.append(now)
+            times.append(len(vehicle.setpoints))
+            daemon.send_signal(signal.SIGCONT)
+        elif len(times) == 3 and now - times[1] >= 0.2:
+            times.append(len(vehicle.setpoints))
+            vehicle.telemetry = True
+
+    vehicle.on_step = step
+    code, _, err = finish(daemon)
+    assert code == 0, err
+    assert "this process stood still for" in err, err
+    _, _, before, after = times
+    assert after == before, f"{after - before} answers to what lay unread"
+    assert len(vehicle.setpoints) > after + 20, "and the flight goes on"

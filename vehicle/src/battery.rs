@@ -104,6 +104,11 @@ impl Battery {
         self.voltage = voltage;
     }
 
+    /// The pack is down to this charge, 0..1, at once; it never rises by that.
+    pub fn drain(&mut self, charge: f64) {
+        self.charge = self.charge.min(charge.max(0.0));
+    }
+
     /// Draws `power` (W) for `duration` (s).
     pub fn advance(&mut self, power: f64, duration: f64) {
         (self.voltage, self.current) = match self.held {

@@ -295,6 +295,11 @@ impl Plant {
         self.apply_voltage();
     }
 
+    /// The pack is down to this charge, 0..1, at once.
+    pub fn drain(&mut self, charge: f64) {
+        self.battery.drain(charge);
+    }
+
     /// u_i: the outputs of the last step, as clipped.
     pub fn outputs(&self) -> [f64; ROTORS] {
         self.outputs

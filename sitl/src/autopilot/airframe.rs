@@ -55,6 +55,10 @@ impl Airframe {
         self.plant.disturb(foreign, seed);
     }
 
+    pub(super) fn drain(&mut self, charge: f64) {
+        self.plant.drain(charge);
+    }
+
     pub(super) fn airborne(&self) -> bool {
         self.airborne
     }

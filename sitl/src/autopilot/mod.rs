@@ -180,6 +180,11 @@ impl Vehicle {
         self.airframe.disturb(foreign, seed);
     }
 
+    /// The pack is down to this charge, 0..1, at once.
+    pub fn drain(&mut self, charge: f64) {
+        self.airframe.drain(charge);
+    }
+
     /// Begins to serve a peer: streams go to it before it says anything. A peer that is already
     /// served stays as it is; beyond [`protocol::PEERS_MAX`] peers a new one is not served.
     pub fn connect(&mut self, peer: Peer, kind: LinkKind) {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use anyhow::Context;
 use serde_json::Value;
 
-use super::rows::Line;
+use super::Line;
 
 /// Of a row, what is the same in each or names files.
 const LEFT_OUT: [&str; 4] = ["schema", "schema_version", "log", "report"];

@@ -1,79 +1,69 @@
-//! The rows of a sweep in its folder: one file a shard, which only grows by whole lines, so that any
-//! worker may die at any time.
+//! The rows of many flights in a folder: one file a shard, which only grows by whole lines, so that
+//! any worker may die at any time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, OpenOptions};
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
-use super::manifest::Manifest;
 use crate::cli::Shard;
 
 /// A row as it lies in a shard's file.
-#[derive(Debug, JsonSchema, Deserialize, Serialize)]
-pub struct Line {
-    /// The point's number.
-    pub index: usize,
-    /// What varies, by its path.
-    pub inputs: BTreeMap<String, Value>,
-    /// Why it could not be flown.
-    pub failure: Option<String>,
-    /// The row of `simulate`.
-    pub row: Option<Value>,
+pub trait Numbered: Serialize + DeserializeOwned {
+    /// Its number among all rows.
+    fn number(&self) -> usize;
 }
 
-/// What the folder is of: sweep.json.
-#[derive(Debug, JsonSchema, Deserialize, PartialEq, Serialize)]
-struct Header {
-    schema: String,
-    schema_version: u32,
-    version: String,
-    manifest_sha256: String,
-    points: usize,
+/// What a folder is of.
+#[derive(Debug, Deserialize, PartialEq, Serialize)]
+pub struct Header {
+    pub schema: String,
+    pub schema_version: u32,
+    pub version: String,
+    /// Of all that the rows follow from.
+    pub manifest_sha256: String,
+    pub points: usize,
 }
 
-/// A sweep's folder.
-pub struct Folder {
+/// A folder of rows.
+pub struct Folder<L> {
     path: PathBuf,
+    rows: PhantomData<L>,
 }
 
-impl Folder {
-    /// Opens or makes the folder of a manifest's sweep.
-    pub fn open(path: &Path, manifest: &Manifest) -> anyhow::Result<Self> {
+impl<L: Numbered> Folder<L> {
+    /// Opens or makes the folder; `file` says in it what the rows are of.
+    pub fn open(path: &Path, file: &str, header: &Header) -> anyhow::Result<Self> {
         fs::create_dir_all(path)
             .with_context(|| format!("cannot create the folder {}", path.display()))?;
-        let header = Header {
-            schema: "downwash.sweep".to_owned(),
-            schema_version: 1,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            manifest_sha256: manifest.sha256.clone(),
-            points: manifest.points,
-        };
-        let file = path.join("sweep.json");
+        let file = path.join(file);
         if !file.exists() {
-            let text = serde_json::to_string_pretty(&header).context("the header")? + "\n";
+            let text = serde_json::to_string_pretty(header).context("the header")? + "\n";
             Self::replace(&file, text.as_bytes())?;
         }
         let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
         let found: Header =
             serde_json::from_str(&text).with_context(|| file.display().to_string())?;
-        if found != header {
+        if found != *header {
             bail!(
-                "{} holds rows of another sweep: manifest {} by version {}, expected {} by {}; give \
-                 another --out",
+                "{} holds rows of another {}: {} points of {} by version {}, expected {} of {} by {}; \
+                 give another --out",
                 path.display(),
+                header.schema.trim_start_matches("downwash."),
+                found.points,
                 found.manifest_sha256,
                 found.version,
+                header.points,
                 header.manifest_sha256,
                 header.version
             );
         }
-        Ok(Self { path: path.to_owned() })
+        Ok(Self { path: path.to_owned(), rows: PhantomData })
     }
 
     /// Writes a file whole, whoever else does the same.
@@ -89,22 +79,22 @@ impl Folder {
     pub fn done(&self) -> anyhow::Result<BTreeSet<usize>> {
         let mut done = BTreeSet::new();
         self.read(|line| {
-            done.insert(line.index);
+            done.insert(line.number());
         })?;
         Ok(done)
     }
 
     /// Every row, in the order of the points.
-    pub fn rows(&self) -> anyhow::Result<BTreeMap<usize, Line>> {
+    pub fn rows(&self) -> anyhow::Result<BTreeMap<usize, L>> {
         let mut rows = BTreeMap::new();
         self.read(|line| {
-            rows.insert(line.index, line);
+            rows.insert(line.number(), line);
         })?;
         Ok(rows)
     }
 
     /// Shows every whole line; what a worker left that died in the middle of one is passed over.
-    fn read(&self, mut show: impl FnMut(Line)) -> anyhow::Result<()> {
+    fn read(&self, mut show: impl FnMut(L)) -> anyhow::Result<()> {
         let entries = fs::read_dir(&self.path).with_context(|| self.path.display().to_string())?;
         for entry in entries {
             let path = entry.with_context(|| self.path.display().to_string())?.path();
@@ -123,7 +113,7 @@ impl Folder {
     }
 
     /// Opens a shard's file to add rows to.
-    pub fn append(&self, shard: Shard) -> anyhow::Result<Rows> {
+    pub fn append(&self, shard: Shard) -> anyhow::Result<Rows<L>> {
         let path = self.path.join(format!("rows-{}-of-{}.jsonl", shard.index, shard.count));
         let open = || -> std::io::Result<File> {
             let mut file = OpenOptions::new().create(true).read(true).append(true).open(&path)?;
@@ -139,24 +129,20 @@ impl Folder {
             Ok(file)
         };
         let file = open().with_context(|| format!("cannot open {}", path.display()))?;
-        Ok(Rows { file, path })
-    }
-
-    /// Where the table is.
-    pub fn table(&self) -> PathBuf {
-        self.path.join("table.csv")
+        Ok(Rows { file, path, rows: PhantomData })
     }
 }
 
 /// A shard's file.
-pub struct Rows {
+pub struct Rows<L> {
     file: File,
     path: PathBuf,
+    rows: PhantomData<L>,
 }
 
-impl Rows {
+impl<L: Numbered> Rows<L> {
     /// Adds a row in one write.
-    pub fn add(&mut self, line: &Line) -> anyhow::Result<()> {
+    pub fn add(&mut self, line: &L) -> anyhow::Result<()> {
         let mut text = serde_json::to_vec(line).context("a row")?;
         text.push(b'\n');
         self.file.write_all(&text).with_context(|| format!("cannot write {}", self.path.display()))

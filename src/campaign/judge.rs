@@ -1,0 +1,357 @@
+//! The judge: what leaves the station, against what it was told, and what becomes of the vehicle.
+//!
+//! It knows the frames in both directions with their true times, the vehicle's true state, and the
+//! bounds that the operator was promised. It knows nothing of supervisor, telemetry or guard, and
+//! shares no code with them.
+
+use wire::dialect::*;
+
+use super::channel::{Origin, Passing};
+pub use super::rule::{Rule, Violation};
+use super::script::Script;
+use super::truth::Envelope;
+use super::word;
+use crate::supervisor::EngagePolicy;
+
+pub use super::truth::{Ending, Seen};
+
+/// The mode's word is believed for this long, s.
+const MODE_KNOWN_S: f64 = 2.5;
+/// After this silence the mode is not known, s.
+const SILENCE_S: f64 = 0.5;
+/// A process that stood still for longer than this answers nothing that lay unread, s.
+const STALL_S: f64 = 0.05;
+/// Setpoints go on for this long after landing was asked for, s.
+const HANDOVER_S: f64 = 2.0;
+/// Under the pilot's switch the stream begins anew after this time in another mode, s.
+const RELEASE_S: f64 = 1.0;
+/// What is late by more than this is not answered, s.
+const LATE_S: f64 = 0.2;
+/// Deadlines are looked at once in a while, s.
+const LOOK_S: f64 = 0.03;
+
+/// Bounds that were promised to the operator.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    /// Least and largest thrust field.
+    pub thrust: [f64; 2],
+    /// rad
+    pub tilt_rad: f64,
+    /// rad/s
+    pub body_rate_rad_s: f64,
+    /// Thrust field in a second.
+    pub thrust_change_per_s: f64,
+    /// rad/s^2
+    pub body_rate_change_rad_s2: f64,
+    /// The word of the mode in which setpoints are obeyed, and of the one that lands.
+    pub obeys: u32,
+    /// That of landing.
+    pub lands: u32,
+}
+
+/// A word of the mode, and of the motors.
+#[derive(Clone, Copy, Debug)]
+struct Mode {
+    word: u32,
+    said_us: u64,
+    heard_us: u64,
+}
+
+/// A state that was heard.
+#[derive(Clone, Copy, Debug)]
+struct State {
+    said_us: u64,
+    heard_us: u64,
+    due_us: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    at_us: u64,
+    thrust: f64,
+    body_rate: [f64; 3],
+}
+
+/// Judges one flight.
+pub struct Judge {
+    bounds: Bounds,
+    policy: EngagePolicy,
+    envelope: Envelope,
+    violations: Vec<Violation>,
+    mode: Option<Mode>,
+    /// Since when the newest word of the mode has been another one than OFFBOARD, as heard.
+    left_us: Option<u64>,
+    heard_us: Option<u64>,
+    /// When the last silence began.
+    silent_us: u64,
+    armed: Option<bool>,
+    /// Setpoints left while the vehicle said that it obeys.
+    flew: bool,
+    disarmed: bool,
+    land_us: Option<u64>,
+    states: Vec<State>,
+    quickest_us: u64,
+    answered_us: Option<u64>,
+    ran_us: u64,
+    woke_us: u64,
+    last: Option<Sent>,
+    /// Setpoints that left.
+    pub setpoints: u64,
+}
+
+impl Judge {
+    /// Before the flight of `script`; `path` is where the trajectory leads.
+    pub fn new(script: &Script, bounds: Bounds, path: &[[f64; 3]]) -> Self {
+        Self {
+            bounds,
+            policy: script.policy,
+            envelope: Envelope::new(script, path),
+            violations: Vec::new(),
+            mode: None,
+            left_us: None,
+            heard_us: None,
+            silent_us: 0,
+            armed: None,
+            flew: false,
+            disarmed: false,
+            land_us: None,
+            states: Vec::new(),
+            quickest_us: u64::MAX,
+            answered_us: None,
+            ran_us: 0,
+            woke_us: 0,
+            last: None,
+            setpoints: 0,
+        }
+    }
+
+    /// What did not hold, in the order of time.
+    pub fn violations(&self) -> &[Violation] {
+        &self.violations
+    }
+
+    fn violated(&mut self, rule: Rule, now_us: u64, what: impl Into<String>) {
+        if !self.violations.iter().any(|violation| violation.rule == rule) {
+            let at_s = now_us as f64 * 1e-6;
+            self.violations.push(Violation { rule, at_s, what: what.into() });
+        }
+    }
+
+    /// The station's process runs at `now_us`, whatever it does.
+    pub fn runs(&mut self, now_us: u64) {
+        if seconds(self.ran_us, now_us) > STALL_S {
+            self.woke_us = now_us;
+        }
+        self.ran_us = now_us;
+        self.states.retain(|state| state.due_us + 1_000_000 > now_us);
+    }
+
+    /// Another process of the station begins, which knows nothing.
+    pub fn restarted(&mut self, now_us: u64) {
+        (self.mode, self.left_us, self.heard_us, self.armed) = (None, None, None, None);
+        (self.flew, self.disarmed, self.land_us, self.last) = (false, false, None, None);
+        (self.silent_us, self.woke_us, self.ran_us) = (now_us, now_us, now_us);
+        self.states.clear();
+        self.answered_us = None;
+    }
+
+    /// The vehicle was started again: what its predecessor said holds no more.
+    pub fn rebooted(&mut self) {
+        self.mode = None;
+    }
+
+    /// The station is given a frame.
+    pub(super) fn heard(&mut self, now_us: u64, passing: &Passing) {
+        let Passing { due_us, said_us, origin, bytes } = passing;
+        let (frame, said_us) = (bytes.as_slice(), *said_us);
+        if word::is_state(frame) {
+            // One that others changed is a state too, and the pilot must take it for one.
+            self.states.push(State { said_us, heard_us: now_us, due_us: *due_us });
+            self.quickest_us = self.quickest_us.min(due_us.saturating_sub(said_us));
+        }
+        if *origin == Origin::Nobody {
+            return;
+        }
+        if *origin == Origin::Vehicle {
+            if self.heard_us.is_none_or(|heard| seconds(heard, now_us) > SILENCE_S + LOOK_S) {
+                self.silent_us = self.heard_us.unwrap_or(now_us);
+            }
+            self.heard_us = Some(now_us);
+        }
+        let Some((word, armed)) = word::told(frame) else { return };
+        if self.mode.is_some_and(|mode| {
+            mode.said_us >= said_us && *origin == Origin::Copy || mode.said_us > said_us
+        }) {
+            return;
+        }
+        self.mode = Some(Mode { word, said_us, heard_us: now_us });
+        self.left_us = if word == self.bounds.obeys { None } else { self.left_us.or(Some(now_us)) };
+        if let Some(armed) = armed {
+            self.disarmed |= self.flew && self.armed == Some(true) && !armed;
+            self.armed = Some(armed);
+        }
+    }
+
+    /// The station says something.
+    pub fn said(&mut self, now_us: u64, frame: &[u8]) {
+        match word::id(frame) {
+            Some(word::SET_ATTITUDE_TARGET) => {}
+            Some(word::COMMAND_LONG) => return self.commanded(now_us, frame),
+            _ => return,
+        }
+        let Some(MavMessage::SET_ATTITUDE_TARGET(target)) = word::message(frame) else { return };
+        self.setpoints += 1;
+        self.check_limits(now_us, &target);
+        self.check_fresh(now_us);
+        self.check_mode(now_us);
+    }
+
+    fn check_limits(&mut self, now_us: u64, target: &SET_ATTITUDE_TARGET_DATA) {
+        let bounds = self.bounds;
+        let q = target.q.map(f64::from);
+        let body_rate = [target.body_roll_rate, target.body_pitch_rate, target.body_yaw_rate];
+        let body_rate = body_rate.map(f64::from);
+        let thrust = f64::from(target.thrust);
+        let norm: f64 = q.iter().map(|c| c * c).sum();
+        // The third column's last entry of the rotation that q is.
+        let tilt_rad =
+            (q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3]).clamp(-1.0, 1.0).acos();
+        let is_within = (norm - 1.0).abs() < 1e-4
+            && tilt_rad <= bounds.tilt_rad + 1e-3
+            && body_rate.iter().all(|rate| rate.abs() <= bounds.body_rate_rad_s + 1e-4)
+            && (bounds.thrust[0] - 1e-4..=bounds.thrust[1] + 1e-4).contains(&thrust)
+            && target.target_system == sitl::autopilot::SYSTEM_ID;
+        if !is_within {
+            self.violated(Rule::Limits, now_us, format!("{target:?}"));
+        }
+        if let Some(last) = self.last.filter(|last| seconds(last.at_us, now_us) < 0.49) {
+            let dt_s = seconds(last.at_us, now_us).max(0.005);
+            let is_slow = (thrust - last.thrust).abs() <= bounds.thrust_change_per_s * dt_s + 1e-4
+                && body_rate.iter().zip(last.body_rate).all(|(rate, was)| {
+                    (rate - was).abs() <= bounds.body_rate_change_rad_s2 * dt_s + 1e-3
+                });
+            if !is_slow {
+                let what = format!("{last:?}, then thrust {thrust}, rates {body_rate:?}");
+                self.violated(Rule::Changes, now_us, what);
+            }
+        }
+        self.last = Some(Sent { at_us: now_us, thrust, body_rate });
+    }
+
+    /// Answers to states: the newest that was heard in this instant, and no other.
+    fn check_fresh(&mut self, now_us: u64) {
+        let now = self.states.iter().filter(|state| state.heard_us == now_us);
+        let newest = now.max_by_key(|state| (state.due_us, state.said_us)).copied();
+        self.states.clear();
+        let Some(state) = newest else {
+            return self.violated(Rule::Fresh, now_us, "it answers no state that came just now");
+        };
+        // Delays that the link always had are not to be told without a clock in common.
+        let base_s = self.quickest_us as f64 * 1e-6;
+        let age_s = seconds(state.said_us, now_us);
+        if age_s > LATE_S + LOOK_S + STALL_S + 3.0 * base_s {
+            let what = format!("the newest state is {age_s:.3} s old, the quickest {base_s:.3} s");
+            self.violated(Rule::Fresh, now_us, what);
+        }
+        let early_s = seconds(state.due_us, self.woke_us);
+        if early_s > 0.015 {
+            let what = format!("the newest state came {early_s:.3} s before the stall's end");
+            self.violated(Rule::Stalled, now_us, what);
+        }
+        self.answered_us = Some(now_us);
+    }
+
+    fn check_mode(&mut self, now_us: u64) {
+        self.notice_release(now_us);
+        if self.disarmed && self.policy == EngagePolicy::Command {
+            self.violated(Rule::AfterDisarming, now_us, "the vehicle told that its motors stopped");
+        }
+        if let Some(land_us) = self.land_us
+            && seconds(land_us, now_us) > HANDOVER_S + LOOK_S
+        {
+            let what = format!("{:.2} s after landing was asked for", seconds(land_us, now_us));
+            self.violated(Rule::AfterLanding, now_us, what);
+        }
+        let Some(mode) = self.mode else {
+            if self.flew {
+                self.violated(Rule::OldMode, now_us, "another vehicle answers");
+            }
+            return;
+        };
+        if mode.word == self.bounds.obeys {
+            self.flew = true;
+            let known_s = seconds(mode.heard_us, now_us);
+            if known_s > MODE_KNOWN_S + LOOK_S {
+                let what = format!("the mode was told {known_s:.2} s ago");
+                self.violated(Rule::OldMode, now_us, what);
+            }
+            if mode.said_us < self.silent_us {
+                let what = "the mode was told before the link fell silent, and not since";
+                self.violated(Rule::OldMode, now_us, what);
+            }
+        } else if self.flew {
+            let left_s = self.left_us.map_or(0.0, |left| seconds(left, now_us));
+            let what = format!("{left_s:.3} s after the vehicle told mode {:#x}", mode.word);
+            self.violated(Rule::AgainstThePilot, now_us, what);
+        }
+    }
+
+    /// Under the pilot's switch another flight may begin once the vehicle was in another mode for a
+    /// while: what leaves then is an offer.
+    fn notice_release(&mut self, now_us: u64) {
+        let is_released =
+            self.left_us.is_some_and(|left| seconds(left, now_us) >= RELEASE_S - LOOK_S);
+        if self.policy == EngagePolicy::PilotSwitch && is_released {
+            (self.flew, self.disarmed, self.land_us) = (false, false, None);
+        }
+    }
+
+    fn commanded(&mut self, now_us: u64, frame: &[u8]) {
+        let Some(MavMessage::COMMAND_LONG(data)) = word::message(frame) else { return };
+        let sets_mode = data.command == MavCmd::MAV_CMD_DO_SET_MODE;
+        // Disarming is refused in the air by the vehicle itself.
+        let arms = data.command == MavCmd::MAV_CMD_COMPONENT_ARM_DISARM && data.param1 != 0.0;
+        if !sets_mode && !arms {
+            return;
+        }
+        let is_landing = sets_mode && {
+            let [main, sub] = [data.param2 as u32, data.param3 as u32];
+            main << 16 | sub << 24 == self.bounds.lands || main == self.bounds.lands
+        };
+        if is_landing && self.flew {
+            self.land_us = self.land_us.or(Some(now_us));
+        }
+        let led = self.mode.filter(|mode| {
+            self.flew && mode.word != self.bounds.obeys && mode.word != self.bounds.lands
+        });
+        if let Some(mode) = led.filter(|_| self.policy == EngagePolicy::Command) {
+            let what = format!("{:?} while the vehicle told mode {:#x}", data.command, mode.word);
+            self.violated(Rule::Commands, now_us, what);
+        }
+    }
+
+    /// The vehicle as it truly is.
+    pub fn sees(&mut self, seen: &Seen) {
+        let is_streaming = self.answered_us.is_some_and(|at| seconds(at, seen.now_us) < 0.3);
+        if let Some((rule, what)) = self.envelope.sees(seen, is_streaming) {
+            self.violated(rule, seen.now_us, what);
+        }
+    }
+
+    /// The flight's end as it truly is; `None` where it had none.
+    pub fn ends(&mut self, now_us: u64, ending: Option<Ending>) {
+        match ending {
+            None => self.violated(Rule::Ends, now_us, "the station never came to an end"),
+            Some(Ending::Adrift) => {
+                let what = "it flies on in the mode in which it obeys, and nobody leads it";
+                self.violated(Rule::GoodEnd, now_us, what);
+            }
+            Some(_) => {}
+        }
+    }
+}
+
+/// From one time to a later one, s; negative where it is earlier.
+fn seconds(from_us: u64, to_us: u64) -> f64 {
+    (to_us as f64 - from_us as f64) * 1e-6
+}

@@ -1,0 +1,15 @@
+//! Flights under drawn faults, and a judge that knows nothing of the pilot but what it says on the
+//! wire and what becomes of the vehicle.
+
+pub mod bench;
+mod channel;
+pub mod coverage;
+pub mod draw;
+pub mod judge;
+pub mod planner;
+mod rule;
+pub mod script;
+pub mod shrink;
+mod tamper;
+mod truth;
+mod word;

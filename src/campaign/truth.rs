@@ -1,0 +1,111 @@
+//! What becomes of the vehicle: where it may be while the daemon flies it, and how flights end.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::rule::Rule;
+use super::script::{Fault, PilotAct, Script};
+
+/// From the trajectory's box, m.
+const MARGIN_M: f64 = 3.0;
+/// The fence, m.
+const FENCE_M: f64 = 30.0;
+/// rad
+const TILT_MAX_RAD: f64 = 1.2;
+/// m/s
+const SPEED_MAX_M_S: f64 = 6.0;
+/// A rotor that lost more than this cannot be flown with three others.
+const FLYABLE_LOSS: f64 = 0.35;
+/// A vehicle that cannot be flown is let go within this, s: the tilt's time, and the hand-over.
+const LET_GO_S: f64 = 4.0;
+
+/// The vehicle's true state.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    /// Simulated time, us.
+    pub now_us: u64,
+    /// North, east, down, m.
+    pub position: [f64; 3],
+    /// m/s
+    pub speed: f64,
+    /// rad
+    pub tilt_rad: f64,
+    /// Whether its motors are armed.
+    pub is_armed: bool,
+    /// Whether it is in the mode in which it obeys setpoints.
+    pub obeys: bool,
+}
+
+/// Who has the vehicle at the end.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Ending {
+    /// Nobody: the motors are off.
+    Landed,
+    /// It holds its place.
+    Holding,
+    /// The pilot.
+    Pilot,
+    /// Its own failsafe, or its own landing.
+    Failsafe,
+    /// It obeys setpoints, and there are none.
+    Adrift,
+}
+
+/// Where the vehicle may be.
+pub(super) struct Envelope {
+    low: [f64; 3],
+    high: [f64; 3],
+    is_possible: bool,
+    lost_us: Option<u64>,
+}
+
+impl Envelope {
+    pub fn new(script: &Script, path: &[[f64; 3]]) -> Self {
+        let (mut low, mut high) = ([0.0; 3], [0.0; 3]);
+        // A planner that lies leads anywhere within the fence.
+        let lies = |fault: &Fault| matches!(fault, Fault::PlannerLies { .. });
+        let is_led_astray = script.faults.iter().any(|timed| lies(&timed.fault));
+        let margin_m = if is_led_astray { FENCE_M + MARGIN_M } else { MARGIN_M };
+        for point in path {
+            for axis in 0..3 {
+                low[axis] = f64::min(low[axis], point[axis] - margin_m);
+                high[axis] = f64::max(high[axis], point[axis] + margin_m);
+            }
+        }
+        // What no controller can do anything about.
+        let breaks = |fault: &Fault| match fault {
+            Fault::Rotor { loss, .. } => *loss > FLYABLE_LOSS,
+            Fault::Injected { .. } | Fault::Reboot => true,
+            Fault::Pilot { act } => *act == PilotAct::Kill,
+            _ => false,
+        };
+        let is_possible = !script.faults.iter().any(|timed| breaks(&timed.fault));
+        Self { low, high, is_possible, lost_us: None }
+    }
+
+    /// What is wrong, while the vehicle obeys and somebody streams.
+    pub fn sees(&mut self, seen: &Seen, is_streaming: bool) -> Option<(Rule, String)> {
+        if !(seen.is_armed && seen.obeys && is_streaming) {
+            self.lost_us = None;
+            return None;
+        }
+        let is_near =
+            (0..3).all(|axis| (self.low[axis]..=self.high[axis]).contains(&seen.position[axis]));
+        let is_well = is_near && seen.tilt_rad <= TILT_MAX_RAD && seen.speed <= SPEED_MAX_M_S;
+        let what = format!("{seen:?}");
+        if self.is_possible {
+            return (!is_well).then_some((Rule::Envelope, what));
+        }
+        // Where it is, or how fast, is not the daemon's doing; that it fell over must be seen.
+        if seen.tilt_rad <= TILT_MAX_RAD {
+            self.lost_us = None;
+            return None;
+        }
+        let lost_us = *self.lost_us.get_or_insert(seen.now_us);
+        let for_s = seen.now_us.saturating_sub(lost_us) as f64 * 1e-6;
+        (for_s > LET_GO_S).then_some((Rule::LetGo, what))
+    }
+}

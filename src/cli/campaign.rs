@@ -1,0 +1,38 @@
+//! Flags of a campaign.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::Shard;
+
+/// Flags of `campaign`.
+#[derive(Debug, Args)]
+pub struct CampaignArgs {
+    /// Flights of the whole campaign.
+    #[arg(long, value_name = "COUNT", default_value_t = 300)]
+    pub flights: usize,
+    /// Seed that every flight is drawn from.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Flies only every N-th flight, from the I-th: one of N workers on one folder.
+    #[arg(long, value_name = "I/N", default_value = "1/1")]
+    pub shard: Shard,
+    /// Folder for the rows and the scripts of flights that failed; made if missing. Flights that
+    /// are there are not flown again.
+    #[arg(long, value_name = "DIR", default_value = "campaign-out")]
+    pub out: PathBuf,
+    /// Flights at once [default: one for each core]. The rows do not depend on it.
+    #[arg(long, value_name = "COUNT")]
+    pub jobs: Option<NonZeroUsize>,
+    /// Instead: flies this fault script, JSON or TOML.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["flights", "seed", "shard", "jobs", "draw"])]
+    pub script: Option<PathBuf>,
+    /// Instead: prints the fault script of this flight, and flies nothing.
+    #[arg(long, value_name = "NUMBER")]
+    pub draw: Option<u64>,
+    /// Prints the summary, or the script's flight, as JSON.
+    #[arg(long)]
+    pub json: bool,
+}

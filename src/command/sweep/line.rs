@@ -1,0 +1,28 @@
+//! A point's row as it lies in its shard's file.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::command::rows::Numbered;
+
+/// A row as it lies in a shard's file.
+#[derive(Debug, JsonSchema, Deserialize, Serialize)]
+pub struct Line {
+    /// The point's number.
+    pub index: usize,
+    /// What varies, by its path.
+    pub inputs: BTreeMap<String, Value>,
+    /// Why it could not be flown.
+    pub failure: Option<String>,
+    /// The row of `simulate`.
+    pub row: Option<Value>,
+}
+
+impl Numbered for Line {
+    fn number(&self) -> usize {
+        self.index
+    }
+}
