@@ -60,7 +60,7 @@ fn viewers_get_the_bytes_of_the_log_and_only_what_they_asked_for() {
     let topics = ["/state", "/control", "/imu", "/vehicle/pose", "/log"];
     let mut viewer = Viewer::ready(view.address(), "/status");
     viewer.subscribe(&topics);
-    let flight = records(2.0);
+    let flight = records(1.5);
     hear_all(&mut feed, &flight);
     feed.hear(&event("that is all"));
     let mut seen = until(&mut viewer, "that is all");
@@ -77,7 +77,7 @@ fn viewers_get_the_bytes_of_the_log_and_only_what_they_asked_for() {
         }
     }
     std::fs::remove_dir_all(&folder).expect("removed");
-    assert!(logged.len() > 900);
+    assert!(logged.len() > 700);
     let differs = seen.iter().zip(&logged).position(|(seen, logged)| seen != logged);
     let differs = differs.map(|at| (at, &seen[at], &logged[at]));
     assert_eq!((differs, seen.len()), (None, logged.len()));
@@ -173,7 +173,7 @@ fn a_viewer_that_stalls_loses_messages_and_holds_nobody_up() {
     }
     let seen = until(&mut stalled, "turn 299 ends");
     assert!(seen.len() < fed / 2, "{} of {fed}", seen.len());
-    assert!(seen.len() > 1000, "{}", seen.len());
+    assert!(seen.len() > 500, "{}", seen.len());
 }
 
 /// A million bytes that mean nothing (xorshift64).

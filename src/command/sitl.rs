@@ -62,7 +62,7 @@ impl Watched {
             LiveView::start(settings, &rotors, CoursePath::default()).or_exit(Exit::Usage)?;
         say_address(view.address());
         let clock = HostClock::start();
-        Ok(Self { _view: view, feed, clock, next: HostTime::default() })
+        Ok(Self { _view: view, feed: feed.alone(), clock, next: HostTime::default() })
     }
 
     fn see(&mut self, vehicle: &Vehicle) {

@@ -72,7 +72,8 @@ pub struct LiveFeed {
     trail_due: HostTime,
     time_due: HostTime,
     events: VecDeque<Record>,
-    has_ticks: bool,
+    /// The vehicle is seen by itself: where it is, its simulator says.
+    is_alone: bool,
 }
 
 impl LiveView {
@@ -105,7 +106,7 @@ impl LiveView {
             trail_due: HostTime::default(),
             time_due: HostTime::default(),
             events: VecDeque::new(),
-            has_ticks: false,
+            is_alone: false,
         };
         Ok((Self { server, status }, feed))
     }
@@ -173,7 +174,7 @@ impl Listener for LiveFeed {
         }
         match record {
             Record::Tick(tick) => self.follow(tick),
-            Record::Truth { stamp, truth } if !self.has_ticks => {
+            Record::Truth { stamp, truth } if self.is_alone => {
                 self.trail.add(stamp.host, truth.state.position);
             }
             Record::Event { .. } => {
@@ -196,8 +197,7 @@ impl Listener for LiveFeed {
         let _ = encoder.encode(record, &mut ToViewers { channels, body, only: None });
         match record {
             Record::Tick(tick) => self.draw(tick.stamp.host),
-            // The simulated vehicle alone.
-            Record::Truth { stamp, truth } if !self.has_ticks => {
+            Record::Truth { stamp, truth } if self.is_alone => {
                 let times = Times { log: stamp.host, publish: stamp.sampled };
                 let mut out = ToViewers { channels, body, only: None };
                 let _ = encoder.encode_pose(times, &truth.state, &mut out);
@@ -209,8 +209,13 @@ impl Listener for LiveFeed {
 }
 
 impl LiveFeed {
+    /// The same for a simulated vehicle by itself, without a controller's ticks: its true state
+    /// takes their place.
+    pub fn alone(self) -> Self {
+        Self { is_alone: true, ..self }
+    }
+
     fn follow(&mut self, tick: &Tick) {
-        self.has_ticks = true;
         self.trail.add(tick.stamp.host, tick.state.position);
         if self.origin.is_none()
             && let (Some(time), Some(desired)) = (tick.trajectory_time, tick.desired)

@@ -6,10 +6,12 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt, copy_bidirectional};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
 use tokio::sync::Semaphore;
 use tokio::time::{sleep, timeout};
+
+use super::relay::relay;
 
 /// The page, whole: it asks nobody for anything else.
 const PAGE: &str = include_str!("page.html");
@@ -68,7 +70,7 @@ async fn answer(mut stream: TcpStream, inner: SocketAddr) -> io::Result<()> {
             let mut server = socket.connect(inner).await?;
             server.set_nodelay(true)?;
             server.write_all(&head).await?;
-            copy_bidirectional(&mut stream, &mut server).await.map(drop)
+            relay(stream, server).await
         }
         Some(Request::Page) => respond(&mut stream, "200 OK", "text/html", PAGE).await,
         Some(Request::Other) => {

@@ -9,6 +9,7 @@ mod feed;
 mod front;
 mod playback;
 mod recording;
+mod relay;
 mod server;
 mod trail;
 

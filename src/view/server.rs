@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 use foxglove::websocket::{
     AnyClient, Capability, ChannelView, Client, GetParametersResponder, Parameter,
@@ -21,6 +22,11 @@ use crate::log::encoder::Definition;
 
 /// Messages that wait for one viewer; the oldest are dropped. Half a second of a busy flight.
 const BACKLOG: usize = 1024;
+
+/// Subscriptions that are remembered until they are looked at.
+const NEWCOMERS_MAX: usize = 4096;
+/// Time for viewers to get the end of it.
+const LAST_WORDS: Duration = Duration::from_millis(100);
 
 /// Why a view cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -121,7 +127,8 @@ impl Server {
                     if started.send(Ok((at, handle))).is_ok() {
                         tokio::select! {
                             () = front::serve(listener, inner) => {}
-                            _ = stopped => {}
+                            // What was said last is still on its way.
+                            _ = stopped => tokio::time::sleep(LAST_WORDS).await,
                         }
                     }
                 }
@@ -242,7 +249,11 @@ impl ParameterHandler for Shared {
 impl ServerListener for Shared {
     fn on_subscribe(&self, client: Client, channel: ChannelView<'_>) {
         let Some(sink) = client.sink_id() else { return };
-        lock(&self.newcomers).push((sink, channel.topic().to_owned()));
+        let mut newcomers = lock(&self.newcomers);
+        // Nobody takes them while nothing is heard of the vehicle.
+        if newcomers.len() < NEWCOMERS_MAX {
+            newcomers.push((sink, channel.topic().to_owned()));
+        }
         self.has_newcomers.store(true, Ordering::Release);
     }
 
