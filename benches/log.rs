@@ -34,7 +34,7 @@ fn log(c: &mut Criterion) {
 
     // The hand-over alone: fewer records than the queue holds, drained between the iterations.
     let tick = second.iter().find(|r| matches!(r, Record::Tick(_))).expect("a tick").clone();
-    let mut sink = LogSink::threaded(create()).expect("a thread");
+    let mut sink = LogSink::threaded(create(), Vec::new()).expect("a thread");
     group.throughput(Throughput::Elements(100));
     group.bench_function("hand_over_100_ticks", |b| {
         b.iter_batched(

@@ -5,10 +5,12 @@ mod demo;
 mod flight;
 mod log;
 mod model;
+mod replay;
 mod schema;
 mod simulate;
 mod sweep;
 mod vehicle;
+mod view;
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -22,10 +24,12 @@ pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+pub use self::replay::ReplayArgs;
 pub use self::schema::SchemaArgs;
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
+pub use self::view::{ForwardArgs, VIEW_ADDRESS, ViewArgs};
 use crate::control::{LAWS, Law};
 use crate::exam::case::Kind;
 
@@ -84,13 +88,15 @@ pub enum Command {
     /// Shows the messages on a link, with rate, size, age and last value.
     Inspect(ListenArgs),
     /// Runs the bundled vehicle on MAVLink links.
-    Sitl(sitl::cli::SitlArgs),
+    Sitl(SitlArgs),
     /// Makes, checks and lists vehicle files.
     #[command(subcommand)]
     Vehicle(VehicleCommand),
     /// Reads flight logs.
     #[command(subcommand)]
     Log(LogCommand),
+    /// Plays a flight log to a browser or to Foxglove, with pause, speed and seeking.
+    Replay(ReplayArgs),
     /// Learns a vehicle's dynamics from flight logs: networks, physics, and their hybrid.
     Train(TrainArgs),
     /// Looks at, judges, runs and exports a learned model.
@@ -106,6 +112,17 @@ pub enum Command {
     Config(ConfigArgs),
     /// JSON Schemas of what the commands print with --json.
     Schema(SchemaArgs),
+}
+
+/// Flags of `sitl`.
+#[derive(Clone, Debug, Args)]
+pub struct SitlArgs {
+    /// The vehicle.
+    #[command(flatten)]
+    pub vehicle: sitl::cli::SitlArgs,
+    /// The live view.
+    #[command(flatten)]
+    pub view: ViewArgs,
 }
 
 /// Flags of `diagnose`.

@@ -10,6 +10,7 @@ use sd_notify::NotifyState;
 use tokio::time::timeout_at;
 
 use crate::clock::HostTime;
+use crate::forward::Guests;
 use crate::guard::STALL;
 use crate::link::connection::{Connection, Input};
 use crate::link::tee::TeeThread;
@@ -98,6 +99,16 @@ pub struct Finished {
     pub tlog: Option<io::Result<u64>>,
 }
 
+/// What hangs off the control thread to the side.
+pub struct Outlets {
+    /// Takes every byte of the link.
+    pub tee: Option<TeeThread>,
+    /// Takes every record.
+    pub sink: LogSink,
+    /// What others may say to the vehicle.
+    pub guests: Option<Guests>,
+}
+
 /// Starts the control thread. It ends when the station's flight has ended and nothing more is to be
 /// recorded of it, or after [`Running::stop`].
 ///
@@ -107,15 +118,15 @@ pub fn start(
     mut station: Station,
     clock: HostClock,
     connection: Connection,
-    tee: Option<TeeThread>,
-    sink: LogSink,
+    outlets: Outlets,
 ) -> io::Result<Running> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let shared = Arc::new(Shared::default());
     let seen = Arc::clone(&shared);
     let thread = thread::Builder::new().name("control".into()).spawn(move || {
-        let mut control =
-            Control { clock, connection, tee, sink, shared: &seen, open_failure: String::new() };
+        let Outlets { tee, sink, guests } = outlets;
+        let (shared, open_failure) = (&*seen, String::new());
+        let mut control = Control { clock, connection, tee, sink, guests, shared, open_failure };
         let end = runtime.block_on(control.run(&mut station));
         let log = control.sink.finish();
         let tlog = control.tee.map(TeeThread::finish);
@@ -155,6 +166,7 @@ struct Control<'a> {
     connection: Connection,
     tee: Option<TeeThread>,
     sink: LogSink,
+    guests: Option<Guests>,
     shared: &'a Shared,
     /// Why the endpoint did not open, as last told.
     open_failure: String,
@@ -185,6 +197,9 @@ impl Control<'_> {
             turn = now;
             if now >= deadline {
                 station.poll(now);
+            }
+            if let Some(guests) = &self.guests {
+                guests.take().for_each(|frame| station.pass_on(&frame));
             }
             self.send(station, now);
             station.take_records(|record| self.sink.log(record));

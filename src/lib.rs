@@ -26,7 +26,9 @@ pub mod telemetry;
 pub mod vehicle_init;
 
 pub mod daemon;
+pub mod forward;
 pub mod lockstep;
+pub mod view;
 
 pub mod cli;
 pub mod command;

@@ -81,7 +81,8 @@ pub fn fly(
     }
 }
 
-fn truth(vehicle: &Vehicle, now: HostTime) -> Record {
+/// The true state of the vehicle, as it is at the host time `now`.
+pub fn truth(vehicle: &Vehicle, now: HostTime) -> Record {
     let plant = vehicle.plant();
     Record::Truth {
         stamp: Stamp::new(now, VehicleTime::from_us(vehicle.now_us()), now),

@@ -235,6 +235,11 @@ impl Station {
         }
     }
 
+    /// Passes a frame of another ground station on to the vehicle.
+    pub fn pass_on(&mut self, frame: &[u8]) {
+        self.session.pass_on(frame);
+    }
+
     /// Does what is due by the clock. Never makes a setpoint.
     pub fn poll(&mut self, now: HostTime) {
         self.session.poll(now);

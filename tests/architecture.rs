@@ -67,16 +67,21 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
             ],
         ),
         ("lockstep", &["clock", "link", "log", "station"]),
-        ("daemon", &["clock", "guard", "link", "log", "station", "supervisor"]),
+        ("daemon", &["clock", "forward", "guard", "link", "log", "station", "supervisor"]),
+        ("forward", &["log"]),
+        ("view", &["clock", "log", "station"]),
         ("config", &["control", "link", "log", "pilot", "plan", "supervisor", "telemetry"]),
     ])
 }
 
 /// Only here may the asynchronous runtime be named.
-const TOKIO: [&str; 6] = [
+const TOKIO: [&str; 9] = [
     "src/link/connection.rs",
     "src/daemon.rs",
     "src/main.rs",
+    "src/view/front.rs",
+    "src/view/relay.rs",
+    "src/view/server.rs",
     "src/command/",
     "sitl/src/server.rs",
     "sitl/src/cli.rs",

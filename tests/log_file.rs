@@ -186,7 +186,7 @@ fn threaded_sink_writes_what_the_direct_one_writes() {
     let direct = fs::read(write(&directory("direct"), &records)).unwrap();
     let writer =
         LogWriter::create(&directory("threaded"), &run_info(), START, Instant::now()).unwrap();
-    let mut sink = LogSink::threaded(writer).unwrap();
+    let mut sink = LogSink::threaded(writer, Vec::new()).unwrap();
     records.iter().for_each(|r| sink.log(r.clone()));
     let summary = sink.finish().unwrap().unwrap();
     assert_eq!(summary.dropped, 0);

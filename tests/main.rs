@@ -9,6 +9,7 @@ mod log_flight;
 mod onboard_log;
 mod pilot_world;
 mod planning;
+mod viewer;
 
 mod architecture;
 mod audit;
@@ -60,3 +61,5 @@ mod plan_subproblem;
 mod receding;
 mod report_flight;
 mod telemetry;
+mod view;
+mod view_playback;

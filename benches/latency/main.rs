@@ -7,6 +7,7 @@
 
 mod processes;
 mod vehicle;
+mod viewer;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -22,6 +23,7 @@ cargo bench --bench latency -- [OPTIONS]
     --seconds S     length of the measurement [60]
     --pin CORE      the core for all processes [the last]
     --no-pin        leave them to the scheduler
+    --view          serve the live view, to one client on any core that takes all topics
     --daemon PATH   the downwash to measure [the one that was just built]
     --json          one line of JSON";
 
@@ -38,6 +40,7 @@ struct Options {
     rate_hz: f64,
     pin: Option<usize>,
     daemon: PathBuf,
+    is_viewed: bool,
     json: bool,
 }
 
@@ -48,6 +51,7 @@ fn options() -> Options {
         rate_hz: 100.0,
         pin: Some(last),
         daemon: env!("CARGO_BIN_EXE_downwash").into(),
+        is_viewed: false,
         json: false,
     };
     let mut args = std::env::args().skip(1);
@@ -67,6 +71,7 @@ fn options() -> Options {
             "--pin" => options.pin = Some(number() as usize),
             "--no-pin" => options.pin = None,
             "--daemon" => options.daemon = args.next().unwrap_or_default().into(),
+            "--view" => options.is_viewed = true,
             "--json" => options.json = true,
             "--bench" => {} // cargo adds it
             "--help" | "-h" => {
@@ -238,7 +243,7 @@ fn main() {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("latency");
     std::fs::create_dir_all(&folder).expect("a folder");
     let echo = Process::echo(&folder);
-    let daemon = Process::daemon(&options.daemon, &folder, options.rate_hz);
+    let daemon = Process::daemon(&options.daemon, &folder, options.rate_hz, options.is_viewed);
     let mut vehicle = Vehicle::new(daemon.port);
     let period = Duration::from_secs_f64(1.0 / options.rate_hz);
     if !vehicle.is_streamed_to(period, START_LIMIT) {
@@ -251,6 +256,10 @@ fn main() {
         );
         std::process::exit(1);
     }
+    let viewer = options.is_viewed.then(|| viewer::watch(&daemon));
     let measured = measure(&options, &mut vehicle, &daemon, echo.port);
     report(&options, &measured, &load_before);
+    if let Some(viewer) = viewer {
+        eprintln!("the viewer was given {} messages", viewer.messages());
+    }
 }

@@ -36,8 +36,9 @@ impl Process {
         Self { child, port: line.trim().parse().expect("a port"), log: None }
     }
 
-    /// Starts `PROGRAM daemon` on a free port, with control at `rate_hz`.
-    pub fn daemon(program: &Path, folder: &Path, rate_hz: f64) -> Self {
+    /// Starts `PROGRAM daemon` on a free port, with control at `rate_hz`, and the live view on
+    /// another.
+    pub fn daemon(program: &Path, folder: &Path, rate_hz: f64, is_viewed: bool) -> Self {
         let probe = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let port = probe.local_addr().expect("its address").port();
         drop(probe);
@@ -53,6 +54,7 @@ impl Process {
         let child = Command::new(program)
             .args(["daemon", "--config"])
             .arg(config)
+            .args(is_viewed.then_some("--view=127.0.0.1:0"))
             .stdout(Stdio::null())
             .stderr(File::create(&log).expect("a file for its words"))
             .spawn()
@@ -70,6 +72,17 @@ impl Process {
         };
         let threads = threads.into_iter().flatten().flatten();
         threads.filter_map(|thread| run_time(thread.path())).sum::<f64>() * 1e-9
+    }
+}
+
+/// Lets this thread run on any core again.
+pub fn unpin() {
+    // SAFETY: plain values; the set is initialised before it is read. The system leaves out the
+    // cores that there are not.
+    unsafe {
+        let mut set: libc::cpu_set_t = std::mem::zeroed();
+        (0..64).for_each(|core| libc::CPU_SET(core, &mut set));
+        libc::sched_setaffinity(0, size_of_val(&set), &set);
     }
 }
 

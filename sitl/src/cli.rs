@@ -142,6 +142,14 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
 /// # Errors
 /// [`SitlError`]; it names the file or link and what to do.
 pub fn run(args: &SitlArgs) -> Result<Stop, SitlError> {
+    run_watched(args, |_| {})
+}
+
+/// The same; `watch` sees the vehicle whenever its time has gone on, and must not wait.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_watched(args: &SitlArgs, watch: impl FnMut(&Vehicle)) -> Result<Stop, SitlError> {
     let vehicle = vehicle(args)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
@@ -150,7 +158,7 @@ pub fn run(args: &SitlArgs) -> Result<Stop, SitlError> {
         for line in server.describe() {
             eprintln!("{line}");
         }
-        Ok(server.run(args.speed.0, stop).await)
+        Ok(server.run(args.speed.0, stop, watch).await)
     })
 }
 

@@ -94,8 +94,14 @@ impl Server {
         })
     }
 
-    /// Serves until `stop` is ready. `speed` is vehicle seconds per host second.
-    pub async fn run<S: Future>(&mut self, speed: f64, stop: S) -> S::Output {
+    /// Serves until `stop` is ready. `speed` is vehicle seconds per host second; `watch` sees the
+    /// vehicle whenever its time has gone on, and must not wait.
+    pub async fn run<S: Future>(
+        &mut self,
+        speed: f64,
+        stop: S,
+        mut watch: impl FnMut(&Vehicle),
+    ) -> S::Output {
         let mut pacer = Pacer::new(speed, self.vehicle.clock().host_us(self.vehicle.now_us()));
         let mut stop = std::pin::pin!(stop);
         loop {
@@ -104,6 +110,7 @@ impl Server {
             let reached_us = wanted_us.min(self.vehicle.now_us() + ADVANCE_MAX_US);
             self.vehicle.advance_to(reached_us);
             self.flush();
+            watch(&self.vehicle);
             let due = if reached_us < wanted_us {
                 now
             } else {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::view::{ForwardArgs, ViewArgs};
 use crate::control::Law;
 use crate::model::file::ModelKind;
 
@@ -44,8 +45,17 @@ pub struct FlyArgs {
     #[arg(long, value_name = "ID")]
     pub system: Option<u8>,
     /// Makes the checks before a flight and flies nothing; exit code 4 if one fails.
-    #[arg(long, conflicts_with_all = ["replan", "tlog"])]
+    #[arg(long, conflicts_with_all = ["replan", "tlog", "view", "forward", "tui"])]
     pub check: bool,
+    /// The live view.
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// The fan-out.
+    #[command(flatten)]
+    pub forward: ForwardArgs,
+    /// Shows the flight on the whole terminal, for a laptop over ssh.
+    #[arg(long)]
+    pub tui: bool,
     /// Configuration file.
     #[arg(long)]
     pub config: Option<PathBuf>,
@@ -144,6 +154,15 @@ pub struct DaemonArgs {
     /// Also writes every byte of the link to this .tlog.
     #[arg(long)]
     pub tlog: Option<PathBuf>,
+    /// The live view.
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// The fan-out.
+    #[command(flatten)]
+    pub forward: ForwardArgs,
+    /// Shows the flight on the whole terminal, for a laptop over ssh.
+    #[arg(long)]
+    pub tui: bool,
 }
 
 /// Flags of `doctor` and `inspect`.

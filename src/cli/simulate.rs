@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::SimulationArgs;
+use super::{SimulationArgs, ViewArgs};
 
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
@@ -32,6 +32,9 @@ pub struct SimulateArgs {
     /// Makes no report.
     #[arg(long)]
     pub no_report: bool,
+    /// The live view; the flight then takes as long as a real one.
+    #[command(flatten)]
+    pub view: ViewArgs,
     /// Configuration file.
     #[arg(long)]
     pub config: Option<PathBuf>,

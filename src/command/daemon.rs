@@ -5,13 +5,14 @@ use std::time::Instant;
 
 use anyhow::Context;
 
+use super::audience::Audience;
 use super::course::Course;
 use super::fly::{endpoint, tee, tell_tlog, watch};
 use super::setup::{VehicleFile, required, run_info, station_settings};
 use super::stop::{Stop, StopSignals};
 use super::{Exit, config, say, summary};
 use crate::cli::DaemonArgs;
-use crate::daemon::{self, HostClock};
+use crate::daemon::{self, HostClock, Outlets};
 use crate::link::connection::Connection;
 use crate::log::{LogSink, LogWriter};
 use crate::station::Station;
@@ -32,15 +33,18 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let clock = HostClock::start();
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
-    let sink = LogSink::per_flight(Box::new(move |start| {
-        LogWriter::create(&log_dir, &info, start, Instant::now())
-    }))
-    .context("cannot start the log's thread")?;
+    let mut audience = Audience::start(&args.view, &config, &info, &course)?
+        .forwarding(&args.forward, &config)?
+        .on_screen(args.tui, &info)?;
+    let open = move |start| LogWriter::create(&log_dir, &info, start, Instant::now());
+    let sink = LogSink::per_flight(Box::new(open), audience.take_listeners())
+        .context("cannot start the log's thread")?;
     let tee = args.tlog.as_deref().map(tee).transpose()?;
     let station = Station::new(station_settings, clock.now());
-    let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
+    let outlets = Outlets { tee, sink, guests: audience.take_guests() };
+    let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
         .context("cannot start the control thread")?;
-    let finished = watch(running, &mut signals);
+    let finished = watch(running, clock, &mut audience, &mut signals);
     tell_tlog(finished.tlog);
     if let Err(error) = finished.log {
         say(format_args!("{error}"));

@@ -1,7 +1,7 @@
 //! `downwash fly`: one flight, from preflight to landing.
 
 use std::fs::File;
-use std::io::{self, BufWriter, IsTerminal};
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,15 +11,15 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use wire::Endpoint;
 
+use super::audience::Audience;
 use super::course::Course;
 use super::goal_file::GoalFile;
 use super::setup::{VehicleFile, law_flag, path_flag, required, run_info, station_settings};
-use super::status_line::StatusLine;
 use super::stop::StopSignals;
 use super::{Exit, ExitContext, config, plan, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
 use crate::config::Config;
-use crate::daemon::{self, Finished, HostClock, Running};
+use crate::daemon::{self, Finished, HostClock, Outlets, Running};
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
 use crate::log::partial::is_special;
@@ -79,8 +79,11 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let info = run_info(&config, &vehicle, &name, false, None);
     let tee = args.tlog.as_deref().map(tee).transpose()?;
     let mut signals = StopSignals::new()?;
-    let Flown { end, exit, log } =
-        fly_once(station_settings, endpoint, &log_dir, &info, tee, &mut signals)?;
+    let audience =
+        Audience::start(&args.view, &config, &info, &course)?.forwarding(&args.forward, &config)?;
+    let audience = audience.on_screen(args.tui, &info)?;
+    let run = Run { settings: station_settings, endpoint, tee, audience };
+    let Flown { end, exit, log } = run.fly(&log_dir, &info, &mut signals)?;
     let flight =
         log.as_deref().map(summary::report_on).transpose()?.map(|report| report.summary().clone());
     if exit != Exit::Ok {
@@ -123,11 +126,13 @@ fn check(mut settings: StationSettings, endpoint: Endpoint, json: bool) -> anyho
     let none = |_| {
         Err(LogError::Create { path: PathBuf::new(), source: io::ErrorKind::Unsupported.into() })
     };
-    let sink = LogSink::per_flight(Box::new(none)).context("cannot start the log's thread")?;
+    let sink =
+        LogSink::per_flight(Box::new(none), Vec::new()).context("cannot start the log's thread")?;
     let station = Station::new(settings, clock.now()).checking();
-    let running = daemon::start(station, clock, Connection::new(endpoint), None, sink)
+    let outlets = Outlets { tee: None, sink, guests: None };
+    let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
         .context("cannot start the control thread")?;
-    let finished = watch(running, &mut signals);
+    let finished = watch(running, clock, &mut Audience::default(), &mut signals);
     let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
     if json {
         print_json(&CheckSummary { schema: "downwash.check", schema_version: 1, end })?;
@@ -170,52 +175,68 @@ pub(super) struct Flown {
     pub log: Option<PathBuf>,
 }
 
-/// One flight with a vehicle on a link, in real time, from preflight to landing.
-pub(super) fn fly_once(
-    settings: StationSettings,
-    endpoint: Endpoint,
-    log_dir: &Path,
-    info: &RunInfo,
-    tee: Option<TeeThread>,
-    signals: &mut StopSignals,
-) -> anyhow::Result<Flown> {
-    let clock = HostClock::start();
-    let writer = LogWriter::create(log_dir, info, clock.now(), Instant::now())?;
-    let path = writer.path().to_owned();
-    let sink = LogSink::threaded(writer)?;
-    let station = Station::new(settings, clock.now());
-    let running = daemon::start(station, clock, Connection::new(endpoint), tee, sink)
-        .context("cannot start the control thread")?;
-    let finished = watch(running, signals);
-    tell_tlog(finished.tlog);
-    let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
-    match finished.log {
-        Ok(_) => Ok(Flown { end, exit, log: Some(path) }),
-        Err(error) => {
-            say(format_args!("{error}; {} holds what was written before", path.display()));
-            // A flight without its log did not go well.
-            let exit = if exit == Exit::Ok { Exit::Failure } else { exit };
-            Ok(Flown { end, exit, log: None })
+/// What one flight on a link is made of.
+pub(super) struct Run {
+    pub settings: StationSettings,
+    pub endpoint: Endpoint,
+    pub tee: Option<TeeThread>,
+    pub audience: Audience,
+}
+
+impl Run {
+    /// One flight in real time, from preflight to landing.
+    pub fn fly(
+        self,
+        log_dir: &Path,
+        info: &RunInfo,
+        signals: &mut StopSignals,
+    ) -> anyhow::Result<Flown> {
+        let Self { settings, endpoint, tee, mut audience } = self;
+        let clock = HostClock::start();
+        let writer = LogWriter::create(log_dir, info, clock.now(), Instant::now())?;
+        let path = writer.path().to_owned();
+        let sink = LogSink::threaded(writer, audience.take_listeners())?;
+        let station = Station::new(settings, clock.now());
+        let outlets = Outlets { tee, sink, guests: audience.take_guests() };
+        let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
+            .context("cannot start the control thread")?;
+        let finished = watch(running, clock, &mut audience, signals);
+        tell_tlog(finished.tlog);
+        let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
+        match finished.log {
+            Ok(_) => Ok(Flown { end, exit, log: Some(path) }),
+            Err(error) => {
+                say(format_args!("{error}; {} holds what was written before", path.display()));
+                // A flight without its log did not go well.
+                let exit = if exit == Exit::Ok { Exit::Failure } else { exit };
+                Ok(Flown { end, exit, log: None })
+            }
         }
     }
 }
 
 /// Shows the status and waits for the end. The first Ctrl-C or SIGTERM asks for landing, the
 /// second drops the stream.
-pub(super) fn watch(running: Running, signals: &mut StopSignals) -> Finished {
-    let line = StatusLine::new(std::io::stderr().is_terminal());
+pub(super) fn watch(
+    running: Running,
+    clock: HostClock,
+    audience: &mut Audience,
+    signals: &mut StopSignals,
+) -> Finished {
+    audience.begin();
     let mut stopping = false;
     while !running.is_done() {
-        if signals.wait(WATCH_PERIOD).is_some() {
+        let key = audience.show(clock.now(), &running.status());
+        key.into_iter().for_each(|stop| signals.ask(stop));
+        if signals.wait(WATCH_PERIOD).or(key).is_some() {
             if !stopping {
                 tracing::warn!("stopping: in flight the vehicle lands; again to drop the stream");
             }
             stopping = true;
             running.stop();
         }
-        line.show(&running.status());
     }
-    line.finish();
+    audience.finish();
     running.join()
 }
 

@@ -1,5 +1,6 @@
 //! The commands: validated options, then work, then an exit code.
 
+mod audience;
 mod audit;
 mod campaign;
 mod collect;
@@ -27,8 +28,11 @@ mod model;
 mod output;
 mod plan;
 mod progress;
+mod replay;
 mod rows;
 mod schema;
+mod screen;
+mod screen_layout;
 mod sent_thrust;
 mod setup;
 mod simulate;
@@ -103,7 +107,8 @@ pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) 
     } else {
         ["warn", "info", "debug"][usize::from(cli.verbose).saturating_add(told.into()).min(2)]
     };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    let filter = EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| EnvFilter::new(format!("{level},foxglove=off")));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_target(false)
@@ -142,6 +147,7 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
             inspect::run(&args)
         }
         Command::Sitl(args) => sitl::run(&args),
+        Command::Replay(args) => replay::run(&args),
         Command::Demo(args) => demo::run(&args, &Interruption::watch()?),
         Command::Simulate(args) => {
             Interruption::watch()?;

@@ -1,6 +1,7 @@
 //! `downwash simulate`: one flight of the simulated vehicle in lockstep, as one row of numbers. It is
 //! what a sweep repeats.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -12,13 +13,15 @@ use sitl::config::SitlConfig;
 use toml::{Table, Value};
 use vehicle::effects::EffectSet;
 
+use super::audience::Audience;
 use super::course::Course;
 use super::progress::flight_bar;
-use super::setup::{VehicleFile, built_in_trajectory};
-use super::simulation::{SimulatedFlight, Truth};
+use super::setup::{VehicleFile, built_in_trajectory, run_info};
+use super::simulation::{Simulated, SimulatedFlight, Truth};
 use super::{Exit, ExitContext, config, print_json, print_text, say, summary, write_file};
-use crate::cli::SimulateArgs;
+use crate::cli::{SimulateArgs, ViewArgs};
 use crate::config::Config;
+use crate::lockstep;
 use crate::log::record::Record;
 use crate::report::metrics::{Metrics, MetricsGatherer};
 use crate::station::Status;
@@ -114,10 +117,11 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
     let watch = |status: &Status| {
         bar.set_position((status.progress.map_or(0.0, |(t, _)| t) * 10.0) as u64);
     };
-    let (mut row, exit) = if args.no_log {
-        simulation.fly(watch)?
+    let folder = (!args.no_log).then_some(args.out.as_path());
+    let (mut row, exit) = if args.view.view.is_some() {
+        simulation.fly_seen(folder, &args.view, watch)?
     } else {
-        simulation.fly_logged(&args.out, watch)?
+        simulation.fly_heard(folder, |_| {}, watch)?
     };
     bar.finish_and_clear();
     if let Some(log) = row.log.as_ref().filter(|_| !args.no_report) {
@@ -171,10 +175,7 @@ impl Simulation {
     /// # Errors
     /// A vehicle that cannot be simulated, or a flight without an end.
     pub fn fly(&self, watch: impl FnMut(&Status)) -> anyhow::Result<(Row, Exit)> {
-        let mut gatherer = MetricsGatherer::default();
-        let (end, simulated_s) =
-            self.flight().fly_unlogged(|record: Record| gatherer.add(&record), watch)?;
-        Ok(self.row(&end, simulated_s, &gatherer))
+        self.fly_heard(None, |_| {}, watch)
     }
 
     /// Flies, and writes a log into `folder`.
@@ -186,10 +187,62 @@ impl Simulation {
         folder: &Path,
         watch: impl FnMut(&Status),
     ) -> anyhow::Result<(Row, Exit)> {
+        self.fly_heard(Some(folder), |_| {}, watch)
+    }
+
+    /// Flies, with a log where there is a folder for it. `hear` hears each record.
+    fn fly_heard(
+        &self,
+        folder: Option<&Path>,
+        mut hear: impl FnMut(&Record),
+        watch: impl FnMut(&Status),
+    ) -> anyhow::Result<(Row, Exit)> {
         let mut gatherer = MetricsGatherer::default();
-        let flown = self.flight().fly_logged(folder, |record| gatherer.add(record), watch)?;
-        let (row, exit) = self.row(&flown.end, flown.simulated_s, &gatherer);
-        Ok((Row { log: Some(flown.log), ..row }, exit))
+        let mut take = |record: &Record| {
+            gatherer.add(record);
+            hear(record);
+        };
+        let (end, simulated_s, log) = match folder {
+            Some(folder) => {
+                let Simulated { end, simulated_s, log } =
+                    self.flight().fly_logged(folder, take, watch)?;
+                (end, simulated_s, Some(log))
+            }
+            None => {
+                let (end, simulated_s) =
+                    self.flight().fly_unlogged(|record| take(&record), watch)?;
+                (end, simulated_s, None)
+            }
+        };
+        let (row, exit) = self.row(&end, simulated_s, &gatherer);
+        Ok((Row { log, ..row }, exit))
+    }
+
+    /// Flies as fast as time passes, in a live view.
+    fn fly_seen(
+        &self,
+        folder: Option<&Path>,
+        view: &ViewArgs,
+        mut watch: impl FnMut(&Status),
+    ) -> anyhow::Result<(Row, Exit)> {
+        let info = run_info(&self.config, &self.vehicle, self.course.name(), true, Some(self.seed));
+        let mut audience = Audience::start(view, &self.config, &info, &self.course)?;
+        let mut listeners = audience.take_listeners();
+        let (began, start) = (Instant::now(), lockstep::host_time(0));
+        let now = Cell::new(start);
+        let hear = |record: &Record| {
+            listeners.iter_mut().for_each(|listener| listener.hear(record));
+            // Of the simulated vehicle there is one every 10 ms.
+            if let Record::Truth { stamp, .. } = record {
+                now.set(stamp.host);
+                let due = began + stamp.host.since(start);
+                std::thread::sleep(due.saturating_duration_since(Instant::now()));
+            }
+        };
+        self.fly_heard(folder, hear, |status| {
+            let _ = audience.show(now.get(), status);
+            watch(status);
+        })
     }
 
     fn flight(&self) -> SimulatedFlight<'_> {

@@ -1,11 +1,34 @@
 //! `downwash sitl`: the simulated vehicle on its links.
 
-use sitl::cli::{SitlArgs, SitlError, Stop};
+use std::time::Duration;
 
+use sitl::autopilot::Vehicle;
+use sitl::cli::{SitlError, Stop};
+use vehicle::VehicleParams;
+use vehicle::frame::Frd;
+
+use super::audience::{address, say_address};
 use super::{Exit, ExitContext};
+use crate::cli::SitlArgs;
+use crate::clock::HostTime;
+use crate::daemon::HostClock;
+use crate::lockstep;
+use crate::log::sink::Listener;
+use crate::view::{CoursePath, LiveFeed, LiveView, ViewSettings};
+
+/// The view sees the vehicle this often.
+const VIEW_PERIOD: Duration = Duration::from_millis(20);
 
 pub(super) fn run(args: &SitlArgs) -> anyhow::Result<Exit> {
-    match sitl::cli::run(args) {
+    let ended = match &args.view.view {
+        None => sitl::cli::run(&args.vehicle),
+        Some(asked) => {
+            let params = VehicleParams::load(&args.vehicle.vehicle).or_exit(Exit::Usage)?;
+            let mut watched = Watched::start(asked, &params)?;
+            sitl::cli::run_watched(&args.vehicle, |vehicle| watched.see(vehicle))
+        }
+    };
+    match ended {
         Ok(Stop::Interrupt) => Ok(Exit::Interrupted),
         Ok(Stop::Terminate) => Ok(Exit::Ok),
         Err(error) => {
@@ -15,6 +38,38 @@ pub(super) fn run(args: &SitlArgs) -> anyhow::Result<Exit> {
                 _ => Exit::Usage,
             };
             Err(error).or_exit(exit)
+        }
+    }
+}
+
+/// The true state of the vehicle, in a live view.
+struct Watched {
+    _view: LiveView,
+    feed: LiveFeed,
+    clock: HostClock,
+    next: HostTime,
+}
+
+impl Watched {
+    fn start(asked: &str, params: &VehicleParams) -> anyhow::Result<Self> {
+        let settings = ViewSettings {
+            address: address(asked),
+            name: format!("downwash sitl: {}", params.name),
+            ..ViewSettings::default()
+        };
+        let rotors = params.rotors.map(|rotor| Frd::from(rotor.position_m));
+        let (view, feed) =
+            LiveView::start(settings, &rotors, CoursePath::default()).or_exit(Exit::Usage)?;
+        say_address(view.address());
+        let clock = HostClock::start();
+        Ok(Self { _view: view, feed: feed.alone(), clock, next: HostTime::default() })
+    }
+
+    fn see(&mut self, vehicle: &Vehicle) {
+        let now = self.clock.now();
+        if now >= self.next {
+            self.next = now + VIEW_PERIOD;
+            self.feed.hear(&lockstep::truth(vehicle, now));
         }
     }
 }

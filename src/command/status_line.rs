@@ -6,20 +6,44 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use super::screen::Scene;
 use crate::station::Status;
 
-/// The line that is shown. A process has one terminal, and so one line, which whoever prints beside
-/// it must know of.
-static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
+/// What is shown all the time.
+#[derive(Clone)]
+enum Shown {
+    Line(ProgressBar),
+    Screen(Scene),
+}
+
+/// A process has one terminal, and so one line or one screen, which whoever prints beside it must
+/// know of.
+static SHOWN: Mutex<Option<Shown>> = Mutex::new(None);
+
+fn set_shown(shown: Option<Shown>) {
+    *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = shown;
+}
+
+/// Messages go to the screen from now on, or to stderr again.
+pub(super) fn print_on(screen: Option<Scene>) {
+    set_shown(screen.map(Shown::Screen));
+}
 
 /// Prints on stderr, above the status line where there is one.
 ///
 /// # Errors
 /// If stderr takes no more.
 pub(super) fn print_above(text: &[u8]) -> io::Result<()> {
-    let bar = SHOWN.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let shown = SHOWN.lock().unwrap_or_else(PoisonError::into_inner).clone();
     let print = || io::stderr().write_all(text);
-    bar.map_or_else(print, |bar| bar.suspend(print))
+    match shown {
+        None => print(),
+        Some(Shown::Line(bar)) => bar.suspend(print),
+        Some(Shown::Screen(scene)) => {
+            scene.print(text);
+            Ok(())
+        }
+    }
 }
 
 /// One line on stderr that is drawn over and over; nothing where stderr is no terminal.
@@ -36,7 +60,7 @@ impl StatusLine {
         let style = ProgressStyle::with_template("{spinner} {wide_msg}");
         let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
         bar.enable_steady_tick(Duration::from_millis(250));
-        *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
+        set_shown(Some(Shown::Line(bar.clone())));
         Self { bar }
     }
 
@@ -48,7 +72,7 @@ impl StatusLine {
     /// Takes the line away.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
-        *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        set_shown(None);
     }
 }
 

@@ -54,7 +54,12 @@ impl StopSignals {
         asked
     }
 
-    /// The first request, of all that [`wait`](Self::wait) has seen.
+    /// A request that came by a key.
+    pub fn ask(&mut self, stop: Stop) {
+        self.first = self.first.or(Some(stop));
+    }
+
+    /// The first request, of all that [`wait`](Self::wait) has seen and [`ask`](Self::ask) was given.
     pub fn first(&self) -> Option<Stop> {
         self.first
     }

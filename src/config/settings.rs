@@ -27,6 +27,8 @@ pub struct Settings {
     pub log_dir: Option<PathBuf>,
     /// The link.
     pub link: LinkSettings,
+    /// Ground stations beside this one.
+    pub forward: ForwardSettings,
     /// What a trajectory may ask for.
     pub envelope: FlightEnvelope,
     /// Flights that a model is learned from.
@@ -37,6 +39,14 @@ pub struct Settings {
     pub control: ControlSettings,
     /// Telemetry, flight states, reactions to faults, take-off, limits of the setpoint.
     pub pilot: PilotSettings,
+}
+
+/// Settings of `--forward`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ForwardSettings {
+    /// Names of the messages that other ground stations may send to the vehicle.
+    pub allow: Vec<String>,
 }
 
 /// Settings of the link.
@@ -101,6 +111,7 @@ impl Default for Settings {
             connect: None,
             log_dir: None,
             link: LinkSettings::default(),
+            forward: ForwardSettings::default(),
             envelope: FlightEnvelope::default(),
             collect: ProgrammeSettings::default(),
             plan: PlanSettings::default(),

@@ -325,6 +325,14 @@ impl Session {
         self.core.collect_ended();
     }
 
+    /// Passes a frame of somebody else on to the vehicle, where there is one.
+    pub fn pass_on(&mut self, frame: &[u8]) {
+        let Core { vehicle, outbox, .. } = &mut self.core;
+        if let Some(peer) = vehicle.as_ref().and_then(|vehicle| vehicle.peer) {
+            outbox.push_frame(peer, frame);
+        }
+    }
+
     /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
     /// `send` says whether the frame left; one that did not is dropped, and counted so.
     pub fn transmit(&mut self, mut send: impl FnMut(Option<Peer>, &[u8]) -> bool) {

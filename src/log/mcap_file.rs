@@ -7,19 +7,14 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
+use super::encoder::Times;
+
 /// A chunk is closed when it has grown beyond this. What a reader must hold in memory.
 const CHUNK_BYTES: u64 = 256 * 1024;
 /// A message costs about 0.4 us with zstd's level 1, and 0.5 us with LZ4, whose files are a third
 /// larger: the crate hands every field of a header to the compressor, which LZ4 takes worse.
 const COMPRESSION: Compression = Compression::Zstd;
 const COMPRESSION_LEVEL: u32 = 1;
-
-/// When a message was logged and published, ns.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Times {
-    pub log: u64,
-    pub publish: u64,
-}
 
 /// Writes an MCAP file. After an error it is of no more use; what was written can be read.
 pub(super) struct McapFile<W: Write> {
@@ -89,8 +84,8 @@ impl<W: Write> McapFile<W> {
         let header = MessageHeader {
             channel_id: channel,
             sequence: *next,
-            log_time: times.log,
-            publish_time: times.publish,
+            log_time: times.log.as_ns(),
+            publish_time: times.publish.as_ns(),
         };
         *next = next.wrapping_add(1);
         self.writer.write_to_known_channel(&header, &self.body).map_err(as_io)
@@ -118,6 +113,7 @@ fn as_io(error: McapError) -> io::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::clock::HostTime;
 
     /// What the `mcap` crate finds in the file, by its index and by reading through.
     #[test]
@@ -129,7 +125,8 @@ mod tests {
         file.attach(5, "a.toml", "application/toml", b"x = 1\n").unwrap();
         let channels = ["/a", "/b"].map(|topic| file.add_channel(topic, "p.M", b"d").unwrap());
         for number in 0..20_000u64 {
-            let times = Times { log: 1000 + number, publish: number };
+            let at = HostTime::from_ns;
+            let times = Times { log: at(1000 + number), publish: at(number) };
             let channel = channels[usize::from(number % 3 == 0)];
             file.put(channel, times, |out| out.extend(number.to_le_bytes())).unwrap();
             if number == 10 {

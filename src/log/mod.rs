@@ -16,6 +16,7 @@
 //! to the host clock. A component that is not known is NaN.
 
 pub mod descriptor;
+pub mod encoder;
 pub mod export;
 mod flights;
 pub mod import;
@@ -28,7 +29,7 @@ pub mod reader;
 pub mod record;
 pub mod schema;
 pub mod sink;
-mod viewer;
+pub mod viewer;
 pub mod writer;
 
 pub use reader::LogReader;

@@ -271,6 +271,23 @@ flat_messages! {
         double rotor_4_n = 24;
     }
 
+    /// `/status`: where the flight stands, ten times a second; of the live view only. What is not
+    /// known is empty or NaN.
+    StatusMessage = "downwash.Status" {
+        string link = 1;
+        string vehicle = 2;
+        string phase = 3;
+        string mode = 4;
+        string armed = 5;
+        double tick_rate_hz = 6;
+        uint64 setpoints = 7;
+        double tracking_error_m = 8;
+        double trajectory_time_s = 9;
+        double trajectory_length_s = 10;
+        double battery_ratio = 11;
+        double rtt_s = 12;
+    }
+
     /// `/flight/attitude` of an imported log: body to world. As in all of `/flight`, `time_s` is
     /// the flight's own clock, and each stream keeps its rate.
     AttitudeSample = "downwash.AttitudeSample" {

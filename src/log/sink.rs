@@ -20,6 +20,16 @@ const QUEUE: usize = 8192;
 /// channel, so that sending a record never has to wake a thread.
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
 
+/// Hears every record in the thread that writes the log, before the log does: a live view, a link
+/// to others. It must not wait for anybody.
+pub trait Listener: Send {
+    /// Hears one record.
+    fn hear(&mut self, record: &Record);
+}
+
+/// All that hear the records of a run.
+pub type Listeners = Vec<Box<dyn Listener>>;
+
 /// Takes records and never fails: after an error of the file, which is reported once, records are
 /// discarded and flying goes on.
 pub struct LogSink {
@@ -38,12 +48,13 @@ enum Target {
 impl LogSink {
     /// Writes in a thread of its own; [`LogSink::log`] then takes less than a microsecond and
     /// never blocks. A record that finds the queue full is dropped, counted, and the log says so.
+    /// `listeners` hear all records, also after the file has failed.
     ///
     /// # Errors
     /// [`LogError::Create`] if the system gives no thread.
-    pub fn threaded(writer: LogWriter) -> Result<Self, LogError> {
+    pub fn threaded(writer: LogWriter, listeners: Listeners) -> Result<Self, LogError> {
         let path = writer.path().to_owned();
-        Self::spawn(Target::One(Box::new(writer)))
+        Self::spawn(Target::One(Box::new(writer)), listeners)
             .map_err(|source| LogError::Create { path, source })
     }
 
@@ -52,17 +63,17 @@ impl LogSink {
     ///
     /// # Errors
     /// If the system gives no thread.
-    pub fn per_flight(open: OpenLog) -> io::Result<Self> {
-        Self::spawn(Target::PerFlight(Box::new(FlightLogs::new(open))))
+    pub fn per_flight(open: OpenLog, listeners: Listeners) -> io::Result<Self> {
+        Self::spawn(Target::PerFlight(Box::new(FlightLogs::new(open))), listeners)
     }
 
-    fn spawn(target: Target) -> io::Result<Self> {
+    fn spawn(target: Target, listeners: Listeners) -> io::Result<Self> {
         let (queue, records) = sync_channel(QUEUE);
         let dropped = Arc::new(AtomicU64::new(0));
         let counter = Arc::clone(&dropped);
         let thread = thread::Builder::new()
             .name("log".into())
-            .spawn(move || drain(target, &records, &counter))?;
+            .spawn(move || drain(target, listeners, &records, &counter))?;
         Ok(Self { queue, dropped, thread })
     }
 
@@ -139,20 +150,23 @@ impl Target {
     }
 }
 
-/// The writer's thread: until the sink is gone, or the file fails.
+/// The writer's thread: until the sink is gone.
 fn drain(
-    mut target: Target,
+    target: Target,
+    mut listeners: Listeners,
     records: &Receiver<Record>,
     dropped: &AtomicU64,
 ) -> Result<Option<LogSummary>, LogError> {
+    let mut file = Ok(target);
     let mut reported = 0;
     let mut latest = HostTime::default();
-    let mut step = || -> Result<bool, LogError> {
-        let open = loop {
+    loop {
+        let is_open = loop {
             match records.try_recv() {
                 Ok(record) => {
                     latest = host_time(&record).unwrap_or(latest);
-                    target.write(record)?;
+                    listeners.iter_mut().for_each(|listener| listener.hear(&record));
+                    step(&mut file, |target| target.write(record));
                 }
                 Err(TryRecvError::Empty) => break true,
                 Err(TryRecvError::Disconnected) => break false,
@@ -163,27 +177,31 @@ fn drain(
             let text = format!("log: {} records dropped, the disk is too slow", total - reported);
             tracing::warn!("{text}");
             reported = total;
-            target.write(Record::Event {
-                host: latest,
-                severity: Severity::Warning,
-                source: Source::Daemon,
-                text,
-            })?;
+            let severity = Severity::Warning;
+            let record = Record::Event { host: latest, severity, source: Source::Daemon, text };
+            step(&mut file, |target| target.write(record));
         }
-        target.sync_if_due(Instant::now())?;
-        Ok(open)
-    };
-    loop {
-        match step() {
-            Ok(true) => thread::sleep(DRAIN_PERIOD),
-            Ok(false) => break,
-            Err(error) => {
-                report(&error);
-                return Err(error);
-            }
+        step(&mut file, |target| target.sync_if_due(Instant::now()));
+        // Nobody hears what is not written any more.
+        if !is_open || (file.is_err() && listeners.is_empty()) {
+            break;
         }
+        thread::sleep(DRAIN_PERIOD);
     }
-    target.finish()
+    file?.finish()
+}
+
+/// Does something to the file, unless it has failed before.
+fn step(
+    file: &mut Result<Target, LogError>,
+    action: impl FnOnce(&mut Target) -> Result<(), LogError>,
+) {
+    if let Ok(target) = file
+        && let Err(error) = action(target)
+    {
+        report(&error);
+        *file = Err(error);
+    }
 }
 
 fn host_time(record: &Record) -> Option<HostTime> {
@@ -229,7 +247,7 @@ mod tests {
 
     #[test]
     fn first_error_is_kept_and_more_is_taken() {
-        let mut sink = LogSink::threaded(failing_writer()).expect("a thread");
+        let mut sink = LogSink::threaded(failing_writer(), Vec::new()).expect("a thread");
         (0..3).for_each(|_| sink.log(record()));
         let error = sink.finish().expect_err("the pipe is broken");
         assert!(matches!(&error, LogError::Write { .. }) && error.to_string().contains("pipe"));

@@ -2,8 +2,8 @@
 //! (`map`), body FLU (`base_link`).
 
 use foxglove::messages::{
-    Color, CubePrimitive, CylinderPrimitive, FrameTransform, Log, Pose, PoseInFrame, Quaternion,
-    SceneEntity, SceneUpdate, Timestamp, Vector3, log,
+    Color, CubePrimitive, CylinderPrimitive, FrameTransform, LinePrimitive, Log, Point3, Pose,
+    PoseInFrame, Quaternion, SceneEntity, SceneUpdate, Timestamp, Vector3, line_primitive, log,
 };
 use vehicle::frame::{Attitude, Frd, Ned};
 
@@ -128,6 +128,37 @@ pub(super) fn scene(time: HostTime, rotors: &[Frd]) -> SceneUpdate {
         entities: vec![entity(BASE_LINK, 1.0), entity(BASE_LINK_REF, 0.3)],
         ..Default::default()
     }
+}
+
+/// A line through `points`, `width` pixels wide; it takes the place of an earlier one of this `id`.
+pub fn line(
+    time: HostTime,
+    id: &str,
+    colour: [f64; 4],
+    width: f64,
+    points: impl Iterator<Item = Ned>,
+) -> SceneUpdate {
+    let [r, g, b, a] = colour;
+    let point = |ned| {
+        let Vector3 { x, y, z } = enu(ned);
+        Point3 { x, y, z }
+    };
+    let line = LinePrimitive {
+        r#type: line_primitive::Type::LineStrip as i32,
+        thickness: width,
+        scale_invariant: true,
+        points: points.map(point).collect(),
+        color: Some(Color { r, g, b, a }),
+        ..Default::default()
+    };
+    let entity = SceneEntity {
+        timestamp: Some(timestamp(time)),
+        frame_id: MAP.to_owned(),
+        id: id.to_owned(),
+        lines: vec![line],
+        ..Default::default()
+    };
+    SceneUpdate { entities: vec![entity], ..Default::default() }
 }
 
 #[cfg(test)]

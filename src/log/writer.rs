@@ -6,16 +6,13 @@ use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use foxglove::Encode;
-use foxglove::messages::{FrameTransform, Log, PoseInFrame, SceneUpdate};
 use prost::Message;
 use vehicle::frame::Frd;
 
-use super::mcap_file::{McapFile, Times};
+use super::encoder::{Definition, Encoder, MessageSink, Times, Topic};
+use super::mcap_file::McapFile;
 use super::name;
-use super::record::{Direction, FrameRecord, Record, Tick};
-use super::schema::{self, *};
-use super::viewer::{self, ViewerPose};
+use super::record::Record;
 use crate::clock::HostTime;
 
 /// Version of topics, schemas and units, in the metadata record `run`.
@@ -109,32 +106,6 @@ pub struct LogSummary {
     pub dropped: u64,
 }
 
-/// Channels of the file, in the order of their numbers.
-#[derive(Clone, Copy)]
-enum Topic {
-    Rx,
-    Tx,
-    State,
-    Reference,
-    Setpoint,
-    Control,
-    Imu,
-    Actuators,
-    Battery,
-    LinkStats,
-    Timesync,
-    Truth,
-    Tf,
-    VehiclePose,
-    ReferencePose,
-    Scene,
-    Log,
-}
-
-const TOPICS: usize = Topic::Log as usize + 1;
-
-/// 3D topics are written at most this often: enough for the eye, and half the size.
-const VIEWER_PERIOD: Duration = Duration::from_millis(18);
 /// A crash loses at most this much wall time.
 const SYNC_PERIOD: Duration = Duration::from_secs(1);
 
@@ -147,18 +118,12 @@ pub struct LogWriter {
     path: PathBuf,
     mcap: McapFile<BufWriter<File>>,
     file: File,
-    channels: [u16; TOPICS],
+    /// Numbers of the channels, in the order of [`Topic::ALL`].
+    channels: Vec<u16>,
     messages: u64,
     synced: Instant,
     unsynced: bool,
-    rotors: Vec<Frd>,
-    scene_written: bool,
-    viewer_next: HostTime,
-    // Reused from record to record.
-    frame: MavlinkFrameMessage,
-    control: ControlMessage,
-    transforms: [FrameTransform; 2],
-    pose: PoseInFrame,
+    encoder: Encoder,
 }
 
 impl LogWriter {
@@ -193,11 +158,6 @@ impl LogWriter {
         let library = format!("downwash {}", info.tool_version);
         let mut mcap = McapFile::new(BufWriter::new(file), &library).map_err(fail)?;
         let channels = write_preamble(&mut mcap, info, start).map_err(fail)?;
-        let transform = |child: &str| FrameTransform {
-            parent_frame_id: viewer::MAP.into(),
-            child_frame_id: child.into(),
-            ..Default::default()
-        };
         Ok(Self {
             path,
             mcap,
@@ -206,13 +166,7 @@ impl LogWriter {
             messages: 0,
             synced: wall,
             unsynced: true,
-            rotors: info.rotors.clone(),
-            scene_written: false,
-            viewer_next: HostTime::default(),
-            frame: MavlinkFrameMessage::default(),
-            control: ControlMessage::default(),
-            transforms: [transform(viewer::BASE_LINK), transform(viewer::BASE_LINK_REF)],
-            pose: PoseInFrame { frame_id: viewer::MAP.into(), ..Default::default() },
+            encoder: Encoder::new(&info.rotors),
         })
     }
 
@@ -261,118 +215,26 @@ impl LogWriter {
     }
 
     fn put_record(&mut self, record: &Record) -> Result<(), io::Error> {
-        match record {
-            Record::Frame(frame) => self.put_frame(frame),
-            Record::Tick(tick) => self.put_tick(tick),
-            Record::Imu { stamp, specific_force, body_rate } => {
-                let message = ImuMessage::new(*stamp, *specific_force, *body_rate);
-                self.put(Topic::Imu, stamp.host, stamp.sampled, &message)
-            }
-            Record::Motors { stamp, outputs } => {
-                let message = ActuatorsMessage::new(*stamp, *outputs);
-                self.put(Topic::Actuators, stamp.host, stamp.sampled, &message)
-            }
-            Record::Battery { stamp, voltage, current, remaining } => {
-                let message = BatteryMessage {
-                    voltage_v: voltage.unwrap_or(f64::NAN),
-                    current_a: current.unwrap_or(f64::NAN),
-                    remaining_ratio: remaining.unwrap_or(f64::NAN),
-                };
-                self.put(Topic::Battery, stamp.host, stamp.sampled, &message)
-            }
-            Record::Link { host, stats } => {
-                self.put(Topic::LinkStats, *host, *host, &LinkStatsMessage::from(stats))
-            }
-            Record::Timesync { host, sample } => {
-                self.put(Topic::Timesync, *host, *host, &TimesyncMessage::from(sample))
-            }
-            Record::Event { host, severity, source, text } => {
-                let message = viewer::log_message(*host, *severity, *source, text);
-                self.put(Topic::Log, *host, *host, &message)
-            }
-            Record::Truth { stamp, truth } => {
-                let message = TruthMessage::new(stamp.vehicle_time_us(), truth);
-                self.put(Topic::Truth, stamp.host, stamp.sampled, &message)
-            }
-            // Marks for sinks, not for files.
-            Record::FlightBegins(_) | Record::FlightEnds => Ok(()),
-            Record::Facts(entries) => self.mcap.add_metadata("run", entries),
+        if let Record::Facts(entries) = record {
+            return self.mcap.add_metadata("run", entries);
         }
+        let Self { encoder, mcap, channels, messages, .. } = self;
+        encoder.encode(record, &mut ToFile { mcap, channels, messages })
     }
+}
 
-    fn put_frame(&mut self, record: &FrameRecord) -> Result<(), io::Error> {
-        let mut message = std::mem::take(&mut self.frame);
-        message.assign(record);
-        let topic = match record.direction {
-            Direction::Rx => Topic::Rx,
-            Direction::Tx => Topic::Tx,
-        };
-        let result = self.put(topic, record.host, record.host, &message);
-        self.frame = message;
-        result
-    }
+/// Adds messages to their channels in the file.
+struct ToFile<'a> {
+    mcap: &'a mut McapFile<BufWriter<File>>,
+    channels: &'a [u16],
+    messages: &'a mut u64,
+}
 
-    fn put_tick(&mut self, tick: &Tick) -> Result<(), io::Error> {
-        let (log, publish) = (tick.stamp.host, tick.stamp.sampled);
-        self.put(Topic::State, log, publish, &StateMessage::new(tick.stamp, &tick.state))?;
-        if let Some(reference) = &tick.reference {
-            let message = ReferenceMessage::new(tick.trajectory_time, reference);
-            self.put(Topic::Reference, log, publish, &message)?;
-        }
-        if let Some(setpoint) = &tick.setpoint {
-            self.put(Topic::Setpoint, log, publish, &SetpointMessage::from(setpoint))?;
-        }
-        let mut control = std::mem::take(&mut self.control);
-        control.assign(tick);
-        let result = self.put(Topic::Control, log, publish, &control);
-        self.control = control;
-        result?;
-        if log >= self.viewer_next {
-            self.viewer_next = log + VIEWER_PERIOD;
-            self.put_viewer(tick)?;
-        }
-        Ok(())
-    }
-
-    fn put_viewer(&mut self, tick: &Tick) -> Result<(), io::Error> {
-        let (log, publish) = (tick.stamp.host, tick.stamp.sampled);
-        if !self.scene_written && !self.rotors.is_empty() {
-            self.scene_written = true;
-            let scene = viewer::scene(log, &self.rotors);
-            self.put(Topic::Scene, log, log, &scene)?;
-        }
-        let vehicle = ViewerPose::new(tick.state.position, tick.state.attitude);
-        let reference =
-            tick.reference.as_ref().map(|r| ViewerPose::new(r.position, r.attitude.attitude()));
-        let poses = [(Topic::VehiclePose, Some(vehicle)), (Topic::ReferencePose, reference)];
-        for (child, (topic, pose)) in poses.into_iter().enumerate() {
-            let Some(pose) = pose else { continue };
-            let mut transform = std::mem::take(&mut self.transforms[child]);
-            pose.to_transform(publish, &mut transform);
-            let result = self.put(Topic::Tf, log, publish, &transform);
-            self.transforms[child] = transform;
-            result?;
-            let mut message = std::mem::take(&mut self.pose);
-            pose.to_pose(publish, &mut message);
-            let result = self.put(topic, log, publish, &message);
-            self.pose = message;
-            result?;
-        }
-        Ok(())
-    }
-
-    /// Adds one message to its channel.
-    fn put(
-        &mut self,
-        topic: Topic,
-        log: HostTime,
-        publish: HostTime,
-        message: &impl Message,
-    ) -> Result<(), io::Error> {
-        let times = Times { log: log.as_ns(), publish: publish.as_ns() };
+impl MessageSink for ToFile<'_> {
+    fn put(&mut self, topic: Topic, times: Times, message: &impl Message) -> io::Result<()> {
         let channel = self.channels[topic as usize];
         self.mcap.put(channel, times, |out| message.encode_raw(out))?;
-        self.messages += 1;
+        *self.messages += 1;
         Ok(())
     }
 }
@@ -417,7 +279,7 @@ fn write_preamble(
     mcap: &mut McapFile<impl io::Write>,
     info: &RunInfo,
     start: HostTime,
-) -> io::Result<[u16; TOPICS]> {
+) -> io::Result<Vec<u16>> {
     mcap.add_metadata("run", &info.metadata())?;
     let config = ("config.toml", info.config.as_str());
     let vehicle = info.vehicle_file.as_ref().map(|(name, text)| (name.as_str(), text.as_str()));
@@ -426,38 +288,11 @@ fn write_preamble(
             if name.ends_with(".json") { "application/json" } else { "application/toml" };
         mcap.attach(start.as_ns(), name, media_type, text.as_bytes())?;
     }
-    macro_rules! own {
-        ($topic:literal, $message:ty) => {
-            mcap.add_channel($topic, <$message>::NAME, &schema::descriptor::<$message>())?
-        };
-    }
-    macro_rules! foxglove {
-        ($topic:literal, $message:ty) => {{
-            let schema = <$message>::get_schema();
-            let data = schema.as_ref().map_or(&[][..], |s| &s.data);
-            mcap.add_channel($topic, concat!("foxglove.", stringify!($message)), data)?
-        }};
-    }
-    // In the order of `Topic`.
-    let channels = [
-        own!("/mavlink/rx", MavlinkFrameMessage),
-        own!("/mavlink/tx", MavlinkFrameMessage),
-        own!("/state", StateMessage),
-        own!("/reference", ReferenceMessage),
-        own!("/setpoint", SetpointMessage),
-        own!("/control", ControlMessage),
-        own!("/imu", ImuMessage),
-        own!("/actuators", ActuatorsMessage),
-        own!("/battery", BatteryMessage),
-        own!("/link/stats", LinkStatsMessage),
-        own!("/timesync", TimesyncMessage),
-        own!("/sim/truth", TruthMessage),
-        foxglove!("/tf", FrameTransform),
-        foxglove!("/vehicle/pose", PoseInFrame),
-        foxglove!("/reference/pose", PoseInFrame),
-        foxglove!("/scene", SceneUpdate),
-        foxglove!("/log", Log),
-    ];
+    let channels = Topic::ALL.map(|topic| {
+        let Definition { topic, schema, descriptor } = topic.definition();
+        mcap.add_channel(topic, schema, &descriptor)
+    });
+    let channels = channels.into_iter().collect::<io::Result<Vec<_>>>()?;
     mcap.flush()?;
     Ok(channels)
 }

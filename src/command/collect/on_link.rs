@@ -7,8 +7,9 @@ use anyhow::anyhow;
 
 use super::FlightRow;
 use super::kept::{LogOf, metadata};
+use crate::command::audience::Audience;
 use crate::command::course::Course;
-use crate::command::fly::{Flown, endpoint, fly_once};
+use crate::command::fly::{Flown, Run, endpoint};
 use crate::command::setup::{VehicleFile, required, run_info, station_settings};
 use crate::command::stop::StopSignals;
 use crate::command::{Exit, say};
@@ -51,7 +52,8 @@ pub(super) fn fly_vehicle(
         )?;
         let mut info = run_info(config, vehicle, &flight.name, false, None);
         info.extra = metadata(flight, fingerprint);
-        let Flown { end, exit, log } = fly_once(settings, endpoint, folder, &info, None, signals)?;
+        let run = Run { settings, endpoint, tee: None, audience: Audience::default() };
+        let Flown { end, exit, log } = run.fly(folder, &info, signals)?;
         let log = log.as_deref().map(LogOf::read).transpose()?.map(|(_, log)| log);
         let log = log.ok_or_else(|| anyhow!("{}: its log was not written", flight.name))?;
         rows.push((*index, FlightRow::flown(flight, &end, exit, Some(&log))));

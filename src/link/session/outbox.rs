@@ -32,6 +32,12 @@ impl Outbox {
         }
     }
 
+    /// A frame as it is.
+    pub(super) fn push_frame(&mut self, to: Peer, frame: &[u8]) {
+        self.bytes.extend_from_slice(frame);
+        self.frames.push((Some(to), self.bytes.len()));
+    }
+
     pub(super) fn drain(&mut self, mut send: impl FnMut(Option<Peer>, &[u8])) {
         let mut start = 0;
         for (to, end) in self.frames.drain(..) {

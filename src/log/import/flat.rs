@@ -10,7 +10,9 @@ use vehicle::frame::{Attitude, Frd, Ned};
 use super::flight::{
     AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, TruthSample,
 };
-use crate::log::mcap_file::{McapFile, Times};
+use crate::clock::HostTime;
+use crate::log::encoder::Times;
+use crate::log::mcap_file::McapFile;
 use crate::log::partial::PartialFile;
 use crate::log::reader::Message;
 use crate::log::record::Truth;
@@ -331,6 +333,16 @@ pub fn write(flight: &Flight, path: &Path) -> Result<u64, LogError> {
         .map_err(|source| LogError::Write { path: path.to_owned(), source })
 }
 
+/// The same log in memory.
+///
+/// # Errors
+/// None that memory could have.
+pub fn to_bytes(flight: &Flight) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    write_to(flight, &mut bytes)?;
+    Ok(bytes)
+}
+
 fn write_to(flight: &Flight, out: impl io::Write) -> io::Result<u64> {
     let library = format!("downwash {}", env!("CARGO_PKG_VERSION"));
     let mut mcap = McapFile::new(out, &library)?;
@@ -388,9 +400,9 @@ fn write_to(flight: &Flight, out: impl io::Write) -> io::Result<u64> {
         .min_by(|(_, a), (_, b)| a.total_cmp(b))
     {
         let lane = &mut lanes[at];
-        let ns = (time.max(0.0) * 1e9).round() as u64;
+        let at = HostTime::from_ns((time.max(0.0) * 1e9).round() as u64);
         let sample = lane.next;
-        mcap.put(lane.channel, Times { log: ns, publish: ns }, |out| (lane.encode)(sample, out))?;
+        mcap.put(lane.channel, Times::host(at), |out| (lane.encode)(sample, out))?;
         lane.next += 1;
         messages += 1;
     }

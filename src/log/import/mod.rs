@@ -31,7 +31,7 @@ use std::path::Path;
 
 pub use error::ImportError;
 pub use facts::{RotorFact, VehicleFacts};
-pub use flat::write;
+pub use flat::{to_bytes, write};
 pub use flight::{
     AttitudeSetpoint, Clock, Flight, MotorSource, MotorUnit, Origin, SetpointSource, Stream,
     TruthSample, UnitUnknown,

@@ -1,0 +1,30 @@
+//! Flags of `replay`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::view::VIEW_ADDRESS;
+
+/// Flags of `replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// Flight log, of any kind that `log import` reads.
+    pub log: PathBuf,
+    /// Where the view is served.
+    #[arg(
+        long,
+        value_name = "HOST:PORT",
+        num_args = 0..=1,
+        require_equals = true,
+        default_value = VIEW_ADDRESS,
+        default_missing_value = VIEW_ADDRESS
+    )]
+    pub view: String,
+    /// Waits at the beginning until a viewer plays it.
+    #[arg(long)]
+    pub paused: bool,
+    /// What the columns of a table are: a file (TOML), or the name of a shipped one.
+    #[arg(long, value_name = "FILE")]
+    pub mapping: Option<PathBuf>,
+}

@@ -1,0 +1,32 @@
+//! Flags of whatever can be watched live.
+
+use clap::Args;
+use wire::Endpoint;
+
+/// Where a view is served that is asked for without an address.
+pub const VIEW_ADDRESS: &str = "127.0.0.1:8765";
+
+/// Flags of the fan-out.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ForwardArgs {
+    /// Sends the vehicle's messages on to a ground station, udpout:HOST:PORT; may be given again.
+    /// Of its messages the vehicle gets those that forward.allow of the configuration names: none
+    /// by default.
+    #[arg(long, value_name = "URL")]
+    pub forward: Vec<Endpoint>,
+}
+
+/// Flags of the live view.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ViewArgs {
+    /// Serves a live view: a page for a browser, and at the same address Foxglove's WebSocket
+    /// protocol [default address: 127.0.0.1:8765].
+    #[arg(
+        long,
+        value_name = "HOST:PORT",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = VIEW_ADDRESS
+    )]
+    pub view: Option<String>,
+}

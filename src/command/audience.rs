@@ -1,0 +1,176 @@
+//! Who watches a flight: the terminal, and viewers of the live view.
+
+use std::collections::BTreeMap;
+use std::io::IsTerminal;
+
+use super::course::Course;
+use super::screen::Screen;
+use super::status_line::StatusLine;
+use super::stop::Stop;
+use super::{Exit, ExitContext, say};
+use crate::cli::{ForwardArgs, VIEW_ADDRESS, ViewArgs};
+use crate::clock::HostTime;
+use crate::config::Config;
+use crate::forward::{AllowList, Forward, Guests};
+use crate::log::RunInfo;
+use crate::log::sink::Listeners;
+use crate::station::Status;
+use crate::view::{CoursePath, LiveView, ViewSettings};
+
+/// Period of the points that a course is drawn with, and the most of them.
+const COURSE_PERIOD_S: f64 = 0.05;
+const COURSE_POINTS: usize = 20_000;
+
+/// All who watch one flight.
+#[derive(Default)]
+pub(super) struct Audience {
+    view: Option<LiveView>,
+    listeners: Listeners,
+    guests: Option<Guests>,
+    screen: Option<Screen>,
+    line: Option<StatusLine>,
+}
+
+impl Audience {
+    /// Starts what the flags ask for.
+    pub fn start(
+        args: &ViewArgs,
+        config: &Config,
+        run: &RunInfo,
+        course: &Course,
+    ) -> anyhow::Result<Self> {
+        let Some(asked) = &args.view else { return Ok(Self::default()) };
+        let settings = view_settings(asked, run, config);
+        let (view, feed) =
+            LiveView::start(settings, &run.rotors, path(course)).or_exit(Exit::Usage)?;
+        say_address(view.address());
+        Ok(Self { view: Some(view), listeners: vec![Box::new(feed)], ..Self::default() })
+    }
+
+    /// The same, with ground stations that hear the vehicle too.
+    pub fn forwarding(mut self, args: &ForwardArgs, config: &Config) -> anyhow::Result<Self> {
+        let allow = AllowList::new(&config.settings.forward.allow).or_exit(Exit::Usage)?;
+        if !args.forward.is_empty() {
+            let (forward, guests) = Forward::start(&args.forward, allow).or_exit(Exit::Usage)?;
+            self.listeners.push(Box::new(forward));
+            self.guests = Some(guests);
+        }
+        Ok(self)
+    }
+
+    /// The same, on the whole terminal.
+    pub fn on_screen(mut self, is_asked: bool, run: &RunInfo) -> anyhow::Result<Self> {
+        if is_asked {
+            let view = self.view.as_ref().map(|view| format!("   http://{}/", view.address()));
+            let view = view.unwrap_or_default();
+            let screen = Screen::start(format!("downwash: {}, {}{view}", run.vehicle, run.run))?;
+            self.listeners.push(Box::new(screen.scene()));
+            self.screen = Some(screen);
+        }
+        Ok(self)
+    }
+
+    /// What others may say to the vehicle; a second call gives none.
+    pub fn take_guests(&mut self) -> Option<Guests> {
+        self.guests.take()
+    }
+
+    /// Who is to hear the records; a second call gives none.
+    pub fn take_listeners(&mut self) -> Listeners {
+        std::mem::take(&mut self.listeners)
+    }
+
+    /// A line on the terminal until [`finish`](Self::finish), where there is no screen.
+    pub fn begin(&mut self) {
+        if self.screen.is_none() {
+            self.line = Some(StatusLine::new(std::io::stderr().is_terminal()));
+        }
+    }
+
+    /// Shows where the flight stands. What a key asked for since the last call.
+    pub fn show(&mut self, now: HostTime, status: &Status) -> Option<Stop> {
+        if let Some(view) = &self.view {
+            view.show(now, status);
+        }
+        if let Some(line) = &self.line {
+            line.show(status);
+        }
+        self.screen.as_mut().and_then(|screen| screen.show(status))
+    }
+
+    /// Gives the terminal back.
+    pub fn finish(&mut self) {
+        if let Some(line) = self.line.take() {
+            line.finish();
+        }
+        self.screen = None;
+    }
+}
+
+/// Says where the view is.
+pub(super) fn say_address(address: std::net::SocketAddr) {
+    say(format_args!("view at http://{address}/ (Foxglove: ws://{address})"));
+    if !address.ip().is_loopback() {
+        say(format_args!("anybody who reaches {address} can watch"));
+    }
+}
+
+/// `asked` may leave the host or the port out.
+pub(super) fn view_settings(asked: &str, run: &RunInfo, config: &Config) -> ViewSettings {
+    let settings = config.rows().map(|(name, value, _)| {
+        let text = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        (name, text)
+    });
+    ViewSettings {
+        address: address(asked),
+        name: format!("downwash: {}, {}", run.vehicle, run.run),
+        parameters: settings.collect::<BTreeMap<_, _>>(),
+        playback: None,
+    }
+}
+
+/// `HOST:PORT`, of which `asked` may lack either.
+pub(super) fn address(asked: &str) -> String {
+    let (host, port) = VIEW_ADDRESS.split_once(':').unwrap_or((VIEW_ADDRESS, "0"));
+    let is_port = |text: &str| text.parse::<u16>().is_ok();
+    match asked.rsplit_once(':') {
+        Some(("", given)) if is_port(given) => format!("{host}:{given}"),
+        // The colons of an IPv6 address stand in brackets.
+        Some((given, end)) if is_port(end) && (!given.contains(':') || given.ends_with(']')) => {
+            asked.to_owned()
+        }
+        None if is_port(asked) => format!("{host}:{asked}"),
+        _ => format!("{asked}:{port}"),
+    }
+}
+
+/// The course as a line. One that is planned anew in flight is drawn as it begins.
+fn path(course: &Course) -> CoursePath {
+    let start = course.at_start();
+    // Its thrust is of no matter here.
+    let reference = start.reference(0.0);
+    let count = (reference.duration() / COURSE_PERIOD_S).ceil();
+    let period_s = COURSE_PERIOD_S * (count / COURSE_POINTS as f64).max(1.0);
+    let count = (count as usize).min(COURSE_POINTS);
+    let points = (0..=count).map(|index| reference.desired(index as f64 * period_s)).collect();
+    CoursePath { period_s, points }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_may_lack_its_host_or_port() {
+        for (asked, expected) in [
+            ("9000", "127.0.0.1:9000"),
+            (":9000", "127.0.0.1:9000"),
+            ("0.0.0.0", "0.0.0.0:8765"),
+            ("[::1]", "[::1]:8765"),
+            ("[::1]:9000", "[::1]:9000"),
+            ("lab:0", "lab:0"),
+        ] {
+            assert_eq!(address(asked), expected, "{asked}");
+        }
+    }
+}

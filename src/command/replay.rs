@@ -1,0 +1,58 @@
+//! `downwash replay`: a flight log, played to viewers.
+
+use std::io::Cursor;
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow};
+
+use super::audience::{address, say_address};
+use super::stop::{Stop, StopSignals};
+use super::{Exit, ExitContext, say};
+use crate::cli::ReplayArgs;
+use crate::log::reader::ReadError;
+use crate::log::{LogReader, import};
+use crate::view::{Playback, Recording, ViewSettings};
+
+/// How often signals are looked at.
+const WATCH_PERIOD: Duration = Duration::from_millis(200);
+
+pub(super) fn run(args: &ReplayArgs) -> anyhow::Result<Exit> {
+    let mut signals = StopSignals::new()?;
+    let recording = read(&args.log, args.mapping.as_deref())?;
+    let (first, last) = recording
+        .span()
+        .ok_or_else(|| anyhow!("{}: it holds no messages to play", args.log.display()))
+        .or_exit(Exit::Usage)?;
+    for damage in &recording.damages {
+        say(format_args!("{}: left out: {damage}", args.log.display()));
+    }
+    let name = args.log.file_name().unwrap_or_default().to_string_lossy();
+    let settings = ViewSettings {
+        address: address(&args.view),
+        name: format!("downwash: {name}"),
+        ..ViewSettings::default()
+    };
+    let playback = Playback::start(settings, recording, args.paused).or_exit(Exit::Usage)?;
+    say(format_args!("{}: {:.1} s", args.log.display(), last.since(first).as_secs_f64()));
+    say_address(playback.address());
+    loop {
+        match signals.wait(WATCH_PERIOD) {
+            Some(Stop::Interrupt) => return Ok(Exit::Interrupted),
+            Some(Stop::Terminate) => return Ok(Exit::Ok),
+            None => {}
+        }
+    }
+}
+
+/// A log of the project's own as it is, another one as `log import` would write it.
+fn read(path: &Path, mapping: Option<&Path>) -> anyhow::Result<Recording> {
+    let named = || path.display().to_string();
+    let foreign = match LogReader::open(path) {
+        Ok(reader) => return Recording::read(reader).with_context(named),
+        Err(ReadError::NotMcap { .. }) => import::open_among(path, mapping).or_exit(Exit::Usage)?,
+        Err(error) => return Err(error).or_exit(Exit::Usage),
+    };
+    let bytes = import::to_bytes(&foreign).with_context(named)?;
+    Recording::read(LogReader::new(Cursor::new(bytes))?).with_context(named)
+}

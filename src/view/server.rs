@@ -1,0 +1,266 @@
+//! The server's thread: Foxglove's protocol behind our own front.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use foxglove::websocket::{
+    AnyClient, Capability, ChannelView, Client, GetParametersResponder, Parameter,
+    ParameterHandler, PlaybackControlRequest, PlaybackState, ServerListener,
+    SetParametersResponder,
+};
+use foxglove::{ChannelBuilder, Context, RawChannel, Schema, SinkId, WebSocketServerHandle};
+use tokio::sync::oneshot;
+
+use super::front;
+use crate::log::encoder::Definition;
+
+/// Messages that wait for one viewer; the oldest are dropped. Half a second of a busy flight.
+const BACKLOG: usize = 1024;
+
+/// Subscriptions that are remembered until they are looked at.
+const NEWCOMERS_MAX: usize = 4096;
+/// Time for viewers to get the end of it.
+const LAST_WORDS: Duration = Duration::from_millis(100);
+
+/// Why a view cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewError {
+    /// The address is taken, or none of this machine's.
+    #[error("cannot serve the view on {address}: {source}; choose another with --view=HOST:PORT")]
+    Bind {
+        /// As it was asked for.
+        address: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// The system gave no thread or no socket.
+    #[error("cannot start the view: {0}")]
+    Start(#[from] io::Error),
+    /// Foxglove's server did not start.
+    #[error("cannot start the view: {0}")]
+    Server(#[from] foxglove::FoxgloveError),
+}
+
+/// Where and what is served.
+#[derive(Clone, Debug, Default)]
+pub struct ViewSettings {
+    /// `HOST:PORT`; port 0 takes one of the system's.
+    pub address: String,
+    /// What viewers show as the source.
+    pub name: String,
+    /// Parameters that are shown at first; others are added by [`Server::add_parameters`].
+    pub parameters: BTreeMap<String, String>,
+    /// First and last time of what is played back, ns; `None` is live.
+    pub playback: Option<(u64, u64)>,
+}
+
+/// Answers a viewer's request to play, pause or seek.
+pub(super) type OnPlayback = Box<dyn Fn(PlaybackControlRequest) -> PlaybackState + Send + Sync>;
+
+/// What the server's callbacks and the feed share.
+#[derive(Default)]
+struct Shared {
+    parameters: Mutex<BTreeMap<String, String>>,
+    /// Who subscribed, and to which topic, since this was last taken.
+    newcomers: Mutex<Vec<(SinkId, String)>>,
+    has_newcomers: AtomicBool,
+    on_playback: Option<OnPlayback>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A running server. Dropping it ends the thread and closes all connections.
+pub(super) struct Server {
+    context: Arc<Context>,
+    handle: WebSocketServerHandle,
+    shared: Arc<Shared>,
+    address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Server {
+    /// Starts serving.
+    pub fn start(
+        settings: ViewSettings,
+        on_playback: Option<OnPlayback>,
+    ) -> Result<Self, ViewError> {
+        let context = Context::new();
+        let parameters = Mutex::new(settings.parameters);
+        let shared = Arc::new(Shared { parameters, on_playback, ..Shared::default() });
+        let mut server = context
+            .websocket_server()
+            .name(settings.name)
+            // Viewers reach it through the front alone.
+            .bind("127.0.0.1", 0)
+            .message_backlog_size(BACKLOG)
+            .capabilities([Capability::Time])
+            .parameter_handler(Arc::clone(&shared) as _)
+            .listener(Arc::clone(&shared) as _);
+        if let Some((first, last)) = settings.playback {
+            server = server.playback_time_range(first, last);
+        }
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let (stop, stopped) = oneshot::channel();
+        let (started, start) = sync_channel(1);
+        let address = settings.address;
+        let serve = async move {
+            let running = async {
+                let listener = front::bind(&address)
+                    .await
+                    .map_err(|source| ViewError::Bind { address, source })?;
+                let at = listener.local_addr()?;
+                Ok::<_, ViewError>((listener, at, server.start().await?))
+            };
+            match running.await {
+                Err(error) => drop(started.send(Err(error))),
+                Ok((listener, at, handle)) => {
+                    let inner = SocketAddr::from(([127, 0, 0, 1], handle.port()));
+                    if started.send(Ok((at, handle))).is_ok() {
+                        tokio::select! {
+                            () = front::serve(listener, inner) => {}
+                            // What was said last is still on its way.
+                            _ = stopped => tokio::time::sleep(LAST_WORDS).await,
+                        }
+                    }
+                }
+            }
+        };
+        let thread =
+            thread::Builder::new().name("view".into()).spawn(move || runtime.block_on(serve))?;
+        let (address, handle) = start
+            .recv()
+            .map_err(|_| io::Error::other("its thread ended before it had begun"))??;
+        Ok(Self { context, handle, shared, address, stop: Some(stop), thread: Some(thread) })
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Whether anybody watches.
+    pub fn is_watched(&self) -> bool {
+        self.handle.client_count() > 0
+    }
+
+    /// Makes a topic known to all viewers.
+    pub fn advertise(&self, definition: &Definition) -> Result<Arc<RawChannel>, ViewError> {
+        let Definition { topic, schema, descriptor } = definition;
+        let schema = Schema::new(*schema, "protobuf", descriptor.clone());
+        self.channel(topic, "protobuf", Some(schema))
+    }
+
+    /// The same, for messages of any encoding.
+    pub fn channel(
+        &self,
+        topic: &str,
+        encoding: &str,
+        schema: Option<Schema>,
+    ) -> Result<Arc<RawChannel>, ViewError> {
+        let builder = ChannelBuilder::new(topic).context(&self.context);
+        Ok(builder.message_encoding(encoding).schema(schema).build_raw()?)
+    }
+
+    /// Tells viewers what time it is, ns.
+    pub fn tell_time(&self, time: u64) {
+        self.handle.broadcast_time(time);
+    }
+
+    /// Tells viewers how the playback stands.
+    pub fn tell_playback(&self, state: PlaybackState) {
+        self.handle.broadcast_playback_state(state);
+    }
+
+    /// Adds to the parameters that are shown, or changes them.
+    pub fn add_parameters(&self, parameters: impl IntoIterator<Item = (String, String)>) {
+        let added: Vec<_> = parameters.into_iter().collect();
+        let shown = added.iter().map(|(name, value)| parameter(name, value)).collect();
+        lock(&self.shared.parameters).extend(added);
+        self.handle.publish_parameter_values(shown);
+    }
+
+    /// Who subscribed to which topic since the last call.
+    pub fn take_newcomers(&self) -> Vec<(SinkId, String)> {
+        // The flag keeps the mutex out of the way of every record.
+        if !self.shared.has_newcomers.swap(false, Ordering::AcqRel) {
+            return Vec::new();
+        }
+        std::mem::take(&mut lock(&self.shared.newcomers))
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        if let Some(stop) = self.stop.take() {
+            let _ = stop.send(());
+        }
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Numbers are shown as numbers.
+fn parameter(name: &str, value: &str) -> Parameter {
+    match value.parse::<f64>() {
+        Ok(number) if number.is_finite() => Parameter::float64(name, number),
+        _ => Parameter::string(name, value),
+    }
+}
+
+impl ParameterHandler for Shared {
+    fn get(
+        &self,
+        _: AnyClient,
+        names: Vec<String>,
+        _: Option<String>,
+        responder: GetParametersResponder,
+    ) {
+        let parameters = lock(&self.parameters);
+        let wanted = parameters.iter().filter(|(name, _)| names.is_empty() || names.contains(name));
+        responder.respond(wanted.map(|(name, value)| parameter(name, value)).collect());
+    }
+
+    /// Nothing is set from here: who asks is told what holds.
+    fn set(
+        &self,
+        _: AnyClient,
+        asked: Vec<Parameter>,
+        _: Option<String>,
+        responder: SetParametersResponder,
+    ) {
+        let parameters = lock(&self.parameters);
+        let held = asked.iter().filter_map(|Parameter { name, .. }| {
+            parameters.get(name).map(|value| parameter(name, value))
+        });
+        responder.respond(held.collect());
+    }
+}
+
+impl ServerListener for Shared {
+    fn on_subscribe(&self, client: Client, channel: ChannelView<'_>) {
+        let Some(sink) = client.sink_id() else { return };
+        let mut newcomers = lock(&self.newcomers);
+        // Nobody takes them while nothing is heard of the vehicle.
+        if newcomers.len() < NEWCOMERS_MAX {
+            newcomers.push((sink, channel.topic().to_owned()));
+        }
+        self.has_newcomers.store(true, Ordering::Release);
+    }
+
+    fn on_playback_control_request(
+        &self,
+        request: PlaybackControlRequest,
+    ) -> Option<PlaybackState> {
+        self.on_playback.as_ref().map(|answer| answer(request))
+    }
+}

@@ -1,0 +1,105 @@
+"""`--forward`: pymavlink as a ground station beside the daemon sees the vehicle, and commands nothing."""
+
+import time
+
+import pytest
+
+from conftest import CRAZYFLIE, free_port
+from hand_made_vehicle import HandMadeVehicle, mavutil
+
+STATION = {"source_system": 255, "source_component": 190, "dialect": "all"}
+
+
+@pytest.fixture
+def hand_made():
+    """A hand-made vehicle and the URL at which a daemon meets it."""
+    port = free_port()
+    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
+    yield vehicle, f"udpin:127.0.0.1:{port}"
+    vehicle.stop()
+
+
+@pytest.fixture
+def beside(program, hover, hand_made, tmp_path):
+    """A daemon that forwards to a ground station: the daemon, the station, the vehicle."""
+    stations = []
+
+    def start(allow):
+        vehicle, url = hand_made
+        config = tmp_path / "daemon.toml"
+        config.write_text(
+            f"vehicle = '{CRAZYFLIE}'\ntrajectory = '{hover}'\nconnect = '{url}'\nlog_dir = '{tmp_path}'\n"
+            f"[forward]\nallow = {allow}\n"
+        )
+        port = free_port()
+        station = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", **STATION)
+        stations.append(station)
+        daemon = program("daemon", "--config", config, "--forward", f"udpout:127.0.0.1:{port}")
+        return daemon, station, vehicle
+
+    yield start
+    for station in stations:
+        station.close()
+
+
+def hear(station, kind, accept=lambda message: True, timeout=20.0):
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        message = station.recv_match(type=kind, blocking=True, timeout=timeout)
+        if message is not None and accept(message):
+            return message
+    raise AssertionError(f"no {kind}")
+
+
+def test_a_station_beside_the_daemon_sees_the_vehicle_and_is_not_heard(beside):
+    daemon, station, vehicle = beside([])
+    beat = hear(station, "HEARTBEAT")
+    assert (beat.get_srcSystem(), beat.get_srcComponent()) == (1, 1)
+    hear(station, ["ATTITUDE", "ATTITUDE_QUATERNION", "ODOMETRY"])
+    # What it sends is said, and goes nowhere.
+    before = dict(vehicle.params)
+    station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
+    daemon.says("PARAM_SET of udpout:127.0.0.1:")
+    station.mav.command_long_send(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+    daemon.says("COMMAND_LONG of udpout:127.0.0.1:")
+    station.mav.set_attitude_target_send(0, 1, 1, 0, [1, 0, 0, 0], 0, 0, 0, 1.0)
+    daemon.says("SET_ATTITUDE_TARGET of udpout:127.0.0.1:")
+    assert vehicle.params == before
+    assert not any(command == 400 for command, _, _ in vehicle.commands)
+    # And the daemon's own frames are not the station's to see.
+    assert station.messages.get("HEARTBEAT").get_srcSystem() == 1
+
+
+def test_what_the_list_allows_passes_and_nothing_else(beside):
+    daemon, station, vehicle = beside(["COMMAND_LONG"])
+    hear(station, "HEARTBEAT")
+    station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
+    daemon.says("PARAM_SET of udpout:127.0.0.1:")
+    # MAV_CMD_REQUEST_MESSAGE for a message that nobody else asks for.
+    station.mav.command_long_send(1, 1, 512, 0, 77, 0, 0, 0, 0, 0, 0)
+    end = time.monotonic() + 20.0
+    while not any(command == 512 and first == 77 for command, first, _ in vehicle.commands):
+        assert time.monotonic() < end, "the command never came"
+        station.recv_match(blocking=True, timeout=0.1)
+    assert vehicle.params["MIS_TAKEOFF_ALT"] == 2.5
+
+
+def test_garbage_of_a_station_harms_nobody(beside):
+    daemon, station, vehicle = beside(["COMMAND_LONG"])
+    hear(station, "HEARTBEAT")
+    for size in (1, 7, 280, 1500, 60000):
+        station.write(bytes((7 * index + size) % 256 for index in range(size)))
+    station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
+    daemon.says("PARAM_SET of udpout:127.0.0.1:")
+    hear(station, "HEARTBEAT")
+
+
+@pytest.mark.parametrize(
+    "allow, words",
+    [(["HEARTBEET"], "no message is called"), (["SET_ATTITUDE_TARGET"], "is this program's to send")],
+)
+def test_a_list_with_what_is_none_is_refused(beside, allow, words):
+    daemon, _, _ = beside(allow)
+    code, _ = daemon.finish()
+    assert code == 2
+    assert words in daemon.err

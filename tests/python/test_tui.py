@@ -1,0 +1,142 @@
+"""`--tui` on a pseudo-terminal: what it shows, its keys, and that the terminal is as it was after every end."""
+
+import os
+import signal
+import termios
+import time
+
+import pexpect
+import pyte
+import pytest
+
+from conftest import CRAZYFLIE, DOWNWASH, free_port
+from hand_made_vehicle import HandMadeVehicle
+
+ROWS, COLUMNS = 30, 110
+
+
+class Screen:
+    """A program on a terminal of its own, and what the terminal shows."""
+
+    def __init__(self, *arguments):
+        self.child = pexpect.spawn(
+            DOWNWASH[0],
+            [*DOWNWASH[1:], *map(str, arguments)],
+            dimensions=(ROWS, COLUMNS),
+            env={**os.environ, "TERM": "xterm-256color"},
+            timeout=60,
+        )
+        self.before = termios.tcgetattr(self.child.child_fd)
+        self.display = pyte.Screen(COLUMNS, ROWS)
+        self.stream = pyte.ByteStream(self.display)
+        self.raw = b""
+
+    def feed(self):
+        try:
+            data = self.child.read_nonblocking(65536, timeout=0.2)
+        except pexpect.TIMEOUT:
+            return True
+        except pexpect.EOF:
+            return False
+        self.raw += data
+        self.stream.feed(data)
+        return True
+
+    @property
+    def text(self):
+        return "\n".join(self.display.display)
+
+    def until(self, *words, timeout=60.0):
+        end = time.monotonic() + timeout
+        while not all(word in self.text for word in words):
+            assert self.feed() and time.monotonic() < end, f"never {words}:\n{self.text}"
+
+    def finish(self):
+        while self.feed():
+            pass
+        self.child.wait()
+        return self.child.exitstatus
+
+    def is_restored(self):
+        """Alternate screen left, cursor shown, and the settings of the terminal as they were."""
+        left = self.raw.rindex(b"\x1b[?1049l") > self.raw.rindex(b"\x1b[?1049h")
+        shown = self.raw.rindex(b"\x1b[?25h") > self.raw.rindex(b"\x1b[?25l")
+        return left and shown
+
+
+@pytest.fixture
+def flight(tmp_path):
+    """Starts `fly --tui` with a hand-made vehicle."""
+    vehicles = []
+
+    def start(*options, duration=30.0):
+        port = free_port()
+        vehicles.append(HandMadeVehicle(f"udpout:127.0.0.1:{port}"))
+        hover = tmp_path / "hover.toml"
+        hover.write_text(f"family = 'hover'\naltitude_m = 0.8\nduration_s = {duration}\n")
+        connect = ("--connect", f"udpin:127.0.0.1:{port}", "--vehicle", CRAZYFLIE)
+        return Screen("fly", hover, *connect, "--log-dir", tmp_path, "--tui", *options)
+
+    yield start
+    for vehicle in vehicles:
+        vehicle.stop()
+
+
+def test_a_flight_on_one_screen_from_take_off_to_landing(flight):
+    screen = flight(duration=1.0)
+    screen.until("state", "link", "events", "q or Ctrl-C: land and stop")
+    screen.until("state track", "mode Offboard", "armed", "link connected", "attitude roll", "error n")
+    assert screen.finish() == 0
+    assert screen.is_restored()
+    # The messages and the result stand on the terminal as it was.
+    after = screen.raw[screen.raw.rindex(b"\x1b[?1049l") :].decode()
+    assert "INFO track: at the start" in after and "flight  done" in after
+
+
+@pytest.mark.parametrize("key", ["q", "\x03"], ids=["q", "ctrl-c"])
+def test_a_key_lands_and_the_exit_code_says_so(flight, key):
+    screen = flight()
+    screen.until("state track")
+    screen.child.send(key)
+    screen.until("state land")
+    assert screen.finish() == 130
+    assert screen.is_restored()
+
+
+def test_a_signal_leaves_the_terminal_as_it_was(flight):
+    screen = flight()
+    screen.until("state track")
+    for _ in range(2):
+        screen.child.kill(signal.SIGTERM)
+        screen.until("stopping", timeout=20)
+    assert screen.finish() is not None
+    assert screen.is_restored()
+
+
+def test_the_terminal_s_settings_are_given_back(flight):
+    """A shell goes on in the same terminal: its settings are as before."""
+    screen = flight()
+    screen.until("state")
+    during = termios.tcgetattr(screen.child.child_fd)
+    assert during[3] & termios.ICANON == 0
+    screen.child.send("q")
+    while b"\x1b[?1049l" not in screen.raw:
+        assert screen.feed()
+    # The program is still there for a moment, or its terminal keeps what it left.
+    after = None
+    try:
+        after = termios.tcgetattr(screen.child.child_fd)
+    except termios.error:
+        pytest.skip("the terminal went with the program")
+    finally:
+        screen.finish()
+    assert after[3] & termios.ICANON
+    assert after[3] & termios.ECHO
+
+
+def test_without_a_terminal_it_is_refused(program, hover, tmp_path):
+    options = ("--connect", "udpin:127.0.0.1:0", "--vehicle", CRAZYFLIE, "--log-dir", tmp_path, "--tui")
+    flight = program("fly", hover, *options)
+    code, _ = flight.finish()
+    assert code == 2
+    assert "--tui: expected a terminal" in flight.err

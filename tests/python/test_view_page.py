@@ -1,0 +1,118 @@
+"""The page of the live view in a real browser: a flight as it happens, and a log that is played."""
+
+import re
+
+import pytest
+
+from browser import browser  # noqa: F401
+from conftest import Program
+
+HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 4.0\n"
+STATE = "document.getElementById('figure-state').textContent"
+
+
+def address(program):
+    program.says("view at ")
+    return re.search(r"view at (http://\S+/)", program.err).group(1)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """The log of a short simulated flight."""
+    folder = tmp_path_factory.mktemp("view")
+    (folder / "hover.toml").write_text(HOVER)
+    flown = Program("simulate", folder / "hover.toml", "--no-report", "--out", folder)
+    assert flown.finish()[0] == 0
+    flown.close()
+    return next(folder.glob("*.mcap"))
+
+
+def check_clean(browser, url):  # noqa: F811
+    assert browser.errors == []
+    own = (url, url.replace("http:", "ws:"), "data:,")
+    assert [asked for asked in browser.requests if asked not in own] == []
+
+
+def test_a_flight_is_seen_as_it_happens(program, browser, tmp_path):  # noqa: F811
+    (tmp_path / "hover.toml").write_text(HOVER)
+    flight = program("simulate", tmp_path / "hover.toml", "--no-log", "--view=127.0.0.1:0")
+    url = address(flight)
+    browser.size(1400, 1000)
+    browser.open(url)
+    browser.until(f"{STATE} === 'track'")
+    browser.until("known.plan.length > 50 && known.trail.length > 10 && known.rotors.length === 4")
+    browser.until("document.getElementById('figure-mode').textContent === 'Offboard'")
+    browser.until("lines.get('north').t.length > 100 && lines.get('output 1').t.length > 100")
+    # The vehicle is where it was told to be, north, east and up.
+    assert abs(browser.value("known.state.p[2]") - 0.8) < 0.3
+    events = browser.value("document.getElementById('events').textContent")
+    assert "heard" in events
+    browser.value("document.getElementById('settings').open = true")
+    parameters = browser.until("document.getElementById('parameters').textContent")
+    assert "control.law" in parameters
+    assert flight.finish()[0] == 0
+    # The server is gone with the flight, and the page says so.
+    browser.until("document.getElementById('link').className === 'bad'")
+
+
+def test_a_log_is_played_paused_and_sought_in(program, browser, log):  # noqa: F811
+    replay = program("replay", log, "--view=127.0.0.1:0", "--paused")
+    url = address(replay)
+    browser.size(1400, 1000)
+    browser.open(url)
+    browser.until("playback && !playback.playing && known.rotors.length === 4 || playback && known.now > 0")
+    # Nothing moves before it is played.
+    assert browser.value("playback.playing") in (True, False)
+    middle = browser.value("(playback.from + playback.to) / 2")
+    browser.value("control(1, 1, (playback.from + playback.to) / 2)")
+    browser.until("!playback.playing && Math.abs(known.now - (playback.from + playback.to) / 2) < 0.01")
+    assert browser.value("known.now") == pytest.approx(middle, abs=0.01)
+    browser.until("known.trail.length > 10 && known.plan.length > 50")
+    browser.value("document.getElementById('play').click()")
+    browser.until(f"playback.playing && known.now > (playback.from + playback.to) / 2 + 0.5 && {STATE} !== '–'")
+    # Back: what was seen after that instant is gone from the curves.
+    browser.value("control(1, 1, playback.from + 2)")
+    browser.until("!playback.playing && Math.abs(known.now - playback.from - 2) < 0.01")
+    browser.value("control(0, 8, playback.from + 2)")
+    browser.until("playback.speed === 8 && known.now > playback.from + 4")
+    curve = browser.value("lines.get('height').t.every((t, i, all) => i === 0 || t > all[i - 1])")
+    assert curve is True
+    browser.until("!playback.playing && known.now >= playback.to - 0.01")
+    check_clean(browser, url)
+    replay.signal(2)
+    assert replay.finish()[0] == 130
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_the_page_fits_and_is_readable(program, browser, log, width, dark):  # noqa: F811
+    replay = program("replay", log, "--view=127.0.0.1:0")
+    url = address(replay)
+    browser.size(width, 1000, dark)
+    browser.open(url)
+    browser.until("known.now > playback.from + 3 && known.trail.length > 5")
+    assert browser.value("document.documentElement.scrollWidth") <= width
+    small = """[...document.querySelectorAll('body *')].filter(e => e.childNodes.length
+        && [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()))
+        .map(e => parseFloat(getComputedStyle(e).fontSize)).filter(size => size < 11)"""
+    assert browser.value(small) == []
+    unlabelled = "[...document.querySelectorAll('canvas')].filter(c => !c.getAttribute('aria-label')).length"
+    assert browser.value(unlabelled) == 0
+    check_clean(browser, url)
+
+
+def test_nothing_is_served_unless_asked_for(program, hover, tmp_path):
+    """A flight without --view listens on no TCP port."""
+    flight = program("fly", hover, "--connect", "udpin:127.0.0.1:0", "--vehicle", "crazyflie", "--log-dir", tmp_path)
+    flight.says("link open")
+    sockets = set()
+    import os
+
+    for descriptor in os.listdir(f"/proc/{flight.process.pid}/fd"):
+        target = os.readlink(f"/proc/{flight.process.pid}/fd/{descriptor}")
+        if target.startswith("socket:["):
+            sockets.add(target[8:-1])
+    for table in ("tcp", "tcp6"):
+        with open(f"/proc/{flight.process.pid}/net/{table}") as lines:
+            listening = [line.split()[9] for line in list(lines)[1:] if line.split()[3] == "0A"]
+        assert not sockets.intersection(listening)
