@@ -1,5 +1,6 @@
 //! The command line: raw flags only. Each command checks them and does the work.
 
+mod compare;
 mod demo;
 mod flight;
 mod log;
@@ -16,6 +17,7 @@ use ::vehicle::effects::EffectId;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub use self::compare::{AlignChoice, CompareArgs, PairChoice};
 pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
@@ -82,6 +84,9 @@ pub enum Command {
     /// Reads flight logs.
     #[command(subcommand)]
     Log(LogCommand),
+    /// Lays flights of any logs side by side, A before `--` and B after it: errors with what chance
+    /// leaves open, and what differs between their vehicles, settings and versions.
+    Compare(CompareArgs),
     /// Learns a vehicle's dynamics from flight logs: networks, physics, and their hybrid.
     Train(TrainArgs),
     /// Looks at, judges, runs and exports a learned model.

@@ -160,7 +160,7 @@ fn one_series(series: &Series) -> String {
     let name = format!("{} in {}", AXES[series.acceleration], series.run);
     let (x_label, x) = ("time (s)", series.time_s.as_slice());
     let panels = vec![Panel { name, curves }];
-    Chart { x_label, x, bands: &[], height: 190.0, panels }.to_html()
+    Chart::new(x_label, x, 190.0, panels).to_html()
 }
 
 fn one_step(summary: &TrainingSummary) -> String {
@@ -224,7 +224,7 @@ fn learning(summary: &TrainingSummary) -> String {
             ],
         }];
         let x = passes.as_slice();
-        html += &Chart { x_label: "pass", x, bands: &[], height: 120.0, panels }.to_html();
+        html += &Chart::new("pass", x, 120.0, panels).to_html();
     }
     let mut table = Table::new(&[
         ("network", false),
