@@ -42,6 +42,19 @@ fn report_is_one_file_that_fetches_nothing() {
 }
 
 #[test]
+fn the_page_of_ten_minutes_is_small_enough_to_send() {
+    let path = log("ten_minutes", &records(600.0));
+    let flight = downwash::log::import::open(&path, None);
+    let report = report(&path);
+    let report = match flight {
+        Ok(flight) => report.with_recording(flight),
+        Err(_) => report,
+    };
+    let html = report.to_html();
+    assert!(html.len() < 3_000_000, "{} bytes", html.len());
+}
+
+#[test]
 fn summary_counts_what_was_flown() {
     let mut records = records(10.0);
     // A pause of four ticks.

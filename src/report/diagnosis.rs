@@ -1,6 +1,7 @@
 //! The page of a diagnosis: verdict first, then where, which, how far, what the logs cannot tell.
 
 mod next_flight;
+mod picture;
 mod reflight;
 mod waterfall;
 
@@ -27,6 +28,10 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
     let subtitle = format!("{} flights, {seconds:.0} s in the air", answer.flights.len());
     let mut page = Page::new(&format!("Diagnosis: {vehicle}"), &subtitle);
     verdict(answer, &mut page);
+    let picture = picture::html(answer);
+    if !picture.is_empty() {
+        page.section("The picture", "", &picture);
+    }
     page.section("Where", &answer.map.sentence, &place(answer));
     page.section(
         "Which",
@@ -115,7 +120,7 @@ fn place(answer: &Answer) -> String {
         ]);
     }
     if !answer.map.regimes.is_empty() {
-        html += "<h3>Unexplained acceleration by regime (m/s\u{b2}), in quarters of the time</h3>";
+        html += "<h3>Unexplained acceleration by regime (m/s\u{b2}), in quarters of the time: as shipped, and with the best explanation</h3>";
         let mut table = Table::new(&[
             ("quantity", false),
             ("range", true),
@@ -124,10 +129,11 @@ fn place(answer: &Answer) -> String {
             ("3rd", true),
             ("4th", true),
         ]);
-        for Regime { quantity, bounds, rms } in &answer.map.regimes {
+        for Regime { quantity, bounds, rms, rms_after } in &answer.map.regimes {
             let range = format!("{} .. {}", significant(bounds[0]), significant(bounds[4]));
             let mut cells = vec![(*quantity).to_owned(), range];
-            cells.extend(rms.iter().map(|x| significant(*x)));
+            let both = rms.iter().zip(rms_after);
+            cells.extend(both.map(|(x, y)| format!("{} \u{2192} {}", significant(*x), significant(*y))));
             table.row(Mood::Plain, &cells);
         }
         html += &table.into_html();
@@ -207,10 +213,6 @@ fn how_far(answer: &Answer, gap: &Gap) -> String {
         rows.insert(rows.len() - 1, ("with a learner".to_owned(), learner, floor_mark));
     }
     let mut html = String::new();
-    if !answer.attribution.is_empty() {
-        html += "<h3>Where the squared gap comes from</h3>";
-        html += &waterfall::html(&answer.attribution);
-    }
     let _ = write!(html, "<h3>{}, in units of the noise</h3>", metric_in_words(gap.metric));
     html += &bars(&rows);
     let mut table = Table::new(&[

@@ -170,6 +170,15 @@ impl Frame<'_> {
         )
     }
 
+    /// Many dots of one look.
+    pub(super) fn dots(&self, points: &[(f64, f64)], class: &str) -> String {
+        let mut data = String::new();
+        for (x, y) in points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()) {
+            let _ = write!(data, "M{} {}h0", self.across(*x), self.down(*y));
+        }
+        format!("<path class=\"{class}\" d=\"{data}\"/>")
+    }
+
     /// A rectangle.
     pub(super) fn area(&self, x: [f64; 2], y: [f64; 2], class: &str, title: &str) -> String {
         let (left, right) = (self.across(x[0]), self.across(x[1]));

@@ -1,5 +1,7 @@
 //! The page of a training's report.
 
+mod against;
+
 use super::axis::significant;
 use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
@@ -33,8 +35,12 @@ pub fn html(summary: &TrainingSummary) -> String {
         ),
     );
     verdict(summary, &mut page);
+    let against = against::html(summary);
+    if !against.is_empty() {
+        page.section("Predicted against observed", &against::sentence(summary), &against);
+    }
     page.section(
-        "Observed and predicted",
+        "Over time",
         "Accelerations of a test flight, which no model was fitted on: the label, and what each model says at the same state and input.",
         &series(summary, &[0, 1, 2, 3, 4, 5]),
     );
