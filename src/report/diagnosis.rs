@@ -133,7 +133,9 @@ fn place(answer: &Answer) -> String {
             let range = format!("{} .. {}", significant(bounds[0]), significant(bounds[4]));
             let mut cells = vec![(*quantity).to_owned(), range];
             let both = rms.iter().zip(rms_after);
-            cells.extend(both.map(|(x, y)| format!("{} \u{2192} {}", significant(*x), significant(*y))));
+            cells.extend(
+                both.map(|(x, y)| format!("{} \u{2192} {}", significant(*x), significant(*y))),
+            );
             table.row(Mood::Plain, &cells);
         }
         html += &table.into_html();

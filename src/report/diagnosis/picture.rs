@@ -69,7 +69,7 @@ fn against(regime: &Regime, y: Axis, explanation: &str) -> String {
         list(rms_after)
     );
     let frame = Frame {
-        x: Axis::exact(Some((bounds[0], bounds[4]))),
+        x: Axis::padded(Some((bounds[0], bounds[4]))),
         y,
         height: 150.0,
         name: "unexplained (m/s\u{b2})",
