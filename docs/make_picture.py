@@ -1,8 +1,9 @@
-"""A picture of one section of a report, as a browser shows it:
+"""A picture of sections of a report, as a browser shows it:
 
-    python3 docs/make_picture.py demo-out/report.html trajectories docs/demo-diagnose.png
+    python3 docs/make_picture.py flight.html top,path docs/flight.png --height 1150
+    python3 docs/make_picture.py compare.html top,differences docs/compare.png --height 800
 
-The section is named as in the page's links. With --dark in the dark, with --width 400 as on a phone.
+Sections are named as in the page's links. With --dark in the dark, with --width 400 as on a phone.
 """
 
 import argparse
