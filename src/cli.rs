@@ -1,6 +1,7 @@
 //! The command line: raw flags only. Each command checks them and does the work.
 
 mod campaign;
+mod compare;
 mod demo;
 mod flight;
 mod log;
@@ -20,6 +21,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::campaign::CampaignArgs;
+pub use self::compare::{AlignChoice, CompareArgs, PairChoice};
 pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
@@ -97,6 +99,9 @@ pub enum Command {
     Log(LogCommand),
     /// Plays a flight log to a browser or to Foxglove, with pause, speed and seeking.
     Replay(ReplayArgs),
+    /// Lays flights of any logs side by side, A before `--` and B after it: errors with what chance
+    /// leaves open, and what differs between their vehicles, settings and versions.
+    Compare(CompareArgs),
     /// Learns a vehicle's dynamics from flight logs: networks, physics, and their hybrid.
     Train(TrainArgs),
     /// Looks at, judges, runs and exports a learned model.

@@ -18,6 +18,7 @@ mod audit_degenerate;
 mod closed_loop_golden;
 mod closed_loop_linear;
 mod collect;
+mod compare;
 mod control_laws;
 mod control_riccati;
 mod demo_diagnose;

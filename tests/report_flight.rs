@@ -19,6 +19,11 @@ fn report(path: &Path) -> FlightReport {
     FlightReport::read(&mut LogReader::open(path).unwrap()).unwrap()
 }
 
+/// What is to be read: all but the script.
+fn drawn(html: &str) -> &str {
+    html.split("<script>").next().unwrap()
+}
+
 #[test]
 fn report_is_one_file_that_fetches_nothing() {
     let path = log("whole", &records(22.5));
@@ -26,14 +31,32 @@ fn report_is_one_file_that_fetches_nothing() {
     let html = report.to_html();
     fs::write(path.with_extension("html"), &html).unwrap();
     assert!(html.len() < 1_500_000, "{} bytes", html.len());
-    for outside in ["http:", "https:", "src=", "href=", "@import", "url(", "<script"] {
+    for outside in ["http:", "https:", "src=", "@import", "url(", "fetch(", "import("] {
         assert!(!html.contains(outside), "{outside}");
     }
+    // Links lead to parts of the page that are there.
+    for link in html.split("href=\"").skip(1).map(|rest| rest.split('"').next().unwrap()) {
+        let part = link.strip_prefix('#').expect("a part of the page");
+        assert!(html.contains(&format!("id=\"{part}\"")), "{link}");
+    }
     for broken in ["NaN", "inf ", "infinity"] {
-        assert!(!html.contains(broken), "{broken}");
+        assert!(!drawn(&html).contains(broken), "{broken}");
     }
     assert!(html.contains("Tracked for 15.7 s"), "the sentence says how long");
     assert!(html.contains("Low battery, &quot;10 %&quot;"));
+}
+
+#[test]
+fn the_page_of_ten_minutes_is_small_enough_to_send() {
+    let path = log("ten_minutes", &records(600.0));
+    let flight = downwash::log::import::open(&path, None);
+    let report = report(&path);
+    let report = match flight {
+        Ok(flight) => report.with_recording(flight),
+        Err(_) => report,
+    };
+    let html = report.to_html();
+    assert!(html.len() < 3_000_000, "{} bytes", html.len());
 }
 
 #[test]
@@ -85,6 +108,6 @@ fn unfinished_and_empty_logs_are_reported_as_such() {
         let report = FlightReport::read(&mut reader).unwrap();
         assert!(!report.summary().log_finished);
         let html = report.to_html();
-        assert!(html.contains("the log is unfinished") && !html.contains("NaN"));
+        assert!(html.contains("the log is unfinished") && !drawn(&html).contains("NaN"));
     }
 }

@@ -74,10 +74,21 @@ pub enum LogCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Writes the report on a flight: path, tracking error, setpoints and timing, as one HTML file.
+    /// Writes the report on a flight, as one HTML file: path, errors, motors, pack, vibration,
+    /// timing.
+    ///
+    /// Takes logs of this program's flights, and any other flight log that `log import` takes.
     Report {
-        /// Flight log (.mcap).
+        /// Flight log.
         file: PathBuf,
+        /// What the columns of a table are: a file (TOML), or the name of a shipped one
+        /// (motion-capture, motive).
+        #[arg(long, value_name = "MAP")]
+        mapping: Option<PathBuf>,
+        /// Which start of the vehicle, from 1, of a telemetry log that holds several [default: the
+        /// one that flew longest].
+        #[arg(long, value_name = "N")]
+        boot: Option<usize>,
         /// The report [default: beside the log, under its name].
         #[arg(short, long)]
         out: Option<PathBuf>,

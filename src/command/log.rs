@@ -8,14 +8,14 @@ use anyhow::{Context, anyhow};
 
 use super::import::Import;
 use super::output::{Output, refuse_input};
-use super::{Exit, ExitContext, audit, import, print_json, say, write_file};
+use super::{Exit, ExitContext, audit, import, print_json, say, summary, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
-use crate::log::import::Choice;
+use crate::log::import::{Choice, open_chosen};
 use crate::log::info::LogInfo;
 use crate::log::reader::ReadError;
-use crate::report::FlightReport;
+use crate::report::{FlightReport, Recording};
 
 pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
     match command {
@@ -41,25 +41,47 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
         LogCommand::Audit { logs, mapping, fail_on, json } => {
             audit::run(&logs, mapping.as_deref(), fail_on, json)
         }
-        LogCommand::Report { file, out, json } => {
-            let out = out.unwrap_or_else(|| file.with_extension("html"));
-            refuse_input(&out, [file.as_path()])?;
-            let mut reader = open(&file)?;
-            let report = FlightReport::read(&mut reader)?;
-            if report.is_empty() {
-                let found = "expected the log of one of this program's flights, found no tick, link or \
-                             event; `log audit` looks at any other";
-                return Err(anyhow!("{}: {found}", file.display())).or_exit(Exit::Usage);
-            }
-            write_file(&out, report.to_html().as_bytes())?;
-            if json {
-                print_json(report.summary())?;
-            } else {
-                println!("{}", out.display());
-            }
-            Ok(Exit::Ok)
+        LogCommand::Report { file, mapping, boot, out, json } => {
+            report(&file, mapping.as_deref(), boot, out, json)
         }
     }
+}
+
+/// Writes the report on a flight: one of this program's, or any other that can be imported.
+fn report(
+    file: &Path,
+    mapping: Option<&Path>,
+    boot: Option<usize>,
+    out: Option<PathBuf>,
+    json: bool,
+) -> anyhow::Result<Exit> {
+    let out = out.unwrap_or_else(|| file.with_extension("html"));
+    refuse_input(&out, [file])?;
+    let own = match LogReader::open(file) {
+        Ok(mut reader) => {
+            let report = FlightReport::read(&mut reader)?;
+            (!report.is_empty()).then(|| summary::with_recording(report, file))
+        }
+        Err(error @ ReadError::Open { .. }) => return Err(error).or_exit(Exit::Usage),
+        Err(_) => None,
+    };
+    if let Some(report) = own {
+        write_file(&out, report.to_html().as_bytes())?;
+        if json {
+            print_json(report.summary())?;
+        }
+    } else {
+        let flight = open_chosen(file, Choice { mapping, boot }).or_exit(Exit::Usage)?;
+        let report = Recording::new(flight);
+        write_file(&out, report.to_html().as_bytes())?;
+        if json {
+            print_json(report.summary())?;
+        }
+    }
+    if !json {
+        println!("{}", out.display());
+    }
+    Ok(Exit::Ok)
 }
 
 /// Opens a log; what is wrong with it is told with its name.

@@ -4,6 +4,7 @@ mod audience;
 mod audit;
 mod campaign;
 mod collect;
+mod compare;
 mod config;
 mod course;
 mod daemon;
@@ -59,6 +60,7 @@ use tracing_subscriber::fmt::time::uptime;
 use crate::cli::{Cli, Command};
 use crate::log::partial::PartialFile;
 pub use audit::{AuditSummary, audit};
+pub use compare::entry;
 pub use course::Course;
 pub use diagnose::{Finding, find};
 pub use exit::Exit;
@@ -166,6 +168,11 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
             Interruption::watch()?;
             end_on_broken_pipe();
             log::run(command)
+        }
+        Command::Compare(args) => {
+            Interruption::watch()?;
+            end_on_broken_pipe();
+            compare::run(&args)
         }
         Command::Model(command) => {
             Interruption::watch()?;

@@ -15,6 +15,8 @@ use crate::cli::SchemaArgs;
 use crate::learn::summary::TrainingSummary;
 use crate::log::info::LogInfo;
 use crate::report::flight::FlightSummary;
+use crate::report::recording::RecordingSummary;
+use crate::report::side_by_side::Comparison;
 
 /// What a command prints.
 struct Output {
@@ -26,13 +28,14 @@ struct Output {
 }
 
 /// All of them, in the order of a table.
-const OUTPUTS: [Output; 28] = [
+const OUTPUTS: [Output; 29] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
         "campaign --script FILE --json, a line of rows-*.jsonl for each flight",
     ),
     Output::new::<collect::CollectSummary>("downwash.collect", "collect --json"),
+    Output::new::<Comparison>("downwash.compare", "compare --json"),
     Output::new::<config::Report<'_>>("downwash.config", "config --json"),
     Output::new::<demo::DemoSummary>("downwash.demo", "demo --json"),
     Output::new::<demo_diagnose::RepairSummary>("downwash.demo.diagnose", "demo --diagnose --json"),
@@ -50,6 +53,10 @@ const OUTPUTS: [Output; 28] = [
     Output::new::<import::Summary>("downwash.log.import", "log import --json"),
     Output::new::<LogInfo>("downwash.log.info", "log info --json, a line for each file"),
     Output::new::<FlightSummary>("downwash.report.flight", "log report --json"),
+    Output::new::<RecordingSummary>(
+        "downwash.report.recording",
+        "log report --json, of a log of another program",
+    ),
     Output::new::<model::EvaluationSummary>("downwash.model_eval", "model eval --json"),
     Output::new::<model::Info<'_>>("downwash.model_info", "model info --json"),
     Output::new::<plan::PlanSummary<'_>>("downwash.plan.summary", "plan --json"),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::Exit;
 use super::stop::Stop;
-use crate::log::LogReader;
+use crate::log::{LogReader, import};
 use crate::report::flight::{FlightReport, FlightSummary};
 use crate::station::End;
 
@@ -29,7 +29,17 @@ pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Ex
 /// The report on a log.
 pub(super) fn report_on(log: &Path) -> anyhow::Result<FlightReport> {
     let mut reader = LogReader::open(log)?;
-    Ok(FlightReport::read(&mut reader)?)
+    let report = FlightReport::read(&mut reader)?;
+    Ok(with_recording(report, log))
+}
+
+/// The report with what the vehicle's own messages in the log show; a log that was cut short may
+/// hold none.
+pub(super) fn with_recording(report: FlightReport, log: &Path) -> FlightReport {
+    match import::open(log, None) {
+        Ok(flight) => report.with_recording(flight),
+        Err(_) => report,
+    }
 }
 
 /// The table that a flight leaves on stdout.

@@ -227,10 +227,11 @@ impl Assembly<'_> {
         let Self { inquiry, best, .. } = self;
         let references = inquiry.catalogue.references();
         let shipped = inquiry.catalogue.candidate(&references)?;
+        let explained = inquiry.catalogue.candidate(&best.fit.values)?;
         let before = inquiry.all.residuals(&references).ok_or(DiagnoseError::Nothing)?;
         let after = inquiry.all.residuals(&best.fit.values).ok_or(DiagnoseError::Nothing)?;
         let [before, after] = [before, after].map(|residuals| inquiry.all.power(&residuals));
-        Ok(map(&inquiry.all, inquiry.evaluator, &shipped, &before, &after))
+        Ok(map(&inquiry.all, inquiry.evaluator, [&shipped, &explained], &before, &after))
     }
 
     /// Forces that are left, before and after.

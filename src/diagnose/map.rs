@@ -42,6 +42,8 @@ pub struct Regime {
     pub bounds: [f64; 5],
     /// Root mean square of the unexplained acceleration in each quarter, m/s^2.
     pub rms: [f64; 4],
+    /// What the best explanation leaves of it in the same quarters, m/s^2.
+    pub rms_after: [f64; 4],
 }
 
 /// The map.
@@ -59,12 +61,12 @@ pub struct ResidualMap {
     pub sentence: String,
 }
 
-/// Maps what `shipped` leaves of flights; `power` is that of the shipped simulator, `floor` what
-/// the best explanation leaves, by place.
+/// Maps what `shipped` leaves of flights, and `best`, the best explanation; `power` is that of the
+/// shipped simulator, `floor` what the best explanation leaves, by place.
 pub fn map(
     observed: &Observed<'_>,
     evaluator: &Evaluator,
-    shipped: &Candidate,
+    [shipped, best]: [&Candidate; 2],
     power: &[f64],
     floor: &[f64],
 ) -> ResidualMap {
@@ -93,6 +95,7 @@ pub fn map(
         }
     }
     cells.sort_by(|a, b| b.excess.total_cmp(&a.excess).then(a.channel.cmp(b.channel)));
+    let after = samples(observed, evaluator, best);
     let samples = samples(observed, evaluator, shipped);
     let mean = |of: fn(&Sample) -> [f64; 3]| -> Option<[f64; 3]> {
         (!samples.is_empty()).then(|| {
@@ -103,7 +106,7 @@ pub fn map(
     let mut regimes: Vec<Regime> = QUANTITIES
         .iter()
         .enumerate()
-        .filter_map(|(index, quantity)| regime(&samples, index, quantity))
+        .filter_map(|(index, quantity)| regime(&samples, &after, index, quantity))
         .collect();
     regimes.sort_by(|a, b| steepness(b).total_cmp(&steepness(a)));
     let constant_in_world = mean(|s| s.world);
@@ -212,21 +215,34 @@ fn sample(flight: &PreparedFlight, time: f64, world: [f64; 3]) -> Sample {
     }
 }
 
-fn regime(samples: &[Sample], index: usize, quantity: &'static str) -> Option<Regime> {
-    let mut order: Vec<&Sample> = samples.iter().collect();
-    order.sort_by(|a, b| a.quantities[index].total_cmp(&b.quantities[index]));
+/// By `index` of [`QUANTITIES`]; `after` are the samples at the same times with the explanation.
+fn regime(
+    samples: &[Sample],
+    after: &[Sample],
+    index: usize,
+    quantity: &'static str,
+) -> Option<Regime> {
+    let mut order: Vec<(&Sample, &Sample)> = samples.iter().zip(after).collect();
+    let value = |sample: &Sample| sample.quantities[index];
+    order.sort_by(|(a, _), (b, _)| value(a).total_cmp(&value(b)));
     let n = order.len();
-    let (first, last) = (order.first()?.quantities[index], order.last()?.quantities[index]);
+    let (first, last) = (value(order.first()?.0), value(order.last()?.0));
     if n < 16 || last <= first {
         return None;
     }
-    let at = |quarter: usize| order[(quarter * n / 4).min(n - 1)].quantities[index];
-    let rms = std::array::from_fn(|quarter| {
-        let part = &order[quarter * n / 4..(quarter + 1) * n / 4];
-        let square: f64 = part.iter().flat_map(|s| s.world).map(|x| x * x).sum();
-        (square / part.len() as f64).sqrt()
-    });
-    Some(Regime { quantity, bounds: std::array::from_fn(at), rms })
+    let at = |quarter: usize| value(order[(quarter * n / 4).min(n - 1)].0);
+    let square = |sample: &Sample| sample.world.iter().map(|x| x * x).sum::<f64>();
+    let quarter = |quarter: usize| &order[quarter * n / 4..(quarter + 1) * n / 4];
+    let rms = |part: &[(&Sample, &Sample)], of: fn(&(&Sample, &Sample)) -> Sample| {
+        let sum: f64 = part.iter().map(|pair| square(&of(pair))).sum();
+        (sum / part.len() as f64).sqrt()
+    };
+    Some(Regime {
+        quantity,
+        bounds: std::array::from_fn(at),
+        rms: std::array::from_fn(|k| rms(quarter(k), |(before, _)| **before)),
+        rms_after: std::array::from_fn(|k| rms(quarter(k), |(_, after)| **after)),
+    })
 }
 
 /// Parts of the time that a dependence is looked for in.

@@ -107,6 +107,10 @@ pub struct Traces {
     pub position_m: [Vec<f64>; 2],
     /// Simulated less logged thrust, before and after, N.
     pub thrust_n: [Vec<f64>; 2],
+    /// What was logged: north, east, down, m, and thrust, N.
+    pub logged: [Vec<f64>; 4],
+    /// The same as simulated, before and after.
+    pub simulated: [[Vec<f64>; 4]; 2],
 }
 
 /// Flies the flights held out again, with the vehicle as shipped and with `effects` put over it,
@@ -209,6 +213,8 @@ impl Simulation<'_> {
                 time_s: (0..log.states.len()).map(|k| k as f64 * SPACING_S).collect(),
                 position_m: [log.distances(&before), log.distances(&after)],
                 thrust_n: [log.thrust_beyond(&before), log.thrust_beyond(&after)],
+                logged: log.columns(),
+                simulated: [before.columns(), after.columns()],
             },
         };
         Ok((reflown, sums))
@@ -326,6 +332,13 @@ impl Motion {
             })
             .collect();
         Self { states: (0..count).map(|k| pose(at(k))).collect(), commands }
+    }
+
+    /// North, east, down, m, and thrust, N, over time.
+    fn columns(&self) -> [Vec<f64>; 4] {
+        let axis = |axis: usize| self.states.iter().map(|(p, _)| p.to_array()[axis]).collect();
+        let thrust = self.commands.iter().map(|(wrench, _)| wrench[0]).collect();
+        [axis(0), axis(1), axis(2), thrust]
     }
 
     fn distances(&self, other: &Self) -> Vec<f64> {

@@ -1,23 +1,24 @@
-//! Charts as inline SVG: curves over a shared x axis.
+//! Charts: curves over a shared x axis.
 
 use std::fmt::Write;
 
-use super::axis::{Axis, LABELLED_BOTTOM, LEFT, RIGHT, TOP, WIDTH, grid, range_of, significant};
+use super::axis::{Axis, range_of, significant};
+use super::frame::Frame;
 use super::page::escape;
 
-/// Room above the first panel for the names of the bands.
-const NAMES: f64 = 17.0;
-const BOTTOM: f64 = 22.0;
 /// Columns of a chart within which only the smallest and the largest value are drawn.
-const BUCKETS: usize = 600;
-/// Places along x that show their values when pointed at.
-const HOVERS: usize = 60;
+const BUCKETS: usize = 1500;
+/// Widths of a frame on a phone and on a desk, pixels.
+const PHONE: f64 = 310.0;
+const DESK: f64 = 880.0;
 
 /// How a curve looks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
     /// One of five colours, 1 to 5, each with a dash pattern of its own.
     Colour(u8),
+    /// One of them, thin, without dashes: one of many of a kind.
+    Thin(u8),
     /// Dashed and neutral: what was wanted.
     Reference,
 }
@@ -35,6 +36,7 @@ impl Style {
     pub(super) fn class(self) -> String {
         match self {
             Self::Colour(number) => format!("curve c{number}"),
+            Self::Thin(number) => format!("curve thin c{number}"),
             Self::Reference => "curve ref".into(),
         }
     }
@@ -51,6 +53,19 @@ pub struct Curve {
     pub y: Vec<f64>,
 }
 
+/// An area around a curve, in its colour.
+#[derive(Clone, Debug)]
+pub struct Ribbon {
+    /// Name of the curve.
+    pub of: String,
+    /// Its colour, 1 to 5.
+    pub colour: u8,
+    /// Lower edge.
+    pub low: Vec<f64>,
+    /// Upper edge.
+    pub high: Vec<f64>,
+}
+
 /// A part of the x axis with a name, drawn as a background.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Band {
@@ -62,19 +77,38 @@ pub struct Band {
     pub name: String,
 }
 
+/// An instant that is worth a look.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mark {
+    /// When.
+    pub at: f64,
+    /// What happened.
+    pub text: String,
+    /// Whether it is an error, not a warning.
+    pub bad: bool,
+}
+
 /// Panels of curves below one another that share an x axis.
 #[derive(Clone, Debug)]
 pub struct Chart<'a> {
-    /// Name and unit of x.
+    /// Name and unit of x. Charts of a page with the same one are looked at together.
     pub x_label: &'a str,
     /// Values of x, ascending.
     pub x: &'a [f64],
     /// Background.
     pub bands: &'a [Band],
+    /// Instants over all panels.
+    pub marks: &'a [Mark],
+    /// The part of x that is shown; all of it where it is not said.
+    pub span: Option<(f64, f64)>,
+    /// Whether y begins at zero.
+    pub from_zero: bool,
     /// Height of a panel's frame in pixels.
     pub height: f64,
     /// Panels.
     pub panels: Vec<Panel>,
+    /// Areas below the curves, for each panel; none where there are fewer.
+    pub ribbons: Vec<Vec<Ribbon>>,
 }
 
 /// One frame of a [`Chart`].
@@ -86,139 +120,166 @@ pub struct Panel {
     pub curves: Vec<Curve>,
 }
 
-impl Chart<'_> {
+impl<'a> Chart<'a> {
+    /// Panels over all of `x`, without a background.
+    pub fn new(x_label: &'a str, x: &'a [f64], height: f64, panels: Vec<Panel>) -> Self {
+        let (bands, marks, ribbons) = (&[], &[], Vec::new());
+        Self { x_label, x, bands, marks, span: None, from_zero: false, height, panels, ribbons }
+    }
+
     /// The legend and the panels. Curves of one name and look share a line of the legend; a curve
     /// that is alone in its panel needs none.
     pub fn to_html(&self) -> String {
-        let mut html = self.legend();
+        let mut html = {
+            let class = if self.bands.is_empty() { "chart" } else { "chart phases" };
+            format!("<div class=\"{class}\">{}", self.legend())
+        };
         let last = self.panels.len().saturating_sub(1);
         for (number, panel) in self.panels.iter().enumerate() {
-            self.panel(panel, number == 0, number == last, &mut html);
+            let ribbons = self.ribbons.get(number).map_or(&[][..], Vec::as_slice);
+            html += &self.panel(panel, ribbons, number == 0, number == last);
         }
-        html
+        html + "</div>"
     }
 
     fn legend(&self) -> String {
         let mut seen: Vec<(&str, Style)> = Vec::new();
         let crowded = self.panels.iter().filter(|p| p.curves.len() > 1);
         for curve in crowded.flat_map(|p| &p.curves) {
-            if !seen.contains(&(&curve.name, curve.style)) {
+            // Many of a kind are named once, by the first.
+            let known = seen.iter().any(|(name, style)| {
+                *style == curve.style && (*name == curve.name || matches!(style, Style::Thin(_)))
+            });
+            if !known {
                 seen.push((&curve.name, curve.style));
             }
         }
-        let items: String = seen
-            .iter()
-            .map(|(name, style)| {
-                format!(
-                    "<span><svg viewBox=\"0 0 24 10\"><path class=\"{}\" d=\"M0 5H24\"/></svg>{}</span>",
-                    style.class(),
-                    escape(name)
-                )
-            })
-            .collect();
-        format!("<div class=\"legend\">{items}</div>")
+        legend(seen.iter().map(|(name, style)| (*name, style.class())))
     }
 
-    fn panel(&self, panel: &Panel, first: bool, last: bool, html: &mut String) {
-        let bottom = if last { LABELLED_BOTTOM } else { BOTTOM };
-        let top = if first && !self.bands.is_empty() { TOP + NAMES } else { TOP };
-        let height = top + self.height + bottom;
-        let x = Axis::exact(range(self.x), LEFT, WIDTH - RIGHT);
-        let values = panel.curves.iter().flat_map(|c| &c.y).copied();
-        let y = Axis::padded(range_of(values), top + self.height, top);
-        let name = escape(&panel.name);
-        let _ = write!(
-            html,
-            "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{name}\">"
-        );
-        self.background(&x, top, first, html);
-        grid(&x, &y, html);
-        let _ = write!(html, "<text class=\"name\" x=\"{LEFT}\" y=\"{}\">{name}</text>", top - 7.0);
-        if last {
-            let label = escape(self.x_label);
-            let (at, below) = ((LEFT + WIDTH - RIGHT) / 2.0, height - 5.0);
-            let _ = write!(
-                html,
-                "<text x=\"{at}\" y=\"{below}\" text-anchor=\"middle\">{label}</text>"
-            );
+    fn panel(&self, panel: &Panel, ribbons: &[Ribbon], first: bool, last: bool) -> String {
+        let values = panel.curves.iter().flat_map(|c| &c.y);
+        let edges = ribbons.iter().flat_map(|r| r.low.iter().chain(&r.high));
+        let zero = self.from_zero.then_some(0.0);
+        let description = self.description(panel);
+        let frame = Frame {
+            x: Axis::exact(self.span.or(range_of(self.x.iter().copied()))),
+            y: Axis::padded(range_of(values.chain(edges).copied().chain(zero))),
+            height: self.height,
+            name: &panel.name,
+            x_label: last.then_some(self.x_label),
+            group: Some(self.x_label),
+            description: &description,
+        };
+        let (mut marks, texts) = self.background(&frame, first);
+        for ribbon in ribbons {
+            let class = format!("ribbon c{}", ribbon.colour);
+            marks += &frame.ribbon(self.x, &ribbon.low, &ribbon.high, &class, &ribbon.of);
         }
         for curve in &panel.curves {
-            let path = path(self.x, &curve.y, &x, &y);
-            let _ = write!(
-                html,
-                "<path class=\"{}\" d=\"{path}\"><title>{}</title></path>",
-                curve.style.class(),
-                escape(&curve.name)
-            );
+            let points = thinned(self.x, &curve.y).into_iter();
+            marks += &frame.curve(points, &curve.style.class(), &curve.name);
         }
-        self.hovers(panel, &x, top, html);
-        html.push_str("</svg>");
+        frame.to_html(&marks, &texts)
     }
 
-    /// Every second band is shaded; names stand above the first panel, where they fit.
-    fn background(&self, x: &Axis, top: f64, named: bool, html: &mut String) {
+    /// A panel in words.
+    fn description(&self, panel: &Panel) -> String {
+        let mut text = panel.name.clone();
+        if let Some((from, to)) = range_of(self.x.iter().copied()) {
+            let _ = write!(
+                text,
+                " over {}, {} to {}.",
+                self.x_label,
+                significant(from),
+                significant(to)
+            );
+        }
+        const TOLD: usize = 6;
+        for curve in panel.curves.iter().take(TOLD) {
+            let name = &curve.name;
+            let Some((low, high)) = range_of(curve.y.iter().copied()) else {
+                let _ = write!(text, " {name}: no data.");
+                continue;
+            };
+            let finite: Vec<f64> = curve.y.iter().copied().filter(|y| y.is_finite()).collect();
+            let mean = finite.iter().sum::<f64>() / finite.len() as f64;
+            let [low, high, mean] = [low, high, mean].map(significant);
+            let _ = write!(text, " {name}: {low} to {high}, mean {mean}.");
+        }
+        let more = panel.curves.len().saturating_sub(TOLD);
+        if more > 0 {
+            let _ = write!(text, " And {more} more curves.");
+        }
+        text
+    }
+
+    /// Every second band is shaded; names stand over the first panel.
+    fn background(&self, frame: &Frame<'_>, named: bool) -> (String, String) {
+        let (mut drawn, mut texts) = (String::new(), String::new());
+        let (x, y) = (frame.x, frame.y);
         for (number, band) in self.bands.iter().enumerate() {
-            let (from, to) = (x.at(band.from.max(x.low)), x.at(band.to.min(x.high)));
-            let width = to - from;
-            if width.is_nan() || width <= 0.0 {
+            let (from, to) = (band.from.max(x.low), band.to.min(x.high));
+            if (to - from).is_nan() || to <= from {
                 continue;
             }
             if number % 2 == 0 {
-                let _ = write!(
-                    html,
-                    "<rect class=\"band\" x=\"{from:.1}\" y=\"{top}\" width=\"{width:.1}\" height=\"{}\"/>",
-                    self.height
-                );
+                drawn += &frame.area([from, to], [y.low, y.high], "band", &band.name);
             }
-            if named && width > 7.0 * band.name.chars().count() as f64 {
+            if named {
+                let (left, width) = (100.0 * x.at(from), 100.0 * (x.at(to) - x.at(from)));
+                let name = escape(&band.name);
+                // What a name needs of a frame as wide as on a phone, and as on a desk.
+                let needs = 6.5 * band.name.chars().count() as f64;
+                let fits = match 0.01 * width {
+                    share if needs < share * PHONE => "",
+                    share if needs < share * DESK => " more",
+                    _ => " off",
+                };
                 let _ = write!(
-                    html,
-                    "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
-                    (from + to) / 2.0,
-                    top - NAMES - 6.0,
-                    escape(&band.name)
+                    texts,
+                    "<span class=\"phase{fits}\" data-x=\"{from} {to}\" title=\"{name}\" \
+                     style=\"left:{left:.2}%;width:{width:.2}%\">{name}</span>"
                 );
             }
         }
-    }
-
-    fn hovers(&self, panel: &Panel, x: &Axis, top: f64, html: &mut String) {
-        let step = (WIDTH - RIGHT - LEFT) / HOVERS as f64;
-        for slot in 0..HOVERS {
-            let left = LEFT + slot as f64 * step;
-            let wanted = x.value(left + step / 2.0);
-            let index = self.x.partition_point(|v| *v < wanted);
-            let Some(at) = self.x.get(index) else { continue };
-            let _ = write!(
-                html,
-                "<rect class=\"hover\" x=\"{left:.1}\" y=\"{top}\" width=\"{step:.1}\" height=\"{}\"><title>{at:.2}",
-                self.height
-            );
-            for curve in &panel.curves {
-                if let Some(value) = curve.y.get(index).filter(|v| v.is_finite()) {
-                    let _ = write!(html, "\n{}: {}", escape(&curve.name), significant(*value));
-                }
-            }
-            html.push_str("</title></rect>");
+        for mark in self.marks.iter().filter(|mark| (x.low..=x.high).contains(&mark.at)) {
+            let class = if mark.bad { "instant bad" } else { "instant" };
+            drawn += &frame.upright(mark.at, class, &mark.text);
         }
+        (drawn, texts)
     }
 }
 
-fn range(values: &[f64]) -> Option<(f64, f64)> {
-    range_of(values.iter().copied())
+/// A legend: names with the classes of their curves.
+pub(super) fn legend<'a>(items: impl Iterator<Item = (&'a str, String)>) -> String {
+    let items: String = items
+        .map(|(name, class)| {
+            let name = escape(name);
+            format!(
+                "<span data-name=\"{name}\"><svg viewBox=\"0 0 24 10\" aria-hidden=\"true\">\
+                 <path class=\"{class}\" d=\"M0 5H24\"/></svg>{name}</span>"
+            )
+        })
+        .collect();
+    if items.is_empty() { items } else { format!("<div class=\"legend\">{items}</div>") }
 }
 
-/// The curve as path data: within each bucket only its extremes, in their order.
-fn path(xs: &[f64], ys: &[f64], x: &Axis, y: &Axis) -> String {
-    let mut data = String::new();
-    let mut pen_down = false;
+/// The points that are drawn: within each bucket only the extremes, in their order; a gap stays one.
+fn thinned(xs: &[f64], ys: &[f64]) -> Vec<(f64, f64)> {
     let points = xs.len().min(ys.len());
     let per_bucket = points.div_ceil(BUCKETS).max(1);
+    // Two points of two need no bucket.
+    if per_bucket <= 2 {
+        return xs.iter().copied().zip(ys.iter().copied()).collect();
+    }
+    let mut kept = Vec::with_capacity(2 * BUCKETS);
     for start in (0..points).step_by(per_bucket) {
         let bucket = start..(start + per_bucket).min(points);
         let mut extremes: Option<(usize, usize)> = None;
         for i in bucket.clone() {
-            if xs[i].is_finite() && ys[i].is_finite() {
+            let finite = xs[i].is_finite() && ys[i].is_finite();
+            if finite {
                 let (least, most) = extremes.unwrap_or((i, i));
                 extremes = Some((
                     if ys[i] < ys[least] { i } else { least },
@@ -231,16 +292,17 @@ fn path(xs: &[f64], ys: &[f64], x: &Axis, y: &Axis) -> String {
             // The bucket's end, or a gap in it.
             if let Some((least, most)) = extremes.take() {
                 let (first, second) = (least.min(most), least.max(most));
-                for i in (first..=second).step_by((second - first).max(1)) {
-                    let command = if pen_down { 'L' } else { 'M' };
-                    let _ = write!(data, "{command}{:.1} {:.1}", x.at(xs[i]), y.at(ys[i]));
-                    pen_down = true;
+                kept.push((xs[first], ys[first]));
+                if second > first {
+                    kept.push((xs[second], ys[second]));
                 }
             }
-            pen_down &= xs[i].is_finite() && ys[i].is_finite();
+            if !finite && kept.last().is_some_and(|(_, y)| y.is_finite()) {
+                kept.push((f64::NAN, f64::NAN));
+            }
         }
     }
-    data
+    kept
 }
 
 #[cfg(test)]
@@ -261,11 +323,10 @@ mod tests {
         let xs: Vec<f64> = (0..100_000).map(f64::from).collect();
         let mut ys = vec![0.0; xs.len()];
         ys[54_321] = 1.0;
-        let (x, y) = (Axis::exact(range(&xs), 0.0, 900.0), Axis::exact(range(&ys), 100.0, 0.0));
-        let drawn = path(&xs, &ys, &x, &y);
-        assert!(drawn.contains(" 0.0") && drawn.len() < 20_000);
-        let gap = path(&[0.0, 1.0, 2.0], &[0.0, f64::NAN, 1.0], &x, &y);
-        assert_eq!(gap.matches('M').count(), 2);
+        ys[70_000] = f64::NAN;
+        let drawn = thinned(&xs, &ys);
+        assert!(drawn.contains(&(54_321.0, 1.0)) && drawn.len() < 2 * BUCKETS + 4);
+        assert_eq!(drawn.iter().filter(|(_, y)| y.is_nan()).count(), 1);
     }
 
     #[test]
@@ -273,14 +334,18 @@ mod tests {
         for y in [vec![], vec![f64::NAN; 3], vec![5.0; 3], vec![f64::INFINITY; 3]] {
             let curve = Curve { name: "a".into(), style: Style::Reference, y };
             let panel = Panel { name: "p".into(), curves: vec![curve] };
-            let chart = Chart {
-                x_label: "t",
-                x: &[0.0, 1.0, 2.0],
-                bands: &[],
-                height: 100.0,
-                panels: vec![panel],
-            };
-            assert!(!chart.to_html().contains("NaN"));
+            let chart = Chart::new("t", &[0.0, 1.0, 2.0], 100.0, vec![panel]);
+            let html = chart.to_html();
+            assert!(!html.contains("NaN") && !html.contains("inf"), "{html}");
         }
+    }
+
+    #[test]
+    fn a_chart_says_its_numbers_in_words() {
+        let curve = Curve { name: "flown".into(), style: Style::Colour(1), y: vec![1.0, 3.0] };
+        let panel = Panel { name: "north (m)".into(), curves: vec![curve] };
+        let chart = Chart::new("time (s)", &[0.0, 2.0], 100.0, vec![panel]);
+        let said = "north (m) over time (s), 0 to 2.000. flown: 1.000 to 3.000, mean 2.000.";
+        assert!(chart.to_html().contains(said), "{}", chart.to_html());
     }
 }

@@ -1,12 +1,14 @@
 //! The page of a diagnosis: verdict first, then where, which, how far, what the logs cannot tell.
 
 mod next_flight;
+mod picture;
 mod reflight;
 mod waterfall;
 
 use std::fmt::Write;
 
 use super::axis::significant;
+use super::bars::{self, Bar};
 use super::page::{Mood, Page, escape};
 use super::table::{Table, definitions};
 use crate::diagnose::answer::{Answer, Gap, Verdict};
@@ -15,11 +17,6 @@ use crate::diagnose::map::Regime;
 use crate::diagnose::open_loop::HORIZONS_S;
 use crate::diagnose::words::{self, closed_loop, one};
 
-/// Size of a drawing, pixels.
-const WIDTH: f64 = 640.0;
-const ROW: f64 = 26.0;
-/// Where bars begin, pixels.
-const LEFT: f64 = 250.0;
 /// Cells of the map and hypotheses that are drawn.
 const SHOWN: usize = 10;
 /// Share of a gap from which on it counts as closed.
@@ -31,6 +28,10 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
     let subtitle = format!("{} flights, {seconds:.0} s in the air", answer.flights.len());
     let mut page = Page::new(&format!("Diagnosis: {vehicle}"), &subtitle);
     verdict(answer, &mut page);
+    let picture = picture::html(answer);
+    if !picture.is_empty() {
+        page.section("The picture", "", &picture);
+    }
     page.section("Where", &answer.map.sentence, &place(answer));
     page.section(
         "Which",
@@ -87,52 +88,30 @@ fn verdict(answer: &Answer, page: &mut Page) {
     }
 }
 
-/// Horizontal bars: label, length, and a mark; all in one unit.
-fn bars(rows: &[(String, f64, f64)], unit: &str) -> String {
-    let most = rows.iter().flat_map(|(_, a, b)| [*a, *b]).fold(0.0, f64::max);
-    if rows.is_empty() || most <= 0.0 {
-        return String::new();
-    }
-    let scale = (WIDTH - LEFT - 80.0) / most;
-    let height = ROW * rows.len() as f64 + 6.0;
-    let mut svg = format!(
-        "<svg viewBox=\"0 0 {WIDTH} {height}\" width=\"100%\" role=\"img\" font-size=\"13\">"
-    );
-    for (row, (label, value, mark)) in rows.iter().enumerate() {
-        let y = ROW * row as f64 + 4.0;
-        let (length, at) = (value.max(0.0) * scale, LEFT + mark.max(0.0) * scale);
-        let (text, end) = (escape(label), LEFT + length + 6.0);
-        let base = y + 14.0;
-        let bottom = y + ROW - 6.0;
-        let number = significant(*value);
-        let _ = write!(
-            svg,
-            "<text x=\"{}\" y=\"{base:.1}\" text-anchor=\"end\" fill=\"currentColor\">{text}</text>\
-             <rect x=\"{LEFT}\" y=\"{y:.1}\" width=\"{length:.1}\" height=\"{:.1}\" fill=\"var(--c1)\"/>\
-             <line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{y:.1}\" y2=\"{bottom:.1}\" stroke=\"var(--ink)\" stroke-width=\"2\"/>\
-             <text x=\"{end:.1}\" y=\"{base:.1}\" fill=\"currentColor\">{number} {unit}</text>",
-            LEFT - 8.0,
-            ROW - 10.0,
-        );
-    }
-    svg + "</svg>"
+/// Bars of what is not below nothing, each with a mark.
+fn bars(rows: &[(String, f64, Option<f64>)]) -> String {
+    let bar = |(label, value, mark): &(String, f64, Option<f64>)| Bar {
+        mark: *mark,
+        ..Bar::new(label.as_str(), value.max(0.0), significant(*value))
+    };
+    bars::to_html(&rows.iter().map(bar).collect::<Vec<_>>())
 }
 
 fn place(answer: &Answer) -> String {
-    let rows: Vec<(String, f64, f64)> = answer
+    let rows: Vec<(String, f64, Option<f64>)> = answer
         .map
         .cells
         .iter()
         .take(SHOWN)
         .map(|cell| {
             let label = format!("{}, {}", cell.channel, cell.scale);
-            (label, (1.0 + cell.excess.max(-1.0)).sqrt(), 1.0)
+            (label, (1.0 + cell.excess.max(-1.0)).sqrt(), Some(1.0))
         })
         .collect();
     let mut html = String::from(
         "<h3>Root mean square as shipped, in units of the floor (mark: the floor)</h3>",
     );
-    html += &bars(&rows, "");
+    html += &bars(&rows);
     if let Some((world, body)) = answer.map.constant_in_world.zip(answer.map.constant_in_body) {
         let list = |v: [f64; 3]| v.map(|x| format!("{x:.3}")).join(", ");
         html += &definitions([
@@ -141,7 +120,7 @@ fn place(answer: &Answer) -> String {
         ]);
     }
     if !answer.map.regimes.is_empty() {
-        html += "<h3>Unexplained acceleration by regime (m/s\u{b2}), in quarters of the time</h3>";
+        html += "<h3>Unexplained acceleration by regime (m/s\u{b2}), in quarters of the time: as shipped, and with the best explanation</h3>";
         let mut table = Table::new(&[
             ("quantity", false),
             ("range", true),
@@ -150,10 +129,13 @@ fn place(answer: &Answer) -> String {
             ("3rd", true),
             ("4th", true),
         ]);
-        for Regime { quantity, bounds, rms } in &answer.map.regimes {
+        for Regime { quantity, bounds, rms, rms_after } in &answer.map.regimes {
             let range = format!("{} .. {}", significant(bounds[0]), significant(bounds[4]));
             let mut cells = vec![(*quantity).to_owned(), range];
-            cells.extend(rms.iter().map(|x| significant(*x)));
+            let both = rms.iter().zip(rms_after);
+            cells.extend(
+                both.map(|(x, y)| format!("{} \u{2192} {}", significant(*x), significant(*y))),
+            );
             table.row(Mood::Plain, &cells);
         }
         html += &table.into_html();
@@ -163,16 +145,16 @@ fn place(answer: &Answer) -> String {
 
 fn which(answer: &Answer) -> String {
     let set = |effects: &[String]| effects.join(" and ");
-    let rows: Vec<(String, f64, f64)> = answer
+    let rows: Vec<(String, f64, Option<f64>)> = answer
         .explanations
         .iter()
         .take(SHOWN)
-        .map(|explanation| (set(&explanation.effects), explanation.evidence, 0.0))
+        .map(|explanation| (set(&explanation.effects), explanation.evidence, None))
         .collect();
     let mut html = String::from(
         "<h3>Evidence of each set of effects over the vehicle file within its tolerances, nats</h3>",
     );
-    html += &bars(&rows, "");
+    html += &bars(&rows);
     let mut table = Table::new(&[
         ("effects", false),
         ("evidence", true),
@@ -220,24 +202,21 @@ fn which(answer: &Answer) -> String {
 
 fn how_far(answer: &Answer, gap: &Gap) -> String {
     let explanation = words::explanation(answer.finding.verdict);
+    let floor_mark = Some(gap.floor);
     let mut rows = vec![
-        ("as shipped".to_owned(), gap.before, gap.floor),
-        (explanation.to_owned(), gap.after, gap.floor),
-        ("noise alone".to_owned(), gap.floor, gap.floor),
+        ("as shipped".to_owned(), gap.before, floor_mark),
+        (explanation.to_owned(), gap.after, floor_mark),
+        ("noise alone".to_owned(), gap.floor, floor_mark),
     ];
     if let Some(nuisances) = gap.nuisances_only {
-        rows.insert(1, ("the file's numbers alone".to_owned(), nuisances, gap.floor));
+        rows.insert(1, ("the file's numbers alone".to_owned(), nuisances, floor_mark));
     }
     if let Some(learner) = gap.with_learner {
-        rows.insert(rows.len() - 1, ("with a learner".to_owned(), learner, gap.floor));
+        rows.insert(rows.len() - 1, ("with a learner".to_owned(), learner, floor_mark));
     }
     let mut html = String::new();
-    if !answer.attribution.is_empty() {
-        html += "<h3>Where the squared gap comes from</h3>";
-        html += &waterfall::svg(&answer.attribution);
-    }
     let _ = write!(html, "<h3>{}, in units of the noise</h3>", metric_in_words(gap.metric));
-    html += &bars(&rows, "");
+    html += &bars(&rows);
     let mut table = Table::new(&[
         ("quantity", false),
         ("as shipped", true),

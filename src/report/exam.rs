@@ -3,8 +3,9 @@
 
 use std::fmt::Write;
 
-use super::axis::{Axis, LABELLED_BOTTOM, LEFT, RIGHT, TOP, WIDTH, grid};
-use super::page::{Mood, Page, escape};
+use super::axis::Axis;
+use super::frame::Frame;
+use super::page::{Mood, Page};
 use super::table::{Table, definitions};
 use crate::exam::interval::Rate;
 use crate::exam::score::Row;
@@ -322,48 +323,34 @@ struct Point {
 
 /// Shares over something, with their intervals, and a dashed line to compare them with.
 fn figure(name: &str, x_label: &str, x: Axis, points: &[Point], line: [[f64; 2]; 2]) -> String {
-    let y = Axis::exact(Some((0.0, 1.0)), TOP + HEIGHT, TOP);
-    let height = TOP + HEIGHT + LABELLED_BOTTOM;
-    let mut svg = format!(
-        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{}\">",
-        escape(name)
-    );
-    grid(&x, &y, &mut svg);
-    let [[x0, y0], [x1, y1]] = line;
-    let _ = write!(
-        svg,
-        "<path class=\"curve ref\" d=\"M{:.1} {:.1}L{:.1} {:.1}\"/>",
-        x.at(x0),
-        y.at(y0),
-        x.at(x1),
-        y.at(y1)
-    );
-    let mut path = String::new();
-    for (number, point) in points.iter().enumerate() {
+    let known = points.iter().filter(|point| point.rate.rate.is_some());
+    let told: Vec<String> =
+        known.map(|point| format!("{}: {}", point.label, percent(&point.rate))).collect();
+    let description = format!("{name} over {x_label}. {}.", told.join("; "));
+    let frame = Frame {
+        x,
+        y: Axis::exact(Some((0.0, 1.0))),
+        height: HEIGHT,
+        name,
+        x_label: Some(x_label),
+        group: None,
+        description: &description,
+    };
+    let mut marks = frame.curve(line.iter().map(|[x, y]| (*x, *y)), "curve ref", "to compare with");
+    let curve = points.iter().filter_map(|point| Some((point.x, point.rate.rate?)));
+    marks += &frame.curve(curve, "curve c1", name);
+    for point in points {
         let Some(rate) = point.rate.rate else { continue };
-        let (at, height) = (x.at(point.x), y.at(rate));
-        let [low, high] = point.rate.interval.map(|bound| y.at(bound));
-        let _ = write!(path, "{}{at:.1} {height:.1}", if number == 0 { 'M' } else { 'L' });
-        let _ = write!(
-            svg,
-            "<path class=\"curve c2\" d=\"M{at:.1} {low:.1}V{high:.1}M{:.1} {low:.1}h8M{:.1} {high:.1}h8\"/>\
-             <circle cx=\"{at:.1}\" cy=\"{height:.1}\" r=\"4.5\" class=\"mark\"><title>{}</title></circle>",
-            at - 4.0,
-            at - 4.0,
-            escape(&format!("{}: {}", point.label, percent(&point.rate)))
+        let [low, high] = point.rate.interval;
+        marks += &frame.curve(
+            [(point.x, low), (point.x, high)].into_iter(),
+            "interval",
+            "95 % interval",
         );
+        let title = format!("{}: {}", point.label, percent(&point.rate));
+        marks += &frame.dot(point.x, rate, "c1", &title);
     }
-    let _ = write!(
-        svg,
-        "<path class=\"curve c1\" d=\"{path}\"/><text class=\"name\" x=\"{LEFT}\" y=\"{}\">{}</text>\
-         <text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text></svg>",
-        TOP - 7.0,
-        escape(name),
-        (LEFT + WIDTH - RIGHT) / 2.0,
-        height - 5.0,
-        escape(x_label)
-    );
-    svg
+    frame.to_html(&marks, "")
 }
 
 fn reliability(summary: &Summary) -> String {
@@ -375,7 +362,7 @@ fn reliability(summary: &Summary) -> String {
             Point { x: line.mean, rate: line.is_true, label: format!("{low:.2} to {high:.2}") }
         })
         .collect();
-    let x = Axis::exact(Some((0.0, 1.0)), LEFT, WIDTH - RIGHT);
+    let x = Axis::exact(Some((0.0, 1.0)));
     let line = [[0.0, 0.0], [1.0, 1.0]];
     figure("share that is true", "probability given, mean", x, &points, line)
 }
@@ -390,7 +377,7 @@ fn detection(summary: &Summary) -> String {
             Point { x: middle.log10(), rate: line.named, label: strengths(line) }
         })
         .collect();
-    let x = Axis::exact(Some((-0.5, 1.4)), LEFT, WIDTH - RIGHT);
+    let x = Axis::exact(Some((-0.5, 1.4)));
     let threshold = [[2.0_f64.log10(), 0.0], [2.0_f64.log10(), 1.0]];
     let label = "strength, log10 of signal over noise (dashed: twice the threshold)";
     figure("share named first", label, x, &points, threshold)

@@ -183,7 +183,7 @@ pub(super) fn errors(contenders: &[Contender]) -> String {
         panel(contenders, "distance (m)", |i| (i.flown - i.desired).norm()),
         panel(contenders, "yaw (deg)", |i| i.yaw_error_rad.abs().to_degrees()),
     ];
-    Chart { x_label: TIME, x: &time, bands: &[], height: 100.0, panels }.to_html()
+    Chart::new(TIME, &time, 100.0, panels).to_html()
 }
 
 fn shares(experiment: &Experiment<'_>) -> String {

@@ -7,7 +7,9 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::histogram::quantile;
+use super::recording::Recording;
 use crate::log::LogReader;
+use crate::log::import::Flight;
 use crate::log::info::{LogInfo, PhaseInfo, TrackingInfo, is_tracking};
 use crate::log::reader::{Message, ReadError};
 use crate::log::schema::{
@@ -35,6 +37,7 @@ pub struct FlightReport {
     pub(super) info: LogInfo,
     pub(super) rows: Vec<Row>,
     pub(super) link: Vec<(u64, LinkStatsMessage)>,
+    pub(super) recording: Option<Recording>,
     summary: FlightSummary,
 }
 
@@ -141,7 +144,21 @@ impl FlightReport {
         let (mut rows, mut link) = (Vec::new(), Vec::new());
         let info = LogInfo::read_with(reader, |message| collect(message, &mut rows, &mut link))?;
         let summary = summarise(&info, &rows, &link);
-        Ok(Self { info, rows, link, summary })
+        Ok(Self { info, rows, link, recording: None, summary })
+    }
+
+    /// The same with what the vehicle's own messages show, as read from the same log.
+    pub fn with_recording(self, flight: Flight) -> Self {
+        Self { recording: Some(Recording::new(flight)), ..self }
+    }
+
+    /// Added to the vehicle's clock, s, makes it time since the log's start.
+    pub(super) fn vehicle_shift_s(&self) -> Option<f64> {
+        let shift = |row: &Row| {
+            let log_s = row.log_ns.saturating_sub(self.info.start_ns) as f64 * 1e-9;
+            log_s - row.state.vehicle_time_us as f64 * 1e-6
+        };
+        quantile(&sorted(self.rows.iter().map(shift)), 0.5)
     }
 
     /// The numbers.

@@ -2,21 +2,22 @@
 
 use vehicle::frame::Ned;
 
-use super::axis::significant;
-use super::chart::{Band, Chart, Curve, Panel, Style};
+use super::axis::{range_of, significant};
+use super::chart::{Band, Chart, Curve, Mark, Panel, Style};
 use super::flight::{FlightReport, Row};
 use super::histogram::Histogram;
 use super::page::{Mood, Page};
+use super::recording_page::{self, TIME, Timeline};
 use super::scene::Scene;
-use super::table::{Table, definitions};
+use super::table::{Cell, Table, definitions};
 use super::words::length;
+use crate::log::info::EventInfo;
 use crate::log::schema::{
     ControlMessage, LinkStatsMessage, ReferenceMessage, SetpointMessage, StateMessage,
 };
 
 /// Events that the page lists.
 const EVENTS_LISTED: usize = 200;
-const TIME: &str = "time since the start of the log (s)";
 
 impl FlightReport {
     /// The page.
@@ -47,13 +48,24 @@ fn html(report: &FlightReport) -> String {
     );
     if report.info.tracking.is_some() {
         let explanation = "State minus reference, at every tick that sent a setpoint; landing is the vehicle's own.";
-        page.section("Tracking error", explanation, &figure.tracking_error());
+        let html = biases(report) + &figure.tracking_error();
+        page.section("Tracking error", explanation, &html);
     }
     let explanation =
         "World axes: north, east, down. Nothing is desired while no setpoints are sent.";
     page.section("Desired and flown", explanation, &figure.states());
     let explanation = "What was sent, and the feed-forward's share of it; the rest is feedback.";
     page.section("Setpoints", explanation, &figure.setpoints());
+    if let Some((recording, shift_s)) = report.recording.as_ref().zip(report.vehicle_shift_s()) {
+        let timeline = Timeline {
+            shift_s,
+            bands: &figure.bands,
+            marks: &figure.marks,
+            span: (0.0, report.info.duration_s),
+            anchor: "desired-and-flown",
+        };
+        recording_page::sections(recording, &timeline, &mut page);
+    }
     page.section("Timing", "", &timing(report));
     if !report.link.is_empty() {
         page.section("Link", "", &link(report, &figure));
@@ -143,6 +155,7 @@ struct Figure<'a> {
     report: &'a FlightReport,
     time: Vec<f64>,
     bands: Vec<Band>,
+    marks: Vec<Mark>,
 }
 
 impl<'a> Figure<'a> {
@@ -153,12 +166,25 @@ impl<'a> Figure<'a> {
             to: phase.start_s + phase.duration_s,
             name: phase.name.replace('_', " "),
         };
-        Self { report, time, bands: report.info.phases.iter().map(band).collect() }
+        let troubles = report.info.events.iter().filter(|event| event_mood(event) != Mood::Plain);
+        let mark = |event: &EventInfo| Mark {
+            at: event.time_s,
+            text: event.text.clone(),
+            bad: event_mood(event) == Mood::Bad,
+        };
+        let marks = troubles.take(EVENTS_LISTED).map(mark).collect();
+        Self { report, time, bands: report.info.phases.iter().map(band).collect(), marks }
     }
 
     fn chart(&self, height: f64, panels: Vec<Panel>) -> String {
-        let (x, bands) = (&self.time[..], &self.bands[..]);
-        Chart { x_label: TIME, x, bands, height, panels }.to_html()
+        self.over(&self.time, height, panels)
+    }
+
+    /// Panels over other times of the same axis.
+    fn over(&self, time: &[f64], height: f64, panels: Vec<Panel>) -> String {
+        let (bands, marks) = (&self.bands[..], &self.marks[..]);
+        let span = Some((0.0, self.report.info.duration_s)).filter(|(from, to)| to > from);
+        Chart { bands, marks, span, ..Chart::new(TIME, time, height, panels) }.to_html()
     }
 
     fn curve(&self, name: &str, style: Style, value: impl Fn(&Row) -> f64) -> Curve {
@@ -232,8 +258,18 @@ impl<'a> Figure<'a> {
             angular("pitch (deg)", |s| s.pitch_rad, |r| r.pitch_rad),
             angular("yaw (deg)", |s| s.yaw_rad, |r| r.yaw_rad),
         ];
-        [("Position", position), ("Velocity", velocity), ("Attitude", attitude)]
-            .map(|(heading, panels)| format!("<h3>{heading}</h3>{}", self.chart(104.0, panels)))
+        let rate = vec![
+            angular("roll rate (deg/s)", |s| s.p_radps, |r| r.p_radps),
+            angular("pitch rate (deg/s)", |s| s.q_radps, |r| r.q_radps),
+            angular("yaw rate (deg/s)", |s| s.r_radps, |r| r.r_radps),
+        ];
+        let all = [
+            ("Position", position),
+            ("Velocity", velocity),
+            ("Attitude", attitude),
+            ("Body rate", rate),
+        ];
+        all.map(|(heading, panels)| format!("<h3>{heading}</h3>{}", self.chart(104.0, panels)))
             .concat()
     }
 
@@ -269,6 +305,37 @@ impl<'a> Figure<'a> {
             ],
         )
     }
+}
+
+/// The signed errors in numbers.
+fn biases(report: &FlightReport) -> String {
+    type Get = fn(&ControlMessage) -> f64;
+    let mut table = Table::new(&[
+        ("", false),
+        ("bias", true),
+        ("standard deviation", true),
+        ("least", true),
+        ("greatest", true),
+    ]);
+    let axes: [(&str, Get); 4] = [
+        ("north (m)", |c| c.error_n_m),
+        ("east (m)", |c| c.error_e_m),
+        ("down (m)", |c| c.error_d_m),
+        ("yaw (deg)", |c| c.error_yaw_rad.to_degrees()),
+    ];
+    let tracks = |c: &&ControlMessage| c.trajectory_time_s.is_finite();
+    for (name, get) in axes {
+        let controls = report.rows.iter().filter_map(Row::share).filter(tracks);
+        let errors: Vec<f64> = controls.map(get).filter(|e| e.is_finite()).collect();
+        let n = errors.len().max(1) as f64;
+        let bias = errors.iter().sum::<f64>() / n;
+        let deviation = (errors.iter().map(|e| (e - bias).powi(2)).sum::<f64>() / n).sqrt();
+        let Some((least, most)) = range_of(errors.iter().copied()) else { continue };
+        let mut cells = vec![name.to_owned()];
+        cells.extend([bias, deviation, least, most].map(|v| format!("{v:.4}")));
+        table.row(Mood::Plain, &cells);
+    }
+    table.into_html()
 }
 
 fn timing(report: &FlightReport) -> String {
@@ -322,8 +389,7 @@ fn link(report: &FlightReport, figure: &Figure<'_>) -> String {
             curves: vec![curve("round trip", 1, |s| s.rtt_s * 1e3)],
         },
     ];
-    let bands = &figure.bands[..];
-    let chart = Chart { x_label: TIME, x: &time, bands, height: 92.0, panels };
+    let chart = figure.over(&time, 92.0, panels);
     let mut table = Table::new(&[("counter", false), ("value", true)]);
     if let Some(link) = &report.summary().link {
         let mood = |count: u64| if count == 0 { Mood::Plain } else { Mood::Warning };
@@ -341,7 +407,15 @@ fn link(report: &FlightReport, figure: &Figure<'_>) -> String {
         table.row(Mood::Plain, &[foreign, link.foreign_frames.to_string()]);
         table.row(Mood::Plain, &["longest round trip".into(), duration(link.rtt_max_s)]);
     }
-    format!("{}{}", chart.to_html(), table.into_html())
+    format!("{chart}{}", table.into_html())
+}
+
+fn event_mood(event: &EventInfo) -> Mood {
+    match event.level {
+        "warning" => Mood::Warning,
+        "error" | "fatal" => Mood::Bad,
+        _ => Mood::Plain,
+    }
 }
 
 fn events(report: &FlightReport) -> String {
@@ -352,13 +426,13 @@ fn events(report: &FlightReport) -> String {
     let mut table =
         Table::new(&[("level", false), ("time (s)", true), ("from", false), ("text", false)]);
     for event in events.iter().take(EVENTS_LISTED) {
-        let mood = match event.level {
-            "warning" => Mood::Warning,
-            "error" | "fatal" => Mood::Bad,
-            _ => Mood::Plain,
-        };
-        let cells = [event.level, &format!("{:.2}", event.time_s), &event.source, &event.text];
-        table.row(mood, &cells.map(str::to_owned));
+        let cells = [
+            Cell::from(event.level),
+            Cell::instant(event.time_s, "desired-and-flown"),
+            Cell::from(event.source.as_str()),
+            Cell::from(event.text.as_str()),
+        ];
+        table.cells(event_mood(event), &cells);
     }
     let left = report.info.events_total.saturating_sub(EVENTS_LISTED as u64);
     let more = match left {

@@ -1,8 +1,7 @@
-//! Histograms as inline SVG.
+//! Histograms.
 
-use std::fmt::Write;
-
-use super::axis::{Axis, LABELLED_BOTTOM, LEFT, RIGHT, TOP, WIDTH, grid, significant};
+use super::axis::{Axis, significant};
+use super::frame::Frame;
 use super::page::escape;
 
 /// Bars over equal intervals.
@@ -21,11 +20,10 @@ pub struct Histogram<'a> {
 impl Histogram<'_> {
     /// The figure. Values beyond the 99.5th percentile are counted in the last bar.
     pub fn to_html(&self) -> String {
-        const HEIGHT: f64 = 120.0;
         let mut sorted: Vec<f64> = self.values.iter().copied().filter(|v| v.is_finite()).collect();
         sorted.sort_by(f64::total_cmp);
-        let (Some(&low), Some(&most), Some(high)) =
-            (sorted.first(), sorted.last(), quantile(&sorted, 0.995))
+        let (Some(&low), Some(&most), Some(high), Some(median)) =
+            (sorted.first(), sorted.last(), quantile(&sorted, 0.995), quantile(&sorted, 0.5))
         else {
             return String::from("<p class=\"note\">No data.</p>");
         };
@@ -38,45 +36,40 @@ impl Histogram<'_> {
                 sorted.len()
             );
         }
-        let x = Axis::padded(Some((low, high)), LEFT, WIDTH - RIGHT);
+        let x = Axis::padded(Some((low, high)));
         let mut counts = vec![0usize; self.bars.max(1)];
         let last = counts.len() - 1;
         for value in &sorted {
-            let bar = (value - x.low) / (x.high - x.low) * counts.len() as f64;
+            let bar = x.at(*value) * counts.len() as f64;
             counts[(bar.max(0.0) as usize).min(last)] += 1;
         }
-        let most = counts.iter().copied().max().unwrap_or(1) as f64;
-        let y = Axis::exact(Some((0.0, most * 1.05)), TOP + HEIGHT, TOP);
-        let (height, name) = (TOP + HEIGHT + LABELLED_BOTTOM, escape(self.name));
-        let mut html = format!(
-            "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{name}\">"
+        let peak = counts.iter().copied().max().unwrap_or(1) as f64;
+        let [least, middle, greatest] = [low, median, most].map(significant);
+        let description = format!(
+            "{}, {} values of {}: {least} to {greatest}, half of them below {middle}.",
+            self.name,
+            sorted.len(),
+            self.x_label
         );
-        grid(&x, &y, &mut html);
-        let width = (WIDTH - RIGHT - LEFT) / counts.len() as f64;
+        let frame = Frame {
+            x,
+            y: Axis::exact(Some((0.0, peak * 1.05))),
+            height: 120.0,
+            name: self.name,
+            x_label: Some(self.x_label),
+            group: None,
+            description: &description,
+        };
+        let width = 1.0 / counts.len() as f64;
+        let mut bars = String::new();
         for (bar, count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
-            let (left, top) = (LEFT + bar as f64 * width, y.at(*count as f64));
-            let (from, to) = (x.value(left), x.value(left + width));
-            let _ = write!(
-                html,
-                "<rect class=\"bar\" x=\"{:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\">\
-                 <title>{} to {}: {count}</title></rect>",
-                left + 0.5,
-                width - 1.0,
-                TOP + HEIGHT - top,
-                significant(from),
-                significant(to)
-            );
+            let edges = [0.06, 0.94].map(|part| x.value((bar as f64 + part) * width));
+            let [from, to] =
+                [0.0, 1.0].map(|part| significant(x.value((bar as f64 + part) * width)));
+            let title = format!("{from} to {to}: {count}");
+            bars += &frame.area(edges, [0.0, *count as f64], "bar", &title);
         }
-        let _ = write!(
-            html,
-            "<text class=\"name\" x=\"{LEFT}\" y=\"{}\">{name}</text>\
-             <text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text></svg>",
-            TOP - 7.0,
-            (LEFT + WIDTH - RIGHT) / 2.0,
-            height - 5.0,
-            escape(self.x_label)
-        );
-        html
+        frame.to_html(&bars, "")
     }
 }
 

@@ -117,7 +117,7 @@ fn states(plan: &Plan) -> String {
         ],
     });
     let panels = panels.collect();
-    Chart { x_label: TIME, x: &time, bands: &[], height: 80.0, panels }.to_html()
+    Chart::new(TIME, &time, 80.0, panels).to_html()
 }
 
 fn inputs(plan: &Plan) -> String {
@@ -131,7 +131,7 @@ fn inputs(plan: &Plan) -> String {
         }],
     });
     let panels = panels.collect();
-    Chart { x_label: TIME, x: &time, bands: &[], height: 80.0, panels }.to_html()
+    Chart::new(TIME, &time, 80.0, panels).to_html()
 }
 
 fn search(plan: &Plan) -> String {
@@ -149,8 +149,7 @@ fn search(plan: &Plan) -> String {
             curves: vec![Curve { name: "trust".into(), style: Style::Colour(2), y: trust }],
         },
     ];
-    let mut html =
-        Chart { x_label: "subproblem", x: &number, bands: &[], height: 100.0, panels }.to_html();
+    let mut html = Chart::new("subproblem", &number, 100.0, panels).to_html();
     let mut table = Table::new(&[
         ("subproblem", true),
         ("cost", true),

@@ -1,11 +1,13 @@
-//! The path in space, as seen from above and the south-west, in a parallel projection.
+//! The path in space, as seen from above and the south-west, in a parallel projection. The page's
+//! script turns it.
 
 use std::fmt::Write;
 
 use vehicle::frame::Ned;
 
 use super::axis::significant;
-use super::chart::Style;
+use super::chart::{Style, legend};
+use super::page::escape;
 
 const WIDTH: f64 = 900.0;
 const HEIGHT: f64 = 480.0;
@@ -54,59 +56,152 @@ impl Scene<'_> {
             let pick = |(from, to): (f64, f64), far: bool| if far { to } else { from };
             Ned::new(pick(north, c & 1 == 1), pick(east, c & 2 == 2), floor)
         });
-        let view = View::fit(all().copied().chain(corners));
-
-        let mut svg = String::from("<div class=\"legend\">");
-        for (place, (name, _)) in self.paths.iter().enumerate() {
-            let class = Style::of(name, place).class();
-            let _ = write!(
-                svg,
-                "<span><svg viewBox=\"0 0 24 10\"><path class=\"{class}\" d=\"M0 5H24\"/></svg>{name}</span>"
-            );
-        }
-        let _ = write!(
-            svg,
-            "<span><svg viewBox=\"0 0 24 10\"><path class=\"curve ref\" d=\"M0 5H24\"/></svg>desired</span>\
-             <span><svg viewBox=\"0 0 24 10\"><path class=\"shadow\" d=\"M0 5H24\"/></svg>shadow on the lowest plane</span></div>\
-             <svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"3D path\">"
-        );
-        ground(&view, grid, floor, step, &mut svg);
-        if let Some((_, path)) = self.paths.first() {
+        let middle = |(from, to): (f64, f64)| (from + to) / 2.0;
+        let mut picture = Picture {
+            view: View::fit(all().copied().chain(corners)),
+            centre: Ned::new(middle(grid[0]), middle(grid[1]), (low[2] + floor) / 2.0),
+            unit: span * 1e-4,
+            svg: String::new(),
+            labels: String::new(),
+        };
+        picture.ground(grid, floor, step);
+        if let Some((name, path)) = self.paths.first() {
             let shadow: Vec<Ned> =
                 path.iter().map(|p| Ned::new(p.north(), p.east(), floor)).collect();
-            polyline(&view, &shadow, "shadow", &mut svg);
+            picture.path(&shadow, "shadow", name);
         }
         for (place, (name, path)) in self.paths.iter().enumerate() {
-            polyline(&view, path, &Style::of(name, place).class(), &mut svg);
+            picture.path(path, &Style::of(name, place).class(), name);
         }
-        polyline(&view, self.desired, "curve ref", &mut svg);
-        self.ends(&view, &mut svg);
-        svg.push_str("</svg>");
-        svg
+        picture.path(self.desired, "curve ref", "desired");
+        self.ends(&mut picture);
+        let named = self.paths.iter().enumerate();
+        let mut items: Vec<(&str, String)> =
+            named.map(|(place, (name, _))| (*name, Style::of(name, place).class())).collect();
+        if self.desired.iter().any(|p| p.is_finite()) {
+            items.push(("desired", "curve ref".to_owned()));
+        }
+        items.push(("shadow on the lowest plane", "shadow".to_owned()));
+        let extent = |axis: usize, sign: f64| {
+            let ends = [sign * low[axis], sign * high[axis]];
+            [ends[0].min(ends[1]), ends[0].max(ends[1])].map(significant).join(" to ")
+        };
+        let names: Vec<&str> = self.paths.iter().map(|(name, _)| *name).collect();
+        let said = format!(
+            "3D path: {}. North {} m, east {} m, up {} m.",
+            names.join(", "),
+            extent(0, 1.0),
+            extent(1, 1.0),
+            extent(2, -1.0)
+        );
+        format!(
+            "<div class=\"chart\">{}<figure class=\"scene\" data-view=\"{AZIMUTH} {ELEVATION}\">\
+             <svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">{}</svg>\
+             <div class=\"labels\" aria-hidden=\"true\">{}</div></figure></div>",
+            legend(items.iter().map(|(name, class)| (*name, class.clone()))),
+            escape(&said),
+            picture.svg,
+            picture.labels
+        )
     }
 
     /// Marks where the first path begins and ends, under one name where that is the same place.
-    fn ends(&self, view: &View, svg: &mut String) {
+    fn ends(&self, picture: &mut Picture) {
         let first = self.paths.first().map_or(&[][..], |(_, path)| path);
         let mut finite = first.iter().filter(|p| p.is_finite());
         let Some(start) = finite.next() else { return };
         let end = finite.next_back().unwrap_or(start);
-        let ((x1, y1), (x2, y2)) = (view.at(*start), view.at(*end));
+        let ((x1, y1), (x2, y2)) = (picture.view.at(*start), picture.view.at(*end));
         let together = (x2 - x1).hypot(y2 - y1) < 20.0;
-        let names = if together { ("start, end", "") } else { ("start", "end") };
-        for (point, name) in [(start, names.0), (end, names.1)] {
-            let (x, y) = view.at(*point);
-            let _ = write!(
-                svg,
-                "<circle class=\"mark\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\"><title>north {} m, east {} m, up {} m</title></circle>\
-                 <text x=\"{:.1}\" y=\"{:.1}\">{name}</text>",
-                significant(point.north()),
-                significant(point.east()),
-                significant(-point.down()),
-                x + 8.0,
-                y + 14.0
-            );
+        let names = if together { ["start, end", ""] } else { ["start", "end"] };
+        for (point, name) in [start, end].into_iter().zip(names) {
+            picture.path(&[*point, *point], "dot", name);
+            picture.label(*point, "start", name);
         }
+    }
+}
+
+/// A picture that grows: each of its parts knows its points in space too, for the script.
+struct Picture {
+    view: View,
+    /// What the picture turns about.
+    centre: Ned,
+    /// Of the points that the script reads, m.
+    unit: f64,
+    svg: String,
+    labels: String,
+}
+
+impl Picture {
+    /// A point in space, in units around the centre.
+    fn point(&self, point: Ned) -> String {
+        let [n, e, d] = (point - self.centre).to_array().map(|m| (m / self.unit).round() as i64);
+        format!("{n} {e} {d}")
+    }
+
+    /// A path of at most [`POINTS`] points.
+    fn path(&mut self, points: &[Ned], class: &str, name: &str) {
+        let (mut data, mut space) = (String::new(), String::new());
+        let mut pen_down = false;
+        for point in points.iter().step_by(points.len().div_ceil(POINTS).max(1)) {
+            if !point.is_finite() {
+                pen_down = false;
+                continue;
+            }
+            let (x, y) = self.view.at(*point);
+            let _ = write!(data, "{}{x:.1} {y:.1}", if pen_down { 'L' } else { 'M' });
+            let _ = write!(space, "{}{}", if pen_down { ' ' } else { ',' }, self.point(*point));
+            pen_down = true;
+        }
+        let (space, name) = (space.trim_start_matches(','), escape(name));
+        let title = match class {
+            "grid" | "axis" => String::new(),
+            _ => format!("<title>{name}</title>"),
+        };
+        let _ = write!(
+            self.svg,
+            "<path class=\"{class}\" data-name=\"{name}\" data-p=\"{space}\" d=\"{data}\">{title}</path>"
+        );
+    }
+
+    fn label(&mut self, at: Ned, side: &str, text: &str) {
+        let (x, y) = self.view.at(at);
+        let (left, top) = (100.0 * x / WIDTH, 100.0 * y / HEIGHT);
+        let _ = write!(
+            self.labels,
+            "<span class=\"{side}\" data-p=\"{}\" style=\"left:{left:.1}%;top:{top:.1}%\">{}</span>",
+            self.point(at),
+            escape(text)
+        );
+    }
+
+    /// The grid on the ground, its labels, and a pole of one step upwards.
+    fn ground(&mut self, [north, east]: [(f64, f64); 2], floor: f64, step: f64) {
+        let marks = |(from, to): (f64, f64)| {
+            let count = ((to - from) / step).round() as u32;
+            (0..=count).map(move |i| from + f64::from(i) * step)
+        };
+        let decimals = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
+        // Zero without a sign.
+        let number = |v: f64| format!("{:.decimals$}", if v.abs() < step / 2.0 { 0.0 } else { v });
+        for n in marks(north) {
+            let ends = [Ned::new(n, east.0, floor), Ned::new(n, east.1, floor)];
+            self.path(&ends, "grid", "");
+            self.label(ends[1], "right", &number(n));
+        }
+        for e in marks(east) {
+            let ends = [Ned::new(north.0, e, floor), Ned::new(north.1, e, floor)];
+            self.path(&ends, "grid", "");
+            self.label(ends[0], "below", &number(e));
+        }
+        let middle = |(from, to): (f64, f64)| (from + to) / 2.0;
+        let beside = Ned::new(middle(north), east.1, floor);
+        self.label(beside, "far", "north (m)");
+        self.label(Ned::new(north.0, middle(east), floor), "under", "east (m)");
+        let corner = Ned::new(north.1, east.0, floor);
+        let top = Ned::new(north.1, east.0, floor - step);
+        self.path(&[corner, top], "axis", "");
+        self.label(top, "right", &format!("{} m up", number(step)));
     }
 }
 
@@ -149,62 +244,6 @@ impl View {
 fn round_step(rough: f64) -> f64 {
     let power = 10f64.powf(rough.log10().floor());
     [1.0, 2.0, 5.0].into_iter().map(|f| f * power).find(|s| *s >= rough).unwrap_or(10.0 * power)
-}
-
-/// The grid on the ground, its labels, and a pole of one step upwards.
-fn ground(view: &View, [north, east]: [(f64, f64); 2], floor: f64, step: f64, svg: &mut String) {
-    let line = |from: Ned, to: Ned, class: &str, svg: &mut String| {
-        let ((x1, y1), (x2, y2)) = (view.at(from), view.at(to));
-        let _ = write!(svg, "<path class=\"{class}\" d=\"M{x1:.1} {y1:.1}L{x2:.1} {y2:.1}\"/>");
-    };
-    let label = |at: Ned, shift: (f64, f64), anchor: &str, text: String, svg: &mut String| {
-        let (x, y) = view.at(at);
-        let _ = write!(
-            svg,
-            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\">{text}</text>",
-            x + shift.0,
-            y + shift.1
-        );
-    };
-    let marks = |(from, to): (f64, f64)| {
-        let count = ((to - from) / step).round() as u32;
-        (0..=count).map(move |i| from + f64::from(i) * step)
-    };
-    let decimals = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
-    // Zero without a sign.
-    let number = |v: f64| format!("{:.decimals$}", if v.abs() < step / 2.0 { 0.0 } else { v });
-    for n in marks(north) {
-        line(Ned::new(n, east.0, floor), Ned::new(n, east.1, floor), "grid", svg);
-        label(Ned::new(n, east.1, floor), (8.0, 5.0), "start", number(n), svg);
-    }
-    for e in marks(east) {
-        line(Ned::new(north.0, e, floor), Ned::new(north.1, e, floor), "grid", svg);
-        label(Ned::new(north.0, e, floor), (-4.0, 17.0), "middle", number(e), svg);
-    }
-    let middle = |(from, to): (f64, f64)| (from + to) / 2.0;
-    let beside = Ned::new(middle(north), east.1, floor);
-    label(beside, (44.0, 18.0), "start", "north (m)".into(), svg);
-    label(Ned::new(north.0, middle(east), floor), (-12.0, 36.0), "middle", "east (m)".into(), svg);
-    let corner = Ned::new(north.1, east.0, floor);
-    let top = Ned::new(north.1, east.0, floor - step);
-    line(corner, top, "axis", svg);
-    label(top, (8.0, 4.0), "start", format!("{} m up", number(step)), svg);
-}
-
-/// A path of at most [`POINTS`] points.
-fn polyline(view: &View, points: &[Ned], class: &str, svg: &mut String) {
-    let mut data = String::new();
-    let mut pen_down = false;
-    for point in points.iter().step_by(points.len().div_ceil(POINTS).max(1)) {
-        if !point.is_finite() {
-            pen_down = false;
-            continue;
-        }
-        let (x, y) = view.at(*point);
-        let _ = write!(data, "{}{x:.1} {y:.1}", if pen_down { 'L' } else { 'M' });
-        pen_down = true;
-    }
-    let _ = write!(svg, "<path class=\"{class}\" d=\"{data}\"/>");
 }
 
 #[cfg(test)]

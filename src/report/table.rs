@@ -25,15 +25,21 @@ impl Table {
 
     /// Adds a row. `mood` colours its first cell.
     pub fn row(&mut self, mood: Mood, cells: &[String]) {
+        let cells: Vec<Cell> = cells.iter().map(|cell| Cell::from(cell.as_str())).collect();
+        self.cells(mood, &cells);
+    }
+
+    /// Adds a row of cells that may lead to an instant.
+    pub fn cells(&mut self, mood: Mood, cells: &[Cell]) {
         self.html.push_str("<tr>");
-        for (column, cell) in cells.iter().enumerate() {
+        for (column, Cell(cell)) in cells.iter().enumerate() {
             let numeric = self.numeric.get(column).copied().unwrap_or(false);
             let class = match (column, mood, numeric) {
                 (0, Mood::Good | Mood::Warning | Mood::Bad, _) => mood.class(),
                 (_, _, true) => "num",
                 _ => "text",
             };
-            let _ = write!(self.html, "<td class=\"{class}\">{}</td>", escape(cell));
+            let _ = write!(self.html, "<td class=\"{class}\">{cell}</td>");
         }
         self.html.push_str("</tr>");
     }
@@ -42,6 +48,23 @@ impl Table {
     pub fn into_html(mut self) -> String {
         self.html.push_str("</tbody></table></div>");
         self.html
+    }
+}
+
+/// What stands in a cell, as HTML.
+#[derive(Clone, Debug)]
+pub struct Cell(String);
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        Self(escape(text))
+    }
+}
+
+impl Cell {
+    /// A time that leads to the section `anchor`, and there to itself.
+    pub fn instant(time_s: f64, anchor: &str) -> Self {
+        Self(format!("<a href=\"#{anchor}\" data-at=\"{time_s}\">{time_s:.2}</a>"))
     }
 }
 

@@ -1,5 +1,7 @@
 //! The page of a training's report.
 
+mod against;
+
 use super::axis::significant;
 use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
@@ -33,8 +35,12 @@ pub fn html(summary: &TrainingSummary) -> String {
         ),
     );
     verdict(summary, &mut page);
+    let against = against::html(summary);
+    if !against.is_empty() {
+        page.section("Predicted against observed", &against::sentence(summary), &against);
+    }
     page.section(
-        "Observed and predicted",
+        "Over time",
         "Accelerations of a test flight, which no model was fitted on: the label, and what each model says at the same state and input.",
         &series(summary, &[0, 1, 2, 3, 4, 5]),
     );
@@ -160,7 +166,7 @@ fn one_series(series: &Series) -> String {
     let name = format!("{} in {}", AXES[series.acceleration], series.run);
     let (x_label, x) = ("time (s)", series.time_s.as_slice());
     let panels = vec![Panel { name, curves }];
-    Chart { x_label, x, bands: &[], height: 190.0, panels }.to_html()
+    Chart::new(x_label, x, 190.0, panels).to_html()
 }
 
 fn one_step(summary: &TrainingSummary) -> String {
@@ -224,7 +230,7 @@ fn learning(summary: &TrainingSummary) -> String {
             ],
         }];
         let x = passes.as_slice();
-        html += &Chart { x_label: "pass", x, bands: &[], height: 120.0, panels }.to_html();
+        html += &Chart::new("pass", x, 120.0, panels).to_html();
     }
     let mut table = Table::new(&[
         ("network", false),

@@ -65,5 +65,5 @@ fn picture(flight: &Reflown, explanation: &str) -> String {
         },
     ];
     let x = &flight.traces.time_s;
-    heading + &Chart { x_label: "time (s)", x, bands: &[], height: 110.0, panels }.to_html()
+    heading + &Chart::new("time (s)", x, 110.0, panels).to_html()
 }

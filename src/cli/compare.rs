@@ -1,0 +1,59 @@
+//! Flags of `compare`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+/// Flags of `compare`.
+#[derive(Debug, Args)]
+pub struct CompareArgs {
+    /// Flight logs of A: what is compared with. Logs of any kind that `log import` takes.
+    #[arg(required = true, value_name = "A")]
+    pub a: Vec<PathBuf>,
+    /// Flight logs of B, after `--`: what is new.
+    #[arg(last = true, required = true, value_name = "B")]
+    pub b: Vec<PathBuf>,
+    /// What the page's curves are laid along.
+    #[arg(long, value_enum, default_value_t = AlignChoice::Time)]
+    pub align: AlignChoice,
+    /// How flights of A and B are paired.
+    #[arg(long, value_enum, default_value_t = PairChoice::Auto)]
+    pub pair: PairChoice,
+    /// What the columns of tables are: a file (TOML), or the name of a shipped one
+    /// (motion-capture, motive).
+    #[arg(long, value_name = "MAP")]
+    pub mapping: Option<PathBuf>,
+    /// The page to write.
+    #[arg(short, long, value_name = "FILE", default_value = "compare.html")]
+    pub out: PathBuf,
+    /// Ends with exit code 10 if B is worse than A by more than chance: if the 95 % interval of the
+    /// first number's difference lies above zero. Fewer than two flights on a side, or two pairs,
+    /// are refused.
+    #[arg(long)]
+    pub baseline: bool,
+    /// Prints the comparison as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What flights are laid along.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum AlignChoice {
+    /// Time since the trajectory's start, or since take-off.
+    Time,
+    /// Way along the path.
+    Position,
+    /// Share of the time between start and end.
+    Phase,
+}
+
+/// How flights are paired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PairChoice {
+    /// By trajectory and seed where every flight has one partner, else by trajectory, else not.
+    Auto,
+    /// The first of A with the first of B, and so on.
+    Order,
+    /// Not.
+    None,
+}

@@ -1,0 +1,168 @@
+//! `downwash compare`: flights in two groups, side by side.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::anyhow;
+use rayon::prelude::*;
+use serde_json::Value;
+
+use super::output::refuse_input;
+use super::{Exit, ExitContext, print_json, print_text, say, write_file};
+use crate::cli::{AlignChoice, CompareArgs, PairChoice};
+use crate::log::LogReader;
+use crate::log::import::{self, Flight, ImportError};
+use crate::report::side_by_side::{Alignment, Comparison, Entry, Outcome, Pairing};
+use crate::report::{FlightReport, Recording};
+
+/// Facts of a run that say nothing of what it was: they differ in every flight, or in none.
+const NO_FACTS: [&str; 4] = ["run", "frames", "units", "log_version"];
+
+pub(super) fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
+    let inputs = || args.a.iter().chain(&args.b).map(PathBuf::as_path);
+    refuse_input(&args.out, inputs().chain(args.mapping.as_deref()))?;
+    let mapping = args.mapping.as_deref();
+    let read = |logs: &[PathBuf]| -> anyhow::Result<Vec<Entry>> {
+        logs.par_iter().map(|log| entry(log, mapping).or_exit(Exit::Usage)).collect()
+    };
+    let (a, b) = (read(&args.a)?, read(&args.b)?);
+    let (a, b): (Vec<&Entry>, Vec<&Entry>) = (a.iter().collect(), b.iter().collect());
+    let alignment = match args.align {
+        AlignChoice::Time => Alignment::Time,
+        AlignChoice::Position => Alignment::Position,
+        AlignChoice::Phase => Alignment::Phase,
+    };
+    let pairing = match args.pair {
+        PairChoice::Auto => Pairing::Auto,
+        PairChoice::Order if a.len() != b.len() => {
+            let (a, b) = (a.len(), b.len());
+            let error = anyhow!("--pair order: A has {a} flights and B has {b}; give as many");
+            return Err(error).or_exit(Exit::Usage);
+        }
+        PairChoice::Order => Pairing::Order,
+        PairChoice::None => Pairing::None,
+    };
+    let comparison = Comparison::new(&a, &b, alignment, pairing);
+    write_file(&args.out, comparison.to_html(&a, &b).as_bytes())?;
+    if args.json {
+        print_json(&comparison)?;
+    } else {
+        print_text(&format!("{}\n{}\n", comparison.sentence, args.out.display()))?;
+    }
+    if args.baseline && comparison.outcome == Outcome::Undecided {
+        let error = anyhow!("--baseline cannot be decided: {}", comparison.sentence);
+        return Err(error).or_exit(Exit::Usage);
+    }
+    let failed = args.baseline && comparison.outcome == Outcome::Worse;
+    Ok(if failed { Exit::Check } else { Exit::Ok })
+}
+
+/// Reads a flight for a comparison: along its trajectory where it is one of this program's.
+///
+/// # Errors
+/// What is no flight log.
+pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
+    let name = log.file_stem().unwrap_or_default().to_string_lossy();
+    let own = LogReader::open(log).ok().and_then(|mut reader| {
+        let report = FlightReport::read(&mut reader).ok()?;
+        let mut facts = run_facts(&report.summary().run);
+        for attachment in reader.attachments() {
+            let text = String::from_utf8_lossy(&attachment.data);
+            let prefix = if attachment.name == "config.toml" { "setting" } else { "vehicle file" };
+            facts.extend(flattened(prefix, &text));
+        }
+        Some((report, facts))
+    });
+    let flight = import::open_among(log, mapping);
+    if let Some((report, facts)) = own {
+        let recording = flight.as_ref().ok().map(|flight| Recording::new(flight.clone()));
+        if let Some(entry) = Entry::own(&name, &report, recording.as_ref(), facts) {
+            return Ok(entry);
+        }
+        say(format_args!(
+            "{}: no trajectory was followed: the whole flight is taken",
+            log.display()
+        ));
+    }
+    let flight = flight?;
+    let facts = recorded_facts(&flight);
+    Ok(Entry::recorded(&name, &Recording::new(flight), facts))
+}
+
+/// What the log of a flight of this program says of it.
+fn run_facts(run: &BTreeMap<String, String>) -> BTreeMap<String, String> {
+    let kept = run.iter().filter(|(key, _)| !NO_FACTS.contains(&key.as_str()));
+    let mut facts: BTreeMap<String, String> =
+        kept.map(|(key, value)| (key.clone(), value.clone())).collect();
+    // Flights of one trajectory are pairs.
+    if let Some(trajectory) = run.get("run") {
+        facts.insert("trajectory".to_owned(), trajectory.clone());
+    }
+    facts
+}
+
+/// What another program's log says of its vehicle.
+fn recorded_facts(flight: &Flight) -> BTreeMap<String, String> {
+    let mut facts = BTreeMap::from([("format".to_owned(), flight.origin.format.to_owned())]);
+    let stated = &flight.facts;
+    let said = [("autopilot", &stated.autopilot), ("frame", &stated.frame)];
+    facts
+        .extend(said.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value.clone()?))));
+    facts.extend(stated.motors.map(|motors| ("motors".to_owned(), motors.to_string())));
+    let parameters = stated.parameters.iter();
+    facts.extend(parameters.map(|(key, value)| (format!("parameter {key}"), value.to_string())));
+    if let Some(text) = &flight.vehicle_file {
+        facts.extend(flattened("vehicle file", text));
+    }
+    facts
+}
+
+/// The values of a file (TOML or JSON) by their paths; nothing of what is neither.
+fn flattened(prefix: &str, text: &str) -> BTreeMap<String, String> {
+    let json = serde_json::from_str::<Value>(text).ok();
+    let value = json.or_else(|| toml::from_str::<Value>(text).ok());
+    let mut facts = BTreeMap::new();
+    if let Some(value) = value {
+        flatten(prefix.to_owned(), &value, &mut facts);
+    }
+    facts
+}
+
+fn flatten(path: String, value: &Value, facts: &mut BTreeMap<String, String>) {
+    match value {
+        Value::Object(table) => {
+            for (key, value) in table {
+                // Where a number is from is not what it is.
+                if key != "provenance" && key != "notes" {
+                    flatten(format!("{path}.{key}"), value, facts);
+                }
+            }
+        }
+        Value::Array(values) if values.iter().any(Value::is_object) => {
+            for (number, value) in values.iter().enumerate() {
+                flatten(format!("{path}.{}", number + 1), value, facts);
+            }
+        }
+        Value::String(text) => {
+            facts.insert(path, text.clone());
+        }
+        other => {
+            facts.insert(path, other.to_string());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_told_apart_value_by_value() {
+        let facts = flattened("setting", "a = 1\n[b]\nc = \"x\"\n[[b.d]]\ne = [1, 2]\n");
+        let expected = [("setting.a", "1"), ("setting.b.c", "x"), ("setting.b.d.1.e", "[1,2]")];
+        let found: Vec<(&str, &str)> =
+            facts.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect();
+        assert_eq!(found, expected);
+        assert!(flattened("x", "{{{").is_empty());
+    }
+}
