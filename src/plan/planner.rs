@@ -41,7 +41,7 @@ pub struct PlanSettings {
     pub trust: f64,
     /// The search ends where four subproblems together improve the cost by less than this share.
     pub progress: f64,
-    /// The search ends with what it has after this time, s.
+    /// The search ends with what it has before it takes longer than this, s.
     pub time_limit_s: f64,
     /// Plans that are made anew in flight.
     pub receding: RecedingSettings,
@@ -149,7 +149,7 @@ impl Default for PlanSettings {
             subproblems_max: 60,
             trust: 0.5,
             progress: 1e-3,
-            time_limit_s: 60.0,
+            time_limit_s: 8.0,
             receding: RecedingSettings::default(),
             keep_out: Vec::new(),
             box_m: None,
@@ -192,7 +192,9 @@ pub enum PlannerError {
     },
     /// The trajectory is longer than can be planned at once.
     #[error(
-        "trajectory {trajectory}: expected at most {limit_s:.0} s to plan, found {found_s:.0} s"
+        "trajectory {trajectory}: expected at most {limit_s:.0} s to plan, found {found_s:.0} s; \
+         plan it in parts or with a lower [plan] rate_hz, or fly it without a plan, or with \
+         `downwash fly --replan`, which plans ahead in flight"
     )]
     TooLong {
         /// The trajectory.
@@ -226,7 +228,7 @@ pub struct Planner {
     change_weight: f64,
 }
 
-/// Most periods of a plan: ten minutes at 100 Hz, which are planned in seconds.
+/// Most periods of a plan: ten minutes at 100 Hz, whose first subproblems take seconds.
 const PERIODS_MAX: usize = 60_000;
 /// How far the planned yaw and the commanded one may leave the range of the desired, rad.
 const YAW_ROOM: f64 = 1.0;

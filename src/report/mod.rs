@@ -9,6 +9,7 @@ pub mod experiment;
 pub mod flight;
 mod flight_page;
 pub mod histogram;
+pub mod limited;
 pub mod metrics;
 pub mod page;
 pub mod plan;
