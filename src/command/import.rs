@@ -103,9 +103,7 @@ fn tell_losses(flight: &Flight) {
         say(format_args!("{file}: damaged: {loss}"));
     }
     if let (false, Some((start, end))) = (flight.losses.is_empty(), flight.span()) {
-        say(format_args!(
-            "{file}: what is left goes from {start:.3} to {end:.3} s; the rest of the flight is lost"
-        ));
+        say(format_args!("{file}: what could be read goes from {start:.3} to {end:.3} s"));
     }
 }
 

@@ -2,9 +2,12 @@
 
 use sitl::cli::{SitlArgs, SitlError, Stop};
 
+use super::setup::VehicleFile;
 use super::{Exit, ExitContext};
 
 pub(super) fn run(args: &SitlArgs) -> anyhow::Result<Exit> {
+    // For what it says of numbers that do not fit each other.
+    VehicleFile::load(&args.vehicle)?;
     match sitl::cli::run(args) {
         Ok(Stop::Interrupt) => Ok(Exit::Interrupted),
         Ok(Stop::Terminate) => Ok(Exit::Ok),

@@ -54,13 +54,13 @@ impl LimitedTicks {
         let met: Vec<String> = limits
             .iter()
             .filter(|(_, cut)| share(*cut) > OFTEN)
-            .map(|(limit, cut)| format!("the {limit} limit {:.0} %", 100.0 * share(*cut)))
+            .map(|(limit, cut)| format!("the {limit} limit cut {:.0} %", 100.0 * share(*cut)))
             .collect();
         (!met.is_empty()).then(|| {
             format!(
-                "of the setpoints along the trajectory {} cut: feedback swings from limit to limit \
-                 where the vehicle file is not of this vehicle (its mass, inertia, thrust or \
-                 attitude loop), or the trajectory asks for more than [pilot.limits] allow",
+                "{} of the setpoints along the trajectory: feedback swings from limit to limit where \
+                 the vehicle file is not of this vehicle (its mass, inertia, thrust or attitude \
+                 loop), or the trajectory asks for more than [pilot.limits] allow",
                 met.join(", ")
             )
         })
@@ -80,7 +80,7 @@ mod tests {
         assert_eq!((counted.ticks, counted.tilt, counted.thrust), (101, 25, 1));
         let words = counted.often().expect("often");
         assert!(
-            words.contains("the tilt limit 25 %") && !words.contains("thrust limit"),
+            words.contains("the tilt limit cut 25 %") && !words.contains("thrust limit"),
             "{words}"
         );
         assert_eq!(LimitedTicks::count([thrust, 0, 0, 0, 0, 0].into_iter()).often(), None);

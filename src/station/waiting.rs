@@ -129,7 +129,8 @@ impl Station {
             return (!is_prepared)
                 .then(|| (Wait::Vehicle, vec![Silence::of(&self.session, now).into()]));
         }
-        let pilot = self.pilot.as_ref()?;
+        // Who was just heard has no pilot yet: the wait goes on.
+        let Some(pilot) = self.pilot.as_ref() else { return Some((Wait::Telemetry, Vec::new())) };
         let by_pilot = self.settings.policy == EngagePolicy::PilotSwitch;
         let reason = |subject: &str, line: &str| {
             vec![Reason { subject: subject.to_owned(), line: line.to_owned() }]
