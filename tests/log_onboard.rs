@@ -465,6 +465,23 @@ fn logs_cut_anywhere_are_read_up_to_the_cut() {
 }
 
 #[test]
+fn a_cut_or_damaged_log_says_where() {
+    for bytes in [&*ULOG, &*DATAFLASH] {
+        assert_eq!(survives(bytes).expect("a flight").losses, Vec::<String>::new());
+        // Some of these lengths end between two messages, which nothing tells from a whole log.
+        let losses = (1..20).map(|short| {
+            survives(&bytes[..bytes.len() - short]).expect("a flight").losses.join(" ")
+        });
+        let said = losses.filter(|loss| loss.contains("it was cut short")).count();
+        assert!(said >= 10, "{said} of 19");
+        let middle = bytes.len() / 2;
+        let damaged = [&bytes[..middle], &bytes[middle + 333..]].concat();
+        let loss = survives(&damaged).expect("a flight").losses.join(" ");
+        assert!(loss.contains("belong to no message"), "{loss}");
+    }
+}
+
+#[test]
 fn a_piece_cut_out_costs_only_itself() {
     for bytes in [&*ULOG, &*DATAFLASH] {
         let whole = survives(bytes).expect("a flight").body_rate.len();

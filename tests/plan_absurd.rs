@@ -76,6 +76,12 @@ fn an_absurd_trajectory_file_is_an_error_of_the_planner() {
     let error = planner.desire(&long).expect_err("refused");
     assert!(matches!(error, PlannerError::TooLong { .. }), "{error}");
     assert!(error.to_string().contains("2000 s"), "{error}");
+    assert!(!error.to_string().contains("--time-limit"), "no time is enough: {error}");
+    let slow = trajectory("family = 'hover'\naltitude_m = 1\nduration_s = 300");
+    let error = planner.desire(&slow).expect_err("refused").to_string();
+    assert!(error.contains("at most 100 s") && error.contains("search 24 s"), "{error}");
+    let patient = PlanSettings { time_limit_s: 24.0, ..PlanSettings::default() };
+    assert!(crate::planning::planner(Arc::new(physics()), &patient).desire(&slow).is_ok());
     let vast = trajectory(
         "family = 'sinusoid-xy'\naltitude_m = 1\nduration_s = 1\namplitude_m = [1e308, 1]\n\
          period_s = [1e-3, 1]",

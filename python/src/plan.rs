@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use downwash::command::{PlanModel, configuration, plan_trajectory};
-use downwash::plan::planned;
+use downwash::plan::{TimeLimit, planned};
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 
@@ -96,11 +96,10 @@ pub fn plan(
     let through = through.map_err(|error| exception(py, &error))?;
     let plan = watched(py, None, progress.as_ref(), move |watch| {
         let began = Instant::now();
-        let limit =
-            Duration::try_from_secs_f64(config.settings.plan.time_limit_s).unwrap_or(Duration::MAX);
+        let limit = TimeLimit::new(config.settings.plan.time_limit_s);
         plan_trajectory(&trajectory, &vehicle, &through, &config, &|records| {
             watch.tell("subproblems", records.len() as u64, 0);
-            watch.is_stopped() || began.elapsed() > limit
+            watch.is_stopped() || limit.is_over(began.elapsed())
         })
     })?;
     Ok(Plan { plan: Arc::new(plan) })

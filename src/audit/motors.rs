@@ -44,7 +44,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             found: rate,
             expected: FAST_HZ,
             unit: "Hz",
-            what: format!("new outputs come at {rate:.0} Hz only: lag, delay and inertia do not show"),
+            what: format!("new outputs come at {rate:.1} Hz only: lag, delay and inertia do not show"),
             advice: "log outputs at 50 Hz or more, by telemetry (SERVO_OUTPUT_RAW, ACTUATOR_OUTPUT_STATUS) or on board",
         });
     }

@@ -211,7 +211,7 @@ pub struct PlanArgs {
     /// What solves the subproblems.
     #[arg(long, value_enum)]
     pub solver: Option<SolverChoice>,
-    /// Ends the search after this time with the best plan so far.
+    /// Ends the search at this time with the best plan so far [default: 8, or the configuration's].
     #[arg(long, value_name = "SECONDS")]
     pub time_limit: Option<f64>,
     /// Configuration file.

@@ -22,7 +22,7 @@ use super::progress::flight_bar;
 use super::setup::{VehicleFile, capability, required};
 use super::simulation::Truth;
 use super::stop::StopSignals;
-use super::{Exit, ExitContext, config, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, Interruption, config, print_json, print_text, say, write_file};
 use crate::cli::CollectArgs;
 use crate::config::Config;
 use crate::log::info::TrackingInfo;
@@ -100,7 +100,7 @@ impl FlightRow {
     }
 }
 
-pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &CollectArgs, preparation: Interruption) -> anyhow::Result<Exit> {
     let mut flags = Vec::new();
     if let Some(url) = &args.connect {
         flags.push(("--connect", "connect", toml::Value::String(url.clone())));
@@ -114,7 +114,7 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
         }
         (None, None) => VehicleFile::built_in()?,
     };
-    let (summary, exit) = gather(args, &config, &vehicle)?;
+    let (summary, exit) = gather(args, &config, &vehicle, Some(preparation))?;
     if args.json {
         print_json(&summary)?
     } else {
@@ -123,11 +123,13 @@ pub(super) fn run(args: &CollectArgs) -> anyhow::Result<Exit> {
     Ok(exit)
 }
 
-/// Flies what of the programme has no whole log yet, or only lists it.
+/// Flies what of the programme has no whole log yet, or only lists it. `preparation` ends the
+/// program until the first flight; without one the caller looks at the signals.
 pub(super) fn gather(
     args: &CollectArgs,
     config: &Config,
     vehicle: &VehicleFile,
+    preparation: Option<Interruption>,
 ) -> anyhow::Result<(CollectSummary, Exit)> {
     let flights = programme(
         &config.settings.collect,
@@ -149,7 +151,7 @@ pub(super) fn gather(
     } else if args.list {
         (flights.iter().map(FlightRow::planned).collect(), Exit::Ok)
     } else {
-        fly(args, config, vehicle, &flights)?
+        fly(args, config, vehicle, &flights, preparation)?
     };
     let summary = CollectSummary {
         schema: "downwash.collect",
@@ -186,8 +188,9 @@ fn fly(
     config: &Config,
     vehicle: &VehicleFile,
     flights: &[ProgrammeFlight],
+    preparation: Option<Interruption>,
 ) -> anyhow::Result<(Vec<FlightRow>, Exit)> {
-    let mut signals = StopSignals::new()?;
+    let mut signals = StopSignals::after(preparation)?;
     fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     let truth = args.connect.is_none().then(|| Truth::load(&args.simulation)).transpose()?;

@@ -10,7 +10,7 @@ use super::course::Course;
 use super::fly::{endpoint, tee, tell_tlog, watch};
 use super::setup::{VehicleFile, required, run_info, station_settings};
 use super::stop::{Stop, StopSignals};
-use super::{Exit, config, say, summary};
+use super::{Exit, Interruption, config, say, summary};
 use crate::cli::DaemonArgs;
 use crate::daemon::{self, HostClock, Outlets};
 use crate::link::connection::Connection;
@@ -18,7 +18,7 @@ use crate::log::{LogSink, LogWriter};
 use crate::station::Station;
 use crate::supervisor::EngagePolicy;
 
-pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Result<Exit> {
     let config = config::load(Some(&args.config), vec![])?;
     let settings = &config.settings;
     let vehicle = VehicleFile::load(&required(&settings.vehicle, "vehicle", "vehicle")?)?;
@@ -29,7 +29,7 @@ pub(super) fn run(args: &DaemonArgs) -> anyhow::Result<Exit> {
     let policy = EngagePolicy::PilotSwitch;
     let station_settings = station_settings(&config, &vehicle, &course, policy, Some(&endpoint))?;
 
-    let mut signals = StopSignals::new()?;
+    let mut signals = StopSignals::after(Some(preparation))?;
     let clock = HostClock::start();
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);

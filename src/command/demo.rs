@@ -157,7 +157,7 @@ impl Demo<'_> {
             config: args.config.clone(),
             ..CollectArgs::simulated(out, args.learn, args.seed, self.simulation.clone())
         };
-        let (collected, exit) = gather(&collect, &self.config, &self.vehicle)?;
+        let (collected, exit) = gather(&collect, &self.config, &self.vehicle, None)?;
         if exit != Exit::Ok {
             for trouble in collected.troubles() {
                 say(format_args!("{trouble}"));

@@ -232,7 +232,7 @@ impl Loop<'_> {
             config: args.config.clone(),
             ..CollectArgs::simulated(out, args.excite, args.seed, self.simulation.clone())
         };
-        let (collected, exit) = gather(&collect, &self.config, &self.shipped)?;
+        let (collected, exit) = gather(&collect, &self.config, &self.shipped, None)?;
         for trouble in collected.troubles() {
             say(format_args!("{trouble}"));
         }

@@ -16,7 +16,7 @@ use super::course::Course;
 use super::goal_file::GoalFile;
 use super::setup::{VehicleFile, law_flag, path_flag, required, run_info, station_settings};
 use super::stop::StopSignals;
-use super::{Exit, ExitContext, config, plan, print_json, print_text, say, summary};
+use super::{Exit, ExitContext, Interruption, config, plan, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
 use crate::config::Config;
 use crate::daemon::{self, Finished, HostClock, Outlets, Running};
@@ -45,7 +45,7 @@ pub(super) struct FlySummary {
     flight: Option<FlightSummary>,
 }
 
-pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<Exit> {
     let mut flags = Vec::new();
     flags.extend(path_flag("--vehicle", "vehicle", &args.vehicle));
     flags.extend(path_flag("--log-dir", "log_dir", &args.log_dir));
@@ -73,12 +73,13 @@ pub(super) fn run(args: &FlyArgs) -> anyhow::Result<Exit> {
     let station_settings = station_settings(&config, &vehicle, &course, policy, Some(&endpoint))?;
 
     if args.check {
-        return check(station_settings, endpoint, args.json);
+        let signals = StopSignals::after(Some(preparation))?;
+        return check(station_settings, endpoint, signals, args.json);
     }
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
     let tee = args.tlog.as_deref().map(tee).transpose()?;
-    let mut signals = StopSignals::new()?;
+    let mut signals = StopSignals::after(Some(preparation))?;
     let audience =
         Audience::start(&args.view, &config, &info, &course)?.forwarding(&args.forward, &config)?;
     let audience = audience.on_screen(args.tui, &info)?;
@@ -118,9 +119,13 @@ pub(super) struct CheckSummary {
 }
 
 /// The checks before a flight, and no flight.
-fn check(mut settings: StationSettings, endpoint: Endpoint, json: bool) -> anyhow::Result<Exit> {
+fn check(
+    mut settings: StationSettings,
+    endpoint: Endpoint,
+    mut signals: StopSignals,
+    json: bool,
+) -> anyhow::Result<Exit> {
     settings.pilot.supervisor.ready_timeout_s = CHECK_LIMIT_S;
-    let mut signals = StopSignals::new()?;
     let clock = HostClock::start();
     // A log begins with a flight, and there is none.
     let none = |_| {

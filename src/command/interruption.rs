@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM, for the commands that fly no vehicle: each ends within two seconds.
+//! Ctrl-C and SIGTERM while no vehicle is flown: the command ends within two seconds.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
+use signal_hook::iterator::{Handle, Signals};
 
 use super::{Exit, say};
 use crate::log::partial;
@@ -19,6 +19,7 @@ const GRACE: Duration = Duration::from_millis(1200);
 pub(super) struct Interruption {
     wanted: Arc<AtomicBool>,
     looked_for: Arc<AtomicBool>,
+    signals: Handle,
 }
 
 impl Interruption {
@@ -28,7 +29,11 @@ impl Interruption {
     pub fn watch() -> anyhow::Result<Self> {
         let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
         let (wanted, looked_for) = (Arc::default(), Arc::default());
-        let this = Self { wanted: Arc::clone(&wanted), looked_for: Arc::clone(&looked_for) };
+        let this = Self {
+            wanted: Arc::clone(&wanted),
+            looked_for: Arc::clone(&looked_for),
+            signals: signals.handle(),
+        };
         let waiting = move || {
             let mut signals = signals.forever();
             if signals.next().is_none() {
@@ -57,6 +62,11 @@ impl Interruption {
     pub fn flag(&self) -> Arc<AtomicBool> {
         self.looked_for.store(true, Ordering::Relaxed);
         Arc::clone(&self.wanted)
+    }
+
+    /// Leaves the signals from now on to who watches them.
+    pub fn hand_over(self) {
+        self.signals.close();
     }
 }
 

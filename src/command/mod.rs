@@ -137,19 +137,21 @@ pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) 
 fn run(cli: Cli) -> anyhow::Result<Exit> {
     match cli.command {
         // These fly a vehicle, or are one, and end as that allows.
-        Command::Fly(args) => fly::run(&args),
-        Command::Collect(args) => collect::run(&args),
-        Command::Daemon(args) => daemon::run(&args),
+        Command::Fly(args) => fly::run(&args, Interruption::watch()?),
+        Command::Collect(args) => collect::run(&args, Interruption::watch()?),
+        Command::Daemon(args) => daemon::run(&args, Interruption::watch()?),
         Command::Doctor(args) => {
+            Interruption::watch()?;
             end_on_broken_pipe();
             doctor::run(&args)
         }
         Command::Inspect(args) => {
+            Interruption::watch()?;
             end_on_broken_pipe();
             inspect::run(&args)
         }
         Command::Sitl(args) => sitl::run(&args),
-        Command::Replay(args) => replay::run(&args),
+        Command::Replay(args) => replay::run(&args, Interruption::watch()?),
         Command::Demo(args) => demo::run(&args, &Interruption::watch()?),
         Command::Simulate(args) => {
             Interruption::watch()?;

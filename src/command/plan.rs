@@ -1,9 +1,10 @@
 //! `downwash plan`: a feasible reference near a desired trajectory, through a model.
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -26,7 +27,7 @@ use crate::plan::iterate::Violation;
 use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
 use crate::plan::planner::{PlannedVehicle, Planner};
 use crate::plan::scp::{Record, Status};
-use crate::plan::{Feasibility, Trajectory};
+use crate::plan::{Feasibility, TimeLimit, Trajectory};
 use crate::report::plan as page;
 
 /// A model to plan through, with what a plan says about it.
@@ -220,8 +221,8 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         through.note.kind
     ));
     let began = Instant::now();
-    let limit =
-        Duration::try_from_secs_f64(config.settings.plan.time_limit_s).unwrap_or(Duration::MAX);
+    let limit = TimeLimit::new(config.settings.plan.time_limit_s);
+    let is_late = Cell::new(false);
     let bar = ProgressBar::new_spinner();
     let style = ProgressStyle::with_template("{spinner} {pos} subproblems  {msg}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
@@ -230,7 +231,8 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         if let Some(record) = records.last() {
             bar.set_message(format!("cost {:.4}", record.cost));
         }
-        interrupted.load(Ordering::Relaxed) || began.elapsed() > limit
+        is_late.set(limit.is_over(began.elapsed()));
+        interrupted.load(Ordering::Relaxed) || is_late.get()
     })?;
     bar.finish_and_clear();
     let wall_s = began.elapsed().as_secs_f64();
@@ -296,6 +298,13 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
             summary.position_max_m,
             args.out.display()
         ))?;
+    }
+    if is_late.get() && plan.status == Status::Stopped {
+        say(format_args!(
+            "the search ended at its limit of {} s, and this is its best so far; --time-limit SECONDS \
+             or [plan] time_limit_s gives it more",
+            config.settings.plan.time_limit_s
+        ));
     }
     if let Some(reason) = &summary.not_flyable {
         say(format_args!("this plan may not be flown: {reason}"));

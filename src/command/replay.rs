@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow};
 
 use super::audience::{address, say_address};
 use super::stop::{Stop, StopSignals};
-use super::{Exit, ExitContext, say};
+use super::{Exit, ExitContext, Interruption, say};
 use crate::cli::ReplayArgs;
 use crate::log::reader::ReadError;
 use crate::log::{LogReader, import};
@@ -17,8 +17,8 @@ use crate::view::{Playback, Recording, ViewSettings};
 /// How often signals are looked at.
 const WATCH_PERIOD: Duration = Duration::from_millis(200);
 
-pub(super) fn run(args: &ReplayArgs) -> anyhow::Result<Exit> {
-    let mut signals = StopSignals::new()?;
+pub(super) fn run(args: &ReplayArgs, preparation: Interruption) -> anyhow::Result<Exit> {
+    let mut signals = StopSignals::after(Some(preparation))?;
     let recording = read(&args.log, args.mapping.as_deref())?;
     let (first, last) = recording
         .span()

@@ -28,7 +28,7 @@ struct Output {
 }
 
 /// All of them, in the order of a table.
-const OUTPUTS: [Output; 29] = [
+const OUTPUTS: [Output; 30] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",

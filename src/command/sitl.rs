@@ -8,6 +8,7 @@ use vehicle::VehicleParams;
 use vehicle::frame::Frd;
 
 use super::audience::{address, say_address};
+use super::setup::VehicleFile;
 use super::{Exit, ExitContext};
 use crate::cli::SitlArgs;
 use crate::clock::HostTime;
@@ -20,11 +21,12 @@ use crate::view::{CoursePath, LiveFeed, LiveView, ViewSettings};
 const VIEW_PERIOD: Duration = Duration::from_millis(20);
 
 pub(super) fn run(args: &SitlArgs) -> anyhow::Result<Exit> {
+    // For what it says of numbers that do not fit each other.
+    let vehicle = VehicleFile::load(&args.vehicle.vehicle)?;
     let ended = match &args.view.view {
         None => sitl::cli::run(&args.vehicle),
         Some(asked) => {
-            let params = VehicleParams::load(&args.vehicle.vehicle).or_exit(Exit::Usage)?;
-            let mut watched = Watched::start(asked, &params)?;
+            let mut watched = Watched::start(asked, &vehicle.params)?;
             sitl::cli::run_watched(&args.vehicle, |vehicle| watched.see(vehicle))
         }
     };

@@ -6,6 +6,8 @@ use anyhow::Context;
 use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
+use super::Interruption;
+
 /// What asked for the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stop {
@@ -15,7 +17,7 @@ pub(super) enum Stop {
     Terminate,
 }
 
-/// The requests to stop since this was made. None is lost while nobody waits, as between two
+/// The requests to stop a flight since this was made. None is lost while nobody waits, as between two
 /// flights; several of one kind that come at once count as one.
 pub(super) struct StopSignals {
     runtime: Runtime,
@@ -25,8 +27,17 @@ pub(super) struct StopSignals {
 }
 
 impl StopSignals {
-    /// From now on no such signal ends the program by itself.
-    pub fn new() -> anyhow::Result<Self> {
+    /// From now on no such signal ends the program by itself, as `preparation` had it.
+    pub fn after(preparation: Option<Interruption>) -> anyhow::Result<Self> {
+        let signals = Self::new()?;
+        // In this order no signal falls between the two.
+        if let Some(preparation) = preparation {
+            preparation.hand_over();
+        }
+        Ok(signals)
+    }
+
+    fn new() -> anyhow::Result<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()

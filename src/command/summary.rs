@@ -57,6 +57,9 @@ pub(super) fn flight_table(flight: &FlightSummary, end: &str) -> String {
         "control ticks {}, missed {}, setpoints {}, cut by a limit {}\n",
         control.ticks, control.missed_ticks, control.setpoints, control.limited_ticks
     );
+    if let Some(often) = control.limited.often() {
+        table += &format!("note    {often}\n");
+    }
     table
 }
 

@@ -72,6 +72,17 @@ impl Saturation {
             | bit(self.position_error, 0x80)
     }
 
+    /// What [`bits`](Self::bits) say.
+    pub fn from_bits(bits: u32) -> Self {
+        Self {
+            position_error: bits & 0x80 != 0,
+            thrust: bits & 0x01 != 0,
+            tilt: bits & 0x06 != 0,
+            body_rate: bits & 0x70 != 0,
+            yaw_error: bits & 0x08 != 0,
+        }
+    }
+
     /// What this or `other` met.
     pub fn and(self, other: Self) -> Self {
         Self {

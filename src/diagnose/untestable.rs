@@ -54,11 +54,14 @@ fn reason(id: EffectId, flight: &Flight, channels: &Channels) -> Option<String> 
             ))
     };
     let fast = || {
-        let slow = || {
-            let rate = Rates::of(flight).outputs_hz.unwrap_or(0.0);
-            format!(
-                "new motor outputs come at {rate:.0} Hz only; at least {FAST_HZ:.0} Hz are needed"
-            )
+        let slow = || match Rates::of(flight).outputs_hz {
+            Some(rate) => format!(
+                "new motor outputs come at {rate:.1} Hz only; at least {FAST_HZ:.0} Hz are needed"
+            ),
+            None => format!(
+                "the motor outputs hardly change in this log; new ones at {FAST_HZ:.0} Hz or more \
+                 are needed"
+            ),
         };
         let is_slow = channels.outputs && !channels.fast_outputs && !channels.rotor_speed;
         is_slow.then(slow)

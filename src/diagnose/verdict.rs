@@ -282,7 +282,7 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
     let is_own = |effect: &&str| explained.effects.iter().any(|own| class(own) == *effect);
     let untold: Vec<&str> = ALIKE
         .iter()
-        .filter(|alike| alike.effects.iter().any(|e| is_own(e)) && !(alike.are_told)(evidence))
+        .filter(|alike| alike.effects.iter().any(is_own) && !(alike.are_told)(evidence))
         .flat_map(|alike| alike.effects)
         .collect();
     rivals.extend(untold.iter().filter(|effect| !is_own(effect)).map(|e| (*e).to_owned()));

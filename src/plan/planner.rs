@@ -41,7 +41,7 @@ pub struct PlanSettings {
     pub trust: f64,
     /// The search ends where four subproblems together improve the cost by less than this share.
     pub progress: f64,
-    /// The search ends with what it has after this time, s.
+    /// The search ends with what it has before it takes longer than this, s.
     pub time_limit_s: f64,
     /// Plans that are made anew in flight.
     pub receding: RecedingSettings,
@@ -149,7 +149,7 @@ impl Default for PlanSettings {
             subproblems_max: 60,
             trust: 0.5,
             progress: 1e-3,
-            time_limit_s: 60.0,
+            time_limit_s: 8.0,
             receding: RecedingSettings::default(),
             keep_out: Vec::new(),
             box_m: None,
@@ -192,7 +192,9 @@ pub enum PlannerError {
     },
     /// The trajectory is longer than can be planned at once.
     #[error(
-        "trajectory {trajectory}: expected at most {limit_s:.0} s to plan, found {found_s:.0} s"
+        "trajectory {trajectory}: expected at most {limit_s:.0} s to plan, found {found_s:.0} s; \
+         {cure}plan it in parts or with a lower [plan] rate_hz, or fly it without a plan, or with \
+         `downwash fly --replan`, which plans ahead in flight"
     )]
     TooLong {
         /// The trajectory.
@@ -201,6 +203,8 @@ pub enum PlannerError {
         limit_s: f64,
         /// Its length.
         found_s: f64,
+        /// What lets it be planned, if anything does.
+        cure: String,
     },
 }
 
@@ -226,8 +230,11 @@ pub struct Planner {
     change_weight: f64,
 }
 
-/// Most periods of a plan: ten minutes at 100 Hz, which are planned in seconds.
-const PERIODS_MAX: usize = 60_000;
+/// Most periods of a plan: whatever time there is for the search, and with all the time.
+const PERIODS_MAX: [f64; 2] = [10_000.0, 60_000.0];
+/// Periods of a plan for each second of the search's time, beyond the first of these: a subproblem
+/// takes a tenth of a millisecond a period, and fewer than eight of them make no plan.
+const PERIODS_IN_A_SECOND: f64 = 1250.0;
 /// How far the planned yaw and the commanded one may leave the range of the desired, rad.
 const YAW_ROOM: f64 = 1.0;
 
@@ -310,13 +317,21 @@ impl Planner {
     /// # Errors
     /// A trajectory that is too long, or with numbers that are not finite.
     pub fn desire(&self, trajectory: &Trajectory) -> Result<Desire, PlannerError> {
-        let limit_s = PERIODS_MAX as f64 * self.period_s();
-        if trajectory.duration() > limit_s {
-            return Err(PlannerError::TooLong {
-                trajectory: trajectory.name().to_owned(),
-                limit_s,
-                found_s: trajectory.duration(),
-            });
+        let [least, most] = PERIODS_MAX;
+        let limit_s =
+            (self.settings.time_limit_s * PERIODS_IN_A_SECOND).clamp(least, most) * self.period_s();
+        let found_s = trajectory.duration();
+        if found_s > limit_s {
+            let needed = found_s / self.period_s();
+            let cure = match needed <= most {
+                true => format!(
+                    "give the search {:.0} s by --time-limit or [plan] time_limit_s, or ",
+                    (needed / PERIODS_IN_A_SECOND).ceil()
+                ),
+                false => String::new(),
+            };
+            let trajectory = trajectory.name().to_owned();
+            return Err(PlannerError::TooLong { trajectory, limit_s, found_s, cure });
         }
         let periods = ((trajectory.duration() / self.period_s()).round() as usize).max(1);
         self.desire_from(trajectory, 0.0, periods)

@@ -24,13 +24,19 @@ struct Row {
 /// A column a CSV trajectory may have; `t_s` and the position must be there.
 const COLUMNS: [&str; 8] = ["t_s", "n_m", "e_m", "d_m", "yaw_rad", "v_n_mps", "v_e_mps", "v_d_mps"];
 
+/// Rows nearer to the one before are left out, s: a vehicle does not follow what is shorter, and of
+/// positions that were written to a micrometre, nearer rows would make accelerations out of the
+/// rounding.
+const ROW_SPACING_S: f64 = 0.01;
+
 /// Rounding of a written angle, rad.
 const WRAPPED_SLACK: f64 = 1e-3;
 
 impl Table {
     /// Parses CSV with a header of the names in [`COLUMNS`], in any order. Without velocity columns
-    /// the velocity is the slope of the neighbouring rows, and zero at both ends. The error is a
-    /// text that names the line.
+    /// the velocity is the slope of the neighbouring rows, and zero at both ends. Rows nearer than
+    /// [`ROW_SPACING_S`] to the one before are left out, except the first and the last. The error is
+    /// a text that names the line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
         let (_, header) = lines.next().ok_or("expected a header line, found an empty file")?;
@@ -95,6 +101,7 @@ impl Table {
         };
         rows.iter_mut().for_each(|row| row.t -= start);
         unwrap_yaw(&mut rows);
+        let mut rows = spaced(rows);
         if !with_velocity {
             let slopes: Vec<Ned> = rows
                 .windows(3)
@@ -142,6 +149,26 @@ impl Table {
     }
 }
 
+/// The rows without those that are too near to the one before. The first and the last stay.
+fn spaced(rows: Vec<Row>) -> Vec<Row> {
+    // Times that were written to a microsecond are off by as much.
+    let least = ROW_SPACING_S - 1e-6;
+    let mut kept: Vec<Row> = Vec::new();
+    let last = rows.last().copied();
+    for row in rows {
+        if kept.last().is_none_or(|before| row.t - before.t >= least) {
+            kept.push(row);
+        }
+    }
+    if let Some(last) = last.filter(|last| kept.last().is_some_and(|kept| kept.t < last.t)) {
+        if kept.len() > 1 {
+            kept.pop();
+        }
+        kept.push(last);
+    }
+    kept
+}
+
 /// Makes a yaw that was written within half a turn of north go on where it jumps from one side to
 /// the other. One that was written beyond goes on already, and may turn by any angle in a row.
 fn unwrap_yaw(rows: &mut [Row]) {
@@ -169,6 +196,28 @@ mod tests {
         let slope = (table.sample(1.0).position - table.sample(1.0 - h).position) * (1.0 / h);
         assert!((slope - table.sample(1.0).velocity).norm() < 1e-4);
         assert_eq!(table.sample(0.5).yaw_rate, 1.0);
+    }
+
+    #[test]
+    fn near_rows_are_left_out_and_their_rounding_makes_no_acceleration() {
+        let path = |t: f64| (0.5 * t).sin();
+        let rows = (0..=100_000).map(|n| f64::from(n) * 2e-4);
+        let rows = rows.map(|t| format!("{t:.6},{:.6},0,-1\n", path(t)));
+        let text = format!("t_s,n_m,e_m,d_m\n{}", rows.collect::<String>());
+        let table = Table::parse(&text).expect("a table");
+        assert!(table.rows.len() <= 2001, "{} rows", table.rows.len());
+        assert_eq!(table.duration(), 20.0);
+        assert!((table.sample(20.0).position.north() - path(20.0)).abs() < 1e-6);
+        for n in 10..1900 {
+            let point = table.sample(f64::from(n) * 0.01 + 0.003);
+            assert!((point.acceleration.north() + 0.25 * point.position.north()).abs() < 0.1);
+        }
+    }
+
+    #[test]
+    fn of_two_near_rows_both_stay() {
+        let table = Table::parse("t_s,n_m,e_m,d_m\n0,0,0,-1\n0.001,0,0,-1\n").expect("a table");
+        assert_eq!(table.duration(), 0.001);
     }
 
     #[test]

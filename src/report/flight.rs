@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::histogram::quantile;
+use super::limited::LimitedTicks;
 use super::recording::Recording;
 use crate::log::LogReader;
 use crate::log::import::Flight;
@@ -89,8 +90,10 @@ pub struct ControlSummary {
     pub tracked_s: f64,
     /// Setpoints sent.
     pub setpoints: u64,
-    /// Ticks in which a limit cut the setpoint.
+    /// Ticks in which a limit cut the setpoint, on the ground too, where thrust always is.
     pub limited_ticks: u64,
+    /// Those along the trajectory, by limit.
+    pub limited: LimitedTicks,
 }
 
 /// The link's counters.
@@ -270,6 +273,7 @@ fn control_summary(rows: &[Row]) -> ControlSummary {
     let missed = usual.map_or(0.0, |usual| missed(&intervals, usual));
     let jitter = usual.map(|usual| sorted(intervals.iter().map(|i| (i - usual).abs())));
     let ages = sorted(sample_ages(rows));
+    let tracking = rows.iter().filter_map(|row| row.control.as_ref()).filter(|c| is_tracking(c));
     let limited = |row: &&Row| row.control.as_ref().is_some_and(|c| c.saturation != 0);
     ControlSummary {
         ticks: rows.len() as u64,
@@ -282,6 +286,7 @@ fn control_summary(rows: &[Row]) -> ControlSummary {
         tracked_s: tracked_s(rows, usual),
         setpoints: rows.iter().filter(|r| r.setpoint.is_some()).count() as u64,
         limited_ticks: rows.iter().filter(limited).count() as u64,
+        limited: LimitedTicks::count(tracking.map(|c| c.saturation)),
     }
 }
 

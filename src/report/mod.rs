@@ -12,6 +12,7 @@ pub mod flight;
 mod flight_page;
 mod frame;
 pub mod histogram;
+pub mod limited;
 pub mod metrics;
 pub mod page;
 pub mod plan;

@@ -75,9 +75,11 @@ impl Waiting {
             (self.wait, self.told) = (None, Vec::new());
             return Vec::new();
         };
-        // What prepares a flight is one wait, whatever it is about.
+        // What prepares a flight is one wait, whatever it is about, and goes on from the wait for a
+        // vehicle where nothing was said of that.
         let since = match self.wait {
             Some((known, since)) if known.is_preparing() == wait.is_preparing() => since,
+            Some((Wait::Vehicle, since)) if wait.is_preparing() && self.told.is_empty() => since,
             _ => now,
         };
         let checking = self.checking.filter(|_| wait == Wait::Checks);
@@ -127,7 +129,8 @@ impl Station {
             return (!is_prepared)
                 .then(|| (Wait::Vehicle, vec![Silence::of(&self.session, now).into()]));
         }
-        let pilot = self.pilot.as_ref()?;
+        // Who was just heard has no pilot yet: the wait goes on.
+        let Some(pilot) = self.pilot.as_ref() else { return Some((Wait::Telemetry, Vec::new())) };
         let by_pilot = self.settings.policy == EngagePolicy::PilotSwitch;
         let reason = |subject: &str, line: &str| {
             vec![Reason { subject: subject.to_owned(), line: line.to_owned() }]
@@ -273,5 +276,17 @@ mod tests {
         }
         let told: Vec<_> = told.iter().map(|(k, line)| (*k, line.as_str())).collect();
         assert_eq!(told, [(25, "silence"), (43, "a"), (43, "b"), (80, "a")]);
+    }
+
+    #[test]
+    fn a_vehicle_that_was_waited_for_leaves_less_patience_with_its_telemetry() {
+        let start = HostTime::from_ns(0);
+        let mut waiting = Waiting::new(start);
+        let told = (0..100u32).find(|k| {
+            let wait = if *k < 11 { Wait::Vehicle } else { Wait::Telemetry };
+            let found = Some((wait, vec![reason("frame")]));
+            !waiting.news(start + PERIOD * *k, found).is_empty()
+        });
+        assert_eq!(told, Some(25), "2.5 s after the start");
     }
 }

@@ -119,6 +119,11 @@ READERS = {
     "model eval": ["model", "eval", "LOG", "--model", "INPUT"],
     "model predict": ["model", "predict", "LOG", "--model", "INPUT", "--out", "OUT"],
     "model export": ["model", "export", "INPUT", "--out", "OUT"],
+    "plan": ["plan", "hover", "--config", "INPUT", "-o", "OUT"],
+    # Those that fly, before they fly.
+    "fly": ["fly", "hover", "--vehicle", CRAZYFLIE, "--connect", "udpin:127.0.0.1:0", "--config", "INPUT"],
+    "collect": ["collect", "--out", "OUT", "--config", "INPUT"],
+    "daemon": ["daemon", "--config", "INPUT"],
 }
 
 
@@ -133,6 +138,14 @@ def test_a_command_that_reads(program, tmp_path, number, command):
     with pipe.open("wb"):
         ends(one, number)
     assert list(tmp_path.iterdir()) == [pipe]
+
+
+@SIGNALS
+@pytest.mark.parametrize("command", ["doctor", "inspect"])
+def test_a_command_that_listens(program, number, command):
+    one = program(command, "--connect", "udpin:127.0.0.1:0", "--seconds", "60")
+    one.says("listening")
+    ends(one, number)
 
 
 @SIGNALS

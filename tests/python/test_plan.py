@@ -146,6 +146,14 @@ def test_impossible_settings(trajectory, tmp_path, text, words):
         assert word in error
 
 
+def test_what_is_too_long_to_plan_is_refused_with_a_way_on(tmp_path):
+    long = tmp_path / "long.csv"
+    rows = (f"{0.05 * n:.2f},{(n % 40) / 100},0,-1\n" for n in range(100_000))
+    long.write_text("t_s,n_m,e_m,d_m\n" + "".join(rows))
+    error = run("plan", long, "-o", tmp_path / "plan.json", code=2).stderr
+    assert "at most 100 s" in error and "--replan" in error and "--time-limit" not in error
+
+
 def test_an_absurd_trajectory_ends_with_a_reason(tmp_path):
     wild = tmp_path / "wild.toml"
     wild.write_text(SHORT.replace("amplitude_m = 0.4", "amplitude_m = 5.0").replace("\nperiod_s = 3.0", "\nperiod_s = 0.6"))

@@ -129,6 +129,18 @@ pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Cont
     let damage = reader.damage;
     contents.tally.add("byte that belongs to no whole message", damage.bytes);
     contents.tally.add("damaged or contradictory definition of a message", damage.definitions);
+    if damage.bytes > 0 {
+        contents.tally.lose(match (damage.cut, damage.first) {
+            (Some(cut), Some(first)) if cut == first => {
+                format!("it ends within a message, at byte {cut}: it was cut short there")
+            }
+            (_, first) => format!(
+                "{} bytes from byte {} on belong to no message",
+                damage.bytes,
+                first.unwrap_or(0)
+            ),
+        });
+    }
     contents.fill(flight);
     let names = names.into_iter().collect();
     Ok(super::Contents { part: "message", names, reason: None })

@@ -298,6 +298,8 @@ pub struct Flight {
     pub facts: VehicleFacts,
     /// What was left out of the file and why, with counts; empty for a sound file.
     pub left_out: Vec<(String, u64)>,
+    /// What of the file is lost by damage, and where, in words.
+    pub losses: Vec<String>,
 }
 
 impl Flight {
@@ -327,6 +329,7 @@ impl Flight {
             rows: None,
             facts: VehicleFacts::default(),
             left_out: Vec::new(),
+            losses: Vec::new(),
         }
     }
 
@@ -342,6 +345,23 @@ impl Flight {
             && self.setpoint.is_empty()
             && self.reference.is_empty()
             && self.truth.is_empty())
+    }
+
+    /// First and last time of what was sampled of the vehicle, s.
+    pub fn span(&self) -> Option<(f64, f64)> {
+        let streams = [
+            self.attitude.times(),
+            self.position.times(),
+            self.velocity.times(),
+            self.body_rate.times(),
+            self.specific_force.times(),
+            self.outputs.times(),
+            self.rotor_speed.times(),
+            self.setpoint.times(),
+        ];
+        let ends = streams.into_iter().filter_map(|times| times.first().zip(times.last()));
+        ends.map(|(first, last)| (*first, *last))
+            .reduce(|(first, last), (start, end)| (first.min(start), last.max(end)))
     }
 
     /// Keeps what parameters say of the outputs' range.

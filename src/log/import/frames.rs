@@ -204,7 +204,7 @@ impl Frames {
             let reason = format!("message of another vehicle or component, {system}/{component}");
             tally.add(&reason, log.messages());
         }
-        flight.left_out.extend(tally.into_vec());
+        tally.give(flight);
         Ok(seen.into_values().collect())
     }
 }

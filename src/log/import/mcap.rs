@@ -73,6 +73,12 @@ pub(super) fn read(
     let ending = reader.ending();
     tally.add("damaged part of the file", ending.damaged);
     tally.add("end of the file (it was cut short)", u64::from(!ending.finished));
+    if ending.damaged > 0 {
+        tally.lose(format!("{} damaged parts were passed over", ending.damaged));
+    }
+    if !ending.finished {
+        tally.lose("it has no end: it was cut short, or is still written".to_owned());
+    }
     if !flat::take_facts(reader.run(), flight)
         && let Some(frames) = frames
     {
@@ -84,7 +90,7 @@ pub(super) fn read(
     let vehicle = reader.attachments().iter().find(|attachment| attachment.name != CONFIG);
     flight.vehicle_file =
         vehicle.and_then(|attachment| String::from_utf8(attachment.data.clone()).ok());
-    flight.left_out.extend(tally.into_vec());
+    tally.give(flight);
     let names = others.into_iter().collect();
     Ok(Contents { part: "topic", names, reason: None })
 }

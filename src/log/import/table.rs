@@ -132,7 +132,7 @@ pub(super) fn read(
     };
     tally.add("gap of more than 3 periods between rows", gaps(&rows));
     flight.rows = Some(rows);
-    flight.left_out.extend(tally.into_vec());
+    tally.give(flight);
     Ok(Contents { reason: refused, ..Contents::default() })
 }
 

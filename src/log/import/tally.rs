@@ -2,10 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use super::flight::Flight;
+
 /// Counts by a reason that a person understands.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tally {
     counts: BTreeMap<String, u64>,
+    losses: Vec<String>,
 }
 
 impl Tally {
@@ -27,9 +30,22 @@ impl Tally {
         for (reason, count) in other.counts {
             self.add(&reason, count);
         }
+        self.losses.extend(other.losses);
+    }
+
+    /// Says what of the file is lost, and where.
+    pub fn lose(&mut self, what: String) {
+        self.losses.push(what);
+    }
+
+    /// Gives all to the flight that was read.
+    pub fn give(self, flight: &mut Flight) {
+        flight.left_out.extend(self.counts);
+        flight.losses.extend(self.losses);
     }
 
     /// The counts, by reason.
+    #[cfg(test)]
     pub fn into_vec(self) -> Vec<(String, u64)> {
         self.counts.into_iter().collect()
     }

@@ -119,6 +119,12 @@ impl Contents {
         tally.add("damaged byte between messages", damage.bytes);
         tally.add("damaged or contradictory message", damage.messages);
         tally.add("byte of a message that the file ends within (it was cut short)", damage.cut);
+        if let Some(first) = damage.first {
+            tally.lose(match damage.bytes {
+                0 => format!("it ends within a message, at byte {first}: it was cut short there"),
+                lost => format!("{lost} bytes from byte {first} on belong to no message"),
+            });
+        }
         if dropouts > 0 {
             let reason = format!("dropout of the logger, {:.3} s in all", dropout_ms as f64 * 1e-3);
             tally.add(&reason, dropouts);

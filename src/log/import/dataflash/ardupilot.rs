@@ -118,7 +118,7 @@ impl Contents {
         self.fill_states(flight, &mut facts, &mut tally);
         facts.texts = std::mem::take(&mut self.texts);
         flight.facts = facts;
-        flight.left_out.extend(tally.into_vec());
+        tally.give(flight);
     }
 
     fn parameter(&self, name: &str) -> Option<f64> {

@@ -23,6 +23,10 @@ pub(super) struct Damage {
     pub bytes: u64,
     /// Definitions that contradict themselves or an earlier one.
     pub definitions: u64,
+    /// Where the first such byte is.
+    pub first: Option<u64>,
+    /// Where the message begins that the file ends within.
+    pub cut: Option<u64>,
 }
 
 /// A message, without its head.
@@ -38,6 +42,8 @@ pub(super) struct Reader<R> {
     source: R,
     buffer: Vec<u8>,
     start: usize,
+    /// Bytes of the source before the buffer.
+    before: u64,
     ended: bool,
     layouts: Vec<Option<Layout>>,
     /// Messages that were sound so far.
@@ -52,6 +58,7 @@ impl<R: Read> Reader<R> {
             source,
             buffer: Vec::new(),
             start: 0,
+            before: 0,
             ended: false,
             layouts,
             messages: 0,
@@ -81,6 +88,13 @@ impl<R: Read> Reader<R> {
                 // The marks at the earliest, of the next message.
                 let next = rest[1..].iter().position(|byte| *byte == MARKS[0]);
                 let passed = 1 + next.unwrap_or(rest.len() - 1);
+                let at = self.before + self.start as u64;
+                if self.damage.cut.is_none()
+                    && self.length(rest).is_some_and(|length| self.ended && length > rest.len())
+                {
+                    self.damage.cut = Some(at);
+                }
+                self.damage.first.get_or_insert(at);
                 self.damage.bytes += passed as u64;
                 self.start += passed;
                 continue;
@@ -135,6 +149,7 @@ impl<R: Read> Reader<R> {
             return Ok(());
         }
         self.buffer.drain(..self.start);
+        self.before += self.start as u64;
         self.start = 0;
         self.ended = read_ahead(&mut self.source, &mut self.buffer, CHUNK)?;
         Ok(())

@@ -98,7 +98,7 @@ impl Contents {
         self.note_modes(&mut facts);
         facts.texts = std::mem::take(&mut self.texts);
         flight.facts = facts;
-        flight.left_out.extend(tally.into_vec());
+        tally.give(flight);
     }
 
     fn facts(&self) -> VehicleFacts {

@@ -90,6 +90,8 @@ pub(super) struct Damage {
     pub messages: u64,
     /// Bytes of a message that the file ends within.
     pub cut: u64,
+    /// Where the first of all these begins.
+    pub first: Option<u64>,
 }
 
 /// How a place in the file looks.
@@ -356,6 +358,7 @@ impl<R: Read> Reader<R> {
         let is_cut = found.is_none() && passed == room && !self.is_lost;
         let count = if is_cut { &mut self.damage.cut } else { &mut self.damage.bytes };
         *count += passed as u64;
+        self.damage.first = self.damage.first.or(Some(self.offset));
         self.advance(passed);
         self.is_lost = true;
         Ok(())

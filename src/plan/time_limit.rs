@@ -1,0 +1,45 @@
+//! The time that a search may take.
+
+use std::cell::Cell;
+use std::time::Duration;
+
+/// Ends a search so that it does not take longer than a limit: before a subproblem that would
+/// likely end after it. The first subproblem is always begun where there is any time: without one
+/// there is no plan.
+#[derive(Debug)]
+pub struct TimeLimit {
+    limit: Duration,
+    before: Cell<Duration>,
+    longest: Cell<Duration>,
+}
+
+impl TimeLimit {
+    /// A limit, s. What no clock counts to is none.
+    pub fn new(limit_s: f64) -> Self {
+        let limit = Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::MAX);
+        Self { limit, before: Cell::default(), longest: Cell::default() }
+    }
+
+    /// Whether the search ends before its next subproblem, which begins `passed` after the search
+    /// did. To be asked before each of them.
+    pub fn is_over(&self, passed: Duration) -> bool {
+        self.longest.set(self.longest.get().max(passed.saturating_sub(self.before.get())));
+        self.before.set(passed);
+        passed.saturating_add(self.longest.get()) > self.limit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_subproblem_begins_that_would_end_late() {
+        let limit = TimeLimit::new(8.0);
+        let asked = [0.0, 3.0, 5.0, 5.1].map(|s| limit.is_over(Duration::from_secs_f64(s)));
+        assert_eq!(asked, [false, false, false, true]);
+        let first = Duration::from_millis(1);
+        assert!(TimeLimit::new(0.0).is_over(first));
+        assert!(!TimeLimit::new(f64::INFINITY).is_over(first));
+    }
+}
