@@ -2,7 +2,7 @@ use super::*;
 use crate::campaign::judge::Rule;
 use crate::planted::{self, Planted};
 
-/// Seed of the flights that a test run draws; the commit's, where `tests/run` is asked.
+/// Seed of the flights that a test run draws.
 fn seed() -> u64 {
     let given = std::env::var("DOWNWASH_CAMPAIGN_SEED").ok().and_then(|text| text.parse().ok());
     given.unwrap_or(1)
@@ -32,7 +32,7 @@ fn drawn_flights_break_no_rule() {
 }
 
 #[test]
-#[ignore = "ten thousand flights"]
+#[ignore = "ten thousand flights, some of which fail: docs/safety.md, Open"]
 fn ten_thousand_drawn_flights_break_no_rule() {
     no_rule_is_broken(10_000);
 }
