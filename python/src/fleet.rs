@@ -4,7 +4,7 @@ use numpy::{PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 use vehicle::ROTORS;
-use vehicle::batch::{Batch, Real};
+use vehicle::batch::{Batch, Precision, Real};
 use vehicle::plant::Setup;
 use vehicle::rigid_body::State;
 
@@ -44,7 +44,7 @@ pub enum Room<'py> {
 }
 
 /// The batches of a fleet, a job for each.
-pub fn batches<F: Real>(
+pub fn batches<F: Precision>(
     vehicle: &Vehicle,
     effects: &str,
     seed: u64,
@@ -63,12 +63,12 @@ pub fn batches<F: Real>(
 }
 
 /// A row of four outputs.
-pub fn row<F: Real>(outputs: &[F]) -> [F; ROTORS] {
+pub fn row<F: Precision>(outputs: &[F]) -> [F; ROTORS] {
     std::array::from_fn(|rotor| outputs.get(rotor).copied().unwrap_or_default())
 }
 
 /// Writes the vehicles' states, a row each.
-pub fn write_states<F: Real>(batch: &Batch<F>, states: &mut [F]) {
+pub fn write_states<F: Precision>(batch: &Batch<F>, states: &mut [F]) {
     for (index, into) in states.chunks_exact_mut(STATE).enumerate() {
         let state = batch.state(index).unwrap_or_default();
         for (into, number) in into.iter_mut().zip(to_array(&state)) {
@@ -120,7 +120,7 @@ pub fn roll(
     })
 }
 
-fn step<F: Real>(
+fn step<F: Precision>(
     py: Python<'_>,
     jobs: &mut [Batch<F>],
     outputs: &[F],
@@ -150,7 +150,7 @@ fn step<F: Real>(
     })
 }
 
-fn set<F: Real>(jobs: &mut [Batch<F>], states: &[F], rotors: &[F]) -> PyResult<()> {
+fn set<F: Precision>(jobs: &mut [Batch<F>], states: &[F], rotors: &[F]) -> PyResult<()> {
     let count: usize = jobs.iter().map(Batch::len).sum();
     if states.len() != count * STATE || rotors.len() != count * ROTORS {
         return Err(wrong("state: expected 13 numbers and four rotor states for each vehicle"));
@@ -234,7 +234,7 @@ impl Fleet {
 
     #[getter]
     fn rotor_states(&self) -> Vec<[f64; ROTORS]> {
-        fn all<F: Real>(jobs: &[Batch<F>]) -> Vec<[f64; ROTORS]> {
+        fn all<F: Precision>(jobs: &[Batch<F>]) -> Vec<[f64; ROTORS]> {
             let of = |batch: &Batch<F>| -> Vec<_> {
                 (0..batch.len()).filter_map(|index| batch.rotor_states(index)).collect()
             };

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use vehicle::VehicleParams;
-use vehicle::batch::{Batch, Real};
+use vehicle::batch::{Batch, Precision};
 use vehicle::effects::EffectSet;
 use vehicle::frame::Frd;
 use vehicle::plant::{Plant, Setup};
@@ -107,7 +107,7 @@ fn fleet(criterion: &mut Criterion) {
 }
 
 /// As fleets, but stepped together; each row of outputs for one step, as a controller gives them.
-fn batch<F: Real>(criterion: &mut Criterion, precision: &str) {
+fn batch<F: Precision>(criterion: &mut Criterion, precision: &str) {
     let mut group = criterion.benchmark_group(format!("batch_steps_{precision}"));
     group.throughput(Throughput::Elements(FLEET as u64));
     let without_gusts: Vec<&str> =

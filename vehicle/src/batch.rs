@@ -6,6 +6,7 @@
 //! the floor is stepped as a plant is, by itself.
 
 mod lane;
+mod motion;
 mod width;
 
 use rand::SeedableRng;
@@ -13,22 +14,18 @@ use rand_pcg::Pcg64Mcg;
 
 use self::lane::Lane;
 pub use self::lane::Real;
-use self::width::{Held, Width};
+use self::motion::{Held, LANES, Model, Motion};
+pub use self::width::Precision;
+use self::width::Width;
 use crate::battery::{Battery, PowerModel};
 use crate::contact::Floor;
 use crate::effects::{EffectSet, Gusts, Turbulence};
-use crate::frame::{Attitude, Euler, Frd, Ned};
+use crate::frame::{Euler, Ned};
 use crate::params::{ROTORS, VehicleError, VehicleParams};
 use crate::physics::{Environment, Physics};
 use crate::plant::{BATTERY_STEPS, Plant, Setup};
 use crate::rigid_body::{Stage, State, rk4};
 use crate::rotor::Lag;
-
-/// Vehicles of a block: four of the widest vectors in single precision.
-const LANES: usize = 64;
-
-/// A number for each vehicle of a block.
-type Lanes<F> = [F; LANES];
 
 /// Vehicles of one file and one set of effects, in single (`f32`) or double precision (`f64`).
 ///
@@ -42,16 +39,6 @@ pub struct Batch<F> {
     steps: u64,
 }
 
-/// What all vehicles share.
-#[derive(Clone, Debug)]
-pub struct Model {
-    physics: Physics,
-    lag: Lag,
-    floor: Floor,
-    floor_down: f64,
-    power: PowerModel,
-}
-
 /// Up to [`LANES`] vehicles; lanes beyond them stand still.
 #[derive(Clone, Debug)]
 struct Block<F> {
@@ -62,56 +49,7 @@ struct Block<F> {
     turbulence: Vec<(Turbulence, Pcg64Mcg)>,
 }
 
-/// What the equations of motion move.
-#[derive(Clone, Debug)]
-pub struct Motion<F> {
-    position: [Lanes<F>; 3],
-    velocity: [Lanes<F>; 3],
-    attitude: [Lanes<F>; 4],
-    body_rate: [Lanes<F>; 3],
-    rotors: [Lanes<F>; ROTORS],
-}
-
-impl<F: Real> Motion<F> {
-    #[inline(always)]
-    fn state(&self, lane: usize) -> State<Lane<F>> {
-        let [w, x, y, z] = self.attitude.each_ref().map(|values| Lane(values[lane]));
-        State {
-            position: Ned::from(self.position.each_ref().map(|values| Lane(values[lane]))),
-            velocity: Ned::from(self.velocity.each_ref().map(|values| Lane(values[lane]))),
-            attitude: Attitude { w, x, y, z },
-            body_rate: Frd::from(self.body_rate.each_ref().map(|values| Lane(values[lane]))),
-        }
-    }
-
-    #[inline(always)]
-    fn set_state(&mut self, lane: usize, state: &State<Lane<F>>) {
-        let Attitude { w, x, y, z } = state.attitude;
-        let put = |into: &mut [Lanes<F>], from: &[Lane<F>]| {
-            for (values, value) in into.iter_mut().zip(from) {
-                values[lane] = value.0;
-            }
-        };
-        put(&mut self.position, &state.position.to_array());
-        put(&mut self.velocity, &state.velocity.to_array());
-        put(&mut self.attitude, &[w, x, y, z]);
-        put(&mut self.body_rate, &state.body_rate.to_array());
-    }
-
-    #[inline(always)]
-    fn rotors(&self, lane: usize) -> [Lane<F>; ROTORS] {
-        self.rotors.each_ref().map(|values| Lane(values[lane]))
-    }
-
-    #[inline(always)]
-    fn set_rotors(&mut self, lane: usize, rotors: [Lane<F>; ROTORS]) {
-        for (values, value) in self.rotors.iter_mut().zip(rotors) {
-            values[lane] = value.0;
-        }
-    }
-}
-
-impl<F: Real> Batch<F> {
+impl<F: Precision> Batch<F> {
     /// `count` vehicles as [`Plant::new`] makes them; gusts of vehicle i are drawn from `seed + i`.
     ///
     /// # Errors
@@ -249,7 +187,7 @@ fn clipped(value: f64) -> f64 {
     value.max(0.0).min(1.0)
 }
 
-impl<F: Real> Block<F> {
+impl<F: Precision> Block<F> {
     fn step(&mut self, model: &Model, count: u64, width: Width) {
         let wind = model.physics.wind();
         for (lane, (turbulence, rng)) in self.turbulence.iter_mut().enumerate() {

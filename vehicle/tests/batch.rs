@@ -1,7 +1,7 @@
 //! A batch flies as as many plants do, whatever acts.
 
 use vehicle::VehicleParams;
-use vehicle::batch::{Batch, Real};
+use vehicle::batch::{Batch, Precision};
 use vehicle::effects::EffectSet;
 use vehicle::frame::{Euler, Frd, Ned};
 use vehicle::plant::{Plant, Setup};
@@ -61,7 +61,7 @@ fn start(index: usize, height: f64) -> State {
 
 /// The largest distance (m) and angle (rad) between a batch and plants after a second of flight
 /// under feedback from each one's own state.
-fn apart<F: Real>(vehicle: &VehicleParams, effects: &EffectSet, height: f64) -> (f64, f64) {
+fn apart<F: Precision>(vehicle: &VehicleParams, effects: &EffectSet, height: f64) -> (f64, f64) {
     let mut setup = Setup::default();
     setup.start.heading_rad = 0.3;
     let mut batch = Batch::<F>::new(vehicle, effects, &setup, 40, COUNT).unwrap();

@@ -3,15 +3,13 @@
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-use super::width::Precision;
 use crate::frame::{Attitude, Frd, Ned};
 use crate::rigid_body::State;
 use crate::scalar::Scalar;
 
 /// Single or double precision.
 pub trait Real:
-    Precision
-    + Copy
+    Copy
     + Debug
     + Default
     + PartialOrd
@@ -81,7 +79,7 @@ impl Real for f64 {
 /// A number of one vehicle. Its exponential is a polynomial and not a call, which would keep the loop
 /// from being vectorised; the other transcendental functions are no part of the equations of motion.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Lane<F>(pub F);
+pub struct Lane<F>(pub F);
 
 /// A state in double precision.
 pub(super) fn state_of<F: Real>(state: &State<Lane<F>>) -> State {

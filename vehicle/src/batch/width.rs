@@ -1,23 +1,11 @@
 //! The step of a block of vehicles, compiled once for each set of vector instructions.
 
 use super::lane::{Lane, Real};
-use super::{LANES, Lanes, Model, Motion};
+use super::motion::{Held, LANES, Model, Motion};
 use crate::frame::{Frd, Ned};
-use crate::params::ROTORS;
 use crate::physics::{Environment, Loads, Physics};
 use crate::plant::Plant;
 use crate::rigid_body::{RightHandSide, Stage, State, rk4};
-
-/// What holds over a step, of each lane.
-#[derive(Clone, Debug)]
-pub struct Held<F> {
-    /// Motor outputs, 0..=1.
-    pub outputs: [Lanes<F>; ROTORS],
-    /// Velocity of the air in world axes, m/s.
-    pub air_velocity: [Lanes<F>; 3],
-    /// Factor of the pack's voltage on thrust.
-    pub voltage_factor: Lanes<F>,
-}
 
 /// Sets of vector instructions that the step is compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,7 +51,7 @@ impl Width {
 }
 
 /// A precision that blocks are stepped in.
-pub trait Precision: Sized {
+pub trait Precision: Real {
     /// Advances every lane by one step, without a floor to touch.
     fn step(width: Width, motion: &mut Motion<Self>, held: &Held<Self>, model: &Model);
 }
