@@ -90,7 +90,7 @@ pub enum Command {
     /// Shows the messages on a link, with rate, size, age and last value.
     Inspect(ListenArgs),
     /// Runs the bundled vehicle on MAVLink links.
-    Sitl(SitlArgs),
+    Sitl(SimulatorArgs),
     /// Makes, checks and lists vehicle files.
     #[command(subcommand)]
     Vehicle(VehicleCommand),
@@ -121,7 +121,7 @@ pub enum Command {
 
 /// Flags of `sitl`.
 #[derive(Clone, Debug, Args)]
-pub struct SitlArgs {
+pub struct SimulatorArgs {
     /// The vehicle.
     #[command(flatten)]
     pub vehicle: sitl::cli::SitlArgs,
@@ -312,12 +312,19 @@ fn law() -> impl TypedValueParser<Value = Law> {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
 
     #[derive(Parser)]
     struct Diagnose {
         #[command(flatten)]
         args: DiagnoseArgs,
+    }
+
+    #[test]
+    fn flags_of_no_command_are_in_each_others_way() {
+        Cli::command().debug_assert();
     }
 
     #[test]

@@ -10,7 +10,7 @@ use vehicle::frame::Frd;
 use super::audience::{address, say_address};
 use super::setup::VehicleFile;
 use super::{Exit, ExitContext};
-use crate::cli::SitlArgs;
+use crate::cli::SimulatorArgs;
 use crate::clock::HostTime;
 use crate::daemon::HostClock;
 use crate::lockstep;
@@ -20,7 +20,7 @@ use crate::view::{CoursePath, LiveFeed, LiveView, ViewSettings};
 /// The view sees the vehicle this often.
 const VIEW_PERIOD: Duration = Duration::from_millis(20);
 
-pub(super) fn run(args: &SitlArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &SimulatorArgs) -> anyhow::Result<Exit> {
     // For what it says of numbers that do not fit each other.
     let vehicle = VehicleFile::load(&args.vehicle.vehicle)?;
     let ended = match &args.view.view {
