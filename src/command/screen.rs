@@ -186,8 +186,9 @@ impl Drop for Screen {
 /// Gives the terminal back; a second call does nothing.
 fn restore() {
     if is_raw_mode_enabled().unwrap_or(false) {
-        let _ = execute!(stderr(), LeaveAlternateScreen, Show);
+        // In this order: who sees the screen come back finds the terminal as it was.
         let _ = disable_raw_mode();
+        let _ = execute!(stderr(), LeaveAlternateScreen, Show);
     }
 }
 

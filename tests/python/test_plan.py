@@ -62,7 +62,7 @@ def test_the_file_holds_the_plan(planned):
 def test_the_report_stands_alone(planned):
     folder = planned[0].parent / "report"
     page = (folder / "report.html").read_text()
-    for word in ("http", "<script", "<link", "src="):
+    for word in ("http:", "https:", "<link", "src=", "@import", "url("):
         assert word not in page.replace("http://www.w3.org/2000/svg", "")
     assert "<svg" in page and json.loads((folder / "report.json").read_text()) == planned[1]
 
@@ -116,7 +116,7 @@ def test_no_time_leaves_a_file_that_is_not_flown(trajectory, tmp_path):
 def test_an_interrupt_leaves_the_best_plan_so_far(program, tmp_path):
     # Longer than it takes to interrupt it: by the slowest of the solvers.
     long = tmp_path / "long.toml"
-    long.write_text(SHORT.replace("duration_s = 3.0", "duration_s = 8.0"))
+    long.write_text(SHORT.replace("duration_s = 3.0", "duration_s = 5.0"))
     out = tmp_path / "plan.json"
     one = program("plan", long, "-o", out, "--solver", "penalty", "--json")
     one.says("planning")
@@ -126,7 +126,7 @@ def test_an_interrupt_leaves_the_best_plan_so_far(program, tmp_path):
     summary = json.loads(text)
     plan = json.loads(out.read_text())
     assert summary["status"] == plan["status"] == "stopped"
-    assert len(plan["inputs"]) == 850
+    assert len(plan["inputs"]) == 550
 
 
 @pytest.mark.parametrize(
