@@ -358,7 +358,7 @@ impl<R: Read> Reader<R> {
         let is_cut = found.is_none() && passed == room && !self.is_lost;
         let count = if is_cut { &mut self.damage.cut } else { &mut self.damage.bytes };
         *count += passed as u64;
-        self.damage.first = self.damage.first.or(Some(self.offset as u64));
+        self.damage.first = self.damage.first.or(Some(self.offset));
         self.advance(passed);
         self.is_lost = true;
         Ok(())
