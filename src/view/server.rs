@@ -54,7 +54,7 @@ pub struct ViewSettings {
     pub address: String,
     /// What viewers show as the source.
     pub name: String,
-    /// Parameters that are shown at first; others are added by [`Server::add_parameters`].
+    /// Parameters that are shown at first; others are added later.
     pub parameters: BTreeMap<String, String>,
     /// First and last time of what is played back, ns; `None` is live.
     pub playback: Option<(u64, u64)>,
