@@ -18,6 +18,10 @@ use crate::setpoint::Setpoint;
 /// unread for as long. And a setpoint that is older than this does not leave.
 pub const STALL: Duration = Duration::from_millis(50);
 
+/// What lay unread in a stall is read within this of its end: a socket's buffer takes about a
+/// millisecond.
+const DRAIN: Duration = Duration::from_millis(10);
+
 /// A setpoint that left longer ago than this bounds no change any more.
 const FORGOTTEN: Duration = Duration::from_millis(500);
 /// Changes are bounded as over at least this time: two answers are never closer.
@@ -220,10 +224,13 @@ impl Guard {
     }
 
     /// Whether the sample, which came so much later than the quickest ones, left the vehicle after
-    /// the line's last stall. A delay that is not a number proves nothing.
+    /// the line's last stall. A delay that is not a number proves nothing, and neither does a clock
+    /// alone: what came while the line still read what had lain unread is not after it.
     fn is_after_stall(&self, sample: &Answered) -> bool {
         let late_s = if sample.excess_delay_s < 0.0 { 0.0 } else { sample.excess_delay_s };
-        Duration::try_from_secs_f64(late_s).is_ok_and(|late| sample.host - late >= self.woke)
+        let is_drained = self.stalled.is_zero() || sample.host.since(self.woke) >= DRAIN;
+        let left = Duration::try_from_secs_f64(late_s).map(|late| sample.host - late);
+        is_drained && left.is_ok_and(|left| left >= self.woke)
     }
 
     /// Within the limits; what left lately bounds the change, as far as the limits allow.

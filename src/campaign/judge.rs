@@ -279,7 +279,8 @@ impl Judge {
             return;
         };
         if mode.word == self.bounds.obeys {
-            self.flew = true;
+            // Under the pilot's switch a hold is offered on the ground, whatever the mode.
+            self.flew |= self.policy == EngagePolicy::Command || self.armed == Some(true);
             let known_s = seconds(mode.heard_us, now_us);
             if known_s > MODE_KNOWN_S + LOOK_S {
                 let what = format!("the mode was told {known_s:.2} s ago");

@@ -24,6 +24,9 @@ class HandMadeVehicle:
     """Runs in a thread of its own until stopped. What it saw is in public attributes."""
 
     def __init__(self, url, rate_hz=100):
+        # Another test of this worker may have left pymavlink with MAVLink 1, which has no CURRENT_MODE.
+        os.environ["MAVLINK20"] = "1"
+        mavutil.set_dialect("all")
         self.link = mavutil.mavlink_connection(url, source_system=1, source_component=1, dialect="all")
         self.rate_hz = rate_hz
         self.position = [0.0, 0.0, 0.0]
