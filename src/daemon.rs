@@ -15,7 +15,7 @@ use crate::guard::STALL;
 use crate::link::connection::{Connection, Input};
 use crate::link::tee::TeeThread;
 use crate::log::LogSink;
-use crate::station::{End, Station, Status};
+use crate::station::{End, PAUSE, Station, Status};
 
 /// The status is refreshed this often.
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
@@ -26,9 +26,6 @@ const STOP_LIMIT: Duration = Duration::from_secs(90);
 /// Longest datagram, and most bytes taken from a stream at once.
 const BUFFER_LEN: usize = 65_536;
 
-/// A loop that begins a turn later than this after the last one was paused: by a signal, a swap, a
-/// suspended machine. What lies unread is then older than it looks.
-const PAUSE: Duration = Duration::from_millis(300);
 /// Reading what lay unread ends after this: a flood is not caught up with.
 const CATCH_UP_LIMIT: Duration = Duration::from_millis(200);
 

@@ -102,7 +102,7 @@ pub struct Cleared {
 }
 
 impl Cleared {
-    /// What is to be sent.
+    /// The setpoint to send.
     pub fn setpoint(&self) -> &Setpoint {
         &self.setpoint
     }
@@ -144,7 +144,7 @@ impl Guard {
         }
     }
 
-    /// The line runs, at `now`: to be told at every turn, whether anything was heard or not.
+    /// Notes that the control line runs at `now`. Call it at every turn, also when nothing was heard.
     pub fn turn(&mut self, now: HostTime) {
         let passed = now.since(self.turned);
         #[cfg(test)]

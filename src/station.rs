@@ -3,6 +3,8 @@
 
 mod aftermath;
 mod attitude_loop;
+mod ending;
+mod events;
 mod feedback;
 mod identification;
 mod records;
@@ -17,6 +19,7 @@ use std::time::Duration;
 use wire::transport::Peer;
 
 use self::aftermath::Aftermath;
+pub use self::ending::End;
 use self::records::{LinkMeter, record_of};
 use self::requests::request_of;
 pub use self::settings::StationSettings;
@@ -26,37 +29,18 @@ use crate::clock::HostTime;
 use crate::link::counters::LinkState;
 use crate::link::message::{Inbound, Received};
 use crate::link::profile::Profile;
-use crate::link::session::{self, Heard, Session, SetpointError, VehicleId};
+use crate::link::session::{Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::pilot::{LinkEvent, Pilot, Tick};
-use crate::supervisor::{EngagePolicy, FlightState, Takeover};
+use crate::supervisor::FlightState;
+
+/// A process whose control line runs again after longer than this was paused: by a signal, a swap, a
+/// suspended machine. What lies unread is then older than it looks, and goes to
+/// [`Station::catch_up`].
+pub const PAUSE: Duration = Duration::from_millis(300);
 
 /// Period of the link's counters in the log.
 const STATS_PERIOD: Duration = Duration::from_secs(1);
-
-/// Steps of the vehicle's clock from here on are told, ns.
-const CLOCK_STEP_TOLD_NS: u64 = 100_000_000;
-
-/// Why a station stopped.
-#[derive(Clone, Debug, PartialEq)]
-pub enum End {
-    /// The flight went from take-off to landing.
-    Done,
-    /// The checks before a flight passed, and no flight was asked for.
-    Checked,
-    /// No vehicle was heard.
-    NoVehicle,
-    /// The vehicle was never flown: preflight, mode or arming refused, with the reason.
-    Refused(String),
-    /// The flight ended early, with the reason.
-    Aborted(String),
-    /// The link was lost in flight, with the reason.
-    LinkLost(String),
-    /// The pilot took over.
-    PilotTookOver,
-    /// It was asked to stop, and nothing else became of the vehicle.
-    Stopped,
-}
 
 /// A session, a pilot, and the records of both.
 pub struct Station {
@@ -409,134 +393,6 @@ impl Station {
     fn end_aftermath(&mut self) {
         if self.aftermath.take().is_some() {
             self.records.push(Record::FlightEnds);
-        }
-    }
-
-    /// Marks the flight in the log, and finds the end of a commanded one.
-    fn watch(&mut self, now: HostTime, state: FlightState) {
-        self.mark_flight(now, state);
-        self.flown |= state.is_flying();
-        if self.end.is_none() {
-            self.end = self.verdict(now, state);
-        }
-    }
-
-    /// How it ended, if it has: the commanded flight is over, or what was to stop has stopped. What
-    /// became of the vehicle meanwhile is told before what was asked for.
-    fn verdict(&self, now: HostTime, state: FlightState) -> Option<End> {
-        let is_commanded = self.settings.policy == EngagePolicy::Command;
-        let is_airborne =
-            state.is_flying() || matches!(state, FlightState::Land | FlightState::Disarm);
-        if self.is_check && state == FlightState::Standby {
-            return Some(End::Checked);
-        }
-        let has_stopped = self.is_stopping && !is_airborne;
-        if !is_commanded && !has_stopped {
-            return None;
-        }
-        let trouble = || self.last_trouble.clone().unwrap_or_else(|| "no reason given".to_owned());
-        match self.over_in {
-            // Who it was shows within a second or so.
-            Some(FlightState::PilotControl) => match self.pilot.as_ref()?.takeover()? {
-                Takeover::Pilot { .. } => Some(End::PilotTookOver),
-                Takeover::Failsafe(words) => Some(End::Aborted(words.clone())),
-            },
-            Some(FlightState::Abort) if self.flown && self.is_link_silent(now) => {
-                Some(End::LinkLost(trouble()))
-            }
-            Some(FlightState::Abort) if self.flown => Some(End::Aborted(trouble())),
-            Some(FlightState::Abort) if is_commanded => Some(End::Refused(trouble())),
-            Some(FlightState::Done) if is_commanded && self.last_trouble.is_some() => {
-                Some(End::Aborted(trouble()))
-            }
-            Some(FlightState::Done) if !self.is_stopping => Some(End::Done),
-            _ => has_stopped.then_some(End::Stopped),
-        }
-    }
-
-    fn is_link_silent(&self, now: HostTime) -> bool {
-        let limit_s = self.settings.pilot.supervisor.link_lost_after_s;
-        let is_silent = |pilot: &Pilot| pilot.telemetry().status().silence_s(now) >= limit_s;
-        self.session.state() != LinkState::Connected || self.pilot.as_ref().is_none_or(is_silent)
-    }
-
-    fn session_event(&mut self, now: HostTime, event: session::Event) {
-        use session::Event;
-        match event {
-            Event::State { from, to } => {
-                let severity = match to {
-                    LinkState::Connected | LinkState::Searching => Severity::Info,
-                    LinkState::Stale | LinkState::Lost => Severity::Warning,
-                };
-                self.tell(now, severity, format!("link {from:?} -> {to:?}"));
-                if to == LinkState::Lost
-                    && let Some(pilot) = &mut self.pilot
-                {
-                    pilot.link_event(now, LinkEvent::Lost);
-                }
-            }
-            Event::VehicleFound(id) => {
-                self.found = Some(now);
-                self.tell(now, Severity::Info, format!("heard {id}"));
-                self.is_signing_told = false;
-            }
-            Event::AnotherAutopilot { vehicle, other } => self.choose(now, vehicle, other),
-            Event::VehicleReplaced(id) => {
-                self.found = Some(now);
-                self.is_signing_told = false;
-                self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
-                self.end_flight_of_another(now);
-            }
-            Event::Identified { profile, is_version_known } => {
-                self.identified(now, *profile, is_version_known);
-            }
-            Event::Request { request, outcome, .. } => self.request_ended(now, &request, &outcome),
-            Event::Interval(event) => self.tell(now, Severity::Debug, format!("{event}")),
-            Event::LineBudget(budget) => {
-                let severity = if budget.fits() { Severity::Notice } else { Severity::Warning };
-                self.tell(now, severity, budget.to_string());
-            }
-            Event::ClockJump { by_ns } => {
-                let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
-                // Smaller steps are those of a simulator whose speed changes.
-                let is_small = by_ns.unsigned_abs() < CLOCK_STEP_TOLD_NS;
-                let severity = if is_small { Severity::Debug } else { Severity::Warning };
-                self.tell(now, severity, text);
-            }
-        }
-    }
-
-    /// A vehicle that signs may take nothing that is not signed. Some take it all the same.
-    fn tell_signing(&mut self, now: HostTime) {
-        if self.session.is_signed() && !self.is_signing_told {
-            self.is_signing_told = true;
-            let text = "the vehicle signs its messages (MAVLink 2 signing), and downwash does not: \
-                        if it refuses what is not signed there are no rates, parameters, modes or \
-                        setpoints; then turn signing off on this link, or connect by USB, where \
-                        PX4 and ArduPilot take unsigned messages";
-            self.tell(now, Severity::Notice, text.to_owned());
-            self.check_standing(now);
-        }
-    }
-
-    /// Two autopilots: nothing is armed until the user has chosen one.
-    fn choose(&mut self, now: HostTime, vehicle: VehicleId, other: VehicleId) {
-        let why = format!(
-            "two autopilots are on this link, {vehicle} and {other}; choose one with --system \
-             {} or --system {} (link.vehicle_system in the configuration)",
-            vehicle.system, other.system
-        );
-        let is_flown = self.pilot.as_ref().is_some_and(|pilot| {
-            let state = pilot.flight_state();
-            state.is_in_control() || matches!(state, FlightState::Land | FlightState::Disarm)
-        });
-        if is_flown {
-            return self.tell(now, Severity::Warning, format!("{why}; the flight goes on"));
-        }
-        self.tell(now, Severity::Error, why.clone());
-        self.check_standing(now);
-        if self.settings.policy == EngagePolicy::Command {
-            self.end.get_or_insert(End::Refused(why));
         }
     }
 

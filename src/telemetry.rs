@@ -60,8 +60,8 @@ const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
 const KEEPS_TO: f64 = 0.9;
 /// Samples are thinned where they come at more than this many times the control rate.
 const THIN_ABOVE: f64 = 1.25;
-/// A vehicle in the air is never told in just the same state for this long, s, unless its estimator
-/// stands still.
+/// A vehicle in the air does not report one state, unchanged, for this long, s, unless its estimator
+/// is frozen.
 const FROZEN_S: f64 = 0.2;
 /// What says that it moves by less than this meanwhile may be still, m or rad.
 const STILL: f64 = 1e-4;

@@ -187,3 +187,14 @@ fn a_stream_that_runs_backwards_is_a_fault() {
         assert!(audit.is_faulty(), "{axis:?}: {:#?}", audit.kinematics.position);
     }
 }
+
+/// At one attitude the axes of the body are a turn of the world's: both fit to rounding, and which of
+/// the two fits better by rounding says nothing.
+#[test]
+fn a_line_flown_at_one_attitude_shows_no_frame() {
+    let line = [-0.3584472636188655, 0.897538830006485, 0.2567870865809597];
+    let way = Profile::Sine { size: 0.3128056520084014, hz: 1.0942688341121647 };
+    let angle = Profile::Constant(0.4398997665688817);
+    let motion = Motion { axis: AXES[0], angle, line, way, held: false };
+    assert_sound(&audited(flight(motion)));
+}

@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use crate::lockstep::{Bench, QUAD, errors, fly, hover, masks, params, settings, tracked};
+use downwash::campaign::bench;
 use downwash::log::record::Record;
 use downwash::station::End;
 use sitl::config::{Autopilot, SitlConfig, Stall};
@@ -11,19 +12,7 @@ use sitl::config::{Autopilot, SitlConfig, Stall};
 /// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust and a
 /// failsafe that listens to the station.
 pub fn set_up(autopilot: Autopilot) -> SitlConfig {
-    let parameters: &[(&str, f64)] = match autopilot {
-        Autopilot::Bundled => &[],
-        Autopilot::Px4 => &[("COM_OF_LOSS_T", 0.2)],
-        Autopilot::Arducopter => &[
-            ("GUID_OPTIONS", 8.0),
-            ("ATC_ANGLE_BOOST", 0.0),
-            ("GUID_TIMEOUT", 0.2),
-            ("FS_GCS_ENABLE", 5.0),
-            ("MAV_GCS_SYSID", 254.0),
-        ],
-    };
-    let parameters = parameters.iter().map(|(name, value)| ((*name).to_owned(), *value));
-    SitlConfig { autopilot, parameters: parameters.collect(), ..SitlConfig::default() }
+    bench::set_up(autopilot, 1.0)
 }
 
 #[test]

@@ -30,7 +30,7 @@ pub fn read<T, E: Into<anyhow::Error>>(py: Python<'_>, result: Result<T, E>) -> 
     result.map_err(|error| raised(py, in_words(&error.into()), Exit::Usage))
 }
 
-/// The exception of an argument that is wrong by itself.
+/// Makes the ValueError for an argument that is invalid whatever the others are.
 pub fn wrong(what: impl Into<String>) -> PyErr {
     PyValueError::new_err(what.into())
 }

@@ -12,12 +12,12 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::errors::{exception, fault};
 
-/// How often Python's signals are looked at.
+/// How often the waiting thread checks Python's signals.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// Of a worker, bytes: that of a main thread.
 const STACK: usize = 8 << 20;
 
-/// What work is told of, and tells.
+/// The work's side of a watch: it reads whether to stop, and reports progress.
 #[derive(Clone)]
 pub struct Watch {
     stop: Arc<AtomicBool>,

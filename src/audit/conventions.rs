@@ -410,7 +410,9 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
     let is_open = |pair: Option<Agreement>| pair.is_none_or(|pair| pair.explained < FITS);
     let follows_better = |stated: Option<f64>, otherwise: Option<f64>| {
         let (stated, otherwise) = (stated?, otherwise?);
-        let is_better = otherwise > READS && 1.0 - otherwise < LEAVES * (1.0 - stated);
+        // Of what fits already the rest is rounding.
+        let is_better =
+            stated < FITS && otherwise > READS && 1.0 - otherwise < LEAVES * (1.0 - stated);
         is_better.then_some(otherwise)
     };
     let mut tell = |stream, found: f64, what: &str| {

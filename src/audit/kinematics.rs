@@ -285,7 +285,7 @@ struct Gaining<'a> {
     /// Attitude and specific force.
     force: Stream<(Attitude, Vector3<f64>)>,
     bumps: Vec<Bump>,
-    /// Whether only what is gained across is looked at.
+    /// Whether it compares the horizontal components alone.
     is_level: bool,
 }
 

@@ -331,7 +331,7 @@ impl Compared {
         let turned = Rotation3::new(small) * about;
         // By way of the quaternion: a matrix's own axis is lost at half a turn.
         let vector = UnitQuaternion::from_rotation_matrix(&turned).inverse().scaled_axis();
-        // The fit turns the stream's axes; what is told is in those of the other sensor.
+        // The fit turns the stream's axes; the answer is in the other sensor's axes.
         let there = |of: &SMatrix<f64, UNKNOWNS, UNKNOWNS>| {
             about.transpose() * of.fixed_view::<3, 3>(ROTATION, ROTATION) * about
         };

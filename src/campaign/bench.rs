@@ -22,24 +22,22 @@ use super::tamper::Tamper;
 use super::word;
 use crate::clock::HostTime;
 use crate::lockstep;
-use crate::station::{Station, StationSettings};
+use crate::station::{PAUSE, Station, StationSettings};
 use crate::supervisor::EngagePolicy;
 
 const VEHICLE: Peer = Peer::new(0);
 const STATION: autopilot::Peer = autopilot::Peer(0);
 const PILOT: autopilot::Peer = autopilot::Peer(1);
 
-/// The truth is looked at this often, us.
+/// The judge sees the true state this often, us.
 const SEEN_US: u64 = 10_000;
-/// The station is looked after at least this often, us.
+/// The station runs at least this often, us.
 const LOOK_US: u64 = 20_000;
 /// A commanded flight ends within this; where the pilot switches, the station is stopped then, us.
 const LIMIT_US: u64 = 200_000_000;
 const SWITCHED_US: u64 = 26_000_000;
-/// A vehicle that nobody leads any more is looked after by its own failsafe within this, us.
+/// Once nobody leads the vehicle, its own failsafe acts within this, us.
 const ADRIFT_US: u64 = 15_000_000;
-/// A process that stood still for longer than this knows it, and reads before it decides.
-const PAUSE: Duration = Duration::from_millis(300);
 /// MAV_CMD_COMPONENT_ARM_DISARM's parameter 2 that disarms in the air.
 const FORCE: f32 = 21196.0;
 
@@ -74,7 +72,8 @@ pub struct Flown {
     pub digest: u32,
 }
 
-/// The vehicle as an operator sets it up.
+/// The vehicle as an operator sets it up: a short time-out of the stream, and on ArduCopter thrust as
+/// thrust and a failsafe that listens to the station. Its clock runs at `clock_rate` of the host's.
 pub fn set_up(autopilot: Autopilot, clock_rate: f64) -> SitlConfig {
     let parameters: &[(&str, f64)] = match autopilot {
         Autopilot::Bundled => &[],
@@ -159,7 +158,7 @@ struct Bench<'a> {
     begun_us: u64,
     /// When the station last ran.
     turned_us: u64,
-    /// When the truth is to be seen next.
+    /// When the judge sees the truth next.
     seen_us: u64,
     digest: crc32fast::Hasher,
     /// The station's word on how the flight ended.

@@ -210,8 +210,8 @@ impl Channel {
             child_frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
             ..Default::default()
         });
-        // Who has the vehicle's own ids and tells a state of his own is nobody that can be told
-        // from it without signatures: of system 1 only another component speaks.
+        // Without signatures nothing tells an impostor with the vehicle's own ids from the vehicle:
+        // of system 1 only another component speaks.
         if system == 1 {
             self.foreign = Encoder::new(1, 191);
         }

@@ -1,4 +1,4 @@
-//! The judge: what leaves the station, against what it was told, and what becomes of the vehicle.
+//! The judge: compares what leaves the station with what it heard, and watches the vehicle.
 //!
 //! It knows the frames in both directions with their true times, the vehicle's true state, and the
 //! bounds that the operator was promised. It knows nothing of supervisor, telemetry or guard, and
@@ -27,7 +27,7 @@ const HANDOVER_S: f64 = 2.0;
 const RELEASE_S: f64 = 1.0;
 /// What is late by more than this is not answered, s.
 const LATE_S: f64 = 0.2;
-/// Deadlines are looked at once in a while, s.
+/// The station checks its deadlines at intervals of up to this, s.
 const LOOK_S: f64 = 0.03;
 
 /// Bounds that were promised to the operator.
@@ -246,7 +246,7 @@ impl Judge {
         let Some(state) = newest else {
             return self.violated(Rule::Fresh, now_us, "it answers no state that came just now");
         };
-        // Delays that the link always had are not to be told without a clock in common.
+        // Without a common clock nobody can tell a delay that the link always had.
         let base_s = self.quickest_us as f64 * 1e-6;
         let age_s = seconds(state.said_us, now_us);
         if age_s > LATE_S + LOOK_S + STALL_S + 3.0 * base_s {

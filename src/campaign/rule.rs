@@ -17,7 +17,7 @@ pub enum Rule {
     Fresh,
     /// After a stall the first setpoint answers a state that came after it.
     Stalled,
-    /// A mode that was told long ago, or before a silence, is none to send on.
+    /// No setpoint rests on a mode that the vehicle reported long ago, or before a silence.
     OldMode,
     /// No setpoint after the vehicle told that it left the mode in which it obeys.
     AgainstThePilot,

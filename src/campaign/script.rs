@@ -155,13 +155,13 @@ pub enum Fault {
     },
     /// Stamps of 32 bits wrap at 12 s; at no time in particular.
     ClockWrap,
-    /// The state is told again and again as it was, with new stamps.
+    /// The vehicle repeats one state under new stamps.
     Freeze,
-    /// The position is told wrong.
+    /// The vehicle reports a wrong position.
     Jump {
         /// North, m; half of it east.
         metres: f64,
-        /// Whether the vehicle tells that it reset its estimate.
+        /// Whether the vehicle reports that it reset its estimate.
         is_told: bool,
     },
     /// The state holds NaN.
@@ -171,7 +171,7 @@ pub enum Fault {
         /// s
         by_s: f64,
     },
-    /// ODOMETRY is told in another frame.
+    /// ODOMETRY comes in another frame.
     OtherFrame,
     /// A rotor loses a share of its thrust, for good.
     Rotor {
@@ -206,7 +206,7 @@ pub enum Fault {
         /// What.
         act: PilotAct,
     },
-    /// The daemon's process stands still.
+    /// The daemon's process is stopped.
     Pause,
     /// The daemon's process is killed, and started again after this fault's time.
     Restart,

@@ -15,7 +15,7 @@ pub(super) struct Tamper {
 }
 
 impl Tamper {
-    /// The frame as it comes to be told at `now_us`.
+    /// The frame as the link carries it at `now_us`.
     pub fn apply(&mut self, faults: &[Timed], now_us: u64, frame: &[u8]) -> Vec<u8> {
         let acting = || faults.iter().filter(|it| it.acts(now_us) || lasts(it, now_us));
         let offset_us: i64 = acting().map(|timed| clock_offset_us(&timed.fault)).sum();

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use self::kit::kit;
 use super::progress::count_bar;
-use super::rows::{Folder, Header, Numbered, Rows};
+use super::rows::{Folder, Header, Numbered, Rows, interrupted};
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
 use crate::campaign::bench;
 use crate::campaign::coverage::Coverage;
@@ -136,8 +136,7 @@ pub(super) fn run(args: &CampaignArgs, interruption: &Interruption) -> anyhow::R
         print_text(&text(&summary))?;
     }
     if stop.load(Ordering::Relaxed) {
-        say(format_args!("the same command goes on with the rows in {}", args.out.display()));
-        return Ok(Exit::Interrupted);
+        return Ok(interrupted(&args.out));
     }
     Ok(if summary.failed.is_empty() { Exit::Ok } else { Exit::Check })
 }

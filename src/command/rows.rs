@@ -11,7 +11,14 @@ use anyhow::{Context, bail};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::{Exit, say};
 use crate::cli::Shard;
+
+/// Says how a run that was interrupted goes on.
+pub fn interrupted(out: &Path) -> Exit {
+    say(format_args!("the same command goes on with the rows in {}", out.display()));
+    Exit::Interrupted
+}
 
 /// A row as it lies in a shard's file.
 pub trait Numbered: Serialize + DeserializeOwned {

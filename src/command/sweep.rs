@@ -17,7 +17,7 @@ use serde::Serialize;
 pub(super) use self::line::Line;
 use self::manifest::{Manifest, Point};
 use super::progress::count_bar;
-use super::rows::{Folder, Header, Rows};
+use super::rows::{Folder, Header, Rows, interrupted};
 use super::simulate::{Row, Simulation};
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say};
 use crate::cli::{Shard, SweepArgs};
@@ -86,8 +86,7 @@ pub(super) fn run(args: &SweepArgs, interruption: &Interruption) -> anyhow::Resu
         print_text(&text(&summary))?;
     }
     if stop.load(Ordering::Relaxed) {
-        say(format_args!("the same command goes on with the rows in {}", args.out.display()));
-        return Ok(Exit::Interrupted);
+        return Ok(interrupted(&args.out));
     }
     Ok(Exit::Ok)
 }

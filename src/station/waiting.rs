@@ -19,6 +19,10 @@ const PATIENCE: Duration = Duration::from_millis(2500);
 /// What fails for so long, once all telemetry is there, will not mend itself.
 const SETTLED: Duration = Duration::from_millis(300);
 
+/// What was mended and fails again within this is no news: a reason that comes and goes would fill
+/// the screen.
+const QUIET: Duration = Duration::from_secs(3);
+
 /// What is waited for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Wait {
@@ -61,7 +65,8 @@ pub(super) struct Waiting {
     wait: Option<(Wait, HostTime)>,
     /// Since when only checks are.
     checking: Option<HostTime>,
-    told: Vec<String>,
+    /// Subjects that were told, and when.
+    told: Vec<(String, HostTime)>,
 }
 
 impl Waiting {
@@ -90,10 +95,12 @@ impl Waiting {
             return Vec::new();
         }
         // What was mended and fails again is news.
-        self.told.retain(|told| reasons.iter().any(|reason| reason.subject == *told));
-        let is_news = |reason: &Reason| !self.told.contains(&reason.subject);
+        self.told.retain(|(told, at)| {
+            now.since(*at) < QUIET || reasons.iter().any(|reason| reason.subject == *told)
+        });
+        let is_news = |reason: &Reason| self.told.iter().all(|(told, _)| *told != reason.subject);
         let news: Vec<_> = reasons.into_iter().filter(is_news).collect();
-        self.told.extend(news.iter().map(|reason| reason.subject.clone()));
+        self.told.extend(news.iter().map(|reason| (reason.subject.clone(), now)));
         news.into_iter().map(|reason| reason.line).collect()
     }
 }
@@ -276,6 +283,19 @@ mod tests {
         }
         let told: Vec<_> = told.iter().map(|(k, line)| (*k, line.as_str())).collect();
         assert_eq!(told, [(25, "silence"), (43, "a"), (43, "b"), (80, "a")]);
+    }
+
+    #[test]
+    fn a_reason_that_comes_and_goes_is_told_once_in_a_while() {
+        let start = HostTime::from_ns(0);
+        let mut waiting = Waiting::new(start);
+        let told = (0..100u32).filter(|k| {
+            let subject = if k % 2 == 0 { "rate" } else { "pose" };
+            let found = Some((Wait::Telemetry, vec![reason(subject)]));
+            !waiting.news(start + PERIOD * *k, found).is_empty()
+        });
+        let told: Vec<_> = told.collect();
+        assert!((4..=6).contains(&told.len()), "{told:?}");
     }
 
     #[test]

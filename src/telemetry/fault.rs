@@ -29,7 +29,7 @@ pub enum TelemetryFault {
         /// Step beyond what the body rate explains.
         radians: f64,
     },
-    /// The state is told again and again as it was, in flight.
+    /// The vehicle repeats one state in flight.
     #[error("the state has been told unchanged for {seconds:.2} s")]
     Frozen {
         /// For how long.

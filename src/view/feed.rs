@@ -20,7 +20,7 @@ use crate::log::sink::Listener;
 use crate::log::viewer;
 use crate::station::Status;
 
-/// Viewers are told the time this often, and get the trail this often.
+/// Viewers get the time this often, and the trail this often.
 const TIME_PERIOD: Duration = Duration::from_millis(100);
 const TRAIL_PERIOD: Duration = Duration::from_millis(500);
 /// Events that who comes late is shown.
@@ -29,7 +29,7 @@ const EVENTS: usize = 100;
 pub(super) const TRAIL_COLOUR: [f64; 4] = [0.85, 0.37, 0.05, 0.9];
 pub(super) const PLAN_COLOUR: [f64; 4] = [0.12, 0.47, 0.71, 0.7];
 
-/// What is to be flown: positions relative to the trajectory's origin, at a fixed period from its
+/// The path to fly: positions relative to the trajectory's origin, at a fixed period from its
 /// beginning.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CoursePath {

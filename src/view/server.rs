@@ -23,7 +23,7 @@ use crate::log::encoder::Definition;
 /// Messages that wait for one viewer; the oldest are dropped. Half a second of a busy flight.
 const BACKLOG: usize = 1024;
 
-/// Subscriptions that are remembered until they are looked at.
+/// Subscriptions kept until the feed takes them.
 const NEWCOMERS_MAX: usize = 4096;
 /// Time for viewers to get the end of it.
 const LAST_WORDS: Duration = Duration::from_millis(100);
@@ -230,7 +230,7 @@ impl ParameterHandler for Shared {
         responder.respond(wanted.map(|(name, value)| parameter(name, value)).collect());
     }
 
-    /// Nothing is set from here: who asks is told what holds.
+    /// Sets nothing: answers with the values that hold.
     fn set(
         &self,
         _: AnyClient,

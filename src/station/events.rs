@@ -1,0 +1,93 @@
+//! What the link's session reports: vehicles that come and change, requests that end, clocks that jump.
+
+use super::{End, Station};
+use crate::clock::HostTime;
+use crate::link::counters::LinkState;
+use crate::link::session::{Event, VehicleId};
+use crate::log::record::Severity;
+use crate::pilot::LinkEvent;
+use crate::supervisor::{EngagePolicy, FlightState};
+
+/// Steps of the vehicle's clock from here on are told, ns.
+const CLOCK_STEP_TOLD_NS: u64 = 100_000_000;
+
+impl Station {
+    pub(super) fn session_event(&mut self, now: HostTime, event: Event) {
+        match event {
+            Event::State { from, to } => {
+                let severity = match to {
+                    LinkState::Connected | LinkState::Searching => Severity::Info,
+                    LinkState::Stale | LinkState::Lost => Severity::Warning,
+                };
+                self.tell(now, severity, format!("link {from:?} -> {to:?}"));
+                if to == LinkState::Lost
+                    && let Some(pilot) = &mut self.pilot
+                {
+                    pilot.link_event(now, LinkEvent::Lost);
+                }
+            }
+            Event::VehicleFound(id) => {
+                self.found = Some(now);
+                self.tell(now, Severity::Info, format!("heard {id}"));
+                self.is_signing_told = false;
+            }
+            Event::AnotherAutopilot { vehicle, other } => self.choose(now, vehicle, other),
+            Event::VehicleReplaced(id) => {
+                self.found = Some(now);
+                self.is_signing_told = false;
+                self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
+                self.end_flight_of_another(now);
+            }
+            Event::Identified { profile, is_version_known } => {
+                self.identified(now, *profile, is_version_known);
+            }
+            Event::Request { request, outcome, .. } => self.request_ended(now, &request, &outcome),
+            Event::Interval(event) => self.tell(now, Severity::Debug, format!("{event}")),
+            Event::LineBudget(budget) => {
+                let severity = if budget.fits() { Severity::Notice } else { Severity::Warning };
+                self.tell(now, severity, budget.to_string());
+            }
+            Event::ClockJump { by_ns } => {
+                let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
+                // Smaller steps are those of a simulator whose speed changes.
+                let is_small = by_ns.unsigned_abs() < CLOCK_STEP_TOLD_NS;
+                let severity = if is_small { Severity::Debug } else { Severity::Warning };
+                self.tell(now, severity, text);
+            }
+        }
+    }
+
+    /// A vehicle that signs may take nothing that is not signed. Some take it all the same.
+    pub(super) fn tell_signing(&mut self, now: HostTime) {
+        if self.session.is_signed() && !self.is_signing_told {
+            self.is_signing_told = true;
+            let text = "the vehicle signs its messages (MAVLink 2 signing), and downwash does not: \
+                        if it refuses what is not signed there are no rates, parameters, modes or \
+                        setpoints; then turn signing off on this link, or connect by USB, where \
+                        PX4 and ArduPilot take unsigned messages";
+            self.tell(now, Severity::Notice, text.to_owned());
+            self.check_standing(now);
+        }
+    }
+
+    /// Two autopilots: nothing is armed until the user has chosen one.
+    pub(super) fn choose(&mut self, now: HostTime, vehicle: VehicleId, other: VehicleId) {
+        let why = format!(
+            "two autopilots are on this link, {vehicle} and {other}; choose one with --system \
+             {} or --system {} (link.vehicle_system in the configuration)",
+            vehicle.system, other.system
+        );
+        let is_flown = self.pilot.as_ref().is_some_and(|pilot| {
+            let state = pilot.flight_state();
+            state.is_in_control() || matches!(state, FlightState::Land | FlightState::Disarm)
+        });
+        if is_flown {
+            return self.tell(now, Severity::Warning, format!("{why}; the flight goes on"));
+        }
+        self.tell(now, Severity::Error, why.clone());
+        self.check_standing(now);
+        if self.settings.policy == EngagePolicy::Command {
+            self.end.get_or_insert(End::Refused(why));
+        }
+    }
+}
