@@ -6,6 +6,7 @@ mod demo;
 mod flight;
 mod log;
 mod model;
+mod reference;
 mod replay;
 mod schema;
 mod simulate;
@@ -26,6 +27,7 @@ pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
+pub use self::reference::{PageChoice, ReferenceArgs};
 pub use self::replay::ReplayArgs;
 pub use self::schema::SchemaArgs;
 pub use self::simulate::SimulateArgs;
@@ -115,6 +117,9 @@ pub enum Command {
     Exam(ExamArgs),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
+    /// Pages to look things up: effects, trajectory families, vehicle keys, settings, topics of logs,
+    /// exit codes, JSON.
+    Reference(ReferenceArgs),
     /// JSON Schemas of what the commands print with --json.
     Schema(SchemaArgs),
 }

@@ -6,6 +6,7 @@ mod guidance;
 
 use std::time::Duration;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
@@ -27,7 +28,7 @@ use crate::supervisor::{
 use crate::telemetry::{Sample, Telemetry, TelemetryFault, TelemetrySettings};
 
 /// The settings of the line's parts.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PilotSettings {
     /// Ticks and what of telemetry is believed.

@@ -1,28 +1,46 @@
-//! Exit codes, stable and documented in the README.
+//! Exit codes, stable and documented.
 
 use std::process::ExitCode;
 
-/// How a command ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exit {
+/// Declares each exit code once: its name, its number and its meaning.
+macro_rules! exits {
+    ($($(#[doc = $meaning:literal])+ $name:ident = $code:literal,)+) => {
+        /// How a command ended.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Exit {
+            $($(#[doc = $meaning])+ $name = $code,)+
+        }
+
+        impl Exit {
+            /// Every code with its meaning.
+            pub(super) const MEANINGS: &[(u8, &str)] = &[$(($code, concat!($($meaning),+)),)+];
+        }
+    };
+}
+
+exits! {
     /// Done.
-    Ok,
+    Ok = 0,
     /// Something failed while running.
-    Failure,
-    /// Bad flags, configuration, vehicle file, trajectory file or log.
-    Usage,
+    Failure = 1,
+    /// Bad flags, configuration, vehicle, trajectory or log file.
+    Usage = 2,
     /// No vehicle was heard, or the link was lost.
-    Link,
-    /// The vehicle may not or would not be flown: preflight, arming or mode refused.
-    Refused,
+    Link = 3,
+    /// The vehicle may not or would not be flown (`fly --check` and `doctor`: would not be):
+    /// preflight, mode or arming refused; two autopilots on the link.
+    Refused = 4,
     /// The flight was ended early: a safety reaction, or the pilot took over.
-    Aborted,
-    /// No plan was found that may be flown.
-    NoPlan,
-    /// A check that was asked for failed.
-    Check,
-    /// Ended by Ctrl-C or SIGTERM, after a clean stop.
-    Interrupted,
+    Aborted = 5,
+    /// No plan was found that may be flown; what was found is written.
+    NoPlan = 6,
+    /// A check that was asked for failed: `log audit --fail-on`, `diagnose --fail-on`,
+    /// `exam --fail-on-miss`, `compare --baseline`, `campaign`.
+    Check = 10,
+    /// Interrupted by Ctrl-C or SIGTERM: a command that flies no vehicle ends within two seconds and
+    /// keeps what is done; one that flies lands first. A link that was lost, a pilot who took over or
+    /// a safety reaction meanwhile has its own code. SIGTERM ends `daemon` and `sitl` with 0.
+    Interrupted = 130,
 }
 
 impl From<Exit> for ExitCode {
@@ -34,16 +52,6 @@ impl From<Exit> for ExitCode {
 impl Exit {
     /// The process's exit code.
     pub fn code(self) -> u8 {
-        match self {
-            Exit::Ok => 0,
-            Exit::Failure => 1,
-            Exit::Usage => 2,
-            Exit::Link => 3,
-            Exit::Refused => 4,
-            Exit::Aborted => 5,
-            Exit::NoPlan => 6,
-            Exit::Check => 10,
-            Exit::Interrupted => 130,
-        }
+        self as u8
     }
 }

@@ -197,7 +197,11 @@ fn text(summary: &Summary) -> String {
         let (unit, source) = (summary.motor_unit, summary.motor_source);
         lines.push(format!("  motor outputs: {unit}, from {source}"));
     }
-    let tier = summary.tier.map_or("none: no whole pose".to_owned(), |tier| tier.to_string());
+    let tier = summary
+        .tier
+        .map_or("none: position, velocity and attitude are not all logged".to_owned(), |tier| {
+            tier.to_string()
+        });
     lines.push(format!("  tier: {tier}"));
     lines.extend(vehicle(&summary.vehicle));
     for LeftOut { what, count } in &summary.left_out {

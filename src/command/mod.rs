@@ -29,6 +29,7 @@ mod model;
 mod output;
 mod plan;
 mod progress;
+mod reference;
 mod replay;
 mod rows;
 mod schema;
@@ -189,6 +190,10 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Config(args) => {
             end_on_broken_pipe();
             config::run(&args)
+        }
+        Command::Reference(args) => {
+            end_on_broken_pipe();
+            reference::run(&args)
         }
         Command::Schema(args) => {
             end_on_broken_pipe();

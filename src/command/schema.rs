@@ -19,7 +19,7 @@ use crate::report::recording::RecordingSummary;
 use crate::report::side_by_side::Comparison;
 
 /// What a command prints.
-struct Output {
+pub(super) struct Output {
     /// The value of its `schema`; what bears none is told by its name.
     name: &'static str,
     /// What prints it.
@@ -28,7 +28,7 @@ struct Output {
 }
 
 /// All of them, in the order of a table.
-const OUTPUTS: [Output; 30] = [
+pub(super) const OUTPUTS: [Output; 30] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -81,7 +81,15 @@ impl Output {
         Self { name, command, make: schema_of::<T> }
     }
 
-    fn schema(&self) -> Value {
+    pub(super) fn name(&self) -> &'static str {
+        self.name
+    }
+
+    pub(super) fn command(&self) -> &'static str {
+        self.command
+    }
+
+    pub(super) fn schema(&self) -> Value {
         let mut schema = (self.make)();
         schema.insert("$id".to_owned(), json!(self.name));
         schema.insert("title".to_owned(), json!(self.name));

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::SCHEMA_VERSION;
@@ -12,7 +13,7 @@ use crate::plan::planner::PlanSettings;
 use crate::plan::programme::ProgrammeSettings;
 
 /// Everything that can be set. Each section is the settings of the module that it is named after.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Version of this schema.
@@ -42,7 +43,7 @@ pub struct Settings {
 }
 
 /// Settings of `--forward`.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ForwardSettings {
     /// Names of the messages that other ground stations may send to the vehicle.
@@ -50,7 +51,7 @@ pub struct ForwardSettings {
 }
 
 /// Settings of the link.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkSettings {
     /// Own MAVLink system id. Ground stations are 255 by custom: a daemon with that id would keep
@@ -73,7 +74,7 @@ pub struct LinkSettings {
 }
 
 /// What SET_ATTITUDE_TARGET carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FormSetting {
     /// What the autopilot's profile says: the safe form for it.

@@ -1,5 +1,6 @@
 //! The attitude loop between the setpoint and the vehicle's angular acceleration.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::AttitudePd;
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
@@ -9,7 +10,7 @@ use crate::setpoint::Setpoint;
 
 /// Which loop tracks the attitude, and what of the setpoint it listens to. The LQR's model has the
 /// loop that is really there; each triple is roll, pitch, yaw.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum AttitudeLoop {
     /// On board, honouring attitude, rates and thrust together:

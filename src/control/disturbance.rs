@@ -1,6 +1,7 @@
 //! What pushes and turns the vehicle beside thrust, weight and the attitude loop, estimated, and
 //! the equilibrium that it moves.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 
@@ -11,7 +12,7 @@ use crate::clock::VehicleTime;
 use crate::setpoint::{Expected, Reference, Setpoint, State};
 
 /// Feedback that leaves no steady error.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OffsetFreeSettings {
     /// Whether disturbances are estimated and taken out.
@@ -49,7 +50,7 @@ impl Default for OffsetFreeSettings {
 }
 
 /// When something is used.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Use {
     /// With autopilots whose loop is their own; the bundled vehicle is flown as in the paper.

@@ -1,12 +1,13 @@
 //! The last bounds on a setpoint before the supervisor.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, wrap_angle};
 
 use crate::setpoint::Setpoint;
 
 /// What the vehicle may be asked at most.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
     /// Least collective thrust, as a fraction of the rotors' maximum. Above 0, because a rotor that

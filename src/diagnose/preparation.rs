@@ -115,7 +115,7 @@ pub struct PreparedFlight {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotPrepared {
     /// A recording that never began, or in which no vehicle was heard.
-    #[error("no motion and no motor outputs of a vehicle were recorded in it")]
+    #[error("neither velocity, specific force or body rate nor motor outputs are recorded in it")]
     Empty,
     /// Nothing drives the plant.
     #[error(

@@ -19,6 +19,25 @@ pub struct Field {
     kind: Type,
 }
 
+impl Field {
+    /// Its name, with the unit.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Its type as protobuf calls it.
+    pub fn kind(&self) -> &'static str {
+        match self.kind {
+            Type::Double => "double",
+            Type::Uint64 => "uint64",
+            Type::Uint32 => "uint32",
+            Type::Bool => "bool",
+            Type::Bytes => "bytes",
+            _ => "string",
+        }
+    }
+}
+
 /// A message of scalars, with its name and fields.
 pub trait Flat: Message + Default {
     /// Full protobuf name.
@@ -90,8 +109,8 @@ macro_rules! proto_type {
 
 /// Declares a message once: the struct that prost encodes, and the fields of its descriptor.
 macro_rules! flat_messages {
-    ($($(#[$meta:meta])* $name:ident = $full:literal { $($kind:ident $field:ident = $tag:tt;)* })*) => {$(
-        $(#[$meta])*
+    ($($(#[doc = $about:literal])* $name:ident = $full:literal { $($kind:ident $field:ident = $tag:tt;)* })*) => {$(
+        $(#[doc = $about])*
         #[derive(Clone, PartialEq, prost::Message)]
         #[allow(missing_docs)] // The unit is in the name.
         pub struct $name {
@@ -104,7 +123,12 @@ macro_rules! flat_messages {
                 $(Field { name: stringify!($field), number: $tag, kind: proto_type!($kind) },)*
             ];
         }
-    )*};
+    )*
+
+        /// Each of these messages: its name, what its topic and it are, and its fields.
+        pub const MESSAGES: &[(&str, &str, &[Field])] =
+            &[$(($full, concat!($($about),*), $name::FIELDS),)*];
+    };
 }
 
 flat_messages! {

@@ -1,5 +1,6 @@
 //! What the vehicle is to do in each state of the flight: the reference of the moment.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 use vehicle::rigid_body::State;
@@ -11,7 +12,7 @@ use crate::supervisor::{FlightState, Trigger};
 use crate::telemetry::Sample;
 
 /// Take-off, and the way to the trajectory's start.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceSettings {
     /// Thrust on the ground before take-off, as a fraction of hover thrust.

@@ -5,6 +5,8 @@ mod family;
 
 use std::path::{Path, PathBuf};
 
+use schemars::{Schema, schema_for};
+
 pub(super) use self::builder::Builder;
 use self::family::Family;
 pub(super) use self::family::two_seconds;
@@ -58,6 +60,11 @@ fn shipped_names(path: &Path) -> String {
 }
 
 impl Trajectory {
+    /// What a trajectory file may hold, as a JSON Schema.
+    pub fn file_schema() -> Schema {
+        schema_for!(Family)
+    }
+
     /// Reads a trajectory file, or the shipped one of that name: TOML by its schema, or CSV with a
     /// header.
     ///

@@ -12,10 +12,12 @@ use super::trajectory::{DesiredPoint, Shape};
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Multisine {
+    /// Height of the start above the take-off floor.
     pub altitude_m: f64,
     /// North and east of the take-off point.
     #[serde(default)]
     pub offset_m: [f64; 2],
+    /// Yaw at the start.
     #[serde(default)]
     pub heading_deg: f64,
     /// Constant turning.
@@ -23,6 +25,7 @@ pub(super) struct Multisine {
     pub yaw_rate_deg_s: f64,
     /// Without the ramp: the trajectory lasts longer by `ramp_s`.
     pub duration_s: f64,
+    /// How long it takes to come to full speed, and to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

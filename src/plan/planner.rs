@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::AttitudePd;
 use vehicle::frame::Ned;
@@ -24,7 +25,7 @@ use crate::control::{Limits, Use};
 use crate::model::Model;
 
 /// How plans are made. Weights are per m, m/s, rad and rad/s.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PlanSettings {
     /// Planned states a second.
@@ -52,7 +53,7 @@ pub struct PlanSettings {
 }
 
 /// How plans follow one another.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecedingSettings {
     /// Time from one plan to the next, s.
@@ -107,7 +108,9 @@ impl RecedingSettings {
 }
 
 /// What solves the subproblems of a search.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize, clap::ValueEnum,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum SolverChoice {
     /// The Riccati interior point.
@@ -120,7 +123,7 @@ pub enum SolverChoice {
 }
 
 /// A region to keep out of. Exactly one of the two is given.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum KeepOutSetting {
     /// A ball.

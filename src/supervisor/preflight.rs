@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::EngagePolicy;
@@ -9,7 +10,7 @@ use crate::clock::HostTime;
 use crate::telemetry::Telemetry;
 
 /// What a flight needs before it begins.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PreflightSettings {
     /// Least rate of control ticks, as a share of the control rate.
@@ -29,7 +30,7 @@ pub struct PreflightSettings {
 }
 
 /// A parameter that the vehicle must have with one value.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RequiredParameter {
     /// Name.

@@ -1,12 +1,13 @@
 //! Faults in flight and what is done about them.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::table::Trigger;
 use crate::telemetry::LateMessages;
 
 /// What a fault leads to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reaction {
     /// It is told, and the flight goes on.
@@ -62,7 +63,7 @@ pub(super) const FAULTS: [Fault; 7] = [
 ];
 
 /// When a fault is one, and the reaction to each. Link loss has no setting: the stream stops.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafetySettings {
     /// Silence of the state that is a fault, s. No setpoint leaves without a fresh sample anyway.

@@ -1,9 +1,10 @@
 //! How long the flight's states may last.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Times of the flight's states.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SupervisorSettings {
     /// Silence of the link that is a loss, s.

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effect, EffectSet, RotorGyroscopic};
@@ -31,7 +32,7 @@ const MOST: f64 = 1e6;
 const LEAST_MASS_KG: f64 = 1e-6;
 
 /// A vehicle file, as read and checked. Units are in the field names where they are not SI.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VehicleParams {
     /// Name of the vehicle.
@@ -68,6 +69,7 @@ pub struct VehicleParams {
     pub battery: BatteryParams,
     /// Effects that the simulator already has, by id.
     #[serde(default)]
+    #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
     pub modelled_effects: EffectSet,
     /// How a motor output message maps to 0..1, over what the autopilot's own parameters say;
     /// missing where these say it, or it carries 0..1.
@@ -91,7 +93,7 @@ pub struct VehicleParams {
 }
 
 /// One rotor.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotorParams {
     /// Position relative to the centre of mass, body front, right, down, in m.
@@ -106,7 +108,7 @@ pub struct RotorParams {
 }
 
 /// Gains of the on-board loop M = kp (zeta_des - zeta) + kd (omega_des - omega), about body axes.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AttitudePd {
     /// Roll, pitch, yaw, in N m/rad.
@@ -118,7 +120,7 @@ pub struct AttitudePd {
 }
 
 /// The pack's nominal data.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BatteryParams {
     /// Cells in series.
@@ -132,7 +134,7 @@ pub struct BatteryParams {
 }
 
 /// How a motor output message maps to u in 0..1: u = (value - zero) / (one - zero).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorOutput {
     /// MAVLink message name.

@@ -7,6 +7,7 @@ mod lqr;
 use std::collections::BTreeMap;
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use vehicle::frame::{Ned, wrap_angle};
 
@@ -202,7 +203,7 @@ impl<'de> Deserialize<'de> for Law {
 }
 
 /// Gains of the law that flies, by name. A law derives what is not here from the vehicle.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Gains(BTreeMap<String, Vec<f64>>);
 
@@ -248,10 +249,11 @@ impl Gains {
 /// the last two, and what is fed back of them meets its resonance with the rotors' lag after the
 /// link's delay. [`Lqr::design_for`] takes back more of it where lag and delay are known; with what
 /// is not known, these fly with 30 ms of delay and 60 ms of lag.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ControlSettings {
     /// Which law flies.
+    #[schemars(with = "String")]
     pub law: Law,
     /// Rate of the feedback, Hz.
     pub rate_hz: f64,

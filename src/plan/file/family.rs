@@ -2,59 +2,76 @@
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::plan::multisine::Multisine;
 
 /// A trajectory file. Lengths in m, angles in degrees where the name says so, altitudes above the
 /// take-off floor, positions relative to the take-off point.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(tag = "family", rename_all = "kebab-case")]
 pub(super) enum Family {
+    /// One place, held.
     Hover(Hover),
-    /// Two sinusoids in one plane, yaw still.
+    /// Two sinusoids, north and east, at one height.
     SinusoidXy(Sinusoid),
+    /// Two sinusoids, north and down.
     SinusoidXz(Sinusoid),
+    /// Two sinusoids, east and down.
     SinusoidYz(Sinusoid),
     /// Turning in place.
     YawRotation(YawRotation),
     /// Sinusoids in xy while turning: the paper's experiment.
     SinusoidYaw(SinusoidYaw),
+    /// A figure of eight, flown along its length to the north.
     #[serde(rename = "figure-8")]
     FigureEight(FigureEight),
     /// Sums of sinusoids in position and yaw.
     Multisine(Multisine),
+    /// Steps of position and yaw.
     Steps(Steps),
+    /// Waypoints drawn in a box, flown in straight lines.
     RandomWaypoints(RandomWaypoints),
+    /// Waypoints, flown in straight lines.
     Waypoints(Waypoints),
+    /// A table of times and points.
     Csv(Csv),
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Hover {
+    /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
+    /// How long it lasts.
     pub duration_s: f64,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Sinusoid {
+    /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
+    /// How long it lasts without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
     /// Of the plane's first and second axis.
     pub amplitude_m: [f64; 2],
     pub period_s: [f64; 2],
+    /// At the start, of each.
     #[serde(default)]
     pub phase_deg: [f64; 2],
+    /// How long it takes to come to full speed, and to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct YawRotation {
+    /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
+    /// How long it lasts without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
     /// Constant turning.
     #[serde(default)]
@@ -62,74 +79,99 @@ pub(super) struct YawRotation {
     /// Swing on top of it.
     #[serde(default)]
     pub yaw_amplitude_deg: f64,
+    /// Of the swing.
     #[serde(default = "four_seconds")]
     pub yaw_period_s: f64,
+    /// How long it takes to come to full speed, and to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SinusoidYaw {
+    /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
+    /// How long it lasts without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
     pub amplitude_m: f64,
     pub period_s: f64,
+    /// Of the swing.
     pub yaw_period_s: f64,
+    /// How long it takes to come to full speed, and to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FigureEight {
+    /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
+    /// How long it lasts without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
+    /// Along north, from end to end.
     pub length_m: f64,
+    /// Along east, from side to side.
     pub width_m: f64,
     pub period_s: f64,
+    /// Gained by the middle of the period, and lost again.
     #[serde(default)]
     pub climb_m: f64,
+    /// How long it takes to come to full speed, and to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Steps {
+    /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
+    /// How long each step is held.
     pub dwell_s: f64,
     /// North, east, up in m and yaw in degrees, relative to the hover point; each held for the
     /// dwell.
     pub offsets: Vec<[f64; 4]>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RandomWaypoints {
+    /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
+    /// What the waypoints are drawn from.
     pub seed: u64,
+    /// How many waypoints.
     pub count: usize,
+    /// Of the box about the hover point: north, east, up.
     pub half_size_m: [f64; 3],
+    /// How long a waypoint is held.
     #[serde(default)]
     pub hold_s: f64,
+    /// How fast.
     #[serde(default)]
     pub pace: PaceFields,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Waypoints {
+    /// In the order of flight.
     pub points: Vec<WaypointFields>,
+    /// How fast.
     #[serde(default)]
     pub pace: PaceFields,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct PaceFields {
+    /// Between waypoints.
     pub speed_m_s: f64,
+    /// Out of a waypoint and into it.
     pub acceleration_m_s2: f64,
+    /// While turning to the next yaw.
     pub yaw_rate_deg_s: f64,
 }
 
@@ -139,19 +181,24 @@ impl Default for PaceFields {
     }
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WaypointFields {
+    /// Relative to the take-off point.
     pub north_m: f64,
+    /// Relative to the take-off point.
     pub east_m: f64,
+    /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
+    /// Clockwise from north, seen from above.
     #[serde(default)]
     pub yaw_deg: f64,
+    /// How long a waypoint is held.
     #[serde(default)]
     pub hold_s: f64,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Csv {
     /// Relative to the trajectory file.

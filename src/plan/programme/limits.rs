@@ -1,5 +1,6 @@
 //! Where and how boldly a programme may be flown.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::ProgrammeError;
@@ -8,7 +9,7 @@ use crate::plan::trajectory::DesiredPoint;
 
 /// Where and how boldly a programme is flown. What is beyond the [`FlightEnvelope`] or the vehicle
 /// is cut to it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProgrammeSettings {
     /// Half of the box's side to the north and to the east, around the take-off point, m.

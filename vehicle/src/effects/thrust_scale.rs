@@ -1,7 +1,7 @@
 //! Thrust scale: T_i <- scale T_i for every rotor, and the drag torque with it.
 //!
-//! Propeller wear, another propeller, thin air. Told apart from [`super::Mass`] by nothing but the
-//! rotor speeds: only thrust over mass acts.
+//! Propeller wear, another propeller, thin air. Only thrust over mass acts, so that nothing but
+//! the rotor speeds tells it from a mass.
 
 use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
 use crate::physics::Constants;

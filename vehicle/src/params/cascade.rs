@@ -1,6 +1,7 @@
 //! The attitude loop of PX4 and ArduCopter: a proportional loop on the attitude around a PID loop on
 //! the body rate.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::AttitudePd;
@@ -16,7 +17,7 @@ use super::AttitudePd;
 /// `omega` is the gyro behind a low-pass of `gyro_cutoff_hz`, its derivative behind one of
 /// `derivative_cutoff_hz`. An autopilot's gains act on normalised torques; times the moment of a
 /// torque of 1 at the mixer they have these units.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AttitudeCascade {
     /// Attitude error to body rate, 1/s.
