@@ -5,6 +5,7 @@ What downwash refuses raises `DownwashError` with the command line's sentence an
 an argument that is wrong by itself raises ValueError or TypeError.
 """
 
+from ._compare import Comparison, compare
 from ._diagnosis import Diagnosis, diagnose
 from ._downwash import DownwashError, __version__
 from ._fleet import Fleet
@@ -27,6 +28,7 @@ __all__ = [
     "POINT",
     "REST",
     "STATE",
+    "Comparison",
     "Diagnosis",
     "DownwashError",
     "Fleet",
@@ -41,6 +43,7 @@ __all__ = [
     "Vehicle",
     "__version__",
     "audit",
+    "compare",
     "diagnose",
     "effects",
     "fly",

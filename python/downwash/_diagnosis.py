@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any
 
 from . import _downwash as _native
 from ._arguments import Path, count, paths, seed_of
+from ._page import framed
 from ._progress import Progress, teller
 from ._vehicle import Vehicle
 
@@ -79,9 +79,7 @@ class Diagnosis:
         return self.text
 
     def _repr_html_(self) -> str:
-        # A page of its own, so that its styles do not meet the notebook's.
-        page = html.escape(self.html, quote=True)
-        return f'<iframe srcdoc="{page}" style="width:100%;height:48em;border:0"></iframe>'
+        return framed(self.html)
 
 
 def diagnose(

@@ -24,6 +24,7 @@ __all__ = [
     "Vehicle",
     "__version__",
     "audit",
+    "compare",
     "diagnose",
     "effects",
     "evaluate",
@@ -181,6 +182,9 @@ def rollouts(
     airborne: bool,
 ) -> None: ...
 def audit(paths: list[_Path], mapping: _Path | None) -> tuple[str, list[str]]: ...
+def compare(
+    a: list[_Path], b: list[_Path], align: str, pair: str, mapping: _Path | None
+) -> tuple[str, str]: ...
 def fly(
     vehicle: Vehicle,
     trajectory: Trajectory | Plan,

@@ -5,6 +5,7 @@
 // PyO3's macros write paths and conversions of their own.
 #![allow(clippy::useless_conversion)]
 
+mod compare;
 mod diagnosis;
 mod errors;
 mod fleet;
@@ -47,6 +48,7 @@ fn _downwash(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(vehicle::effects, module)?)?;
     module.add_function(wrap_pyfunction!(plant::rollouts, module)?)?;
     module.add_function(wrap_pyfunction!(log::audit, module)?)?;
+    module.add_function(wrap_pyfunction!(compare::compare, module)?)?;
     module.add_function(wrap_pyfunction!(flight::fly, module)?)?;
     module.add_function(wrap_pyfunction!(sweep::sweep, module)?)?;
     module.add_function(wrap_pyfunction!(plan::plan, module)?)?;

@@ -124,6 +124,7 @@ CALLS: list[Callable[[random.Random], object]] = [
     lambda r: dw.Learner().predict(arrays(r)),
     lambda r: dw.Learner().set_params(**{r.choice(["hidden", "x"]): scalars(r)}),
     lambda r: dw.diagnose(paths(r), paths(r), twins=scalars(r), seed=scalars(r)),
+    lambda r: dw.compare(paths(r), paths(r), align=r.choice(["time", "way", 3]), mapping=paths(r)),
     lambda r: dw.diagnose("crazyflie", paths(r), without=r.choice([["win"], "wind", [3]])),
 ]
 

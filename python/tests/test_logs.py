@@ -75,6 +75,22 @@ def test_a_plan_is_flown_closer_than_its_trajectory(tmp_path: Path) -> None:
     assert planned["position_rmse_m"] < 0.2 * feedback["position_rmse_m"]
 
 
+def test_a_comparison_says_which_flights_are_worse(tmp_path: Path) -> None:
+    seeds = [1, 2, 3]
+
+    def logs_of(name: str, effects: dict[str, dict[str, float]]) -> list[Path]:
+        dw.fly(trajectory="figure-8", effects=effects, seeds=seeds, logs=tmp_path / name)
+        return sorted((tmp_path / name).rglob("*.mcap"))
+
+    plain, dragged = logs_of("plain", {}), logs_of("drag", {"rotor_drag": {"d_xy": 0.02}})
+    worse = dw.compare(plain, dragged)
+    assert worse.outcome == "worse" and worse.answer["schema"] == "downwash.compare"
+    assert worse.sentence in str(worse) and worse._repr_html_().startswith("<iframe")
+    assert dw.compare(plain, plain).outcome == "no_difference"
+    with pytest.raises(ValueError, match="align: expected 'time', 'position', 'phase'"):
+        dw.compare(plain, dragged, align="way")  # type: ignore[arg-type]
+
+
 def test_a_diagnosis_finds_the_drag_and_its_vehicle_flies(logs: list[Path], tmp_path: Path) -> None:
     stages: list[str] = []
     found = dw.diagnose("crazyflie", logs, twins=4, progress=lambda stage, *_: stages.append(stage))

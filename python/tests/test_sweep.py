@@ -3,6 +3,7 @@
 import csv
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -153,6 +154,19 @@ def test_a_task_index_is_all_that_a_scheduler_needs(manifest: Path, whole: bytes
     for index in range(1, 4):
         line = f'"{COMMAND}" sweep "{manifest}" --out "{tmp_path}" --shard "$SLURM_ARRAY_TASK_ID/3"'
         environment = os.environ | {"SLURM_ARRAY_TASK_ID": str(index)}
+        subprocess.run(["sh", "-c", line], check=True, capture_output=True, env=environment)
+    assert (tmp_path / "table.csv").read_bytes() == whole
+
+
+def test_the_job_of_kubernetes_gives_the_same_bytes(manifest: Path, whole: bytes, tmp_path: Path) -> None:
+    job = (ROOT / "config/sweep-job.yaml").read_text()
+    (line,) = re.findall(r'args: \["(.*)"\]', job)
+    shards = int(line.rpartition("/")[2])
+    assert f"completions: {shards}\n" in job
+    line = line.replace("downwash", str(COMMAND), 1).replace("/sweep/sweep.toml", str(manifest))
+    line = line.replace("/out", str(tmp_path)).replace(f"))/{shards}", "))/3")
+    for index in range(3):
+        environment = os.environ | {"JOB_COMPLETION_INDEX": str(index)}
         subprocess.run(["sh", "-c", line], check=True, capture_output=True, env=environment)
     assert (tmp_path / "table.csv").read_bytes() == whole
 

@@ -36,6 +36,22 @@ pub struct CompareArgs {
     pub json: bool,
 }
 
+impl CompareArgs {
+    /// The flags' defaults for these flights.
+    pub fn new(a: Vec<PathBuf>, b: Vec<PathBuf>) -> Self {
+        Self {
+            a,
+            b,
+            align: AlignChoice::Time,
+            pair: PairChoice::Auto,
+            mapping: None,
+            out: PathBuf::from("compare.html"),
+            baseline: false,
+            json: false,
+        }
+    }
+}
+
 /// What flights are laid along.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum AlignChoice {

@@ -21,6 +21,35 @@ const NO_FACTS: [&str; 4] = ["run", "frames", "units", "log_version"];
 pub(super) fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
     let inputs = || args.a.iter().chain(&args.b).map(PathBuf::as_path);
     refuse_input(&args.out, inputs().chain(args.mapping.as_deref()))?;
+    let Compared { comparison, html } = compared(args)?;
+    write_file(&args.out, html.as_bytes())?;
+    if args.json {
+        print_json(&comparison)?;
+    } else {
+        print_text(&format!("{}\n{}\n", comparison.sentence, args.out.display()))?;
+    }
+    if args.baseline && comparison.outcome == Outcome::Undecided {
+        let error = anyhow!("--baseline cannot be decided: {}", comparison.sentence);
+        return Err(error).or_exit(Exit::Usage);
+    }
+    let failed = args.baseline && comparison.outcome == Outcome::Worse;
+    Ok(if failed { Exit::Check } else { Exit::Ok })
+}
+
+/// A comparison with its page.
+#[derive(Debug)]
+pub struct Compared {
+    /// What differs, and by how much.
+    pub comparison: Comparison,
+    /// The page, which stands by itself.
+    pub html: String,
+}
+
+/// Compares the flights that `args` names; its output and its baseline are the caller's.
+///
+/// # Errors
+/// A log that cannot be read; pairs in order of groups that differ in size.
+pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
     let mapping = args.mapping.as_deref();
     let read = |logs: &[PathBuf]| -> anyhow::Result<Vec<Entry>> {
         logs.par_iter().map(|log| entry(log, mapping).or_exit(Exit::Usage)).collect()
@@ -43,18 +72,8 @@ pub(super) fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
         PairChoice::None => Pairing::None,
     };
     let comparison = Comparison::new(&a, &b, alignment, pairing);
-    write_file(&args.out, comparison.to_html(&a, &b).as_bytes())?;
-    if args.json {
-        print_json(&comparison)?;
-    } else {
-        print_text(&format!("{}\n{}\n", comparison.sentence, args.out.display()))?;
-    }
-    if args.baseline && comparison.outcome == Outcome::Undecided {
-        let error = anyhow!("--baseline cannot be decided: {}", comparison.sentence);
-        return Err(error).or_exit(Exit::Usage);
-    }
-    let failed = args.baseline && comparison.outcome == Outcome::Worse;
-    Ok(if failed { Exit::Check } else { Exit::Ok })
+    let html = comparison.to_html(&a, &b);
+    Ok(Compared { comparison, html })
 }
 
 /// Reads a flight for a comparison: along its trajectory where it is one of this program's.
@@ -74,17 +93,20 @@ pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
         Some((report, facts))
     });
     let flight = import::open_among(log, mapping);
+    let is_own = own.is_some();
     if let Some((report, facts)) = own {
         let recording = flight.as_ref().ok().map(|flight| Recording::new(flight.clone()));
         if let Some(entry) = Entry::own(&name, &report, recording.as_ref(), facts) {
             return Ok(entry);
         }
+    }
+    let flight = flight?;
+    if is_own {
         say(format_args!(
             "{}: no trajectory was followed: the whole flight is taken",
             log.display()
         ));
     }
-    let flight = flight?;
     let facts = recorded_facts(&flight);
     Ok(Entry::recorded(&name, &Recording::new(flight), facts))
 }

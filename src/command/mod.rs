@@ -61,7 +61,7 @@ use tracing_subscriber::fmt::time::uptime;
 use crate::cli::{Cli, Command};
 use crate::log::partial::PartialFile;
 pub use audit::{AuditSummary, audit};
-pub use compare::entry;
+pub use compare::{Compared, compared, entry};
 pub use course::Course;
 pub use diagnose::{Finding, find};
 pub use exit::Exit;

@@ -1,0 +1,61 @@
+"""Comparisons: flights in two groups, side by side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as _FilePath
+from typing import Any, Literal
+
+from . import _downwash as _native
+from ._arguments import Path, paths
+from ._page import framed
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What differs between two groups of flights. Every field of the JSON of ``downwash compare`` is in
+    `answer`, by its name. In a notebook it shows its page."""
+
+    answer: dict[str, Any]
+    """The comparison's JSON."""
+    html: str = field(repr=False)
+    """The page, which stands by itself."""
+
+    @property
+    def outcome(self) -> str:
+        """worse, better, no_difference or undecided: B against A."""
+        found: str = self.answer["outcome"]
+        return found
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in a sentence or two."""
+        found: str = self.answer["sentence"]
+        return found
+
+    def save(self, file: Path) -> None:
+        """Writes the page."""
+        _FilePath(file).write_text(self.html, encoding="utf-8")
+
+    def __str__(self) -> str:
+        return self.sentence
+
+    def _repr_html_(self) -> str:
+        return framed(self.html)
+
+
+def compare(
+    a: Path | Sequence[Path],
+    b: Path | Sequence[Path],
+    *,
+    align: Literal["time", "position", "phase"] = "time",
+    pair: Literal["auto", "order", "none"] = "auto",
+    mapping: Path | None = None,
+) -> Comparison:
+    """Lays the flights ``b`` beside the flights ``a``, of any logs, as ``downwash compare`` does: errors
+    with the interval that chance leaves, and what differs between vehicles, settings and versions."""
+    text, html = _native.compare(paths("a", a), paths("b", b), align, pair, mapping)
+    answer: dict[str, Any] = json.loads(text)
+    return Comparison(answer, html)
