@@ -2,11 +2,11 @@
 
 use vehicle::frame::{Attitude, Frd, Ned};
 
+use super::agreement::{Agreement, Estimate};
 use super::kinematics::{
     Kinematics, Reading, by_attitude, gaining_follows, moving_follows, turning_explained,
     turning_follows, turns,
 };
-use super::pair::{Agreement, Estimate};
 use super::timing::is_logged;
 use super::weak::median;
 use super::{Audit, Finding, Severity};

@@ -8,7 +8,8 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::frame::{Attitude, Frd, Ned, wrap_angle};
 
-use super::pair::{Agreement, Correction, Expected, Pair, agreement};
+use super::agreement::{Agreement, agreement};
+use super::pair::{Correction, Expected, Pair};
 use super::trial::Trial;
 use super::weak::{Bump, Weighed, bumps, median, weigh};
 use crate::learn::alignment::interpolated;

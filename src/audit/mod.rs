@@ -4,6 +4,7 @@
 //! on as an effect of the vehicle: late or turned streams, biased sensors, gaps, frozen or
 //! impossible values, files that are one flight twice.
 
+mod agreement;
 mod conventions;
 mod duplicates;
 mod finding;
@@ -23,9 +24,9 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::log::import::{Flight, RotorFact};
+pub use agreement::{Agreement, Estimate};
 pub use finding::{Finding, Severity};
 pub use kinematics::Kinematics;
-pub use pair::{Agreement, Estimate};
 pub use rates::Rates;
 pub use rotors::{Contradiction, RotorEffects};
 pub use tier::{Channels, FAST_HZ, Tier};

@@ -6,7 +6,7 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::pair::Estimate;
+use super::agreement::Estimate;
 use super::rates::Rates;
 use super::tier::FAST_HZ;
 use super::weak::{Bump, Row, bumps, fit, weigh};

@@ -55,14 +55,12 @@ pub enum Standing {
 }
 
 impl Bound {
-    /// Fewest cases of which one may fail without the bound being missed.
+    /// Fewest cases of which one alone does not decide whether the bound is kept.
     fn cases_min(self) -> f64 {
-        match self {
-            Self::AtLeast(least) => 1.0 / (1.0 - least),
-            Self::AtMost(most) if most > 0.0 => 1.0 / most,
-            // Where none may fail, every number of cases tells.
-            Self::AtMost(_) => 0.0,
-        }
+        let (Self::AtLeast(bound) | Self::AtMost(bound)) = self;
+        let share = bound.min(1.0 - bound);
+        // Where none may fail, every number of cases tells.
+        if share > 0.0 { 1.0 / share } else { 0.0 }
     }
 
     fn keeps(self, rate: f64) -> bool {
@@ -540,6 +538,9 @@ mod tests {
         assert_eq!(standing(40, 60, nine_tenths), Standing::Missed);
         assert_eq!(standing(1, 6, none), Standing::Missed);
         assert_eq!(standing(1, 10, Bound::AtMost(0.03)), Standing::TooFew);
+        // All of two hold, and 95 % may at most: twenty are needed to tell.
+        assert_eq!(standing(2, 2, Bound::AtMost(0.95)), Standing::TooFew);
+        assert_eq!(standing(60, 60, Bound::AtMost(0.95)), Standing::Missed);
         assert_eq!(standing(0, 0, nine_tenths), Standing::Kept);
     }
 }

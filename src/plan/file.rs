@@ -2,6 +2,7 @@
 
 mod builder;
 mod family;
+mod multisine;
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +10,7 @@ use schemars::{Schema, schema_for};
 
 pub(super) use self::builder::Builder;
 use self::family::Family;
-pub(super) use self::family::two_seconds;
+pub(in crate::plan) use self::multisine::{Multisine, Wave, YawWave};
 use super::shipped::{SHIPPED_TRAJECTORIES, shipped};
 use super::table::Table;
 use super::trajectory::{Shape, Trajectory};

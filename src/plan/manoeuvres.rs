@@ -9,7 +9,7 @@ use std::path::Path;
 pub use self::room::Room;
 use self::script::Script;
 use super::feasibility::{Feasibility, FlightEnvelope};
-use super::multisine::{Multisine, Wave, YawWave};
+use super::file::{Multisine, Wave, YawWave};
 use super::trajectory::Trajectory;
 
 /// One manoeuvre of the library.

@@ -16,7 +16,6 @@ pub mod iterate;
 pub mod keep_out;
 pub mod manoeuvres;
 mod model_free;
-mod multisine;
 mod path;
 pub mod planned;
 pub mod planner;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::plan::multisine::Multisine;
+use super::multisine::Multisine;
 
 /// A trajectory file. Lengths in m, angles in degrees where the name says so, altitudes above the
 /// take-off floor, positions relative to the take-off point.

@@ -6,7 +6,7 @@ use rand_pcg::Pcg64Mcg;
 use super::FlightKind;
 use super::limits::{Limits, Share};
 use super::shares::Slot;
-use crate::plan::multisine::{Multisine, Wave, YawWave};
+use crate::plan::file::{Multisine, Wave, YawWave};
 use crate::plan::trajectory::DesiredPoint;
 
 /// Slowest period, s.

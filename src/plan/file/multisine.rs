@@ -3,15 +3,16 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::curve::{Envelope, Harmonic, HarmonicCurve};
-use super::file::{Builder, TrajectoryError, two_seconds};
-use super::trajectory::{DesiredPoint, Shape};
+use super::family::two_seconds;
+use super::{Builder, TrajectoryError};
+use crate::plan::curve::{Envelope, Harmonic, HarmonicCurve};
+use crate::plan::trajectory::{DesiredPoint, Shape};
 
 /// A trajectory file of the family `multisine`. At time 0 it is at `offset_m`, `altitude_m` and
 /// `heading_deg`; each wave adds `amplitude (sin(2 pi t / period + phase) - sin(phase))`.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Multisine {
+pub(in crate::plan) struct Multisine {
     /// Height of the start above the take-off floor.
     pub altitude_m: f64,
     /// North and east of the take-off point.
@@ -41,7 +42,7 @@ pub(super) struct Multisine {
 /// One sinusoid of a position axis.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Wave {
+pub(in crate::plan) struct Wave {
     pub amplitude_m: f64,
     pub period_s: f64,
     #[serde(default)]
@@ -51,7 +52,7 @@ pub(super) struct Wave {
 /// One sinusoid of the yaw angle.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct YawWave {
+pub(in crate::plan) struct YawWave {
     pub amplitude_deg: f64,
     pub period_s: f64,
     #[serde(default)]
