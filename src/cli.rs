@@ -175,6 +175,14 @@ pub struct DiagnoseArgs {
     /// again. What the flights hold of it is then a cause outside of the catalogue.
     #[arg(long, value_name = "EFFECT")]
     pub without: Vec<EffectId>,
+    /// Also looks for a law: a formula that explains what no effect of the catalogue does. It takes
+    /// some more seconds.
+    #[arg(long)]
+    pub discover: bool,
+    /// The effects file to write, of the law and what acts beside it, where a law is named; whatever
+    /// takes --effects takes it.
+    #[arg(long, value_name = "FILE", requires = "discover")]
+    pub law: Option<PathBuf>,
     /// Ends with exit code 10 on this verdict.
     #[arg(long, value_enum, value_name = "VERDICT")]
     pub fail_on: Option<FailOnVerdict>,
@@ -203,6 +211,8 @@ impl DiagnoseArgs {
             seed: 1,
             evidence: None,
             without: Vec::new(),
+            discover: false,
+            law: None,
             fail_on: None,
             json: false,
         }

@@ -10,7 +10,7 @@ use crate::effects::{
     ThrustCurve, ThrustEffect, ThrustScale, TranslationalLift, VortexRing, Wind, Wrench, YawTorque,
 };
 use crate::frame::{Frd, Ned};
-use crate::law::{Laws, Quantity, Rotors};
+use crate::law::{Laws, Needed, QUANTITIES, Quantity, Rotors};
 use crate::params::{ROTORS, VehicleError, VehicleParams};
 use crate::rigid_body::{RigidBody, State};
 use crate::rotor::Allocation;
@@ -112,6 +112,10 @@ impl<T: Scalar> Loads<T> {
     pub fn tilting_moments(&self) -> [T; 2] {
         let [roll, pitch, _] = self.moment;
         [roll, pitch]
+    }
+
+    fn as_quantities(&self) -> Rotors<T> {
+        Rotors { thrust: self.thrust, speed_ratio: self.rotor_speed_ratio, moment: self.moment }
     }
 
     /// The rotors' angular momentum along down in N m s.
@@ -452,12 +456,7 @@ impl Physics {
             self.add_aerodynamics(aerodynamics, state, loads, env, &mut wrench);
         }
         if let Some(laws) = &self.laws {
-            let rotors = Rotors {
-                thrust: loads.thrust,
-                speed_ratio: loads.rotor_speed_ratio,
-                moment: loads.moment,
-            };
-            laws.add(state, &rotors, env, &mut wrench);
+            laws.add(state, &loads.as_quantities(), env, &mut wrench);
         }
         if self.spin_momentum_max.is_some() {
             let [p, q, _] = state.body_rate.to_array();
@@ -518,6 +517,18 @@ impl Physics {
         if let Some(damping) = aerodynamics.angular_damping {
             wrench.moment += state.body_rate.scale_by(damping.map(|k| T::from(-k)));
         }
+    }
+
+    /// The quantities that laws name.
+    pub fn quantities(
+        &self,
+        needed: Needed,
+        state: &State,
+        loads: &Loads<f64>,
+        env: &Environment,
+    ) -> [f64; QUANTITIES] {
+        let rotors = loads.as_quantities();
+        crate::law::values(needed, state, &rotors, env, self.full_voltage)
     }
 
     /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] under

@@ -27,7 +27,7 @@ use crate::physics::Environment;
 use crate::rigid_body::State;
 use crate::scalar::Scalar;
 
-pub(crate) use quantity::Rotors;
+pub(crate) use quantity::{Rotors, values};
 
 /// Most constants of a law, and most laws of a set.
 const CONSTANTS_MAX: usize = 32;
@@ -332,7 +332,7 @@ impl Laws {
         env: &Environment,
         wrench: &mut Wrench<T>,
     ) {
-        let quantities = quantity::values(self.needed, state, rotors, env, self.full_voltage);
+        let quantities = values(self.needed, state, rotors, env, self.full_voltage);
         let zero = T::default();
         for law in self.laws.iter() {
             let Checked { formulas, limits, text, .. } = law.0.as_ref();

@@ -97,6 +97,11 @@ impl Needed {
         Self(self.0 | other.0)
     }
 
+    /// The quantities in it.
+    pub fn iter(self) -> impl Iterator<Item = Quantity> {
+        Quantity::ALL.into_iter().filter(move |quantity| self.has(*quantity))
+    }
+
     /// Whether a quantity is in it.
     pub fn has(self, quantity: Quantity) -> bool {
         self.0 & (1 << quantity as u32) != 0

@@ -1,12 +1,12 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::VehicleParams;
 use crate::effects::EffectSet;
 use crate::frame::Euler;
 use crate::physics::Physics;
 use crate::plant::{Plant, Setup};
 use crate::scalar::Dual;
-use crate::VehicleParams;
 
 fn line(text: &str) -> Result<Law, LawError> {
     Law::from_line("law", text)
