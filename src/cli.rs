@@ -256,6 +256,15 @@ pub struct ExamArgs {
     /// families of cases; the others test them.
     #[arg(long, value_name = "FILE", requires = "decide")]
     pub calibrate: Option<PathBuf>,
+    /// Instead: so many vehicles with a law that the catalogue does not have, and --nulls without, from
+    /// whose flights laws are searched: how much of the gap on another mission each closes, whether it
+    /// depends on what the true one does, and how often a law is invented.
+    #[arg(
+        long,
+        value_name = "COUNT",
+        conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "decide", "evidence"]
+    )]
+    pub laws: Option<usize>,
     /// Folder for each case's key, answer and the evidence that its verdict rests on; made if missing.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["practice", "decide"])]
     pub evidence: Option<PathBuf>,

@@ -32,7 +32,7 @@ use super::preparation::{Channels, PreparedFlight};
 use super::series::attitude;
 use super::term::{Factor, Term, law_of, name_of};
 use super::terms::terms;
-use super::verdict::{Decision, decide};
+use super::verdict::{CARRIES, CHANGES, Decision, OPEN, decide};
 
 /// Most terms of a law.
 const TERMS_MAX: usize = 5;
@@ -102,14 +102,23 @@ impl Inquiry<'_> {
         let price = (library.len() as f64).ln();
         let chosen = decision.explanation.checked_sub(1).and_then(|rank| found.sets.get(rank));
         let starts = std::iter::once(&found.file).chain(chosen);
-        let drafts = starts.filter_map(|start| self.draft(start, &library, price));
-        let scored = drafts.filter_map(|draft| {
-            let explanation = self.explanation(&draft, price)?;
-            Some((explanation.score(), draft, explanation))
-        });
-        let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((_, draft, explanation)) = best else { return Ok(None) };
-        self.weigh(found, evidence, (draft, explanation)).map(Some)
+        let best = found.best();
+        let everything = self.simulator_of(best, &self.effects_of(best), true)?;
+        let floor = |look: &Observed<'_>| {
+            let floor = everything.floor(look.flights, &found.noise, self.settings.seed);
+            floor.map(|floor| floor.errors)
+        };
+        let floors = [floor(&self.choosing), floor(&self.reported)];
+        let mut drafts = Vec::new();
+        for start in starts {
+            let Some(draft) = self.draft(start, &library, price) else { continue };
+            let draft = self.pruned(start, draft, floors[0].as_ref())?;
+            let explanation = self.explanation(&draft, price);
+            drafts.extend(explanation.map(|explanation| (draft, explanation)));
+        }
+        let best = drafts.into_iter().max_by(|a, b| a.1.score().total_cmp(&b.1.score()));
+        let Some(chosen) = best else { return Ok(None) };
+        self.weigh(evidence, &floors, chosen).map(Some)
     }
 
     /// What all logs hold.
@@ -185,6 +194,45 @@ impl Inquiry<'_> {
         }
         let terms = set.iter().map(|term| library[*term].clone()).collect();
         self.refined(start, terms)
+    }
+
+    /// A draft without terms that change no prediction of the flights for choosing and carry little
+    /// of the evidence, as the verdict does without such effects.
+    fn pruned(
+        &self,
+        start: &Explanation,
+        mut draft: Draft,
+        floor: Option<&Errors>,
+    ) -> Result<Draft, DiagnoseError> {
+        let square = |draft: &Draft| -> Result<Option<f64>, VehicleError> {
+            let gaps = self.law_gaps(floor, &self.choosing, draft)?;
+            Ok(gaps.map(|gaps| [gaps.both.min(gaps.effects).powi(2).max(1.0), gaps.file.powi(2)]))
+                .map(|gaps| {
+                    gaps.map(|[own, file]| own / (file - 1.0).max(2.0 * (OPEN * OPEN - 1.0)))
+                })
+        };
+        while draft.terms.len() > 1 {
+            let all = square(&draft)?;
+            let total: f64 = draft.gains.iter().sum();
+            let mut least: Option<(f64, Draft)> = None;
+            for index in 0..draft.terms.len() {
+                if draft.gains[index] > CARRIES * total {
+                    continue;
+                }
+                let mut terms = draft.terms.clone();
+                terms.remove(index);
+                let Some(less) = self.refined(start, terms) else { continue };
+                let share = square(&less)?.zip(all).map_or(0.0, |(less, all)| less - all);
+                if share < CHANGES && least.as_ref().is_none_or(|(least, _)| share < *least) {
+                    least = Some((share, less));
+                }
+            }
+            match least {
+                Some((_, less)) => draft = less,
+                None => break,
+            }
+        }
+        Ok(draft)
     }
 
     /// The terms with their powers and lengths refined, fitted.
@@ -282,8 +330,8 @@ impl Inquiry<'_> {
     /// A draft among the other explanations, and its answer.
     fn weigh(
         &self,
-        found: &Explanations,
         evidence: &Evidence,
+        floors: &[Option<Errors>; 2],
         (draft, explanation): (Draft, Explanation),
     ) -> Result<Discovered, DiagnoseError> {
         let catalogue = draft.catalogue(self);
@@ -305,10 +353,9 @@ impl Inquiry<'_> {
                 ..Found::default()
             })
             .collect();
-        let [choosing, reported] = [&self.choosing, &self.reported];
-        let gaps = |look: &Observed<'_>, refit: &Draft| self.law_gaps(found, look, refit);
-        explained.choosing = gaps(choosing, &draft)?;
-        explained.reported = gaps(reported, &draft)?;
+        let reported = |draft: &Draft| self.law_gaps(floors[1].as_ref(), &self.reported, draft);
+        explained.choosing = self.law_gaps(floors[0].as_ref(), &self.choosing, &draft)?;
+        explained.reported = reported(&draft)?;
         let mut with = evidence.clone();
         with.explanations.push(explained);
         let decision = decide(&with);
@@ -319,7 +366,7 @@ impl Inquiry<'_> {
         // On all flights but those reported on.
         let refit = self.fitted_terms(&self.all, &draft.fit, &draft.beside, &draft.terms);
         let refit = Draft { fit: refit.unwrap_or_else(|| draft.fit.clone()), ..draft };
-        let after = gaps(reported, &refit)?;
+        let after = reported(&refit)?;
         let (law, effects) = self.written(&refit, &name)?;
         let shipped = evidence.shipped[1];
         let gap = shipped.zip(after).map(|(before, after)| [before, after.effects, after.both]);
@@ -447,19 +494,15 @@ impl Inquiry<'_> {
     /// The gaps with a law and with the file's numbers, as those flights have them.
     fn law_gaps(
         &self,
-        found: &Explanations,
+        floor: Option<&Errors>,
         look: &Observed<'_>,
         draft: &Draft,
     ) -> Result<Option<Gaps>, VehicleError> {
         let catalogue = draft.catalogue(self);
         let flights = look.flights;
-        // In the units of every other gap.
-        let best = found.best();
-        let everything = self.simulator_of(best, &self.effects_of(best), true)?;
-        let floor = everything.floor(flights, &found.noise, self.settings.seed);
         let Some(floor) = floor else { return Ok(None) };
         let alone = self.simulator(&self.set_of(&catalogue, draft, &draft.fit.values))?;
-        let over = |errors: Errors| errors.over(&floor.errors, self.metric);
+        let over = |errors: Errors| errors.over(floor, self.metric);
         let Some(effects) = alone.errors(flights).map(over) else { return Ok(None) };
         let values = self.adapted_to(&catalogue, draft, look);
         let (vehicle, all) = catalogue.vehicle_of(&values);
