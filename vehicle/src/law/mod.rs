@@ -223,6 +223,11 @@ impl Law {
             }
             *slot = [*low, *high];
         }
+        if let Some((key, _)) =
+            text.intervals_90.iter().find(|(_, ends)| ends.iter().any(|end| !end.is_finite()))
+        {
+            return Err(refused("intervals_90", format!("{key}: expected two numbers")));
+        }
         for (key, bound) in
             [("max_force_N", text.max_force_n), ("max_moment_Nm", text.max_moment_nm)]
         {
