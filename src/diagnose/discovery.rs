@@ -109,10 +109,11 @@ impl Inquiry<'_> {
             floor.map(|floor| floor.errors)
         };
         let floors = [floor(&self.choosing), floor(&self.reported)];
+        let floor_of_all = floor(&self.all);
         let mut drafts = Vec::new();
         for start in starts {
             let Some(draft) = self.draft(start, &library, price) else { continue };
-            let draft = self.pruned(start, draft, floors[0].as_ref())?;
+            let draft = self.pruned(start, draft, floor_of_all.as_ref())?;
             let explanation = self.explanation(&draft, price);
             drafts.extend(explanation.map(|explanation| (draft, explanation)));
         }
@@ -196,8 +197,9 @@ impl Inquiry<'_> {
         self.refined(start, terms)
     }
 
-    /// A draft without terms that change no prediction of the flights for choosing and carry little
-    /// of the evidence, as the verdict does without such effects.
+    /// A draft without terms that change no prediction and carry little of the evidence, as the
+    /// verdict does without such effects. Predictions are of all flights but those reported on: the
+    /// one that chooses may not show what the others do.
     fn pruned(
         &self,
         start: &Explanation,
@@ -205,7 +207,7 @@ impl Inquiry<'_> {
         floor: Option<&Errors>,
     ) -> Result<Draft, DiagnoseError> {
         let square = |draft: &Draft| -> Result<Option<f64>, VehicleError> {
-            let gaps = self.law_gaps(floor, &self.choosing, draft)?;
+            let gaps = self.law_gaps(floor, &self.all, draft)?;
             Ok(gaps.map(|gaps| [gaps.both.min(gaps.effects).powi(2).max(1.0), gaps.file.powi(2)]))
                 .map(|gaps| {
                     gaps.map(|[own, file]| own / (file - 1.0).max(2.0 * (OPEN * OPEN - 1.0)))
@@ -356,6 +358,12 @@ impl Inquiry<'_> {
         let reported = |draft: &Draft| self.law_gaps(floors[1].as_ref(), &self.reported, draft);
         explained.choosing = self.law_gaps(floors[0].as_ref(), &self.choosing, &draft)?;
         explained.reported = reported(&draft)?;
+        // Where a flight shows no gap, and the law makes none, its predictions tell nothing: noise
+        // alone would say which is the better one. Its equations do.
+        let is_small = |gap: Option<f64>| gap.is_none_or(|gap| gap < OPEN);
+        if is_small(evidence.shipped[0]) && is_small(explained.choosing.map(|gaps| gaps.effects)) {
+            explained.choosing = None;
+        }
         let mut with = evidence.clone();
         with.explanations.push(explained);
         let decision = decide(&with);
