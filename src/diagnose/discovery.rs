@@ -464,7 +464,7 @@ impl Inquiry<'_> {
         text.intervals_90 =
             self.terms_of(draft).into_iter().map(|term| (term.name, term.interval)).collect();
         text.range = self.support(draft)?;
-        let law = Law::new(name, text).map_err(VehicleError::from)?;
+        let law = Law::new(name, text)?;
         let which: Vec<_> =
             draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
         let mut effects = self.catalogue.effects(&draft.fit.values, Some(&which));

@@ -2,6 +2,7 @@
 
 use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
+use vehicle::law::LawError;
 
 use super::answer::Answer;
 use super::arrival::Delay;
@@ -54,6 +55,9 @@ pub enum DiagnoseError {
     /// The vehicle is refused.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
+    /// The law that was found is refused.
+    #[error(transparent)]
+    Law(#[from] LawError),
     /// Nothing can be fitted.
     #[error("the flights hold nothing that a model could be compared with")]
     Nothing,

@@ -7,9 +7,6 @@ use super::required::{self, MissingKey};
 /// Why a vehicle file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleError {
-    /// A formula is refused.
-    #[error(transparent)]
-    Law(#[from] crate::law::LawError),
     /// The file cannot be read.
     #[error("vehicle file {path}: {source}{}", shipped_names(path))]
     Read {
