@@ -180,6 +180,14 @@ pub struct DiagnoseArgs {
     /// again. What the flights hold of it is then a cause outside of the catalogue.
     #[arg(long, value_name = "EFFECT")]
     pub without: Vec<EffectId>,
+    /// Also looks for a law: a formula that explains what no effect of the catalogue does. It takes
+    /// some more seconds.
+    #[arg(long)]
+    pub discover: bool,
+    /// The effects file to write, of the law and what acts beside it, where a law is named; whatever
+    /// takes --effects takes it.
+    #[arg(long, value_name = "FILE", requires = "discover")]
+    pub law: Option<PathBuf>,
     /// Ends with exit code 10 on this verdict.
     #[arg(long, value_enum, value_name = "VERDICT")]
     pub fail_on: Option<FailOnVerdict>,
@@ -208,6 +216,8 @@ impl DiagnoseArgs {
             seed: 1,
             evidence: None,
             without: Vec::new(),
+            discover: false,
+            law: None,
             fail_on: None,
             json: false,
         }
@@ -251,6 +261,15 @@ pub struct ExamArgs {
     /// families of cases; the others test them.
     #[arg(long, value_name = "FILE", requires = "decide")]
     pub calibrate: Option<PathBuf>,
+    /// Instead: so many vehicles with a law that the catalogue does not have, and --nulls without, from
+    /// whose flights laws are searched: how much of the gap on another mission each closes, whether it
+    /// depends on what the true one does, and how often a law is invented.
+    #[arg(
+        long,
+        value_name = "COUNT",
+        conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "decide", "evidence"]
+    )]
+    pub laws: Option<usize>,
     /// Folder for each case's key, answer and the evidence that its verdict rests on; made if missing.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["practice", "decide"])]
     pub evidence: Option<PathBuf>,

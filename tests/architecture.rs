@@ -103,6 +103,7 @@ const CIRCLES: [&[&str]; 6] = [
     // The vehicle file holds effects, and effects act on the vehicle.
     &[
         "vehicle/src/effects",
+        "vehicle/src/law",
         "vehicle/src/params.rs",
         "vehicle/src/physics.rs",
         "vehicle/src/rotor.rs",

@@ -44,6 +44,26 @@ fn drag_is_found_and_the_flight_planned_with_it_is_closer() {
 }
 
 #[test]
+fn a_law_is_written_and_the_flight_planned_with_it_is_closer() {
+    let hidden = "force_x = -0.012[kg/s]*air_x*(airspeed/1[m/s])^0.4; \
+                  force_y = -0.012[kg/s]*air_y*(airspeed/1[m/s])^0.4";
+    let (folder, summary) = run("law", &["--hidden", hidden]);
+    assert_eq!(summary["end"], "done");
+    let law = &summary["found"]["law"]["found"];
+    // Over these speeds several forms are one curve.
+    assert!(law["force_x"].as_str().is_some_and(|text| text.contains("air_x")), "{law}");
+    assert!(law["range"]["airspeed"][1].as_f64().is_some_and(|most| most > 0.5), "{law}");
+    let (before, after) = (number(&summary["gap"]["before"]), number(&summary["gap"]["after"]));
+    assert!(after < 0.4 * before, "gap {before} -> {after}");
+    let error = |index: usize| number(&summary["contenders"][index]["mean"]["rmse_3d_m"]);
+    assert!(error(1) < 0.4 * error(0), "error {} -> {}", error(0), error(1));
+    let improved = VehicleParams::load(folder.join("improved.toml")).expect("a vehicle file");
+    assert_eq!(improved.modelled_effects.laws().len(), 1);
+    let html = fs::read_to_string(folder.join("diagnosis.html")).expect("a page");
+    assert!(html.contains("The law") && html.contains("airspeed"));
+}
+
+#[test]
 #[ignore = "long: tests/run --all"]
 fn weak_rotors_are_made_up_for_once_by_the_improved_file() {
     let (_, summary) = run("weak", &["--hidden", "thrust_scale:scale=0.92"]);

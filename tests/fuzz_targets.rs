@@ -44,6 +44,16 @@ fn any_parameter() -> impl Strategy<Value = String> {
     (name, value).prop_map(|(name, value)| format!("{name} {value}"))
 }
 
+/// A piece of a formula: mostly what belongs there.
+fn any_token() -> impl Strategy<Value = &'static str> {
+    prop::sample::select(vec![
+        "air_x", "airspeed", "rate_z", "heading", "thrust", "height", "tilt", "voltage", "time",
+        "c", "1", "0", "-3e8", "1e300", "0.3", "[N]", "[m/s]", "[N m]", "[s]", "[kg", "+", "-",
+        "*", "/", "^", "^2", "^-8", "^0.5", "(", ")", "abs(", "sqrt(", "exp(", "sin(", "min(", ",",
+        ";", "=", " ",
+    ])
+}
+
 /// Chunks with their control bytes, as the link's target reads them.
 fn any_input() -> impl Strategy<Value = Vec<u8>> {
     let chunk = prop_oneof![
@@ -193,6 +203,21 @@ proptest! {
         if let Some(text) = fuzz::parameters(lines.join("\n").as_bytes()) {
             prop_assert!(toml::from_str::<toml::Table>(&text).is_ok(), "{}", text);
         }
+    }
+
+    #[test]
+    fn no_formula_breaks_a_vehicle(
+        channel in prop::sample::select(vec!["force_x", "force_down", "moment_z", "thrust", "lag"]),
+        tokens in prop::collection::vec(any_token(), 0..24),
+    ) {
+        let formula = tokens.concat();
+        fuzz::law(format!("{channel} = {formula}").as_bytes());
+        fuzz::law(format!("[law.a]\n{channel} = \"{formula}\"\nconstants = {{ c = \"{formula}\" }}\n").as_bytes());
+    }
+
+    #[test]
+    fn no_text_breaks_a_law(text in "\\PC{0,200}") {
+        fuzz::law(text.as_bytes());
     }
 
     #[test]

@@ -20,6 +20,9 @@ use downwash::log::info::LogInfo;
 use downwash::report::FlightReport;
 use downwash::setpoint::Setpoint;
 use downwash::vehicle_init::{Draft, Measured};
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::plant::{Plant, Setup};
 use wire::Endpoint;
 use wire::tlog::Reader;
 use wire::transport::Peer;
@@ -179,6 +182,26 @@ pub fn endpoint(data: &[u8]) {
     if let Ok(endpoint) = text.parse::<Endpoint>() {
         assert_eq!(endpoint.to_string().parse(), Ok(endpoint));
     }
+}
+
+/// A law: as one line, and as a file, which is written and read back the same, and does what is finite.
+pub fn law(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let mut set = EffectSet::new();
+    let _ = set.insert_argument(text);
+    if let Ok(read) = toml::from_str::<EffectSet>(text) {
+        set = set.overlay(&read);
+    }
+    let written = serde_json::to_string(&set).expect("an effect set is JSON");
+    assert_eq!(serde_json::from_str::<EffectSet>(&written).expect("it is read back"), set);
+    let vehicle = VehicleParams::load("crazyflie").expect("a built-in vehicle");
+    let laws = set.laws().iter().cloned();
+    let mut alone = EffectSet::new();
+    laws.for_each(|law| alone.insert_law(law).expect("no more than there were"));
+    let mut plant =
+        Plant::new(&vehicle, &alone, &Setup::default(), 1).expect("it flies").airborne();
+    (0..50).for_each(|_| plant.step([0.6; 4]));
+    assert!(plant.state().is_finite(), "{text}");
 }
 
 /// A parameter file, and the text of the vehicle file that is made of it.

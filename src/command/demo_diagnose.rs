@@ -267,7 +267,11 @@ impl Loop<'_> {
             blocked: false,
             without: &[],
         };
-        let settings = Settings { seed: self.args.seed, twins: TWINS };
+        let settings = Settings {
+            seed: self.args.seed,
+            twins: TWINS,
+            discover: !self.truth.effects.laws().is_empty(),
+        };
         let diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
             .or_exit(Exit::Usage)?;
         say(format_args!("{}", diagnosis.answer.finding.sentence));

@@ -124,7 +124,7 @@ pub fn find(args: &DiagnoseArgs, progress: &dyn Fn(&str)) -> anyhow::Result<Find
         blocked,
         without: &args.without,
     };
-    let settings = Settings { seed: args.seed, twins: args.twins };
+    let settings = Settings { seed: args.seed, twins: args.twins, discover: args.discover };
     let mut diagnosis = diagnose(&case, &settings, progress)
         .with_context(|| listed(&paths))
         .or_exit(Exit::Usage)?;
@@ -188,13 +188,19 @@ impl Finding {
 
     /// Writes what was asked for, and prints the answer.
     fn tell(&self) -> anyhow::Result<Exit> {
-        let Self { args, answer, .. } = self;
+        let Self { args, answer, effects, .. } = self;
         if let Some(folder) = &args.report {
             write_file(&folder.join("report.html"), self.to_html().as_bytes())?;
             write_file(&folder.join("report.json"), self.to_json()?.as_bytes())?;
         }
         if let Some(out) = &args.out {
             write_file(out, self.improved(out)?.as_bytes())?;
+        }
+        if let Some(path) = &args.law {
+            match answer.law.as_ref().is_some_and(|law| law.named) {
+                true => write_file(path, toml::to_string(effects).context("the law")?.as_bytes())?,
+                false => say(format_args!("{}: not written: no law is named", path.display())),
+            }
         }
         if args.json {
             print_json(&self.told())?;

@@ -5,6 +5,7 @@
 //! key stays in this process until the last answer is in.
 
 mod decided;
+mod laws;
 mod practice;
 
 use std::collections::BTreeMap;
@@ -26,6 +27,7 @@ use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet};
 
+pub(super) use self::laws::LawsSummary;
 pub(super) use self::practice::PracticeSummary;
 use super::logs::open_for;
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
@@ -98,6 +100,9 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
     if let Some(set) = &args.practice {
         return practice::run(args, set, &hall);
+    }
+    if let Some(count) = args.laws {
+        return laws::run(args, count, &hall);
     }
     let orders = orders(args, seed)?;
     if orders.is_empty() {

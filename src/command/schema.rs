@@ -28,7 +28,7 @@ pub(super) struct Output {
 }
 
 /// All of them, in the order of a table.
-pub(super) const OUTPUTS: [Output; 30] = [
+pub(super) const OUTPUTS: [Output; 31] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -42,6 +42,7 @@ pub(super) const OUTPUTS: [Output; 30] = [
     Output::new::<diagnose::Told<'_>>("downwash.diagnose", "diagnose --json"),
     Output::new::<doctor::Answer<'_>>("downwash.doctor", "doctor --json"),
     Output::new::<exam::ExamSummary<'_>>("downwash.exam", "exam --json"),
+    Output::new::<exam::LawsSummary<'_>>("downwash.exam.laws", "exam --laws COUNT --json"),
     Output::new::<exam::PracticeSummary<'_>>(
         "downwash.exam.practice",
         "exam --practice DIR --json",

@@ -9,6 +9,7 @@ use vehicle::effects::{EffectId, EffectSet, Kind, ParameterValue};
 use super::attribution::Share;
 use super::case::Case;
 use super::gap::{Errors, OverNoise};
+use super::law::LawAnswer;
 use super::leftover::UnmodelledForce;
 use super::map::ResidualMap;
 use super::next_flight::NextFlight;
@@ -18,7 +19,7 @@ use super::reflight::ClosedLoop;
 use super::twins::Twins;
 use super::untestable::{self, Untestable};
 use super::verdict::Unexplained;
-use super::words::listed;
+use super::words::{law_sentence, listed};
 use crate::audit::{Audit, Severity, Tier};
 use crate::log::import::Flight;
 
@@ -291,6 +292,9 @@ pub struct Answer {
     pub explanations: Vec<ExplanationAnswer>,
     /// The flights.
     pub flights: Vec<FlightAnswer>,
+    /// The law that explains what no effect does, where one was looked for and found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub law: Option<LawAnswer>,
 }
 
 /// An effect that cannot be tested, and why.
@@ -351,7 +355,14 @@ impl Answer {
             twins: None,
             explanations: Vec::new(),
             flights: Vec::new(),
+            law: None,
         }
+    }
+
+    /// Takes up a law.
+    pub fn take_up_law(&mut self, law: LawAnswer) {
+        self.finding.sentence += &format!(" {}", law_sentence(&law));
+        self.law = Some(law);
     }
 
     /// Takes up what the audit found: faults of some logs, and what no channel of any log shows.

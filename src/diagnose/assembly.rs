@@ -93,6 +93,7 @@ impl Assembly<'_> {
                 })
                 .collect(),
             flights,
+            law: None,
         };
         answer.finding.sentence = finding(&answer);
         let effects = if answer.verdict == Verdict::Effect { effects } else { EffectSet::new() };

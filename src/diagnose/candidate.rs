@@ -3,10 +3,12 @@
 use vehicle::effects::{
     AttitudeTrim, CommandDelay, EffectId, EffectSet, EstimatorLatency, PdGain, Slots,
 };
+use vehicle::law::{Law, LawText};
 use vehicle::physics::Physics;
 use vehicle::{VehicleError, VehicleParams};
 
 use super::hypothesis::{Catalogue, Target, reference};
+use super::term::{law_of, name_of};
 
 /// A vehicle to explain flights with.
 #[derive(Clone, Debug)]
@@ -70,6 +72,15 @@ impl Catalogue {
         set
     }
 
+    /// The law that `values` stand for, where a term of one acts.
+    pub fn law(&self, values: &[f64]) -> Option<LawText> {
+        let terms = self.numbers.iter().zip(values).filter_map(|(number, value)| {
+            let Target::Term(index) = number.target else { return None };
+            self.terms.get(index).filter(|_| *value != 0.0).map(|term| (term, *value))
+        });
+        law_of(terms)
+    }
+
     /// The vehicle file that `values` stand for, and the effects to put over it.
     pub fn vehicle_of(&self, values: &[f64]) -> (VehicleParams, EffectSet) {
         let mut vehicle = self.vehicle.clone();
@@ -82,7 +93,15 @@ impl Catalogue {
                 _ => {}
             }
         }
-        (vehicle, self.effects(values, None))
+        let mut effects = self.effects(values, None);
+        if let Some(law) = self
+            .law(values)
+            .and_then(|text| Law::new(&name_of(&vehicle.modelled_effects), text).ok())
+        {
+            // One more than the vehicle file has is no candidate, and leaves the file's in force.
+            let _ = effects.insert_law(law);
+        }
+        (vehicle, effects)
     }
 
     /// The vehicle that `values` stand for, as what drives and reports it.

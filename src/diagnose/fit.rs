@@ -83,9 +83,19 @@ pub fn fit(
     hypotheses: &[usize],
     starts: &[Vec<(usize, f64)>],
 ) -> Option<Fit> {
+    let numbers = hypotheses.iter().map(|h| &observed.catalogue.hypotheses[*h].numbers);
+    let active: Vec<usize> = numbers.flatten().copied().collect();
+    fit_numbers(observed, about, (hypotheses, &active), starts)
+}
+
+/// The same with the `active` numbers beyond those of the hypotheses: a law's.
+pub(super) fn fit_numbers(
+    observed: &Observed<'_>,
+    about: &Linearised,
+    (hypotheses, active): (&[usize], &[usize]),
+    starts: &[Vec<(usize, f64)>],
+) -> Option<Fit> {
     let catalogue = observed.catalogue;
-    let active: Vec<usize> =
-        hypotheses.iter().flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()).collect();
     let nuisances: Vec<usize> =
         catalogue.nuisances().filter(|number| !active.contains(number)).collect();
     let own: Vec<(usize, f64)> = Vec::new();
@@ -98,7 +108,7 @@ pub fn fit(
             for (number, value) in start {
                 values[*number] = *value;
             }
-            let (cost, residuals) = cost_at(observed, &values, &active)?;
+            let (cost, residuals) = cost_at(observed, &values, active)?;
             Some(Begun { cost, values, residuals })
         })
         .collect();
@@ -119,7 +129,7 @@ pub fn fit(
     }
     apart
         .into_iter()
-        .filter_map(|begun| descend(observed, about, hypotheses, (&active, &nuisances), begun))
+        .filter_map(|begun| descend(observed, about, hypotheses, (active, &nuisances), begun))
         .min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 

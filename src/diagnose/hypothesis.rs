@@ -9,10 +9,14 @@ use vehicle::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLos
 use vehicle::{ROTORS, VehicleParams};
 
 use super::arrival::Delay;
+use super::term::Term;
 use super::tolerances::{DAMPING_RATE, DAMPING_TIME_S, Known, Scales, Tolerances};
 
 /// A nuisance stays within so many tolerances: what asks for more is an effect.
 const TOLERANCES_MAX: f64 = 3.0;
+
+/// A term of a law lies within so many of its magnitudes.
+const TERM_MAGNITUDES_MAX: f64 = 50.0;
 
 /// Delays that a fit starts from: setpoints may keep step with the loop, and the cost then has many
 /// minima, s.
@@ -55,6 +59,8 @@ pub enum Target {
     Damping(usize),
     /// How much later than logged the motor outputs act, without the lag, s.
     OutputDelay,
+    /// Coefficient of a term of a law.
+    Term(usize),
 }
 
 impl Target {
@@ -71,6 +77,7 @@ impl Target {
             },
             Self::RotorScale(_) => "scale".to_owned(),
             Self::OutputDelay => "delay_s".to_owned(),
+            Self::Term(index) => format!("term {index}"),
             Self::RotorGain(rotor) => format!("thrust of rotor {rotor}"),
             Self::Damping(axis) => format!("damping of the rate[{axis}]"),
         }
@@ -162,6 +169,8 @@ pub struct Catalogue {
     pub hypotheses: Vec<Hypothesis>,
     /// Whether command_delay is from a logged output to its thrust, for want of setpoints.
     pub outputs_late: bool,
+    /// Terms that a law may be made of.
+    pub terms: Vec<Term>,
 }
 
 /// Values of all numbers of a catalogue.
@@ -182,6 +191,7 @@ impl Catalogue {
             numbers: Vec::new(),
             hypotheses: Vec::new(),
             outputs_late: false,
+            terms: Vec::new(),
         };
         let scales = Scales::of(vehicle);
         let is_testable = |effect: &EffectId| match effect {
@@ -333,6 +343,18 @@ impl Catalogue {
             (number.expected, number.tolerance) = (values[*index], 0.0);
         }
         pinned
+    }
+
+    /// The same with terms of a law, each with a number whose prior is as wide as `magnitude` has it.
+    pub fn with_terms(&self, terms: Vec<(Term, f64)>) -> Self {
+        let mut catalogue = self.clone();
+        for (term, magnitude) in terms {
+            let target = Target::Term(catalogue.terms.len());
+            let most = TERM_MAGNITUDES_MAX * magnitude;
+            catalogue.add(Number::nuisance(target, 0.0, [0.0, magnitude], [-most, most]));
+            catalogue.terms.push(term);
+        }
+        catalogue
     }
 
     /// The number of an effect's slot.

@@ -126,6 +126,14 @@ impl<'a> Observed<'a> {
         }
     }
 
+    /// The same look by another catalogue.
+    pub(super) fn by<'b>(&self, catalogue: &'b Catalogue) -> Observed<'b>
+    where
+        'a: 'b,
+    {
+        Observed::without(self.flights, self.evaluator, catalogue, &self.unused)
+    }
+
     /// The same look at other flights.
     pub fn like<'b>(&self, flights: &'b [PreparedFlight]) -> Observed<'b>
     where

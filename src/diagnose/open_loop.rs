@@ -194,6 +194,7 @@ impl Simulator {
             let time = before + (k as f64 + 0.5) * Plant::STEP;
             plant.step(logged.at(time - self.output_delay()));
         }
+        plant.set_clock(start);
         plant.set_state(State { attitude: from.attitude.compose(self.trim.inverse()), ..*from });
         plant
     }

@@ -2,11 +2,13 @@
 
 use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
+use vehicle::law::LawError;
 
 use super::answer::Answer;
 use super::arrival::Delay;
 use super::assembly::Assembly;
 use super::case::{Case, Settings};
+use super::discovery::Discovered;
 use super::evidence::{Evidence, Turning};
 use super::explanation::{Explanation, Explanations};
 use super::fit::fit;
@@ -36,7 +38,8 @@ pub struct Diagnosis {
     pub answer: Answer,
     /// What it rests on.
     pub evidence: Evidence,
-    /// The named effects with the vehicle's true values.
+    /// The named effects with the vehicle's true values; with a law that is named, that and what acts
+    /// beside it.
     pub effects: EffectSet,
     /// What a next flight is for.
     pub open: OpenQuestions,
@@ -52,6 +55,9 @@ pub enum DiagnoseError {
     /// The vehicle is refused.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
+    /// The law that was found is refused.
+    #[error(transparent)]
+    Law(#[from] LawError),
     /// Nothing can be fitted.
     #[error("the flights hold nothing that a model could be compared with")]
     Nothing,
@@ -119,7 +125,21 @@ pub fn diagnose(
     progress("how far");
     let evidence = inquiry.evidence(&found, (turning, scale, scales))?;
     let decision = decide(&evidence);
-    inquiry.diagnosis(found, evidence, decision, progress)
+    let discovered = match settings.discover {
+        true => {
+            progress("which law");
+            inquiry.discover(&found, &evidence, &decision)?
+        }
+        false => None,
+    };
+    let mut diagnosis = inquiry.diagnosis(found, evidence, decision, progress)?;
+    if let Some(Discovered { answer, effects }) = discovered {
+        if answer.named {
+            diagnosis.effects = effects;
+        }
+        diagnosis.answer.take_up_law(answer);
+    }
+    Ok(diagnosis)
 }
 
 /// What predictions are compared by.

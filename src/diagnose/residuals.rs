@@ -15,7 +15,7 @@
 
 use vehicle::effects::EffectId;
 use vehicle::frame::{Attitude, Frd, Ned};
-use vehicle::physics::{Loads, Physics};
+use vehicle::physics::{Environment, Loads, Physics};
 use vehicle::rigid_body::State;
 use vehicle::rotor::Lag;
 use vehicle::{ROTORS, VehicleParams};
@@ -245,7 +245,8 @@ impl Evaluator {
         for (k, (state, loads)) in motion.states.iter().zip(&loads).enumerate() {
             let [volts] = voltage.at(block.middle(k));
             let volts = if flight.channels.voltage { volts } else { self.vehicle.battery.full_v };
-            let environment = physics.environment(volts, Ned::zero());
+            let time = block.middle(k);
+            let environment = Environment { time, ..physics.environment(volts, Ned::zero()) };
             let (linear, angular) = physics.accelerations_under(state, loads, &environment);
             let gained = (motion.velocity[k + 1] - motion.velocity[k]) * (1.0 / CELL_S);
             put(series, VELOCITY, k, (gained - linear).to_array());

@@ -59,16 +59,16 @@ const PRICE: f64 = 3.7;
 /// Draws of the flights (Bayesian bootstrap over blocks) that masses are the mean over.
 const DRAWS: usize = 400;
 /// Share of what the file leaves open that an effect must close to change predictions.
-const CHANGES: f64 = 0.12;
+pub(super) const CHANGES: f64 = 0.12;
 /// Or share of the evidence: the body rate shows a lag that is over before a position tells.
-const CARRIES: f64 = 0.3;
+pub(super) const CARRIES: f64 = 0.3;
 /// The same for all effects together to be a substantial part.
 const SUBSTANTIAL: f64 = 0.2;
 /// Least evidence that counts, nats: odds of twenty thousand to one, for a model that is never
 /// quite right.
 const EVIDENCE: f64 = 10.0;
 /// A gap that is open, in units of what noise alone leaves, beyond four times its scatter.
-const OPEN: f64 = 1.15;
+pub(super) const OPEN: f64 = 1.15;
 /// Probability of gusts where a force looks like turbulence, as other forces may.
 const GUSTS: f64 = 0.7;
 /// Least mass of an effect that would explain the flights as well as what is named.

@@ -3,6 +3,7 @@
 use vehicle::effects::EffectId;
 
 use super::answer::{Answer, EffectAnswer, FullVerdict, Parameter, Verdict};
+use super::law::LawAnswer;
 use super::next_flight::NextFlight;
 use super::reflight::ClosedLoop;
 use super::verdict::Unexplained;
@@ -144,6 +145,57 @@ pub fn next_flight(next: &NextFlight) -> String {
     text
 }
 
+/// A law that was found, in a sentence.
+pub fn law_sentence(law: &LawAnswer) -> String {
+    let formulas: Vec<String> =
+        law.formulas.iter().map(|(at, formula)| format!("{at} = {formula}")).collect();
+    let formulas = formulas.join("; ");
+    let Some(because) = &law.because else {
+        let mut text = format!("A law explains them: {formulas}.");
+        if let (Some([before, after, _]), Some(closure)) = (law.gap, law.closure) {
+            text += &shrinks([before, after], Some(closure));
+        }
+        return text;
+    };
+    format!(
+        "The law that comes nearest is not named, because {because}; it depends on {}.",
+        law.depends_on.join(", ")
+    )
+}
+
+/// The law, its terms, where it is known, and what comes near it.
+fn law(law: &LawAnswer) -> String {
+    let mut text = String::new();
+    for (line, term) in law.terms.iter().enumerate() {
+        let head = if line == 0 { "law" } else { "" };
+        let [low, high] = term.interval.map(short);
+        text += &format!(
+            "{head:10} {}\n{:10}   {} {low} .. {high} {}",
+            term.term, "", term.name, term.unit
+        );
+        if let Some(shape) = term.shape {
+            let [low, high] = shape.interval.map(short);
+            text += &format!(", with {low} .. {high} inside");
+        }
+        text += &format!(" ({:.0} nats)\n", term.evidence);
+    }
+    let range: Vec<String> = law
+        .range
+        .iter()
+        .map(|(quantity, [low, high])| format!("{quantity} {} .. {}", short(*low), short(*high)))
+        .collect();
+    text += &format!("known for  {}\n", range.join(", "));
+    for near in law.nearest.iter().take(1) {
+        text += &format!(
+            "near it    {} with {:.0} nats of evidence; the law has {:.0}\n",
+            near.effects.join(" and "),
+            near.evidence,
+            law.evidence
+        );
+    }
+    text
+}
+
 /// Effects by their ids.
 pub(super) fn listed(effects: impl Iterator<Item = EffectId>) -> String {
     let ids: Vec<&str> = effects.map(EffectId::name).collect();
@@ -252,6 +304,9 @@ pub fn report(answer: &Answer) -> String {
             after.rms(),
             before.rms()
         );
+    }
+    if let Some(found) = &answer.law {
+        text += &law(found);
     }
     if let Some(next) = &answer.next_flight {
         text += &format!("next       {}\n", next_flight(next));

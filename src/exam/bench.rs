@@ -250,6 +250,52 @@ impl Bench {
         self.sorties(&real, true).map(|sortie| Ok(sortie.fly()?.track)).collect()
     }
 
+    /// As many flights more of another programme, after the others.
+    pub(super) fn also_fly(&mut self, draw: &mut Draw, count: usize) {
+        let vigour = Vigour::draw(draw, self.nominal.rotor_radius_m);
+        self.motions.extend(programme(draw, &vigour, Restriction::None, count, self.seconds));
+        let more = self.configs.iter().cycle().take(count).cloned().map(|mut config| {
+            config.battery.charge = draw.within([0.45, 1.0]);
+            config
+        });
+        let more: Vec<SitlConfig> = more.collect();
+        self.configs.extend(more);
+    }
+
+    /// Logs of all flights with a truth.
+    pub(super) fn logs(&self, truth: &Truth) -> Result<Vec<Vec<u8>>, FlightError> {
+        self.logs_in(truth, Condition::Plain)
+    }
+
+    fn logs_in(&self, truth: &Truth, condition: Condition) -> Result<Vec<Vec<u8>>, FlightError> {
+        let real = self.real(truth);
+        let log = |sortie: Sortie<'_>| {
+            let tlog = condition.apply(&sortie.fly()?.tlog, sortie.seed);
+            Ok(self.setting.logged(tlog, sortie.seed))
+        };
+        self.sorties(&real, false).map(log).collect()
+    }
+
+    /// Noise of the reports.
+    pub(super) fn noise(&self) -> ReportNoise {
+        let sensors = self.configs[0].sensors;
+        ReportNoise {
+            position: sensors.position_noise_m,
+            velocity: sensors.velocity_noise_m_s,
+            attitude: sensors.attitude_noise_rad,
+            body_rate: sensors.gyro.noise,
+            specific_force: sensors.accelerometer.noise,
+        }
+    }
+
+    /// The file as it would be, were its numbers right and nothing lacking in it but a truth.
+    pub(super) fn known(&self, truth: &Truth) -> VehicleParams {
+        let beside = self.deviations_beside(truth);
+        let mut known = beside.body(&self.nominal);
+        known.modelled_effects = known.modelled_effects.overlay(&beside.effects());
+        known
+    }
+
     /// Flies the case with a truth that `order` asks for.
     pub(super) fn case(mut self, draw: &mut Draw, order: &Order) -> Result<Case, FlightError> {
         let kind = order.kind;
@@ -303,15 +349,8 @@ impl Bench {
                 };
             }
         }
-        let real = self.real(&truth);
         let condition = order.round_trip.as_ref().map_or(Condition::Plain, |trip| trip.condition);
-        let logs = self
-            .sorties(&real, false)
-            .map(|sortie| {
-                let tlog = condition.apply(&sortie.fly()?.tlog, sortie.seed);
-                Ok(self.setting.logged(tlog, sortie.seed))
-            })
-            .collect::<Result<_, FlightError>>()?;
+        let logs = self.logs_in(&truth, condition)?;
         let verdict = match kind {
             Kind::Null => Verdict::None,
             Kind::Trap if candidates.is_empty() => Verdict::None,
@@ -339,7 +378,6 @@ impl Bench {
         };
         let beside = self.deviations_beside(&truth);
         let names = |ids: &[EffectId]| ids.iter().map(|id| id.name().to_owned()).collect();
-        let sensors = self.configs[0].sensors;
         let strength = whole.as_ref().map_or_else(Strength::none, |whole| whole.strength.clone());
         let file_numbers = whole.filter(|_| self.world == World::Builders);
         let mut deviations = beside.listed(&self.nominal);
@@ -369,15 +407,7 @@ impl Bench {
             nominal_mass_kg: self.nominal.mass,
             tags: std::mem::take(&mut self.notes),
         };
-        let noise = ReportNoise {
-            position: sensors.position_noise_m,
-            velocity: sensors.velocity_noise_m_s,
-            attitude: sensors.attitude_noise_rad,
-            body_rate: sensors.gyro.noise,
-            specific_force: sensors.accelerometer.noise,
-        };
-        let mut known = beside.body(&self.nominal);
-        known.modelled_effects = known.modelled_effects.overlay(&beside.effects());
+        let (noise, known) = (self.noise(), self.known(&truth));
         let truth = if truth.foreign.is_some() { EffectSet::new() } else { truth.effects };
         Ok(Case { nominal: self.nominal, known, logs, truth, noise, key })
     }

@@ -16,6 +16,7 @@ pub mod grade;
 pub mod ground;
 pub mod interval;
 pub mod key;
+pub mod laws;
 pub mod magnitude;
 pub mod motion;
 pub mod programme;

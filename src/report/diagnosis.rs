@@ -1,5 +1,6 @@
 //! The page of a diagnosis: verdict first, then where, which, how far, what the logs cannot tell.
 
+mod law;
 mod next_flight;
 mod picture;
 mod reflight;
@@ -38,6 +39,9 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
         "Evidence that each hypothesis adds to the file's numbers (delay, lag, thrust, trims, biases within their tolerances), on the flights of the fit; and how much likelier it makes the flights held out. An effect must also make better open-loop predictions.",
         &which(answer),
     );
+    if let Some(found) = &answer.law {
+        page.section("The law", law::INTRODUCTION, &law::html(found));
+    }
     if let Some(gap) = &answer.gap {
         page.section(
             "How far",

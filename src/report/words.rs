@@ -52,7 +52,12 @@ pub fn effects(effects: &EffectSet) -> String {
             .collect();
         format!("{id} ({})", parameters.join(", "))
     };
-    let all: Vec<String> = effects.iter().map(one).collect();
+    let law = |law: &vehicle::law::Law| {
+        let formulas = law.text().formulas.iter();
+        let formulas: Vec<String> = formulas.map(|(at, text)| format!("{at} = {text}")).collect();
+        format!("law {} ({})", law.name(), formulas.join("; "))
+    };
+    let all: Vec<String> = effects.iter().map(one).chain(effects.laws().iter().map(law)).collect();
     if all.is_empty() { "no effects".to_owned() } else { all.join(", ") }
 }
 

@@ -97,6 +97,8 @@ impl<F: Precision> Batch<F> {
                     outputs: [zero; ROTORS],
                     air_velocity: calm.air_velocity.to_array().map(|v| [F::from_f64(v); LANES]),
                     voltage_factor: [F::from_f64(calm.voltage_factor); LANES],
+                    voltage: [F::from_f64(calm.voltage); LANES],
+                    time: 0.0,
                 },
                 batteries: vec![battery.clone(); packs],
                 turbulence: gusts.map(turbulence).unwrap_or_default(),
@@ -197,6 +199,7 @@ impl<F: Precision> Block<F> {
                 values[lane] = F::from_f64(value);
             }
         }
+        self.held.time = count as f64 * Plant::STEP;
         if count.is_multiple_of(BATTERY_STEPS) {
             self.draw_power(model);
         }
@@ -254,6 +257,8 @@ impl<F: Precision> Block<F> {
             air_velocity: Ned::from(self.held.air_velocity.each_ref().map(|v| v[lane].to_f64())),
             voltage_factor: self.held.voltage_factor[lane].to_f64(),
             floor: model.floor_down,
+            voltage: self.held.voltage[lane].to_f64(),
+            time: self.held.time,
         }
     }
 
@@ -265,6 +270,7 @@ impl<F: Precision> Block<F> {
             battery.advance(model.power.power(&thrusts), BATTERY_STEPS as f64 * Plant::STEP);
             let factor = model.physics.voltage_factor(battery.voltage());
             self.held.voltage_factor[lane] = F::from_f64(factor);
+            self.held.voltage[lane] = F::from_f64(battery.voltage());
         }
     }
 }

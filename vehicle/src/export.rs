@@ -149,6 +149,9 @@ impl Model<'_> {
         for id in lost {
             self.lose(format!("the effect {}", id.name()));
         }
+        for law in self.vehicle.modelled_effects.laws() {
+            self.lose(format!("the law {}", law.name()));
+        }
     }
 
     /// One thrust and one torque stand for all rotors.

@@ -31,6 +31,7 @@ pub mod effects;
 pub mod export;
 pub mod foreign;
 pub mod frame;
+pub mod law;
 mod params;
 pub mod physics;
 pub mod plant;

@@ -10,6 +10,7 @@ use crate::effects::{
     ThrustCurve, ThrustEffect, ThrustScale, TranslationalLift, VortexRing, Wind, Wrench, YawTorque,
 };
 use crate::frame::{Frd, Ned};
+use crate::law::{Laws, Needed, QUANTITIES, Quantity, Rotors};
 use crate::params::{ROTORS, VehicleError, VehicleParams};
 use crate::rigid_body::{RigidBody, State};
 use crate::rotor::Allocation;
@@ -80,6 +81,10 @@ pub struct Environment {
     pub voltage_factor: f64,
     /// Down coordinate of the floor, m.
     pub floor: f64,
+    /// The pack's terminal voltage, V, as laws read it.
+    pub voltage: f64,
+    /// Time since the start, s, as laws read it.
+    pub time: f64,
 }
 
 /// What the rotors do to the body, before aerodynamic factors.
@@ -107,6 +112,10 @@ impl<T: Scalar> Loads<T> {
     pub fn tilting_moments(&self) -> [T; 2] {
         let [roll, pitch, _] = self.moment;
         [roll, pitch]
+    }
+
+    fn as_quantities(&self) -> Rotors<T> {
+        Rotors { thrust: self.thrust, speed_ratio: self.rotor_speed_ratio, moment: self.moment }
     }
 
     /// The rotors' angular momentum along down in N m s.
@@ -162,6 +171,7 @@ pub struct Physics {
     sag: Option<BatterySag>,
     wind: Ned,
     aerodynamics: Option<Aerodynamics>,
+    laws: Option<Laws>,
     /// Angular momentum along down of rotor i at full speed, N m s, if it acts.
     spin_momentum_max: Option<[f64; ROTORS]>,
     needs_rotor_speed: bool,
@@ -190,6 +200,7 @@ impl Physics {
         constants.apply::<Inertia>(effects);
         constants.apply::<ComOffset>(effects);
         constants.apply::<YawTorque>(effects);
+        constants.motor_time_constant += effects.laws().iter().map(|law| law.lag_s()).sum::<f64>();
 
         let linear_drag =
             vehicle.linear_drag_n_per_m_s.filter(|_| !overlay.contains(RotorDrag::ID));
@@ -211,6 +222,10 @@ impl Physics {
         );
         let disc = std::f64::consts::PI * vehicle.rotor_radius_m * vehicle.rotor_radius_m;
         let weight = vehicle.mass * vehicle.gravity;
+        let arms = constants.rotors.iter().map(|rotor| rotor.x.hypot(rotor.y));
+        let arm = arms.fold(0.0, f64::max);
+        let laws = Laws::new(effects.laws(), weight, arm, vehicle.battery.full_v);
+        let is_turned = laws.as_ref().is_some_and(|laws| laws.reads(Quantity::RotorSpeed));
         Ok(Self {
             body: RigidBody::new(constants.mass, constants.inertia, vehicle.gravity),
             constants,
@@ -219,7 +234,10 @@ impl Physics {
             sag: effects.get(),
             wind: effects.get::<Wind>().map_or(Ned::zero(), |wind| wind.velocity),
             aerodynamics: (!aerodynamics.is_empty()).then_some(aerodynamics),
-            needs_rotor_speed: aerodynamics.needs_rotor_speed() || spin_momentum_max.is_some(),
+            needs_rotor_speed: aerodynamics.needs_rotor_speed()
+                || spin_momentum_max.is_some()
+                || is_turned,
+            laws,
             spin_momentum_max,
             speed_ratio_scale: 1.0 / (ROTORS as f64 * vehicle.hover_thrust.sqrt()),
             air_density: vehicle.air_density,
@@ -250,17 +268,21 @@ impl Physics {
 
     /// Whether forces depend on the velocity relative to the air.
     pub fn has_aerodynamics(&self) -> bool {
-        self.aerodynamics.is_some()
+        self.aerodynamics.is_some() || self.laws.is_some()
     }
 
-    /// Whether the pack's voltage acts on the rotors.
+    /// Whether the pack's voltage acts on the rotors or the body.
     pub fn depends_on_voltage(&self) -> bool {
-        self.sag.is_some()
+        let is_read = |laws: &Laws| laws.reads(Quantity::Voltage) || laws.reads(Quantity::Charge);
+        self.sag.is_some() || self.laws.as_ref().is_some_and(is_read)
     }
 
     /// Whether neither the air nor the rotors' angular momentum acts on the body, but thrust alone.
     pub(crate) fn is_bare(&self) -> bool {
-        self.aerodynamics.is_none() && !self.needs_rotor_speed && self.curve.is_none()
+        self.aerodynamics.is_none()
+            && self.laws.is_none()
+            && !self.needs_rotor_speed
+            && self.curve.is_none()
     }
 
     /// The physics of a vehicle that [is bare](Self::is_bare), which a compiler sees.
@@ -268,6 +290,7 @@ impl Physics {
     pub(crate) fn bare(&self) -> Self {
         Self {
             aerodynamics: None,
+            laws: None,
             spin_momentum_max: None,
             needs_rotor_speed: false,
             curve: None,
@@ -275,7 +298,7 @@ impl Physics {
         }
     }
 
-    /// The same physics with every effect in its place, those that do not act with neutral numbers:
+    /// The same physics but laws with every effect in its place, those that do not act with neutral numbers:
     /// without a branch on which ones act, which would keep a loop from being vectorised.
     #[inline(always)]
     pub(crate) fn dense(&self) -> Self {
@@ -295,8 +318,20 @@ impl Physics {
             spin_momentum_max: Some(self.spin_momentum_max.unwrap_or_default()),
             needs_rotor_speed: true,
             curve: Some(self.curve.unwrap_or(Effect::neutral())),
+            laws: None,
             ..self.clone()
         }
+    }
+
+    /// [Dense](Self::dense) physics with the laws, each of which is a program of its own.
+    #[inline(always)]
+    pub(crate) fn lawful(&self) -> Self {
+        Self { laws: self.laws.clone(), ..self.dense() }
+    }
+
+    /// Whether laws act on the body.
+    pub(crate) fn has_laws(&self) -> bool {
+        self.laws.is_some()
     }
 
     /// Whether the rotors' angular momentum acts on the body.
@@ -310,6 +345,8 @@ impl Physics {
             air_velocity: self.wind + gust,
             voltage_factor: self.voltage_factor(voltage),
             floor: 0.0,
+            voltage,
+            time: 0.0,
         }
     }
 
@@ -418,6 +455,9 @@ impl Physics {
         if let Some(aerodynamics) = &self.aerodynamics {
             self.add_aerodynamics(aerodynamics, state, loads, env, &mut wrench);
         }
+        if let Some(laws) = &self.laws {
+            laws.add(state, &loads.as_quantities(), env, &mut wrench);
+        }
         if self.spin_momentum_max.is_some() {
             let [p, q, _] = state.body_rate.to_array();
             let h = loads.spin_momentum;
@@ -477,6 +517,18 @@ impl Physics {
         if let Some(damping) = aerodynamics.angular_damping {
             wrench.moment += state.body_rate.scale_by(damping.map(|k| T::from(-k)));
         }
+    }
+
+    /// The quantities that laws name.
+    pub fn quantities(
+        &self,
+        needed: Needed,
+        state: &State,
+        loads: &Loads<f64>,
+        env: &Environment,
+    ) -> [f64; QUANTITIES] {
+        let rotors = loads.as_quantities();
+        crate::law::values(needed, state, &rotors, env, self.full_voltage)
     }
 
     /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] under

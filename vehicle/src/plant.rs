@@ -61,6 +61,8 @@ pub struct Plant {
     /// What the rotors do at this instant.
     loads: Loads<f64>,
     steps: u64,
+    /// When the first step began, s.
+    began: f64,
 }
 
 impl Plant {
@@ -112,6 +114,7 @@ impl Plant {
             outputs: [0.0; ROTORS],
             environment,
             steps: 0,
+            began: 0.0,
         })
     }
 
@@ -187,6 +190,7 @@ impl Plant {
             turbulence.advance(rng);
             self.environment.air_velocity = self.physics.wind() + turbulence.velocity();
         }
+        self.environment.time = self.began + self.time();
         self.advance_foreign();
         if self.steps.is_multiple_of(BATTERY_STEPS) {
             self.draw_power();
@@ -221,6 +225,7 @@ impl Plant {
     /// Lets the pack's voltage act on the rotors, without a reaction on the body.
     fn apply_voltage(&mut self) {
         if self.physics.depends_on_voltage() {
+            self.environment.voltage = self.battery.voltage();
             self.environment.voltage_factor = self.physics.voltage_factor(self.battery.voltage());
             self.loads = self.loads_of(&self.rotors);
         }
@@ -293,6 +298,12 @@ impl Plant {
     pub fn hold_voltage(&mut self, voltage: f64) {
         self.battery.hold(voltage);
         self.apply_voltage();
+    }
+
+    /// Lets the clock that laws read begin at `time`, s.
+    pub fn set_clock(&mut self, time: f64) {
+        self.began = time - self.time();
+        self.environment.time = time;
     }
 
     /// The pack is down to this charge, 0..1, at once.

@@ -34,6 +34,10 @@ pub struct Held<F> {
     pub air_velocity: [Lanes<F>; 3],
     /// Factor of the pack's voltage on thrust.
     pub voltage_factor: Lanes<F>,
+    /// The pack's terminal voltage, V.
+    pub voltage: Lanes<F>,
+    /// Time since the start, s.
+    pub time: f64,
 }
 
 /// What the equations of motion move.

@@ -93,22 +93,26 @@ precisions! {
 #[inline(always)]
 fn step<F: Real>(motion: &mut Motion<F>, held: &Held<F>, model: &Model) {
     if model.physics.is_bare() {
-        step_lanes::<F, true>(motion, held, model);
+        step_lanes(motion, held, model, &model.physics.bare());
+    } else if model.physics.has_laws() {
+        step_lanes(motion, held, model, &model.physics.lawful());
     } else {
-        step_lanes::<F, false>(motion, held, model);
+        step_lanes(motion, held, model, &model.physics.dense());
     }
 }
 
-/// `BARE` leaves out what no bare vehicle has, which the loop would else compute and drop.
+/// `physics` is the model's, without what a bare vehicle does not have, and the loop would else
+/// compute and drop.
 #[inline(always)]
-fn step_lanes<F: Real, const BARE: bool>(motion: &mut Motion<F>, held: &Held<F>, model: &Model) {
-    let physics = if BARE { &model.physics.bare() } else { &model.physics.dense() };
+fn step_lanes<F: Real>(motion: &mut Motion<F>, held: &Held<F>, model: &Model, physics: &Physics) {
     let is_sudden = model.lag.is_none();
     for lane in 0..LANES {
         let environment = Environment {
             air_velocity: Ned::from(held.air_velocity.each_ref().map(|v| v[lane].to_f64())),
             voltage_factor: held.voltage_factor[lane].to_f64(),
             floor: model.floor_down,
+            voltage: held.voltage[lane].to_f64(),
+            time: held.time,
         };
         let outputs = held.outputs.each_ref().map(|values| Lane(values[lane]));
         let rotors = motion.rotors(lane);

@@ -39,7 +39,7 @@ pub enum EffectsRefused {
 
 impl EffectSet {
     /// What is asked for on a command line: an effects file, and arguments such as
-    /// `motor_lag:tau_s=0.03`, which go over it.
+    /// `motor_lag:tau_s=0.03` or `@FILE`, another effects file, which go over it.
     ///
     /// # Errors
     /// A file that cannot be read, is not TOML, or holds an effect that is refused; such an
@@ -47,6 +47,10 @@ impl EffectSet {
     pub fn requested(file: Option<&Path>, arguments: &[String]) -> Result<Self, EffectsRefused> {
         let mut effects = file.map_or(Ok(Self::new()), Self::load)?;
         for argument in arguments {
+            if let Some(path) = argument.strip_prefix('@') {
+                effects = effects.overlay(&Self::load(Path::new(path))?);
+                continue;
+            }
             effects.insert_argument(argument).map_err(|source| EffectsRefused::Argument {
                 argument: argument.clone(),
                 source,

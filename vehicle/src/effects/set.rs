@@ -9,14 +9,20 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::spec::{Kind, Parameter, Slots};
 use super::{COUNT, Effect, EffectId};
+use crate::law::{LAWS_MAX, Law, LawError, LawText};
 
 /// Effects that are switched on, with their parameters, each within its accepted range.
 ///
-/// In files a map from id to parameters: `{"rotor_drag": {"d_xy": 0.02, "d_z": 0.01}}`.
+/// In files a map from id to parameters: `{"rotor_drag": {"d_xy": 0.02, "d_z": 0.01}}`, with laws by
+/// their names under `law`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EffectSet {
     values: [Option<Slots>; COUNT],
+    laws: Vec<Law>,
 }
+
+/// The key that laws are under.
+const LAW: &str = "law";
 
 /// A parameter's value as written in a file or on the command line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -76,6 +82,12 @@ pub enum EffectError {
         /// What is there.
         found: String,
     },
+    /// A formula is refused.
+    #[error(transparent)]
+    Law(#[from] LawError),
+    /// There are too many formulas.
+    #[error("more than {LAWS_MAX} laws")]
+    TooManyLaws,
     /// The text does not follow `id:key=value,key=value`.
     #[error("effect argument {argument:?}: {reason}; write id:key=value,key=[x,y,z]")]
     Syntax {
@@ -99,7 +111,30 @@ impl EffectSet {
 
     /// Whether no effect is on.
     pub fn is_empty(&self) -> bool {
-        self.values.iter().all(Option::is_none)
+        self.values.iter().all(Option::is_none) && self.laws.is_empty()
+    }
+
+    /// The laws that act, in the order of their names.
+    pub fn laws(&self) -> &[Law] {
+        &self.laws
+    }
+
+    /// Lets a law act, or replaces the one of its name.
+    ///
+    /// # Errors
+    /// More than [`LAWS_MAX`].
+    pub fn insert_law(&mut self, law: Law) -> Result<(), EffectError> {
+        match self.laws.binary_search_by(|own| own.name().cmp(law.name())) {
+            Ok(index) => self.laws[index] = law,
+            Err(_) if self.laws.len() >= LAWS_MAX => return Err(EffectError::TooManyLaws),
+            Err(index) => self.laws.insert(index, law),
+        }
+        Ok(())
+    }
+
+    /// The same without laws.
+    pub fn without_laws(&self) -> Self {
+        Self { values: self.values, laws: Vec::new() }
     }
 
     /// Whether this effect is on.
@@ -193,21 +228,32 @@ impl EffectSet {
         self.values[id as usize] = None;
     }
 
-    /// These effects, with those of `other` added or put in their places.
+    /// These effects, with those of `other` added or put in their places. Of laws beyond
+    /// [`LAWS_MAX`], the last of `other` are left out.
     pub fn overlay(&self, other: &EffectSet) -> EffectSet {
         let mut values = self.values;
         for (mine, theirs) in values.iter_mut().zip(other.values) {
             *mine = theirs.or(*mine);
         }
-        Self { values }
+        let mut both = Self { values, laws: self.laws.clone() };
+        for law in &other.laws {
+            let _ = both.insert_law(law.clone());
+        }
+        both
     }
 
     /// Switches on the effect of a command line argument, as `motor_lag:tau_s=0.03` or
-    /// `inertia:scale=[1.2,1.1,1.0]`.
+    /// `inertia:scale=[1.2,1.1,1.0]`, or the law of one line, as `force_x = -0.02[kg/s] * air_x`.
     ///
     /// # Errors
     /// Text that does not follow this form, or whatever [`EffectSet::insert_named`] refuses.
     pub fn insert_argument(&mut self, argument: &str) -> Result<(), EffectError> {
+        if Law::is_line(argument) {
+            let names = std::iter::once(LAW.to_owned()).chain((2..).map(|n| format!("{LAW}_{n}")));
+            let is_free = |name: &String| self.laws.iter().all(|law| law.name() != name);
+            let name = names.take(LAWS_MAX + 1).find(is_free).ok_or(EffectError::TooManyLaws)?;
+            return self.insert_law(Law::from_line(&name, argument)?);
+        }
         let syntax = |reason: String| EffectError::Syntax { argument: argument.to_owned(), reason };
         let (id, list) = argument.split_once(':').unwrap_or((argument, ""));
         let id: EffectId = id.trim().parse()?;
@@ -271,6 +317,11 @@ impl Serialize for EffectSet {
         for (id, slots) in self.iter() {
             map.serialize_entry(id.name(), &Named { id, slots })?;
         }
+        if !self.laws.is_empty() {
+            let laws: BTreeMap<&str, &LawText> =
+                self.laws.iter().map(|law| (law.name(), law.text())).collect();
+            map.serialize_entry(LAW, &laws)?;
+        }
         map.end()
     }
 }
@@ -310,6 +361,13 @@ impl<'de> Deserialize<'de> for EffectSet {
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<EffectSet, A::Error> {
                 let mut set = EffectSet::new();
                 while let Some(name) = map.next_key::<String>()? {
+                    if name == LAW {
+                        for (name, text) in map.next_value::<BTreeMap<String, LawText>>()? {
+                            let law = Law::new(&name, text).map_err(A::Error::custom)?;
+                            set.insert_law(law).map_err(A::Error::custom)?;
+                        }
+                        continue;
+                    }
                     let id: EffectId = name.parse().map_err(A::Error::custom)?;
                     if set.contains(id) {
                         return Err(A::Error::custom(format_args!("effect {id} is given twice")));

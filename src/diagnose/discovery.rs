@@ -1,0 +1,642 @@
+//! Discovery: which formula explains what the catalogue leaves.
+//!
+//! Terms of the [grammar](super::terms) are numbers of the catalogue like any other: free beside the
+//! vehicle file's numbers, in the same equations in weak form, with the same evidence. They join one
+//! at a time, each at the price of having been chosen among all; then each is exchanged for what does
+//! better, and powers and lengths are refined. What comes of it is one more explanation, and the
+//! verdict decides on it as on the others.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use vehicle::VehicleError;
+use vehicle::effects::EffectSet;
+use vehicle::frame::Ned;
+use vehicle::law::{Law, LawText, Needed, Quantity};
+use vehicle::physics::{Environment, Physics};
+use vehicle::rigid_body::State;
+
+use super::answer::Verdict;
+use super::calibration::Calibration;
+use super::evidence::{Evidence, Explained, Found, Gaps};
+use super::explanation::{Explanation, Explanations};
+use super::fit::{Fit, fit_numbers, interval};
+use super::gap::Errors;
+use super::hypothesis::Catalogue;
+use super::inquiry::Inquiry;
+use super::law::{LawAnswer, NearEffect, Shape, TermAnswer};
+use super::linearised::Linearised;
+use super::observed::Observed;
+use super::pipeline::DiagnoseError;
+use super::preparation::{Channels, PreparedFlight};
+use super::series::attitude;
+use super::term::{Factor, Term, law_of, name_of};
+use super::terms::terms;
+use super::verdict::{CARRIES, CHANGES, Decision, OPEN, decide};
+
+/// Most terms of a law.
+const TERMS_MAX: usize = 5;
+/// Steps of the search for a shape; each leaves 0.62 of its range.
+const SHAPE_STEPS: usize = 10;
+/// Rounds in which every term may be exchanged.
+const EXCHANGES: usize = 2;
+/// How often a flight is looked at for what it shows of a quantity, s.
+const LOOK_S: f64 = 0.1;
+/// What the catalogue has that comes nearest: so many.
+const NEAREST: usize = 3;
+
+/// A law that was found.
+pub(super) struct Discovered {
+    /// For the answer.
+    pub answer: LawAnswer,
+    /// The law, and the effects that act beside it.
+    pub effects: EffectSet,
+}
+
+/// Terms beside the effects of an explanation.
+#[derive(Clone)]
+struct Draft {
+    /// Hypotheses of the catalogue.
+    beside: Vec<usize>,
+    /// The terms, with the width of their priors.
+    terms: Vec<(Term, f64)>,
+    /// The fit, to the flights for fitting.
+    fit: Fit,
+    /// Evidence that the fit of the shapes costs, nats.
+    shapes: f64,
+    /// Standard deviations of the shapes.
+    deviations: Vec<f64>,
+    /// Evidence that each term adds to the others, nats.
+    gains: Vec<f64>,
+}
+
+impl Draft {
+    /// The catalogue with its terms, whose numbers come last.
+    fn catalogue(&self, inquiry: &Inquiry<'_>) -> Catalogue {
+        inquiry.catalogue.with_terms(self.terms.clone())
+    }
+
+    /// The numbers that are held by wide priors.
+    fn active(&self, inquiry: &Inquiry<'_>) -> Vec<usize> {
+        active(inquiry.catalogue, &self.beside, self.terms.len())
+    }
+}
+
+/// Numbers of hypotheses, and of terms that follow all of the catalogue's.
+fn active(catalogue: &Catalogue, beside: &[usize], terms: usize) -> Vec<usize> {
+    let own = beside.iter().flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied());
+    let first = catalogue.numbers.len();
+    own.chain(first..first + terms).collect()
+}
+
+impl Inquiry<'_> {
+    /// The law that explains the flights best, as `found` and `evidence` have them; `None` where no
+    /// term is worth its price.
+    pub(super) fn discover(
+        &self,
+        found: &Explanations,
+        evidence: &Evidence,
+        decision: &Decision,
+    ) -> Result<Option<Discovered>, DiagnoseError> {
+        let library = terms(self.case.vehicle, self.channels());
+        let price = (library.len() as f64).ln();
+        let chosen = decision.explanation.checked_sub(1).and_then(|rank| found.sets.get(rank));
+        let starts = std::iter::once(&found.file).chain(chosen);
+        let best = found.best();
+        let everything = self.simulator_of(best, &self.effects_of(best), true)?;
+        let floor = |look: &Observed<'_>| {
+            let floor = everything.floor(look.flights, &found.noise, self.settings.seed);
+            floor.map(|floor| floor.errors)
+        };
+        let floors = [floor(&self.choosing), floor(&self.reported)];
+        let floor_of_all = floor(&self.all);
+        let mut drafts = Vec::new();
+        for start in starts {
+            let Some(draft) = self.draft(start, &library, price) else { continue };
+            let draft = self.pruned(start, draft, floor_of_all.as_ref())?;
+            let explanation = self.explanation(&draft, price);
+            drafts.extend(explanation.map(|explanation| (draft, explanation)));
+        }
+        let best = drafts.into_iter().max_by(|a, b| a.1.score().total_cmp(&b.1.score()));
+        let Some(chosen) = best else { return Ok(None) };
+        self.weigh(evidence, &floors, chosen).map(Some)
+    }
+
+    /// What all logs hold.
+    fn channels(&self) -> Channels {
+        let all = |has: fn(&Channels) -> bool| self.case.fitted.iter().all(|f| has(&f.channels));
+        Channels {
+            velocity: all(|c| c.velocity),
+            attitude: all(|c| c.attitude),
+            body_rate: all(|c| c.body_rate),
+            specific_force: all(|c| c.specific_force),
+            outputs: all(|c| c.outputs),
+            setpoint: all(|c| c.setpoint),
+            voltage: all(|c| c.voltage),
+            rotor_speed: all(|c| c.rotor_speed),
+        }
+    }
+
+    /// Terms beside the effects of `start`, chosen on the flights for fitting.
+    fn draft(&self, start: &Explanation, library: &[(Term, f64)], price: f64) -> Option<Draft> {
+        let catalogue = self.catalogue.with_terms(library.to_vec());
+        let observed = self.fitted.by(&catalogue);
+        let first = self.catalogue.numbers.len();
+        let mut values = start.fit.values.clone();
+        values.resize(catalogue.numbers.len(), 0.0);
+        let numbers: Vec<usize> = (0..catalogue.numbers.len()).collect();
+        let about = Linearised::new(&observed, &values, &numbers)?;
+        let beside = start.fit.hypotheses.clone();
+        let own = active(self.catalogue, &beside, 0);
+        let evidence = |set: &[usize]| -> Option<f64> {
+            let active: Vec<usize> =
+                own.iter().copied().chain(set.iter().map(|t| first + t)).collect();
+            Some(about.solve(&catalogue, observed.counts(), &active)?.evidence)
+        };
+        // What is added to, or put into the place of, the last of a set.
+        let best_beside = |set: &[usize]| -> Option<(usize, f64)> {
+            let others = (0..library.len()).into_par_iter().filter(|t| !set.contains(t));
+            let with = others.filter_map(|term| {
+                let joint: Vec<usize> = set.iter().copied().chain([term]).collect();
+                Some((term, evidence(&joint)?))
+            });
+            with.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+        };
+        let none = evidence(&[])?;
+        let (mut set, mut now) = (Vec::new(), none);
+        while set.len() < TERMS_MAX {
+            let Some((term, with)) = best_beside(&set) else { break };
+            // No law is exact to more than a share of its evidence: what is within that is no term.
+            let least = price.max(Calibration::shipped().law * (now - none));
+            if with - now < least {
+                break;
+            }
+            set.push(term);
+            now = with;
+        }
+        for _ in 0..EXCHANGES {
+            let before = now;
+            for place in 0..set.len() {
+                let mut others = set.clone();
+                others.remove(place);
+                if let Some((term, with)) = best_beside(&others)
+                    && with > now
+                {
+                    others.insert(place, term);
+                    (set, now) = (others, with);
+                }
+            }
+            if now == before {
+                break;
+            }
+        }
+        if set.is_empty() {
+            return None;
+        }
+        let terms = set.iter().map(|term| library[*term].clone()).collect();
+        self.refined(start, terms)
+    }
+
+    /// A draft without terms that change no prediction and carry little of the evidence, as the
+    /// verdict does without such effects. Predictions are of all flights but those reported on: the
+    /// one that chooses may not show what the others do.
+    fn pruned(
+        &self,
+        start: &Explanation,
+        mut draft: Draft,
+        floor: Option<&Errors>,
+    ) -> Result<Draft, DiagnoseError> {
+        let square = |draft: &Draft| -> Result<Option<f64>, VehicleError> {
+            let gaps = self.law_gaps(floor, &self.all, draft)?;
+            Ok(gaps.map(|gaps| [gaps.both.min(gaps.effects).powi(2).max(1.0), gaps.file.powi(2)]))
+                .map(|gaps| {
+                    gaps.map(|[own, file]| own / (file - 1.0).max(2.0 * (OPEN * OPEN - 1.0)))
+                })
+        };
+        while draft.terms.len() > 1 {
+            let all = square(&draft)?;
+            let total: f64 = draft.gains.iter().sum();
+            let mut least: Option<(f64, Draft)> = None;
+            for index in 0..draft.terms.len() {
+                if draft.gains[index] > CARRIES * total {
+                    continue;
+                }
+                let mut terms = draft.terms.clone();
+                terms.remove(index);
+                let Some(less) = self.refined(start, terms) else { continue };
+                let share = square(&less)?.zip(all).map_or(0.0, |(less, all)| less - all);
+                if share < CHANGES && least.as_ref().is_none_or(|(least, _)| share < *least) {
+                    least = Some((share, less));
+                }
+            }
+            match least {
+                Some((_, less)) => draft = less,
+                None => break,
+            }
+        }
+        Ok(draft)
+    }
+
+    /// The terms with their powers and lengths refined, fitted.
+    fn refined(&self, start: &Explanation, mut terms: Vec<(Term, f64)>) -> Option<Draft> {
+        let beside = &start.fit.hypotheses;
+        let look = Shaping { inquiry: self, start, about: self.nuisances(start)? };
+        let (mut shapes, mut deviations) = (0.0, vec![0.0; terms.len()]);
+        for index in 0..terms.len() {
+            let Some((shape, [low, high])) = terms[index].0.factor.shape() else { continue };
+            let unrefined = terms.clone();
+            let with = |shape: f64| -> Option<f64> {
+                let mut terms = unrefined.clone();
+                terms[index].0.factor = terms[index].0.factor.shaped(shape);
+                look.evidence(&terms)
+            };
+            let width = if shape < 1.0 { shape.abs().max(0.5) } else { 1.0 };
+            let range = [(shape - width).max(low), (shape + width).min(high)];
+            let Some((shape, top)) = greatest(range, &with) else { continue };
+            terms[index].0.factor = terms[index].0.factor.shaped(shape);
+            // A number that was fitted costs what it was narrowed down by, as every other does.
+            let step = 0.02 * (high - low);
+            let beside = with(shape - step).zip(with(shape + step));
+            let bend = beside.map_or(0.0, |(a, b)| (2.0 * top - a - b) / (step * step));
+            let deviation = if bend > 0.0 { bend.powf(-0.5) } else { high - low };
+            let narrowed = (deviation * std::f64::consts::TAU.sqrt() / (high - low)).min(1.0).ln();
+            // A plain factor does without.
+            let plain = |factor: Factor| -> Option<(f64, Factor)> {
+                let mut terms = terms.clone();
+                terms[index].0.factor = factor;
+                Some((look.evidence(&terms)?, factor))
+            };
+            let simpler = match terms[index].0.factor {
+                Factor::Power(quantity, _) => vec![Factor::One, Factor::Quantity(quantity)],
+                _ => Vec::new(),
+            };
+            let simpler = simpler.into_iter().filter_map(plain).max_by(|a, b| a.0.total_cmp(&b.0));
+            match simpler {
+                Some((evidence, factor)) if evidence > top + narrowed => {
+                    terms[index].0.factor = factor;
+                }
+                _ => {
+                    shapes += narrowed;
+                    deviations[index] = deviation;
+                }
+            }
+        }
+        terms.dedup_by(|a, b| a.0 == b.0);
+        deviations.truncate(terms.len());
+        let gains = (0..terms.len())
+            .map(|index| {
+                let mut less = terms.clone();
+                less.remove(index);
+                Some(look.evidence(&terms)? - look.evidence(&less)?)
+            })
+            .collect::<Option<Vec<f64>>>()?;
+        let fit = self.fitted_terms(&self.fitted, &start.fit, beside, &terms)?;
+        Some(Draft { beside: beside.clone(), terms, fit, shapes, deviations, gains })
+    }
+
+    /// Derivatives by all of the catalogue's numbers where an explanation has them.
+    fn nuisances(&self, start: &Explanation) -> Option<Linearised> {
+        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
+        Linearised::new(&self.fitted, &start.fit.values, &numbers)
+    }
+
+    /// Terms beside hypotheses, fitted to flights without linearisation, from where `from` has the
+    /// other numbers.
+    fn fitted_terms(
+        &self,
+        flights: &Observed<'_>,
+        from: &Fit,
+        beside: &[usize],
+        terms: &[(Term, f64)],
+    ) -> Option<Fit> {
+        let catalogue = self.catalogue.with_terms(terms.to_vec());
+        let observed = flights.by(&catalogue);
+        let active = active(self.catalogue, beside, terms.len());
+        let mut values = from.values.clone();
+        values.resize(catalogue.numbers.len(), 0.0);
+        let numbers: Vec<usize> = (0..catalogue.numbers.len()).collect();
+        let about = Linearised::new(&observed, &values, &numbers)?;
+        let linear = about.solve(&catalogue, observed.counts(), &active)?;
+        let start = active.iter().map(|number| (*number, linear.values[*number])).collect();
+        fit_numbers(&observed, &about, (beside, &active), &[start])
+    }
+
+    /// A draft as an explanation: its terms have been chosen, which has its price.
+    fn explanation(&self, draft: &Draft, price: f64) -> Option<Explanation> {
+        let catalogue = draft.catalogue(self);
+        let [fitted, choosing] = [&self.fitted, &self.choosing].map(|look| look.by(&catalogue));
+        let chance = price * draft.terms.len() as f64 - draft.shapes;
+        Explanation::new(draft.fit.clone(), chance, &fitted, &choosing)
+    }
+
+    /// A draft among the other explanations, and its answer.
+    fn weigh(
+        &self,
+        evidence: &Evidence,
+        floors: &[Option<Errors>; 2],
+        (draft, explanation): (Draft, Explanation),
+    ) -> Result<Discovered, DiagnoseError> {
+        let catalogue = draft.catalogue(self);
+        let name = name_of(&self.case.vehicle.modelled_effects);
+        let mut explained = Explained {
+            effects: self.names(&draft),
+            blocks: explanation.blocks.clone(),
+            ..Explained::default()
+        };
+        explained.effects.push(name.clone());
+        let first = self.catalogue.numbers.len();
+        explained.numbers = (first..catalogue.numbers.len())
+            .map(|index| Found {
+                effect: name.clone(),
+                name: catalogue.numbers[index].target.name(),
+                value: draft.fit.values[index],
+                deviation: draft.fit.deviation[index],
+                magnitude: catalogue.numbers[index].magnitude,
+                ..Found::default()
+            })
+            .collect();
+        let reported = |draft: &Draft| self.law_gaps(floors[1].as_ref(), &self.reported, draft);
+        explained.choosing = self.law_gaps(floors[0].as_ref(), &self.choosing, &draft)?;
+        explained.reported = reported(&draft)?;
+        // Where a flight shows no gap, and the law makes none, its predictions tell nothing: noise
+        // alone would say which is the better one. Its equations do.
+        let is_small = |gap: Option<f64>| gap.is_none_or(|gap| gap < OPEN);
+        if is_small(evidence.shipped[0]) && is_small(explained.choosing.map(|gaps| gaps.effects)) {
+            explained.choosing = None;
+        }
+        let mut with = evidence.clone();
+        with.explanations.push(explained);
+        let decision = decide(&with);
+        let index = with.explanations.len() - 1;
+        let is_chosen = decision.explanation == index && decision.verdict == Verdict::Effect;
+        let scores = with.scores();
+
+        // On all flights but those reported on.
+        let refit = self.fitted_terms(&self.all, &draft.fit, &draft.beside, &draft.terms);
+        let refit = Draft { fit: refit.unwrap_or_else(|| draft.fit.clone()), ..draft };
+        let after = reported(&refit)?;
+        let (law, effects) = self.written(&refit, &name)?;
+        let shipped = evidence.shipped[1];
+        let gap = shipped.zip(after).map(|(before, after)| [before, after.effects, after.both]);
+        let because = match (is_chosen, decision.explanation) {
+            (true, _) => None,
+            (false, 0) => Some("it predicts the flights held out no better than the vehicle file's numbers do within their tolerances".to_owned()),
+            (false, other) if other == index => {
+                Some("what it leaves of the gap makes another cause likelier".to_owned())
+            }
+            (false, other) => {
+                let effects = with.explanations[other].effects.join(" and ");
+                Some(format!("{effects} of the catalogue does as well"))
+            }
+        };
+        let mut order: Vec<usize> = (1..index).collect();
+        order.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]));
+        let nearest = order.into_iter().take(NEAREST).map(|rank| NearEffect {
+            effects: with.explanations[rank].effects.clone(),
+            evidence: scores[rank],
+        });
+        let mut depends_on: Vec<Quantity> =
+            refit.terms.iter().flat_map(|(term, _)| term.quantities()).collect();
+        depends_on.sort_unstable();
+        depends_on.dedup();
+        let answer = LawAnswer {
+            named: is_chosen,
+            because,
+            probability: decision.masses.get(index).copied().unwrap_or(0.0)
+                * (1.0 - decision.outside),
+            formulas: law.text().formulas.clone(),
+            terms: self.terms_of(&refit),
+            depends_on: depends_on.into_iter().map(Quantity::name).collect(),
+            range: law.text().range.clone(),
+            evidence: scores[index],
+            beside: self.names(&refit),
+            nearest: nearest.collect(),
+            gap,
+            closure: gap.filter(|[before, ..]| *before > 1.05).map(|[b, a, _]| (b - a) / (b - 1.0)),
+            law,
+        };
+        Ok(Discovered { answer, effects })
+    }
+
+    /// Effects beside a law.
+    fn names(&self, draft: &Draft) -> Vec<String> {
+        let effects = draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect);
+        effects.map(|effect| effect.name().to_owned()).collect()
+    }
+
+    /// Terms as they are told, and written with the same names.
+    fn terms_of(&self, draft: &Draft) -> Vec<TermAnswer> {
+        let first = self.catalogue.numbers.len();
+        let mut terms: Vec<TermAnswer> = draft
+            .terms
+            .iter()
+            .enumerate()
+            .map(|(index, (term, _))| {
+                let value = draft.fit.values[first + index];
+                let deviation =
+                    Calibration::shipped().deviation(draft.fit.deviation[first + index], value);
+                let shape = term.factor.shape().map(|(value, _)| Shape {
+                    value,
+                    interval: interval(value, draft.deviations[index]),
+                });
+                TermAnswer {
+                    term: term.in_words(),
+                    name: format!("c{}", index + 1),
+                    value,
+                    interval: interval(value, deviation),
+                    unit: term.unit().to_string(),
+                    shape,
+                    evidence: draft.gains[index],
+                }
+            })
+            .collect();
+        terms.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        terms
+    }
+
+    /// The law with what it is known for, and the effects beside it.
+    fn written(&self, draft: &Draft, name: &str) -> Result<(Law, EffectSet), DiagnoseError> {
+        let first = self.catalogue.numbers.len();
+        let coefficients = draft.terms.iter().zip(&draft.fit.values[first..]);
+        let text = law_of(coefficients.map(|((term, _), value)| (term, *value)));
+        let mut text: LawText = text.unwrap_or_default();
+        text.about = Some("written by downwash diagnose --discover".to_owned());
+        text.intervals_90 =
+            self.terms_of(draft).into_iter().map(|term| (term.name, term.interval)).collect();
+        text.range = self.support(draft)?;
+        let law = Law::new(name, text)?;
+        let which: Vec<_> =
+            draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
+        let mut effects = self.catalogue.effects(&draft.fit.values, Some(&which));
+        // A name that is free in a set that is nearly empty.
+        let _ = effects.insert_law(law.clone());
+        Ok((law, effects))
+    }
+
+    /// What the flights of the fit show of each quantity that a law reads.
+    fn support(&self, draft: &Draft) -> Result<BTreeMap<String, [f64; 2]>, DiagnoseError> {
+        let all = draft.terms.iter().flat_map(|(term, _)| term.quantities());
+        let needed = all.fold(Needed::default(), Needed::with);
+        let physics = Physics::new(self.case.vehicle, &EffectSet::new())?;
+        let mut range: BTreeMap<String, [f64; 2]> = BTreeMap::new();
+        for flight in self.case.fitted {
+            for span in &flight.spans {
+                let count = ((span.end - span.start) / LOOK_S) as usize;
+                for look in 0..count {
+                    let time = span.start + look as f64 * LOOK_S;
+                    let values = quantities(flight, &physics, needed, time);
+                    // A heading goes round.
+                    for quantity in needed.iter().filter(|q| *q != Quantity::Heading) {
+                        let value = values[quantity as usize];
+                        let [low, high] =
+                            range.entry(quantity.name().to_owned()).or_insert([value; 2]);
+                        (*low, *high) = (low.min(value), high.max(value));
+                    }
+                }
+            }
+        }
+        range.values_mut().flatten().for_each(|end| *end = rounded(*end));
+        Ok(range)
+    }
+
+    /// The gaps with a law and with the file's numbers, as those flights have them.
+    fn law_gaps(
+        &self,
+        floor: Option<&Errors>,
+        look: &Observed<'_>,
+        draft: &Draft,
+    ) -> Result<Option<Gaps>, VehicleError> {
+        let catalogue = draft.catalogue(self);
+        let flights = look.flights;
+        let Some(floor) = floor else { return Ok(None) };
+        let alone = self.simulator(&self.set_of(&catalogue, draft, &draft.fit.values))?;
+        let over = |errors: Errors| errors.over(floor, self.metric);
+        let Some(effects) = alone.errors(flights).map(over) else { return Ok(None) };
+        let values = self.adapted_to(&catalogue, draft, look);
+        let (vehicle, all) = catalogue.vehicle_of(&values);
+        let own: Vec<_> =
+            draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
+        let mut file = EffectSet::new();
+        for (id, slots) in all.iter().filter(|(id, _)| !own.contains(id)) {
+            // It was accepted before.
+            let _ = file.insert(id, *slots);
+        }
+        let gap = |effects: &EffectSet| -> Result<Option<f64>, VehicleError> {
+            let simulator = self.simulator(effects)?.flying(&vehicle, effects)?;
+            Ok(simulator.errors(flights).map(over))
+        };
+        let both = gap(&all)?.zip(gap(&file)?);
+        Ok(both.map(|(both, file)| Gaps { effects, file, both }))
+    }
+
+    /// The values of a draft with the file's numbers as some flights have them.
+    fn adapted_to(&self, catalogue: &Catalogue, draft: &Draft, look: &Observed<'_>) -> Vec<f64> {
+        let observed = look.by(catalogue);
+        let values = &draft.fit.values;
+        let pinned = catalogue.with_pinned(&draft.active(self), values);
+        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
+        let about = Linearised::new(&observed, values, &numbers);
+        let solution = about.and_then(|about| about.solve(&pinned, observed.counts(), &[]));
+        solution.map_or_else(|| values.clone(), |solution| solution.values)
+    }
+
+    /// A law and the effects beside it, without the file's numbers.
+    fn set_of(&self, catalogue: &Catalogue, draft: &Draft, values: &[f64]) -> EffectSet {
+        let own = draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect);
+        let mut set = self.catalogue.effects(values, Some(&own.collect::<Vec<_>>()));
+        let (_, all) = catalogue.vehicle_of(values);
+        for law in all.laws() {
+            let _ = set.insert_law(law.clone());
+        }
+        set
+    }
+}
+
+/// The evidence of terms in other shapes, from derivatives that were taken once.
+struct Shaping<'a> {
+    inquiry: &'a Inquiry<'a>,
+    start: &'a Explanation,
+    about: Linearised,
+}
+
+impl Shaping<'_> {
+    fn evidence(&self, terms: &[(Term, f64)]) -> Option<f64> {
+        let Self { inquiry, start, about } = self;
+        let catalogue = inquiry.catalogue.with_terms(terms.to_vec());
+        let observed = inquiry.fitted.by(&catalogue);
+        let mut values = start.fit.values.clone();
+        values.resize(catalogue.numbers.len(), 0.0);
+        let base = observed.residuals(&values)?;
+        let first = inquiry.catalogue.numbers.len();
+        let columns: Vec<_> = (first..catalogue.numbers.len())
+            .filter_map(|number| Some((number, observed.column(&values, &base, number)?)))
+            .collect();
+        let keep: Vec<usize> = (0..first).collect();
+        let about = about.with(&observed, &values, &base, &keep, &columns);
+        let active = active(inquiry.catalogue, &start.fit.hypotheses, terms.len());
+        Some(about.solve(&catalogue, observed.counts(), &active)?.evidence)
+    }
+}
+
+/// Where a function of one number is greatest, and how great, by golden sections.
+fn greatest(range: [f64; 2], of: &dyn Fn(f64) -> Option<f64>) -> Option<(f64, f64)> {
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    let [mut low, mut high] = range;
+    let mut a = (high - GOLDEN * (high - low), 0.0);
+    let mut b = (low + GOLDEN * (high - low), 0.0);
+    (a.1, b.1) = (of(a.0)?, of(b.0)?);
+    for _ in 0..SHAPE_STEPS {
+        if a.1 > b.1 {
+            (high, b) = (b.0, a);
+            a.0 = high - GOLDEN * (high - low);
+            a.1 = of(a.0)?;
+        } else {
+            (low, a) = (a.0, b);
+            b.0 = low + GOLDEN * (high - low);
+            b.1 = of(b.0)?;
+        }
+    }
+    Some(if a.1 > b.1 { a } else { b })
+}
+
+/// Quantities of a flight as it was reported.
+fn quantities(
+    flight: &PreparedFlight,
+    physics: &Physics,
+    needed: Needed,
+    time: f64,
+) -> [f64; vehicle::law::QUANTITIES] {
+    let state = State {
+        position: flight.position.at(time).into(),
+        velocity: flight.velocity.at(time).into(),
+        attitude: attitude(flight.attitude.at(time)),
+        body_rate: flight.body_rate.at(time).into(),
+    };
+    let [volts] = if flight.channels.voltage { flight.voltage.at(time) } else { [f64::NAN] };
+    let calm = physics.calm();
+    let voltage = if volts.is_finite() { volts } else { calm.voltage };
+    let env = Environment { time, ..physics.environment(voltage, Ned::zero()) };
+    let loads = physics.loads(&flight.outputs.at(time), &env);
+    physics.quantities(needed, &state, &loads, &env)
+}
+
+/// Four significant digits.
+fn rounded(value: f64) -> f64 {
+    if value == 0.0 || !value.is_finite() {
+        return 0.0;
+    }
+    let scale = 10_f64.powf(3.0 - value.abs().log10().floor());
+    (value * scale).round() / scale
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn golden_sections_find_the_top() {
+        let (at, top) = greatest([-1.0, 3.0], &|x| Some(5.0 - (x - 1.3).powi(2))).unwrap();
+        assert!((at - 1.3).abs() < 0.02 && (top - 5.0).abs() < 1e-3, "{at} {top}");
+        assert!(greatest([0.0, 1.0], &|_| None).is_none());
+    }
+}

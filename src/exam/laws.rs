@@ -1,0 +1,223 @@
+//! Cases for the search of laws: vehicles with a law that the catalogue does not have, or with none,
+//! flown by the exam's programme and on another mission.
+
+use std::collections::BTreeMap;
+
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::law::{Law, LawText};
+
+use super::bench::{Bench, Truth};
+use super::case::{CaseError, Kind, Order, Settings};
+use super::draw::{Draw, rounded};
+use crate::diagnose::noise::ReportNoise;
+
+/// Draws until one flies.
+const ATTEMPTS: u64 = 8;
+/// Flights of the mission that no law is made from.
+const MISSION: usize = 2;
+/// Force of a law at 2 m/s over the weight, least and most; a moment, over what as much makes at the
+/// rotors' arm.
+const SHARES: [f64; 2] = [0.03, 0.15];
+const MOMENT: f64 = 0.02;
+
+/// Kinds of laws, each with what it depends on. The last three are not of the search's grammar.
+const KINDS: [(&str, &[&str]); 14] = [
+    ("drag to a power", &["air"]),
+    ("drag of plates", &["air"]),
+    ("linear and quadratic drag", &["air"]),
+    ("vertical drag", &["air"]),
+    ("force across a turn", &["air", "yaw rate"]),
+    ("side force of a turn", &["yaw rate"]),
+    ("lever", &["air"]),
+    ("lift to a power", &["air"]),
+    ("decay with height", &["height"]),
+    ("drag along one axis", &["air"]),
+    ("sagging thrust", &["voltage"]),
+    ("saturating drag", &["air"]),
+    ("saturating lift", &["air"]),
+    ("drag that grows as an exponential", &["air"]),
+];
+
+/// A law that was drawn.
+#[derive(Clone, Debug)]
+pub struct DrawnLaw {
+    /// Its kind.
+    pub kind: &'static str,
+    /// What it depends on, by [`variables`].
+    pub variables: &'static [&'static str],
+    /// The law.
+    pub law: Law,
+}
+
+/// What quantities of a law are, for a comparison: each velocity is the air's.
+pub fn variables<'a>(quantities: impl IntoIterator<Item = &'a str>) -> Vec<&'static str> {
+    let of = |name: &str| match name {
+        "rate_z" => "yaw rate",
+        "rate_x" | "rate_y" => "tilting rate",
+        "height" => "height",
+        "heading" => "heading",
+        "voltage" | "voltage_share" => "voltage",
+        "thrust" | "rotor_speed" => "thrust",
+        "rotor_moment_x" | "rotor_moment_y" | "rotor_moment_z" => "rotors' moment",
+        _ => "air",
+    };
+    let mut all: Vec<&'static str> = quantities.into_iter().map(of).collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+fn draw_law(draw: &mut Draw, vehicle: &VehicleParams) -> Option<DrawnLaw> {
+    let (kind, variables) = KINDS[draw.below(KINDS.len())];
+    let weight = vehicle.mass * vehicle.gravity;
+    let arm = vehicle.rotors[0].position_m[0].hypot(vehicle.rotors[0].position_m[1]);
+    let share = draw.log_within(SHARES);
+    let force = rounded(share * weight);
+    let (along, across) = (rounded(draw.within([0.4, 1.0])), rounded(draw.within([0.4, 1.0])));
+    let power = rounded(draw.within([1.2, 2.4]));
+    let length = rounded(draw.within([0.2, 0.8]));
+    let sign = draw.sign();
+    let mut text = LawText {
+        constants: BTreeMap::from([
+            ("f".to_owned(), format!("{force} N")),
+            ("m".to_owned(), format!("{} N m", rounded(share * weight * arm * MOMENT / SHARES[0]))),
+            ("v".to_owned(), "2 m/s".to_owned()),
+            ("a".to_owned(), along.to_string()),
+            ("b".to_owned(), across.to_string()),
+            ("n".to_owned(), rounded(power - 1.0).to_string()),
+            ("l".to_owned(), format!("{length} m")),
+            ("s".to_owned(), rounded(sign * share).to_string()),
+        ]),
+        ..LawText::default()
+    };
+    let mut at = |key: &str, formula: &str| {
+        text.formulas.insert(key.to_owned(), formula.to_owned());
+    };
+    match kind {
+        "drag to a power" => ["x", "y", "z"].iter().for_each(|axis| {
+            at(&format!("force_{axis}"), &format!("-f * air_{axis} / v * (airspeed / v)^n"));
+        }),
+        "drag of plates" => {
+            at("force_x", "-a * f * air_x * abs(air_x) / v^2");
+            at("force_y", "-b * f * air_y * abs(air_y) / v^2");
+        }
+        "linear and quadratic drag" => ["x", "y"].iter().for_each(|axis| {
+            let formula = format!("-f * air_{axis} / v * (0.5 * a + 0.5 * b * airspeed / v)");
+            at(&format!("force_{axis}"), &formula);
+        }),
+        "vertical drag" => at("force_z", "-2 * f * air_z * abs(air_z) / v^2"),
+        "force across a turn" => {
+            at("force_x", "-f * rate_z * 1[s] * air_y / v");
+            at("force_y", "f * rate_z * 1[s] * air_x / v");
+        }
+        "side force of a turn" => at("force_y", "f * rate_z * 1[s]"),
+        "lever" => {
+            at("moment_x", "m * air_y / v");
+            at("moment_y", "-m * air_x / v");
+        }
+        "lift to a power" => at("thrust", "s * (airspeed_xy / v)^n"),
+        "decay with height" => at("thrust", "2 * s * exp(-height / l)"),
+        "drag along one axis" => at("force_x", "-f * air_x / v"),
+        "sagging thrust" => at("thrust", "-6 * abs(s) * (1 - voltage_share)"),
+        "saturating drag" => ["x", "y", "z"].iter().for_each(|axis| {
+            at(&format!("force_{axis}"), &format!("-2 * f * air_{axis} / (v + airspeed)"));
+        }),
+        "saturating lift" => {
+            at("thrust", "2 * s * airspeed_xy^2 / (v^2 + airspeed_xy^2)");
+        }
+        _ => ["x", "y"].iter().for_each(|axis| {
+            let formula = format!("-0.6 * f * air_{axis} / v * exp(0.5 * airspeed / v)");
+            at(&format!("force_{axis}"), &formula);
+        }),
+    }
+    Some(DrawnLaw { kind, variables, law: Law::new("hidden", text).ok()? })
+}
+
+/// A case that was flown.
+#[derive(Clone, Debug)]
+pub struct LawCase {
+    /// The vehicle file.
+    pub nominal: VehicleParams,
+    /// The file as it would be, were the builder's numbers right.
+    pub known: VehicleParams,
+    /// The logs to make a law from.
+    pub logs: Vec<Vec<u8>>,
+    /// Those of the other mission.
+    pub mission: Vec<Vec<u8>>,
+    /// The law; none of a null.
+    pub law: Option<DrawnLaw>,
+    /// The same as a set.
+    pub truth: EffectSet,
+    /// Noise of the reports.
+    pub noise: ReportNoise,
+}
+
+impl LawCase {
+    /// Case `number` of the exam with this seed, with a law or without.
+    ///
+    /// # Errors
+    /// [`CaseError`].
+    pub fn fly(
+        settings: &Settings,
+        seed: u64,
+        number: u64,
+        has_law: bool,
+    ) -> Result<Self, CaseError> {
+        let mut last = None;
+        for attempt in 0..ATTEMPTS {
+            let mut draw = Draw::new(seed, number * ATTEMPTS + attempt + 1);
+            let name = format!("case_{number:03}");
+            let order = Order::from(Kind::Null);
+            let mut bench = Bench::draw(&mut draw, settings, &name, &order)?;
+            bench.also_fly(&mut draw, MISSION);
+            let law = if has_law { draw_law(&mut draw, &bench.nominal) } else { None };
+            let mut effects = EffectSet::new();
+            if let Some(drawn) = &law {
+                // The set is empty.
+                let _ = effects.insert_law(drawn.law.clone());
+            }
+            let truth = Truth::from(effects.clone());
+            match bench.logs(&truth) {
+                Ok(mut logs) => {
+                    let mission = logs.split_off(logs.len().saturating_sub(MISSION));
+                    let noise = bench.noise();
+                    let known = bench.known(&truth);
+                    return Ok(Self {
+                        nominal: bench.nominal,
+                        known,
+                        logs,
+                        mission,
+                        law,
+                        truth: effects,
+                        noise,
+                    });
+                }
+                Err(error) => last = Some(error),
+            }
+        }
+        Err(match last {
+            Some(error) => CaseError::Unflyable(error),
+            None => CaseError::Unflyable(super::flight::FlightError::Lost(0.0)),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_of_law_is_a_law_and_depends_on_what_it_says() {
+        let vehicle = VehicleParams::load("quad1200").unwrap();
+        let mut draw = Draw::new(1, 1);
+        let mut seen = std::collections::BTreeSet::new();
+        for _ in 0..400 {
+            let drawn = draw_law(&mut draw, &vehicle).expect("a law");
+            let read: Vec<&str> = drawn.law.needed().iter().map(|q| q.name()).collect();
+            assert_eq!(variables(read), drawn.variables, "{}", drawn.kind);
+            seen.insert(drawn.kind);
+        }
+        assert_eq!(seen.len(), KINDS.len());
+    }
+}

@@ -1,0 +1,375 @@
+//! Laws: effects as formulas, for what the catalogue does not have.
+//!
+//! A law is a table of formulas over [`Quantity`]s, each acting at one place of the physics. It is
+//! read once into a flat program, checked for units, bounded in magnitude, and has no access to
+//! anything but the quantities. It is a member of an [`EffectSet`](crate::effects::EffectSet) as an
+//! effect of the catalogue is.
+
+mod parser;
+mod program;
+mod quantity;
+mod unit;
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+pub use parser::{Constant, LENGTH_MAX};
+pub use program::{OPERATIONS_MAX, Program};
+pub use quantity::{Needed, QUANTITIES, Quantity};
+pub use unit::Unit;
+
+use crate::effects::Wrench;
+use crate::frame::{Frd, Ned};
+use crate::physics::Environment;
+use crate::rigid_body::State;
+use crate::scalar::Scalar;
+
+pub(crate) use quantity::{Rotors, values};
+
+/// Most constants of a law, and most laws of a set.
+const CONSTANTS_MAX: usize = 32;
+/// See [`CONSTANTS_MAX`].
+pub const LAWS_MAX: usize = 8;
+/// A force is bounded by so many weights where the law states no bound, and a moment by what the
+/// rotors' arm makes of as much.
+const WEIGHTS_MAX: f64 = 2.0;
+
+/// Where a formula acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Channel {
+    /// Force along an axis of the body, N.
+    Force(usize),
+    /// Force along an axis of the world (north, east, down), N.
+    WorldForce(usize),
+    /// Moment about an axis of the body, N m.
+    Moment(usize),
+    /// f in T <- T (1 + f), as an effect on thrust acts.
+    Thrust,
+    /// Time that the rotors' lag is longer by, s: of constants only, for it acts on all flights
+    /// alike.
+    Lag,
+}
+
+impl Channel {
+    /// All of them.
+    pub const ALL: [Self; 11] = [
+        Self::Force(0),
+        Self::Force(1),
+        Self::Force(2),
+        Self::WorldForce(0),
+        Self::WorldForce(1),
+        Self::WorldForce(2),
+        Self::Moment(0),
+        Self::Moment(1),
+        Self::Moment(2),
+        Self::Thrust,
+        Self::Lag,
+    ];
+
+    /// Its key in a law.
+    pub fn name(self) -> &'static str {
+        let axis = |names: [&'static str; 3], axis: usize| names.get(axis).copied().unwrap_or("");
+        match self {
+            Self::Force(i) => axis(["force_x", "force_y", "force_z"], i),
+            Self::WorldForce(i) => axis(["force_north", "force_east", "force_down"], i),
+            Self::Moment(i) => axis(["moment_x", "moment_y", "moment_z"], i),
+            Self::Thrust => "thrust",
+            Self::Lag => "lag",
+        }
+    }
+
+    /// The unit of its formula.
+    pub fn unit(self) -> Unit {
+        match self {
+            Self::Force(_) | Self::WorldForce(_) => Unit::FORCE,
+            Self::Moment(_) => Unit::MOMENT,
+            Self::Thrust => Unit::NONE,
+            Self::Lag => Unit::TIME,
+        }
+    }
+
+    fn of(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|channel| channel.name() == name)
+    }
+}
+
+/// A law as it is written in files.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LawText {
+    /// What it is, for people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub about: Option<String>,
+    /// Formulas, by where they act: `force_x = "-c * air_x"`.
+    #[serde(flatten)]
+    pub formulas: BTreeMap<String, String>,
+    /// Named numbers with their units: `c = "0.012 kg/s"`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub constants: BTreeMap<String, String>,
+    /// 90 % intervals of the constants, for people.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub intervals_90: BTreeMap<String, [f64; 2]>,
+    /// What the law is known for: a quantity beyond its range counts as at its end.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub range: BTreeMap<String, [f64; 2]>,
+    /// Largest force along an axis, N.
+    #[serde(default, rename = "max_force_N", skip_serializing_if = "Option::is_none")]
+    pub max_force_n: Option<f64>,
+    /// Largest moment about an axis, N m.
+    #[serde(default, rename = "max_moment_Nm", skip_serializing_if = "Option::is_none")]
+    pub max_moment_nm: Option<f64>,
+}
+
+/// Why a law is refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("law {law:?}: {place}: {reason}")]
+pub struct LawError {
+    /// The law.
+    pub law: String,
+    /// The key of it that is wrong.
+    pub place: String,
+    /// What is wrong with it, and what would be right.
+    pub reason: String,
+}
+
+/// A law that was checked. Cheap to clone.
+#[derive(Clone)]
+pub struct Law(Arc<Checked>);
+
+struct Checked {
+    name: String,
+    text: LawText,
+    formulas: Vec<(Channel, Program)>,
+    limits: [[f64; 2]; QUANTITIES],
+    needed: Needed,
+    lag_s: f64,
+}
+
+impl PartialEq for Law {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.name == other.0.name && self.0.text == other.0.text
+    }
+}
+
+impl fmt::Debug for Law {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Law").field(&self.0.name).field(&self.0.text).finish()
+    }
+}
+
+impl Law {
+    /// Checks a law.
+    ///
+    /// # Errors
+    /// [`LawError`].
+    pub fn new(name: &str, text: LawText) -> Result<Self, LawError> {
+        let refused = |place: &str, reason: String| LawError {
+            law: name.chars().take(64).collect(),
+            place: place.chars().take(64).collect(),
+            reason,
+        };
+        let is_name = |name: &str| {
+            let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
+            name.len() <= 32
+                && name.starts_with(|c: char| c.is_ascii_alphabetic())
+                && name.chars().all(is_part)
+        };
+        if !is_name(name) {
+            let reason = "a law's name is up to 32 letters, digits and '_'".to_owned();
+            return Err(refused("name", reason));
+        }
+        if text.constants.len() > CONSTANTS_MAX {
+            return Err(refused("constants", format!("more than {CONSTANTS_MAX}")));
+        }
+        let mut constants = BTreeMap::new();
+        for (key, written) in &text.constants {
+            let is_taken = Quantity::ALL.iter().any(|quantity| quantity.name() == key);
+            if !is_name(key) || is_taken {
+                let reason = "a constant's name is letters, digits and '_', and no quantity's";
+                return Err(refused(key, reason.to_owned()));
+            }
+            let constant = Constant::parse(written).map_err(|reason| refused(key, reason))?;
+            constants.insert(key.clone(), constant);
+        }
+        let mut formulas = Vec::new();
+        for (key, formula) in &text.formulas {
+            let Some(channel) = Channel::of(key) else {
+                let known: Vec<&str> = Channel::ALL.iter().map(|channel| channel.name()).collect();
+                let reason = format!(
+                    "unknown key; a law has about, constants, range, intervals_90, max_force_N, \
+                     max_moment_Nm, and formulas at {}",
+                    known.join(", ")
+                );
+                return Err(refused(key, reason));
+            };
+            let program = parser::parse(formula, &constants, channel.unit())
+                .map_err(|reason| refused(key, reason))?;
+            formulas.push((channel, program));
+        }
+        if formulas.is_empty() {
+            return Err(refused("formulas", "there is none, such as force_x".to_owned()));
+        }
+        let mut limits = [[f64::NEG_INFINITY, f64::INFINITY]; QUANTITIES];
+        for (key, [low, high]) in &text.range {
+            let quantity = Quantity::ALL.into_iter().find(|quantity| quantity.name() == key);
+            let Some(slot) = quantity.and_then(|q| limits.get_mut(q as usize)) else {
+                return Err(refused("range", format!("{key:?} is no quantity")));
+            };
+            if !(low.is_finite() && high.is_finite() && low <= high) {
+                let reason = format!("{key}: expected [low, high], found [{low}, {high}]");
+                return Err(refused("range", reason));
+            }
+            *slot = [*low, *high];
+        }
+        if let Some((key, _)) =
+            text.intervals_90.iter().find(|(_, ends)| ends.iter().any(|end| !end.is_finite()))
+        {
+            return Err(refused("intervals_90", format!("{key}: expected two numbers")));
+        }
+        for (key, bound) in
+            [("max_force_N", text.max_force_n), ("max_moment_Nm", text.max_moment_nm)]
+        {
+            if bound.is_some_and(|bound| !(bound.is_finite() && bound > 0.0)) {
+                return Err(refused(key, "expected a number above 0".to_owned()));
+            }
+        }
+        let at_rest = [0.0; QUANTITIES];
+        let mut lag_s = 0.0;
+        for (_, program) in formulas.iter().filter(|(channel, _)| *channel == Channel::Lag) {
+            if program.needed() != Needed::default() {
+                let reason =
+                    "a lag is of constants and numbers only: it acts on every flight alike";
+                return Err(refused("lag", reason.to_owned()));
+            }
+            lag_s = program.value(&at_rest, &limits);
+            if !(0.0..=1.0).contains(&lag_s) {
+                return Err(refused("lag", format!("expected 0..=1 s more, found {lag_s}")));
+            }
+        }
+        formulas.retain(|(channel, _)| *channel != Channel::Lag);
+        let needed =
+            formulas.iter().fold(Needed::default(), |all, (_, program)| all.and(program.needed()));
+        let name = name.to_owned();
+        Ok(Self(Arc::new(Checked { name, text, formulas, limits, needed, lag_s })))
+    }
+
+    /// Reads a law of one line: `force_x = -0.02[kg/s] * air_x; force_y = -0.02[kg/s] * air_y`.
+    ///
+    /// # Errors
+    /// [`LawError`].
+    pub fn from_line(name: &str, line: &str) -> Result<Self, LawError> {
+        let mut text = LawText::default();
+        for part in line.split(';').filter(|part| !part.trim().is_empty()) {
+            let Some((key, formula)) = part.split_once('=') else {
+                let reason = format!("{part:?} has no '='; write force_x = -0.02[kg/s] * air_x");
+                return Err(LawError { law: name.to_owned(), place: "formula".to_owned(), reason });
+            };
+            let (key, formula) = (key.trim().to_owned(), formula.trim().to_owned());
+            if text.formulas.insert(key.clone(), formula).is_some() {
+                let reason = "it is given twice".to_owned();
+                return Err(LawError { law: name.to_owned(), place: key, reason });
+            }
+        }
+        Self::new(name, text)
+    }
+
+    /// Whether text begins as [`Law::from_line`] reads it.
+    pub fn is_line(text: &str) -> bool {
+        text.split_once('=').is_some_and(|(key, _)| Channel::of(key.trim()).is_some())
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    /// As it is written.
+    pub fn text(&self) -> &LawText {
+        &self.0.text
+    }
+
+    /// Seconds that the rotors' lag is longer by.
+    pub fn lag_s(&self) -> f64 {
+        self.0.lag_s
+    }
+
+    /// The quantities that it reads.
+    pub fn needed(&self) -> Needed {
+        self.0.needed
+    }
+}
+
+/// Laws that act on a vehicle.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Laws {
+    laws: Arc<[Law]>,
+    needed: Needed,
+    /// Bounds of a force (N) and a moment (N m) where a law states none.
+    bounds: [f64; 2],
+    full_voltage: f64,
+}
+
+impl Laws {
+    /// `weight` in N, the rotors' arm in m, and the voltage of a full pack; `None` without a law.
+    pub fn new(laws: &[Law], weight: f64, arm: f64, full_voltage: f64) -> Option<Self> {
+        let needed = laws.iter().fold(Needed::default(), |all, law| all.and(law.needed()));
+        let force = WEIGHTS_MAX * weight;
+        (!laws.is_empty()).then(|| Self {
+            laws: laws.into(),
+            needed,
+            bounds: [force, force * arm],
+            full_voltage,
+        })
+    }
+
+    /// Whether a quantity is read.
+    pub fn reads(&self, quantity: Quantity) -> bool {
+        self.needed.has(quantity)
+    }
+
+    /// Adds what the laws do to the force and moment.
+    pub fn add<T: Scalar>(
+        &self,
+        state: &State<T>,
+        rotors: &Rotors<T>,
+        env: &Environment,
+        wrench: &mut Wrench<T>,
+    ) {
+        let quantities = values(self.needed, state, rotors, env, self.full_voltage);
+        let zero = T::default();
+        for law in self.laws.iter() {
+            let Checked { formulas, limits, text, .. } = law.0.as_ref();
+            let force_max = text.max_force_n.unwrap_or(self.bounds[0]);
+            let moment_max = text.max_moment_nm.unwrap_or(self.bounds[1]);
+            let (mut body, mut world, mut moment) = ([zero; 3], [zero; 3], [zero; 3]);
+            for (channel, program) in formulas {
+                let value = program.value(&quantities, limits);
+                match *channel {
+                    Channel::Force(axis) => body[axis] = bounded(value, force_max),
+                    Channel::WorldForce(axis) => world[axis] = bounded(value, force_max),
+                    Channel::Moment(axis) => moment[axis] += bounded(value, moment_max),
+                    Channel::Thrust => {
+                        let more = bounded(value, 1.0);
+                        let [roll, pitch, _] = rotors.moment;
+                        wrench.force += Frd::new(zero, zero, -(rotors.thrust * more));
+                        moment[0] += roll * more;
+                        moment[1] += pitch * more;
+                    }
+                    Channel::Lag => {}
+                }
+            }
+            wrench.force += Frd::from(body);
+            wrench.force += state.attitude.to_body(Ned::from(world));
+            wrench.moment += Frd::from(moment);
+        }
+    }
+}
+
+fn bounded<T: Scalar>(value: T, most: f64) -> T {
+    value.max(T::from(-most)).min(T::from(most))
+}
+
+#[cfg(test)]
+mod tests;
