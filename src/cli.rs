@@ -8,6 +8,7 @@ mod log;
 mod model;
 mod replay;
 mod schema;
+mod signing;
 mod simulate;
 mod sweep;
 mod vehicle;
@@ -28,6 +29,7 @@ pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
 pub use self::replay::ReplayArgs;
 pub use self::schema::SchemaArgs;
+pub use self::signing::{SetupArgs, SigningCommand};
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
@@ -113,6 +115,9 @@ pub enum Command {
     Diagnose(DiagnoseArgs),
     /// Checks the diagnosis blindly, on simulated flights whose cause it is not told.
     Exam(ExamArgs),
+    /// Makes keys for signed links (MAVLink 2), and gives them to vehicles.
+    #[command(subcommand)]
+    Signing(SigningCommand),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
     /// JSON Schemas of what the commands print with --json.

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use mavlink::{MavlinkVersion, MessageData};
 use wire::dialect::SET_ATTITUDE_TARGET_DATA;
-use wire::signing::Refused;
+use wire::signing::{Key, Refused, Stamp};
 use wire::transport::{PEERS_MAX, Peer};
 use wire::{Decoder, DecoderStats};
 
@@ -324,6 +324,12 @@ impl Session {
         let id = core.requests.submit(now, request, core.profile.as_ref(), is_known);
         core.send_requests(now);
         id
+    }
+
+    /// Sends the vehicle a key and the time to sign with, or word to sign nothing. Nothing
+    /// acknowledges it, and no log has it.
+    pub fn set_up_signing(&mut self, key: Option<(&Key, Stamp)>) {
+        self.core.set_up_signing(key);
     }
 
     /// Ends the commands under way: none is repeated.

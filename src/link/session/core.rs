@@ -8,6 +8,7 @@ use std::time::Duration;
 use mavlink::{MavlinkVersion, MessageData};
 use vehicle::frame::Attitude;
 use wire::dialect::*;
+use wire::signing::{Key, Stamp};
 use wire::transport::Peer;
 use wire::{Encoder, Frame};
 
@@ -554,6 +555,17 @@ impl Core {
     fn command(&mut self, command: MavCmd, params: [f32; 7], confirmation: u8) {
         let Some(vehicle) = &self.vehicle else { return };
         self.send(&command_long(vehicle.id, command, params, confirmation));
+    }
+
+    pub(super) fn set_up_signing(&mut self, key: Option<(&Key, Stamp)>) {
+        let Some(vehicle) = &self.vehicle else { return };
+        let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+            target_system: vehicle.id.system,
+            target_component: vehicle.id.component,
+            secret_key: key.map_or_else(Default::default, |(key, _)| *key.bytes()),
+            initial_timestamp: key.map_or(0, |(_, time)| time.ticks()),
+        });
+        self.send(&message);
     }
 
     /// Queues a message for the vehicle.
