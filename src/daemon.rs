@@ -203,7 +203,12 @@ impl Control<'_> {
             if now >= status_due {
                 status_due = now + STATUS_PERIOD;
                 if let Ok(mut status) = self.shared.status.try_lock() {
-                    *status = station.status();
+                    *status = Status {
+                        updated: Some(now),
+                        log_dropped: self.sink.dropped(),
+                        log_failures: self.sink.failures(),
+                        ..station.status()
+                    };
                 }
             }
             if now >= watchdog_due {

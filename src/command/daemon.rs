@@ -39,6 +39,7 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
     let info = run_info(&config, &vehicle, &name, false, None);
     let mut audience = Audience::start(&args.view, &config, &info, &course)?
         .forwarding(&args.forward, &config)?
+        .served(&args.service)?
         .on_screen(args.tui, &info)?;
     let open = move |start| LogWriter::create(&log_dir, &info, start, Instant::now());
     let sink = LogSink::per_flight(Box::new(open), audience.take_listeners())

@@ -28,6 +28,11 @@ impl Encoder {
         }
     }
 
+    /// Numbers the next frame so.
+    pub fn set_sequence(&mut self, sequence: u8) {
+        self.header.sequence = sequence;
+    }
+
     /// Speaks another protocol version from the next frame on. What is signed stays MAVLink 2.
     pub fn set_version(&mut self, version: MavlinkVersion) {
         if self.signer.is_none() {

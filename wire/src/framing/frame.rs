@@ -62,6 +62,11 @@ impl Frame {
         })
     }
 
+    /// The number of the sender's link and the stamp, where it is signed. Neither is checked.
+    pub fn signed_at(&self) -> Option<(u8, Stamp)> {
+        self.signature().map(|signature| (signature.link, signature.stamp))
+    }
+
     /// The signature that its sender gave it, which is not checked yet.
     pub(crate) fn signature(&self) -> Option<Signature<'_>> {
         if !self.is_signed() {
