@@ -219,11 +219,18 @@ impl Config {
         let mut table: Table =
             text.parse().map_err(|error: toml::de::Error| schema(error.to_string()))?;
         // Paths in a file are relative to it.
-        for key in ["vehicle", "trajectory", "log_dir"] {
-            if let Some(Value::String(value)) = table.get_mut(key) {
-                let folder = path.parent().unwrap_or(Path::new(""));
-                *value = folder.join(&*value).to_string_lossy().into_owned();
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let relocate = |table: &mut Table, keys: &[&str]| {
+            for key in keys {
+                if let Some(Value::String(value)) = table.get_mut(*key) {
+                    *value = folder.join(&*value).to_string_lossy().into_owned();
+                }
             }
+        };
+        relocate(&mut table, &["vehicle", "trajectory", "log_dir"]);
+        let signing = table.get_mut("link").and_then(|link| link.get_mut("signing"));
+        if let Some(Value::Table(signing)) = signing {
+            relocate(signing, &["key_file", "state_file"]);
         }
         self.merge(table, &origin)
     }

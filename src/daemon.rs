@@ -280,6 +280,8 @@ impl Control<'_> {
                 let bytes = &buffer[..len];
                 station.receive(now, peer, bytes, self.connection.is_datagram());
                 self.send(station, now);
+                // Of a crowd of strangers none takes the vehicle's place.
+                self.connection.keep(station.vehicle_peer());
                 if let Some(tee) = &mut self.tee {
                     tee.received(now, peer, bytes, self.connection.is_datagram());
                 }

@@ -375,6 +375,11 @@ impl Session {
         self.core.vehicle.as_ref().map(|vehicle| vehicle.id)
     }
 
+    /// Where the vehicle is heard; `None` before it is, and once that connection closed.
+    pub fn vehicle_peer(&self) -> Option<Peer> {
+        self.core.vehicle.as_ref().and_then(|vehicle| vehicle.peer)
+    }
+
     /// Autopilots beside the vehicle, none of which was chosen.
     pub fn others(&self) -> &[VehicleId] {
         &self.core.others
