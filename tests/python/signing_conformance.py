@@ -161,8 +161,10 @@ class Attacker:
 
     def after_forgery(self):
         """A stranger's frame with a stamp an hour ahead must not lock out the true sender."""
-        self.believed(key=b"\x55" * 32, stamp=stamp_now() + 3600 * SECOND)
-        return self.believed()
+        if not self.believed(link=20):
+            return False
+        self.believed(key=b"\x55" * 32, link=20, stamp=stamp_now() + 3600 * SECOND)
+        return self.believed(link=20)
 
 
 # What is sent, what is right, and how.
@@ -183,7 +185,7 @@ ATTACKS = [
     ("true frame after a forged stamp an hour ahead", True, Attacker.after_forgery),
     # Last, for who believes it believes nothing else any more.
     ("a stamp five years ahead", False, lambda a: a.believed(link=9, stamp=stamp_now() + 5 * YEAR)),
-    ("true frame after that", True, Attacker.believed),
+    ("a new link id after that, stamp of now", True, lambda a: a.believed(link=10)),
 ]
 
 
