@@ -45,7 +45,7 @@ def value(metrics, name):
 
 def in_flight(program, url):
     """Metrics of the flight once it is flown."""
-    program.says("TakeOff")
+    program.says("take_off: armed")
     while True:
         status, metrics = get(f"{url}/metrics")
         assert status == 200
@@ -87,4 +87,4 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(flight):
     code, _ = program.finish()
     # It was flown to its end, and a flight without its log did not go well.
     assert code == 1, program.err
-    assert "Done" in program.err
+    assert "done: disarmed" in program.err
