@@ -175,7 +175,7 @@ ATTACKS = [
     ("another key", False, lambda a: a.believed(key=b"\x55" * 32)),
     ("the same frame again", False, Attacker.replay),
     ("a stamp that does not advance", False, Attacker.standing_stamp),
-    ("a stamp a second back", False, lambda a: a.believed(stamp=a.next_stamp() - SECOND)),
+    ("a stamp of three seconds ago", False, lambda a: a.believed(stamp=a.next_stamp() - 3 * SECOND)),
     ("a new link id, stamp of two minutes ago", False, lambda a: a.believed(link=7, stamp=stamp_now() - 120 * SECOND)),
     ("a new link id, stamp of now", True, lambda a: a.believed(link=8)),
     ("the first link again", True, Attacker.believed),

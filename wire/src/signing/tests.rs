@@ -85,6 +85,37 @@ fn whoever_lacks_the_key_is_refused_by_name() {
 }
 
 #[test]
+fn what_was_overtaken_is_believed_once_and_not_after_a_second() {
+    let (mut verifier, mut sender) = (verifier(), sender(7, 3, NOW));
+    let frames: Vec<Frame> = (0..1000)
+        .map(|number| {
+            let at = Stamp::from_ticks(NOW.ticks() + number * Stamp::PER_S / 500);
+            sender.signer().expect("it signs").turn(at);
+            frame(&said(&mut sender))
+        })
+        .collect();
+    // All but one in ten come, in time; the others half a second late.
+    for (number, frame) in frames.iter().enumerate() {
+        if number % 10 != 5 {
+            assert!(verifier.check(frame).is_ok(), "{number}");
+        }
+        let late = number.checked_sub(250).filter(|late| late % 10 == 5);
+        if let Some(late) = late.and_then(|late| frames.get(late)) {
+            assert!(verifier.check(late).is_ok(), "{number}");
+            assert_eq!(verifier.check(late), Err(Refused::Replayed));
+        }
+    }
+    // None is believed twice, however old or new it is.
+    for (number, frame) in frames.iter().enumerate() {
+        let is_new = number % 10 == 5 && number >= 750;
+        assert_eq!(verifier.check(frame).is_ok(), is_new, "{number}");
+    }
+    let late = Stamp::from_ticks(verifier.streams()[0].newest.ticks() - Stamp::PER_S - 1);
+    let old = said(&mut self::sender(7, 3, late));
+    assert_eq!(verifier.check(&frame(&old)), Err(Refused::Replayed));
+}
+
+#[test]
 fn a_new_stream_begins_at_most_a_minute_behind_and_a_day_ahead() {
     let minute = 60 * Stamp::PER_S;
     let at = |ticks: u64| frame(&said(&mut sender(7, 9, Stamp::from_ticks(ticks))));

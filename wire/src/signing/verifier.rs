@@ -1,5 +1,7 @@
 //! Whether a frame is believed.
 
+use std::collections::VecDeque;
+
 use mavlink::MavlinkVersion;
 
 use super::{HASH_LEN, Key, Stamp, hash};
@@ -10,6 +12,12 @@ const STREAMS_MAX: usize = 64;
 /// A stream that is not known yet may begin this far behind what is known of the time: a minute, as
 /// MAVLink has it.
 const BEHIND_MAX: u64 = 60 * Stamp::PER_S;
+
+/// Frames overtake one another: one that was never heard is believed this far behind the newest of its
+/// stream. A word that the pilot took over, told once, is not to be lost for that.
+const OVERTAKEN_MAX: u64 = Stamp::PER_S;
+/// As many stamps of a stream are remembered; what is behind all of them is not believed.
+const SEEN_MAX: usize = 512;
 
 /// Who counts stamps: each link of each component by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -43,8 +51,8 @@ pub enum Refused {
     /// The signature is of another key, or of other bytes.
     #[error("wrong signature: another key, or changed on the way")]
     Signature,
-    /// The stream had this stamp before, or a later one.
-    #[error("stamp not later than the last of its stream: a replay, a copy or overtaken")]
+    /// The stream had this stamp before, or one that is later by too much.
+    #[error("stamp heard before, or too old for its stream: a replay or a copy")]
     Replayed,
     /// A stream that begins more than a minute behind.
     #[error("a new stream whose stamp is more than a minute old")]
@@ -96,6 +104,34 @@ pub struct VerifierSettings {
     pub streams: Vec<StreamStamp>,
 }
 
+/// The stamps of a stream that may still be overtaken by others.
+#[derive(Clone, Debug)]
+struct Window {
+    /// Neither this nor anything before is believed.
+    floor: Stamp,
+    /// In order, all of them later than that.
+    seen: VecDeque<Stamp>,
+}
+
+impl Window {
+    fn new(floor: Stamp) -> Self {
+        Self { floor, seen: VecDeque::with_capacity(SEEN_MAX) }
+    }
+
+    /// Takes a stamp, unless it was taken before or may have been.
+    fn take(&mut self, stamp: Stamp) -> bool {
+        let Err(place) = self.seen.binary_search(&stamp) else { return false };
+        if stamp <= self.floor {
+            return false;
+        }
+        self.seen.insert(place, stamp);
+        if self.seen.len() >= SEEN_MAX {
+            self.floor = self.seen.pop_front().unwrap_or(self.floor);
+        }
+        true
+    }
+}
+
 /// Judges the frames of any number of senders with one key.
 #[derive(Clone, Debug)]
 pub struct Verifier {
@@ -103,6 +139,8 @@ pub struct Verifier {
     now: Stamp,
     newest: Stamp,
     streams: Vec<StreamStamp>,
+    /// Of each stream.
+    windows: Vec<Window>,
     refused: [u64; Refused::ALL.len()],
     believed: u64,
 }
@@ -112,7 +150,10 @@ impl Verifier {
     pub fn new(settings: VerifierSettings, now: Stamp) -> Self {
         let mut streams = Vec::with_capacity(STREAMS_MAX);
         streams.extend(settings.streams.iter().copied().take(STREAMS_MAX));
-        Self { settings, now, newest: now, streams, refused: Default::default(), believed: 0 }
+        let windows =
+            streams.iter().map(|stream: &StreamStamp| Window::new(stream.newest)).collect();
+        let refused = Default::default();
+        Self { settings, now, newest: now, streams, windows, refused, believed: 0 }
     }
 
     /// Time goes on. It never goes back.
@@ -156,9 +197,15 @@ impl Verifier {
             return Err(Refused::Ahead);
         }
         let id = StreamId { system: frame.system(), component: frame.component(), link };
-        match self.streams.iter_mut().find(|stream| stream.id == id) {
-            Some(stream) if stamp <= stream.newest => return Err(Refused::Replayed),
-            Some(stream) => stream.newest = stamp,
+        let mut known = self.streams.iter_mut().zip(&mut self.windows);
+        match known.find(|(stream, _)| stream.id == id) {
+            Some((stream, window)) => {
+                let is_late = stamp.plus(OVERTAKEN_MAX) < stream.newest;
+                if is_late || !window.take(stamp) {
+                    return Err(Refused::Replayed);
+                }
+                stream.newest = stream.newest.max(stamp);
+            }
             None if stamp.plus(BEHIND_MAX) < self.newest => return Err(Refused::Old),
             None => self.begin(StreamStamp { id, newest: stamp })?,
         }
@@ -170,12 +217,16 @@ impl Verifier {
     fn begin(&mut self, stream: StreamStamp) -> Result<(), Refused> {
         if self.streams.len() >= STREAMS_MAX {
             let newest = self.newest;
-            self.streams.retain(|known| known.newest.plus(BEHIND_MAX) >= newest);
+            let is_kept = |stream: &StreamStamp| stream.newest.plus(BEHIND_MAX) >= newest;
+            let mut streams = self.streams.iter();
+            self.windows.retain(|_| streams.next().is_some_and(is_kept));
+            self.streams.retain(is_kept);
         }
         if self.streams.len() >= STREAMS_MAX {
             return Err(Refused::Streams);
         }
         self.streams.push(stream);
+        self.windows.push(Window::new(stream.newest));
         Ok(())
     }
 
