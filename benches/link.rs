@@ -9,9 +9,10 @@ use downwash::guard::{Answered, Cleared, Guard, Order, Proposal, Stance};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::session::{Session, Settings};
 use downwash::setpoint::Setpoint;
-use wire::Encoder;
 use wire::dialect::*;
+use wire::signing::{KEY_LEN, Key, Signer, Stamp, Verifier, VerifierSettings};
 use wire::transport::Peer;
+use wire::{Encoder, Frame};
 
 const NOW: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
 const VEHICLE: Peer = Peer::new(0);
@@ -85,5 +86,39 @@ fn link(criterion: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, link);
+/// What a signature costs a frame of the usual length.
+fn sign(criterion: &mut Criterion) {
+    let key = Key::new([7; KEY_LEN]);
+    let now = Stamp::from_unix_ns(NOW.as_ns());
+    let attitude = MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
+        q1: 1.0,
+        yawspeed: 0.1,
+        repr_offset_q: [1.0; 4],
+        ..Default::default()
+    });
+    let mut plain = Encoder::new(1, 1);
+    let mut signed = Encoder::new(1, 1);
+    signed.set_signer(Some(Signer::new(key.clone(), 0, now)));
+    for (name, encoder) in
+        [("frame without a signature", &mut plain), ("sign a frame", &mut signed)]
+    {
+        let mut bytes = Vec::new();
+        criterion.bench_function(name, |bencher| {
+            bencher.iter(|| {
+                bytes.clear();
+                encoder.encode(black_box(&attitude), &mut bytes);
+            });
+        });
+    }
+    let frame = Frame::parse(&frame(&mut signed, attitude)).expect("a frame");
+    let settings =
+        VerifierSettings { key, unsigned: vec![], ahead_max: 60 * Stamp::PER_S, streams: vec![] };
+    let mut verifier = Verifier::new(settings, now);
+    // Only the first is believed: the hash of each is taken all the same.
+    criterion.bench_function("check a signature", |bencher| {
+        bencher.iter(|| black_box(verifier.check(black_box(&frame))));
+    });
+}
+
+criterion_group!(benches, link, sign);
 criterion_main!(benches);

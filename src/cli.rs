@@ -9,6 +9,7 @@ mod model;
 mod reference;
 mod replay;
 mod schema;
+mod signing;
 mod simulate;
 mod sweep;
 mod vehicle;
@@ -30,10 +31,11 @@ pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, Train
 pub use self::reference::{PageChoice, ReferenceArgs};
 pub use self::replay::ReplayArgs;
 pub use self::schema::SchemaArgs;
+pub use self::signing::{SetupArgs, SigningCommand};
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
-pub use self::view::{ForwardArgs, VIEW_ADDRESS, ViewArgs};
+pub use self::view::{ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs};
 use crate::control::{LAWS, Law};
 use crate::exam::case::Kind;
 
@@ -115,6 +117,9 @@ pub enum Command {
     Diagnose(DiagnoseArgs),
     /// Checks the diagnosis blindly, on simulated flights whose cause it is not told.
     Exam(ExamArgs),
+    /// Makes keys for signed links (MAVLink 2), and gives them to vehicles.
+    #[command(subcommand)]
+    Signing(SigningCommand),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
     /// Pages to look things up: effects, trajectory families, vehicle keys, settings, topics of logs,

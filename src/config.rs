@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 use self::check::{check_numbers, check_pilot};
-pub use self::settings::{FormSetting, LinkSettings, Settings};
+pub use self::settings::{FormSetting, LinkSettings, Settings, SigningSettings};
 
 /// Version of the configuration's schema.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -104,8 +104,13 @@ pub struct Config {
 /// Prefix of the environment variables: `DOWNWASH_CONTROL__RATE_HZ` sets `control.rate_hz`.
 const ENVIRONMENT_PREFIX: &str = "DOWNWASH_";
 
+/// Holds the signing key, where it is in no file.
+pub const SIGNING_KEY_VARIABLE: &str = "DOWNWASH_SIGNING_KEY";
+
 /// Variables of that prefix that are not configuration: the tests', the benchmarks' and the build's.
-const NOT_SETTINGS: [&str; 8] = [
+const NOT_SETTINGS: [&str; 9] = [
+    // A secret, which no list of settings shows.
+    SIGNING_KEY_VARIABLE,
     "DOWNWASH_PRACTICE",
     "DOWNWASH_SHARED",
     "DOWNWASH_BIN",
@@ -214,11 +219,18 @@ impl Config {
         let mut table: Table =
             text.parse().map_err(|error: toml::de::Error| schema(error.to_string()))?;
         // Paths in a file are relative to it.
-        for key in ["vehicle", "trajectory", "log_dir"] {
-            if let Some(Value::String(value)) = table.get_mut(key) {
-                let folder = path.parent().unwrap_or(Path::new(""));
-                *value = folder.join(&*value).to_string_lossy().into_owned();
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let relocate = |table: &mut Table, keys: &[&str]| {
+            for key in keys {
+                if let Some(Value::String(value)) = table.get_mut(*key) {
+                    *value = folder.join(&*value).to_string_lossy().into_owned();
+                }
             }
+        };
+        relocate(&mut table, &["vehicle", "trajectory", "log_dir"]);
+        let signing = table.get_mut("link").and_then(|link| link.get_mut("signing"));
+        if let Some(Value::Table(signing)) = signing {
+            relocate(signing, &["key_file", "state_file"]);
         }
         self.merge(table, &origin)
     }

@@ -203,7 +203,12 @@ impl Control<'_> {
             if now >= status_due {
                 status_due = now + STATUS_PERIOD;
                 if let Ok(mut status) = self.shared.status.try_lock() {
-                    *status = station.status();
+                    *status = Status {
+                        updated: Some(now),
+                        log_dropped: self.sink.dropped(),
+                        log_failures: self.sink.failures(),
+                        ..station.status()
+                    };
                 }
             }
             if now >= watchdog_due {
@@ -275,6 +280,8 @@ impl Control<'_> {
                 let bytes = &buffer[..len];
                 station.receive(now, peer, bytes, self.connection.is_datagram());
                 self.send(station, now);
+                // Of a crowd of strangers none takes the vehicle's place.
+                self.connection.keep(station.vehicle_peer());
                 if let Some(tee) = &mut self.tee {
                     tee.received(now, peer, bytes, self.connection.is_datagram());
                 }

@@ -30,8 +30,10 @@ const LOOK: Duration = Duration::from_millis(200);
 /// Longest datagram.
 const DATAGRAM: usize = 65_536;
 
-/// Messages that only this program sends: two controllers at once are none.
-const OWN: [&str; 4] = [
+/// Messages that only this program sends: two controllers at once are none, and who may set a key up
+/// is the owner alone.
+const OWN: [&str; 5] = [
+    "SETUP_SIGNING",
     "SET_ATTITUDE_TARGET",
     "SET_POSITION_TARGET_LOCAL_NED",
     "SET_POSITION_TARGET_GLOBAL_INT",

@@ -27,7 +27,9 @@ pub mod vehicle_init;
 
 pub mod daemon;
 pub mod forward;
+mod http;
 pub mod lockstep;
+pub mod service;
 pub mod view;
 
 pub mod cli;

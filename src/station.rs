@@ -219,6 +219,11 @@ impl Station {
         }
     }
 
+    /// Where the vehicle is heard.
+    pub fn vehicle_peer(&self) -> Option<Peer> {
+        self.session.vehicle_peer()
+    }
+
     /// Passes a frame of another ground station on to the vehicle.
     pub fn pass_on(&mut self, frame: &[u8]) {
         self.session.pass_on(frame);

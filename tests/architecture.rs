@@ -43,7 +43,17 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ),
         (
             "campaign",
-            &["clock", "control", "exam", "lockstep", "plan", "setpoint", "station", "supervisor"],
+            &[
+                "clock",
+                "control",
+                "exam",
+                "link",
+                "lockstep",
+                "plan",
+                "setpoint",
+                "station",
+                "supervisor",
+            ],
         ),
         ("exam", &["control", "diagnose", "plan", "setpoint"]),
         (
@@ -69,13 +79,17 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("lockstep", &["clock", "link", "log", "station"]),
         ("daemon", &["clock", "forward", "guard", "link", "log", "station", "supervisor"]),
         ("forward", &["log"]),
-        ("view", &["clock", "log", "station"]),
+        ("http", &[]),
+        ("service", &["clock", "http", "station", "supervisor"]),
+        ("view", &["clock", "http", "log", "station"]),
         ("config", &["control", "link", "log", "pilot", "plan", "supervisor", "telemetry"]),
     ])
 }
 
 /// Only here may the asynchronous runtime be named.
-const TOKIO: [&str; 9] = [
+const TOKIO: [&str; 11] = [
+    "src/http.rs",
+    "src/service.rs",
     "src/link/connection.rs",
     "src/daemon.rs",
     "src/main.rs",

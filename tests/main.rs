@@ -34,6 +34,7 @@ mod learn_bad_logs;
 mod learn_dataset;
 mod learn_training;
 mod link_connection;
+mod link_flood;
 mod link_session;
 mod lockstep_autopilots;
 mod lockstep_flight;

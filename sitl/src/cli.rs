@@ -4,8 +4,10 @@ use std::fmt;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use wire::endpoint::Endpoint;
+use wire::signing::{Key, KeyError, Stamp};
 use wire::transport::OpenError;
 
 use crate::autopilot::{Vehicle, VehicleRefused};
@@ -34,6 +36,10 @@ pub struct SitlArgs {
     /// 1; other factors are for clients that go by the vehicle's own clock
     #[arg(long, value_name = "X", default_value = "1")]
     pub speed: Speed,
+    /// Signs with the key in this file (64 hexadecimal digits, mode 0600), and believes only what is
+    /// signed with it [default: a key that SETUP_SIGNING sets]
+    #[arg(long, value_name = "FILE")]
+    pub signing_key: Option<PathBuf>,
     /// Seed of every random number
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
@@ -83,6 +89,9 @@ pub enum SitlError {
     /// The effects.
     #[error(transparent)]
     Effects(#[from] EffectsRefused),
+    /// The signing key.
+    #[error("--signing-key: {0}")]
+    Key(#[from] KeyError),
     /// A link.
     #[error("--link: {0}")]
     Link(#[from] OpenError),
@@ -95,7 +104,11 @@ impl SitlError {
     /// 2 for what was asked for, 3 for a link, 1 for the rest.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Vehicle(_) | Self::Refused(_) | Self::Config(_) | Self::Effects(_) => 2,
+            Self::Vehicle(_)
+            | Self::Refused(_)
+            | Self::Config(_)
+            | Self::Effects(_)
+            | Self::Key(_) => 2,
             Self::Link(_) => 3,
             Self::Runtime(_) => 1,
         })
@@ -133,7 +146,12 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
     };
     config.autopilot = args.autopilot.unwrap_or(config.autopilot);
     let effects = EffectSet::requested(args.effects.as_deref(), &args.effect)?;
-    Ok(Vehicle::new(params, effects, config, args.seed)?)
+    let mut vehicle = Vehicle::new(params, effects, config, args.seed)?;
+    if let Some(path) = &args.signing_key {
+        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        vehicle.sign(Key::load(path)?, Stamp::from_unix_ns(since_epoch.as_nanos() as u64));
+    }
+    Ok(vehicle)
 }
 
 /// Runs the vehicle until a signal stops it. Says on stderr, a line for each link, where it can be

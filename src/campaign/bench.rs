@@ -19,7 +19,8 @@ use super::judge::{Bounds, Ending, Judge, Seen, Violation};
 use super::planner::{self, SharedTime};
 use super::script::{Fault, PilotAct, Script};
 use super::tamper::Tamper;
-use super::word;
+use super::{signing, word};
+
 use crate::clock::HostTime;
 use crate::lockstep;
 use crate::station::{PAUSE, Station, StationSettings};
@@ -97,11 +98,14 @@ pub fn set_up(autopilot: Autopilot, clock_rate: f64) -> SitlConfig {
 /// # Errors
 /// A vehicle that cannot be simulated.
 pub fn fly(script: &Script, kit: &Kit) -> Result<Flown, VehicleRefused> {
-    let vehicle = built(script, kit, script.seed)?;
+    let vehicle = built(script, kit, script.seed, 0)?;
     let planner_us: SharedTime = Arc::new(AtomicU64::new(0));
     let reference = planner::faulty(script, Arc::clone(&kit.settings.reference), &planner_us);
+    let mut session = kit.settings.session.clone();
+    session.signing = script.signed.then(signing::settings);
     let settings = StationSettings {
         reference,
+        session,
         policy: script.policy,
         search_timeout_s: (script.policy == EngagePolicy::Command)
             .then_some(kit.settings.search_timeout_s.unwrap_or(20.0)),
@@ -118,7 +122,7 @@ pub fn fly(script: &Script, kit: &Kit) -> Result<Flown, VehicleRefused> {
         channel: Channel::new(script.seed),
         tamper: Tamper::default(),
         judge: Judge::new(script, kit.bounds, &kit.path),
-        pilot: Encoder::new(200, 190),
+        pilot: signing::encoder(script, 200, 190, 0),
         coverage: Coverage::default(),
         planner_us,
         now_us: 0,
@@ -133,9 +137,13 @@ pub fn fly(script: &Script, kit: &Kit) -> Result<Flown, VehicleRefused> {
     Ok(bench.flown())
 }
 
-fn built(script: &Script, kit: &Kit, seed: u64) -> Result<Vehicle, VehicleRefused> {
+fn built(script: &Script, kit: &Kit, seed: u64, now_us: u64) -> Result<Vehicle, VehicleRefused> {
     let config = set_up(script.autopilot, script.clock_rate);
-    Vehicle::new(kit.params.clone(), EffectSet::new(), config, seed)
+    let mut vehicle = Vehicle::new(kit.params.clone(), EffectSet::new(), config, seed)?;
+    if script.signed {
+        vehicle.sign(signing::key(), signing::stamp(now_us));
+    }
+    Ok(vehicle)
 }
 
 struct Bench<'a> {
@@ -256,6 +264,10 @@ impl Bench<'_> {
         }
         let is_down = self.acts(Fault::Restart);
         if self.station.is_none() && !is_down {
+            // As the file that keeps stamps: what was heard until a second before is known.
+            if let Some(signing) = &mut self.settings.session.signing {
+                signing.before = signing.ledger.get();
+            }
             self.station = Some(Station::new(self.settings.clone(), self.now()));
             self.judge.restarted(self.now_us);
             self.turned_us = self.now_us;
@@ -276,7 +288,8 @@ impl Bench<'_> {
 
     fn reboot(&mut self) -> Result<(), VehicleRefused> {
         self.boots += 1;
-        self.vehicle = built(self.script, self.kit, self.script.seed.wrapping_add(self.boots))?;
+        let seed = self.script.seed.wrapping_add(self.boots);
+        self.vehicle = built(self.script, self.kit, seed, self.now_us)?;
         self.booted_us = self.now_us;
         self.vehicle.connect(STATION, LinkKind::Datagrams);
         self.judge.rebooted();
@@ -313,6 +326,7 @@ impl Bench<'_> {
             ..Default::default()
         };
         let mut bytes = Vec::new();
+        signing::turn(&mut self.pilot, self.now_us);
         self.pilot.encode(&MavMessage::COMMAND_LONG(data), &mut bytes);
         self.vehicle.receive(PILOT, &bytes);
     }
@@ -405,7 +419,8 @@ impl Bench<'_> {
             ..Default::default()
         });
         let mut bytes = Vec::new();
-        Encoder::new(autopilot::SYSTEM_ID, autopilot::COMPONENT_ID).encode(&denied, &mut bytes);
+        let [system, component] = [autopilot::SYSTEM_ID, autopilot::COMPONENT_ID];
+        signing::encoder(self.script, system, component, self.now_us).encode(&denied, &mut bytes);
         self.channel.say(&self.script.faults, self.now_us, bytes, false);
     }
 

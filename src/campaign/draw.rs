@@ -40,6 +40,8 @@ pub fn script(seed: u64, number: u64) -> Script {
         (timed.at_s, timed.for_s) = (thousandth(timed.at_s), thousandth(timed.for_s));
     }
     let seed = draw.seed();
+    // Drawn last: what went before is drawn as it was without signing.
+    let signed = draw.chance(0.25);
     Script {
         schema_version: VERSION,
         // A whole number that TOML and JSON keep.
@@ -49,6 +51,7 @@ pub fn script(seed: u64, number: u64) -> Script {
         law,
         policy,
         clock_rate,
+        signed,
         trajectory,
         faults,
     }

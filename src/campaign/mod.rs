@@ -10,6 +10,7 @@ pub mod planner;
 mod rule;
 pub mod script;
 pub mod shrink;
+mod signing;
 mod tamper;
 mod truth;
 mod word;

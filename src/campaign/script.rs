@@ -26,6 +26,9 @@ pub struct Script {
     pub policy: EngagePolicy,
     /// Seconds of the vehicle's clock in one of the host's.
     pub clock_rate: f64,
+    /// Whether both ends sign what they say (MAVLink 2), and believe nothing else.
+    #[serde(default)]
+    pub signed: bool,
     /// The trajectory, as the text of its file.
     pub trajectory: String,
     /// What happens on the way.

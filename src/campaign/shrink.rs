@@ -45,6 +45,8 @@ pub fn shrunk(script: &Script, mut fails: impl FnMut(&Script) -> bool) -> Script
     let hover = "family = \"hover\"\naltitude_m = 1.0\nduration_s = 3.0\n".to_owned();
     let plain = Script { trajectory: hover, ..best.clone() };
     attempt(&mut best, plain);
+    let plain = Script { signed: false, ..best.clone() };
+    attempt(&mut best, plain);
     let plain = Script { law: "lqr".to_owned(), ..best.clone() };
     attempt(&mut best, plain);
     best

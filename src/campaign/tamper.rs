@@ -3,7 +3,7 @@
 use wire::dialect::*;
 
 use super::script::{Fault, Timed};
-use super::word;
+use super::{signing, word};
 
 /// A step of a clock that is this near to the wrap of 32 bits of ms, us.
 const BEFORE_WRAP_US: i64 = 4_294_967_296_000 - 12_000_000;
@@ -38,7 +38,7 @@ impl Tamper {
         let old_s: f64 = acting().map(|timed| old_by_s(&timed.fault)).sum();
         let old_us = if word::is_state(frame) { (old_s * 1e6) as i64 } else { 0 };
         stamp(&mut message, offset_us, offset_us - old_us);
-        word::in_place_of(frame, &message)
+        word::in_place_of(frame, &message, &signing::key())
     }
 
     /// The state as it was, under the new stamp.

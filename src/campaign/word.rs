@@ -1,7 +1,8 @@
 //! What frames on the wire say, in as far as faults and judge ask.
 
-use wire::Frame;
 use wire::dialect::*;
+use wire::signing::{Key, Signer, Stamp};
+use wire::{Encoder, Frame};
 
 /// Message ids.
 pub const HEARTBEAT: u32 = 0;
@@ -52,15 +53,17 @@ pub fn told(frame: &[u8]) -> Option<(u32, Option<bool>)> {
     }
 }
 
-/// A frame with the ids and the number of another, so that no gap is left.
-pub fn in_place_of(frame: &[u8], message: &MavMessage) -> Vec<u8> {
+/// A frame with the ids, the number and the stamp of another, so that no gap is left. What was signed
+/// is signed anew, with `key`: it is the vehicle itself that errs.
+pub fn in_place_of(frame: &[u8], message: &MavMessage, key: &Key) -> Vec<u8> {
     let Some(original) = Frame::parse(frame) else { return frame.to_vec() };
-    let header = mavlink::MavHeader {
-        system_id: original.system(),
-        component_id: original.component(),
-        sequence: original.sequence(),
-    };
-    let mut raw = mavlink::MAVLinkV2MessageRaw::new();
-    raw.serialize_message(header, message);
-    raw.raw_bytes().to_vec()
+    let mut encoder = Encoder::new(original.system() as u8, original.component());
+    encoder.set_sequence(original.sequence());
+    encoder.set_signer(original.signed_at().map(|(link, at)| {
+        let before = Stamp::from_ticks(at.ticks().saturating_sub(1));
+        Signer::new(key.clone(), link, before)
+    }));
+    let mut bytes = Vec::new();
+    encoder.encode(message, &mut bytes);
+    bytes
 }

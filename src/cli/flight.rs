@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::view::{ForwardArgs, ViewArgs};
+use super::view::{ForwardArgs, ServiceArgs, ViewArgs};
 use crate::control::Law;
 use crate::model::file::ModelKind;
 
@@ -45,7 +45,7 @@ pub struct FlyArgs {
     #[arg(long, value_name = "ID")]
     pub system: Option<u8>,
     /// Makes the checks before a flight and flies nothing; exit code 4 if one fails.
-    #[arg(long, conflicts_with_all = ["replan", "tlog", "view", "forward", "tui"])]
+    #[arg(long, conflicts_with_all = ["replan", "tlog", "view", "forward", "metrics", "tui"])]
     pub check: bool,
     /// The live view.
     #[command(flatten)]
@@ -53,6 +53,9 @@ pub struct FlyArgs {
     /// The fan-out.
     #[command(flatten)]
     pub forward: ForwardArgs,
+    /// What monitors ask.
+    #[command(flatten)]
+    pub service: ServiceArgs,
     /// Shows the flight on the whole terminal, for a laptop over ssh.
     #[arg(long)]
     pub tui: bool,
@@ -160,6 +163,9 @@ pub struct DaemonArgs {
     /// The fan-out.
     #[command(flatten)]
     pub forward: ForwardArgs,
+    /// What monitors ask.
+    #[command(flatten)]
+    pub service: ServiceArgs,
     /// Shows the flight on the whole terminal, for a laptop over ssh.
     #[arg(long)]
     pub tui: bool,

@@ -6,6 +6,9 @@ use wire::Endpoint;
 /// Where a view is served that is asked for without an address.
 pub const VIEW_ADDRESS: &str = "127.0.0.1:8765";
 
+/// Where metrics are served that are asked for without an address.
+pub const METRICS_ADDRESS: &str = "127.0.0.1:9464";
+
 /// Flags of the fan-out.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ForwardArgs {
@@ -14,6 +17,21 @@ pub struct ForwardArgs {
     /// by default.
     #[arg(long, value_name = "URL")]
     pub forward: Vec<Endpoint>,
+}
+
+/// Flags of the service's endpoints.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ServiceArgs {
+    /// Serves /health, /status and Prometheus' /metrics, read-only, on an address of this machine
+    /// alone [default address: 127.0.0.1:9464].
+    #[arg(
+        long,
+        value_name = "HOST:PORT",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = METRICS_ADDRESS
+    )]
+    pub metrics: Option<String>,
 }
 
 /// Flags of the live view.

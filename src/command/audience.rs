@@ -8,12 +8,13 @@ use super::screen::Screen;
 use super::status_line::StatusLine;
 use super::stop::Stop;
 use super::{Exit, ExitContext, say};
-use crate::cli::{ForwardArgs, VIEW_ADDRESS, ViewArgs};
+use crate::cli::{ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs};
 use crate::clock::HostTime;
 use crate::config::Config;
 use crate::forward::{AllowList, Forward, Guests};
 use crate::log::RunInfo;
 use crate::log::sink::Listeners;
+use crate::service::Service;
 use crate::station::Status;
 use crate::view::{CoursePath, LiveView, ViewSettings};
 
@@ -28,6 +29,7 @@ pub(super) struct Audience {
     listeners: Listeners,
     guests: Option<Guests>,
     screen: Option<Screen>,
+    service: Option<Service>,
     line: Option<StatusLine>,
 }
 
@@ -54,6 +56,16 @@ impl Audience {
             let (forward, guests) = Forward::start(&args.forward, allow).or_exit(Exit::Usage)?;
             self.listeners.push(Box::new(forward));
             self.guests = Some(guests);
+        }
+        Ok(self)
+    }
+
+    /// The same, with what monitors ask.
+    pub fn served(mut self, args: &ServiceArgs) -> anyhow::Result<Self> {
+        if let Some(asked) = &args.metrics {
+            let service = Service::start(&address(asked, METRICS_ADDRESS)).or_exit(Exit::Usage)?;
+            say(format_args!("metrics at http://{}/metrics", service.address()));
+            self.service = Some(service);
         }
         Ok(self)
     }
@@ -92,6 +104,9 @@ impl Audience {
         if let Some(view) = &self.view {
             view.show(now, status);
         }
+        if let Some(service) = &self.service {
+            service.show(now, status);
+        }
         if let Some(line) = &self.line {
             line.show(status);
         }
@@ -122,16 +137,16 @@ pub(super) fn view_settings(asked: &str, run: &RunInfo, config: &Config) -> View
         (name, text)
     });
     ViewSettings {
-        address: address(asked),
+        address: address(asked, VIEW_ADDRESS),
         name: format!("downwash: {}, {}", run.vehicle, run.run),
         parameters: settings.collect::<BTreeMap<_, _>>(),
         playback: None,
     }
 }
 
-/// `HOST:PORT`, of which `asked` may lack either.
-pub(super) fn address(asked: &str) -> String {
-    let (host, port) = VIEW_ADDRESS.split_once(':').unwrap_or((VIEW_ADDRESS, "0"));
+/// `HOST:PORT`, of which `asked` may lack either: `usual` has them.
+pub(super) fn address(asked: &str, usual: &str) -> String {
+    let (host, port) = usual.split_once(':').unwrap_or((usual, "0"));
     let is_port = |text: &str| text.parse::<u16>().is_ok();
     match asked.rsplit_once(':') {
         Some(("", given)) if is_port(given) => format!("{host}:{given}"),
@@ -170,7 +185,7 @@ mod tests {
             ("[::1]:9000", "[::1]:9000"),
             ("lab:0", "lab:0"),
         ] {
-            assert_eq!(address(asked), expected, "{asked}");
+            assert_eq!(address(asked, VIEW_ADDRESS), expected, "{asked}");
         }
     }
 }

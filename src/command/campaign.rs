@@ -328,11 +328,13 @@ fn text(summary: &CampaignSummary) -> String {
         text += &flight.failure.iter().map(|why| format!("        {why}\n")).collect::<String>();
         text += &violations_text(&flight.violations);
         if let Some(script) = &flight.script {
-            text += &format!("again   downwash campaign --script {}\n", script.display());
-        } else {
-            let index = flight.index;
-            text += &format!("script  downwash campaign --seed {seed} --draw {index}\n");
+            text += &format!("shrunk  downwash campaign --script {}\n", script.display());
         }
+        let index = flight.index;
+        text += &format!(
+            "again   downwash campaign --seed {seed} --draw {index} > script.json && downwash \
+             campaign --script script.json\n"
+        );
     }
     text
 }

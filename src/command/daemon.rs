@@ -9,6 +9,7 @@ use super::audience::Audience;
 use super::course::Course;
 use super::fly::{endpoint, tee, tell_tlog, watch};
 use super::setup::{VehicleFile, required, run_info, station_settings};
+use super::signing_state::SigningState;
 use super::stop::{Stop, StopSignals};
 use super::{Exit, Interruption, config, say, summary};
 use crate::cli::DaemonArgs;
@@ -27,7 +28,10 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
     let course = Course::load(&file, &vehicle, &config)?;
     let name = course.name().to_owned();
     let policy = EngagePolicy::PilotSwitch;
-    let station_settings = station_settings(&config, &vehicle, &course, policy, Some(&endpoint))?;
+    let mut station_settings =
+        station_settings(&config, &vehicle, &course, policy, Some(&endpoint))?;
+    let signing = SigningState::open(&settings.link.signing)?;
+    station_settings.session.signing = signing.as_ref().map(SigningState::settings);
 
     let mut signals = StopSignals::after(Some(preparation))?;
     let clock = HostClock::start();
@@ -35,6 +39,7 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
     let info = run_info(&config, &vehicle, &name, false, None);
     let mut audience = Audience::start(&args.view, &config, &info, &course)?
         .forwarding(&args.forward, &config)?
+        .served(&args.service)?
         .on_screen(args.tui, &info)?;
     let open = move |start| LogWriter::create(&log_dir, &info, start, Instant::now());
     let sink = LogSink::per_flight(Box::new(open), audience.take_listeners())

@@ -15,6 +15,7 @@ use super::audience::Audience;
 use super::course::Course;
 use super::goal_file::GoalFile;
 use super::setup::{VehicleFile, law_flag, path_flag, required, run_info, station_settings};
+use super::signing_state::SigningState;
 use super::stop::StopSignals;
 use super::{Exit, ExitContext, Interruption, config, plan, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
@@ -70,7 +71,10 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
     };
     let name = course.name().to_owned();
     let policy = EngagePolicy::Command;
-    let station_settings = station_settings(&config, &vehicle, &course, policy, Some(&endpoint))?;
+    let mut station_settings =
+        station_settings(&config, &vehicle, &course, policy, Some(&endpoint))?;
+    let signing = SigningState::open(&settings.link.signing)?;
+    station_settings.session.signing = signing.as_ref().map(SigningState::settings);
 
     if args.check {
         let signals = StopSignals::after(Some(preparation))?;
@@ -82,7 +86,7 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
     let mut signals = StopSignals::after(Some(preparation))?;
     let audience =
         Audience::start(&args.view, &config, &info, &course)?.forwarding(&args.forward, &config)?;
-    let audience = audience.on_screen(args.tui, &info)?;
+    let audience = audience.served(&args.service)?.on_screen(args.tui, &info)?;
     let run = Run { settings: station_settings, endpoint, tee, audience };
     let Flown { end, exit, log } = run.fly(&log_dir, &info, &mut signals)?;
     let flight =

@@ -10,6 +10,7 @@ use wire::transport::RECEIVE_LEN;
 
 use super::fly::{endpoint, system_flag};
 use super::setup::required;
+use super::signing_state::SigningState;
 use super::{config, say};
 use crate::cli::ListenArgs;
 use crate::clock::HostTime;
@@ -19,6 +20,7 @@ use crate::link::attitude_target::ThrustMap;
 use crate::link::connection::{Connection, Input};
 use crate::link::profile::MessageRate;
 use crate::link::session::{Heard, Session, Settings};
+use crate::link::signing::SigningSettings;
 
 /// A session that flies nothing, over a connection.
 pub(super) struct Listener {
@@ -30,18 +32,36 @@ pub(super) struct Listener {
     runtime: Runtime,
     buffer: Vec<u8>,
     failure: Option<String>,
+    /// Keeps the stamps of what this signs.
+    _signing: Option<SigningState>,
 }
 
 impl Listener {
     /// Opens the link of the flags or of the configuration. Messages and rates are asked for as a
     /// flight does, or not at all.
     pub fn open(args: &ListenArgs, is_asking: bool) -> anyhow::Result<Self> {
+        let state = SigningState::open(&Self::config(args)?.settings.link.signing)?;
+        let listener = Self::signed(args, is_asking, state.as_ref().map(SigningState::settings))?;
+        Ok(Self { _signing: state, ..listener })
+    }
+
+    /// The configuration with the flags.
+    pub fn config(args: &ListenArgs) -> anyhow::Result<Config> {
         let mut flags = Vec::new();
         if let Some(url) = &args.connect {
             flags.push(("--connect", "connect", toml::Value::String(url.clone())));
         }
         flags.extend(system_flag(args.system));
-        let config = config::load(args.config.as_deref(), flags)?;
+        config::load(args.config.as_deref(), flags)
+    }
+
+    /// The same as [`open`](Self::open) with another key, or none.
+    pub fn signed(
+        args: &ListenArgs,
+        is_asking: bool,
+        signing: Option<SigningSettings>,
+    ) -> anyhow::Result<Self> {
+        let config = Self::config(args)?;
         let settings = &config.settings;
         let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
         // No setpoint is sent, so that what a thrust means does not matter.
@@ -59,6 +79,7 @@ impl Listener {
             telemetry: (!is_asking).then(Vec::<MessageRate>::new),
             baud,
             endpoint: Some(endpoint.to_string()),
+            signing,
             ..Settings::new(thrust)
         };
         let clock = HostClock::start();
@@ -72,6 +93,7 @@ impl Listener {
             runtime: runtime.context("cannot start the runtime of the link")?,
             buffer: vec![0; RECEIVE_LEN],
             failure: None,
+            _signing: None,
         })
     }
 

@@ -37,6 +37,8 @@ mod screen;
 mod screen_layout;
 mod sent_thrust;
 mod setup;
+mod signing;
+mod signing_state;
 mod simulate;
 mod simulation;
 mod sitl;
@@ -186,6 +188,10 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
             Interruption::watch()?;
             end_on_broken_pipe();
             vehicle::run(command)
+        }
+        Command::Signing(command) => {
+            Interruption::watch()?;
+            signing::run(&command)
         }
         Command::Config(args) => {
             end_on_broken_pipe();

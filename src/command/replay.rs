@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow};
 use super::audience::{address, say_address};
 use super::stop::{Stop, StopSignals};
 use super::{Exit, ExitContext, Interruption, say};
-use crate::cli::ReplayArgs;
+use crate::cli::{ReplayArgs, VIEW_ADDRESS};
 use crate::log::reader::ReadError;
 use crate::log::{LogReader, import};
 use crate::view::{Playback, Recording, ViewSettings};
@@ -29,7 +29,7 @@ pub(super) fn run(args: &ReplayArgs, preparation: Interruption) -> anyhow::Resul
     }
     let name = args.log.file_name().unwrap_or_default().to_string_lossy();
     let settings = ViewSettings {
-        address: address(&args.view),
+        address: address(&args.view, VIEW_ADDRESS),
         name: format!("downwash: {name}"),
         ..ViewSettings::default()
     };

@@ -17,6 +17,7 @@ use crate::log::info::LogInfo;
 use crate::report::flight::FlightSummary;
 use crate::report::recording::RecordingSummary;
 use crate::report::side_by_side::Comparison;
+use crate::service::ServiceStatus;
 
 /// What a command prints.
 pub(super) struct Output {
@@ -28,7 +29,7 @@ pub(super) struct Output {
 }
 
 /// All of them, in the order of a table.
-pub(super) const OUTPUTS: [Output; 31] = [
+pub(super) const OUTPUTS: [Output; 32] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -62,6 +63,10 @@ pub(super) const OUTPUTS: [Output; 31] = [
     Output::new::<model::Info<'_>>("downwash.model_info", "model info --json"),
     Output::new::<plan::PlanSummary<'_>>("downwash.plan.summary", "plan --json"),
     Output::new::<simulate::Row>("downwash.simulate", "simulate --json"),
+    Output::new::<ServiceStatus>(
+        "downwash.status",
+        "fly --metrics and daemon --metrics at GET /status",
+    ),
     Output::new::<sweep::SweepSummary>("downwash.sweep.summary", "sweep --json"),
     Output::new::<sweep::Listed>(
         "downwash.sweep.point",

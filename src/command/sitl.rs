@@ -10,7 +10,7 @@ use vehicle::frame::Frd;
 use super::audience::{address, say_address};
 use super::setup::VehicleFile;
 use super::{Exit, ExitContext};
-use crate::cli::SimulatorArgs;
+use crate::cli::{SimulatorArgs, VIEW_ADDRESS};
 use crate::clock::HostTime;
 use crate::daemon::HostClock;
 use crate::lockstep;
@@ -55,7 +55,7 @@ struct Watched {
 impl Watched {
     fn start(asked: &str, params: &VehicleParams) -> anyhow::Result<Self> {
         let settings = ViewSettings {
-            address: address(asked),
+            address: address(asked, VIEW_ADDRESS),
             name: format!("downwash sitl: {}", params.name),
             ..ViewSettings::default()
         };

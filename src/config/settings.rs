@@ -69,8 +69,41 @@ pub struct LinkSettings {
     pub stale_after_s: f64,
     /// Silence after which the vehicle is lost, s.
     pub lost_after_s: f64,
+    /// MAVLink 2 signing.
+    pub signing: SigningSettings,
     /// `fly` gives up when no vehicle is heard for this long, s.
     pub search_timeout_s: f64,
+}
+
+/// Signing of the link. Without a key, here or in `DOWNWASH_SIGNING_KEY`, nothing is signed and
+/// everybody is believed.
+#[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SigningSettings {
+    /// File of the key, of mode 0600.
+    pub key_file: Option<PathBuf>,
+    /// Own number of the link: programs that sign with the same system and component take different
+    /// ones.
+    pub link_id: u8,
+    /// File of the stamps that must not be used again; none takes the key's file with `.stamps`.
+    pub state_file: Option<PathBuf>,
+    /// Names of the messages that are believed without a signature.
+    pub accept_unsigned: Vec<String>,
+    /// Stamps further ahead of this computer's clock are not believed, s.
+    pub ahead_max_s: f64,
+}
+
+impl Default for SigningSettings {
+    fn default() -> Self {
+        Self {
+            key_file: None,
+            link_id: 0,
+            state_file: None,
+            // What a radio says itself, which has no key.
+            accept_unsigned: vec!["RADIO_STATUS".to_owned()],
+            ahead_max_s: 86_400.0,
+        }
+    }
 }
 
 /// What SET_ATTITUDE_TARGET carries.
@@ -98,6 +131,7 @@ impl Default for LinkSettings {
             answer_timesync: true,
             stale_after_s: 2.5,
             lost_after_s: 5.0,
+            signing: SigningSettings::default(),
             search_timeout_s: 20.0,
         }
     }

@@ -170,6 +170,13 @@ impl Connection {
         is_taken
     }
 
+    /// The peer that makes room for no newer one; see [`Transport::keep`].
+    pub fn keep(&mut self, peer: Option<Peer>) {
+        if let State::Open(transport) = &mut self.state {
+            transport.keep(peer);
+        }
+    }
+
     /// Whether bytes come as datagrams.
     pub fn is_datagram(&self) -> bool {
         matches!(self.endpoint, Endpoint::UdpIn(_) | Endpoint::UdpOut(_))

@@ -52,6 +52,7 @@ pub mod profile;
 pub mod request;
 mod sequence;
 pub mod session;
+pub mod signing;
 pub mod silence;
 pub mod tee;
 mod text;

@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use mavlink::{MavlinkVersion, MessageData};
 use wire::dialect::SET_ATTITUDE_TARGET_DATA;
+use wire::signing::{Key, Refused, Stamp};
 use wire::transport::{PEERS_MAX, Peer};
 use wire::{Decoder, DecoderStats};
 
@@ -23,6 +24,7 @@ use super::intervals::IntervalEvent;
 use super::message::Received;
 use super::profile::{FormChoice, MessageRate, Profile};
 use super::request::{Outcome, Request, RequestId};
+use super::signing::{Disbelief, SigningSettings};
 use super::vehicle_clock::ClockEstimate;
 use crate::clock::{HostTime, VehicleTime};
 use crate::guard::Cleared;
@@ -58,6 +60,8 @@ pub struct Settings {
     pub endpoint: Option<String>,
     /// Bits per second of a serial line, which the profile's messages are made to fit.
     pub baud: Option<u32>,
+    /// Signing; `None` signs nothing and believes everybody.
+    pub signing: Option<SigningSettings>,
 }
 
 impl Settings {
@@ -76,6 +80,7 @@ impl Settings {
             lost_after: Duration::from_secs(5),
             endpoint: None,
             baud: None,
+            signing: None,
         }
     }
 }
@@ -145,6 +150,8 @@ pub enum Event {
         /// By how much, ns.
         by_ns: i64,
     },
+    /// A frame is not believed, for a reason that was not told yet.
+    Disbelieved(Disbelief),
 }
 
 /// Who the vehicle is.
@@ -319,6 +326,12 @@ impl Session {
         id
     }
 
+    /// Sends the vehicle a key and the time to sign with, or word to sign nothing. Nothing
+    /// acknowledges it, and no log has it.
+    pub fn set_up_signing(&mut self, key: Option<(&Key, Stamp)>) {
+        self.core.set_up_signing(key);
+    }
+
     /// Ends the commands under way: none is repeated.
     pub fn withdraw_commands(&mut self) {
         self.core.requests.withdraw();
@@ -362,6 +375,11 @@ impl Session {
         self.core.vehicle.as_ref().map(|vehicle| vehicle.id)
     }
 
+    /// Where the vehicle is heard; `None` before it is, and once that connection closed.
+    pub fn vehicle_peer(&self) -> Option<Peer> {
+        self.core.vehicle.as_ref().and_then(|vehicle| vehicle.peer)
+    }
+
     /// Autopilots beside the vehicle, none of which was chosen.
     pub fn others(&self) -> &[VehicleId] {
         &self.core.others
@@ -385,6 +403,16 @@ impl Session {
     /// Whether the vehicle signs its messages.
     pub fn is_signed(&self) -> bool {
         self.core.vehicle.as_ref().is_some_and(|vehicle| vehicle.is_signed)
+    }
+
+    /// Whether this session signs, and believes only what is signed.
+    pub fn signs(&self) -> bool {
+        self.core.signing.is_some()
+    }
+
+    /// Frames that were not believed for want of a signature, by why.
+    pub fn disbelieved(&self) -> impl Iterator<Item = (Refused, u64)> + '_ {
+        self.core.signing.iter().flat_map(|signing| signing.refused())
     }
 
     /// The protocol's version in the vehicle's newest frame, 1 or 2.

@@ -37,6 +37,18 @@ impl Silence {
             );
             return Self { subject: "frames".to_owned(), line };
         }
+        let unbelieved: u64 = session.disbelieved().map(|(_, count)| count).sum();
+        if unbelieved > 0 {
+            let whys = session.disbelieved().filter(|(_, count)| *count > 0);
+            let whys: Vec<_> = whys.map(|(why, count)| format!("{count}: {why}")).collect();
+            let line = format!(
+                "{} frames received on {endpoint}, {unbelieved} of them not believed ({}), and no \
+                 HEARTBEAT of an autopilot; check that the vehicle has the key of link.signing",
+                received.frames,
+                whys.join("; ")
+            );
+            return Self { subject: "unbelieved".to_owned(), line };
+        }
         let of =
             session.wanted_system().map_or(String::new(), |id| format!(" with system id {id}"));
         let heard: Vec<_> = session.senders().iter().map(ToString::to_string).collect();

@@ -36,6 +36,8 @@ pub struct LogSink {
     queue: SyncSender<Record>,
     /// Counted here, read by the writer's thread.
     dropped: Arc<AtomicU64>,
+    /// Counted by the writer's thread.
+    failures: Arc<AtomicU64>,
     thread: JoinHandle<Result<Option<LogSummary>, LogError>>,
 }
 
@@ -71,10 +73,12 @@ impl LogSink {
         let (queue, records) = sync_channel(QUEUE);
         let dropped = Arc::new(AtomicU64::new(0));
         let counter = Arc::clone(&dropped);
+        let failures = Arc::new(AtomicU64::new(0));
+        let failed = Arc::clone(&failures);
         let thread = thread::Builder::new()
             .name("log".into())
-            .spawn(move || drain(target, listeners, &records, &counter))?;
-        Ok(Self { queue, dropped, thread })
+            .spawn(move || drain(target, listeners, &records, &counter, &failed))?;
+        Ok(Self { queue, dropped, failures, thread })
     }
 
     /// Hands over `record`.
@@ -93,12 +97,17 @@ impl LogSink {
         self.dropped.load(Ordering::Relaxed)
     }
 
+    /// Logs that ended by an error so far.
+    pub fn failures(&self) -> u64 {
+        self.failures.load(Ordering::Relaxed)
+    }
+
     /// Writes what is left and closes the file; `None` if there was no flight to keep a log of.
     ///
     /// # Errors
     /// The error that ended the log, now or earlier.
     pub fn finish(self) -> Result<Option<LogSummary>, LogError> {
-        let Self { queue, dropped, thread } = self;
+        let Self { queue, dropped, thread, .. } = self;
         drop(queue);
         match thread.join() {
             Ok(result) => result.map(|summary| {
@@ -110,18 +119,19 @@ impl LogSink {
     }
 }
 
-fn report(error: &LogError) {
+fn report(error: &LogError, failures: &AtomicU64) {
+    failures.fetch_add(1, Ordering::Relaxed);
     tracing::error!("{error}; flying goes on without a log");
 }
 
 impl Target {
     /// An error ends a single log for good; the next flight gets a new one.
-    fn write(&mut self, record: Record) -> Result<(), LogError> {
+    fn write(&mut self, record: Record, failures: &AtomicU64) -> Result<(), LogError> {
         match self {
             Self::One(writer) => writer.write(&record),
             Self::PerFlight(logs) => {
                 if let Err(error) = logs.write(record) {
-                    report(&error);
+                    report(&error, failures);
                     logs.abandon();
                 }
                 Ok(())
@@ -129,12 +139,12 @@ impl Target {
         }
     }
 
-    fn sync_if_due(&mut self, wall: Instant) -> Result<(), LogError> {
+    fn sync_if_due(&mut self, wall: Instant, failures: &AtomicU64) -> Result<(), LogError> {
         match self {
             Self::One(writer) => writer.sync_if_due(wall),
             Self::PerFlight(logs) => {
                 if let Err(error) = logs.sync_if_due(wall) {
-                    report(&error);
+                    report(&error, failures);
                     logs.abandon();
                 }
                 Ok(())
@@ -156,6 +166,7 @@ fn drain(
     mut listeners: Listeners,
     records: &Receiver<Record>,
     dropped: &AtomicU64,
+    failures: &AtomicU64,
 ) -> Result<Option<LogSummary>, LogError> {
     let mut file = Ok(target);
     let mut reported = 0;
@@ -166,7 +177,7 @@ fn drain(
                 Ok(record) => {
                     latest = host_time(&record).unwrap_or(latest);
                     listeners.iter_mut().for_each(|listener| listener.hear(&record));
-                    step(&mut file, |target| target.write(record));
+                    step(&mut file, failures, |target| target.write(record, failures));
                 }
                 Err(TryRecvError::Empty) => break true,
                 Err(TryRecvError::Disconnected) => break false,
@@ -179,9 +190,9 @@ fn drain(
             reported = total;
             let severity = Severity::Warning;
             let record = Record::Event { host: latest, severity, source: Source::Daemon, text };
-            step(&mut file, |target| target.write(record));
+            step(&mut file, failures, |target| target.write(record, failures));
         }
-        step(&mut file, |target| target.sync_if_due(Instant::now()));
+        step(&mut file, failures, |target| target.sync_if_due(Instant::now(), failures));
         // Nobody hears what is not written any more.
         if !is_open || (file.is_err() && listeners.is_empty()) {
             break;
@@ -194,12 +205,13 @@ fn drain(
 /// Does something to the file, unless it has failed before.
 fn step(
     file: &mut Result<Target, LogError>,
+    failures: &AtomicU64,
     action: impl FnOnce(&mut Target) -> Result<(), LogError>,
 ) {
     if let Ok(target) = file
         && let Err(error) = action(target)
     {
-        report(&error);
+        report(&error, failures);
         *file = Err(error);
     }
 }

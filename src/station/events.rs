@@ -47,6 +47,7 @@ impl Station {
                 let severity = if budget.fits() { Severity::Notice } else { Severity::Warning };
                 self.tell(now, severity, budget.to_string());
             }
+            Event::Disbelieved(why) => self.tell(now, Severity::Warning, why.to_string()),
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
                 // Smaller steps are those of a simulator whose speed changes.
@@ -59,12 +60,12 @@ impl Station {
 
     /// A vehicle that signs may take nothing that is not signed. Some take it all the same.
     pub(super) fn tell_signing(&mut self, now: HostTime) {
-        if self.session.is_signed() && !self.is_signing_told {
+        if self.session.is_signed() && !self.session.signs() && !self.is_signing_told {
             self.is_signing_told = true;
-            let text = "the vehicle signs its messages (MAVLink 2 signing), and downwash does not: \
-                        if it refuses what is not signed there are no rates, parameters, modes or \
-                        setpoints; then turn signing off on this link, or connect by USB, where \
-                        PX4 and ArduPilot take unsigned messages";
+            let text = "the vehicle signs its messages (MAVLink 2 signing), and downwash has no \
+                        key: if it refuses what is not signed there are no rates, parameters, \
+                        modes or setpoints; give its key in link.signing.key_file, or turn signing \
+                        off on this link";
             self.tell(now, Severity::Notice, text.to_owned());
             self.check_standing(now);
         }

@@ -152,10 +152,10 @@ impl Station {
             })
             .collect();
         // One that answers takes what is not signed.
-        if self.session.is_signed() && !self.is_version_known {
+        if self.session.is_signed() && !self.session.signs() && !self.is_version_known {
             failed.push(PreflightCheck {
                 subject: "signing".to_owned(),
-                expected: "none on this link".to_owned(),
+                expected: "none on this link, or its key in link.signing".to_owned(),
                 found: "signed messages, and no answer to what is not signed".to_owned(),
             });
         }

@@ -3,6 +3,9 @@
 use vehicle::frame::Ned;
 
 use super::Station;
+use wire::signing::Refused;
+
+use crate::clock::HostTime;
 use crate::link::counters::LinkState;
 use crate::supervisor::FlightState;
 
@@ -35,6 +38,37 @@ pub struct Status {
     pub battery: Option<f64>,
     /// Round trip of the link, s.
     pub round_trip_s: Option<f64>,
+    /// What the link counted.
+    pub counts: LinkCounts,
+    /// When the driver took this look.
+    pub updated: Option<HostTime>,
+    /// Records that the log lacks, because its disk was too slow.
+    pub log_dropped: u64,
+    /// Logs that ended by an error.
+    pub log_failures: u64,
+}
+
+/// Frames by what became of them.
+#[derive(Clone, Debug, Default)]
+pub struct LinkCounts {
+    /// The vehicle's.
+    pub heard: u64,
+    /// The vehicle's that were lost on the way.
+    pub lost: u64,
+    /// The vehicle's that came again, or late.
+    pub repeated: u64,
+    /// The vehicle's that cannot be true.
+    pub refused: u64,
+    /// Other senders'.
+    pub foreign: u64,
+    /// Those that were sent.
+    pub sent: u64,
+    /// Those that did not leave.
+    pub dropped: u64,
+    /// Bytes that are no MAVLink.
+    pub unframed_bytes: u64,
+    /// Those without a right signature, by why; none where nothing is signed.
+    pub disbelieved: Vec<(Refused, u64)>,
 }
 
 impl Station {
@@ -46,13 +80,26 @@ impl Station {
             LinkState::Stale => "stale",
             LinkState::Lost => "lost",
         };
+        let stats = self.session.stats();
+        let counts = LinkCounts {
+            heard: stats.heard,
+            lost: stats.lost,
+            repeated: stats.repeated,
+            refused: stats.refused,
+            foreign: stats.foreign,
+            sent: stats.sent_frames,
+            dropped: stats.dropped,
+            unframed_bytes: stats.received.unframed_bytes,
+            disbelieved: self.session.disbelieved().collect(),
+        };
         let mut status = Status {
             link,
+            counts,
             vehicle: self.profile.as_ref().map(|profile| profile.name),
             setpoints: self.setpoints,
             tracking_error_m: self.tracking_error_m,
             progress: self.trajectory_time.map(|t| (t, self.settings.reference.duration())),
-            round_trip_s: self.session.stats().round_trip.map(|rtt| rtt.as_secs_f64()),
+            round_trip_s: stats.round_trip.map(|rtt| rtt.as_secs_f64()),
             ..Status::default()
         };
         if let Some(pilot) = &self.pilot {

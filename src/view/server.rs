@@ -18,6 +18,7 @@ use foxglove::{ChannelBuilder, Context, RawChannel, Schema, SinkId, WebSocketSer
 use tokio::sync::oneshot;
 
 use super::front;
+use crate::http;
 use crate::log::encoder::Definition;
 
 /// Messages that wait for one viewer; the oldest are dropped. Half a second of a busy flight.
@@ -114,7 +115,7 @@ impl Server {
         let address = settings.address;
         let serve = async move {
             let running = async {
-                let listener = front::bind(&address)
+                let listener = http::bind(&address)
                     .await
                     .map_err(|source| ViewError::Bind { address, source })?;
                 let at = listener.local_addr()?;

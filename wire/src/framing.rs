@@ -7,7 +7,7 @@ mod frame;
 pub use decoder::{Decoder, DecoderStats};
 pub use encoder::Encoder;
 pub use frame::Frame;
-pub(crate) use frame::{Front, front};
+pub(crate) use frame::{Front, Signature, front};
 
 #[cfg(test)]
 mod tests {

@@ -1,7 +1,8 @@
 //! The MAVLink wire, shared by both of its ends: the daemon and the simulated vehicle.
 //!
 //! [`framing`] turns bytes into checked frames and messages into bytes, sans I/O. [`tlog`] is the
-//! ground-station log of such frames. [`endpoint`] names where bytes come from, and `transport`
+//! ground-station log of such frames. [`signing`] tells
+//! whose they are. [`endpoint`] names where bytes come from, and `transport`
 //! (feature `transport`) opens it.
 
 #![forbid(unsafe_code)]
@@ -9,6 +10,7 @@
 
 pub mod endpoint;
 pub mod framing;
+pub mod signing;
 pub mod tlog;
 #[cfg(feature = "transport")]
 pub mod transport;

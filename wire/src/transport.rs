@@ -246,6 +246,14 @@ impl Transport {
         sent
     }
 
+    /// The peer of `udpin` that makes room for no newer one, however many come: whom one talks with.
+    /// It takes the place of the one before.
+    pub fn keep(&mut self, peer: Option<Peer>) {
+        if let Kind::UdpIn(listener) = &mut self.kind {
+            listener.keep(peer);
+        }
+    }
+
     /// Forgets a peer of `udpin`, or closes a connection of `tcpin`. No [`Incoming::Closed`]
     /// follows. A forgotten UDP peer that speaks again is a new one.
     pub fn close(&mut self, peer: Peer) {

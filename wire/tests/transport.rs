@@ -88,6 +88,27 @@ async fn a_stream_is_not_waited_for_past_the_runtime() {
 }
 
 #[tokio::test]
+async fn udpin_keeps_whom_it_talks_with_among_a_thousand_strangers() {
+    let mut listener = open("udpin:127.0.0.1:0").await;
+    let to = ("127.0.0.1", port(&listener));
+    let vehicle = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    vehicle.send_to(b"v", to).await.unwrap();
+    let (vehicle_peer, _) = receive(&mut listener).await;
+    listener.keep(Some(vehicle_peer));
+    let mut buffer = [0; 16];
+    // Each of them is new, and the vehicle says nothing in between.
+    for _ in 0..1000 {
+        let stray = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        stray.send_to(b"s", to).await.unwrap();
+        while let Incoming::Closed(peer) = soon(listener.recv(&mut buffer)).await.unwrap() {
+            assert_ne!(peer, vehicle_peer);
+        }
+    }
+    assert!(listener.peers().count() <= PEERS_MAX);
+    assert!(listener.send(vehicle_peer, b"still here"));
+}
+
+#[tokio::test]
 async fn udpin_keeps_who_speaks_when_its_table_is_full() {
     let mut listener = open("udpin:127.0.0.1:0").await;
     let to = ("127.0.0.1", port(&listener));

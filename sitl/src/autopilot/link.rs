@@ -2,6 +2,7 @@
 
 use mavlink::MavlinkVersion;
 use wire::dialect::MavMessage;
+use wire::signing::{Signer, Stamp};
 use wire::{Decoder, Encoder, Frame};
 
 use super::streams::{Schedule, StreamRules};
@@ -83,6 +84,17 @@ impl Link {
         encoder.set_version(MavlinkVersion::V1);
         let schedule = Schedule::new(rules, now_us);
         Self { peer, encoder, speaks_v2: false, schedule, parameter_list: None }
+    }
+
+    /// Signs from the next frame on, or not any more. What is signed is MAVLink 2.
+    pub(super) fn sign(&mut self, signer: Option<Signer>) {
+        self.speaks_v2 |= signer.is_some();
+        self.encoder.set_signer(signer);
+    }
+
+    /// Time goes on for signatures.
+    pub(super) fn turn(&mut self, now: Stamp) {
+        self.encoder.signer().into_iter().for_each(|signer| signer.turn(now));
     }
 
     /// Notes the version that the peer speaks.

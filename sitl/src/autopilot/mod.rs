@@ -24,6 +24,7 @@ pub mod pd;
 mod personality;
 pub mod position;
 pub mod protocol;
+mod signing;
 pub mod status_text;
 pub mod streams;
 pub mod telemetry;
@@ -48,6 +49,7 @@ use vehicle::effects::{CommandDelay, EffectSet, PdGain};
 use vehicle::foreign::Foreign;
 use vehicle::plant::Plant;
 use vehicle::{VehicleError, VehicleParams};
+use wire::signing::{Key, Stamp};
 
 /// MAVLink system id of the vehicle.
 pub const SYSTEM_ID: u8 = 1;
@@ -200,6 +202,12 @@ impl Vehicle {
     /// The pack is down to this charge, 0..1, at once.
     pub fn drain(&mut self, charge: f64) {
         self.airframe.drain(charge);
+    }
+
+    /// Signs with `key` from now on, as if it had been set up, and believes only what is signed with
+    /// it. It is `now`.
+    pub fn sign(&mut self, key: Key, now: Stamp) {
+        self.protocol.sign(Some((key, now)));
     }
 
     /// Begins to serve a peer: streams go to it before it says anything. A peer that is already

@@ -8,6 +8,7 @@ mod parameter;
 use mavlink::Message;
 use wire::Frame;
 use wire::dialect::*;
+use wire::signing::{Key, Stamp};
 
 use crate::config::Home;
 use crate::sensors::EstimatorStatus;
@@ -18,6 +19,7 @@ use super::commands::Command;
 use super::flight::FlightControl;
 use super::guidance::Sticks;
 use super::link::{Link, Outbox, Peer};
+use super::signing::{self, Signing};
 use super::streams::Stream;
 use super::telemetry::{Battery, Snapshot};
 use super::{COMPONENT_ID, Mode, SYSTEM_ID, ftp, status_text};
@@ -67,6 +69,7 @@ pub struct Protocol {
     announced: (Mode, Mode),
     texts: u16,
     rng: rand_pcg::Pcg64Mcg,
+    signing: Option<Signing>,
 }
 
 impl Protocol {
@@ -89,13 +92,17 @@ impl Protocol {
             announced,
             texts: 0,
             rng,
+            signing: None,
         }
     }
 
     pub(super) fn connect(&mut self, peer: Peer) -> bool {
         let room = self.links.len() < PEERS_MAX;
         if room {
-            self.links.push(Link::new(peer, self.flight.personality.streams(), self.now_us));
+            let mut link = Link::new(peer, self.flight.personality.streams(), self.now_us);
+            let signing = self.signing.as_ref();
+            link.sign(signing.map(|signing| signing.signer(link_number(peer), self.now_us)));
+            self.links.push(link);
         }
         room
     }
@@ -119,6 +126,19 @@ impl Protocol {
 
     pub(super) fn set_now(&mut self, now_us: u64) {
         self.now_us = now_us;
+        if let Some(signing) = &mut self.signing {
+            let now = signing.turn(now_us);
+            self.links.iter_mut().for_each(|link| link.turn(now));
+        }
+    }
+
+    /// A key and the time with it, in place of what was in force; without one nothing is signed.
+    pub(super) fn sign(&mut self, key: Option<(Key, Stamp)>) {
+        self.signing = key.map(|(key, now)| Signing::new(key, now, self.now_us));
+        for link in &mut self.links {
+            let signing = self.signing.as_ref();
+            link.sign(signing.map(|signing| signing.signer(link_number(link.peer), self.now_us)));
+        }
     }
 
     pub(super) fn set_report(&mut self, report: Report) {
@@ -224,6 +244,9 @@ impl Protocol {
         if (system, component) == (SYSTEM_ID, COMPONENT_ID) {
             return;
         }
+        if self.signing.as_mut().is_some_and(|signing| !signing.believes(frame)) {
+            return;
+        }
         self.links[link].hear(frame.version());
         let sender = Sender { link, system, component };
         if let Some(command) = Command::from_frame(frame) {
@@ -301,6 +324,10 @@ impl Protocol {
                 });
                 self.reply(sender, &message);
             }
+            // Once there is a key, only who knows it comes here.
+            MavMessage::SETUP_SIGNING(data) if !self.flight.commander.armed() => {
+                self.sign(signing::asked(data));
+            }
             _ => {}
         }
     }
@@ -313,6 +340,11 @@ impl Protocol {
             target_component: sender.component,
         })
     }
+}
+
+/// The number of a peer's link in signatures.
+fn link_number(peer: Peer) -> u8 {
+    peer.0 as u8
 }
 
 /// Whether a message is for this vehicle; 0 addresses all, a missing target too.

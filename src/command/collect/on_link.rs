@@ -11,6 +11,7 @@ use crate::command::audience::Audience;
 use crate::command::course::Course;
 use crate::command::fly::{Flown, Run, endpoint};
 use crate::command::setup::{VehicleFile, required, run_info, station_settings};
+use crate::command::signing_state::SigningState;
 use crate::command::stop::StopSignals;
 use crate::command::{Exit, say};
 use crate::config::Config;
@@ -43,13 +44,15 @@ pub(super) fn fly_vehicle(
         }
         say(format_args!("flight {} of {}: {}", turn + 1, ahead.len(), flight.name));
         let endpoint = endpoint(&url)?;
-        let settings = station_settings(
+        let mut settings = station_settings(
             config,
             vehicle,
             &Course::Desired(flight.trajectory.clone()),
             EngagePolicy::Command,
             Some(&endpoint),
         )?;
+        let signing = SigningState::open(&config.settings.link.signing)?;
+        settings.session.signing = signing.as_ref().map(SigningState::settings);
         let mut info = run_info(config, vehicle, &flight.name, false, None);
         info.extra = metadata(flight, fingerprint);
         let run = Run { settings, endpoint, tee: None, audience: Audience::default() };

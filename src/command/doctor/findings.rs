@@ -87,11 +87,11 @@ impl Findings {
         if !report.others.is_empty() && listener.session.wanted_system().is_none() {
             self.refuses("vehicles", "several autopilots are on the link; choose with --system");
         }
-        if report.is_signed && observed.version.is_none() {
+        if report.is_signed && !listener.session.signs() && observed.version.is_none() {
             self.refuses(
                 "signing",
-                "it signs its messages and answers none that is not signed; turn signing off on \
-                 this link, or connect by USB",
+                "it signs its messages and answers none that is not signed; give its key in \
+                 link.signing.key_file, or turn signing off on this link",
             );
         } else if observed.version.is_none() {
             self.warns("version", "it does not answer with AUTOPILOT_VERSION");

@@ -8,6 +8,7 @@ use std::time::Duration;
 use mavlink::{MavlinkVersion, MessageData};
 use vehicle::frame::Attitude;
 use wire::dialect::*;
+use wire::signing::{Key, Stamp};
 use wire::transport::Peer;
 use wire::{Encoder, Frame};
 
@@ -27,6 +28,7 @@ use crate::link::parameter;
 use crate::link::profile::Profile;
 use crate::link::request::{Action, Requests};
 use crate::link::sequence::{Order, Sequence};
+use crate::link::signing::Signing;
 use crate::link::timesync::Answer;
 use crate::link::vehicle_clock::VehicleClock;
 #[cfg(test)]
@@ -96,13 +98,17 @@ pub(super) struct Core {
     pub(super) timesync_due: HostTime,
     pub(super) events: VecDeque<Event>,
     pub(super) outbox: Outbox,
+    pub(super) signing: Option<Signing>,
 }
 
 impl Core {
     pub(super) fn new(settings: Settings, now: HostTime) -> Self {
-        let encoder = Encoder::new(settings.system, settings.component);
+        let mut encoder = Encoder::new(settings.system, settings.component);
+        let (signing, signer) = settings.signing.as_ref().map(|it| Signing::new(it, now)).unzip();
+        encoder.set_signer(signer);
         Self {
             settings,
+            signing,
             started: now,
             state: LinkState::Searching,
             vehicle: None,
@@ -134,6 +140,10 @@ impl Core {
         frame: &Frame,
         on: &mut impl FnMut(Heard<'_>),
     ) {
+        // Whose content is a key: it goes to no log and to nobody else.
+        if frame.id() == SETUP_SIGNING_DATA::ID || !self.is_believed(now, frame) {
+            return;
+        }
         on(Heard::Frame { peer, bytes: frame.bytes() });
         let is_heartbeat = frame.id() == HEARTBEAT_DATA::ID;
         let autopilot = is_heartbeat.then(|| autopilot_of(peer, frame)).flatten();
@@ -178,6 +188,26 @@ impl Core {
             }
             Ok(None) => {}
             Err(refusal) => self.counters.refuse(frame.id(), refusal),
+        }
+    }
+
+    /// Whether the frame comes from one who knows the key, where there is one.
+    fn is_believed(&mut self, now: HostTime, frame: &Frame) -> bool {
+        self.turn(now);
+        let Self { signing: Some(signing), outbox, events, .. } = self else { return true };
+        match signing.check(frame, outbox.signer()) {
+            Ok(()) => true,
+            Err(disbelief) => {
+                events.extend(disbelief.map(Event::Disbelieved));
+                false
+            }
+        }
+    }
+
+    /// Time goes on for signatures.
+    pub(super) fn turn(&mut self, now: HostTime) {
+        if let Some(signing) = &mut self.signing {
+            signing.turn(now, self.outbox.signer());
         }
     }
 
@@ -339,6 +369,7 @@ impl Core {
     }
 
     pub(super) fn poll(&mut self, now: HostTime) {
+        self.turn(now);
         #[cfg(test)]
         self.send_again(now);
         if self.heartbeat_due <= now {
@@ -433,6 +464,7 @@ impl Core {
         now: HostTime,
         setpoint: &Cleared,
     ) -> Result<(), SetpointError> {
+        self.turn(now);
         let vehicle = self.vehicle.as_ref().filter(|_| self.state == LinkState::Connected);
         let (id, to) = vehicle
             .and_then(|vehicle| Some((vehicle.id, vehicle.peer?)))
@@ -476,6 +508,7 @@ impl Core {
     }
 
     pub(super) fn send_requests(&mut self, now: HostTime) {
+        self.turn(now);
         let Some(vehicle) = &self.vehicle else { return self.collect_ended() };
         let (id, to) = (vehicle.id, vehicle.peer);
         let (codec, outbox) = (&self.codec, &mut self.outbox);
@@ -522,6 +555,17 @@ impl Core {
     fn command(&mut self, command: MavCmd, params: [f32; 7], confirmation: u8) {
         let Some(vehicle) = &self.vehicle else { return };
         self.send(&command_long(vehicle.id, command, params, confirmation));
+    }
+
+    pub(super) fn set_up_signing(&mut self, key: Option<(&Key, Stamp)>) {
+        let Some(vehicle) = &self.vehicle else { return };
+        let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+            target_system: vehicle.id.system,
+            target_component: vehicle.id.component,
+            secret_key: key.map_or_else(Default::default, |(key, _)| *key.bytes()),
+            initial_timestamp: key.map_or(0, |(_, time)| time.ticks()),
+        });
+        self.send(&message);
     }
 
     /// Queues a message for the vehicle.

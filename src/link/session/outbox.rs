@@ -3,6 +3,7 @@
 use mavlink::MavlinkVersion;
 use wire::Encoder;
 use wire::dialect::*;
+use wire::signing::Signer;
 use wire::transport::Peer;
 
 use super::VehicleId;
@@ -24,6 +25,11 @@ impl Outbox {
     /// The protocol's version from the next frame on.
     pub(super) fn speak(&mut self, version: MavlinkVersion) {
         self.encoder.set_version(version);
+    }
+
+    /// Who signs the frames.
+    pub(super) fn signer(&mut self) -> Option<&mut Signer> {
+        self.encoder.signer()
     }
 
     pub(super) fn push(&mut self, to: Option<Peer>, message: &MavMessage) {

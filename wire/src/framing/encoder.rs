@@ -1,9 +1,11 @@
 //! Messages as frames.
 
+use mavlink::consts::v2;
 use mavlink::{MAV_STX_V2, MAVLinkV1MessageRaw, MavHeader, MavlinkVersion, Message, MessageData};
 
 use super::frame::checksum;
 use crate::dialect::MavMessage;
+use crate::signing::Signer;
 
 /// Longest payload.
 const PAYLOAD_LEN_MAX: usize = 255;
@@ -13,6 +15,7 @@ const PAYLOAD_LEN_MAX: usize = 255;
 pub struct Encoder {
     header: MavHeader,
     version: MavlinkVersion,
+    signer: Option<Signer>,
 }
 
 impl Encoder {
@@ -21,12 +24,33 @@ impl Encoder {
         Self {
             header: MavHeader { system_id: system.into(), component_id: component, sequence: 0 },
             version: MavlinkVersion::V2,
+            signer: None,
         }
     }
 
-    /// Speaks another protocol version from the next frame on.
+    /// Numbers the next frame so.
+    pub fn set_sequence(&mut self, sequence: u8) {
+        self.header.sequence = sequence;
+    }
+
+    /// Speaks another protocol version from the next frame on. What is signed stays MAVLink 2.
     pub fn set_version(&mut self, version: MavlinkVersion) {
-        self.version = version;
+        if self.signer.is_none() {
+            self.version = version;
+        }
+    }
+
+    /// Signs every frame from the next on, or none any more.
+    pub fn set_signer(&mut self, signer: Option<Signer>) {
+        if signer.is_some() {
+            self.version = MavlinkVersion::V2;
+        }
+        self.signer = signer;
+    }
+
+    /// Who signs the frames.
+    pub fn signer(&mut self) -> Option<&mut Signer> {
+        self.signer.as_mut()
     }
 
     /// Appends `message` to `out` as one frame. Returns whether it could: MAVLink 1 has no room
@@ -72,7 +96,7 @@ impl Encoder {
 
     /// Appends a MAVLink 2 frame whose payload `serialize` writes; it returns its length.
     fn write(
-        &self,
+        &mut self,
         id: u32,
         extra_crc: u8,
         out: &mut Vec<u8>,
@@ -82,10 +106,15 @@ impl Encoder {
         let len = serialize(&mut payload);
         let MavHeader { system_id, component_id, sequence } = self.header;
         let [a, b, c, _] = id.to_le_bytes();
-        let start = out.len() + 1;
-        out.extend([MAV_STX_V2, len as u8, 0, 0, sequence, system_id as u8, component_id, a, b, c]);
+        let start = out.len();
+        let flags = if self.signer.is_some() { v2::IFLAG_SIGNED } else { 0 };
+        let [system, len_byte] = [system_id as u8, len as u8];
+        out.extend([MAV_STX_V2, len_byte, flags, 0, sequence, system, component_id, a, b, c]);
         out.extend_from_slice(&payload[..len]);
-        let crc = checksum(&out[start..], extra_crc);
+        let crc = checksum(&out[start + 1..], extra_crc);
         out.extend(crc.to_le_bytes());
+        if let Some(signer) = &mut self.signer {
+            signer.sign(out, start);
+        }
     }
 }

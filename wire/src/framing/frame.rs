@@ -8,6 +8,7 @@ use mavlink::{
 };
 
 use crate::dialect::MavMessage;
+use crate::signing::Stamp;
 
 /// One frame whose checksum is right.
 pub struct Frame {
@@ -53,11 +54,27 @@ impl Frame {
         self.raw.version()
     }
 
-    /// Whether its sender signs its messages (MAVLink 2). The signature is not checked.
+    /// Whether its sender signs its messages (MAVLink 2). A
+    /// [`Verifier`](crate::signing::Verifier) checks the signature.
     pub fn is_signed(&self) -> bool {
         self.bytes().get(2).is_some_and(|flags| {
             self.version() == MavlinkVersion::V2 && flags & v2::IFLAG_SIGNED != 0
         })
+    }
+
+    /// The number of the sender's link and the stamp, where it is signed. Neither is checked.
+    pub fn signed_at(&self) -> Option<(u8, Stamp)> {
+        self.signature().map(|signature| (signature.link, signature.stamp))
+    }
+
+    /// The signature that its sender gave it, which is not checked yet.
+    pub(crate) fn signature(&self) -> Option<Signature<'_>> {
+        if !self.is_signed() {
+            return None;
+        }
+        let (rest, hash) = self.bytes().split_last_chunk()?;
+        let (_, [link, stamp @ ..]) = rest.split_last_chunk::<7>()?;
+        Some(Signature { link: *link, stamp: Stamp::from_bytes(*stamp), signed: rest, hash: *hash })
     }
 
     /// The whole frame as it was on the wire, signature included.
@@ -81,6 +98,16 @@ impl Frame {
     pub fn message(&self) -> Result<MavMessage, ParserError> {
         MavMessage::parse(self.version(), self.id(), self.payload())
     }
+}
+
+/// The end of a signed frame.
+pub(crate) struct Signature<'a> {
+    /// The sender's number of the link.
+    pub(crate) link: u8,
+    pub(crate) stamp: Stamp,
+    /// What the hash is of.
+    pub(crate) signed: &'a [u8],
+    pub(crate) hash: [u8; 6],
 }
 
 /// The checksum of a frame's bytes after its marker: CRC-16/MCRF4XX, closed by the message's own

@@ -47,6 +47,8 @@ pub(super) struct UdpListener {
     heard: u64,
     next_id: u32,
     evicted: VecDeque<Peer>,
+    /// Makes room for nobody.
+    kept: Option<Peer>,
 }
 
 #[derive(Debug)]
@@ -59,7 +61,8 @@ struct Sender {
 impl UdpListener {
     pub(super) async fn bind(address: &Address) -> io::Result<Self> {
         let socket = Socket::new(UdpSocket::bind(resolve(address).await?.as_slice())?)?;
-        Ok(Self { socket, senders: Vec::new(), heard: 0, next_id: 0, evicted: VecDeque::new() })
+        let (senders, evicted) = (Vec::new(), VecDeque::new());
+        Ok(Self { socket, senders, heard: 0, next_id: 0, evicted, kept: None })
     }
 
     pub(super) fn local_addr(&self) -> Option<SocketAddr> {
@@ -121,7 +124,8 @@ impl UdpListener {
             return sender.peer;
         }
         if self.senders.len() >= PEERS_MAX {
-            let oldest = self.senders.iter().enumerate().min_by_key(|(_, s)| s.last_heard);
+            let others = self.senders.iter().enumerate().filter(|(_, s)| Some(s.peer) != self.kept);
+            let oldest = others.min_by_key(|(_, s)| s.last_heard);
             if let Some((index, _)) = oldest {
                 self.evicted.push_back(self.senders.swap_remove(index).peer);
             }
@@ -137,6 +141,10 @@ impl UdpListener {
             Some(address) => self.socket.direct.send_to(bytes, address).is_ok(),
             None => false,
         }
+    }
+
+    pub(super) fn keep(&mut self, peer: Option<Peer>) {
+        self.kept = peer;
     }
 
     pub(super) fn close(&mut self, peer: Peer) {

@@ -1,0 +1,47 @@
+//! The key of flights that are signed, and the stamps of simulated time.
+
+use std::time::Duration;
+
+use wire::Encoder;
+use wire::signing::{Key, Signer, Stamp};
+
+use super::script::Script;
+use crate::link::signing::{Ledger, Remembered, SigningSettings};
+use crate::lockstep;
+
+/// Others than vehicle and station sign on links with this number.
+const LINK: u8 = 200;
+
+/// The key that station, vehicle and pilot share.
+pub(super) fn key() -> Key {
+    Key::new([0x5A; wire::signing::KEY_LEN])
+}
+
+/// The stamp of a simulated time.
+pub(super) fn stamp(now_us: u64) -> Stamp {
+    Stamp::from_unix_ns(lockstep::host_time(now_us).as_ns())
+}
+
+/// The station's settings.
+pub(super) fn settings() -> SigningSettings {
+    SigningSettings {
+        key: key(),
+        link: 0,
+        unsigned: vec![109],
+        ahead_max: Duration::from_secs(86_400),
+        before: Remembered::default(),
+        ledger: Ledger::default(),
+    }
+}
+
+/// A sender that signs where the script says so.
+pub(super) fn encoder(script: &Script, system: u8, component: u8, now_us: u64) -> Encoder {
+    let mut encoder = Encoder::new(system, component);
+    encoder.set_signer(script.signed.then(|| Signer::new(key(), LINK, stamp(now_us))));
+    encoder
+}
+
+/// Time goes on for a sender.
+pub(super) fn turn(encoder: &mut Encoder, now_us: u64) {
+    encoder.signer().into_iter().for_each(|signer| signer.turn(stamp(now_us)));
+}

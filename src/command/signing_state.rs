@@ -1,0 +1,277 @@
+//! The key of a signed link, and the file that keeps its stamps from one run to the next.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::{fs, io};
+
+use anyhow::{Context, anyhow, bail};
+use mavlink::Message;
+use serde::{Deserialize, Serialize};
+use wire::dialect::MavMessage;
+use wire::signing::{Key, Stamp, StreamId, StreamStamp};
+
+use super::{Exit, ExitContext, say, write_file};
+use crate::config::{SIGNING_KEY_VARIABLE, SigningSettings};
+use crate::link::signing::{self, Ledger, Remembered};
+
+/// The file is written this often.
+const WRITE_PERIOD: Duration = Duration::from_secs(5);
+/// A program that ended without its last word may have sent this much after the file was written.
+const UNWRITTEN: u64 = 10 * Stamp::PER_S;
+/// No state file is longer.
+const FILE_LEN_MAX: u64 = 1 << 20;
+
+/// The stamps in their file.
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct StampsFile {
+    schema: String,
+    schema_version: u32,
+    /// Tells keys apart.
+    key: String,
+    newest: u64,
+    streams: Vec<StreamRow>,
+}
+
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct StreamRow {
+    system: u32,
+    component: u8,
+    link: u8,
+    newest: u64,
+}
+
+/// A key, and a thread that keeps its stamps while this lives.
+pub(super) struct SigningState {
+    settings: signing::SigningSettings,
+    stop: Option<Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl SigningState {
+    /// The key that settings or environment name; `None` where neither does. From here on its
+    /// stamps are kept.
+    ///
+    /// # Errors
+    /// No key where there should be one, a file that others may read, a state that is of another
+    /// key or no state.
+    pub fn open(settings: &SigningSettings) -> anyhow::Result<Option<Self>> {
+        Self::opened(settings, std::env::var_os(SIGNING_KEY_VARIABLE).as_deref())
+            .context("link.signing")
+            .or_exit(Exit::Usage)
+    }
+
+    fn opened(
+        settings: &SigningSettings,
+        variable: Option<&std::ffi::OsStr>,
+    ) -> anyhow::Result<Option<Self>> {
+        let SigningSettings { key_file, link_id, state_file, accept_unsigned, ahead_max_s } =
+            settings;
+        let key = match (key_file, variable) {
+            (None, None) => return Ok(None),
+            (Some(_), Some(_)) => bail!(
+                "there are two keys, in key_file and in ${SIGNING_KEY_VARIABLE}; take one of them away"
+            ),
+            (Some(path), None) => Key::load(path)?,
+            (None, Some(text)) => {
+                let place = format!("${SIGNING_KEY_VARIABLE}");
+                Key::parse(&text.to_string_lossy(), &place)?
+            }
+        };
+        let beside = key_file.as_ref().map(|path| {
+            let mut name = path.as_os_str().to_owned();
+            name.push(".stamps");
+            PathBuf::from(name)
+        });
+        let path = state_file.clone().or(beside).ok_or_else(|| {
+            anyhow!(
+                "a key from ${SIGNING_KEY_VARIABLE} needs state_file, where the stamps are kept that \
+                 must not be used again"
+            )
+        })?;
+        let before = read(&path, &key)?;
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let now = Stamp::from_unix_ns(now.as_nanos() as u64);
+        let ahead_s = before.newest.seconds_since(now);
+        if ahead_s > 3600.0 {
+            say(format_args!(
+                "the stamps in {} are {ahead_s:.0} s ahead of this computer's clock; check the clock",
+                path.display()
+            ));
+        }
+        let ahead_max = Duration::try_from_secs_f64(*ahead_max_s).context("ahead_max_s")?;
+        let ledger = Ledger::default();
+        let settings = signing::SigningSettings {
+            key: key.clone(),
+            link: *link_id,
+            unsigned: ids(accept_unsigned)?,
+            ahead_max,
+            before: before.clone(),
+            ledger: ledger.clone(),
+        };
+        // Whoever cannot keep stamps is told before a flight, not in it.
+        write(&path, &key, &before)?;
+        let (stop, stopped) = channel();
+        let thread = thread::Builder::new().name("signing".into()).spawn(move || {
+            let (mut written, mut is_told) = (before, false);
+            loop {
+                let is_over = stopped.recv_timeout(WRITE_PERIOD) != Err(RecvTimeoutError::Timeout);
+                let now = ledger.get();
+                if now.newest > written.newest {
+                    match write(&path, &key, &now) {
+                        Ok(()) => (written, is_told) = (now, false),
+                        Err(error) if !is_told => {
+                            tracing::warn!("{error:#}; the flight goes on");
+                            is_told = true;
+                        }
+                        Err(_) => {}
+                    }
+                }
+                if is_over {
+                    return;
+                }
+            }
+        });
+        let thread = thread.context("cannot start its thread")?;
+        Ok(Some(Self { settings, stop: Some(stop), thread: Some(thread) }))
+    }
+
+    /// As a session takes it.
+    pub fn settings(&self) -> signing::SigningSettings {
+        self.settings.clone()
+    }
+}
+
+impl Drop for SigningState {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Ids of MAVLink's names.
+fn ids(names: &[String]) -> anyhow::Result<Vec<u32>> {
+    let id = |name: &String| {
+        MavMessage::message_id_from_name(name).ok_or_else(|| {
+            anyhow!("accept_unsigned: no message is called {name:?}; names are MAVLink's")
+        })
+    };
+    names.iter().map(id).collect()
+}
+
+fn read(path: &Path, key: &Key) -> anyhow::Result<Remembered> {
+    let length = match fs::metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Remembered::default()),
+        found => {
+            found.map(|it| it.len()).with_context(|| format!("cannot read {}", path.display()))?
+        }
+    };
+    if length > FILE_LEN_MAX {
+        bail!("{} is no state of signing: it has {length} bytes", path.display());
+    }
+    let text =
+        fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let file: StampsFile = serde_json::from_str(&text).with_context(|| {
+        format!(
+            "{} is no state of signing; if it is lost, take it away, and what was heard in the last \
+             minute can be replayed once",
+            path.display()
+        )
+    })?;
+    if file.key != key.fingerprint() {
+        bail!(
+            "{} is of the key {}, expected {}; give each key its own state_file",
+            path.display(),
+            file.key,
+            key.fingerprint()
+        );
+    }
+    let stream = |row: &StreamRow| StreamStamp {
+        id: StreamId { system: row.system, component: row.component, link: row.link },
+        newest: Stamp::from_ticks(row.newest),
+    };
+    Ok(Remembered {
+        newest: Stamp::from_ticks(file.newest.saturating_add(UNWRITTEN)),
+        streams: file.streams.iter().map(stream).collect(),
+    })
+}
+
+fn write(path: &Path, key: &Key, remembered: &Remembered) -> anyhow::Result<()> {
+    let row = |stream: &StreamStamp| StreamRow {
+        system: stream.id.system,
+        component: stream.id.component,
+        link: stream.id.link,
+        newest: stream.newest.ticks(),
+    };
+    let file = StampsFile {
+        schema: "downwash.signing.stamps".to_owned(),
+        schema_version: 1,
+        key: key.fingerprint(),
+        newest: remembered.newest.ticks(),
+        streams: remembered.streams.iter().map(row).collect(),
+    };
+    write_file(path, (serde_json::to_string(&file)? + "\n").as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(name: &str) -> PathBuf {
+        let path = std::env::temp_dir().join(format!("downwash-{name}-{}", std::process::id()));
+        fs::create_dir_all(&path).expect("writable");
+        path
+    }
+
+    fn key_file(folder: &Path) -> PathBuf {
+        let path = folder.join("key");
+        super::super::signing::write_key(&path, &Key::new([9; 32])).expect("new");
+        path
+    }
+
+    #[test]
+    fn stamps_go_on_after_a_restart_and_a_file_of_another_key_is_refused() {
+        let folder = folder("signing-state");
+        let key_file = Some(key_file(&folder));
+        let settings = SigningSettings { key_file, ..SigningSettings::default() };
+        let id = StreamId { system: 1, component: 1, link: 0 };
+        let streams = vec![StreamStamp { id, newest: Stamp::from_ticks(4) }];
+        let first = SigningState::opened(&settings, None).expect("a key").expect("given");
+        assert_eq!(first.settings.before, Remembered::default());
+        let told = Remembered { newest: Stamp::from_ticks(1 << 47), streams: streams.clone() };
+        let path = folder.join("key.stamps");
+        write(&path, &Key::new([9; 32]), &told).expect("writable");
+        drop(first);
+        let again = SigningState::opened(&settings, None).expect("a key").expect("given");
+        assert_eq!(again.settings.before.streams, streams);
+        assert_eq!(again.settings.before.newest.ticks(), (1 << 47) + UNWRITTEN);
+        drop(again);
+        write(&path, &Key::new([8; 32]), &told).expect("writable");
+        let error = SigningState::opened(&settings, None).err().expect("another key");
+        assert!(error.to_string().contains("its own state_file"), "{error:#}");
+        fs::write(&path, "{").expect("writable");
+        assert!(SigningState::opened(&settings, None).is_err());
+        fs::remove_dir_all(folder).expect("own");
+    }
+
+    #[test]
+    fn a_key_has_one_place_and_a_state() {
+        let none = SigningSettings::default();
+        assert!(SigningState::opened(&none, None).expect("nothing asked").is_none());
+        let text = Key::new([9; 32]).to_hex();
+        let given = Some(std::ffi::OsStr::new(&text));
+        let error = SigningState::opened(&none, given).err().expect("no state").to_string();
+        assert!(error.contains("state_file") && !error.contains(&text));
+        let both = SigningSettings { key_file: Some("key".into()), ..none.clone() };
+        assert!(SigningState::opened(&both, given).is_err());
+        let wrong = Some(std::ffi::OsStr::new("12"));
+        assert!(SigningState::opened(&none, wrong).is_err());
+        assert!(ids(&["NO_SUCH".to_owned()]).is_err());
+        assert_eq!(ids(&none.accept_unsigned).expect("known"), [109]);
+    }
+}

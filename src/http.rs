@@ -1,0 +1,152 @@
+//! As much of HTTP as a page and a status need: few connections, short requests, one answer each.
+
+use std::future::Future;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpSocket, TcpStream, lookup_host};
+use tokio::sync::Semaphore;
+use tokio::time::{sleep, timeout};
+
+/// Connections at once. A viewer needs one, a browser up to six while it loads.
+const CONNECTIONS_MAX: usize = 32;
+/// A request's head is no longer, and takes no longer.
+const HEAD_LEN_MAX: usize = 8192;
+const HEAD_LIMIT: Duration = Duration::from_secs(3);
+/// What the system may hold for a client that does not read: what is older is of no use to it.
+pub(crate) const SOCKET_BUFFER: u32 = 64 * 1024;
+/// After a failure to accept, as where no file descriptor is left.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
+
+/// Listens on `HOST:PORT`.
+pub(crate) async fn bind(address: &str) -> io::Result<TcpListener> {
+    let mut failure = io::Error::new(io::ErrorKind::NotFound, "no such host");
+    for at in lookup_host(address).await? {
+        let socket = if at.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
+        #[cfg(unix)]
+        socket.set_reuseaddr(true)?;
+        // Accepted sockets have it from the listening one.
+        socket.set_send_buffer_size(SOCKET_BUFFER)?;
+        match socket.bind(at).and_then(|()| socket.listen(64)) {
+            Ok(listener) => return Ok(listener),
+            Err(error) => failure = error,
+        }
+    }
+    Err(failure)
+}
+
+/// Answers connections until this is dropped.
+pub(crate) async fn serve<F>(listener: TcpListener, answer: impl Fn(TcpStream) -> F)
+where
+    F: Future<Output = io::Result<()>> + Send + 'static,
+{
+    let places = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            sleep(ACCEPT_PAUSE).await;
+            continue;
+        };
+        // Beyond that many the connection is closed at once.
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
+        let answer = answer(stream);
+        tokio::spawn(async move {
+            // Whatever ends a client's connection is its own affair.
+            let _ = answer.await;
+            drop(place);
+        });
+    }
+}
+
+/// A request's head.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Request {
+    pub(crate) is_get: bool,
+    /// Without what follows a question mark.
+    pub(crate) path: String,
+    /// Whether it asks for a WebSocket.
+    pub(crate) is_upgrade: bool,
+    /// All bytes that came.
+    pub(crate) head: Vec<u8>,
+}
+
+impl Request {
+    /// Reads a request's head, and whatever comes with it; `None` if it is no HTTP.
+    pub(crate) async fn read(stream: &mut TcpStream) -> io::Result<Option<Self>> {
+        let head = timeout(HEAD_LIMIT, read_head(stream)).await??;
+        Ok(Self::parse(head))
+    }
+
+    fn parse(head: Vec<u8>) -> Option<Self> {
+        let all = String::from_utf8_lossy(&head);
+        let (text, _) = all.split_once("\r\n\r\n")?;
+        let mut lines = text.split("\r\n");
+        let mut words = lines.next()?.split(' ');
+        let (method, target, version) = (words.next()?, words.next()?, words.next()?);
+        if !version.starts_with("HTTP/1.") {
+            return None;
+        }
+        let upgrades = |line: &str| {
+            line.split_once(':').is_some_and(|(name, value)| {
+                name.eq_ignore_ascii_case("upgrade")
+                    && value.trim().eq_ignore_ascii_case("websocket")
+            })
+        };
+        let path = target.split('?').next()?.to_owned();
+        let (is_get, is_upgrade) = (method == "GET", lines.any(upgrades));
+        Some(Self { is_get, path, is_upgrade, head })
+    }
+}
+
+async fn read_head(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
+    let mut head = Vec::with_capacity(1024);
+    while !head.windows(4).any(|end| end == b"\r\n\r\n") && head.len() < HEAD_LEN_MAX {
+        if stream.read_buf(&mut head).await? == 0 {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+    }
+    Ok(head)
+}
+
+/// Sends one answer and closes. `kind` is the media type of text in UTF-8.
+pub(crate) async fn respond(
+    stream: &mut TcpStream,
+    status: &str,
+    kind: &str,
+    body: &str,
+) -> io::Result<()> {
+    let head = format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}; charset=utf-8\r\nContent-Length: {}\r\n\
+         Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\n\
+         Content-Security-Policy: default-src 'none'; script-src 'unsafe-inline'; \
+         style-src 'unsafe-inline'; img-src data:; connect-src 'self' ws: wss:\r\n\
+         Connection: close\r\n\r\n",
+        body.len()
+    );
+    stream.write_all(head.as_bytes()).await?;
+    stream.write_all(body.as_bytes()).await?;
+    stream.shutdown().await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_request_is_a_path_a_websocket_or_nothing() {
+        let parse = |text: &str| {
+            let request = Request::parse(text.as_bytes().to_vec())?;
+            Some((request.is_get, request.path, request.is_upgrade))
+        };
+        let page = "GET /?dark HTTP/1.1\r\nHost: a\r\n\r\n";
+        assert_eq!(parse(page), Some((true, "/".to_owned(), false)));
+        let upgrade = "GET / HTTP/1.1\r\nhost: a\r\nupgrade: WebSocket\r\n\r\n";
+        assert_eq!(parse(upgrade), Some((true, "/".to_owned(), true)));
+        assert_eq!(parse("POST / HTTP/1.1\r\n\r\n"), Some((false, "/".to_owned(), false)));
+        assert_eq!(parse("GET /x HTTP/1.1\r\n\r\n"), Some((true, "/x".to_owned(), false)));
+        for none in ["", "GET / HTTP/1.1\r\n", "\r\n\r\n", "GET /\r\n\r\n", "A B C\r\n\r\n"] {
+            assert_eq!(parse(none), None, "{none:?}");
+        }
+    }
+}

@@ -1,0 +1,90 @@
+"""What monitors ask of a flight, and a disk that takes no more."""
+
+import json
+import re
+import resource
+import signal
+import urllib.error
+import urllib.request
+
+import pytest
+from conftest import CRAZYFLIE, SHORT_HOVER, Program, Sitl
+
+
+@pytest.fixture
+def flight(tmp_path):
+    """Starts `downwash fly` with metrics on a vehicle of its own; gives the program and where it serves."""
+    (tmp_path / "hover.toml").write_text(SHORT_HOVER)
+    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
+    started = []
+
+    def start(**options):
+        program = Program("fly", tmp_path / "hover.toml", "--vehicle", CRAZYFLIE, "--connect", sitl.peer_url(),
+                          "--log-dir", tmp_path, "--metrics=127.0.0.1:0", **options)
+        started.append(program)
+        line = program.lines[program.says("metrics at http") - 1]
+        return program, re.search(r"http://[0-9.:]+", line).group(0)
+
+    yield start
+    for program in started:
+        program.close()
+    sitl.stop()
+
+
+def get(url):
+    try:
+        with urllib.request.urlopen(url, timeout=5) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def value(metrics, name):
+    return float(re.search(rf"^downwash_{re.escape(name)} (\S+)$", metrics, re.M).group(1))
+
+
+def in_flight(program, url):
+    """Metrics of the flight once it is flown."""
+    program.says("take_off: armed")
+    while True:
+        status, metrics = get(f"{url}/metrics")
+        assert status == 200
+        if "downwash_setpoints_total" in metrics and value(metrics, "setpoints_total") > 300:
+            return metrics
+
+
+def test_a_flight_is_told_as_health_status_and_metrics(flight):
+    program, url = flight()
+    metrics = in_flight(program, url)
+    assert value(metrics, "link_connected") == 1 and value(metrics, "armed") == 1
+    assert value(metrics, "log_failures_total") == 0
+    assert value(metrics, "status_age_seconds") < 2
+    states = dict(re.findall(r'^downwash_flight_state\{state="(\w+)"\} (\d)$', metrics, re.M))
+    assert sorted(states.values()).count("1") == 1
+    for line in metrics.splitlines():
+        assert re.fullmatch(r'# (HELP|TYPE) downwash_\w+ .+|downwash_\w+(\{\w+="[\w.]+"\})? -?[\d.e-]+', line), line
+    status, text = get(f"{url}/status")
+    told = json.loads(text)
+    assert status == 200 and told["schema"] == "downwash.status" and told["armed"]
+    assert get(f"{url}/health") == (200, "ok\n")
+    # A control line that stands still is not well, and is well again.
+    program.signal(signal.SIGSTOP)
+    program.signal(signal.SIGCONT)
+    assert program.finish()[0] == 0, program.err
+
+
+def test_a_full_disk_ends_the_log_and_not_the_flight(flight):
+    def small_files():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+
+    program, url = flight(preexec_fn=small_files, restore_signals=False)
+    program.says("flying goes on without a log")
+    metrics = in_flight(program, url)
+    assert value(metrics, "log_failures_total") == 1
+    status, text = get(f"{url}/health")
+    assert status == 200 and "log is not written" in text
+    code, _ = program.finish()
+    # It was flown to its end, and a flight without its log did not go well.
+    assert code == 1, program.err
+    assert "done: disarmed" in program.err

@@ -1,0 +1,168 @@
+"""MAVLink 2 signing: keys and their files, signed flights, and attacks by another implementation's frames."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from conftest import CRAZYFLIE, DOWNWASH, SHORT_HOVER, Program, Sitl, free_port
+from hand_made_vehicle import HandMadeVehicle
+from signing_conformance import ATTACKS, attack, stamp_now
+from pathlib import Path
+
+SUITE = Path(__file__).with_name("signing_conformance.py")
+
+
+def run(*arguments, **options):
+    return subprocess.run([*DOWNWASH, *map(str, arguments)], capture_output=True, text=True, timeout=90, **options)
+
+
+@pytest.fixture
+def key_file(tmp_path):
+    path = tmp_path / "key"
+    made = run("signing", "key", path)
+    assert made.returncode == 0, made.stderr
+    return path
+
+
+@pytest.fixture
+def config(tmp_path, key_file):
+    path = tmp_path / "signed.toml"
+    path.write_text(f"[link.signing]\nkey_file = '{key_file}'\n")
+    return path
+
+
+def key_of(path):
+    return bytes.fromhex(path.read_text().strip())
+
+
+def hover(folder):
+    path = folder / "hover.toml"
+    path.write_text(SHORT_HOVER)
+    return path
+
+
+def fly(folder, url, *options):
+    return run("fly", hover(folder), "--vehicle", CRAZYFLIE, "--connect", url, "--log-dir", folder, "--json", *options)
+
+
+def test_a_key_is_the_owners_and_never_shown(tmp_path, key_file, config):
+    assert key_file.stat().st_mode & 0o777 == 0o600
+    assert len(key_of(key_file)) == 32
+    secret = key_file.read_text().strip()
+    assert run("signing", "key", key_file).returncode == 2, "an old key is not written over"
+    shown = run("config", "--config", config, "--json")
+    assert shown.returncode == 0 and secret not in shown.stdout + shown.stderr
+    key_file.chmod(0o644)
+    refused = fly(tmp_path, "udpin:127.0.0.1:0", "--config", str(config))
+    assert refused.returncode == 2
+    assert "0600" in refused.stderr and secret not in refused.stderr
+
+
+def test_a_signed_flight_of_the_bundled_vehicle_leaves_no_key_in_its_log(tmp_path, key_file, config):
+    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file)])
+    try:
+        # Without the key nothing is heard but what is said aloud, and nothing is obeyed.
+        blind = fly(tmp_path, sitl.peer_url())
+        assert blind.returncode != 0 and "sign" in blind.stderr
+        flown = fly(tmp_path, sitl.peer_url(), "--config", str(config))
+        assert flown.returncode == 0, flown.stderr
+        # The stamps go on where they were.
+        state = json.loads((tmp_path / "key.stamps").read_text())
+        again = fly(tmp_path, sitl.peer_url(), "--config", str(config))
+        assert again.returncode == 0, again.stderr
+        later = json.loads((tmp_path / "key.stamps").read_text())
+        assert later["newest"] > state["newest"] > stamp_now() - 10**8
+        assert [row["system"] for row in later["streams"]] == [1] * len(later["streams"]) != []
+    finally:
+        sitl.stop()
+    secret = key_of(key_file)
+    for log in tmp_path.glob("*.mcap"):
+        assert secret not in log.read_bytes() and secret.hex().encode() not in log.read_bytes()
+
+
+@pytest.mark.parametrize("right", [True, False], ids=["same-key", "other-key"])
+def test_pymavlink_signs_with_the_same_key_or_is_not_believed(tmp_path, key_file, config, right):
+    port = free_port()
+    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
+    key = key_of(key_file) if right else bytes(range(32))
+    vehicle.link.setup_signing(key, sign_outgoing=True, allow_unsigned_callback=None,
+                               initial_timestamp=stamp_now(), link_id=3)
+    options = {"env": {**os.environ, "DOWNWASH_LINK__SEARCH_TIMEOUT_S": "4.0"}}
+    try:
+        flown = run("fly", hover(tmp_path), "--vehicle", CRAZYFLIE, "--connect", f"udpin:127.0.0.1:{port}",
+                    "--log-dir", tmp_path, "--config", config, **options)
+    finally:
+        vehicle.stop()
+    if right:
+        assert flown.returncode == 0, flown.stderr
+        assert vehicle.setpoints and vehicle.highest > 0.6
+        assert vehicle.link.mav.signing.badsig_count == 0
+    else:
+        assert flown.returncode == 3, flown.stderr
+        assert "wrong signature" in flown.stderr
+        assert not vehicle.setpoints and not vehicle.armed
+
+
+def test_setup_gives_and_takes_a_key(tmp_path, key_file, config):
+    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
+    try:
+        url = sitl.peer_url()
+        given = run("signing", "setup", "--connect", url, "--config", config)
+        assert given.returncode == 0, given.stderr
+        assert "signs with the key" in given.stdout and key_file.read_text().strip() not in given.stdout
+        new = tmp_path / "new"
+        assert run("signing", "key", new).returncode == 0
+        changed = tmp_path / "changed.toml"
+        changed.write_text(f"[link.signing]\nkey_file = '{new}'\n")
+        # Whoever does not know the key in force cannot set another one up.
+        stranger = run("signing", "setup", "--connect", url, "--config", changed)
+        assert stranger.returncode == 3, stranger.stdout
+        own = run("signing", "setup", "--connect", url, "--config", changed, "--old-key", key_file)
+        assert own.returncode == 0, own.stderr
+        taken = run("signing", "setup", "--connect", url, "--config", changed, "--off")
+        assert taken.returncode == 0, taken.stderr
+        assert fly(tmp_path, url).returncode == 0
+    finally:
+        sitl.stop()
+
+
+def as_they_should_be():
+    return [(name, right, right) for name, right, _ in ATTACKS]
+
+
+def test_the_bundled_vehicle_refuses_every_attack(key_file):
+    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file)])
+    try:
+        assert attack(sitl.peer_url(), key_of(key_file), "station") == as_they_should_be()
+    finally:
+        sitl.stop()
+
+
+def test_downwash_refuses_every_attack(tmp_path, key_file, config):
+    port = free_port()
+    listener = Program("inspect", "--connect", f"udpin:127.0.0.1:{port}", "--config", config, "--seconds", 60)
+    try:
+        assert attack(f"udpout:127.0.0.1:{port}", key_of(key_file), "vehicle") == as_they_should_be()
+    finally:
+        listener.process.kill()
+        listener.process.wait()
+
+
+def test_what_pymavlink_believes_is_what_the_docs_say(key_file):
+    port = free_port()
+    responder = subprocess.Popen([sys.executable, str(SUITE), f"udpin:127.0.0.1:{port}", "--key", str(key_file),
+                                  "--respond"], stdout=subprocess.PIPE, text=True)
+    try:
+        assert responder.stdout.readline().strip() == "ready"
+        results = attack(f"udpout:127.0.0.1:{port}", key_of(key_file), "station")
+    finally:
+        responder.kill()
+        responder.wait()
+    wrong = {name for name, right, was in results if was != right}
+    assert wrong == {
+        "true frame after a forged stamp an hour ahead",
+        "a stamp five years ahead",
+        "a new link id after that, stamp of now",
+    }

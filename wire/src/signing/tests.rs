@@ -1,0 +1,256 @@
+use std::fs;
+
+use mavlink::MavlinkVersion;
+use proptest::prelude::*;
+
+use super::*;
+use crate::dialect::*;
+use crate::{Encoder, Frame};
+
+const NOW: Stamp = Stamp::from_ticks(36_000_000_000_000);
+const DAY: u64 = 86_400 * Stamp::PER_S;
+const YEAR: u64 = 365 * DAY;
+
+fn key(byte: u8) -> Key {
+    Key::new([byte; KEY_LEN])
+}
+
+fn verifier() -> Verifier {
+    let unsigned = vec![RADIO_STATUS_DATA_ID];
+    let settings = VerifierSettings { key: key(7), unsigned, ahead_max: DAY, streams: vec![] };
+    Verifier::new(settings, NOW)
+}
+
+const RADIO_STATUS_DATA_ID: u32 = 109;
+
+/// A sender of system 1 component 1 whose next frame is stamped `at`.
+fn sender(byte: u8, link: u8, at: Stamp) -> Encoder {
+    let mut encoder = Encoder::new(1, 1);
+    encoder.set_signer(Some(Signer::new(key(byte), link, Stamp::from_ticks(at.ticks() - 1))));
+    encoder
+}
+
+fn said(encoder: &mut Encoder) -> Vec<u8> {
+    let message = MavMessage::ATTITUDE(ATTITUDE_DATA { yaw: 1.5, ..Default::default() });
+    let mut bytes = Vec::new();
+    assert!(encoder.encode(&message, &mut bytes));
+    bytes
+}
+
+fn frame(bytes: &[u8]) -> Frame {
+    Frame::parse(bytes).expect("a frame")
+}
+
+#[test]
+fn what_is_signed_is_believed_once_and_its_stamps_advance() {
+    let (mut verifier, mut sender) = (verifier(), sender(7, 3, NOW));
+    let mut last = None;
+    for _ in 0..100 {
+        let bytes = said(&mut sender);
+        let frame = frame(&bytes);
+        assert!(frame.is_signed() && frame.message().is_ok());
+        let stamp = verifier.check(&frame).expect("it is of the key");
+        assert!(stamp > last);
+        last = stamp;
+        assert_eq!(verifier.check(&frame), Err(Refused::Replayed));
+    }
+    assert_eq!(verifier.believed(), 100);
+    assert_eq!(verifier.streams().len(), 1);
+}
+
+#[test]
+fn whoever_lacks_the_key_is_refused_by_name() {
+    let mut verifier = verifier();
+    let unsigned = said(&mut Encoder::new(1, 1));
+    assert_eq!(verifier.check(&frame(&unsigned)), Err(Refused::Unsigned));
+    let mut old = Encoder::new(1, 1);
+    old.set_version(MavlinkVersion::V1);
+    assert_eq!(verifier.check(&frame(&said(&mut old))), Err(Refused::OldProtocol));
+    let other = said(&mut sender(8, 3, NOW));
+    assert_eq!(verifier.check(&frame(&other)), Err(Refused::Signature));
+    // A stranger's stamps, ids and links leave no trace.
+    assert!(verifier.streams().is_empty());
+    let mut radio = Vec::new();
+    let status = MavMessage::RADIO_STATUS(Default::default());
+    Encoder::new(51, 68).encode(&status, &mut radio);
+    assert_eq!(verifier.check(&frame(&radio)), Ok(None));
+    // A signature that is there must be right even so.
+    let mut forged = Encoder::new(51, 68);
+    forged.set_signer(Some(Signer::new(key(8), 0, NOW)));
+    let mut bytes = Vec::new();
+    forged.encode(&status, &mut bytes);
+    assert_eq!(verifier.check(&frame(&bytes)), Err(Refused::Signature));
+    let counts: Vec<u64> = verifier.refused().map(|(_, count)| count).collect();
+    assert_eq!(counts, [1, 1, 2, 0, 0, 0, 0]);
+}
+
+#[test]
+fn what_was_overtaken_is_believed_once_and_not_after_a_second() {
+    let (mut verifier, mut sender) = (verifier(), sender(7, 3, NOW));
+    let frames: Vec<Frame> = (0..1000)
+        .map(|number| {
+            let at = Stamp::from_ticks(NOW.ticks() + number * Stamp::PER_S / 500);
+            sender.signer().expect("it signs").turn(at);
+            frame(&said(&mut sender))
+        })
+        .collect();
+    // All but one in ten come, in time; the others half a second late.
+    for (number, frame) in frames.iter().enumerate() {
+        if number % 10 != 5 {
+            assert!(verifier.check(frame).is_ok(), "{number}");
+        }
+        let late = number.checked_sub(250).filter(|late| late % 10 == 5);
+        if let Some(late) = late.and_then(|late| frames.get(late)) {
+            assert!(verifier.check(late).is_ok(), "{number}");
+            assert_eq!(verifier.check(late), Err(Refused::Replayed));
+        }
+    }
+    // None is believed twice, however old or new it is.
+    for (number, frame) in frames.iter().enumerate() {
+        let is_new = number % 10 == 5 && number >= 750;
+        assert_eq!(verifier.check(frame).is_ok(), is_new, "{number}");
+    }
+    let late = Stamp::from_ticks(verifier.streams()[0].newest.ticks() - Stamp::PER_S - 1);
+    let old = said(&mut self::sender(7, 3, late));
+    assert_eq!(verifier.check(&frame(&old)), Err(Refused::Replayed));
+}
+
+#[test]
+fn a_new_stream_begins_at_most_a_minute_behind_and_a_day_ahead() {
+    let minute = 60 * Stamp::PER_S;
+    let at = |ticks: u64| frame(&said(&mut sender(7, 9, Stamp::from_ticks(ticks))));
+    let now = NOW.ticks();
+    assert_eq!(verifier().check(&at(now - minute - 1)), Err(Refused::Old));
+    assert!(verifier().check(&at(now - minute)).is_ok());
+    assert!(verifier().check(&at(now + DAY)).is_ok());
+    assert_eq!(verifier().check(&at(now + DAY + 1)), Err(Refused::Ahead));
+    assert_eq!(verifier().check(&at(now + 5 * YEAR)), Err(Refused::Ahead));
+    // A stream that is known may be late, and a jump that is refused does not lock it out.
+    let mut verifier = verifier();
+    let mut late = sender(7, 9, Stamp::from_ticks(now - minute));
+    assert!(verifier.check(&frame(&said(&mut late))).is_ok());
+    verifier.turn(Stamp::from_ticks(now + minute));
+    assert_eq!(verifier.check(&at(now + 5 * YEAR)), Err(Refused::Ahead));
+    assert!(verifier.check(&frame(&said(&mut late))).is_ok());
+}
+
+#[test]
+fn streams_are_apart_and_bounded() {
+    let mut verifier = verifier();
+    let mut streams: Vec<Encoder> = (0..=255).map(|link| sender(7, link, NOW)).collect();
+    let mut believed = 0;
+    for stream in &mut streams {
+        match verifier.check(&frame(&said(stream))) {
+            Ok(_) => believed += 1,
+            Err(refused) => assert_eq!(refused, Refused::Streams),
+        }
+    }
+    assert_eq!((believed, verifier.streams().len()), (64, 64));
+    // Those that were silent for longer than a minute make room, and cannot be replayed.
+    let old = frame(&said(&mut sender(7, 0, Stamp::from_ticks(NOW.ticks() + 5))));
+    verifier.turn(Stamp::from_ticks(NOW.ticks() + 61 * Stamp::PER_S));
+    let late = Stamp::from_ticks(NOW.ticks() + 61 * Stamp::PER_S);
+    assert!(verifier.check(&frame(&said(&mut sender(7, 200, late)))).is_ok());
+    assert_eq!(verifier.streams().len(), 1);
+    assert_eq!(verifier.check(&old), Err(Refused::Old));
+}
+
+#[test]
+fn what_was_heard_before_a_restart_is_not_heard_again() {
+    let (mut before, mut sender) = (verifier(), sender(7, 3, NOW));
+    let bytes = said(&mut sender);
+    before.check(&frame(&bytes)).expect("new");
+    let settings = VerifierSettings {
+        key: key(7),
+        unsigned: vec![],
+        ahead_max: DAY,
+        streams: before.streams().to_vec(),
+    };
+    let mut after = Verifier::new(settings, NOW);
+    assert_eq!(after.check(&frame(&bytes)), Err(Refused::Replayed));
+    assert!(after.check(&frame(&said(&mut sender))).is_ok());
+}
+
+#[test]
+fn stamps_never_go_back_whatever_clocks_say() {
+    let mut signer = Signer::new(key(7), 0, NOW);
+    let mut last = NOW;
+    for clock in [NOW.ticks() - YEAR, NOW.ticks() + 5, NOW.ticks() - 1, NOW.ticks() + 5, 0] {
+        signer.turn(Stamp::from_ticks(clock));
+        let mut out = vec![];
+        signer.sign(&mut out, 0);
+        assert!(signer.newest() > last, "{clock}");
+        last = signer.newest();
+    }
+    signer.heard(Stamp::from_ticks(NOW.ticks() + YEAR));
+    signer.sign(&mut vec![], 0);
+    assert_eq!(signer.newest().ticks(), NOW.ticks() + YEAR + 1);
+}
+
+#[test]
+fn a_signer_speaks_mavlink_2_only() {
+    let mut encoder = sender(7, 0, NOW);
+    encoder.set_version(MavlinkVersion::V1);
+    assert!(frame(&said(&mut encoder)).is_signed());
+}
+
+#[test]
+fn stamps_count_from_2015() {
+    assert_eq!(Stamp::from_unix_ns(1_420_070_400_000_010_000).ticks(), 1);
+    assert_eq!(Stamp::from_unix_ns(1_400_000_000_000_000_000), Stamp::default());
+    assert_eq!(Stamp::from_unix_ns(u64::MAX).to_bytes().len(), 6);
+    assert_eq!(Stamp::from_bytes(NOW.to_bytes()), NOW);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_key_file_is_its_owners_alone() {
+    use std::os::unix::fs::PermissionsExt;
+    let path = std::env::temp_dir().join(format!("wire-key-{}", std::process::id()));
+    let write = |text: &str, mode: u32| {
+        fs::write(&path, text).expect("writable");
+        fs::set_permissions(&path, fs::Permissions::from_mode(mode)).expect("own file");
+        let loaded = Key::load(&path);
+        fs::remove_file(&path).expect("there");
+        loaded
+    };
+    let text = key(0xA5).to_hex();
+    assert_eq!(write(&format!(" {text}\n"), 0o600).expect("a key"), key(0xA5));
+    assert_eq!(write(&text, 0o400).expect("a key"), key(0xA5));
+    for mode in [0o640, 0o604, 0o622, 0o700, 0o644] {
+        let error = write(&text, mode).expect_err("others may read it").to_string();
+        assert!(error.contains("0600") && error.contains("chmod"), "{error}");
+        assert!(!error.contains(&text));
+    }
+    for bad in
+        ["", "abc", &text[1..], &format!("{text}00"), &text.replace('a', "x"), &"0".repeat(64)]
+    {
+        let error = write(bad, 0o600).expect_err("no key").to_string();
+        assert!(bad.len() < 8 || !error.contains(bad), "it shows what may be a key: {error}");
+    }
+    assert!(Key::load(&path).is_err());
+    assert!(!format!("{:?}", key(0xA5)).contains("a5a5"));
+}
+
+proptest! {
+    #[test]
+    fn no_change_of_a_signed_frame_is_believed(at in 0usize..53, bits in 1u8.., cut in 0usize..53) {
+        let bytes = said(&mut sender(7, 3, NOW));
+        prop_assume!(at < bytes.len());
+        let mut changed = bytes.clone();
+        changed[at] ^= bits;
+        // Its checksum as whoever changed it would make it.
+        let end = bytes.len() - SIGNATURE_LEN - 2;
+        if at < end {
+            let crc = mavlink::calculate_crc(&changed[1..end], 39).to_le_bytes();
+            changed[end..end + 2].copy_from_slice(&crc);
+        }
+        let mut verifier = verifier();
+        let mut decoder = crate::Decoder::new();
+        decoder.datagram(&changed, |frame| assert!(verifier.check(&frame).is_err()));
+        decoder.datagram(&bytes[..cut.min(bytes.len() - 1)], |frame| {
+            assert!(verifier.check(&frame).is_err());
+        });
+        assert!(verifier.streams().is_empty());
+    }
+}
