@@ -39,7 +39,7 @@ impl Default for OffsetFreeSettings {
         Self {
             observer: Use::Auto,
             feed_forward: Use::Auto,
-            velocity_time_constant_s: 0.05,
+            velocity_time_constant_s: 0.02,
             time_constant_s: 0.5,
             velocity_max_m_s: 1.0,
             acceleration_max_m_s2: 6.0,
