@@ -284,7 +284,7 @@ fn quickened_feedback_stays_closer_to_an_estimate_that_wanders_and_to_a_circle()
     let mut config = SitlConfig { autopilot: Autopilot::Px4, ..SitlConfig::default() };
     config.estimator.wander_m = 0.1;
     config.estimator.velocity_wander_m_s = 0.16;
-    let late = ["motor_lag:time_constant_s=0.04", "command_delay:delay_s=0.02"];
+    let late = ["motor_lag:tau_s=0.04", "command_delay:delay_s=0.02"];
     let flown = |quicken: Use, offset_free: Use, trajectory: Trajectory| {
         let mut settings = with(offset_free, &params, trajectory);
         settings.control.quicken = quicken;

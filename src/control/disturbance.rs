@@ -307,6 +307,11 @@ impl DisturbanceObserver {
         now
     }
 
+    /// `state` with the velocity at which its position moves, which the reported one may not be.
+    pub fn moving(&self, state: &State) -> State {
+        State { velocity: state.velocity + self.disturbance.velocity, ..*state }
+    }
+
     /// How the disturbances move what leads a vehicle at the heading `yaw` along `reference`.
     pub fn shift(&self, reference: &Reference, yaw: f64) -> Shift {
         let Disturbance {
