@@ -35,7 +35,7 @@ pub(super) fn feedback(
         actuation,
         attitude_loop: &attitude_loop,
         limits: &pilot.limits,
-        settings: &control.for_loop(is_own_loop && is_known),
+        settings: control,
     })?;
     let observer = pilot.offset_free.observer.applies(is_own_loop).then(|| {
         DisturbanceObserver::new(pilot.offset_free, *hover, attitude_loop, error, *actuation)

@@ -314,9 +314,9 @@ impl Default for ControlSettings {
 }
 
 impl ControlSettings {
-    /// For a loop that is its autopilot's own, and known, or not.
-    pub fn for_loop(&self, is_own_and_known: bool) -> Self {
-        let quicken = if self.quicken.applies(is_own_and_known) { Use::On } else { Use::Off };
+    /// For a loop that was read from its autopilot, or not: of another too little is known.
+    pub fn for_loop(&self, is_read: bool) -> Self {
+        let quicken = if self.quicken.applies(is_read) { Use::On } else { Use::Off };
         Self { quicken, ..self.clone() }
     }
 }
