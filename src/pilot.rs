@@ -189,7 +189,8 @@ impl Pilot {
 
         let phase = self.supervisor.state();
         let (airborne, lifting_n) = (self.airborne(), self.controller.lifting_n());
-        let guided = self.guidance.guide(phase, &sample, airborne, lifting_n);
+        let moving = Sample { state: self.controller.moving(&sample.state), ..sample };
+        let guided = self.guidance.guide(phase, &moving, airborne, lifting_n);
         let mut reference = guided.reference;
         if guided.feedback {
             reference.feedforward.thrust_n *= self.voltage_gain();

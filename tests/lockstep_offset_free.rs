@@ -276,3 +276,27 @@ fn plans_made_anew_lead_an_autopilots_own_loop_along_a_circle_though_its_estimat
     assert!(rms < 0.15, "{rms} m from the circle");
     assert!(cut * 20 < errors.len(), "{cut} of {} setpoints at a limit", errors.len());
 }
+
+#[test]
+fn quickened_feedback_stays_closer_to_an_estimate_that_wanders_and_to_a_circle() {
+    let mut params = params(QUAD);
+    (params.command_delay_s, params.motor_time_constant_s) = (0.02, 0.04);
+    let mut config = SitlConfig { autopilot: Autopilot::Px4, ..SitlConfig::default() };
+    config.estimator.wander_m = 0.1;
+    config.estimator.velocity_wander_m_s = 0.16;
+    let late = ["motor_lag:tau_s=0.04", "command_delay:delay_s=0.02"];
+    let flown = |quicken: Use, offset_free: Use, trajectory: Trajectory| {
+        let mut settings = with(offset_free, &params, trajectory);
+        settings.control.quicken = quicken;
+        let (end, records) = fly(settings, &params, &late, config.clone(), 1);
+        assert_eq!(end, End::Done);
+        errors(&records).0
+    };
+    for (offset_free, trajectory) in
+        [(Use::On, hover(15.0)), (Use::Off, trajectory("sinusoid-yaw.toml"))]
+    {
+        let [plain, quick] =
+            [Use::Off, Use::On].map(|quicken| flown(quicken, offset_free, trajectory.clone()));
+        assert!(quick < 0.8 * plain, "{quick} m, {plain} m as set");
+    }
+}

@@ -162,7 +162,7 @@ pub(super) fn station_settings(
     Ok(StationSettings {
         session,
         pilot,
-        control: settings.control.clone(),
+        control: settings.control.for_loop(vehicle.params.attitude_cascade.is_some()),
         policy,
         hover: effective.hover,
         drag_kg_s: effective.drag_kg_s,

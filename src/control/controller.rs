@@ -103,6 +103,12 @@ impl Controller {
         }
     }
 
+    /// `state` as it is to be planned from: its velocity is the position's slope, as far as that is
+    /// known. By the velocity that an estimator reports a plan would lead away from the position.
+    pub fn moving(&self, state: &State) -> State {
+        self.observer.as_ref().map_or(*state, |observer| observer.moving(state))
+    }
+
     /// The thrust that was sent last, N; `None` where no disturbance is looked for.
     pub fn lifting_n(&self) -> Option<f64> {
         self.observer.as_ref().and(self.sent).map(|sent| sent.thrust_n)

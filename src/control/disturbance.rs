@@ -40,7 +40,7 @@ impl Default for OffsetFreeSettings {
         Self {
             observer: Use::Auto,
             feed_forward: Use::Auto,
-            velocity_time_constant_s: 0.05,
+            velocity_time_constant_s: 0.02,
             time_constant_s: 0.5,
             velocity_max_m_s: 1.0,
             acceleration_max_m_s2: 6.0,
@@ -306,6 +306,11 @@ impl DisturbanceObserver {
                 Euler::new(roll + h * droll, pitch + h * dpitch, wrap_angle(yaw + h * dyaw));
         }
         now
+    }
+
+    /// `state` with the velocity at which its position moves, which the reported one may not be.
+    pub fn moving(&self, state: &State) -> State {
+        State { velocity: state.velocity + self.disturbance.velocity, ..*state }
     }
 
     /// How the disturbances move what leads a vehicle at the heading `yaw` along `reference`.

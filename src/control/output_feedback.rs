@@ -1,6 +1,6 @@
 //! The best gain on the states that are measured, where the model has others beside them.
 
-use nalgebra::SMatrix;
+use nalgebra::{Complex, ComplexField, DMatrix, DVector, SMatrix};
 
 /// A linear model, a quadratic cost, and the errors that feedback is for. The first states are the
 /// measured ones.
@@ -28,6 +28,10 @@ const STEPS_MAX: usize = 60;
 const GAIN_MIN: f64 = 1e-6;
 /// Shortest part of a step that is tried.
 const PART_MIN: f64 = 1e-3;
+/// Frequencies at which the margin is looked at, rad a step: what a vehicle moves at, up to half of
+/// the sampling rate.
+const MARGIN_FROM: f64 = 2e-3;
+const MARGIN_STEPS: usize = 60;
 
 /// The loop under one gain.
 struct Evaluation<const X: usize> {
@@ -66,6 +70,33 @@ impl<const X: usize, const M: usize> OutputFeedback<X, M> {
             }
         }
         Some(gain)
+    }
+
+    /// How far the loop under `gain`, opened at input `at`, stays from -1 at any frequency: the
+    /// reciprocal of the largest sensitivity. It bears its gain to be off by `1 / (1 + margin)` to
+    /// `1 / (1 - margin)`.
+    pub fn margin<const N: usize>(&self, gain: &SMatrix<f64, M, N>, at: usize) -> f64 {
+        let mut rest = *gain;
+        rest.row_mut(at).fill(0.0);
+        let mut others_closed = self.state;
+        let mut columns = others_closed.fixed_view_mut::<X, N>(0, 0);
+        columns += self.input * rest;
+        let entry = |row, column| Complex::from(-others_closed[(row, column)]);
+        let negative = DMatrix::from_fn(X, X, entry);
+        let input = DVector::from_fn(X, |row, _| Complex::from(self.input[(row, at)]));
+        let span = (std::f64::consts::PI / MARGIN_FROM).ln();
+        (0..=MARGIN_STEPS)
+            .filter_map(|step| {
+                let turn = MARGIN_FROM * (span * step as f64 / MARGIN_STEPS as f64).exp();
+                let mut shifted = negative.clone();
+                for i in 0..X {
+                    shifted[(i, i)] += Complex::from_polar(1.0, turn);
+                }
+                let answer = shifted.lu().solve(&input)?;
+                let fed_back: Complex<f64> = (0..N).map(|i| answer[i] * gain[(at, i)]).sum();
+                Some((Complex::from(1.0) - fed_back).modulus())
+            })
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// Towards the gain that would be best if cost to go and covariance stayed as they are.
@@ -148,6 +179,23 @@ mod tests {
     #[test]
     fn gain_that_does_not_settle_the_loop_is_refused() {
         assert!(problem().improve(Matrix1x2::new(0.5, 0.0)).is_none());
+    }
+
+    #[test]
+    fn margin_of_an_integrator_is_that_of_its_largest_sensitivity() {
+        let (one, gain) = (Matrix1::new(1.0), 0.5);
+        let integrator = OutputFeedback {
+            state: one,
+            input: one,
+            state_weight: one,
+            input_weight: one,
+            errors: one,
+        };
+        // L = k / (z - 1) comes nearest to -1 at z = -1: |1 + L| = 1 - k/2.
+        let margin = integrator.margin(&Matrix1::new(-gain), 0);
+        assert!((margin - (1.0 - gain / 2.0)).abs() < 1e-9, "{margin}");
+        let strong = integrator.margin(&Matrix1::new(-2.0 * gain), 0);
+        assert!((strong - (1.0 - gain)).abs() < 1e-9, "{strong}");
     }
 
     #[test]

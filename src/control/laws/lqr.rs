@@ -6,6 +6,7 @@ use vehicle::rigid_body::State;
 
 use super::super::actuation::{Actuation, DELAYED_STATES, DelayedModel};
 use super::super::attitude_loop::{AttitudeLoop, angle_error};
+use super::super::disturbance::Use;
 use super::super::hover_model::{HoverModel, HoverVehicle, INPUTS, STATES};
 use super::super::output_feedback::OutputFeedback;
 use super::super::riccati::{solve_dare, spectral_radius};
@@ -39,6 +40,14 @@ const fn gain(key: &'static str, unit: &'static str, values: usize, meaning: &'s
 const ERRORS: [f64; STATES] = [0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.5];
 /// Attempts at a gain that settles the loop, each weaker than the last.
 const ATTEMPTS: usize = 24;
+/// By how much roll's and pitch's acceptable correction is widened at a time, and how often.
+const QUICKENED: f64 = 1.15;
+const QUICKENINGS: usize = 20;
+/// Inputs.
+const ROLL: usize = 1;
+const PITCH: usize = 2;
+
+type Late = OutputFeedback<DELAYED_STATES, INPUTS>;
 
 /// The feedback law `u_hat = u_hat* + K T_R (s - s*)`.
 #[derive(Clone, Debug)]
@@ -88,6 +97,9 @@ impl Lqr {
     /// best by the same weights is taken. It is that of [`Lqr::design`] as delay and lag go to
     /// zero, and the slower the vehicle, the less it asks for, of attitude feedback first.
     ///
+    /// Where [`ControlSettings::quicken`] is on, roll and pitch are then corrected by more than the
+    /// settings call acceptable, as far as [`ControlSettings::margin_min`] is kept.
+    ///
     /// # Errors
     /// As [`Lqr::design`], and [`DesignError::TooSlow`].
     pub fn design_for(
@@ -102,36 +114,30 @@ impl Lqr {
         }
         let hover = HoverModel::continuous(vehicle, attitude_loop);
         let model = DelayedModel::new(&hover, attitude_loop, actuation, 1.0 / settings.rate_hz);
-        let (q, r) = settings.weights(vehicle.hover_thrust_n());
-        let mut problem = OutputFeedback {
-            state: model.state,
-            input: model.input,
-            state_weight: SMatrix::<f64, DELAYED_STATES, DELAYED_STATES>::zeros(),
-            input_weight: r,
-            errors: SMatrix::zeros(),
-        };
-        problem.state_weight.fixed_view_mut::<STATES, STATES>(0, 0).copy_from(&q);
-        for (i, error) in ERRORS.into_iter().enumerate() {
-            problem.errors[(i, i)] = error * error;
-        }
-        let mut start = prompt.gain;
-        for _ in 0..ATTEMPTS {
-            if let Some(gain) = problem.improve(start) {
-                let mut closed_loop = model.state;
-                let mut columns = closed_loop.fixed_view_mut::<DELAYED_STATES, STATES>(0, 0);
-                columns += model.input * gain;
-                let spectral_radius = spectral_radius(&closed_loop);
-                return Ok(Self { gain, spectral_radius, ..prompt });
-            }
-            // Slower and slower: position by the square of velocity, as damping stays then.
-            for (columns, factor) in [(0, 0.64), (3, 0.8), (6, 0.5), (9, 0.5)] {
-                start.fixed_columns_mut::<3>(columns).scale_mut(factor);
-            }
-        }
-        Err(DesignError::TooSlow {
+        let mut problem = late_problem(&model, settings, vehicle.hover_thrust_n());
+        let mut gain = settled(&problem, prompt.gain).ok_or(DesignError::TooSlow {
             delay_s: actuation.command_delay_s,
             lag_s: actuation.motor_time_constant_s,
-        })
+        })?;
+        if settings.quicken == Use::On {
+            let mut quicker = settings.clone();
+            for _ in 0..QUICKENINGS {
+                for correction in &mut quicker.attitude_command_rad[..2] {
+                    *correction *= QUICKENED;
+                }
+                problem = late_problem(&model, &quicker, vehicle.hover_thrust_n());
+                let Some(candidate) = problem.improve(gain) else { break };
+                let margin = [ROLL, PITCH].map(|input| problem.margin(&candidate, input));
+                if margin.into_iter().any(|margin| margin < settings.margin_min) {
+                    break;
+                }
+                gain = candidate;
+            }
+        }
+        let mut closed_loop = model.state;
+        let mut columns = closed_loop.fixed_view_mut::<DELAYED_STATES, STATES>(0, 0);
+        columns += model.input * gain;
+        Ok(Self { gain, spectral_radius: spectral_radius(&closed_loop), ..prompt })
     }
 
     /// `K`, minus what SciPy or MATLAB return: rows thrust, (roll, pitch, yaw), body rate; columns
@@ -184,6 +190,40 @@ impl Lqr {
         };
         (correction, is_cut)
     }
+}
+
+/// What the gain of a vehicle that answers late is best for.
+fn late_problem(model: &DelayedModel, settings: &ControlSettings, hover_thrust_n: f64) -> Late {
+    let (q, r) = settings.weights(hover_thrust_n);
+    let mut problem = OutputFeedback {
+        state: model.state,
+        input: model.input,
+        state_weight: SMatrix::zeros(),
+        input_weight: r,
+        errors: SMatrix::zeros(),
+    };
+    problem.state_weight.fixed_view_mut::<STATES, STATES>(0, 0).copy_from(&q);
+    for (i, error) in ERRORS.into_iter().enumerate() {
+        problem.errors[(i, i)] = error * error;
+    }
+    problem
+}
+
+/// The best gain, from `start` or the first weaker one that settles the loop.
+fn settled(
+    problem: &Late,
+    mut start: SMatrix<f64, INPUTS, STATES>,
+) -> Option<SMatrix<f64, INPUTS, STATES>> {
+    for _ in 0..ATTEMPTS {
+        if let Some(gain) = problem.improve(start) {
+            return Some(gain);
+        }
+        // Slower and slower: position by the square of velocity, as damping stays then.
+        for (columns, factor) in [(0, 0.64), (3, 0.8), (6, 0.5), (9, 0.5)] {
+            start.fixed_columns_mut::<3>(columns).scale_mut(factor);
+        }
+    }
+    None
 }
 
 impl ControlLaw for Lqr {
@@ -249,6 +289,7 @@ fn check(
         ("acceptable thrust correction", settings.thrust),
         ("largest horizontal error", settings.horizontal_error_max_m),
         ("largest vertical error", settings.vertical_error_max_m),
+        ("margin of the loop", settings.margin_min),
     ];
     let flattened = triples
         .into_iter()
@@ -382,6 +423,27 @@ mod tests {
                 before = gain;
             }
         }
+    }
+
+    #[test]
+    fn quickened_loop_follows_sooner_and_keeps_its_margin() {
+        const SIH: HoverVehicle =
+            HoverVehicle { mass_kg: 1.0, inertia: [0.025, 0.025, 0.03], gravity: 9.81 };
+        let attitude_loop =
+            AttitudeLoop::AttitudePd { kp: [1.7, 1.7, 0.224], kd: [0.424, 0.424, 0.08] };
+        let settings = ControlSettings::default();
+        let quickened = |quicken, margin_min| {
+            let settings = ControlSettings { quicken, margin_min, ..settings.clone() };
+            Lqr::design_for(&slow(0.01, 0.05), &SIH, &attitude_loop, &settings).expect("a gain")
+        };
+        let stiffness = |lqr: &Lqr| lqr.translational(&SIH).0[0];
+        let (plain, quick) = (quickened(Use::Off, 0.6), quickened(Use::On, 0.6));
+        assert!(stiffness(&quick) > 1.8 * stiffness(&plain), "{}", stiffness(&quick));
+        assert!(stiffness(&quick) > stiffness(&quickened(Use::On, 0.7)));
+        assert_eq!(quickened(Use::Auto, 0.6).gain(), plain.gain(), "not resolved: as set");
+        assert_eq!(quickened(Use::On, 0.99).gain(), plain.gain(), "no margin to give");
+        let height = quick.gain()[(0, 2)] / plain.gain()[(0, 2)];
+        assert!((height - 1.0).abs() < 0.01, "height as before: {height}");
     }
 
     #[test]

@@ -15,6 +15,7 @@ pub use self::geometric::Geometric;
 pub use self::lqr::Lqr;
 use super::actuation::Actuation;
 use super::attitude_loop::AttitudeLoop;
+use super::disturbance::Use;
 use super::hover_model::HoverVehicle;
 use super::limits::Limits;
 use super::riccati::RiccatiError;
@@ -276,6 +277,13 @@ pub struct ControlSettings {
     /// attitude and thrust and whose file has no gains; none takes the slowest that its autopilot
     /// is expected to fly with.
     pub attitude_response_rad_s: Option<[f64; 3]>,
+    /// Whether the LQR corrects roll and pitch by more than `attitude_command_rad` where the loop's
+    /// margin leaves room: an autopilot's own loop is slower than the paper's, and an estimate that
+    /// wanders moves the vehicle by what feedback lags. [`Use::Auto`] is resolved by
+    /// [`for_loop`](Self::for_loop).
+    pub quicken: Use,
+    /// How near -1 the opened loop may so come, 0..1.
+    pub margin_min: f64,
     /// The feedback sees at most this horizontal position error, so that a reference far away is
     /// approached at a bounded speed, m.
     pub horizontal_error_max_m: f64,
@@ -298,10 +306,20 @@ impl Default for ControlSettings {
             attitude_command_rad: [0.25, 0.25, 0.3],
             body_rate_command_rad_s: [0.05, 0.05, 0.05],
             attitude_response_rad_s: None,
+            quicken: Use::Auto,
+            margin_min: 0.6,
             horizontal_error_max_m: 1.0,
             vertical_error_max_m: 0.6,
             gains: Gains::default(),
         }
+    }
+}
+
+impl ControlSettings {
+    /// For a loop that was read from its autopilot, or not: of another too little is known.
+    pub fn for_loop(&self, is_read: bool) -> Self {
+        let quicken = if self.quicken.applies(is_read) { Use::On } else { Use::Off };
+        Self { quicken, ..self.clone() }
     }
 }
 
