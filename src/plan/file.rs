@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use schemars::{Schema, schema_for};
 
-pub(super) use self::builder::Builder;
+use self::builder::Builder;
 use self::family::Family;
 pub(in crate::plan) use self::multisine::{Multisine, Wave, YawWave};
 use super::shipped::{SHIPPED_TRAJECTORIES, shipped};

@@ -6,6 +6,7 @@ use std::path::Path;
 use vehicle::frame::Ned;
 
 use super::family::{Family, PaceFields, Sinusoid, Steps};
+use super::multisine::Multisine;
 use super::{DURATION_MAX_S, TrajectoryError, load};
 use crate::plan::curve::{Envelope, Harmonic, HarmonicCurve};
 use crate::plan::path::{MinimumJerkPath, Pace, Waypoint};
@@ -15,7 +16,7 @@ use crate::plan::trajectory::{DesiredPoint, Shape, Trajectory};
 const WAYPOINTS_MAX: usize = 10_000;
 
 /// Checks values on the way from file to shape; knows the file's name for the errors.
-pub(in crate::plan) struct Builder<'a> {
+pub(super) struct Builder<'a> {
     pub(super) origin: &'a Path,
 }
 
@@ -86,7 +87,7 @@ impl Builder<'_> {
                 }
                 ("figure-8", shape)
             }
-            Family::Multisine(f) => ("multisine", f.shape(self)?),
+            Family::Multisine(f) => ("multisine", self.multisine(&f)?),
             Family::Steps(f) => ("steps", self.steps(&f)?),
             Family::RandomWaypoints(f) => {
                 let half_size = [
@@ -171,6 +172,28 @@ impl Builder<'_> {
         Ok(Shape::Harmonic { curve, envelope })
     }
 
+    fn multisine(&self, f: &Multisine) -> Result<Shape, TrajectoryError> {
+        self.positive("altitude_m", f.altitude_m)?;
+        for offset in f.offset_m {
+            self.finite("offset_m", offset)?;
+        }
+        self.finite("heading_deg", f.heading_deg)?;
+        self.finite("yaw_rate_deg_s", f.yaw_rate_deg_s)?;
+        self.positive("duration_s", f.duration_s)?;
+        self.at_least_zero("ramp_s", f.ramp_s)?;
+        for wave in [&f.north, &f.east, &f.up].into_iter().flatten() {
+            self.finite("amplitude_m", wave.amplitude_m)?;
+            self.positive("period_s", wave.period_s)?;
+            self.finite("phase_deg", wave.phase_deg)?;
+        }
+        for wave in &f.yaw {
+            self.finite("amplitude_deg", wave.amplitude_deg)?;
+            self.positive("period_s", wave.period_s)?;
+            self.finite("phase_deg", wave.phase_deg)?;
+        }
+        Ok(f.shape())
+    }
+
     fn steps(&self, f: &Steps) -> Result<Shape, TrajectoryError> {
         let hover = -self.positive("altitude_m", f.altitude_m)?;
         let dwell_s = self.positive("dwell_s", f.dwell_s)?;
@@ -206,27 +229,15 @@ impl Builder<'_> {
         path.ok_or_else(|| self.wrong("points", "at least one waypoint", 0.0))
     }
 
-    pub(in crate::plan) fn finite(
-        &self,
-        field: &'static str,
-        found: f64,
-    ) -> Result<f64, TrajectoryError> {
+    fn finite(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number", found, found.is_finite())
     }
 
-    pub(in crate::plan) fn positive(
-        &self,
-        field: &'static str,
-        found: f64,
-    ) -> Result<f64, TrajectoryError> {
+    fn positive(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number above 0", found, found.is_finite() && found > 0.0)
     }
 
-    pub(in crate::plan) fn at_least_zero(
-        &self,
-        field: &'static str,
-        found: f64,
-    ) -> Result<f64, TrajectoryError> {
+    fn at_least_zero(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number of at least 0", found, found.is_finite() && found >= 0.0)
     }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use super::multisine::Multisine;
+use super::multisine::{Multisine, two_seconds};
 
 /// A trajectory file. Lengths in m, angles in degrees where the name says so, altitudes above the
 /// take-off floor, positions relative to the take-off point.
@@ -203,10 +203,6 @@ pub(super) struct WaypointFields {
 pub(super) struct Csv {
     /// Relative to the trajectory file.
     pub file: PathBuf,
-}
-
-pub(in crate::plan) fn two_seconds() -> f64 {
-    2.0
 }
 
 fn four_seconds() -> f64 {

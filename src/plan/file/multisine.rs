@@ -3,8 +3,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::family::two_seconds;
-use super::{Builder, TrajectoryError};
 use crate::plan::curve::{Envelope, Harmonic, HarmonicCurve};
 use crate::plan::trajectory::{DesiredPoint, Shape};
 
@@ -67,27 +65,9 @@ impl Multisine {
         format!("family = \"multisine\"\n{body}")
     }
 
-    /// The curve, every number of it checked.
-    pub fn shape(&self, check: &Builder<'_>) -> Result<Shape, TrajectoryError> {
-        check.positive("altitude_m", self.altitude_m)?;
-        for offset in self.offset_m {
-            check.finite("offset_m", offset)?;
-        }
-        check.finite("heading_deg", self.heading_deg)?;
-        check.finite("yaw_rate_deg_s", self.yaw_rate_deg_s)?;
-        check.positive("duration_s", self.duration_s)?;
-        check.at_least_zero("ramp_s", self.ramp_s)?;
-        for wave in [&self.north, &self.east, &self.up].into_iter().flatten() {
-            check.finite("amplitude_m", wave.amplitude_m)?;
-            check.positive("period_s", wave.period_s)?;
-            check.finite("phase_deg", wave.phase_deg)?;
-        }
-        for wave in &self.yaw {
-            check.finite("amplitude_deg", wave.amplitude_deg)?;
-            check.positive("period_s", wave.period_s)?;
-            check.finite("phase_deg", wave.phase_deg)?;
-        }
-        Ok(Shape::Harmonic { curve: self.curve(), envelope: self.envelope() })
+    /// Its curve, and how it comes to full speed and to rest.
+    pub(super) fn shape(&self) -> Shape {
+        Shape::Harmonic { curve: self.curve(), envelope: self.envelope() }
     }
 
     /// The desired points, `spacing_s` apart, from start to end.
@@ -126,6 +106,11 @@ impl Multisine {
         );
         curve
     }
+}
+
+/// How long a ramp takes where the file does not say.
+pub(super) fn two_seconds() -> f64 {
+    2.0
 }
 
 fn harmonic(amplitude: f64, period_s: f64, phase_deg: f64) -> Harmonic {
