@@ -29,9 +29,9 @@ use crate::scalar::Scalar;
 
 pub(crate) use quantity::{Rotors, values};
 
-/// Most constants of a law, and most laws of a set.
+/// Most constants of a law.
 const CONSTANTS_MAX: usize = 32;
-/// See [`CONSTANTS_MAX`].
+/// Most laws of a set.
 pub const LAWS_MAX: usize = 8;
 /// A force is bounded by so many weights where the law states no bound, and a moment by what the
 /// rotors' arm makes of as much.

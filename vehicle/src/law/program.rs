@@ -62,7 +62,7 @@ pub struct Program {
 }
 
 impl Program {
-    /// From operations that leave one number and need no more than [`STACK_MAX`]; `None` where they
+    /// From operations that leave one number and need no more than `STACK_MAX`; `None` where they
     /// do not.
     pub fn new(operations: Vec<Operation>) -> Option<Self> {
         let (mut depth, mut needed) = (0_usize, Needed::default());
