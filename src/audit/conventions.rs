@@ -22,6 +22,8 @@ const READS: f64 = 0.8;
 const FOLLOWS: f64 = 0.3;
 /// What explains more leaves nothing to ask of the frames.
 const FITS: f64 = 0.98;
+/// Attitudes that are further apart than this tell axes of the body from those of the world, rad.
+const APART: f64 = 0.1;
 /// Other frames must leave less than this share of what is not explained.
 const LEAVES: f64 = 0.5;
 /// Where a shorter log does not show whether it does, that is no fault, s.
@@ -403,9 +405,14 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
     });
 }
 
-/// Vectors of the body that are in axes of the world, or the other way about: at one heading that
+/// Vectors of the body that are in axes of the world, or the other way about: at one attitude that
 /// is a turn like any other, at several it is none.
 fn check_frames(flight: &Flight, audit: &mut Audit) {
+    let attitudes = flight.attitude.values();
+    let turns = |first: &Attitude| attitudes.iter().any(|q| first.angle_to(*q) > APART);
+    if !attitudes.first().is_some_and(turns) {
+        return;
+    }
     let Kinematics { attitude, position, velocity, .. } = audit.kinematics;
     let is_open = |pair: Option<Agreement>| pair.is_none_or(|pair| pair.explained < FITS);
     let follows_better = |stated: Option<f64>, otherwise: Option<f64>| {
