@@ -119,7 +119,7 @@ const CIRCLES: [&[&str]; 6] = [
         "vehicle/src/effects",
         "vehicle/src/law",
         "vehicle/src/params.rs",
-        "vehicle/src/physics.rs",
+        "vehicle/src/physics",
         "vehicle/src/rotor.rs",
     ],
 ];

@@ -6,33 +6,28 @@
 //! better, and powers and lengths are refined. What comes of it is one more explanation, and the
 //! verdict decides on it as on the others.
 
-use std::collections::BTreeMap;
+mod weighed;
+mod written;
 
 use rayon::prelude::*;
 use vehicle::VehicleError;
 use vehicle::effects::EffectSet;
-use vehicle::frame::Ned;
-use vehicle::law::{Law, LawText, Needed, Quantity};
-use vehicle::physics::{Environment, Physics};
-use vehicle::rigid_body::State;
 
-use super::answer::Verdict;
 use super::calibration::Calibration;
-use super::evidence::{Evidence, Explained, Found, Gaps};
+use super::evidence::Evidence;
 use super::explanation::{Explanation, Explanations};
-use super::fit::{Fit, fit_numbers, interval};
+use super::fit::{Fit, fit_numbers};
 use super::gap::Errors;
 use super::hypothesis::Catalogue;
 use super::inquiry::Inquiry;
-use super::law::{LawAnswer, NearEffect, Shape, TermAnswer};
+use super::law::LawAnswer;
 use super::linearised::Linearised;
 use super::observed::Observed;
 use super::pipeline::DiagnoseError;
-use super::preparation::{Channels, PreparedFlight};
-use super::series::attitude;
-use super::term::{Factor, Term, law_of, name_of};
+use super::preparation::Channels;
+use super::term::{Factor, Term};
 use super::terms::terms;
-use super::verdict::{CARRIES, CHANGES, Decision, OPEN, decide};
+use super::verdict::{CARRIES, CHANGES, Decision, OPEN};
 
 /// Most terms of a law.
 const TERMS_MAX: usize = 5;
@@ -40,10 +35,6 @@ const TERMS_MAX: usize = 5;
 const SHAPE_STEPS: usize = 10;
 /// Rounds in which every term may be exchanged.
 const EXCHANGES: usize = 2;
-/// How often a flight is looked at for what it shows of a quantity, s.
-const LOOK_S: f64 = 0.1;
-/// What the catalogue has that comes nearest: so many.
-const NEAREST: usize = 3;
 
 /// A law that was found.
 pub(super) struct Discovered {
@@ -328,228 +319,6 @@ impl Inquiry<'_> {
         let chance = price * draft.terms.len() as f64 - draft.shapes;
         Explanation::new(draft.fit.clone(), chance, &fitted, &choosing)
     }
-
-    /// A draft among the other explanations, and its answer.
-    fn weigh(
-        &self,
-        evidence: &Evidence,
-        floors: &[Option<Errors>; 2],
-        (draft, explanation): (Draft, Explanation),
-    ) -> Result<Discovered, DiagnoseError> {
-        let catalogue = draft.catalogue(self);
-        let name = name_of(&self.case.vehicle.modelled_effects);
-        let mut explained = Explained {
-            effects: self.names(&draft),
-            blocks: explanation.blocks.clone(),
-            ..Explained::default()
-        };
-        explained.effects.push(name.clone());
-        let first = self.catalogue.numbers.len();
-        explained.numbers = (first..catalogue.numbers.len())
-            .map(|index| Found {
-                effect: name.clone(),
-                name: catalogue.numbers[index].target.name(),
-                value: draft.fit.values[index],
-                deviation: draft.fit.deviation[index],
-                magnitude: catalogue.numbers[index].magnitude,
-                ..Found::default()
-            })
-            .collect();
-        let reported = |draft: &Draft| self.law_gaps(floors[1].as_ref(), &self.reported, draft);
-        explained.choosing = self.law_gaps(floors[0].as_ref(), &self.choosing, &draft)?;
-        explained.reported = reported(&draft)?;
-        // Where a flight shows no gap, and the law makes none, its predictions tell nothing: noise
-        // alone would say which is the better one. Its equations do.
-        let is_small = |gap: Option<f64>| gap.is_none_or(|gap| gap < OPEN);
-        if is_small(evidence.shipped[0]) && is_small(explained.choosing.map(|gaps| gaps.effects)) {
-            explained.choosing = None;
-        }
-        let mut with = evidence.clone();
-        with.explanations.push(explained);
-        let decision = decide(&with);
-        let index = with.explanations.len() - 1;
-        let is_chosen = decision.explanation == index && decision.verdict == Verdict::Effect;
-        let scores = with.scores();
-
-        // On all flights but those reported on.
-        let refit = self.fitted_terms(&self.all, &draft.fit, &draft.beside, &draft.terms);
-        let refit = Draft { fit: refit.unwrap_or_else(|| draft.fit.clone()), ..draft };
-        let after = reported(&refit)?;
-        let (law, effects) = self.written(&refit, &name)?;
-        let shipped = evidence.shipped[1];
-        let gap = shipped.zip(after).map(|(before, after)| [before, after.effects, after.both]);
-        let because = match (is_chosen, decision.explanation) {
-            (true, _) => None,
-            (false, 0) => Some("it predicts the flights held out no better than the vehicle file's numbers do within their tolerances".to_owned()),
-            (false, other) if other == index => {
-                Some("what it leaves of the gap makes another cause likelier".to_owned())
-            }
-            (false, other) => {
-                let effects = with.explanations[other].effects.join(" and ");
-                Some(format!("{effects} of the catalogue does as well"))
-            }
-        };
-        let mut order: Vec<usize> = (1..index).collect();
-        order.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]));
-        let nearest = order.into_iter().take(NEAREST).map(|rank| NearEffect {
-            effects: with.explanations[rank].effects.clone(),
-            evidence: scores[rank],
-        });
-        let mut depends_on: Vec<Quantity> =
-            refit.terms.iter().flat_map(|(term, _)| term.quantities()).collect();
-        depends_on.sort_unstable();
-        depends_on.dedup();
-        let answer = LawAnswer {
-            named: is_chosen,
-            because,
-            probability: decision.masses.get(index).copied().unwrap_or(0.0)
-                * (1.0 - decision.outside),
-            formulas: law.text().formulas.clone(),
-            terms: self.terms_of(&refit),
-            depends_on: depends_on.into_iter().map(Quantity::name).collect(),
-            range: law.text().range.clone(),
-            evidence: scores[index],
-            beside: self.names(&refit),
-            nearest: nearest.collect(),
-            gap,
-            closure: gap.filter(|[before, ..]| *before > 1.05).map(|[b, a, _]| (b - a) / (b - 1.0)),
-            law,
-        };
-        Ok(Discovered { answer, effects })
-    }
-
-    /// Effects beside a law.
-    fn names(&self, draft: &Draft) -> Vec<String> {
-        let effects = draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect);
-        effects.map(|effect| effect.name().to_owned()).collect()
-    }
-
-    /// Terms as they are told, and written with the same names.
-    fn terms_of(&self, draft: &Draft) -> Vec<TermAnswer> {
-        let first = self.catalogue.numbers.len();
-        let mut terms: Vec<TermAnswer> = draft
-            .terms
-            .iter()
-            .enumerate()
-            .map(|(index, (term, _))| {
-                let value = draft.fit.values[first + index];
-                let deviation =
-                    Calibration::shipped().deviation(draft.fit.deviation[first + index], value);
-                let shape = term.factor.shape().map(|(value, _)| Shape {
-                    value,
-                    interval: interval(value, draft.deviations[index]),
-                });
-                TermAnswer {
-                    term: term.in_words(),
-                    name: format!("c{}", index + 1),
-                    value,
-                    interval: interval(value, deviation),
-                    unit: term.unit().to_string(),
-                    shape,
-                    evidence: draft.gains[index],
-                }
-            })
-            .collect();
-        terms.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-        terms
-    }
-
-    /// The law with what it is known for, and the effects beside it.
-    fn written(&self, draft: &Draft, name: &str) -> Result<(Law, EffectSet), DiagnoseError> {
-        let first = self.catalogue.numbers.len();
-        let coefficients = draft.terms.iter().zip(&draft.fit.values[first..]);
-        let text = law_of(coefficients.map(|((term, _), value)| (term, *value)));
-        let mut text: LawText = text.unwrap_or_default();
-        text.about = Some("written by downwash diagnose --discover".to_owned());
-        text.intervals_90 =
-            self.terms_of(draft).into_iter().map(|term| (term.name, term.interval)).collect();
-        text.range = self.support(draft)?;
-        let law = Law::new(name, text)?;
-        let which: Vec<_> =
-            draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
-        let mut effects = self.catalogue.effects(&draft.fit.values, Some(&which));
-        // A name that is free in a set that is nearly empty.
-        let _ = effects.insert_law(law.clone());
-        Ok((law, effects))
-    }
-
-    /// What the flights of the fit show of each quantity that a law reads.
-    fn support(&self, draft: &Draft) -> Result<BTreeMap<String, [f64; 2]>, DiagnoseError> {
-        let all = draft.terms.iter().flat_map(|(term, _)| term.quantities());
-        let needed = all.fold(Needed::default(), Needed::with);
-        let physics = Physics::new(self.case.vehicle, &EffectSet::new())?;
-        let mut range: BTreeMap<String, [f64; 2]> = BTreeMap::new();
-        for flight in self.case.fitted {
-            for span in &flight.spans {
-                let count = ((span.end - span.start) / LOOK_S) as usize;
-                for look in 0..count {
-                    let time = span.start + look as f64 * LOOK_S;
-                    let values = quantities(flight, &physics, needed, time);
-                    // A heading goes round.
-                    for quantity in needed.iter().filter(|q| *q != Quantity::Heading) {
-                        let value = values[quantity as usize];
-                        let [low, high] =
-                            range.entry(quantity.name().to_owned()).or_insert([value; 2]);
-                        (*low, *high) = (low.min(value), high.max(value));
-                    }
-                }
-            }
-        }
-        range.values_mut().flatten().for_each(|end| *end = rounded(*end));
-        Ok(range)
-    }
-
-    /// The gaps with a law and with the file's numbers, as those flights have them.
-    fn law_gaps(
-        &self,
-        floor: Option<&Errors>,
-        look: &Observed<'_>,
-        draft: &Draft,
-    ) -> Result<Option<Gaps>, VehicleError> {
-        let catalogue = draft.catalogue(self);
-        let flights = look.flights;
-        let Some(floor) = floor else { return Ok(None) };
-        let alone = self.simulator(&self.set_of(&catalogue, draft, &draft.fit.values))?;
-        let over = |errors: Errors| errors.over(floor, self.metric);
-        let Some(effects) = alone.errors(flights).map(over) else { return Ok(None) };
-        let values = self.adapted_to(&catalogue, draft, look);
-        let (vehicle, all) = catalogue.vehicle_of(&values);
-        let own: Vec<_> =
-            draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
-        let mut file = EffectSet::new();
-        for (id, slots) in all.iter().filter(|(id, _)| !own.contains(id)) {
-            // It was accepted before.
-            let _ = file.insert(id, *slots);
-        }
-        let gap = |effects: &EffectSet| -> Result<Option<f64>, VehicleError> {
-            let simulator = self.simulator(effects)?.flying(&vehicle, effects)?;
-            Ok(simulator.errors(flights).map(over))
-        };
-        let both = gap(&all)?.zip(gap(&file)?);
-        Ok(both.map(|(both, file)| Gaps { effects, file, both }))
-    }
-
-    /// The values of a draft with the file's numbers as some flights have them.
-    fn adapted_to(&self, catalogue: &Catalogue, draft: &Draft, look: &Observed<'_>) -> Vec<f64> {
-        let observed = look.by(catalogue);
-        let values = &draft.fit.values;
-        let pinned = catalogue.with_pinned(&draft.active(self), values);
-        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
-        let about = Linearised::new(&observed, values, &numbers);
-        let solution = about.and_then(|about| about.solve(&pinned, observed.counts(), &[]));
-        solution.map_or_else(|| values.clone(), |solution| solution.values)
-    }
-
-    /// A law and the effects beside it, without the file's numbers.
-    fn set_of(&self, catalogue: &Catalogue, draft: &Draft, values: &[f64]) -> EffectSet {
-        let own = draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect);
-        let mut set = self.catalogue.effects(values, Some(&own.collect::<Vec<_>>()));
-        let (_, all) = catalogue.vehicle_of(values);
-        for law in all.laws() {
-            let _ = set.insert_law(law.clone());
-        }
-        set
-    }
 }
 
 /// The evidence of terms in other shapes, from derivatives that were taken once.
@@ -597,36 +366,6 @@ fn greatest(range: [f64; 2], of: &dyn Fn(f64) -> Option<f64>) -> Option<(f64, f6
         }
     }
     Some(if a.1 > b.1 { a } else { b })
-}
-
-/// Quantities of a flight as it was reported.
-fn quantities(
-    flight: &PreparedFlight,
-    physics: &Physics,
-    needed: Needed,
-    time: f64,
-) -> [f64; vehicle::law::QUANTITIES] {
-    let state = State {
-        position: flight.position.at(time).into(),
-        velocity: flight.velocity.at(time).into(),
-        attitude: attitude(flight.attitude.at(time)),
-        body_rate: flight.body_rate.at(time).into(),
-    };
-    let [volts] = if flight.channels.voltage { flight.voltage.at(time) } else { [f64::NAN] };
-    let calm = physics.calm();
-    let voltage = if volts.is_finite() { volts } else { calm.voltage };
-    let env = Environment { time, ..physics.environment(voltage, Ned::zero()) };
-    let loads = physics.loads(&flight.outputs.at(time), &env);
-    physics.quantities(needed, &state, &loads, &env)
-}
-
-/// Four significant digits.
-fn rounded(value: f64) -> f64 {
-    if value == 0.0 || !value.is_finite() {
-        return 0.0;
-    }
-    let scale = 10_f64.powf(3.0 - value.abs().log10().floor());
-    (value * scale).round() / scale
 }
 
 #[cfg(test)]

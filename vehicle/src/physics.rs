@@ -4,130 +4,23 @@
 //! nominal vehicle is a rigid body with thrust along -z body at each rotor and drag torques, and
 //! has neither aerodynamics nor a dependence on voltage unless an effect brings them.
 
+mod constants;
+mod loads;
+
+pub use constants::{Constants, RotorConstants};
+pub use loads::{Environment, Loads};
+
 use crate::effects::{
-    BatterySag, BladeFlapping, BodyEffect, ComOffset, ConstantEffect, Effect, EffectSet, Flow,
-    GroundEffect, Inertia, Mass, MotorLag, ParasiticDrag, RotorDrag, RotorGyroscopic, RotorLoss,
-    ThrustCurve, ThrustEffect, ThrustScale, TranslationalLift, VortexRing, Wind, Wrench, YawTorque,
+    BatterySag, BladeFlapping, BodyEffect, ComOffset, Effect, EffectSet, Flow, GroundEffect,
+    Inertia, Mass, MotorLag, ParasiticDrag, RotorDrag, RotorGyroscopic, RotorLoss, ThrustCurve,
+    ThrustEffect, ThrustScale, TranslationalLift, VortexRing, Wind, Wrench, YawTorque,
 };
 use crate::frame::{Frd, Ned};
-use crate::law::{Laws, Needed, QUANTITIES, Quantity, Rotors};
+use crate::law::{Laws, Needed, QUANTITIES, Quantity};
 use crate::params::{ROTORS, VehicleError, VehicleParams};
 use crate::rigid_body::{RigidBody, State};
 use crate::rotor::Allocation;
 use crate::scalar::Scalar;
-
-/// The numbers of a vehicle that effects may change.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Constants {
-    /// Mass in kg.
-    pub mass: f64,
-    /// Principal moments of inertia in kg m^2.
-    pub inertia: [f64; 3],
-    /// The rotors, in the order of the outputs.
-    pub rotors: [RotorConstants; ROTORS],
-    /// Lag of the rotors' states in s; 0 for none.
-    pub motor_time_constant: f64,
-}
-
-/// One rotor, relative to the true centre of mass.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RotorConstants {
-    /// Arm towards the front, m.
-    pub x: f64,
-    /// Arm towards the right, m.
-    pub y: f64,
-    /// Thrust at state 1 and full voltage, N.
-    pub thrust_max: f64,
-    /// Drag torque per thrust about down with its sign, m.
-    pub torque_per_thrust: f64,
-    /// +1 if the drag torque on the body is about +z body, else -1.
-    pub spin: f64,
-}
-
-impl Constants {
-    /// The nominal vehicle's numbers.
-    pub fn nominal(vehicle: &VehicleParams) -> Self {
-        let rotors = vehicle.rotors.map(|rotor| {
-            let spin = f64::from(rotor.spin);
-            RotorConstants {
-                x: rotor.position_m[0],
-                y: rotor.position_m[1],
-                thrust_max: rotor.thrust_max_n,
-                torque_per_thrust: spin * rotor.drag_torque_per_thrust_m,
-                spin,
-            }
-        });
-        Self {
-            mass: vehicle.mass,
-            inertia: vehicle.inertia,
-            rotors,
-            motor_time_constant: vehicle.motor_time_constant_s,
-        }
-    }
-
-    fn apply<E: ConstantEffect>(&mut self, effects: &EffectSet) {
-        if let Some(effect) = effects.get::<E>() {
-            effect.apply(self);
-        }
-    }
-}
-
-/// What surrounds the vehicle, constant over an integration step.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Environment {
-    /// Velocity of the air in world axes, m/s.
-    pub air_velocity: Ned,
-    /// Factor of the pack's voltage on thrust and squared rotor speed.
-    pub voltage_factor: f64,
-    /// Down coordinate of the floor, m.
-    pub floor: f64,
-    /// The pack's terminal voltage, V, as laws read it.
-    pub voltage: f64,
-    /// Time since the start, s, as laws read it.
-    pub time: f64,
-}
-
-/// What the rotors do to the body, before aerodynamic factors.
-#[derive(Clone, Copy, Debug)]
-pub struct Loads<T> {
-    /// T: total thrust, N.
-    thrust: T,
-    /// Moments of the thrusts about front and right, and of the drag torques about down, N m.
-    moment: [T; 3],
-    /// nr: mean rotor speed over hover's; 0 where no effect asks for it.
-    rotor_speed_ratio: T,
-    /// h: angular momentum of the rotors along down, N m s; 0 where no effect asks for it.
-    spin_momentum: T,
-    /// dh/dt in N m.
-    spin_momentum_rate: T,
-}
-
-impl<T: Scalar> Loads<T> {
-    /// Total thrust before aerodynamic factors, N.
-    pub fn thrust(&self) -> T {
-        self.thrust
-    }
-
-    /// Moments of the thrusts about front and right before aerodynamic factors, N m.
-    pub fn tilting_moments(&self) -> [T; 2] {
-        let [roll, pitch, _] = self.moment;
-        [roll, pitch]
-    }
-
-    fn as_quantities(&self) -> Rotors<T> {
-        Rotors { thrust: self.thrust, speed_ratio: self.rotor_speed_ratio, moment: self.moment }
-    }
-
-    /// The rotors' angular momentum along down in N m s.
-    pub fn spin_momentum(&self) -> T {
-        self.spin_momentum
-    }
-
-    /// The same loads, with the given rate of change of the rotors' angular momentum in N m.
-    pub fn with_spin_momentum_rate(self, rate: T) -> Self {
-        Self { spin_momentum_rate: rate, ..self }
-    }
-}
 
 /// The effects that depend on the air's flow past the vehicle, and damping.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,0 +1,134 @@
+//! A law as it is written: its terms with their intervals, and what the flights show of each
+//! quantity.
+
+use std::collections::BTreeMap;
+
+use vehicle::effects::EffectSet;
+use vehicle::frame::Ned;
+use vehicle::law::{Law, LawText, Needed, Quantity};
+use vehicle::physics::{Environment, Physics};
+use vehicle::rigid_body::State;
+
+use super::Draft;
+use crate::diagnose::calibration::Calibration;
+use crate::diagnose::fit::interval;
+use crate::diagnose::inquiry::Inquiry;
+use crate::diagnose::law::{Shape, TermAnswer};
+use crate::diagnose::pipeline::DiagnoseError;
+use crate::diagnose::preparation::PreparedFlight;
+use crate::diagnose::series::attitude;
+use crate::diagnose::term::law_of;
+
+/// How often [`support`](Inquiry::support) reads a flight, s.
+const LOOK_S: f64 = 0.1;
+
+impl Inquiry<'_> {
+    /// Terms as they are told, and written with the same names.
+    pub(super) fn terms_of(&self, draft: &Draft) -> Vec<TermAnswer> {
+        let first = self.catalogue.numbers.len();
+        let mut terms: Vec<TermAnswer> = draft
+            .terms
+            .iter()
+            .enumerate()
+            .map(|(index, (term, _))| {
+                let value = draft.fit.values[first + index];
+                let deviation =
+                    Calibration::shipped().deviation(draft.fit.deviation[first + index], value);
+                let shape = term.factor.shape().map(|(value, _)| Shape {
+                    value,
+                    interval: interval(value, draft.deviations[index]),
+                });
+                TermAnswer {
+                    term: term.in_words(),
+                    name: format!("c{}", index + 1),
+                    value,
+                    interval: interval(value, deviation),
+                    unit: term.unit().to_string(),
+                    shape,
+                    evidence: draft.gains[index],
+                }
+            })
+            .collect();
+        terms.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        terms
+    }
+
+    /// The law with what it is known for, and the effects beside it.
+    pub(super) fn written(
+        &self,
+        draft: &Draft,
+        name: &str,
+    ) -> Result<(Law, EffectSet), DiagnoseError> {
+        let first = self.catalogue.numbers.len();
+        let coefficients = draft.terms.iter().zip(&draft.fit.values[first..]);
+        let text = law_of(coefficients.map(|((term, _), value)| (term, *value)));
+        let mut text: LawText = text.unwrap_or_default();
+        text.about = Some("written by downwash diagnose --discover".to_owned());
+        text.intervals_90 =
+            self.terms_of(draft).into_iter().map(|term| (term.name, term.interval)).collect();
+        text.range = self.support(draft)?;
+        let law = Law::new(name, text)?;
+        let which: Vec<_> =
+            draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
+        let mut effects = self.catalogue.effects(&draft.fit.values, Some(&which));
+        // A name that is free in a set that is nearly empty.
+        let _ = effects.insert_law(law.clone());
+        Ok((law, effects))
+    }
+
+    /// What the flights of the fit show of each quantity that a law reads.
+    fn support(&self, draft: &Draft) -> Result<BTreeMap<String, [f64; 2]>, DiagnoseError> {
+        let all = draft.terms.iter().flat_map(|(term, _)| term.quantities());
+        let needed = all.fold(Needed::default(), Needed::with);
+        let physics = Physics::new(self.case.vehicle, &EffectSet::new())?;
+        let mut range: BTreeMap<String, [f64; 2]> = BTreeMap::new();
+        for flight in self.case.fitted {
+            for span in &flight.spans {
+                let count = ((span.end - span.start) / LOOK_S) as usize;
+                for look in 0..count {
+                    let time = span.start + look as f64 * LOOK_S;
+                    let values = quantities(flight, &physics, needed, time);
+                    // A heading goes round.
+                    for quantity in needed.iter().filter(|q| *q != Quantity::Heading) {
+                        let value = values[quantity as usize];
+                        let [low, high] =
+                            range.entry(quantity.name().to_owned()).or_insert([value; 2]);
+                        (*low, *high) = (low.min(value), high.max(value));
+                    }
+                }
+            }
+        }
+        range.values_mut().flatten().for_each(|end| *end = rounded(*end));
+        Ok(range)
+    }
+}
+
+/// Quantities of a flight as it was reported.
+fn quantities(
+    flight: &PreparedFlight,
+    physics: &Physics,
+    needed: Needed,
+    time: f64,
+) -> [f64; vehicle::law::QUANTITIES] {
+    let state = State {
+        position: flight.position.at(time).into(),
+        velocity: flight.velocity.at(time).into(),
+        attitude: attitude(flight.attitude.at(time)),
+        body_rate: flight.body_rate.at(time).into(),
+    };
+    let [volts] = if flight.channels.voltage { flight.voltage.at(time) } else { [f64::NAN] };
+    let calm = physics.calm();
+    let voltage = if volts.is_finite() { volts } else { calm.voltage };
+    let env = Environment { time, ..physics.environment(voltage, Ned::zero()) };
+    let loads = physics.loads(&flight.outputs.at(time), &env);
+    physics.quantities(needed, &state, &loads, &env)
+}
+
+/// Four significant digits.
+fn rounded(value: f64) -> f64 {
+    if value == 0.0 || !value.is_finite() {
+        return 0.0;
+    }
+    let scale = 10_f64.powf(3.0 - value.abs().log10().floor());
+    (value * scale).round() / scale
+}
