@@ -266,7 +266,7 @@ pub struct ExamArgs {
     /// families of cases; the others test them.
     #[arg(long, value_name = "FILE", requires = "decide")]
     pub calibrate: Option<PathBuf>,
-    /// Instead: so many vehicles with a law that the catalogue does not have, and --nulls without, from
+    /// Instead: this many vehicles with a law that the catalogue does not have, and --nulls without, from
     /// whose flights laws are searched: how much of the gap on another mission each closes, whether it
     /// depends on what the true one does, and how often a law is invented.
     #[arg(
@@ -305,7 +305,7 @@ pub struct ExamArgs {
     /// Keeps vehicle files and logs.
     #[arg(long)]
     pub keep: bool,
-    /// Ends with exit code 10 if a rate or the Brier score misses what is asked of it.
+    /// Ends with exit code 10 if a rate or the Brier score misses its bound.
     #[arg(long)]
     pub fail_on_miss: bool,
     /// Prints the result as JSON.

@@ -58,7 +58,7 @@ struct Shown {
 }
 
 impl Shown {
-    /// Since the control line told this, s.
+    /// Age of this status, s.
     fn age_s(&self) -> Option<f64> {
         self.at.map(|at| self.age_s + at.elapsed().as_secs_f64())
     }
@@ -70,7 +70,7 @@ pub struct ServiceStatus {
     schema: &'static str,
     schema_version: u32,
     version: &'static str,
-    /// Since the control line said this, s; null before its first word.
+    /// Age of this status, s; null before the control line's first.
     age_s: Option<f64>,
     /// State of the link: searching, connected, stale, lost.
     link: &'static str,
@@ -157,7 +157,7 @@ impl Service {
 
     /// Takes how the flight stands at `now`.
     pub fn show(&self, now: HostTime, status: &Status) {
-        // Before its first word a control line has told no time.
+        // Before the control line's first status there is no age.
         let Some(updated) = status.updated else { return };
         let age_s = now.since(updated).as_secs_f64();
         *lock(&self.shown) = Shown { status: status.clone(), age_s, at: Some(Instant::now()) };
@@ -198,7 +198,7 @@ async fn answer(mut stream: TcpStream, shown: Arc<Mutex<Shown>>) -> io::Result<(
     respond(&mut stream, status, kind, &body).await
 }
 
-/// Well while the control line runs; a log that fails is said, and no reason to be restarted for.
+/// 200 while the control line runs. The body names a log that fails; a restart would not mend it.
 fn health(shown: &Shown) -> (&'static str, &'static str, String) {
     const NOT_WELL: &str = "503 Service Unavailable";
     let (status, text) = match shown.age_s() {

@@ -37,7 +37,7 @@ const LOOK_US: u64 = 20_000;
 /// A commanded flight ends within this; where the pilot switches, the station is stopped then, us.
 const LIMIT_US: u64 = 200_000_000;
 const SWITCHED_US: u64 = 26_000_000;
-/// Once nobody leads the vehicle, its own failsafe acts within this, us.
+/// Without setpoints, the vehicle's failsafe acts within this time, us.
 const ADRIFT_US: u64 = 15_000_000;
 /// MAV_CMD_COMPONENT_ARM_DISARM's parameter 2 that disarms in the air.
 const FORCE: f32 = 21196.0;

@@ -41,7 +41,7 @@ pub(super) fn encoder(script: &Script, system: u8, component: u8, now_us: u64) -
     encoder
 }
 
-/// Time goes on for a sender.
+/// Advances a sender's time.
 pub(super) fn turn(encoder: &mut Encoder, now_us: u64) {
     encoder.signer().into_iter().for_each(|signer| signer.turn(stamp(now_us)));
 }

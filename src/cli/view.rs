@@ -6,7 +6,7 @@ use wire::Endpoint;
 /// Where a view is served that is asked for without an address.
 pub const VIEW_ADDRESS: &str = "127.0.0.1:8765";
 
-/// Where metrics are served that are asked for without an address.
+/// Address of `--metrics` without one.
 pub const METRICS_ADDRESS: &str = "127.0.0.1:9464";
 
 /// Flags of the fan-out.

@@ -41,7 +41,7 @@ pub(super) fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
 pub struct Compared {
     /// What differs, and by how much.
     pub comparison: Comparison,
-    /// The page, which stands by itself.
+    /// The page, one file without references to others.
     pub html: String,
 }
 

@@ -11,10 +11,10 @@ use anyhow::Context;
 use crate::plan::receding::Goal;
 use crate::plan::{FlightEnvelope, Trajectory};
 
-/// How often the file is looked at.
+/// Time between two reads of the file.
 const PERIOD: Duration = Duration::from_millis(100);
 
-/// A thread that looks at the file until this is dropped.
+/// Reads the file in a thread of its own until it is dropped.
 pub(super) struct GoalFile {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,

@@ -20,7 +20,7 @@ use crate::parameters::{Autopilot, Parameters};
 const AT_ONCE: usize = 16;
 /// Wait for a vehicle.
 const SEARCH: Duration = Duration::from_secs(20);
-/// Wait before what is waited for is told.
+/// After this time the user reads what the command waits for.
 const TELL: Duration = Duration::from_secs(3);
 /// All of it.
 const LIMIT: Duration = Duration::from_secs(120);

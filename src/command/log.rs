@@ -84,7 +84,7 @@ fn report(
     Ok(Exit::Ok)
 }
 
-/// Opens a log; what is wrong with it is told with its name.
+/// Opens a log; its errors name the file.
 fn open(file: &Path) -> anyhow::Result<LogReader<BufReader<File>>> {
     let reader = LogReader::open(file);
     match reader {

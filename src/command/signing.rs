@@ -21,7 +21,7 @@ use crate::link::silence::Silence;
 /// A vehicle is waited for, and its word after a setup.
 const SEARCH: Duration = Duration::from_secs(10);
 const STEP: Duration = Duration::from_millis(100);
-/// The message is said this often: nothing acknowledges it.
+/// Number of times that the message is sent, for the vehicle acknowledges none.
 const REPEATS: usize = 2;
 
 pub(super) fn run(command: &SigningCommand) -> anyhow::Result<Exit> {
@@ -117,7 +117,7 @@ fn setup(args: &SetupArgs) -> anyhow::Result<Exit> {
     Ok(Exit::Ok)
 }
 
-/// Listens until `is_done`, which is told whether the vehicle says that it is armed.
+/// Listens until `is_done`, whose argument is whether the vehicle reports that it is armed.
 fn wait(
     listener: &mut Listener,
     mut is_done: impl FnMut(&Listener, Option<bool>) -> bool,

@@ -112,7 +112,7 @@ impl SigningState {
             before: before.clone(),
             ledger: ledger.clone(),
         };
-        // Whoever cannot keep stamps is told before a flight, not in it.
+        // A state file that cannot be written is an error before a flight, not in it.
         write(&path, &key, &before)?;
         let (stop, stopped) = channel();
         let thread = thread::Builder::new().name("signing".into()).spawn(move || {

@@ -28,7 +28,7 @@ const STEPS_MAX: usize = 60;
 const GAIN_MIN: f64 = 1e-6;
 /// Shortest part of a step that is tried.
 const PART_MIN: f64 = 1e-3;
-/// Frequencies at which the margin is looked at, rad a step: what a vehicle moves at, up to half of
+/// Frequencies at which the margin is computed, rad a step: what a vehicle moves at, up to half of
 /// the sampling rate.
 const MARGIN_FROM: f64 = 2e-3;
 const MARGIN_STEPS: usize = 60;

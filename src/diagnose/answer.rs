@@ -292,7 +292,7 @@ pub struct Answer {
     pub explanations: Vec<ExplanationAnswer>,
     /// The flights.
     pub flights: Vec<FlightAnswer>,
-    /// The law that explains what no effect does, where one was looked for and found.
+    /// The law that explains what no effect does, where the search found one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub law: Option<LawAnswer>,
 }

@@ -27,6 +27,6 @@ pub struct Settings {
     pub seed: u64,
     /// Number of twins.
     pub twins: u32,
-    /// Whether a law is looked for.
+    /// Whether to search for a law.
     pub discover: bool,
 }

@@ -15,7 +15,7 @@ use super::tolerances::{DAMPING_RATE, DAMPING_TIME_S, Known, Scales, Tolerances}
 /// A nuisance stays within so many tolerances: what asks for more is an effect.
 const TOLERANCES_MAX: f64 = 3.0;
 
-/// A term of a law lies within so many of its magnitudes.
+/// A term of a law lies within this many of its magnitudes.
 const TERM_MAGNITUDES_MAX: f64 = 50.0;
 
 /// Delays that a fit starts from: setpoints may keep step with the loop, and the cost then has many

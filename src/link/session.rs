@@ -150,7 +150,7 @@ pub enum Event {
         /// By how much, ns.
         by_ns: i64,
     },
-    /// A frame is not believed, for a reason that was not told yet.
+    /// A frame was refused, for a reason that is new.
     Disbelieved(Disbelief),
 }
 

@@ -10,7 +10,7 @@ use wire::signing::{Key, Refused, Signer, Stamp, StreamStamp, Verifier, Verifier
 
 use crate::clock::HostTime;
 
-/// What is remembered is told this often.
+/// Period at which the newest stamps go to the state file.
 const REMEMBER_PERIOD: Duration = Duration::from_secs(1);
 
 /// Settings of a signed link.
@@ -44,7 +44,7 @@ pub struct Remembered {
 pub struct Ledger(Arc<Mutex<Remembered>>);
 
 impl Ledger {
-    /// What the session told last.
+    /// What the session reported last.
     pub fn get(&self) -> Remembered {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -77,7 +77,7 @@ pub(super) struct Signing {
     verifier: Verifier,
     ledger: Ledger,
     told: HostTime,
-    /// Why frames were not believed, as far as it was said.
+    /// The reasons for refused frames that were reported.
     said: Vec<Refused>,
 }
 
@@ -132,7 +132,7 @@ impl Signing {
         (signing, Signer::new(key.clone(), *link, after))
     }
 
-    /// Time goes on.
+    /// Advances the time.
     pub(super) fn turn(&mut self, now: HostTime, signer: Option<&mut Signer>) {
         let stamp = Stamp::from_unix_ns(now.as_ns());
         self.verifier.turn(stamp);

@@ -19,8 +19,8 @@ const PATIENCE: Duration = Duration::from_millis(2500);
 /// What fails for so long, once all telemetry is there, will not mend itself.
 const SETTLED: Duration = Duration::from_millis(300);
 
-/// What was mended and fails again within this is no news: a reason that comes and goes would fill
-/// the screen.
+/// A reason that ends and comes back within this time is not reported again: it would fill the
+/// screen.
 const QUIET: Duration = Duration::from_secs(3);
 
 /// What is waited for.
@@ -65,7 +65,7 @@ pub(super) struct Waiting {
     wait: Option<(Wait, HostTime)>,
     /// Since when only checks are.
     checking: Option<HostTime>,
-    /// Subjects that were told, and when.
+    /// Reported subjects, and when.
     told: Vec<(String, HostTime)>,
 }
 

@@ -63,7 +63,7 @@ def test_a_key_is_the_owners_and_never_shown(tmp_path, key_file, config):
 def test_a_signed_flight_of_the_bundled_vehicle_leaves_no_key_in_its_log(tmp_path, key_file, config):
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file)])
     try:
-        # Without the key nothing is heard but what is said aloud, and nothing is obeyed.
+        # Without the key only unsigned frames are readable, and the vehicle obeys none.
         blind = fly(tmp_path, sitl.peer_url())
         assert blind.returncode != 0 and "sign" in blind.stderr
         flown = fly(tmp_path, sitl.peer_url(), "--config", str(config))

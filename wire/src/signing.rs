@@ -1,4 +1,4 @@
-//! MAVLink 2 message signing, sans I/O: who knows the key, and nobody else, is believed.
+//! MAVLink 2 message signing, sans I/O: a frame counts only if its sender knows the key.
 //!
 //! A signed frame ends with the sender's link id, a [`Stamp`] and 48 bits of a hash over the
 //! [`Key`] and all before. A [`Signer`] makes such ends, a [`Verifier`] judges them. Time is an

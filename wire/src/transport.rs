@@ -246,7 +246,7 @@ impl Transport {
         sent
     }
 
-    /// The peer of `udpin` that makes room for no newer one, however many come: whom one talks with.
+    /// The peer of `udpin` that keeps its place however many newer ones come.
     /// It takes the place of the one before.
     pub fn keep(&mut self, peer: Option<Peer>) {
         if let Kind::UdpIn(listener) = &mut self.kind {

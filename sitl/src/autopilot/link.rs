@@ -92,7 +92,7 @@ impl Link {
         self.encoder.set_signer(signer);
     }
 
-    /// Time goes on for signatures.
+    /// Advances the time of the signatures.
     pub(super) fn turn(&mut self, now: Stamp) {
         self.encoder.signer().into_iter().for_each(|signer| signer.turn(now));
     }

@@ -35,7 +35,7 @@ impl Signing {
         Stamp::from_ticks(self.booted.ticks().saturating_add(now_us / US))
     }
 
-    /// Time goes on; gives it as a stamp.
+    /// Advances the time, and returns it as a stamp.
     pub(super) fn turn(&mut self, now_us: u64) -> Stamp {
         let stamp = self.stamp(now_us);
         self.verifier.turn(stamp);

@@ -19,7 +19,7 @@ use crate::plan::programme::ProgrammeFlight;
 
 /// Key of a log's metadata that says which flight of which programme it holds.
 const FINGERPRINT: &str = "collect_flight";
-/// A log is whole if it holds the trajectory but for so much, s.
+/// A whole log lacks at most this much of the trajectory, s.
 const MISSING_MAX_S: f64 = 0.25;
 /// What makes two flights the same.
 pub(super) struct Identity<'a> {

@@ -28,7 +28,7 @@ pub(crate) struct LawsSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     seed: u64,
-    /// Laws that close so much of the closable gap on another mission, of those with a gap there:
+    /// Laws that close most of the closable gap on another mission, of those with a gap there:
     /// a law that is not named closes nothing.
     closed: Rate,
     /// Laws that are named, of those with a gap.

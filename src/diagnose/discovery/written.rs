@@ -23,7 +23,7 @@ use crate::diagnose::term::law_of;
 const LOOK_S: f64 = 0.1;
 
 impl Inquiry<'_> {
-    /// Terms as they are told, and written with the same names.
+    /// The terms of the answer, with the names that the file has.
     pub(super) fn terms_of(&self, draft: &Draft) -> Vec<TermAnswer> {
         let first = self.catalogue.numbers.len();
         let mut terms: Vec<TermAnswer> = draft
@@ -88,7 +88,7 @@ impl Inquiry<'_> {
                 for look in 0..count {
                     let time = span.start + look as f64 * LOOK_S;
                     let values = quantities(flight, &physics, needed, time);
-                    // A heading goes round.
+                    // A heading wraps.
                     for quantity in needed.iter().filter(|q| *q != Quantity::Heading) {
                         let value = values[quantity as usize];
                         let [low, high] =

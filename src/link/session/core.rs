@@ -137,7 +137,7 @@ impl Core {
         frame: &Frame,
         on: &mut impl FnMut(Heard<'_>),
     ) {
-        // Whose content is a key: it goes to no log and to nobody else.
+        // It holds a key: no log and no other station gets it.
         if frame.id() == SETUP_SIGNING_DATA::ID || !self.is_believed(now, frame) {
             return;
         }
@@ -201,7 +201,7 @@ impl Core {
         }
     }
 
-    /// Time goes on for signatures.
+    /// Advances the time of the signatures.
     pub(super) fn turn(&mut self, now: HostTime) {
         if let Some(signing) = &mut self.signing {
             signing.turn(now, self.outbox.signer());

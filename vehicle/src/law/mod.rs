@@ -33,7 +33,7 @@ pub(crate) use quantity::{Rotors, values};
 const CONSTANTS_MAX: usize = 32;
 /// Most laws of a set.
 pub const LAWS_MAX: usize = 8;
-/// A force is bounded by so many weights where the law states no bound, and a moment by what the
+/// Bound of a force, in weights, where the law states none; a moment is bounded by what the
 /// rotors' arm makes of as much.
 const WEIGHTS_MAX: f64 = 2.0;
 

@@ -18,7 +18,7 @@ impl Signer {
         Self { key, link, now: after, newest: after }
     }
 
-    /// Time goes on. It never goes back.
+    /// Advances the time, which never goes back.
     pub fn turn(&mut self, now: Stamp) {
         self.now = self.now.max(now);
     }

@@ -7,7 +7,7 @@ use mavlink::MavlinkVersion;
 use super::{HASH_LEN, Key, Stamp, hash};
 use crate::framing::{Frame, Signature};
 
-/// Streams that are told apart at once. Only who knows the key begins one.
+/// Most streams at once. Only a sender that knows the key begins one.
 const STREAMS_MAX: usize = 64;
 /// A stream that is not known yet may begin this far behind what is known of the time: a minute, as
 /// MAVLink has it.
@@ -16,7 +16,7 @@ const BEHIND_MAX: u64 = 60 * Stamp::PER_S;
 /// Frames overtake one another: one that was never heard is believed this far behind the newest of its
 /// stream. A word that the pilot took over, told once, is not to be lost for that.
 const OVERTAKEN_MAX: u64 = Stamp::PER_S;
-/// As many stamps of a stream are remembered; what is behind all of them is not believed.
+/// Number of stamps that a stream remembers; a frame older than all of them is refused.
 const SEEN_MAX: usize = 512;
 
 /// Who counts stamps: each link of each component by itself.
@@ -60,7 +60,7 @@ pub enum Refused {
     /// The stamp is further ahead than clocks differ.
     #[error("stamp too far ahead of this computer's clock")]
     Ahead,
-    /// More streams than are told apart.
+    /// More streams than the table holds.
     #[error("too many streams")]
     Streams,
 }
@@ -156,7 +156,7 @@ impl Verifier {
         Self { settings, now, newest: now, streams, windows, refused, believed: 0 }
     }
 
-    /// Time goes on. It never goes back.
+    /// Advances the time, which never goes back.
     pub fn turn(&mut self, now: Stamp) {
         self.now = self.now.max(now);
         self.newest = self.newest.max(now);
@@ -188,7 +188,7 @@ impl Verifier {
                 MavlinkVersion::V2 => Err(Refused::Unsigned),
             };
         };
-        // Before all else: nothing that a stranger says of time or stream is looked at.
+        // First: no stamp and no stream of a frame counts before its hash is right.
         if !is_equal(&signature.hash, &hash(&self.settings.key, signature.signed)) {
             return Err(Refused::Signature);
         }

@@ -47,7 +47,7 @@ pub(super) struct UdpListener {
     heard: u64,
     next_id: u32,
     evicted: VecDeque<Peer>,
-    /// Makes room for nobody.
+    /// The peer whose place no newer one takes.
     kept: Option<Peer>,
 }
 
