@@ -218,13 +218,13 @@ pub struct Summary {
     pub count: usize,
     /// Rates.
     pub measures: Vec<Measure>,
-    /// Mean Brier score of causes of practical size and of nulls; to be at most [`BRIER_MAX`]. No
+    /// Mean Brier score of causes of practical size and of nulls; at most 0.05. No
     /// answer can be sure of what hardly shows.
     pub brier: Option<f64>,
     /// The same of every case.
     pub brier_of_all: Option<f64>,
     /// Mean difference between the probabilities that were given and the shares that are true, over
-    /// the bins of the reliability table; to be at most [`CALIBRATION_MAX`].
+    /// the bins of the reliability table; at most 0.03.
     pub calibration_error: Option<f64>,
     /// Median relative error of parameters.
     pub error: Option<f64>,

@@ -39,7 +39,7 @@ pub struct TrainingSummary {
     pub curves: Vec<LearningCurve>,
     /// The model that did best on the validation rows.
     pub preferred: ModelKind,
-    /// Errors of each model, in the order of [`ModelKind::ALL`].
+    /// Errors of each model, in the order net, physics, hybrid.
     pub one_step: Vec<OneStepSummary>,
     /// Open-loop errors on validation windows, by which models were chosen: models, then baselines.
     pub validation: Vec<MultiStepSummary>,
@@ -188,7 +188,7 @@ pub struct Series {
     pub time_s: Vec<f64>,
     /// The label.
     pub observed: Vec<f64>,
-    /// By each model, in the order of [`ModelKind::ALL`].
+    /// By each model, in the order net, physics, hybrid.
     #[serde(deserialize_with = "not_finite::lists")]
     pub predicted: Vec<Vec<f64>>,
 }

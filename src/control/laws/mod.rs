@@ -279,8 +279,8 @@ pub struct ControlSettings {
     pub attitude_response_rad_s: Option<[f64; 3]>,
     /// Whether the LQR corrects roll and pitch by more than `attitude_command_rad` where the loop's
     /// margin leaves room: an autopilot's own loop is slower than the paper's, and an estimate that
-    /// wanders moves the vehicle by what feedback lags. [`Use::Auto`] is resolved by
-    /// [`for_loop`](Self::for_loop).
+    /// wanders moves the vehicle by what feedback lags.
+    // `for_loop` resolves `Use::Auto`.
     pub quicken: Use,
     /// How near -1 the opened loop may so come, 0..1.
     pub margin_min: f64,

@@ -6,7 +6,7 @@ use crate::report::page::{Mood, escape};
 use crate::report::table::{Table, definitions};
 
 /// What stands above it.
-pub const INTRODUCTION: &str = "A formula that was searched for among terms that units and the symmetry of the airframe allow, on the flights of the fit, and judged as the effects are. Beyond the range of what the flights show it stays as it is at the end.";
+pub const INTRODUCTION: &str = "A formula of terms that units and the symmetry of the airframe allow. The flights of the fit chose it, and the same rules as for effects judge it. Beyond the range that the flights show it keeps its value at the end of the range.";
 
 /// The section.
 pub fn html(law: &LawAnswer) -> String {
@@ -15,12 +15,12 @@ pub fn html(law: &LawAnswer) -> String {
         html += &format!("<p><code>{} = {}</code></p>", escape(at), escape(formula));
     }
     let mut table = Table::new(&[
-        ("term", false),
         ("coefficient", false),
         ("value", true),
         ("90 % interval", true),
         ("power or length", true),
         ("evidence (nats)", true),
+        ("term", false),
     ]);
     for term in &law.terms {
         let [low, high] = term.interval.map(significant);
@@ -29,12 +29,12 @@ pub fn html(law: &LawAnswer) -> String {
             format!("{} ({low} .. {high})", significant(shape.value))
         });
         let cells = [
-            term.term.clone(),
             term.name.clone(),
             format!("{} {}", significant(term.value), term.unit),
             format!("{low} .. {high}"),
             shape,
             format!("{:.0}", term.evidence),
+            term.term.clone(),
         ];
         table.row(Mood::Plain, &cells);
     }
