@@ -39,13 +39,26 @@ pub enum Stance {
     Control,
 }
 
+/// Whether the vehicle obeys setpoints, by the mode that it told lately.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Obeys {
+    /// It told no mode lately, or none since it fell silent.
+    #[default]
+    Unknown,
+    /// It is in another mode.
+    No,
+    /// It is in the mode in which it does.
+    Yes,
+}
+
 /// Whether setpoints may leave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Order {
     /// What the supervisor wants.
     pub stance: Stance,
-    /// Whether the vehicle told lately that it is in the mode in which it obeys setpoints.
-    pub is_obeyed: bool,
+    /// What the vehicle would do with them. Where that is not known none leaves: an offer may be
+    /// obeyed.
+    pub obeys: Obeys,
 }
 
 /// The sample that a setpoint answers.
@@ -203,8 +216,8 @@ impl Guard {
     ) -> Result<(Setpoint, Saturation), Withheld> {
         let permitted = match order.stance {
             Stance::Silent => false,
-            Stance::Offer => true,
-            Stance::Control => order.is_obeyed,
+            Stance::Offer => order.obeys != Obeys::Unknown,
+            Stance::Control => order.obeys == Obeys::Yes,
         };
         #[cfg(test)]
         let permitted = permitted || planted::is(Planted::GuardRemoved);

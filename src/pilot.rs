@@ -255,10 +255,7 @@ impl Pilot {
 
     fn order(&self, now: HostTime) -> Order {
         let status = self.telemetry.status();
-        Order {
-            stance: self.supervisor.stance(now),
-            is_obeyed: self.supervisor.is_obeyed(now, status),
-        }
+        Order { stance: self.supervisor.stance(now), obeys: self.supervisor.obeys(now, status) }
     }
 
     /// Says, every two seconds at most, that what lay unread while this process stood still is not

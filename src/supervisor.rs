@@ -42,7 +42,7 @@ pub use self::table::{FlightState, STATES, TRIGGERS, Trigger};
 use self::takeover::ModeTaken;
 pub use self::takeover::Takeover;
 use crate::clock::HostTime;
-use crate::guard::Stance;
+use crate::guard::{Obeys, Stance};
 #[cfg(test)]
 use crate::planted::{self, Planted};
 use crate::telemetry::VehicleStatus;
@@ -149,6 +149,8 @@ pub struct Supervisor {
     /// Whether the newest sample of the present state was answered with a setpoint.
     streamed: bool,
     mode_at_entry: Option<u32>,
+    /// Whether the mode read OFFBOARD at some time in the present state.
+    was_offboard: bool,
     other_mode_since: Option<HostTime>,
     asked: Option<HostTime>,
     refusal: Option<String>,
@@ -186,6 +188,7 @@ impl Supervisor {
             engaged: policy == EngagePolicy::Command,
             streamed: false,
             mode_at_entry: None,
+            was_offboard: false,
             other_mode_since: None,
             asked: None,
             refusal: None,
@@ -262,6 +265,7 @@ impl Supervisor {
         }
         self.asked = None;
         self.mode_at_entry = None;
+        self.was_offboard = false;
         self.streamed = false;
         self.faults.clear();
         self.rest_since = None;
@@ -294,6 +298,7 @@ impl Supervisor {
             }
         }
         self.mode_at_entry = self.mode_at_entry.or(seen.status.mode);
+        self.was_offboard |= seen.status.mode == Some(self.modes.offboard);
         if !seen.at_rest || self.state != FlightState::Land {
             self.rest_since = None;
         } else {
@@ -349,9 +354,13 @@ impl Supervisor {
         }
     }
 
-    /// Whether the vehicle told lately that it is in the mode in which setpoints are obeyed.
-    pub fn is_obeyed(&self, now: HostTime, status: &VehicleStatus) -> bool {
-        status.mode == Some(self.modes.offboard) && status.knows_mode(now)
+    /// Whether the vehicle obeys setpoints, by the mode that it told lately.
+    pub fn obeys(&self, now: HostTime, status: &VehicleStatus) -> Obeys {
+        match status.mode.filter(|_| status.knows_mode(now)) {
+            None => Obeys::Unknown,
+            Some(mode) if mode == self.modes.offboard => Obeys::Yes,
+            Some(_) => Obeys::No,
+        }
     }
 
     /// What became of the answer to the newest sample: whether a setpoint left.
@@ -400,8 +409,7 @@ impl Supervisor {
             (Trigger::PreflightPassed, seen.preflight.is_empty() && (self.engaged || !by_command)),
             (
                 Trigger::OffboardRead,
-                offboard
-                    && seen.status.knows_mode(now)
+                self.obeys(now, seen.status) == Obeys::Yes
                     && self.streamed
                     && (by_command || self.pilot_switched(seen)),
             ),
@@ -447,11 +455,13 @@ impl Supervisor {
         seen.airborne == Some(true) || (is_confirmed && !status.mode_came_with_disarming())
     }
 
-    /// Whether the mode reads what neither the daemon asked for nor was there before.
+    /// Whether the mode reads what neither the daemon asked for nor was there before. An offer
+    /// ends when the pilot leaves OFFBOARD again before it was taken for his word.
     fn mode_changed(&self, mode: Option<u32>) -> bool {
         let Some(mode) = mode else { return false };
         let offboard = mode == self.modes.offboard;
         match self.state {
+            FlightState::Standby => !offboard && self.was_offboard,
             FlightState::Engage => !offboard && self.mode_at_entry.is_some_and(|at| at != mode),
             FlightState::Land => !offboard && mode != self.modes.land,
             _ => !offboard,

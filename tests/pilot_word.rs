@@ -191,6 +191,48 @@ fn a_switch_on_the_ground_lapses_where_the_pilot_does_not_arm() {
     assert!(told(&flight, "did not arm within 30 s"), "{:#?}", flight.events);
 }
 
+#[test]
+fn an_offer_ends_when_the_pilot_leaves_again_before_it_was_taken_for_his_word() {
+    let mut flight = flight(EngagePolicy::PilotSwitch);
+    flight.until(FlightState::Standby, 10.0);
+    flight.run(0.2);
+    // CURRENT_MODE tells the switch before a HEARTBEAT tells whether the motors turn.
+    for mode in [MODES.offboard, POSITION_MODE] {
+        flight.vehicle.mode = mode;
+        let message = Inbound::CurrentMode { custom_mode: mode, intended_custom_mode: mode };
+        let host = flight.vehicle.now();
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.run(0.05);
+    }
+    assert!(told(&flight, "OFFBOARD was left again: the mode is Position"), "{:#?}", flight.events);
+    let left = flight.vehicle.now();
+    flight.run(0.5);
+    assert_eq!(flight.streamed_since(left), 0);
+    // It is offered anew after the release, and the next switch is his word.
+    flight.until(FlightState::Standby, 5.0);
+    flight.run(0.2);
+    flight.switch(MODES.offboard);
+    flight.run(0.2);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Arm);
+}
+
+#[test]
+fn nothing_is_offered_where_the_mode_was_not_told_lately() {
+    let mut flight = flight(EngagePolicy::PilotSwitch);
+    flight.until(FlightState::Standby, 10.0);
+    flight.run(0.2);
+    flight.hears =
+        |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::CurrentMode { .. });
+    flight.run(2.6);
+    let old = flight.vehicle.now();
+    flight.run(1.0);
+    assert_eq!(flight.streamed_since(old), 0, "the pilot may have switched: it would be obeyed");
+    flight.hears = |_| true;
+    flight.run(0.5);
+    assert!(flight.streamed_since(old) > 0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Standby);
+}
+
 /// Someone flies the vehicle at four metres when this program starts.
 fn flown_by_others(policy: EngagePolicy, settings: PilotSettings) -> Flight {
     let mut flight = flight_of(policy, settings);

@@ -7,7 +7,7 @@ use std::time::Duration;
 use downwash::audit::Audit;
 use downwash::clock::HostTime;
 use downwash::control::Limits;
-use downwash::guard::{Answered, Cleared, Guard, Order, Proposal, Stance};
+use downwash::guard::{Answered, Cleared, Guard, Obeys, Order, Proposal, Stance};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::request::{FlightMode, Request};
 use downwash::link::session::{Heard, Session, Settings};
@@ -32,7 +32,7 @@ fn cleared(now: HostTime) -> Cleared {
     let mut guard = Guard::new(Limits::default(), 20.0, now);
     let setpoint = Setpoint { thrust_n: 9.81, ..Setpoint::default() };
     let sample = Answered { host: now, ..Answered::default() };
-    let order = Order { stance: Stance::Offer, is_obeyed: false };
+    let order = Order { stance: Stance::Offer, obeys: Obeys::No };
     guard.propose(now, &Proposal { setpoint, sample }, order).expect("permitted");
     guard.clear(now, order).expect("permitted")
 }

@@ -23,6 +23,7 @@ use super::{signing, word};
 
 use crate::clock::HostTime;
 use crate::lockstep;
+use crate::log::record::Record;
 use crate::station::{PAUSE, Station, StationSettings};
 use crate::supervisor::EngagePolicy;
 
@@ -381,7 +382,11 @@ impl Bench<'_> {
             station.land(now);
         }
         if !is_stuck {
-            station.take_records(drop);
+            station.take_records(|record| {
+                if let Record::Event { source, text, .. } = record {
+                    tracing::debug!("{:.3} s, {source:?}: {text}", now_us as f64 * 1e-6);
+                }
+            });
         }
         self.transmit();
     }

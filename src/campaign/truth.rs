@@ -54,8 +54,10 @@ pub enum Ending {
     Adrift,
 }
 
-/// Where the vehicle may be.
+/// Where the vehicle may be: about the trajectory, which begins where the vehicle was armed.
 pub(super) struct Envelope {
+    /// North and east of the place where it last stood disarmed, m.
+    origin: [f64; 2],
     low: [f64; 3],
     high: [f64; 3],
     is_possible: bool,
@@ -83,17 +85,21 @@ impl Envelope {
             _ => false,
         };
         let is_possible = !script.faults.iter().any(|timed| breaks(&timed.fault));
-        Self { low, high, is_possible, lost_us: None }
+        Self { origin: [0.0; 2], low, high, is_possible, lost_us: None }
     }
 
     /// What is wrong, while the vehicle obeys and somebody streams.
     pub fn sees(&mut self, seen: &Seen, is_streaming: bool) -> Option<(Rule, String)> {
+        let [north, east, down] = seen.position;
+        if !seen.is_armed {
+            self.origin = [north, east];
+        }
         if !(seen.is_armed && seen.obeys && is_streaming) {
             self.lost_us = None;
             return None;
         }
-        let is_near =
-            (0..3).all(|axis| (self.low[axis]..=self.high[axis]).contains(&seen.position[axis]));
+        let place = [north - self.origin[0], east - self.origin[1], down];
+        let is_near = (0..3).all(|axis| (self.low[axis]..=self.high[axis]).contains(&place[axis]));
         let is_well = is_near && seen.tilt_rad <= TILT_MAX_RAD && seen.speed <= SPEED_MAX_M_S;
         let what = format!("{seen:?}");
         if self.is_possible {

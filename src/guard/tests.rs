@@ -8,7 +8,7 @@ use super::*;
 
 const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
 const FULL_N: f64 = 10.0;
-const OBEYED: Order = Order { stance: Stance::Control, is_obeyed: true };
+const OBEYED: Order = Order { stance: Stance::Control, obeys: Obeys::Yes };
 
 fn guard() -> Guard {
     Guard::new(Limits::default(), FULL_N, START)
@@ -40,9 +40,11 @@ impl Guard {
 #[test]
 fn what_is_not_permitted_stays() {
     let pass = |order| guard().pass(at(10), &level(10), order).is_ok();
-    let order = |stance, is_obeyed| Order { stance, is_obeyed };
-    assert!(pass(OBEYED) && pass(order(Stance::Offer, false)));
-    assert!(!pass(order(Stance::Control, false)) && !pass(order(Stance::Silent, true)));
+    let passes =
+        |stance| [Obeys::Unknown, Obeys::No, Obeys::Yes].map(|obeys| pass(Order { stance, obeys }));
+    assert_eq!(passes(Stance::Silent), [false; 3]);
+    assert_eq!(passes(Stance::Offer), [false, true, true], "an offer may be obeyed");
+    assert_eq!(passes(Stance::Control), [false, false, true]);
 }
 
 #[test]
@@ -136,9 +138,10 @@ fn a_setpoint_changes_no_quicker_than_its_limits_say() {
 fn talk() -> impl Strategy<Value = (u64, Proposal, Order)> {
     let number = || prop_oneof![-10.0..10.0f64, prop::num::f64::ANY];
     let stance = prop_oneof![Just(Stance::Silent), Just(Stance::Offer), Just(Stance::Control)];
+    let obeys = prop_oneof![Just(Obeys::Unknown), Just(Obeys::No), Just(Obeys::Yes)];
     let words = (prop::array::uniform7(number()), -3.0..3.0f64, number());
-    (0u64..120, 0u64..150, 0u64..150, words, stance, any::<bool>()).prop_map(
-        |(step, age, lag, (n, yaw, excess_delay_s), stance, is_obeyed)| {
+    (0u64..120, 0u64..150, 0u64..150, words, stance, obeys).prop_map(
+        |(step, age, lag, (n, yaw, excess_delay_s), stance, obeys)| {
             let setpoint = Setpoint {
                 thrust_n: n[0],
                 attitude: Euler::new(n[1], n[2], n[3]),
@@ -148,7 +151,7 @@ fn talk() -> impl Strategy<Value = (u64, Proposal, Order)> {
             let host = HostTime::from_ns(age);
             let vehicle = VehicleTime::from_us(lag);
             let sample = Answered { host, vehicle, excess_delay_s, yaw };
-            (step, Proposal { setpoint, sample }, Order { stance, is_obeyed })
+            (step, Proposal { setpoint, sample }, Order { stance, obeys })
         },
     )
 }
@@ -176,7 +179,8 @@ proptest! {
             let Ok(cleared) = guard.pass(at(now_ms), &proposal, order) else { continue };
             let setpoint = *cleared.setpoint();
             // Permitted.
-            prop_assert!(order.stance == Stance::Offer || order == OBEYED);
+            let is_offered = order.stance == Stance::Offer && order.obeys != Obeys::Unknown;
+            prop_assert!(is_offered || order == OBEYED);
             // Fresh.
             prop_assert!(now_ms - came_ms <= 50 && came_ms >= woke_ms + 10);
             let late_s = proposal.sample.excess_delay_s;

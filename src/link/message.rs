@@ -42,6 +42,9 @@ pub enum Inbound {
         /// The mode that was asked for last.
         intended_custom_mode: u32,
     },
+    /// A word of the mode that gives a permission, and may be a copy of an old one: which mode is in
+    /// force is not known until the next.
+    DoubtfulMode,
     /// ATTITUDE_QUATERNION or ATTITUDE.
     Attitude {
         /// Which of the two: their estimates are never mixed.

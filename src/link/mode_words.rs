@@ -32,7 +32,7 @@ impl ModeWords {
 
     /// Whether a frame that says `word` is believed. A copy of one that was heard before is not,
     /// where it says that setpoints are obeyed, by the mode `obeys`, and that is not known anyway:
-    /// about one in eight true words is lost by that then, and the next tells the same.
+    /// about one in eight true words is doubted by that then, and the next tells the same.
     pub fn is_believed(&mut self, frame: &[u8], word: u32, obeys: Option<u32>) -> bool {
         let hash = crc32fast::hash(frame);
         let gives = obeys == Some(word) && (self.is_in_doubt || self.newest != Some(word));

@@ -154,6 +154,7 @@ const TABLE: &[Row] = &[
     (&[AwaitTelemetry, Preflight, Standby],         On::OffboardFound,     AwaitRelease),
     (&[Preflight, Standby],                         On::TelemetryLost,     AwaitTelemetry),
     (&[Preflight],                                  On::PreflightPassed,   Standby),
+    (&[Standby],                                    On::ModeChanged,       AwaitRelease),
     (&[AwaitRelease, AwaitTelemetry, Preflight],    On::TimedOut,          Abort),
     // Streaming a hold, to control.
     (&[Standby],                                    On::StreamEstablished, Engage),

@@ -56,9 +56,13 @@ impl Supervisor {
         status.mode.map_or_else(|| "not known".to_owned(), |mode| self.modes.name(mode))
     }
 
-    /// The mode that ended control.
+    /// The mode that ended control, or an offer of it.
     pub(super) fn control_ends(&self, status: &VehicleStatus) -> String {
-        format!("control ends: the mode is {}", self.mode_name(status))
+        let mode = self.mode_name(status);
+        match self.state {
+            FlightState::Standby => format!("OFFBOARD was left again: the mode is {mode}"),
+            _ => format!("control ends: the mode is {mode}"),
+        }
     }
 
     /// What did not come about in time.

@@ -92,6 +92,9 @@ impl VehicleStatus {
     /// Takes what the message says.
     pub(super) fn update(&mut self, received: &Received) {
         let now = received.host;
+        if received.message == Inbound::DoubtfulMode {
+            return self.doubt_mode();
+        }
         if self.heard.is_none_or(|heard| now.since(heard) > SILENCE) {
             self.silence_ended = Some(now);
         }

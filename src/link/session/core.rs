@@ -98,6 +98,16 @@ pub(super) struct Core {
     pub(super) signing: Option<Signing>,
 }
 
+/// What a frame says beside what is known.
+enum Newness {
+    /// Something new.
+    New,
+    /// Nothing: it was heard before, or is older.
+    Old,
+    /// A mode that may be a copy of an old word, or the vehicle's own.
+    Doubtful,
+}
+
 impl Core {
     pub(super) fn new(settings: Settings, now: HostTime) -> Self {
         let mut encoder = Encoder::new(settings.system, settings.component);
@@ -167,9 +177,22 @@ impl Core {
         vehicle.is_signed |= frame.is_signed();
         vehicle.version = frame.version();
         self.counters.heard += 1;
-        if !self.is_news(now, frame) {
-            self.counters.repeated += 1;
-            return;
+        match self.newness(now, frame) {
+            Newness::New => {}
+            Newness::Old => {
+                self.counters.repeated += 1;
+                return;
+            }
+            Newness::Doubtful => {
+                self.counters.repeated += 1;
+                let message = Inbound::DoubtfulMode;
+                return on(Heard::Message(Received {
+                    host: now,
+                    vehicle: None,
+                    delay: None,
+                    message,
+                }));
+            }
         }
         self.counters.arrival(frame.id());
         self.set_state(LinkState::Connected);
@@ -210,23 +233,27 @@ impl Core {
 
     /// Whether the frame says something new: it was not heard before, and what it says of the
     /// vehicle's mode or condition is not older than what is known.
-    fn is_news(&mut self, now: HostTime, frame: &Frame) -> bool {
+    fn newness(&mut self, now: HostTime, frame: &Frame) -> Newness {
         let (number, is_unique) = (frame.sequence(), codec::is_stamped(frame.id()));
         let place = match self.sequence.take(now, number, frame.bytes(), is_unique) {
-            Order::Copy => return false,
+            Order::Copy => return Newness::Old,
             Order::New(place) | Order::Overtaken(place) => place,
         };
         self.mode_words.heard(now);
         let Some(told) = thing_told(frame.id()).and_then(|thing| self.told.get_mut(thing)) else {
-            return true;
+            return Newness::New;
         };
         let is_newer = place > *told;
         *told = place.max(*told);
         #[cfg(test)]
         if planted::is(Planted::OlderHeartbeat) {
-            return true;
+            return Newness::New;
         }
-        is_newer && self.is_mode_believed(frame)
+        match is_newer {
+            false => Newness::Old,
+            true if self.is_mode_believed(frame) => Newness::New,
+            true => Newness::Doubtful,
+        }
     }
 
     /// Whether what the frame says of the mode, if that is what it says, is no copy of an old word.
