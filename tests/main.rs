@@ -26,6 +26,7 @@ mod diagnose_next_flight;
 mod diagnose_reflight;
 mod diagnose_round_trip;
 mod diagnose_twins;
+mod effects_everywhere;
 mod exam;
 mod examples;
 mod fuzz_targets;

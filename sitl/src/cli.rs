@@ -146,7 +146,10 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
     };
     config.autopilot = args.autopilot.unwrap_or(config.autopilot);
     let effects = EffectSet::requested(args.effects.as_deref(), &args.effect)?;
-    let mut vehicle = Vehicle::new(params, effects, config, args.seed)?;
+    let mut vehicle = Vehicle::new(params, effects.clone(), config, args.seed)?;
+    if let Some(remark) = vehicle.plant().physics().unfelt(&effects) {
+        eprintln!("{remark}");
+    }
     if let Some(path) = &args.signing_key {
         let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         vehicle.sign(Key::load(path)?, Stamp::from_unix_ns(since_epoch.as_nanos() as u64));

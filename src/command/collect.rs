@@ -193,7 +193,8 @@ fn fly(
     let mut signals = StopSignals::after(preparation)?;
     fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
-    let truth = args.connect.is_none().then(|| Truth::load(&args.simulation)).transpose()?;
+    let truth = args.connect.is_none().then(|| Truth::load(&args.simulation, &vehicle.params));
+    let truth = truth.transpose()?;
     let identity = Identity { config, vehicle, truth: truth.as_ref(), seed: args.seed };
     let logs = logs_of_flights(&args.out)?;
     let own = flights.iter().map(|flight| identity.fingerprint(flight));

@@ -77,6 +77,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     let simulation = simulation(args)?;
+    let truth = Truth::load(&simulation, &vehicle.params)?;
     let demo = Demo {
         args,
         vehicle,
@@ -84,7 +85,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
             Course::Desired(trajectory) => Some(trajectory.clone()),
             Course::Planned(_) | Course::Receding { .. } => None,
         },
-        truth: Truth::load(&simulation)?,
+        truth,
         simulation,
         config,
         configs,

@@ -142,7 +142,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     let simulation = hide(args, &shipped.params)?;
     let closed = Loop {
-        truth: Truth::load(&simulation)?,
+        truth: Truth::load(&simulation, &shipped.params)?,
         args,
         config,
         shipped,

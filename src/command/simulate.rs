@@ -113,6 +113,7 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
         settings: settings(&args.set)?,
         seed: args.seed,
     })?;
+    simulation.truth.warn(&simulation.vehicle.params);
     let bar = flight_bar(simulation.course.duration());
     let watch = |status: &Status| {
         bar.set_position((status.progress.map_or(0.0, |(t, _)| t) * 10.0) as u64);

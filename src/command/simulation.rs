@@ -9,6 +9,7 @@ use sitl::autopilot::Vehicle;
 use sitl::config::SitlConfig;
 use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
+use vehicle::physics::Physics;
 
 use super::course::Course;
 use super::setup::{VehicleFile, run_info, station_settings};
@@ -36,14 +37,25 @@ pub struct Truth {
 
 impl Truth {
     /// From flags: what `--effect` says goes over the file of `--effects`.
-    pub(super) fn load(args: &SimulationArgs) -> anyhow::Result<Self> {
+    pub(super) fn load(args: &SimulationArgs, vehicle: &VehicleParams) -> anyhow::Result<Self> {
         let config = match &args.sitl_config {
             Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
             None => SitlConfig::default(),
         };
         let effects =
             EffectSet::requested(args.effects.as_deref(), &args.effect).or_exit(Exit::Usage)?;
-        Ok(Self { config, effects })
+        let truth = Self { config, effects };
+        truth.warn(vehicle);
+        Ok(truth)
+    }
+
+    /// Warns of effects that do nothing to `vehicle`. One that the physics refuses is refused where
+    /// it is flown.
+    pub(super) fn warn(&self, vehicle: &VehicleParams) {
+        let physics = Physics::new(vehicle, &self.effects).ok();
+        if let Some(remark) = physics.and_then(|physics| physics.unfelt(&self.effects)) {
+            tracing::warn!("{remark}");
+        }
     }
 
     /// The effects as they are written in a file, on one line.

@@ -203,7 +203,7 @@ impl Catalogue {
         };
         for effect in EffectId::ALL.into_iter().filter(is_testable) {
             match effect {
-                EffectId::RotorLoss => catalogue.add_rotor_losses(&known),
+                EffectId::RotorLoss => catalogue.add_rotor_losses(&scales, &known),
                 EffectId::CommandDelay if !setpoint_leg => catalogue.add_late_outputs(&known),
                 _ => catalogue.add_effect(effect, &scales, &known),
             }
@@ -225,7 +225,7 @@ impl Catalogue {
             let target = Target::Effect(effect, slot.index);
             let bounds = bounds(effect, slot.parameter, reference, known.magnitude);
             let number = Number::new(target, reference, known, bounds);
-            let quadratic = effect == EffectId::GroundEffect;
+            let quadratic = effect.spec().is_quadratic;
             numbers.push(self.add(Number { quadratic, ..number }));
         }
         let starts: Vec<&[f64]> = match effect {
@@ -240,11 +240,12 @@ impl Catalogue {
     }
 
     /// Each rotor by itself may have lost thrust.
-    fn add_rotor_losses(&mut self, known: &Tolerances) {
+    fn add_rotor_losses(&mut self, scales: &Scales, known: &Tolerances) {
+        let widths = [0.0, scales.typical(EffectId::RotorLoss, 1)];
         for rotor in 0..ROTORS {
             let reference = modelled_scale(&self.vehicle, rotor);
             let target = Target::RotorScale(rotor);
-            let number = Number::nuisance(target, reference, [0.0, 0.15], [0.05, 1.0]);
+            let number = Number::nuisance(target, reference, widths, [0.05, 1.0]);
             let number = self.add(Number { unremarkable: known.rotor(), ..number });
             self.hypothesis(EffectId::RotorLoss, vec![number], &[]);
         }
@@ -314,7 +315,7 @@ impl Catalogue {
         let unit = if effect == EffectId::GroundEffect { self.vehicle.rotor_radius_m } else { 1.0 };
         let mut all = Vec::new();
         // Where the effect grows with the square of its number there is no slope at 0.
-        if effect != EffectId::GroundEffect || at_reference[0].1 > 0.0 {
+        if !effect.spec().is_quadratic || at_reference[0].1 > 0.0 {
             all.push(at_reference.clone());
         }
         for start in starts {

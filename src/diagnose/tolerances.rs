@@ -2,8 +2,8 @@
 //! vehicle's own units.
 
 use serde_json::{Map, Value};
+use vehicle::VehicleParams;
 use vehicle::effects::EffectId;
-use vehicle::{ROTORS, VehicleParams};
 
 /// Standard deviations of a vehicle file's numbers: what its `provenance` claims, else what a
 /// careful builder reaches with a kitchen scale, a bifilar pendulum and one motor on a load cell,
@@ -34,6 +34,8 @@ const LAG_S: f64 = 0.001;
 const DELAY_S: f64 = 0.0015;
 const LATENCY_S: f64 = 0.0007;
 const OUTPUT_DELAY_S: f64 = 0.002;
+/// Air of which a file says nothing, m/s.
+const STILL_AIR_M_S: f64 = 0.03;
 /// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
 /// inertia per second.
 pub(super) const DAMPING_TIME_S: f64 = 0.002;
@@ -45,7 +47,7 @@ impl Tolerances {
     /// Of a vehicle file; what it does not state is as a careful builder leaves it times `scale`.
     pub fn of(vehicle: &VehicleParams, scale: f64) -> Self {
         let stated = Stated { provenance: &vehicle.provenance, scale };
-        let arm = Scales::of(vehicle).arm;
+        let arm = vehicle.arm_m();
         let lag = vehicle.motor_time_constant_s;
         let thrust = "rotors.thrust_max_N";
         let latency = stated.range("pose_latency_s");
@@ -118,19 +120,9 @@ impl Stated<'_> {
     }
 }
 
-/// Sizes that turn dimensionless magnitudes into a vehicle's units.
-pub(super) struct Scales {
-    mass: f64,
-    pub arm: f64,
-    weight: f64,
-    yaw_inertia: f64,
-    drag_modelled: Option<[f64; 2]>,
-    parasitic_modelled: Option<f64>,
-    sag_modelled: Option<f64>,
-    curve_modelled: Option<f64>,
-    rotor_radius: f64,
-    air_density: f64,
-    rotor_speed_max: f64,
+/// How large effects are where they occur, for one vehicle.
+pub(super) struct Scales<'a> {
+    vehicle: &'a VehicleParams,
     models_drag: bool,
 }
 
@@ -148,93 +140,61 @@ pub(super) struct Known {
     pub magnitude: f64,
 }
 
-impl Scales {
-    pub fn of(vehicle: &VehicleParams) -> Self {
-        let arms = vehicle.rotors.map(|r| r.position_m[0].hypot(r.position_m[1]));
+impl<'a> Scales<'a> {
+    pub fn of(vehicle: &'a VehicleParams) -> Self {
         let effects = &vehicle.modelled_effects;
-        let value = |id, slot: usize| effects.slots(id).map(|slots| slots[slot]);
-        let linear = vehicle.linear_drag_n_per_m_s;
-        let drag = effects.slots(EffectId::RotorDrag).map(|s| [s[0], s[1]]);
-        let parasitic_modelled = value(EffectId::ParasiticDrag, 0);
-        Self {
-            mass: vehicle.mass,
-            arm: arms.iter().sum::<f64>() / ROTORS as f64,
-            weight: vehicle.mass * vehicle.gravity,
-            yaw_inertia: vehicle.inertia[2],
-            models_drag: linear.is_some() || drag.is_some() || parasitic_modelled.is_some(),
-            // The exact linear drag is another law than rotor_drag's, which replaces it.
-            drag_modelled: drag.filter(|_| linear.is_none()),
-            parasitic_modelled,
-            sag_modelled: value(EffectId::BatterySag, 0),
-            curve_modelled: value(EffectId::ThrustCurve, 0),
-            rotor_radius: vehicle.rotor_radius_m,
-            air_density: vehicle.air_density,
-            rotor_speed_max: vehicle.rotor_max_rpm.unwrap_or(0.0) * std::f64::consts::TAU / 60.0,
-        }
+        let models_drag = vehicle.linear_drag_n_per_m_s.is_some()
+            || effects.contains(EffectId::RotorDrag)
+            || effects.contains(EffectId::ParasiticDrag);
+        Self { vehicle, models_drag }
     }
 
-    /// What is known of a slot that may be fitted.
+    /// A typical size of a slot; 0 where it is not fitted.
+    pub fn typical(&self, effect: EffectId, slot: usize) -> f64 {
+        (effect.spec().typical)(self.vehicle).get(slot).copied().unwrap_or_default()
+    }
+
+    /// What the file models of a slot.
+    fn modelled(&self, effect: EffectId, slot: usize) -> Option<f64> {
+        self.vehicle.modelled_effects.slots(effect)?.get(slot).copied()
+    }
+
+    /// What is known of a slot that may be fitted: how large its effect typically is, and how well
+    /// the file knows it where it is a number of the file.
     pub fn of_slot(&self, known: &Tolerances, effect: EffectId, slot: usize) -> Option<Known> {
         use EffectId::*;
+        let magnitude = self.typical(effect, slot);
+        if magnitude == 0.0 {
+            return None;
+        }
         let modelled = |value: Option<f64>| value.map_or(0.0, |v| known.modelled * v.abs());
         // A file that models no drag leaves a small one out; three deviations reach its limit.
-        let left_out = if self.models_drag { 0.0 } else { known.small_drag / 3.0 };
-        let nuisance = |tolerance: f64, magnitude: f64| Known {
-            offset: 0.0,
-            tolerance,
-            unremarkable: tolerance,
-            magnitude,
-        };
-        let alone = |unremarkable: f64, magnitude: f64| Known {
-            tolerance: 0.0,
-            ..nuisance(unremarkable, magnitude)
-        };
-        Some(match (effect, slot) {
-            (ThrustScale, 0) => nuisance(known.thrust_to_mass(), 0.15),
-            (Mass, 0) => alone(known.thrust_to_mass() * self.mass, 0.15 * self.mass),
-            (ThrustCurve, 0) => nuisance(modelled(self.curve_modelled), 0.4),
-            (BatterySag, 0) => nuisance(modelled(self.sag_modelled), 1.5),
-            (MotorLag, 0) => nuisance(LAG_S.hypot(known.lag_s), 0.04),
-            (CommandDelay, 0) => nuisance(DELAY_S.hypot(known.delay_s), 0.03),
-            // A time constant of drag of three seconds.
-            (RotorDrag, 0) => {
-                let typical = self.mass / 3.0;
-                let modelled = modelled(self.drag_modelled.map(|d| d[0]));
-                nuisance(modelled.max(left_out * typical), typical)
-            }
-            (RotorDrag, 1) => {
-                let typical = self.mass / 6.0;
-                let modelled = modelled(self.drag_modelled.map(|d| d[1]));
-                nuisance(modelled.max(left_out * typical), typical)
-            }
-            // A tenth of the weight at 8 m/s.
-            (ParasiticDrag, 0) => {
-                let typical = 0.1 * self.weight / (0.5 * self.air_density * 64.0);
-                nuisance(modelled(self.parasitic_modelled).max(left_out * typical), typical)
-            }
-            (Wind, 0 | 1) => nuisance(0.03, 4.0),
-            // A steady wind blows along the floor.
-            (Wind, 2) => nuisance(0.03, 0.2),
-            (GroundEffect, 0) => alone(0.0, 4.0 * self.rotor_radius),
-            (TranslationalLift, 0) => alone(0.0, 0.005),
-            // A tenth of the weight at a tenth of the arm per m/s.
-            (BladeFlapping, 0) => alone(0.0, 0.01 * self.weight * self.arm),
-            (BladeFlapping, 1) => alone(0.0, 0.01),
-            (VortexRing, 0) => alone(0.0, 0.3),
-            (Inertia, 0..=2) => nuisance(known.inertia, 0.35),
-            (ComOffset, 0 | 1) => nuisance(known.centre_m, 0.05 * self.arm),
-            // The four rotors from rest to full speed against the yaw inertia: 30 rad/s of yaw.
-            (RotorGyroscopic, 0) => alone(0.0, 7.5 * self.yaw_inertia / self.rotor_speed_max),
-            (YawTorque, 0) => nuisance(known.drag_torque, 0.35),
-            (AttitudeTrim, 0 | 1) => nuisance(known.attitude_rad.max(1e-4), 0.03),
+        let left_out = if self.models_drag { 0.0 } else { known.small_drag / 3.0 * magnitude };
+        let tolerance = match (effect, slot) {
+            (ThrustScale, 0) => known.thrust_to_mass(),
+            (ThrustCurve | BatterySag, 0) => modelled(self.modelled(effect, 0)),
+            (MotorLag, 0) => LAG_S.hypot(known.lag_s),
+            (CommandDelay, 0) => DELAY_S.hypot(known.delay_s),
+            // The exact linear drag is another law than rotor_drag's, which replaces it.
+            (RotorDrag, _) if self.vehicle.linear_drag_n_per_m_s.is_some() => 0.0,
+            (RotorDrag | ParasiticDrag, _) => modelled(self.modelled(effect, slot)).max(left_out),
+            (Wind, _) => STILL_AIR_M_S,
+            (Inertia, _) => known.inertia,
+            (ComOffset, _) => known.centre_m,
+            (YawTorque, 0) => known.drag_torque,
+            (AttitudeTrim, 0 | 1) => known.attitude_rad.max(1e-4),
             // Headings are not levelled by eye.
-            (AttitudeTrim, 2) => nuisance((0.25 * known.attitude_rad).max(5e-4), 0.03),
-            (EstimatorLatency, 0) => {
-                let [offset, tolerance] = known.latency();
-                Known { offset, ..nuisance(tolerance, 0.04) }
-            }
-            (PdGain, 0..=5) => nuisance(known.gains, 0.3),
-            _ => return None,
-        })
+            (AttitudeTrim, 2) => (0.25 * known.attitude_rad).max(5e-4),
+            (EstimatorLatency, 0) => known.latency()[1],
+            (PdGain, _) => known.gains,
+            // The file says nothing of it, or thrust_scale stands for it.
+            _ => 0.0,
+        };
+        let unremarkable = match effect {
+            Mass => known.thrust_to_mass() * self.vehicle.mass,
+            _ => tolerance,
+        };
+        let offset = if effect == EstimatorLatency { known.latency()[0] } else { 0.0 };
+        Some(Known { offset, tolerance, unremarkable, magnitude })
     }
 }

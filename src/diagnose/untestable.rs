@@ -2,7 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::Serialize;
-use vehicle::effects::EffectId;
+use vehicle::effects::{EffectId, Need};
 
 use crate::audit::{Channels, FAST_HZ, Rates};
 use crate::log::import::Flight;
@@ -39,71 +39,59 @@ pub fn of(flight: &Flight, channels: &Channels) -> Vec<Untestable> {
 }
 
 fn reason(id: EffectId, flight: &Flight, channels: &Channels) -> Option<String> {
-    use EffectId as E;
+    id.spec().needs.iter().find_map(|need| lacking(*need, flight, channels))
+}
+
+/// What of a need these channels lack.
+fn lacking(need: Need, flight: &Flight, channels: &Channels) -> Option<String> {
     let lacks = |has: bool, what: &str| (!has).then(|| what.to_owned());
     let driven = channels.outputs || channels.rotor_speed || channels.setpoint;
-    let input = || lacks(driven, "nothing that was commanded is logged");
-    let pose = || lacks(channels.pose(), "position, velocity and attitude are not all logged");
-    let motion =
-        || lacks(channels.pose() || channels.imu, "neither pose nor accelerometer is logged");
-    let moment = || {
-        lacks(channels.body_rate || channels.attitude, "neither body rate nor attitude is logged")
-            .or(lacks(
-                channels.outputs || channels.rotor_speed,
-                "motor outputs are not logged, so that rotors cannot be told apart",
-            ))
-    };
-    let fast = || {
-        let slow = || match Rates::of(flight).outputs_hz {
-            Some(rate) => format!(
-                "new motor outputs come at {rate:.1} Hz only; at least {FAST_HZ:.0} Hz are needed"
-            ),
-            None => format!(
-                "the motor outputs hardly change in this log; new ones at {FAST_HZ:.0} Hz or more \
-                 are needed"
-            ),
-        };
-        let is_slow = channels.outputs && !channels.fast_outputs && !channels.rotor_speed;
-        is_slow.then(slow)
-    };
-    match id {
-        E::ThrustScale | E::Mass | E::ThrustCurve => input().or_else(motion),
-        E::BatterySag => {
+    let rotors = channels.outputs || channels.rotor_speed;
+    match need {
+        Need::Input => lacks(driven, "nothing that was commanded is logged"),
+        Need::Pose => lacks(channels.pose(), "position, velocity and attitude are not all logged"),
+        Need::Motion => {
+            lacks(channels.pose() || channels.imu, "neither pose nor accelerometer is logged")
+        }
+        Need::Moment => lacks(
+            channels.body_rate || channels.attitude,
+            "neither body rate nor attitude is logged",
+        )
+        .or(lacks(rotors, "motor outputs are not logged, so that rotors cannot be told apart")),
+        Need::FastInput if channels.setpoint => None,
+        Need::FastOutputs | Need::FastInput => {
+            let is_slow = channels.outputs && !channels.fast_outputs && !channels.rotor_speed;
+            is_slow.then(|| slow_outputs(flight))
+        }
+        Need::Voltage => {
             let range @ [low, high] = voltage_range(flight.voltage.values().iter().copied());
-            let is_flat = channels.voltage && is_flat(range);
             let flat = || format!("the voltage stays within {low:.2} to {high:.2} V in this log");
-            input()
-                .or_else(motion)
-                .or(lacks(channels.voltage, "the voltage is not logged"))
-                .or_else(|| is_flat.then(flat))
+            lacks(channels.voltage, "the voltage is not logged")
+                .or_else(|| is_flat(range).then(flat))
         }
-        E::RotorLoss | E::ComOffset | E::YawTorque => moment(),
-        E::MotorLag | E::Inertia => moment().or_else(fast),
-        E::CommandDelay => {
-            input().or_else(motion).or_else(|| if channels.setpoint { None } else { fast() })
-        }
-        E::RotorDrag
-        | E::ParasiticDrag
-        | E::Wind
-        | E::Gusts
-        | E::TranslationalLift
-        | E::VortexRing
-        | E::GroundEffect => pose().or_else(input),
-        E::BladeFlapping => pose().or_else(moment),
-        E::RotorGyroscopic => moment().or_else(fast),
-        E::AttitudeTrim => lacks(channels.attitude, "the attitude is not logged").or_else(|| {
-            lacks(
-                channels.motion || channels.body_rate,
-                "neither velocity nor body rate is logged beside the attitude",
-            )
-        }),
-        E::EstimatorLatency => pose().or(lacks(
+        Need::Attitude => lacks(channels.attitude, "the attitude is not logged").or(lacks(
+            channels.motion || channels.body_rate,
+            "neither velocity nor body rate is logged beside the attitude",
+        )),
+        Need::Imu => lacks(
             channels.imu,
             "no IMU is logged at 80 Hz or more, against which the estimate could be late",
-        )),
-        E::PdGain => moment().or(lacks(
+        ),
+        Need::WholeSetpoint => lacks(
             channels.whole_setpoint,
             "setpoints with attitude, rates and thrust, as the ground sent them, are not logged",
-        )),
+        ),
+    }
+}
+
+fn slow_outputs(flight: &Flight) -> String {
+    match Rates::of(flight).outputs_hz {
+        Some(rate) => format!(
+            "new motor outputs come at {rate:.1} Hz only; at least {FAST_HZ:.0} Hz are needed"
+        ),
+        None => format!(
+            "the motor outputs hardly change in this log; new ones at {FAST_HZ:.0} Hz or more \
+             are needed"
+        ),
     }
 }

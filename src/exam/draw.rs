@@ -3,6 +3,7 @@
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
+use vehicle::effects::Chance;
 
 /// A source of random draws.
 #[derive(Clone, Debug)]
@@ -66,6 +67,20 @@ impl Draw {
         for last in (1..items.len()).rev() {
             items.swap(last, self.below(last + 1));
         }
+    }
+}
+
+impl Chance for Draw {
+    fn within(&mut self, range: [f64; 2]) -> f64 {
+        self.within(range)
+    }
+
+    fn sign(&mut self) -> f64 {
+        self.sign()
+    }
+
+    fn below(&mut self, count: usize) -> usize {
+        self.below(count)
     }
 }
 

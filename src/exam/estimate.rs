@@ -1,6 +1,6 @@
 //! Numbers of an answer against those of the key.
 
-use vehicle::effects::ParameterValue;
+use vehicle::effects::{EffectId, ParameterValue};
 
 use super::answer::{Given, GivenEffect, class_of};
 use super::deviations::Deviation;
@@ -8,31 +8,6 @@ use super::key::{KeyEntry, Parameters, TrueEffect};
 
 /// Relative errors count up to this.
 const ERROR_MAX: f64 = 10.0;
-/// Parameters that are compared, by effect; those of one group as one vector.
-const SCORED: [(&str, &[&[&str]]); 22] = [
-    ("thrust_scale", &[&["scale"]]),
-    ("mass", &[&["mass_kg"]]),
-    ("thrust_curve", &[&["a"]]),
-    ("battery_sag", &[&["exponent"]]),
-    ("rotor_loss", &[&["scale"]]),
-    ("motor_lag", &[&["tau_s"]]),
-    ("command_delay", &[&["delay_s"]]),
-    ("rotor_drag", &[&["d_xy"]]),
-    ("parasitic_drag", &[&["cda_m2"]]),
-    ("wind", &[&["north_m_s", "east_m_s"]]),
-    ("gusts", &[&["sigma_m_s"]]),
-    ("ground_effect", &[&["r_eff_m"]]),
-    ("translational_lift", &[&["k_s2_m2"]]),
-    ("blade_flapping", &[&["moment_Nms_m"], &["tilt_rad_s_m"]]),
-    ("vortex_ring", &[&["loss_max"]]),
-    ("inertia", &[&["scale"]]),
-    ("com_offset", &[&["x_m", "y_m"]]),
-    ("rotor_gyroscopic", &[&["rotor_inertia_kgm2"]]),
-    ("yaw_torque", &[&["scale"]]),
-    ("attitude_trim", &[&["roll_rad", "pitch_rad"]]),
-    ("estimator_latency", &[&["latency_s"]]),
-    ("pd_gain", &[&["kp_scale"], &["kd_scale"]]),
-];
 
 /// A deviation of the vehicle file is named rightly within this share of it, or where the answer's
 /// 90 % interval holds it when widened by this factor, to one of 99 %.
@@ -60,8 +35,7 @@ fn holds(given: &GivenEffect, id: &str, values: &Parameters) -> bool {
     if given.id != id || given.intervals.is_empty() {
         return false;
     }
-    let groups = SCORED.iter().find(|(scored, _)| *scored == id).map_or(&[][..], |(_, g)| g);
-    groups.iter().copied().flatten().all(|name| {
+    judged(id).iter().flatten().all(|name| {
         let values = numbers(values, name);
         values.iter().enumerate().all(|(place, value)| {
             let key =
@@ -72,6 +46,11 @@ fn holds(given: &GivenEffect, id: &str, values: &Parameters) -> bool {
             })
         })
     })
+}
+
+/// The parameters that are compared, those of one group as one vector.
+fn judged(id: &str) -> Vec<Vec<&'static str>> {
+    id.parse::<EffectId>().map_or_else(|_| Vec::new(), |id| id.spec().judged())
 }
 
 /// The answer's parameters of a true effect, under its true name.
@@ -108,13 +87,13 @@ pub(super) fn relative_errors(
     neutral: &Parameters,
     found: &Parameters,
 ) -> Vec<f64> {
-    let groups = SCORED.iter().find(|(scored, _)| *scored == id).map_or(&[][..], |(_, g)| g);
+    let groups = judged(id);
     let same_rotor = numbers(found, "rotor") == numbers(truth, "rotor");
     groups
         .iter()
         .filter_map(|group| {
             let (mut off, mut size) = (0.0, 0.0);
-            for name in *group {
+            for name in group {
                 let right = numbers(truth, name);
                 let neutral = numbers(neutral, name);
                 let mut estimate = numbers(found, name);

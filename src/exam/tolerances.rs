@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
+use vehicle::VehicleParams;
 use vehicle::effects::{
     AttitudeTrim, ComOffset, CommandDelay, EffectId, EffectSet, EstimatorLatency, Inertia, Mass,
     MotorLag, RotorLoss, ThrustScale, YawTorque,
 };
-use vehicle::{ROTORS, VehicleParams};
 
 use super::draw::{Draw, rounded};
 
@@ -67,7 +67,7 @@ impl Tolerances {
             thrust_each,
             mass: MASS,
             inertia,
-            centre_m: rounded(CENTRE_OF_MASS * arm(file)),
+            centre_m: rounded(CENTRE_OF_MASS * file.arm_m()),
             drag_torque: DRAG_TORQUE,
             lag: LAG,
             delay_s: DELAY_S,
@@ -161,10 +161,4 @@ impl Tolerances {
             _ => return None,
         })
     }
-}
-
-/// Mean distance of the rotors from the middle, m.
-fn arm(file: &VehicleParams) -> f64 {
-    let arms = file.rotors.map(|rotor| rotor.position_m[0].hypot(rotor.position_m[1]));
-    arms.iter().sum::<f64>() / ROTORS as f64
 }

@@ -106,9 +106,7 @@ impl Parameters {
 
     /// How far from that a vehicle may be: one deviation.
     pub(super) fn prior(vehicle: &VehicleParams) -> [f64; PARAMETERS] {
-        let arm =
-            vehicle.rotors.iter().map(|r| r.position_m[0].hypot(r.position_m[1])).sum::<f64>()
-                / 4.0;
+        let arm = vehicle.arm_m();
         let drag = vehicle.mass;
         let [x, y, z] = vehicle.inertia.map(|i| 5.0 * i);
         let offset = 0.2 * arm;

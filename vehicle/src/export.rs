@@ -14,7 +14,7 @@ mod rotorpy;
 
 use std::fmt::Write as _;
 
-use crate::effects::{Effect, EffectId, EffectSet, RotorDrag};
+use crate::effects::{Effect, EffectId, EffectSet, Place, RotorDrag};
 use crate::frame::Ned;
 use crate::params::{VehicleError, VehicleParams};
 use crate::physics::{Constants, Physics};
@@ -134,16 +134,7 @@ impl Model<'_> {
 
     /// Names the effects in force that are not among `expressed`, and what else no peer takes.
     fn lose_but(&mut self, expressed: &[EffectId]) {
-        const IN_CONSTANTS: [EffectId; 7] = [
-            EffectId::ThrustScale,
-            EffectId::Mass,
-            EffectId::RotorLoss,
-            EffectId::MotorLag,
-            EffectId::Inertia,
-            EffectId::ComOffset,
-            EffectId::YawTorque,
-        ];
-        let given = |id: &EffectId| IN_CONSTANTS.contains(id) || expressed.contains(id);
+        let given = |id: &EffectId| id.place() == Place::Constant || expressed.contains(id);
         let effects = self.vehicle.modelled_effects.iter().map(|(id, _)| id);
         let lost: Vec<EffectId> = effects.filter(|id| !given(id)).collect();
         for id in lost {

@@ -196,6 +196,17 @@ impl VehicleParams {
         toml::to_string(self).map_err(|e| VehicleError::syntax(e.to_string()))
     }
 
+    /// m g, N.
+    pub fn weight_n(&self) -> f64 {
+        self.mass * self.gravity
+    }
+
+    /// Mean distance of the rotors from the middle, m.
+    pub fn arm_m(&self) -> f64 {
+        let arms = self.rotors.map(|rotor| rotor.position_m[0].hypot(rotor.position_m[1]));
+        arms.iter().sum::<f64>() / ROTORS as f64
+    }
+
     /// Fraction of the rotors' maximum thrust that carries the vehicle by the file's own mass,
     /// without modelled effects: what `hover_thrust` is where the firmware is right.
     pub fn hover_share(&self) -> f64 {

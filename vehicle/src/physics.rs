@@ -6,14 +6,15 @@
 
 mod constants;
 mod loads;
+mod wiring;
 
 pub use constants::{Constants, RotorConstants};
 pub use loads::{Environment, Loads};
 
+use self::wiring::FlowEffects;
 use crate::effects::{
-    BatterySag, BladeFlapping, BodyEffect, ComOffset, Effect, EffectSet, Flow, GroundEffect,
-    Inertia, Mass, MotorLag, ParasiticDrag, RotorDrag, RotorGyroscopic, RotorLoss, ThrustCurve,
-    ThrustEffect, ThrustScale, TranslationalLift, VortexRing, Wind, Wrench, YawTorque,
+    BatterySag, Effect, EffectId, EffectSet, Flow, RotorDrag, RotorGyroscopic, ThrustCurve, Wind,
+    Wrench,
 };
 use crate::frame::{Frd, Ned};
 use crate::law::{Laws, Needed, QUANTITIES, Quantity};
@@ -25,12 +26,7 @@ use crate::scalar::Scalar;
 /// The effects that depend on the air's flow past the vehicle, and damping.
 #[derive(Clone, Copy, Debug, Default)]
 struct Aerodynamics {
-    ground_effect: Option<GroundEffect>,
-    translational_lift: Option<TranslationalLift>,
-    vortex_ring: Option<VortexRing>,
-    rotor_drag: Option<RotorDrag>,
-    parasitic_drag: Option<ParasiticDrag>,
-    blade_flapping: Option<BladeFlapping>,
+    effects: FlowEffects,
     /// Linear drag in N per m/s.
     linear_drag: Option<f64>,
     /// Moment per body rate in N m s.
@@ -39,18 +35,7 @@ struct Aerodynamics {
 
 impl Aerodynamics {
     fn is_empty(&self) -> bool {
-        self.ground_effect.is_none()
-            && self.translational_lift.is_none()
-            && self.vortex_ring.is_none()
-            && self.rotor_drag.is_none()
-            && self.parasitic_drag.is_none()
-            && self.blade_flapping.is_none()
-            && self.linear_drag.is_none()
-            && self.angular_damping.is_none()
-    }
-
-    fn needs_rotor_speed(&self) -> bool {
-        self.rotor_drag.is_some() || self.blade_flapping.is_some()
+        self.effects.is_empty() && self.linear_drag.is_none() && self.angular_damping.is_none()
     }
 }
 
@@ -86,24 +71,17 @@ impl Physics {
         let effects = &vehicle.modelled_effects.overlay(overlay);
         vehicle.check_effects(effects)?;
         let mut constants = Constants::nominal(vehicle);
-        constants.apply::<ThrustScale>(effects);
-        constants.apply::<Mass>(effects);
-        constants.apply::<RotorLoss>(effects);
-        constants.apply::<MotorLag>(effects);
-        constants.apply::<Inertia>(effects);
-        constants.apply::<ComOffset>(effects);
-        constants.apply::<YawTorque>(effects);
+        constants.apply_all(effects);
         constants.motor_time_constant += effects.laws().iter().map(|law| law.lag_s()).sum::<f64>();
 
         let linear_drag =
             vehicle.linear_drag_n_per_m_s.filter(|_| !overlay.contains(RotorDrag::ID));
+        let mut flow = FlowEffects::of(effects);
+        if linear_drag.is_some() {
+            flow.rotor_drag = None;
+        }
         let aerodynamics = Aerodynamics {
-            ground_effect: effects.get(),
-            translational_lift: effects.get(),
-            vortex_ring: effects.get(),
-            rotor_drag: effects.get().filter(|_| linear_drag.is_none()),
-            parasitic_drag: effects.get(),
-            blade_flapping: effects.get(),
+            effects: flow,
             linear_drag,
             angular_damping: vehicle.angular_damping_nms,
         };
@@ -127,9 +105,7 @@ impl Physics {
             sag: effects.get(),
             wind: effects.get::<Wind>().map_or(Ned::zero(), |wind| wind.velocity),
             aerodynamics: (!aerodynamics.is_empty()).then_some(aerodynamics),
-            needs_rotor_speed: aerodynamics.needs_rotor_speed()
-                || spin_momentum_max.is_some()
-                || is_turned,
+            needs_rotor_speed: flow.read_rotor_speed() || spin_momentum_max.is_some() || is_turned,
             laws,
             spin_momentum_max,
             speed_ratio_scale: 1.0 / (ROTORS as f64 * vehicle.hover_thrust.sqrt()),
@@ -162,6 +138,21 @@ impl Physics {
     /// Whether forces depend on the velocity relative to the air.
     pub fn has_aerodynamics(&self) -> bool {
         self.aerodynamics.is_some() || self.laws.is_some()
+    }
+
+    /// A remark on what of `effects` does nothing to this vehicle, which was made with them: moving
+    /// air acts through drag alone.
+    pub fn unfelt(&self, effects: &EffectSet) -> Option<String> {
+        let moves_air = |id: &EffectId| matches!(id, EffectId::Wind | EffectId::Gusts);
+        let unfelt: Vec<&str> =
+            effects.iter().map(|(id, _)| id).filter(moves_air).map(EffectId::name).collect();
+        (!unfelt.is_empty() && !self.has_aerodynamics()).then(|| {
+            format!(
+                "{} does nothing to this vehicle, which has no drag: add rotor_drag or \
+                 parasitic_drag",
+                unfelt.join(" and ")
+            )
+        })
     }
 
     /// Whether the pack's voltage acts on the rotors or the body.
@@ -197,12 +188,7 @@ impl Physics {
     pub(crate) fn dense(&self) -> Self {
         let some = self.aerodynamics.unwrap_or_default();
         let aerodynamics = Aerodynamics {
-            ground_effect: Some(some.ground_effect.unwrap_or(Effect::neutral())),
-            translational_lift: Some(some.translational_lift.unwrap_or(Effect::neutral())),
-            vortex_ring: Some(some.vortex_ring.unwrap_or(Effect::neutral())),
-            rotor_drag: Some(some.rotor_drag.unwrap_or(Effect::neutral())),
-            parasitic_drag: Some(some.parasitic_drag.unwrap_or(Effect::neutral())),
-            blade_flapping: Some(some.blade_flapping.unwrap_or(Effect::neutral())),
+            effects: some.effects.dense(),
             linear_drag: Some(some.linear_drag.unwrap_or_default()),
             angular_damping: Some(some.angular_damping.unwrap_or_default()),
         };
@@ -381,29 +367,12 @@ impl Physics {
             inverse_induced_velocity: self.inverse_induced_velocity,
         };
 
-        let mut factor = T::from(1.0);
-        if let Some(effect) = &aerodynamics.ground_effect {
-            factor = factor * effect.factor(&flow);
-        }
-        if let Some(effect) = &aerodynamics.translational_lift {
-            factor = factor * effect.factor(&flow);
-        }
-        if let Some(effect) = &aerodynamics.vortex_ring {
-            factor = factor * effect.factor(&flow);
-        }
+        let factor = aerodynamics.effects.thrust_factor(&flow);
         let [roll, pitch, yaw] = wrench.moment.to_array();
         wrench.moment = Frd::new(roll * factor, pitch * factor, yaw);
         wrench.force = wrench.force * factor;
 
-        if let Some(effect) = &aerodynamics.rotor_drag {
-            effect.add(&flow, wrench);
-        }
-        if let Some(effect) = &aerodynamics.parasitic_drag {
-            effect.add(&flow, wrench);
-        }
-        if let Some(effect) = &aerodynamics.blade_flapping {
-            effect.add(&flow, wrench);
-        }
+        aerodynamics.effects.add(&flow, wrench);
         if let Some(coefficient) = aerodynamics.linear_drag {
             wrench.force += air_relative * T::from(-coefficient);
         }

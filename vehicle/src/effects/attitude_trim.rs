@@ -1,7 +1,7 @@
 //! Attitude trim: reported attitude = true attitude * q(trim), in every message that carries it and
 //! in what the on-board loop uses. The IMU stays in the true body axes.
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::frame::{Attitude, Euler};
 
 /// A constant error of the reported attitude, in body axes.
@@ -20,6 +20,14 @@ impl Effect for AttitudeTrim {
             Parameter::scalar("pitch_rad", "rad", 0.0, [-1.0, 1.0]),
             Parameter::scalar("yaw_rad", "rad", 0.0, [-3.2, 3.2]),
         ],
+        needs: &[Need::Attitude],
+        typical: |_| slots([0.03; 3]),
+        strong: |_, chance, growth| {
+            let [roll, pitch] = chance.heading();
+            (growth.by[0], growth.by[1]) = (0.06 * roll, 0.06 * pitch);
+        },
+        judged: &[&["roll_rad", "pitch_rad"]],
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[roll, pitch, yaw, ..]: &Slots) -> Self {

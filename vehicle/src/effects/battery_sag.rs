@@ -3,7 +3,7 @@
 //!
 //! 2 for a fixed duty cycle of a voltage-driven motor, 0 for a controller that compensates.
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 
 /// Thrust's dependence on the pack's voltage.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,6 +17,10 @@ impl Effect for BatterySag {
     const SPEC: Spec = Spec {
         id: "battery_sag",
         parameters: &[Parameter::scalar("exponent", "-", 0.0, [-1.0, 6.0])],
+        needs: &[Need::Input, Need::Motion, Need::Voltage],
+        typical: |_| slots([1.5]),
+        strong: |_, _, growth| growth.by[0] = 2.5,
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[exponent, ..]: &Slots) -> Self {

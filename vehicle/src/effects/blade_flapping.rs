@@ -3,7 +3,7 @@
 //! The advancing blade lifts more, the rotor's disc tilts away from the air and pitches the
 //! vehicle up against its motion (Hoffmann et al. 2007).
 
-use super::{BodyEffect, Effect, EffectId, Flow, Parameter, Slots, Spec, Wrench};
+use super::{BodyEffect, Effect, EffectId, Flow, Need, Parameter, Slots, Spec, Wrench, slots};
 use crate::frame::Frd;
 use crate::scalar::Scalar;
 
@@ -24,6 +24,15 @@ impl Effect for BladeFlapping {
             Parameter::scalar("moment_Nms_m", "N m per m/s", 0.0, [-10.0, 10.0]),
             Parameter::scalar("tilt_rad_s_m", "rad per m/s", 0.0, [-1.0, 1.0]),
         ],
+        needs: &[Need::Pose, Need::Moment],
+        // A tenth of the weight at a tenth of the arm per m/s.
+        typical: |vehicle| slots([0.01 * vehicle.weight_n() * vehicle.arm_m(), 0.01]),
+        strong: |vehicle, chance, growth| {
+            let moment = 0.03 * vehicle.weight_n() * vehicle.arm_m();
+            growth.by[0] = moment * chance.within([0.5, 1.0]);
+            growth.by[1] = 0.03 * chance.within([0.3, 1.0]);
+        },
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[moment_nms_m, tilt_rad_s_m, ..]: &Slots) -> Self {
@@ -32,6 +41,8 @@ impl Effect for BladeFlapping {
 }
 
 impl BodyEffect for BladeFlapping {
+    const READS_ROTOR_SPEED: bool = true;
+
     #[inline(always)]
     fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>) {
         let (x, y) = (flow.air_relative.front(), flow.air_relative.right());

@@ -1,7 +1,7 @@
 //! Centre of mass offset: the centre of mass lies at (x, y) of the nominal one, so the rotors'
 //! arms become position - offset.
 
-use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use super::{ConstantEffect, Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::physics::Constants;
 
 /// A shifted centre of mass.
@@ -21,6 +21,15 @@ impl Effect for ComOffset {
             Parameter::scalar("x_m", "m", 0.0, [-2.0, 2.0]),
             Parameter::scalar("y_m", "m", 0.0, [-2.0, 2.0]),
         ],
+        needs: &[Need::Moment],
+        typical: |vehicle| slots([0.05 * vehicle.arm_m(); 2]),
+        strong: |vehicle, chance, growth| {
+            let [x, y] = chance.heading();
+            let most_m = 0.12 * vehicle.arm_m();
+            (growth.by[0], growth.by[1]) = (most_m * x, most_m * y);
+        },
+        judged: &[&["x_m", "y_m"]],
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[x_m, y_m, ..]: &Slots) -> Self {

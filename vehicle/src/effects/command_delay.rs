@@ -2,7 +2,7 @@
 //!
 //! Acts on the way into the autopilot, not in the plant.
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 
 /// Delay of setpoints.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,6 +16,10 @@ impl Effect for CommandDelay {
     const SPEC: Spec = Spec {
         id: "command_delay",
         parameters: &[Parameter::of_vehicle("delay_s", "s", |v| v.command_delay_s, [0.0, 1.0])],
+        needs: &[Need::Input, Need::Motion, Need::FastInput],
+        typical: |_| slots([0.03]),
+        strong: |_, _, growth| growth.by[0] = 0.05,
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[delay_s, ..]: &Slots) -> Self {

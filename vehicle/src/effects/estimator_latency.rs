@@ -1,7 +1,7 @@
 //! Estimator latency: reported pose and velocity show the state latency_s before their time stamp;
 //! body rates, IMU and the on-board loop are not late.
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 
 /// Age of the reported pose and velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,6 +15,10 @@ impl Effect for EstimatorLatency {
     const SPEC: Spec = Spec {
         id: "estimator_latency",
         parameters: &[Parameter::scalar("latency_s", "s", 0.0, [0.0, 1.0])],
+        needs: &[Need::Pose, Need::Imu],
+        typical: |_| slots([0.04]),
+        strong: |_, _, growth| growth.by[0] = 0.09,
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[latency_s, ..]: &Slots) -> Self {

@@ -1,7 +1,7 @@
 //! Ground effect: T <- T / (1 - min(0.35, (r_eff / (4 h))^2)), h the height of the centre of mass
 //! above the floor (Cheeseman and Bennett 1955).
 
-use super::{Effect, EffectId, Flow, Parameter, Slots, Spec, ThrustEffect};
+use super::{Effect, EffectId, Flow, Need, Parameter, Slots, Spec, ThrustEffect, slots};
 use crate::scalar::Scalar;
 
 /// The most that the closeness of the ground takes off the divisor.
@@ -19,6 +19,11 @@ impl Effect for GroundEffect {
     const SPEC: Spec = Spec {
         id: "ground_effect",
         parameters: &[Parameter::scalar("r_eff_m", "m", 0.0, [0.0, 20.0])],
+        needs: &[Need::Pose, Need::Input],
+        typical: |vehicle| slots([4.0 * vehicle.rotor_radius_m]),
+        strong: |vehicle, _, growth| growth.by[0] = 10.0 * vehicle.rotor_radius_m,
+        is_quadratic: true,
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[r_eff_m, ..]: &Slots) -> Self {

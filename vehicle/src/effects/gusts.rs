@@ -8,7 +8,7 @@
 use rand::Rng;
 use rand_distr::StandardNormal;
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec};
 use crate::frame::Ned;
 
 /// Turbulence of the air.
@@ -31,6 +31,13 @@ impl Effect for Gusts {
             Parameter::scalar("length_m", "m", 5.0, [0.05, 2000.0]).shape(),
             Parameter::scalar("speed_m_s", "m/s", 5.0, [0.05, 100.0]).shape(),
         ],
+        needs: &[Need::Pose, Need::Input],
+        strong: |_, chance, growth| {
+            growth.by[0] = 4.0;
+            growth.from[1] = chance.log_within([2.0, 20.0]);
+            growth.from[2] = chance.within([2.0, 8.0]);
+        },
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[sigma_m_s, length_m, speed_m_s, ..]: &Slots) -> Self {

@@ -1,6 +1,6 @@
 //! Mass: the true mass, a payload at the centre of mass; the inertia is unchanged.
 
-use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use super::{ConstantEffect, Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::physics::Constants;
 
 /// The true mass.
@@ -15,6 +15,11 @@ impl Effect for Mass {
     const SPEC: Spec = Spec {
         id: "mass",
         parameters: &[Parameter::of_vehicle("mass_kg", "kg", |v| v.mass, [1e-4, 1e4])],
+        needs: &[Need::Input, Need::Motion],
+        typical: |vehicle| slots([0.15 * vehicle.mass]),
+        strong: |vehicle, chance, growth| growth.by[0] = chance.sign() * 0.2 * vehicle.mass,
+        family: Some(EffectId::ThrustScale),
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[mass_kg, ..]: &Slots) -> Self {

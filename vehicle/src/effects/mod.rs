@@ -8,62 +8,20 @@
 //! n_i = rotor speed as a fraction of the maximum, nr = mean(n_i) / sqrt(hover_thrust),
 //! T = sum of the rotors' thrusts before the aerodynamic factors.
 
+mod file;
 mod set;
 mod spec;
-
-mod attitude_trim;
-mod battery_sag;
-mod blade_flapping;
-mod com_offset;
-mod command_delay;
-mod estimator_latency;
-mod file;
-mod ground_effect;
-mod gusts;
-mod inertia;
-mod mass;
-mod motor_lag;
-mod parasitic_drag;
-mod pd_gain;
-mod rotor_drag;
-mod rotor_gyroscopic;
-mod rotor_loss;
-mod thrust_curve;
-mod thrust_scale;
-mod translational_lift;
-mod vortex_ring;
-mod wind;
-mod yaw_torque;
 
 use std::fmt;
 use std::ops::AddAssign;
 use std::str::FromStr;
 
-pub use attitude_trim::AttitudeTrim;
-pub use battery_sag::BatterySag;
-pub use blade_flapping::BladeFlapping;
-pub use com_offset::ComOffset;
-pub use command_delay::CommandDelay;
-pub use estimator_latency::EstimatorLatency;
 pub use file::EffectsRefused;
-pub use ground_effect::GroundEffect;
-pub use gusts::{Gusts, Turbulence};
-pub use inertia::Inertia;
-pub use mass::Mass;
-pub use motor_lag::MotorLag;
-pub use parasitic_drag::ParasiticDrag;
-pub use pd_gain::PdGain;
-pub use rotor_drag::RotorDrag;
-pub use rotor_gyroscopic::RotorGyroscopic;
-pub use rotor_loss::RotorLoss;
+pub use gusts::Turbulence;
 pub use set::{EffectError, EffectSet, ParameterValue};
-pub use spec::{Kind, MAX_SLOTS, Neutral, Parameter, Slot, Slots, Spec};
-pub use thrust_curve::ThrustCurve;
-pub use thrust_scale::ThrustScale;
-pub use translational_lift::TranslationalLift;
-pub use vortex_ring::VortexRing;
-pub use wind::Wind;
-pub use yaw_torque::YawTorque;
+pub use spec::{
+    Chance, Growth, Kind, MAX_SLOTS, Need, Neutral, Parameter, Slot, Slots, Spec, slots,
+};
 
 use serde::{Serialize, Serializer};
 
@@ -100,12 +58,18 @@ pub trait ConstantEffect: Effect {
 
 /// Acts by a factor on every rotor's thrust, and not on its drag torque.
 pub trait ThrustEffect: Effect {
+    /// Whether it reads [`Flow::rotor_speed_ratio`], which costs a square root a rotor.
+    const READS_ROTOR_SPEED: bool = false;
+
     /// The factor; 1 is neutral.
     fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T;
 }
 
 /// Acts by a force and a moment on the body.
 pub trait BodyEffect: Effect {
+    /// Whether it reads [`Flow::rotor_speed_ratio`], which costs a square root a rotor.
+    const READS_ROTOR_SPEED: bool = false;
+
     /// Adds to the force and moment.
     fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>);
 }
@@ -146,15 +110,69 @@ impl<T: Scalar> AddAssign for Wrench<T> {
     }
 }
 
-/// Names every effect once: the id's variants, its order and [`CATALOGUE`] cannot disagree.
+/// The catalogue: each effect's type and file, and where it acts, which is the trait that it
+/// implements: on a `constant` of the vehicle, on `thrust`, on the `body`. What acts `elsewhere` is
+/// wired by hand. Calls another macro with the list, so that each effect is named here only.
 macro_rules! catalogue {
-    ($($effect:ident $file:literal),+ $(,)?) => {
+    ($apply:ident) => {
+        $apply! {
+            ThrustScale thrust_scale constant,
+            Mass mass constant,
+            ThrustCurve thrust_curve elsewhere,
+            BatterySag battery_sag elsewhere,
+            RotorLoss rotor_loss constant,
+            MotorLag motor_lag constant,
+            CommandDelay command_delay elsewhere,
+            RotorDrag rotor_drag body,
+            ParasiticDrag parasitic_drag body,
+            Wind wind elsewhere,
+            Gusts gusts elsewhere,
+            GroundEffect ground_effect thrust,
+            TranslationalLift translational_lift thrust,
+            BladeFlapping blade_flapping body,
+            VortexRing vortex_ring thrust,
+            Inertia inertia constant,
+            ComOffset com_offset constant,
+            RotorGyroscopic rotor_gyroscopic elsewhere,
+            YawTorque yaw_torque constant,
+            AttitudeTrim attitude_trim elsewhere,
+            EstimatorLatency estimator_latency elsewhere,
+            PdGain pd_gain elsewhere,
+        }
+    };
+}
+pub(crate) use catalogue;
+
+/// Where an effect acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// On a constant of the nominal vehicle: [`ConstantEffect`].
+    Constant,
+    /// On every rotor's thrust: [`ThrustEffect`].
+    Thrust,
+    /// On the body: [`BodyEffect`].
+    Body,
+    /// On the rotors, the air, the autopilot or what it reports.
+    Elsewhere,
+}
+
+/// Names the effects of the catalogue.
+macro_rules! named {
+    ($($effect:ident $file:ident $place:ident),+ $(,)?) => {
+        $(
+            mod $file;
+            pub use $file::$effect;
+        )+
+
         /// Names an effect of the catalogue.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[allow(missing_docs)] // the types of the same names are documented
         pub enum EffectId {
             $($effect),+
         }
+
+        /// Number of effects in the catalogue.
+        pub const COUNT: usize = [$(EffectId::$effect),+].len();
 
         impl EffectId {
             /// Every effect, in the catalogue's order.
@@ -164,38 +182,18 @@ macro_rules! catalogue {
         /// Every effect's specification, in the order of [`EffectId::ALL`].
         pub static CATALOGUE: [Spec; COUNT] = [$(<$effect as Effect>::SPEC),+];
 
+        /// Where each acts.
+        static PLACES: [Place; COUNT] = [$(named!(@ $place)),+];
+
         /// Text of every effect's file, whose first lines say what it does.
-        static FILES: [&str; COUNT] = [$(include_str!($file)),+];
+        static FILES: [&str; COUNT] = [$(include_str!(concat!(stringify!($file), ".rs"))),+];
     };
+    (@ constant) => { Place::Constant };
+    (@ thrust) => { Place::Thrust };
+    (@ body) => { Place::Body };
+    (@ elsewhere) => { Place::Elsewhere };
 }
-
-/// Number of effects in the catalogue.
-pub const COUNT: usize = 22;
-
-catalogue! {
-    ThrustScale "thrust_scale.rs",
-    Mass "mass.rs",
-    ThrustCurve "thrust_curve.rs",
-    BatterySag "battery_sag.rs",
-    RotorLoss "rotor_loss.rs",
-    MotorLag "motor_lag.rs",
-    CommandDelay "command_delay.rs",
-    RotorDrag "rotor_drag.rs",
-    ParasiticDrag "parasitic_drag.rs",
-    Wind "wind.rs",
-    Gusts "gusts.rs",
-    GroundEffect "ground_effect.rs",
-    TranslationalLift "translational_lift.rs",
-    BladeFlapping "blade_flapping.rs",
-    VortexRing "vortex_ring.rs",
-    Inertia "inertia.rs",
-    ComOffset "com_offset.rs",
-    RotorGyroscopic "rotor_gyroscopic.rs",
-    YawTorque "yaw_torque.rs",
-    AttitudeTrim "attitude_trim.rs",
-    EstimatorLatency "estimator_latency.rs",
-    PdGain "pd_gain.rs",
-}
+catalogue!(named);
 
 impl EffectId {
     /// Its specification.
@@ -215,10 +213,15 @@ impl EffectId {
         lines.map(str::trim).collect::<Vec<_>>().join("\n")
     }
 
-    /// The effect that stands for all that no flight can tell from this one: mass and thrust act as
-    /// their ratio.
+    /// Where it acts.
+    pub fn place(self) -> Place {
+        PLACES[self as usize]
+    }
+
+    /// The effect that stands for its variants, and for all that no flight can tell from it: mass and
+    /// thrust act as their ratio.
     pub fn class(self) -> Self {
-        if self == Self::Mass { Self::ThrustScale } else { self }
+        self.spec().family.unwrap_or(self)
     }
 }
 

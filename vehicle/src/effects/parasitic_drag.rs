@@ -1,6 +1,6 @@
 //! Parasitic drag: F_body = -1/2 rho cda |v_a| v_a, the frame's quadratic drag.
 
-use super::{BodyEffect, Effect, EffectId, Flow, Parameter, Slots, Spec, Wrench};
+use super::{BodyEffect, Effect, EffectId, Flow, Need, Parameter, Slots, Spec, Wrench, slots};
 use crate::scalar::Scalar;
 
 /// Quadratic drag of the frame.
@@ -15,6 +15,13 @@ impl Effect for ParasiticDrag {
     const SPEC: Spec = Spec {
         id: "parasitic_drag",
         parameters: &[Parameter::scalar("cda_m2", "m^2", 0.0, [0.0, 10.0])],
+        needs: &[Need::Pose, Need::Input],
+        // A tenth of the weight at 8 m/s.
+        typical: |vehicle| slots([0.1 * vehicle.weight_n() / (0.5 * vehicle.air_density * 64.0)]),
+        strong: |vehicle, _, growth| {
+            growth.by[0] = 0.6 * vehicle.weight_n() / (0.5 * vehicle.air_density * 64.0);
+        },
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[cda_m2, ..]: &Slots) -> Self {

@@ -2,7 +2,7 @@
 //!
 //! Acts in the autopilot, not in the plant.
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::params::AttitudePd;
 
 /// True gains of the on-board attitude loop.
@@ -22,6 +22,14 @@ impl Effect for PdGain {
             Parameter::vec3("kp_scale", "-", 1.0, [0.0, 20.0]),
             Parameter::vec3("kd_scale", "-", 1.0, [0.0, 20.0]),
         ],
+        needs: &[Need::Moment, Need::WholeSetpoint],
+        typical: |_| slots([0.3; 6]),
+        strong: |_, chance, growth| {
+            let [tilt, yaw] = [chance.scale([0.3, 0.6]), chance.scale([0.2, 0.5])];
+            growth.by[..3].copy_from_slice(&[tilt, tilt * chance.within([0.8, 1.2]), yaw]);
+            growth.by[3..5].fill(chance.scale([0.1, 0.4]));
+        },
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[px, py, pz, dx, dy, dz]: &Slots) -> Self {

@@ -3,7 +3,7 @@
 //! Induced drag and flapping of the rotors, linear in the air-relative velocity and growing with
 //! rotor speed (Faessler, Franchi, Scaramuzza 2018; Foerster 2015).
 
-use super::{BodyEffect, Effect, EffectId, Flow, Parameter, Slots, Spec, Wrench};
+use super::{BodyEffect, Effect, EffectId, Flow, Need, Parameter, Slots, Spec, Wrench, slots};
 use crate::scalar::Scalar;
 
 /// Drag of the turning rotors.
@@ -23,6 +23,15 @@ impl Effect for RotorDrag {
             Parameter::scalar("d_xy", "kg/s", 0.0, [0.0, 100.0]),
             Parameter::scalar("d_z", "kg/s", 0.0, [0.0, 100.0]),
         ],
+        needs: &[Need::Pose, Need::Input],
+        // A time constant of drag of three seconds along the discs, of six across them.
+        typical: |vehicle| slots([vehicle.mass / 3.0, vehicle.mass / 6.0]),
+        strong: |vehicle, chance, growth| {
+            growth.by[0] = vehicle.mass * chance.within([0.4, 0.7]);
+            growth.by[1] = growth.by[0] * chance.within([0.2, 0.6]);
+        },
+        judged: &[&["d_xy"]],
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[d_xy, d_z, ..]: &Slots) -> Self {
@@ -31,6 +40,8 @@ impl Effect for RotorDrag {
 }
 
 impl BodyEffect for RotorDrag {
+    const READS_ROTOR_SPEED: bool = true;
+
     #[inline(always)]
     fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>) {
         let xy = flow.rotor_speed_ratio * -self.d_xy;

@@ -3,7 +3,8 @@
 //!
 //! Needs the vehicle's rotor_max_rpm; without it the effect cannot act.
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
+use crate::params::VehicleParams;
 
 /// Angular momentum of the rotors.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,9 +18,21 @@ impl Effect for RotorGyroscopic {
     const SPEC: Spec = Spec {
         id: "rotor_gyroscopic",
         parameters: &[Parameter::scalar("rotor_inertia_kgm2", "kg m^2", 0.0, [0.0, 0.1])],
+        needs: &[Need::Moment, Need::FastOutputs],
+        // The four rotors from rest to full speed against the yaw inertia: 30 rad/s of yaw.
+        typical: |vehicle| slots([7.5 * vehicle.inertia[2] / rotor_speed_max(vehicle)]),
+        strong: |vehicle, _, growth| {
+            growth.by[0] = 30.0 * vehicle.inertia[2] / rotor_speed_max(vehicle);
+        },
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[rotor_inertia_kgm2, ..]: &Slots) -> Self {
         Self { rotor_inertia_kgm2 }
     }
+}
+
+/// Speed of the rotors at full output, rad/s; a usual one where the file has none.
+fn rotor_speed_max(vehicle: &VehicleParams) -> f64 {
+    vehicle.rotor_max_rpm.unwrap_or(1e4) * std::f64::consts::TAU / 60.0
 }

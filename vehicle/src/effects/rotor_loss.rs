@@ -1,7 +1,7 @@
 //! Rotor loss: one rotor's thrust and drag torque are multiplied by scale, as with a chipped
 //! propeller or a worn motor.
 
-use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use super::{ConstantEffect, Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::params::ROTORS;
 use crate::physics::Constants;
 
@@ -22,6 +22,13 @@ impl Effect for RotorLoss {
             Parameter::index("rotor", ROTORS),
             Parameter::scalar("scale", "-", 1.0, [0.0, 2.0]),
         ],
+        needs: &[Need::Moment],
+        typical: |_| slots([0.0, 0.15]),
+        strong: |_, chance, growth| {
+            (growth.from[0], growth.from[1]) = (chance.below(ROTORS) as f64, 1.0);
+            growth.by[1] = -0.25;
+        },
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[rotor, scale, ..]: &Slots) -> Self {

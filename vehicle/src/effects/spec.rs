@@ -1,5 +1,6 @@
 //! What the catalogue says about an effect: its id, and its parameters with units and ranges.
 
+use super::EffectId;
 use crate::params::VehicleParams;
 
 /// Most numbers that one effect has; vectors count three.
@@ -8,6 +9,17 @@ pub const MAX_SLOTS: usize = 6;
 /// An effect's numbers in the order of its [`Spec::parameters`], vectors laid out in place;
 /// slots beyond [`Spec::slots`] are 0.
 pub type Slots = [f64; MAX_SLOTS];
+
+/// The first slots, and zeros.
+pub const fn slots<const N: usize>(values: [f64; N]) -> Slots {
+    let mut slots = [0.0; MAX_SLOTS];
+    let mut index = 0;
+    while index < N {
+        slots[index] = values[index];
+        index += 1;
+    }
+    slots
+}
 
 /// Shape of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,6 +125,69 @@ impl Parameter {
     }
 }
 
+/// What a log must hold to show an effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// Something that was commanded: setpoints, motor outputs or rotor speeds.
+    Input,
+    /// Pose or accelerometer.
+    Motion,
+    /// Position, velocity and attitude.
+    Pose,
+    /// Attitude, and velocity or body rate beside it.
+    Attitude,
+    /// Attitude or body rate, and what each rotor did.
+    Moment,
+    /// Motor outputs, where these are what drives, no slower than the rotors.
+    FastOutputs,
+    /// Setpoints, or else fast outputs.
+    FastInput,
+    /// A voltage that changes.
+    Voltage,
+    /// An IMU that is faster than the estimate.
+    Imu,
+    /// Setpoints with attitude, rates and thrust.
+    WholeSetpoint,
+}
+
+/// How an effect grows from nothing to as much as a vehicle may sensibly have: its slots are `from`
+/// at size 0 and `from` + `by` at size 1.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Growth {
+    /// At size 0: what the vehicle file says, where nothing else is set.
+    pub from: Slots,
+    /// What size 1 adds.
+    pub by: Slots,
+}
+
+/// Where the direction of an effect is drawn from.
+pub trait Chance {
+    /// Evenly within a range.
+    fn within(&mut self, range: [f64; 2]) -> f64;
+
+    /// Either sign.
+    fn sign(&mut self) -> f64;
+
+    /// A whole number below `count`, which is at least 1.
+    fn below(&mut self, count: usize) -> usize;
+
+    /// Evenly in the logarithm within a range of positive numbers.
+    fn log_within(&mut self, [low, high]: [f64; 2]) -> f64 {
+        self.within([low.ln(), high.ln()]).exp()
+    }
+
+    /// What to add to a factor of 1: more by a share within a range, or less by it, down to 0.6.
+    fn scale(&mut self, range: [f64; 2]) -> f64 {
+        (self.sign() * self.within(range)).max(-0.4)
+    }
+
+    /// A direction in a plane, as a unit vector.
+    fn heading(&mut self) -> [f64; 2] {
+        let (sin, cos) = self.within([0.0, std::f64::consts::TAU]).sin_cos();
+        [cos, sin]
+    }
+}
+
 /// One effect of the catalogue.
 #[derive(Clone, Copy, Debug)]
 pub struct Spec {
@@ -120,6 +195,21 @@ pub struct Spec {
     pub id: &'static str,
     /// Parameters, in the order of the slots.
     pub parameters: &'static [Parameter],
+    /// What a log must hold to show it, the first first.
+    pub needs: &'static [Need],
+    /// Typical sizes of its slots where it occurs, beyond what the vehicle file says: the widths of
+    /// a diagnosis' priors. A slot of size 0 is not fitted.
+    pub typical: fn(&VehicleParams) -> Slots,
+    /// Draws how it grows to as much as a vehicle may sensibly have: what an exam makes of it.
+    pub strong: fn(&VehicleParams, &mut dyn Chance, &mut Growth),
+    /// The effect that it is a variant of, or that no flight tells from it: it is reported as that
+    /// one.
+    pub family: Option<EffectId>,
+    /// Whether it grows with the square of its first slot, so that at 0 there is no slope.
+    pub is_quadratic: bool,
+    /// Parameters that an answer is judged by, those of one group as one vector; none for each that
+    /// has a neutral value by itself.
+    pub judged: &'static [&'static [&'static str]],
 }
 
 /// One number of an effect: a parameter, or one component of a vector.
@@ -134,6 +224,18 @@ pub struct Slot {
 }
 
 impl Spec {
+    /// Without a name, and of no size.
+    pub const PLAIN: Self = Self {
+        id: "",
+        parameters: &[],
+        needs: &[],
+        typical: |_| [0.0; MAX_SLOTS],
+        strong: |_, _, _| {},
+        family: None,
+        is_quadratic: false,
+        judged: &[],
+    };
+
     /// Every number of the effect, in order.
     pub fn slots(&self) -> impl Iterator<Item = Slot> + use<> {
         self.parameters
@@ -141,6 +243,15 @@ impl Spec {
             .flat_map(|p| (0..p.kind.slots()).map(move |component| (p, component)))
             .enumerate()
             .map(|(index, (parameter, component))| Slot { index, parameter, component })
+    }
+
+    /// The parameters that an answer is judged by, those of one group as one vector.
+    pub fn judged(&self) -> Vec<Vec<&'static str>> {
+        if !self.judged.is_empty() {
+            return self.judged.iter().map(|group| group.to_vec()).collect();
+        }
+        let has_neutral = |p: &&Parameter| !matches!(p.neutral, Neutral::None);
+        self.parameters.iter().filter(has_neutral).map(|p| vec![p.name]).collect()
     }
 
     /// The first slot of the parameter `name`, and the parameter.

@@ -2,7 +2,7 @@
 //!
 //! 0 where the output is linear in thrust, towards 1 where it is linear in rotor speed.
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::scalar::Scalar;
 
 /// The bend of thrust over the rotor's state.
@@ -14,8 +14,14 @@ pub struct ThrustCurve {
 
 impl Effect for ThrustCurve {
     const ID: EffectId = EffectId::ThrustCurve;
-    const SPEC: Spec =
-        Spec { id: "thrust_curve", parameters: &[Parameter::scalar("a", "-", 0.0, [-1.0, 1.0])] };
+    const SPEC: Spec = Spec {
+        id: "thrust_curve",
+        parameters: &[Parameter::scalar("a", "-", 0.0, [-1.0, 1.0])],
+        needs: &[Need::Input, Need::Motion],
+        typical: |_| slots([0.4]),
+        strong: |_, _, growth| growth.by[0] = 0.7,
+        ..Spec::PLAIN
+    };
 
     fn from_slots(&[a, ..]: &Slots) -> Self {
         Self { a }

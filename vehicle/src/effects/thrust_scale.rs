@@ -3,7 +3,7 @@
 //! Propeller wear, another propeller, thin air. Only thrust over mass acts, so that nothing but
 //! the rotor speeds tells it from a mass.
 
-use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use super::{ConstantEffect, Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::physics::Constants;
 
 /// Every rotor's thrust multiplied by `scale`.
@@ -18,6 +18,10 @@ impl Effect for ThrustScale {
     const SPEC: Spec = Spec {
         id: "thrust_scale",
         parameters: &[Parameter::scalar("scale", "-", 1.0, [0.05, 20.0])],
+        needs: &[Need::Input, Need::Motion],
+        typical: |_| slots([0.15]),
+        strong: |_, chance, growth| growth.by[0] = chance.sign() * 0.2,
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[scale, ..]: &Slots) -> Self {

@@ -1,6 +1,6 @@
 //! Translational lift: T <- T (1 + min(0.5, k V_h^2)).
 
-use super::{Effect, EffectId, Flow, Parameter, Slots, Spec, ThrustEffect};
+use super::{Effect, EffectId, Flow, Need, Parameter, Slots, Spec, ThrustEffect, slots};
 use crate::scalar::Scalar;
 
 /// Extra thrust in horizontal flight.
@@ -15,6 +15,10 @@ impl Effect for TranslationalLift {
     const SPEC: Spec = Spec {
         id: "translational_lift",
         parameters: &[Parameter::scalar("k_s2_m2", "s^2/m^2", 0.0, [0.0, 1.0])],
+        needs: &[Need::Pose, Need::Input],
+        typical: |_| slots([0.005]),
+        strong: |_, _, growth| growth.by[0] = 0.03,
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[k_s2_m2, ..]: &Slots) -> Self {

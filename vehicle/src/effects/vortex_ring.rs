@@ -4,7 +4,7 @@
 //! A vehicle that sinks at the speed of its own wake loses thrust. v_i is the induced velocity at
 //! hover, sqrt(m g / (2 rho 4 pi R^2)), with the nominal mass.
 
-use super::{Effect, EffectId, Flow, Parameter, Slots, Spec, ThrustEffect};
+use super::{Effect, EffectId, Flow, Need, Parameter, Slots, Spec, ThrustEffect, slots};
 use crate::scalar::Scalar;
 
 /// Loss of thrust in descent.
@@ -27,6 +27,13 @@ impl Effect for VortexRing {
             Parameter::scalar("onset_ratio", "-", 0.2, [-1.0, 3.0]).shape(),
             Parameter::scalar("full_ratio", "-", 0.8, [-1.0, 4.0]).shape(),
         ],
+        needs: &[Need::Pose, Need::Input],
+        typical: |_| slots([0.3]),
+        strong: |_, _, growth| {
+            growth.by[0] = 0.7;
+            (growth.from[1], growth.from[2]) = (0.2, 0.8);
+        },
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[loss_max, onset_ratio, full_ratio, ..]: &Slots) -> Self {

@@ -1,7 +1,7 @@
 //! Wind: steady velocity of the air in the world, blowing towards; acts through every
 //! air-relative term.
 
-use super::{Effect, EffectId, Parameter, Slots, Spec};
+use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::frame::Ned;
 
 /// Steady wind.
@@ -20,6 +20,15 @@ impl Effect for Wind {
             Parameter::scalar("east_m_s", "m/s", 0.0, [-60.0, 60.0]),
             Parameter::scalar("down_m_s", "m/s", 0.0, [-60.0, 60.0]),
         ],
+        needs: &[Need::Pose, Need::Input],
+        // A steady wind blows along the floor.
+        typical: |_| slots([4.0, 4.0, 0.2]),
+        strong: |_, chance, growth| {
+            let [north, east] = chance.heading();
+            (growth.by[0], growth.by[1]) = (8.0 * north, 8.0 * east);
+        },
+        judged: &[&["north_m_s", "east_m_s"]],
+        ..Spec::PLAIN
     };
 
     fn from_slots(&[north, east, down, ..]: &Slots) -> Self {

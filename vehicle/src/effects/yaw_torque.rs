@@ -1,6 +1,6 @@
 //! Yaw torque: true drag torque per thrust = nominal times scale.
 
-use super::{ConstantEffect, Effect, EffectId, Parameter, Slots, Spec};
+use super::{ConstantEffect, Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::physics::Constants;
 
 /// True drag torque of the rotors.
@@ -12,8 +12,14 @@ pub struct YawTorque {
 
 impl Effect for YawTorque {
     const ID: EffectId = EffectId::YawTorque;
-    const SPEC: Spec =
-        Spec { id: "yaw_torque", parameters: &[Parameter::scalar("scale", "-", 1.0, [0.0, 20.0])] };
+    const SPEC: Spec = Spec {
+        id: "yaw_torque",
+        parameters: &[Parameter::scalar("scale", "-", 1.0, [0.0, 20.0])],
+        needs: &[Need::Moment],
+        typical: |_| slots([0.35]),
+        strong: |_, chance, growth| growth.by[0] = chance.scale([0.6, 1.0]),
+        ..Spec::PLAIN
+    };
 
     fn from_slots(&[scale, ..]: &Slots) -> Self {
         Self { scale }

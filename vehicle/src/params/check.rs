@@ -5,7 +5,7 @@
 
 use serde::Serialize;
 
-use super::{ROTORS, VehicleParams};
+use super::VehicleParams;
 
 /// Full thrust over weight of vehicles that fly well.
 const THRUST_TO_WEIGHT: [f64; 2] = [1.3, 12.0];
@@ -122,11 +122,6 @@ impl VehicleParams {
                 brief(expected[1])
             ),
         })
-    }
-
-    fn arm_m(&self) -> f64 {
-        let arms = self.rotors.map(|rotor| rotor.position_m[0].hypot(rotor.position_m[1]));
-        arms.iter().sum::<f64>() / ROTORS as f64
     }
 
     fn inertia_remarks(&self) -> impl Iterator<Item = Remark> {

@@ -1,6 +1,5 @@
 //! The numbers of a vehicle that effects may change.
 
-use crate::effects::{ConstantEffect, EffectSet};
 use crate::params::{ROTORS, VehicleParams};
 
 /// The numbers of a vehicle that effects may change.
@@ -49,12 +48,6 @@ impl Constants {
             inertia: vehicle.inertia,
             rotors,
             motor_time_constant: vehicle.motor_time_constant_s,
-        }
-    }
-
-    pub(super) fn apply<E: ConstantEffect>(&mut self, effects: &EffectSet) {
-        if let Some(effect) = effects.get::<E>() {
-            effect.apply(self);
         }
     }
 }

@@ -1,0 +1,152 @@
+//! What is in the catalogue acts: on the simulated vehicle, in the physics that models are made of,
+//! and in the equations of the diagnosis.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::lockstep::{NANO, config_file, fly, hover, ideal, params, settings};
+use downwash::diagnose::hypothesis::{Catalogue, Target};
+use downwash::diagnose::observed::{Observed, Residuals};
+use downwash::diagnose::preparation::PreparedFlight;
+use downwash::diagnose::residuals::Evaluator;
+use downwash::log::import;
+use downwash::log::record::Record;
+use downwash::model::physics::{PhysicsModel, PhysicsParameters};
+use downwash::model::{Model, Point};
+use sitl::config::SitlConfig;
+use vehicle::VehicleParams;
+use vehicle::effects::{Chance, EffectId, EffectSet, Growth, Place};
+use vehicle::frame::{Euler, Frd, Ned};
+
+/// The middle of every range.
+struct Middle;
+
+impl Chance for Middle {
+    fn within(&mut self, [low, high]: [f64; 2]) -> f64 {
+        0.5 * (low + high)
+    }
+
+    fn sign(&mut self) -> f64 {
+        1.0
+    }
+
+    fn below(&mut self, count: usize) -> usize {
+        count / 2
+    }
+}
+
+/// An effect at half of what a vehicle may sensibly have.
+fn strong(vehicle: &VehicleParams, id: EffectId) -> EffectSet {
+    let mut growth = Growth::default();
+    for slot in id.spec().slots() {
+        growth.from[slot.index] =
+            downwash::diagnose::hypothesis::reference(vehicle, id, slot.index);
+    }
+    (id.spec().strong)(vehicle, &mut Middle, &mut growth);
+    let mut slots = growth.from;
+    for (slot, by) in slots.iter_mut().zip(growth.by) {
+        *slot += 0.5 * by;
+    }
+    let mut set = EffectSet::new();
+    set.insert(id, slots).expect("within its range");
+    set
+}
+
+#[test]
+fn every_effect_moves_the_simulated_vehicle() {
+    let vehicle = params(NANO);
+    // A drained pack sags, and a floor is near.
+    let config = || {
+        let mut config: SitlConfig = ideal();
+        config.battery.charge = 0.4;
+        config
+    };
+    let states = |effects: &EffectSet| {
+        let flown = VehicleParams { modelled_effects: effects.clone(), ..vehicle.clone() };
+        let settings = settings(&vehicle, hover(4.0));
+        let (_, records) = fly(settings, &flown, &[], config(), 5);
+        let state = |record: &Record| match record {
+            Record::Truth { truth, .. } => Some(format!("{:?}", truth.state)),
+            _ => None,
+        };
+        records.iter().filter_map(state).collect::<Vec<_>>()
+    };
+    // Moving air acts through drag.
+    let drag = strong(&vehicle, EffectId::RotorDrag);
+    let (still, dragged) = (states(&EffectSet::new()), states(&drag));
+    assert!(still.len() > 500);
+    for id in EffectId::ALL {
+        let is_air = matches!(id, EffectId::Wind | EffectId::Gusts);
+        let effects = strong(&vehicle, id);
+        let (effects, without) =
+            if is_air { (drag.overlay(&effects), &dragged) } else { (effects, &still) };
+        assert!(states(&effects) != *without, "{id} does nothing");
+    }
+}
+
+#[test]
+fn every_effect_on_forces_moves_the_models_physics() {
+    let vehicle = params(NANO);
+    let accelerations = |effects: EffectSet| {
+        let parameters = PhysicsParameters { effects, ..PhysicsParameters::default() };
+        let model = PhysicsModel::new(&vehicle, &parameters).expect("a model");
+        model.accelerations(&Point {
+            velocity: Ned::new(1.5, -1.0, 1.2),
+            body_rate: Frd::new(0.5, -0.4, 0.3),
+            attitude: Euler::new(0.1, -0.2, 0.7),
+            input: [1.1 * vehicle.weight_n(), 1e-4, -1e-4, 5e-5],
+        })
+    };
+    let nominal = accelerations(EffectSet::new());
+    // A model sees no floor, and knows the rotors' lag beside the accelerations.
+    let beside = [EffectId::GroundEffect, EffectId::MotorLag];
+    for id in EffectId::ALL.into_iter().filter(|id| id.place() != Place::Elsewhere) {
+        let is_moved = accelerations(strong(&vehicle, id)) != nominal;
+        assert_eq!(is_moved, !beside.contains(&id), "{id}");
+    }
+}
+
+/// A flight of the shipped nano quadrotor that moves in all directions.
+fn flight() -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("effects-everywhere");
+    let _ = fs::remove_dir_all(&folder);
+    let output = Command::new(env!("CARGO_BIN_EXE_downwash"))
+        .env("XDG_CONFIG_HOME", &folder)
+        .args(["collect", "--seconds", "40", "--out"])
+        .arg(&folder)
+        .output()
+        .expect("the command runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let paths = fs::read_dir(&folder).expect("the folder").map(|entry| entry.expect("it").path());
+    paths.filter(|path| path.extension() == Some("mcap".as_ref())).min().expect("a log")
+}
+
+#[test]
+fn every_effect_moves_the_diagnosis_equations() {
+    let vehicle = VehicleParams::load(config_file("vehicles", NANO)).expect("a vehicle file");
+    let flight = import::open(&flight(), None).expect("a log");
+    let flights = [PreparedFlight::new(flight, &vehicle).expect("a flight")];
+    let catalogue = Catalogue::new(&vehicle, true);
+    let evaluator = Evaluator::new(&vehicle).observing(&flights);
+    let observed = Observed::new(&flights, &evaluator, &catalogue);
+    let references = catalogue.references();
+    let nominal: Residuals = observed.residuals(&references).expect("the file's vehicle");
+    for (index, number) in catalogue.numbers.iter().enumerate() {
+        let mut values = references.clone();
+        values[index] =
+            (number.reference + number.magnitude).clamp(number.bounds[0], number.bounds[1]);
+        let moved = observed.residuals(&values).expect("a vehicle");
+        assert!(moved != nominal, "{:?} does nothing", number.target);
+    }
+    // Gusts are told from what is left over, and nothing else is missing.
+    let is_there = |id: EffectId| {
+        catalogue.numbers.iter().any(|number| match number.target {
+            Target::Effect(of, _) => of == id,
+            Target::RotorScale(_) => id == EffectId::RotorLoss,
+            _ => false,
+        })
+    };
+    let absent: Vec<EffectId> = EffectId::ALL.into_iter().filter(|id| !is_there(*id)).collect();
+    assert_eq!(absent, [EffectId::Gusts]);
+}
