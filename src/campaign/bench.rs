@@ -410,6 +410,7 @@ impl Bench<'_> {
     fn deliver_up(&mut self) {
         let refuses = self.acts(Fault::Refusals);
         while let Some(frame) = self.channel.asked(self.now_us) {
+            self.judge.reached(self.now_us, &frame.bytes);
             match word::message(&frame.bytes) {
                 Some(MavMessage::COMMAND_LONG(data)) if refuses => self.deny(&data),
                 _ => self.vehicle.receive(STATION, &frame.bytes),

@@ -91,7 +91,8 @@ pub struct Judge {
     land_us: Option<u64>,
     states: Vec<State>,
     quickest_us: u64,
-    answered_us: Option<u64>,
+    /// When a setpoint last reached the vehicle.
+    reached_us: Option<u64>,
     ran_us: u64,
     woke_us: u64,
     last: Option<Sent>,
@@ -117,7 +118,7 @@ impl Judge {
             land_us: None,
             states: Vec::new(),
             quickest_us: u64::MAX,
-            answered_us: None,
+            reached_us: None,
             ran_us: 0,
             woke_us: 0,
             last: None,
@@ -152,7 +153,7 @@ impl Judge {
         (self.flew, self.disarmed, self.land_us, self.last) = (false, false, None, None);
         (self.silent_us, self.woke_us, self.ran_us) = (now_us, now_us, now_us);
         self.states.clear();
-        self.answered_us = None;
+        self.reached_us = None;
     }
 
     /// The vehicle was started again: what its predecessor said holds no more.
@@ -258,7 +259,6 @@ impl Judge {
             let what = format!("the newest state came {early_s:.3} s before the stall's end");
             self.violated(Rule::Stalled, now_us, what);
         }
-        self.answered_us = Some(now_us);
     }
 
     fn check_mode(&mut self, now_us: u64) {
@@ -331,10 +331,17 @@ impl Judge {
         }
     }
 
+    /// A frame of the station reaches the vehicle.
+    pub(super) fn reached(&mut self, now_us: u64, frame: &[u8]) {
+        if word::id(frame) == Some(word::SET_ATTITUDE_TARGET) {
+            self.reached_us = Some(now_us);
+        }
+    }
+
     /// The vehicle as it truly is.
     pub fn sees(&mut self, seen: &Seen) {
-        let is_streaming = self.answered_us.is_some_and(|at| seconds(at, seen.now_us) < 0.3);
-        if let Some((rule, what)) = self.envelope.sees(seen, is_streaming) {
+        let is_led = self.reached_us.is_some_and(|at| seconds(at, seen.now_us) < 0.3);
+        if let Some((rule, what)) = self.envelope.sees(seen, is_led) {
             self.violated(rule, seen.now_us, what);
         }
     }

@@ -133,6 +133,11 @@ fn stamp(message: &mut MavMessage, clock_us: i64, sample_us: i64) {
         MavMessage::LOCAL_POSITION_NED(data) => data.time_boot_ms = ms(data.time_boot_ms),
         MavMessage::ATTITUDE_QUATERNION(data) => data.time_boot_ms = ms(data.time_boot_ms),
         MavMessage::ATTITUDE(data) => data.time_boot_ms = ms(data.time_boot_ms),
+        MavMessage::ATTITUDE_TARGET(data) => data.time_boot_ms = ms(data.time_boot_ms),
+        MavMessage::ACTUATOR_OUTPUT_STATUS(data) => data.time_usec = us(data.time_usec),
+        MavMessage::SERVO_OUTPUT_RAW(data) => {
+            data.time_usec = data.time_usec.wrapping_add(sample_us as u32);
+        }
         MavMessage::TIMESYNC(data) if data.tc1 != 0 => data.tc1 += clock_us * 1000,
         _ => {}
     }

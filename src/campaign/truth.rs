@@ -62,6 +62,9 @@ pub(super) struct Envelope {
     high: [f64; 3],
     is_possible: bool,
     lost_us: Option<u64>,
+    /// Whether it got out while nobody led it, as where setpoints do not reach it, and was not back
+    /// since.
+    is_astray: bool,
 }
 
 impl Envelope {
@@ -85,25 +88,27 @@ impl Envelope {
             _ => false,
         };
         let is_possible = !script.faults.iter().any(|timed| breaks(&timed.fault));
-        Self { origin: [0.0; 2], low, high, is_possible, lost_us: None }
+        Self { origin: [0.0; 2], low, high, is_possible, lost_us: None, is_astray: false }
     }
 
-    /// What is wrong, while the vehicle obeys and somebody streams.
-    pub fn sees(&mut self, seen: &Seen, is_streaming: bool) -> Option<(Rule, String)> {
+    /// What is wrong, while the vehicle obeys and setpoints reach it.
+    pub fn sees(&mut self, seen: &Seen, is_led: bool) -> Option<(Rule, String)> {
         let [north, east, down] = seen.position;
         if !seen.is_armed {
             self.origin = [north, east];
         }
-        if !(seen.is_armed && seen.obeys && is_streaming) {
-            self.lost_us = None;
-            return None;
-        }
         let place = [north - self.origin[0], east - self.origin[1], down];
         let is_near = (0..3).all(|axis| (self.low[axis]..=self.high[axis]).contains(&place[axis]));
         let is_well = is_near && seen.tilt_rad <= TILT_MAX_RAD && seen.speed <= SPEED_MAX_M_S;
+        if !(seen.is_armed && seen.obeys && is_led) {
+            self.lost_us = None;
+            self.is_astray = !is_well;
+            return None;
+        }
         let what = format!("{seen:?}");
         if self.is_possible {
-            return (!is_well).then_some((Rule::Envelope, what));
+            self.is_astray &= !is_well;
+            return (!is_well && !self.is_astray).then_some((Rule::Envelope, what));
         }
         // Where it is, or how fast, is not the daemon's doing; that it fell over must be seen.
         if seen.tilt_rad <= TILT_MAX_RAD {
