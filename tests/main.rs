@@ -9,6 +9,7 @@ mod log_flight;
 mod onboard_log;
 mod pilot_world;
 mod planning;
+mod race;
 mod viewer;
 
 mod architecture;
@@ -60,6 +61,7 @@ mod plan_keep_out;
 mod plan_manoeuvres;
 mod plan_search;
 mod plan_subproblem;
+mod plan_time_optimal;
 mod receding;
 mod report_flight;
 mod telemetry;

@@ -95,16 +95,22 @@ fn entry_once_out(states: &[StateVector], region: &KeepOut, most_m: f64) -> f64 
 }
 
 /// Whether velocity and body rate lead from state to state, `period_s` seconds apart, which no
-/// model has a part in.
+/// model has a part in: those at the state, those at the next, or any between.
 ///
 /// # Errors
 /// The first jump.
 pub(super) fn check_led(states: &[StateVector], period_s: f64) -> Result<(), NotFlyable> {
     for (n, pair) in states.windows(2).enumerate() {
         let [state, next] = pair else { continue };
-        let led = coasted(state, period_s);
+        let (led, came) = (coasted(state, period_s), coasted(next, -period_s));
         let kinematic = (0..3).chain(ANGLE..RATE);
-        let mut jumps = kinematic.map(|i| (next[i] - led[i]).abs());
+        let mut jumps = kinematic.map(|i| {
+            let (step, led) = (next[i] - state[i], led[i] - state[i]);
+            // What a period rounds where thrusts change within it counts as being between.
+            let (other, rounded) = (next[i] - came[i], 0.25 * (next[i] - came[i] - led).abs());
+            let outside = (led.min(other) - step).max(step - led.max(other)) - rounded;
+            if outside.is_nan() { outside } else { outside.max(0.0) }
+        });
         if let Some(jump) = jumps.find(|jump| jump.is_nan() || *jump > DEFECT_MAX) {
             return Err(NotFlyable::Torn { jump, at_s: n as f64 * period_s });
         }
