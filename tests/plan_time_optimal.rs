@@ -2,24 +2,27 @@
 //! regions, and what is refused.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use crate::lockstep;
 use crate::planning::{attitude_pd, vehicle as crazyflie};
 use crate::race::course::{
     RATES, course, judged_flight, judged_limits, judged_passages, judged_vehicle, limits, physics,
     vehicle,
 };
-use crate::race::judge::{Verdict, fly, judge};
+use crate::race::judge::{JudgedState, Verdict, fly, judge};
 use downwash::control;
 use downwash::plan::keep_out::KeepOut;
-use downwash::plan::planned::{Answer, Found, Plan, PlannedBody, PlannedThrough};
+use downwash::plan::planned::{Answer, Found, Plan, PlannedBody, PlannedReference, PlannedThrough};
 use downwash::plan::planner::{KeepOutSetting, PlanSettings};
 use downwash::plan::scp::Status;
 use downwash::plan::time_optimal::{
-    Course, Finish, FlightPlanner, Gate, Limits, NoWay, Passage, Settings, Start, Task,
-    TimeOptimal, plan,
+    Course, Finish, FlightPlanner, Gate, Knots, Limits, NoWay, Passage, Settings, Start, Stop,
+    Task, TimeOptimal, plan,
 };
 use downwash::plan::{FlightEnvelope, Trajectory, TrajectoryFile};
+use downwash::station::End;
 use vehicle::VehicleParams;
 use vehicle::frame::Ned;
 
@@ -35,7 +38,7 @@ fn from_rest(from: Ned, passages: Vec<Passage>, to: Ned) -> Course {
 }
 
 fn planned(course: &Course, vehicle: &VehicleParams, limits: &Limits) -> TimeOptimal {
-    plan(course, &physics(vehicle), limits, &Settings::default(), &|_| false)
+    plan(course, &physics(vehicle), limits, &Settings::default(), Stop::NEVER)
 }
 
 fn judged(
@@ -206,7 +209,7 @@ fn time_goes_with_the_root_of_the_size() {
     }
     let settings = Settings { length_min_s: 0.006, tolerance_s: 2e-3, ..Settings::default() };
     let rates = limits(RATES.map(|rate| 0.5 * rate));
-    let found = plan(&wide, &physics(&large), &rates, &settings, &|_| false);
+    let found = plan(&wide, &physics(&large), &rates, &settings, Stop::NEVER);
     let ratio = found.knots.duration_s() / time;
     assert!((ratio - 2.0).abs() < 4e-3, "{ratio}");
 }
@@ -218,12 +221,17 @@ fn a_search_that_is_stopped_gives_what_it_has() {
     let course = course(3, true);
     let whole = planned(&course, &vehicle, &limits);
     let asked = AtomicUsize::new(0);
-    let stop = |_: &[_]| asked.fetch_add(1, Ordering::Relaxed) >= 12;
-    let found = plan(&course, &physics(&vehicle), &limits, &Settings::default(), &stop);
+    let search = |_: &[_]| asked.fetch_add(1, Ordering::Relaxed) >= 12;
+    let stop = Stop { search: &search, ..Stop::NEVER };
+    let found = plan(&course, &physics(&vehicle), &limits, &Settings::default(), stop);
     assert_eq!(found.status, Status::Stopped);
     assert!(found.records.len() <= 12 + 60, "{}", found.records.len());
     assert!(found.knots.duration_s() > whole.knots.duration_s() - 1e-2);
     assert!(found.violation.defect < 1e-6, "{:?}", found.violation);
+    // Told to end at once, it says what it misses.
+    let stop = Stop { search: &|_| true, closing: &|_| true };
+    let found = plan(&course, &physics(&vehicle), &limits, &Settings::default(), stop);
+    assert!(found.records.is_empty() && found.violation.defect > 1e-3, "{:?}", found.violation);
 }
 
 fn race() -> Task {
@@ -244,15 +252,12 @@ fn flight_planner(settings: PlanSettings) -> FlightPlanner {
     }
 }
 
-#[test]
-fn the_shipped_course_makes_a_plan_that_may_be_flown() {
-    let task = race();
-    let planner = flight_planner(PlanSettings::default());
-    let planned = planner.plan(&task, &task.margin, &|_| false).expect("a plan");
+/// The shipped course's plan for the nano quadrotor, and the motion that it was made of.
+fn race_plan(task: &Task, planner: &FlightPlanner) -> (Plan, Knots) {
+    let planned = planner.plan(task, &task.margin, Stop::NEVER).expect("a plan");
     let vehicle = crazyflie();
     let thrust_full_n = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
     let desired = planned.outcome.iterate.states.clone();
-    let duration_s = planned.found.knots.duration_s();
     let plan = Plan::new(
         Found {
             trajectory: task.name.clone(),
@@ -275,18 +280,26 @@ fn the_shipped_course_makes_a_plan_that_may_be_flown() {
         },
         planned.outcome,
     );
+    (plan, planned.found.knots)
+}
+
+#[test]
+fn the_shipped_course_makes_a_plan_that_may_be_flown() {
+    let (task, vehicle) = (race(), crazyflie());
+    let planner = flight_planner(PlanSettings::default());
+    let (plan, knots) = race_plan(&task, &planner);
     plan.check_flyable().expect("a plan to fly");
     FlightEnvelope::default()
         .check_plan(&plan, vehicle.mass, vehicle.gravity)
         .expect("within the envelope");
-    assert!((plan.duration() - duration_s).abs() < 0.011);
+    assert!((plan.duration() - knots.duration_s()).abs() < 0.011);
     // It ends where it should, hovering.
     let last = plan.states.last().expect("states");
     let off: f64 = last[..3].iter().zip([0.0, 0.0, -1.0]).map(|(a, b)| (a - b).abs()).sum();
     assert!(off < 1e-2 && last[3..6].iter().all(|v| v.abs() < 0.1), "{last:?}");
     // Each rotor's thrust is that of the plan's wrench, within what the margin leaves.
     let limits = planner.limits(&task, &task.margin);
-    for period in &planned.found.knots.periods {
+    for period in &knots.periods {
         for share in period.rotors {
             assert!((limits.rotor[0]..=limits.rotor[1]).contains(&share), "{share}");
         }
@@ -294,18 +307,55 @@ fn the_shipped_course_makes_a_plan_that_may_be_flown() {
 }
 
 #[test]
+fn the_shipped_course_is_flown_through_its_gates() {
+    let (task, vehicle) = (race(), crazyflie());
+    let planner = flight_planner(PlanSettings::default());
+    let (plan, _) = race_plan(&task, &planner);
+    let mut settings = lockstep::settings(&vehicle, lockstep::hover(1.0));
+    settings.reference = Arc::new(PlannedReference::new(&plan));
+    let (end, records) = lockstep::fly(settings, &vehicle, &[], lockstep::ideal(), 1);
+    assert_eq!(end, End::Done);
+    let flown = lockstep::tracked(&records);
+    let worst = flown.iter().map(|tick| tick.error_m).fold(0.0, f64::max);
+    let states: Vec<JudgedState> = flown
+        .iter()
+        .map(|tick| {
+            let [n, e, d] = tick.state.position.to_array();
+            let place = [n, -e, -d];
+            JudgedState {
+                t: tick.t,
+                place,
+                velocity: [0.0; 3],
+                attitude: [1.0, 0.0, 0.0, 0.0],
+                rate: [0.0; 3],
+            }
+        })
+        .collect();
+    let course = task.course(Vec::new(), None).expect("a course");
+    // Within the openings less their clearances, and the balls, to what feedback leaves.
+    let verdict = judge(
+        &states,
+        &[],
+        &judged_limits(&vehicle, &planner.limits(&task, &task.margin)),
+        &judged_passages(&course),
+    );
+    assert!(verdict.miss() < 0.1, "{worst} {:?}", verdict.misses);
+    assert!(verdict.times.is_sorted(), "{:?}", verdict.times);
+}
+
+#[test]
 fn a_place_that_cannot_be_reached_is_named() {
     let region = KeepOutSetting::Sphere { centre_m: [2.2, 1.2, -1.6], radius_m: 0.5 };
     let settings = PlanSettings { keep_out: vec![region], ..PlanSettings::default() };
     let task = race();
-    let refused = flight_planner(settings).plan(&task, &task.margin, &|_| false);
+    let refused = flight_planner(settings).plan(&task, &task.margin, Stop::NEVER);
     let expected = NoWay::KeptOut { place: "passages[1]".to_owned(), region: 0 };
     assert_eq!(refused.expect_err("no way"), expected);
     let settings = PlanSettings {
         box_m: Some([[-1.0, -3.0, -3.0], [3.0, 3.0, 0.0]]),
         ..PlanSettings::default()
     };
-    let refused = flight_planner(settings).plan(&task, &task.margin, &|_| false);
+    let refused = flight_planner(settings).plan(&task, &task.margin, Stop::NEVER);
     assert_eq!(refused.expect_err("no way"), NoWay::OutOfBox { place: "passages[3]".to_owned() });
 }
 

@@ -31,6 +31,7 @@ use crate::plan::iterate::Violation;
 use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
 use crate::plan::planner::{PlannedVehicle, Planner};
 use crate::plan::scp::{Record, Status};
+use crate::plan::time_optimal::Stop;
 use crate::plan::{Feasibility, TimeLimit, Trajectory, TrajectoryFile};
 use crate::report::plan as page;
 
@@ -225,10 +226,15 @@ impl PlanSummary<'_> {
     }
 }
 
+/// Shares of the time limit after which the search for the fastest way ends, and what closes it.
+const SEARCH_SHARE: f64 = 0.6;
+const CLOSING_SHARE: f64 = 0.9;
+
 /// Looks at the clock and at Ctrl-C between subproblems, and shows how far a search is.
 struct Watch {
     began: Instant,
     limit: TimeLimit,
+    limit_s: f64,
     is_late: Cell<bool>,
     interrupted: Arc<AtomicBool>,
     bar: ProgressBar,
@@ -242,10 +248,18 @@ impl Watch {
         Self {
             began: Instant::now(),
             limit: TimeLimit::new(config.settings.plan.time_limit_s),
+            limit_s: config.settings.plan.time_limit_s,
             is_late: Cell::new(false),
             interrupted: interruption.flag(),
             bar,
         }
+    }
+
+    /// Whether a share of the time limit has passed.
+    fn is_spent(&self, share: f64) -> bool {
+        let is_spent = self.began.elapsed().as_secs_f64() > share * self.limit_s;
+        self.is_late.set(self.is_late.get() || is_spent);
+        is_spent
     }
 
     /// Whether the search is to end before its next subproblem.
@@ -305,8 +319,11 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
                 .or_exit(Exit::Usage);
             }
             say(format_args!("planning the fastest way through {} passages", task.passages.len()));
-            let (plan, fastest) =
-                fastest::plan(&task, &vehicle, &config, &|records| watch.is_over(records))?;
+            let stop = Stop {
+                search: &|records| watch.is_over(records) || watch.is_spent(SEARCH_SHARE),
+                closing: &|_| watch.is_spent(CLOSING_SHARE),
+            };
+            let (plan, fastest) = fastest::plan(&task, &vehicle, &config, stop)?;
             (plan, Some(fastest))
         }
     };

@@ -14,6 +14,6 @@ mod task;
 pub use course::{Course, Finish, Gate, Limits, Margin, Passage, Start};
 pub use flight::{FlightPlan, FlightPlanner};
 pub use knots::{Knots, Period};
-pub use planner::{Settings, TimeOptimal, plan};
+pub use planner::{Settings, Stop, TimeOptimal, plan};
 pub use rotor_dynamics::RotorDynamics;
 pub use task::{NoWay, Task, Wishes};

@@ -98,10 +98,10 @@ fn rotate(q: [f64; 4], v: [f64; 3]) -> [f64; 3] {
 fn slope(vehicle: &JudgedVehicle, s: &JudgedState, f: [f64; 4]) -> Slope {
     let sum: f64 = f.iter().sum();
     let mut moment = [0.0; 3];
-    for i in 0..4 {
-        moment[0] += vehicle.arms[i][1] * f[i];
-        moment[1] -= vehicle.arms[i][0] * f[i];
-        moment[2] += vehicle.yaw[i] * f[i];
+    for (f, ([front, left], yaw)) in f.iter().zip(vehicle.arms.iter().zip(&vehicle.yaw)) {
+        moment[0] += left * f;
+        moment[1] -= front * f;
+        moment[2] += yaw * f;
     }
     let mut acceleration = rotate(s.attitude, [0.0, 0.0, sum / vehicle.mass]);
     acceleration[2] -= vehicle.gravity;

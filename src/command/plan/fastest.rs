@@ -11,8 +11,7 @@ use crate::command::setup::EffectiveVehicle;
 use crate::command::{Exit, ExitContext};
 use crate::config::Config;
 use crate::plan::planned::{Found, Plan};
-use crate::plan::scp::Record;
-use crate::plan::time_optimal::{FlightPlanner, Limits, Margin, Task};
+use crate::plan::time_optimal::{FlightPlanner, Limits, Margin, Stop, Task};
 
 /// What is said of the fastest way.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
@@ -58,7 +57,7 @@ impl Fastest {
     }
 }
 
-/// Plans a task for a vehicle. `watch` is shown the subproblems, and ends the search.
+/// Plans a task for a vehicle.
 ///
 /// # Errors
 /// A vehicle without an on-board loop, or a course that no way leads through.
@@ -66,7 +65,7 @@ pub(super) fn plan(
     task: &Task,
     vehicle: &VehicleParams,
     config: &Config,
-    watch: &dyn Fn(&[Record]) -> bool,
+    stop: Stop<'_>,
 ) -> anyhow::Result<(Plan, Fastest)> {
     let through = PlanModel::nominal(vehicle)?;
     let (checked, answer) = planner(vehicle, &through, config)?;
@@ -79,7 +78,7 @@ pub(super) fn plan(
         envelope: config.settings.envelope,
         settings: config.settings.plan.clone(),
     };
-    let planned = flight.plan(task, &task.margin, watch).or_exit(Exit::NoPlan)?;
+    let planned = flight.plan(task, &task.margin, stop).or_exit(Exit::NoPlan)?;
     let Limits { rotor, body_rate_rad_s, tilt_rad, speed_m_s, .. } =
         flight.limits(task, &task.margin);
     let Margin { thrust, body_rate, tilt } = task.margin;

@@ -5,7 +5,7 @@ use vehicle::rigid_body::State;
 use vehicle::scalar::{Dual, Scalar};
 
 use super::course::{Course, Finish, Gate, Limits, Passage};
-use super::knots::Period;
+use super::knots::{Period, moved};
 use crate::plan::state_vector::{ANGLE, RATE, STATES, StateRow, StateVector, VELOCITY};
 
 /// What a unit beyond a bound counts, where a metre counts 1.
@@ -38,7 +38,7 @@ impl Bounds<'_> {
         passes: Option<usize>,
         visit: &mut impl FnMut(StateRow),
     ) {
-        self.visit_limits(state, visit);
+        self.visit_limits(state, period, visit);
         self.visit_places(state, period, visit);
         let Some(number) = passes else { return };
         match self.course.passages.get(number) {
@@ -50,7 +50,7 @@ impl Bounds<'_> {
         }
     }
 
-    fn visit_limits(&self, state: &State, visit: &mut impl FnMut(StateRow)) {
+    fn visit_limits(&self, state: &State, period: &Period, visit: &mut impl FnMut(StateRow)) {
         for (i, rate) in state.body_rate.to_array().into_iter().enumerate() {
             visit_both(rate, self.limits.body_rate_rad_s[i], RATE_WEIGHT, RATE, axis(i), visit);
         }
@@ -73,6 +73,15 @@ impl Bounds<'_> {
         if let Some(tilt) = self.limits.tilt_rad {
             let (down, slope) = down_along(state.attitude, 2);
             visit(row(tilt.cos() - down, LEVEL_WEIGHT, ANGLE, slope.map(|s| -s)));
+            // The crest of a swing that ends here: its rate is gained since the middle.
+            let back = -0.25 * period.length_s;
+            let before = moved(state, &turn(state.body_rate * back));
+            let (down, slope) = down_along(before.attitude, 2);
+            let mut crest = row(tilt.cos() - down, LEVEL_WEIGHT, ANGLE, slope.map(|s| -s));
+            for (entry, slope) in crest.gradient[RATE..].iter_mut().zip(slope) {
+                *entry = -LEVEL_WEIGHT * back * slope;
+            }
+            visit(crest);
         }
         if let Some(most) = self.limits.speed_m_s {
             let speed = state.velocity.norm();
@@ -102,6 +111,13 @@ impl Bounds<'_> {
             }
         }
     }
+}
+
+/// A deviation that turns by an angle times an axis in body axes.
+fn turn(by: Frd) -> StateVector {
+    let mut turn = [0.0; STATES];
+    turn[ANGLE..RATE].copy_from_slice(&by.to_array());
+    turn
 }
 
 fn axis(i: usize) -> [f64; 3] {
@@ -186,9 +202,9 @@ fn visit_gate(state: &State, gate: &Gate, visit: &mut impl FnMut(StateRow)) {
 fn visit_finish(state: &State, finish: &Finish, visit: &mut impl FnMut(StateRow)) {
     let off = (state.position - finish.position).to_array();
     let fast = (state.velocity - finish.velocity).to_array();
-    for i in 0..3 {
-        visit_both(off[i], 0.0, 1.0, 0, axis(i), visit);
-        visit_both(fast[i], 0.0, VELOCITY_WEIGHT, VELOCITY, axis(i), visit);
+    for (i, (off, fast)) in off.into_iter().zip(fast).enumerate() {
+        visit_both(off, 0.0, 1.0, 0, axis(i), visit);
+        visit_both(fast, 0.0, VELOCITY_WEIGHT, VELOCITY, axis(i), visit);
     }
     if !finish.is_level {
         return;

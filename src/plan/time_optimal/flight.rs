@@ -7,14 +7,14 @@ use vehicle::rigid_body::State;
 
 use super::course::{Course, Limits, Margin};
 use super::knots::{Knots, Period};
-use super::planner::{Settings, TimeOptimal, plan};
+use super::planner::{Settings, Stop, TimeOptimal, plan};
 use super::rotor_dynamics::RotorDynamics;
 use super::task::{NoWay, Task};
 use crate::control;
 use crate::plan::feasibility::FlightEnvelope;
 use crate::plan::iterate::Iterate;
 use crate::plan::planner::PlanSettings;
-use crate::plan::scp::{Outcome, Record};
+use crate::plan::scp::Outcome;
 use crate::plan::state_vector::{ANGLE, RATE, StateVector};
 
 /// Largest tilt of a plan whose attitudes are roll, pitch and yaw, rad.
@@ -73,16 +73,11 @@ impl FlightPlanner {
         limits
     }
 
-    /// Plans a task. `stop` is shown the subproblems, and ends the search.
+    /// Plans a task.
     ///
     /// # Errors
     /// A course that no way leads through.
-    pub fn plan(
-        &self,
-        task: &Task,
-        margin: &Margin,
-        stop: &dyn Fn(&[Record]) -> bool,
-    ) -> Result<FlightPlan, NoWay> {
+    pub fn plan(&self, task: &Task, margin: &Margin, stop: Stop<'_>) -> Result<FlightPlan, NoWay> {
         let keep_out = self.settings.keep_out.iter().map(|region| (*region).into()).collect();
         let room = self.settings.room();
         let course = task.course(keep_out, room)?;
@@ -126,8 +121,8 @@ impl FlightPlanner {
     fn input(&self, state: &StateVector, wrench: &[f64; 4]) -> [f64; 7] {
         let AttitudePd { kp, kd, .. } = self.attitude_pd;
         let mut input = [wrench[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-        for i in 0..3 {
-            let (angle, rate) = (kp[i] * ANGLE_SIZE, kd[i] * RATE_SIZE);
+        for (i, (kp, kd)) in kp.into_iter().zip(kd).enumerate() {
+            let (angle, rate) = (kp * ANGLE_SIZE, kd * RATE_SIZE);
             let share = wrench[1 + i] / (angle * angle + rate * rate);
             input[1 + i] = state[ANGLE + i] + share * angle * ANGLE_SIZE;
             input[4 + i] = state[RATE + i] + share * rate * RATE_SIZE;

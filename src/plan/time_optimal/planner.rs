@@ -71,18 +71,32 @@ const TIGHTENINGS: usize = 4;
 const PENALTY: f64 = 8.0;
 /// Shortest mean way that is counted, m.
 const WAY_MIN_M: f64 = 0.1;
-/// What of a limit may be exceeded between the knots: shares of a rate, m.
-const RATE_SLACK: f64 = 5e-4;
+/// What of a limit may be exceeded between the knots: shares of a rate, m, rad.
+const RATE_SLACK: f64 = 5e-5;
 const PLACE_SLACK_M: f64 = 5e-4;
+const TILT_SLACK_RAD: f64 = 5e-3;
 
-/// Plans a course for a vehicle. `stop` is shown the subproblems so far, and ends the search: what
-/// it then has is closed, which takes a few subproblems more.
+/// Who is asked before each subproblem whether to go on, and shown those so far.
+#[derive(Clone, Copy)]
+pub struct Stop<'a> {
+    /// Ends the search: what it then has is closed, which takes a few subproblems more.
+    pub search: &'a dyn Fn(&[Record]) -> bool,
+    /// Ends that too: what it then has may miss the dynamics and the bounds.
+    pub closing: &'a dyn Fn(&[Record]) -> bool,
+}
+
+impl Stop<'_> {
+    /// Searches to the end.
+    pub const NEVER: Stop<'static> = Stop { search: &|_| false, closing: &|_| false };
+}
+
+/// Plans a course for a vehicle.
 pub fn plan(
     course: &Course,
     physics: &Physics,
     limits: &Limits,
     settings: &Settings,
-    stop: &dyn Fn(&[Record]) -> bool,
+    stop: Stop<'_>,
 ) -> TimeOptimal {
     let coarse = RotorDynamics::new(physics.clone(), COARSE_S);
     let fine = coarse.in_steps_of(FINE_S);
@@ -113,14 +127,14 @@ pub fn plan(
         }
         let mut search = Search::new(knots, &coarse, &bounds, effort);
         search.records = records;
-        status = search.run(stop);
+        status = search.run(stop.search);
         (knots, records) = (search.knots, search.records);
     }
     let mut violation = Violation::default();
     for _ in 0..=TIGHTENINGS {
         let mut search = Search::new(knots, &fine, &bounds, effort);
         search.records = records;
-        search.close(DEFECT_MAX, OVERRUN_MAX, CLOSING);
+        search.close([DEFECT_MAX, OVERRUN_MAX], CLOSING, stop.closing);
         let merit = search.merit;
         (knots, records) = (search.knots, search.records);
         let between = Between::of(&knots, &fine, course, limits);
@@ -129,7 +143,7 @@ pub fn plan(
             overrun: merit.overrun_max.max(between.overrun),
             trespass_m: between.trespass_m,
         };
-        if !between.tighten(&mut bounds, limits) {
+        if (stop.closing)(&records) || !between.tighten(&mut bounds, limits) {
             break;
         }
     }
@@ -186,6 +200,8 @@ fn halved(knots: &Knots, dynamics: &RotorDynamics, length_min_s: f64) -> Knots {
 struct Between {
     /// Rates beyond theirs, rad/s.
     rate: [f64; 3],
+    /// Tilt beyond its limit, rad.
+    tilt: f64,
     /// Shares of the rates, or rad of tilt, or m out of the room: the largest.
     overrun: f64,
     /// How far a position is in a region, m, where it is.
@@ -215,7 +231,8 @@ impl Between {
             self.overrun = self.overrun.max(excess / limits.body_rate_rad_s[i]);
         }
         if let Some(tilt) = limits.tilt_rad {
-            self.overrun = self.overrun.max(state.attitude.tilt() - tilt);
+            self.tilt = self.tilt.max(state.attitude.tilt() - tilt);
+            self.overrun = self.overrun.max(self.tilt);
         }
         let (from, to) = (before.position.to_array(), state.position.to_array());
         for region in &course.keep_out {
@@ -238,6 +255,12 @@ impl Between {
                     .max(0.5 * limits.body_rate_rad_s[i]);
                 is_tighter = true;
             }
+        }
+        if let (Some(tilt), Some(bound)) = (limits.tilt_rad, &mut bounds.limits.tilt_rad)
+            && self.tilt > TILT_SLACK_RAD
+        {
+            *bound = (*bound - self.tilt).max(0.5 * tilt);
+            is_tighter = true;
         }
         if self.trespass_m > PLACE_SLACK_M {
             bounds.clearance_m += self.trespass_m + PLACE_SLACK_M;

@@ -219,11 +219,17 @@ impl<'a> Search<'a> {
 
     /// Goes on with steps that move little, until states follow from one another to `defect` and
     /// the bounds hold to `overrun`, or so many subproblems were solved.
-    pub fn close(&mut self, defect: f64, overrun: f64, subproblems: usize) {
+    pub fn close(
+        &mut self,
+        [defect, overrun]: [f64; 2],
+        subproblems: usize,
+        stop: &dyn Fn(&[Record]) -> bool,
+    ) {
         self.damping = self.damping.max(DAMPING);
         self.penalty *= RAISE;
         for _ in 0..subproblems {
-            if self.merit.defect_max <= defect && self.merit.overrun_max <= overrun {
+            let is_closed = self.merit.defect_max <= defect && self.merit.overrun_max <= overrun;
+            if is_closed || stop(&self.records) {
                 return;
             }
             self.linearize();
@@ -354,10 +360,10 @@ impl<'a> Search<'a> {
         let [least, most] = self.bounds.limits.rotor;
         let mut knots = self.knots.clone();
         let mut off = [0.0; STATES];
-        for n in 0..knots.periods.len() {
+        for (n, ((d, planned), gains)) in states.iter().zip(inputs).zip(gains).enumerate() {
             let w: [f64; INPUTS] = std::array::from_fn(|i| {
-                let fed_back: f64 = gains[n][i].iter().zip(&off).map(|(k, off)| k * off).sum();
-                share * inputs[n][i] + fed_back
+                let fed_back: f64 = gains[i].iter().zip(&off).map(|(k, off)| k * off).sum();
+                share * planned[i] + fed_back
             });
             let period = &mut knots.periods[n];
             for (rotor, w) in period.rotors.iter_mut().zip(&w) {
@@ -366,7 +372,7 @@ impl<'a> Search<'a> {
             period.length_s = (period.length_s * (1.0 + w[LENGTH].clamp(-STRETCH, STRETCH)))
                 .clamp(shortest, longest);
             let end = self.dynamics.end(&knots.states[n], &knots.periods[n]);
-            let wanted = moved(&self.knots.states[n + 1], &states[n].map(|d| share * d));
+            let wanted = moved(&self.knots.states[n + 1], &d.map(|d| share * d));
             off = difference(&wanted, &end);
             knots.states[n + 1] = end;
         }
