@@ -9,7 +9,8 @@ mod log_flight;
 mod onboard_log;
 mod pilot_world;
 mod planning;
-mod race;
+mod race_course;
+mod race_judge;
 mod viewer;
 
 mod architecture;

@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::lockstep;
 use crate::planning::{attitude_pd, vehicle as crazyflie};
-use crate::race::course::{
+use crate::race_course::{
     RATES, course, judged_flight, judged_limits, judged_passages, judged_vehicle, limits, physics,
     vehicle,
 };
-use crate::race::judge::{JudgedState, Verdict, fly, judge};
+use crate::race_judge::{JudgedState, Verdict, fly, judge};
 use downwash::control;
 use downwash::plan::keep_out::KeepOut;
 use downwash::plan::planned::{Answer, Found, Plan, PlannedBody, PlannedReference, PlannedThrough};

@@ -8,11 +8,11 @@
 //! of this repository are judged.
 
 #[allow(dead_code, reason = "the tests use all of it")]
-#[path = "../../tests/race/course.rs"]
-mod course;
+#[path = "../../tests/race_course.rs"]
+mod race_course;
 #[allow(dead_code, reason = "the tests use all of it")]
-#[path = "../../tests/race/judge.rs"]
-mod judge;
+#[path = "../../tests/race_judge.rs"]
+mod race_judge;
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,9 @@ use downwash::plan::time_optimal::{Settings, Stop, TimeOptimal, plan};
 
 use rustix::time::{ClockId, clock_gettime};
 
-use judge::{JudgedInput, JudgedState, JudgedVehicle, Verdict};
+use race_course as course;
+use race_judge as judge;
+use race_judge::{JudgedInput, JudgedState, JudgedVehicle, Verdict};
 
 /// Waypoints of the whole course.
 const WHOLE: usize = 19;

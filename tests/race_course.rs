@@ -11,7 +11,7 @@ use vehicle::effects::EffectSet;
 use vehicle::frame::{Attitude, Ned};
 use vehicle::physics::Physics;
 
-use super::judge::{JudgedInput, JudgedLimits, JudgedPassage, JudgedState, JudgedVehicle};
+use super::race_judge::{JudgedInput, JudgedLimits, JudgedPassage, JudgedState, JudgedVehicle};
 
 /// Greatest thrust of a rotor, N.
 pub const THRUST_N: f64 = 6.879;
