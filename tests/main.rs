@@ -9,6 +9,8 @@ mod log_flight;
 mod onboard_log;
 mod pilot_world;
 mod planning;
+mod race_course;
+mod race_judge;
 mod viewer;
 
 mod architecture;
@@ -61,6 +63,7 @@ mod plan_keep_out;
 mod plan_manoeuvres;
 mod plan_search;
 mod plan_subproblem;
+mod plan_time_optimal;
 mod receding;
 mod report_flight;
 mod telemetry;

@@ -1,9 +1,12 @@
-//! `downwash plan`: a feasible reference near a desired trajectory, through a model.
+//! `downwash plan`: a feasible reference near a desired trajectory, through a model; or the fastest
+//! way through a course.
+
+mod fastest;
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, anyhow};
@@ -13,6 +16,7 @@ use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::BatterySag;
 
+use self::fastest::Fastest;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::setup::{EffectiveVehicle, VehicleFile};
@@ -27,7 +31,8 @@ use crate::plan::iterate::Violation;
 use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
 use crate::plan::planner::{PlannedVehicle, Planner};
 use crate::plan::scp::{Record, Status};
-use crate::plan::{Feasibility, TimeLimit, Trajectory};
+use crate::plan::time_optimal::Stop;
+use crate::plan::{Feasibility, TimeLimit, Trajectory, TrajectoryFile};
 use crate::report::plan as page;
 
 /// A model to plan through, with what a plan says about it.
@@ -187,7 +192,85 @@ pub(super) struct PlanSummary<'a> {
     position_rms_m: f64,
     position_max_m: f64,
     feasibility: Option<Feasibility>,
+    /// Of a plan that takes the least time; null of others.
+    time_optimal: Option<Fastest>,
     plan: &'a Path,
+}
+
+impl PlanSummary<'_> {
+    /// For people.
+    fn in_words(&self, plan: &Plan) -> String {
+        let wish = match &self.time_optimal {
+            Some(fastest) => fastest.in_words(),
+            None => format!(
+                "from the desired position {:.3} m RMS, {:.3} m at most\n",
+                self.position_rms_m, self.position_max_m
+            ),
+        };
+        format!(
+            "plan        {:.2} s through the {} model: {}\n\
+             cost        {:.4} after {} subproblems in {:.2} s\n\
+             violation   dynamics {:.1e}, bounds {:.1e}\n\
+             {wish}\
+             plan        {}\n",
+            self.seconds,
+            plan.model.kind,
+            plan.status.in_words(),
+            plan.cost,
+            self.subproblems,
+            self.wall_s,
+            plan.violation.defect,
+            plan.violation.overrun,
+            self.plan.display()
+        )
+    }
+}
+
+/// Shares of the time limit after which the search for the fastest way ends, and what closes it.
+const SEARCH_SHARE: f64 = 0.6;
+const CLOSING_SHARE: f64 = 0.9;
+
+/// Looks at the clock and at Ctrl-C between subproblems, and shows how far a search is.
+struct Watch {
+    began: Instant,
+    limit: TimeLimit,
+    limit_s: f64,
+    is_late: Cell<bool>,
+    interrupted: Arc<AtomicBool>,
+    bar: ProgressBar,
+}
+
+impl Watch {
+    fn begin(config: &Config, interruption: &Interruption) -> Self {
+        let bar = ProgressBar::new_spinner();
+        let style = ProgressStyle::with_template("{spinner} {pos} subproblems  {msg}");
+        bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+        Self {
+            began: Instant::now(),
+            limit: TimeLimit::new(config.settings.plan.time_limit_s),
+            limit_s: config.settings.plan.time_limit_s,
+            is_late: Cell::new(false),
+            interrupted: interruption.flag(),
+            bar,
+        }
+    }
+
+    /// Whether a share of the time limit has passed.
+    fn is_spent(&self, share: f64) -> bool {
+        let is_spent = self.began.elapsed().as_secs_f64() > share * self.limit_s;
+        self.is_late.set(self.is_late.get() || is_spent);
+        is_spent
+    }
+
+    /// Whether the search is to end before its next subproblem.
+    fn is_over(&self, records: &[Record]) -> bool {
+        self.bar.set_position(records.len() as u64);
+        if let Some(record) = records.last() {
+            self.bar.set_message(format!("cost {:.4}", record.cost));
+        }
+        self.is_late.set(self.limit.is_over(self.began.elapsed()));
+        self.interrupted.load(Ordering::Relaxed) || self.is_late.get()
+    }
 }
 
 pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
@@ -210,32 +293,43 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
         (None, None) => VehicleFile::built_in()?.params,
     };
-    let through = model_for(&vehicle, args.model.as_deref(), args.kind)?;
-    let trajectory = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
-
-    let interrupted = interruption.flag();
-    say(format_args!(
-        "planning {} ({:.1} s) through the {} model",
-        trajectory.name(),
-        trajectory.duration(),
-        through.note.kind
-    ));
-    let began = Instant::now();
-    let limit = TimeLimit::new(config.settings.plan.time_limit_s);
-    let is_late = Cell::new(false);
-    let bar = ProgressBar::new_spinner();
-    let style = ProgressStyle::with_template("{spinner} {pos} subproblems  {msg}");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
-    let plan = plan_trajectory(&trajectory, &vehicle, &through, &config, &|records| {
-        bar.set_position(records.len() as u64);
-        if let Some(record) = records.last() {
-            bar.set_message(format!("cost {:.4}", record.cost));
+    let watch = Watch::begin(&config, interruption);
+    let (plan, fastest) = match TrajectoryFile::load(&args.trajectory).or_exit(Exit::Usage)? {
+        TrajectoryFile::Desired(trajectory) => {
+            let through = model_for(&vehicle, args.model.as_deref(), args.kind)?;
+            say(format_args!(
+                "planning {} ({:.1} s) through the {} model",
+                trajectory.name(),
+                trajectory.duration(),
+                through.note.kind
+            ));
+            let plan = plan_trajectory(&trajectory, &vehicle, &through, &config, &|records| {
+                watch.is_over(records)
+            })?;
+            (plan, None)
         }
-        is_late.set(limit.is_over(began.elapsed()));
-        interrupted.load(Ordering::Relaxed) || is_late.get()
-    })?;
-    bar.finish_and_clear();
-    let wall_s = began.elapsed().as_secs_f64();
+        TrajectoryFile::Task(task) => {
+            if let Some(model) = &args.model {
+                return Err(anyhow!(
+                    "{}: the fastest way is planned through the vehicle file's own physics; leave \
+                     --model {} away",
+                    args.trajectory.display(),
+                    model.display()
+                ))
+                .or_exit(Exit::Usage);
+            }
+            say(format_args!("planning the fastest way through {} passages", task.passages.len()));
+            let stop = Stop {
+                search: &|records| watch.is_over(records) || watch.is_spent(SEARCH_SHARE),
+                closing: &|_| watch.is_spent(CLOSING_SHARE),
+            };
+            let (plan, fastest) = fastest::plan(&task, &vehicle, &config, stop)?;
+            (plan, Some(fastest))
+        }
+    };
+    watch.bar.finish_and_clear();
+    let (interrupted, is_late) = (Arc::clone(&watch.interrupted), watch.is_late.get());
+    let wall_s = watch.began.elapsed().as_secs_f64();
 
     let flyable = plan.check_flyable();
     let effective = EffectiveVehicle::new(&vehicle).or_exit(Exit::Usage)?;
@@ -268,6 +362,7 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         position_rms_m: (distances.iter().map(|d| d * d).sum::<f64>() / count).sqrt(),
         position_max_m: distances.iter().copied().fold(0.0, f64::max),
         feasibility: demands.ok(),
+        time_optimal: fastest,
         plan: &args.out,
     };
     if let Some(folder) = &args.report {
@@ -280,26 +375,9 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
     if args.json {
         print_json(&summary)?;
     } else {
-        print_text(&format!(
-            "plan        {} s through the {} model: {}\n\
-             cost        {:.4} after {} subproblems in {:.2} s\n\
-             violation   dynamics {:.1e}, bounds {:.1e}\n\
-             from the desired position {:.3} m RMS, {:.3} m at most\n\
-             plan        {}\n",
-            summary.seconds,
-            plan.model.kind,
-            plan.status.in_words(),
-            plan.cost,
-            summary.subproblems,
-            wall_s,
-            plan.violation.defect,
-            plan.violation.overrun,
-            summary.position_rms_m,
-            summary.position_max_m,
-            args.out.display()
-        ))?;
+        print_text(&summary.in_words(&plan))?;
     }
-    if is_late.get() && plan.status == Status::Stopped {
+    if is_late && plan.status == Status::Stopped {
         say(format_args!(
             "the search ended at its limit of {} s, and this is its best so far; --time-limit SECONDS \
              or [plan] time_limit_s gives it more",

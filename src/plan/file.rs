@@ -1,6 +1,7 @@
 //! The trajectory file: named families with parameters, waypoints, or a table.
 
 mod builder;
+mod course;
 mod family;
 mod multisine;
 
@@ -13,6 +14,7 @@ use self::family::Family;
 pub(in crate::plan) use self::multisine::{Multisine, Wave, YawWave};
 use super::shipped::{SHIPPED_TRAJECTORIES, shipped};
 use super::table::Table;
+use super::time_optimal::Task;
 use super::trajectory::{Shape, Trajectory};
 
 /// The longest trajectory, s: what checks one looks at every moment of it.
@@ -49,6 +51,51 @@ pub enum TrajectoryError {
         /// What is there.
         found: f64,
     },
+    /// It says where, and not when.
+    #[error(
+        "trajectory {path}: the family time-optimal says where to fly and not when; plan it first, \
+         `downwash plan {path} -o plan.json`, and fly plan.json"
+    )]
+    Unplanned {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// What a trajectory file holds.
+#[derive(Clone, Debug)]
+pub enum TrajectoryFile {
+    /// A trajectory: a place at each time.
+    Desired(Trajectory),
+    /// Places to be passed as fast as it goes: to be planned.
+    Task(Task),
+}
+
+impl TrajectoryFile {
+    /// Reads a trajectory file, or the shipped one of that name: TOML by its schema, or CSV with a
+    /// header.
+    ///
+    /// # Errors
+    /// [`TrajectoryError`] names the file, the field, what was expected and what was found.
+    pub fn load(path: &Path) -> Result<Self, TrajectoryError> {
+        load(path)
+    }
+
+    /// Parses the text of a TOML trajectory file; `origin` names it in errors.
+    ///
+    /// # Errors
+    /// As [`TrajectoryFile::load`].
+    pub fn parse(text: &str, origin: &Path) -> Result<Self, TrajectoryError> {
+        parse(text, origin)
+    }
+
+    /// The trajectory, where it is one.
+    fn desired(self, path: &Path) -> Result<Trajectory, TrajectoryError> {
+        match self {
+            Self::Desired(trajectory) => Ok(trajectory),
+            Self::Task(_) => Err(TrajectoryError::Unplanned { path: path.into() }),
+        }
+    }
 }
 
 /// The names that are shipped, for a path that looks like one.
@@ -66,13 +113,12 @@ impl Trajectory {
         schema_for!(Family)
     }
 
-    /// Reads a trajectory file, or the shipped one of that name: TOML by its schema, or CSV with a
-    /// header.
+    /// As [`TrajectoryFile::load`], for a trajectory.
     ///
     /// # Errors
-    /// [`TrajectoryError`] names the file, the field, what was expected and what was found.
+    /// Likewise, and a file that must be planned first.
     pub fn load(path: &Path) -> Result<Self, TrajectoryError> {
-        load(path)
+        load(path)?.desired(path)
     }
 
     /// Parses the text of a TOML trajectory file; `origin` names it in errors.
@@ -81,11 +127,11 @@ impl Trajectory {
     /// As [`Trajectory::load`]. A file that refers to another file by a relative path is looked up
     /// beside `origin`.
     pub fn parse(text: &str, origin: &Path) -> Result<Self, TrajectoryError> {
-        parse(text, origin)
+        parse(text, origin)?.desired(origin)
     }
 }
 
-fn load(path: &Path) -> Result<Trajectory, TrajectoryError> {
+fn load(path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
     if let Some(shipped) = shipped(path) {
         return parse(shipped.text, path);
     }
@@ -104,12 +150,12 @@ fn load(path: &Path) -> Result<Trajectory, TrajectoryError> {
             });
         }
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
-        return Ok(Trajectory::new(name, Shape::Table(table)));
+        return Ok(TrajectoryFile::Desired(Trajectory::new(name, Shape::Table(table))));
     }
     parse(&text, path)
 }
 
-fn parse(text: &str, origin: &Path) -> Result<Trajectory, TrajectoryError> {
+fn parse(text: &str, origin: &Path) -> Result<TrajectoryFile, TrajectoryError> {
     let family: Family = toml::from_str(text).map_err(|error| TrajectoryError::Syntax {
         path: origin.into(),
         message: error.to_string(),
@@ -124,7 +170,7 @@ mod tests {
     use super::*;
 
     fn parse_text(text: &str) -> Result<Trajectory, TrajectoryError> {
-        parse(text, Path::new("test.toml"))
+        Trajectory::parse(text, Path::new("test.toml"))
     }
 
     #[test]
@@ -173,8 +219,12 @@ mod tests {
         let mut count = 0;
         for entry in std::fs::read_dir(folder).expect("the folder") {
             let path = entry.expect("an entry").path();
-            let trajectory = load(&path).expect("a trajectory");
-            assert!(trajectory.duration() > 1.0, "{}", path.display());
+            match load(&path).expect("a trajectory") {
+                TrajectoryFile::Desired(trajectory) => {
+                    assert!(trajectory.duration() > 1.0, "{}", path.display());
+                }
+                TrajectoryFile::Task(task) => assert!(!task.passages.is_empty()),
+            }
             count += 1;
         }
         assert!(count >= 10);

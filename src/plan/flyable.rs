@@ -13,6 +13,10 @@ const OVERRUN_MAX: f64 = 1e-2;
 /// How far a position may be where it must not be, m.
 const TRESPASS_MAX_M: f64 = 1e-3;
 
+/// How far a way bulges between two states at most, over what the accelerations about it bend it: a
+/// parabola's eighth, twice over.
+const BULGE: f64 = 0.25;
+
 /// Why a plan is not flown.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NotFlyable {
@@ -95,16 +99,29 @@ fn entry_once_out(states: &[StateVector], region: &KeepOut, most_m: f64) -> f64 
 }
 
 /// Whether velocity and body rate lead from state to state, `period_s` seconds apart, which no
-/// model has a part in.
+/// model has a part in: those at the state, those at the next, or any between. Where they turn back
+/// within a period, they go no further beyond both than the periods about it show.
 ///
 /// # Errors
 /// The first jump.
 pub(super) fn check_led(states: &[StateVector], period_s: f64) -> Result<(), NotFlyable> {
+    let ways: Vec<[StateVector; 2]> = states
+        .windows(2)
+        .map(|pair| {
+            let [state, next] = [pair[0], pair[1]];
+            let (led, came) = (coasted(&state, period_s), coasted(&next, -period_s));
+            [std::array::from_fn(|i| led[i] - state[i]), std::array::from_fn(|i| next[i] - came[i])]
+        })
+        .collect();
     for (n, pair) in states.windows(2).enumerate() {
-        let [state, next] = pair else { continue };
-        let led = coasted(state, period_s);
+        let about = &ways[n.saturating_sub(1)..ways.len().min(n + 2)];
         let kinematic = (0..3).chain(ANGLE..RATE);
-        let mut jumps = kinematic.map(|i| (next[i] - led[i]).abs());
+        let mut jumps = kinematic.map(|i| {
+            let (step, [led, came]) = (pair[1][i] - pair[0][i], ways[n]);
+            let outside = (led[i].min(came[i]) - step).max(step - led[i].max(came[i]));
+            let bends = about.iter().map(|[led, came]| (came[i] - led[i]).abs());
+            if step.is_nan() { step } else { outside - BULGE * bends.fold(0.0, f64::max) }
+        });
         if let Some(jump) = jumps.find(|jump| jump.is_nan() || *jump > DEFECT_MAX) {
             return Err(NotFlyable::Torn { jump, at_s: n as f64 * period_s });
         }

@@ -31,10 +31,11 @@ pub mod state_vector;
 pub mod subproblem;
 mod table;
 mod time_limit;
+pub mod time_optimal;
 pub mod trajectory;
 
 pub use feasibility::{Feasibility, FlightEnvelope, InfeasibleTrajectory};
-pub use file::TrajectoryError;
+pub use file::{TrajectoryError, TrajectoryFile};
 pub use model_free::ModelFreeReference;
 pub use shipped::{SHIPPED_TRAJECTORIES, ShippedTrajectory};
 pub use time_limit::TimeLimit;

@@ -45,13 +45,13 @@ pub struct Plan {
     pub answer: Answer,
     /// How the search ended.
     pub status: Status,
-    /// Sum of the distances to the desired states.
+    /// Sum of the distances to the desired states; of a plan of least time, its length in s.
     pub cost: f64,
     /// What the plan misses.
     pub violation: Violation,
     /// The search's subproblems.
     pub records: Vec<Record>,
-    /// The desired states, one more than inputs.
+    /// The desired states, one more than inputs; those of a plan of least time are its own.
     pub desired: Vec<StateVector>,
     /// The planned states, one more than inputs.
     pub states: Vec<StateVector>,

@@ -161,6 +161,11 @@ impl Default for PlanSettings {
 }
 
 impl PlanSettings {
+    /// The corners of the box to stay in, m.
+    pub(super) fn room(&self) -> Option<(Ned, Ned)> {
+        self.box_m.map(|[lower, upper]| (ned(lower), ned(upper)))
+    }
+
     /// The settings of the search.
     pub fn search(&self) -> ScpSettings {
         ScpSettings {
@@ -408,7 +413,7 @@ impl Planner {
             limits: StateLimits {
                 tilt_max_rad: Some(self.vehicle.limits.tilt_max_rad),
                 body_rate_max_rad_s: Some([self.vehicle.limits.body_rate_max_rad_s; 3]),
-                position: self.settings.box_m.map(|[lower, upper]| (ned(lower), ned(upper))),
+                position: self.settings.room(),
             },
             keep_out: self.keep_out().collect(),
         }

@@ -24,7 +24,7 @@ macro_rules! shipped {
 }
 
 /// All of them.
-pub const SHIPPED_TRAJECTORIES: [ShippedTrajectory; 10] = shipped! {
+pub const SHIPPED_TRAJECTORIES: [ShippedTrajectory; 11] = shipped! {
     "hover": "holds a place",
     "figure-8": "an eight in the plane",
     "sinusoid-xy": "sines along north and east",
@@ -35,6 +35,7 @@ pub const SHIPPED_TRAJECTORIES: [ShippedTrajectory; 10] = shipped! {
     "steps": "jumps between places",
     "waypoints": "from place to place, at rest in each",
     "random-waypoints": "the same, by chance from a seed",
+    "race": "gates and waypoints as fast as it goes, to be planned first",
 };
 
 /// The shipped trajectory that `path` names: by its bare name, where no such file is there.
@@ -45,14 +46,18 @@ pub(super) fn shipped(path: &Path) -> Option<&'static ShippedTrajectory> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Trajectory;
+    use super::super::{Trajectory, TrajectoryFile};
     use super::*;
 
     #[test]
     fn shipped_trajectories_are_found_by_name() {
         for shipped in SHIPPED_TRAJECTORIES {
-            let trajectory = Trajectory::load(Path::new(shipped.name)).expect(shipped.name);
-            assert!(trajectory.duration() > 1.0, "{}", shipped.name);
+            match TrajectoryFile::load(Path::new(shipped.name)).expect(shipped.name) {
+                TrajectoryFile::Desired(trajectory) => assert!(trajectory.duration() > 1.0),
+                TrajectoryFile::Task(task) => {
+                    assert_eq!((shipped.name, task.passages.len()), ("race", 5))
+                }
+            }
         }
         let error = Trajectory::load(Path::new("figure-9")).expect_err("refused").to_string();
         assert!(error.contains("figure-8"), "{error}");

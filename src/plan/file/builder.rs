@@ -7,7 +7,7 @@ use vehicle::frame::Ned;
 
 use super::family::{Family, PaceFields, Sinusoid, Steps};
 use super::multisine::Multisine;
-use super::{DURATION_MAX_S, TrajectoryError, load};
+use super::{DURATION_MAX_S, TrajectoryError, TrajectoryFile, load};
 use crate::plan::curve::{Envelope, Harmonic, HarmonicCurve};
 use crate::plan::path::{MinimumJerkPath, Pace, Waypoint};
 use crate::plan::trajectory::{DesiredPoint, Shape, Trajectory};
@@ -21,7 +21,7 @@ pub(super) struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    pub(super) fn build(&self, family: Family) -> Result<Trajectory, TrajectoryError> {
+    pub(super) fn build(&self, family: Family) -> Result<TrajectoryFile, TrajectoryError> {
         let (name, shape) = match family {
             Family::Hover(f) => {
                 let still = Harmonic::constant(0.0);
@@ -124,6 +124,7 @@ impl Builder<'_> {
                 let folder = self.origin.parent().unwrap_or(Path::new("."));
                 return load(&folder.join(f.file).with_extension("csv"));
             }
+            Family::TimeOptimal(f) => return Ok(TrajectoryFile::Task(self.task(&f)?)),
         };
         let trajectory = Trajectory::new(name, shape);
         let duration = trajectory.duration();
@@ -133,7 +134,7 @@ impl Builder<'_> {
             duration,
             duration > 0.0 && duration <= DURATION_MAX_S,
         )?;
-        Ok(trajectory)
+        Ok(TrajectoryFile::Desired(trajectory))
     }
 
     fn harmonic(
@@ -229,19 +230,23 @@ impl Builder<'_> {
         path.ok_or_else(|| self.wrong("points", "at least one waypoint", 0.0))
     }
 
-    fn finite(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
+    pub(super) fn finite(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number", found, found.is_finite())
     }
 
-    fn positive(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
+    pub(super) fn positive(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number above 0", found, found.is_finite() && found > 0.0)
     }
 
-    fn at_least_zero(&self, field: &'static str, found: f64) -> Result<f64, TrajectoryError> {
+    pub(super) fn at_least_zero(
+        &self,
+        field: &'static str,
+        found: f64,
+    ) -> Result<f64, TrajectoryError> {
         self.check(field, "a finite number of at least 0", found, found.is_finite() && found >= 0.0)
     }
 
-    fn check(
+    pub(super) fn check(
         &self,
         field: &'static str,
         expected: &'static str,
@@ -251,7 +256,12 @@ impl Builder<'_> {
         if right { Ok(found) } else { Err(self.wrong(field, expected, found)) }
     }
 
-    fn wrong(&self, field: &'static str, expected: &'static str, found: f64) -> TrajectoryError {
+    pub(super) fn wrong(
+        &self,
+        field: &'static str,
+        expected: &'static str,
+        found: f64,
+    ) -> TrajectoryError {
         TrajectoryError::Value { path: self.origin.into(), field, expected, found }
     }
 }

@@ -37,6 +37,8 @@ pub(super) enum Family {
     Waypoints(Waypoints),
     /// A table of times and points.
     Csv(Csv),
+    /// Waypoints and gates, flown as fast as the vehicle can: `downwash plan` finds when.
+    TimeOptimal(TimeOptimal),
 }
 
 #[derive(Debug, JsonSchema, Deserialize)]
@@ -203,6 +205,143 @@ pub(super) struct WaypointFields {
 pub(super) struct Csv {
     /// Relative to the trajectory file.
     pub file: PathBuf,
+}
+
+/// Waypoints and gates, passed in order as fast as the vehicle can.
+#[derive(Debug, JsonSchema, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TimeOptimal {
+    /// Where it begins, level.
+    pub start: StartFields,
+    /// In the order of flight.
+    #[serde(default)]
+    pub passages: Vec<PassageFields>,
+    /// Where it ends.
+    pub finish: FinishFields,
+    /// Narrower limits than those of the vehicle, of `[pilot.limits]` and of `[envelope]`.
+    #[serde(default)]
+    pub limits: LimitFields,
+    /// What of the limits is kept back for feedback.
+    #[serde(default)]
+    pub margin: MarginFields,
+}
+
+#[derive(Debug, JsonSchema, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StartFields {
+    /// Relative to the take-off point.
+    #[serde(default)]
+    pub north_m: f64,
+    /// Relative to the take-off point.
+    #[serde(default)]
+    pub east_m: f64,
+    /// Height above the take-off floor.
+    pub altitude_m: f64,
+    /// Clockwise from north, seen from above.
+    #[serde(default)]
+    pub yaw_deg: f64,
+    /// North, east, up.
+    #[serde(default)]
+    pub velocity_m_s: [f64; 3],
+}
+
+#[derive(Debug, JsonSchema, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FinishFields {
+    /// Relative to the take-off point.
+    #[serde(default)]
+    pub north_m: f64,
+    /// Relative to the take-off point.
+    #[serde(default)]
+    pub east_m: f64,
+    /// Height above the take-off floor.
+    pub altitude_m: f64,
+    /// North, east, up.
+    #[serde(default)]
+    pub velocity_m_s: [f64; 3],
+    /// Whether it ends level and without turning, as a vehicle that goes on hovering.
+    #[serde(default = "yes")]
+    pub level: bool,
+}
+
+/// Exactly one of the two is given.
+#[derive(Debug, JsonSchema, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub(super) enum PassageFields {
+    /// A ball that is touched.
+    Waypoint(BallFields),
+    /// An opening that is passed in one direction.
+    Gate(GateFields),
+}
+
+#[derive(Debug, JsonSchema, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct BallFields {
+    /// Relative to the take-off point.
+    pub north_m: f64,
+    /// Relative to the take-off point.
+    pub east_m: f64,
+    /// Height above the take-off floor.
+    pub altitude_m: f64,
+    /// Distance at which it counts as passed.
+    pub tolerance_m: f64,
+}
+
+#[derive(Debug, JsonSchema, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GateFields {
+    /// Middle of the opening, relative to the take-off point.
+    pub north_m: f64,
+    /// Middle of the opening, relative to the take-off point.
+    pub east_m: f64,
+    /// Middle of the opening, above the take-off floor.
+    pub altitude_m: f64,
+    /// Direction of passage, clockwise from north.
+    pub heading_deg: f64,
+    /// Direction of passage, up from level.
+    #[serde(default)]
+    pub climb_deg: f64,
+    /// Of the opening.
+    pub width_m: f64,
+    /// Of the opening.
+    pub height_m: f64,
+    /// Distance of the vehicle's centre from the frame, at least.
+    #[serde(default)]
+    pub clearance_m: f64,
+}
+
+#[derive(Debug, Default, JsonSchema, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct LimitFields {
+    /// Least and greatest thrust of each rotor, as shares of its greatest.
+    pub rotor_thrust: Option<[f64; 2]>,
+    /// About front, right and down.
+    pub body_rate_deg_s: Option<[f64; 3]>,
+    /// From level.
+    pub tilt_deg: Option<f64>,
+    /// Of flight.
+    pub speed_m_s: Option<f64>,
+}
+
+#[derive(Debug, JsonSchema, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct MarginFields {
+    /// Share of each rotor's range that is left at either end.
+    pub thrust: f64,
+    /// Share of the body rates.
+    pub body_rate: f64,
+    /// Share of the tilt.
+    pub tilt: f64,
+}
+
+impl Default for MarginFields {
+    fn default() -> Self {
+        Self { thrust: 0.1, body_rate: 0.2, tilt: 0.1 }
+    }
+}
+
+fn yes() -> bool {
+    true
 }
 
 fn four_seconds() -> f64 {

@@ -1,0 +1,104 @@
+//! The plan of least time through a course.
+
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::VehicleParams;
+use vehicle::effects::EffectSet;
+use vehicle::physics::Physics;
+
+use super::{PlanModel, planner};
+use crate::command::setup::EffectiveVehicle;
+use crate::command::{Exit, ExitContext};
+use crate::config::Config;
+use crate::plan::planned::{Found, Plan};
+use crate::plan::time_optimal::{FlightPlanner, Limits, Margin, Stop, Task};
+
+/// What is said of the fastest way.
+#[derive(Clone, Debug, JsonSchema, Serialize)]
+pub(in crate::command) struct Fastest {
+    /// Time from start to finish, s.
+    duration_s: f64,
+    /// When each passage is passed, s.
+    passed_s: Vec<f64>,
+    /// Shares of the limits that are kept back for feedback.
+    kept_back: KeptBack,
+    /// What the rotors were left, as shares of their greatest thrust.
+    rotor: [f64; 2],
+    /// What was left of the body rates, rad/s.
+    body_rate_rad_s: [f64; 3],
+    /// What was left of the tilt, rad.
+    tilt_rad: Option<f64>,
+    /// m/s
+    speed_m_s: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug, JsonSchema, Serialize)]
+struct KeptBack {
+    thrust: f64,
+    body_rate: f64,
+    tilt: f64,
+}
+
+impl Fastest {
+    /// For people, in whole lines.
+    pub fn in_words(&self) -> String {
+        let percent = |share: f64| 100.0 * share;
+        let times: Vec<String> = self.passed_s.iter().map(|t| format!("{t:.2}")).collect();
+        format!(
+            "fastest     {:.3} s, its passages at {} s\n\
+             kept back   {:.0} % of each rotor's range at either end, {:.0} % of the body rates, \
+             {:.0} % of the tilt\n",
+            self.duration_s,
+            if times.is_empty() { "no".to_owned() } else { times.join(", ") },
+            percent(self.kept_back.thrust),
+            percent(self.kept_back.body_rate),
+            percent(self.kept_back.tilt),
+        )
+    }
+}
+
+/// Plans a task for a vehicle.
+///
+/// # Errors
+/// A vehicle without an on-board loop, or a course that no way leads through.
+pub(super) fn plan(
+    task: &Task,
+    vehicle: &VehicleParams,
+    config: &Config,
+    stop: Stop<'_>,
+) -> anyhow::Result<(Plan, Fastest)> {
+    let through = PlanModel::nominal(vehicle)?;
+    let (checked, answer) = planner(vehicle, &through, config)?;
+    let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
+    let flight = FlightPlanner {
+        physics: Physics::new(vehicle, &EffectSet::new()).or_exit(Exit::Usage)?,
+        attitude_pd: answer.attitude_pd,
+        lag_s: answer.lag_s,
+        limits: config.settings.pilot.limits,
+        envelope: config.settings.envelope,
+        settings: config.settings.plan.clone(),
+    };
+    let planned = flight.plan(task, &task.margin, stop).or_exit(Exit::NoPlan)?;
+    let Limits { rotor, body_rate_rad_s, tilt_rad, speed_m_s, .. } =
+        flight.limits(task, &task.margin);
+    let Margin { thrust, body_rate, tilt } = task.margin;
+    let fastest = Fastest {
+        duration_s: planned.found.knots.duration_s(),
+        passed_s: planned.found.knots.passed_s(),
+        kept_back: KeptBack { thrust, body_rate, tilt },
+        rotor,
+        body_rate_rad_s,
+        tilt_rad,
+        speed_m_s,
+    };
+    let found = Found {
+        trajectory: task.name.clone(),
+        vehicle: vehicle.name.clone(),
+        body: effective.body(),
+        model: through.note.clone(),
+        period_s: checked.period_s(),
+        answer,
+        desired: planned.outcome.iterate.states.clone(),
+    };
+    Ok((Plan::new(found, planned.outcome), fastest))
+}

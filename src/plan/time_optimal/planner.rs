@@ -1,0 +1,271 @@
+//! From a course to the fastest way through it.
+
+use vehicle::frame::Ned;
+use vehicle::physics::Physics;
+use vehicle::rigid_body::State;
+
+use super::bounds::Bounds;
+use super::course::{Course, Limits};
+use super::guess::{Agility, guess};
+use super::knots::{Knots, Period};
+use super::rotor_dynamics::RotorDynamics;
+use super::search::{Effort, Search};
+use crate::plan::iterate::Violation;
+use crate::plan::scp::{Record, Status};
+
+/// How much is put into a plan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Periods from each passage to the next, at first.
+    pub periods: usize,
+    /// Times that all periods are halved and searched again.
+    pub refinements: usize,
+    /// Shortest period, s: thrusts are held as long.
+    pub length_min_s: f64,
+    /// The search ends where a subproblem promises less than this, s.
+    pub tolerance_s: f64,
+    /// Most subproblems of a search.
+    pub subproblems_max: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            periods: 10,
+            refinements: 0,
+            length_min_s: 0.003,
+            tolerance_s: 1e-3,
+            subproblems_max: 200,
+        }
+    }
+}
+
+/// The fastest way that was found: an outcome, not an error.
+#[derive(Clone, Debug)]
+pub struct TimeOptimal {
+    /// How the search ended.
+    pub status: Status,
+    /// The motion.
+    pub knots: Knots,
+    /// What it misses, looked at every millisecond.
+    pub violation: Violation,
+    /// The subproblems.
+    pub records: Vec<Record>,
+}
+
+/// Longest period, over the longest of the guess.
+const STRETCH_MAX: f64 = 2.0;
+/// Steps of the integration while searching and at last, s.
+const COARSE_S: f64 = 0.03;
+const FINE_S: f64 = 0.003;
+/// Time between two looks at what happens between the knots, s.
+const LOOK_S: f64 = 1e-3;
+/// What the states of a plan miss of the dynamics at most, and its bounds, m.
+const DEFECT_MAX: f64 = 1e-9;
+const OVERRUN_MAX: f64 = 1e-6;
+/// Most subproblems to close a plan.
+const CLOSING: usize = 12;
+/// Times that bounds are drawn in by what is beyond them between the knots.
+const TIGHTENINGS: usize = 4;
+/// What a metre costs, over what it is worth.
+const PENALTY: f64 = 8.0;
+/// Shortest mean way that is counted, m.
+const WAY_MIN_M: f64 = 0.1;
+/// What of a limit may be exceeded between the knots: shares of a rate, m, rad.
+const RATE_SLACK: f64 = 5e-5;
+const PLACE_SLACK_M: f64 = 5e-4;
+const TILT_SLACK_RAD: f64 = 5e-3;
+
+/// Who is asked before each subproblem whether to go on, and shown those so far.
+#[derive(Clone, Copy)]
+pub struct Stop<'a> {
+    /// Ends the search: what it then has is closed, which takes a few subproblems more.
+    pub search: &'a dyn Fn(&[Record]) -> bool,
+    /// Ends that too: what it then has may miss the dynamics and the bounds.
+    pub closing: &'a dyn Fn(&[Record]) -> bool,
+}
+
+impl Stop<'_> {
+    /// Searches to the end.
+    pub const NEVER: Stop<'static> = Stop { search: &|_| false, closing: &|_| false };
+}
+
+/// Plans a course for a vehicle.
+pub fn plan(
+    course: &Course,
+    physics: &Physics,
+    limits: &Limits,
+    settings: &Settings,
+    stop: Stop<'_>,
+) -> TimeOptimal {
+    let coarse = RotorDynamics::new(physics.clone(), COARSE_S);
+    let fine = coarse.in_steps_of(FINE_S);
+    let agility = agility(physics, limits);
+    let mut bounds = Bounds {
+        course,
+        limits: *limits,
+        acceleration_m_s2: agility.thrust_m_s2 + agility.gravity,
+        clearance_m: 0.0,
+    };
+    let mut knots = guess(course, &agility, settings.periods);
+    let lengths = knots.periods.iter().map(|period| period.length_s);
+    let longest = lengths.fold(settings.length_min_s, f64::max);
+    let effort = Effort {
+        subproblems_max: settings.subproblems_max,
+        length_s: [settings.length_min_s, STRETCH_MAX * longest],
+        tolerance_s: settings.tolerance_s,
+        penalty_s_m: penalty_s_m(course, &agility),
+    };
+    let mut records = Vec::new();
+    let mut status = Status::Stopped;
+    for level in 0..=settings.refinements {
+        if level > 0 {
+            if status == Status::Stopped {
+                break;
+            }
+            knots = halved(&knots, &fine, settings.length_min_s);
+        }
+        let mut search = Search::new(knots, &coarse, &bounds, effort);
+        search.records = records;
+        status = search.run(stop.search);
+        (knots, records) = (search.knots, search.records);
+    }
+    let mut violation = Violation::default();
+    for _ in 0..=TIGHTENINGS {
+        let mut search = Search::new(knots, &fine, &bounds, effort);
+        search.records = records;
+        search.close([DEFECT_MAX, OVERRUN_MAX], CLOSING, stop.closing);
+        let merit = search.merit;
+        (knots, records) = (search.knots, search.records);
+        let between = Between::of(&knots, &fine, course, limits);
+        violation = Violation {
+            defect: merit.defect_max,
+            overrun: merit.overrun_max.max(between.overrun),
+            trespass_m: between.trespass_m,
+        };
+        if (stop.closing)(&records) || !between.tighten(&mut bounds, limits) {
+            break;
+        }
+    }
+    TimeOptimal { status, knots, violation, records }
+}
+
+/// What a metre costs: some times what one is worth on a way of the course's mean length, whose time
+/// is that of full acceleration, `2 sqrt(d / a)`.
+fn penalty_s_m(course: &Course, agility: &Agility) -> f64 {
+    let mut places = vec![course.start.position];
+    places.extend(course.passages.iter().map(|passage| passage.centre()));
+    places.push(course.finish.position);
+    let sum: f64 = places.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    let mean = (sum / (places.len() - 1) as f64).max(WAY_MIN_M);
+    PENALTY / (mean * agility.thrust_m_s2).sqrt()
+}
+
+fn agility(physics: &Physics, limits: &Limits) -> Agility {
+    let body = physics.body();
+    let [_, most] = limits.rotor;
+    let full: f64 = physics.allocation().thrust_max().iter().sum();
+    Agility {
+        thrust_m_s2: most * full / body.mass(),
+        gravity: body.gravity(),
+        rotor: limits.rotor,
+        speed_m_s: limits.speed_m_s.unwrap_or(f64::INFINITY),
+        tilt_rad: limits.tilt_rad.unwrap_or(f64::INFINITY),
+    }
+}
+
+/// Twice as many periods, but for those that are too short.
+fn halved(knots: &Knots, dynamics: &RotorDynamics, length_min_s: f64) -> Knots {
+    let mut halves = Knots { states: vec![knots.states[0]], periods: vec![], passed: vec![] };
+    let mut passed = knots.passed.iter().copied().peekable();
+    for (n, period) in knots.periods.iter().enumerate() {
+        let half = Period { length_s: 0.5 * period.length_s, ..*period };
+        if half.length_s > length_min_s {
+            halves.states.push(dynamics.end(&knots.states[n], &half));
+            halves.periods.push(half);
+            halves.periods.push(half);
+        } else {
+            halves.periods.push(*period);
+        }
+        halves.states.push(knots.states[n + 1]);
+        if passed.next_if_eq(&(n + 1)).is_some() {
+            halves.passed.push(halves.periods.len());
+        }
+    }
+    halves
+}
+
+/// What is beyond the limits between the knots.
+#[derive(Clone, Copy, Debug, Default)]
+struct Between {
+    /// Rates beyond theirs, rad/s.
+    rate: [f64; 3],
+    /// Tilt beyond its limit, rad.
+    tilt: f64,
+    /// Shares of the rates, or rad of tilt, or m out of the room: the largest.
+    overrun: f64,
+    /// How far a position is in a region, m, where it is.
+    trespass_m: f64,
+}
+
+impl Between {
+    fn of(knots: &Knots, dynamics: &RotorDynamics, course: &Course, limits: &Limits) -> Self {
+        let mut between = Self::default();
+        let mut state = knots.states[0];
+        for period in &knots.periods {
+            let looks = (period.length_s / LOOK_S).ceil().max(1.0);
+            let look = Period { length_s: period.length_s / looks, ..*period };
+            for _ in 0..looks as usize {
+                let next = dynamics.end(&state, &look);
+                between.look(&state, &next, course, limits);
+                state = next;
+            }
+        }
+        between
+    }
+
+    fn look(&mut self, before: &State, state: &State, course: &Course, limits: &Limits) {
+        for (i, rate) in state.body_rate.to_array().into_iter().enumerate() {
+            let excess = rate.abs() - limits.body_rate_rad_s[i];
+            self.rate[i] = self.rate[i].max(excess);
+            self.overrun = self.overrun.max(excess / limits.body_rate_rad_s[i]);
+        }
+        if let Some(tilt) = limits.tilt_rad {
+            self.tilt = self.tilt.max(state.attitude.tilt() - tilt);
+            self.overrun = self.overrun.max(self.tilt);
+        }
+        let (from, to) = (before.position.to_array(), state.position.to_array());
+        for region in &course.keep_out {
+            self.trespass_m = self.trespass_m.max(region.depth_between(from, to));
+        }
+        if let Some((lower, upper)) = course.room {
+            let beyond = |below: Ned| below.to_array().into_iter().fold(f64::MIN, f64::max);
+            let out = beyond(lower - state.position).max(beyond(state.position - upper));
+            self.trespass_m = self.trespass_m.max(out);
+        }
+    }
+
+    /// Draws the bounds in by what is beyond the limits; whether there is need to.
+    fn tighten(&self, bounds: &mut Bounds<'_>, limits: &Limits) -> bool {
+        let mut is_tighter = false;
+        for (i, excess) in self.rate.into_iter().enumerate() {
+            let slack = RATE_SLACK * limits.body_rate_rad_s[i];
+            if excess > slack {
+                bounds.limits.body_rate_rad_s[i] = (bounds.limits.body_rate_rad_s[i] - excess)
+                    .max(0.5 * limits.body_rate_rad_s[i]);
+                is_tighter = true;
+            }
+        }
+        if let (Some(tilt), Some(bound)) = (limits.tilt_rad, &mut bounds.limits.tilt_rad)
+            && self.tilt > TILT_SLACK_RAD
+        {
+            *bound = (*bound - self.tilt).max(0.5 * tilt);
+            is_tighter = true;
+        }
+        if self.trespass_m > PLACE_SLACK_M {
+            bounds.clearance_m += self.trespass_m + PLACE_SLACK_M;
+            is_tighter = true;
+        }
+        is_tighter
+    }
+}
