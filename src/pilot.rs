@@ -15,7 +15,9 @@ pub use self::guidance::GuidanceSettings;
 use vehicle::frame::Ned;
 
 use crate::clock::{HostTime, VehicleTime};
-use crate::control::{Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation};
+use crate::control::{
+    AdaptationNotice, Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation,
+};
 use crate::guard::{Answered, Cleared, Guard, Order, Proposal, Withheld};
 use crate::link::message::{ChargeState, Inbound, LandedState, Received};
 use crate::plan::reference::ReferenceSource;
@@ -222,6 +224,14 @@ impl Pilot {
         }
         let sent = proposed.ok();
         self.controller.sent(sent.map(|(setpoint, _)| setpoint));
+        self.controller.limited(sent.is_some_and(|(_, met)| met.thrust || met.tilt));
+        if let Some(notice) = self.controller.take_notice() {
+            let severity = match notice {
+                AdaptationNotice::Changed(_) => Severity::Info,
+                AdaptationNotice::SwitchedOff(_) => Severity::Warning,
+            };
+            self.supervisor.tell(now, severity, notice.to_string());
+        }
 
         self.tracking_error = (sample.state.position - guided.desired).norm();
         if let Some((trigger, why)) = guided.reached {
@@ -378,7 +388,7 @@ impl Pilot {
             }
             Err(fault) if fault.is_jump() => {
                 self.jumped = true;
-                self.controller.pause();
+                self.controller.jumped();
                 self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
                 None
             }
