@@ -225,13 +225,7 @@ impl Pilot {
         let sent = proposed.ok();
         self.controller.sent(sent.map(|(setpoint, _)| setpoint));
         self.controller.limited(sent.is_some_and(|(_, met)| met.thrust || met.tilt));
-        if let Some(notice) = self.controller.take_notice() {
-            let severity = match notice {
-                AdaptationNotice::Changed(_) => Severity::Info,
-                AdaptationNotice::SwitchedOff(_) => Severity::Warning,
-            };
-            self.supervisor.tell(now, severity, notice.to_string());
-        }
+        self.tell_adaptation(now, guided.trajectory_time);
 
         self.tracking_error = (sample.state.position - guided.desired).norm();
         if let Some((trigger, why)) = guided.reached {
@@ -269,6 +263,22 @@ impl Pilot {
             stance: self.supervisor.stance(now),
             is_obeyed: self.supervisor.is_obeyed(now, status),
         }
+    }
+
+    /// Says what adaptation found, and when that began.
+    fn tell_adaptation(&mut self, now: HostTime, trajectory_time: Option<f64>) {
+        let Some(notice) = self.controller.take_notice() else { return };
+        let (severity, when) = match (notice, trajectory_time) {
+            (AdaptationNotice::SwitchedOff(_), _) => (Severity::Warning, String::new()),
+            (AdaptationNotice::Changed(change), Some(time_s)) => {
+                let began_s = time_s - change.began_s_ago;
+                (Severity::Info, format!(", at {began_s:.1} s of the trajectory"))
+            }
+            (AdaptationNotice::Changed(change), None) => {
+                (Severity::Info, format!(", {:.1} s ago", change.began_s_ago))
+            }
+        };
+        self.supervisor.tell(now, severity, format!("{notice}{when}"));
     }
 
     /// Says, every two seconds at most, that what lay unread while this process stood still is not

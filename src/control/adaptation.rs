@@ -464,9 +464,6 @@ impl fmt::Display for ParameterChange {
                 write!(f, " (less thrust {rotor})")?;
             }
         }
-        if self.began_s_ago > 0.0 {
-            write!(f, ", since {:.1} s", self.began_s_ago)?;
-        }
         Ok(())
     }
 }

@@ -114,6 +114,12 @@ impl Geometric {
         (error, state.velocity - reference.velocity)
     }
 
+    /// The reference's own force over mass, world axes, m/s^2.
+    pub(super) fn reference_force(&self, reference: &Reference) -> Ned {
+        let specific = reference.feedforward.thrust_n / self.mass_kg;
+        reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -specific))
+    }
+
     /// The law, wanting `more` force over mass (world axes, m/s^2) than it does by itself.
     pub(super) fn pushing(&self, state: &State, reference: &Reference, more: Ned) -> Command {
         let Reference { attitude: wanted, feedforward, .. } = *reference;
@@ -121,10 +127,8 @@ impl Geometric {
         let axes = |[horizontal, vertical]: [f64; 2]| [horizontal, horizontal, vertical];
         let feedback = error.scale_by(axes(self.position_per_s2))
             + (state.velocity - reference.velocity).scale_by(axes(self.velocity_per_s));
-        let specific = feedforward.thrust_n / self.mass_kg;
         let wanted_attitude = wanted.attitude();
-        let force =
-            self.flyable(wanted_attitude.to_world(Frd::new(0.0, 0.0, -specific)) - feedback + more);
+        let force = self.flyable(self.reference_force(reference) - feedback + more);
         let axis = state.attitude.to_world(Frd::new(0.0, 0.0, 1.0));
         let thrust_n = -self.mass_kg * force.dot(axis);
         let [roll, pitch] = tilt_towards(-force, state.attitude.yaw());

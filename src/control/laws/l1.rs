@@ -43,13 +43,16 @@ const GAP_MAX_S: f64 = 0.2;
 /// augmentation for geometric tracking control of quadrotors", ICRA 2022), around [`Geometric`]:
 ///
 /// ```text
-/// dv_hat/dt = g e3 - (T/m) R e3 + sigma + A_s (v_hat - v)     state predictor, A_s = -a I
-/// sigma     = -Phi^-1 exp(A_s dt) (v_hat - v)                  piecewise constant, each sample
+/// de_hat/dt = -(T/m) R e3 - f* + sigma + A_s (e_hat - e)      state predictor, A_s = -a I
+/// sigma     = -Phi^-1 exp(A_s dt) (e_hat - e)                  piecewise constant, each sample
 /// Phi       = A_s^-1 (exp(A_s dt) - I)
 /// f         = f_geometric - C(s) sigma                        C a first-order low pass
 /// ```
 ///
-/// Where it differs from the paper: moments are the on-board loop's, so that the angular part is left
+/// `e = v - v*`, and `f*` is the reference's own force.
+///
+/// Where it differs from the paper: the velocity's error is predicted in place of the velocity, so that
+/// what the reference's force holds against already is not learned again; moments are the on-board loop's, so that the angular part is left
 /// out; and all of `C sigma` is taken from the wanted force, the part across the thrust too, as the
 /// attitude turns to it. The cut-off is a share of the position loop's natural frequency, because an
 /// attitude loop, delay and rotors' lag are between.
@@ -57,7 +60,6 @@ const GAP_MAX_S: f64 = 0.2;
 pub struct L1 {
     law: Geometric,
     mass_kg: f64,
-    gravity: f64,
     predictor_per_s: f64,
     /// Horizontal and vertical.
     filter_per_s: [f64; 2],
@@ -67,11 +69,12 @@ pub struct L1 {
 /// From one sample to the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Memory {
+    /// Errors of the velocity.
     predicted: Ned,
     velocity: Ned,
     sigma: Ned,
     filtered: Ned,
-    /// Acceleration by thrust and weight of the last command.
+    /// Acceleration of the last command beside the reference's.
     acceleration: Ned,
 }
 
@@ -88,7 +91,6 @@ impl L1 {
         Ok(Self {
             law,
             mass_kg: problem.vehicle.mass_kg,
-            gravity: problem.vehicle.gravity,
             predictor_per_s,
             filter_per_s: gains.get("filter_per_s").unwrap_or(cut_off),
             memory: None,
@@ -112,7 +114,7 @@ impl L1 {
 
 impl ControlLaw for L1 {
     fn command(&mut self, state: &State, reference: &Reference, dt_s: f64) -> Command {
-        let velocity = state.velocity;
+        let (_, velocity) = self.law.errors(state, reference);
         let fresh = Memory {
             predicted: velocity,
             velocity,
@@ -130,8 +132,8 @@ impl ControlLaw for L1 {
         }
         let command = self.law.pushing(state, reference, -memory.filtered);
         let thrust = command.setpoint.thrust_n / self.mass_kg;
-        memory.acceleration =
-            state.attitude.to_world(Frd::new(0.0, 0.0, -thrust)) + Ned::new(0.0, 0.0, self.gravity);
+        memory.acceleration = state.attitude.to_world(Frd::new(0.0, 0.0, -thrust))
+            - self.law.reference_force(reference);
         self.memory = memory.acceleration.is_finite().then_some(memory);
         command
     }
