@@ -296,7 +296,8 @@ impl Adaptation {
             return;
         }
         let foreseen = self.recursion.foreseen(&regressor(moved), moved.known, moved.dt);
-        if !((moved.velocity - foreseen).norm() < JUMP_M_S) {
+        let jump_m_s = (moved.velocity - foreseen).norm();
+        if jump_m_s.is_nan() || jump_m_s >= JUMP_M_S {
             self.recursion.restart(moved.velocity);
             let distrust = self.watch.jumped();
             return self.suspect(distrust);
