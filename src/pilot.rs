@@ -274,9 +274,7 @@ impl Pilot {
                 let began_s = time_s - change.began_s_ago;
                 (Severity::Info, format!(", at {began_s:.1} s of the trajectory"))
             }
-            (AdaptationNotice::Changed(change), None) => {
-                (Severity::Info, format!(", {:.1} s ago", change.began_s_ago))
-            }
+            (AdaptationNotice::Changed(_), None) => (Severity::Info, String::new()),
         };
         self.supervisor.tell(now, severity, format!("{notice}{when}"));
     }

@@ -48,11 +48,11 @@ fn largest_m(records: &[Record], after_s: f64) -> f64 {
 }
 
 fn words(records: &[Record]) -> Vec<&str> {
-    let text = |record| match record {
-        &Record::Event { ref text, .. } => text.contains("adapt").then_some(text.as_str()),
+    let events = records.iter().filter_map(|record| match record {
+        Record::Event { text, .. } => Some(text.as_str()),
         _ => None,
-    };
-    records.iter().filter_map(text).collect()
+    });
+    events.filter(|text| text.contains("adapt")).collect()
 }
 
 #[test]
