@@ -3,10 +3,13 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use downwash::clock::VehicleTime;
 use downwash::control::{
-    AttitudeLoop, ControlSettings, HoverModel, HoverVehicle, Limits, Lqr, solve_dare,
+    Actuation, Adaptation, AdaptationSettings, AttitudeError, AttitudeLoop, ControlSettings,
+    Controller, DisturbanceObserver, HoverModel, HoverVehicle, Limits, Lqr, OffsetFreeSettings,
+    solve_dare,
 };
-use downwash::setpoint::{Reference, State};
+use downwash::setpoint::{Expected, Reference, Setpoint, State};
 use vehicle::frame::{Euler, Ned};
 
 const VEHICLE: HoverVehicle =
@@ -39,5 +42,41 @@ fn control(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, control);
+/// A tick of the controller alone, with the observer, and with parameters adapted.
+fn adaptation(c: &mut Criterion) {
+    let lqr = Lqr::design(&VEHICLE, &PD, &ControlSettings::default()).expect("a stabilising gain");
+    let observer = || {
+        DisturbanceObserver::new(
+            OffsetFreeSettings::default(),
+            VEHICLE,
+            PD,
+            AttitudeError::Angles,
+            Actuation { command_delay_s: 0.005, motor_time_constant_s: 0.04 },
+        )
+    };
+    let adapting = || observer().adapting(Adaptation::new(AdaptationSettings::default()), false);
+    let (expected, reference) = (Expected::default(), Reference::default());
+    let sent = Setpoint { thrust_n: VEHICLE.hover_thrust_n(), ..Setpoint::default() };
+    for (name, observer) in
+        [("law", None), ("observer", Some(observer())), ("adaptation", Some(adapting()))]
+    {
+        let mut controller = Controller::from(lqr.clone()).observing(observer);
+        controller.sent(Some(sent));
+        let mut tick = 0;
+        c.bench_function(&format!("tick_with_{name}"), |b| {
+            b.iter(|| {
+                tick += 1;
+                // A noise that repeats itself after a prime number of ticks.
+                let noise = 1e-2 * (f64::from(tick * 79 % 101) / 50.0 - 1.0);
+                let velocity = Ned::new(noise, -noise, noise);
+                let state = State { velocity, ..State::default() };
+                let at = VehicleTime::from_ms(10 * tick);
+                controller.observe(at, &state, &expected, false, 1.0);
+                controller.command(f64::from(tick) * 0.01, black_box(&state), &reference)
+            });
+        });
+    }
+}
+
+criterion_group!(benches, control, adaptation);
 criterion_main!(benches);

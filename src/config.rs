@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
 
-use self::check::{check_numbers, check_pilot};
+use self::check::{check_adaptation, check_numbers, check_pilot};
 pub use self::settings::{FormSetting, LinkSettings, Settings, SigningSettings};
 
 /// Version of the configuration's schema.
@@ -194,16 +194,20 @@ impl Config {
     }
 
     fn check(&self) -> Result<(), ConfigError> {
-        check_pilot(&self.settings.pilot).map_err(|impossible| {
-            let origins = impossible.settings.iter().filter_map(|path| self.origins.get(*path));
-            let origin = origins.into_iter().find(|origin| **origin != Origin::Default);
-            ConfigError::Impossible {
-                origin: origin.unwrap_or(&Origin::Default).clone(),
-                setting: impossible.settings.first().copied().unwrap_or_default(),
-                expected: impossible.expected,
-                found: impossible.found,
-            }
-        })
+        let settings = &self.settings;
+        let checked = check_pilot(&settings.pilot);
+        checked.and_then(|()| check_adaptation(&settings.control.adaptation)).map_err(
+            |impossible| {
+                let origins = impossible.settings.iter().filter_map(|path| self.origins.get(*path));
+                let origin = origins.into_iter().find(|origin| **origin != Origin::Default);
+                ConfigError::Impossible {
+                    origin: origin.unwrap_or(&Origin::Default).clone(),
+                    setting: impossible.settings.first().copied().unwrap_or_default(),
+                    expected: impossible.expected,
+                    found: impossible.found,
+                }
+            },
+        )
     }
 
     fn merge_file(&mut self, path: &Path) -> Result<(), ConfigError> {

@@ -46,8 +46,23 @@ pub fn fly(
     vehicle: &mut Vehicle,
     station: &mut Station,
     limit_s: f64,
+    log: impl FnMut(Record),
+    watch: impl FnMut(&Station, HostTime),
+) -> Result<End, Endless> {
+    fly_disturbed(vehicle, station, limit_s, log, watch, |_, _| {})
+}
+
+/// As [`fly`]; `act` may do something to the vehicle before each of its steps in time.
+///
+/// # Errors
+/// [`Endless`] after `limit_s` of simulated time.
+pub fn fly_disturbed(
+    vehicle: &mut Vehicle,
+    station: &mut Station,
+    limit_s: f64,
     mut log: impl FnMut(Record),
     mut watch: impl FnMut(&Station, HostTime),
+    mut act: impl FnMut(&mut Vehicle, &Station),
 ) -> Result<End, Endless> {
     vehicle.connect(STATION, LinkKind::Datagrams);
     let limit_us = vehicle.now_us() + (limit_s * 1e6) as u64;
@@ -74,6 +89,7 @@ pub fn fly(
             let phase = station.status().phase.map_or("connect", |phase| phase.name());
             return station.end().cloned().ok_or(Endless { limit_s, phase });
         }
+        act(vehicle, station);
         let due_us = vehicle.clock().host_us(vehicle.next_event_us().min(truth_due));
         // While the vehicle's clock stands still, the station's goes on.
         host_us = due_us.min(host_us + LOOK_WITHIN_US);

@@ -15,7 +15,9 @@ pub use self::guidance::GuidanceSettings;
 use vehicle::frame::Ned;
 
 use crate::clock::{HostTime, VehicleTime};
-use crate::control::{Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation};
+use crate::control::{
+    AdaptationNotice, Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation,
+};
 use crate::guard::{Answered, Cleared, Guard, Order, Proposal, Withheld};
 use crate::link::message::{ChargeState, Inbound, LandedState, Received};
 use crate::plan::reference::ReferenceSource;
@@ -222,6 +224,8 @@ impl Pilot {
         }
         let sent = proposed.ok();
         self.controller.sent(sent.map(|(setpoint, _)| setpoint));
+        self.controller.limited(sent.is_some_and(|(_, met)| met.thrust || met.tilt));
+        self.tell_adaptation(now, guided.trajectory_time);
 
         self.tracking_error = (sample.state.position - guided.desired).norm();
         if let Some((trigger, why)) = guided.reached {
@@ -256,6 +260,20 @@ impl Pilot {
     fn order(&self, now: HostTime) -> Order {
         let status = self.telemetry.status();
         Order { stance: self.supervisor.stance(now), obeys: self.supervisor.obeys(now, status) }
+    }
+
+    /// Says what adaptation found, and when that began.
+    fn tell_adaptation(&mut self, now: HostTime, trajectory_time: Option<f64>) {
+        let Some(notice) = self.controller.take_notice() else { return };
+        let (severity, when) = match (notice, trajectory_time) {
+            (AdaptationNotice::SwitchedOff(_), _) => (Severity::Warning, String::new()),
+            (AdaptationNotice::Changed(change), Some(time_s)) => {
+                let began_s = time_s - change.began_s_ago;
+                (Severity::Info, format!(", at {began_s:.1} s of the trajectory"))
+            }
+            (AdaptationNotice::Changed(_), None) => (Severity::Info, String::new()),
+        };
+        self.supervisor.tell(now, severity, format!("{notice}{when}"));
     }
 
     /// Says, every two seconds at most, that what lay unread while this process stood still is not
@@ -375,7 +393,7 @@ impl Pilot {
             }
             Err(fault) if fault.is_jump() => {
                 self.jumped = true;
-                self.controller.pause();
+                self.controller.jumped();
                 self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
                 None
             }

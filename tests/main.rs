@@ -39,6 +39,7 @@ mod learn_training;
 mod link_connection;
 mod link_flood;
 mod link_session;
+mod lockstep_adaptation;
 mod lockstep_autopilots;
 mod lockstep_flight;
 mod lockstep_offset_free;

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use toml::Value;
 
-use crate::control::{Limits, OffsetFreeSettings};
+use crate::control::{AdaptationSettings, Limits, OffsetFreeSettings};
 use crate::pilot::{GuidanceSettings, PilotSettings};
 use crate::supervisor::SupervisorSettings;
 
@@ -71,6 +71,18 @@ pub(super) fn check_pilot(settings: &PilotSettings) -> Result<(), Impossible> {
     positive(&["pilot.offset_free.time_constant_s"], time_constant_s)?;
     positive(&["pilot.offset_free.velocity_time_constant_s"], velocity_time_constant_s)?;
     check_times(&settings.supervisor)
+}
+
+/// Whether parameters can be adapted.
+pub(super) fn check_adaptation(settings: &AdaptationSettings) -> Result<(), Impossible> {
+    let AdaptationSettings { forgetting_s, trust_per_s, thrust_share_max, .. } = *settings;
+    positive(&["control.adaptation.forgetting_s"], forgetting_s)?;
+    positive(&["control.adaptation.trust_per_s"], trust_per_s)?;
+    require(thrust_share_max < 1.0, || Impossible {
+        settings: &["control.adaptation.thrust_share_max"],
+        expected: "a share below 1".to_owned(),
+        found: thrust_share_max,
+    })
 }
 
 fn check_limits(limits: &Limits) -> Result<(), Impossible> {
@@ -201,6 +213,17 @@ mod tests {
         }
         let flat = Limits { tilt_max_rad: 0.0, ..limits };
         assert_eq!(refused(flat), "pilot.limits.tilt_max_rad");
+    }
+
+    #[test]
+    fn adaptation_that_forgets_at_once_or_believes_all_is_refused() {
+        let settings = AdaptationSettings::default();
+        assert_eq!(check_adaptation(&settings), Ok(()));
+        let refused = |settings| check_adaptation(&settings).expect_err("refused").settings[0];
+        let hasty = AdaptationSettings { forgetting_s: 0.0, ..settings };
+        assert_eq!(refused(hasty), "control.adaptation.forgetting_s");
+        let credulous = AdaptationSettings { thrust_share_max: 1.0, ..settings };
+        assert_eq!(refused(credulous), "control.adaptation.thrust_share_max");
     }
 
     #[test]

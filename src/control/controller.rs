@@ -1,9 +1,11 @@
 //! From state and reference to the setpoint that a vehicle's attitude loop is sent: a law, with what
 //! every law needs around it.
 
+use super::adaptation::{AdaptationNotice, Parameters};
 use super::attitude_loop::{AttitudeError, AttitudeLoop};
 use super::disturbance::DisturbanceObserver;
 use super::laws::{Command, ControlLaw, ControlProblem, DesignError, Lqr};
+use super::way_back::WayBack;
 use crate::clock::VehicleTime;
 use crate::setpoint::{Expected, Reference, Setpoint, State};
 
@@ -22,6 +24,8 @@ pub struct Controller {
     /// When the law was last asked, s.
     asked_s: Option<f64>,
     sent: Option<Setpoint>,
+    /// Back to the reference after a change.
+    way_back: Option<WayBack>,
     /// Whether a model leads, and what was expected last.
     expected: (bool, Expected),
 }
@@ -38,6 +42,7 @@ impl Controller {
             observer: None,
             asked_s: None,
             sent: None,
+            way_back: None,
             expected: (false, Expected::default()),
         }
     }
@@ -64,7 +69,7 @@ impl Controller {
     /// Nothing that was estimated holds any more.
     pub fn reset(&mut self) {
         self.law.reset();
-        (self.sent, self.asked_s) = (None, None);
+        (self.sent, self.asked_s, self.way_back) = (None, None, None);
         self.expected = (false, Expected::default());
         if let Some(observer) = &mut self.observer {
             observer.reset();
@@ -76,6 +81,30 @@ impl Controller {
         if let Some(observer) = &mut self.observer {
             observer.pause();
         }
+    }
+
+    /// The estimate jumped, once more.
+    pub fn jumped(&mut self) {
+        if let Some(observer) = &mut self.observer {
+            observer.jumped();
+        }
+    }
+
+    /// Whether the setpoint that left last met a limit of thrust or tilt.
+    pub fn limited(&mut self, is_limited: bool) {
+        if let Some(observer) = &mut self.observer {
+            observer.limited(is_limited);
+        }
+    }
+
+    /// What is believed of the vehicle, while parameters are adapted.
+    pub fn parameters(&self) -> Option<Parameters> {
+        self.observer.as_ref()?.parameters()
+    }
+
+    /// What adaptation has to tell, once.
+    pub fn take_notice(&mut self) -> Option<AdaptationNotice> {
+        self.observer.as_mut()?.take_notice()
     }
 
     /// Takes the state that the last setpoint led to. `expected` is what the reference's model has
@@ -118,20 +147,50 @@ impl Controller {
     pub fn command(&mut self, time_s: f64, state: &State, reference: &Reference) -> Command {
         let dt_s = self.asked_s.replace(time_s).map_or(0.0, |before| (time_s - before).max(0.0));
         let yaw = state.attitude.yaw();
-        let command = match &self.observer {
+        let led = self.led_back(time_s, state, reference, yaw);
+        let command = match self.observer.as_ref().filter(|observer| !observer.is_idle()) {
             None => self.law.command(state, reference, dt_s),
             Some(observer) => {
-                let shift = observer.shift(reference, yaw);
-                let mut held = *reference;
+                let shift = observer.shift(&led, yaw);
+                let mut held = led;
                 held.velocity += shift.velocity;
                 held.attitude.roll += shift.attitude.roll;
                 held.attitude.pitch += shift.attitude.pitch;
-                held.feedforward = reference.feedforward.plus(shift.input);
+                held.feedforward = led.feedforward.plus(shift.input);
                 let Command { feedback, is_cut, .. } = self.law.command(state, &held, dt_s);
-                Command::correcting(reference, shift.input.plus(feedback), is_cut)
+                let more = Command::absolute(reference, led.feedforward, false).feedback;
+                let mut correction = more.plus(shift.input).plus(feedback);
+                if observer.parameters().is_some() {
+                    let fed_n = reference.feedforward.thrust_n;
+                    correction.thrust_n = observer.thrust_n(fed_n + correction.thrust_n) - fed_n;
+                }
+                Command::correcting(reference, correction, is_cut)
             }
         };
         Command { setpoint: self.addressed(command.setpoint, yaw), ..command }
+    }
+
+    /// `reference`, or the way back to it: where a change was found and its size is known, the vehicle
+    /// is led from where that left it.
+    fn led_back(
+        &mut self,
+        time_s: f64,
+        state: &State,
+        reference: &Reference,
+        yaw: f64,
+    ) -> Reference {
+        let Some(observer) = &mut self.observer else { return *reference };
+        if observer.take_change() {
+            let believed = observer.believed(state);
+            self.way_back = WayBack::from(time_s, &believed, reference);
+        }
+        match self.way_back.filter(|way| !way.is_over(time_s) && observer.parameters().is_some()) {
+            Some(way) => way.along(time_s, observer.lead_s(), reference, observer.vehicle(), yaw),
+            None => {
+                self.way_back = None;
+                *reference
+            }
+        }
     }
 
     /// The reference's input alone, as the vehicle's loop is to be sent it at the heading `yaw`:

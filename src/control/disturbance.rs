@@ -1,77 +1,23 @@
 //! What pushes and turns the vehicle beside thrust, weight and the attitude loop, estimated, and
 //! the equilibrium that it moves.
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+mod adapting;
+mod equilibrium;
+mod motion;
+mod settings;
 
+use vehicle::frame::{Frd, Ned};
+
+use self::adapting::{ADAPTING_VELOCITY_S, Adapting};
+use self::equilibrium::Disturbance;
+pub use self::equilibrium::Shift;
+use self::motion::{Chain, Motion};
+pub use self::settings::{OffsetFreeSettings, Use};
 use super::actuation::Actuation;
 use super::attitude_loop::{AttitudeError, AttitudeLoop, angle_error};
 use super::hover_model::HoverVehicle;
 use crate::clock::VehicleTime;
 use crate::setpoint::{Expected, Reference, Setpoint, State};
-
-/// Feedback that leaves no steady error.
-#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OffsetFreeSettings {
-    /// Whether disturbances are estimated and taken out.
-    pub observer: Use,
-    /// Whether a desired trajectory's own acceleration is fed forward.
-    pub feed_forward: Use,
-    /// Time constant after which the velocity that is fed back is the position's own slope, s. The
-    /// two disagree where an estimator corrects its position without saying so in its velocity; the
-    /// position is what is tracked.
-    pub velocity_time_constant_s: f64,
-    /// Time constant of the other estimates, s. Wind and an estimate's wander change over several
-    /// seconds; the velocity's noise over this time is an acceleration that is flown.
-    pub time_constant_s: f64,
-    /// Largest difference that is taken to be between the velocity that is reported and that of the
-    /// position, m/s.
-    pub velocity_max_m_s: f64,
-    /// Largest acceleration that is taken for a disturbance, m/s^2.
-    pub acceleration_max_m_s2: f64,
-    /// Largest error that is taken for the attitude loop's, or for the attitude's own, rad.
-    pub attitude_max_rad: f64,
-}
-
-impl Default for OffsetFreeSettings {
-    fn default() -> Self {
-        Self {
-            observer: Use::Auto,
-            feed_forward: Use::Auto,
-            velocity_time_constant_s: 0.02,
-            time_constant_s: 0.5,
-            velocity_max_m_s: 1.0,
-            acceleration_max_m_s2: 6.0,
-            attitude_max_rad: 0.2,
-        }
-    }
-}
-
-/// When something is used.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Use {
-    /// With autopilots whose loop is their own; the bundled vehicle is flown as in the paper.
-    #[default]
-    Auto,
-    /// Always.
-    On,
-    /// Never.
-    Off,
-}
-
-impl Use {
-    /// Whether it is used with a vehicle whose attitude loop is its autopilot's own or not.
-    pub fn applies(self, is_own_loop: bool) -> bool {
-        match self {
-            Self::Auto => is_own_loop,
-            Self::On => true,
-            Self::Off => false,
-        }
-    }
-}
 
 /// Largest rate at which drag is taken to slow a vehicle, 1/s.
 const DRAG_MAX_PER_S: f64 = 2.0;
@@ -81,51 +27,6 @@ const DRAG_SPEED_M_S: f64 = 1.0;
 const BODY_SHARE: f64 = 0.5;
 /// A longer time between samples leaves nothing to compare, s.
 const GAP_MAX_S: f64 = 0.2;
-/// Longest step of the attitude loop's model, s.
-const STEP_MAX_S: f64 = 2.5e-3;
-
-/// Constant disturbances, each bounded.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Disturbance {
-    /// By how much more than reported the position moves, m/s.
-    velocity: Ned,
-    /// Horizontal drag over speed and mass, 1/s.
-    drag_per_s: f64,
-    /// Horizontal acceleration fixed in the world, m/s^2: wind.
-    world: [f64; 2],
-    /// Horizontal acceleration in axes that turn with yaw, m/s^2: the attitude's own error.
-    body: [f64; 2],
-    /// Acceleration along the body's down axis, m/s^2: a weight or a thrust other than believed.
-    along_thrust: f64,
-    /// Attitude beside the one that the loop is sent, rad: moments that its gains give way to.
-    attitude: [f64; 3],
-}
-
-/// How an equilibrium lies beside the undisturbed one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shift {
-    /// Reported while the position rests, m/s.
-    pub velocity: Ned,
-    /// Roll, pitch and yaw that hold against the disturbances, rad.
-    pub attitude: Euler,
-    /// Thrust against them, and the setpoint for which the loop gives that attitude.
-    pub input: Setpoint,
-}
-
-/// What the loop and the rotors have made of the setpoints so far, by the model.
-#[derive(Clone, Copy, Debug)]
-struct Motion {
-    at: VehicleTime,
-    position: Ned,
-    velocity: Ned,
-    seen: Attitude,
-    /// The setpoint behind the delay.
-    delayed: Setpoint,
-    thrust_n: f64,
-    attitude: Euler,
-    body_rate: Frd,
-    turn: Frd,
-}
 
 /// Estimates the disturbances that explain how the vehicle moves: a Luenberger observer of the
 /// near-hover model with disturbances as further states.
@@ -143,12 +44,10 @@ struct Motion {
 #[derive(Clone, Debug)]
 pub struct DisturbanceObserver {
     settings: OffsetFreeSettings,
-    vehicle: HoverVehicle,
-    attitude_loop: AttitudeLoop,
-    error: AttitudeError,
-    actuation: Actuation,
+    chain: Chain,
     motion: Option<Motion>,
     disturbance: Disturbance,
+    adapting: Option<Adapting>,
 }
 
 impl DisturbanceObserver {
@@ -160,24 +59,40 @@ impl DisturbanceObserver {
         error: AttitudeError,
         actuation: Actuation,
     ) -> Self {
-        let (motion, disturbance) = (None, Disturbance::default());
-        Self { settings, vehicle, attitude_loop, error, actuation, motion, disturbance }
+        let (motion, disturbance, adapting) = (None, Disturbance::default(), None);
+        let chain = Chain { vehicle, attitude_loop, error, actuation };
+        Self { settings, chain, motion, disturbance, adapting }
     }
 
     /// Forgets everything: nothing is known on the ground, or of a vehicle that others flew.
     pub fn reset(&mut self) {
         (self.motion, self.disturbance) = (None, Disturbance::default());
+        if let Some(adapting) = &mut self.adapting {
+            adapting.adaptation.reset();
+            (adapting.is_faded, adapting.faded) = (false, None);
+            adapting.smoothed = Ned::zero();
+        }
     }
 
     /// Keeps the disturbances, and compares nothing with what was before: the estimate jumped, or
     /// no setpoint left.
     pub fn pause(&mut self) {
         self.motion = None;
+        if let Some(adapting) = &mut self.adapting {
+            adapting.adaptation.pause();
+        }
     }
 
     /// Another model leads from here on, which expects more by `change`: as much less is left to be
     /// a disturbance.
     pub fn expect_anew(&mut self, change: &Expected) {
+        if let Some(adapting) = &mut self.adapting
+            && adapting.adaptation.is_on()
+        {
+            let gravity = self.chain.vehicle.gravity;
+            adapting.adaptation.expect_anew(change.acceleration, change.attitude, gravity);
+            return self.take_parameters();
+        }
         let [north, east, down] = change.acceleration.to_array();
         let d = &mut self.disturbance;
         d.world = [d.world[0] - north, d.world[1] - east];
@@ -200,15 +115,38 @@ impl DisturbanceObserver {
             let dt = at.seconds_since(motion.at);
             dt > 0.0 && dt < GAP_MAX_S
         });
+        let since_s = before.map_or(0.0, |before| at.seconds_since(before.at));
+        if !self.is_sound(at, state, since_s) {
+            return;
+        }
         let Some(before) = before else {
-            self.motion = Some(Motion::starting(at, state, sent, &self.disturbance));
+            self.motion =
+                Some(Motion::starting(at, state, sent, state.velocity + self.disturbance.velocity));
             return;
         };
         let dt = at.seconds_since(before.at);
-        let mut motion = self.moved(before, sent, dt);
-        let decay = (-dt / self.settings.time_constant_s).exp();
+        let mut motion = self.chain.moved(before, sent, dt);
         self.learn_velocity(&mut motion, &before, state, dt);
-        self.learn_acceleration(&mut motion, &before, state, expected, dt, decay);
+        if self.parameters().is_some() {
+            self.adapt(&motion, &before, at, state, expected, dt);
+        } else {
+            self.learn_constants(&mut motion, &before, state, expected, dt);
+        }
+        (motion.at, motion.seen) = (at, state.attitude);
+        self.motion = Some(motion).filter(Motion::is_finite);
+    }
+
+    /// Learns disturbances that are constant.
+    fn learn_constants(
+        &mut self,
+        motion: &mut Motion,
+        before: &Motion,
+        state: &State,
+        expected: &Expected,
+        dt: f64,
+    ) {
+        let decay = (-dt / self.settings.time_constant_s).exp();
+        self.learn_acceleration(motion, before, state, expected, dt, decay);
         let unexplained = angle_error(state.attitude.euler(), motion.attitude);
         let bound = self.settings.attitude_max_rad;
         for (i, unexplained) in unexplained.into_iter().enumerate() {
@@ -216,13 +154,15 @@ impl DisturbanceObserver {
             *d += (1.0 - decay) * (unexplained - expected.attitude[i] - *d);
             *d = d.clamp(-bound, bound);
         }
-        (motion.at, motion.seen) = (at, state.attitude);
-        self.motion = Some(motion).filter(Motion::is_finite);
     }
 
     /// Both poles of position and velocity error at the same decay per step.
     fn learn_velocity(&mut self, motion: &mut Motion, before: &Motion, state: &State, dt: f64) {
-        let decay = (-dt / self.settings.velocity_time_constant_s).exp();
+        let time_constant_s = match self.parameters() {
+            Some(_) => self.settings.velocity_time_constant_s.max(ADAPTING_VELOCITY_S),
+            None => self.settings.velocity_time_constant_s,
+        };
+        let decay = (-dt / time_constant_s).exp();
         let d = &mut self.disturbance.velocity;
         let foreseen = before.position + (state.velocity + *d) * dt;
         let error = state.position - foreseen;
@@ -244,14 +184,14 @@ impl DisturbanceObserver {
     ) {
         let mean = before.seen.between(state.attitude, 0.5);
         let thrust_n = 0.5 * (before.thrust_n + motion.thrust_n);
-        let along = self.disturbance.along_thrust - thrust_n / self.vehicle.mass_kg;
+        let along = self.disturbance.along_thrust - thrust_n / self.chain.vehicle.mass_kg;
         let (sin, cos) = mean.yaw().sin_cos();
         let Disturbance { world: [north, east], body: [front, right], drag_per_s, .. } =
             self.disturbance;
         let velocity = state.velocity + self.disturbance.velocity;
         let flow = Ned::new(velocity.north(), velocity.east(), 0.0);
         let acceleration = mean.to_world(Frd::new(0.0, 0.0, along))
-            + Ned::new(north, east, self.vehicle.gravity)
+            + Ned::new(north, east, self.chain.vehicle.gravity)
             + Ned::new(cos * front - sin * right, sin * front + cos * right, 0.0)
             - flow * drag_per_s
             + expected.acceleration;
@@ -263,7 +203,7 @@ impl DisturbanceObserver {
             [cos * step.north() + sin * step.east(), cos * step.east() - sin * step.north()];
         let down = mean.to_body(step).down();
         let largest = self.settings.acceleration_max_m_s2;
-        let trim = self.vehicle.gravity * self.settings.attitude_max_rad;
+        let trim = self.chain.vehicle.gravity * self.settings.attitude_max_rad;
         let d = &mut self.disturbance;
         let share = 1.0 - BODY_SHARE;
         d.world = bounded([north + share * step.north(), east + share * step.east()], largest);
@@ -274,40 +214,6 @@ impl DisturbanceObserver {
         d.along_thrust = (d.along_thrust + down).clamp(-largest, largest);
     }
 
-    /// The model's motion `dt` later: delay and lag are first-order, as the regulator's.
-    fn moved(&self, before: Motion, sent: &Setpoint, dt: f64) -> Motion {
-        let mut now = before;
-        let steps = (dt / STEP_MAX_S).ceil().max(1.0);
-        let h = dt / steps;
-        let share = |time_s: f64| 1.0 - (-h / time_s.max(1e-4)).exp();
-        let delay = share(self.actuation.command_delay_s);
-        let lag = share(self.actuation.motor_time_constant_s);
-        let turn_lag = if self.attitude_loop.is_before_the_rotors() { lag } else { 1.0 };
-        for _ in 0..steps as usize {
-            let [roll, pitch, yaw] = angle_error(sent.attitude, now.delayed.attitude);
-            let Euler { roll: r, pitch: p, yaw: y } = now.delayed.attitude;
-            now.delayed = Setpoint {
-                thrust_n: now.delayed.thrust_n + delay * (sent.thrust_n - now.delayed.thrust_n),
-                attitude: Euler::new(r + delay * roll, p + delay * pitch, y + delay * yaw),
-                body_rate: now.delayed.body_rate + (sent.body_rate - now.delayed.body_rate) * delay,
-            };
-            now.thrust_n += lag * (now.delayed.thrust_n - now.thrust_n);
-            let turn = self.attitude_loop.angular_acceleration(
-                self.vehicle.inertia,
-                self.error.between(now.delayed.attitude, now.attitude),
-                now.delayed.body_rate.to_array(),
-                now.body_rate.to_array(),
-            );
-            now.turn += (Frd::from(turn) - now.turn) * turn_lag;
-            now.body_rate += now.turn * h;
-            let [droll, dpitch, dyaw] = now.attitude.rates(now.body_rate);
-            let Euler { roll, pitch, yaw } = now.attitude;
-            now.attitude =
-                Euler::new(roll + h * droll, pitch + h * dpitch, wrap_angle(yaw + h * dyaw));
-        }
-        now
-    }
-
     /// `state` with the velocity at which its position moves, which the reported one may not be.
     pub fn moving(&self, state: &State) -> State {
         State { velocity: state.velocity + self.disturbance.velocity, ..*state }
@@ -315,68 +221,11 @@ impl DisturbanceObserver {
 
     /// How the disturbances move what leads a vehicle at the heading `yaw` along `reference`.
     pub fn shift(&self, reference: &Reference, yaw: f64) -> Shift {
-        let Disturbance {
-            velocity,
-            drag_per_s,
-            world: [north, east],
-            body: [front, right],
-            along_thrust,
-            attitude,
-        } = self.disturbance;
-        let (sin, cos) = yaw.sin_cos();
-        let turned = |north: f64, east: f64| [cos * north + sin * east, cos * east - sin * north];
-        let [vn, ve, _] = reference.velocity.to_array();
-        let [ahead, aside] = turned(north - drag_per_s * vn, east - drag_per_s * ve);
-        let (ahead, aside) = (ahead + front, aside + right);
-        // Nose up pushes back, right side down pushes right.
-        let gravity = self.vehicle.gravity;
-        let (roll, pitch) = ((-aside / gravity).atan(), (ahead / gravity).atan());
-        // A tilted thrust must carry the same weight.
-        let tilted_n =
-            reference.feedforward.thrust_n * ((ahead.hypot(aside) / gravity).hypot(1.0) - 1.0);
-        // Drag turns with the velocity; of what is fixed in the world the body makes no turn.
-        let thrust = reference.feedforward.thrust_n / self.vehicle.mass_kg;
-        let push = reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -thrust));
-        let [more_ahead, more_aside] =
-            turned(-drag_per_s * push.north(), -drag_per_s * push.east());
-        Shift {
-            velocity: -velocity,
-            attitude: Euler::new(roll, pitch, 0.0),
-            input: Setpoint {
-                thrust_n: self.vehicle.mass_kg * along_thrust + tilted_n,
-                attitude: Euler::new(roll - attitude[0], pitch - attitude[1], -attitude[2]),
-                body_rate: Frd::new(-more_aside / gravity, more_ahead / gravity, 0.0),
-            },
+        let shift = self.disturbance.shift(&self.chain.vehicle, reference, yaw);
+        if self.adapting.is_none() {
+            return shift;
         }
-    }
-}
-
-impl Motion {
-    fn starting(
-        at: VehicleTime,
-        state: &State,
-        sent: &Setpoint,
-        disturbance: &Disturbance,
-    ) -> Self {
-        Self {
-            at,
-            position: state.position,
-            velocity: state.velocity + disturbance.velocity,
-            seen: state.attitude,
-            delayed: *sent,
-            thrust_n: sent.thrust_n,
-            attitude: state.attitude.euler(),
-            body_rate: state.body_rate,
-            turn: Frd::zero(),
-        }
-    }
-
-    fn is_finite(&self) -> bool {
-        let Euler { roll, pitch, yaw } = self.attitude;
-        self.position.is_finite()
-            && self.velocity.is_finite()
-            && self.body_rate.is_finite()
-            && [roll, pitch, yaw, self.thrust_n].iter().all(|number| number.is_finite())
+        Shift { velocity: shift.velocity + self.velocity_noise(), ..shift }
     }
 }
 
@@ -388,6 +237,7 @@ fn bounded([x, y]: [f64; 2], largest: f64) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vehicle::frame::Euler;
     use vehicle::rigid_body::RigidBody;
 
     const QUAD: HoverVehicle =

@@ -2,6 +2,7 @@
 //! what is asked of the vehicle.
 
 mod actuation;
+mod adaptation;
 mod attitude_loop;
 mod controller;
 mod disturbance;
@@ -10,8 +11,12 @@ mod laws;
 mod limits;
 mod output_feedback;
 mod riccati;
+mod way_back;
 
 pub use actuation::Actuation;
+pub use adaptation::{
+    Adaptation, AdaptationNotice, AdaptationSettings, Distrust, ParameterChange, Parameters,
+};
 pub use attitude_loop::{AttitudeError, AttitudeLoop};
 pub use controller::Controller;
 pub use disturbance::{DisturbanceObserver, OffsetFreeSettings, Shift, Use};

@@ -246,6 +246,7 @@ impl Stranger {
             | Foreign::YawRateForce { force_ns: value }
             | Foreign::DragPower { coefficient: value, .. }
             | Foreign::GroundExponential { gain: value, .. }
+            | Foreign::Payload { share: value }
             | Foreign::SagRecovery { exponent: value, .. }
             | Foreign::GroundPerRotor { radius_m: value }
             | Foreign::SagAffine { slope: value, .. }

@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use super::StationSettings;
 use super::attitude_loop::{assumption, attitude_loop};
-use crate::control::{AttitudeError, ControlProblem, Controller, DesignError, DisturbanceObserver};
+use crate::control::{
+    Adaptation, AttitudeError, ControlProblem, Controller, DesignError, DisturbanceObserver,
+};
 use crate::link::profile::Profile;
 use crate::plan::reference::{FeedForward, ReferenceSource};
 
@@ -37,8 +39,15 @@ pub(super) fn feedback(
         limits: &pilot.limits,
         settings: control,
     })?;
-    let observer = pilot.offset_free.observer.applies(is_own_loop).then(|| {
-        DisturbanceObserver::new(pilot.offset_free, *hover, attitude_loop, error, *actuation)
+    let observes = pilot.offset_free.observer.applies(is_own_loop);
+    let observer = (observes || control.adaptive).then(|| {
+        let observer =
+            DisturbanceObserver::new(pilot.offset_free, *hover, attitude_loop, error, *actuation);
+        if control.adaptive {
+            observer.adapting(Adaptation::new(control.adaptation), observes)
+        } else {
+            observer
+        }
     });
     let feed_forward = pilot.offset_free.feed_forward.applies(is_own_loop).then(|| FeedForward {
         mass_kg: hover.mass_kg,

@@ -22,6 +22,13 @@ pub enum Foreign {
         /// c, the damping ratio.
         damping: f64,
     },
+    /// A load that is added at the centre of mass: mass times 1 + share. What the rotors give is then
+    /// spread over more; against the vehicle alone it adds the force -F share / (1 + share), F the
+    /// rotors' force.
+    Payload {
+        /// Over the vehicle's mass; negative for a load that is dropped.
+        share: f64,
+    },
     /// A line to a place in the world that pulls like a spring where it is taut.
     Tether {
         /// North, east, down, m.
@@ -208,6 +215,7 @@ impl Foreign {
     pub fn name(&self) -> &'static str {
         match self {
             Self::SlungLoad { .. } => "slung_load",
+            Self::Payload { .. } => "payload",
             Self::Tether { .. } => "tether",
             Self::Periodic { .. } => "periodic",
             Self::Jet { .. } => "jet",

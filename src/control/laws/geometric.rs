@@ -11,21 +11,22 @@ use crate::setpoint::{Reference, Setpoint};
 pub(super) static SPEC: LawSpec = LawSpec {
     id: "geometric",
     summary: "Tracking on SE(3) (Lee, Leok, McClamroch 2010): valid at any attitude.",
-    gains: &[
-        Gain {
-            key: "gains.position_per_s2",
-            unit: "1/s^2",
-            values: 2,
-            meaning: "acceleration over position error, horizontal and vertical: kx/m",
-        },
-        Gain {
-            key: "gains.velocity_per_s",
-            unit: "1/s",
-            values: 2,
-            meaning: "acceleration over velocity error, horizontal and vertical: kv/m",
-        },
-    ],
+    gains: &[POSITION, VELOCITY],
     design: |problem| Ok(Box::new(Geometric::design(problem)?)),
+};
+
+/// Gains that every law on this one has.
+pub(super) const POSITION: Gain = Gain {
+    key: "gains.position_per_s2",
+    unit: "1/s^2",
+    values: 2,
+    meaning: "acceleration over position error, horizontal and vertical: kx/m",
+};
+pub(super) const VELOCITY: Gain = Gain {
+    key: "gains.velocity_per_s",
+    unit: "1/s",
+    values: 2,
+    meaning: "acceleration over velocity error, horizontal and vertical: kv/m",
 };
 
 /// The wanted force points up by at least this share of the weight, or its direction would not be
@@ -106,17 +107,28 @@ impl Geometric {
     }
 }
 
-impl ControlLaw for Geometric {
-    fn command(&mut self, state: &State, reference: &Reference, _dt_s: f64) -> Command {
+impl Geometric {
+    /// Errors of position (bounded) and velocity, world axes, m and m/s.
+    pub(super) fn errors(&self, state: &State, reference: &Reference) -> (Ned, Ned) {
+        let (error, _) = self.reach.bounded(state.position - reference.position);
+        (error, state.velocity - reference.velocity)
+    }
+
+    /// The reference's own force over mass, world axes, m/s^2.
+    pub(super) fn reference_force(&self, reference: &Reference) -> Ned {
+        let specific = reference.feedforward.thrust_n / self.mass_kg;
+        reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -specific))
+    }
+
+    /// The law, wanting `more` force over mass (world axes, m/s^2) than it does by itself.
+    pub(super) fn pushing(&self, state: &State, reference: &Reference, more: Ned) -> Command {
         let Reference { attitude: wanted, feedforward, .. } = *reference;
         let (error, is_cut) = self.reach.bounded(state.position - reference.position);
         let axes = |[horizontal, vertical]: [f64; 2]| [horizontal, horizontal, vertical];
         let feedback = error.scale_by(axes(self.position_per_s2))
             + (state.velocity - reference.velocity).scale_by(axes(self.velocity_per_s));
-        let specific = feedforward.thrust_n / self.mass_kg;
         let wanted_attitude = wanted.attitude();
-        let force =
-            self.flyable(wanted_attitude.to_world(Frd::new(0.0, 0.0, -specific)) - feedback);
+        let force = self.flyable(self.reference_force(reference) - feedback + more);
         let axis = state.attitude.to_world(Frd::new(0.0, 0.0, 1.0));
         let thrust_n = -self.mass_kg * force.dot(axis);
         let [roll, pitch] = tilt_towards(-force, state.attitude.yaw());
@@ -132,6 +144,12 @@ impl ControlLaw for Geometric {
             Setpoint { thrust_n: thrust_n.max(0.0), attitude, body_rate },
             is_cut,
         )
+    }
+}
+
+impl ControlLaw for Geometric {
+    fn command(&mut self, state: &State, reference: &Reference, _dt_s: f64) -> Command {
+        self.pushing(state, reference, Ned::zero())
     }
 }
 

@@ -2,6 +2,8 @@
 //! and whatever flies takes its law from there.
 
 mod geometric;
+mod geometric_adaptive;
+mod l1;
 mod lqr;
 
 use std::collections::BTreeMap;
@@ -14,6 +16,7 @@ use vehicle::frame::{Ned, wrap_angle};
 pub use self::geometric::Geometric;
 pub use self::lqr::Lqr;
 use super::actuation::Actuation;
+use super::adaptation::AdaptationSettings;
 use super::attitude_loop::AttitudeLoop;
 use super::disturbance::Use;
 use super::hover_model::HoverVehicle;
@@ -22,7 +25,8 @@ use super::riccati::RiccatiError;
 use crate::setpoint::{Reference, Setpoint, State};
 
 /// Every law that `control.law` can name.
-pub const LAWS: [&LawSpec; 2] = [&lqr::SPEC, &geometric::SPEC];
+pub const LAWS: [&LawSpec; 4] =
+    [&lqr::SPEC, &geometric::SPEC, &l1::SPEC, &geometric_adaptive::SPEC];
 
 /// A control law.
 ///
@@ -289,6 +293,11 @@ pub struct ControlSettings {
     pub horizontal_error_max_m: f64,
     /// The same for height, m.
     pub vertical_error_max_m: f64,
+    /// Whether the physics' parameters are adapted in flight, around whichever law flies. Off, the
+    /// feedback is that of the law, and of `pilot.offset_free.observer` where that is on.
+    pub adaptive: bool,
+    /// How.
+    pub adaptation: AdaptationSettings,
     /// The law's own gains.
     pub gains: Gains,
 }
@@ -310,6 +319,8 @@ impl Default for ControlSettings {
             margin_min: 0.6,
             horizontal_error_max_m: 1.0,
             vertical_error_max_m: 0.6,
+            adaptive: false,
+            adaptation: AdaptationSettings::default(),
             gains: Gains::default(),
         }
     }

@@ -192,6 +192,9 @@ impl Active {
                 let [n, e] = self.swing.advance(state, scene.gravity / length_m, damping, step);
                 force = to_body(Ned::new(mass_kg * n, mass_kg * e, 0.0));
             }
+            Foreign::Payload { share } => {
+                force = Frd::new(0.0, 0.0, share / (1.0 + share) * scene.loads.thrust());
+            }
             Foreign::Tether { anchor_m, slack_m, stiffness_n_m } => {
                 let line = Ned::from(anchor_m) - state.position;
                 let length = line.norm();

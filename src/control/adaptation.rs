@@ -1,0 +1,484 @@
+//! The physics' few parameters, adapted in flight.
+//!
+//! # Design
+//!
+//! There is one estimator, [`DisturbanceObserver`](super::DisturbanceObserver): it predicts how the
+//! setpoints that were sent move the vehicle, compares, and moves the reference to the equilibrium
+//! that is left. What it compares with has two forms. By itself the observer learns disturbances that
+//! are constant, each with a fixed time constant. With an [`Adaptation`] the same prediction is a
+//! regression on the parameters of the physics, of which the constant disturbances are a part:
+//!
+//! ```text
+//! dv/dt = g e3 - (1 + s + k (T/T_h - 1)) (T/m) R e3 - c v + w + R(psi) b + expected
+//! zeta  = loop(sent) + a + expected
+//! ```
+//!
+//! s: share of thrust over mass beyond the believed one (a payload, a sagging pack, a weak rotor:
+//! no flight tells them apart by it alone); k: bend of the thrust map; c: drag; w: a push fixed in
+//! the world; b: one that turns with the vehicle; a: attitude beside the one sent, which the loop
+//! gives way by to a moment. `T` is the thrust that was sent, within limits, behind delay and lag.
+//!
+//! Data flow of a tick: state and sent setpoint -> prediction (observer) -> [`Watch`] (is this to be
+//! believed?) -> [`Recursion`] and the attitude's trims -> [`Parameters`] -> the observer's shift of
+//! the reference, and thrust through the inverse of its map, around whichever law flies -> limits,
+//! guard and supervisor as ever. Once distrusted, adaptation is off until the next flight; what it
+//! had learned fades, and the feedback is what it is without it.
+
+mod recursion;
+mod watch;
+
+use std::fmt;
+
+use nalgebra::SVector;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use vehicle::frame::{Attitude, Frd, Ned, wrap_angle};
+
+use self::recursion::{Learned, PARAMETERS, Recursion, Regressor};
+pub use self::watch::Distrust;
+use self::watch::Watch;
+use crate::clock::VehicleTime;
+use crate::setpoint::State;
+
+/// How fast and how far parameters are adapted.
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AdaptationSettings {
+    /// Time over which what was learned is forgotten, where nothing changes, s. When something does,
+    /// it is forgotten at once.
+    pub forgetting_s: f64,
+    /// Largest share of thrust over mass that is believed to be missing or to be too much.
+    pub thrust_share_max: f64,
+    /// Largest bend of the thrust map.
+    pub thrust_bend_max: f64,
+    /// Largest drag over mass, 1/s.
+    pub drag_max_per_s: f64,
+    /// Largest push in one direction, m/s^2.
+    pub acceleration_max_m_s2: f64,
+    /// Largest attitude beside the one sent, rad.
+    pub attitude_max_rad: f64,
+    /// Trust region: by how many of its usual deviations a parameter moves in a second.
+    pub trust_per_s: f64,
+}
+
+impl Default for AdaptationSettings {
+    fn default() -> Self {
+        Self {
+            forgetting_s: 4.0,
+            thrust_share_max: 0.5,
+            thrust_bend_max: 0.3,
+            drag_max_per_s: 2.0,
+            acceleration_max_m_s2: 6.0,
+            attitude_max_rad: 0.3,
+            trust_per_s: 20.0,
+        }
+    }
+}
+
+/// What a vehicle's parameters usually are off by: s, k, c [1/s], w and b [m/s^2].
+const PRIOR: [f64; PARAMETERS] = [0.3, 0.1, 0.3, 1.5, 1.5, 0.5, 0.5];
+/// The same of the attitude, rad.
+const TRIM_PRIOR_RAD: f64 = 0.1;
+/// What of the attitude the loop's model does not say, rad.
+const TRIM_NOISE_RAD: f64 = 0.01;
+/// Time over which what is unexplained of an attitude must agree for a change, s, and by how much.
+const TRIM_SURPRISE_S: f64 = 0.1;
+const TRIM_SURPRISE_MIN: f64 = 5.0;
+/// An innovation of the velocity beyond this is no motion, m/s.
+const JUMP_M_S: f64 = 1.0;
+/// What was learned fades with this time constant once it is distrusted, s.
+const FADE_S: f64 = 0.5;
+/// The size of a change is known well enough to be acted upon after this time, s.
+const SIZED_AFTER_S: f64 = 0.2;
+/// A change is told after this time, s, when its size is known.
+const TOLD_AFTER_S: f64 = 0.8;
+/// What is worth telling: of thrust over mass, of a push in m/s^2, of an attitude in rad.
+const TOLD_SHARE: f64 = 0.05;
+const TOLD_PUSH_M_S2: f64 = 0.4;
+const TOLD_ATTITUDE_RAD: f64 = 0.03;
+/// A tilt beside the one sent, from which thrust is missing at one rotor, rad.
+const ROTOR_TILT_RAD: f64 = 0.04;
+
+/// What is believed of the vehicle beside its file.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Parameters {
+    /// s: share of thrust over mass beyond the believed one.
+    pub thrust_share: f64,
+    /// k: the same for each hover thrust beyond the first.
+    pub thrust_bend: f64,
+    /// c: horizontal drag over speed and mass, 1/s.
+    pub drag_per_s: f64,
+    /// w: push north and east, m/s^2.
+    pub world: [f64; 2],
+    /// b: push front and right in axes that turn with yaw, m/s^2.
+    pub body: [f64; 2],
+    /// a: roll, pitch and yaw beside the ones sent, rad.
+    pub attitude: [f64; 3],
+}
+
+/// How the vehicle moved from one sample to the next, and what the model makes of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moved {
+    pub at: VehicleTime,
+    pub dt: f64,
+    /// Half way.
+    pub attitude: Attitude,
+    /// Horizontal velocity through the air, m/s.
+    pub flow: Ned,
+    /// Thrust over the believed mass, m/s^2, and over hover thrust.
+    pub thrust_m_s2: f64,
+    pub thrust_over_hover: f64,
+    /// Acceleration that no parameter changes, m/s^2.
+    pub known: Ned,
+    /// At the end.
+    pub velocity: Ned,
+    /// Attitude beside that of the loop's model, rad.
+    pub unexplained: [f64; 3],
+}
+
+/// Something to tell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AdaptationNotice {
+    /// Parameters are others now.
+    Changed(ParameterChange),
+    /// Adaptation is off until the next flight.
+    SwitchedOff(Distrust),
+}
+
+/// Which parameters changed, and to what.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ParameterChange {
+    /// How long ago that began, s.
+    pub began_s_ago: f64,
+    /// Thrust over mass, as a share of the believed one.
+    pub thrust_over_mass: Option<f64>,
+    /// Push north and east, m/s^2.
+    pub push: Option<[f64; 2]>,
+    /// Roll, pitch and yaw beside the ones sent, rad.
+    pub attitude: Option<[f64; 3]>,
+}
+
+/// Adapts the physics' parameters to how the vehicle moves.
+#[derive(Clone, Debug)]
+pub struct Adaptation {
+    settings: AdaptationSettings,
+    recursion: Recursion,
+    trims: [Trim; 3],
+    watch: Watch,
+    is_limited: bool,
+    /// Whether the next sample begins anew.
+    is_cut: bool,
+    distrust: Option<Distrust>,
+    changed: Option<VehicleTime>,
+    /// The last change, until its size is known.
+    sized: Option<VehicleTime>,
+    is_sized: bool,
+    /// When it first learned.
+    began: Option<VehicleTime>,
+    told: (f64, [f64; 2], [f64; 3]),
+    notice: Option<AdaptationNotice>,
+}
+
+impl Adaptation {
+    /// Adaptation that has learned nothing.
+    pub fn new(settings: AdaptationSettings) -> Self {
+        let push = settings.acceleration_max_m_s2;
+        let bound = [
+            settings.thrust_share_max,
+            settings.thrust_bend_max,
+            settings.drag_max_per_s,
+            push,
+            push,
+            push,
+            push,
+        ];
+        Self {
+            recursion: Recursion::new(PRIOR, bound, settings.forgetting_s, settings.trust_per_s),
+            trims: [Trim::default(); 3],
+            watch: Watch::default(),
+            is_limited: false,
+            is_cut: true,
+            distrust: None,
+            changed: None,
+            sized: None,
+            is_sized: false,
+            began: None,
+            told: (0.0, [0.0; 2], [0.0; 3]),
+            notice: None,
+            settings,
+        }
+    }
+
+    /// Forgets everything, and is trusted again.
+    pub(super) fn reset(&mut self) {
+        let notice = self.notice;
+        *self = Self::new(self.settings);
+        self.notice = notice;
+    }
+
+    /// Whether it is trusted.
+    pub fn is_on(&self) -> bool {
+        self.distrust.is_none()
+    }
+
+    /// What is to be told, once.
+    pub(super) fn take_notice(&mut self) -> Option<AdaptationNotice> {
+        self.notice.take()
+    }
+
+    /// What is believed.
+    pub fn parameters(&self) -> Parameters {
+        let [thrust_share, thrust_bend, drag, north, east, front, right] = self.recursion.theta();
+        Parameters {
+            thrust_share,
+            thrust_bend,
+            drag_per_s: drag.max(0.0),
+            world: [north, east],
+            body: [front, right],
+            attitude: self.trims.map(|trim| trim.value),
+        }
+    }
+
+    /// The velocity by which the parameters were learned, m/s: less noisy than the measured one, and
+    /// later than it only by what the model does not know.
+    pub(super) fn velocity(&self) -> Ned {
+        self.recursion.velocity()
+    }
+
+    /// Share of what was learned that is left after `dt` seconds of distrust.
+    pub(super) fn fading(dt: f64) -> f64 {
+        (-dt / FADE_S).exp()
+    }
+
+    /// The last setpoint met a limit of thrust or tilt, or did not.
+    pub(super) fn limited(&mut self, is_limited: bool) {
+        self.is_limited = is_limited;
+    }
+
+    /// Whether a change was found whose size is known now, once.
+    pub(super) fn take_change(&mut self) -> bool {
+        std::mem::take(&mut self.is_sized)
+    }
+
+    /// Compares nothing with what was before.
+    pub(super) fn pause(&mut self) {
+        self.is_cut = true;
+    }
+
+    /// The estimate jumped.
+    pub(super) fn jumped(&mut self) {
+        self.is_cut = true;
+        let distrust = self.watch.jumped();
+        self.suspect(distrust);
+    }
+
+    /// Looks at a state before anything is made of it; whether it may be learned from.
+    pub(super) fn sees(&mut self, state: &State, dt: f64) -> bool {
+        let distrust = self.watch.sees(state, self.is_limited, dt);
+        self.suspect(distrust);
+        self.is_on()
+    }
+
+    /// Another model leads, which expects more by this acceleration (m/s^2) and attitude (rad).
+    pub(super) fn expect_anew(&mut self, acceleration: Ned, attitude: [f64; 3], gravity: f64) {
+        self.recursion.shift(0, acceleration.down() / gravity);
+        self.recursion.shift(3, -acceleration.north());
+        self.recursion.shift(4, -acceleration.east());
+        for (trim, expected) in self.trims.iter_mut().zip(attitude) {
+            trim.value -= expected;
+        }
+    }
+
+    /// Learns from a motion.
+    pub(super) fn learn(&mut self, moved: &Moved) {
+        if std::mem::take(&mut self.is_cut) {
+            self.recursion.restart(moved.velocity);
+            return;
+        }
+        let foreseen = self.recursion.foreseen(&regressor(moved), moved.known, moved.dt);
+        let jump_m_s = (moved.velocity - foreseen).norm();
+        if jump_m_s.is_nan() || jump_m_s >= JUMP_M_S {
+            self.recursion.restart(moved.velocity);
+            let distrust = self.watch.jumped();
+            return self.suspect(distrust);
+        }
+        let Learned { is_change, at_bound } =
+            self.recursion.learn(&regressor(moved), moved.known, moved.velocity, moved.dt);
+        let mut is_turned = false;
+        let bound = self.settings.attitude_max_rad;
+        for (trim, unexplained) in self.trims.iter_mut().zip(moved.unexplained) {
+            is_turned |= trim.learn(unexplained, bound, self.settings.forgetting_s, moved.dt);
+        }
+        if !self.recursion.is_finite() || !self.trims.iter().all(|trim| trim.value.is_finite()) {
+            return self.suspect(Some(Distrust::NotFinite));
+        }
+        let distrust = self.watch.learned(is_change, at_bound, moved.dt);
+        self.suspect(distrust);
+        if is_change || is_turned {
+            self.changed.get_or_insert(moved.at);
+            self.sized = Some(moved.at);
+        }
+        if self.sized.is_some_and(|changed| moved.at.seconds_since(changed) >= SIZED_AFTER_S) {
+            (self.sized, self.is_sized) = (None, true);
+        }
+        self.explain(moved);
+    }
+
+    fn suspect(&mut self, distrust: Option<Distrust>) {
+        if self.distrust.is_none() && distrust.is_some() {
+            self.distrust = distrust;
+            self.notice = distrust.map(AdaptationNotice::SwitchedOff);
+        }
+    }
+
+    /// Tells what changed, once its size is known.
+    fn explain(&mut self, moved: &Moved) {
+        let began = *self.began.get_or_insert(moved.at);
+        if moved.at.seconds_since(began) < TOLD_AFTER_S {
+            return;
+        }
+        let began_s_ago = self.changed.map_or(0.0, |changed| moved.at.seconds_since(changed));
+        if self.changed.is_some() && began_s_ago < TOLD_AFTER_S {
+            return;
+        }
+        self.changed = None;
+        let Parameters { thrust_share, world: [north, east], body: [front, right], .. } =
+            self.parameters();
+        let (sin, cos) = moved.attitude.yaw().sin_cos();
+        let push = [north + cos * front - sin * right, east + sin * front + cos * right];
+        let attitude = self.trims.map(|trim| trim.value);
+        let (share_told, push_told, attitude_told) = &mut self.told;
+        let mut change = ParameterChange { began_s_ago, ..ParameterChange::default() };
+        if (thrust_share - *share_told).abs() > TOLD_SHARE
+            && self.recursion.deviation(0) < 0.5 * TOLD_SHARE
+        {
+            *share_told = thrust_share;
+            change.thrust_over_mass = Some(1.0 + thrust_share);
+        }
+        if (push[0] - push_told[0]).hypot(push[1] - push_told[1]) > TOLD_PUSH_M_S2 {
+            *push_told = push;
+            change.push = Some(push);
+        }
+        if attitude.iter().zip(*attitude_told).any(|(a, b)| (a - b).abs() > TOLD_ATTITUDE_RAD) {
+            *attitude_told = attitude;
+            change.attitude = Some(attitude);
+        }
+        if change.thrust_over_mass.is_some() || change.push.is_some() || change.attitude.is_some() {
+            self.notice = Some(AdaptationNotice::Changed(change));
+        }
+    }
+}
+
+fn regressor(moved: &Moved) -> Regressor {
+    let axis = SVector::from(moved.attitude.to_world(Frd::new(0.0, 0.0, 1.0)).to_array());
+    let (sin, cos) = moved.attitude.yaw().sin_cos();
+    let mut slopes = Regressor::zeros();
+    slopes.set_column(0, &(axis * -moved.thrust_m_s2));
+    slopes.set_column(1, &(axis * (-moved.thrust_m_s2 * (moved.thrust_over_hover - 1.0))));
+    slopes.set_column(2, &-SVector::from(moved.flow.to_array()));
+    slopes.set_column(3, &SVector::from([1.0, 0.0, 0.0]));
+    slopes.set_column(4, &SVector::from([0.0, 1.0, 0.0]));
+    slopes.set_column(5, &SVector::from([cos, sin, 0.0]));
+    slopes.set_column(6, &SVector::from([-sin, cos, 0.0]));
+    slopes
+}
+
+/// An attitude beside the one sent, by scalar least squares with forgetting.
+#[derive(Clone, Copy, Debug)]
+struct Trim {
+    value: f64,
+    variance: f64,
+    surprise: f64,
+}
+
+impl Default for Trim {
+    fn default() -> Self {
+        Self { value: 0.0, variance: TRIM_PRIOR_RAD.powi(2), surprise: 0.0 }
+    }
+}
+
+impl Trim {
+    /// Takes what is unexplained; whether that changed.
+    fn learn(&mut self, unexplained: f64, bound: f64, forgetting_s: f64, dt: f64) -> bool {
+        let prior = TRIM_PRIOR_RAD.powi(2);
+        let grown = (self.variance * (dt / forgetting_s).exp()).min(prior);
+        let total = grown + TRIM_NOISE_RAD.powi(2);
+        let innovation = wrap_angle(unexplained - self.value);
+        let share = (dt / TRIM_SURPRISE_S).min(1.0);
+        self.surprise += share * (innovation / total.sqrt() - self.surprise);
+        self.value = (self.value + grown / total * innovation).clamp(-bound, bound);
+        self.variance = grown * (1.0 - grown / total);
+        let is_change = self.surprise.abs() > TRIM_SURPRISE_MIN * (share / (2.0 - share)).sqrt();
+        if is_change {
+            (self.variance, self.surprise) = (prior, 0.0);
+        }
+        is_change
+    }
+}
+
+impl ParameterChange {
+    /// The rotor at which thrust is missing, by the tilt that its moment leaves; X layout.
+    fn weak_rotor(&self) -> Option<&'static str> {
+        let [roll, pitch, _] = self.attitude?;
+        if roll.abs().min(pitch.abs()) < ROTOR_TILT_RAD {
+            return None;
+        }
+        // Less thrust on the right rolls right, less in front turns the nose down.
+        Some(match (roll > 0.0, pitch < 0.0) {
+            (true, true) => "front right",
+            (true, false) => "rear right",
+            (false, true) => "front left",
+            (false, false) => "rear left",
+        })
+    }
+}
+
+impl fmt::Display for ParameterChange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut between = "";
+        if let Some(thrust) = self.thrust_over_mass {
+            let (mass, thrust) = (100.0 * (1.0 / thrust - 1.0), 100.0 * (thrust - 1.0));
+            let cause = match (self.weak_rotor(), thrust < 0.0) {
+                (Some(_), true) => "",
+                (_, true) => " (a payload, or a pack that sags)",
+                (_, false) => " (a load less, or more thrust than believed)",
+            };
+            write!(f, "mass {mass:+.0} % or thrust {thrust:+.0} %{cause}")?;
+            between = "; ";
+        }
+        if let Some([north, east]) = self.push {
+            let towards = east.atan2(north).to_degrees().rem_euclid(360.0);
+            write!(
+                f,
+                "{between}push of {:.1} m/s^2 towards {towards:.0} deg (wind, or a trim)",
+                north.hypot(east)
+            )?;
+            between = "; ";
+        }
+        if let Some([roll, pitch, yaw]) = self.attitude {
+            let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_degrees);
+            write!(
+                f,
+                "{between}moment that turns by roll {roll:+.1}, pitch {pitch:+.1}, yaw {yaw:+.1} deg"
+            )?;
+            if let Some(rotor) = self.weak_rotor() {
+                write!(f, " (less thrust {rotor})")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for AdaptationNotice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Changed(change) => write!(f, "adapted: {change}"),
+            Self::SwitchedOff(distrust) => {
+                write!(
+                    f,
+                    "adaptation is off for this flight: {distrust}; the feedback goes on without"
+                )
+            }
+        }
+    }
+}

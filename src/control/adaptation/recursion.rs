@@ -1,0 +1,325 @@
+//! Recursive least squares of the physics' few parameters, on the velocity that they predict.
+
+use nalgebra::{SMatrix, SVector};
+use vehicle::frame::Ned;
+
+/// Parameters of the specific force, in this order: share of thrust over mass beyond the believed
+/// one, bend of the thrust map, drag over mass, wind's push north and east, push in axes that turn
+/// with yaw, front and right.
+pub(in crate::control) const PARAMETERS: usize = 7;
+/// Those that act along the thrust.
+const THRUST: std::ops::Range<usize> = 0..2;
+/// How long what was learned of thrust is remembered, over the rest: packs sag as they fly.
+const THRUST_MEMORY: f64 = 0.25;
+/// Axes of the velocity.
+const AXES: usize = 3;
+const STATES: usize = AXES + PARAMETERS;
+
+/// Slope of the acceleration by the parameters.
+pub(in crate::control) type Regressor = SMatrix<f64, AXES, PARAMETERS>;
+
+/// Acceleration that no parameter explains, m/s^2 over the root of its bandwidth in Hz.
+const UNMODELLED: f64 = 0.03;
+/// Least standard deviation of a measured velocity, m/s, and the one that is believed at first.
+const NOISE_MIN_M_S: f64 = 0.005;
+const NOISE_FIRST_M_S: f64 = 0.03;
+/// Time over which the noise is learned, s.
+const NOISE_S: f64 = 5.0;
+/// Innovations beyond this many standard deviations say nothing of the noise.
+const NOISE_CUT: f64 = 3.0;
+/// Time over which innovations must agree for a change, s, and by how many standard deviations of
+/// their mean.
+const SURPRISE_S: f64 = 0.1;
+const SURPRISE_MIN: f64 = 4.0;
+
+/// Estimates `theta` of `dv/dt = known + Phi theta` from velocities `z = v + noise`: least squares on
+/// the predicted velocity, with exponential forgetting of what was learned about `theta`.
+///
+/// The covariance never exceeds the prior one, so that what is not excited is not forgotten without
+/// end (the wind-up of forgetting); a step of `theta` is within a trust region, and `theta` within
+/// its bounds. Innovations that agree for a tenth of a second say that something changed: then the
+/// prior covariance holds again, and the next samples count for more than all those before.
+#[derive(Clone, Debug)]
+pub(in crate::control) struct Recursion {
+    prior: [f64; PARAMETERS],
+    bound: [f64; PARAMETERS],
+    forgetting_s: f64,
+    trust_per_s: f64,
+    velocity: SVector<f64, AXES>,
+    theta: SVector<f64, PARAMETERS>,
+    covariance: SMatrix<f64, STATES, STATES>,
+    noise_variance: f64,
+    /// Mean of the normalised innovations over the last moments.
+    surprise: [f64; AXES],
+}
+
+/// What one sample did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::control) struct Learned {
+    /// Innovations agreed: something changed.
+    pub is_change: bool,
+    /// A parameter is at its bound.
+    pub at_bound: bool,
+}
+
+impl Recursion {
+    /// Of parameters with these standard deviations and bounds, 0 at first.
+    pub fn new(
+        prior: [f64; PARAMETERS],
+        bound: [f64; PARAMETERS],
+        forgetting_s: f64,
+        trust_per_s: f64,
+    ) -> Self {
+        let mut recursion = Self {
+            prior,
+            bound,
+            forgetting_s,
+            trust_per_s,
+            velocity: SVector::zeros(),
+            theta: SVector::zeros(),
+            covariance: SMatrix::zeros(),
+            noise_variance: NOISE_FIRST_M_S.powi(2),
+            surprise: [0.0; AXES],
+        };
+        recursion.doubt(0..PARAMETERS);
+        recursion
+    }
+
+    /// The parameters.
+    pub fn theta(&self) -> [f64; PARAMETERS] {
+        self.theta.into()
+    }
+
+    /// The velocity, of prediction and measurements, m/s.
+    pub fn velocity(&self) -> Ned {
+        let velocity: [f64; AXES] = self.velocity.into();
+        velocity.into()
+    }
+
+    /// Standard deviation of a parameter.
+    pub fn deviation(&self, parameter: usize) -> f64 {
+        self.covariance[(AXES + parameter, AXES + parameter)].max(0.0).sqrt()
+    }
+
+    /// Moves a parameter without evidence: another model leads, which has a part of it.
+    pub fn shift(&mut self, parameter: usize, by: f64) {
+        let bound = self.bound[parameter];
+        self.theta[parameter] = (self.theta[parameter] + by).clamp(-bound, bound);
+    }
+
+    /// Begins again at this velocity: what is between it and the last one is not known.
+    pub fn restart(&mut self, velocity: Ned) {
+        self.velocity = velocity.to_array().into();
+        self.surprise = [0.0; AXES];
+        for axis in 0..AXES {
+            self.forget_velocity(axis);
+        }
+    }
+
+    fn forget_velocity(&mut self, axis: usize) {
+        self.covariance.row_mut(axis).fill(0.0);
+        self.covariance.column_mut(axis).fill(0.0);
+        self.covariance[(axis, axis)] = self.noise_variance;
+    }
+
+    /// What was learned of these parameters is no longer sure.
+    fn doubt(&mut self, parameters: std::ops::Range<usize>) {
+        for parameter in parameters {
+            let at = AXES + parameter;
+            self.covariance.row_mut(at).fill(0.0);
+            self.covariance.column_mut(at).fill(0.0);
+            self.covariance[(at, at)] = self.prior[parameter].powi(2);
+        }
+    }
+
+    /// The velocity after `dt` seconds, m/s.
+    pub fn foreseen(&self, regressor: &Regressor, known: Ned, dt: f64) -> Ned {
+        let acceleration = SVector::from(known.to_array()) + regressor * self.theta;
+        let velocity: [f64; AXES] = (self.velocity + acceleration * dt).into();
+        velocity.into()
+    }
+
+    /// Takes the velocity `measured` after `dt` seconds under `known + regressor theta`.
+    pub fn learn(&mut self, regressor: &Regressor, known: Ned, measured: Ned, dt: f64) -> Learned {
+        self.predict(regressor, known, dt);
+        let before = self.theta;
+        let share = (dt / SURPRISE_S).min(1.0);
+        // Standard deviation of the mean of white innovations that are weighed so.
+        let unsurprised = (share / (2.0 - share)).sqrt();
+        let mut learned = Learned::default();
+        let mut is_surprised = [false; AXES];
+        for (axis, seen) in measured.to_array().into_iter().enumerate() {
+            let variance = self.covariance[(axis, axis)] + self.noise_variance;
+            let innovation = seen - self.velocity[axis];
+            let deviation = innovation / variance.sqrt();
+            self.surprise[axis] += share * (deviation - self.surprise[axis]);
+            is_surprised[axis] = self.surprise[axis].abs() > SURPRISE_MIN * unsurprised;
+            if deviation.abs() < NOISE_CUT {
+                let noise = innovation * innovation - self.covariance[(axis, axis)];
+                let step = (dt / NOISE_S).min(1.0) * (noise - self.noise_variance);
+                self.noise_variance = (self.noise_variance + step).max(NOISE_MIN_M_S.powi(2));
+            }
+            let gain = self.covariance.column(axis) / variance;
+            let row = self.covariance.row(axis).into_owned();
+            for i in 0..AXES {
+                self.velocity[i] += gain[i] * innovation;
+            }
+            for i in 0..PARAMETERS {
+                self.theta[i] += gain[AXES + i] * innovation;
+            }
+            self.covariance -= gain * row;
+        }
+        self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
+        self.trust(&before, dt);
+        for (theta, bound) in self.theta.iter_mut().zip(self.bound) {
+            learned.at_bound |= theta.abs() >= bound;
+            *theta = theta.clamp(-bound, bound);
+        }
+        // Thrust that changed says nothing of pushes, whereas a push changes what is carried upwards.
+        let [north, east, down] = is_surprised;
+        if north || east {
+            self.doubt(0..PARAMETERS);
+        } else if down {
+            self.doubt(THRUST);
+        }
+        learned.is_change = north || east || down;
+        if learned.is_change {
+            self.surprise = [0.0; AXES];
+        }
+        learned
+    }
+
+    fn predict(&mut self, regressor: &Regressor, known: Ned, dt: f64) {
+        self.velocity = self.foreseen(regressor, known, dt).to_array().into();
+        let mut step = SMatrix::<f64, STATES, STATES>::identity();
+        step.fixed_view_mut::<AXES, PARAMETERS>(0, AXES).copy_from(&(regressor * dt));
+        self.covariance = step * self.covariance * step.transpose();
+        for axis in 0..AXES {
+            self.covariance[(axis, axis)] += UNMODELLED * UNMODELLED * dt;
+        }
+        for (i, prior) in self.prior.into_iter().enumerate() {
+            let at = AXES + i;
+            let share = if THRUST.contains(&i) { THRUST_MEMORY } else { 1.0 };
+            let forget = (0.5 * dt / (share * self.forgetting_s)).exp();
+            let grown = self.covariance[(at, at)].max(0.0).sqrt() * forget;
+            let scale = if grown > prior { forget * prior / grown } else { forget };
+            self.covariance.row_mut(at).scale_mut(scale);
+            self.covariance.column_mut(at).scale_mut(scale);
+        }
+    }
+
+    /// Takes back of a step what is beyond the trust region.
+    fn trust(&mut self, before: &SVector<f64, PARAMETERS>, dt: f64) {
+        let step = self.theta - before;
+        let largest =
+            step.iter().zip(self.prior).map(|(step, prior)| step.abs() / prior).fold(0.0, f64::max);
+        let most = self.trust_per_s * dt;
+        if largest > most {
+            self.theta = before + step * (most / largest);
+        }
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        let numbers = self.velocity.iter().chain(self.theta.iter()).chain(self.covariance.iter());
+        numbers.chain([&self.noise_variance]).all(|number| number.is_finite())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DT: f64 = 0.01;
+    const PRIOR: [f64; PARAMETERS] = [0.3, 0.1, 0.3, 1.5, 1.5, 0.5, 0.5];
+
+    fn recursion() -> Recursion {
+        Recursion::new(PRIOR, PRIOR.map(|prior| 3.0 * prior), 4.0, 8.0)
+    }
+
+    /// Thrust that varies, a flow that turns and a heading that turns at another rate.
+    fn excited(tick: usize) -> Regressor {
+        let t = tick as f64 * DT;
+        let mut slopes = Regressor::zeros();
+        slopes[(2, 0)] = -9.81 * (1.0 + 0.3 * (1.1 * t).sin());
+        slopes[(2, 1)] = slopes[(2, 0)] * 0.3 * (1.1 * t).sin();
+        slopes[(0, 2)] = -2.0 * (0.9 * t).cos();
+        slopes[(1, 2)] = -2.0 * (0.9 * t).sin();
+        (slopes[(0, 3)], slopes[(1, 4)]) = (1.0, 1.0);
+        let (sin, cos) = (0.7 * t).sin_cos();
+        (slopes[(0, 5)], slopes[(1, 5)]) = (cos, sin);
+        (slopes[(0, 6)], slopes[(1, 6)]) = (-sin, cos);
+        slopes
+    }
+
+    /// Whether a change was seen at each tick, under parameters `truth` of the tick.
+    fn taught(
+        recursion: &mut Recursion,
+        ticks: std::ops::Range<usize>,
+        regressor: impl Fn(usize) -> Regressor,
+        truth: impl Fn(usize) -> [f64; PARAMETERS],
+    ) -> Vec<usize> {
+        let mut velocity = recursion.velocity;
+        let mut changes = Vec::new();
+        for tick in ticks {
+            let slopes = regressor(tick);
+            velocity += slopes * SVector::from(truth(tick)) * DT;
+            // A noise that repeats itself after a prime number of ticks.
+            let noise = 0.01 * ((tick * 7919 % 101) as f64 / 50.0 - 1.0);
+            let seen: [f64; 3] = velocity.into();
+            let seen = Ned::from(seen) + Ned::new(noise, -noise, noise);
+            if recursion.learn(&slopes, Ned::zero(), seen, DT).is_change {
+                changes.push(tick);
+            }
+        }
+        changes
+    }
+
+    #[test]
+    fn parameters_that_are_excited_are_found() {
+        let truth = [-0.2, 0.1, 0.4, 1.0, -0.5, 0.3, -0.2];
+        let mut recursion = recursion();
+        taught(&mut recursion, 0..3000, excited, |_| truth);
+        for (found, truth) in recursion.theta().into_iter().zip(truth) {
+            assert!((found - truth).abs() < 0.05, "{:?}", recursion.theta());
+        }
+    }
+
+    #[test]
+    fn change_is_seen_within_a_moment_and_nothing_else_is_one() {
+        let mut recursion = recursion();
+        let settled = taught(&mut recursion, 0..2000, excited, |_| [0.0; PARAMETERS]);
+        assert!(settled.is_empty(), "{settled:?}");
+        let heavier = [-0.23, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let seen = taught(&mut recursion, 2000..2100, excited, |_| heavier);
+        assert!(seen.first().is_some_and(|tick| *tick < 2015), "{seen:?}");
+        assert!((recursion.theta()[0] + 0.23).abs() < 0.03, "{:?}", recursion.theta());
+    }
+
+    #[test]
+    fn without_excitation_the_covariance_stays_within_the_prior_one() {
+        let mut recursion = recursion();
+        taught(&mut recursion, 0..60_000, |_| Regressor::zeros(), |_| [0.0; PARAMETERS]);
+        for (parameter, prior) in PRIOR.into_iter().enumerate() {
+            assert!(recursion.deviation(parameter) <= prior * (1.0 + 1e-6));
+        }
+        assert!(recursion.is_finite());
+    }
+
+    #[test]
+    fn step_is_within_the_trust_region_and_parameters_within_their_bounds() {
+        let mut recursion = recursion();
+        let mut before = recursion.theta();
+        for tick in 0..400 {
+            let seen = Ned::new(20.0 * tick as f64 * DT, 0.0, 30.0 * tick as f64 * DT);
+            recursion.learn(&excited(0), Ned::zero(), seen, DT);
+            let now = recursion.theta();
+            for i in 0..PARAMETERS {
+                assert!((now[i] - before[i]).abs() <= 8.0 * DT * PRIOR[i] * (1.0 + 1e-9));
+                assert!(now[i].abs() <= 3.0 * PRIOR[i]);
+            }
+            before = now;
+        }
+        assert!(recursion.is_finite());
+    }
+}

@@ -1,0 +1,145 @@
+//! When adaptation is no longer to be believed.
+
+use crate::setpoint::State;
+use std::fmt;
+
+/// Why adaptation switched itself off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Distrust {
+    /// A number of the state or of the estimate was none.
+    NotFinite,
+    /// The state did not change.
+    Frozen,
+    /// The state jumped again and again.
+    Jumping,
+    /// Setpoints met limits: they are not what was asked for, for long.
+    Saturated,
+    /// A parameter stayed at its bound.
+    Bound,
+    /// What was learned explained nothing: change followed upon change.
+    Diverging,
+}
+
+impl fmt::Display for Distrust {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NotFinite => "a number was none",
+            Self::Frozen => "the state did not change any more",
+            Self::Jumping => "the state jumped again and again",
+            Self::Saturated => "setpoints met their limits for too long",
+            Self::Bound => "a parameter stayed at its bound",
+            Self::Diverging => "what was learned explained nothing",
+        })
+    }
+}
+
+/// A state that stays the same, bit by bit, is frozen after this time, s.
+const FROZEN_S: f64 = 0.15;
+/// Setpoints may meet limits for this long, s; a gust that is caught takes less.
+const SATURATED_S: f64 = 1.0;
+/// A parameter may stay at its bound for this long, s.
+const BOUND_S: f64 = 1.0;
+/// Jumps and changes are forgotten at one in this time, s.
+const CALMED_S: f64 = 1.0;
+/// So many jumps, or changes, are too many.
+const JUMPS_MAX: f64 = 3.0;
+const CHANGES_MAX: f64 = 8.0;
+
+/// Counts what speaks against the estimate.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Watch {
+    last: Option<State>,
+    frozen_s: f64,
+    saturated_s: f64,
+    bound_s: f64,
+    jumps: f64,
+    changes: f64,
+}
+
+impl Watch {
+    /// Looks at a state `dt` after the last, and at whether the last setpoint met a limit.
+    pub fn sees(&mut self, state: &State, is_limited: bool, dt: f64) -> Option<Distrust> {
+        if !state.is_finite() {
+            return Some(Distrust::NotFinite);
+        }
+        let is_same = self.last.replace(*state) == Some(*state);
+        self.frozen_s = if is_same { self.frozen_s + dt } else { 0.0 };
+        // Limits that are met and left by turns count as well.
+        let more = if is_limited { dt } else { -dt };
+        self.saturated_s = (self.saturated_s + more).max(0.0);
+        self.jumps = (self.jumps - dt / CALMED_S).max(0.0);
+        self.changes = (self.changes - dt / CALMED_S).max(0.0);
+        if self.frozen_s > FROZEN_S {
+            Some(Distrust::Frozen)
+        } else if self.saturated_s > SATURATED_S {
+            Some(Distrust::Saturated)
+        } else {
+            None
+        }
+    }
+
+    /// The state is not where the last ones led.
+    pub fn jumped(&mut self) -> Option<Distrust> {
+        self.jumps += 1.0;
+        (self.jumps > JUMPS_MAX).then_some(Distrust::Jumping)
+    }
+
+    /// A sample was learned from.
+    pub fn learned(&mut self, is_change: bool, at_bound: bool, dt: f64) -> Option<Distrust> {
+        self.bound_s = if at_bound { self.bound_s + dt } else { 0.0 };
+        if is_change {
+            self.changes += 1.0;
+        }
+        if self.changes > CHANGES_MAX {
+            Some(Distrust::Diverging)
+        } else if self.bound_s > BOUND_S {
+            Some(Distrust::Bound)
+        } else {
+            None
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vehicle::frame::Ned;
+
+    const DT: f64 = 0.01;
+
+    fn moving(tick: usize) -> State {
+        State { position: Ned::new(tick as f64 * 1e-3, 0.0, 0.0), ..State::default() }
+    }
+
+    #[test]
+    fn state_that_moves_is_trusted_and_one_that_stays_is_not() {
+        let mut watch = Watch::default();
+        assert!((0..1000).all(|tick| watch.sees(&moving(tick), false, DT).is_none()));
+        let first = (0..100).find_map(|tick| watch.sees(&moving(7), false, DT).map(|d| (tick, d)));
+        assert_eq!(first.map(|(_, distrust)| distrust), Some(Distrust::Frozen));
+        assert!(first.is_some_and(|(tick, _)| tick > 10));
+    }
+
+    #[test]
+    fn limit_may_be_met_for_a_moment_and_not_for_long() {
+        let mut watch = Watch::default();
+        assert!((0..80).all(|tick| watch.sees(&moving(tick), true, DT).is_none()));
+        assert!((80..400).all(|tick| watch.sees(&moving(tick), false, DT).is_none()));
+        let met = (400..600).find_map(|tick| watch.sees(&moving(tick), true, DT));
+        assert_eq!(met, Some(Distrust::Saturated));
+    }
+
+    #[test]
+    fn jumps_changes_and_bounds_are_borne_a_few_times() {
+        let mut watch = Watch::default();
+        assert_eq!([(); 4].map(|()| watch.jumped())[2..], [None, Some(Distrust::Jumping)]);
+        let mut watch = Watch::default();
+        let changed = (0..20).find_map(|_| watch.learned(true, false, DT));
+        assert_eq!(changed, Some(Distrust::Diverging));
+        let mut watch = Watch::default();
+        let bound = (0..200).find_map(|_| watch.learned(false, true, DT));
+        assert_eq!(bound, Some(Distrust::Bound));
+        let nan = State { position: Ned::new(f64::NAN, 0.0, 0.0), ..State::default() };
+        assert_eq!(watch.sees(&nan, false, DT), Some(Distrust::NotFinite));
+    }
+}

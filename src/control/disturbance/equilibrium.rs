@@ -1,0 +1,89 @@
+//! Disturbances that are constant, and the equilibrium that they leave.
+
+use vehicle::frame::{Euler, Frd, Ned};
+
+use crate::control::hover_model::HoverVehicle;
+use crate::setpoint::{Reference, Setpoint};
+
+/// Constant disturbances, each bounded.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Disturbance {
+    /// By how much more than reported the position moves, m/s.
+    pub velocity: Ned,
+    /// Horizontal drag over speed and mass, 1/s.
+    pub drag_per_s: f64,
+    /// Horizontal acceleration fixed in the world, m/s^2: wind.
+    pub world: [f64; 2],
+    /// Horizontal acceleration in axes that turn with yaw, m/s^2: the attitude's own error.
+    pub body: [f64; 2],
+    /// Acceleration along the body's down axis, m/s^2: a weight or a thrust other than believed.
+    pub along_thrust: f64,
+    /// Attitude beside the one that the loop is sent, rad: moments that its gains give way to.
+    pub attitude: [f64; 3],
+}
+
+impl Disturbance {
+    /// Leaves this share of each.
+    pub fn fade(&mut self, share: f64) {
+        self.velocity = self.velocity * share;
+        self.drag_per_s *= share;
+        self.along_thrust *= share;
+        let rest = self.world.iter_mut().chain(&mut self.body).chain(&mut self.attitude);
+        rest.for_each(|number| *number *= share);
+    }
+
+    /// Whether each is a number below `size` in its unit.
+    pub fn is_below(&self, size: f64) -> bool {
+        let rest = self.world.iter().chain(&self.body).chain(&self.attitude);
+        let mut all = rest.chain([&self.drag_per_s, &self.along_thrust]);
+        all.all(|number| number.abs() < size) && self.velocity.norm() < size
+    }
+
+    /// How the disturbances move what leads a vehicle at the heading `yaw` along `reference`.
+    pub fn shift(&self, vehicle: &HoverVehicle, reference: &Reference, yaw: f64) -> Shift {
+        let Disturbance {
+            velocity,
+            drag_per_s,
+            world: [north, east],
+            body: [front, right],
+            along_thrust,
+            attitude,
+        } = *self;
+        let (sin, cos) = yaw.sin_cos();
+        let turned = |north: f64, east: f64| [cos * north + sin * east, cos * east - sin * north];
+        let [vn, ve, _] = reference.velocity.to_array();
+        let [ahead, aside] = turned(north - drag_per_s * vn, east - drag_per_s * ve);
+        let (ahead, aside) = (ahead + front, aside + right);
+        // Nose up pushes back, right side down pushes right.
+        let gravity = vehicle.gravity;
+        let (roll, pitch) = ((-aside / gravity).atan(), (ahead / gravity).atan());
+        // A tilted thrust must carry the same weight.
+        let tilted_n =
+            reference.feedforward.thrust_n * ((ahead.hypot(aside) / gravity).hypot(1.0) - 1.0);
+        // Drag turns with the velocity; of what is fixed in the world the body makes no turn.
+        let thrust = reference.feedforward.thrust_n / vehicle.mass_kg;
+        let push = reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -thrust));
+        let [more_ahead, more_aside] =
+            turned(-drag_per_s * push.north(), -drag_per_s * push.east());
+        Shift {
+            velocity: -velocity,
+            attitude: Euler::new(roll, pitch, 0.0),
+            input: Setpoint {
+                thrust_n: vehicle.mass_kg * along_thrust + tilted_n,
+                attitude: Euler::new(roll - attitude[0], pitch - attitude[1], -attitude[2]),
+                body_rate: Frd::new(-more_aside / gravity, more_ahead / gravity, 0.0),
+            },
+        }
+    }
+}
+
+/// How an equilibrium lies beside the undisturbed one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shift {
+    /// Reported while the position rests, m/s.
+    pub velocity: Ned,
+    /// Roll, pitch and yaw that hold against the disturbances, rad.
+    pub attitude: Euler,
+    /// Thrust against them, and the setpoint for which the loop gives that attitude.
+    pub input: Setpoint,
+}

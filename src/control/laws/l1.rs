@@ -1,0 +1,187 @@
+//! L1 adaptive augmentation of the geometric law.
+
+use vehicle::frame::{Frd, Ned};
+use vehicle::rigid_body::State;
+
+use super::geometric::{Geometric, POSITION, VELOCITY};
+use super::{Command, ControlLaw, ControlProblem, DesignError, Gain, LawSpec};
+use crate::setpoint::Reference;
+
+/// The law in the table of laws.
+pub(super) static SPEC: LawSpec = LawSpec {
+    id: "l1",
+    summary: "The geometric law with L1 adaptive augmentation (Wu et al. 2022).",
+    gains: &[
+        POSITION,
+        VELOCITY,
+        Gain {
+            key: "gains.predictor_per_s",
+            unit: "1/s",
+            values: 1,
+            meaning: "pole of the state predictor: -A_s",
+        },
+        Gain {
+            key: "gains.filter_per_s",
+            unit: "1/s",
+            values: 2,
+            meaning: "cut-off of the low-pass filter, horizontal and vertical",
+        },
+    ],
+    design: |problem| Ok(Box::new(L1::design(problem)?)),
+};
+
+/// Pole of the state predictor, 1/s.
+const PREDICTOR_PER_S: f64 = 5.0;
+/// Cut-off of the filter, over the natural frequency of the geometric law's position loop.
+const FILTER_SHARE: f64 = 0.5;
+/// The largest uncertainty that is acted upon along each axis, m/s^2.
+const UNCERTAINTY_MAX_M_S2: f64 = 6.0;
+/// A longer time between samples leaves nothing to predict, s.
+const GAP_MAX_S: f64 = 0.2;
+
+/// The translation of Wu, Cheng, Ackerman, Gahlawat, Lakshmanan, Zhao and Hovakimyan ("L1 adaptive
+/// augmentation for geometric tracking control of quadrotors", ICRA 2022), around [`Geometric`]:
+///
+/// ```text
+/// de_hat/dt = -(T/m) R e3 - f* + sigma + A_s (e_hat - e)      state predictor, A_s = -a I
+/// sigma     = -Phi^-1 exp(A_s dt) (e_hat - e)                  piecewise constant, each sample
+/// Phi       = A_s^-1 (exp(A_s dt) - I)
+/// f         = f_geometric - C(s) sigma                        C a first-order low pass
+/// ```
+///
+/// `e = v - v*`, and `f*` is the reference's own force.
+///
+/// Where it differs from the paper: the velocity's error is predicted in place of the velocity, so that
+/// what the reference's force holds against already is not learned again; moments are the on-board loop's, so that the angular part is left
+/// out; and all of `C sigma` is taken from the wanted force, the part across the thrust too, as the
+/// attitude turns to it. The cut-off is a share of the position loop's natural frequency, because an
+/// attitude loop, delay and rotors' lag are between.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct L1 {
+    law: Geometric,
+    mass_kg: f64,
+    predictor_per_s: f64,
+    /// Horizontal and vertical.
+    filter_per_s: [f64; 2],
+    memory: Option<Memory>,
+}
+
+/// From one sample to the next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Memory {
+    /// Errors of the velocity.
+    predicted: Ned,
+    velocity: Ned,
+    sigma: Ned,
+    filtered: Ned,
+    /// Acceleration of the last command beside the reference's.
+    acceleration: Ned,
+}
+
+impl L1 {
+    /// Designs the law for a vehicle.
+    ///
+    /// # Errors
+    /// As [`Geometric::design`].
+    pub fn design(problem: &ControlProblem) -> Result<Self, DesignError> {
+        let law = Geometric::design(problem)?;
+        let gains = &problem.settings.gains;
+        let cut_off = law.position_per_s2().map(|stiffness| FILTER_SHARE * stiffness.sqrt());
+        let [predictor_per_s] = gains.get("predictor_per_s").unwrap_or([PREDICTOR_PER_S]);
+        Ok(Self {
+            law,
+            mass_kg: problem.vehicle.mass_kg,
+            predictor_per_s,
+            filter_per_s: gains.get("filter_per_s").unwrap_or(cut_off),
+            memory: None,
+        })
+    }
+
+    /// The filtered uncertainty after `dt` seconds that ended at `velocity`.
+    fn learn(&self, memory: &Memory, velocity: Ned, dt: f64) -> Memory {
+        let pole = -self.predictor_per_s;
+        let decay = (pole * dt).exp();
+        // The predictor over the step, exactly.
+        let drive = memory.acceleration + memory.sigma - memory.velocity * pole;
+        let predicted = memory.predicted * decay + drive * ((decay - 1.0) / pole);
+        let sigma = (predicted - velocity) * (-pole * decay / (decay - 1.0));
+        let sigma = sigma.map(|it| it.clamp(-UNCERTAINTY_MAX_M_S2, UNCERTAINTY_MAX_M_S2));
+        let [horizontal, vertical] = self.filter_per_s.map(|cut_off| 1.0 - (-cut_off * dt).exp());
+        let step = (sigma - memory.filtered).scale_by([horizontal, horizontal, vertical]);
+        Memory { predicted, velocity, sigma, filtered: memory.filtered + step, ..*memory }
+    }
+}
+
+impl ControlLaw for L1 {
+    fn command(&mut self, state: &State, reference: &Reference, dt_s: f64) -> Command {
+        let (_, velocity) = self.law.errors(state, reference);
+        let fresh = Memory {
+            predicted: velocity,
+            velocity,
+            sigma: Ned::zero(),
+            filtered: Ned::zero(),
+            acceleration: Ned::zero(),
+        };
+        let mut memory = match self.memory {
+            Some(memory) if dt_s > 0.0 && dt_s < GAP_MAX_S => self.learn(&memory, velocity, dt_s),
+            Some(memory) => Memory { filtered: memory.filtered, ..fresh },
+            None => fresh,
+        };
+        if !memory.filtered.is_finite() || !memory.predicted.is_finite() {
+            memory = fresh;
+        }
+        let command = self.law.pushing(state, reference, -memory.filtered);
+        let thrust = command.setpoint.thrust_n / self.mass_kg;
+        memory.acceleration = state.attitude.to_world(Frd::new(0.0, 0.0, -thrust))
+            - self.law.reference_force(reference);
+        self.memory = memory.acceleration.is_finite().then_some(memory);
+        command
+    }
+
+    fn reset(&mut self) {
+        self.memory = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::ControlSettings;
+    use super::*;
+    use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Limits};
+    use crate::setpoint::Setpoint;
+
+    const QUAD: HoverVehicle =
+        HoverVehicle { mass_kg: 1.2, inertia: [0.0112, 0.0123, 0.0206], gravity: 9.81 };
+    const PD: AttitudeLoop = AttitudeLoop::Pd { kp: [1.46, 1.6, 0.355], kd: [0.19, 0.22, 0.163] };
+
+    fn law() -> L1 {
+        let (limits, settings) = (Limits::default(), ControlSettings::default());
+        L1::design(&ControlProblem {
+            vehicle: &QUAD,
+            actuation: &Actuation::IMMEDIATE,
+            attitude_loop: &PD,
+            limits: &limits,
+            settings: &settings,
+        })
+        .expect("a law")
+    }
+
+    #[test]
+    fn uncertainty_of_a_point_mass_is_found_and_cancelled() {
+        let feedforward = Setpoint { thrust_n: QUAD.hover_thrust_n(), ..Setpoint::default() };
+        let reference = Reference { feedforward, ..Reference::default() };
+        let (mut law, mut state, dt) = (law(), State::default(), 0.01);
+        for _ in 0..2000 {
+            let sent = law.command(&state, &reference, dt).setpoint;
+            // A push down of 1.5 m/s^2.
+            let down = QUAD.gravity + 1.5 - sent.thrust_n / QUAD.mass_kg;
+            state.velocity += Ned::new(0.0, 0.0, down * dt);
+            state.position += state.velocity * dt;
+        }
+        let memory = law.memory.expect("a memory");
+        assert!((memory.filtered.down() - 1.5).abs() < 0.1, "{memory:?}");
+        assert!(state.position.norm() < 0.02, "{:?}", state.position);
+        law.reset();
+        assert_eq!(law.memory, None);
+    }
+}
