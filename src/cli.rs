@@ -115,6 +115,8 @@ pub enum Command {
     Plan(PlanArgs),
     /// Says where a simulator and flights part, which effect causes it, and how far it shrinks.
     Diagnose(DiagnoseArgs),
+    /// Says when something of the vehicle changed, in a flight or between flights, and what.
+    Onset(OnsetArgs),
     /// Checks the diagnosis blindly, on simulated flights whose cause it is not told.
     Exam(ExamArgs),
     /// Makes keys for signed links (MAVLink 2), and gives them to vehicles.
@@ -229,6 +231,32 @@ impl DiagnoseArgs {
     }
 }
 
+/// Flags of `onset`.
+#[derive(Clone, Debug, Args)]
+pub struct OnsetArgs {
+    /// Flight logs of one vehicle, in the order of their dates.
+    #[arg(required = true)]
+    pub logs: Vec<PathBuf>,
+    /// The vehicle file.
+    #[arg(long)]
+    pub vehicle: PathBuf,
+    /// What the columns of CSV logs mean.
+    #[arg(long, value_name = "FILE")]
+    pub mapping: Option<PathBuf>,
+    /// Mean time between false alarms that the bound on the evidence is for, h of flight.
+    #[arg(long, value_name = "H", default_value_t = 1000.0)]
+    pub false_alarm_h: f64,
+    /// Folder for report.html and report.json; made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// Ends with exit code 10 if something changed.
+    #[arg(long)]
+    pub fail_on_change: bool,
+    /// Prints the answer as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// Flags of `exam`.
 #[derive(Debug, Args)]
 pub struct ExamArgs {
@@ -275,6 +303,15 @@ pub struct ExamArgs {
         conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "decide", "evidence"]
     )]
     pub laws: Option<usize>,
+    /// Instead: this many flights in which something of the vehicle changes at an instant, and --nulls of ten
+    /// minutes in which nothing does: how near to the true time the change is told, from logs and live, and
+    /// how often one is told where there is none.
+    #[arg(
+        long,
+        value_name = "COUNT",
+        conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "decide", "evidence", "laws"]
+    )]
+    pub onsets: Option<usize>,
     /// Folder for each case's key, answer and the evidence that its verdict rests on; made if missing.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["practice", "decide"])]
     pub evidence: Option<PathBuf>,

@@ -17,6 +17,7 @@ pub mod learn;
 pub mod link;
 pub mod log;
 pub mod model;
+pub mod onset;
 pub mod pilot;
 pub mod plan;
 pub mod report;
@@ -27,6 +28,7 @@ pub mod vehicle_init;
 
 pub mod daemon;
 pub mod forward;
+pub mod health;
 mod http;
 pub mod lockstep;
 pub mod service;

@@ -16,6 +16,7 @@ use tokio::net::TcpStream;
 use tokio::sync::oneshot;
 
 use crate::clock::HostTime;
+use crate::health::{Health, HealthView};
 use crate::http::{self, Request, respond};
 use crate::station::Status;
 use crate::supervisor::FlightState;
@@ -55,6 +56,7 @@ struct Shown {
     /// How old that was when it was shown, s.
     age_s: f64,
     at: Option<Instant>,
+    health: Health,
 }
 
 impl Shown {
@@ -93,6 +95,9 @@ pub struct ServiceStatus {
     setpoints: u64,
     /// Whether records reach the log.
     is_logging_well: bool,
+    /// Changes of the vehicle that the monitor told, and the newest of them in words.
+    changes: u64,
+    latest_change: Option<String>,
 }
 
 /// What is served, while this lives.
@@ -156,11 +161,13 @@ impl Service {
     }
 
     /// Takes how the flight stands at `now`.
-    pub fn show(&self, now: HostTime, status: &Status) {
+    pub fn show(&self, now: HostTime, status: &Status, health: Option<&HealthView>) {
         // Before the control line's first status there is no age.
         let Some(updated) = status.updated else { return };
         let age_s = now.since(updated).as_secs_f64();
-        *lock(&self.shown) = Shown { status: status.clone(), age_s, at: Some(Instant::now()) };
+        let health = health.map(HealthView::get).unwrap_or_default();
+        *lock(&self.shown) =
+            Shown { status: status.clone(), age_s, at: Some(Instant::now()), health };
     }
 }
 
@@ -186,9 +193,11 @@ async fn answer(mut stream: TcpStream, shown: Arc<Mutex<Shown>>) -> io::Result<(
         Some(Request { path, .. }) => match path.as_str() {
             "/health" => health(&shown),
             "/status" => ("200 OK", "application/json", status_json(&shown)),
-            "/metrics" => {
-                ("200 OK", "text/plain; version=0.0.4", metrics::text(&shown.status, shown.age_s()))
-            }
+            "/metrics" => (
+                "200 OK",
+                "text/plain; version=0.0.4",
+                metrics::text(&shown.status, shown.health.count, shown.age_s()),
+            ),
             _ => {
                 let text = "there are /health, /status and /metrics\n".to_owned();
                 ("404 Not Found", "text/plain", text)
@@ -236,6 +245,8 @@ fn status_json(shown: &Shown) -> String {
         battery: status.battery,
         setpoints: status.setpoints,
         is_logging_well: is_logging_well(status),
+        changes: shown.health.count,
+        latest_change: shown.health.latest.clone(),
     };
     serde_json::to_string(&told).unwrap_or_default() + "\n"
 }
@@ -266,7 +277,7 @@ mod tests {
         assert!(get(&service, "/health").starts_with("HTTP/1.1 503"));
         let now = HostTime::from_ns(10_000_000_000);
         let running = Status { updated: Some(now), setpoints: 7, ..Status::default() };
-        service.show(now, &running);
+        service.show(now, &running, None);
         assert!(get(&service, "/health").ends_with("\r\n\r\nok\n"));
         let metrics = get(&service, "/metrics");
         assert!(metrics.contains("text/plain; version=0.0.4"), "{metrics}");
@@ -276,10 +287,10 @@ mod tests {
                 .expect("JSON");
         assert_eq!((&told["schema"], &told["setpoints"]), (&"downwash.status".into(), &7.into()));
         let blind = Status { log_failures: 1, ..running.clone() };
-        service.show(now, &blind);
+        service.show(now, &blind, None);
         let answer = get(&service, "/health");
         assert!(answer.starts_with("HTTP/1.1 200") && answer.contains("log"), "{answer}");
-        service.show(now + Duration::from_secs(3), &running);
+        service.show(now + Duration::from_secs(3), &running, None);
         assert!(get(&service, "/health").starts_with("HTTP/1.1 503"));
     }
 

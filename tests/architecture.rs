@@ -24,6 +24,8 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
             &["clock", "guard", "setpoint", "link", "telemetry", "control", "plan", "supervisor"],
         ),
         ("log", &["clock", "setpoint", "link", "parameters"]),
+        ("onset", &[]),
+        ("health", &["clock", "log", "onset"]),
         ("model", &[]),
         ("learn", &["log", "model"]),
         ("audit", &["learn", "log", "parameters"]),
@@ -35,6 +37,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
                 "learn",
                 "log",
                 "model",
+                "onset",
                 "parameters",
                 "pilot",
                 "plan",
@@ -55,10 +58,13 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
                 "supervisor",
             ],
         ),
-        ("exam", &["control", "diagnose", "plan", "setpoint"]),
+        ("exam", &["control", "diagnose", "onset", "plan", "setpoint"]),
         (
             "report",
-            &["clock", "control", "setpoint", "diagnose", "exam", "learn", "log", "model", "plan"],
+            &[
+                "clock", "control", "setpoint", "diagnose", "exam", "learn", "log", "model",
+                "onset", "plan",
+            ],
         ),
         (
             "station",
@@ -80,7 +86,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("daemon", &["clock", "forward", "guard", "link", "log", "station", "supervisor"]),
         ("forward", &["log"]),
         ("http", &[]),
-        ("service", &["clock", "http", "station", "supervisor"]),
+        ("service", &["clock", "health", "http", "station", "supervisor"]),
         ("view", &["clock", "http", "log", "station"]),
         ("config", &["control", "link", "log", "pilot", "plan", "supervisor", "telemetry"]),
     ])

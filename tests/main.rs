@@ -53,6 +53,7 @@ mod log_foreign;
 mod log_import;
 mod log_onboard;
 mod log_table;
+mod onset;
 mod pilot_control_ends;
 mod pilot_flight;
 mod pilot_preparation;

@@ -108,6 +108,7 @@ pub fn fly(
     let settings = settings_of(settings)?;
     let truth = Truth {
         effects: effects_of(effects)?,
+        onsets: Vec::new(),
         config: match sitl_config {
             Some(text) => serde_json::from_str::<SitlConfig>(text)
                 .map_err(|error| unread("simulation", &error))?,

@@ -13,7 +13,7 @@ use wire::transport::OpenError;
 use crate::autopilot::{Vehicle, VehicleRefused};
 use crate::config::{Autopilot, ConfigError, SitlConfig};
 use crate::server::Server;
-use vehicle::effects::{EffectSet, EffectsRefused};
+use vehicle::effects::{EffectsRefused, Schedule};
 use vehicle::{VehicleError, VehicleParams};
 
 /// Options of `sitl`.
@@ -47,8 +47,9 @@ pub struct SitlArgs {
     #[arg(long, value_name = "FILE")]
     pub effects: Option<PathBuf>,
     /// One such effect, over those of the file, such as motor_lag:tau_s=0.03 or
-    /// inertia:scale=[1.2,1.1,1.0]; may be given several times
-    #[arg(long, value_name = "ID:KEY=VALUE,...")]
+    /// inertia:scale=[1.2,1.1,1.0]; may be given several times. With @41.2 behind it, it sets in at
+    /// 41.2 s of the vehicle's clock
+    #[arg(long, value_name = "ID:KEY=VALUE,...[@S]")]
     pub effect: Vec<String>,
 }
 
@@ -145,8 +146,9 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
         None => SitlConfig::default(),
     };
     config.autopilot = args.autopilot.unwrap_or(config.autopilot);
-    let effects = EffectSet::requested(args.effects.as_deref(), &args.effect)?;
-    let mut vehicle = Vehicle::new(params, effects.clone(), config, args.seed)?;
+    let schedule = Schedule::requested(args.effects.as_deref(), &args.effect)?;
+    let effects = schedule.effects.clone();
+    let mut vehicle = Vehicle::scheduled(params, schedule, config, args.seed)?;
     if let Some(remark) = vehicle.plant().physics().unfelt(&effects) {
         eprintln!("{remark}");
     }

@@ -143,8 +143,9 @@ pub struct SimulationArgs {
     /// Effects of the simulated vehicle that the daemon does not know: a TOML table for each id.
     #[arg(long, value_name = "FILE")]
     pub effects: Option<PathBuf>,
-    /// One such effect, over those of the file: id:key=value,...
-    #[arg(long, visible_alias = "hidden", value_name = "EFFECT")]
+    /// One such effect, over those of the file: id:key=value,... With @41.2 behind it, it sets in at
+    /// 41.2 s of the vehicle's clock.
+    #[arg(long, visible_alias = "hidden", value_name = "EFFECT[@S]")]
     pub effect: Vec<String>,
 }
 

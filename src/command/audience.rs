@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
 
+use vehicle::VehicleParams;
+
 use super::course::Course;
 use super::screen::Screen;
 use super::status_line::StatusLine;
@@ -12,8 +14,10 @@ use crate::cli::{ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewAr
 use crate::clock::HostTime;
 use crate::config::Config;
 use crate::forward::{AllowList, Forward, Guests};
+use crate::health::{HealthView, Monitor};
 use crate::log::RunInfo;
 use crate::log::sink::Listeners;
+use crate::onset::detector::Settings;
 use crate::service::Service;
 use crate::station::Status;
 use crate::view::{CoursePath, LiveView, ViewSettings};
@@ -31,6 +35,9 @@ pub(super) struct Audience {
     screen: Option<Screen>,
     service: Option<Service>,
     line: Option<StatusLine>,
+    health: Option<HealthView>,
+    /// Changes of the vehicle that were said.
+    said: u64,
 }
 
 impl Audience {
@@ -56,6 +63,18 @@ impl Audience {
             let (forward, guests) = Forward::start(&args.forward, allow).or_exit(Exit::Usage)?;
             self.listeners.push(Box::new(forward));
             self.guests = Some(guests);
+        }
+        Ok(self)
+    }
+
+    /// The same, watching whether the vehicle changes, where the settings say so.
+    pub fn monitored(mut self, vehicle: &VehicleParams, config: &Config) -> anyhow::Result<Self> {
+        let health = &config.settings.health;
+        if health.monitor {
+            let settings = Settings { false_alarm_h: health.false_alarm_h, ..Settings::LIVE };
+            let monitor = Monitor::new(vehicle, settings).or_exit(Exit::Usage)?;
+            self.health = Some(monitor.view());
+            self.listeners.push(Box::new(monitor));
         }
         Ok(self)
     }
@@ -104,8 +123,16 @@ impl Audience {
         if let Some(view) = &self.view {
             view.show(now, status);
         }
+        if let Some(health) = self.health.as_ref().map(HealthView::get)
+            && health.count > self.said
+        {
+            self.said = health.count;
+            if self.screen.is_none() {
+                say(format_args!("{}", health.latest.unwrap_or_default()));
+            }
+        }
         if let Some(service) = &self.service {
-            service.show(now, status);
+            service.show(now, status, self.health.as_ref());
         }
         if let Some(line) = &self.line {
             line.show(status);

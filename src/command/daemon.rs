@@ -38,6 +38,7 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
     let mut audience = Audience::start(&args.view, &config, &info, &course)?
+        .monitored(&vehicle.params, &config)?
         .forwarding(&args.forward, &config)?
         .served(&args.service)?
         .on_screen(args.tui, &info)?;

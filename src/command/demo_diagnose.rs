@@ -379,7 +379,7 @@ impl Loop<'_> {
     ) -> anyhow::Result<()> {
         let args = self.args;
         let diagnosis = args.out.join("diagnosis.html");
-        let page = crate::report::diagnosis::html(answer, &self.shipped.params.name);
+        let page = crate::report::diagnosis::html(answer, &self.shipped.params.name, &[]);
         write_file(&diagnosis, page.as_bytes())?;
         let json = serde_json::to_vec_pretty(answer).context("diagnosis.json")?;
         write_file(&args.out.join("diagnosis.json"), &json)?;

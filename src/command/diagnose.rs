@@ -22,13 +22,16 @@ use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
 use crate::diagnose::case::{Case, Settings};
 use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
+use crate::diagnose::onset::{Seen, changes};
 use crate::diagnose::pipeline::{Diagnosis, diagnose};
 use crate::diagnose::preparation::PreparedFlight;
 use crate::diagnose::rotor_order;
 use crate::diagnose::words::report;
 use crate::learn::commands::Onboard;
 use crate::log::import::Flight;
+use crate::onset::detector as onset;
 use crate::plan::manoeuvres::Room;
+use crate::report::onset::SeenFlight;
 
 /// The answer as it is printed and written.
 #[derive(JsonSchema, Serialize)]
@@ -46,6 +49,8 @@ pub struct Finding {
     /// The answer.
     pub answer: Answer,
     effects: EffectSet,
+    /// What a search for changes saw of each flight, for the report.
+    seen: Vec<(String, Seen)>,
 }
 
 /// Guard between the halves of a single flight, s.
@@ -99,11 +104,20 @@ pub fn find(args: &DiagnoseArgs, progress: &dyn Fn(&str)) -> anyhow::Result<Find
     }
     if fitted.is_empty() && held_out.is_empty() && logs.iter().any(LogAnswer::is_faulty) {
         let answer = Answer::data_fault(logs);
-        return Ok(Finding { args: args.clone(), vehicle, answer, effects: EffectSet::new() });
+        let (effects, seen) = (EffectSet::new(), Vec::new());
+        return Ok(Finding { args: args.clone(), vehicle, answer, effects, seen });
     }
     if fitted.is_empty() && held_out.is_empty() {
         return Err(anyhow!("none of the logs can be used: {}", listed(&paths)))
             .or_exit(Exit::Usage);
+    }
+    let mut seen = Vec::new();
+    if args.report.is_some() {
+        progress("when something changed");
+        for flight in fitted.iter().chain(&held_out).chain(&new) {
+            let of_flight = changes(flight, &vehicle, onset::Settings::LOG).or_exit(Exit::Usage)?;
+            seen.push((flight.name.clone(), of_flight));
+        }
     }
     let blocked = held_out.is_empty() && fitted.len() == 1 || fitted.is_empty();
     if fitted.is_empty() {
@@ -143,7 +157,7 @@ pub fn find(args: &DiagnoseArgs, progress: &dyn Fn(&str)) -> anyhow::Result<Find
     }
     diagnosis.answer.take_up(logs);
     let (answer, effects) = (diagnosis.answer, diagnosis.effects);
-    Ok(Finding { args: args.clone(), vehicle, answer, effects })
+    Ok(Finding { args: args.clone(), vehicle, answer, effects, seen })
 }
 
 impl Finding {
@@ -157,7 +171,9 @@ impl Finding {
 
     /// The report, one page.
     pub fn to_html(&self) -> String {
-        crate::report::diagnosis::html(&self.answer, &self.vehicle.name)
+        let seen: Vec<SeenFlight<'_>> =
+            self.seen.iter().map(|(log, seen)| SeenFlight { log, seen }).collect();
+        crate::report::diagnosis::html(&self.answer, &self.vehicle.name, &seen)
     }
 
     /// The answer in words.
@@ -170,7 +186,7 @@ impl Finding {
     /// # Errors
     /// A vehicle file that is no longer there, or cannot be written in this form.
     pub fn improved(&self, out: &Path) -> anyhow::Result<String> {
-        let Self { args, vehicle, answer, effects } = self;
+        let Self { args, vehicle, answer, effects, .. } = self;
         let text = vehicle::read(&args.vehicle)
             .with_context(|| format!("cannot read {}", args.vehicle.display()))
             .or_exit(Exit::Usage)?;
@@ -235,14 +251,19 @@ fn propose(
 }
 
 /// A log with what the audit found in it.
-struct AuditedLog {
-    flight: anyhow::Result<PreparedFlight>,
+pub(super) struct AuditedLog {
+    /// Ready to be looked at, or why not.
+    pub flight: anyhow::Result<PreparedFlight>,
     audit: Option<LogAnswer>,
 }
 
 /// Reads logs and audits them together. A log at fault is left out, and of others the times that
 /// cannot be used.
-fn audited(paths: &[PathBuf], mapping: Option<&Path>, vehicle: &VehicleParams) -> Vec<AuditedLog> {
+pub(super) fn audited(
+    paths: &[PathBuf],
+    mapping: Option<&Path>,
+    vehicle: &VehicleParams,
+) -> Vec<AuditedLog> {
     let open = |path: &PathBuf| {
         let mut flight = open_for(path, mapping, vehicle)?;
         if Onboard::new(vehicle)?.complete_outputs(&mut flight) {

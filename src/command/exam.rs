@@ -6,6 +6,7 @@
 
 mod decided;
 mod laws;
+mod onsets;
 mod practice;
 
 use std::collections::BTreeMap;
@@ -28,6 +29,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet};
 
 pub(super) use self::laws::LawsSummary;
+pub(super) use self::onsets::OnsetsSummary;
 pub(super) use self::practice::PracticeSummary;
 use super::logs::open_for;
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
@@ -103,6 +105,9 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     }
     if let Some(count) = args.laws {
         return laws::run(args, count, &hall);
+    }
+    if let Some(count) = args.onsets {
+        return onsets::run(args, count, &hall);
     }
     let orders = orders(args, seed)?;
     if orders.is_empty() {

@@ -86,6 +86,7 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
     let mut signals = StopSignals::after(Some(preparation))?;
     let audience =
         Audience::start(&args.view, &config, &info, &course)?.forwarding(&args.forward, &config)?;
+    let audience = audience.monitored(&vehicle.params, &config)?;
     let audience = audience.served(&args.service)?.on_screen(args.tui, &info)?;
     let run = Run { settings: station_settings, endpoint, tee, audience };
     let Flown { end, exit, log } = run.fly(&log_dir, &info, &mut signals)?;

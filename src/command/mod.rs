@@ -26,6 +26,7 @@ mod log;
 mod logs;
 mod messages;
 mod model;
+mod onset;
 mod output;
 mod plan;
 mod progress;
@@ -165,6 +166,10 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Train(args) => train::run(&args, &Interruption::watch()?),
         Command::Plan(args) => plan::run(&args, &Interruption::watch()?),
         Command::Exam(args) => exam::run(&args, &Interruption::watch()?),
+        Command::Onset(args) => {
+            Interruption::watch()?;
+            onset::run(&args)
+        }
         Command::Diagnose(args) => {
             Interruption::watch()?;
             diagnose::run(&args)

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::{
     Exit, ExitContext, audit, campaign, collect, config, demo, demo_diagnose, diagnose, doctor,
 };
-use super::{exam, fly, import, inspect, model, plan, simulate, sweep, vehicle};
+use super::{exam, fly, import, inspect, model, onset, plan, simulate, sweep, vehicle};
 use super::{print_json, print_text};
 use crate::cli::SchemaArgs;
 use crate::learn::summary::TrainingSummary;
@@ -29,7 +29,7 @@ pub(super) struct Output {
 }
 
 /// All of them, in the order of a table.
-pub(super) const OUTPUTS: [Output; 32] = [
+pub(super) const OUTPUTS: [Output; 34] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -44,6 +44,7 @@ pub(super) const OUTPUTS: [Output; 32] = [
     Output::new::<doctor::Answer<'_>>("downwash.doctor", "doctor --json"),
     Output::new::<exam::ExamSummary<'_>>("downwash.exam", "exam --json"),
     Output::new::<exam::LawsSummary<'_>>("downwash.exam.laws", "exam --laws COUNT --json"),
+    Output::new::<exam::OnsetsSummary<'_>>("downwash.exam.onsets", "exam --onsets COUNT --json"),
     Output::new::<exam::PracticeSummary<'_>>(
         "downwash.exam.practice",
         "exam --practice DIR --json",
@@ -62,6 +63,7 @@ pub(super) const OUTPUTS: [Output; 32] = [
     Output::new::<model::EvaluationSummary>("downwash.model_eval", "model eval --json"),
     Output::new::<model::Info<'_>>("downwash.model_info", "model info --json"),
     Output::new::<plan::PlanSummary<'_>>("downwash.plan.summary", "plan --json"),
+    Output::new::<onset::OnsetAnswer>("downwash.onset", "onset --json"),
     Output::new::<simulate::Row>("downwash.simulate", "simulate --json"),
     Output::new::<ServiceStatus>(
         "downwash.status",

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use sitl::config::SitlConfig;
 use toml::{Table, Value};
-use vehicle::effects::EffectSet;
+use vehicle::effects::{EffectSet, Onset, Schedule};
 
 use super::audience::Audience;
 use super::course::Course;
@@ -35,6 +35,8 @@ pub struct Inputs {
     pub trajectory: Option<PathBuf>,
     /// Effects of the simulated vehicle that the controller does not know.
     pub effects: EffectSet,
+    /// Those that set in later.
+    pub onsets: Vec<Onset>,
     /// The simulated vehicle's own configuration.
     pub sitl_config: Option<PathBuf>,
     /// Configuration file.
@@ -80,6 +82,10 @@ pub struct Row {
         with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
     )]
     pub effects: EffectSet,
+    /// Those that set in later, each with its time.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(with = "Vec<serde_json::Value>")]
+    pub onsets: Vec<Onset>,
     /// Settings that were given beside files.
     #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
     pub settings: BTreeMap<String, Value>,
@@ -102,12 +108,14 @@ pub struct Row {
 
 pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
     let began = Instant::now();
-    let effects = EffectSet::requested(args.simulation.effects.as_deref(), &args.simulation.effect)
-        .or_exit(Exit::Usage)?;
+    let Schedule { effects, onsets } =
+        Schedule::requested(args.simulation.effects.as_deref(), &args.simulation.effect)
+            .or_exit(Exit::Usage)?;
     let simulation = Simulation::load(&Inputs {
         vehicle: args.vehicle.clone(),
         trajectory: args.trajectory.clone(),
         effects,
+        onsets,
         sitl_config: args.simulation.sitl_config.clone(),
         config: args.config.clone(),
         settings: settings(&args.set)?,
@@ -166,6 +174,7 @@ impl Simulation {
                 None => SitlConfig::default(),
             },
             effects: inputs.effects.clone(),
+            onsets: inputs.onsets.clone(),
         };
         let settings = inputs.settings.clone();
         Ok(Self { config, vehicle, course, truth, settings, seed: inputs.seed })
@@ -189,6 +198,18 @@ impl Simulation {
         watch: impl FnMut(&Status),
     ) -> anyhow::Result<(Row, Exit)> {
         self.fly_heard(Some(folder), |_| {}, watch)
+    }
+
+    /// Flies, and writes a log into `folder`; `hear` hears each record.
+    ///
+    /// # Errors
+    /// As [`fly_logged`](Self::fly_logged).
+    pub fn fly_recorded(
+        &self,
+        folder: &Path,
+        hear: impl FnMut(&Record),
+    ) -> anyhow::Result<(Row, Exit)> {
+        self.fly_heard(Some(folder), hear, |_| {})
     }
 
     /// Flies, with a log where there is a folder for it. `hear` hears each record.
@@ -273,6 +294,7 @@ impl Simulation {
             vehicle: self.vehicle.params.name.clone(),
             trajectory: self.course.name().to_owned(),
             effects: self.truth.effects.clone(),
+            onsets: self.truth.onsets.clone(),
             settings: self.settings.clone(),
             seed: self.seed,
             end: words,

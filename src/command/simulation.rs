@@ -8,7 +8,7 @@ use anyhow::Context;
 use sitl::autopilot::Vehicle;
 use sitl::config::SitlConfig;
 use vehicle::VehicleParams;
-use vehicle::effects::EffectSet;
+use vehicle::effects::{EffectSet, Onset, Schedule};
 use vehicle::physics::Physics;
 
 use super::course::Course;
@@ -33,6 +33,8 @@ pub struct Truth {
     pub config: SitlConfig,
     /// Beyond the vehicle file's modelled effects.
     pub effects: EffectSet,
+    /// Those that set in later.
+    pub onsets: Vec<Onset>,
 }
 
 impl Truth {
@@ -42,9 +44,9 @@ impl Truth {
             Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
             None => SitlConfig::default(),
         };
-        let effects =
-            EffectSet::requested(args.effects.as_deref(), &args.effect).or_exit(Exit::Usage)?;
-        let truth = Self { config, effects };
+        let Schedule { effects, onsets } =
+            Schedule::requested(args.effects.as_deref(), &args.effect).or_exit(Exit::Usage)?;
+        let truth = Self { config, effects, onsets };
         truth.warn(vehicle);
         Ok(truth)
     }
@@ -56,6 +58,14 @@ impl Truth {
         if let Some(remark) = physics.and_then(|physics| physics.unfelt(&self.effects)) {
             tracing::warn!("{remark}");
         }
+    }
+
+    /// What sets in later, on one line; empty for nothing.
+    pub(super) fn onsets_text(&self) -> anyhow::Result<String> {
+        if self.onsets.is_empty() {
+            return Ok(String::new());
+        }
+        serde_json::to_string(&self.onsets).context("the onsets")
     }
 
     /// The effects as they are written in a file, on one line.
@@ -104,6 +114,10 @@ impl SimulatedFlight<'_> {
         let mut info = run_info(self.config, self.vehicle, self.run, true, Some(self.seed));
         info.extra.clone_from(&self.extra);
         info.extra.insert("effects".to_owned(), self.truth.effects_text()?);
+        let onsets = self.truth.onsets_text()?;
+        if !onsets.is_empty() {
+            info.extra.insert("onsets".to_owned(), onsets);
+        }
         let start = lockstep::host_time(0);
         // Never synced on the way, which would cut chunks by the wall clock: the same seed gives
         // the same bytes, and a flight that a crash cuts short is flown again.
@@ -135,8 +149,9 @@ impl SimulatedFlight<'_> {
         let limit_s = self.course.duration() + AROUND_S;
         let params = self.airframe.clone();
         let truth = self.truth.clone();
+        let schedule = Schedule { effects: truth.effects, onsets: truth.onsets };
         let mut vehicle =
-            Vehicle::new(params, truth.effects, truth.config, self.seed).or_exit(Exit::Usage)?;
+            Vehicle::scheduled(params, schedule, truth.config, self.seed).or_exit(Exit::Usage)?;
         let policy = EngagePolicy::Command;
         let settings = station_settings(self.config, self.vehicle, self.course, policy, None)?;
         let mut station = Station::new(settings, lockstep::host_time(0));

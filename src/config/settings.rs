@@ -30,6 +30,8 @@ pub struct Settings {
     pub link: LinkSettings,
     /// Ground stations beside this one.
     pub forward: ForwardSettings,
+    /// Whether the vehicle changes in flight.
+    pub health: HealthSettings,
     /// What a trajectory may ask for.
     pub envelope: FlightEnvelope,
     /// Flights that a model is learned from.
@@ -48,6 +50,22 @@ pub struct Settings {
 pub struct ForwardSettings {
     /// Names of the messages that other ground stations may send to the vehicle.
     pub allow: Vec<String>,
+}
+
+/// Settings of the monitor of the vehicle's health. It warns, and does nothing else.
+#[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HealthSettings {
+    /// Whether it watches.
+    pub monitor: bool,
+    /// Mean time between false alarms that its bound is for, h of flight.
+    pub false_alarm_h: f64,
+}
+
+impl Default for HealthSettings {
+    fn default() -> Self {
+        Self { monitor: true, false_alarm_h: 1000.0 }
+    }
 }
 
 /// Settings of the link.
@@ -147,6 +165,7 @@ impl Default for Settings {
             log_dir: None,
             link: LinkSettings::default(),
             forward: ForwardSettings::default(),
+            health: HealthSettings::default(),
             envelope: FlightEnvelope::default(),
             collect: ProgrammeSettings::default(),
             plan: PlanSettings::default(),

@@ -26,6 +26,7 @@ pub mod next_flight;
 pub mod noise;
 pub mod observed;
 pub mod onboard;
+pub mod onset;
 pub mod open_loop;
 mod parts;
 pub mod pipeline;

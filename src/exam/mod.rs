@@ -19,6 +19,7 @@ pub mod key;
 pub mod laws;
 pub mod magnitude;
 pub mod motion;
+pub mod onsets;
 pub mod programme;
 pub mod reliability;
 pub mod score;

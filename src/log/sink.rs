@@ -25,6 +25,11 @@ const DRAIN_PERIOD: Duration = Duration::from_millis(20);
 pub trait Listener: Send {
     /// Hears one record.
     fn hear(&mut self, record: &Record);
+
+    /// What it has to say for the log, once.
+    fn remark(&mut self) -> Option<Record> {
+        None
+    }
 }
 
 /// All that hear the records of a run.
@@ -178,6 +183,10 @@ fn drain(
                     latest = host_time(&record).unwrap_or(latest);
                     listeners.iter_mut().for_each(|listener| listener.hear(&record));
                     step(&mut file, failures, |target| target.write(record, failures));
+                    while let Some(remark) = listeners.iter_mut().find_map(|it| it.remark()) {
+                        listeners.iter_mut().for_each(|listener| listener.hear(&remark));
+                        step(&mut file, failures, |target| target.write(remark, failures));
+                    }
                 }
                 Err(TryRecvError::Empty) => break true,
                 Err(TryRecvError::Disconnected) => break false,

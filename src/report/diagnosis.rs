@@ -17,14 +17,16 @@ use crate::diagnose::gap::QUANTITIES;
 use crate::diagnose::map::Regime;
 use crate::diagnose::open_loop::HORIZONS_S;
 use crate::diagnose::words::{self, closed_loop, one};
+use crate::onset::detector::Settings;
+use crate::report::onset::{self, SeenFlight};
 
 /// Cells of the map and hypotheses that are drawn.
 const SHOWN: usize = 10;
 /// Share of a gap from which on it counts as closed.
 const CLOSED: f64 = 0.5;
 
-/// The whole page, self-contained.
-pub fn html(answer: &Answer, vehicle: &str) -> String {
+/// The whole page, self-contained; `seen` is what a search for changes saw of each flight.
+pub fn html(answer: &Answer, vehicle: &str, seen: &[SeenFlight<'_>]) -> String {
     let seconds: f64 = answer.flights.iter().map(|flight| flight.seconds).sum();
     let subtitle = format!("{} flights, {seconds:.0} s in the air", answer.flights.len());
     let mut page = Page::new(&format!("Diagnosis: {vehicle}"), &subtitle);
@@ -39,6 +41,14 @@ pub fn html(answer: &Answer, vehicle: &str) -> String {
         "Evidence that each hypothesis adds to the file's numbers (delay, lag, thrust, trims, biases within their tolerances), on the flights of the fit; and how much likelier it makes the flights held out. An effect must also make better open-loop predictions.",
         &which(answer),
     );
+    for flight in seen {
+        let heading = format!("When: {}", flight.log);
+        page.section(
+            &heading,
+            onset::EXPLANATION,
+            &onset::picture(Settings::LOG.bound(), flight.seen),
+        );
+    }
     if let Some(found) = &answer.law {
         page.section("The law", law::INTRODUCTION, &law::html(found));
     }

@@ -14,6 +14,7 @@ mod frame;
 pub mod histogram;
 pub mod limited;
 pub mod metrics;
+pub mod onset;
 pub mod page;
 pub mod plan;
 mod power;

@@ -29,7 +29,7 @@ impl Page {
 }
 
 /// All metrics of a status that is so old. What is not known is left out.
-pub(super) fn text(status: &Status, age_s: Option<f64>) -> String {
+pub(super) fn text(status: &Status, changes: u64, age_s: Option<f64>) -> String {
     let mut page = Page(String::new());
     page.family("build_info", "gauge", "Version of the program.");
     page.value("build_info", &format!("{{version=\"{}\"}}", env!("CARGO_PKG_VERSION")), 1);
@@ -76,6 +76,7 @@ pub(super) fn text(status: &Status, age_s: Option<f64>) -> String {
         "Records that the disk was too slow for.",
         status.log_dropped,
     );
+    page.counter("vehicle_changes_total", "Changes of the vehicle that were told.", changes);
     page.counter("log_failures_total", "Logs that ended by an error.", status.log_failures);
     page.0
 }

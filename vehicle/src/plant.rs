@@ -139,6 +139,15 @@ impl Plant {
         self.loads = self.loads_of(&self.rotors);
     }
 
+    /// Lets the vehicle be another from now on: its state, its pack and what disturbs it stay.
+    pub fn become_vehicle(&mut self, physics: Physics) {
+        self.lag = Lag::new(physics.constants().motor_time_constant, Self::STEP);
+        self.environment.air_velocity += physics.wind() - self.physics.wind();
+        self.environment.voltage_factor = physics.voltage_factor(self.battery.voltage());
+        self.physics = physics;
+        self.loads = self.loads_of(&self.rotors);
+    }
+
     /// What rotors in states s_i do to the body.
     #[inline]
     fn loads_of(&self, rotors: &[f64; ROTORS]) -> Loads<f64> {

@@ -2,8 +2,9 @@
 
 use crate::config::SitlConfig;
 use crate::sensors::{Readings, Sensors};
-use vehicle::effects::EffectSet;
+use vehicle::effects::{EffectSet, Onset};
 use vehicle::foreign::Foreign;
+use vehicle::physics::Physics;
 use vehicle::plant::Plant;
 use vehicle::{ROTORS, VehicleError, VehicleParams};
 
@@ -23,6 +24,8 @@ pub(super) struct Airframe {
     airborne: bool,
     cells: u8,
     consumed_ah: f64,
+    /// What the vehicle becomes, and from which step on, the next one last.
+    onsets: Vec<(u64, Physics)>,
 }
 
 impl Airframe {
@@ -48,7 +51,24 @@ impl Airframe {
         sensors.record(&plant);
         let readings = sensors.sample(&plant);
         let cells = vehicle.battery.cells;
-        Ok(Self { plant, sensors, readings, airborne, cells, consumed_ah: 0.0 })
+        Ok(Self { plant, sensors, readings, airborne, cells, consumed_ah: 0.0, onsets: Vec::new() })
+    }
+
+    /// Lets effects set in, over `truth`, each over those before it.
+    pub(super) fn schedule(
+        &mut self,
+        vehicle: &VehicleParams,
+        truth: &EffectSet,
+        onsets: &[Onset],
+    ) -> Result<(), VehicleError> {
+        let mut effects = truth.clone();
+        for onset in onsets {
+            effects = effects.overlay(&onset.effects);
+            let step = (onset.at_s / Plant::STEP).round() as u64;
+            self.onsets.push((step, Physics::new(vehicle, &effects)?));
+        }
+        self.onsets.reverse();
+        Ok(())
     }
 
     pub(super) fn disturb(&mut self, foreign: Foreign, seed: u64) {
@@ -68,6 +88,10 @@ impl Airframe {
     }
 
     pub(super) fn step(&mut self, outputs: [f64; ROTORS]) {
+        let now = self.plant.time_us() / 1000;
+        while let Some((_, physics)) = self.onsets.pop_if(|(step, _)| *step <= now) {
+            self.plant.become_vehicle(physics);
+        }
         self.plant.step(outputs);
         self.sensors.record(&self.plant);
         self.readings = self.sensors.sample(&self.plant);

@@ -45,7 +45,7 @@ use self::personality::NoLoop;
 use self::protocol::Protocol;
 use crate::clock::Clock;
 use crate::config::SitlConfig;
-use vehicle::effects::{CommandDelay, EffectSet, PdGain};
+use vehicle::effects::{CommandDelay, EffectSet, PdGain, Schedule};
 use vehicle::foreign::Foreign;
 use vehicle::plant::Plant;
 use vehicle::{VehicleError, VehicleParams};
@@ -191,6 +191,22 @@ impl Vehicle {
             ticks: 0,
             clock: Clock::new(&config.clock),
         })
+    }
+
+    /// A vehicle in which effects set in, at times of its clock.
+    ///
+    /// # Errors
+    /// [`VehicleRefused`].
+    pub fn scheduled(
+        params: VehicleParams,
+        schedule: Schedule,
+        config: SitlConfig,
+        seed: u64,
+    ) -> Result<Self, VehicleRefused> {
+        let Schedule { effects, onsets } = schedule;
+        let mut vehicle = Self::new(params.clone(), effects.clone(), config, seed)?;
+        vehicle.airframe.schedule(&params.checked()?, &effects, &onsets)?;
+        Ok(vehicle)
     }
 
     /// Lets something from outside the catalogue act on the vehicle from now on, beside what does

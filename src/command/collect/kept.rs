@@ -38,6 +38,7 @@ impl Identity<'_> {
                 parts.push(self.seed.to_string());
                 parts.push(self.config.to_toml());
                 parts.push(truth.effects_text()?);
+                parts.push(truth.onsets_text()?);
                 parts.push(toml::to_string(&truth.config).context("the SITL configuration")?);
             }
             // On another link or with other gains it still is this flight of this vehicle.

@@ -239,6 +239,7 @@ impl Manifest {
             vehicle: file("vehicle"),
             trajectory: file("trajectory"),
             effects,
+            onsets: Vec::new(),
             sitl_config: file("sitl_config"),
             config: file("config"),
             settings,

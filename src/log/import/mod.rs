@@ -37,7 +37,7 @@ pub use flight::{
     TruthSample, UnitUnknown,
 };
 pub use kind::{StatedKind, VehicleKind};
-pub use ranges::OutputRange;
+pub use ranges::{OutputRange, output_ranges};
 
 use super::reader::{LogReader, ReadError};
 use mapping::Mapping;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::functions::{Drive, MOTORS, OUTPUTS};
+use super::functions::{Drive, MOTORS, OUTPUTS, px4_drive};
 
 /// A pulse in us.
 const PULSES: std::ops::RangeInclusive<f64> = 500.0..=2500.0;
@@ -36,6 +36,16 @@ impl OutputRange {
 
 /// The ranges of motors 1 to 4, and what says so.
 pub(super) type Stated = ([OutputRange; MOTORS], String);
+
+/// The ranges of motors 1 to 4 by an autopilot's parameters, where these say them; `most` is the largest
+/// output that was heard.
+pub fn output_ranges(
+    parameters: &BTreeMap<String, f64>,
+    most: f64,
+) -> Option<[OutputRange; MOTORS]> {
+    let of_px4 = || px4(parameters, &px4_drive(parameters, &[]).ok()?, most);
+    ardupilot(parameters).or_else(of_px4).map(|(ranges, _)| ranges)
+}
 
 /// Of PX4's outputs that `drive` names; `most` is the largest that was logged.
 pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) -> Option<Stated> {

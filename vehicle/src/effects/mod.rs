@@ -9,6 +9,7 @@
 //! T = sum of the rotors' thrusts before the aerodynamic factors.
 
 mod file;
+mod schedule;
 mod set;
 mod spec;
 
@@ -18,6 +19,7 @@ use std::str::FromStr;
 
 pub use file::EffectsRefused;
 pub use gusts::Turbulence;
+pub use schedule::{Onset, OnsetError, Schedule};
 pub use set::{EffectError, EffectSet, ParameterValue};
 pub use spec::{
     Chance, Growth, Kind, MAX_SLOTS, Need, Neutral, Parameter, Slot, Slots, Spec, slots,

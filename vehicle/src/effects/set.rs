@@ -85,6 +85,9 @@ pub enum EffectError {
     /// A formula is refused.
     #[error(transparent)]
     Law(#[from] LawError),
+    /// An effect cannot set in.
+    #[error(transparent)]
+    Onset(#[from] super::OnsetError),
     /// There are too many formulas.
     #[error("more than {LAWS_MAX} laws")]
     TooManyLaws,

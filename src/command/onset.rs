@@ -1,0 +1,123 @@
+//! `downwash onset`: when something of the vehicle changed.
+
+use anyhow::{Context, anyhow};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::VehicleParams;
+
+use super::diagnose::audited;
+use super::output::create_report_folder;
+use super::train::listed;
+use super::vehicle::warn;
+use super::{Exit, ExitContext, in_words, print_json, print_text, say, write_file};
+use crate::cli::OnsetArgs;
+use crate::diagnose::onset::{Seen, changes};
+use crate::diagnose::preparation::PreparedFlight;
+use crate::onset::change::Change;
+use crate::onset::detector::Settings;
+use crate::onset::history::{Step, of_flight, steps};
+use crate::onset::words::{line, step_line};
+use crate::report::onset::SeenFlight;
+
+/// The JSON of `onset`.
+#[derive(JsonSchema, Serialize)]
+pub(super) struct OnsetAnswer {
+    schema: &'static str,
+    schema_version: u32,
+    vehicle: String,
+    /// Evidence from which on a change is told, nats.
+    bound: f64,
+    flights: Vec<FlightAnswer>,
+    /// What changed between flights, in the order that they were given in.
+    steps: Vec<Step>,
+}
+
+/// One flight.
+#[derive(JsonSchema, Serialize)]
+pub(super) struct FlightAnswer {
+    log: String,
+    /// Airborne time that was looked at, s.
+    seconds: f64,
+    /// What changed in it, in the order of time.
+    changes: Vec<Change>,
+}
+
+pub(super) fn run(args: &OnsetArgs) -> anyhow::Result<Exit> {
+    let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
+    warn(&args.vehicle, &vehicle);
+    let settings = Settings { false_alarm_h: args.false_alarm_h, ..Settings::LOG };
+    let mut flights: Vec<(String, PreparedFlight)> = Vec::new();
+    for (path, log) in args.logs.iter().zip(audited(&args.logs, args.mapping.as_deref(), &vehicle))
+    {
+        match log.flight {
+            Ok(flight) => flights.push((path.display().to_string(), flight)),
+            Err(error) => say(format_args!("{}: left out: {}", path.display(), in_words(&error))),
+        }
+    }
+    if flights.is_empty() {
+        return Err(anyhow!("none of the logs can be used: {}", listed(&args.logs)))
+            .or_exit(Exit::Usage);
+    }
+    let seen: Result<Vec<Seen>, _> =
+        flights.par_iter().map(|(_, flight)| changes(flight, &vehicle, settings)).collect();
+    let seen = seen.or_exit(Exit::Usage)?;
+    // A flight too short to be looked at says nothing of the vehicle.
+    let told: Vec<_> = seen.iter().map(|seen| of_flight(&seen.present)).collect();
+    let known: Vec<usize> = (0..told.len()).filter(|index| told[*index].is_some()).collect();
+    let values: Vec<_> = told.into_iter().flatten().collect();
+    let mut steps = steps(&values);
+    steps.iter_mut().for_each(|step| step.from = known[step.from]);
+    if let Some(folder) = &args.report {
+        create_report_folder(Some(folder))?;
+        let shown: Vec<SeenFlight<'_>> =
+            flights.iter().zip(&seen).map(|((log, _), seen)| SeenFlight { log, seen }).collect();
+        let page = crate::report::onset::html(&vehicle.name, settings.bound(), &shown, &steps);
+        write_file(&folder.join("report.html"), page.as_bytes())?;
+    }
+    let answer = OnsetAnswer {
+        steps,
+        schema: "downwash.onset",
+        schema_version: 1,
+        vehicle: vehicle.name.clone(),
+        bound: settings.bound(),
+        flights: flights
+            .iter()
+            .zip(&seen)
+            .map(|((log, _), seen)| FlightAnswer {
+                log: log.clone(),
+                seconds: seen.seconds,
+                changes: seen.changes.clone(),
+            })
+            .collect(),
+    };
+    if let Some(folder) = &args.report {
+        let json = serde_json::to_vec_pretty(&answer).context("report.json")?;
+        write_file(&folder.join("report.json"), &json)?;
+    }
+    if args.json {
+        print_json(&answer)?;
+    } else {
+        print_text(&text(&answer))?;
+    }
+    let has_changed =
+        !answer.steps.is_empty() || answer.flights.iter().any(|flight| !flight.changes.is_empty());
+    Ok(if args.fail_on_change && has_changed { Exit::Check } else { Exit::Ok })
+}
+
+fn text(answer: &OnsetAnswer) -> String {
+    let mut text = String::new();
+    for flight in &answer.flights {
+        text += &format!("{} ({:.0} s in the air)\n", flight.log, flight.seconds);
+        if flight.changes.is_empty() {
+            text += "    nothing changed\n";
+        }
+        for change in &flight.changes {
+            text += &format!("    {}\n", line(change));
+        }
+    }
+    for step in &answer.steps {
+        text += &format!("{}\n", step_line(step));
+    }
+    text
+}

@@ -1,0 +1,210 @@
+//! The vehicle's health in flight: whether something of it changed, by what the log is told. It lives in
+//! the log's thread, says what it finds there, and commands nothing.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use vehicle::{ROTORS, VehicleError, VehicleParams};
+
+use crate::clock::HostTime;
+use crate::log::import::{OutputRange, output_ranges};
+use crate::log::record::{PARAMETER_FACT, Record, Severity, Source, Tick};
+use crate::log::sink::Listener;
+use crate::onset::cells::Sample;
+use crate::onset::change::Change;
+use crate::onset::detector::{Detector, Event, Settings};
+use crate::onset::words;
+
+/// States of the flight in which nothing but the air touches the vehicle.
+const FLYING: [&str; 3] = ["approach", "track", "hold"];
+/// Changes that are kept for who asks.
+const KEPT: usize = 16;
+/// An output beyond is no share.
+const SHARE_MAX: f32 = 1.5;
+
+/// What is known of the vehicle's health.
+#[derive(Clone, Debug, Default)]
+pub struct Health {
+    /// How much speaks for a change by now, nats; `None` before enough was flown.
+    pub evidence: Option<f64>,
+    /// Evidence from which on a change is told, nats.
+    pub bound: f64,
+    /// Changes so far.
+    pub count: u64,
+    /// The newest of them, in words.
+    pub latest: Option<String>,
+}
+
+/// A look at the health from elsewhere.
+#[derive(Clone, Debug, Default)]
+pub struct HealthView(Arc<Mutex<Health>>);
+
+impl HealthView {
+    /// What is known now.
+    pub fn get(&self) -> Health {
+        self.lock().clone()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Health> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Listens to the records of a run, and watches for changes.
+pub struct Monitor {
+    detector: Detector,
+    view: HealthView,
+    motor_output: Option<OutputRange>,
+    parameters: BTreeMap<String, f64>,
+    ranges: Option<[OutputRange; ROTORS]>,
+    is_flying: bool,
+    /// Whether the gyro is heard beside the state's rate.
+    has_gyro: bool,
+    now: HostTime,
+    remarks: VecDeque<Record>,
+    changes: VecDeque<Change>,
+}
+
+impl Monitor {
+    /// Of a vehicle.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn new(vehicle: &VehicleParams, settings: Settings) -> Result<Self, VehicleError> {
+        let view = HealthView::default();
+        view.lock().bound = settings.bound();
+        Ok(Self {
+            detector: Detector::new(vehicle, settings)?,
+            view,
+            motor_output: vehicle
+                .motor_output
+                .as_ref()
+                .map(|unit| OutputRange { zero: unit.zero, one: unit.one }),
+            parameters: BTreeMap::new(),
+            ranges: None,
+            is_flying: false,
+            has_gyro: false,
+            now: HostTime::default(),
+            remarks: VecDeque::new(),
+            changes: VecDeque::with_capacity(KEPT),
+        })
+    }
+
+    /// For who shows it.
+    pub fn view(&self) -> HealthView {
+        self.view.clone()
+    }
+
+    /// The newest changes, each once.
+    pub fn take_changes(&mut self) -> impl Iterator<Item = Change> + '_ {
+        self.changes.drain(..)
+    }
+
+    fn push(&mut self, time_s: f64, sample: Sample) {
+        let Self { detector, view, remarks, changes, now, .. } = self;
+        detector.push(time_s, sample, |event| match event {
+            Event::Look(look) => view.lock().evidence = Some(look.evidence),
+            Event::Change(change) => {
+                let text = format!("the vehicle changed at {}", words::line(&change));
+                remarks.push_back(Record::Event {
+                    host: *now,
+                    severity: Severity::Warning,
+                    source: Source::Daemon,
+                    text: text.clone(),
+                });
+                if changes.len() == KEPT {
+                    changes.pop_front();
+                }
+                changes.push_back(*change);
+                let mut health = view.lock();
+                health.count += 1;
+                health.latest = Some(text);
+            }
+        });
+    }
+
+    fn tick(&mut self, tick: &Tick) {
+        let Some(vehicle) = tick.stamp.vehicle else { return };
+        self.now = tick.stamp.host;
+        let time_s = vehicle.as_us() as f64 * 1e-6;
+        // On the ground, in a climb off it and in the autopilot's own hands others act.
+        let is_flying = tick.setpoint.is_some() && FLYING.contains(&tick.phase);
+        if !is_flying {
+            if std::mem::take(&mut self.is_flying) {
+                self.push(time_s, Sample::Pause);
+                self.view.lock().evidence = None;
+            }
+            return;
+        }
+        self.is_flying = true;
+        let state = tick.state;
+        self.push(time_s, Sample::Position(state.position));
+        self.push(time_s, Sample::Velocity(state.velocity));
+        if !self.has_gyro {
+            self.push(time_s, Sample::BodyRate(state.body_rate));
+        }
+        self.push(time_s, Sample::Attitude(state.attitude));
+    }
+
+    /// Outputs as shares of the full thrust, by what is known of their unit.
+    pub fn shares_of(&self, outputs: [f32; ROTORS]) -> Option<[f64; ROTORS]> {
+        if let Some(range) = self.motor_output {
+            return Some(outputs.map(|output| range.fraction(output.into())));
+        }
+        if outputs.iter().all(|output| (0.0..=SHARE_MAX).contains(output)) {
+            return Some(outputs.map(f64::from));
+        }
+        let ranges = self.ranges?;
+        Some(std::array::from_fn(|i| ranges[i].fraction(outputs[i].into())))
+    }
+
+    /// The same, once the parameters of their range are known.
+    fn shares(&mut self, outputs: [f32; ROTORS]) -> Option<[f64; ROTORS]> {
+        if self.ranges.is_none() && !self.parameters.is_empty() {
+            let most = outputs.into_iter().fold(0.0, f32::max);
+            self.ranges = output_ranges(&self.parameters, most.into());
+        }
+        self.shares_of(outputs)
+    }
+}
+
+impl Listener for Monitor {
+    fn hear(&mut self, record: &Record) {
+        let seconds = |stamp: &crate::log::record::Stamp| {
+            stamp.vehicle.map(|vehicle| vehicle.as_us() as f64 * 1e-6)
+        };
+        match record {
+            Record::Tick(tick) => self.tick(tick),
+            Record::Facts(facts) => {
+                let parameters = facts.iter().filter_map(|(key, value)| {
+                    let name = key.strip_prefix(PARAMETER_FACT)?;
+                    Some((name.to_owned(), value.parse().ok()?))
+                });
+                self.parameters.extend(parameters);
+            }
+            _ if !self.is_flying => {}
+            Record::Imu { stamp, specific_force, body_rate } => {
+                if let Some(time_s) = seconds(stamp) {
+                    self.has_gyro = true;
+                    self.push(time_s, Sample::SpecificForce(*specific_force));
+                    self.push(time_s, Sample::BodyRate(*body_rate));
+                }
+            }
+            Record::Motors { stamp, outputs } => {
+                if let Some((time_s, shares)) = seconds(stamp).zip(self.shares(*outputs)) {
+                    self.push(time_s, Sample::Outputs(shares));
+                }
+            }
+            Record::Battery { stamp, voltage: Some(volts), .. } => {
+                if let Some(time_s) = seconds(stamp) {
+                    self.push(time_s, Sample::Voltage(*volts));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn remark(&mut self) -> Option<Record> {
+        self.remarks.pop_front()
+    }
+}

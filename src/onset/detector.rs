@@ -1,0 +1,525 @@
+//! Samples in, changes out.
+
+use std::collections::VecDeque;
+
+use vehicle::{VehicleError, VehicleParams};
+
+use super::cells::{CELL_S, Cell, Cells, Piece, Sample};
+use super::change::{Change, Other, Value};
+use super::columns::{COLUMNS, Cause, DIRECTIONS, DRIFT};
+use super::likelihood::{Numbers, Place, Profile, Scale, Window, along};
+use super::noise::{Autoregression, COHERENT, LawErrors, Noise, ORDER, Spectrum};
+
+/// Cells that are looked at together: half a minute.
+const WINDOW: usize = 600;
+/// Cells before a change, from which the vehicle before is known: 8 s.
+const BEFORE: usize = 160;
+/// Cells after a change: 0.3 to 12 s.
+const AFTER: [usize; 2] = [6, 240];
+/// Cells after which the noise takes note: by then a change would be known.
+const LATE: usize = 120;
+/// Cells after which the noise is taken anew: 5 s.
+const RENEWED: usize = 100;
+/// Cells after a beginning at which a statistic tells how large chance makes it: 1, 2 and 4 s.
+const TOLD_AFTER: [usize; 3] = [20, 40, 80];
+/// Cells between two of those.
+const TOLD_EVERY: usize = 20;
+/// Looks that the noise's scale is taken to have been 1 in, before anything was seen, and the most
+/// that are remembered.
+const LOOKS: [f64; 2] = [15.0, 60.0];
+/// Errors go on for some cells: neighbouring beginnings are told apart by this factor less evidence, the
+/// square root of how long.
+const SHARED: f64 = 3.2;
+/// Causes less probable than this are not told.
+const TOLD: f64 = 0.02;
+
+/// How sure a change must be, and when it is told.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Mean time between false alarms that the bound on the evidence is for, were the noise as it is
+    /// taken to be, h.
+    pub false_alarm_h: f64,
+    /// Time after its beginning at which a change is told, s.
+    pub hindsight_s: f64,
+    /// Cells between looks.
+    pub every: usize,
+}
+
+impl Settings {
+    /// In flight: told after two seconds.
+    pub const LIVE: Self = Self { false_alarm_h: 1000.0, hindsight_s: 2.0, every: 10 };
+    /// From a log: told when five seconds after it are known.
+    pub const LOG: Self = Self { hindsight_s: 5.0, ..Self::LIVE };
+
+    /// Evidence from which on a change is told, nats: that of a Bayes factor whose inverse bounds the
+    /// rate of false alarms by looks and causes (Shiryaev 1963, Roberts 1966).
+    pub fn bound(&self) -> f64 {
+        let looks = self.false_alarm_h.max(0.01) * 3600.0 / (self.every as f64 * CELL_S);
+        (looks * Cause::ALL.len() as f64).ln()
+    }
+}
+
+/// What a detector sees.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A look at the last seconds.
+    Look(Look),
+    /// A change.
+    Change(Box<Change>),
+}
+
+/// How much speaks for a change by now.
+#[derive(Clone, Copy, Debug)]
+pub struct Look {
+    /// Time of the look, s.
+    pub time_s: f64,
+    /// The cause that most speaks for.
+    pub cause: Cause,
+    /// Its evidence, nats.
+    pub evidence: f64,
+    /// Whether an alarm was raised and waits.
+    pub is_alarmed: bool,
+}
+
+/// What the vehicle is by the last seconds, along each direction, in its unit.
+pub type Present = [[f64; 2]; DIRECTIONS.len()];
+
+/// Watches one vehicle.
+#[derive(Clone, Debug)]
+pub struct Detector {
+    settings: Settings,
+    cells: Cells,
+    kept: VecDeque<Cell>,
+    spectrum: Spectrum,
+    law_errors: LawErrors,
+    noise: Noise,
+    window: Window,
+    /// The numbers that the noise is what they leave of.
+    numbers: Option<[f64; COLUMNS]>,
+    /// Kept cells that the noise has taken note of.
+    noted: usize,
+    /// Cells since the noise was taken, and since a look.
+    renewed: usize,
+    looked: usize,
+    told: usize,
+    /// Sums of statistics and their count, by cause; those that wait.
+    statistics: [[f64; 2]; Cause::ALL.len()],
+    waiting: VecDeque<(usize, [f64; Cause::ALL.len()])>,
+    count: usize,
+    /// When an alarm was raised, s.
+    alarm: Option<f64>,
+}
+
+impl Detector {
+    /// For a vehicle.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn new(vehicle: &VehicleParams, settings: Settings) -> Result<Self, VehicleError> {
+        Ok(Self {
+            settings,
+            cells: Cells::new(vehicle)?,
+            kept: VecDeque::with_capacity(WINDOW + ORDER + 1),
+            spectrum: Spectrum::new(CELL_S),
+            law_errors: LawErrors::new(),
+            noise: Noise::NONE,
+            window: Window::default(),
+            numbers: None,
+            noted: 0,
+            renewed: 0,
+            looked: 0,
+            told: 0,
+            statistics: [[0.0; 2]; Cause::ALL.len()],
+            waiting: VecDeque::new(),
+            count: 0,
+            alarm: None,
+        })
+    }
+
+    /// Takes a sample of `time`, s of the vehicle's clock; `hear` hears what follows.
+    pub fn push(&mut self, time: f64, sample: Sample, mut hear: impl FnMut(Event)) {
+        self.cells.push(time, sample);
+        while let Some(piece) = self.cells.next_piece() {
+            match piece {
+                Piece::Pause => self.pause(&mut hear),
+                Piece::Cell(cell) => self.cell(*cell, &mut hear),
+            }
+        }
+    }
+
+    /// The flight is over: tells what waits.
+    pub fn finish(&mut self, mut hear: impl FnMut(Event)) {
+        self.pause(&mut hear);
+    }
+
+    /// What the vehicle is by the last half minute, with deviations, as differences from the file.
+    pub fn present(&self) -> Option<Present> {
+        let mut along = self.window.along_directions().filter(|_| self.window.len() >= BEFORE)?;
+        for (direction, pair) in along.iter_mut().enumerate() {
+            *pair = pair.map(|number| number * self.cells.sizes().direction(direction));
+        }
+        Some(along)
+    }
+
+    fn pause(&mut self, hear: &mut impl FnMut(Event)) {
+        if let Some(change) = self.alarm.and_then(|alarm| self.change(alarm)) {
+            hear(Event::Change(Box::new(change)));
+        }
+        self.alarm = None;
+        self.kept.clear();
+        self.window = Window::default();
+        self.waiting.clear();
+        self.spectrum.pause();
+        self.noted = 0;
+    }
+
+    fn cell(&mut self, cell: Cell, hear: &mut impl FnMut(Event)) {
+        let now = cell.time + CELL_S;
+        self.count += 1;
+        self.kept.push_back(cell);
+        if self.kept.len() > WINDOW + ORDER {
+            self.kept.pop_front();
+            self.noted = self.noted.saturating_sub(1);
+            self.window.forget();
+        }
+        if self.numbers.is_none() {
+            if self.kept.len() >= BEFORE + ORDER {
+                self.begin();
+            }
+            return;
+        }
+        if self.kept.len() > ORDER {
+            let numbers = self.numbers.unwrap_or([0.0; COLUMNS]);
+            self.window.push(&self.kept, self.kept.len() - 1, &self.noise, &numbers);
+        }
+        if self.alarm.is_none() {
+            self.note(LATE);
+        }
+        self.renewed += 1;
+        if self.renewed >= RENEWED {
+            self.renew();
+        }
+        self.looked += 1;
+        if self.looked >= self.settings.every && self.window.len() >= BEFORE + AFTER[0] {
+            self.looked = 0;
+            self.look(now, hear);
+        }
+    }
+
+    /// The first noise: what numbers leave that are fitted as if it were white.
+    fn begin(&mut self) {
+        let white = |equation: usize| {
+            let left = || self.kept.iter().map(|cell| cell.rows[equation].left);
+            let present = || left().filter(|left| left.is_finite());
+            let count = present().count() as f64;
+            let mean = present().sum::<f64>() / count;
+            let variance = present().map(|left| (left - mean).powi(2)).sum::<f64>() / count;
+            (count > 2.0 && variance > 0.0)
+                .then_some(Autoregression { coefficients: [0.0; ORDER], variance })
+        };
+        self.noise.filters = std::array::from_fn(white);
+        self.window = Window::of(&self.kept, &self.noise, &self.numbers.unwrap_or([0.0; COLUMNS]));
+        self.numbers = self.window.numbers_now();
+        self.note(0);
+        self.renew();
+    }
+
+    /// Lets the noise take note of what is `late` cells old.
+    fn note(&mut self, late: usize) {
+        let Some(numbers) = self.numbers else { return };
+        while self.noted + late < self.kept.len() {
+            let cell = &self.kept[self.noted];
+            let left = std::array::from_fn(|equation| unexplained(cell, equation, &numbers));
+            self.spectrum.add(&left);
+            if self.noted >= ORDER && late > 0 {
+                self.note_laws(&numbers);
+            }
+            self.noted += 1;
+        }
+    }
+
+    /// Lets the laws' errors take note of the same cell, whitened.
+    fn note_laws(&mut self, numbers: &[f64; COLUMNS]) {
+        for (equation, filter) in self.noise.filters.iter().enumerate() {
+            let Some(filter) = filter else { continue };
+            let at = |back: usize| &self.kept[self.noted - back];
+            let mut left = unexplained(at(0), equation, numbers);
+            let mut model = at(0).rows[equation].model;
+            for (j, coefficient) in filter.coefficients.iter().enumerate() {
+                left -= coefficient * unexplained(at(j + 1), equation, numbers);
+                model -= coefficient * at(j + 1).rows[equation].model;
+            }
+            if left.is_finite() {
+                self.law_errors.add(equation, left, model, filter.variance);
+            }
+        }
+    }
+
+    /// Takes the noise anew, and whitens the window by it.
+    fn renew(&mut self) {
+        self.renewed = 0;
+        self.noise = Noise {
+            filters: std::array::from_fn(|equation| {
+                let least = COHERENT as f64 * self.cells.sizes().least(equation).powi(2);
+                self.spectrum.autoregression(equation, least)
+            }),
+            law: std::array::from_fn(|equation| self.law_errors.variance(equation)),
+        };
+        self.window = Window::of(&self.kept, &self.noise, &self.numbers.unwrap_or([0.0; COLUMNS]));
+        if self.alarm.is_none()
+            && self.window.len() >= BEFORE
+            && let Some(numbers) = self.window.numbers_now()
+        {
+            self.numbers = Some(numbers);
+        }
+    }
+
+    fn scales(&self) -> [Scale; Cause::ALL.len()] {
+        self.statistics.map(|[sum, count]| {
+            // Neighbouring looks share half of what they see.
+            let looks = LOOKS[0] + 0.5 * count;
+            let variance = (LOOKS[0] + 0.5 * sum) / looks;
+            Scale { variance: variance.max(1.0), looks }
+        })
+    }
+
+    fn profiles(&self, wants_all: bool) -> Vec<Profile> {
+        let last = AFTER[1].min(self.window.len().saturating_sub(BEFORE));
+        self.window.profiles([AFTER[0], last], &self.scales(), wants_all)
+    }
+
+    fn look(&mut self, now: f64, hear: &mut impl FnMut(Event)) {
+        let profiles = self.profiles(false);
+        let best = profiles.iter().filter_map(|profile| Some((profile.cause, peak(profile)?)));
+        let best = best.max_by(|a, b| a.1.evidence.total_cmp(&b.1.evidence));
+        let Some((cause, place)) = best else { return };
+        let (evidence, cell) = (place.evidence, place.cell);
+        let is_alarmed = evidence >= self.settings.bound();
+        self.alarm = if is_alarmed { self.alarm.or(Some(now)) } else { None };
+        hear(Event::Look(Look { time_s: now, cause, evidence, is_alarmed }));
+        if let Some(alarm) = self.alarm {
+            self.waiting.clear();
+            let after = (self.window.len() - cell) as f64 * CELL_S;
+            if after >= self.settings.hindsight_s
+                && let Some(change) = self.change(alarm)
+            {
+                hear(Event::Change(Box::new(change)));
+                self.begin_anew(cell);
+            }
+            return;
+        }
+        if self.count >= self.told + TOLD_EVERY {
+            self.told = self.count;
+            self.tell(&profiles);
+        }
+    }
+
+    /// Keeps how large chance makes the statistics.
+    fn tell(&mut self, profiles: &[Profile]) {
+        let end = self.window.len();
+        let mut means = [f64::NAN; Cause::ALL.len()];
+        for (mean, profile) in means.iter_mut().zip(profiles) {
+            let told = profile.places.iter().filter(|p| TOLD_AFTER.contains(&(end - p.cell)));
+            let (sum, count) = told.fold((0.0, 0.0), |(s, n), p| (s + p.statistic, n + 1.0));
+            *mean = sum / count;
+        }
+        self.waiting.push_back((self.count, means));
+        while self.waiting.front().is_some_and(|(at, _)| *at + LATE < self.count) {
+            let Some((_, means)) = self.waiting.pop_front() else { break };
+            for (of, mean) in self.statistics.iter_mut().zip(means) {
+                if mean.is_finite() {
+                    let keep = 1.0 - 1.0 / LOOKS[1];
+                    *of = [of[0] * keep + mean, of[1] * keep + 1.0];
+                }
+            }
+        }
+    }
+
+    /// After a change, what follows it is the vehicle.
+    fn begin_anew(&mut self, cell: usize) {
+        self.kept.drain(..(cell + ORDER).min(self.kept.len()));
+        self.noted = self.noted.saturating_sub(cell + ORDER);
+        self.spectrum.pause();
+        self.window = Window::of(&self.kept, &self.noise, &self.numbers.unwrap_or([0.0; COLUMNS]));
+        self.waiting.clear();
+        self.alarm = None;
+    }
+
+    /// The change by what is known now, if it still is one.
+    fn change(&self, alarmed_s: f64) -> Option<Change> {
+        let profiles = self.profiles(true);
+        let top = profiles.iter().filter_map(peak).map(|place| place.evidence);
+        let top = top.fold(f64::NEG_INFINITY, f64::max);
+        if top < self.settings.bound() {
+            return None;
+        }
+        let mass = |place: &Place| (place.evidence - top).exp();
+        let masses: Vec<f64> =
+            profiles.iter().map(|profile| profile.places.iter().map(mass).sum()).collect();
+        let total: f64 = masses.iter().sum();
+        let mut by_mass: Vec<usize> = (0..profiles.len()).collect();
+        by_mass.sort_by(|a, b| masses[*b].total_cmp(&masses[*a]));
+        let best = *by_mass.first()?;
+        let profile = &profiles[best];
+        let peak = peak(profile)?;
+        let [low, middle, high] = quantiles(profile);
+        let start = |place: usize| self.kept.get(place + ORDER).map(|cell| cell.time);
+        let numbers = self.numbers_of(profile.cause, peak.cell, self.scales()[best])?;
+        let others = by_mass[1..].iter().map(|&index| Other {
+            cause: profiles[index].cause,
+            probability: masses[index] / total,
+        });
+        Some(Change {
+            at_s: start(middle)?,
+            // A cell that the change begins within is half of either.
+            interval_s: [start(low)? - CELL_S, start(high)? + CELL_S],
+            alarmed_s,
+            cause: profile.cause,
+            rotor: profile.cause.rotor(),
+            effects: profile.cause.effects().to_vec(),
+            probability: masses[best] / total,
+            others: others.filter(|other| other.probability >= TOLD).collect(),
+            evidence: peak.evidence,
+            values: numbers.iter().map(|n| Value::of(n, self.cells.sizes())).collect(),
+        })
+    }
+}
+
+impl Detector {
+    /// The numbers of a change, with what lies far off told from the vehicle after it: fitted once more
+    /// to what the first fit leaves.
+    fn numbers_of(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {
+        let first = self.window.numbers(cause, cell, scale)?;
+        let mut kept = self.kept.clone();
+        for row in kept.iter_mut().skip(cell + ORDER).flat_map(|cell| &mut cell.rows) {
+            for numbers in &first {
+                row.left -= numbers.change[0] * along(&row.slopes, numbers.direction);
+            }
+        }
+        let numbers = self.numbers.unwrap_or([0.0; COLUMNS]);
+        let mut second = Window::of(&kept, &self.noise, &numbers).numbers(cause, cell, scale)?;
+        for (numbers, first) in second.iter_mut().zip(first) {
+            numbers.change = [numbers.change[0] + first.change[0], first.change[1]];
+            numbers.after = [numbers.after[0] + first.change[0], first.after[1]];
+        }
+        Some(second)
+    }
+}
+
+/// What numbers leave of a cell's equation.
+fn unexplained(cell: &Cell, equation: usize, numbers: &[f64; COLUMNS]) -> f64 {
+    let row = &cell.rows[equation];
+    let modelled = row.slopes[..DRIFT].iter().zip(numbers);
+    row.left - modelled.map(|(slope, number)| slope * number).sum::<f64>()
+}
+
+fn peak(profile: &Profile) -> Option<&Place> {
+    profile.places.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))
+}
+
+/// Cells at which 5, 50 and 95 % of the mass lie before, from the earliest on.
+fn quantiles(profile: &Profile) -> [usize; 3] {
+    let top = profile.places.iter().map(|place| place.sharp).fold(f64::NEG_INFINITY, f64::max);
+    let mass = |place: &Place| ((place.sharp - top) / SHARED).exp();
+    let total: f64 = profile.places.iter().map(mass).sum();
+    let mut sum = 0.0;
+    let mut found = [None; 3];
+    // Places go from the latest to the earliest.
+    for place in profile.places.iter().rev() {
+        sum += mass(place) / total;
+        for (found, share) in found.iter_mut().zip([0.05, 0.5, 0.95]) {
+            if sum >= share {
+                found.get_or_insert(place.cell);
+            }
+        }
+    }
+    let last = profile.places.first().map_or(0, |place| place.cell);
+    found.map(|cell| cell.unwrap_or(last))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    use rand_pcg::Pcg64Mcg;
+    use vehicle::frame::{Attitude, Frd, Ned};
+
+    use super::*;
+
+    /// A hover of so many seconds, reported at 100 Hz; the specific force is larger by a share of
+    /// gravity that depends on the time.
+    fn told(seconds: f64, seed: u64, share: impl Fn(f64) -> f64) -> Vec<Change> {
+        let vehicle = VehicleParams::load("quad1200").expect("a vehicle");
+        let mut detector = Detector::new(&vehicle, Settings::LOG).expect("a detector");
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let mut normal = move |deviation: f64| -> f64 {
+            let z: f64 = StandardNormal.sample(&mut rng);
+            deviation * z
+        };
+        let mut changes = Vec::new();
+        let mut hear = |event| {
+            if let Event::Change(change) = event {
+                changes.push(*change);
+            }
+        };
+        let mut down = 0.0;
+        for k in 0..(seconds * 100.0) as usize {
+            let time = k as f64 * 0.01;
+            down -= share(time) * vehicle.gravity * 0.01;
+            let velocity = Ned::new(normal(0.01), normal(0.01), down + normal(0.01));
+            let force = -vehicle.gravity * (1.0 + share(time)) + normal(0.1);
+            let attitude = Attitude { w: 1.0, x: normal(5e-4), y: normal(5e-4), z: 0.0 };
+            let outputs = std::array::from_fn(|_| vehicle.hover_thrust + normal(1e-3));
+            for sample in [
+                Sample::Velocity(velocity),
+                Sample::Attitude(attitude.normalized()),
+                Sample::BodyRate(Frd::new(normal(0.01), normal(0.01), normal(0.01))),
+                Sample::SpecificForce(Frd::new(normal(0.1), normal(0.1), force)),
+                Sample::Outputs(outputs),
+            ] {
+                detector.push(time, sample, &mut hear);
+            }
+        }
+        detector.finish(&mut hear);
+        changes
+    }
+
+    #[test]
+    fn thrust_that_drops_is_told_with_its_time_and_size() {
+        let changes = told(40.0, 1, |time| if time < 25.0 { 0.0 } else { -0.03 });
+        assert_eq!(changes.len(), 1, "{changes:?}");
+        let change = &changes[0];
+        assert!((change.at_s - 25.0).abs() < 0.3, "{change:?}");
+        assert_eq!(change.cause, Cause::Thrust, "{change:?}");
+        let [low, high] = change.values[0].change.interval;
+        assert!(low < -0.03 && -0.03 < high && high < -0.02, "{change:?}");
+    }
+
+    #[test]
+    fn neither_noise_nor_a_level_that_is_off_nor_a_slow_sag_is_a_change() {
+        for seed in 0..3 {
+            assert!(told(60.0, seed, |_| 0.0).is_empty());
+            assert!(told(60.0, seed, |_| 0.05).is_empty());
+            let sag = told(60.0, seed, |time| -0.02 * time / 60.0);
+            assert!(sag.is_empty(), "{sag:?}");
+        }
+    }
+
+    #[test]
+    fn samples_that_cannot_be_and_pauses_do_no_harm() {
+        let vehicle = VehicleParams::load("quad1200").expect("a vehicle");
+        let mut detector = Detector::new(&vehicle, Settings::LIVE).expect("a detector");
+        for k in 0..4000 {
+            let time = if k % 7 == 0 { f64::NAN } else { f64::from(k) * 0.01 };
+            let bad = if k % 11 == 0 { f64::INFINITY } else { f64::from(k % 5) * 1e3 };
+            detector.push(time, Sample::Velocity(Ned::new(bad, 0.0, f64::NAN)), |_| {});
+            detector.push(time, Sample::Attitude(Attitude::default()), |_| {});
+            detector.push(time, Sample::BodyRate(Frd::new(bad, bad, bad)), |_| {});
+            detector.push(time, Sample::Outputs([bad, 0.5, 0.5, 0.5]), |_| {});
+            if k % 1500 == 1499 {
+                detector.push(time, Sample::Pause, |_| {});
+            }
+        }
+        detector.finish(|_| {});
+    }
+}

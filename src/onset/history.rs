@@ -1,0 +1,166 @@
+//! Change over flights by their dates: a number of each flight, told apart from how flights differ anyhow.
+
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use super::change::Estimate;
+use super::columns::{DIRECTIONS, quantity};
+use super::detector::Present;
+
+/// Fewest flights of which two groups and their scatter can be told.
+pub const FLIGHTS_MIN: usize = 4;
+/// A step is told whose chance is below this, over all numbers and all places.
+const CHANCE: f64 = 0.01;
+/// Steps of the integral of Student's density.
+const STEPS: usize = 2000;
+
+/// A number of one flight.
+#[derive(Clone, Copy, Debug)]
+pub struct FlightValue {
+    /// As the difference from the file.
+    pub value: f64,
+    /// Its deviation within the flight.
+    pub deviation: f64,
+}
+
+/// A number that differs between flights before one and from it on.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct Step {
+    /// The number, as of a change in flight.
+    pub name: &'static str,
+    /// The rotor, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotor: Option<usize>,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The first flight with the new value, as an index.
+    pub from: usize,
+    /// Mean of the flights before.
+    pub before: Estimate,
+    /// Mean from it on.
+    pub after: Estimate,
+    /// How probable such a step is by chance, anywhere and in any of the numbers.
+    pub chance: f64,
+}
+
+/// Summary of what a detector found the vehicle to be through a flight.
+pub fn of_flight(looks: &[Present]) -> Option<[FlightValue; DIRECTIONS.len()]> {
+    if looks.is_empty() {
+        return None;
+    }
+    let count = looks.len() as f64;
+    Some(std::array::from_fn(|direction| {
+        let values = || looks.iter().map(|look| look[direction][0]);
+        let value = values().sum::<f64>() / count;
+        let own = looks.iter().map(|look| look[direction][1].powi(2)).sum::<f64>() / count;
+        let spread = values().map(|v| (v - value).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+        FlightValue { value, deviation: (own.max(spread) / count).sqrt() }
+    }))
+}
+
+/// The likeliest step of each number between flights in the order of their dates, where it is no
+/// chance: a two-sample t test with pooled scatter, no smaller than the flights' own errors, times the
+/// places and numbers that were asked.
+pub fn steps(flights: &[[FlightValue; DIRECTIONS.len()]]) -> Vec<Step> {
+    let mut found: Vec<Step> = (0..DIRECTIONS.len())
+        .filter_map(|direction| {
+            let values: Vec<FlightValue> = flights.iter().map(|flight| flight[direction]).collect();
+            step(&values, direction)
+        })
+        .collect();
+    found.sort_by(|a, b| a.chance.total_cmp(&b.chance));
+    found
+}
+
+fn step(values: &[FlightValue], direction: usize) -> Option<Step> {
+    let count = values.len();
+    if count < FLIGHTS_MIN {
+        return None;
+    }
+    let own = values.iter().map(|value| value.deviation.powi(2)).sum::<f64>() / count as f64;
+    let freedom = count - 2;
+    let split = |from: usize| {
+        let (a, b) = values.split_at(from);
+        let mean = |part: &[FlightValue]| {
+            part.iter().map(|value| value.value).sum::<f64>() / part.len() as f64
+        };
+        let (low, high) = (mean(a), mean(b));
+        let squares = |part: &[FlightValue], mean: f64| {
+            part.iter().map(|value| (value.value - mean).powi(2)).sum::<f64>()
+        };
+        let pooled = (squares(a, low) + squares(b, high)) / freedom as f64;
+        let variance = pooled.max(own);
+        let error = (variance * (1.0 / a.len() as f64 + 1.0 / b.len() as f64)).sqrt();
+        ((high - low) / error, [low, high], variance, from)
+    };
+    let best = (1..count).map(split).max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))?;
+    let (t, [before, after], variance, from) = best;
+    let asked = ((count - 1) * DIRECTIONS.len()) as f64;
+    let chance = (asked * two_sided(t, freedom as f64)).min(1.0);
+    if chance.is_nan() || chance >= CHANCE {
+        return None;
+    }
+    let (name, unit) = quantity(direction);
+    let mean = |value: f64, of: usize| Estimate::normal([value, (variance / of as f64).sqrt()]);
+    Some(Step {
+        name,
+        rotor: (1..=4).contains(&direction).then(|| direction - 1),
+        unit,
+        from,
+        before: mean(before, from),
+        after: mean(after, count - from),
+        chance,
+    })
+}
+
+/// Probability that Student's t with so many degrees of freedom is at least as far from 0: with
+/// t = sqrt(n) tan a, the integral of cos(a)^(n - 1), which has no tail.
+fn two_sided(t: f64, freedom: f64) -> f64 {
+    let limit = (t.abs() / freedom.sqrt()).atan();
+    let half = std::f64::consts::FRAC_PI_2;
+    let integral = |from: f64, to: f64| {
+        let step = (to - from) / STEPS as f64;
+        let at = |k: usize| (from + (k as f64 + 0.5) * step).cos().powf(freedom - 1.0);
+        (0..STEPS).map(at).sum::<f64>() * step
+    };
+    integral(limit, half) / integral(0.0, half)
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    fn flights(rng: &mut Pcg64Mcg, count: usize, step: f64) -> Vec<[FlightValue; 10]> {
+        (0..count)
+            .map(|flight| {
+                std::array::from_fn(|direction| {
+                    let z: f64 = StandardNormal.sample(rng);
+                    let by = if direction == 2 && flight >= 4 { step } else { 0.0 };
+                    FlightValue { value: 0.01 * z + by, deviation: 0.002 }
+                })
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_step_is_told_where_it_is_and_chance_tells_as_seldom_as_it_says() {
+        let mut rng = Pcg64Mcg::seed_from_u64(11);
+        let found = steps(&flights(&mut rng, 9, -0.1));
+        assert_eq!((found[0].from, found[0].rotor), (4, Some(1)), "{found:?}");
+        assert!((found[0].after.value + 0.1).abs() < 0.02);
+        let told = (0..400).filter(|_| !steps(&flights(&mut rng, 7, 0.0)).is_empty()).count();
+        assert!(told <= 10, "{told} of 400, where 1 % is stated");
+    }
+
+    #[test]
+    fn students_tail_is_that_of_tables() {
+        for (t, freedom, expected) in [(2.776, 4.0, 0.05), (4.604, 4.0, 0.01), (12.706, 1.0, 0.05)]
+        {
+            assert!((two_sided(t, freedom) / expected - 1.0).abs() < 2e-3, "{t} {freedom}");
+        }
+    }
+}

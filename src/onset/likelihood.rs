@@ -1,0 +1,354 @@
+//! How much likelier a cause of change makes a window of cells, for each instant that it may have begun.
+//!
+//! With e the whitened left side of every equation and P its whitened slopes, a change of size d in
+//! directions D from cell k on makes e = P b + 1(cell >= k) P D d + noise. The numbers b are the
+//! vehicle's before: all of them are free within their [sizes](super::columns::Sizes), so that what was always so,
+//! and shows only now as the vehicle moves, is no change. With b and d normal this is a marginal
+//! likelihood in closed form; the noise's scale is known only by what the cause's statistic did before, so
+//! that Student's t takes the place of the normal density.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
+
+use super::cells::{CELL_S, Cell};
+use super::columns::*;
+use super::noise::{Noise, ORDER};
+
+/// What the numbers before leave beyond this many deviations weighs less: a jump of the estimate. A change is
+/// not so large in a cell, or large enough anyway.
+const HUBER: f64 = 6.0;
+/// A change is told to within this share of its size: no law is exact.
+const LAW: f64 = 0.03;
+/// Places later than each of these many cells after a beginning are told every second and every fourth.
+const COARSE: [usize; 2] = [60, 120];
+/// Time that a drift is told over, s.
+const DRIFT_S: f64 = 10.0;
+
+type Matrix = SMatrix<f64, COLUMNS, COLUMNS>;
+type Vector = SVector<f64, COLUMNS>;
+
+/// What a whitened cell adds to the normal equations.
+#[derive(Clone, Debug)]
+pub struct Terms {
+    gram: Box<Matrix>,
+    moment: Vector,
+}
+
+/// Cells of a window as normal equations.
+#[derive(Clone, Debug, Default)]
+pub struct Window {
+    terms: VecDeque<Terms>,
+    /// When drifts are zero, s.
+    zero_s: f64,
+}
+
+/// A cause's likelihood by where it begins.
+#[derive(Clone, Debug)]
+pub struct Profile {
+    /// The cause.
+    pub cause: Cause,
+    /// By cells from the window's start.
+    pub places: Vec<Place>,
+}
+
+/// A cause that begins at a cell.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// Cells before it in the window.
+    pub cell: usize,
+    /// Logarithm of how much likelier the change makes the window, nats.
+    pub evidence: f64,
+    /// The same with the noise's scale taken as known: what tells one beginning from another.
+    pub sharp: f64,
+    /// s' V^-1 s over the number of directions: 1 on average without a change, were the noise white and
+    /// the model right.
+    pub statistic: f64,
+}
+
+/// Numbers of a change, in the directions' units.
+#[derive(Clone, Copy, Debug)]
+pub struct Numbers {
+    /// The direction, as a place in [`DIRECTIONS`].
+    pub direction: usize,
+    /// Before, after and their difference, each with its deviation.
+    pub before: [f64; 2],
+    /// See above.
+    pub after: [f64; 2],
+    /// See above.
+    pub change: [f64; 2],
+}
+
+/// How much larger than it should be each cause's statistic was before, and of how many looks.
+#[derive(Clone, Copy, Debug)]
+pub struct Scale {
+    /// Factor on the noise's variance, 1 or more.
+    pub variance: f64,
+    /// Looks, as degrees of freedom.
+    pub looks: f64,
+}
+
+impl Window {
+    /// Cells whitened by `noise`, the first [`ORDER`] of which only foretell; `numbers` are the vehicle's
+    /// before.
+    pub fn of(cells: &VecDeque<Cell>, noise: &Noise, numbers: &[f64; COLUMNS]) -> Self {
+        let zero_s = cells.front().map_or(0.0, |cell| cell.time);
+        let mut window = Self { terms: VecDeque::with_capacity(cells.len() + 1), zero_s };
+        for index in ORDER..cells.len() {
+            window.push(cells, index, noise, numbers);
+        }
+        window
+    }
+
+    /// Cells in it.
+    pub fn len(&self) -> usize {
+        self.terms.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.terms.is_empty()
+    }
+
+    /// Forgets the first cell.
+    pub fn forget(&mut self) {
+        self.terms.pop_front();
+    }
+
+    /// Adds cell `index`, whitened by those before it.
+    pub fn push(
+        &mut self,
+        cells: &VecDeque<Cell>,
+        index: usize,
+        noise: &Noise,
+        numbers: &[f64; COLUMNS],
+    ) {
+        let mut gram = Box::new(Matrix::zeros());
+        let mut moment = Vector::zeros();
+        for (equation, filter) in noise.filters.iter().enumerate() {
+            let Some(filter) = filter else { continue };
+            let now = &cells[index].rows[equation];
+            let (mut left, mut model) = (now.left, now.model);
+            let mut slopes = now.slopes;
+            let late = (cells[index].time - self.zero_s) / DRIFT_S;
+            for (j, coefficient) in filter.coefficients.iter().enumerate() {
+                let before = &cells[index - 1 - j].rows[equation];
+                left -= coefficient * before.left;
+                model -= coefficient * before.model;
+                for (slope, before) in slopes[..DRIFT].iter_mut().zip(&before.slopes) {
+                    *slope -= coefficient * before;
+                }
+            }
+            if !left.is_finite() {
+                continue;
+            }
+            // A drift changes little over the cells that foretell.
+            for (place, of) in DRIFTING.into_iter().enumerate() {
+                let slope = if place == 0 { slopes[..CENTRE].iter().sum() } else { slopes[of] };
+                slopes[DRIFT + place] = 0.1 * late * slope;
+            }
+            let variance = filter.variance + noise.law[equation] * model * model;
+            let known = slopes[..DRIFT].iter().zip(numbers).map(|(slope, number)| slope * number);
+            let far = (left - known.sum::<f64>()).abs() / variance.sqrt();
+            let weight = if far > HUBER { HUBER / far } else { 1.0 } / variance;
+            let used: Vec<usize> = (0..COLUMNS).filter(|c| slopes[*c] != 0.0).collect();
+            for &a in &used {
+                let weighted = weight * slopes[a];
+                moment[a] += weighted * left;
+                for &b in used.iter().take_while(|b| **b <= a) {
+                    gram[(a, b)] += weighted * slopes[b];
+                }
+            }
+        }
+        gram.fill_upper_triangle_with_lower_triangle();
+        self.terms.push_back(Terms { gram, moment });
+    }
+
+    /// Each cause's likelihood by where it begins, `after` cells from the end being the first and the
+    /// last to look at.
+    ///
+    /// Where not all are wanted, those far back are told at fewer places.
+    pub fn profiles(
+        &self,
+        after: [usize; 2],
+        scales: &[Scale; Cause::ALL.len()],
+        wants_all: bool,
+    ) -> Vec<Profile> {
+        let mut profiles: Vec<Profile> =
+            Cause::ALL.into_iter().map(|cause| Profile { cause, places: Vec::new() }).collect();
+        let Some(inverse) = self.inverse() else { return profiles };
+        let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
+        let best = inverse * all;
+        let (mut gram, mut moment) = (Matrix::zeros(), Vector::zeros());
+        for (count, terms) in self.terms.iter().rev().enumerate().map(|(n, t)| (n + 1, t)) {
+            if count > after[1] {
+                break;
+            }
+            gram += terms.gram.as_ref();
+            moment += terms.moment;
+            let far = COARSE.iter().filter(|coarse| count > **coarse).count();
+            let is_told = wants_all || count % (1 << far) == 0;
+            if count < after[0] || !is_told {
+                continue;
+            }
+            let tail = Tail::of(&gram, &moment, &inverse, &best);
+            let cell = self.terms.len() - count;
+            for (profile, scale) in profiles.iter_mut().zip(scales) {
+                profile.places.extend(tail.place(profile.cause, *scale, cell));
+            }
+        }
+        profiles
+    }
+
+    /// The numbers of a change that begins at `cell`, with deviations larger by `scale`.
+    pub fn numbers(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {
+        let inverse = self.inverse()?;
+        let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
+        let best = inverse * all;
+        let (mut gram, mut moment) = (Matrix::zeros(), Vector::zeros());
+        for terms in self.terms.iter().skip(cell) {
+            gram += terms.gram.as_ref();
+            moment += terms.moment;
+        }
+        let tail = Tail::of(&gram, &moment, &inverse, &best);
+        let directions = cause.directions();
+        let inner =
+            tail.information(directions) + DMatrix::identity(directions.len(), directions.len());
+        let covariance = Cholesky::new(inner)?.inverse();
+        let change = &covariance * tail.score(directions);
+        let spread = scale.variance;
+        let mut before = best;
+        for (place, direction) in directions.iter().enumerate() {
+            before -= tail.solved[*direction] * change[place];
+        }
+        let numbers = directions.iter().enumerate().map(|(place, &direction)| {
+            let axis = axis(direction);
+            let value = axis.dot(&before);
+            // Cov of the numbers before: (A^-1) + (A^-1 U) C (A^-1 U)'; with the change: -(A^-1 U) C.
+            let onto = DVector::from_iterator(
+                directions.len(),
+                directions.iter().map(|other| axis.dot(&tail.solved[*other])),
+            );
+            let own = (axis.transpose() * inverse * axis)[0];
+            let own = own + (onto.transpose() * &covariance * &onto)[0];
+            let law = (LAW * change[place]).powi(2) / spread;
+            let change_variance = covariance[(place, place)] + law;
+            let both = -(covariance.row(place) * &onto)[0];
+            let deviation = |variance: f64| (spread * variance.max(0.0)).sqrt();
+            Numbers {
+                direction,
+                before: [value, deviation(own)],
+                after: [value + change[place], deviation(own + change_variance + 2.0 * both)],
+                change: [change[place], deviation(change_variance)],
+            }
+        });
+        Some(numbers.collect())
+    }
+
+    /// The numbers as they are if nothing changed in the window, in their sizes.
+    pub fn numbers_now(&self) -> Option<[f64; COLUMNS]> {
+        let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
+        Some((self.inverse()? * all).into())
+    }
+
+    /// The same along each direction, with its deviation.
+    pub fn along_directions(&self) -> Option<[[f64; 2]; DIRECTIONS.len()]> {
+        let inverse = self.inverse()?;
+        let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
+        let best = inverse * all;
+        Some(std::array::from_fn(|direction| {
+            let axis = axis(direction);
+            [axis.dot(&best), (axis.transpose() * inverse * axis)[0].max(0.0).sqrt()]
+        }))
+    }
+
+    /// Covariance of the numbers without a change.
+    fn inverse(&self) -> Option<Matrix> {
+        let mut gram = Matrix::identity();
+        for terms in &self.terms {
+            gram += terms.gram.as_ref();
+        }
+        Some(Cholesky::new(gram)?.inverse())
+    }
+
+    /// Length of what lies before `cell`, s.
+    pub fn seconds(cells: usize) -> f64 {
+        cells as f64 * CELL_S
+    }
+}
+
+/// Sum of what columns hold along a direction.
+pub(super) fn along(columns: &[f64; COLUMNS], direction: usize) -> f64 {
+    match DIRECTIONS[direction] {
+        Direction::Thrust => columns[ROTOR..CENTRE].iter().sum(),
+        Direction::Column(column) => columns[column],
+    }
+}
+
+/// What reads a direction's number off the columns: the mean of the rotors is the thrust's.
+fn axis(direction: usize) -> Vector {
+    let mut axis = Vector::zeros();
+    match DIRECTIONS[direction] {
+        Direction::Thrust => axis.rows_mut(ROTOR, 4).fill(0.25),
+        Direction::Column(column) => axis[column] = 1.0,
+    }
+    axis
+}
+
+/// The cells from one on, as each direction sees them.
+struct Tail {
+    /// d' G d of every pair.
+    own: SMatrix<f64, 10, 10>,
+    /// d' b - (G d)' A^-1 B.
+    score: [f64; DIRECTIONS.len()],
+    /// G d.
+    seen: [Vector; DIRECTIONS.len()],
+    /// A^-1 G d.
+    solved: [Vector; DIRECTIONS.len()],
+}
+
+impl Tail {
+    fn of(gram: &Matrix, moment: &Vector, inverse: &Matrix, best: &Vector) -> Self {
+        let along = |vector: &Vector, direction: usize| along(&vector.data.0[0], direction);
+        let seen: [Vector; DIRECTIONS.len()] =
+            std::array::from_fn(|direction| match DIRECTIONS[direction] {
+                Direction::Thrust => (ROTOR..CENTRE).map(|c| gram.column(c).into_owned()).sum(),
+                Direction::Column(column) => gram.column(column).into(),
+            });
+        let solved = seen.map(|seen| inverse * seen);
+        let score =
+            std::array::from_fn(|direction| along(moment, direction) - seen[direction].dot(best));
+        let own = SMatrix::from_fn(|a, b| along(&seen[a], b));
+        Self { own, score, seen, solved }
+    }
+
+    fn information(&self, directions: &[usize]) -> DMatrix<f64> {
+        DMatrix::from_fn(directions.len(), directions.len(), |i, j| {
+            let (a, b) = (directions[i], directions[j]);
+            self.own[(a, b)] - self.seen[a].dot(&self.solved[b])
+        })
+    }
+
+    fn score(&self, directions: &[usize]) -> DVector<f64> {
+        DVector::from_iterator(directions.len(), directions.iter().map(|d| self.score[*d]))
+    }
+
+    /// The evidence with a change of normal size: with V its information over the noise's scale k,
+    /// ln det(1 + V) / -2 and, in place of s' (1 + V)^-1 s / 2, Student's logarithm.
+    fn place(&self, cause: Cause, scale: Scale, cell: usize) -> Option<Place> {
+        let directions = cause.directions();
+        let count = directions.len() as f64;
+        let (score, information) = (self.score(directions), self.information(directions));
+        let jitter = DMatrix::identity(directions.len(), directions.len());
+        let sharp = Cholesky::new(&information + &jitter * 1e-9)?;
+        let statistic = score.dot(&sharp.solve(&score)) / count;
+        let (score, information) = (score / scale.variance, information / scale.variance);
+        let inner = Cholesky::new(information + jitter)?;
+        let gained = score.dot(&inner.solve(&score));
+        let log_det: f64 = inner.l_dirty().diagonal().iter().map(|d| 2.0 * d.ln()).sum();
+        let freedom = scale.looks;
+        let sharp = 0.5 * gained - 0.5 * log_det;
+        let gained = 0.5 * (freedom + count) * (gained / freedom).ln_1p();
+        Some(Place { cell, evidence: gained - 0.5 * log_det, sharp, statistic })
+    }
+}

@@ -1,0 +1,226 @@
+//! The spectrum of what an equation leaves, as an autoregression: what of a cell the cells before
+//! foretell, and how far off that is.
+
+use super::cells::EQUATIONS;
+
+/// Cells that foretell the next: what is left of a velocity's noise and of slow errors of a model goes
+/// on for some tenths of a second.
+pub const ORDER: usize = 12;
+/// The spectrum is of about the last minute, s.
+const MEMORY_S: f64 = 60.0;
+/// Values beyond this many deviations are taken to be this large.
+const CLIP: f64 = 4.0;
+/// Share of the power that is taken to be white, against a spectrum with holes.
+const WHITE: f64 = 1e-3;
+
+/// How long an error of a law goes on in one direction: as long as a motion does, cells.
+pub(super) const COHERENT: usize = 10;
+/// Share by which forces and moments are off before anything was seen: of moments a vehicle file knows
+/// less. And of how many stretches of motion that is taken to be known.
+const SHARE: [f64; 3] = [0.03, 0.03, 0.1];
+const STRETCHES: f64 = 6.0;
+/// The least that a law is taken to be off by.
+const SHARE_MIN: f64 = 0.002;
+/// What stretches tell is of about the last minutes.
+const STRETCH_DECAY: f64 = 0.995;
+
+/// How one equation's noise goes on.
+#[derive(Clone, Copy, Debug)]
+pub struct Autoregression {
+    /// Of the value j + 1 cells before.
+    pub coefficients: [f64; ORDER],
+    /// Of what is not foretold.
+    pub variance: f64,
+}
+
+/// Gathers autocovariances of the equations, weighted towards the newest.
+#[derive(Clone, Debug)]
+pub struct Spectrum {
+    sums: [[f64; ORDER + 1]; EQUATIONS],
+    counts: [f64; EQUATIONS],
+    recent: [[f64; ORDER]; EQUATIONS],
+    /// How many of the recent go on without a pause.
+    whole: [usize; EQUATIONS],
+    decay: f64,
+}
+
+impl Spectrum {
+    /// Of nothing yet, for cells of `cell_s`.
+    pub fn new(cell_s: f64) -> Self {
+        Self {
+            sums: [[0.0; ORDER + 1]; EQUATIONS],
+            counts: [0.0; EQUATIONS],
+            recent: [[0.0; ORDER]; EQUATIONS],
+            whole: [0; EQUATIONS],
+            decay: (-cell_s / MEMORY_S).exp(),
+        }
+    }
+
+    /// Takes what a cell's equations leave; not a number where one does not.
+    pub fn add(&mut self, left: &[f64; EQUATIONS]) {
+        for (equation, value) in left.iter().enumerate() {
+            if !value.is_finite() {
+                self.whole[equation] = 0;
+                continue;
+            }
+            let sums = &mut self.sums[equation];
+            let count = &mut self.counts[equation];
+            let limit = CLIP * (sums[0] / *count).sqrt();
+            let value = if *count > ORDER as f64 { value.clamp(-limit, limit) } else { *value };
+            let recent = &mut self.recent[equation];
+            let whole = &mut self.whole[equation];
+            if *whole == ORDER {
+                sums.iter_mut().for_each(|sum| *sum *= self.decay);
+                *count = *count * self.decay + 1.0;
+                sums[0] += value * value;
+                for (sum, before) in sums[1..].iter_mut().zip(recent.iter()) {
+                    *sum += value * before;
+                }
+            } else {
+                *whole += 1;
+            }
+            recent.rotate_right(1);
+            recent[0] = value;
+        }
+    }
+
+    /// After a pause nothing goes on.
+    pub fn pause(&mut self) {
+        self.whole = [0; EQUATIONS];
+    }
+
+    /// Cells that an equation's spectrum is of.
+    pub fn count(&self, equation: usize) -> f64 {
+        self.counts[equation]
+    }
+
+    /// The autoregression of an equation by Levinson's recursion (Durbin 1960); `None` of one that
+    /// left nothing yet.
+    ///
+    /// `least` is a variance that is there at least, white: what no law and no sensor is below.
+    pub fn autoregression(&self, equation: usize, least: f64) -> Option<Autoregression> {
+        let sums = &self.sums[equation];
+        if self.counts[equation] < 2.0 * ORDER as f64 || sums[0].is_nan() || sums[0] <= 0.0 {
+            return None;
+        }
+        let covariance: [f64; ORDER + 1] =
+            std::array::from_fn(|lag| sums[lag] / self.counts[equation]);
+        let mut variance = covariance[0] * (1.0 + WHITE) + least;
+        let mut coefficients = [0.0; ORDER];
+        for order in 0..ORDER {
+            let foretold: f64 = (0..order).map(|j| coefficients[j] * covariance[order - j]).sum();
+            let reflection = ((covariance[order + 1] - foretold) / variance).clamp(-0.999, 0.999);
+            let before = coefficients;
+            coefficients[order] = reflection;
+            for j in 0..order {
+                coefficients[j] = before[j] - reflection * before[order - 1 - j];
+            }
+            variance *= 1.0 - reflection * reflection;
+        }
+        Some(Autoregression { coefficients, variance })
+    }
+}
+
+/// Noise of all equations.
+#[derive(Clone, Copy, Debug)]
+pub struct Noise {
+    /// How each goes on; `None` of one that is not reported.
+    pub filters: [Option<Autoregression>; EQUATIONS],
+    /// Variance that an error of the law adds to each cell, over the square of what the law says: that of
+    /// a share that goes on for some cells, as if each had an error of its own.
+    pub law: [f64; EQUATIONS],
+}
+
+impl Noise {
+    /// Of equations that nothing is known of.
+    pub const NONE: Self = Self { filters: [None; EQUATIONS], law: [0.0; EQUATIONS] };
+}
+
+/// Learns by how much the laws are off, from stretches of motion: with e and m the sums of what is left and
+/// of what the law says over a stretch, both whitened, E(e^2) is the noise's variance plus (share m)^2.
+#[derive(Clone, Debug)]
+pub struct LawErrors {
+    /// Sums over the stretch that goes on, and its cells.
+    stretch: [[f64; 2]; EQUATIONS],
+    cells: [usize; EQUATIONS],
+    /// Weighted sums of (e^2 - variance) m^2 and of m^4.
+    sums: [[f64; 2]; EQUATIONS],
+}
+
+impl LawErrors {
+    /// Of nothing yet.
+    pub fn new() -> Self {
+        Self {
+            stretch: [[0.0; 2]; EQUATIONS],
+            cells: [0; EQUATIONS],
+            sums: std::array::from_fn(|equation| {
+                // Each stretch of motion alone weighs 1 / (2 share^4).
+                let share = SHARE[equation / 3].powi(2);
+                let weight = STRETCHES / (2.0 * share * share);
+                [weight * share, weight]
+            }),
+        }
+    }
+
+    /// Takes what is left of a cell, what the law says, and the noise's variance.
+    pub fn add(&mut self, equation: usize, left: f64, model: f64, variance: f64) {
+        let [e, m] = &mut self.stretch[equation];
+        *e += left;
+        *m += model;
+        self.cells[equation] += 1;
+        if self.cells[equation] < COHERENT {
+            return;
+        }
+        let (e2, m2) = (*e * *e, *m * *m);
+        (*e, *m) = (0.0, 0.0);
+        self.cells[equation] = 0;
+        let noise = COHERENT as f64 * variance;
+        let expected = noise + SHARE[equation / 3].powi(2) * m2;
+        let weight = 0.5 / (expected * expected);
+        // One stretch alone, such as a jump of the estimate, does not make the law wrong.
+        let beyond = (e2 - noise).min(CLIP * CLIP * expected);
+        let [top, bottom] = &mut self.sums[equation];
+        *top = *top * STRETCH_DECAY + weight * beyond * m2;
+        *bottom = *bottom * STRETCH_DECAY + weight * m2 * m2;
+    }
+
+    /// Variance over the square of what the law says, for each cell.
+    pub fn variance(&self, equation: usize) -> f64 {
+        let [top, bottom] = self.sums[equation];
+        COHERENT as f64 * (top / bottom).max(SHARE_MIN * SHARE_MIN)
+    }
+}
+
+impl Default for LawErrors {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    #[test]
+    fn an_autoregression_of_known_numbers_is_found_and_outliers_do_not_matter() {
+        let mut rng = Pcg64Mcg::seed_from_u64(5);
+        let mut spectrum = Spectrum::new(0.05);
+        let (mut a, mut b) = (0.0, 0.0);
+        for k in 0..6000 {
+            let z: f64 = StandardNormal.sample(&mut rng);
+            let next = 1.2 * a - 0.5 * b + 0.3 * z;
+            (b, a) = (a, next);
+            let seen = if k % 2000 == 1999 { 1e3 } else { next };
+            spectrum.add(&std::array::from_fn(|i| if i == 0 { seen } else { f64::NAN }));
+        }
+        let found = spectrum.autoregression(0, 0.0).expect("a spectrum");
+        assert!((found.coefficients[0] - 1.2).abs() < 0.15, "{found:?}");
+        assert!((found.coefficients[1] + 0.5).abs() < 0.2, "{found:?}");
+        assert!((found.variance.sqrt() - 0.3).abs() < 0.04, "{found:?}");
+        assert!(spectrum.autoregression(1, 0.0).is_none());
+    }
+}
