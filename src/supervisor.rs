@@ -378,7 +378,8 @@ impl Supervisor {
             && !offboard
             && intended != Some(self.modes.offboard)
             && (intended.is_some() || self.goes_by_heartbeat(now, seen.status));
-        if released && linked {
+        // A word that is doubted may be of OFFBOARD: what was read before it says nothing.
+        if released && linked && seen.status.knows_mode(now) {
             self.other_mode_since.get_or_insert(now);
         } else {
             self.other_mode_since = None;

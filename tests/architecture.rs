@@ -52,6 +52,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
                 "exam",
                 "link",
                 "lockstep",
+                "log",
                 "plan",
                 "setpoint",
                 "station",

@@ -293,7 +293,7 @@ impl Bench<'_> {
         self.vehicle = built(self.script, self.kit, seed, self.now_us)?;
         self.booted_us = self.now_us;
         self.vehicle.connect(STATION, LinkKind::Datagrams);
-        self.judge.rebooted();
+        self.judge.rebooted(self.now_us);
         Ok(())
     }
 

@@ -85,6 +85,8 @@ pub struct Judge {
     /// When the last silence began.
     silent_us: u64,
     armed: Option<bool>,
+    /// When the vehicle was started again, until a word of it since then comes.
+    rebooted_us: Option<u64>,
     /// Setpoints left while the vehicle said that it obeys.
     flew: bool,
     disarmed: bool,
@@ -113,6 +115,7 @@ impl Judge {
             heard_us: None,
             silent_us: 0,
             armed: None,
+            rebooted_us: None,
             flew: false,
             disarmed: false,
             land_us: None,
@@ -156,9 +159,9 @@ impl Judge {
         self.reached_us = None;
     }
 
-    /// The vehicle was started again: what its predecessor said holds no more.
-    pub fn rebooted(&mut self) {
-        self.mode = None;
+    /// The vehicle was started again: what its predecessor said holds no more, from its first word on.
+    pub fn rebooted(&mut self, now_us: u64) {
+        self.rebooted_us = Some(now_us);
     }
 
     /// The station is given a frame.
@@ -174,6 +177,9 @@ impl Judge {
             return;
         }
         if *origin == Origin::Vehicle {
+            if self.rebooted_us.is_some_and(|rebooted| said_us >= rebooted) {
+                (self.mode, self.rebooted_us) = (None, None);
+            }
             if self.heard_us.is_none_or(|heard| seconds(heard, now_us) > SILENCE_S + LOOK_S) {
                 self.silent_us = self.heard_us.unwrap_or(now_us);
             }

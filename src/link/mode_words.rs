@@ -32,11 +32,18 @@ impl ModeWords {
 
     /// Whether a frame that says `word` is believed. A copy of one that was heard before is not,
     /// where it says that setpoints are obeyed, by the mode `obeys`, and that is not known anyway:
-    /// about one in eight true words is doubted by that then, and the next tells the same.
-    pub fn is_believed(&mut self, frame: &[u8], word: u32, obeys: Option<u32>) -> bool {
+    /// about one in eight true words is doubted by that then, and the next tells the same. Neither is
+    /// one whose place among the vehicle's frames is not settled.
+    pub fn is_believed(
+        &mut self,
+        frame: &[u8],
+        word: u32,
+        obeys: Option<u32>,
+        is_settled: bool,
+    ) -> bool {
         let hash = crc32fast::hash(frame);
         let gives = obeys == Some(word) && (self.is_in_doubt || self.newest != Some(word));
-        if gives && self.hashes.contains(&hash) {
+        if gives && (!is_settled || self.hashes.contains(&hash)) {
             return false;
         }
         if self.hashes.len() == REMEMBERED {
@@ -63,25 +70,37 @@ mod tests {
     fn a_copy_gives_back_no_permission_that_was_taken() {
         let mut words = ModeWords::default();
         words.heard(at(0));
-        assert!(words.is_believed(b"offboard 1", 6, OBEYS));
+        assert!(words.is_believed(b"offboard 1", 6, OBEYS, true));
         words.heard(at(300));
-        assert!(words.is_believed(b"position 2", 3, OBEYS));
-        assert!(!words.is_believed(b"offboard 1", 6, OBEYS));
-        assert!(words.is_believed(b"offboard 3", 6, OBEYS), "the pilot's switch is none");
-        assert!(words.is_believed(b"position 2", 3, OBEYS), "who takes over is believed at once");
+        assert!(words.is_believed(b"position 2", 3, OBEYS, true));
+        assert!(!words.is_believed(b"offboard 1", 6, OBEYS, true));
+        assert!(words.is_believed(b"offboard 3", 6, OBEYS, true), "the pilot's switch is none");
+        assert!(
+            words.is_believed(b"position 2", 3, OBEYS, true),
+            "who takes over is believed at once"
+        );
+    }
+
+    #[test]
+    fn a_word_without_a_place_takes_and_does_not_give() {
+        let mut words = ModeWords::default();
+        words.heard(at(0));
+        assert!(words.is_believed(b"position 1", 3, OBEYS, true));
+        assert!(!words.is_believed(b"offboard 2", 6, OBEYS, false));
+        assert!(words.is_believed(b"return 3", 5, OBEYS, false));
     }
 
     #[test]
     fn after_a_silence_a_copy_says_nothing_and_while_all_is_known_it_may_come() {
         let mut words = ModeWords::default();
         words.heard(at(0));
-        assert!(words.is_believed(b"offboard 1", 6, OBEYS));
-        assert!(words.is_believed(b"offboard 1", 6, OBEYS), "it tells nothing new");
+        assert!(words.is_believed(b"offboard 1", 6, OBEYS, true));
+        assert!(words.is_believed(b"offboard 1", 6, OBEYS, true), "it tells nothing new");
         words.heard(at(501));
-        assert!(!words.is_believed(b"offboard 1", 6, OBEYS));
+        assert!(!words.is_believed(b"offboard 1", 6, OBEYS, true));
         words.heard(at(600));
-        assert!(!words.is_believed(b"offboard 1", 6, OBEYS));
-        assert!(words.is_believed(b"offboard 7", 6, OBEYS));
-        assert!(words.is_believed(b"offboard 1", 6, OBEYS));
+        assert!(!words.is_believed(b"offboard 1", 6, OBEYS, true));
+        assert!(words.is_believed(b"offboard 7", 6, OBEYS, true));
+        assert!(words.is_believed(b"offboard 1", 6, OBEYS, true));
     }
 }

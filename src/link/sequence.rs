@@ -16,6 +16,9 @@ const BEHIND_MAX: u64 = 100;
 const RESTART: u32 = 8;
 /// After such a silence nothing is known of the sequence.
 const SILENCE: Duration = Duration::from_secs(1);
+/// For so long after it began anew the order is not settled: what seemed a restart may be frames that
+/// come a hundred late.
+const UNSETTLED: Duration = Duration::from_secs(1);
 /// Frames with the same number that are remembered.
 const WRAPS: usize = 4;
 /// A copy of the link's frames goes on within so many.
@@ -55,6 +58,8 @@ pub(super) struct Sequence {
     /// Frames in a row that were behind.
     behind: u32,
     at: HostTime,
+    /// When the sequence last seemed to begin anew.
+    anew: Option<HostTime>,
     lost: u64,
 }
 
@@ -67,6 +72,7 @@ impl Default for Sequence {
             copy: None,
             behind: 0,
             at: HostTime::default(),
+            anew: None,
             lost: 0,
         }
     }
@@ -76,6 +82,11 @@ impl Sequence {
     /// Frames that were lost on the way, less those that came late.
     pub(super) fn lost(&self) -> u64 {
         self.lost
+    }
+
+    /// Whether the sequence seemed to begin anew a short while ago.
+    pub(super) fn is_unsettled(&self, now: HostTime) -> bool {
+        self.anew.is_some_and(|anew| now.since(anew) < UNSETTLED)
     }
 
     /// The next frame has any number: the vehicle is another, or is heard another way.
@@ -119,6 +130,7 @@ impl Sequence {
                 let behind = 256 - u64::from(step);
                 self.behind += 1;
                 if behind > BEHIND_MAX || self.behind >= RESTART {
+                    self.anew = Some(now);
                     return self.begin(number, hash);
                 }
                 // Counted as lost before.

@@ -251,13 +251,13 @@ impl Core {
         }
         match is_newer {
             false => Newness::Old,
-            true if self.is_mode_believed(frame) => Newness::New,
+            true if self.is_mode_believed(now, frame) => Newness::New,
             true => Newness::Doubtful,
         }
     }
 
-    /// Whether what the frame says of the mode, if that is what it says, is no copy of an old word.
-    fn is_mode_believed(&mut self, frame: &Frame) -> bool {
+    /// Whether what the frame says of the mode, if that is what it says, is no old word.
+    fn is_mode_believed(&mut self, now: HostTime, frame: &Frame) -> bool {
         if !matches!(frame.id(), HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID) {
             return true;
         }
@@ -266,7 +266,8 @@ impl Core {
         word.iter_mut().zip(frame.payload()).for_each(|(to, from)| *to = *from);
         let obeys = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
         let obeys = obeys.map(|mode| mode.custom_mode);
-        self.mode_words.is_believed(frame.bytes(), u32::from_le_bytes(word), obeys)
+        let is_settled = !self.sequence.is_unsettled(now);
+        self.mode_words.is_believed(frame.bytes(), u32::from_le_bytes(word), obeys, is_settled)
     }
 
     fn message(&mut self, now: HostTime, message: &Inbound) {
