@@ -379,7 +379,7 @@ impl Supervisor {
             && intended != Some(self.modes.offboard)
             && (intended.is_some() || self.goes_by_heartbeat(now, seen.status));
         // A word that is doubted may be of OFFBOARD: what was read before it says nothing.
-        if released && linked && seen.status.knows_mode(now) {
+        if released && linked && seen.status.mode_heard.is_some() {
             self.other_mode_since.get_or_insert(now);
         } else {
             self.other_mode_since = None;

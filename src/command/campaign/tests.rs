@@ -78,29 +78,19 @@ fn an_older_heartbeat_that_is_believed_is_found() {
     is_found(Planted::OlderHeartbeat, &[Rule::OldMode, Rule::AgainstThePilot]);
 }
 
-/// Scripts that a campaign found faults of the program with, since mended.
+/// Scripts that a campaign found faults of the program with, since mended; each is named for its fault.
 #[test]
 fn what_campaigns_found_stays_mended() {
-    let hover = "family = \"hover\"\naltitude_m = 1.0\nduration_s = 3.0\n";
-    let cases = [
-        // An estimate that froze under new stamps was flown by: metres high within a second.
-        ("crazyflie", "bundled", r#"[{"at_s":4.518,"for_s":1.21,"fault":{"kind":"freeze"}}]"#),
-        ("quad1200", "bundled", r#"[{"at_s":3.902,"for_s":2.7,"fault":{"kind":"freeze"}}]"#),
-        // A copy of an old HEARTBEAT gave back control that the vehicle had ended by landing.
-        (
-            "crazyflie",
-            "px4",
-            r#"[{"at_s":17.3,"for_s":0.5,"fault":{"kind":"replay","age_s":4.6,"rate_hz":90.0}}]"#,
-        ),
-    ];
-    for (vehicle, autopilot, faults) in cases {
-        let script = serde_json::json!({
-            "schema_version": 1, "seed": 7, "vehicle": vehicle, "autopilot": autopilot,
-            "law": "lqr", "policy": "command", "clock_rate": 1.0, "trajectory": hover,
-            "faults": serde_json::from_str::<serde_json::Value>(faults).expect("faults"),
-        });
-        let script = Script::parse(&script.to_string()).expect("a script");
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/campaign_found");
+    let files =
+        std::fs::read_dir(&folder).expect("the folder").map(|file| file.expect("it").path());
+    let mut count = 0;
+    for file in files {
+        let text = std::fs::read_to_string(&file).expect("a file");
+        let script = Script::parse(&text).expect("a script");
         let flight = flown(0, &script).expect("a flight");
-        assert_eq!(flight.violations, [], "{faults}");
+        assert_eq!(flight.violations, [], "{}", file.display());
+        count += 1;
     }
+    assert!(count > 0, "no script in {}", folder.display());
 }

@@ -44,8 +44,8 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// An opening of this width and height [m] that is passed along a heading from north and a
-    /// climb from level [rad]; its width is level.
+    /// An opening of this width and height, m, that is passed along a heading from north and a
+    /// climb from level, rad; its width is level.
     pub fn new(centre: Ned, heading: f64, climb: f64, [width_m, height_m]: [f64; 2]) -> Self {
         let ((sin, cos), (up, level)) = (heading.sin_cos(), climb.sin_cos());
         Self {
