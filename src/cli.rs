@@ -303,9 +303,9 @@ pub struct ExamArgs {
         conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "decide", "evidence"]
     )]
     pub laws: Option<usize>,
-    /// Instead: this many flights in which something of the vehicle changes at an instant, and --nulls of ten
-    /// minutes in which nothing does: how near to the true time the change is told, from logs and live, and
-    /// how often one is told where there is none.
+    /// Instead: flies this many flights in which something of the vehicle changes at an instant, and --nulls of
+    /// ten minutes in which nothing does. Prints how near to the true time the detector dates the change, from
+    /// logs and live, and how often it reports one that is not there.
     #[arg(
         long,
         value_name = "COUNT",

@@ -27,7 +27,7 @@ const SHARE_MAX: f32 = 1.5;
 pub struct Health {
     /// How much speaks for a change by now, nats; `None` before enough was flown.
     pub evidence: Option<f64>,
-    /// Evidence from which on a change is told, nats.
+    /// Evidence from which on the monitor reports a change, nats.
     pub bound: f64,
     /// Changes so far.
     pub count: u64,

@@ -26,7 +26,7 @@ pub(super) struct OnsetAnswer {
     schema: &'static str,
     schema_version: u32,
     vehicle: String,
-    /// Evidence from which on a change is told, nats.
+    /// Evidence from which on the detector reports a change, nats.
     bound: f64,
     flights: Vec<FlightAnswer>,
     /// What changed between flights, in the order that they were given in.

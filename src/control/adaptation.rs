@@ -90,7 +90,7 @@ const JUMP_M_S: f64 = 1.0;
 const FADE_S: f64 = 0.5;
 /// The size of a change is known well enough to be acted upon after this time, s.
 const SIZED_AFTER_S: f64 = 0.2;
-/// A change is told after this time, s, when its size is known.
+/// The adaptation reports a change after this time, when its size is known, s.
 const TOLD_AFTER_S: f64 = 0.8;
 /// What is worth telling: of thrust over mass, of a push in m/s^2, of an attitude in rad.
 const TOLD_SHARE: f64 = 0.05;

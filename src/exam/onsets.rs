@@ -14,7 +14,7 @@ use crate::onset::columns::Cause;
 
 /// From this strength on a change is to be found.
 pub const DETECTABLE: f64 = 3.0;
-/// Time after a change over which its strength is told, s.
+/// Time after a change over which its strength is measured, s.
 const OVER_S: f64 = 5.0;
 /// Time before it from which the noise is.
 const NOISE_S: f64 = 10.0;

@@ -266,7 +266,7 @@ impl Cells {
         Some(start)
     }
 
-    /// Forgets all; a pause is told if there were cells.
+    /// Forgets all; reports a pause if there were cells.
     fn pause(&mut self) {
         self.paused |= self.next.is_some();
         self.next = None;

@@ -33,13 +33,13 @@ const SHARED: f64 = 3.2;
 /// Causes less probable than this are not told.
 const TOLD: f64 = 0.02;
 
-/// How sure a change must be, and when it is told.
+/// How sure the detector must be of a change, and when it reports it.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
     /// Mean time between false alarms that the bound on the evidence is for, were the noise as it is
     /// taken to be, h.
     pub false_alarm_h: f64,
-    /// Time after its beginning at which a change is told, s.
+    /// Time after its beginning at which the detector reports a change, s.
     pub hindsight_s: f64,
     /// Cells between looks.
     pub every: usize,
@@ -51,7 +51,7 @@ impl Settings {
     /// From a log: told when five seconds after it are known.
     pub const LOG: Self = Self { hindsight_s: 5.0, ..Self::LIVE };
 
-    /// Evidence from which on a change is told, nats: that of a Bayes factor whose inverse bounds the
+    /// Evidence from which on the detector reports a change, nats: that of a Bayes factor whose inverse bounds the
     /// rate of false alarms by looks and causes (Shiryaev 1963, Roberts 1966).
     pub fn bound(&self) -> f64 {
         let looks = self.false_alarm_h.max(0.01) * 3600.0 / (self.every as f64 * CELL_S);

@@ -9,7 +9,7 @@ use super::detector::Present;
 
 /// Fewest flights of which two groups and their scatter can be told.
 pub const FLIGHTS_MIN: usize = 4;
-/// A step is told whose chance is below this, over all numbers and all places.
+/// The probability of a step by chance, over all numbers and all places, below which it is reported.
 const CHANCE: f64 = 0.01;
 /// Steps of the integral of Student's density.
 const STEPS: usize = 2000;

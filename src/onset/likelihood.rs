@@ -18,11 +18,11 @@ use super::noise::{Noise, ORDER};
 /// What the numbers before leave beyond this many deviations weighs less: a jump of the estimate. A change is
 /// not so large in a cell, or large enough anyway.
 const HUBER: f64 = 6.0;
-/// A change is told to within this share of its size: no law is exact.
+/// A change is estimated to within this share of its size: no law is exact.
 const LAW: f64 = 0.03;
 /// Places later than each of these many cells after a beginning are told every second and every fourth.
 const COARSE: [usize; 2] = [60, 120];
-/// Time that a drift is told over, s.
+/// Time over which a drift is estimated, s.
 const DRIFT_S: f64 = 10.0;
 
 type Matrix = SMatrix<f64, COLUMNS, COLUMNS>;

@@ -50,7 +50,7 @@ fn counted(count: usize, what: &str) -> String {
 
 /// What the picture shows.
 pub const EXPLANATION: &str = "How much likelier a change within the last seconds makes the flight than \
-    none, by the cause that most speaks for. Above the dashed bound a change is told; the upright line is \
+    none, by the cause that most speaks for. Above the dashed bound a change is reported; the upright line is \
     when it began, the background its 90 % interval.";
 
 /// The statistic over time, with onsets and their intervals, and a table of the changes.

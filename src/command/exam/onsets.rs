@@ -1,5 +1,5 @@
-//! `downwash exam --onsets COUNT`: how well the beginning of a change is found, live and from logs, and how
-//! often one is told where nothing changed.
+//! `downwash exam --onsets COUNT`: how well the detector dates a change, live and from logs, and how often it
+//! reports one where nothing changed.
 
 use std::fs;
 use std::path::Path;
@@ -32,7 +32,7 @@ use crate::onset::columns::Cause;
 use crate::onset::detector::Settings;
 use crate::plan::Trajectory;
 
-/// An onset is found that is told within this of the true one, s.
+/// The detector finds a change that it dates within this of the true time, s.
 const NEAR_S: f64 = 0.5;
 
 /// The JSON of `exam --onsets`, and its summary.json.
@@ -53,13 +53,13 @@ pub(crate) struct OnsetsSummary<'a> {
 /// What one way of looking found.
 #[derive(JsonSchema, Serialize)]
 pub(crate) struct Side {
-    /// Detectable changes that are told within 0.5 s.
+    /// Detectable changes that the detector dates within 0.5 s of the true time.
     found: Rate,
     /// Found ones whose likeliest cause is the true one.
     named: Rate,
     /// Found ones whose 90 % interval holds the true time.
     held: Rate,
-    /// Changes that are told where there is none: in flights without one, and away from one.
+    /// Changes that it reports where there is none: in flights without one, and away from the true one.
     false_onsets: usize,
     /// Flown time that was looked at, h.
     hours: f64,
