@@ -1,8 +1,10 @@
 //! The line from a message to a setpoint: state -> reference -> feedback -> supervisor -> guard.
 //! Pure: time comes with the messages, requests and setpoints are handed out.
 
+mod condition;
 mod effective_vehicle;
 mod guidance;
+mod tick;
 
 use std::time::Duration;
 
@@ -12,20 +14,18 @@ use serde::{Deserialize, Serialize};
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
 use self::guidance::Guidance;
 pub use self::guidance::GuidanceSettings;
-use vehicle::frame::Ned;
+pub use self::tick::Tick;
 
-use crate::clock::{HostTime, VehicleTime};
+use crate::clock::HostTime;
 use crate::control::{
     AdaptationNotice, Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation,
 };
 use crate::guard::{Answered, Cleared, Guard, Order, Proposal, Withheld};
-use crate::link::message::{ChargeState, Inbound, LandedState, Received};
+use crate::link::message::{Inbound, Received};
 use crate::plan::reference::ReferenceSource;
-use crate::setpoint::{Reference, Setpoint, State};
 use crate::supervisor::{
-    Action, EngagePolicy, Event, FlightCondition, FlightState, ModeMap, Observation,
-    PreflightCheck, PreflightSettings, SafetySettings, Severity, Standing, Supervisor,
-    SupervisorSettings, Takeover, Trigger, preflight,
+    Action, EngagePolicy, Event, FlightState, ModeMap, PreflightCheck, PreflightSettings,
+    SafetySettings, Severity, Supervisor, SupervisorSettings, Takeover, Trigger,
 };
 use crate::telemetry::{Sample, Telemetry, TelemetryFault, TelemetrySettings};
 
@@ -81,45 +81,6 @@ pub enum LinkEvent {
         /// 0..1
         loss: f64,
     },
-}
-
-/// All that one tick saw and decided; what the log records.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Tick {
-    /// Host time of the message that fired it.
-    pub host: HostTime,
-    /// Vehicle time of the state.
-    pub vehicle: VehicleTime,
-    /// The state.
-    pub state: State,
-    /// What it is to be.
-    pub reference: Reference,
-    /// Where it is wanted: a plan that is made anew in flight leads there.
-    pub desired: Ned,
-    /// The reference's input.
-    pub feedforward: Setpoint,
-    /// What the control law adds to it, zero on the ground.
-    pub feedback: Setpoint,
-    /// Their sum within limits; `None` where nothing is sent.
-    pub setpoint: Option<Setpoint>,
-    /// Limits that were met; none where nothing is sent.
-    pub saturation: Saturation,
-    /// Where the flight stands.
-    pub phase: FlightState,
-    /// Seconds into the trajectory, while it is tracked.
-    pub trajectory_time: Option<f64>,
-    /// Distance from where it is wanted, m.
-    pub tracking_error: f64,
-    /// How much later than the quickest messages the state came, s.
-    pub sample_age: f64,
-}
-
-impl Tick {
-    /// The tick's setpoint was not sent after all.
-    pub fn withhold(&mut self) {
-        self.setpoint = None;
-        self.saturation = Saturation::default();
-    }
 }
 
 /// Flies one vehicle along one trajectory, or holds until it is asked to.
@@ -410,121 +371,6 @@ impl Pilot {
         self.telemetry.forget();
         self.guard.forget();
     }
-
-    fn observe(&mut self, now: HostTime) {
-        let before = self.supervisor.state();
-        if let Some(late) = self.telemetry.take_late(now) {
-            let limit_s = self.settings.telemetry.late_after_s;
-            let text = format!(
-                "{late}, and were not acted upon (pilot.telemetry.late_after_s is {limit_s}); \
-                 the link is congested, or this machine is busy"
-            );
-            self.supervisor.tell(now, Severity::Warning, text);
-        }
-        let age_s = self.telemetry.age_s(now).max(std::mem::take(&mut self.paused_s));
-        let rate_hz = self.settings.telemetry.rate_hz;
-        let here = self.telemetry.last_sample().map(|sample| sample.state);
-        // One look can lead through Preflight to the stream: the checks must be there before.
-        let failed = if before.precedes_stream() {
-            let distance = here.map_or(f64::NAN, |s| self.guidance.start_distance_m(s.position));
-            let mut failed = self.standing_checks.clone();
-            let settings = &self.settings.preflight;
-            let standing = Standing {
-                rate_hz,
-                link_loss: self.link_loss,
-                start_distance_m: distance,
-                airborne: self.airborne(),
-                ground_seen: self.guidance.ground().is_some(),
-                policy: self.policy,
-                take_over: self.settings.supervisor.take_over,
-            };
-            failed.extend(preflight(settings, &standing, &self.telemetry, now));
-            failed
-        } else {
-            std::mem::take(&mut self.failed_checks)
-        };
-        let from_anchor = match (here, self.guidance.anchor()) {
-            (Some(here), Some(anchor)) => here.position - anchor,
-            _ => Ned::zero(),
-        };
-        let jumped = std::mem::take(&mut self.jumped);
-        let status = self.telemetry.status();
-        let tick_rate_min = self.settings.preflight.tick_rate_min
-            * if before.precedes_stream() { 1.0 } else { STREAMING_RATE_SHARE };
-        let airborne = self.airborne();
-        let observation = Observation {
-            status,
-            airborne,
-            at_rest: self.is_at_rest(),
-            telemetry_ready: airborne.is_some()
-                && status.armed.is_some()
-                && age_s < self.settings.safety.stale_after_s
-                && self.telemetry.tick_rate_hz() >= tick_rate_min * rate_hz,
-            preflight: &failed,
-            condition: FlightCondition {
-                sample_age_s: age_s,
-                late: self.telemetry.late(),
-                jumped,
-                tracking_error_m: self.tracking_error,
-                tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
-                radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
-                height_m: -from_anchor.down(),
-                battery: status.battery.remaining,
-                battery_critical: status.battery.charge == ChargeState::Critical,
-                failsafe: None,
-            },
-        };
-        self.supervisor.observe(now, &observation);
-        self.failed_checks = failed;
-        let after = self.supervisor.state();
-        if after != before {
-            self.tracking_error = 0.0;
-        }
-        // What led here was a reaction: stay where the vehicle is, not where it should be.
-        let stopped = after != before && before != FlightState::Hold;
-        if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {
-            self.guidance.hold_here();
-        }
-        let silence_s = self.telemetry.status().silence_s(now);
-        if silence_s.is_finite() && silence_s > self.settings.supervisor.link_lost_after_s {
-            self.forget();
-        }
-    }
-
-    /// How much more thrust must be asked for than a full pack would give.
-    fn voltage_gain(&self) -> f64 {
-        let voltage = self.telemetry.status().battery.voltage;
-        voltage.map_or(1.0, |voltage| {
-            let ratio = voltage / self.airframe.battery_full_v;
-            ratio.powf(-self.guidance.voltage_exponent()).clamp(1.0, VOLTAGE_GAIN_MAX)
-        })
-    }
-
-    /// Whether the vehicle is off the ground, by its own word. Where it has none, one that is
-    /// disarmed stands on the ground, and one that is armed flies when it is above the place where
-    /// it stood. `None` where neither is known: a vehicle whose motors turn may be anywhere.
-    fn airborne(&self) -> Option<bool> {
-        let status = self.telemetry.status();
-        match status.landed {
-            LandedState::OnGround => Some(false),
-            LandedState::InAir | LandedState::TakingOff | LandedState::Landing => Some(true),
-            LandedState::Undefined if status.armed? => Some(self.height_m()? > AIRBORNE_HEIGHT_M),
-            LandedState::Undefined => Some(false),
-        }
-    }
-
-    /// Height above the place where the vehicle last stood on the ground, m.
-    fn height_m(&self) -> Option<f64> {
-        let here = self.telemetry.last_sample()?.state.position;
-        Some(self.guidance.ground()?.down() - here.down())
-    }
-
-    /// Whether the vehicle lies still at the height of the ground, by its own estimate.
-    fn is_at_rest(&self) -> bool {
-        let speed = self.telemetry.last_sample().map(|sample| sample.state.velocity.norm());
-        self.height_m().is_some_and(|height| height.abs() < AIRBORNE_HEIGHT_M)
-            && speed.is_some_and(|speed| speed < RESTING_SPEED_M_S)
-    }
 }
 
 /// What the guard is told of a sample.
@@ -540,25 +386,13 @@ fn answered(sample: &Sample) -> Answered {
 /// A stall of this process is told at most this often.
 const STALL_TOLD: Duration = Duration::from_secs(2);
 
-/// Share of the tick rate asked for at first that must be kept while a hold is streamed, so that a
-/// pause which is not stale yet does not end the stream.
-const STREAMING_RATE_SHARE: f64 = 0.6;
-
-/// The most that an empty pack, or a voltage that is misread, adds to the thrust.
-const VOLTAGE_GAIN_MAX: f64 = 1.4;
-
-/// Speed below which a vehicle at the height of the ground lies still, m/s.
-const RESTING_SPEED_M_S: f64 = 0.15;
-
-/// Height above the ground that counts as flight where the vehicle does not say, m.
-const AIRBORNE_HEIGHT_M: f64 = 0.3;
-
 /// Messages that the supervisor must see at once; the rest waits for the next tick or poll.
 fn concerns_supervisor(message: &Inbound) -> bool {
     matches!(
         message,
         Inbound::Heartbeat { .. }
             | Inbound::CurrentMode { .. }
+            | Inbound::DoubtfulMode
             | Inbound::LandedState(_)
             | Inbound::Battery(_)
     )

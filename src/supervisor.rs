@@ -18,6 +18,7 @@
 //! Nothing is commanded, and no setpoint leaves, on a mode that may be old: one that was told
 //! before the vehicle fell silent or before this process paused. The pilot may have changed it.
 
+mod event;
 mod health;
 mod modes;
 mod preflight;
@@ -31,6 +32,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::event::{Action, Event, Severity};
 pub use self::modes::ModeMap;
 pub use self::preflight::{
     PreflightCheck, PreflightSettings, RequiredParameter, Standing, preflight,
@@ -59,61 +61,6 @@ pub enum EngagePolicy {
     Command,
     /// The pilot does, each time, by switching to OFFBOARD while the daemon streams, and arms.
     PilotSwitch,
-}
-
-/// A request to the vehicle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Action {
-    /// Mode in which setpoints are obeyed.
-    SetModeOffboard,
-    /// Mode in which setpoints are not obeyed, so that the vehicle is released.
-    SetModeHold,
-    /// Mode in which the vehicle lands itself.
-    SetModeLand,
-    /// Start the motors.
-    Arm,
-    /// Stop the motors, on the ground.
-    Disarm,
-}
-
-impl Action {
-    /// For people.
-    fn in_words(self) -> &'static str {
-        match self {
-            Self::SetModeOffboard => "OFFBOARD",
-            Self::SetModeHold => "the mode that holds",
-            Self::SetModeLand => "to land",
-            Self::Arm => "to arm",
-            Self::Disarm => "to disarm",
-        }
-    }
-}
-
-/// How much an event matters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Severity {
-    /// As planned.
-    Info,
-    /// Not as planned, flight goes on.
-    Warning,
-    /// Flight ends or does not begin.
-    Error,
-}
-
-/// Something that happened, in words.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Event {
-    /// When.
-    #[serde(skip)]
-    pub host: HostTime,
-    /// How much it matters.
-    pub severity: Severity,
-    /// State after it.
-    pub state: FlightState,
-    /// What happened.
-    pub text: String,
 }
 
 /// What the supervisor looks at, beside time.

@@ -101,7 +101,7 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
     let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
     if let Some(set) = &args.practice {
-        return practice::run(args, set, &hall);
+        return practice::run(set, &hall);
     }
     if let Some(count) = args.laws {
         return laws::run(args, count, &hall);
@@ -143,22 +143,11 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
         summary: &summary,
         cases: &rows,
     };
-    let json = serde_json::to_vec_pretty(&whole).context("summary.json")?;
-    write_file(&out.join("summary.json"), &json)?;
     write_file(&out.join("report.html"), exam::html(&summary, &rows, &provenance).as_bytes())?;
-    if args.json {
-        print_json(&whole)?;
-    } else {
-        print_text(&exam::text(&summary, &rows))?;
-    }
+    let exit = hall.conclude(&whole, &exam::text(&summary, &rows))?;
     say(format_args!("report: {}", out.join("report.html").display()));
-    Ok(if interrupted.load(Ordering::Relaxed) {
-        Exit::Interrupted
-    } else if args.fail_on_miss && !summary.holds() {
-        Exit::Check
-    } else {
-        Exit::Ok
-    })
+    let misses = exit == Exit::Ok && args.fail_on_miss && !summary.holds();
+    Ok(if misses { Exit::Check } else { exit })
 }
 
 /// What each case asks, in an order that its name gives nothing away of.
@@ -225,6 +214,18 @@ struct Hall<'a> {
 }
 
 impl Hall<'_> {
+    /// Writes a summary, prints it or its text, and ends the exam.
+    fn conclude(&self, summary: &impl Serialize, text: &str) -> anyhow::Result<Exit> {
+        let json = serde_json::to_vec_pretty(summary).context("summary.json")?;
+        write_file(&self.out.join("summary.json"), &json)?;
+        if self.args.json {
+            print_json(summary)?;
+        } else {
+            print_text(text)?;
+        }
+        Ok(if self.is_interrupted() { Exit::Interrupted } else { Exit::Ok })
+    }
+
     /// Does `work` for each of `count` in `jobs` threads, until done or interrupted; what it gives
     /// in order.
     fn each<T: Send>(

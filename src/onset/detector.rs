@@ -1,13 +1,16 @@
 //! Samples in, changes out.
 
+mod estimate;
+
 use std::collections::VecDeque;
 
 use vehicle::{VehicleError, VehicleParams};
 
+use self::estimate::peak;
 use super::cells::{CELL_S, Cell, Cells, Piece, Sample};
-use super::change::{Change, Other, Value};
+use super::change::Change;
 use super::columns::{COLUMNS, Cause, DIRECTIONS, DRIFT};
-use super::likelihood::{Numbers, Place, Profile, Scale, Window, along};
+use super::likelihood::{Profile, Scale, Window};
 use super::noise::{Autoregression, COHERENT, LawErrors, Noise, ORDER, Spectrum};
 
 /// Cells that are looked at together: half a minute.
@@ -20,18 +23,13 @@ const AFTER: [usize; 2] = [6, 240];
 const LATE: usize = 120;
 /// Cells after which the noise is taken anew: 5 s.
 const RENEWED: usize = 100;
-/// Cells after a beginning at which a statistic tells how large chance makes it: 1, 2 and 4 s.
-const TOLD_AFTER: [usize; 3] = [20, 40, 80];
+/// Cells after a beginning at which a statistic says how large chance makes it: 1, 2 and 4 s.
+const CHANCE_AFTER: [usize; 3] = [20, 40, 80];
 /// Cells between two of those.
-const TOLD_EVERY: usize = 20;
+const CHANCE_EVERY: usize = 20;
 /// Looks that the noise's scale is taken to have been 1 in, before anything was seen, and the most
 /// that are remembered.
 const LOOKS: [f64; 2] = [15.0, 60.0];
-/// Errors go on for some cells: neighbouring beginnings are told apart by this factor less evidence, the
-/// square root of how long.
-const SHARED: f64 = 3.2;
-/// Causes less probable than this are not told.
-const TOLD: f64 = 0.02;
 
 /// How sure the detector must be of a change, and when it reports it.
 #[derive(Clone, Copy, Debug)]
@@ -46,9 +44,9 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// In flight: told after two seconds.
+    /// In flight: reports after two seconds.
     pub const LIVE: Self = Self { false_alarm_h: 1000.0, hindsight_s: 2.0, every: 10 };
-    /// From a log: told when five seconds after it are known.
+    /// From a log: reports when five seconds after the change are known.
     pub const LOG: Self = Self { hindsight_s: 5.0, ..Self::LIVE };
 
     /// Evidence from which on the detector reports a change, nats: that of a Bayes factor whose inverse bounds the
@@ -101,7 +99,8 @@ pub struct Detector {
     /// Cells since the noise was taken, and since a look.
     renewed: usize,
     looked: usize,
-    told: usize,
+    /// Count of cells when chance was last sampled.
+    sampled: usize,
     /// Sums of statistics and their count, by cause; those that wait.
     statistics: [[f64; 2]; Cause::ALL.len()],
     waiting: VecDeque<(usize, [f64; Cause::ALL.len()])>,
@@ -128,7 +127,7 @@ impl Detector {
             noted: 0,
             renewed: 0,
             looked: 0,
-            told: 0,
+            sampled: 0,
             statistics: [[0.0; 2]; Cause::ALL.len()],
             waiting: VecDeque::new(),
             count: 0,
@@ -308,19 +307,19 @@ impl Detector {
             }
             return;
         }
-        if self.count >= self.told + TOLD_EVERY {
-            self.told = self.count;
-            self.tell(&profiles);
+        if self.count >= self.sampled + CHANCE_EVERY {
+            self.sampled = self.count;
+            self.sample_chance(&profiles);
         }
     }
 
     /// Keeps how large chance makes the statistics.
-    fn tell(&mut self, profiles: &[Profile]) {
+    fn sample_chance(&mut self, profiles: &[Profile]) {
         let end = self.window.len();
         let mut means = [f64::NAN; Cause::ALL.len()];
         for (mean, profile) in means.iter_mut().zip(profiles) {
-            let told = profile.places.iter().filter(|p| TOLD_AFTER.contains(&(end - p.cell)));
-            let (sum, count) = told.fold((0.0, 0.0), |(s, n), p| (s + p.statistic, n + 1.0));
+            let sampled = profile.places.iter().filter(|p| CHANCE_AFTER.contains(&(end - p.cell)));
+            let (sum, count) = sampled.fold((0.0, 0.0), |(s, n), p| (s + p.statistic, n + 1.0));
             *mean = sum / count;
         }
         self.waiting.push_back((self.count, means));
@@ -344,66 +343,6 @@ impl Detector {
         self.waiting.clear();
         self.alarm = None;
     }
-
-    /// The change by what is known now, if it still is one.
-    fn change(&self, alarmed_s: f64) -> Option<Change> {
-        let profiles = self.profiles(true);
-        let top = profiles.iter().filter_map(peak).map(|place| place.evidence);
-        let top = top.fold(f64::NEG_INFINITY, f64::max);
-        if top < self.settings.bound() {
-            return None;
-        }
-        let mass = |place: &Place| (place.evidence - top).exp();
-        let masses: Vec<f64> =
-            profiles.iter().map(|profile| profile.places.iter().map(mass).sum()).collect();
-        let total: f64 = masses.iter().sum();
-        let mut by_mass: Vec<usize> = (0..profiles.len()).collect();
-        by_mass.sort_by(|a, b| masses[*b].total_cmp(&masses[*a]));
-        let best = *by_mass.first()?;
-        let profile = &profiles[best];
-        let peak = peak(profile)?;
-        let [low, middle, high] = quantiles(profile);
-        let start = |place: usize| self.kept.get(place + ORDER).map(|cell| cell.time);
-        let numbers = self.numbers_of(profile.cause, peak.cell, self.scales()[best])?;
-        let others = by_mass[1..].iter().map(|&index| Other {
-            cause: profiles[index].cause,
-            probability: masses[index] / total,
-        });
-        Some(Change {
-            at_s: start(middle)?,
-            // A cell that the change begins within is half of either.
-            interval_s: [start(low)? - CELL_S, start(high)? + CELL_S],
-            alarmed_s,
-            cause: profile.cause,
-            rotor: profile.cause.rotor(),
-            effects: profile.cause.effects().to_vec(),
-            probability: masses[best] / total,
-            others: others.filter(|other| other.probability >= TOLD).collect(),
-            evidence: peak.evidence,
-            values: numbers.iter().map(|n| Value::of(n, self.cells.sizes())).collect(),
-        })
-    }
-}
-
-impl Detector {
-    /// The numbers of a change, with what lies far off told from the vehicle after it: fitted once more
-    /// to what the first fit leaves.
-    fn numbers_of(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {
-        let first = self.window.numbers(cause, cell, scale)?;
-        let mut kept = self.kept.clone();
-        for row in kept.iter_mut().skip(cell + ORDER).flat_map(|cell| &mut cell.rows) {
-            for numbers in &first {
-                row.left -= numbers.change[0] * along(&row.slopes, numbers.direction);
-            }
-        }
-        let numbers = self.numbers.unwrap_or([0.0; COLUMNS]);
-        let mut second = Window::of(&kept, &self.noise, &numbers).numbers(cause, cell, scale)?;
-        for (numbers, first) in second.iter_mut().zip(first) {
-            numbers.change = [numbers.change[0] + first.change[0], first.change[1]];
-            numbers.after = [numbers.after[0] + first.change[0], first.after[1]];
-        }
-        Some(second)
-    }
 }
 
 /// What numbers leave of a cell's equation.
@@ -411,30 +350,6 @@ fn unexplained(cell: &Cell, equation: usize, numbers: &[f64; COLUMNS]) -> f64 {
     let row = &cell.rows[equation];
     let modelled = row.slopes[..DRIFT].iter().zip(numbers);
     row.left - modelled.map(|(slope, number)| slope * number).sum::<f64>()
-}
-
-fn peak(profile: &Profile) -> Option<&Place> {
-    profile.places.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))
-}
-
-/// Cells at which 5, 50 and 95 % of the mass lie before, from the earliest on.
-fn quantiles(profile: &Profile) -> [usize; 3] {
-    let top = profile.places.iter().map(|place| place.sharp).fold(f64::NEG_INFINITY, f64::max);
-    let mass = |place: &Place| ((place.sharp - top) / SHARED).exp();
-    let total: f64 = profile.places.iter().map(mass).sum();
-    let mut sum = 0.0;
-    let mut found = [None; 3];
-    // Places go from the latest to the earliest.
-    for place in profile.places.iter().rev() {
-        sum += mass(place) / total;
-        for (found, share) in found.iter_mut().zip([0.05, 0.5, 0.95]) {
-            if sum >= share {
-                found.get_or_insert(place.cell);
-            }
-        }
-    }
-    let last = profile.places.first().map_or(0, |place| place.cell);
-    found.map(|cell| cell.unwrap_or(last))
 }
 
 #[cfg(test)]

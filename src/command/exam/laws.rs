@@ -9,7 +9,7 @@ use vehicle::effects::EffectSet;
 
 use super::super::diagnose::find;
 use super::super::logs::open_for;
-use super::super::{Exit, ExitContext, in_words, print_json, print_text, say, write_file};
+use super::super::{Exit, ExitContext, in_words, say, write_file};
 use super::{Hall, log_names};
 use crate::cli::ExamArgs;
 use crate::diagnose::preparation::PreparedFlight;
@@ -99,14 +99,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
         invented: Rate::of(rows.iter().filter(|row| row.kind.is_none()).map(|row| row.named)),
         cases: &rows,
     };
-    let json = serde_json::to_vec_pretty(&summary).context("summary.json")?;
-    write_file(&hall.out.join("summary.json"), &json)?;
-    if args.json {
-        print_json(&summary)?;
-    } else {
-        print_text(&text(&summary))?;
-    }
-    Ok(if hall.is_interrupted() { Exit::Interrupted } else { Exit::Ok })
+    hall.conclude(&summary, &text(&summary))
 }
 
 impl Hall<'_> {

@@ -15,9 +15,7 @@ use super::super::diagnose::audited;
 use super::super::setup::VehicleFile;
 use super::super::simulate::Simulation;
 use super::super::simulation::Truth;
-use super::super::{
-    Exit, ExitContext, configuration, in_words, print_json, print_text, say, write_file,
-};
+use super::super::{Exit, ExitContext, configuration, in_words, say};
 use super::Hall;
 use crate::campaign::bench::set_up;
 use crate::cli::ExamArgs;
@@ -109,14 +107,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
             / rows.iter().map(|row| row.seconds).sum::<f64>().max(1.0),
         cases: &rows,
     };
-    let json = serde_json::to_vec_pretty(&summary).context("summary.json")?;
-    write_file(&hall.out.join("summary.json"), &json)?;
-    if args.json {
-        print_json(&summary)?;
-    } else {
-        print_text(&text(&summary))?;
-    }
-    Ok(if hall.is_interrupted() { Exit::Interrupted } else { Exit::Ok })
+    hall.conclude(&summary, &text(&summary))
 }
 
 fn near<'a>(row: &OnsetRow, changes: &'a [Change]) -> Option<&'a Change> {

@@ -13,8 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Hall, Sheet};
-use crate::cli::ExamArgs;
-use crate::command::{Exit, ExitContext, in_words, print_json, print_text, say, write_file};
+use crate::command::{Exit, ExitContext, in_words, say, write_file};
 use crate::exam::answer::Given;
 
 /// Where the scripts of a set lie, from its folder on: each may use another's.
@@ -94,7 +93,7 @@ pub(in crate::command) struct PracticeSummary<'a> {
     scores: Option<Value>,
 }
 
-pub(super) fn run(args: &ExamArgs, set: &Path, hall: &Hall<'_>) -> anyhow::Result<Exit> {
+pub(super) fn run(set: &Path, hall: &Hall<'_>) -> anyhow::Result<Exit> {
     let set = set.canonicalize().with_context(|| set.display().to_string()).or_exit(Exit::Usage)?;
     let key_path = set.join("key.json");
     let key: PracticeKey = match fs::read(&key_path) {
@@ -132,18 +131,11 @@ pub(super) fn run(args: &ExamArgs, set: &Path, hall: &Hall<'_>) -> anyhow::Resul
         cases: &rows,
         scores: graded.as_ref().map(|(_, scores)| scores.clone()),
     };
-    let json = serde_json::to_vec_pretty(&summary).context("summary.json")?;
-    write_file(&hall.out.join("summary.json"), &json)?;
-    if args.json {
-        print_json(&summary)?;
-    } else {
-        let mut text: String = rows.iter().map(line).collect();
-        if let Some((told, _)) = &graded {
-            text += &format!("\n{told}");
-        }
-        print_text(&text)?;
+    let mut text: String = rows.iter().map(line).collect();
+    if let Some((told, _)) = &graded {
+        text += &format!("\n{told}");
     }
-    Ok(if hall.is_interrupted() { Exit::Interrupted } else { Exit::Ok })
+    hall.conclude(&summary, &text)
 }
 
 /// The folders of a set that hold a vehicle file.

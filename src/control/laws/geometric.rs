@@ -155,15 +155,13 @@ impl ControlLaw for Geometric {
 
 #[cfg(test)]
 mod tests {
+    use super::super::quad::{PD, QUAD};
     use super::super::{ControlSettings, Law};
     use super::*;
-    use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Limits};
+    use crate::control::{Actuation, AttitudeLoop, Limits};
     use proptest::prelude::*;
     use vehicle::frame::{Attitude, wrap_angle};
 
-    const QUAD: HoverVehicle =
-        HoverVehicle { mass_kg: 1.2, inertia: [0.0112, 0.0123, 0.0206], gravity: 9.81 };
-    const PD: AttitudeLoop = AttitudeLoop::Pd { kp: [1.46, 1.6, 0.355], kd: [0.19, 0.22, 0.163] };
     const LATE: Actuation = Actuation { command_delay_s: 0.02, motor_time_constant_s: 0.04 };
 
     fn designed(actuation: &Actuation, settings: &ControlSettings) -> Geometric {

@@ -145,25 +145,12 @@ impl ControlLaw for L1 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::ControlSettings;
+    use super::super::quad::{QUAD, designed};
     use super::*;
-    use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Limits};
     use crate::setpoint::Setpoint;
 
-    const QUAD: HoverVehicle =
-        HoverVehicle { mass_kg: 1.2, inertia: [0.0112, 0.0123, 0.0206], gravity: 9.81 };
-    const PD: AttitudeLoop = AttitudeLoop::Pd { kp: [1.46, 1.6, 0.355], kd: [0.19, 0.22, 0.163] };
-
     fn law() -> L1 {
-        let (limits, settings) = (Limits::default(), ControlSettings::default());
-        L1::design(&ControlProblem {
-            vehicle: &QUAD,
-            actuation: &Actuation::IMMEDIATE,
-            attitude_loop: &PD,
-            limits: &limits,
-            settings: &settings,
-        })
-        .expect("a law")
+        designed(L1::design).expect("a law")
     }
 
     #[test]

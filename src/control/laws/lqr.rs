@@ -305,12 +305,9 @@ fn check(
 
 #[cfg(test)]
 mod tests {
+    use super::super::quad::{PD, QUAD};
     use super::*;
     use std::f64::consts::{FRAC_PI_2, PI};
-
-    const QUAD: HoverVehicle =
-        HoverVehicle { mass_kg: 1.2, inertia: [0.0112, 0.0123, 0.0206], gravity: 9.81 };
-    const PD: AttitudeLoop = AttitudeLoop::Pd { kp: [1.46, 1.6, 0.355], kd: [0.19, 0.22, 0.163] };
 
     fn lqr() -> Lqr {
         Lqr::design(&QUAD, &PD, &ControlSettings::default()).expect("a stabilising gain")

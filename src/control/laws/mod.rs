@@ -5,6 +5,8 @@ mod geometric;
 mod geometric_adaptive;
 mod l1;
 mod lqr;
+#[cfg(test)]
+mod quad;
 
 use std::collections::BTreeMap;
 use std::fmt;

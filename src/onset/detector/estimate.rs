@@ -1,0 +1,97 @@
+//! A change as it is reported: when, which cause, how large.
+
+use super::Detector;
+use crate::onset::cells::CELL_S;
+use crate::onset::change::{Change, Other, Value};
+use crate::onset::columns::{COLUMNS, Cause};
+use crate::onset::likelihood::{Numbers, Place, Profile, Scale, Window, along};
+use crate::onset::noise::ORDER;
+
+/// Errors go on for some cells: neighbouring beginnings differ by this factor less evidence, the square
+/// root of how long.
+const SHARED: f64 = 3.2;
+/// The detector reports no cause that is less probable than this.
+const REPORTED: f64 = 0.02;
+
+impl Detector {
+    /// The change by what is known now, if it still is one.
+    pub(super) fn change(&self, alarmed_s: f64) -> Option<Change> {
+        let profiles = self.profiles(true);
+        let top = profiles.iter().filter_map(peak).map(|place| place.evidence);
+        let top = top.fold(f64::NEG_INFINITY, f64::max);
+        if top < self.settings.bound() {
+            return None;
+        }
+        let mass = |place: &Place| (place.evidence - top).exp();
+        let masses: Vec<f64> =
+            profiles.iter().map(|profile| profile.places.iter().map(mass).sum()).collect();
+        let total: f64 = masses.iter().sum();
+        let mut by_mass: Vec<usize> = (0..profiles.len()).collect();
+        by_mass.sort_by(|a, b| masses[*b].total_cmp(&masses[*a]));
+        let best = *by_mass.first()?;
+        let profile = &profiles[best];
+        let peak = peak(profile)?;
+        let [low, middle, high] = quantiles(profile);
+        let start = |place: usize| self.kept.get(place + ORDER).map(|cell| cell.time);
+        let numbers = self.numbers_of(profile.cause, peak.cell, self.scales()[best])?;
+        let others = by_mass[1..].iter().map(|&index| Other {
+            cause: profiles[index].cause,
+            probability: masses[index] / total,
+        });
+        Some(Change {
+            at_s: start(middle)?,
+            // A cell that the change begins within is half of either.
+            interval_s: [start(low)? - CELL_S, start(high)? + CELL_S],
+            alarmed_s,
+            cause: profile.cause,
+            rotor: profile.cause.rotor(),
+            effects: profile.cause.effects().to_vec(),
+            probability: masses[best] / total,
+            others: others.filter(|other| other.probability >= REPORTED).collect(),
+            evidence: peak.evidence,
+            values: numbers.iter().map(|n| Value::of(n, self.cells.sizes())).collect(),
+        })
+    }
+    /// The numbers of a change, with what lies far off parted from the vehicle after it: a second fit to
+    /// what the first leaves.
+    fn numbers_of(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {
+        let first = self.window.numbers(cause, cell, scale)?;
+        let mut kept = self.kept.clone();
+        for row in kept.iter_mut().skip(cell + ORDER).flat_map(|cell| &mut cell.rows) {
+            for numbers in &first {
+                row.left -= numbers.change[0] * along(&row.slopes, numbers.direction);
+            }
+        }
+        let numbers = self.numbers.unwrap_or([0.0; COLUMNS]);
+        let mut second = Window::of(&kept, &self.noise, &numbers).numbers(cause, cell, scale)?;
+        for (numbers, first) in second.iter_mut().zip(first) {
+            numbers.change = [numbers.change[0] + first.change[0], first.change[1]];
+            numbers.after = [numbers.after[0] + first.change[0], first.after[1]];
+        }
+        Some(second)
+    }
+}
+
+pub(super) fn peak(profile: &Profile) -> Option<&Place> {
+    profile.places.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))
+}
+
+/// Cells at which 5, 50 and 95 % of the mass lie before, from the earliest on.
+fn quantiles(profile: &Profile) -> [usize; 3] {
+    let top = profile.places.iter().map(|place| place.sharp).fold(f64::NEG_INFINITY, f64::max);
+    let mass = |place: &Place| ((place.sharp - top) / SHARED).exp();
+    let total: f64 = profile.places.iter().map(mass).sum();
+    let mut sum = 0.0;
+    let mut found = [None; 3];
+    // Places go from the latest to the earliest.
+    for place in profile.places.iter().rev() {
+        sum += mass(place) / total;
+        for (found, share) in found.iter_mut().zip([0.05, 0.5, 0.95]) {
+            if sum >= share {
+                found.get_or_insert(place.cell);
+            }
+        }
+    }
+    let last = profile.places.first().map_or(0, |place| place.cell);
+    found.map(|cell| cell.unwrap_or(last))
+}

@@ -1,0 +1,139 @@
+//! The vehicle as it stands, and what the supervisor makes of it.
+
+use vehicle::frame::Ned;
+
+use super::Pilot;
+use crate::clock::HostTime;
+use crate::link::message::{ChargeState, LandedState};
+use crate::supervisor::{FlightCondition, FlightState, Observation, Severity, Standing, preflight};
+
+/// Share of the tick rate asked for at first that must be kept while a hold is streamed, so that a
+/// pause which is not stale yet does not end the stream.
+const STREAMING_RATE_SHARE: f64 = 0.6;
+
+/// The most that an empty pack, or a voltage that is misread, adds to the thrust.
+const VOLTAGE_GAIN_MAX: f64 = 1.4;
+
+/// Speed below which a vehicle at the height of the ground lies still, m/s.
+const RESTING_SPEED_M_S: f64 = 0.15;
+
+/// Height above the ground that counts as flight where the vehicle does not say, m.
+const AIRBORNE_HEIGHT_M: f64 = 0.3;
+
+impl Pilot {
+    /// Looks at the vehicle and the clock, and lets the supervisor decide.
+    pub(super) fn observe(&mut self, now: HostTime) {
+        let before = self.supervisor.state();
+        if let Some(late) = self.telemetry.take_late(now) {
+            let limit_s = self.settings.telemetry.late_after_s;
+            let text = format!(
+                "{late}, and were not acted upon (pilot.telemetry.late_after_s is {limit_s}); \
+                 the link is congested, or this machine is busy"
+            );
+            self.supervisor.tell(now, Severity::Warning, text);
+        }
+        let age_s = self.telemetry.age_s(now).max(std::mem::take(&mut self.paused_s));
+        let rate_hz = self.settings.telemetry.rate_hz;
+        let here = self.telemetry.last_sample().map(|sample| sample.state);
+        // One look can lead through Preflight to the stream: the checks must be there before.
+        let failed = if before.precedes_stream() {
+            let distance = here.map_or(f64::NAN, |s| self.guidance.start_distance_m(s.position));
+            let mut failed = self.standing_checks.clone();
+            let settings = &self.settings.preflight;
+            let standing = Standing {
+                rate_hz,
+                link_loss: self.link_loss,
+                start_distance_m: distance,
+                airborne: self.airborne(),
+                ground_seen: self.guidance.ground().is_some(),
+                policy: self.policy,
+                take_over: self.settings.supervisor.take_over,
+            };
+            failed.extend(preflight(settings, &standing, &self.telemetry, now));
+            failed
+        } else {
+            std::mem::take(&mut self.failed_checks)
+        };
+        let from_anchor = match (here, self.guidance.anchor()) {
+            (Some(here), Some(anchor)) => here.position - anchor,
+            _ => Ned::zero(),
+        };
+        let jumped = std::mem::take(&mut self.jumped);
+        let status = self.telemetry.status();
+        let tick_rate_min = self.settings.preflight.tick_rate_min
+            * if before.precedes_stream() { 1.0 } else { STREAMING_RATE_SHARE };
+        let airborne = self.airborne();
+        let observation = Observation {
+            status,
+            airborne,
+            at_rest: self.is_at_rest(),
+            telemetry_ready: airborne.is_some()
+                && status.armed.is_some()
+                && age_s < self.settings.safety.stale_after_s
+                && self.telemetry.tick_rate_hz() >= tick_rate_min * rate_hz,
+            preflight: &failed,
+            condition: FlightCondition {
+                sample_age_s: age_s,
+                late: self.telemetry.late(),
+                jumped,
+                tracking_error_m: self.tracking_error,
+                tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
+                radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
+                height_m: -from_anchor.down(),
+                battery: status.battery.remaining,
+                battery_critical: status.battery.charge == ChargeState::Critical,
+                failsafe: None,
+            },
+        };
+        self.supervisor.observe(now, &observation);
+        self.failed_checks = failed;
+        let after = self.supervisor.state();
+        if after != before {
+            self.tracking_error = 0.0;
+        }
+        // What led here was a reaction: stay where the vehicle is, not where it should be.
+        let stopped = after != before && before != FlightState::Hold;
+        if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {
+            self.guidance.hold_here();
+        }
+        let silence_s = self.telemetry.status().silence_s(now);
+        if silence_s.is_finite() && silence_s > self.settings.supervisor.link_lost_after_s {
+            self.forget();
+        }
+    }
+
+    /// How much more thrust must be asked for than a full pack would give.
+    pub(super) fn voltage_gain(&self) -> f64 {
+        let voltage = self.telemetry.status().battery.voltage;
+        voltage.map_or(1.0, |voltage| {
+            let ratio = voltage / self.airframe.battery_full_v;
+            ratio.powf(-self.guidance.voltage_exponent()).clamp(1.0, VOLTAGE_GAIN_MAX)
+        })
+    }
+
+    /// Whether the vehicle is off the ground, by its own word. Where it has none, one that is
+    /// disarmed stands on the ground, and one that is armed flies when it is above the place where
+    /// it stood. `None` where neither is known: a vehicle whose motors turn may be anywhere.
+    pub(super) fn airborne(&self) -> Option<bool> {
+        let status = self.telemetry.status();
+        match status.landed {
+            LandedState::OnGround => Some(false),
+            LandedState::InAir | LandedState::TakingOff | LandedState::Landing => Some(true),
+            LandedState::Undefined if status.armed? => Some(self.height_m()? > AIRBORNE_HEIGHT_M),
+            LandedState::Undefined => Some(false),
+        }
+    }
+
+    /// Height above the place where the vehicle last stood on the ground, m.
+    fn height_m(&self) -> Option<f64> {
+        let here = self.telemetry.last_sample()?.state.position;
+        Some(self.guidance.ground()?.down() - here.down())
+    }
+
+    /// Whether the vehicle lies still at the height of the ground, by its own estimate.
+    fn is_at_rest(&self) -> bool {
+        let speed = self.telemetry.last_sample().map(|sample| sample.state.velocity.norm());
+        self.height_m().is_some_and(|height| height.abs() < AIRBORNE_HEIGHT_M)
+            && speed.is_some_and(|speed| speed < RESTING_SPEED_M_S)
+    }
+}
