@@ -221,6 +221,11 @@ impl Plan {
         Ok(())
     }
 
+    /// Whether nothing was desired but the fastest way, which the plan is.
+    pub fn is_fastest(&self) -> bool {
+        self.states == self.desired
+    }
+
     /// Distance between the planned and the desired position after each period, m.
     pub fn distances(&self) -> Vec<f64> {
         let pairs = self.states.iter().zip(&self.desired).skip(1);

@@ -83,9 +83,9 @@ pub fn picture(bound: f64, seen: &Seen) -> String {
         let mut table = Table::new(&[
             ("began (s)", true),
             ("90 % interval (s)", true),
-            ("what", false),
             ("probability", true),
             ("evidence (nats)", true),
+            ("what", false),
         ]);
         for change in &seen.changes {
             let [low, high] = change.interval_s;
@@ -94,9 +94,9 @@ pub fn picture(bound: f64, seen: &Seen) -> String {
                 &[
                     format!("{:.2}", change.at_s),
                     format!("{low:.2} .. {high:.2}"),
-                    what(change),
                     format!("{:.0} %", 100.0 * change.probability),
                     format!("{:.0}", change.evidence),
+                    what(change),
                 ],
             );
         }

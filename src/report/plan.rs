@@ -46,17 +46,20 @@ pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
     verdict(plan, not_flyable, &mut page);
     let place = |state: &StateVector| Ned::new(state[0], state[1], state[2]);
     let planned: Vec<Ned> = plan.states.iter().map(place).collect();
-    let desired: Vec<Ned> = plan.desired.iter().map(place).collect();
-    page.section(
-        "Path",
-        "The planned path against the desired one, to scale, seen from the south-west.",
-        &Scene { paths: &[("planned", &planned)], desired: &desired }.to_html(),
-    );
-    page.section(
-        "Planned and desired",
-        "World axes: north, east, down. Desired attitude and rates are those of a vehicle without drag.",
-        &states(plan),
-    );
+    let (desired, path, title, axes): (Vec<Ned>, _, _, _) = if plan.is_fastest() {
+        let path = "The planned path, to scale, seen from the south-west.";
+        (Vec::new(), path, "Planned", "World axes: north, east, down.")
+    } else {
+        (
+            plan.desired.iter().map(place).collect(),
+            "The planned path against the desired one, to scale, seen from the south-west.",
+            "Planned and desired",
+            "World axes: north, east, down. Desired attitude and rates are those of a vehicle without drag.",
+        )
+    };
+    let scene = Scene { paths: &[("planned", &planned)], desired: &desired };
+    page.section("Path", path, &scene.to_html());
+    page.section(title, axes, &states(plan));
     page.section(
         "Inputs",
         "What the model is given to follow the plan; a flight sends it early by the vehicle's delay and lag.",
@@ -75,12 +78,15 @@ fn verdict(plan: &Plan, not_flyable: Option<&str>, page: &mut Page) {
     let distances = plan.distances();
     let most = distances.iter().copied().fold(0.0, f64::max);
     let rms = (distances.iter().map(|d| d * d).sum::<f64>() / distances.len().max(1) as f64).sqrt();
-    let sentence = format!(
-        "A plan of {:.1} s that keeps {} RMS from the desired path, {} at most.",
-        plan.duration(),
-        length(rms),
-        length(most)
-    );
+    let sentence = match plan.is_fastest() {
+        true => format!("The fastest way that was found takes {:.2} s.", plan.duration()),
+        false => format!(
+            "A plan of {:.1} s that keeps {} RMS from the desired path, {} at most.",
+            plan.duration(),
+            length(rms),
+            length(most)
+        ),
+    };
     let reasons: Vec<String> = not_flyable.map(str::to_owned).into_iter().collect();
     let mood = if reasons.is_empty() { Mood::Good } else { Mood::Bad };
     page.verdict(mood, &sentence, &reasons);
@@ -101,20 +107,17 @@ fn column<const N: usize>(rows: &[[f64; N]], index: usize, is_angle: bool) -> Ve
 
 fn states(plan: &Plan) -> String {
     let time: Vec<f64> = (0..plan.states.len()).map(|n| n as f64 * plan.period_s).collect();
-    let panels = STATES.iter().enumerate().map(|(i, name)| Panel {
-        name: (*name).to_owned(),
-        curves: vec![
-            Curve {
-                name: "planned".into(),
-                style: Style::Colour(1),
-                y: column(&plan.states, i, i >= 6),
-            },
-            Curve {
-                name: "desired".into(),
-                style: Style::Reference,
-                y: column(&plan.desired, i, i >= 6),
-            },
-        ],
+    let mut kinds = vec![("planned", Style::Colour(1), &plan.states)];
+    if !plan.is_fastest() {
+        kinds.push(("desired", Style::Reference, &plan.desired));
+    }
+    let panels = STATES.iter().enumerate().map(|(i, name)| {
+        let curves = kinds.iter().map(|(name, style, rows)| Curve {
+            name: (*name).into(),
+            style: *style,
+            y: column(rows, i, i >= 6),
+        });
+        Panel { name: (*name).to_owned(), curves: curves.collect() }
     });
     let panels = panels.collect();
     Chart::new(TIME, &time, 80.0, panels).to_html()
