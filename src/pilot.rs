@@ -81,6 +81,8 @@ pub enum LinkEvent {
         /// 0..1
         loss: f64,
     },
+    /// The vehicle answered, so long after it was asked.
+    RoundTrip(Duration),
 }
 
 /// Flies one vehicle along one trajectory, or holds until it is asked to.
@@ -99,6 +101,8 @@ pub struct Pilot {
     /// The checks that failed at the last look before the stream.
     failed_checks: Vec<PreflightCheck>,
     link_loss: Option<f64>,
+    /// The newest answer: when it came, and how long after the request.
+    round_trip: Option<(HostTime, Duration)>,
     tracking_error: f64,
     jumped: bool,
     /// How long this process was paused before the next look, s.
@@ -133,6 +137,7 @@ impl Pilot {
             standing_checks,
             failed_checks: Vec::new(),
             link_loss: None,
+            round_trip: None,
             tracking_error: 0.0,
             jumped: false,
             paused_s: 0.0,
@@ -296,6 +301,7 @@ impl Pilot {
             LinkEvent::Replaced => self.lose_link(now, "another vehicle answers on the link"),
             LinkEvent::Refused { action, text } => self.supervisor.refused(now, action, &text),
             LinkEvent::Quality { loss } => self.link_loss = Some(loss),
+            LinkEvent::RoundTrip(time) => self.round_trip = Some((now, time)),
         }
     }
 
@@ -370,6 +376,7 @@ impl Pilot {
     fn forget(&mut self) {
         self.telemetry.forget();
         self.guard.forget();
+        self.round_trip = None;
     }
 }
 

@@ -13,6 +13,32 @@ const REMEMBERED: usize = 32;
 /// After such a silence the mode may have changed.
 const SILENCE: Duration = Duration::from_millis(500);
 
+/// What a frame says beside what is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Newness {
+    /// Something new.
+    New,
+    /// Nothing: it was heard before, or is older.
+    Old,
+    /// A mode that may be an old word, or the vehicle's newest.
+    Doubtful,
+}
+
+/// A frame that tells the mode.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ModeWord<'a> {
+    /// Its bytes.
+    pub frame: &'a [u8],
+    /// The mode.
+    pub word: u32,
+    /// The mode in which setpoints are obeyed, where it is known.
+    pub obeys: Option<u32>,
+    /// Whether its place among the vehicle's frames is after that of the newest word.
+    pub is_newer: bool,
+    /// Whether the places of the last second are certain.
+    pub is_settled: bool,
+}
+
 /// What the vehicle said of its mode lately.
 #[derive(Debug, Default)]
 pub(super) struct ModeWords {
@@ -30,28 +56,31 @@ impl ModeWords {
         self.heard = now;
     }
 
-    /// Whether a frame that says `word` is believed. A copy of one that was heard before is not,
-    /// where it says that setpoints are obeyed, by the mode `obeys`, and that is not known anyway:
-    /// about one in eight true words is doubted by that then, and the next tells the same. Neither is
-    /// one whose place among the vehicle's frames is not settled.
-    pub fn is_believed(
-        &mut self,
-        frame: &[u8],
-        word: u32,
-        obeys: Option<u32>,
-        is_settled: bool,
-    ) -> bool {
+    /// What a word of the mode says.
+    ///
+    /// One that gives, because setpoints are obeyed in its mode and that is not known anyway, is
+    /// doubted where it is a copy of one that was heard before, or where its place among the
+    /// vehicle's frames is not settled. About one in eight true words is doubted for being like an
+    /// older one; the next tells the same. One that takes is doubted, and not dropped, where it
+    /// seems older than what is known and the places are not settled.
+    pub fn judge(&mut self, heard: &ModeWord) -> Newness {
+        let ModeWord { frame, word, obeys, is_newer, is_settled } = *heard;
+        let is_known = !self.is_in_doubt && self.newest == Some(word);
+        if !is_newer {
+            let takes = obeys.is_some_and(|obeys| obeys != word) && !is_known;
+            return if takes && !is_settled { Newness::Doubtful } else { Newness::Old };
+        }
         let hash = crc32fast::hash(frame);
-        let gives = obeys == Some(word) && (self.is_in_doubt || self.newest != Some(word));
+        let gives = obeys == Some(word) && !is_known;
         if gives && (!is_settled || self.hashes.contains(&hash)) {
-            return false;
+            return Newness::Doubtful;
         }
         if self.hashes.len() == REMEMBERED {
             self.hashes.pop_front();
         }
         self.hashes.push_back(hash);
         (self.newest, self.is_in_doubt) = (Some(word), false);
-        true
+        Newness::New
     }
 }
 
@@ -59,7 +88,12 @@ impl ModeWords {
 mod tests {
     use super::*;
 
-    const OBEYS: Option<u32> = Some(6);
+    const OFFBOARD: u32 = 6;
+
+    /// A word in its place, of which the order is settled.
+    fn word(frame: &[u8], word: u32) -> ModeWord<'_> {
+        ModeWord { frame, word, obeys: Some(OFFBOARD), is_newer: true, is_settled: true }
+    }
     const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
 
     fn at(ms: u64) -> HostTime {
@@ -70,13 +104,18 @@ mod tests {
     fn a_copy_gives_back_no_permission_that_was_taken() {
         let mut words = ModeWords::default();
         words.heard(at(0));
-        assert!(words.is_believed(b"offboard 1", 6, OBEYS, true));
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
         words.heard(at(300));
-        assert!(words.is_believed(b"position 2", 3, OBEYS, true));
-        assert!(!words.is_believed(b"offboard 1", 6, OBEYS, true));
-        assert!(words.is_believed(b"offboard 3", 6, OBEYS, true), "the pilot's switch is none");
-        assert!(
-            words.is_believed(b"position 2", 3, OBEYS, true),
+        assert_eq!(words.judge(&word(b"position 2", 3)), Newness::New);
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::Doubtful);
+        assert_eq!(
+            words.judge(&word(b"offboard 3", 6)),
+            Newness::New,
+            "the pilot's switch is none"
+        );
+        assert_eq!(
+            words.judge(&word(b"position 2", 3)),
+            Newness::New,
             "who takes over is believed at once"
         );
     }
@@ -84,23 +123,36 @@ mod tests {
     #[test]
     fn a_word_without_a_place_takes_and_does_not_give() {
         let mut words = ModeWords::default();
+        let unsettled = |frame, mode| ModeWord { is_settled: false, ..word(frame, mode) };
         words.heard(at(0));
-        assert!(words.is_believed(b"position 1", 3, OBEYS, true));
-        assert!(!words.is_believed(b"offboard 2", 6, OBEYS, false));
-        assert!(words.is_believed(b"return 3", 5, OBEYS, false));
+        assert_eq!(words.judge(&word(b"position 1", 3)), Newness::New);
+        assert_eq!(words.judge(&unsettled(b"offboard 2", 6)), Newness::Doubtful);
+        assert_eq!(words.judge(&unsettled(b"return 3", 5)), Newness::New);
+    }
+
+    #[test]
+    fn a_word_that_takes_and_seems_old_is_dropped_only_where_the_order_is_settled() {
+        let mut words = ModeWords::default();
+        let older =
+            |is_settled, mode| ModeWord { is_newer: false, is_settled, ..word(b"overtaken", mode) };
+        words.heard(at(0));
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
+        assert_eq!(words.judge(&older(true, 3)), Newness::Old);
+        assert_eq!(words.judge(&older(false, 3)), Newness::Doubtful);
+        assert_eq!(words.judge(&older(false, 6)), Newness::Old, "it gives");
     }
 
     #[test]
     fn after_a_silence_a_copy_says_nothing_and_while_all_is_known_it_may_come() {
         let mut words = ModeWords::default();
         words.heard(at(0));
-        assert!(words.is_believed(b"offboard 1", 6, OBEYS, true));
-        assert!(words.is_believed(b"offboard 1", 6, OBEYS, true), "it tells nothing new");
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New, "it tells nothing new");
         words.heard(at(501));
-        assert!(!words.is_believed(b"offboard 1", 6, OBEYS, true));
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::Doubtful);
         words.heard(at(600));
-        assert!(!words.is_believed(b"offboard 1", 6, OBEYS, true));
-        assert!(words.is_believed(b"offboard 7", 6, OBEYS, true));
-        assert!(words.is_believed(b"offboard 1", 6, OBEYS, true));
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::Doubtful);
+        assert_eq!(words.judge(&word(b"offboard 7", 6)), Newness::New);
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
     }
 }

@@ -144,6 +144,8 @@ pub enum Event {
     Interval(IntervalEvent),
     /// The wanted messages take up more of the serial line than works.
     LineBudget(Box<LineBudget>),
+    /// The vehicle answered to TIMESYNC: so long after it was asked.
+    RoundTrip(Duration),
     /// The vehicle's clock jumped. After more than a second, back or forward, it may be another's:
     /// the vehicle is identified again before it gets setpoints.
     ClockJump {

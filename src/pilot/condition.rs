@@ -1,5 +1,7 @@
 //! The vehicle as it stands, and what the supervisor makes of it.
 
+use std::time::Duration;
+
 use vehicle::frame::Ned;
 
 use super::Pilot;
@@ -19,6 +21,9 @@ const RESTING_SPEED_M_S: f64 = 0.15;
 
 /// Height above the ground that counts as flight where the vehicle does not say, m.
 const AIRBORNE_HEIGHT_M: f64 = 0.3;
+
+/// An answer older than this says nothing of the link as it is.
+const ANSWER_FRESH: Duration = Duration::from_millis(500);
 
 impl Pilot {
     /// Looks at the vehicle and the clock, and lets the supervisor decide.
@@ -43,6 +48,7 @@ impl Pilot {
             let standing = Standing {
                 rate_hz,
                 link_loss: self.link_loss,
+                round_trip_s: self.round_trip_s(now),
                 start_distance_m: distance,
                 airborne: self.airborne(),
                 ground_seen: self.guidance.ground().is_some(),
@@ -76,6 +82,7 @@ impl Pilot {
                 sample_age_s: age_s,
                 late: self.telemetry.late(),
                 jumped,
+                round_trip_s: self.round_trip_s(now),
                 tracking_error_m: self.tracking_error,
                 tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
                 radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
@@ -109,6 +116,12 @@ impl Pilot {
             let ratio = voltage / self.airframe.battery_full_v;
             ratio.powf(-self.guidance.voltage_exponent()).clamp(1.0, VOLTAGE_GAIN_MAX)
         })
+    }
+
+    /// How long the link took for the newest answer, s, if one came lately.
+    fn round_trip_s(&self, now: HostTime) -> Option<f64> {
+        let (_, time) = self.round_trip.filter(|(at, _)| now.since(*at) < ANSWER_FRESH)?;
+        Some(time.as_secs_f64())
     }
 
     /// Whether the vehicle is off the ground, by its own word. Where it has none, one that is

@@ -47,6 +47,11 @@ impl Station {
                 let severity = if budget.fits() { Severity::Notice } else { Severity::Warning };
                 self.tell(now, severity, budget.to_string());
             }
+            Event::RoundTrip(time) => {
+                if let Some(pilot) = &mut self.pilot {
+                    pilot.link_event(now, LinkEvent::RoundTrip(time));
+                }
+            }
             Event::Disbelieved(why) => self.tell(now, Severity::Warning, why.to_string()),
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);

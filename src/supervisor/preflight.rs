@@ -25,6 +25,8 @@ pub struct PreflightSettings {
     pub needs_loss_reaction: bool,
     /// Largest share of the vehicle's frames that the link may lose within a second, 0..1.
     pub link_loss_max: f64,
+    /// Longest round trip of the link, s: setpoints that reach the vehicle later steer it badly.
+    pub round_trip_max_s: f64,
     /// Largest horizontal distance from the vehicle to the trajectory's start, m.
     pub start_distance_max_m: f64,
 }
@@ -50,6 +52,7 @@ impl Default for PreflightSettings {
             parameters: Vec::new(),
             needs_loss_reaction: true,
             link_loss_max: 0.05,
+            round_trip_max_s: 0.3,
             start_distance_max_m: 20.0,
         }
     }
@@ -79,6 +82,8 @@ pub struct Standing {
     pub rate_hz: f64,
     /// Share of the vehicle's frames that the link lost lately, where known.
     pub link_loss: Option<f64>,
+    /// Round trip of the newest answer, s; `None` where none came lately.
+    pub round_trip_s: Option<f64>,
     /// Horizontal distance from the vehicle to the trajectory's start, m.
     pub start_distance_m: f64,
     /// Whether the vehicle is off the ground; `None` where that is not known.
@@ -148,6 +153,14 @@ pub fn preflight(
             "link",
             format!("at most {:.0} % of frames lost", settings.link_loss_max * 100.0),
             format!("{:.0} %", loss * 100.0),
+        );
+    }
+    if let Some(time_s) = standing.round_trip_s {
+        check(
+            time_s <= settings.round_trip_max_s,
+            "round trip",
+            format!("at most {:.2} s from a request to its answer", settings.round_trip_max_s),
+            format!("{time_s:.2} s"),
         );
     }
     check(

@@ -39,6 +39,8 @@ pub enum Fault {
     StaleTelemetry,
     /// The estimate jumped.
     TelemetryJump,
+    /// Answers take so long that setpoints must be old when they reach the vehicle.
+    SlowLink,
     /// Too far from the reference for too long.
     TrackingError,
     /// Tilted too far for too long.
@@ -52,9 +54,10 @@ pub enum Fault {
 }
 
 /// Every fault.
-pub(super) const FAULTS: [Fault; 7] = [
+pub(super) const FAULTS: [Fault; 8] = [
     Fault::StaleTelemetry,
     Fault::TelemetryJump,
+    Fault::SlowLink,
     Fault::TrackingError,
     Fault::Tilt,
     Fault::Geofence,
@@ -72,6 +75,13 @@ pub struct SafetySettings {
     pub on_stale: Reaction,
     /// Reaction to a jump of the estimate: the place it is at now is held.
     pub on_jump: Reaction,
+    /// Longest round trip of a TIMESYNC, s. Only the way to the vehicle can make one long while the
+    /// state is fresh: setpoints are as late then.
+    pub round_trip_max_s: f64,
+    /// Time for which answers take longer than that, s.
+    pub round_trip_for_s: f64,
+    /// Reaction: the vehicle lands itself.
+    pub on_slow_link: Reaction,
     /// Distance from the reference, m.
     pub tracking_error_max_m: f64,
     /// Time beyond that distance, s.
@@ -108,6 +118,9 @@ impl Default for SafetySettings {
             stale_after_s: 0.5,
             on_stale: Reaction::Land,
             on_jump: Reaction::Hold,
+            round_trip_max_s: 0.3,
+            round_trip_for_s: 0.3,
+            on_slow_link: Reaction::Land,
             tracking_error_max_m: 2.0,
             tracking_error_for_s: 0.5,
             on_tracking_error: Reaction::Land,
@@ -135,6 +148,8 @@ pub struct FlightCondition<'a> {
     pub late: LateMessages,
     /// Whether the estimate jumped since the last look.
     pub jumped: bool,
+    /// Round trip of the newest answer, s; `None` where none came lately.
+    pub round_trip_s: Option<f64>,
     /// Distance from the reference, m.
     pub tracking_error_m: f64,
     /// rad
@@ -158,6 +173,7 @@ impl SafetySettings {
         match fault {
             Fault::StaleTelemetry => beyond(c.sample_age_s, self.stale_after_s),
             Fault::TelemetryJump => c.jumped,
+            Fault::SlowLink => c.round_trip_s.is_some_and(|time| time > self.round_trip_max_s),
             Fault::TrackingError => beyond(c.tracking_error_m, self.tracking_error_max_m),
             Fault::Tilt => beyond(c.tilt_rad, self.tilt_max_rad),
             Fault::Geofence => {
@@ -173,6 +189,7 @@ impl SafetySettings {
     /// Seconds for which the condition must hold.
     pub(super) fn dwell_s(&self, fault: Fault) -> f64 {
         match fault {
+            Fault::SlowLink => self.round_trip_for_s,
             Fault::TrackingError => self.tracking_error_for_s,
             Fault::Tilt => self.tilt_for_s,
             Fault::Battery => self.battery_for_s,
@@ -186,6 +203,7 @@ impl SafetySettings {
         match fault {
             Fault::StaleTelemetry => self.on_stale,
             Fault::TelemetryJump => self.on_jump,
+            Fault::SlowLink => self.on_slow_link,
             Fault::TrackingError => self.on_tracking_error,
             Fault::Tilt => self.on_tilt,
             Fault::Geofence => self.on_geofence,
@@ -201,6 +219,11 @@ impl SafetySettings {
             }
             Fault::StaleTelemetry => format!("no state for {:.2} s", c.sample_age_s),
             Fault::TelemetryJump => "the state estimate jumped".to_owned(),
+            Fault::SlowLink => format!(
+                "answers take {:.2} s, limit {:.2} s: setpoints reach the vehicle too late",
+                c.round_trip_s.unwrap_or(f64::NAN),
+                self.round_trip_max_s
+            ),
             Fault::TrackingError => format!(
                 "{:.2} m from the reference, limit {:.2} m",
                 c.tracking_error_m, self.tracking_error_max_m

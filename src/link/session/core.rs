@@ -21,7 +21,7 @@ use crate::link::codec::{self, Codec};
 use crate::link::counters::{Counters, LinkState};
 use crate::link::intervals::Intervals;
 use crate::link::message::{AttitudeSource, Inbound, Received};
-use crate::link::mode_words::ModeWords;
+use crate::link::mode_words::{ModeWord, ModeWords, Newness};
 use crate::link::profile::Profile;
 use crate::link::request::Requests;
 use crate::link::sequence::{Order, Sequence};
@@ -98,14 +98,14 @@ pub(super) struct Core {
     pub(super) signing: Option<Signing>,
 }
 
-/// What a frame says beside what is known.
-enum Newness {
-    /// Something new.
-    New,
-    /// Nothing: it was heard before, or is older.
-    Old,
-    /// A mode that may be a copy of an old word, or the vehicle's own.
-    Doubtful,
+/// The mode that a frame tells, if it tells one: the first field of either message.
+fn mode_word(frame: &Frame) -> Option<u32> {
+    matches!(frame.id(), HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID).then(|| {
+        // Zeros at a payload's end are not sent.
+        let mut word = [0; 4];
+        word.iter_mut().zip(frame.payload()).for_each(|(to, from)| *to = *from);
+        u32::from_le_bytes(word)
+    })
 }
 
 impl Core {
@@ -249,25 +249,22 @@ impl Core {
         if planted::is(Planted::OlderHeartbeat) {
             return Newness::New;
         }
-        match is_newer {
-            false => Newness::Old,
-            true if self.is_mode_believed(now, frame) => Newness::New,
-            true => Newness::Doubtful,
-        }
-    }
-
-    /// Whether what the frame says of the mode, if that is what it says, is no old word.
-    fn is_mode_believed(&mut self, now: HostTime, frame: &Frame) -> bool {
-        if !matches!(frame.id(), HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID) {
-            return true;
-        }
-        // The first field of either. Zeros at a payload's end are not sent.
-        let mut word = [0; 4];
-        word.iter_mut().zip(frame.payload()).for_each(|(to, from)| *to = *from);
-        let obeys = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
-        let obeys = obeys.map(|mode| mode.custom_mode);
         let is_settled = !self.sequence.is_unsettled(now);
-        self.mode_words.is_believed(frame.bytes(), u32::from_le_bytes(word), obeys, is_settled)
+        match (mode_word(frame), is_newer) {
+            (None, true) => Newness::New,
+            (None, false) => Newness::Old,
+            (Some(word), _) => {
+                let obeys = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
+                let heard = ModeWord {
+                    frame: frame.bytes(),
+                    word,
+                    obeys: obeys.map(|mode| mode.custom_mode),
+                    is_newer,
+                    is_settled,
+                };
+                self.mode_words.judge(&heard)
+            }
+        }
     }
 
     fn message(&mut self, now: HostTime, message: &Inbound) {
@@ -369,6 +366,9 @@ impl Core {
         }
         let answer = self.clock.answer(now, data.tc1, data.ts1);
         self.timesync_due = self.timesync_due.min(now + self.clock.period());
+        if answer != Answer::NotOurs {
+            self.events.extend(self.clock.round_trip().map(Event::RoundTrip));
+        }
         if let Answer::Jump { by_ns } = answer {
             self.events.push_back(Event::ClockJump { by_ns });
             if by_ns.unsigned_abs() > JUMP_NS {
