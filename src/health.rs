@@ -1,4 +1,4 @@
-//! The vehicle's health in flight: whether something of it changed, by what the log is told. It lives in
+//! The vehicle's health in flight: whether something of it changed, by the records that the log gets. It lives in
 //! the log's thread, says what it finds there, and commands nothing.
 
 use std::collections::{BTreeMap, VecDeque};

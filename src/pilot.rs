@@ -326,7 +326,7 @@ impl Pilot {
         self.supervisor.state()
     }
 
-    /// The preflight checks that failed when they were last looked at, before the stream.
+    /// The preflight checks that failed at the last look, before the stream.
     pub fn failed_checks(&self) -> &[PreflightCheck] {
         &self.failed_checks
     }
@@ -380,7 +380,7 @@ impl Pilot {
     }
 }
 
-/// What the guard is told of a sample.
+/// What the guard gets of a sample.
 fn answered(sample: &Sample) -> Answered {
     Answered {
         host: sample.host,
@@ -390,7 +390,7 @@ fn answered(sample: &Sample) -> Answered {
     }
 }
 
-/// A stall of this process is told at most this often.
+/// An event reports a stall of this process at most this often.
 const STALL_TOLD: Duration = Duration::from_secs(2);
 
 /// Messages that the supervisor must see at once; the rest waits for the next tick or poll.

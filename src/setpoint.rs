@@ -34,7 +34,7 @@ impl Setpoint {
     }
 }
 
-/// A point of the reference: the state `s*` and the input `u_hat*` that goes with it.
+/// A point of the reference: the state `s*` and its input `u_hat*`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reference {
     /// Position in world axes, m.

@@ -74,7 +74,7 @@ pub struct Station {
     event_state: FlightState,
     /// What was told of the vehicle's reaction to the loss of this program.
     told_loss: Option<String>,
-    /// When the vehicle was found, until its rates are told.
+    /// When the vehicle was found, until an event reports its rates.
     found: Option<HostTime>,
     /// Only the checks before a flight are made: nothing is sent to fly it.
     is_check: bool,

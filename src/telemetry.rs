@@ -125,7 +125,7 @@ impl Turn {
 struct Stream<T> {
     newest: Option<T>,
     unused: bool,
-    /// Since when the values are the same but for their stamps.
+    /// Since when the values are the same under new stamps.
     same_since: Option<VehicleTime>,
     rate: RateMeter,
 }
@@ -225,7 +225,7 @@ impl Telemetry {
     ///
     /// # Errors
     /// [`TelemetryFault`] says why a message of the state was not acted upon; the next one is
-    /// judged against it, so that a jump is told once.
+    /// judged against it, so that a jump is reported once.
     pub fn update(&mut self, received: &Received) -> Result<Option<Sample>, TelemetryFault> {
         self.status.update(received);
         let Some(stamp) = received.vehicle else { return Ok(None) };

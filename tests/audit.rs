@@ -7,7 +7,8 @@ use std::sync::LazyLock;
 
 use crate::{damage, lockstep};
 use downwash::audit::{Audit, Channels, Estimate, Severity, Tier};
-use downwash::diagnose::{rotor_order, untestable};
+use downwash::diagnose::flights::rotor_order;
+use downwash::diagnose::verdict::untestable;
 use downwash::log::import::{Flight, MotorUnit, Stream, open, write};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;

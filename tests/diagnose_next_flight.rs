@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use downwash::diagnose::likelihood::noise::ReportNoise;
 use downwash::diagnose::next_flight::{Live, NextFlight, Proposal, separating};
-use downwash::diagnose::noise::ReportNoise;
 use downwash::exam::interval::Rate;
 use downwash::plan::FlightEnvelope;
 use downwash::plan::manoeuvres::Room;

@@ -4,18 +4,19 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use downwash::diagnose::arrival::Delay;
-use downwash::diagnose::hypothesis::Catalogue;
-use downwash::diagnose::noise::report_noise;
-use downwash::diagnose::observed::Observed;
-use downwash::diagnose::onboard::OnboardLaw;
-use downwash::diagnose::preparation::PreparedFlight;
-use downwash::diagnose::residuals::{
-    ATTITUDE, CHANNEL_NAMES, CHANNELS, COMMAND, Evaluator, RATE, VELOCITY,
+use downwash::diagnose::catalogue::hypothesis::Catalogue;
+use downwash::diagnose::flights::arrival::Delay;
+use downwash::diagnose::flights::onboard::OnboardLaw;
+use downwash::diagnose::flights::preparation::PreparedFlight;
+use downwash::diagnose::flights::spectrum::BANDS;
+use downwash::diagnose::likelihood::channels::{
+    ATTITUDE, CHANNEL_NAMES, CHANNELS, COMMAND, RATE, VELOCITY,
 };
+use downwash::diagnose::likelihood::noise::report_noise;
+use downwash::diagnose::likelihood::observed::Observed;
+use downwash::diagnose::likelihood::residuals::Evaluator;
 use downwash::diagnose::search::Search;
-use downwash::diagnose::spectrum::BANDS;
-use downwash::diagnose::twins::{TwinFits, screened};
+use downwash::diagnose::search::twins::{TwinFits, screened};
 use downwash::exam::case::{Case, Kind, Order, Settings};
 use downwash::exam::condition::Condition;
 use downwash::log::import;

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::lockstep::{NANO, config_file, fly, ideal, params, settings, toml_trajectory};
-use downwash::diagnose::hypothesis::{Catalogue, Target};
-use downwash::diagnose::observed::{Observed, Residuals};
-use downwash::diagnose::preparation::PreparedFlight;
-use downwash::diagnose::residuals::Evaluator;
+use downwash::diagnose::catalogue::hypothesis::{Catalogue, Target};
+use downwash::diagnose::flights::preparation::PreparedFlight;
+use downwash::diagnose::likelihood::observed::{Observed, Residuals};
+use downwash::diagnose::likelihood::residuals::Evaluator;
 use downwash::log::import;
 use downwash::log::record::Record;
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
@@ -48,7 +48,7 @@ fn strong(vehicle: &VehicleParams, id: EffectId) -> EffectSet {
     let mut growth = Growth::default();
     for slot in id.spec().slots() {
         growth.from[slot.index] =
-            downwash::diagnose::hypothesis::reference(vehicle, id, slot.index);
+            downwash::diagnose::catalogue::hypothesis::reference(vehicle, id, slot.index);
     }
     (id.spec().strong)(vehicle, &mut Middle, &mut growth);
     let mut slots = growth.from;

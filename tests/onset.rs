@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use downwash::command::{Inputs, Simulation};
+use downwash::diagnose::flights::preparation::PreparedFlight;
 use downwash::diagnose::onset::{Seen, changes};
-use downwash::diagnose::preparation::PreparedFlight;
 use downwash::health::Monitor;
 use downwash::log::import::open;
 use downwash::log::sink::Listener;

@@ -32,7 +32,7 @@ impl fmt::Display for Severity {
 pub struct Finding {
     /// How bad it is.
     pub severity: Severity,
-    /// What was looked at, as `gap` or `delay`.
+    /// What was checked, as `gap` or `delay`.
     pub check: &'static str,
     /// The stream, where it is one.
     pub stream: Option<&'static str>,

@@ -16,7 +16,7 @@ const TILT_MAX_RAD: f64 = 1.2;
 const SPEED_MAX_M_S: f64 = 6.0;
 /// A rotor that lost more than this cannot be flown with three others.
 const FLYABLE_LOSS: f64 = 0.35;
-/// A vehicle that cannot be flown is let go within this, s: the tilt's time, and the hand-over.
+/// The setpoints to a vehicle that cannot be flown end within this, s: the tilt's time, and the hand-over.
 const LET_GO_S: f64 = 4.0;
 
 /// The vehicle's true state.

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::{Exit, ExitContext, print_json, print_text, say};
 use crate::audit::{Agreement, Audit, Estimate, Severity};
 use crate::cli::FailOnFinding;
-use crate::diagnose::untestable::{self, Untestable};
+use crate::diagnose::verdict::untestable::{self, Untestable};
 use crate::log::import::{self, Flight, ImportError};
 
 /// What logs are worth: the JSON of `log audit`.

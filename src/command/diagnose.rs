@@ -19,14 +19,15 @@ use super::vehicle::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::audit::{Audit, UnusableSpan};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
-use crate::diagnose::answer::{Answer, LogAnswer, Verdict};
-use crate::diagnose::case::{Case, Settings};
+use crate::diagnose::answer::words::report;
+use crate::diagnose::answer::{Answer, LogAnswer};
+use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::flights::rotor_order;
 use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
 use crate::diagnose::onset::{Seen, changes};
 use crate::diagnose::pipeline::{Diagnosis, diagnose};
-use crate::diagnose::preparation::PreparedFlight;
-use crate::diagnose::rotor_order;
-use crate::diagnose::words::report;
+use crate::diagnose::verdict::Verdict;
 use crate::learn::commands::Onboard;
 use crate::log::import::Flight;
 use crate::onset::detector as onset;
@@ -252,7 +253,7 @@ fn propose(
 
 /// A log with what the audit found in it.
 pub(super) struct AuditedLog {
-    /// Ready to be looked at, or why not.
+    /// Ready for the diagnosis, or why not.
     pub flight: anyhow::Result<PreparedFlight>,
     audit: Option<LogAnswer>,
 }

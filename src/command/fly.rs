@@ -32,7 +32,7 @@ use crate::report::flight::FlightSummary;
 use crate::station::{Station, StationSettings};
 use crate::supervisor::EngagePolicy;
 
-/// How often the status line and the signals are looked at.
+/// Period of the status line, and of checks for signals.
 const WATCH_PERIOD: Duration = Duration::from_millis(100);
 
 /// The JSON of `fly`.

@@ -23,7 +23,7 @@ pub(super) struct Logs {
 }
 
 impl Logs {
-    /// Reads and observes logs of `vehicle`, several at a time; `step` is told of each file.
+    /// Reads and observes logs of `vehicle`, several at a time; `step` is called for each file.
     pub fn read(
         paths: &[PathBuf],
         mapping: Option<&Path>,
@@ -68,7 +68,7 @@ impl Logs {
         logs
     }
 
-    /// Observes the flights by other windows; `step` is told of each file. Nothing is read again,
+    /// Observes the flights by other windows; `step` is called for each file. Nothing is read again,
     /// and what was left out stays left out: that is judged by the first windows.
     pub fn observe(
         &mut self,

@@ -104,7 +104,7 @@ pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) 
             return Exit::Failure;
         }
     };
-    // Who flies a vehicle is told what happens; elsewhere only what is wrong.
+    // A flight prints what happens; other commands only what is wrong.
     let told = matches!(cli.command, Command::Fly(_) | Command::Daemon(_));
     // Thousands of stations that others judge say nothing themselves.
     let is_judged = matches!(cli.command, Command::Campaign(_)) && cli.verbose == 0;
@@ -247,7 +247,7 @@ pub fn in_words(error: &anyhow::Error) -> String {
     said.join(": ")
 }
 
-/// The exit code that goes with an error: the one attached to it, else [`Exit::Failure`].
+/// The exit code of an error: the one attached to it, else [`Exit::Failure`].
 pub fn exit_of(error: &anyhow::Error) -> Exit {
     error.downcast_ref::<Failed>().map_or(Exit::Failure, |failed| failed.exit)
 }

@@ -12,8 +12,8 @@ use super::train::listed;
 use super::vehicle::warn;
 use super::{Exit, ExitContext, in_words, print_json, print_text, say, write_file};
 use crate::cli::OnsetArgs;
+use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::onset::{Seen, changes};
-use crate::diagnose::preparation::PreparedFlight;
 use crate::onset::change::Change;
 use crate::onset::detector::Settings;
 use crate::onset::history::{Step, of_flight, steps};
@@ -37,7 +37,7 @@ pub(super) struct OnsetAnswer {
 #[derive(JsonSchema, Serialize)]
 pub(super) struct FlightAnswer {
     log: String,
-    /// Airborne time that was looked at, s.
+    /// Airborne time that was examined, s.
     seconds: f64,
     /// What changed in it, in the order of time.
     changes: Vec<Change>,
@@ -62,7 +62,7 @@ pub(super) fn run(args: &OnsetArgs) -> anyhow::Result<Exit> {
     let seen: Result<Vec<Seen>, _> =
         flights.par_iter().map(|(_, flight)| changes(flight, &vehicle, settings)).collect();
     let seen = seen.or_exit(Exit::Usage)?;
-    // A flight too short to be looked at says nothing of the vehicle.
+    // A flight too short to examine says nothing of the vehicle.
     let told: Vec<_> = seen.iter().map(|seen| of_flight(&seen.present)).collect();
     let known: Vec<usize> = (0..told.len()).filter(|index| told[*index].is_some()).collect();
     let values: Vec<_> = told.into_iter().flatten().collect();

@@ -14,7 +14,7 @@ use crate::log::reader::ReadError;
 use crate::log::{LogReader, import};
 use crate::view::{Playback, Recording, ViewSettings};
 
-/// How often signals are looked at.
+/// Period of checks for signals.
 const WATCH_PERIOD: Duration = Duration::from_millis(200);
 
 pub(super) fn run(args: &ReplayArgs, preparation: Interruption) -> anyhow::Result<Exit> {

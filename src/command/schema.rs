@@ -21,7 +21,7 @@ use crate::service::ServiceStatus;
 
 /// What a command prints.
 pub(super) struct Output {
-    /// The value of its `schema`; what bears none is told by its name.
+    /// The value of its `schema`; what bears none is found by its name.
     name: &'static str,
     /// What prints it.
     command: &'static str,

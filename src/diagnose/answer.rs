@@ -1,50 +1,33 @@
 //! The answer: what `--json` prints and the report shows.
 
+pub mod additions;
+pub(super) mod assembly;
+pub(super) mod open_questions;
+pub mod words;
+
 use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::Serialize;
-use vehicle::effects::{EffectId, EffectSet, Kind, ParameterValue};
+use vehicle::effects::EffectId;
 
-use super::attribution::Share;
-use super::case::Case;
-use super::gap::{Errors, OverNoise};
-use super::law::LawAnswer;
-use super::leftover::UnmodelledForce;
-use super::map::ResidualMap;
-use super::next_flight::NextFlight;
-use super::noise::ReportNoise;
-use super::preparation::{Channels, PreparedFlight};
-use super::reflight::ClosedLoop;
-use super::twins::Twins;
-use super::untestable::{self, Untestable};
-use super::verdict::Unexplained;
-use super::words::{law_sentence, listed};
 use crate::audit::{Audit, Severity, Tier};
+use crate::diagnose::discovery::law::LawAnswer;
+use crate::diagnose::flights::case::Case;
+use crate::diagnose::flights::preparation::{Channels, PreparedFlight};
+use crate::diagnose::likelihood::noise::ReportNoise;
+use crate::diagnose::next_flight::NextFlight;
+use crate::diagnose::remainder::leftover::UnmodelledForce;
+use crate::diagnose::remainder::map::ResidualMap;
+use crate::diagnose::search::twins::Twins;
+use crate::diagnose::simulate::gap::{Errors, OverNoise};
+use crate::diagnose::simulate::reflight::ClosedLoop;
+use crate::diagnose::verdict::Unexplained;
+use crate::diagnose::verdict::attribution::Share;
+use crate::diagnose::verdict::parameter::Parameter;
+use crate::diagnose::verdict::untestable::{self, Untestable};
+use crate::diagnose::verdict::{NAMED, Verdict};
 use crate::log::import::Flight;
-
-/// The verdict in three words.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Verdict {
-    /// Effects of the catalogue explain the gap.
-    Effect,
-    /// There is nothing beyond noise and tolerances.
-    None,
-    /// A gap that no effect of the catalogue explains.
-    Unknown,
-}
-
-impl Verdict {
-    /// The word.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Effect => "effect",
-            Self::None => "none",
-            Self::Unknown => "unknown",
-        }
-    }
-}
 
 /// The full verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
@@ -52,8 +35,8 @@ impl Verdict {
 pub enum FullVerdict {
     /// Effects of the catalogue, and no others in their place.
     Named,
-    /// An effect of the catalogue, by another law than the catalogue's: it is told by the evidence
-    /// that no other effect touches, and the gap stays open.
+    /// An effect of the catalogue, by another law than the catalogue's: the evidence that no other
+    /// effect touches shows it, and the gap stays open.
     OtherLaw,
     /// One of several effects: these flights do not tell which.
     Ambiguous,
@@ -78,7 +61,7 @@ pub struct Finding {
     pub sentence: String,
     /// Why what was seen counts as unexplained, where it does.
     pub because: Option<Unexplained>,
-    /// What a gap that nothing explains goes with.
+    /// What a gap that nothing explains depends on.
     pub depends_on: Vec<String>,
 }
 
@@ -134,46 +117,6 @@ pub struct EffectAnswer {
     pub deviations: BTreeMap<String, f64>,
 }
 
-/// A parameter's value.
-#[derive(Clone, Debug, JsonSchema, Serialize)]
-#[serde(untagged)]
-pub enum Parameter {
-    /// A place in a list.
-    Index(u64),
-    /// A number.
-    Number(f64),
-    /// A vector.
-    Vector(Vec<f64>),
-}
-
-/// All parameters of an effect that is on in `set`.
-pub fn parameters(set: &EffectSet, id: EffectId) -> BTreeMap<&'static str, Parameter> {
-    let Some(slots) = set.slots(id) else { return BTreeMap::new() };
-    id.spec()
-        .slots()
-        .filter(|slot| slot.component == 0)
-        .map(|slot| {
-            let first = slot.index;
-            let value = match slot.parameter.kind {
-                Kind::Index => Parameter::Index(slots[first] as u64),
-                Kind::Scalar => Parameter::Number(slots[first]),
-                Kind::Vec3 => Parameter::Vector(slots[first..first + 3].to_vec()),
-            };
-            (slot.parameter.name, value)
-        })
-        .collect()
-}
-
-impl From<&Parameter> for ParameterValue {
-    fn from(parameter: &Parameter) -> Self {
-        match parameter {
-            Parameter::Index(index) => ParameterValue::Number(*index as f64),
-            Parameter::Number(number) => ParameterValue::Number(*number),
-            Parameter::Vector(numbers) => ParameterValue::Vector(numbers.clone()),
-        }
-    }
-}
-
 /// The gap on the flights held out.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Gap {
@@ -183,7 +126,7 @@ pub struct Gap {
     pub before: f64,
     /// With the named effects.
     pub after: f64,
-    /// What noise alone leaves: 1, for all is told in units of it.
+    /// What noise alone leaves: 1, the unit of all gaps here.
     pub floor: f64,
     /// By how much noise alone scatters what it leaves.
     pub scatter: f64,
@@ -222,14 +165,14 @@ pub struct ExplanationAnswer {
     pub numbers: Vec<f64>,
 }
 
-/// A flight that was looked at.
+/// A flight of the diagnosis.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct FlightAnswer {
     /// Name.
     pub name: String,
     /// Whether it was held out of the fit.
     pub held_out: bool,
-    /// Airborne time looked at, s.
+    /// Airborne time used, s.
     pub seconds: f64,
     /// What its log holds.
     pub channels: Channels,
@@ -307,9 +250,6 @@ pub struct NotTestable {
     pub reason: String,
 }
 
-/// An effect is named from this probability on.
-pub(super) const NAMED: f64 = 0.5;
-
 impl Answer {
     /// The effects that are named, the most probable first.
     pub fn named(&self) -> impl Iterator<Item = &EffectAnswer> {
@@ -356,35 +296,6 @@ impl Answer {
             explanations: Vec::new(),
             flights: Vec::new(),
             law: None,
-        }
-    }
-
-    /// Takes up a law.
-    pub fn take_up_law(&mut self, law: LawAnswer) {
-        self.finding.sentence += &format!(" {}", law_sentence(&law));
-        self.law = Some(law);
-    }
-
-    /// Takes up what the audit found: faults of some logs, and what no channel of any log shows.
-    pub fn take_up(&mut self, logs: Vec<LogAnswer>) {
-        let sound: Vec<&LogAnswer> = logs.iter().filter(|log| !log.is_faulty()).collect();
-        let untestable =
-            |log: &LogAnswer, id: EffectId| log.untestable.iter().any(|u| u.effect == id);
-        if let Some(first) = sound.first() {
-            for Untestable { effect, reason } in &first.untestable {
-                let named = self.effects.iter().any(|e| e.id == *effect);
-                let known = self.not_testable.iter().any(|e| e.id == *effect);
-                if !named && !known && sound.iter().all(|log| untestable(log, *effect)) {
-                    self.not_testable.push(NotTestable { id: *effect, reason: reason.clone() });
-                }
-            }
-        }
-        self.logs = logs;
-        if self.finding.verdict == FullVerdict::None && !self.not_testable.is_empty() {
-            self.finding.verdict = FullVerdict::NotTestable;
-            let not_shown = listed(self.not_testable.iter().map(|effect| effect.id));
-            self.finding.sentence +=
-                &format!(" These flights and channels could not have shown {not_shown}.");
         }
     }
 }

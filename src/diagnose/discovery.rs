@@ -1,10 +1,13 @@
 //! Discovery: which formula explains what the catalogue leaves.
 //!
-//! Terms of the [grammar](super::terms) are numbers of the catalogue like any other: free beside the
+//! Terms of the [grammar](crate::diagnose::discovery::terms) are numbers of the catalogue like any other: free beside the
 //! vehicle file's numbers, in the same equations in weak form, with the same evidence. They join one
 //! at a time, each at the price of having been chosen among all; then each is exchanged for what does
 //! better, and powers and lengths are refined. What comes of it is one more explanation, and the
 //! verdict decides on it as on the others.
+
+pub mod law;
+pub(super) mod terms;
 
 mod weighed;
 mod written;
@@ -13,21 +16,22 @@ use rayon::prelude::*;
 use vehicle::VehicleError;
 use vehicle::effects::EffectSet;
 
-use super::calibration::Calibration;
-use super::evidence::Evidence;
-use super::explanation::{Explanation, Explanations};
-use super::fit::{Fit, fit_numbers};
-use super::gap::Errors;
-use super::hypothesis::Catalogue;
-use super::inquiry::Inquiry;
-use super::law::LawAnswer;
-use super::linearised::Linearised;
-use super::observed::Observed;
-use super::pipeline::DiagnoseError;
-use super::preparation::Channels;
-use super::term::{Factor, Term};
-use super::terms::terms;
-use super::verdict::{CARRIES, CHANGES, Decision, OPEN};
+use crate::diagnose::catalogue::hypothesis::Catalogue;
+use crate::diagnose::catalogue::term::{Factor, Term};
+use crate::diagnose::discovery::law::LawAnswer;
+use crate::diagnose::discovery::terms::terms;
+use crate::diagnose::error::DiagnoseError;
+use crate::diagnose::flights::preparation::Channels;
+use crate::diagnose::inquiry::Inquiry;
+use crate::diagnose::likelihood::fit::{Fit, fit_numbers};
+use crate::diagnose::likelihood::linearised::Linearised;
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::search::explanation::Explanation;
+use crate::diagnose::search::explanations::Explanations;
+use crate::diagnose::simulate::gap::Errors;
+use crate::diagnose::verdict::calibration::Calibration;
+use crate::diagnose::verdict::evidence::Evidence;
+use crate::diagnose::verdict::{CARRIES, CHANGES, Decision, OPEN};
 
 /// Most terms of a law.
 const TERMS_MAX: usize = 5;

@@ -4,15 +4,15 @@
 use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
 
-use super::arrival::Delay;
-use super::case::{Case, Settings};
-use super::explanation::Explanation;
-use super::gap::Metric;
-use super::hypothesis::Catalogue;
-use super::observed::Observed;
-use super::onboard::OnboardLaw;
-use super::open_loop::Simulator;
-use super::residuals::Evaluator;
+use crate::diagnose::catalogue::hypothesis::Catalogue;
+use crate::diagnose::flights::arrival::Delay;
+use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::flights::onboard::OnboardLaw;
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::likelihood::residuals::Evaluator;
+use crate::diagnose::search::explanation::Explanation;
+use crate::diagnose::simulate::metric::Metric;
+use crate::diagnose::simulate::open_loop::Simulator;
 
 /// What a diagnosis looks at.
 pub(super) struct Inquiry<'a> {
@@ -34,7 +34,7 @@ pub(super) struct Inquiry<'a> {
 }
 
 impl Inquiry<'_> {
-    /// Whether the leg from setpoints to outputs is looked at.
+    /// Whether the leg from setpoints to outputs is used.
     pub fn leg(&self) -> bool {
         self.onboard.is_some()
     }

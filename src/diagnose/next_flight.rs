@@ -18,8 +18,8 @@ use vehicle::VehicleParams;
 
 pub use self::live::{Live, OpenQuestions, typical};
 use self::rehearsal::{Rehearsal, Stage};
-use super::flight_simulator::NotSimulated;
-use super::noise::ReportNoise;
+use crate::diagnose::likelihood::noise::ReportNoise;
+use crate::diagnose::simulate::flight_simulator::NotSimulated;
 use crate::plan::FlightEnvelope;
 use crate::plan::manoeuvres::{Manoeuvre, Room, library};
 

@@ -3,7 +3,7 @@
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::{VehicleError, VehicleParams};
 
-use super::preparation::PreparedFlight;
+use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::onset::cells::Sample;
 use crate::onset::change::Change;
 use crate::onset::detector::{Detector, Event, Look, Present, Settings};
@@ -20,7 +20,7 @@ pub struct Seen {
     pub looks: Vec<Look>,
     /// What the vehicle was, each half minute.
     pub present: Vec<Present>,
-    /// Time looked at, s.
+    /// Time examined, s.
     pub seconds: f64,
 }
 

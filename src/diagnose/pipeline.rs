@@ -1,32 +1,34 @@
 //! From flights to an answer.
 
-use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
-use vehicle::law::LawError;
 
-use super::answer::Answer;
-use super::arrival::Delay;
-use super::assembly::Assembly;
-use super::case::{Case, Settings};
-use super::discovery::Discovered;
-use super::evidence::{Evidence, Turning};
-use super::explanation::{Explanation, Explanations};
-use super::fit::fit;
-use super::gap::Metric;
-use super::hypothesis::Catalogue;
-use super::inquiry::Inquiry;
-use super::linearised::Linearised;
-use super::next_flight::OpenQuestions;
-use super::noise::{ReportNoise, report_noise};
-use super::observed::Observed;
-use super::parts::Parts;
-use super::preparation::PreparedFlight;
-use super::residuals::Evaluator;
-use super::scale::scale;
-use super::search::Search;
-use super::turning::turning;
-use super::twins::{TwinFits, Twins, screened};
-use super::verdict::{Decision, decide};
+use crate::diagnose::answer::Answer;
+use crate::diagnose::answer::assembly::Assembly;
+use crate::diagnose::answer::open_questions::open_questions;
+use crate::diagnose::catalogue::hypothesis::Catalogue;
+use crate::diagnose::discovery::Discovered;
+use crate::diagnose::error::DiagnoseError;
+use crate::diagnose::flights::arrival::Delay;
+use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::flights::parts::Parts;
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::inquiry::Inquiry;
+use crate::diagnose::likelihood::fit::fit;
+use crate::diagnose::likelihood::linearised::Linearised;
+use crate::diagnose::likelihood::noise::{ReportNoise, report_noise};
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::likelihood::residuals::Evaluator;
+use crate::diagnose::next_flight::OpenQuestions;
+use crate::diagnose::search::Search;
+use crate::diagnose::search::explanation::Explanation;
+use crate::diagnose::search::explanations::Explanations;
+use crate::diagnose::search::scale::scale;
+use crate::diagnose::search::turning::Turning;
+use crate::diagnose::search::turning::turning;
+use crate::diagnose::search::twins::{TwinFits, Twins, screened};
+use crate::diagnose::simulate::metric::Metric;
+use crate::diagnose::verdict::evidence::Evidence;
+use crate::diagnose::verdict::{Decision, decide};
 
 /// Twins of the best explanation, which tell what its fit is off by itself.
 const TWINS_OF_BEST: u32 = 16;
@@ -47,20 +49,6 @@ pub struct Diagnosis {
     pub setpoint_leg: bool,
     /// Noise of the reports.
     pub noise: ReportNoise,
-}
-
-/// Why there is no answer.
-#[derive(Debug, thiserror::Error)]
-pub enum DiagnoseError {
-    /// The vehicle is refused.
-    #[error(transparent)]
-    Vehicle(#[from] VehicleError),
-    /// The law that was found is refused.
-    #[error(transparent)]
-    Law(#[from] LawError),
-    /// Nothing can be fitted.
-    #[error("the flights hold nothing that a model could be compared with")]
-    Nothing,
 }
 
 /// Diagnoses, and calls `progress` with the name of each stage as it begins.
@@ -259,7 +247,7 @@ impl Inquiry<'_> {
         };
         progress("flown again");
         let (answer, effects) = assembly.answer()?;
-        let open = OpenQuestions::of(self.catalogue, &found.sets, &answer);
+        let open = open_questions(self.catalogue, &found.sets, &answer);
         Ok(Diagnosis {
             answer,
             evidence,

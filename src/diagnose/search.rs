@@ -4,13 +4,19 @@
 //! of the best, for two effects may mask one another, and what the best set gains by one more. The
 //! search judges nothing: every set that was fitted goes into the evidence.
 
+pub(super) mod explanation;
+pub mod explanations;
+pub(super) mod scale;
+pub(super) mod turning;
+pub mod twins;
+
 use rayon::prelude::*;
 
-use super::explanation::Explanation;
-use super::fit::{Fit, fit};
-use super::hypothesis::{Catalogue, Hypothesis};
-use super::linearised::Linearised;
-use super::observed::Observed;
+use crate::diagnose::catalogue::hypothesis::{Catalogue, Hypothesis};
+use crate::diagnose::likelihood::fit::{Fit, fit};
+use crate::diagnose::likelihood::linearised::Linearised;
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::search::explanation::Explanation;
 
 /// Most effects at once.
 const EFFECTS_MAX: usize = 3;

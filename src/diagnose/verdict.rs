@@ -5,6 +5,13 @@
 //! share of what the vehicle file's numbers leave open within their tolerances; else `none` where
 //! those numbers close the gap, or noise is all that is left; else `unknown`.
 
+pub mod attribution;
+pub mod calibration;
+pub mod evidence;
+pub mod parameter;
+pub mod untestable;
+pub(super) mod weighing;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use rand::SeedableRng;
@@ -14,9 +21,34 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::EffectId;
 
-use super::answer::{NAMED, Verdict};
-use super::calibration::{Calibration, SIGNS};
-use super::evidence::{Evidence, Explained, ForceLeft};
+use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
+use crate::diagnose::verdict::evidence::{Evidence, Explained, ForceLeft};
+
+/// The verdict in three words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Effects of the catalogue explain the gap.
+    Effect,
+    /// There is nothing beyond noise and tolerances.
+    None,
+    /// A gap that no effect of the catalogue explains.
+    Unknown,
+}
+
+impl Verdict {
+    /// The word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Effect => "effect",
+            Self::None => "none",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+/// An effect is named from this probability on.
+pub(super) const NAMED: f64 = 0.5;
 
 /// Why what was seen counts as unexplained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
@@ -363,8 +395,9 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
 
 #[cfg(test)]
 mod tests {
-    use super::super::evidence::{Found, Gaps, Turning};
     use super::*;
+    use crate::diagnose::search::turning::Turning;
+    use crate::diagnose::verdict::evidence::{Found, Gaps};
 
     /// A set of effects with evidence over the file's in each of four blocks, and the gap with its
     /// effects and with the file's numbers as well.

@@ -24,9 +24,10 @@ use super::stranger::Stranger;
 use super::strength::Strength;
 use super::trap::{STEADY_PACK, TRAPS, Trap};
 use super::world::{self, FileKind, Setting, World};
-use crate::diagnose::answer::{Parameter, Verdict, parameters};
-use crate::diagnose::hypothesis::reference;
-use crate::diagnose::noise::ReportNoise;
+use crate::diagnose::catalogue::hypothesis::reference;
+use crate::diagnose::likelihood::noise::ReportNoise;
+use crate::diagnose::verdict::Verdict;
+use crate::diagnose::verdict::parameter::{Parameter, parameters};
 
 /// A pair's effects show at least and at most so strongly by themselves.
 const PAIR_RATIOS: [f64; 2] = [2.0, 10.0];

@@ -10,7 +10,7 @@ use super::case::Kind;
 use super::score::Row;
 use super::stored::StoredCase;
 use super::summary::Summary;
-use crate::diagnose::calibration::{Calibration, SIGNS};
+use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
 use crate::diagnose::verdict::decide_by;
 
 /// What an answer that does not mention an effect gives it.

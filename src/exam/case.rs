@@ -11,7 +11,7 @@ use super::draw::Draw;
 use super::flight::FlightError;
 use super::key::KeyEntry;
 use super::world::World;
-use crate::diagnose::noise::ReportNoise;
+use crate::diagnose::likelihood::noise::ReportNoise;
 
 /// Draws until one flies.
 const ATTEMPTS: u64 = 8;

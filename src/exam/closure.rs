@@ -3,9 +3,9 @@
 use vehicle::effects::EffectSet;
 use vehicle::{VehicleError, VehicleParams};
 
-use crate::diagnose::noise::ReportNoise;
-use crate::diagnose::open_loop::Simulator;
-use crate::diagnose::preparation::PreparedFlight;
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::likelihood::noise::ReportNoise;
+use crate::diagnose::simulate::open_loop::Simulator;
 
 /// Least gap that can be closed, in units of the noise.
 const GAP_MIN: f64 = 0.05;

@@ -109,7 +109,7 @@ impl Deviations {
         Self { pose_s, drag, ..drawn }
     }
 
-    /// The same but for what `effects`, or another law for one of `causes`, say themselves: an
+    /// The same except for what `effects`, or another law for one of `causes`, say themselves: an
     /// effect's numbers are the vehicle's, whatever the builder measured.
     pub fn beside(&self, effects: &EffectSet, causes: &[EffectId], rotor: Option<usize>) -> Self {
         let is = |id| effects.contains(id) || causes.contains(&id);

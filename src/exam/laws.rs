@@ -10,7 +10,7 @@ use vehicle::law::{Law, LawText};
 use super::bench::{Bench, Truth};
 use super::case::{CaseError, Kind, Order, Settings};
 use super::draw::{Draw, rounded};
-use crate::diagnose::noise::ReportNoise;
+use crate::diagnose::likelihood::noise::ReportNoise;
 
 /// Draws until one flies.
 const ATTEMPTS: u64 = 8;

@@ -5,7 +5,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet, Growth};
 
 use super::draw::{Draw, rounded};
-use crate::diagnose::hypothesis::reference;
+use crate::diagnose::catalogue::hypothesis::reference;
 
 /// An effect along a drawn direction.
 #[derive(Clone, Debug)]

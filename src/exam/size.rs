@@ -97,7 +97,7 @@ impl Bench {
         };
         let most = PRACTICAL_TOLERANCES;
         let mut moved = Vec::new();
-        // Thrust common to all rotors is told from the mass by no log.
+        // No log tells a thrust common to all rotors from the mass.
         let level = sigma.thrust_common + sigma.mass;
         moved.push(by(most, &|body, _| {
             body.rotors.iter_mut().for_each(|rotor| rotor.thrust_max_n *= 1.0 + level);

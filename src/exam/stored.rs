@@ -8,10 +8,10 @@ use super::case::Kind;
 use super::key::KeyEntry;
 use super::score::Row;
 use super::world::LoopKind;
-use crate::diagnose::calibration::Calibration;
-use crate::diagnose::evidence::{Evidence, Explained};
-use crate::diagnose::fit::interval;
+use crate::diagnose::likelihood::fit::interval;
+use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::decide_by;
+use crate::diagnose::verdict::evidence::{Evidence, Explained};
 
 /// A case as `exam --evidence` writes it.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -385,7 +385,7 @@ impl Predictor {
     }
 }
 
-/// What the true vehicle reports, but for noise.
+/// What the true vehicle reports, without noise.
 struct Reporter {
     trim: Attitude,
     latency_s: f64,

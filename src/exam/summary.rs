@@ -21,7 +21,7 @@ pub const BRIER_MAX: f64 = 0.05;
 /// And the expected calibration error.
 pub const CALIBRATION_MAX: f64 = 0.03;
 
-/// A rate that something is asked of.
+/// A rate with a target.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Measure {
     /// What is counted.
@@ -43,7 +43,7 @@ pub enum Bound {
     AtMost(f64),
 }
 
-/// How a rate stands to what is asked of it.
+/// How a rate stands to its target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
     /// It keeps its bound as counted, or has none.

@@ -149,7 +149,7 @@ pub struct LearningCurve {
     /// Normalised mean squared error on the training rows, pass by pass.
     #[serde(deserialize_with = "not_finite::numbers")]
     pub training: Vec<f64>,
-    /// And on the validation rows, where it was looked at.
+    /// And on the validation rows, where it was computed.
     pub validation: Vec<Option<f64>>,
 }
 

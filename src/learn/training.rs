@@ -39,7 +39,7 @@ pub enum Method {
     Adam,
 }
 
-/// What a training is told.
+/// The inputs of a training.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
@@ -82,7 +82,7 @@ pub struct Pass {
     /// of the parameters with which the pass began (Rprop), of each batch before its step (Adam).
     pub training: f64,
     /// The same over the validation rows, of the parameters with which the pass ended, where they
-    /// were looked at.
+    /// were examined.
     pub validation: Option<f64>,
     /// Whether no earlier validation loss was as low.
     pub best: bool,

@@ -94,13 +94,13 @@ pub struct Modes {
 pub struct ParameterRule {
     /// Name.
     pub name: &'static str,
-    /// What is asked of the value.
+    /// The requirement on the value.
     pub rule: Rule,
     /// Why, in words for the pilot.
     pub why: &'static str,
 }
 
-/// What is asked of a parameter's value.
+/// A requirement on a parameter's value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rule {
     /// Equal to this.

@@ -22,7 +22,7 @@ const SAME: f64 = 1e-6;
 const DO_SET_MODE: MavCmd = MavCmd::MAV_CMD_DO_SET_MODE;
 const ARM_DISARM: MavCmd = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;
 
-/// Something asked of the vehicle.
+/// A request to the vehicle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Request {
     /// Change mode.
@@ -300,7 +300,7 @@ impl Requests {
         self.end_where(Outcome::NoAnswer, |_| true);
     }
 
-    /// Ends what is asked of the vehicle to do: it is not wanted any more. What is read goes on.
+    /// Ends requests that make the vehicle act: they are not wanted any more. Reading goes on.
     pub(super) fn withdraw(&mut self) {
         self.end_where(Outcome::Withdrawn, |pending| !matches!(pending.task, Task::Read));
     }

@@ -2,7 +2,7 @@
 //!
 //! A second radio, or a route that forks, brings frames twice, late and out of order. What a frame
 //! says of the vehicle's mode is then older than what is known. The number wraps after 256 frames,
-//! which a quick link sends in half a second: a copy that comes later is told by its bytes.
+//! which a quick link sends in half a second: a copy that comes later shows by its bytes.
 
 use std::time::Duration;
 

@@ -122,7 +122,7 @@ pub enum Event {
         other: VehicleId,
     },
     /// By its HEARTBEAT another vehicle answers under the ids of the one that was found. It is
-    /// identified before it gets setpoints, and what was asked of the other is ended.
+    /// identified before it gets setpoints, and requests to the other end.
     VehicleReplaced(VehicleId),
     /// The vehicle is identified and can be sent setpoints.
     Identified {

@@ -1,5 +1,5 @@
 //! Lengths inside of MCAP records that version 0.26 of the `mcap` crate takes at their word: one
-//! that is too large overflows or panics there, so they are looked at before.
+//! that is too large overflows or panics there, so they are checked before.
 
 /// Opcode and length of a record.
 const RECORD_HEAD: usize = 9;

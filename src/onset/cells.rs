@@ -182,7 +182,7 @@ impl Cells {
         })
     }
 
-    /// The sizes that slopes are told in.
+    /// The units of size of slopes.
     pub fn sizes(&self) -> &Sizes {
         self.equations.sizes()
     }

@@ -13,7 +13,7 @@ use super::columns::{COLUMNS, Cause, DIRECTIONS, DRIFT};
 use super::likelihood::{Profile, Scale, Window};
 use super::noise::{Autoregression, COHERENT, LawErrors, Noise, ORDER, Spectrum};
 
-/// Cells that are looked at together: half a minute.
+/// Cells that are examined together: half a minute.
 const WINDOW: usize = 600;
 /// Cells before a change, from which the vehicle before is known: 8 s.
 const BEFORE: usize = 160;

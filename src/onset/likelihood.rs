@@ -20,7 +20,7 @@ use super::noise::{Noise, ORDER};
 const HUBER: f64 = 6.0;
 /// A change is estimated to within this share of its size: no law is exact.
 const LAW: f64 = 0.03;
-/// Places later than each of these many cells after a beginning are told every second and every fourth.
+/// Beyond so many cells after a beginning only every second place is evaluated, and then every fourth.
 const COARSE: [usize; 2] = [60, 120];
 /// Time over which a drift is estimated, s.
 const DRIFT_S: f64 = 10.0;
@@ -167,7 +167,7 @@ impl Window {
     /// Each cause's likelihood by where it begins, `after` cells from the end being the first and the
     /// last to look at.
     ///
-    /// Where not all are wanted, those far back are told at fewer places.
+    /// Where not all are wanted, fewer places are evaluated far back.
     pub fn profiles(
         &self,
         after: [usize; 2],

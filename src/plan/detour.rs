@@ -14,7 +14,7 @@ use super::problem::{StateLimits, StateVector};
 const CLEARANCE: f64 = 0.02;
 /// Sideways acceleration of the bend, m/s^2.
 const ACCELERATION: f64 = 2.0;
-/// Times that each region is looked at: the way round one may lead through another.
+/// Passes over the regions: the way round one may lead through another.
 const ROUNDS: usize = 3;
 
 /// Bends a path, a state each `period_s`, round the regions that it crosses, with its velocities;

@@ -72,7 +72,7 @@ pub struct Feasibility {
     pub height_m: f64,
 }
 
-/// Times at which a trajectory is looked at are this far apart, s.
+/// A trajectory is checked at times this far apart, s.
 const SPACING_S: f64 = 0.01;
 
 /// What one instant asks for.

@@ -91,7 +91,7 @@ pub struct Answer {
     pub delay_s: f64,
     /// First-order lag from a commanded wrench to the one that acts, s.
     pub lag_s: f64,
-    /// Power of the pack's voltage, over that of a full one, that thrust goes with.
+    /// Power of the pack's voltage, over that of a full one, that thrust is proportional to.
     pub voltage_exponent: f64,
     /// The loop that turns setpoints into moments.
     pub attitude_pd: AttitudePd,
@@ -238,7 +238,7 @@ impl Plan {
 
     /// Whether the plan holds what it says, between its states as at them: a search that failed,
     /// or that ended with states that no input leads through, is no plan to fly. What the model
-    /// has no part in, that velocity and body rate lead from state to state, is looked at again.
+    /// has no part in, that velocity and body rate lead from state to state, is checked again.
     ///
     /// # Errors
     /// What it misses, in words.

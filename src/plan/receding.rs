@@ -224,7 +224,7 @@ enum Work {
     /// The caller, when a plan is due: for flights on a virtual clock, where planning takes no
     /// time.
     Inline { replanner: Box<Replanner>, due: Mutex<Due> },
-    /// A thread of its own, which is told where the vehicle is.
+    /// A thread of its own, which gets the vehicle's state.
     Thread(SyncSender<Sighting>),
 }
 

@@ -1,4 +1,4 @@
-//! What the pilot follows: a state and the input that goes with it, over time.
+//! What the pilot follows: a state and its input, over time.
 
 use std::sync::Arc;
 
@@ -57,7 +57,7 @@ pub trait ReferenceSource {
         self.sample(0.0).feedforward.thrust_n
     }
 
-    /// Power of the pack's voltage, over that of a full one, that thrust goes with: what is sent is
+    /// Power of the pack's voltage, over that of a full one, that thrust is proportional to: what is sent is
     /// more than the feed-forward by as much. 0 where the feed-forward is not of a model that
     /// knows.
     fn voltage_exponent(&self) -> f64 {

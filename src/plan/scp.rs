@@ -124,7 +124,7 @@ const ENOUGH: f64 = 1e-2;
 /// Share of the last slopes that is kept where they did not promise well: at a kink of a network's
 /// unit the slopes of either side promise what their mean does not (the idea of bundle methods).
 const MEMORY: f64 = 0.5;
-/// Subproblems whose improvements are looked at together.
+/// Subproblems whose improvements are judged together.
 const PATIENCE: usize = 4;
 /// Change of the trust region where a step is refused.
 const SHRINK: f64 = 0.25;

@@ -91,7 +91,7 @@ pub struct Mark {
 /// Panels of curves below one another that share an x axis.
 #[derive(Clone, Debug)]
 pub struct Chart<'a> {
-    /// Name and unit of x. Charts of a page with the same one are looked at together.
+    /// Name and unit of x. Charts of a page with the same one zoom together.
     pub x_label: &'a str,
     /// Values of x, ascending.
     pub x: &'a [f64],

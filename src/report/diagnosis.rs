@@ -12,11 +12,12 @@ use super::axis::significant;
 use super::bars::{self, Bar};
 use super::page::{Mood, Page, escape};
 use super::table::{Table, definitions};
-use crate::diagnose::answer::{Answer, Gap, Verdict};
-use crate::diagnose::gap::QUANTITIES;
-use crate::diagnose::map::Regime;
-use crate::diagnose::open_loop::HORIZONS_S;
-use crate::diagnose::words::{self, closed_loop, one};
+use crate::diagnose::answer::words::{self, closed_loop, one};
+use crate::diagnose::answer::{Answer, Gap};
+use crate::diagnose::remainder::map::Regime;
+use crate::diagnose::simulate::gap::QUANTITIES;
+use crate::diagnose::simulate::open_loop::HORIZONS_S;
+use crate::diagnose::verdict::Verdict;
 use crate::onset::detector::Settings;
 use crate::report::onset::{self, SeenFlight};
 

@@ -124,7 +124,7 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     if failures.is_empty() && (summary.is_of_few() || !open.is_empty()) {
         page.verdict(Mood::Plain, &too_few(summary), &open);
     } else if failures.is_empty() {
-        page.verdict(Mood::Good, "Every rate keeps what is asked of it.", &[]);
+        page.verdict(Mood::Good, "Every rate meets its target.", &[]);
     } else {
         let count = failures.len();
         let miss = if count == 1 { "figure misses" } else { "figures miss" };
@@ -182,7 +182,7 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
 /// That the cases are too few.
 fn too_few(summary: &Summary) -> String {
     format!(
-        "{} cases are too few to tell whether the diagnosis keeps what is asked of it: of so few, \
+        "{} cases are too few to tell whether the diagnosis meets its targets: of so few, \
          one alone decides.",
         summary.count
     )

@@ -57,7 +57,7 @@ pub const EXPLANATION: &str = "How much likelier a change within the last second
 pub fn picture(bound: f64, seen: &Seen) -> String {
     let (mut x, mut y): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
     for look in &seen.looks {
-        // After a change, and after a pause, nothing is looked at for a while.
+        // After a change, and after a pause, nothing is examined for a while.
         if let Some(last) = x.last().copied().filter(|last| look.time_s > last + PAUSE_S) {
             x.push(0.5 * (last + look.time_s));
             y.push(f64::NAN);

@@ -13,7 +13,7 @@ use crate::log::import::{Flight, MotorUnit, Stream};
 const FULL: f64 = 0.98;
 /// What is slower than this is motion, what is faster is vibration: length of a mean, s.
 const MOTION_S: f64 = 0.1;
-/// Vibration is told over so long, s.
+/// Vibration is averaged over so long, s.
 const VIBRATION_WINDOW_S: f64 = 0.5;
 /// A step of the estimate beyond so many usual ones, and beyond what any vehicle does, is a jump.
 const JUMP_FACTOR: f64 = 12.0;
@@ -23,7 +23,7 @@ const JUMP_ATTITUDE_RAD: f64 = 0.07;
 const JUMP_APART_S: f64 = 0.3;
 /// Samples further apart than so many periods say nothing of each other.
 const PAUSE: f64 = 3.0;
-/// A pause is told in the summary from this many periods on.
+/// The summary names a pause from this many periods on.
 const GRAVITY: f64 = 9.80665;
 
 /// The numbers of a recorded flight, and the JSON beside its report.
@@ -135,7 +135,7 @@ pub struct Recording {
     summary: RecordingSummary,
 }
 
-/// A signal and what was asked of it, on the signal's times.
+/// A signal and its setpoint, on the signal's times.
 #[derive(Clone, Debug)]
 pub(super) struct Tracked {
     pub axis: &'static str,

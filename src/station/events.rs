@@ -8,7 +8,7 @@ use crate::log::record::Severity;
 use crate::pilot::LinkEvent;
 use crate::supervisor::{EngagePolicy, FlightState};
 
-/// Steps of the vehicle's clock from here on are told, ns.
+/// Steps of the vehicle's clock from here on are a warning, ns.
 const CLOCK_STEP_TOLD_NS: u64 = 100_000_000;
 
 impl Station {

@@ -177,7 +177,7 @@ impl Station {
             }
             LossReaction::Unread(_) => return,
         };
-        // Parameters come one by one: what follows from them is told as it changes.
+        // Parameters come one by one: an event says what follows from them as it changes.
         if self.told_loss.as_ref() != Some(&text) {
             self.told_loss = Some(text.clone());
             self.tell(now, Severity::Info, text);

@@ -1,4 +1,4 @@
-//! What the log is told of messages, ticks and the link.
+//! What the log records of messages, ticks and the link.
 
 use crate::clock::HostTime;
 use crate::link::counters;

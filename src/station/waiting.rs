@@ -12,7 +12,7 @@ use crate::log::record::Severity;
 use crate::pilot::Pilot;
 use crate::supervisor::{EngagePolicy, FlightState, PreflightCheck};
 
-/// How often it is looked at.
+/// How often it is checked.
 const PERIOD: Duration = Duration::from_millis(100);
 /// A wait that is over by then is not told.
 const PATIENCE: Duration = Duration::from_millis(2500);

@@ -61,7 +61,7 @@ impl Default for PreflightSettings {
 /// A check that fails: what was expected and what was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PreflightCheck {
-    /// What was looked at.
+    /// What was checked.
     pub subject: String,
     /// What would be right.
     pub expected: String,

@@ -10,7 +10,7 @@ use crate::telemetry::LateMessages;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reaction {
-    /// It is told, and the flight goes on.
+    /// An event says so, and the flight goes on.
     Warn,
     /// Control stays and holds the present place, then lands.
     Hold,

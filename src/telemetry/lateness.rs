@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::clock::HostTime;
 
-/// They are told at most this often.
+/// An event reports them at most this often.
 const TELL_PERIOD: Duration = Duration::from_secs(2);
 
 /// How many came late, and by how much.

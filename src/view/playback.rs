@@ -19,7 +19,7 @@ use crate::log::viewer;
 
 /// How often messages are given out while it plays.
 const STEP: Duration = Duration::from_millis(20);
-/// Viewers are told the time this often, and get the trail this often, of their own time.
+/// Viewers get the time this often, and the trail this often, in their own time.
 const TIME_PERIOD: Duration = Duration::from_millis(100);
 const TRAIL_PERIOD: Duration = Duration::from_millis(500);
 /// Events before an instant that who comes there is shown.

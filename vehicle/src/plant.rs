@@ -158,7 +158,7 @@ impl Plant {
         }
     }
 
-    /// The states that thrust and speed go with.
+    /// The states that give thrust and speed.
     fn bent(&self, rotors: &[f64; ROTORS]) -> [f64; ROTORS] {
         self.foreign.iter().fold(*rotors, |rotors, foreign| foreign.bent(&rotors))
     }

@@ -55,7 +55,7 @@ impl<W: Write> Writer<W> {
 
 /// Cuts the bytes of one stream into entries, so that every frame gets its own stamp.
 ///
-/// All bytes come out, in order. A frame is told by its checksum; one of an unknown message id
+/// All bytes come out, in order. A frame shows by its checksum; one of an unknown message id
 /// by its length and by what follows it (nothing, or another frame's marker).
 #[derive(Debug, Default)]
 pub struct Splitter {
@@ -152,7 +152,7 @@ pub struct Entry {
 
 /// Reads the frames of a log one by one, whatever else is between them.
 ///
-/// A frame is told by its checksum; one of an unknown message id by its stamp and by what follows
+/// A frame shows by its checksum; one of an unknown message id by its stamp and by what follows
 /// it (a stamp and a marker, or the end). Memory is bounded, and the end of a truncated log is
 /// just its end.
 #[derive(Debug)]
@@ -261,7 +261,7 @@ impl<R: Read> Reader<R> {
 
     fn fill(&mut self) -> io::Result<()> {
         const CHUNK: usize = 64 * 1024;
-        // What was searched is dropped, but for the stamp that may stand before the position.
+        // What was searched is dropped, except for the stamp that may stand before the position.
         let keep = self.position.saturating_sub(STAMP_LEN).max(self.last_end);
         self.skip_to(keep);
         self.buffer.drain(..keep);

@@ -60,7 +60,7 @@ impl Mode {
     /// The mode of PX4's main and sub mode numbers, as in the parameters of MAV_CMD_DO_SET_MODE;
     /// `None` for a mode that is not simulated.
     pub fn from_main_and_sub(main: u8, sub: u8) -> Option<Self> {
-        // The sub mode of a mode without any is not looked at, as in PX4.
+        // The sub mode of a mode without any is ignored, as in PX4.
         Self::ALL.into_iter().find(|mode| {
             let (mode_main, mode_sub) = mode.main_and_sub();
             mode_main == main && (main != AUTO || mode_sub == sub)

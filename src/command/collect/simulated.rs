@@ -23,7 +23,7 @@ use crate::plan::programme::ProgrammeFlight;
 /// Charge of the simulated pack at the start of each flight, over the configured one: what sags
 /// with the pack is seen from full to half empty.
 const CHARGES: [f64; 4] = [1.0, 0.7, 0.85, 0.55];
-/// How often signals are looked at while flights are simulated.
+/// Period of checks for signals while flights are simulated.
 const WATCH_PERIOD: Duration = Duration::from_millis(50);
 
 /// Flies the simulated vehicle.

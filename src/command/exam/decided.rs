@@ -7,7 +7,7 @@ use anyhow::{Context, anyhow};
 
 use crate::cli::ExamArgs;
 use crate::command::{Exit, ExitContext, print_json, print_text, write_file};
-use crate::diagnose::calibration::Calibration;
+use crate::diagnose::verdict::calibration::Calibration;
 use crate::exam::calibrate::calibrate;
 use crate::exam::score::Row;
 use crate::exam::stored::StoredCase;

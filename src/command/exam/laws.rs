@@ -12,7 +12,7 @@ use super::super::logs::open_for;
 use super::super::{Exit, ExitContext, in_words, say, write_file};
 use super::{Hall, log_names};
 use crate::cli::ExamArgs;
-use crate::diagnose::preparation::PreparedFlight;
+use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::exam::case::Settings;
 use crate::exam::closure::closure;
 use crate::exam::interval::Rate;

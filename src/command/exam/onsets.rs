@@ -59,7 +59,7 @@ pub(crate) struct Side {
     held: Rate,
     /// Changes that it reports where there is none: in flights without one, and away from the true one.
     false_onsets: usize,
-    /// Flown time that was looked at, h.
+    /// Flown time that was examined, h.
     hours: f64,
     /// False onsets an hour, with the 95 % interval of a Poisson count.
     false_per_hour: [f64; 3],
@@ -77,7 +77,7 @@ pub(crate) struct OnsetRow {
     at_s: Option<f64>,
     /// How strongly it shows over the 5 s after it.
     ratio: Option<f64>,
-    /// Time looked at, s.
+    /// Time examined, s.
     seconds: f64,
     /// Wall time of the monitor, s.
     monitor_s: f64,
@@ -119,7 +119,7 @@ fn side(rows: &[OnsetRow], told: impl Fn(&OnsetRow) -> &Vec<Change>) -> Side {
     let detectable =
         || rows.iter().filter(|row| row.ratio.is_some_and(|ratio| ratio >= DETECTABLE));
     let found = || detectable().filter_map(|row| Some((row, near(row, told(row))?)));
-    // Of a change that shows weakly, or is told late, the one next to it is no false one.
+    // The one next to a change that shows weakly, or is reported late, is no false one.
     let is_false = |row: &OnsetRow, change: &Change| {
         row.at_s.is_none_or(|at| change.at_s < at - NEAR_S || change.at_s > at + 10.0)
     };
@@ -228,7 +228,7 @@ fn in_order_of_arducopter(vehicle: &VehicleFile) -> anyhow::Result<VehicleFile> 
     VehicleFile::parse(&vehicle.name, text)
 }
 
-/// Keeps what the strength of a change is told by.
+/// Keeps what the strength of a change follows from.
 fn keep(recorded: &mut Recorded, monitor: &Monitor, record: &Record) {
     let seconds = |stamp: &crate::log::record::Stamp| {
         stamp.vehicle.map(|vehicle| vehicle.as_us() as f64 * 1e-6)

@@ -236,7 +236,7 @@ mod tests {
         Setpoint { thrust_n: thrust_share * QUAD.hover_thrust_n(), ..Setpoint::default() }
     }
 
-    /// At rest but for a noise that repeats itself after a prime number of ticks.
+    /// At rest, with a noise that repeats itself after a prime number of ticks.
     fn resting(tick: u32) -> State {
         let noise = f64::from(tick * 7919 % 101) / 50.0 - 1.0;
         State {

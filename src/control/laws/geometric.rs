@@ -354,7 +354,7 @@ mod tests {
             prop_assert!(sent.is_finite() && sent.thrust_n >= 0.0);
             let tilt = Euler { yaw: 0.0, ..sent.attitude }.attitude().tilt();
             prop_assert!(tilt <= Limits::default().tilt_max_rad + 1e-9);
-            // The thrust is at most what the wanted force is, whose errors are bounded but for speed.
+            // The thrust is at most what the wanted force is, whose errors are bounded except for speed.
             let speed = (state.velocity - reference.velocity).norm();
             let ([kx, kz], [dx, dz]) = (law().position_per_s2(), law().velocity_per_s());
             let most = reference.feedforward.thrust_n / 1.2 + kx + kz + (dx + dz) * speed + 9.81;

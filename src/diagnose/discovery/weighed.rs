@@ -5,17 +5,17 @@ use vehicle::effects::EffectSet;
 use vehicle::law::Quantity;
 
 use super::{Discovered, Draft};
-use crate::diagnose::answer::Verdict;
-use crate::diagnose::evidence::{Evidence, Explained, Found, Gaps};
-use crate::diagnose::explanation::Explanation;
-use crate::diagnose::gap::Errors;
-use crate::diagnose::hypothesis::Catalogue;
+use crate::diagnose::catalogue::hypothesis::Catalogue;
+use crate::diagnose::catalogue::term::name_of;
+use crate::diagnose::discovery::law::{LawAnswer, NearEffect};
+use crate::diagnose::error::DiagnoseError;
 use crate::diagnose::inquiry::Inquiry;
-use crate::diagnose::law::{LawAnswer, NearEffect};
-use crate::diagnose::linearised::Linearised;
-use crate::diagnose::observed::Observed;
-use crate::diagnose::pipeline::DiagnoseError;
-use crate::diagnose::term::name_of;
+use crate::diagnose::likelihood::linearised::Linearised;
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::search::explanation::Explanation;
+use crate::diagnose::simulate::gap::Errors;
+use crate::diagnose::verdict::Verdict;
+use crate::diagnose::verdict::evidence::{Evidence, Explained, Found, Gaps};
 use crate::diagnose::verdict::{OPEN, decide};
 
 /// So many explanations of the catalogue stand beside a law, the nearest ones.

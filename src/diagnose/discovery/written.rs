@@ -10,14 +10,14 @@ use vehicle::physics::{Environment, Physics};
 use vehicle::rigid_body::State;
 
 use super::Draft;
-use crate::diagnose::calibration::Calibration;
-use crate::diagnose::fit::interval;
+use crate::diagnose::catalogue::term::law_of;
+use crate::diagnose::discovery::law::{Shape, TermAnswer};
+use crate::diagnose::error::DiagnoseError;
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::flights::series::attitude;
 use crate::diagnose::inquiry::Inquiry;
-use crate::diagnose::law::{Shape, TermAnswer};
-use crate::diagnose::pipeline::DiagnoseError;
-use crate::diagnose::preparation::PreparedFlight;
-use crate::diagnose::series::attitude;
-use crate::diagnose::term::law_of;
+use crate::diagnose::likelihood::fit::interval;
+use crate::diagnose::verdict::calibration::Calibration;
 
 /// How often [`support`](Inquiry::support) reads a flight, s.
 const LOOK_S: f64 = 0.1;

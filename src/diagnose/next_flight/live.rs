@@ -1,12 +1,8 @@
 //! Hypotheses that are still alive.
 
-use std::collections::BTreeSet;
-
 use vehicle::effects::{EffectId, EffectSet};
 
-use super::super::answer::Answer;
-use super::super::explanation::Explanation;
-use super::super::hypothesis::{Catalogue, Target};
+use crate::diagnose::catalogue::hypothesis::{Catalogue, Target};
 
 /// An explanation that may be true: effects with their numbers.
 #[derive(Clone, Debug)]
@@ -38,73 +34,6 @@ pub struct OpenQuestions {
     pub untested: Vec<Live>,
 }
 
-impl OpenQuestions {
-    /// What an answer leaves open of what was found.
-    pub fn of(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -> Self {
-        Self {
-            explanations: explanations(catalogue, found, answer),
-            untested: untested(catalogue, answer),
-        }
-    }
-}
-
-/// The explanations that an answer leaves open: the chosen set, and for each effect that it cannot
-/// be told from the set with that effect in the place of the one it stands for. Probabilities are
-/// in the proportion of those in the answer.
-fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -> Vec<Live> {
-    if answer.ambiguous_with.is_empty() {
-        return Vec::new();
-    }
-    let ids = |explanation: &Explanation| -> Vec<EffectId> {
-        let hypotheses = explanation.fit.hypotheses.iter();
-        hypotheses.map(|h| catalogue.hypotheses[*h].effect).collect()
-    };
-    let probability = |id: EffectId| {
-        let found = answer.effects.iter().find(|effect| effect.id == id);
-        found.map_or(LEAST, |effect| effect.probability.max(LEAST))
-    };
-    let is_open = |explanation: &&Explanation| {
-        let is_in_answer = |id: &EffectId| {
-            answer.ambiguous_with.contains(id) || answer.effects.iter().any(|own| own.id == *id)
-        };
-        ids(explanation).iter().all(is_in_answer)
-    };
-    let mut live: Vec<Live> = Vec::new();
-    let mut seen = BTreeSet::new();
-    for explanation in found.iter().filter(is_open) {
-        let ids = ids(explanation);
-        if ids.iter().all(|id| seen.contains(id)) {
-            continue;
-        }
-        let effects = catalogue.effects(&explanation.fit.values, Some(&ids));
-        if !effects.is_empty() {
-            let least = ids.iter().map(|id| probability(*id)).fold(1.0, f64::min);
-            live.push(Live { effects, probability: least });
-            seen.extend(ids);
-        }
-    }
-    // What was not fitted in full is taken at its usual strength.
-    for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(id)) {
-        if !seen.contains(&effect) {
-            let usual = typical(catalogue, effect, 1.0);
-            live.extend(usual.map(|usual| Live { probability: probability(effect), ..usual }));
-        }
-    }
-    let sum: f64 = live.iter().map(|one| one.probability).sum();
-    live.iter_mut().for_each(|one| one.probability /= sum);
-    live
-}
-
-/// Effects that an answer calls not testable for want of motion, each at its usual strength.
-fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
-    let is_untested = |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == *id);
-    let ids = EffectId::ALL.into_iter().filter(is_untested);
-    ids.filter_map(|id| typical(catalogue, id, 1.0)).collect()
-}
-
-/// Least probability of an explanation that an answer mentions as possible.
-const LEAST: f64 = 0.1;
-
 /// An effect with its numbers at `strength` of their usual distance from what the vehicle file
 /// says; `None` for one that the file lacks a number for.
 pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option<Live> {
@@ -121,53 +50,4 @@ pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option
     }
     let effects = catalogue.effects(&values, Some(&[effect]));
     (!effects.is_empty()).then_some(Live { effects, probability: 0.5 })
-}
-
-#[cfg(test)]
-mod tests {
-    use std::collections::BTreeMap;
-
-    use vehicle::VehicleParams;
-
-    use super::super::super::answer::EffectAnswer;
-    use super::super::super::fit::Fit;
-    use super::*;
-
-    #[test]
-    fn what_is_first_in_an_ambiguous_answer_is_open_though_less_likely_than_not() {
-        let text = include_str!("../../../config/vehicles/quad1200.toml");
-        let catalogue = Catalogue::new(&VehicleParams::from_toml_str(text).unwrap(), true);
-        let explanation = |effect: EffectId| {
-            let is_it = |hypothesis: &usize| catalogue.hypotheses[*hypothesis].effect == effect;
-            let hypothesis = (0..catalogue.hypotheses.len()).find(is_it).unwrap();
-            let number = catalogue.hypotheses[hypothesis].numbers[0];
-            let mut values = catalogue.references();
-            values[number] += 0.2 * catalogue.numbers[number].magnitude;
-            let fit = Fit {
-                hypotheses: vec![hypothesis],
-                deviation: vec![0.0; values.len()],
-                values,
-                evidence: 0.0,
-                cost: 0.0,
-                power: Vec::new(),
-            };
-            Explanation { fit, evidence: 0.0, blocks: Vec::new() }
-        };
-        let found = [EffectId::Mass, EffectId::ThrustCurve].map(explanation);
-        let mass = EffectAnswer {
-            id: EffectId::Mass,
-            probability: 0.45,
-            parameters: BTreeMap::new(),
-            intervals: BTreeMap::new(),
-            deviations: BTreeMap::new(),
-        };
-        let answer = Answer {
-            effects: vec![mass],
-            ambiguous_with: vec![EffectId::ThrustCurve],
-            ..Answer::data_fault(Vec::new())
-        };
-        let live = explanations(&catalogue, &found, &answer);
-        let names: Vec<_> = live.iter().flat_map(Live::names).collect();
-        assert_eq!(names, ["mass", "thrust_curve"]);
-    }
 }

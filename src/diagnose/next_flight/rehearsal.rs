@@ -5,14 +5,16 @@ use vehicle::frame::{Euler, Ned};
 use vehicle::physics::Physics;
 use vehicle::rigid_body::State;
 
-use super::super::fit::fit;
-use super::super::flight_simulator::{Departure, FlightSimulator, GroundControl, NotSimulated};
-use super::super::hypothesis::{Catalogue, Target};
-use super::super::linearised::Linearised;
-use super::super::observed::Observed;
-use super::super::preparation::PreparedFlight;
-use super::super::residuals::Evaluator;
 use super::{Live, Proposal};
+use crate::diagnose::catalogue::hypothesis::{Catalogue, Target};
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::likelihood::fit::fit;
+use crate::diagnose::likelihood::linearised::Linearised;
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::likelihood::residuals::Evaluator;
+use crate::diagnose::simulate::flight_simulator::{
+    Departure, FlightSimulator, GroundControl, NotSimulated,
+};
 use crate::log::import::Flight;
 use crate::plan::ModelFreeReference;
 use crate::plan::manoeuvres::Manoeuvre;

@@ -136,7 +136,7 @@ impl<T> Stream<T> {
     }
 }
 
-/// What was asked of the attitude loop, as by SET_ATTITUDE_TARGET: each part where it was.
+/// A setpoint of the attitude loop, as in SET_ATTITUDE_TARGET; a part that was not sent is `None`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeSetpoint {
     /// Desired body to world.

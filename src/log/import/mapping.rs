@@ -57,7 +57,7 @@ pub struct Mapping {
     pub rotor_speed: Option<SpeedMap>,
     /// Pack voltage.
     pub voltage: Option<VoltageMap>,
-    /// What was asked of the vehicle.
+    /// The setpoints.
     pub setpoint: Option<SetpointMap>,
 }
 

@@ -1,4 +1,4 @@
-//! Bytes of a source, some ahead of where they are looked at.
+//! Bytes of a source, some ahead of where they are read.
 
 use std::io::{self, ErrorKind, Read};
 

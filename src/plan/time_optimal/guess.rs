@@ -19,7 +19,7 @@ const WAY_MIN_M: f64 = 0.05;
 const OVER: f64 = 0.1;
 /// Times that the spline is slowed at most.
 const SLOWINGS: usize = 12;
-/// Moments of a way that are looked at.
+/// Moments of a way that are checked.
 const LOOKS: usize = 8;
 
 /// What a guess knows of the vehicle.

@@ -47,7 +47,7 @@ pub struct TimeOptimal {
     pub status: Status,
     /// The motion.
     pub knots: Knots,
-    /// What it misses, looked at every millisecond.
+    /// What it misses, checked every millisecond.
     pub violation: Violation,
     /// The subproblems.
     pub records: Vec<Record>,
@@ -174,7 +174,7 @@ fn agility(physics: &Physics, limits: &Limits) -> Agility {
     }
 }
 
-/// Twice as many periods, but for those that are too short.
+/// Twice as many periods; those that are too short stay whole.
 fn halved(knots: &Knots, dynamics: &RotorDynamics, length_min_s: f64) -> Knots {
     let mut halves = Knots { states: vec![knots.states[0]], periods: vec![], passed: vec![] };
     let mut passed = knots.passed.iter().copied().peekable();

@@ -1,6 +1,6 @@
 //! The law that was found: formulas, terms with intervals, what it is known for, what comes near it.
 
-use crate::diagnose::law::LawAnswer;
+use crate::diagnose::discovery::law::LawAnswer;
 use crate::report::axis::significant;
 use crate::report::page::{Mood, escape};
 use crate::report::table::{Table, definitions};

@@ -3,8 +3,8 @@
 
 use super::waterfall;
 use crate::diagnose::answer::Answer;
-use crate::diagnose::map::Regime;
-use crate::diagnose::words;
+use crate::diagnose::answer::words;
+use crate::diagnose::remainder::map::Regime;
 use crate::report::axis::{Axis, range_of, significant};
 use crate::report::chart::{Chart, Curve, Panel, Style, legend};
 use crate::report::frame::Frame;

@@ -1,6 +1,6 @@
 //! The section on flights that were flown again in simulation.
 
-use crate::diagnose::reflight::{ClosedLoop, Difference, ReferenceOrigin, Reflown};
+use crate::diagnose::simulate::reflight::{ClosedLoop, Difference, ReferenceOrigin, Reflown};
 use crate::report::axis::significant;
 use crate::report::chart::{Chart, Curve, Panel, Style};
 use crate::report::page::{Mood, escape};

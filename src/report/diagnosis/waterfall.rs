@@ -1,6 +1,6 @@
 //! The waterfall of shares: from the squared gap as shipped down to what noise leaves.
 
-use crate::diagnose::attribution::Share;
+use crate::diagnose::verdict::attribution::Share;
 use crate::report::bars::{self, Bar};
 
 /// One bar a share, each from where the one above ends; what makes predictions worse goes back.

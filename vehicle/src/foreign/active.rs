@@ -124,7 +124,7 @@ impl Active {
         self.air
     }
 
-    /// The states that thrust and speed go with.
+    /// The states that give thrust and speed.
     pub fn bent(&self, states: &[f64; ROTORS]) -> [f64; ROTORS] {
         std::array::from_fn(|i| {
             let s = states[i];

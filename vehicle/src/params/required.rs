@@ -26,7 +26,7 @@ const ROTOR: &[Key] = &[
     ("thrust_max_N", "the thrust at full output in N"),
     ("drag_torque_per_thrust_m", "the drag torque over the thrust in m"),
 ];
-/// In tables that are there once; but for the battery they may be missing as a whole.
+/// In tables that are there once; all of them but the battery may be missing as a whole.
 const TABLES: [(&str, &[Key]); 4] = [
     (
         "attitude_pd",

@@ -96,7 +96,7 @@ impl Core {
         }
     }
 
-    /// Nothing that was known or asked of the vehicle before holds for this one.
+    /// Nothing that was known of the vehicle before, and no request to it, holds for this one.
     fn replaced(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
         self.profile = None;
         self.intervals.stop();

@@ -7,7 +7,7 @@ use super::super::read_ahead::read_ahead;
 use super::numbers::Numbers;
 use super::text;
 
-/// So much of a table is looked at.
+/// So much of a table is read for its head.
 const SIZE: usize = 64 * 1024;
 /// The names of the columns are in one of so many lines.
 const LINES: usize = 100;

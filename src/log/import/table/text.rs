@@ -9,7 +9,7 @@ use super::super::read_ahead::read_ahead;
 
 /// So much of a file tells its encoding.
 const HEAD: usize = 4096;
-/// Bytes of text that can be looked at before they are read.
+/// Bytes of text that can be peeked at before they are read.
 const FIRST: usize = 16;
 /// Longest line before the table; a file whose lines are longer is no table.
 const LINE_MAX: u64 = 1 << 20;

@@ -1,0 +1,325 @@
+//! The answer, put together from what was found and what was decided.
+
+use std::collections::BTreeMap;
+
+use vehicle::effects::{EffectId, EffectSet, Slots};
+
+use crate::diagnose::answer::words::finding;
+use crate::diagnose::answer::{
+    Answer, EffectAnswer, ExplanationAnswer, Finding, FlightAnswer, FullVerdict, Gap, NotTestable,
+};
+use crate::diagnose::error::DiagnoseError;
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::inquiry::Inquiry;
+use crate::diagnose::likelihood::fit::interval;
+use crate::diagnose::remainder::leftover::{UnmodelledForce, unmodelled_force};
+use crate::diagnose::remainder::map::{ResidualMap, depends_on, map, samples};
+use crate::diagnose::search::explanation::Explanation;
+use crate::diagnose::search::explanations::Explanations;
+use crate::diagnose::simulate::gap::{Errors, Floor, Window, weighted};
+use crate::diagnose::simulate::open_loop::Simulator;
+use crate::diagnose::simulate::reflight::reflight;
+use crate::diagnose::verdict::Decision;
+use crate::diagnose::verdict::Verdict;
+use crate::diagnose::verdict::attribution::{Share, shares};
+use crate::diagnose::verdict::calibration::Calibration;
+use crate::diagnose::verdict::evidence::Evidence;
+use crate::diagnose::verdict::parameter::parameters;
+
+/// Beyond the floor by less, in units of it, there is no gap that could be closed.
+const GAP_MIN: f64 = 0.05;
+/// Least probability of an effect that the answer mentions.
+const MENTIONED: f64 = 0.01;
+/// Share of a typical magnitude that a number must be known to for its effect to be testable.
+const TESTABLE: f64 = 0.5;
+
+/// What an answer is made of.
+pub(in crate::diagnose) struct Assembly<'a> {
+    pub inquiry: &'a Inquiry<'a>,
+    pub found: &'a Explanations,
+    /// The explanation that the verdict rests on, fitted to all flights but those reported on.
+    pub best: &'a Explanation,
+    pub evidence: &'a Evidence,
+    pub decision: &'a Decision,
+}
+
+impl Assembly<'_> {
+    /// The answer, and the named effects with the vehicle's true values.
+    pub fn answer(self) -> Result<(Answer, EffectSet), DiagnoseError> {
+        let Self { inquiry, decision, evidence, .. } = &self;
+        let named: Vec<EffectId> = inquiry.effects_of(self.best);
+        let mut effects = inquiry.catalogue.effects(&self.best.fit.values, Some(&named));
+        let not_testable = self.not_testable();
+        let gap = self.gap(&effects)?;
+        let flights = self.flights()?;
+        let has_gusts = decision.effects.iter().any(|(id, _)| id == EffectId::Gusts.name());
+        if let Some(slots) = self.gusts().filter(|_| has_gusts) {
+            // Slots within the effect's ranges, as `turbulence` makes them.
+            let _ = effects.insert(EffectId::Gusts, slots);
+        }
+        let (closed_loop, closed_loop_missing) =
+            match reflight(inquiry.case, &effects, &self.found.noise, inquiry.settings) {
+                Ok(closed_loop) => (Some(closed_loop), None),
+                Err(reason) => (None, Some(reason.to_string())),
+            };
+        let (verdict, depends_on) = self.full_verdict()?;
+        let best = evidence.explanations.first().map_or(0.0, |file| file.score());
+        let explanations = evidence.explanations.iter().zip(&decision.masses).skip(1);
+        let mut answer = Answer {
+            verdict: decision.verdict,
+            effects: self.effects(&effects),
+            closed_loop,
+            closed_loop_missing,
+            ambiguous_with: ids(&decision.ambiguous_with),
+            finding: Finding {
+                verdict,
+                sentence: String::new(),
+                because: decision.because,
+                depends_on,
+            },
+            logs: Vec::new(),
+            map: self.map()?,
+            not_testable,
+            next_flight: None,
+            unmodelled_force: self.force(),
+            attribution: self.attribution(gap.as_ref(), &named)?,
+            gap,
+            file_scale: evidence.scale,
+            twins: self.found.twins.clone(),
+            explanations: explanations
+                .map(|(explained, mass)| ExplanationAnswer {
+                    effects: explained.effects.clone(),
+                    evidence: explained.score() - best,
+                    mass: *mass,
+                    numbers: explained.numbers.iter().map(|number| number.value).collect(),
+                })
+                .collect(),
+            flights,
+            law: None,
+        };
+        answer.finding.sentence = finding(&answer);
+        let effects = if answer.verdict == Verdict::Effect { effects } else { EffectSet::new() };
+        Ok((answer, effects))
+    }
+
+    /// Effects with their probabilities and the numbers of the best explanation.
+    fn effects(&self, set: &EffectSet) -> Vec<EffectAnswer> {
+        let mentioned = self.decision.effects.iter().filter(|(_, p)| *p > MENTIONED);
+        let answers = mentioned.filter_map(|(name, probability)| {
+            let id: EffectId = name.parse().ok()?;
+            Some(EffectAnswer {
+                id,
+                probability: *probability,
+                parameters: parameters(set, id),
+                intervals: self.intervals(id),
+                deviations: self.deviations(id),
+            })
+        });
+        answers.collect()
+    }
+
+    /// Gusts of the strength that the force left over takes, of the usual shape.
+    fn gusts(&self) -> Option<Slots> {
+        let mut slots = Slots::default();
+        for slot in EffectId::Gusts.spec().slots() {
+            slots[slot.index] = slot.parameter.default.unwrap_or(0.0);
+        }
+        slots[0] = self.evidence.gusts_m_s?;
+        Some(slots)
+    }
+
+    /// Indices of an effect's fitted numbers.
+    fn numbers(&self, id: EffectId) -> impl Iterator<Item = &usize> {
+        let catalogue = self.inquiry.catalogue;
+        let hypotheses = self.best.fit.hypotheses.iter().map(|h| &catalogue.hypotheses[*h]);
+        hypotheses.filter(move |h| h.effect == id).flat_map(|h| &h.numbers)
+    }
+
+    /// Standard deviations of an effect's fitted numbers, as its fit has them.
+    fn deviations(&self, id: EffectId) -> BTreeMap<String, f64> {
+        let catalogue = self.inquiry.catalogue;
+        let named = |n: &usize| (catalogue.numbers[*n].target.name(), self.best.fit.deviation[*n]);
+        self.numbers(id).map(named).collect()
+    }
+
+    /// 90 % intervals of an effect's fitted numbers.
+    fn intervals(&self, id: EffectId) -> BTreeMap<String, [f64; 2]> {
+        let catalogue = self.inquiry.catalogue;
+        let (fit, calibration) = (&self.best.fit, Calibration::shipped());
+        let of_number = |number: &usize| {
+            let (value, described) = (fit.values[*number], &catalogue.numbers[*number]);
+            let off = value - described.reference;
+            let deviation = calibration.deviation(fit.deviation[*number], off);
+            (described.target.name(), interval(value, deviation))
+        };
+        self.numbers(id).map(of_number).collect()
+    }
+
+    /// The gap on the flights held out without and with `effects`.
+    fn gap(&self, effects: &EffectSet) -> Result<Option<Gap>, DiagnoseError> {
+        let Self { inquiry, best, found, .. } = self;
+        let held_out = inquiry.case.held_out;
+        let with_all = |explanation: &Explanation| {
+            inquiry.simulator_of(explanation, &inquiry.effects_of(explanation), true)
+        };
+        let shipped = inquiry.simulator(&EffectSet::new())?;
+        let repaired = inquiry.simulator(effects)?;
+        let floor = repaired.floor(held_out, &self.found.noise, inquiry.settings.seed);
+        let (Some(Floor { errors: floor, scatter }), Some(before), Some(after)) =
+            (floor, shipped.errors(held_out), repaired.errors(held_out))
+        else {
+            return Ok(None);
+        };
+        let over = |errors: &Errors| errors.over(&floor, inquiry.metric);
+        let gap = |simulator: Simulator| simulator.errors(held_out).map(|errors| over(&errors));
+        let [b, a, f] = [before, after, floor].map(|errors| over(&errors));
+        Ok(Some(Gap {
+            metric: inquiry.metric.name(),
+            before: b,
+            after: a,
+            floor: f,
+            scatter,
+            closure: (b - f > GAP_MIN).then(|| (b - a) / (b - f)),
+            nuisances_only: gap(with_all(&found.file)?),
+            with_nuisances: gap(with_all(best)?),
+            with_learner: self.evidence.learned,
+            errors: [before, after, floor],
+            noise: self.found.noise,
+        }))
+    }
+
+    /// Shares of the squared gap as shipped, on the flights held out.
+    fn attribution(
+        &self,
+        gap: Option<&Gap>,
+        named: &[EffectId],
+    ) -> Result<Vec<Share>, DiagnoseError> {
+        let Self { inquiry, best, .. } = self;
+        let Some(gap) = gap else { return Ok(Vec::new()) };
+        let held_out = inquiry.case.held_out;
+        let players = named.len() + 1;
+        let windows = |set: usize| -> Result<Vec<Window>, DiagnoseError> {
+            let is_in = |bit: usize| set & (1 << bit) != 0;
+            let which: Vec<EffectId> =
+                (0..named.len()).filter(|bit| is_in(*bit)).map(|bit| named[bit]).collect();
+            let simulator = inquiry.simulator_of(best, &which, is_in(named.len()))?;
+            Ok(simulator.windows(held_out))
+        };
+        let all = (0..1 << players).map(windows).collect::<Result<Vec<_>, _>>()?;
+        let squares = |weights: &[f64]| -> Option<Vec<f64>> {
+            let over = |errors: Errors| errors.over(&gap.errors[2], inquiry.metric).powi(2);
+            all.iter().map(|windows| weighted(windows, weights).map(over)).collect()
+        };
+        let names: Vec<&str> =
+            named.iter().map(|id| id.name()).chain(["file", "remainder", "noise"]).collect();
+        let noise = gap.floor * gap.floor;
+        Ok(shares(&names, all[0].len(), squares, noise).unwrap_or_default())
+    }
+
+    /// The flights, with the gap of each as shipped.
+    fn flights(&self) -> Result<Vec<FlightAnswer>, DiagnoseError> {
+        let Self { inquiry, found, .. } = self;
+        let shipped = inquiry.simulator(&EffectSet::new())?;
+        let gap =
+            |flight: &PreparedFlight| shipped.gap(flight, &found.noise, inquiry.settings.seed);
+        Ok(FlightAnswer::all(inquiry.case, gap))
+    }
+
+    /// Where the gap lies.
+    fn map(&self) -> Result<ResidualMap, DiagnoseError> {
+        let Self { inquiry, best, .. } = self;
+        let references = inquiry.catalogue.references();
+        let shipped = inquiry.catalogue.candidate(&references)?;
+        let explained = inquiry.catalogue.candidate(&best.fit.values)?;
+        let before = inquiry.all.residuals(&references).ok_or(DiagnoseError::Nothing)?;
+        let after = inquiry.all.residuals(&best.fit.values).ok_or(DiagnoseError::Nothing)?;
+        let [before, after] = [before, after].map(|residuals| inquiry.all.power(&residuals));
+        Ok(map(&inquiry.all, inquiry.evaluator, [&shipped, &explained], &before, &after))
+    }
+
+    /// Forces that are left, before and after.
+    fn force(&self) -> Option<[UnmodelledForce; 2]> {
+        let Self { inquiry, best, found, .. } = self;
+        let force = |explanation: &Explanation| {
+            let candidate = inquiry.catalogue.candidate(&explanation.fit.values).ok()?;
+            unmodelled_force(&inquiry.all, inquiry.evaluator, &candidate)
+        };
+        force(&found.file).zip(force(best)).map(|(before, after)| [before, after])
+    }
+
+    /// The full verdict, and the quantities that an unexplained gap depends on.
+    fn full_verdict(&self) -> Result<(FullVerdict, Vec<String>), DiagnoseError> {
+        let Self { inquiry, decision, best, .. } = self;
+        Ok(match decision.verdict {
+            Verdict::None => (FullVerdict::None, Vec::new()),
+            Verdict::Effect if !decision.ambiguous_with.is_empty() => {
+                (FullVerdict::Ambiguous, Vec::new())
+            }
+            Verdict::Effect if decision.is_inexact => (FullVerdict::OtherLaw, Vec::new()),
+            Verdict::Effect => (FullVerdict::Named, Vec::new()),
+            Verdict::Unknown => {
+                let candidate = inquiry.catalogue.candidate(&best.fit.values)?;
+                let samples = samples(&inquiry.all, inquiry.evaluator, &candidate);
+                let depends_on = depends_on(&samples);
+                if depends_on.is_empty() {
+                    (FullVerdict::UnobservedDisturbance, depends_on)
+                } else {
+                    (FullVerdict::UnknownStructured, depends_on)
+                }
+            }
+        })
+    }
+
+    /// Effects that these logs could not have shown, and why.
+    fn not_testable(&self) -> Vec<NotTestable> {
+        let Self { inquiry, evidence, found, .. } = self;
+        let catalogue = inquiry.catalogue;
+        let axes = ["roll", "pitch", "yaw"];
+        let unused: Vec<&str> = axes
+            .into_iter()
+            .zip(&evidence.turning)
+            .filter(|(_, turning)| !turning.is_usable)
+            .map(|(axis, _)| axis)
+            .collect();
+        let reason = |effect: EffectId| {
+            if effect == EffectId::PdGain && !inquiry.leg() {
+                return Some("setpoints or the on-board law's gains are not known".to_owned());
+            }
+            if effect == EffectId::RotorGyroscopic && catalogue.vehicle.rotor_max_rpm.is_none() {
+                return Some("the vehicle file has no rotor_max_rpm".to_owned());
+            }
+            let alone = found.sets.iter().filter(|explanation| {
+                explanation.fit.hypotheses.len() == 1 && inquiry.effects_of(explanation) == [effect]
+            });
+            let tried: Vec<&Explanation> = alone.collect();
+            let is_seen = tried.iter().any(|explanation| {
+                explanation.fit.active(catalogue).into_iter().any(|number| {
+                    explanation.fit.deviation[number]
+                        < TESTABLE * catalogue.numbers[number].magnitude
+                })
+            });
+            let turns = matches!(
+                effect,
+                EffectId::Inertia
+                    | EffectId::YawTorque
+                    | EffectId::ComOffset
+                    | EffectId::RotorGyroscopic
+                    | EffectId::BladeFlapping
+            );
+            if turns && !unused.is_empty() && !is_seen {
+                return Some(format!(
+                    "the motor outputs of these logs do not tell how the body turns in {}",
+                    unused.join(", ")
+                ));
+            }
+            (!tried.is_empty() && !is_seen)
+                .then(|| "the motion and the channels of these logs do not show it".to_owned())
+        };
+        let all = EffectId::ALL.into_iter();
+        all.filter_map(|id| Some(NotTestable { id, reason: reason(id)? })).collect()
+    }
+}
+
+fn ids(names: &[String]) -> Vec<EffectId> {
+    names.iter().filter_map(|name| name.parse().ok()).collect()
+}

@@ -1,0 +1,342 @@
+//! The finding as a person would say it.
+
+use vehicle::effects::EffectId;
+
+use crate::diagnose::answer::{Answer, EffectAnswer, FullVerdict};
+use crate::diagnose::discovery::law::LawAnswer;
+use crate::diagnose::next_flight::NextFlight;
+use crate::diagnose::simulate::reflight::ClosedLoop;
+use crate::diagnose::verdict::Unexplained;
+use crate::diagnose::verdict::Verdict;
+use crate::diagnose::verdict::parameter::Parameter;
+
+/// The full verdict of an answer, in a sentence or two.
+pub fn finding(answer: &Answer) -> String {
+    match answer.verdict {
+        Verdict::None => none(answer),
+        Verdict::Effect => effect(answer),
+        Verdict::Unknown => unknown(answer),
+    }
+}
+
+/// That nothing stands out, how well the simulator predicts, and what leaves a trace all the same.
+fn none(answer: &Answer) -> String {
+    match &answer.gap {
+        Some(gap) => format!(
+            "No effect stands out: the simulator predicts the flights held out to {:.2} times \
+             what noise alone leaves.",
+            gap.before / gap.floor.max(f64::MIN_POSITIVE)
+        ),
+        None => "No effect stands out in what these logs can show.".to_owned(),
+    }
+}
+
+/// Why what was seen counts as unexplained.
+fn unknown(answer: &Answer) -> String {
+    let head = "Something acts that no listed effect explains";
+    let gap = answer.gap.as_ref();
+    let why = match answer.finding.because {
+        Some(Unexplained::Force) => answer.unmodelled_force.as_ref().map(|[_, after]| {
+            format!(
+                "{:.2} m/s^2 of force per mass that velocity and accelerometer agree on is left",
+                after.rms()
+            )
+        }),
+        Some(Unexplained::Doubt) => gap.map(|gap| {
+            format!(
+                "the nearest brings predictions from {:.2} to {:.2} times what noise alone leaves, \
+                 and is less likely than not to be the cause",
+                gap.before, gap.after
+            )
+        }),
+        Some(Unexplained::Remainder) => gap.map(|gap| {
+            format!(
+                "the flights held out are predicted to {:.2} times what noise alone leaves, and to \
+                 {:.2} with what comes nearest",
+                gap.before,
+                gap.with_nuisances.unwrap_or(gap.after)
+            )
+        }),
+        None => None,
+    };
+    why.map_or_else(|| format!("{head}."), |why| format!("{head}: {why}."))
+}
+
+/// Least probability of an effect that is worth a word where none is named.
+const LIKELY: f64 = 0.1;
+
+fn effect(answer: &Answer) -> String {
+    let named: Vec<String> = answer.named().map(one).collect();
+    let mut text = if named.is_empty() {
+        let likely = answer.effects.iter().filter(|effect| effect.probability >= LIKELY);
+        let likely: Vec<String> = likely.map(one).collect();
+        format!("One of these acts, and these flights do not tell which: {}.", likely.join(", or "))
+    } else {
+        format!("Found: {}.", named.join(", and "))
+    };
+    if let Some(gap) = &answer.gap {
+        text += &shrinks([gap.before, gap.after], gap.closure);
+    }
+    if answer.finding.verdict == FullVerdict::OtherLaw {
+        text += " Its equation is not quite the catalogue's: a part of the gap stays open.";
+    }
+    if !answer.ambiguous_with.is_empty() {
+        let others = listed(answer.ambiguous_with.iter().copied());
+        text += &format!(" It cannot be told from {others}.");
+    }
+    text
+}
+
+/// What the effects make of the gap, before and after, in units of the noise.
+fn shrinks(gaps: [f64; 2], closure: Option<f64>) -> String {
+    let Some(closure) = closure else { return String::new() };
+    let [before, after] = gaps.map(|gap| format!("{gap:.2}"));
+    if before == after || gaps[1] > gaps[0] {
+        return format!(
+            " On the flights held out this does not close the gap: it is {before} times the noise \
+             with the file as shipped, and {after} with the effects."
+        );
+    }
+    format!(
+        " On the flights held out the gap shrinks from {before} to {after} times the noise: {:.0} % \
+         of what can be closed.",
+        100.0 * closure
+    )
+}
+
+/// How flights that are flown again in simulation differ from their logs: as shipped, and with an
+/// [`explanation`].
+pub fn closed_loop(closed_loop: &ClosedLoop, explanation: &str) -> String {
+    let ClosedLoop { position_m, thrust_n, moment_nm, .. } = closed_loop;
+    format!(
+        "Flown again with its feedback, the simulator differs from the flights held out by {} m in \
+         position, {} N in thrust and {} N m in moment; {explanation} by {} m, {} N and {} N m; \
+         noise alone leaves {} m, {} N and {} N m.",
+        short(position_m.before),
+        short(thrust_n.before),
+        short(moment_nm.before),
+        short(position_m.after),
+        short(thrust_n.after),
+        short(moment_nm.after),
+        short(position_m.floor),
+        short(thrust_n.floor),
+        short(moment_nm.floor),
+    )
+}
+
+/// Which flight to fly next, why, and what is expected of it.
+pub fn next_flight(next: &NextFlight) -> String {
+    let mut text = format!("Fly {} ({:.0} s), {}.", next.manoeuvre, next.seconds, next.why);
+    let in_words =
+        |ids: &[&str]| if ids.is_empty() { "no effect".into() } else { ids.join(" and ") };
+    for outlook in &next.outlook {
+        let rivals: Vec<String> = outlook
+            .evidence
+            .iter()
+            .map(|rival| format!("{:.0} nats against {}", rival.nats, in_words(&rival.rival)))
+            .collect();
+        text += &format!(
+            " If {} is true, it is expected to have {:.0} % after it instead of {:.0} %: {}.",
+            in_words(&outlook.truth),
+            100.0 * outlook.expected,
+            100.0 * outlook.now,
+            rivals.join(", ")
+        );
+    }
+    text += " Diagnose the old and the new flight together, the new one given with --new.";
+    text
+}
+
+/// A law that was found, in a sentence.
+pub fn law_sentence(law: &LawAnswer) -> String {
+    let formulas: Vec<String> =
+        law.formulas.iter().map(|(at, formula)| format!("{at} = {formula}")).collect();
+    let formulas = formulas.join("; ");
+    let Some(because) = &law.because else {
+        let mut text = format!("A law explains them: {formulas}.");
+        if let (Some([before, after, _]), Some(closure)) = (law.gap, law.closure) {
+            text += &shrinks([before, after], Some(closure));
+        }
+        return text;
+    };
+    format!(
+        "The law that comes nearest is not named, because {because}; it depends on {}.",
+        law.depends_on.join(", ")
+    )
+}
+
+/// The law, its terms, where it is known, and what comes near it.
+fn law(law: &LawAnswer) -> String {
+    let mut text = String::new();
+    for (line, term) in law.terms.iter().enumerate() {
+        let head = if line == 0 { "law" } else { "" };
+        let [low, high] = term.interval.map(short);
+        text += &format!(
+            "{head:10} {}\n{:10}   {} {low} .. {high} {}",
+            term.term, "", term.name, term.unit
+        );
+        if let Some(shape) = term.shape {
+            let [low, high] = shape.interval.map(short);
+            text += &format!(", with {low} .. {high} inside");
+        }
+        text += &format!(" ({:.0} nats)\n", term.evidence);
+    }
+    let range: Vec<String> = law
+        .range
+        .iter()
+        .map(|(quantity, [low, high])| format!("{quantity} {} .. {}", short(*low), short(*high)))
+        .collect();
+    text += &format!("known for  {}\n", range.join(", "));
+    for near in law.nearest.iter().take(1) {
+        text += &format!(
+            "near it    {} with {:.0} nats of evidence; the law has {:.0}\n",
+            near.effects.join(" and "),
+            near.evidence,
+            law.evidence
+        );
+    }
+    text
+}
+
+/// Effects by their ids.
+pub(in crate::diagnose) fn listed(effects: impl Iterator<Item = EffectId>) -> String {
+    let ids: Vec<&str> = effects.map(EffectId::name).collect();
+    ids.join(", ")
+}
+
+/// An effect with its numbers.
+pub fn one(effect: &EffectAnswer) -> String {
+    let numbers: Vec<String> = effect
+        .parameters
+        .iter()
+        .map(|(name, value)| match value {
+            Parameter::Index(index) => format!("{name} {index}"),
+            Parameter::Number(number) => format!("{name} {}", short(*number)),
+            Parameter::Vector(numbers) => {
+                let list: Vec<String> = numbers.iter().map(|n| short(*n)).collect();
+                format!("{name} [{}]", list.join(", "))
+            }
+        })
+        .collect();
+    format!("{} ({})", effect.id, numbers.join(", "))
+}
+
+/// Four significant digits.
+fn short(number: f64) -> String {
+    if number == 0.0 {
+        return "0".to_owned();
+    }
+    let digits = 3 - number.abs().log10().floor() as i32;
+    format!("{number:.*}", usize::try_from(digits.clamp(0, 12)).unwrap_or(0))
+}
+
+/// The words before a gap after the search: effects are only named where they explain it.
+pub fn explanation(finding: FullVerdict) -> &'static str {
+    match finding {
+        FullVerdict::Named | FullVerdict::Ambiguous | FullVerdict::OtherLaw => "with the effects",
+        _ => "with what comes nearest",
+    }
+}
+
+/// The answer for a terminal: verdict first, then where, which, how far, and what these logs
+/// cannot tell.
+pub fn report(answer: &Answer) -> String {
+    let mut text = format!("{}\n", answer.finding.sentence);
+    if !answer.map.sentence.is_empty() {
+        text += &format!("\nwhere      {}\n", answer.map.sentence);
+    }
+    for (line, effect) in answer.effects.iter().enumerate() {
+        let head = match (line, answer.verdict) {
+            (0, Verdict::None) => "trace",
+            (0, _) => "which",
+            _ => "",
+        };
+        text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);
+        for (name, [low, high]) in &effect.intervals {
+            text += &format!("  {name} {} .. {}", short(*low), short(*high));
+        }
+        text += "\n";
+    }
+    if answer.effects.is_empty() {
+        for (line, tried) in answer.explanations.iter().take(3).enumerate() {
+            let head = if line == 0 { "nearest" } else { "" };
+            let set = tried.effects.join(" and ");
+            text += &format!("{head:10} {set:18} {:.1} nats of evidence\n", tried.evidence);
+        }
+    }
+    if !answer.attribution.is_empty() {
+        let shares = answer.attribution.iter();
+        let shares: Vec<String> =
+            shares.map(|share| format!("{} {:.0} %", share.of, 100.0 * share.share)).collect();
+        text += &format!("shares     of the squared gap: {}\n", shares.join(", "));
+    }
+    let with = explanation(answer.finding.verdict);
+    if let Some(gap) = &answer.gap {
+        text += &format!("how far    gap held out {:.2}", gap.before);
+        if let Some(nuisances) = gap.nuisances_only {
+            text += &format!(", {nuisances:.2} with the file's numbers alone");
+        }
+        text += &format!(", {:.2} {with}", gap.after);
+        if let Some(learner) = gap.with_learner {
+            text += &format!(", {learner:.2} with a flexible learner");
+        }
+        text += &format!(", {:.2} of noise alone\n", gap.floor);
+    }
+    if let Some(ClosedLoop { position_m, thrust_n, moment_nm, .. }) = &answer.closed_loop {
+        for (line, (name, unit, difference)) in
+            [("position", "m", position_m), ("thrust", "N", thrust_n), ("moment", "N m", moment_nm)]
+                .into_iter()
+                .enumerate()
+        {
+            let head = if line == 0 { "again" } else { "" };
+            text += &format!(
+                "{head:10} {name} off by {} {unit}, {} {with}, {} of noise alone\n",
+                short(difference.before),
+                short(difference.after),
+                short(difference.floor)
+            );
+        }
+    }
+    if let Some(missing) = &answer.closed_loop_missing {
+        text += &format!("again      not flown: {missing}\n");
+    }
+    if let Some([before, after]) = &answer.unmodelled_force {
+        text += &format!(
+            "left over  {:.3} m/s^2 of force per mass, {:.3} before\n",
+            after.rms(),
+            before.rms()
+        );
+    }
+    if let Some(found) = &answer.law {
+        text += &law(found);
+    }
+    if let Some(next) = &answer.next_flight {
+        text += &format!("next       {}\n", next_flight(next));
+    }
+    if !answer.not_testable.is_empty() {
+        let not_shown = listed(answer.not_testable.iter().map(|effect| effect.id));
+        text += &format!("not shown  {not_shown}\n");
+    }
+    if let Some(twins) = &answer.twins {
+        text += &format!(
+            "chance     {} twins without an effect: up to {:.0} % of the evidence that is asked\n",
+            twins.count,
+            100.0 * twins.largest.last().copied().unwrap_or(0.0)
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_that_grows_is_not_said_to_shrink() {
+        assert!(shrinks([1.29, 1.23], Some(0.3)).contains("shrinks from 1.29 to 1.23"));
+        for gaps in [[1.23, 1.29], [1.231, 1.229]] {
+            let text = shrinks(gaps, Some(0.3));
+            assert!(text.contains("does not close the gap"), "{text}");
+        }
+    }
+}

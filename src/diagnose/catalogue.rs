@@ -1,0 +1,7 @@
+//! What a vehicle may differ in from its file: numbers, their tolerances and priors, and the effects
+//! that they belong to.
+
+pub mod candidate;
+pub mod hypothesis;
+pub(super) mod term;
+pub(super) mod tolerances;

@@ -1,0 +1,176 @@
+//! Values of a catalogue's numbers as a vehicle: what flies, what drives it and how it reports.
+
+use vehicle::effects::{
+    AttitudeTrim, CommandDelay, EffectId, EffectSet, EstimatorLatency, PdGain, Slots,
+};
+use vehicle::law::{Law, LawText};
+use vehicle::physics::Physics;
+use vehicle::{VehicleError, VehicleParams};
+
+use crate::diagnose::catalogue::hypothesis::{Catalogue, Target, reference};
+use crate::diagnose::catalogue::term::{law_of, name_of};
+
+/// A vehicle to explain flights with.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// Forces and moments.
+    pub physics: Physics,
+    /// From a logged output to when it acts, s.
+    pub output_delay: f64,
+    /// First-order lag behind it, s.
+    pub lag: f64,
+    /// How late pose is reported, s.
+    pub latency: f64,
+    /// How attitude is reported.
+    pub trim: Option<AttitudeTrim>,
+    /// From sending a setpoint to its use, s.
+    pub command_delay: f64,
+    /// The on-board gains' scales.
+    pub gains: Option<PdGain>,
+}
+
+impl Catalogue {
+    /// The effects that `values` stand for beyond the vehicle file, restricted to `which` if
+    /// given: those with a number off its reference.
+    pub fn effects(&self, values: &[f64], which: Option<&[EffectId]>) -> EffectSet {
+        let mut set = EffectSet::new();
+        for effect in EffectId::ALL {
+            if which.is_some_and(|which| !which.contains(&effect)) {
+                continue;
+            }
+            let mut slots = base_slots(&self.vehicle, effect);
+            let mut off = false;
+            for (number, value) in self.numbers.iter().zip(values) {
+                match number.target {
+                    Target::Effect(id, slot) if id == effect => {
+                        off |= *value != number.reference;
+                        slots[slot] = *value;
+                    }
+                    Target::RotorScale(rotor)
+                        if effect == EffectId::RotorLoss && *value != number.reference =>
+                    {
+                        off = true;
+                        slots[0] = rotor as f64;
+                        slots[1] = *value;
+                    }
+                    Target::OutputDelay
+                        if effect == EffectId::CommandDelay
+                            && self.outputs_late
+                            && *value != number.reference =>
+                    {
+                        off = true;
+                        slots[0] = value.max(0.0);
+                    }
+                    _ => {}
+                }
+            }
+            if off {
+                // A number outside of the accepted range leaves the file's in force.
+                let _ = set.insert(effect, slots);
+            }
+        }
+        set
+    }
+
+    /// The law that `values` stand for, where a term of one acts.
+    pub fn law(&self, values: &[f64]) -> Option<LawText> {
+        let terms = self.numbers.iter().zip(values).filter_map(|(number, value)| {
+            let Target::Term(index) = number.target else { return None };
+            self.terms.get(index).filter(|_| *value != 0.0).map(|term| (term, *value))
+        });
+        law_of(terms)
+    }
+
+    /// The vehicle file that `values` stand for, and the effects to put over it.
+    pub fn vehicle_of(&self, values: &[f64]) -> (VehicleParams, EffectSet) {
+        let mut vehicle = self.vehicle.clone();
+        for (number, value) in self.numbers.iter().zip(values) {
+            match number.target {
+                Target::RotorGain(rotor) => vehicle.rotors[rotor].thrust_max_n *= value,
+                Target::Damping(axis) if *value != 0.0 => {
+                    vehicle.angular_damping_nms.get_or_insert_default()[axis] += value;
+                }
+                _ => {}
+            }
+        }
+        let mut effects = self.effects(values, None);
+        if let Some(law) = self
+            .law(values)
+            .and_then(|text| Law::new(&name_of(&vehicle.modelled_effects), text).ok())
+        {
+            // One more than the vehicle file has is no candidate, and leaves the file's in force.
+            let _ = effects.insert_law(law);
+        }
+        (vehicle, effects)
+    }
+
+    /// The vehicle that `values` stand for, as what drives and reports it.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
+        let delays = self.numbers.iter().zip(values);
+        let output_delay = delays
+            .filter(|(number, _)| number.target == Target::OutputDelay)
+            .map(|(_, value)| *value)
+            .sum();
+        let (vehicle, overlay) = self.vehicle_of(values);
+        let effects = vehicle.modelled_effects.overlay(&overlay);
+        let physics = Physics::new(&vehicle, &overlay)?;
+        Ok(Candidate {
+            output_delay,
+            lag: physics.constants().motor_time_constant,
+            latency: effects.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
+            trim: effects.get::<AttitudeTrim>(),
+            command_delay: effects
+                .get::<CommandDelay>()
+                .map_or(self.vehicle.command_delay_s, |e| e.delay_s),
+            gains: effects.get::<PdGain>(),
+            physics,
+        })
+    }
+}
+
+/// The slots of an effect as the vehicle file or the neutral values have them.
+fn base_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
+    let mut slots = Slots::default();
+    for slot in effect.spec().slots() {
+        slots[slot.index] = reference(vehicle, effect, slot.index);
+    }
+    slots
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn vehicle() -> VehicleParams {
+        let text = include_str!("../../../config/vehicles/quad1200.toml");
+        VehicleParams::from_toml_str(text).unwrap()
+    }
+
+    #[test]
+    fn a_number_off_its_reference_is_its_effect_and_only_if_asked_for() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let mut values = catalogue.references();
+        let target = Target::Effect(EffectId::YawTorque, 0);
+        let number = catalogue.numbers.iter().position(|n| n.target == target).unwrap();
+        values[number] = 1.3;
+        let set = catalogue.effects(&values, None);
+        assert_eq!(set.value(EffectId::YawTorque, "scale", 0), Some(1.3));
+        assert!(catalogue.effects(&values, Some(&[EffectId::Mass])).is_empty());
+    }
+
+    #[test]
+    fn without_setpoints_command_delay_is_from_output_to_thrust() {
+        let catalogue = Catalogue::new(&vehicle(), false);
+        let mut values = catalogue.references();
+        let number =
+            catalogue.numbers.iter().position(|n| n.target == Target::OutputDelay).unwrap();
+        values[number] = 0.031;
+        assert_eq!(catalogue.candidate(&values).unwrap().output_delay, 0.031);
+        let set = catalogue.effects(&values, Some(&[EffectId::CommandDelay]));
+        assert_eq!(set.value(EffectId::CommandDelay, "delay_s", 0), Some(0.031));
+        assert!(catalogue.hypotheses.iter().all(|h| h.effect != EffectId::PdGain));
+    }
+}

@@ -1,0 +1,540 @@
+//! The catalogue as hypotheses, and the nuisances that are free in every one of them.
+//!
+//! Every number of the physics that a vehicle file states is known to within a *tolerance*: what a
+//! careful builder or a good identification leaves. Within it a number is a nuisance, free in
+//! every hypothesis and held by a prior of that width. An effect is named when its numbers must
+//! lie further off; its hypothesis takes them out of the tolerance and gives them a wide prior.
+
+use vehicle::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
+use vehicle::{ROTORS, VehicleParams};
+
+use crate::diagnose::catalogue::term::Term;
+use crate::diagnose::catalogue::tolerances::{
+    DAMPING_RATE, DAMPING_TIME_S, Known, Scales, Tolerances,
+};
+use crate::diagnose::flights::arrival::Delay;
+
+/// A nuisance stays within so many tolerances: what asks for more is an effect.
+const TOLERANCES_MAX: f64 = 3.0;
+
+/// A term of a law lies within this many of its magnitudes.
+const TERM_MAGNITUDES_MAX: f64 = 50.0;
+
+/// Delays that a fit starts from: setpoints may keep step with the loop, and the cost then has many
+/// minima, s.
+const DELAYS_S: [f64; 19] = [
+    0.0, 0.004, 0.008, 0.012, 0.016, 0.02, 0.024, 0.028, 0.032, 0.036, 0.04, 0.044, 0.048, 0.052,
+    0.056, 0.06, 0.066, 0.072, 0.08,
+];
+/// Latencies that a fit starts from. Between two samples of a stream its noise is averaged, so that
+/// the cost ripples with the stream's period, s.
+const LATENCIES_S: [f64; 32] = [
+    0.0, 0.0025, 0.005, 0.0075, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.0225, 0.025, 0.0275, 0.03,
+    0.0325, 0.035, 0.0375, 0.04, 0.0425, 0.045, 0.0475, 0.05, 0.0525, 0.055, 0.0575, 0.06, 0.065,
+    0.07, 0.075, 0.08, 0.09, 0.1, 0.12,
+];
+/// Lags that a fit starts from, s.
+const MOTOR_LAGS_S: [f64; 6] = [0.004, 0.008, 0.015, 0.03, 0.06, 0.1];
+/// Effective radii of the ground effect that a fit starts from, in rotor radii.
+const GROUND_RADII: [f64; 3] = [2.0, 4.0, 8.0];
+/// Winds that a fit starts from, north and east, m/s: where drag grows with the square of the
+/// airspeed, a hover has no slope in still air.
+const WINDS_M_S: [f64; 8] = [1.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, -1.0];
+/// A delay that was read off the outputs is the reference's within this: the clocks are tied by the
+/// least delay of the downlink, and the link's jitter may or may not be counted, s.
+const DELAY_READ_MAX_S: f64 = 0.0016;
+/// Where the delay from a logged output to its thrust may lie, s.
+const OUTPUT_DELAYS_S: [f64; 2] = [-0.03, 0.15];
+
+/// What a number of a hypothesis stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A slot of an effect.
+    Effect(EffectId, usize),
+    /// Scale of one rotor, in rotor_loss.
+    RotorScale(usize),
+    /// Factor on one rotor's thrust within its tolerance.
+    RotorGain(usize),
+    /// Moment against the body rate about one axis beyond the vehicle file's, N m s. Air does it,
+    /// and so do outputs that are logged less often than the loop ticks: between two of them the
+    /// desired attitude moves on, and the logged moment is off by kp times that.
+    Damping(usize),
+    /// How much later than logged the motor outputs act, without the lag, s.
+    OutputDelay,
+    /// Coefficient of a term of a law.
+    Term(usize),
+}
+
+impl Target {
+    /// The name of a number within its effect: of its parameter, and the component where it has
+    /// several.
+    pub fn name(self) -> String {
+        match self {
+            Self::Effect(id, slot) => match id.spec().slots().find(|s| s.index == slot) {
+                Some(slot) if slot.parameter.kind.slots() > 1 => {
+                    format!("{}[{}]", slot.parameter.name, slot.component)
+                }
+                Some(slot) => slot.parameter.name.to_owned(),
+                None => slot.to_string(),
+            },
+            Self::RotorScale(_) => "scale".to_owned(),
+            Self::OutputDelay => "delay_s".to_owned(),
+            Self::Term(index) => format!("term {index}"),
+            Self::RotorGain(rotor) => format!("thrust of rotor {rotor}"),
+            Self::Damping(axis) => format!("damping of the rate[{axis}]"),
+        }
+    }
+}
+
+/// A number that may be fitted.
+#[derive(Clone, Copy, Debug)]
+pub struct Number {
+    /// What it stands for.
+    pub target: Target,
+    /// What the vehicle file says, or the neutral value.
+    pub reference: f64,
+    /// Middle of the prior within tolerance: the reference, unless the logs say it directly.
+    pub expected: f64,
+    /// Width of the prior within tolerance; 0 where the number stays at its reference unless its
+    /// effect is fitted.
+    pub tolerance: f64,
+    /// What the vehicle file's numbers may bring about of it, one standard deviation.
+    pub unremarkable: f64,
+    /// Width of the prior where its effect is fitted: a typical magnitude.
+    pub magnitude: f64,
+    /// Physical bounds.
+    pub bounds: [f64; 2],
+    /// Whether the effect grows with the square of the number: at 0 there is no slope.
+    pub quadratic: bool,
+}
+
+impl Number {
+    /// A number of which so much is known beside its reference.
+    fn new(target: Target, reference: f64, known: Known, bounds: [f64; 2]) -> Self {
+        let Known { offset, tolerance, unremarkable, magnitude } = known;
+        let expected = reference + offset;
+        Self {
+            target,
+            reference,
+            expected,
+            tolerance,
+            unremarkable,
+            magnitude,
+            bounds,
+            quadratic: false,
+        }
+    }
+
+    /// A number that is expected at its reference, with its tolerance and magnitude.
+    fn nuisance(
+        target: Target,
+        reference: f64,
+        [tolerance, magnitude]: [f64; 2],
+        bounds: [f64; 2],
+    ) -> Self {
+        let known = Known { offset: 0.0, tolerance, unremarkable: tolerance, magnitude };
+        Self::new(target, reference, known, bounds)
+    }
+
+    /// Middle and width of the prior: wide about the reference where its effect is fitted.
+    pub fn prior(&self, active: bool) -> [f64; 2] {
+        if active { [self.reference, self.magnitude] } else { [self.expected, self.tolerance] }
+    }
+
+    /// A step for numeric derivatives at `value`.
+    pub fn step(&self, value: f64) -> f64 {
+        // Over a typical magnitude, where an infinitesimal step would see nothing.
+        if self.quadratic && value == 0.0 { self.magnitude } else { 1e-3 * self.magnitude }
+    }
+}
+
+/// One explanation: an effect, or one way that it may act.
+#[derive(Clone, Debug)]
+pub struct Hypothesis {
+    /// The effect.
+    pub effect: EffectId,
+    /// Indices of its numbers.
+    pub numbers: Vec<usize>,
+    /// Values to start a fit from, of its numbers and of nuisances that can take their part; the
+    /// first is the nearest.
+    pub starts: Vec<Vec<(usize, f64)>>,
+}
+
+/// All numbers and hypotheses for one vehicle and the channels of its logs.
+#[derive(Clone, Debug)]
+pub struct Catalogue {
+    /// The vehicle as shipped.
+    pub vehicle: VehicleParams,
+    /// Every number.
+    pub numbers: Vec<Number>,
+    /// Every hypothesis.
+    pub hypotheses: Vec<Hypothesis>,
+    /// Whether command_delay is from a logged output to its thrust, for want of setpoints.
+    pub outputs_late: bool,
+    /// Terms that a law may be made of.
+    pub terms: Vec<Term>,
+}
+
+/// Values of all numbers of a catalogue.
+pub type Values = Vec<f64>;
+
+impl Catalogue {
+    /// The catalogue for a vehicle. `setpoint_leg`: setpoints and the on-board law are known, so
+    /// that command_delay and pd_gain act there; else command_delay is from output to thrust.
+    pub fn new(vehicle: &VehicleParams, setpoint_leg: bool) -> Self {
+        Self::at_scale(vehicle, setpoint_leg, 1.0)
+    }
+
+    /// The same with the tolerances that the vehicle file does not state times `scale`.
+    pub fn at_scale(vehicle: &VehicleParams, setpoint_leg: bool, scale: f64) -> Self {
+        let known = Tolerances::of(vehicle, scale);
+        let mut catalogue = Self {
+            vehicle: vehicle.clone(),
+            numbers: Vec::new(),
+            hypotheses: Vec::new(),
+            outputs_late: false,
+            terms: Vec::new(),
+        };
+        let scales = Scales::of(vehicle);
+        let is_testable = |effect: &EffectId| match effect {
+            EffectId::PdGain => setpoint_leg,
+            EffectId::RotorGyroscopic => vehicle.rotor_max_rpm.is_some(),
+            // Told from what is left over, not by a regression.
+            EffectId::Gusts => false,
+            _ => true,
+        };
+        for effect in EffectId::ALL.into_iter().filter(is_testable) {
+            match effect {
+                EffectId::RotorLoss => catalogue.add_rotor_losses(&scales, &known),
+                EffectId::CommandDelay if !setpoint_leg => catalogue.add_late_outputs(&known),
+                _ => catalogue.add_effect(effect, &scales, &known),
+            }
+        }
+        if setpoint_leg {
+            catalogue.add_output_delay(&known);
+        }
+        catalogue.add_dampings();
+        catalogue.add_rotor_gains(&known);
+        catalogue
+    }
+
+    /// An effect whose slots are its numbers.
+    fn add_effect(&mut self, effect: EffectId, scales: &Scales, known: &Tolerances) {
+        let mut numbers = Vec::new();
+        for slot in effect.spec().slots() {
+            let Some(known) = scales.of_slot(known, effect, slot.index) else { continue };
+            let reference = reference(&self.vehicle, effect, slot.index);
+            let target = Target::Effect(effect, slot.index);
+            let bounds = bounds(effect, slot.parameter, reference, known.magnitude);
+            let number = Number::new(target, reference, known, bounds);
+            let quadratic = effect.spec().is_quadratic;
+            numbers.push(self.add(Number { quadratic, ..number }));
+        }
+        let starts: Vec<&[f64]> = match effect {
+            EffectId::EstimatorLatency => LATENCIES_S.chunks(1).collect(),
+            EffectId::CommandDelay => DELAYS_S.chunks(1).collect(),
+            EffectId::MotorLag => MOTOR_LAGS_S.chunks(1).collect(),
+            EffectId::GroundEffect => GROUND_RADII.chunks(1).collect(),
+            EffectId::Wind => WINDS_M_S.chunks(2).collect(),
+            _ => Vec::new(),
+        };
+        self.hypothesis(effect, numbers, &starts);
+    }
+
+    /// Each rotor by itself may have lost thrust.
+    fn add_rotor_losses(&mut self, scales: &Scales, known: &Tolerances) {
+        let widths = [0.0, scales.typical(EffectId::RotorLoss, 1)];
+        for rotor in 0..ROTORS {
+            let reference = modelled_scale(&self.vehicle, rotor);
+            let target = Target::RotorScale(rotor);
+            let number = Number::nuisance(target, reference, widths, [0.05, 1.0]);
+            let number = self.add(Number { unremarkable: known.rotor(), ..number });
+            self.hypothesis(EffectId::RotorLoss, vec![number], &[]);
+        }
+    }
+
+    /// A command_delay that is from a logged output to its thrust, for want of setpoints.
+    fn add_late_outputs(&mut self, known: &Tolerances) {
+        let effect = EffectId::CommandDelay;
+        let reference = reference(&self.vehicle, effect, 0);
+        let widths = [known.output_delay(), 0.02];
+        let number = Number::nuisance(Target::OutputDelay, reference, widths, OUTPUT_DELAYS_S);
+        let number = self.add(number);
+        self.hypothesis(effect, vec![number], &[&[0.01], &[0.03], &[0.06]]);
+        self.outputs_late = true;
+    }
+
+    /// The outputs' own delay, a nuisance beside command_delay.
+    fn add_output_delay(&mut self, known: &Tolerances) {
+        let widths = [known.output_delay(), 0.01];
+        let delay = Number::nuisance(Target::OutputDelay, 0.0, widths, OUTPUT_DELAYS_S);
+        let delay = self.add(delay);
+        // Where nuisances alone are fitted, the delay stands in for a lag.
+        for hypothesis in &mut self.hypotheses {
+            if hypothesis.effect == EffectId::MotorLag {
+                hypothesis.starts.iter_mut().for_each(|start| start.push((delay, 0.0)));
+            }
+        }
+    }
+
+    fn add_dampings(&mut self) {
+        for axis in 0..3 {
+            let kp = self.vehicle.attitude_pd.map_or(0.0, |pd| pd.kp[axis]);
+            let inertia = self.vehicle.inertia[axis];
+            let tolerance = (DAMPING_TIME_S * kp).max(DAMPING_RATE * inertia);
+            let bounds = [-10.0 * inertia, 10.0 * inertia];
+            let widths = [tolerance, inertia];
+            self.add(Number::nuisance(Target::Damping(axis), 0.0, widths, bounds));
+        }
+    }
+
+    fn add_rotor_gains(&mut self, known: &Tolerances) {
+        for rotor in 0..ROTORS {
+            let widths = [known.rotor(), 0.1];
+            self.add(Number::nuisance(Target::RotorGain(rotor), 1.0, widths, [0.5, 2.0]));
+        }
+    }
+
+    /// The same without these effects and those that act in the same way. Their numbers stay free
+    /// within their tolerances.
+    pub fn without(mut self, effects: &[EffectId]) -> Self {
+        let left_out =
+            |h: &Hypothesis| effects.iter().any(|effect| h.effect.class() == effect.class());
+        self.hypotheses.retain(|hypothesis| !left_out(hypothesis));
+        self
+    }
+
+    fn add(&mut self, number: Number) -> usize {
+        self.numbers.push(number);
+        self.numbers.len() - 1
+    }
+
+    /// Adds a hypothesis that starts at its references or from `starts`: further values of its
+    /// first numbers (for ground_effect in rotor radii, where the reference says nothing).
+    fn hypothesis(&mut self, effect: EffectId, numbers: Vec<usize>, starts: &[&[f64]]) {
+        let at_reference: Vec<(usize, f64)> =
+            numbers.iter().map(|i| (*i, self.numbers[*i].reference)).collect();
+        let unit = if effect == EffectId::GroundEffect { self.vehicle.rotor_radius_m } else { 1.0 };
+        let mut all = Vec::new();
+        // Where the effect grows with the square of its number there is no slope at 0.
+        if !effect.spec().is_quadratic || at_reference[0].1 > 0.0 {
+            all.push(at_reference.clone());
+        }
+        for start in starts {
+            let mut values = at_reference.clone();
+            values.iter_mut().zip(*start).for_each(|((_, value), start)| *value = start * unit);
+            all.push(values);
+        }
+        self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
+    }
+
+    /// The same where reports of the outputs are in force to within `half_period_s` of their stamps.
+    pub fn with_outputs_held(mut self, half_period_s: f64) -> Self {
+        let delays = self.numbers.iter_mut().filter(|n| n.target == Target::OutputDelay);
+        for number in delays {
+            number.tolerance = number.tolerance.hypot(half_period_s);
+            number.unremarkable = number.tolerance;
+        }
+        self
+    }
+
+    /// The catalogue with some numbers known to be as `values` have them.
+    pub fn with_pinned(&self, numbers: &[usize], values: &[f64]) -> Self {
+        let mut pinned = self.clone();
+        for index in numbers {
+            let number = &mut pinned.numbers[*index];
+            (number.expected, number.tolerance) = (values[*index], 0.0);
+        }
+        pinned
+    }
+
+    /// The same with terms of a law, each with a number whose prior is as wide as `magnitude` has it.
+    pub fn with_terms(&self, terms: Vec<(Term, f64)>) -> Self {
+        let mut catalogue = self.clone();
+        for (term, magnitude) in terms {
+            let target = Target::Term(catalogue.terms.len());
+            let most = TERM_MAGNITUDES_MAX * magnitude;
+            catalogue.add(Number::nuisance(target, 0.0, [0.0, magnitude], [-most, most]));
+            catalogue.terms.push(term);
+        }
+        catalogue
+    }
+
+    /// The number of an effect's slot.
+    pub fn number_of(&self, effect: EffectId, slot: usize) -> Option<usize> {
+        self.numbers.iter().position(|number| number.target == Target::Effect(effect, slot))
+    }
+
+    /// The catalogue with command_delay as it was read off the outputs: tried at its reference and
+    /// there alone. Where the reference allows it, it is expected there; where it does not, the
+    /// delay is known to be off and no nuisance.
+    pub fn with_delay(mut self, delay: &Delay) -> Self {
+        let index = self.number_of(EffectId::CommandDelay, 0);
+        let delays = self.hypotheses.iter_mut().filter(|h| h.effect == EffectId::CommandDelay);
+        for hypothesis in delays {
+            hypothesis.starts.truncate(1);
+            hypothesis.starts.extend(index.map(|index| vec![(index, delay.mean)]));
+        }
+        if let Some(index) = index {
+            let number = &mut self.numbers[index];
+            if (delay.mean - number.reference).abs() < DELAY_READ_MAX_S {
+                number.expected = delay.mean;
+                number.tolerance = number.tolerance.min(delay.by_stamps);
+            } else {
+                number.tolerance = 0.0;
+            }
+        }
+        self
+    }
+
+    /// Every number where it is expected.
+    pub fn expected(&self) -> Values {
+        self.numbers.iter().map(|number| number.expected).collect()
+    }
+
+    /// Every number at its reference.
+    pub fn references(&self) -> Values {
+        self.numbers.iter().map(|number| number.reference).collect()
+    }
+
+    /// Where a number may lie: within its physical bounds if it is active, else near where it is
+    /// expected.
+    pub fn limits(&self, number: usize, active: &[usize]) -> [f64; 2] {
+        let Number { expected, tolerance, bounds: [low, high], .. } = self.numbers[number];
+        if active.contains(&number) {
+            return [low, high];
+        }
+        let width = TOLERANCES_MAX * tolerance;
+        [(expected - width).max(low), (expected + width).min(high)]
+    }
+
+    /// Numbers with a tolerance: the nuisances.
+    pub fn nuisances(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.numbers.len()).filter(|i| self.numbers[*i].tolerance > 0.0)
+    }
+}
+
+/// Magnitudes within which an effect's number lies where it occurs.
+const MAGNITUDES_MAX: f64 = 5.0;
+
+/// Where a number may lie: where it physically can (rotors flap away from the wind, and packs sag as
+/// they empty), and within what occurs: nothing that flies has a multiple of its file's inertia.
+fn bounds(effect: EffectId, parameter: &Parameter, reference: f64, magnitude: f64) -> [f64; 2] {
+    let low = match effect {
+        EffectId::BladeFlapping | EffectId::BatterySag => 0.0,
+        _ => parameter.min,
+    };
+    let most = MAGNITUDES_MAX * magnitude;
+    // A factor is as large one way as the other.
+    let [least, most] = match parameter.neutral {
+        Neutral::Value(1.0) => [reference / (1.0 + most), reference * (1.0 + most)],
+        _ => [reference - most, reference + most],
+    };
+    [low.max(least), parameter.max.min(most)]
+}
+
+/// What the vehicle file says of a slot: its modelled value, else the neutral one.
+pub fn reference(vehicle: &VehicleParams, effect: EffectId, slot: usize) -> f64 {
+    if effect == RotorDrag::ID
+        && let Some(drag) = vehicle.linear_drag_n_per_m_s
+    {
+        return drag;
+    }
+    if let Some(slots) = vehicle.modelled_effects.slots(effect) {
+        return slots[slot];
+    }
+    let found = effect.spec().slots().find(|s| s.index == slot);
+    found.map_or(0.0, |s| match s.parameter.neutral {
+        Neutral::Value(value) => value,
+        Neutral::Vehicle(value) => value(vehicle),
+        Neutral::None => s.parameter.default.unwrap_or(0.0),
+    })
+}
+
+fn modelled_scale(vehicle: &VehicleParams, rotor: usize) -> f64 {
+    let loss = vehicle.modelled_effects.get::<RotorLoss>();
+    loss.filter(|loss| loss.rotor == rotor).map_or(1.0, |loss| loss.scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn vehicle() -> VehicleParams {
+        let text = include_str!("../../../config/vehicles/quad1200.toml");
+        VehicleParams::from_toml_str(text).unwrap()
+    }
+
+    #[test]
+    fn every_effect_but_gusts_is_a_hypothesis() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        for effect in EffectId::ALL {
+            let found = catalogue.hypotheses.iter().filter(|h| h.effect == effect).count();
+            let expected = match effect {
+                EffectId::RotorLoss => ROTORS,
+                EffectId::Gusts => 0,
+                _ => 1,
+            };
+            assert_eq!(found, expected, "{effect}");
+        }
+    }
+
+    #[test]
+    fn an_effect_left_out_takes_its_class_along() {
+        let whole = Catalogue::new(&vehicle(), true);
+        let rest = whole.clone().without(&[EffectId::Mass, EffectId::Wind]);
+        assert_eq!(rest.hypotheses.len(), whole.hypotheses.len() - 3);
+        let left_out = [EffectId::Mass, EffectId::ThrustScale, EffectId::Wind];
+        let considers = |effect: EffectId| rest.hypotheses.iter().any(|h| h.effect == effect);
+        assert!(left_out.iter().all(|effect| !considers(*effect)));
+        assert_eq!(rest.numbers.len(), whole.numbers.len());
+    }
+
+    #[test]
+    fn a_wind_is_looked_for_in_all_directions_of_a_hover() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let wind = catalogue.hypotheses.iter().find(|h| h.effect == EffectId::Wind).unwrap();
+        for slot in 0..2 {
+            let tried = |sign: f64| wind.starts.iter().any(|start| sign * start[slot].1 > 0.5);
+            assert!(tried(1.0) && tried(-1.0), "{:?}", wind.starts);
+        }
+        assert!(wind.starts.iter().all(|start| start.len() == 3 && start[2].1 == 0.0));
+    }
+
+    #[test]
+    fn references_stand_for_the_vehicle_file() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let references = catalogue.references();
+        assert!(catalogue.effects(&references, None).is_empty());
+        for (number, value) in catalogue.numbers.iter().zip(&references) {
+            let [low, high] = number.bounds;
+            assert!((low..=high).contains(value), "{number:?}");
+        }
+    }
+
+    #[test]
+    fn a_delay_that_was_read_off_is_expected_where_the_file_allows_it() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let index = catalogue.number_of(EffectId::CommandDelay, 0).unwrap();
+        let Number { reference, tolerance, .. } = catalogue.numbers[index];
+        let with = |off: f64| {
+            let delay = Delay { mean: reference + off, deviation: 7e-4, by_stamps: 1e-4 };
+            let number = catalogue.clone().with_delay(&delay).numbers[index];
+            [number.expected - reference, number.tolerance]
+        };
+        let [off, width] = with(0.001);
+        assert!((off - 0.001).abs() < 1e-12 && width < tolerance);
+        // What is known to be off is no nuisance.
+        assert_eq!(with(0.002), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_nuisance_keeps_to_its_tolerance_and_an_active_number_to_its_bounds() {
+        let catalogue = Catalogue::new(&vehicle(), true);
+        let target = Target::Effect(EffectId::Inertia, 0);
+        let number = catalogue.numbers.iter().position(|n| n.target == target).unwrap();
+        let [low, high] = catalogue.limits(number, &[]);
+        assert!((low - 0.775).abs() < 1e-9 && (high - 1.225).abs() < 1e-9);
+        assert_eq!(catalogue.limits(number, &[number]), catalogue.numbers[number].bounds);
+    }
+}

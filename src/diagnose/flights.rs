@@ -1,0 +1,13 @@
+//! Logs as data: streams as plain numbers, the blocks of airborne time, their spectra, and what the
+//! on-board loop made of setpoints.
+
+pub mod arrival;
+pub mod case;
+pub mod normal;
+pub mod onboard;
+pub(super) mod parts;
+pub mod preparation;
+pub mod rotor_order;
+pub mod series;
+pub(super) mod setpoints;
+pub mod spectrum;

@@ -1,0 +1,250 @@
+//! When setpoints arrive on board: read off the outputs, each of which answers one of them.
+//!
+//! The mixer passes the setpoint's thrust on as the collective, so that a logged output tells which
+//! setpoint was in force at its tick. How long each setpoint was under way at least, or at most, is
+//! then known without a model of the vehicle. A delay keeps step with the loop and the stream: over
+//! some milliseconds the same setpoints are in force, and a fit of the outputs finds any value
+//! between. The few that come late tell the rest. An output that answers no setpoint of the log
+//! answers one that the log lacks, where there is one: left out, the delays would be preferred that
+//! let setpoints of the log rule whenever an output was logged.
+
+use rayon::prelude::*;
+use sitl::autopilot::offboard::JITTER_MEAN_S;
+
+use crate::diagnose::flights::onboard::OnboardLaw;
+use crate::diagnose::flights::preparation::PreparedFlight;
+
+/// A collective that agrees so well with a setpoint's thrust is of it: single precision, twice.
+const AGREEMENT: f64 = 2e-6;
+/// And all others must be off by so much more.
+const DISTINCT: f64 = 20.0;
+/// Setpoints that may be in force at a tick: those sent within this time before, s.
+const ANSWERED_WITHIN_S: f64 = 0.2;
+/// Outputs that answer a setpoint, for a delay to be told.
+const ANSWERS_MIN: usize = 200;
+/// Steps of the delay, s, and the jitters that are tried with it, s.
+const STEP_S: f64 = 2.5e-4;
+const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
+/// Setpoints that a thinned log lacks were all sent as much later or earlier than inferred: every
+/// other one may be, where the ground answers a vehicle whose loop does not keep step. Standard
+/// deviation, and what is tried, s.
+const SHIFT_S: f64 = 1e-3;
+const SHIFTS_S: [f64; 6] = [-1.5e-3, -1e-3, -5e-4, 5e-4, 1e-3, 1.5e-3];
+/// Links are tried with shifts from so much below the likeliest without on, nats.
+const SHIFTED_FROM: f64 = 60.0;
+/// Probability of an arrival that the model of jitter does not know.
+const STRAY: f64 = 1e-3;
+/// How well the clocks of ground and vehicle are tied by the least delay of the downlink, s.
+const CLOCK_TIE_S: f64 = 7e-4;
+/// Probability that nothing newer has arrived from which on older ones do not matter.
+const NEGLIGIBLE: f64 = 1e-6;
+/// Densities that are multiplied before their logarithm is taken: far from underflow.
+const MULTIPLIED: usize = 64;
+/// Outputs one after the other answer the same setpoint: so many count as one.
+const CORRELATED: f64 = 4.0;
+
+/// From sending a setpoint to its use, on average.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Delay {
+    /// Mean, s.
+    pub mean: f64,
+    /// Its standard deviation, s.
+    pub deviation: f64,
+    /// The same by the log's own stamps, between whose clocks there may be an offset, s.
+    pub by_stamps: f64,
+}
+
+/// A setpoint that may be in force at a tick.
+struct Candidate<'a> {
+    /// Since it was sent, s.
+    age: f64,
+    /// How much later than that it may have been sent, where the log lacks it: as likely each, s.
+    lateness: &'a [f64],
+    /// Whether the output may answer it.
+    may_rule: bool,
+}
+
+/// What an output says: the newest setpoints at its tick, the newest first. The one in force had
+/// arrived, and none of those before it here had.
+struct Answer<'a>(Vec<Candidate<'a>>);
+
+impl Delay {
+    /// The delay in flights that `law` flew; `None` where too few outputs answer a setpoint.
+    pub fn of(flights: &[PreparedFlight], law: &OnboardLaw) -> Option<Self> {
+        let answers: Vec<Answer<'_>> = flights.iter().flat_map(|f| answers(f, law)).collect();
+        Self::between(&answers)
+    }
+
+    /// The posterior mean over constant delays, all as likely before, with exponential jitter.
+    fn between(answers: &[Answer<'_>]) -> Option<Self> {
+        if answers.len() < ANSWERS_MIN {
+            return None;
+        }
+        let weighed = |links: Vec<Link>| -> Vec<(Link, f64)> {
+            links.into_par_iter().map(|link| (link, link.log_posterior(answers))).collect()
+        };
+        let steps = (ANSWERED_WITHIN_S / STEP_S) as usize;
+        let constants = (0..steps).map(|step| step as f64 * STEP_S);
+        let link = |constant| JITTERS_S.map(|jitter| Link { constant, jitter, shift: 0.0 });
+        let mut options = weighed(constants.flat_map(link).collect());
+        let most = |options: &[(Link, f64)]| {
+            options.iter().map(|(_, density)| *density).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let is_inferred = |candidate: &Candidate<'_>| !candidate.lateness.is_empty();
+        if answers.iter().any(|answer| answer.0.iter().any(is_inferred)) {
+            let least = most(&options) - SHIFTED_FROM;
+            let likely = options.iter().filter(|(_, density)| *density > least);
+            let shifted = likely
+                .flat_map(|(link, _)| SHIFTS_S.map(|shift| Link { shift, ..*link }))
+                .collect();
+            options.extend(weighed(shifted));
+        }
+        let most = most(&options);
+        let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
+        for (link, density) in options {
+            let (weight, delay) = ((density - most).exp(), link.constant + link.jitter);
+            sum += weight;
+            first += weight * delay;
+            second += weight * delay * delay;
+        }
+        let mean = first / sum;
+        let by_stamps = (second / sum - mean * mean).max(STEP_S.powi(2) / 12.0).sqrt();
+        Some(Self { mean, deviation: by_stamps.hypot(CLOCK_TIE_S), by_stamps })
+    }
+}
+
+/// The way of setpoints to the vehicle.
+#[derive(Clone, Copy, Debug)]
+struct Link {
+    /// Least delay, s.
+    constant: f64,
+    /// Mean of the exponential delay beyond it, s.
+    jitter: f64,
+    /// By how much later than inferred those were sent that the log lacks, s.
+    shift: f64,
+}
+
+impl Link {
+    /// Log density of all answers, of the jitter (within a factor of two of the usual one) and of
+    /// the shift, without constants.
+    fn log_posterior(&self, answers: &[Answer<'_>]) -> f64 {
+        let of_some = |answers: &[Answer<'_>]| {
+            answers.iter().map(|answer| self.density(answer)).product::<f64>().ln()
+        };
+        let log_density: f64 = answers.chunks(MULTIPLIED).map(of_some).sum();
+        let octaves = (self.jitter / JITTER_MEAN_S).log2();
+        log_density / CORRELATED - 0.5 * (octaves.powi(2) + (self.shift / SHIFT_S).powi(2))
+    }
+
+    /// Density of an answer; at least [`STRAY`].
+    fn density(&self, answer: &Answer<'_>) -> f64 {
+        let (mut density, mut none_newer) = (STRAY, 1.0);
+        for candidate in &answer.0 {
+            let under_way = self.under_way(candidate);
+            if candidate.may_rule {
+                density += none_newer * (1.0 - under_way);
+            }
+            none_newer *= under_way;
+            if none_newer < NEGLIGIBLE {
+                break;
+            }
+        }
+        density
+    }
+
+    /// Probability that a setpoint is still under way.
+    fn under_way(&self, Candidate { age, lateness, .. }: &Candidate<'_>) -> f64 {
+        let at = |age: f64| {
+            let waited = age - self.constant;
+            if waited > 0.0 { (-waited / self.jitter).exp() } else { 1.0 }
+        };
+        if lateness.is_empty() {
+            return at(*age);
+        }
+        let sum: f64 = lateness.iter().map(|late| at(age - late - self.shift)).sum();
+        sum / lateness.len() as f64
+    }
+}
+
+/// What the outputs of a flight answer.
+fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> {
+    let (sent, setpoints) = (flight.setpoint.times(), flight.setpoint.values());
+    let collective_max = law.allocation().collective_max();
+    let inferred = &flight.inferred;
+    let outputs = flight.outputs.times().iter().zip(flight.outputs.values());
+    outputs
+        .filter(|(time, _)| flight.spans.iter().any(|span| span.contains(time)))
+        // What saturates no longer tells the thrust.
+        .filter(|(_, u)| u.iter().all(|u| (0.01..0.99).contains(u)))
+        .filter_map(|(time, u)| {
+            let tick = law.tick_of_report(*time);
+            let collective = law.allocation().wrench(*u)[0] / collective_max;
+            let newest = sent.partition_point(|sent| *sent <= tick).checked_sub(1)?;
+            let oldest = sent.partition_point(|sent| *sent < tick - ANSWERED_WITHIN_S);
+            let mut off: Vec<(f64, usize)> = (oldest..=newest)
+                .filter(|index| !inferred.has(*index))
+                .filter_map(|i| Some(((setpoints[i].thrust? - collective).abs(), i)))
+                .collect();
+            off.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let (best, index) = *off.first()?;
+            let is_distinct = off.get(1).is_none_or(|next| next.0 > DISTINCT * AGREEMENT);
+            let is_of_log = best < AGREEMENT && is_distinct;
+            // Neither a setpoint of the log nor one that it lacks.
+            if !is_of_log
+                && (best < DISTINCT * AGREEMENT || !(oldest..=newest).any(|i| inferred.has(i)))
+            {
+                return None;
+            }
+            let candidate = |i: usize| Candidate {
+                age: tick - sent[i],
+                lateness: if inferred.has(i) { inferred.lateness() } else { &[] },
+                may_rule: if is_of_log { i == index } else { inferred.has(i) },
+            };
+            let oldest = if is_of_log { index } else { oldest };
+            Some(Answer((oldest..=newest).rev().map(candidate).collect()))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Answers at ticks of 4 ms to setpoints every 10 ms that take `constant` and an exponential
+    /// jitter of 1 ms, by quantiles instead of draws.
+    fn flown(constant: f64) -> Vec<Answer<'static>> {
+        let late = |k: usize| -1e-3 * (1.0 - (k * 37 % 101) as f64 / 101.0).ln();
+        let arrives: Vec<f64> =
+            (0..4000).map(|k| k as f64 * 0.01 + 0.0013 + constant + late(k)).collect();
+        (100..3900)
+            .map(|k| {
+                let tick = (k as f64 * 0.01 / 0.004).floor() * 0.004;
+                let newest = ((tick - 0.0013) / 0.01).floor() as usize;
+                let mut index = newest;
+                while arrives[index] > tick {
+                    index -= 1;
+                }
+                let candidate = |i: usize| Candidate {
+                    age: tick - (i as f64 * 0.01 + 0.0013),
+                    lateness: &[],
+                    may_rule: i == index,
+                };
+                Answer((index..=newest).rev().map(candidate).collect())
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_late_ones_tell_the_delay() {
+        for constant in [0.003, 0.0121, 0.0305] {
+            let delay = Delay::between(&flown(constant)).unwrap();
+            assert!((delay.mean - constant - 0.001).abs() < 5e-4, "{constant}: {delay:?}");
+            assert!(delay.deviation < 2e-3, "{delay:?}");
+        }
+    }
+
+    #[test]
+    fn few_answers_tell_nothing() {
+        assert_eq!(Delay::between(&flown(0.003)[..100]), None);
+    }
+}

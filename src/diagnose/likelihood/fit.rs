@@ -1,0 +1,190 @@
+//! Fits of hypotheses to flights: maximum a posteriori with the noise's spectrum unknown.
+//!
+//! The coefficients of a channel within a band are taken as Gaussian with a common variance that
+//! is not known and profiled out, so that the cost is `sum n/2 ln(Q/n)` over channels and bands,
+//! Q the sum of squares that is left, plus the priors. Its minimum is found by Gauss-Newton steps
+//! whose weights n/Q are iterated to a fixed point. The evidence is Laplace's approximation: the
+//! cost of a number is the ratio of its prior's width to its posterior's.
+
+use rayon::prelude::*;
+
+use crate::diagnose::catalogue::hypothesis::{Catalogue, Values};
+use crate::diagnose::likelihood::linearised::Linearised;
+use crate::diagnose::likelihood::observed::{Observed, Residuals, noise_cost};
+
+/// Quantile of the normal distribution for 90 % intervals.
+pub(in crate::diagnose) const Z90: f64 = 1.645;
+/// 90 % interval of a number.
+pub fn interval(value: f64, deviation: f64) -> [f64; 2] {
+    [value - Z90 * deviation, value + Z90 * deviation]
+}
+
+/// A fit ends when a step lowers the cost by less, nats.
+const COST_STEP_MIN: f64 = 0.02;
+const STEPS_MAX: usize = 12;
+/// Starts that are followed to their end, of those that cost least.
+const STARTS_MAX: usize = 2;
+/// Starts are the same whose active numbers lie within this share of their magnitudes.
+const NEAR: f64 = 0.02;
+
+/// A hypothesis, or several, fitted without linearisation.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// Indices of the catalogue's hypotheses.
+    pub hypotheses: Vec<usize>,
+    /// All numbers.
+    pub values: Values,
+    /// Standard deviations of those that were free.
+    pub deviation: Vec<f64>,
+    /// Log evidence.
+    pub evidence: f64,
+    /// Cost, nats.
+    pub cost: f64,
+    /// Sum of squares left at each place.
+    pub power: Vec<f64>,
+}
+
+impl Fit {
+    /// The numbers of its hypotheses.
+    pub fn active(&self, catalogue: &Catalogue) -> Vec<usize> {
+        let hypotheses = self.hypotheses.iter();
+        hypotheses.flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()).collect()
+    }
+
+    /// Variance of the noise at each place; 0 where no coefficient is used.
+    pub fn noise(&self, counts: &[f64]) -> Vec<f64> {
+        self.power.iter().zip(counts).map(|(q, n)| if *n > 0.0 { q / n } else { 0.0 }).collect()
+    }
+}
+
+/// The cost at given numbers, and the residuals.
+fn cost_at(observed: &Observed<'_>, values: &[f64], active: &[usize]) -> Option<(f64, Residuals)> {
+    let residuals = observed.residuals(values)?;
+    let noise = noise_cost(&observed.power(&residuals), &observed.counts);
+    let catalogue = observed.catalogue;
+    let pulled: f64 = catalogue
+        .numbers
+        .iter()
+        .enumerate()
+        .map(|(i, number)| {
+            let [middle, width] = number.prior(active.contains(&i));
+            let off = values[i] - middle;
+            if off == 0.0 { 0.0 } else { (off / width).powi(2) }
+        })
+        .sum();
+    Some((noise + 0.5 * pulled, residuals))
+}
+
+/// Fits the given hypotheses together. `about` has the nuisances' derivatives and the values to
+/// start from; `starts` are further values of the active numbers to start from.
+pub fn fit(
+    observed: &Observed<'_>,
+    about: &Linearised,
+    hypotheses: &[usize],
+    starts: &[Vec<(usize, f64)>],
+) -> Option<Fit> {
+    let numbers = hypotheses.iter().map(|h| &observed.catalogue.hypotheses[*h].numbers);
+    let active: Vec<usize> = numbers.flatten().copied().collect();
+    fit_numbers(observed, about, (hypotheses, &active), starts)
+}
+
+/// The same with the `active` numbers beyond those of the hypotheses: a law's.
+pub(in crate::diagnose) fn fit_numbers(
+    observed: &Observed<'_>,
+    about: &Linearised,
+    (hypotheses, active): (&[usize], &[usize]),
+    starts: &[Vec<(usize, f64)>],
+) -> Option<Fit> {
+    let catalogue = observed.catalogue;
+    let nuisances: Vec<usize> =
+        catalogue.nuisances().filter(|number| !active.contains(number)).collect();
+    let own: Vec<(usize, f64)> = Vec::new();
+    let at_hand = starts.is_empty().then_some(&own);
+    let mut begun: Vec<Begun> = at_hand
+        .into_iter()
+        .chain(starts)
+        .filter_map(|start| {
+            let mut values = about.values.clone();
+            for (number, value) in start {
+                values[*number] = *value;
+            }
+            let (cost, residuals) = cost_at(observed, &values, active)?;
+            Some(Begun { cost, values, residuals })
+        })
+        .collect();
+    // Two that lead to the same minimum would keep out a third that does not.
+    let is_near = |a: &Begun, b: &Begun| {
+        let mut numbers = 0..catalogue.numbers.len();
+        numbers.all(|n| {
+            let apart = (a.values[n] - b.values[n]).abs();
+            apart <= if active.contains(&n) { NEAR * catalogue.numbers[n].magnitude } else { 0.0 }
+        })
+    };
+    begun.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let mut apart: Vec<Begun> = Vec::with_capacity(STARTS_MAX);
+    for start in begun {
+        if apart.len() < STARTS_MAX && !apart.iter().any(|other| is_near(&start, other)) {
+            apart.push(start);
+        }
+    }
+    apart
+        .into_iter()
+        .filter_map(|begun| descend(observed, about, hypotheses, (active, &nuisances), begun))
+        .min_by(|a, b| a.cost.total_cmp(&b.cost))
+}
+
+/// Where a fit begins.
+struct Begun {
+    cost: f64,
+    values: Values,
+    residuals: Residuals,
+}
+
+/// Steps from a start to the nearest minimum. Numbers: active and nuisances.
+fn descend(
+    observed: &Observed<'_>,
+    about: &Linearised,
+    hypotheses: &[usize],
+    (active, nuisances): (&[usize], &[usize]),
+    begun: Begun,
+) -> Option<Fit> {
+    let catalogue = observed.catalogue;
+    let Begun { mut cost, mut values, mut residuals } = begun;
+    let mut last = None;
+    for _ in 0..STEPS_MAX {
+        let fresh: Vec<(usize, Residuals)> = active
+            .par_iter()
+            .filter_map(|n| Some((*n, observed.column(&values, &residuals, *n)?)))
+            .collect();
+        let local = about.with(observed, &values, &residuals, nuisances, &fresh);
+        let solution = local.solve(catalogue, &observed.counts, active)?;
+        let mut share = 1.0;
+        let mut gained = 0.0;
+        while share > 0.05 {
+            let trial: Values =
+                values.iter().zip(&solution.values).map(|(a, b)| a + (b - a) * share).collect();
+            if let Some((new, there)) = cost_at(observed, &trial, active)
+                && new < cost
+            {
+                gained = cost - new;
+                (cost, values, residuals) = (new, trial, there);
+                break;
+            }
+            share *= 0.4;
+        }
+        last = Some(solution);
+        if gained < COST_STEP_MIN {
+            break;
+        }
+    }
+    let solution = last?;
+    Some(Fit {
+        hypotheses: hypotheses.to_vec(),
+        power: observed.power(&residuals),
+        // The curvature there with the cost as it is.
+        evidence: solution.evidence + solution.cost - cost,
+        deviation: solution.deviation,
+        values,
+        cost,
+    })
+}

@@ -1,0 +1,463 @@
+//! The cost of hypotheses about a point, from products of derivatives at each place.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::diagnose::catalogue::hypothesis::{Catalogue, Values};
+use crate::diagnose::likelihood::layout::Place;
+use crate::diagnose::likelihood::observed::{Observed, Residuals, level, noise_cost, pools};
+
+/// Rounds of weights in a solve.
+const WEIGHT_ROUNDS: usize = 40;
+/// They end when one lowers the cost by less, nats.
+const COST_STEP_MIN: f64 = 2e-5;
+
+/// The residuals about a point as linear in some numbers, by their products at each place.
+#[derive(Clone, Debug)]
+pub struct Linearised {
+    /// The point.
+    pub values: Values,
+    /// The numbers.
+    pub numbers: Vec<usize>,
+    /// Derivatives of the residuals by each of them.
+    pub columns: Vec<Residuals>,
+    /// Products of the columns: upper triangle, row by row, of each place.
+    gram: Vec<Vec<f64>>,
+    /// Products of the columns with the residuals, at each place.
+    cross: Vec<Vec<f64>>,
+    /// Squares of the residuals at each place.
+    square: Vec<f64>,
+}
+
+fn triangle(i: usize, j: usize, n: usize) -> usize {
+    let (i, j) = if i <= j { (i, j) } else { (j, i) };
+    i * n - i * (i + 1) / 2 + j
+}
+
+/// Products of columns with residuals, at each place.
+fn crosses<C>(observed: &Observed<'_>, columns: &[C], base: &Residuals) -> Vec<Vec<f64>>
+where
+    C: std::borrow::Borrow<Residuals> + Sync,
+{
+    let crosses: Vec<Vec<f64>> =
+        columns.par_iter().map(|column| observed.dot(column.borrow(), base)).collect();
+    (0..Place::COUNT).map(|place| crosses.iter().map(|cross| cross[place]).collect()).collect()
+}
+
+impl Linearised {
+    /// About `values`, in `numbers`; those without a derivative are left out.
+    pub fn new(observed: &Observed<'_>, values: &[f64], numbers: &[usize]) -> Option<Self> {
+        let base = observed.residuals(values)?;
+        let columns: Vec<(usize, Residuals)> = numbers
+            .par_iter()
+            .filter_map(|n| Some((*n, observed.column(values, &base, *n)?)))
+            .collect();
+        let (numbers, columns): (Vec<_>, Vec<_>) = columns.into_iter().unzip();
+        Some(Self::from_columns(observed, values, &base, numbers, columns))
+    }
+
+    fn from_columns(
+        observed: &Observed<'_>,
+        values: &[f64],
+        base: &Residuals,
+        numbers: Vec<usize>,
+        columns: Vec<Residuals>,
+    ) -> Self {
+        let n = numbers.len();
+        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
+        let products: Vec<Vec<f64>> =
+            pairs.par_iter().map(|(i, j)| observed.dot(&columns[*i], &columns[*j])).collect();
+        let gram = (0..Place::COUNT)
+            .map(|place| products.iter().map(|product| product[place]).collect())
+            .collect();
+        Self {
+            values: values.to_vec(),
+            cross: crosses(observed, &columns, base),
+            square: observed.power(base),
+            numbers,
+            columns,
+            gram,
+        }
+    }
+
+    /// The same derivatives and residuals, taken to be at other values.
+    pub fn resting_at(&self, values: Values) -> Self {
+        Self { values, ..self.clone() }
+    }
+
+    /// The same derivatives about other residuals, to be solved only.
+    pub fn about(&self, observed: &Observed<'_>, base: &Residuals) -> Self {
+        Self {
+            values: self.values.clone(),
+            numbers: self.numbers.clone(),
+            columns: Vec::new(),
+            gram: self.gram.clone(),
+            cross: crosses(observed, &self.columns, base),
+            square: observed.power(base),
+        }
+    }
+
+    /// The share of noise in each number's derivative, of its square, by two draws of the same
+    /// flights; none of numbers without a derivative. A hover does not tilt or turn, and what its
+    /// outputs do is the loop's answer to its own gyro; a derivative by a time is the change of
+    /// what was read. A regressor's noise comes again in what it is to explain (errors in
+    /// variables; Fuller 1987), and what that gives a fit only derivatives tell that have the noise
+    /// of the flights they belong to.
+    pub fn noise_shares(&self, [one, other]: [&Observed<'_>; 2]) -> Vec<(usize, f64)> {
+        let residuals = [one, other].map(|observed| observed.residuals(&self.values));
+        let [Some(of_one), Some(of_other)] = residuals else { return Vec::new() };
+        let weights: Vec<f64> = self
+            .square
+            .iter()
+            .zip(&one.counts)
+            .map(|(q, n)| n / q.max(f64::MIN_POSITIVE))
+            .collect();
+        let weighted = |column: &Residuals| -> f64 {
+            one.power_of(column).iter().zip(&weights).map(|(q, weight)| q * weight).sum()
+        };
+        let share = |number: &usize| {
+            let column = one.column(&self.values, &of_one, *number)?;
+            let again = other.column(&self.values, &of_other, *number)?;
+            let difference: Residuals = column
+                .iter()
+                .zip(&again)
+                .map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect())
+                .collect();
+            // The difference has the noise of both.
+            let share = 0.5 * weighted(&difference) / weighted(&column);
+            share.is_finite().then_some((*number, share))
+        };
+        self.numbers.par_iter().filter_map(share).collect()
+    }
+
+    /// The derivatives by `numbers` where other flights leave `base`.
+    pub fn columns_of(
+        &self,
+        others: &Observed<'_>,
+        base: &Residuals,
+        numbers: &[usize],
+    ) -> Vec<(usize, Residuals)> {
+        let of_one = |n: &usize| Some((*n, others.column(&self.values, base, *n)?));
+        numbers.iter().filter_map(of_one).collect()
+    }
+
+    /// The same about other residuals, with derivatives of their own in some numbers; to be solved
+    /// only.
+    pub fn about_with(
+        &self,
+        observed: &Observed<'_>,
+        base: &Residuals,
+        own: &[(usize, Residuals)],
+    ) -> Self {
+        if own.is_empty() {
+            return self.about(observed, base);
+        }
+        self.with(observed, &self.values, base, &self.numbers, own)
+    }
+
+    /// The part with fewer numbers (those of `keep` that it has), extended by the columns of
+    /// others.
+    pub(in crate::diagnose) fn with(
+        &self,
+        observed: &Observed<'_>,
+        values: &[f64],
+        base: &Residuals,
+        keep: &[usize],
+        fresh: &[(usize, Residuals)],
+    ) -> Self {
+        let kept: Vec<usize> = (0..self.numbers.len())
+            .filter(|i| {
+                keep.contains(&self.numbers[*i])
+                    && fresh.iter().all(|(n, _)| *n != self.numbers[*i])
+            })
+            .collect();
+        let mut numbers: Vec<usize> = kept.iter().map(|i| self.numbers[*i]).collect();
+        let old = numbers.len();
+        let mut columns: Vec<&Residuals> = kept.iter().map(|i| &self.columns[*i]).collect();
+        numbers.extend(fresh.iter().map(|(n, _)| *n));
+        columns.extend(fresh.iter().map(|(_, column)| column));
+        let n = numbers.len();
+        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
+        let products: Vec<Option<Vec<f64>>> = pairs
+            .par_iter()
+            .map(|(i, j)| (*j >= old).then(|| observed.dot(columns[*i], columns[*j])))
+            .collect();
+        let gram = (0..Place::COUNT)
+            .map(|place| {
+                pairs
+                    .iter()
+                    .zip(&products)
+                    .map(|((i, j), product)| match product {
+                        Some(product) => product[place],
+                        None => self.gram[place][triangle(kept[*i], kept[*j], self.numbers.len())],
+                    })
+                    .collect()
+            })
+            .collect();
+        let cross = crosses(observed, &columns, base);
+        let square = observed.power(base);
+        Self { values: values.to_vec(), numbers, columns: Vec::new(), gram, cross, square }
+    }
+
+    /// The least cost over `active` numbers, held by their wide priors, and all others with a
+    /// tolerance.
+    pub fn solve(
+        &self,
+        catalogue: &Catalogue,
+        counts: &[f64],
+        active: &[usize],
+    ) -> Option<Solution> {
+        self.solve_from(catalogue, counts, active, &self.values)
+    }
+
+    /// The same, looked for from the values `start` on.
+    pub fn solve_from(
+        &self,
+        catalogue: &Catalogue,
+        counts: &[f64],
+        active: &[usize],
+        start: &[f64],
+    ) -> Option<Solution> {
+        let used: Vec<usize> = (0..self.numbers.len())
+            .filter(|i| {
+                let number = self.numbers[*i];
+                active.contains(&number) || catalogue.numbers[number].tolerance > 0.0
+            })
+            .collect();
+        let n = used.len();
+        let (mut prior, mut off) = (DVector::zeros(n), DVector::zeros(n));
+        let mut limits = Vec::with_capacity(n);
+        for (row, i) in used.iter().enumerate() {
+            let number = self.numbers[*i];
+            let value = self.values[number];
+            let [middle, width] = catalogue.numbers[number].prior(active.contains(&number));
+            prior[row] = width.powi(-2);
+            off[row] = value - middle;
+            limits.push(catalogue.limits(number, active).map(|limit| limit - value));
+        }
+        let quadratic = self.restricted(&used, counts);
+        let cost_of = |power: &[f64], delta: &DVector<f64>| {
+            let pulled: f64 = (0..n).map(|i| prior[i] * (off[i] + delta[i]).powi(2)).sum();
+            noise_cost(power, counts) + 0.5 * pulled
+        };
+        let mut delta = DVector::from_fn(n, |i, _| {
+            let number = self.numbers[used[i]];
+            (start[number] - self.values[number]).clamp(limits[i][0], limits[i][1])
+        });
+        let mut current = quadratic.power(&delta);
+        let mut cost = cost_of(&current, &delta);
+        let mut held = vec![false; n];
+        let mut normal = DMatrix::zeros(n, n);
+        for _ in 0..WEIGHT_ROUNDS {
+            let gradient;
+            (normal, gradient) = quadratic.normal_equations(&prior, &off, counts, &current);
+            let target = bounded_minimum(&normal, &gradient, &limits, &mut held)?;
+            // Halved until the cost falls: far from the fixed point the weights may overshoot.
+            let mut share = 1.0;
+            let mut moved = false;
+            while share > 1e-3 {
+                let trial = &delta + (&target - &delta) * share;
+                let there = quadratic.power(&trial);
+                let new = cost_of(&there, &trial);
+                if new < cost {
+                    moved = cost - new > COST_STEP_MIN;
+                    (delta, current, cost) = (trial, there, new);
+                    break;
+                }
+                share *= 0.5;
+            }
+            if !moved {
+                break;
+            }
+        }
+        let factor = scaled_cholesky(&normal)?;
+        let evidence = -cost + 0.5 * prior.iter().map(|p| p.ln()).sum::<f64>()
+            - 0.5 * factor.log_determinant();
+        let mut values = self.values.clone();
+        let mut deviation = vec![0.0; catalogue.numbers.len()];
+        let covariance = factor.inverse();
+        for (a, i) in used.iter().enumerate() {
+            let number = self.numbers[*i];
+            values[number] += delta[a];
+            deviation[number] = covariance[(a, a)].max(0.0).sqrt();
+        }
+        Some(Solution { values, deviation, cost, evidence, power: current })
+    }
+
+    /// The products of the numbers `used` alone, where there is anything to look at.
+    fn restricted(&self, used: &[usize], counts: &[f64]) -> Quadratic {
+        let total = self.numbers.len();
+        let pairs: Vec<usize> = (0..used.len())
+            .flat_map(|a| (a..used.len()).map(move |b| (a, b)))
+            .map(|(a, b)| triangle(used[a], used[b], total))
+            .collect();
+        let places: Vec<usize> = (0..Place::COUNT).filter(|place| counts[*place] > 0.0).collect();
+        let of_places = |of: &[Vec<f64>], which: &[usize]| -> Vec<f64> {
+            places.iter().flat_map(|place| which.iter().map(|i| of[*place][*i])).collect()
+        };
+        Quadratic {
+            numbers: used.len(),
+            gram: of_places(&self.gram, &pairs),
+            cross: of_places(&self.cross, used),
+            square: places.iter().map(|place| self.square[*place]).collect(),
+            pools: pools(counts),
+            counts: counts.to_vec(),
+            places,
+        }
+    }
+}
+
+/// The sum of squares at each place as a quadratic in a few numbers, packed for speed: a diagnosis
+/// solves a thousand of these.
+struct Quadratic {
+    numbers: usize,
+    places: Vec<usize>,
+    /// Upper triangles, row by row, of one place after another.
+    gram: Vec<f64>,
+    /// Products with the residuals, of one place after another.
+    cross: Vec<f64>,
+    square: Vec<f64>,
+    counts: Vec<f64>,
+    /// Places that have one variance together.
+    pools: Vec<Vec<usize>>,
+}
+
+impl Quadratic {
+    /// Index, triangle and products of each place.
+    fn parts(&self) -> impl Iterator<Item = (usize, &[f64], &[f64])> {
+        let (n, size) = (self.numbers, self.numbers * (self.numbers + 1) / 2);
+        let of_place = move |(k, place): (usize, &usize)| {
+            (*place, &self.gram[k * size..(k + 1) * size], &self.cross[k * n..(k + 1) * n])
+        };
+        self.places.iter().enumerate().map(of_place)
+    }
+
+    /// What is left at each place, `delta` off the point.
+    fn power(&self, delta: &DVector<f64>) -> Vec<f64> {
+        let mut power = vec![0.0; Place::COUNT];
+        for ((place, gram, cross), square) in self.parts().zip(&self.square) {
+            let mut q = *square;
+            let mut rest = gram;
+            for (a, (d, cross)) in delta.iter().zip(cross).enumerate() {
+                let (row, below) = rest.split_at(self.numbers - a);
+                rest = below;
+                let products = row.iter().zip(delta.as_slice()[a..].iter());
+                let sum: f64 = products.map(|(g, d)| g * d).sum();
+                q += d * (2.0 * (cross + sum) - row[0] * d);
+            }
+            power[place] = q.max(1e-9 * square).max(f64::MIN_POSITIVE);
+        }
+        self.pools.iter().for_each(|pool| level(&mut power, &self.counts, pool));
+        power
+    }
+
+    /// Matrix and gradient at the point with the noise that `power` leaves.
+    fn normal_equations(
+        &self,
+        prior: &DVector<f64>,
+        off: &DVector<f64>,
+        counts: &[f64],
+        power: &[f64],
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.numbers;
+        let mut triangle = vec![0.0; n * (n + 1) / 2];
+        let mut gradient = prior.component_mul(off);
+        for (place, gram, cross) in self.parts() {
+            let weight = counts[place] / power[place];
+            triangle.iter_mut().zip(gram).for_each(|(sum, g)| *sum += weight * g);
+            gradient.iter_mut().zip(cross).for_each(|(sum, c)| *sum += weight * c);
+        }
+        let mut normal = DMatrix::from_diagonal(prior);
+        let mut entries = triangle.into_iter();
+        for a in 0..n {
+            for b in a..n {
+                normal[(a, b)] += entries.next().unwrap_or(0.0);
+                normal[(b, a)] = normal[(a, b)];
+            }
+        }
+        (normal, gradient)
+    }
+}
+
+/// The minimum of a quadratic within limits: numbers that would leave theirs are held there.
+/// `held` carries over which.
+fn bounded_minimum(
+    normal: &DMatrix<f64>,
+    gradient: &DVector<f64>,
+    limits: &[[f64; 2]],
+    held: &mut [bool],
+) -> Option<DVector<f64>> {
+    let n = gradient.len();
+    held.fill(false);
+    let mut at = DVector::zeros(n);
+    for _ in 0..n {
+        let free: Vec<usize> = (0..n).filter(|i| !held[*i]).collect();
+        let matrix = DMatrix::from_fn(free.len(), free.len(), |a, b| normal[(free[a], free[b])]);
+        let right = DVector::from_fn(free.len(), |a, _| {
+            let i = free[a];
+            let fixed: f64 = (0..n).filter(|j| held[*j]).map(|j| normal[(i, j)] * at[j]).sum();
+            -gradient[i] - fixed
+        });
+        let solution = scaled_cholesky(&matrix)?.solve(&right);
+        let mut left = false;
+        for (a, i) in free.iter().enumerate() {
+            let [low, high] = limits[*i];
+            at[*i] = solution[a].clamp(low, high);
+            if solution[a] < low || solution[a] > high {
+                held[*i] = true;
+                left = true;
+            }
+        }
+        if !left {
+            break;
+        }
+    }
+    Some(at)
+}
+
+/// A Cholesky factor of a matrix scaled to a unit diagonal.
+struct ScaledCholesky {
+    factor: nalgebra::Cholesky<f64, nalgebra::Dyn>,
+    scale: DVector<f64>,
+}
+
+fn scaled_cholesky(matrix: &DMatrix<f64>) -> Option<ScaledCholesky> {
+    let scale = matrix.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
+    let scaled = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
+        matrix[(i, j)] * scale[i] * scale[j] + if i == j { 1e-12 } else { 0.0 }
+    });
+    Some(ScaledCholesky { factor: scaled.cholesky()?, scale })
+}
+
+impl ScaledCholesky {
+    fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
+        self.factor.solve(&right.component_mul(&self.scale)).component_mul(&self.scale)
+    }
+
+    fn inverse(&self) -> DMatrix<f64> {
+        let inverse = self.factor.inverse();
+        DMatrix::from_fn(inverse.nrows(), inverse.ncols(), |i, j| {
+            inverse[(i, j)] * self.scale[i] * self.scale[j]
+        })
+    }
+
+    fn log_determinant(&self) -> f64 {
+        let l = self.factor.l_dirty();
+        (0..self.scale.len()).map(|i| 2.0 * (l[(i, i)].ln() - self.scale[i].ln())).sum()
+    }
+}
+
+/// The minimum of a linearised cost.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// All numbers there.
+    pub values: Values,
+    /// Standard deviations of those that were free.
+    pub deviation: Vec<f64>,
+    /// Cost, nats.
+    pub cost: f64,
+    /// Log evidence.
+    pub evidence: f64,
+    /// Sum of squares left at each place.
+    pub power: Vec<f64>,
+}

@@ -1,0 +1,344 @@
+//! Flights as their coefficients by place, their products and derivatives.
+
+use rayon::prelude::*;
+use vehicle::{ROTORS, VehicleParams};
+
+use crate::diagnose::catalogue::hypothesis::Catalogue;
+use crate::diagnose::flights::preparation::{Block, PreparedFlight};
+use crate::diagnose::flights::spectrum::BANDS;
+use crate::diagnose::likelihood::channels::{CHANNELS, COMMAND, RATE, VELOCITY};
+use crate::diagnose::likelihood::layout::{AT_REST, Layout, Place};
+use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
+
+/// Flights with the coefficients that are used.
+#[derive(Debug)]
+pub struct Observed<'a> {
+    /// The flights.
+    pub flights: &'a [PreparedFlight],
+    /// What is used, for each.
+    pub layouts: Vec<Layout>,
+    pub(in crate::diagnose) evaluator: &'a Evaluator,
+    pub(in crate::diagnose) catalogue: &'a Catalogue,
+    /// Channels that are left out.
+    unused: Vec<usize>,
+    /// Runs of coefficients of one place: flight, place, start, end.
+    runs: Vec<Run>,
+    pub(in crate::diagnose) counts: Vec<f64>,
+    /// Places that have one variance together.
+    pools: Vec<Vec<usize>>,
+    /// Sum of squares at each place that is left at least.
+    least: Vec<f64>,
+}
+
+/// No equation holds to better than this share of what the rotors can do. Over a short flight a
+/// place has few coefficients, which some numbers may explain to the last digit: without this the
+/// likelihood has no bound there.
+const EXACT: f64 = 1e-5;
+/// What a turn of the attitude is compared with, rad/s.
+const TURN: f64 = 1.0;
+
+/// The least that is left at each channel: its deviation.
+fn least_left(vehicle: &VehicleParams) -> [f64; CHANNELS] {
+    let mut most = [TURN; CHANNELS];
+    if let Ok(allocation) = vehicle.allocation() {
+        most[COMMAND..].fill(0.0);
+        for rotor in 0..ROTORS {
+            let alone = std::array::from_fn(|i| if i == rotor { 1.0 } else { 0.0 });
+            let wrench = allocation.wrench(alone);
+            most[COMMAND..].iter_mut().zip(wrench).for_each(|(sum, part)| *sum += part.abs());
+        }
+        let force = most[COMMAND];
+        most[VELOCITY..RATE].fill(force / vehicle.mass);
+        for (axis, inertia) in vehicle.inertia.iter().enumerate() {
+            most[RATE + axis] = most[COMMAND + 1 + axis] / inertia;
+        }
+    }
+    most.map(|most| EXACT * most)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    flight: usize,
+    block: usize,
+    place: usize,
+    start: usize,
+    end: usize,
+}
+
+/// Residuals of every flight.
+pub type Residuals = Vec<Vec<f64>>;
+
+impl<'a> Observed<'a> {
+    /// Looks at flights.
+    pub fn new(
+        flights: &'a [PreparedFlight],
+        evaluator: &'a Evaluator,
+        catalogue: &'a Catalogue,
+    ) -> Self {
+        Self::without(flights, evaluator, catalogue, &[])
+    }
+
+    /// The same without the channels `unused`.
+    pub fn without(
+        flights: &'a [PreparedFlight],
+        evaluator: &'a Evaluator,
+        catalogue: &'a Catalogue,
+        unused: &[usize],
+    ) -> Self {
+        let layouts: Vec<Layout> =
+            flights.iter().map(|flight| Layout::without(flight, unused)).collect();
+        let mut runs: Vec<Run> = Vec::new();
+        let mut counts = vec![0.0; Place::COUNT];
+        for (flight, layout) in layouts.iter().enumerate() {
+            for (block, ends) in layout.blocks.windows(2).enumerate() {
+                let mut start = ends[0];
+                while start < ends[1] {
+                    let place = layout.places[start].index();
+                    let mut end = start + 1;
+                    while end < ends[1] && layout.places[end].index() == place {
+                        end += 1;
+                    }
+                    counts[place] += (end - start) as f64;
+                    runs.push(Run { flight, block, place, start, end });
+                    start = end;
+                }
+            }
+        }
+        let mut deviation = least_left(&catalogue.vehicle);
+        // How near a mean is to rest does not bound it: numbers that bring it there to the last
+        // digit explain nothing that was read, and their fit is to fail.
+        if layouts.iter().any(|layout| layout.is_at_rest) {
+            AT_REST.iter().for_each(|channel| deviation[*channel] = 0.0);
+        }
+        let least = (0..Place::COUNT)
+            .map(|place| counts[place] * deviation[Place::channel_of(place)].powi(2))
+            .collect();
+        let unused = unused.to_vec();
+        Self {
+            flights,
+            layouts,
+            evaluator,
+            catalogue,
+            unused,
+            runs,
+            pools: pools(&counts),
+            counts,
+            least,
+        }
+    }
+
+    /// The same look by another catalogue.
+    pub(in crate::diagnose) fn by<'b>(&self, catalogue: &'b Catalogue) -> Observed<'b>
+    where
+        'a: 'b,
+    {
+        Observed::without(self.flights, self.evaluator, catalogue, &self.unused)
+    }
+
+    /// The same look at other flights.
+    pub fn like<'b>(&self, flights: &'b [PreparedFlight]) -> Observed<'b>
+    where
+        'a: 'b,
+    {
+        Observed::without(flights, self.evaluator, self.catalogue, &self.unused)
+    }
+
+    /// The blocks of the flights that have what is asked for, in order.
+    pub fn blocks(
+        &self,
+        has: impl Fn(&PreparedFlight, &Layout) -> bool,
+    ) -> Vec<(&'a PreparedFlight, &Layout, &'a Block)> {
+        let flights = self.flights.iter().zip(&self.layouts);
+        flights
+            .filter(|(flight, layout)| has(flight, layout))
+            .flat_map(|(flight, layout)| flight.blocks.iter().map(move |b| (flight, layout, b)))
+            .collect()
+    }
+
+    /// Number of coefficients at each place.
+    pub fn counts(&self) -> &[f64] {
+        &self.counts
+    }
+
+    /// What `values` leave unexplained; `None` for a vehicle that the physics refuses.
+    pub fn residuals(&self, values: &[f64]) -> Option<Residuals> {
+        self.residuals_in(values, Groups::ALL)
+    }
+
+    fn residuals_in(&self, values: &[f64], groups: Groups) -> Option<Residuals> {
+        let candidate = self.catalogue.candidate(values).ok()?;
+        Some(
+            self.flights
+                .par_iter()
+                .zip(&self.layouts)
+                .map(|(flight, layout)| {
+                    self.evaluator.residuals(flight, layout, &candidate, groups)
+                })
+                .collect(),
+        )
+    }
+
+    /// Sum of squares at each place, with the least that is left.
+    pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
+        let least = self.least.iter().zip(self.power_of(residuals));
+        let mut power: Vec<f64> = least.map(|(least, q)| least + q).collect();
+        self.pools.iter().for_each(|pool| level(&mut power, &self.counts, pool));
+        power
+    }
+
+    /// Sum of squares at each place.
+    pub(in crate::diagnose) fn power_of(&self, values: &Residuals) -> Vec<f64> {
+        self.dot(values, values)
+    }
+
+    /// Log density of each block in nats, without constants, under noise whose strength at each
+    /// place is that of all blocks together: other flights may be rougher than those that were
+    /// fitted.
+    pub fn log_density(&self, residuals: &Residuals) -> Vec<f64> {
+        let power = self.power(residuals);
+        let mut density: Vec<f64> = Vec::new();
+        let mut last = None;
+        for run in &self.runs {
+            if last != Some((run.flight, run.block)) {
+                density.push(0.0);
+                last = Some((run.flight, run.block));
+            }
+            let variance = (power[run.place] / self.counts[run.place]).max(f64::MIN_POSITIVE);
+            let part = &residuals[run.flight][run.start..run.end];
+            let n = (run.end - run.start) as f64;
+            let square = product(part, part);
+            if let Some(density) = density.last_mut() {
+                *density -= 0.5 * (n * variance.ln() + square / variance);
+            }
+        }
+        density
+    }
+
+    /// Derivatives of the residuals with respect to one number at `values`, where they are
+    /// `base`.
+    pub fn column(&self, values: &[f64], base: &Residuals, number: usize) -> Option<Residuals> {
+        let described = &self.catalogue.numbers[number];
+        let step = described.step(values[number]);
+        let groups = Groups::of(described.target);
+        let moved = |by: f64| {
+            let mut moved = values.to_vec();
+            moved[number] += by;
+            self.residuals_in(&moved, groups)
+        };
+        let up = values[number] + 2.0 * step <= described.bounds[1];
+        let sign = if up { 1.0 } else { -1.0 };
+        // An effect that is on where it was off may replace another: both points have it on.
+        let switches = values[number] == described.reference
+            && self.catalogue.vehicle.linear_drag_n_per_m_s.is_some();
+        let (near, far) = if switches {
+            (moved(sign * step)?, moved(2.0 * sign * step)?)
+        } else {
+            (base.clone(), moved(sign * step)?)
+        };
+        let scale = sign / step;
+        let column = near
+            .iter()
+            .zip(&far)
+            .zip(&self.layouts)
+            .map(|((a, b), layout)| {
+                let difference = a.iter().zip(b).zip(&layout.places);
+                difference
+                    .map(
+                        |((a, b), place)| {
+                            if groups.has(place.channel()) { (b - a) * scale } else { 0.0 }
+                        },
+                    )
+                    .collect()
+            })
+            .collect();
+        Some(column)
+    }
+
+    pub(in crate::diagnose) fn dot(&self, a: &Residuals, b: &Residuals) -> Vec<f64> {
+        let mut sums = vec![0.0; Place::COUNT];
+        for run in &self.runs {
+            let (a, b) = (&a[run.flight][run.start..run.end], &b[run.flight][run.start..run.end]);
+            sums[run.place] += product(a, b);
+        }
+        sums
+    }
+}
+
+/// The sum of products, in four sums side by side: one alone waits for itself at every number.
+fn product(a: &[f64], b: &[f64]) -> f64 {
+    let (fours, others) = (a.chunks_exact(4), b.chunks_exact(4));
+    let rest = fours.remainder().iter().zip(others.remainder());
+    let mut sums = [0.0; 4];
+    for (a, b) in fours.zip(others) {
+        sums.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a * b);
+    }
+    sums.iter().sum::<f64>() + rest.map(|(a, b)| a * b).sum::<f64>()
+}
+
+/// Coefficients that tell a variance: neighbouring bands of a channel with fewer have one together.
+const POOLED_MIN: f64 = 8.0;
+
+/// Places that share one variance, where one place alone has too few coefficients to estimate it:
+/// what a few numbers explain to the last digit there is no evidence.
+pub(in crate::diagnose) fn pools(counts: &[f64]) -> Vec<Vec<usize>> {
+    let mut pools: Vec<Vec<usize>> = Vec::new();
+    for channel in 0..CHANNELS {
+        let mut open: Vec<usize> = Vec::new();
+        let first = pools.len();
+        for band in 0..BANDS.len() {
+            let place = Place::index_of(channel, band);
+            if counts[place] > 0.0 {
+                open.push(place);
+            }
+            if open.iter().map(|place| counts[*place]).sum::<f64>() >= POOLED_MIN {
+                pools.push(std::mem::take(&mut open));
+            }
+        }
+        match pools.get_mut(first..).and_then(<[_]>::last_mut) {
+            Some(last) => last.append(&mut open),
+            None => pools.push(open),
+        }
+    }
+    pools.retain(|pool| pool.len() > 1);
+    pools
+}
+
+/// Gives the places of a pool one variance.
+pub(in crate::diagnose) fn level(power: &mut [f64], counts: &[f64], pool: &[usize]) {
+    let sum: f64 = pool.iter().map(|place| power[*place]).sum();
+    let count: f64 = pool.iter().map(|place| counts[*place]).sum();
+    pool.iter().for_each(|place| power[*place] = counts[*place] * sum / count);
+}
+
+/// Cost of sums of squares, in nats.
+pub(in crate::diagnose) fn noise_cost(power: &[f64], counts: &[f64]) -> f64 {
+    power
+        .iter()
+        .zip(counts)
+        .filter(|(_, n)| **n > 0.0)
+        // What is not a number is no fit at all.
+        .map(|(q, n)| match q.is_nan() {
+            true => f64::INFINITY,
+            false => 0.5 * n * (q.max(f64::MIN_POSITIVE) / n).ln(),
+        })
+        .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::likelihood::channels::ATTITUDE;
+
+    #[test]
+    fn what_is_left_at_least_is_something_and_far_below_any_sensor() {
+        for text in [
+            include_str!("../../../config/vehicles/crazyflie.toml"),
+            include_str!("../../../config/vehicles/quad1200.toml"),
+        ] {
+            let least = least_left(&VehicleParams::from_toml_str(text).unwrap());
+            assert!(least.iter().all(|deviation| *deviation > 0.0), "{least:?}");
+            // m/s^2, rad/s^2, rad/s.
+            assert!(least[VELOCITY] < 1e-3 && least[RATE] < 2e-2 && least[ATTITUDE] < 1e-4);
+        }
+    }
+}

@@ -1,0 +1,390 @@
+//! What a candidate vehicle leaves unexplained of a flight, by channel and frequency.
+//!
+//! Each channel is an equation of motion or of measurement over a cell of [`CELL_S`], evaluated at
+//! what was reported, with the delays and trims that the candidate has:
+//!
+//! | channel | residual |
+//! |---|---|
+//! | velocity | increment of the velocity minus the acceleration of the forces, world axes |
+//! | specific force | accelerometer minus the forces over mass, body axes |
+//! | rate | increment of the body rate minus the angular acceleration of the moments |
+//! | attitude | turn of the attitude minus the body rate: kinematics, no vehicle model |
+//! | command | collective and moments of the logged outputs minus the on-board law's |
+//!
+//! The accelerometer's and the gyro's constant biases fall out with the blocks' means.
+
+use vehicle::effects::EffectId;
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::physics::{Environment, Loads, Physics};
+use vehicle::rigid_body::State;
+use vehicle::rotor::Lag;
+use vehicle::{ROTORS, VehicleParams};
+
+use crate::diagnose::catalogue::candidate::Candidate;
+use crate::diagnose::catalogue::hypothesis::Target;
+use crate::diagnose::flights::arrival::Delay;
+use crate::diagnose::flights::onboard::{OnboardLaw, Timing};
+use crate::diagnose::flights::preparation::{Block, PreparedFlight};
+use crate::diagnose::flights::series::attitude;
+use crate::diagnose::flights::spectrum::{CELL_S, CosineTransform, band, frequency};
+use crate::diagnose::likelihood::channels::{ATTITUDE, CHANNELS, COMMAND, FORCE, RATE, VELOCITY};
+use crate::diagnose::likelihood::layout::Layout;
+
+/// Sub-steps of the rotors' lag in a cell.
+const SUBSTEPS: usize = 4;
+/// The rotors' states are followed from this many time constants before a block, at most
+/// [`WARM_UP_MAX_S`].
+const WARM_UP: f64 = 6.0;
+const WARM_UP_MAX_S: f64 = 0.5;
+
+/// Groups of channels that a candidate is compared in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Groups {
+    /// Velocity, specific force, rate.
+    pub dynamics: bool,
+    /// Attitude.
+    pub kinematics: bool,
+    /// Command.
+    pub command: bool,
+}
+
+impl Groups {
+    /// All of them.
+    pub const ALL: Self = Self { dynamics: true, kinematics: true, command: true };
+
+    /// Those in which a number shows.
+    pub fn of(target: Target) -> Self {
+        let [dynamics, kinematics, command] = match target {
+            Target::Effect(EffectId::PdGain | EffectId::CommandDelay, _) => [false, false, true],
+            Target::Effect(EffectId::EstimatorLatency, _) => [true, true, true],
+            Target::Effect(EffectId::AttitudeTrim, _) => [true, true, false],
+            _ => [true, false, false],
+        };
+        Self { dynamics, kinematics, command }
+    }
+
+    /// Whether a channel belongs to them.
+    pub fn has(self, channel: usize) -> bool {
+        match channel {
+            0..ATTITUDE => self.dynamics,
+            ATTITUDE..COMMAND => self.kinematics,
+            _ => self.command,
+        }
+    }
+}
+
+/// What every evaluation needs.
+#[derive(Clone, Debug)]
+pub struct Evaluator {
+    vehicle: VehicleParams,
+    onboard: Option<OnboardLaw>,
+    transform: CosineTransform,
+}
+
+/// Motion over a block as the candidate takes it to have been.
+struct Motion {
+    /// At the edges.
+    velocity: Vec<Ned>,
+    attitude: Vec<Attitude>,
+    body_rate: Vec<Frd>,
+    /// Over the cells.
+    states: Vec<State>,
+    specific_force: Vec<Frd>,
+}
+
+impl Evaluator {
+    /// For flights of a vehicle.
+    pub fn new(vehicle: &VehicleParams) -> Self {
+        Self {
+            vehicle: vehicle.clone(),
+            onboard: OnboardLaw::new(vehicle),
+            transform: CosineTransform::default(),
+        }
+    }
+
+    /// The same, with outputs reported as `flights` report them.
+    pub fn observing(mut self, flights: &[PreparedFlight]) -> Self {
+        let shipped = self.vehicle.command_delay_s;
+        let timing = |law: &OnboardLaw| {
+            let command_delay = Delay::of(flights, law).map_or(shipped, |delay| delay.mean);
+            Timing { command_delay, latency: 0.0 }
+        };
+        self.onboard = self.onboard.map(|law| law.observing(flights, timing));
+        self
+    }
+
+    /// The on-board law, where the vehicle file states it.
+    pub fn onboard(&self) -> Option<&OnboardLaw> {
+        self.onboard.as_ref()
+    }
+
+    /// The coefficients of what `candidate` leaves unexplained of `flight`, in `layout`'s order;
+    /// 0 in other groups than the given ones.
+    pub fn residuals(
+        &self,
+        flight: &PreparedFlight,
+        layout: &Layout,
+        candidate: &Candidate,
+        groups: Groups,
+    ) -> Vec<f64> {
+        let mut out = Vec::with_capacity(layout.places.len());
+        let mut scratch = Vec::new();
+        for block in &flight.blocks {
+            let series = self.series(flight, layout, block, candidate, groups);
+            self.transform_into(&mut out, (layout, block), series, groups, &mut scratch);
+        }
+        out
+    }
+
+    /// Appends the coefficients of a block's series that are used.
+    fn transform_into(
+        &self,
+        out: &mut Vec<f64>,
+        (layout, block): (&Layout, &Block),
+        mut series: [Vec<f64>; CHANNELS],
+        groups: Groups,
+        scratch: &mut Vec<f64>,
+    ) {
+        for (channel, values) in series.iter_mut().enumerate() {
+            let used = layout.used(channel, block);
+            if used.is_empty() || !layout.has(channel) {
+                continue;
+            }
+            if groups.has(channel) {
+                self.transform.apply(values, scratch);
+            }
+            let is_banded = |index: &usize| band(frequency(*index, block.cells)).is_some();
+            out.extend(used.filter(is_banded).map(|index| values[index]));
+        }
+    }
+
+    /// The coefficients of the angular acceleration as the gyro has it, in `layout`'s order; 0 in
+    /// other channels.
+    pub fn turning(&self, flight: &PreparedFlight, layout: &Layout) -> Vec<f64> {
+        let mut out = Vec::with_capacity(layout.places.len());
+        let mut scratch = Vec::new();
+        for block in &flight.blocks {
+            let mut series: [Vec<f64>; CHANNELS] = std::array::from_fn(|_| vec![0.0; block.cells]);
+            let mut rate = flight.body_rate.cursor();
+            let mut before = Frd::from(rate.at(block.start));
+            for k in 0..block.cells {
+                let after = Frd::from(rate.at(block.edge(k + 1)));
+                put(&mut series, RATE, k, ((after - before) * (1.0 / CELL_S)).to_array());
+                before = after;
+            }
+            self.transform_into(&mut out, (layout, block), series, Groups::ALL, &mut scratch);
+        }
+        out
+    }
+
+    /// The residuals of a block over time, one series a channel.
+    pub fn series(
+        &self,
+        flight: &PreparedFlight,
+        layout: &Layout,
+        block: &Block,
+        candidate: &Candidate,
+        groups: Groups,
+    ) -> [Vec<f64>; CHANNELS] {
+        let mut series: [Vec<f64>; CHANNELS] = std::array::from_fn(|_| vec![0.0; block.cells]);
+        if groups.dynamics || groups.kinematics {
+            self.motion(flight, block, candidate, &mut series);
+        }
+        if groups.command && layout.has(COMMAND) {
+            self.command(flight, block, candidate, &mut series);
+        }
+        series
+    }
+
+    /// Velocity, specific force, rate and attitude.
+    fn motion(
+        &self,
+        flight: &PreparedFlight,
+        block: &Block,
+        candidate: &Candidate,
+        series: &mut [Vec<f64>; CHANNELS],
+    ) {
+        let motion = motion(flight, block, candidate);
+        let rotors = rotors(flight, block, candidate);
+        let physics = &candidate.physics;
+        let loads = self.loads(flight, block, physics, &rotors);
+        let mut voltage = flight.voltage.cursor();
+        let gravity = Ned::new(0.0, 0.0, physics.body().gravity());
+        for (k, (state, loads)) in motion.states.iter().zip(&loads).enumerate() {
+            let [volts] = voltage.at(block.middle(k));
+            let volts = if flight.channels.voltage { volts } else { self.vehicle.battery.full_v };
+            let time = block.middle(k);
+            let environment = Environment { time, ..physics.environment(volts, Ned::zero()) };
+            let (linear, angular) = physics.accelerations_under(state, loads, &environment);
+            let gained = (motion.velocity[k + 1] - motion.velocity[k]) * (1.0 / CELL_S);
+            put(series, VELOCITY, k, (gained - linear).to_array());
+            let force = state.attitude.to_body(linear - gravity);
+            put(series, FORCE, k, (motion.specific_force[k] - force).to_array());
+            let turned = (motion.body_rate[k + 1] - motion.body_rate[k]) * (1.0 / CELL_S);
+            put(series, RATE, k, (turned - angular).to_array());
+            let turn = motion.attitude[k].inverse().compose(motion.attitude[k + 1]).canonical();
+            let turn = Frd::new(turn.x, turn.y, turn.z) * (2.0 / CELL_S);
+            put(series, ATTITUDE, k, (turn - state.body_rate).to_array());
+        }
+    }
+
+    /// Loads over each cell, with the reaction to the rotors' change of speed.
+    fn loads(
+        &self,
+        flight: &PreparedFlight,
+        block: &Block,
+        physics: &Physics,
+        rotors: &[[f64; ROTORS]],
+    ) -> Vec<Loads<f64>> {
+        let mut voltage = flight.voltage.cursor();
+        let loads: Vec<Loads<f64>> = (0..block.cells)
+            .map(|k| {
+                let [volts] = voltage.at(block.middle(k));
+                let volts =
+                    if flight.channels.voltage { volts } else { self.vehicle.battery.full_v };
+                physics.loads(&rotors[k], &physics.environment(volts, Ned::zero()))
+            })
+            .collect();
+        if !physics.has_spin_momentum() {
+            return loads;
+        }
+        let last = block.cells - 1;
+        (0..block.cells)
+            .map(|k| {
+                let (a, b) = (k.saturating_sub(1), (k + 1).min(last));
+                let change = loads[b].spin_momentum() - loads[a].spin_momentum();
+                loads[k].with_spin_momentum_rate(change / ((b - a) as f64 * CELL_S))
+            })
+            .collect()
+    }
+
+    /// Logged outputs minus the on-board law's, as collective and moments.
+    fn command(
+        &self,
+        flight: &PreparedFlight,
+        block: &Block,
+        candidate: &Candidate,
+        series: &mut [Vec<f64>; CHANNELS],
+    ) {
+        let Some(onboard) = &self.onboard else { return };
+        let law = onboard.with_gains(candidate.gains);
+        let timing = Timing { command_delay: candidate.command_delay, latency: candidate.latency };
+        let (first, last) = (block.start - 2.0 * CELL_S, block.end() + 2.0 * CELL_S);
+        let times = flight.outputs.times();
+        let from = times.partition_point(|t| *t < first);
+        let to = times.partition_point(|t| *t <= last);
+        let mut found: Vec<(f64, [f64; 4])> = Vec::with_capacity(to - from);
+        for (time, logged) in times[from..to].iter().zip(&flight.outputs.values()[from..to]) {
+            // The output in force is of the loop's latest tick.
+            let tick = onboard.tick_of_report(*time);
+            if let Some(by_law) = onboard.outputs(&law, flight, tick, timing) {
+                let difference = std::array::from_fn(|i| logged[i] - by_law[i]);
+                found.push((*time, onboard.allocation().wrench(difference)));
+            }
+        }
+        if to - from < 2 {
+            return;
+        }
+        if found.len() < 2 || found.len() < (to - from) / 2 {
+            // A law that says nothing of what was logged explains nothing.
+            series[COMMAND..].iter_mut().for_each(|channel| channel.fill(f64::NAN));
+            return;
+        }
+        let mut index = 0;
+        for k in 0..block.cells {
+            let time = block.middle(k);
+            while index + 2 < found.len() && found[index + 1].0 <= time {
+                index += 1;
+            }
+            let ((t0, a), (t1, b)) = (found[index], found[index + 1]);
+            let share = ((time - t0) / (t1 - t0)).clamp(0.0, 1.0);
+            put(
+                series,
+                COMMAND,
+                k,
+                std::array::from_fn::<f64, 4, _>(|i| a[i] + share * (b[i] - a[i])),
+            );
+        }
+    }
+}
+
+fn put<const N: usize>(
+    series: &mut [Vec<f64>; CHANNELS],
+    first: usize,
+    k: usize,
+    values: [f64; N],
+) {
+    for (channel, value) in series[first..first + N].iter_mut().zip(values) {
+        channel[k] = value;
+    }
+}
+
+/// The motion as reported, with the candidate's latency and trim undone.
+fn motion(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Motion {
+    let channels = &flight.channels;
+    let untrim = candidate.trim.map(|trim| trim.rotation().inverse());
+    let n = block.cells;
+    let late = candidate.latency;
+    let attitude_at = |raw: [f64; 4]| match (channels.attitude, untrim) {
+        (false, _) => Attitude::default(),
+        (true, None) => attitude(raw),
+        (true, Some(untrim)) => attitude(raw).compose(untrim),
+    };
+    let mut cursor = flight.attitude.cursor();
+    let attitude: Vec<Attitude> =
+        (0..=n).map(|k| attitude_at(cursor.at(block.edge(k) + late))).collect();
+    let mut cursor = flight.attitude.cursor();
+    let middle: Vec<Attitude> =
+        (0..n).map(|k| attitude_at(cursor.at(block.middle(k) + late))).collect();
+    let mut cursor = flight.velocity.cursor();
+    let velocity: Vec<Ned> = (0..=n).map(|k| Ned::from(cursor.at(block.edge(k) + late))).collect();
+    let mut cursor = flight.body_rate.cursor();
+    let body_rate: Vec<Frd> = (0..=n).map(|k| Frd::from(cursor.at(block.edge(k)))).collect();
+    let mut rate = flight.body_rate.cursor();
+    let mut position = flight.position.cursor();
+    let mut force = flight.specific_force.cursor();
+    let (mut states, mut specific_force) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    for k in 0..n {
+        let time = block.middle(k);
+        let ends = body_rate[k] + body_rate[k + 1];
+        states.push(State {
+            position: position.at(time + late).into(),
+            velocity: (velocity[k] + velocity[k + 1]) * 0.5,
+            attitude: middle[k],
+            // Simpson's mean over the cell.
+            body_rate: (ends + Frd::from(rate.at(time)) * 4.0) * (1.0 / 6.0),
+        });
+        specific_force.push(Frd::from(force.at(time)));
+    }
+    Motion { velocity, attitude, body_rate, states, specific_force }
+}
+
+/// Mean states of the rotors over each cell.
+fn rotors(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Vec<[f64; ROTORS]> {
+    let step = CELL_S / SUBSTEPS as f64;
+    let lag = Lag::new(candidate.lag, step);
+    let warm = (WARM_UP * candidate.lag).min(WARM_UP_MAX_S);
+    let warm_steps = (warm / step).ceil() as usize;
+    let start = block.start - warm_steps as f64 * step;
+    let mut outputs = flight.outputs.cursor();
+    let at = |k: usize| start + k as f64 * step - candidate.output_delay;
+    let mut before = outputs.at(at(0));
+    let mut state = before;
+    let mut means = Vec::with_capacity(block.cells);
+    let mut sum = [0.0; ROTORS];
+    for k in 0..warm_steps + block.cells * SUBSTEPS {
+        let u = outputs.at(at(k + 1));
+        let [mean, end] = lag.follow(&state, [&before, &u]);
+        (before, state) = (u, end);
+        if k < warm_steps {
+            continue;
+        }
+        for (sum, s) in sum.iter_mut().zip(mean) {
+            *sum += s / SUBSTEPS as f64;
+        }
+        if (k - warm_steps) % SUBSTEPS == SUBSTEPS - 1 {
+            means.push(std::mem::replace(&mut sum, [0.0; ROTORS]));
+        }
+    }
+    means
+}

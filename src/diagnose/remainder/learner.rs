@@ -1,0 +1,200 @@
+//! A flexible learner: what the shipped simulator leaves of the accelerations, as a function of the
+//! state and the outputs, whatever the cause. How far it closes the gap is what an explanation by
+//! state and outputs can be measured against.
+//!
+//! The project's own two networks, on rows of a tenth of a second: the means of the residual
+//! increments of velocity and body rate, which nothing differentiates twice.
+
+use rayon::prelude::*;
+use vehicle::frame::{Frd, Ned};
+use vehicle::rigid_body::State;
+use vehicle::rotor::Allocation;
+
+use crate::diagnose::catalogue::candidate::Candidate;
+use crate::diagnose::flights::preparation::{Block, PreparedFlight};
+use crate::diagnose::flights::spectrum::CELL_S;
+use crate::diagnose::likelihood::channels::{CHANNELS, RATE, VELOCITY};
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
+use crate::learn::dataset::Row;
+use crate::learn::networks::train_both;
+use crate::learn::summary::TrainSettings;
+use crate::learn::training;
+use crate::model::features::{Features, Head};
+use crate::model::learned::NetworkModel;
+use crate::model::{ACCELERATIONS, Model, Point};
+
+/// Cells that a row is the mean over, and from one row to the next.
+const ROW_CELLS: usize = 10;
+const STRIDE_CELLS: usize = 5;
+/// Share of each block, at its end, that is for validation.
+const VALIDATION: f64 = 0.25;
+/// Weights of the squared weights that are tried.
+const REGULARIZATION: [f64; 3] = [1e-4, 1e-3, 1e-2];
+/// Fewer rows teach nothing.
+const ROWS_MIN: usize = 40;
+
+/// Accelerations that a simulator lacks, learned.
+#[derive(Clone, Debug)]
+pub struct Learner {
+    networks: NetworkModel,
+    allocation: Allocation,
+    /// What it leaves of the mean square of force and moment on rows that it did not learn from, 0..1.
+    pub left: [f64; 2],
+}
+
+impl Learner {
+    /// Learns what `candidate` leaves of the flights of the fit; `allocation`: the firmware's
+    /// mixer. `None` where they are too few or do not report velocity, attitude and body rate.
+    pub fn of(
+        observed: &Observed<'_>,
+        evaluator: &Evaluator,
+        candidate: &Candidate,
+        allocation: &Allocation,
+    ) -> Option<Self> {
+        let tasks = observed.blocks(|flight, layout| {
+            layout.has(VELOCITY) && layout.has(RATE) && flight.channels.attitude
+        });
+        let groups = Groups { dynamics: true, kinematics: false, command: false };
+        let rows: Vec<Vec<Row>> = tasks
+            .par_iter()
+            .map(|(flight, layout, block)| {
+                let series = evaluator.series(flight, layout, block, candidate, groups);
+                let firsts = (0..=block.cells - ROW_CELLS).step_by(STRIDE_CELLS);
+                firsts.map(|first| row(flight, block, first, &series, allocation)).collect()
+            })
+            .collect();
+        let part = |validates: bool| -> Vec<&Row> {
+            let of_block = |rows: &'_ Vec<Row>| (rows.len() as f64 * (1.0 - VALIDATION)) as usize;
+            rows.iter()
+                .flat_map(
+                    |rows| {
+                        if validates { &rows[of_block(rows)..] } else { &rows[..of_block(rows)] }
+                    },
+                )
+                .collect()
+        };
+        let (training, validation) = (part(false), part(true));
+        if training.len() < ROWS_MIN || validation.len() < ROWS_MIN {
+            return None;
+        }
+        // A force may be tied to the body, or to the world.
+        [Features::Body, Features::World]
+            .into_iter()
+            .filter_map(|features| {
+                let parts = [training.as_slice(), validation.as_slice()];
+                let networks = train_both(parts, &settings(features), &|row| row.label).ok()?;
+                let fits = Head::BOTH.map(|head| Fit::of(&networks, head, &validation));
+                let networks = networks.scaled(fits.map(|fit| fit.share));
+                let left: f64 = fits.iter().map(|fit| fit.left).sum();
+                let allocation = *allocation;
+                Some((left, Self { networks, allocation, left: fits.map(|fit| fit.left) }))
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, learner)| learner)
+    }
+
+    /// Acceleration in world axes, m/s^2, and angular acceleration in body axes, rad/s^2, to add to
+    /// the simulator's. `outputs`: of the motors, 0..1.
+    pub fn accelerations(&self, state: &State, outputs: [f64; 4]) -> (Ned, Frd) {
+        let at = Point {
+            velocity: state.velocity,
+            body_rate: state.body_rate,
+            attitude: state.attitude.euler(),
+            input: self.allocation.wrench(outputs),
+        };
+        let [n, e, d, p, q, r] = self.networks.accelerations(&at);
+        (Ned::new(n, e, d), Frd::new(p, q, r))
+    }
+}
+
+fn settings(features: Features) -> TrainSettings {
+    let training::Settings { hidden, passes, method, seed, .. } = training::Settings::default();
+    TrainSettings {
+        features,
+        hidden,
+        passes,
+        method,
+        regularization: REGULARIZATION.into(),
+        seed,
+        window_half_s: 0.5 * ROW_CELLS as f64 * CELL_S,
+        windows_half_s: Vec::new(),
+    }
+}
+
+/// The row of the cells from `first` on: the middle's state, the mean of the outputs, and the means
+/// of what is left of the accelerations, `series` by channel.
+fn row(
+    flight: &PreparedFlight,
+    block: &Block,
+    first: usize,
+    series: &[Vec<f64>; CHANNELS],
+    allocation: &Allocation,
+) -> Row {
+    let cells = first..first + ROW_CELLS;
+    let time = block.edge(first) + 0.5 * ROW_CELLS as f64 * CELL_S;
+    let mut outputs = [0.0; 4];
+    for cell in cells.clone() {
+        for (sum, output) in outputs.iter_mut().zip(flight.outputs.at(block.middle(cell))) {
+            *sum += output / ROW_CELLS as f64;
+        }
+    }
+    let mean =
+        |channel: usize| series[channel][cells.clone()].iter().sum::<f64>() / ROW_CELLS as f64;
+    Row {
+        time,
+        point: Point {
+            velocity: flight.velocity.at(time).into(),
+            body_rate: flight.body_rate.at(time).into(),
+            attitude: flight.attitude.attitude_at(time).euler(),
+            input: allocation.wrench(outputs),
+        },
+        label: std::array::from_fn(|i| mean(if i < 3 { VELOCITY + i } else { RATE + i - 3 })),
+        truth: None,
+    }
+}
+
+/// How far a network is right on rows that it was not trained on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Fit {
+    /// The share of what it says that serves best, 0..1, by least squares.
+    share: f64,
+    /// What that leaves of the labels' mean square, 0..1.
+    left: f64,
+}
+
+impl Fit {
+    fn of(networks: &NetworkModel, head: Head, rows: &[&Row]) -> Self {
+        Self::between(rows.iter().flat_map(|row| {
+            let said: [f64; ACCELERATIONS] = networks.accelerations(&row.point);
+            head.rows().map(move |i| (said[i], row.label[i]))
+        }))
+    }
+
+    /// Of what is said to what was seen.
+    fn between(pairs: impl Iterator<Item = (f64, f64)>) -> Self {
+        let (mut product, mut said, mut seen) = (0.0, 0.0, 0.0);
+        for (x, y) in pairs {
+            product += x * y;
+            said += x * x;
+            seen += y * y;
+        }
+        let share = if said > 0.0 { (product / said).clamp(0.0, 1.0) } else { 0.0 };
+        let after = seen - 2.0 * share * product + share * share * said;
+        Self { share, left: if seen > 0.0 { after / seen } else { 0.0 } }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_network_says_twice_as_large_is_halved() {
+        let fit = Fit::between([(2.0, 1.0), (-4.0, -2.0)].into_iter());
+        assert_eq!(fit, Fit { share: 0.5, left: 0.0 });
+        // What goes against the labels is not taken, and what says nothing leaves all.
+        assert_eq!(Fit::between([(1.0, -1.0)].into_iter()), Fit { share: 0.0, left: 1.0 });
+        assert_eq!(Fit::between([(0.0, 1.0)].into_iter()), Fit { share: 0.0, left: 1.0 });
+    }
+}

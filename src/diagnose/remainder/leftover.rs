@@ -1,0 +1,209 @@
+//! What is left of forces after the best explanation.
+//!
+//! Velocity and accelerometer see the same force through noises that have nothing in common: the
+//! product of what each leaves unexplained is, on average, the power of forces that no hypothesis
+//! has, free of both noises.
+
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::frame::Frd;
+
+use crate::diagnose::catalogue::candidate::Candidate;
+use crate::diagnose::flights::preparation::{Block, PreparedFlight};
+use crate::diagnose::flights::spectrum::{
+    BANDS, CosineTransform, band, edges, frequency, mean_square_share,
+};
+use crate::diagnose::likelihood::channels::{FORCE, VELOCITY};
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
+
+/// Forces are compared up to here, Hz: above, rotors and delays that are not quite right show.
+const FORCE_MAX_HZ: f64 = 4.5;
+/// From there to here the noise that both share is looked for, Hz.
+const NOISE_MAX_HZ: f64 = 11.5;
+/// Shared noise is not white for sure: below, so much of it may be.
+const SHARED_FACTOR: f64 = 3.0;
+/// The least, Hz: the accelerometer's bias wanders below.
+const FORCE_MIN_HZ: f64 = 0.1;
+
+/// Force per mass that nothing explains.
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
+pub struct UnmodelledForce {
+    /// Mean square over 0.1 to 4.5 Hz, along north, east, down, m^2/s^4; below 0 by chance only.
+    pub mean_square: [f64; 3],
+    /// Standard error of the sum of the three.
+    pub error: f64,
+    /// Standard errors above 0 of the sum up to some band, the most: what is slow stands out there.
+    pub slow_significance: f64,
+    /// Of the sum, by band: from, to (Hz) and mean square [m^2/s^4].
+    pub bands: Vec<[f64; 3]>,
+}
+
+impl UnmodelledForce {
+    /// The sum over the axes, m^2/s^4.
+    pub fn total(&self) -> f64 {
+        self.mean_square.iter().sum()
+    }
+
+    /// Root mean square, m/s^2.
+    pub fn rms(&self) -> f64 {
+        self.total().max(0.0).sqrt()
+    }
+
+    /// Standard errors above 0.
+    pub fn significance(&self) -> f64 {
+        if self.error > 0.0 { self.total() / self.error } else { 0.0 }
+    }
+}
+
+/// Force that `candidate` leaves unexplained; `None` where the logs lack accelerometer or velocity.
+pub fn unmodelled_force(
+    observed: &Observed<'_>,
+    evaluator: &Evaluator,
+    candidate: &Candidate,
+) -> Option<UnmodelledForce> {
+    let blocks = observed.blocks(|_, layout| layout.has(VELOCITY) && layout.has(FORCE));
+    if blocks.is_empty() {
+        return None;
+    }
+    let transform = CosineTransform::default();
+    let of_blocks: Vec<CrossPowers> = blocks
+        .par_iter()
+        .map(|(flight, layout, block)| {
+            let series = evaluator.series(flight, layout, block, candidate, Groups::ALL);
+            let [velocity, force] =
+                [VELOCITY, FORCE].map(|first| [0, 1, 2].map(|axis| &series[first + axis]));
+            let force = in_world(flight, block, candidate, force);
+            CrossPowers::of(&transform, velocity.map(Vec::clone), force)
+        })
+        .collect();
+    Some(CrossPowers::sum(&of_blocks).force())
+}
+
+/// What the accelerometer shows beyond the candidate, less its mean, turned into world axes.
+fn in_world(
+    flight: &PreparedFlight,
+    block: &Block,
+    candidate: &Candidate,
+    force: [&Vec<f64>; 3],
+) -> [Vec<f64>; 3] {
+    let n = block.cells;
+    let mean = force.map(|axis| axis.iter().sum::<f64>() / n as f64);
+    let mut world = [(); 3].map(|()| Vec::with_capacity(n));
+    let mut attitude = flight.attitude.cursor();
+    for k in 0..n {
+        let force = Frd::from(std::array::from_fn(|i| force[i][k] - mean[i]));
+        let seen = block.middle(k) + candidate.latency;
+        let turned = attitude.attitude_at(seen).to_world(force).to_array();
+        world.iter_mut().zip(turned).for_each(|(axis, value)| axis.push(value));
+    }
+    world
+}
+
+/// Sums over coefficients of what two sensors leave of one axis in one band.
+#[derive(Clone, Copy, Debug, Default)]
+struct CrossPower {
+    /// Of the products of both.
+    product: f64,
+    /// Of the squares of each.
+    squares: [f64; 2],
+    /// Number of the coefficients.
+    count: f64,
+}
+
+impl CrossPower {
+    fn add(&mut self, other: &Self) {
+        self.product += other.product;
+        self.squares[0] += other.squares[0];
+        self.squares[1] += other.squares[1];
+        self.count += other.count;
+    }
+}
+
+/// The same by band and axis.
+#[derive(Clone, Debug, Default)]
+struct CrossPowers([[CrossPower; 3]; BANDS.len()]);
+
+impl CrossPowers {
+    /// Of one block, by axis.
+    fn of(
+        transform: &CosineTransform,
+        mut velocity: [Vec<f64>; 3],
+        mut force: [Vec<f64>; 3],
+    ) -> Self {
+        let mut sums = Self::default();
+        let mut scratch = Vec::new();
+        for (axis, (v, f)) in velocity.iter_mut().zip(&mut force).enumerate() {
+            transform.apply(v, &mut scratch);
+            transform.apply(f, &mut scratch);
+            for (k, (a, b)) in v.iter().zip(&*f).enumerate() {
+                let frequency = frequency(k, v.len());
+                let is_looked_at = (FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&frequency);
+                let Some(band) = band(frequency).filter(|_| is_looked_at) else { continue };
+                let one = CrossPower { product: a * b, squares: [a * a, b * b], count: 1.0 };
+                sums.0[band][axis].add(&one);
+            }
+        }
+        sums
+    }
+
+    fn sum(all: &[Self]) -> Self {
+        let mut total = Self::default();
+        for sums in all {
+            let pairs = total.0.iter_mut().flatten().zip(sums.0.iter().flatten());
+            pairs.for_each(|(total, sum)| total.add(sum));
+        }
+        total
+    }
+
+    /// The force that both sensors agree on.
+    fn force(&self) -> UnmodelledForce {
+        let mut force = UnmodelledForce {
+            mean_square: [0.0; 3],
+            error: 0.0,
+            slow_significance: 0.0,
+            bands: Vec::new(),
+        };
+        let mut variance: f64 = 0.0;
+        for (band, axes) in self.0.iter().enumerate() {
+            let [lower, upper] = edges(band);
+            if lower >= FORCE_MAX_HZ {
+                break;
+            }
+            let mut in_band = 0.0;
+            for (axis, CrossPower { product, squares: [left, right], count }) in
+                axes.iter().enumerate()
+            {
+                if *count < 1.0 {
+                    continue;
+                }
+                let share = mean_square_share(band) / count;
+                let noise = SHARED_FACTOR * count * self.shared_noise(axis);
+                let power = (product - noise) * share;
+                force.mean_square[axis] += power;
+                in_band += power;
+                variance += share * share * left * right / count;
+            }
+            if axes[0].count > 0.0 {
+                force.bands.push([lower, upper, in_band]);
+                let significance = force.total() / variance.sqrt().max(f64::MIN_POSITIVE);
+                force.slow_significance = force.slow_significance.max(significance);
+            }
+        }
+        force.error = variance.sqrt();
+        force
+    }
+
+    /// Product of both per coefficient above the forces' band: an estimator that integrates the
+    /// accelerometer puts its white noise into the velocity too.
+    fn shared_noise(&self, axis: usize) -> f64 {
+        let mut above = CrossPower::default();
+        for (band, axes) in self.0.iter().enumerate() {
+            if edges(band)[0] >= FORCE_MAX_HZ {
+                above.add(&axes[axis]);
+            }
+        }
+        if above.count > 0.0 { (above.product / above.count).max(0.0) } else { 0.0 }
+    }
+}

@@ -1,0 +1,154 @@
+//! Whether a force that nothing explains is turbulence.
+//!
+//! Gusts act through the drag, so that the force they leave is horizontal first, as strong along
+//! north as along east, falls off with frequency without a line, and does not go with the
+//! vehicle's own motion. The gusts' strength is what makes that force through the vehicle's drags.
+
+use nalgebra::{DMatrix, DVector};
+use vehicle::VehicleParams;
+use vehicle::effects::{EffectId, EffectSet, Slots};
+
+use crate::diagnose::remainder::leftover::UnmodelledForce;
+use crate::diagnose::remainder::map::Sample;
+
+/// Turbulence is as strong along north as along east, within this factor in power: few gusts pass
+/// in a flight.
+const ISOTROPY_MAX: f64 = 4.0;
+/// A band's density over that of both its neighbours that makes a line of it.
+const LINE: f64 = 2.5;
+/// No vehicle of this kind flies in gusts of more, m/s.
+const STORM_M_S: f64 = 20.0;
+/// Share of the force that the vehicle's own motion may explain.
+const EXPLAINED_MAX: f64 = 0.35;
+
+/// The gusts that explain `force`, with the drag that `effects` and the file have; `None` where it
+/// is no turbulence. `samples` are of what the best explanation leaves.
+pub fn gusts(
+    vehicle: &VehicleParams,
+    effects: &EffectSet,
+    force: &UnmodelledForce,
+    samples: &[Sample],
+) -> Option<Slots> {
+    let all = vehicle.modelled_effects.overlay(effects);
+    let linear = vehicle.linear_drag_n_per_m_s.filter(|_| !effects.contains(EffectId::RotorDrag));
+    let drag = Drag {
+        linear: linear.or(all.value(EffectId::RotorDrag, "d_xy", 0)).unwrap_or(0.0),
+        quadratic: 0.5
+            * vehicle.air_density
+            * all.value(EffectId::ParasiticDrag, "cda_m2", 0).unwrap_or(0.0),
+    };
+    let [north, east, down] = force.mean_square.map(|power| power.max(0.0));
+    let (most, least) = (north.max(east), north.min(east));
+    let level = most < ISOTROPY_MAX * least && down < most;
+    if !level || has_line(&force.bands) || explained_by_motion(samples)? > EXPLAINED_MAX {
+        return None;
+    }
+    let mass = all.value(EffectId::Mass, "mass_kg", 0).unwrap_or(vehicle.mass);
+    let mut slots = Slots::default();
+    for slot in EffectId::Gusts.spec().slots() {
+        slots[slot.index] = slot.parameter.default.unwrap_or(0.0);
+    }
+    slots[0] = drag.gusts((0.5 * (north + east)).sqrt() * mass)?;
+    Some(slots)
+}
+
+/// What of a vehicle's drag is along the wind: `linear` [N s/m] and `quadratic` [N s^2/m^2].
+#[derive(Clone, Copy, Debug)]
+struct Drag {
+    linear: f64,
+    quadratic: f64,
+}
+
+impl Drag {
+    /// Standard deviation of gusts, m/s, that push with a force of this standard deviation along
+    /// one axis, N, on a vehicle that is slow against them; `None` where it takes more than a
+    /// storm.
+    fn gusts(self, force: f64) -> Option<f64> {
+        // Mean squares of normal gusts of deviations 1, 1 and 0.6: of |g| g_x, and its product with
+        // g_x.
+        const SQUARE: f64 = 4.36;
+        const PRODUCT: f64 = 2.0;
+        let Self { linear, quadratic } = self;
+        let pushed = |sigma: f64| {
+            let (a, b) = (linear * sigma, quadratic * sigma * sigma);
+            (a * a + 2.0 * PRODUCT * a * b + SQUARE * b * b).sqrt()
+        };
+        let (mut low, mut high) = (0.0, STORM_M_S);
+        if pushed(high) < force {
+            return None;
+        }
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            *if pushed(middle) < force { &mut low } else { &mut high } = middle;
+        }
+        Some(high)
+    }
+}
+
+/// Whether one band stands out over its neighbours.
+fn has_line(bands: &[[f64; 3]]) -> bool {
+    let density: Vec<f64> =
+        bands.iter().map(|[from, to, power]| power.max(0.0) / (to - from)).collect();
+    let total: f64 = bands.iter().map(|[.., power]| power.max(0.0)).sum();
+    density
+        .windows(3)
+        .zip(&bands[1..])
+        .any(|(d, [.., power])| d[1] > LINE * d[0] && d[1] > LINE * d[2] && *power > 0.2 * total)
+}
+
+/// Share of the force in body axes that a regression on velocity, body rate and throttle explains,
+/// less what as many idle regressors would.
+fn explained_by_motion(samples: &[Sample]) -> Option<f64> {
+    let n = samples.len();
+    let rows: Vec<[f64; REGRESSORS]> = samples.iter().map(regressors).collect();
+    if n < 4 * REGRESSORS {
+        return None;
+    }
+    let x = DMatrix::from_fn(n, REGRESSORS, |i, j| rows[i][j]);
+    let gram = x.transpose() * &x + DMatrix::identity(REGRESSORS, REGRESSORS) * 1e-9;
+    let factor = gram.cholesky()?;
+    let (mut explained, mut total) = (0.0, 0.0);
+    for axis in 0..3 {
+        let y = DVector::from_fn(n, |i, _| samples[i].body[axis]);
+        let left = &y - &x * factor.solve(&(x.transpose() * &y));
+        let mean = y.mean();
+        total += y.iter().map(|y| (y - mean).powi(2)).sum::<f64>();
+        let penalty = n as f64 / (n - REGRESSORS) as f64;
+        explained -= left.norm_squared() * penalty;
+    }
+    (total > 0.0).then(|| (total + explained) / total)
+}
+
+const REGRESSORS: usize = 11;
+
+fn regressors(sample: &Sample) -> [f64; REGRESSORS] {
+    let [vx, vy, vz] = sample.body_velocity;
+    let [p, q, r] = sample.body_rate;
+    let speed = (vx * vx + vy * vy + vz * vz).sqrt();
+    [1.0, vx, vy, vz, p, q, r, speed * vx, speed * vy, speed * vz, sample.throttle()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gusts_push_through_either_drag() {
+        let linear = Drag { linear: 0.2, quadratic: 0.0 };
+        assert!((linear.gusts(0.3).unwrap() - 1.5).abs() < 1e-9);
+        let quadratic = Drag { linear: 0.0, quadratic: 0.05 };
+        let force = 0.05 * 4.36_f64.sqrt() * 2.0 * 2.0;
+        assert!((quadratic.gusts(force).unwrap() - 2.0).abs() < 1e-9);
+        let both = Drag { linear: 0.2, quadratic: 0.05 };
+        assert!(both.gusts(0.3).unwrap() < 1.5);
+        assert_eq!(Drag { linear: 0.0, quadratic: 0.0 }.gusts(0.3), None);
+    }
+
+    #[test]
+    fn a_line_is_told_from_a_slope() {
+        let slope = [[0.1, 0.2, 0.05], [0.2, 0.35, 0.06], [0.35, 0.6, 0.05], [0.6, 1.0, 0.03]];
+        assert!(!has_line(&slope));
+        let line = [[0.1, 0.2, 0.01], [0.2, 0.35, 0.01], [0.35, 0.6, 0.4], [0.6, 1.0, 0.03]];
+        assert!(has_line(&line));
+    }
+}

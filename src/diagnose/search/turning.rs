@@ -1,0 +1,78 @@
+//! Whether motor outputs tell how the body turns.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::diagnose::flights::spectrum::{BANDS, mean_square_share};
+use crate::diagnose::likelihood::channels::RATE;
+use crate::diagnose::likelihood::layout::Place;
+use crate::diagnose::likelihood::linearised::Linearised;
+use crate::diagnose::likelihood::noise::{increments_of_white, report_noise};
+use crate::diagnose::search::Search;
+use crate::diagnose::search::explanation::Explanation;
+
+/// Highest frequency at which the body's turning is compared, Hz.
+const MAX_HZ: f64 = 6.0;
+
+/// How well moments by the motor outputs predict the turning about one axis: mean squares of the
+/// angular acceleration, rad^2/s^4.
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct Turning {
+    /// As measured.
+    pub measured: f64,
+    /// What the best explanation leaves of it.
+    pub left: f64,
+    /// What the gyro's noise makes.
+    pub noise: f64,
+    /// Whether moments about the axis are used.
+    pub is_usable: bool,
+}
+
+/// How well moments predict the body's turning about each axis, and the channels of the axes that
+/// they do not. `file` and `about`: the vehicle file's numbers fitted to the flights of `search`, and
+/// the derivatives there. With a known on-board loop (`loop_known`) every axis is used.
+///
+/// Moments are computed from motor outputs. Outputs that are logged more slowly than the loop runs
+/// alias; units, unmodelled torques and the feedback's own answer to them stand in others. What
+/// then remains of a fit looks like an inertia or a torque constant that is far off: least squares
+/// shrink a regressor that is mostly error. An axis whose turning the best explanation leaves more
+/// of than it explains, beyond the gyro's noise, is not used.
+pub fn turning(
+    search: &Search<'_>,
+    (file, about): (&Explanation, &Linearised),
+    loop_known: bool,
+) -> ([Turning; 3], Vec<usize>) {
+    let observed = search.fitted;
+    let flights = observed.flights;
+    let usable = Turning { is_usable: true, ..Turning::default() };
+    let least = search.least_power(about).unwrap_or_else(|| file.fit.power.clone());
+    let layouts = flights.iter().zip(&observed.layouts);
+    let measured =
+        layouts.map(|(flight, layout)| observed.evaluator.turning(flight, layout)).collect();
+    let measured = observed.power_of(&measured);
+    let noise = report_noise(flights, &file.fit.power, observed.counts());
+    let rate = flights.iter().map(|flight| flight.body_rate.rate()).sum::<f64>()
+        / flights.len().max(1) as f64;
+    let of_axis = |axis: usize| {
+        let mut found = usable;
+        for band in (0..BANDS.len()).filter(|band| BANDS[*band] <= MAX_HZ) {
+            let place = Place::index_of(RATE + axis, band);
+            let count = observed.counts()[place];
+            if count < 1.0 {
+                continue;
+            }
+            let share = mean_square_share(band);
+            found.measured += measured[place] / count * share;
+            found.left += least[place].min(file.fit.power[place]) / count * share;
+            found.noise += increments_of_white(noise.body_rate, rate, band) * share;
+        }
+        let left = (found.left - found.noise).max(0.0);
+        found.is_usable = loop_known
+            || left <= 0.5 * (found.measured - found.noise).max(0.0)
+            || left < found.noise;
+        found
+    };
+    let turning = [0, 1, 2].map(of_axis);
+    let unused = (0..3).filter(|axis| !turning[*axis].is_usable).map(|axis| RATE + axis);
+    (turning, unused.collect())
+}

@@ -1,0 +1,241 @@
+//! How far a simulator is from flights: errors of its open-loop predictions.
+//!
+//! From many instants a simulator predicts what is reported after 0.1, 0.5 and 1 s.
+
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::frame::Frd;
+use vehicle::rigid_body::State;
+
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::likelihood::noise::ReportNoise;
+use crate::diagnose::simulate::metric::Metric;
+use crate::diagnose::simulate::open_loop::{HORIZONS_S, LoopNoise, MARGIN_S, NoiseDraw, Simulator};
+
+/// Quantities with their units, each by the norm of its error.
+pub const QUANTITIES: [(&str, &str); 4] =
+    [("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("body rate", "rad/s")];
+/// Time between the starts of windows, s.
+const SPACING_S: f64 = 0.25;
+
+/// Errors of one window: of each of [`HORIZONS_S`] and [`QUANTITIES`].
+pub type Window = [[f64; 4]; 3];
+
+/// Root mean squares over windows: by horizon and quantity, in m, m/s, rad, rad/s.
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
+pub struct Errors(pub Window);
+
+impl Errors {
+    /// The mean of what `metric` looks at, each over its noise.
+    pub fn over(&self, noise: &Errors, metric: Metric) -> f64 {
+        let parts = metric.parts();
+        let ratio = |(h, q): &(usize, usize)| self.0[*h][*q] / noise.0[*h][*q].max(1e-12);
+        parts.iter().map(ratio).sum::<f64>() / parts.len() as f64
+    }
+
+    /// The metric `mean`.
+    pub fn mean_over(&self, noise: &Errors) -> f64 {
+        self.over(noise, Metric::Mean)
+    }
+}
+
+/// What noise alone leaves of predictions.
+#[derive(Clone, Copy, Debug)]
+pub struct Floor {
+    /// Root mean squares over windows and draws of the noise.
+    pub errors: Errors,
+    /// By how much the metric `mean` of one draw scatters about 1: where the body turns fast, a few
+    /// windows are most of it.
+    pub scatter: f64,
+}
+
+/// Draws of the noise over flights.
+const FLOOR_DRAWS: u64 = 4;
+/// What so few draws tell of their scatter counts with what flights mostly have, as if of two more
+/// draws: half of 300 nulls of an exam had more.
+const USUAL_SCATTER: f64 = 0.024;
+const USUAL_DRAWS: f64 = 2.0;
+
+/// The metric `mean` in units of what noise alone leaves.
+#[derive(Clone, Copy, Debug, JsonSchema, Serialize)]
+pub struct OverNoise {
+    /// The metric.
+    pub gap: f64,
+    /// By how much noise alone scatters it.
+    pub scatter: f64,
+}
+
+impl Simulator {
+    /// Root mean square errors over the windows of flights; `None` without a window.
+    pub fn errors(&self, flights: &[PreparedFlight]) -> Option<Errors> {
+        root_mean_square(&self.windows(flights))
+    }
+
+    /// The errors of each window of flights, in order; not a number where one cannot be predicted.
+    pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<Window> {
+        windows(flights, |index, start| {
+            let flight = &flights[index];
+            let from = reported(flight, start, self.latency());
+            let predicted = self.predict(flight, start, &from, None)?;
+            Some(std::array::from_fn(|h| {
+                let there = reported(flight, start + HORIZONS_S[h], self.latency());
+                distance(&there, &predicted[h])
+            }))
+        })
+    }
+
+    /// The errors that noise alone leaves: predictions from noisy starts, compared with noisy
+    /// reports of what the same simulator does from the start as it was, its on-board loop flying
+    /// with the sensors' noise, the gyro's bias and the link's jitter.
+    pub fn floor(
+        &self,
+        flights: &[PreparedFlight],
+        noise: &ReportNoise,
+        seed: u64,
+    ) -> Option<Floor> {
+        let draws: Vec<_> = (0..FLOOR_DRAWS)
+            .map(|draw| {
+                let seed = seed.wrapping_add(draw << 32);
+                let draws: Vec<NoiseDraw<'_>> = (0_u64..)
+                    .zip(flights)
+                    .map(|(index, flight)| {
+                        let seed = seed.wrapping_add(index << 40);
+                        NoiseDraw::new(noise, flight, self.trim().inverse(), seed)
+                    })
+                    .collect();
+                windows(flights, |index, start| {
+                    self.by_noise(&flights[index], start, &draws[index])
+                })
+            })
+            .collect();
+        let errors = root_mean_square(draws.iter().flatten())?;
+        let of_one = draws.iter().filter_map(root_mean_square);
+        let squares = of_one.map(|draw| (draw.over(&errors, self.metric()) - 1.0).powi(2));
+        let sum = squares.sum::<f64>() + USUAL_DRAWS * USUAL_SCATTER.powi(2);
+        let scatter = (sum / (USUAL_DRAWS + (FLOOR_DRAWS - 1) as f64)).sqrt();
+        Some(Floor { errors, scatter })
+    }
+
+    /// The errors that noise alone leaves in the window of `flight` from `start`.
+    fn by_noise(
+        &self,
+        flight: &PreparedFlight,
+        start: f64,
+        draw: &NoiseDraw<'_>,
+    ) -> Option<Window> {
+        let mut rng = Pcg64Mcg::seed_from_u64(draw.seed ^ start.to_bits());
+        let bias = draw.gyro_bias;
+        let truth = turning_faster(-bias, reported(flight, start, self.latency()));
+        let sensed = LoopNoise::new(draw, rng.random());
+        let ends = self.predict(flight, start, &truth, Some(sensed))?;
+        let mut report = |time: f64, state: &State| {
+            let noise = draw.noise.read_at(flight, time, self.latency());
+            turning_faster(bias, noise.applied(state, &mut rng))
+        };
+        let predicted = self.predict(flight, start, &report(start, &truth), None)?;
+        Some(std::array::from_fn(|h| {
+            distance(&report(start + HORIZONS_S[h], &ends[h]), &predicted[h])
+        }))
+    }
+
+    /// The metric `mean` on one flight; `None` without a window.
+    pub fn gap(
+        &self,
+        flight: &PreparedFlight,
+        noise: &ReportNoise,
+        seed: u64,
+    ) -> Option<OverNoise> {
+        let flight = std::slice::from_ref(flight);
+        let Floor { errors, scatter } = self.floor(flight, noise, seed)?;
+        Some(OverNoise { gap: self.errors(flight)?.over(&errors, self.metric()), scatter })
+    }
+}
+
+/// The reported state at `time`; the body rate is not late.
+fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
+    State {
+        position: flight.position.at(time).into(),
+        velocity: flight.velocity.at(time).into(),
+        attitude: flight.attitude.attitude_at(time),
+        body_rate: flight.body_rate.at(time - latency).into(),
+    }
+}
+
+/// `state` with a body rate that is larger by `rate`.
+fn turning_faster(rate: Frd, state: State) -> State {
+    State { body_rate: state.body_rate + rate, ..state }
+}
+
+fn distance(a: &State, b: &State) -> [f64; 4] {
+    [
+        (a.position - b.position).norm(),
+        (a.velocity - b.velocity).norm(),
+        a.attitude.angle_to(b.attitude),
+        (a.body_rate - b.body_rate).norm(),
+    ]
+}
+
+/// Starts of the windows of a flight.
+fn starts(flight: &PreparedFlight) -> Vec<f64> {
+    let channels = &flight.channels;
+    if !(channels.velocity && channels.attitude && channels.body_rate) {
+        return Vec::new();
+    }
+    let mut starts = Vec::new();
+    for span in &flight.spans {
+        let mut start = span.start + MARGIN_S;
+        while start + HORIZONS_S[2] + 0.1 <= span.end {
+            starts.push(start);
+            start += SPACING_S;
+        }
+    }
+    starts
+}
+
+/// `window` of the index of each flight and each start in it.
+fn windows(
+    flights: &[PreparedFlight],
+    window: impl Fn(usize, f64) -> Option<Window> + Sync,
+) -> Vec<Window> {
+    let windows: Vec<(usize, f64)> = flights
+        .iter()
+        .enumerate()
+        .flat_map(|(index, flight)| starts(flight).into_iter().map(move |start| (index, start)))
+        .collect();
+    windows
+        .par_iter()
+        .map(|(index, start)| window(*index, *start).unwrap_or([[f64::NAN; 4]; 3]))
+        .collect()
+}
+
+/// Root mean squares over windows that count by `weights`; `None` without a window.
+pub fn weighted(windows: &[Window], weights: &[f64]) -> Option<Errors> {
+    let finite = |(e, _): &(&Window, &f64)| e.iter().flatten().all(|x| x.is_finite());
+    let mut sums = [[0.0; 4]; 3];
+    let mut total = 0.0;
+    for (window, weight) in windows.iter().zip(weights).filter(finite) {
+        total += weight;
+        for (sum, error) in sums.iter_mut().flatten().zip(window.iter().flatten()) {
+            *sum += weight * error * error;
+        }
+    }
+    (total > 0.0).then(|| Errors(sums.map(|row| row.map(|sum: f64| (sum / total).sqrt()))))
+}
+
+fn root_mean_square<'a>(errors: impl IntoIterator<Item = &'a Window>) -> Option<Errors> {
+    let finite = |e: &&Window| e.iter().flatten().all(|x| x.is_finite());
+    let mut sums = [[0.0; 4]; 3];
+    let mut count = 0.0;
+    for error in errors.into_iter().filter(finite) {
+        count += 1.0;
+        for (sums, error) in sums.iter_mut().zip(error) {
+            for (sum, error) in sums.iter_mut().zip(error) {
+                *sum += error * error;
+            }
+        }
+    }
+    (count > 0.0).then(|| Errors(sums.map(|row| row.map(|sum: f64| (sum / count).sqrt()))))
+}

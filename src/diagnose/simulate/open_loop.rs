@@ -1,0 +1,381 @@
+//! The open loop: what a simulator predicts from an instant of a flight on.
+//!
+//! From the reported state the plant is driven by the logged setpoints through the on-board law, or
+//! by the logged outputs where there is none.
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, Exp1};
+use rand_pcg::Pcg64Mcg;
+use sitl::autopilot::offboard::JITTER_MEAN_S;
+use sitl::autopilot::pd::AttitudeLoop;
+use sitl::config::SensorConfig;
+use vehicle::effects::{
+    AttitudeTrim, CommandDelay, Effect, EffectSet, EstimatorLatency, Gusts, PdGain,
+};
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::plant::{Plant, Setup};
+use vehicle::rigid_body::State;
+use vehicle::{ROTORS, VehicleError, VehicleParams};
+
+use crate::diagnose::flights::normal::normals;
+use crate::diagnose::flights::onboard::{TICK_TOLERANCE_S, setpoint_at};
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::flights::series::Cursor;
+use crate::diagnose::flights::setpoints::as_flown;
+use crate::diagnose::likelihood::noise::{ReportNoise, gyro_bias, small_rotation};
+use crate::diagnose::remainder::learner::Learner;
+use crate::diagnose::simulate::metric::Metric;
+use crate::log::import::{AttitudeSetpoint, Stream};
+
+/// Horizons, s.
+pub const HORIZONS_S: [f64; 3] = [0.1, 0.5, 1.0];
+/// Time before a start that delays and lags reach back to, s.
+pub(in crate::diagnose) const MARGIN_S: f64 = 0.4;
+/// Steps of the plant from one look of a learner to the next.
+const LEARNER_STEPS: usize = 10;
+/// Steps from one reading of the pack's voltage to the next: it changes slowly against this.
+const VOLTAGE_STEPS: usize = 20;
+/// Rotors forget their states within this many time constants.
+const MEMORY: f64 = 6.0;
+
+/// A simulator: the vehicle file with effects put over it.
+#[derive(Clone, Debug)]
+pub struct Simulator {
+    plant: Plant,
+    law: Option<(AttitudeLoop, f64)>,
+    trim: Attitude,
+    latency: f64,
+    command_delay: f64,
+    /// What its predictions are compared by; but for the mean, position and velocity are predicted
+    /// with the body turning as reported.
+    metric: Metric,
+    /// What is added to the plant's accelerations.
+    learner: Option<Learner>,
+}
+
+impl Simulator {
+    /// The vehicle with `effects` put over what its file models. `setpoint_leg`: driven by
+    /// setpoints, else by outputs.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn new(
+        vehicle: &VehicleParams,
+        effects: &EffectSet,
+        setpoint_leg: bool,
+    ) -> Result<Self, VehicleError> {
+        let mut calm = effects.clone();
+        // One draw of turbulence is not the one that the flight met.
+        calm.remove(Gusts::ID);
+        let all = vehicle.modelled_effects.overlay(&calm);
+        let law = match vehicle.attitude_pd.filter(|_| setpoint_leg) {
+            Some(pd) => {
+                let gains = all.get::<PdGain>().map_or(pd, |gains| gains.apply(&pd));
+                Some((AttitudeLoop::new(gains, vehicle.allocation()?), pd.rate_hz))
+            }
+            None => None,
+        };
+        Ok(Self {
+            plant: Plant::new(vehicle, &calm, &Setup::default(), 0)?.airborne().coarse(),
+            law,
+            trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
+            latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
+            command_delay: all.get::<CommandDelay>().map_or(vehicle.command_delay_s, |e| e.delay_s),
+            metric: Metric::Mean,
+            learner: None,
+        })
+    }
+
+    /// The same simulator with the plant of another vehicle and effects, flown by the same on-board
+    /// law: the numbers of a vehicle that its firmware does not know.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn flying(
+        self,
+        vehicle: &VehicleParams,
+        effects: &EffectSet,
+    ) -> Result<Self, VehicleError> {
+        let mut calm = effects.clone();
+        calm.remove(Gusts::ID);
+        let plant = Plant::new(vehicle, &calm, &Setup::default(), 0)?.airborne().coarse();
+        Ok(Self { plant, ..self })
+    }
+
+    /// The same simulator with predictions compared by `metric`.
+    pub fn compared_by(self, metric: Metric) -> Self {
+        Self { metric, ..self }
+    }
+
+    /// The same simulator with what a learner adds to its accelerations.
+    pub fn with_learner(self, learner: Learner) -> Self {
+        Self { learner: Some(learner), ..self }
+    }
+
+    /// What its predictions are compared by.
+    pub fn metric(&self) -> Metric {
+        self.metric
+    }
+
+    /// How late the vehicle reports its attitude, s.
+    pub(in crate::diagnose) fn latency(&self) -> f64 {
+        self.latency
+    }
+
+    /// From the body's true attitude to the reported one.
+    pub(in crate::diagnose) fn trim(&self) -> Attitude {
+        self.trim
+    }
+
+    /// What will be reported at `start` plus each horizon, from the reported state `from` at
+    /// `start`. Latency and trim are undone at the start and applied again at the end. `None`
+    /// where no setpoint rules at the start. `sensed`: the noise that the on-board loop flies with.
+    pub(in crate::diagnose) fn predict(
+        &self,
+        flight: &PreparedFlight,
+        start: f64,
+        from: &State,
+        sensed: Option<LoopNoise<'_>>,
+    ) -> Option<[State; 3]> {
+        let start = start - self.latency;
+        let mut plant = self.set_off(flight, start, from);
+        let mut turned = (self.metric != Metric::Mean).then(|| Turned::new(self, &plant, flight));
+        let mut inputs = Inputs::new(self, flight, sensed);
+        let mut voltage = flight.channels.voltage.then(|| flight.voltage.cursor());
+        let steps = (HORIZONS_S[2] / Plant::STEP).round() as usize;
+        let mut reported = [State::default(); 3];
+        let mut learned = (Ned::zero(), Frd::zero());
+        let mut next = 0;
+        for k in 0..steps {
+            let time = start + k as f64 * Plant::STEP;
+            let outputs = inputs.at(time, plant.state())?;
+            if let Some(voltage) = voltage.as_mut().filter(|_| k % VOLTAGE_STEPS == 0) {
+                let [volts] = voltage.at(time);
+                plant.hold_voltage(volts);
+                turned.iter_mut().for_each(|turned| turned.plant.hold_voltage(volts));
+            }
+            turned.iter_mut().for_each(|turned| turned.step(time, outputs));
+            plant.step(outputs);
+            if let Some(learner) = &self.learner {
+                if k % LEARNER_STEPS == 0 {
+                    learned = learner.accelerations(plant.state(), outputs);
+                }
+                push(&mut plant, learned);
+                turned.iter_mut().for_each(|turned| push(&mut turned.plant, learned));
+            }
+            if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
+                let state = *plant.state();
+                let moved = turned.as_ref().map_or(&state, |turned| turned.plant.state());
+                reported[next] = State {
+                    position: moved.position,
+                    velocity: moved.velocity,
+                    attitude: state.attitude.compose(self.trim),
+                    ..state
+                };
+                next += 1;
+            }
+        }
+        Some(reported)
+    }
+
+    /// The plant in the state that is reported as `from`, its rotors as the outputs logged by
+    /// `start` left them.
+    fn set_off(&self, flight: &PreparedFlight, start: f64, from: &State) -> Plant {
+        let mut plant = self.plant.clone();
+        let tau = plant.physics().constants().motor_time_constant;
+        let memory = ((MEMORY * tau).min(MARGIN_S) / Plant::STEP).ceil() as usize;
+        let before = start - memory as f64 * Plant::STEP;
+        let mut logged = flight.outputs.cursor();
+        plant.set_rotor_states(logged.at(before - self.output_delay()));
+        if flight.channels.voltage {
+            let [volts] = flight.voltage.at(start);
+            plant.hold_voltage(volts);
+        }
+        for k in 0..memory {
+            let time = before + (k as f64 + 0.5) * Plant::STEP;
+            plant.step(logged.at(time - self.output_delay()));
+        }
+        plant.set_clock(start);
+        plant.set_state(State { attitude: from.attitude.compose(self.trim.inverse()), ..*from });
+        plant
+    }
+
+    /// How much later than logged outputs act, s: where the setpoints drive the loop the delay is
+    /// theirs.
+    fn output_delay(&self) -> f64 {
+        if self.law.is_some() { 0.0 } else { self.command_delay }
+    }
+}
+
+/// Adds a learner's accelerations to what a plant's step did.
+fn push(plant: &mut Plant, (linear, angular): (Ned, Frd)) {
+    let state = *plant.state();
+    plant.set_state(State {
+        velocity: state.velocity + linear * Plant::STEP,
+        body_rate: state.body_rate + angular * Plant::STEP,
+        ..state
+    });
+}
+
+/// A second plant whose body turns as reported, under the same outputs: forces by themselves.
+struct Turned<'a> {
+    plant: Plant,
+    attitude: Cursor<'a, 4>,
+    body_rate: Cursor<'a, 3>,
+    latency: f64,
+    untrim: Attitude,
+}
+
+impl<'a> Turned<'a> {
+    fn new(simulator: &Simulator, plant: &Plant, flight: &'a PreparedFlight) -> Self {
+        Self {
+            plant: plant.clone(),
+            attitude: flight.attitude.cursor(),
+            body_rate: flight.body_rate.cursor(),
+            latency: simulator.latency,
+            untrim: simulator.trim.inverse(),
+        }
+    }
+
+    fn step(&mut self, time: f64, outputs: [f64; ROTORS]) {
+        self.plant.set_state(State {
+            attitude: self.attitude.attitude_at(time + self.latency).compose(self.untrim),
+            body_rate: self.body_rate.at(time).into(),
+            ..*self.plant.state()
+        });
+        self.plant.step(outputs);
+    }
+}
+
+/// What drives a plant: the logged outputs, or the on-board loop under the logged setpoints.
+enum Inputs<'a> {
+    Logged { outputs: Cursor<'a, ROTORS>, delay: f64 },
+    Loop(Loop<'a>),
+}
+
+impl<'a> Inputs<'a> {
+    fn new(
+        simulator: &'a Simulator,
+        flight: &'a PreparedFlight,
+        sensed: Option<LoopNoise<'a>>,
+    ) -> Self {
+        match &simulator.law {
+            None => {
+                Self::Logged { outputs: flight.outputs.cursor(), delay: simulator.output_delay() }
+            }
+            Some((law, rate_hz)) => Self::Loop(Loop {
+                law,
+                rate_hz: *rate_hz,
+                trim: simulator.trim,
+                command_delay: simulator.command_delay,
+                setpoints: sensed.as_ref().map_or(&flight.setpoint, |s| &s.draw.setpoints),
+                sensed,
+                held: None,
+            }),
+        }
+    }
+
+    /// The outputs of the step from `time` on, of a plant in `state`.
+    fn at(&mut self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
+        match self {
+            Self::Logged { outputs, delay } => Some(outputs.at(time + 0.5 * Plant::STEP - *delay)),
+            Self::Loop(onboard) => onboard.at(time, state),
+        }
+    }
+}
+
+/// The on-board loop as it goes along.
+struct Loop<'a> {
+    law: &'a AttitudeLoop,
+    rate_hz: f64,
+    trim: Attitude,
+    command_delay: f64,
+    setpoints: &'a Stream<AttitudeSetpoint>,
+    sensed: Option<LoopNoise<'a>>,
+    /// The last tick, and the outputs that it gave.
+    held: Option<(f64, [f64; ROTORS])>,
+}
+
+impl Loop<'_> {
+    /// The outputs in force at `time`; `None` where no setpoint rules.
+    fn at(&mut self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
+        let tick = ((time + TICK_TOLERANCE_S) * self.rate_hz).floor();
+        if let Some((_, outputs)) = self.held.filter(|(last, _)| tick <= *last) {
+            return Some(outputs);
+        }
+        let mut attitude = state.attitude.compose(self.trim);
+        let mut rate = state.body_rate;
+        let mut sent = tick / self.rate_hz - self.command_delay;
+        if let Some(noise) = &mut self.sensed {
+            attitude = attitude.compose(noise.attitude_error(1.0 / self.rate_hz));
+            rate += noise.gyro_error();
+            // Jitter is a part of the delay.
+            sent -= noise.lateness().max(-self.command_delay);
+        }
+        let asked = setpoint_at(self.setpoints, sent)?;
+        let outputs = self.law.outputs(&asked, attitude.euler(), rate);
+        self.held = Some((tick, outputs));
+        Some(outputs)
+    }
+}
+
+/// A flight as it is under one draw of its noise.
+pub(in crate::diagnose) struct NoiseDraw<'a> {
+    pub(in crate::diagnose) noise: &'a ReportNoise,
+    /// What the gyro shows beyond the body rate.
+    pub(in crate::diagnose) gyro_bias: Frd,
+    /// The setpoints with a draw of those that the log lacks.
+    setpoints: Stream<AttitudeSetpoint>,
+    pub(in crate::diagnose) seed: u64,
+}
+
+impl<'a> NoiseDraw<'a> {
+    pub(in crate::diagnose) fn new(
+        noise: &'a ReportNoise,
+        flight: &PreparedFlight,
+        untrim: Attitude,
+        seed: u64,
+    ) -> Self {
+        let setpoints = as_flown(&flight.setpoint, &flight.inferred, seed);
+        Self { noise, gyro_bias: gyro_bias(flight, untrim), setpoints, seed }
+    }
+}
+
+/// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the
+/// log lacks.
+pub(in crate::diagnose) struct LoopNoise<'a> {
+    draw: &'a NoiseDraw<'a>,
+    /// The attitude's present error about each axis, rad.
+    attitude: [f64; 3],
+    rng: Pcg64Mcg,
+}
+
+impl<'a> LoopNoise<'a> {
+    pub(in crate::diagnose) fn new(draw: &'a NoiseDraw<'a>, seed: u64) -> Self {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let attitude = normals(&mut rng).map(|z| draw.noise.attitude * z);
+        Self { draw, attitude, rng }
+    }
+
+    /// The attitude's error `elapsed` seconds after the last one.
+    fn attitude_error(&mut self, elapsed: f64) -> Attitude {
+        let decay = (-elapsed / SensorConfig::ATTITUDE_CORRELATION_S).exp();
+        let fresh = self.draw.noise.attitude * (1.0 - decay * decay).sqrt();
+        for (error, z) in self.attitude.iter_mut().zip(normals::<3>(&mut self.rng)) {
+            *error = decay * *error + fresh * z;
+        }
+        small_rotation(self.attitude)
+    }
+
+    /// The gyro's, rad/s.
+    fn gyro_error(&mut self) -> Frd {
+        let deviation = self.draw.noise.body_rate;
+        self.draw.gyro_bias + Frd::from(normals(&mut self.rng).map(|z| deviation * z))
+    }
+
+    /// How much longer than on average the setpoint in force has been under way, s.
+    fn lateness(&mut self) -> f64 {
+        let jitter: f64 = Exp1.sample(&mut self.rng);
+        JITTER_MEAN_S * (jitter - 1.0)
+    }
+}

@@ -1,0 +1,402 @@
+//! Flights flown again in simulation, in closed loop, and compared with their logs.
+//!
+//! Feedback hides a plant's errors in the trajectory and shows them in the commands: a vehicle that
+//! is heavier than believed flies nearly the same path with more thrust. Both are compared, with
+//! the vehicle as shipped and with the effects that were named, each flown by the daemon's feedback
+//! as it is designed for the vehicle as shipped.
+
+mod course;
+
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::VehicleParams;
+use vehicle::effects::{AttitudeTrim, Effect, EffectSet, EstimatorLatency, Gusts};
+use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::rigid_body::State;
+use vehicle::rotor::Allocation;
+
+pub use self::course::ReferenceOrigin;
+use self::course::{Course, courses};
+use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::flights::series::Series;
+use crate::diagnose::likelihood::noise::ReportNoise;
+use crate::diagnose::simulate::flight_simulator::{
+    Departure, FlightSimulator, GroundControl, NotSimulated,
+};
+use crate::log::import::{Flight, Stream};
+
+/// A difference beyond the floor by less, in units of it, is none that could be closed: a floor is
+/// of two draws only.
+const GAP_MIN: f64 = 0.2;
+/// Times at which flights are compared are this far apart, s.
+const SPACING_S: f64 = 0.02;
+/// Commands are compared as means over this many of these times: the gyro's noise is in every
+/// output, and says nothing about the plant.
+const MEAN_OVER: usize = 5;
+
+/// Why nothing was flown again.
+#[derive(Debug, thiserror::Error)]
+pub enum NotReflown {
+    /// The vehicle cannot be flown in simulation.
+    #[error(transparent)]
+    NotSimulated(#[from] NotSimulated),
+    /// No flight held out tells where it was.
+    #[error(
+        "no flight held out has position, velocity, attitude and outputs over three seconds or more"
+    )]
+    NoMotion,
+}
+
+/// Root mean square difference between logs and simulation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
+pub struct Difference {
+    /// With the vehicle file as shipped.
+    pub before: f64,
+    /// With the named effects.
+    pub after: f64,
+    /// Between two simulations with the named effects that differ by their noise.
+    pub floor: f64,
+}
+
+impl Difference {
+    /// How much of what can be closed is: (before - after) / (before - floor), where there is
+    /// anything to close.
+    pub fn closure(&self) -> Option<f64> {
+        let closable = self.before - self.floor;
+        (closable > GAP_MIN * self.floor).then(|| (self.before - self.after) / closable)
+    }
+}
+
+/// Flights held out and the same flown again in simulation.
+#[derive(Clone, Debug, JsonSchema, Serialize)]
+pub struct ClosedLoop {
+    /// Length of the position's difference, m.
+    pub position_m: Difference,
+    /// Angle between the attitudes, rad.
+    pub attitude_rad: Difference,
+    /// Collective thrust of the motor outputs, by the firmware's mixer, N.
+    pub thrust_n: Difference,
+    /// Length of the moments' difference, likewise, N m.
+    pub moment_nm: Difference,
+    /// Of one motor output, 0..1.
+    pub output: Difference,
+    /// The flights.
+    pub flights: Vec<Reflown>,
+}
+
+/// One flight, or an unbroken part of one, flown again.
+#[derive(Clone, Debug, JsonSchema, Serialize)]
+pub struct Reflown {
+    /// The flight's name.
+    pub name: String,
+    /// Where the reference comes from.
+    pub reference: ReferenceOrigin,
+    /// Its length, s.
+    pub seconds: f64,
+    /// The differences over time.
+    #[serde(skip)]
+    pub traces: Traces,
+}
+
+/// Differences of one flight over time.
+#[derive(Clone, Debug, Default)]
+pub struct Traces {
+    /// From the part's start, s.
+    pub time_s: Vec<f64>,
+    /// Length of the position's difference, before and after, m.
+    pub position_m: [Vec<f64>; 2],
+    /// Simulated less logged thrust, before and after, N.
+    pub thrust_n: [Vec<f64>; 2],
+    /// What was logged: north, east, down, m, and thrust, N.
+    pub logged: [Vec<f64>; 4],
+    /// The same as simulated, before and after.
+    pub simulated: [[Vec<f64>; 4]; 2],
+}
+
+/// Flies the flights held out again, with the vehicle as shipped and with `effects` put over it,
+/// under reports with this `noise`, along what [`ReferenceOrigin`] says. Turbulence is left out:
+/// one draw is not another.
+///
+/// # Errors
+/// [`NotReflown`].
+pub fn reflight(
+    case: &Case<'_>,
+    effects: &EffectSet,
+    noise: &ReportNoise,
+    settings: &Settings,
+) -> Result<ClosedLoop, NotReflown> {
+    let control = GroundControl::new(case.vehicle)?;
+    let mut calm = effects.clone();
+    calm.remove(Gusts::ID);
+    let free = control.without_limits();
+    let simulation = Simulation {
+        limited: simulators(&control, case.vehicle, &calm, noise)?,
+        unlimited: simulators(&free, case.vehicle, &calm, noise)?,
+        reports: [&EffectSet::new(), &calm].map(|effects| Reports::of(case.vehicle, effects)),
+        allocation: case.vehicle.allocation().map_err(NotSimulated::from)?,
+    };
+    let parts: Vec<(&PreparedFlight, Course)> = case
+        .held_out
+        .iter()
+        .flat_map(|flight| {
+            courses(flight, &control).into_iter().map(move |course| (flight, course))
+        })
+        .collect();
+    let flown: Vec<(Reflown, [Sums; 3])> = parts
+        .par_iter()
+        .enumerate()
+        .map(|(part, (flight, course))| {
+            let seed = settings.seed.wrapping_add((part as u64) << 32);
+            simulation.compare(flight, course, seed)
+        })
+        .collect::<Result<_, NotSimulated>>()?;
+    if flown.is_empty() {
+        return Err(NotReflown::NoMotion);
+    }
+    let mut totals = [Sums::default(); 3];
+    for (_, sums) in &flown {
+        totals.iter_mut().zip(sums).for_each(|(total, sums)| total.add(sums));
+    }
+    let difference = |quantity: usize| {
+        let [before, after, floor] = totals.map(|sums| sums.root_mean(quantity));
+        Difference { before, after, floor }
+    };
+    Ok(ClosedLoop {
+        position_m: difference(0),
+        attitude_rad: difference(1),
+        thrust_n: difference(2),
+        moment_nm: difference(3),
+        output: difference(4),
+        flights: flown.into_iter().map(|(reflown, _)| reflown).collect(),
+    })
+}
+
+/// The vehicle as shipped and with `effects`, under one ground's control.
+fn simulators<'a>(
+    control: &'a GroundControl,
+    vehicle: &'a VehicleParams,
+    effects: &EffectSet,
+    noise: &ReportNoise,
+) -> Result<[FlightSimulator<'a>; 2], NotSimulated> {
+    let simulator =
+        |effects: &EffectSet| FlightSimulator::new(control, vehicle, effects, noise.sensors());
+    Ok([simulator(&EffectSet::new())?, simulator(effects)?])
+}
+
+/// What parts of flights are flown again in: the vehicle as shipped, and with the effects.
+struct Simulation<'a> {
+    /// Under the daemon's limits, and without them.
+    limited: [FlightSimulator<'a>; 2],
+    unlimited: [FlightSimulator<'a>; 2],
+    reports: [Reports; 2],
+    allocation: Allocation,
+}
+
+impl Simulation<'_> {
+    /// One part flown again: how the log differs from the vehicle as shipped, from that with the
+    /// effects, and this from another draw of its noise.
+    fn compare(
+        &self,
+        flight: &PreparedFlight,
+        course: &Course,
+        seed: u64,
+    ) -> Result<(Reflown, [Sums; 3]), NotSimulated> {
+        let log = Motion::of_logged(flight, course, &self.allocation);
+        let fly = |vehicle, seed| self.fly(vehicle, flight, course, seed);
+        let (before, after, again) = (fly(0, seed)?, fly(1, seed)?, fly(1, !seed)?);
+        let sums = [log.against(&before), log.against(&after), after.against(&again)];
+        let reflown = Reflown {
+            name: flight.name.clone(),
+            reference: course.origin,
+            seconds: course.seconds(),
+            traces: Traces {
+                time_s: (0..log.states.len()).map(|k| k as f64 * SPACING_S).collect(),
+                position_m: [log.distances(&before), log.distances(&after)],
+                thrust_n: [log.thrust_beyond(&before), log.thrust_beyond(&after)],
+                logged: log.columns(),
+                simulated: [before.columns(), after.columns()],
+            },
+        };
+        Ok((reflown, sums))
+    }
+
+    /// The motion of the vehicle of this index along a course.
+    fn fly(
+        &self,
+        vehicle: usize,
+        flight: &PreparedFlight,
+        course: &Course,
+        seed: u64,
+    ) -> Result<Motion, NotSimulated> {
+        let simulator = match course.origin {
+            ReferenceOrigin::Setpoints => &self.unlimited[vehicle],
+            ReferenceOrigin::Logged | ReferenceOrigin::Reported => &self.limited[vehicle],
+        };
+        let departure = self.reports[vehicle].departure(flight, course.start());
+        let voltage = flight.channels.voltage.then_some(&flight.voltage);
+        let mut asked = course.clone();
+        for _ in 0..course.rounds() {
+            let flown = simulator.fly(&departure, &asked.ticks, voltage, seed)?;
+            asked = course.learned(&asked, &flown);
+        }
+        let flown = simulator.fly(&departure, &asked.ticks, voltage, seed)?;
+        Ok(Motion::of_simulated(&flown, course, &self.allocation))
+    }
+}
+
+/// How a vehicle reports its state.
+struct Reports {
+    latency_s: f64,
+    untrim: Attitude,
+}
+
+impl Reports {
+    fn of(vehicle: &VehicleParams, effects: &EffectSet) -> Self {
+        let all = vehicle.modelled_effects.overlay(effects);
+        Self {
+            latency_s: all.get::<EstimatorLatency>().map_or(0.0, |effect| effect.latency_s),
+            untrim: all
+                .get::<AttitudeTrim>()
+                .map_or(Attitude::default(), |trim| trim.rotation().inverse()),
+        }
+    }
+
+    /// The true state behind what `flight` reports about `time`.
+    fn departure(&self, flight: &PreparedFlight, time: f64) -> Departure {
+        let reported = state_at(flight, time + self.latency_s);
+        Departure {
+            time,
+            state: State {
+                attitude: reported.attitude.compose(self.untrim),
+                body_rate: flight.body_rate.at(time).into(),
+                ..reported
+            },
+            rotors: flight.outputs.at(time),
+        }
+    }
+}
+
+fn state_at(flight: &PreparedFlight, time: f64) -> State {
+    State {
+        position: flight.position.at(time).into(),
+        velocity: flight.velocity.at(time).into(),
+        attitude: flight.attitude.attitude_at(time),
+        body_rate: flight.body_rate.at(time).into(),
+    }
+}
+
+/// What a flight did at the times that are compared.
+struct Motion {
+    states: Vec<(Ned, Attitude)>,
+    /// Collective [N], moments [N m] and outputs.
+    commands: Vec<([f64; 4], [f64; 4])>,
+}
+
+impl Motion {
+    fn of_logged(flight: &PreparedFlight, course: &Course, allocation: &Allocation) -> Self {
+        let pose = |time| {
+            let state = state_at(flight, time);
+            (state.position, state.attitude)
+        };
+        Self::new(course, pose, &flight.outputs, allocation)
+    }
+
+    fn of_simulated(flight: &Flight, course: &Course, allocation: &Allocation) -> Self {
+        let position = Series::<3>::of(&flight.position, |p| p.to_array());
+        let pose = |time| {
+            let attitude = nearest(&flight.attitude, time).unwrap_or_default();
+            (Ned::from(position.at(time)), attitude)
+        };
+        let outputs = Series::of(&flight.outputs, |u: &[f64; 4]| *u);
+        Self::new(course, pose, &outputs, allocation)
+    }
+
+    fn new(
+        course: &Course,
+        pose: impl Fn(f64) -> (Ned, Attitude),
+        outputs: &Series<4>,
+        allocation: &Allocation,
+    ) -> Self {
+        let count = (course.seconds() / SPACING_S) as usize;
+        let at = |k: usize| course.start() + k as f64 * SPACING_S;
+        let mut cursor = outputs.cursor();
+        let raw: Vec<[f64; 4]> = (0..count).map(|k| cursor.at(at(k))).collect();
+        let commands = (0..count)
+            .map(|k| {
+                let near =
+                    &raw[k.saturating_sub(MEAN_OVER / 2)..(k + MEAN_OVER / 2 + 1).min(count)];
+                let mean = std::array::from_fn(|i| {
+                    near.iter().map(|u| u[i]).sum::<f64>() / near.len() as f64
+                });
+                (allocation.wrench(mean), mean)
+            })
+            .collect();
+        Self { states: (0..count).map(|k| pose(at(k))).collect(), commands }
+    }
+
+    /// North, east, down, m, and thrust, N, over time.
+    fn columns(&self) -> [Vec<f64>; 4] {
+        let axis = |axis: usize| self.states.iter().map(|(p, _)| p.to_array()[axis]).collect();
+        let thrust = self.commands.iter().map(|(wrench, _)| wrench[0]).collect();
+        [axis(0), axis(1), axis(2), thrust]
+    }
+
+    fn distances(&self, other: &Self) -> Vec<f64> {
+        let pairs = self.states.iter().zip(&other.states);
+        pairs.map(|((p, _), (q, _))| (*p - *q).norm()).collect()
+    }
+
+    /// By how much the thrust of `other` is greater.
+    fn thrust_beyond(&self, other: &Self) -> Vec<f64> {
+        let pairs = self.commands.iter().zip(&other.commands);
+        pairs.map(|((a, _), (b, _))| b[0] - a[0]).collect()
+    }
+
+    fn against(&self, other: &Self) -> Sums {
+        let mut sums = Sums::default();
+        for (((p, a), (wrench, u)), ((q, b), (other_wrench, v))) in
+            self.states.iter().zip(&self.commands).zip(other.states.iter().zip(&other.commands))
+        {
+            let moment: Frd = std::array::from_fn(|i| wrench[i + 1] - other_wrench[i + 1]).into();
+            let output = u.iter().zip(v).map(|(u, v)| (u - v).powi(2)).sum::<f64>() / 4.0;
+            sums.count += 1.0;
+            let squares = [
+                (*p - *q).norm().powi(2),
+                a.angle_to(*b).powi(2),
+                (wrench[0] - other_wrench[0]).powi(2),
+                moment.norm().powi(2),
+                output,
+            ];
+            sums.squares.iter_mut().zip(squares).for_each(|(sum, square)| *sum += square);
+        }
+        sums
+    }
+}
+
+fn nearest(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
+    let index = stream.index_at(time).unwrap_or(0);
+    let next = (index + 1).min(stream.len().checked_sub(1)?);
+    let times = stream.times();
+    let is_nearer = (times[next] - time).abs() < (times[index] - time).abs();
+    stream.values().get(if is_nearer { next } else { index }).copied()
+}
+
+/// Sums of squares of position, attitude, thrust, moment and output.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    squares: [f64; 5],
+    count: f64,
+}
+
+impl Sums {
+    fn add(&mut self, other: &Self) {
+        self.squares.iter_mut().zip(other.squares).for_each(|(a, b)| *a += b);
+        self.count += other.count;
+    }
+
+    fn root_mean(&self, quantity: usize) -> f64 {
+        (self.squares[quantity] / self.count.max(1.0)).sqrt()
+    }
+}

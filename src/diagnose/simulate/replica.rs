@@ -1,0 +1,372 @@
+//! Replicas: flights as a candidate vehicle would have flown them.
+//!
+//! The plant flies the logged course in closed loop: the on-board law follows the setpoints as they
+//! were logged. A soft loop about the smoothed position and velocity of the log, slow against
+//! everything that is compared, corrects the setpoints, so that model errors do not carry the
+//! replica off its course. Without the smoothing it would take out of the setpoints the noise that
+//! the ground's feedback put there. Sensors report with noise at the very stamps of the log,
+//! so that a replica goes through the same analysis as the flight: noise that feedback puts into
+//! the outputs, aliasing between rates and interpolation come along.
+
+use rand::{Rng, SeedableRng};
+use rand_distr::{Distribution, Exp1};
+use rand_pcg::Pcg64Mcg;
+use sitl::autopilot::offboard::JITTER_MEAN_S;
+use sitl::autopilot::pd::AttitudeLoop;
+use sitl::config::SitlConfig;
+use sitl::sensors::{Readings, Sensors};
+use vehicle::effects::EffectSet;
+use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+use vehicle::plant::Plant;
+use vehicle::rigid_body::State;
+use vehicle::{ROTORS, VehicleError};
+
+use crate::diagnose::catalogue::hypothesis::Catalogue;
+use crate::diagnose::flights::onboard::{AGE_MAX_S, OnboardLaw};
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::flights::series::{Series, next_to};
+use crate::diagnose::flights::setpoints::as_onboard;
+use crate::diagnose::flights::setpoints::{as_flown, infer};
+use crate::diagnose::likelihood::noise::ReportNoise;
+use crate::log::import::{AttitudeSetpoint, Stream};
+
+/// Bandwidth of the loop about the logged course, rad/s, and the most that it asks for, m/s^2.
+const COURSE_RAD_S: f64 = 1.0;
+const COURSE_MAX: f64 = 3.0;
+/// The course is the mean over so much time to each side, s.
+const COURSE_SMOOTHING_S: f64 = 0.12;
+/// Gain from an attitude's error to a body rate where setpoints are body rates, 1/s.
+const RATE_GAIN: f64 = 4.0;
+/// Time from which rotors and delays reach into a span, s.
+const WARM_UP_S: f64 = 0.4;
+
+/// A vehicle that flies again what was logged.
+#[derive(Clone, Debug)]
+pub struct Replica {
+    plant: Plant,
+    effects: EffectSet,
+    config: SitlConfig,
+    attitude_loop: AttitudeLoop,
+    law: OnboardLaw,
+    mass: f64,
+    gravity: f64,
+    command_delay: f64,
+    output_delay: f64,
+    latency: f64,
+    untrim: Attitude,
+}
+
+impl Replica {
+    /// The vehicle that `values` stand for, whose sensors have `noise`. `onboard`: the law that
+    /// follows the setpoints.
+    ///
+    /// # Errors
+    /// A vehicle that the physics refuses.
+    pub fn new(
+        catalogue: &Catalogue,
+        values: &[f64],
+        noise: &ReportNoise,
+        onboard: &OnboardLaw,
+    ) -> Result<Self, VehicleError> {
+        let candidate = catalogue.candidate(values)?;
+        let nominal = &catalogue.vehicle;
+        let (vehicle, overlay) = catalogue.vehicle_of(values);
+        let config = SitlConfig { sensors: noise.sensors(), ..SitlConfig::default() };
+        Ok(Self {
+            plant: Plant::new(&vehicle, &overlay, &config.plant(), 0)?.airborne().coarse(),
+            effects: vehicle.modelled_effects.overlay(&overlay),
+            config,
+            attitude_loop: onboard.with_gains(candidate.gains),
+            law: onboard.clone(),
+            mass: nominal.mass,
+            gravity: nominal.gravity,
+            command_delay: candidate.command_delay,
+            output_delay: candidate.output_delay,
+            latency: candidate.latency,
+            untrim: candidate.trim.map_or(Attitude::default(), |trim| trim.rotation().inverse()),
+        })
+    }
+
+    /// Flies `flight` again; outside of its airborne spans nothing changes.
+    pub fn fly(&self, flight: &PreparedFlight, seed: u64) -> PreparedFlight {
+        let mut replica = flight.clone();
+        let mut flown = as_flown(&flight.setpoint, &flight.inferred, !seed);
+        for (index, span) in flight.spans.iter().enumerate() {
+            let seed = seed.wrapping_add((index as u64) << 40);
+            self.fly_span(flight, span.clone(), seed, &mut flown, &mut replica);
+        }
+        // What the log lacks is on a line again.
+        let mut setpoints = flown.into_values();
+        infer(&mut setpoints, &flight.inferred);
+        replica.send(setpoints);
+        replica
+    }
+
+    fn fly_span(
+        &self,
+        flight: &PreparedFlight,
+        span: std::ops::Range<f64>,
+        seed: u64,
+        setpoints: &mut Stream<AttitudeSetpoint>,
+        replica: &mut PreparedFlight,
+    ) {
+        let steps_per_second = (1.0 / Plant::STEP).round();
+        // On whole milliseconds the loop's ticks and most stamps fall on steps.
+        let first = (span.start * steps_per_second).ceil();
+        let time_of = |k: usize| (first + k as f64) * Plant::STEP;
+        let steps = ((span.end * steps_per_second).floor() - first).max(0.0) as usize;
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let mut sensors = Sensors::new(&self.config, &self.effects, rng.random());
+        let mut plant = self.plant.clone();
+        let start = time_of(0);
+        self.settle(flight, start, &mut plant);
+
+        let mut recorder = Recorder::new(flight, start);
+        let mut arrivals = Arrivals::new(setpoints, start - self.command_delay);
+        let mut commands: Vec<[f64; ROTORS]> = Vec::with_capacity(steps);
+        let delay = (self.output_delay.max(0.0) / Plant::STEP).round() as usize;
+        let mut voltage = flight.voltage.cursor();
+        let mut command = flight.outputs.at(start);
+        let mut last_tick = f64::NEG_INFINITY;
+        for k in 0..steps {
+            let time = time_of(k);
+            if flight.channels.voltage && k % 20 == 0 {
+                plant.hold_voltage(voltage.at(time)[0]);
+            }
+            sensors.record(&plant);
+            let ticks = self.law.tick(time) > last_tick;
+            let readings =
+                (ticks || recorder.is_due(replica, time)).then(|| sensors.sample(&plant));
+            while let Some((index, sent)) = arrivals.sent(setpoints, time) {
+                self.correct(&mut setpoints.values_mut()[index], flight, time, plant.state());
+                arrivals.send(index, sent, self.command_delay, &mut rng);
+            }
+            if let Some(readings) = readings.as_ref().filter(|_| ticks) {
+                last_tick = self.law.tick(time);
+                let acting = arrivals.acting(time).filter(|index| {
+                    time - setpoints.times()[*index] < self.command_delay + AGE_MAX_S
+                });
+                let attitude = readings.onboard_attitude.euler();
+                command = match acting.and_then(|index| as_onboard(&setpoints.values()[index])) {
+                    Some(asked) => self.attitude_loop.outputs(&asked, attitude, readings.gyro),
+                    None => flight.outputs.at(time),
+                };
+            }
+            let reported = if self.law.reports_first() {
+                commands.last().copied().unwrap_or(command)
+            } else {
+                command
+            };
+            commands.push(command);
+            if let Some(readings) = &readings {
+                recorder.write(replica, time, readings, &plant, reported);
+            }
+            plant.step(commands[k.saturating_sub(delay)]);
+        }
+    }
+
+    /// Puts the plant where the flight was, its rotors as the logged outputs left them.
+    fn settle(&self, flight: &PreparedFlight, start: f64, plant: &mut Plant) {
+        let mut outputs = flight.outputs.cursor();
+        let steps = (WARM_UP_S / Plant::STEP).round() as usize;
+        let time = |k: usize| start - WARM_UP_S + (k as f64 + 0.5) * Plant::STEP;
+        plant.set_rotor_states(outputs.at(time(0) - self.output_delay));
+        if flight.channels.voltage {
+            plant.hold_voltage(flight.voltage.at(start)[0]);
+        }
+        for k in 0..steps {
+            plant.step(outputs.at(time(k) - self.output_delay));
+        }
+        plant.set_state(self.course(flight, start));
+    }
+
+    /// Where the flight was at `time`: as reported, smoothed where it is slow, with the vehicle's
+    /// latency and trim undone.
+    fn course(&self, flight: &PreparedFlight, time: f64) -> State {
+        let seen = time + self.latency;
+        let smoothed = |series: &Series<3>| series.mean_about(seen, COURSE_SMOOTHING_S);
+        State {
+            position: smoothed(&flight.position).into(),
+            velocity: smoothed(&flight.velocity).into(),
+            attitude: flight.attitude.attitude_at(seen).compose(self.untrim),
+            body_rate: flight.body_rate.at(time).into(),
+        }
+    }
+
+    /// Acceleration that leads back to the course, north, east, down, m/s^2.
+    fn back(&self, wanted: &State, state: &State) -> Ned {
+        let asked = (wanted.position - state.position) * COURSE_RAD_S.powi(2)
+            + (wanted.velocity - state.velocity) * (2.0 * COURSE_RAD_S);
+        let norm = asked.norm();
+        if norm > COURSE_MAX { asked * (COURSE_MAX / norm) } else { asked }
+    }
+
+    /// Pitch, roll and collective [N] for an acceleration.
+    fn tilt(&self, asked: Ned, heading: f64) -> [f64; 3] {
+        let [north, east, down] = asked.to_array();
+        let (sin, cos) = heading.sin_cos();
+        let (front, right) = (cos * north + sin * east, cos * east - sin * north);
+        [-front / self.gravity, right / self.gravity, -down * self.mass]
+    }
+
+    /// Corrects a setpoint that is sent at `time` towards the course.
+    fn correct(
+        &self,
+        setpoint: &mut AttitudeSetpoint,
+        flight: &PreparedFlight,
+        time: f64,
+        state: &State,
+    ) {
+        let wanted = self.course(flight, time);
+        let [pitch, roll, lift] = self.tilt(self.back(&wanted, state), state.attitude.yaw());
+        if let Some(thrust) = &mut setpoint.thrust {
+            let most = self.law.allocation().collective_max();
+            *thrust = (*thrust + lift / most).clamp(0.0, 1.0);
+        }
+        if let Some(attitude) = &mut setpoint.attitude {
+            let Euler { roll: r, pitch: p, yaw } = attitude.euler();
+            *attitude = Euler { roll: r + roll, pitch: p + pitch, yaw }.attitude();
+        } else if let Some(rate) = &mut setpoint.body_rate {
+            let (is, to) = (state.attitude.euler(), wanted.attitude.euler());
+            *rate += Frd::new(
+                to.roll + roll - is.roll,
+                to.pitch + pitch - is.pitch,
+                wrap_angle(to.yaw - is.yaw),
+            ) * RATE_GAIN;
+        }
+    }
+}
+
+/// Which setpoints have been sent and which has arrived last.
+struct Arrivals {
+    /// The next to be sent.
+    next: usize,
+    /// Sent ones: when they arrive.
+    under_way: Vec<(f64, usize)>,
+    acting: Option<usize>,
+}
+
+impl Arrivals {
+    fn new(setpoints: &Stream<AttitudeSetpoint>, from: f64) -> Self {
+        let next = setpoints.index_at(from).unwrap_or(0);
+        Self { next, under_way: Vec::new(), acting: None }
+    }
+
+    /// A setpoint that is sent by `time`, and when.
+    fn sent(&mut self, setpoints: &Stream<AttitudeSetpoint>, time: f64) -> Option<(usize, f64)> {
+        let sent = *setpoints.times().get(self.next)?;
+        (sent <= time).then_some((self.next, sent))
+    }
+
+    fn send(&mut self, index: usize, sent: f64, delay: f64, rng: &mut Pcg64Mcg) {
+        let jitter: f64 = Exp1.sample(rng);
+        let constant = (delay - JITTER_MEAN_S).max(0.0);
+        let arrives = sent + constant + JITTER_MEAN_S * jitter;
+        self.under_way.push((arrives, index));
+        self.next = index + 1;
+    }
+
+    /// The newest that has arrived by `time`.
+    fn acting(&mut self, time: f64) -> Option<usize> {
+        let acting = &mut self.acting;
+        self.under_way.retain(|(arrives, index)| {
+            let is_here = *arrives <= time;
+            if is_here {
+                *acting = (*acting).max(Some(*index));
+            }
+            !is_here
+        });
+        self.acting
+    }
+}
+
+/// Puts readings at the stamps of a log.
+struct Recorder {
+    position: usize,
+    velocity: usize,
+    attitude: usize,
+    body_rate: usize,
+    specific_force: usize,
+    outputs: usize,
+}
+
+impl Recorder {
+    fn new(flight: &PreparedFlight, start: f64) -> Self {
+        fn first<const N: usize>(series: &Series<N>, start: f64) -> usize {
+            series.times().partition_point(|t| *t < start - 0.5 * Plant::STEP)
+        }
+        Self {
+            position: first(&flight.position, start),
+            velocity: first(&flight.velocity, start),
+            attitude: first(&flight.attitude, start),
+            body_rate: first(&flight.body_rate, start),
+            specific_force: first(&flight.specific_force, start),
+            outputs: first(&flight.outputs, start),
+        }
+    }
+
+    /// Whether a stamp lies nearest to `time`.
+    fn is_due(&self, replica: &PreparedFlight, time: f64) -> bool {
+        fn due<const N: usize>(series: &Series<N>, next: usize, time: f64) -> bool {
+            series.times().get(next).is_some_and(|stamp| *stamp < time + 0.5 * Plant::STEP)
+        }
+        due(&replica.position, self.position, time)
+            || due(&replica.velocity, self.velocity, time)
+            || due(&replica.attitude, self.attitude, time)
+            || due(&replica.body_rate, self.body_rate, time)
+            || due(&replica.specific_force, self.specific_force, time)
+            || due(&replica.outputs, self.outputs, time)
+    }
+
+    /// Writes what was read at `time` to the stamps around it.
+    fn write(
+        &mut self,
+        replica: &mut PreparedFlight,
+        time: f64,
+        readings: &Readings,
+        plant: &Plant,
+        command: [f64; ROTORS],
+    ) {
+        let State { position, velocity, attitude, .. } = readings.estimate;
+        let acceleration = plant.acceleration();
+        let rate = readings.gyro;
+        put(&mut replica.position, &mut self.position, time, |dt| {
+            (position + velocity * dt).to_array()
+        });
+        put(&mut replica.velocity, &mut self.velocity, time, |dt| {
+            (velocity + acceleration * dt).to_array()
+        });
+        let mut last =
+            self.attitude.checked_sub(1).and_then(|i| replica.attitude.values().get(i).copied());
+        put(&mut replica.attitude, &mut self.attitude, time, |dt| {
+            let [x, y, z] = (rate * (0.5 * dt)).to_array();
+            let Attitude { w, x, y, z } =
+                attitude.compose(Attitude { w: 1.0, x, y, z }.normalized());
+            let q = next_to(last, [w, x, y, z]);
+            last = Some(q);
+            q
+        });
+        put(&mut replica.body_rate, &mut self.body_rate, time, |_| rate.to_array());
+        put(&mut replica.specific_force, &mut self.specific_force, time, |_| {
+            readings.specific_force.to_array()
+        });
+        put(&mut replica.outputs, &mut self.outputs, time, |_| command);
+    }
+}
+
+/// Sets the samples whose stamps lie nearest to `time`; `value` gets how much later they are, s.
+fn put<const N: usize>(
+    series: &mut Series<N>,
+    next: &mut usize,
+    time: f64,
+    mut value: impl FnMut(f64) -> [f64; N],
+) {
+    while let Some(stamp) = series.times().get(*next).copied()
+        && stamp < time + 0.5 * Plant::STEP
+    {
+        if let Some(slot) = series.values_mut().get_mut(*next) {
+            *slot = value(stamp - time);
+        }
+        *next += 1;
+    }
+}

@@ -1,0 +1,97 @@
+//! Which effects of the catalogue a log's channels cannot show, whatever was flown.
+
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::effects::{EffectId, Need};
+
+use crate::audit::{Channels, FAST_HZ, Rates};
+use crate::log::import::Flight;
+
+/// A voltage that changes less than this share shows no sag.
+const VOLTAGE_RANGE: f64 = 0.02;
+
+/// An effect that a log cannot show.
+#[derive(Clone, Debug, PartialEq, Eq, JsonSchema, Serialize)]
+pub struct Untestable {
+    /// Its id in the catalogue.
+    #[schemars(with = "String")]
+    pub effect: EffectId,
+    /// What is missing.
+    pub reason: String,
+}
+
+/// Lowest and highest voltage, V.
+pub(in crate::diagnose) fn voltage_range(voltages: impl Iterator<Item = f64>) -> [f64; 2] {
+    voltages.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
+}
+
+/// Whether voltages within a range show no sag.
+pub(in crate::diagnose) fn is_flat([low, high]: [f64; 2]) -> bool {
+    high - low < VOLTAGE_RANGE * high
+}
+
+/// The effects of the catalogue that these channels cannot show, whatever was flown.
+pub fn of(flight: &Flight, channels: &Channels) -> Vec<Untestable> {
+    let missing = |effect: EffectId| {
+        reason(effect, flight, channels).map(|reason| Untestable { effect, reason })
+    };
+    EffectId::ALL.into_iter().filter_map(missing).collect()
+}
+
+fn reason(id: EffectId, flight: &Flight, channels: &Channels) -> Option<String> {
+    id.spec().needs.iter().find_map(|need| lacking(*need, flight, channels))
+}
+
+/// What of a need these channels lack.
+fn lacking(need: Need, flight: &Flight, channels: &Channels) -> Option<String> {
+    let lacks = |has: bool, what: &str| (!has).then(|| what.to_owned());
+    let driven = channels.outputs || channels.rotor_speed || channels.setpoint;
+    let rotors = channels.outputs || channels.rotor_speed;
+    match need {
+        Need::Input => lacks(driven, "nothing that was commanded is logged"),
+        Need::Pose => lacks(channels.pose(), "position, velocity and attitude are not all logged"),
+        Need::Motion => {
+            lacks(channels.pose() || channels.imu, "neither pose nor accelerometer is logged")
+        }
+        Need::Moment => lacks(
+            channels.body_rate || channels.attitude,
+            "neither body rate nor attitude is logged",
+        )
+        .or(lacks(rotors, "motor outputs are not logged, so that rotors cannot be told apart")),
+        Need::FastInput if channels.setpoint => None,
+        Need::FastOutputs | Need::FastInput => {
+            let is_slow = channels.outputs && !channels.fast_outputs && !channels.rotor_speed;
+            is_slow.then(|| slow_outputs(flight))
+        }
+        Need::Voltage => {
+            let range @ [low, high] = voltage_range(flight.voltage.values().iter().copied());
+            let flat = || format!("the voltage stays within {low:.2} to {high:.2} V in this log");
+            lacks(channels.voltage, "the voltage is not logged")
+                .or_else(|| is_flat(range).then(flat))
+        }
+        Need::Attitude => lacks(channels.attitude, "the attitude is not logged").or(lacks(
+            channels.motion || channels.body_rate,
+            "neither velocity nor body rate is logged beside the attitude",
+        )),
+        Need::Imu => lacks(
+            channels.imu,
+            "no IMU is logged at 80 Hz or more, against which the estimate could be late",
+        ),
+        Need::WholeSetpoint => lacks(
+            channels.whole_setpoint,
+            "setpoints with attitude, rates and thrust, as the ground sent them, are not logged",
+        ),
+    }
+}
+
+fn slow_outputs(flight: &Flight) -> String {
+    match Rates::of(flight).outputs_hz {
+        Some(rate) => format!(
+            "new motor outputs come at {rate:.1} Hz only; at least {FAST_HZ:.0} Hz are needed"
+        ),
+        None => format!(
+            "the motor outputs hardly change in this log; new ones at {FAST_HZ:.0} Hz or more \
+             are needed"
+        ),
+    }
+}

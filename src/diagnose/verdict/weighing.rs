@@ -1,0 +1,243 @@
+//! From explanations to evidence: what each makes of the flights for choosing and of those reported
+//! on.
+
+use vehicle::VehicleError;
+use vehicle::effects::{EffectId, EffectSet};
+
+use crate::diagnose::error::DiagnoseError;
+use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::inquiry::Inquiry;
+use crate::diagnose::likelihood::linearised::Linearised;
+use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::remainder::learner::Learner;
+use crate::diagnose::remainder::leftover::unmodelled_force;
+use crate::diagnose::remainder::map::samples;
+use crate::diagnose::remainder::turbulence::gusts;
+use crate::diagnose::search::explanation::Explanation;
+use crate::diagnose::search::explanations::Explanations;
+use crate::diagnose::search::turning::Turning;
+use crate::diagnose::search::twins::Twins;
+use crate::diagnose::simulate::gap::Errors;
+use crate::diagnose::simulate::open_loop::Simulator;
+use crate::diagnose::verdict::evidence::{Evidence, Explained, ForceLeft, Found, Gaps};
+use crate::diagnose::verdict::parameter::parameters;
+use crate::diagnose::verdict::untestable::{is_flat, voltage_range};
+
+/// Explanations whose predictions are made.
+const PREDICTED: usize = 8;
+/// Time over which a force is compared with the velocity's noise, s.
+const FORCE_TIME_S: f64 = 0.5;
+/// A smaller force matters to nobody, in units of the weight.
+const FORCE_MIN_WEIGHTS: f64 = 0.01;
+/// Quantile of the normal distribution for one in a hundred.
+const Z99: f64 = 2.326;
+
+impl Inquiry<'_> {
+    /// An explanation with the vehicle file's numbers as other flights have them, within their
+    /// tolerances: a trim, the balance of the torques and the level of the thrust differ from
+    /// flight to flight. `about`: derivatives on those flights.
+    fn adapted(
+        &self,
+        explanation: &Explanation,
+        observed: &Observed<'_>,
+        about: Option<&Linearised>,
+    ) -> Explanation {
+        let mut adapted = explanation.clone();
+        let values = &explanation.fit.values;
+        let active = explanation.fit.active(self.catalogue);
+        let pinned = self.catalogue.with_pinned(&active, values);
+        let solution = about.zip(observed.residuals(values)).and_then(|(about, base)| {
+            let about = about.about(observed, &base).resting_at(values.clone());
+            about.solve(&pinned, observed.counts(), &[])
+        });
+        if let Some(solution) = solution {
+            adapted.fit.values = solution.values;
+        }
+        adapted
+    }
+
+    /// The gaps with parts of an explanation, on some flights.
+    fn gaps(
+        &self,
+        explanation: &Explanation,
+        flights: &[PreparedFlight],
+        floor: &Errors,
+    ) -> Result<Option<Gaps>, VehicleError> {
+        let which = self.effects_of(explanation);
+        let gap = |which: &[EffectId], file: bool| -> Result<Option<f64>, VehicleError> {
+            let errors = self.simulator_of(explanation, which, file)?.errors(flights);
+            Ok(errors.map(|errors| errors.over(floor, self.metric)))
+        };
+        let [effects, file, both] = [gap(&which, false)?, gap(&[], true)?, gap(&which, true)?];
+        let gaps = effects.zip(file).zip(both);
+        Ok(gaps.map(|((effects, file), both)| Gaps { effects, file, both }))
+    }
+
+    /// An explanation in plain numbers.
+    fn explained(&self, explanation: &Explanation, twins: Option<&Twins>) -> Explained {
+        let fit = &explanation.fit;
+        let hypotheses = fit.hypotheses.iter().map(|h| &self.catalogue.hypotheses[*h]);
+        let numbers = hypotheses.clone().flat_map(|hypothesis| {
+            hypothesis.numbers.iter().map(|index| {
+                let number = &self.catalogue.numbers[*index];
+                let [low, high] = number.bounds;
+                let value = fit.values[*index];
+                let near = 1e-3 * number.magnitude;
+                let off = (value - number.reference).abs() > near;
+                Found {
+                    effect: hypothesis.effect.name().to_owned(),
+                    name: number.target.name(),
+                    value,
+                    deviation: fit.deviation[*index],
+                    reference: number.reference,
+                    unremarkable: number.unremarkable,
+                    magnitude: number.magnitude,
+                    is_at_bound: off && (value - low < near || high - value < near),
+                }
+            })
+        });
+        let which = self.effects_of(explanation);
+        let set = self.catalogue.effects(&fit.values, Some(&which));
+        let parameters = which.iter().map(|id| {
+            let values = parameters(&set, *id).into_iter();
+            let values = values.map(|(name, value)| (name.to_owned(), (&value).into())).collect();
+            (id.name().to_owned(), values)
+        });
+        let chance =
+            |h: &usize| twins.and_then(|twins| twins.asked.get(*h)).map_or(0.0, |a| a / Z99);
+        Explained {
+            effects: hypotheses.map(|h| h.effect.name().to_owned()).collect(),
+            numbers: numbers.collect(),
+            parameters: parameters.collect(),
+            blocks: explanation.blocks.clone(),
+            chance: fit.hypotheses.iter().map(chance).fold(0.0, f64::hypot),
+            choosing: None,
+            reported: None,
+        }
+    }
+
+    /// Everything that a verdict rests on. `turning`: what motor outputs tell; `scale` and `scales`: how
+    /// good the vehicle file is.
+    pub fn evidence(
+        &self,
+        found: &Explanations,
+        (turning, scale, scales): ([Turning; 3], f64, Vec<[f64; 2]>),
+    ) -> Result<Evidence, DiagnoseError> {
+        let best = found.best();
+        let [choosing, reported] = [self.choosing.flights, self.case.held_out];
+        let everything = self.simulator_of(best, &self.effects_of(best), true)?;
+        let floor = |flights| everything.floor(flights, &found.noise, self.settings.seed);
+        let floors = [choosing, reported].map(floor);
+        let shipped = self.simulator(&EffectSet::new())?;
+        let over = |simulator: &Simulator, which: usize| {
+            let errors = simulator.errors([choosing, reported][which])?;
+            Some(errors.over(&floors[which]?.errors, self.metric))
+        };
+        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
+        let looks = [&self.choosing, &self.reported];
+        let about = looks.map(|look| Linearised::new(look, &found.file.fit.values, &numbers));
+        let gaps = |one: &Explanation, which: usize| match &floors[which] {
+            Some(floor) => {
+                let adapted = self.adapted(one, looks[which], about[which].as_ref());
+                self.gaps(&adapted, [choosing, reported][which], &floor.errors)
+            }
+            None => Ok(None),
+        };
+        let mut explanations = Vec::new();
+        for one in std::iter::once(&found.file).chain(&found.sets) {
+            let mut explained = self.explained(one, found.twins.as_ref());
+            explained.choosing = gaps(one, 0)?;
+            explanations.push(explained);
+        }
+        let shipped_gaps = [over(&shipped, 0), over(&shipped, 1)];
+        let chosen_s: f64 = choosing.iter().map(PreparedFlight::seconds).sum();
+        let mut evidence = Evidence {
+            loop_known: self.leg(),
+            metric: self.metric.name().to_owned(),
+            scale,
+            scales,
+            turning,
+            fitted_blocks: self.fitted.flights.iter().map(|flight| flight.blocks.len()).sum(),
+            chosen_s,
+            explanations,
+            shipped: shipped_gaps,
+            scatter: floors[1].map_or(0.0, |floor| floor.scatter),
+            learned: None,
+            structure: [0.0; 2],
+            voltage_differs: voltages_differ(self.case.fitted),
+            outputs_logged: self
+                .case
+                .fitted
+                .iter()
+                .all(|flight| flight.channels.outputs || flight.channels.rotor_speed),
+            force: None,
+            gusts_m_s: None,
+        };
+        // Only what may be chosen is predicted on the flights reported on.
+        let scores = evidence.scores();
+        let mut ranks: Vec<usize> = (1..scores.len()).collect();
+        ranks.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]).then(a.cmp(b)));
+        ranks.truncate(PREDICTED);
+        // A verdict may rest on a part of what is chosen.
+        let is_part = |rank: &usize| {
+            let own = &found.sets[rank - 1].fit.hypotheses;
+            let has_all = |of: &usize| {
+                let whole = &found.sets[of - 1].fit.hypotheses;
+                own.iter().all(|hypothesis| whole.contains(hypothesis))
+            };
+            ranks.iter().any(has_all)
+        };
+        for rank in std::iter::once(0).chain((1..scores.len()).filter(is_part)) {
+            let one = if rank == 0 { &found.file } else { &found.sets[rank - 1] };
+            evidence.explanations[rank].reported = gaps(one, 1)?;
+        }
+        let learner = self.learner(best);
+        if let Some(learner) = &learner {
+            evidence.structure = learner.left.map(|left| 1.0 - left);
+        }
+        let learned =
+            learner.and_then(|learner| over(&everything.clone().with_learner(learner), 1));
+        let (force, gusts_m_s) = self.force(found)?;
+        evidence.learned = learned;
+        (evidence.force, evidence.gusts_m_s) = (force, gusts_m_s);
+        Ok(evidence)
+    }
+
+    /// What a flexible learner finds beyond an explanation.
+    fn learner(&self, explanation: &Explanation) -> Option<Learner> {
+        let candidate = self.catalogue.candidate(&explanation.fit.values).ok()?;
+        let allocation = self.case.vehicle.allocation().ok()?;
+        Learner::of(&self.all, self.evaluator, &candidate, &allocation)
+    }
+
+    /// Force that the best explanation leaves, and the gusts that it looks like.
+    fn force(
+        &self,
+        found: &Explanations,
+    ) -> Result<(Option<ForceLeft>, Option<f64>), DiagnoseError> {
+        let best = found.best();
+        let candidate = self.catalogue.candidate(&best.fit.values)?;
+        let Some(after) = unmodelled_force(&self.all, self.evaluator, &candidate) else {
+            return Ok((None, None));
+        };
+        let unit = (6.0_f64.sqrt() * found.noise.velocity / FORCE_TIME_S)
+            .max(FORCE_MIN_WEIGHTS * self.case.vehicle.gravity);
+        let samples = samples(&self.all, self.evaluator, &candidate);
+        let effects = self.catalogue.effects(&best.fit.values, Some(&self.effects_of(best)));
+        let gusts = gusts(self.case.vehicle, &effects, &after, &samples);
+        let may_be = !self.case.without.contains(&EffectId::Gusts);
+        let force = ForceLeft {
+            rms: after.rms(),
+            significance: after.significance().max(after.slow_significance),
+            size: after.rms() / unit,
+        };
+        Ok((Some(force), gusts.filter(|_| may_be).map(|slots| slots[0])))
+    }
+}
+
+/// Whether the pack's voltage varies enough, within flights or from one to the next, to tell a sag
+/// from another level of the thrust.
+fn voltages_differ(flights: &[PreparedFlight]) -> bool {
+    let all = flights.iter().flat_map(|flight| flight.voltage.values().iter().map(|[v]| *v));
+    flights.iter().all(|flight| flight.channels.voltage) && !is_flat(voltage_range(all))
+}
