@@ -11,7 +11,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use downwash::exam::case::{Case, Kind, Order, Settings};
+use downwash::exam::case::Case;
+use downwash::exam::order::{Kind, Order, Settings};
 
 /// How often a running process is asked for its peak of memory.
 const POLL: Duration = Duration::from_millis(50);

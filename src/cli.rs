@@ -37,7 +37,7 @@ pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
 pub use self::view::{ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs};
 use crate::control::{LAWS, Law};
-use crate::exam::case::Kind;
+use crate::exam::order::Kind;
 
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
 ///

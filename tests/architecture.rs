@@ -128,15 +128,8 @@ const TOKIO: [&str; 11] = [
 
 /// Where files still know each other in circles: a step of a circle is let pass between two files
 /// that both begin with one of these.
-const CIRCLES: [&[&str]; 5] = [
-    &["src/command"],
-    &["src/exam"],
-    &[
-        "src/learn/judgement.rs",
-        "src/learn/networks.rs",
-        "src/learn/procedure.rs",
-        "src/learn/training_set.rs",
-    ],
+const CIRCLES: [&[&str]; 2] = [
+    // A personality acts on the commander that asks it.
     &["sitl/src/autopilot/commander.rs", "sitl/src/autopilot/personality.rs"],
     // The vehicle file holds effects, and effects act on the vehicle.
     &[

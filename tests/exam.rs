@@ -6,8 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use downwash::exam::case::{Case, Kind, Order, Settings};
+use downwash::exam::case::Case;
 use downwash::exam::key::{Key, commitment};
+use downwash::exam::order::{Kind, Order, Settings};
 use downwash::exam::world::World;
 use serde_json::Value;
 

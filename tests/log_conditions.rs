@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use downwash::exam::case::{Case, Kind, Order, Settings};
+use downwash::exam::case::Case;
 use downwash::exam::condition::Condition;
+use downwash::exam::order::{Kind, Order, Settings};
 use downwash::log::import::{self, Flight};
 
 /// A flight of a drawn vehicle, as its log says in each of the conditions.

@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 
-use super::setup::{EffectiveVehicle, VehicleFile};
+use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext};
 use crate::config::Config;
+use crate::pilot::EffectiveVehicle;
 use crate::plan::planned::{Plan, PlannedReference};
 use crate::plan::receding::RecedingReference;
 use crate::plan::reference::ReferenceSource;

@@ -7,10 +7,12 @@ use anyhow::Context;
 
 use super::audience::Audience;
 use super::course::Course;
-use super::fly::{endpoint, tee, tell_tlog, watch};
-use super::setup::{VehicleFile, required, run_info, station_settings};
+use super::fly::{tee, tell_tlog, watch};
+use super::setup::endpoint;
+use super::setup::{required, run_info, station_settings};
 use super::signing_state::SigningState;
 use super::stop::{Stop, StopSignals};
+use super::vehicle_file::VehicleFile;
 use super::{Exit, Interruption, config, say, summary};
 use crate::cli::DaemonArgs;
 use crate::daemon::{self, HostClock, Outlets};

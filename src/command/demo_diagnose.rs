@@ -23,8 +23,9 @@ use super::course::Course;
 use super::improved::{Additions, Form};
 use super::logs::open_for;
 use super::plan::{PlanModel, plan_trajectory};
-use super::setup::{EffectiveVehicle, VehicleFile, built_in_trajectory};
+use super::setup::built_in_trajectory;
 use super::simulation::{Simulated, SimulatedFlight, Truth};
+use super::vehicle_file::VehicleFile;
 use super::{
     Exit, ExitContext, Interruption, config, print_json, print_text, say, summary, write_file,
 };
@@ -39,6 +40,7 @@ use crate::diagnose::next_flight::typical;
 use crate::diagnose::pipeline::{Diagnosis, diagnose};
 use crate::diagnose::simulate::gap::Floor;
 use crate::diagnose::simulate::open_loop::Simulator;
+use crate::pilot::EffectiveVehicle;
 use crate::plan::Trajectory;
 use crate::report::comparison::{Contender, Track};
 use crate::report::repair::{self, Repair};

@@ -15,7 +15,7 @@ use super::logs::open_for;
 use super::output::{create_report_folder, refuse_input};
 use super::setup::capability;
 use super::train::listed;
-use super::vehicle::warn;
+use super::vehicle_file::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::audit::{Audit, UnusableSpan};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};

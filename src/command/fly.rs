@@ -14,9 +14,10 @@ use wire::Endpoint;
 use super::audience::Audience;
 use super::course::Course;
 use super::goal_file::GoalFile;
-use super::setup::{VehicleFile, law_flag, path_flag, required, run_info, station_settings};
+use super::setup::{endpoint, law_flag, path_flag, required, run_info, station_settings};
 use super::signing_state::SigningState;
 use super::stop::StopSignals;
+use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext, Interruption, config, plan, print_json, print_text, say, summary};
 use crate::cli::FlyArgs;
 use crate::config::Config;
@@ -253,11 +254,6 @@ pub(super) fn watch(
 /// The system id of a vehicle as a configuration layer.
 pub(super) fn system_flag(system: Option<u8>) -> Option<(&'static str, &'static str, toml::Value)> {
     system.map(|id| ("--system", "link.vehicle_system", toml::Value::Integer(id.into())))
-}
-
-/// Parses the URL of a vehicle.
-pub(super) fn endpoint(url: &str) -> anyhow::Result<Endpoint> {
-    url.parse::<Endpoint>().or_exit(Exit::Usage)
 }
 
 /// Says what a telemetry log lacks.

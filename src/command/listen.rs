@@ -8,7 +8,8 @@ use tokio::time::timeout;
 use wire::Endpoint;
 use wire::transport::RECEIVE_LEN;
 
-use super::fly::{endpoint, system_flag};
+use super::fly::system_flag;
+use super::setup::endpoint;
 use super::setup::required;
 use super::signing_state::SigningState;
 use super::{config, say};

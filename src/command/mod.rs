@@ -49,6 +49,7 @@ mod summary;
 mod sweep;
 mod train;
 mod vehicle;
+mod vehicle_file;
 
 use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
@@ -72,12 +73,12 @@ use interruption::Interruption;
 use messages::Messages;
 pub use model::{EvaluationSummary, Info as ModelInfo, evaluated};
 pub use plan::{PlanModel, plan_trajectory, sha256_of};
-pub use setup::VehicleFile;
 pub use simulate::{Inputs, Row, Simulation, configuration};
 pub use simulation::Truth;
 pub use sweep::{Sweep, SweepSummary};
 pub use train::{Learning, Resume, Trained, learn};
 pub use vehicle::{Made, make};
+pub use vehicle_file::VehicleFile;
 
 /// Where this program lies, where that is not its process's own file.
 static PROGRAM: OnceLock<PathBuf> = OnceLock::new();

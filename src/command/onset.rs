@@ -9,7 +9,7 @@ use vehicle::VehicleParams;
 use super::diagnose::audited;
 use super::output::create_report_folder;
 use super::train::listed;
-use super::vehicle::warn;
+use super::vehicle_file::warn;
 use super::{Exit, ExitContext, in_words, print_json, print_text, say, write_file};
 use crate::cli::OnsetArgs;
 use crate::diagnose::flights::preparation::PreparedFlight;

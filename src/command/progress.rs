@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::say;
 use crate::learn::networks::Progress;
-use crate::learn::procedure::Watch;
+use crate::learn::networks::Watch;
 
 /// A bar of so many steps.
 fn bar(steps: u64, template: &str) -> ProgressBar {

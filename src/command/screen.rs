@@ -1,6 +1,5 @@
 //! The terminal view: a flight on one screen, for a laptop over ssh.
 
-use std::collections::VecDeque;
 use std::io::{IsTerminal, Stderr, stderr, stdin};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
@@ -16,27 +15,15 @@ use ratatui::crossterm::terminal::{
     is_raw_mode_enabled,
 };
 
-use super::screen_layout::draw;
+use super::screen_layout::{Seen, draw};
 use super::stop::Stop;
 use super::{Exit, ExitContext, status_line};
-use crate::log::record::{LinkStats, Record, Tick};
+use crate::log::record::Record;
 use crate::log::sink::Listener;
 use crate::station::Status;
 
 /// Messages that are kept, to scroll in and to print in the end.
 const MESSAGES: usize = 500;
-
-/// What the screen shows beside the status.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Seen {
-    pub tick: Option<Tick>,
-    pub link: Option<LinkStats>,
-    /// V and A.
-    pub battery: (Option<f64>, Option<f64>),
-    pub messages: VecDeque<String>,
-    /// How many of the newest messages are scrolled past.
-    pub scrolled: usize,
-}
 
 /// What is seen of one flight. The log's thread and whoever has a message write it.
 #[derive(Clone, Debug, Default)]

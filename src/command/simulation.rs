@@ -12,7 +12,8 @@ use vehicle::effects::{EffectSet, Onset, Schedule};
 use vehicle::physics::Physics;
 
 use super::course::Course;
-use super::setup::{VehicleFile, run_info, station_settings};
+use super::setup::{run_info, station_settings};
+use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext};
 use crate::cli::SimulationArgs;
 use crate::config::Config;

@@ -8,7 +8,7 @@ use vehicle::VehicleParams;
 use vehicle::frame::Frd;
 
 use super::audience::{address, say_address};
-use super::setup::VehicleFile;
+use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext};
 use crate::cli::{SimulatorArgs, VIEW_ADDRESS};
 use crate::clock::HostTime;

@@ -11,16 +11,18 @@ use vehicle::VehicleParams;
 use super::logs::Logs;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
-use super::vehicle::warn;
+use super::vehicle_file::warn;
 use super::{
     Exit, ExitContext, Interruption, in_words, model, print_json, print_text, say, write_file,
 };
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::WindowSettings;
+use crate::learn::error::TrainError;
 use crate::learn::judgement::{Best, standing};
 use crate::learn::networks::Progress;
-use crate::learn::procedure::{Outcome, TrainError, Watch as _, belongs, train};
+use crate::learn::networks::Watch as _;
+use crate::learn::procedure::{Outcome, belongs, train};
 use crate::learn::summary::{TrainSettings, TrainingSummary};
 use crate::learn::training::Method;
 use crate::learn::training_set::TrainingSet;
@@ -173,7 +175,10 @@ pub fn learn(
     };
     bar.clear();
     match standing.best {
-        Best::NotFinite => return Err(TrainError::NotFinite).or_exit(Exit::Usage),
+        Best::NotFinite => {
+            let reason = standing.best.reason().unwrap_or_default();
+            return Err(TrainError::NotFinite { reason }).or_exit(Exit::Usage);
+        }
         Best::NoBetterThanHolding => {
             let reason = standing.best.reason().unwrap_or_default();
             say(format_args!(

@@ -7,9 +7,10 @@ use anyhow::{Context, anyhow};
 use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::export::Peer;
-use vehicle::{Doubt, Remark, SHIPPED, VehicleParams};
+use vehicle::{Remark, SHIPPED, VehicleParams};
 
-use super::fly::endpoint;
+use super::setup::endpoint;
+use super::vehicle_file::told;
 use super::{
     Exit, ExitContext, in_words, link_parameters, output, print_json, print_text, say, write_file,
 };
@@ -122,35 +123,6 @@ fn check(file: &Path, json: bool) -> anyhow::Result<Exit> {
         print_text(&remarks.iter().map(line).collect::<String>())?;
     }
     Ok(if remarks.is_empty() { Exit::Ok } else { Exit::Check })
-}
-
-fn told(remark: &Remark) -> String {
-    match remark.doubt {
-        Doubt::Unlikely => format!("unlikely: {}", remark.what),
-        Doubt::CannotFly => format!("cannot fly: {}", remark.what),
-    }
-}
-
-/// Warns of what is unlikely of a vehicle that is to be flown or planned for.
-///
-/// # Errors
-/// [`Exit::Usage`] if it cannot fly.
-pub(super) fn refuse_grounded(file: &str, vehicle: &VehicleParams) -> anyhow::Result<()> {
-    for remark in vehicle.remarks() {
-        if remark.doubt == Doubt::CannotFly {
-            return Err(anyhow!("vehicle file {file}: {}", told(&remark))).or_exit(Exit::Usage);
-        }
-        say(format_args!("vehicle file {file}: {}", told(&remark)));
-    }
-    Ok(())
-}
-
-/// Says what is unlikely of a vehicle; what its user believes is taken.
-pub(super) fn warn(file: &Path, vehicle: &VehicleParams) {
-    for remark in vehicle.remarks() {
-        let file = file.display();
-        say(format_args!("vehicle file {file}: {}; it is taken as it is", told(&remark)));
-    }
 }
 
 /// A new vehicle file, and what it lacks: the JSON of `vehicle init`.

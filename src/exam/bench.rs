@@ -1,6 +1,8 @@
 //! What a case is flown on: a vehicle, its sensors, its link and the motions, and how a truth is
 //! given the size at which it shows as strongly as wanted.
 
+mod size;
+
 use std::collections::BTreeMap;
 
 use sitl::config::{EstimatorConfig, ImuNoise, SensorConfig, SitlConfig, Vibration};
@@ -8,8 +10,9 @@ use vehicle::effects::{EffectId, EffectSet, ParameterValue, Slots};
 use vehicle::foreign::Foreign;
 use vehicle::{VehicleError, VehicleParams};
 
+use self::size::{Shown, Wanted};
 use super::airframe;
-use super::case::{Case, Kind, Order, Settings};
+use super::case::Case;
 use super::condition::Condition;
 use super::deviations::{Deviation, Deviations};
 use super::draw::{Draw, rounded};
@@ -18,8 +21,8 @@ use super::ground::Rates;
 use super::key::{KeyEntry, TrueEffect};
 use super::magnitude::Direction;
 use super::motion::Motion;
+use super::order::{Kind, Order, Settings};
 use super::programme::{Restriction, Vigour, programme};
-use super::size::{Shown, Wanted};
 use super::stranger::Stranger;
 use super::strength::Strength;
 use super::trap::{STEADY_PACK, TRAPS, Trap};

@@ -6,7 +6,7 @@ use std::fmt::{self, Display};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
-use super::case::Kind;
+use super::order::Kind;
 use super::score::Row;
 use super::stored::StoredCase;
 use super::summary::Summary;

@@ -1,14 +1,18 @@
 //! The vehicle behind a builder's file: each number is off by what it was measured with, and a drag
 //! acts that nobody measured.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use vehicle::effects::{EffectId, EffectSet, ParameterValue, RotorDrag, RotorLoss, Slots};
 use vehicle::foreign::Foreign;
 use vehicle::{ROTORS, VehicleParams};
 
 use super::draw::{Draw, rounded};
-use super::key::Parameters;
 use super::tolerances::Tolerances;
+
+/// Values of an effect's parameters, by name.
+pub type Parameters = BTreeMap<String, ParameterValue>;
 
 /// The least delay that a command has, s.
 const DELAY_LEAST_S: f64 = 0.001;

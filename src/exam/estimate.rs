@@ -4,7 +4,8 @@ use vehicle::effects::{EffectId, ParameterValue};
 
 use super::answer::{Given, GivenEffect, class_of};
 use super::deviations::Deviation;
-use super::key::{KeyEntry, Parameters, TrueEffect};
+use super::deviations::Parameters;
+use super::key::{KeyEntry, TrueEffect};
 
 /// Relative errors count up to this.
 const ERROR_MAX: f64 = 10.0;

@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::case::Kind;
 use super::key::KeyEntry;
+use super::order::Kind;
 
 /// How an answer stands to the key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]

@@ -69,6 +69,12 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     })
 }
 
+/// Ranges between borders; the last has no end.
+pub(super) fn ranges(borders: &[f64]) -> impl Iterator<Item = [f64; 2]> + '_ {
+    let ends = borders.iter().skip(1).copied().chain([f64::INFINITY]);
+    borders.iter().copied().zip(ends).map(|(low, high)| [low, high])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

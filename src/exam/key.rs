@@ -6,17 +6,13 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use vehicle::effects::ParameterValue;
 use vehicle::foreign::Foreign;
 
-use super::case::Kind;
 use super::condition::Condition;
-use super::deviations::Deviation;
+use super::deviations::{Deviation, Parameters};
+use super::order::Kind;
 use super::strength::Strength;
 use super::world::{FileKind, LoopKind};
-
-/// Values of an effect's parameters, by name.
-pub type Parameters = BTreeMap<String, ParameterValue>;
 
 /// An effect that the vehicle has beyond its file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

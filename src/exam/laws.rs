@@ -7,9 +7,10 @@ use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
 use vehicle::law::{Law, LawText};
 
+use super::attempts::CaseError;
 use super::bench::{Bench, Truth};
-use super::case::{CaseError, Kind, Order, Settings};
 use super::draw::{Draw, rounded};
+use super::order::{Kind, Order, Settings};
 use crate::diagnose::likelihood::noise::ReportNoise;
 
 /// Draws until one flies.

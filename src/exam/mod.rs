@@ -3,6 +3,7 @@
 
 pub mod airframe;
 pub mod answer;
+mod attempts;
 mod bench;
 pub mod calibrate;
 pub mod case;
@@ -20,10 +21,10 @@ pub mod laws;
 pub mod magnitude;
 pub mod motion;
 pub mod onsets;
+pub mod order;
 pub mod programme;
 pub mod reliability;
 pub mod score;
-mod size;
 pub mod stored;
 pub mod stranger;
 pub mod strength;

@@ -3,10 +3,9 @@
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::case::Kind;
-use super::interval::Rate;
+use super::interval::{Rate, ranges};
+use super::order::Kind;
 use super::score::Row;
-use super::summary::ranges;
 
 /// Borders between probabilities in the reliability table.
 pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];

@@ -6,11 +6,11 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::answer::{Given, NAMED, class_of};
-use super::case::Kind;
 use super::condition::Condition;
 use super::estimate::{coverage, estimate, is_deviation, relative_errors};
 use super::grade::{Grade, Stated, grade};
 use super::key::{KeyEntry, TrueEffect};
+use super::order::Kind;
 use super::world::{FileKind, LoopKind};
 
 /// A wrong name beyond this probability does harm, whatever stands beside it.
@@ -313,7 +313,7 @@ fn brier(
 mod tests {
     use super::*;
     use crate::exam::deviations::Deviation;
-    use crate::exam::key::Parameters;
+    use crate::exam::deviations::Parameters;
     use crate::exam::strength::Strength;
 
     fn parameters(text: &str) -> Parameters {

@@ -4,8 +4,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::answer::{Given, GivenEffect, GivenGap};
-use super::case::Kind;
 use super::key::KeyEntry;
+use super::order::Kind;
 use super::score::Row;
 use super::world::LoopKind;
 use crate::diagnose::likelihood::fit::interval;

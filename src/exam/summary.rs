@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::case::Kind;
 use super::condition::Condition;
 use super::grade::Grade;
-use super::interval::{Rate, median};
+use super::interval::{Rate, median, ranges};
+use super::order::Kind;
 use super::reliability::{Reliability, calibration_error, reliability};
 use super::score::{Law, Row};
 use super::world::{FileKind, LoopKind};
@@ -488,12 +488,6 @@ fn conditions(rows: &[Row]) -> Vec<ConditionSummary> {
             covered: Rate::of(rows.iter().flat_map(|row| row.covered.values().flatten().copied())),
         })
         .collect()
-}
-
-/// Ranges between borders; the last has no end.
-pub(super) fn ranges(borders: &[f64]) -> impl Iterator<Item = [f64; 2]> + '_ {
-    let ends = borders.iter().skip(1).copied().chain([f64::INFINITY]);
-    borders.iter().copied().zip(ends).map(|(low, high)| [low, high])
 }
 
 fn detection(rows: &[&Row]) -> Vec<Detection> {

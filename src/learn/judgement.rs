@@ -8,12 +8,12 @@ use vehicle::VehicleError;
 
 use super::commands::Onboard;
 use super::dataset::{ObservedFlight, Row};
-use super::evaluation::{
-    HORIZONS_S, MultiStep, OneStep, Predictor, StateError, multi_step, window_starts,
-};
+use super::error::TrainError;
+use super::error_ratio::{AS_HOLDING, ratios, relative};
+use super::evaluation::{HORIZONS_S, MultiStep, OneStep, Predictor, multi_step, window_starts};
 use super::identify;
+use super::networks::Watch;
 use super::prediction::{Baseline, RecordedInputs};
-use super::procedure::{TrainError, Watch};
 use super::split::Part;
 use super::summary::{MultiStepSummary, OneStepSummary, Series, TrainingSummary};
 use super::training_set::TrainingSet;
@@ -164,41 +164,6 @@ fn preferred(validation: &[MultiStepSummary]) -> ModelKind {
     let scores = ModelKind::ALL.map(|kind| (kind, score(kind)));
     let best = scores.into_iter().filter(|(_, score)| score.is_finite());
     best.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(ModelKind::Hybrid, |(kind, _)| kind)
-}
-
-/// Errors at the middle horizons over those of holding the state, summed: lower is better.
-pub(super) fn score(windows: &[(RecordedInputs<'_>, Vec<f64>)], predictor: &Predictor<'_>) -> f64 {
-    let hold = multi_step(windows, &Predictor::Baseline(Baseline::Hold));
-    match (multi_step(windows, predictor), hold) {
-        (Some((errors, _)), Some((hold, _))) => relative(&errors, &hold),
-        _ => f64::INFINITY,
-    }
-}
-
-/// Sum of errors at the middle horizons, over those of `hold`; infinite where an error at any
-/// horizon is no number.
-fn relative(errors: &MultiStep, hold: &MultiStep) -> f64 {
-    let sum: f64 = ratios(errors, hold).sum();
-    if sum.is_finite() && errors.iter().all(StateError::is_finite) { sum } else { f64::INFINITY }
-}
-
-/// The middle ones of the horizons.
-const MIDDLE: Range<usize> = 1..3;
-/// Errors at one horizon.
-const ERRORS: usize = 4;
-/// Sum of the [`ratios`] of what errs as much as holding the state.
-const AS_HOLDING: f64 = ((MIDDLE.end - MIDDLE.start) * ERRORS) as f64;
-
-/// Each error at the middle horizons over that of `hold`.
-fn ratios<'a>(errors: &'a MultiStep, hold: &'a MultiStep) -> impl Iterator<Item = f64> + 'a {
-    errors[MIDDLE].iter().zip(&hold[MIDDLE]).flat_map(|(a, b)| -> [f64; ERRORS] {
-        [
-            a.position_m / b.position_m.max(1e-9),
-            a.velocity_m_s / b.velocity_m_s.max(1e-9),
-            a.attitude_rad / b.attitude_rad.max(1e-9),
-            a.rate_rad_s / b.rate_rad_s.max(1e-9),
-        ]
-    })
 }
 
 /// How the open loop of all models fares on the validation part.
@@ -366,6 +331,7 @@ pub(super) fn label_error(rows: &[&Row], deviation: &[f64; ACCELERATIONS]) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::learn::evaluation::StateError;
 
     /// Errors of everything, at every horizon.
     fn summary(predictor: &str, error: f64) -> MultiStepSummary {

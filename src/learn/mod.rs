@@ -3,6 +3,7 @@
 pub mod alignment;
 pub mod commands;
 pub mod dataset;
+pub mod error;
 pub mod evaluation;
 pub mod gaps;
 pub mod identify;
@@ -20,6 +21,7 @@ pub mod training;
 pub mod training_set;
 
 mod adam;
+mod error_ratio;
 mod kernel;
 mod lanes;
 mod least_squares;

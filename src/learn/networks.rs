@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::dataset::Row;
-use super::procedure::{TrainError, Watch};
+use super::error::TrainError;
 use super::samples::Samples;
 use super::summary::{LearningCurve, TrainSettings};
 use super::training::{self, Checkpoint, Stop, Trainer};
@@ -117,6 +117,18 @@ enum State {
     Waiting,
     Running(Box<Checkpoint>),
     Done { network: Mlp, curve: Vec<training::Pass> },
+}
+
+/// Watches a training, and may end it.
+pub trait Watch: Send {
+    /// A stage of `steps` steps begins.
+    fn stage(&mut self, name: &str, steps: u64);
+    /// One step of the stage is done.
+    fn step(&mut self, note: &str);
+    /// Whether to stop as soon as nothing is lost.
+    fn interrupted(&self) -> bool;
+    /// Every network is trained: what `progress` holds is worth keeping before they are judged.
+    fn trained(&mut self, _progress: &Progress) {}
 }
 
 /// How far the trainings of all networks are: what an interrupted `train` goes on from.

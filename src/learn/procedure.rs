@@ -1,77 +1,16 @@
 //! From observed flights to a model file, step by step: split, actuation, physics, networks,
 //! errors.
 
-use vehicle::VehicleError;
-
 use super::dataset::{Row, WindowSettings};
-use super::judgement::{Best, deviation, judge, label_error};
-use super::networks::{Lesson, NETWORKS, Progress, Target, models};
+use super::error::TrainError;
+use super::judgement::{deviation, judge, label_error};
+use super::networks::{Lesson, NETWORKS, Progress, Target, Watch, models};
 use super::split::Part;
 use super::summary::{DataSummary, RefusedLog, TrainSettings, TrainingSummary};
-use super::training_set::{ROWS_MIN, TrainingSet};
+use super::training_set::TrainingSet;
 use crate::model::Model;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::physics::PhysicsModel;
-
-/// Watches a training, and may end it.
-pub trait Watch: Send {
-    /// A stage of `steps` steps begins.
-    fn stage(&mut self, name: &str, steps: u64);
-    /// One step of the stage is done.
-    fn step(&mut self, note: &str);
-    /// Whether to stop as soon as nothing is lost.
-    fn interrupted(&self) -> bool;
-    /// Every network is trained: what `progress` holds is worth keeping before they are judged.
-    fn trained(&mut self, _progress: &Progress) {}
-}
-
-/// Why there is no model.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    /// Too little data.
-    #[error("only {found} rows to train on; at least {ROWS_MIN} are needed (5 s of flight)")]
-    TooFewRows {
-        /// Rows in the training part.
-        found: usize,
-    },
-    /// Nothing to choose or to judge by.
-    #[error(
-        "the {part} part has no rows: each part of a flight must be longer than {border_s} s, which \
-         are left out at its borders; give more or longer flights"
-    )]
-    EmptyPart {
-        /// `validation` or `test`.
-        part: &'static str,
-        /// What is left out between two parts, s.
-        border_s: f64,
-    },
-    /// Every model's open loop leads to what is no number.
-    #[error(
-        "{}; look at the logs with `downwash log audit`, or change --regularization, --features or \
-         --method",
-        Best::NotFinite.reason().unwrap_or_default()
-    )]
-    NotFinite,
-    /// The vehicle's physics does not work.
-    #[error(transparent)]
-    Vehicle(#[from] VehicleError),
-    /// A network could not be trained.
-    #[error("network {network} of the {model} model: {reason}")]
-    Network {
-        /// The model that it is part of.
-        model: &'static str,
-        /// `nn1` or `nn2`.
-        network: &'static str,
-        /// Why.
-        reason: String,
-    },
-    /// Nothing to try.
-    #[error("no regularisation is given to try")]
-    NoRegularization,
-    /// The checkpoint is of another training.
-    #[error("the checkpoint is of other data or settings; train without --resume")]
-    Checkpoint,
-}
 
 /// How a training ended.
 pub enum Outcome {

@@ -6,13 +6,14 @@ use vehicle::{VehicleError, VehicleParams};
 
 use super::commands::Onboard;
 use super::dataset::{ObservedFlight, Row};
+use super::error::TrainError;
+use super::error_ratio::score;
 use super::evaluation::{OneStep, Predictor, window_starts};
 use super::gaps::intersection;
 use super::identify;
-use super::judgement::score;
+use super::networks::Watch;
 use super::physics_fit;
 use super::prediction::RecordedInputs;
-use super::procedure::{TrainError, Watch};
 use super::refine;
 use super::split::{BORDER_S, Part, Split};
 use super::summary::LogSummary;
@@ -105,7 +106,7 @@ impl<'a> TrainingSet<'a> {
         dataset.refine()?;
         let rows = Part::ALL.map(|part| dataset.part(part).len());
         if rows[0] < ROWS_MIN {
-            return Err(TrainError::TooFewRows { found: rows[0] });
+            return Err(TrainError::TooFewRows { found: rows[0], least: ROWS_MIN });
         }
         if let Some((part, _)) = Part::ALL.into_iter().zip(rows).find(|(_, rows)| *rows == 0) {
             return Err(TrainError::EmptyPart { part: part.name(), border_s: BORDER_S });

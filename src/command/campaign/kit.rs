@@ -9,7 +9,8 @@ use toml::Value;
 use crate::campaign::bench::Kit;
 use crate::campaign::judge::Bounds;
 use crate::campaign::script::Script;
-use crate::command::setup::{VehicleFile, station_settings};
+use crate::command::setup::station_settings;
+use crate::command::vehicle_file::VehicleFile;
 use crate::command::{Course, Exit, ExitContext, configuration};
 use crate::plan::Trajectory;
 

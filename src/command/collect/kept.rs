@@ -8,8 +8,8 @@ use anyhow::Context;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
-use crate::command::setup::VehicleFile;
 use crate::command::simulation::Truth;
+use crate::command::vehicle_file::VehicleFile;
 use crate::command::{in_words, say};
 use crate::config::Config;
 use crate::log::LogReader;

@@ -1,21 +1,32 @@
 //! The flights of the experiment: every course, with every seed.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+use schemars::JsonSchema;
+use serde::Serialize;
+
 use super::Demo;
-use super::outcome::LogRow;
 use crate::cli::Contestant;
 use crate::command::course::Course;
 use crate::command::progress::flight_bar;
-use crate::command::setup::EffectiveVehicle;
 use crate::command::simulation::{Simulated, SimulatedFlight};
 use crate::command::{Exit, ExitContext, say, summary};
 use crate::config::Config;
+use crate::pilot::EffectiveVehicle;
 use crate::report::comparison::{Contender, Track};
 use crate::report::flight::FlightReport;
 use crate::station::End;
+
+/// One flight's log.
+#[derive(JsonSchema, Serialize)]
+pub(super) struct LogRow {
+    pub contender: String,
+    pub seed: u64,
+    pub log: PathBuf,
+}
 
 /// The flights of a demo.
 pub(super) struct Flown {

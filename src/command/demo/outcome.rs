@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::EffectSet;
 
-use super::flights::Flown;
+use super::flights::{Flown, LogRow};
 use super::{Demo, Learned};
 use crate::command::{Exit, print_json, print_text, summary, write_file};
 use crate::plan::iterate::Violation;
@@ -61,14 +61,6 @@ pub(super) struct PlanRow {
     pub subproblems: usize,
     pub wall_s: f64,
     pub plan: PathBuf,
-}
-
-/// One flight's log.
-#[derive(JsonSchema, Serialize)]
-pub(super) struct LogRow {
-    pub contender: String,
-    pub seed: u64,
-    pub log: PathBuf,
 }
 
 impl Demo<'_> {

@@ -13,10 +13,10 @@ use super::super::{Exit, ExitContext, in_words, say, write_file};
 use super::{Hall, log_names};
 use crate::cli::ExamArgs;
 use crate::diagnose::flights::preparation::PreparedFlight;
-use crate::exam::case::Settings;
 use crate::exam::closure::closure;
 use crate::exam::interval::Rate;
 use crate::exam::laws::{LawCase, variables};
+use crate::exam::order::Settings;
 use crate::exam::world::World;
 
 /// Share of the closable gap that a law is to close.

@@ -12,9 +12,9 @@ use sitl::config::Autopilot;
 
 use super::super::course::Course;
 use super::super::diagnose::audited;
-use super::super::setup::VehicleFile;
 use super::super::simulate::Simulation;
 use super::super::simulation::Truth;
+use super::super::vehicle_file::VehicleFile;
 use super::super::{Exit, ExitContext, configuration, in_words, say};
 use super::Hall;
 use crate::campaign::bench::set_up;

@@ -7,9 +7,9 @@ use vehicle::effects::EffectSet;
 use vehicle::physics::Physics;
 
 use super::{PlanModel, planner};
-use crate::command::setup::EffectiveVehicle;
 use crate::command::{Exit, ExitContext};
 use crate::config::Config;
+use crate::pilot::EffectiveVehicle;
 use crate::plan::planned::{Found, Plan};
 use crate::plan::time_optimal::{FlightPlanner, Limits, Margin, Stop, Task};
 

@@ -7,13 +7,13 @@ use vehicle::foreign::Foreign;
 use vehicle::frame::{Attitude, Euler};
 use vehicle::{ROTORS, VehicleParams};
 
-use super::bench::{Bench, Truth, ids};
-use super::draw::Draw;
-use super::flight::FlightError;
-use super::magnitude::Direction;
-use super::stranger::Stranger;
-use super::strength::{DETECTABLE, Errors, Model, Moved, Predictor, Strength};
-use super::world::World;
+use super::{Bench, Truth, ids};
+use crate::exam::draw::Draw;
+use crate::exam::flight::FlightError;
+use crate::exam::magnitude::Direction;
+use crate::exam::stranger::Stranger;
+use crate::exam::strength::{DETECTABLE, Errors, Model, Moved, Predictor, Strength};
+use crate::exam::world::World;
 
 /// Searches for a size of the wanted strength.
 const SEARCHES: usize = 4;
@@ -35,7 +35,7 @@ const LACKING_DRAG_ALONG: f64 = 0.4;
 
 /// How strongly a truth shows.
 #[derive(Clone, Debug)]
-pub(super) struct Shown {
+pub(in crate::exam) struct Shown {
     /// By itself.
     pub strength: Strength,
     /// What is left when the numbers of the file have moved.
@@ -54,7 +54,7 @@ impl Shown {
 
 /// How strongly a truth is to show.
 #[derive(Clone, Copy)]
-pub(super) enum Wanted {
+pub(in crate::exam) enum Wanted {
     /// Over noise alone.
     Ratio([f64; 2]),
     /// Over the practical size.
@@ -147,7 +147,7 @@ impl Bench {
     }
 
     /// What predictions are off by without any truth.
-    pub(super) fn baseline(&self) -> Result<Errors, FlightError> {
+    pub(in crate::exam) fn baseline(&self) -> Result<Errors, FlightError> {
         let nothing = Truth::default();
         let predictor = self.predictor(&nothing, |_, _| {})?;
         Ok(predictor.errors(&self.tracks(&nothing)?, &EffectSet::new(), self.seed))
@@ -155,7 +155,11 @@ impl Bench {
 
     /// How strongly the truth shows, flown without sensor noise, and in [`World::Builders`] how much
     /// of that the file's numbers leave.
-    pub(super) fn shown(&self, baseline: &Errors, truth: &Truth) -> Result<Shown, FlightError> {
+    pub(in crate::exam) fn shown(
+        &self,
+        baseline: &Errors,
+        truth: &Truth,
+    ) -> Result<Shown, FlightError> {
         let predictor = self.predictor(truth, |_, _| {})?;
         let tracks = self.tracks(truth)?;
         let errors = predictor.errors(&tracks, &truth.effects, self.seed);
@@ -215,7 +219,7 @@ impl Bench {
         last
     }
 
-    pub(super) fn sized_effect(
+    pub(in crate::exam) fn sized_effect(
         &self,
         draw: &mut Draw,
         baseline: &Errors,
@@ -229,7 +233,7 @@ impl Bench {
         Ok((truth.effects, shown))
     }
 
-    pub(super) fn sized_stranger(
+    pub(in crate::exam) fn sized_stranger(
         &self,
         draw: &mut Draw,
         baseline: &Errors,
@@ -246,7 +250,7 @@ impl Bench {
     }
 
     /// By this world's measure: a ratio over noise, or a size over the practical one.
-    pub(super) fn measure(&self, ratio: [f64; 2], size: [f64; 2]) -> Wanted {
+    pub(in crate::exam) fn measure(&self, ratio: [f64; 2], size: [f64; 2]) -> Wanted {
         match self.world {
             World::Exact => Wanted::Ratio(ratio),
             World::Builders => Wanted::Size(size),
@@ -254,13 +258,13 @@ impl Bench {
     }
 
     /// The same of a single effect, which may be below the practical size.
-    pub(super) fn single(&self, draw: &mut Draw) -> Wanted {
+    pub(in crate::exam) fn single(&self, draw: &mut Draw) -> Wanted {
         let is_small = self.world == World::Builders && draw.chance(SMALL_SHARE);
         self.measure(self.ratios, if is_small { SMALL } else { PRACTICAL })
     }
 
     /// Whether what shows so is to be named.
-    pub(super) fn is_practical(&self, shown: &Shown) -> bool {
+    pub(in crate::exam) fn is_practical(&self, shown: &Shown) -> bool {
         match self.world {
             World::Exact => shown.strength.ratio >= DETECTABLE,
             World::Builders => shown.size() >= 1.0,

@@ -1,0 +1,44 @@
+//! Errors of predictions over those of holding the state.
+
+use std::ops::Range;
+
+use super::evaluation::{MultiStep, Predictor, StateError, multi_step};
+use super::prediction::{Baseline, RecordedInputs};
+
+/// Errors at the middle horizons over those of holding the state, summed: lower is better.
+pub(super) fn score(windows: &[(RecordedInputs<'_>, Vec<f64>)], predictor: &Predictor<'_>) -> f64 {
+    let hold = multi_step(windows, &Predictor::Baseline(Baseline::Hold));
+    match (multi_step(windows, predictor), hold) {
+        (Some((errors, _)), Some((hold, _))) => relative(&errors, &hold),
+        _ => f64::INFINITY,
+    }
+}
+
+/// Sum of errors at the middle horizons, over those of `hold`; infinite where an error at any
+/// horizon is no number.
+pub(super) fn relative(errors: &MultiStep, hold: &MultiStep) -> f64 {
+    let sum: f64 = ratios(errors, hold).sum();
+    if sum.is_finite() && errors.iter().all(StateError::is_finite) { sum } else { f64::INFINITY }
+}
+
+/// The middle ones of the horizons.
+const MIDDLE: Range<usize> = 1..3;
+/// Errors at one horizon.
+const ERRORS: usize = 4;
+/// Sum of the [`ratios`] of what errs as much as holding the state.
+pub(super) const AS_HOLDING: f64 = ((MIDDLE.end - MIDDLE.start) * ERRORS) as f64;
+
+/// Each error at the middle horizons over that of `hold`.
+pub(super) fn ratios<'a>(
+    errors: &'a MultiStep,
+    hold: &'a MultiStep,
+) -> impl Iterator<Item = f64> + 'a {
+    errors[MIDDLE].iter().zip(&hold[MIDDLE]).flat_map(|(a, b)| -> [f64; ERRORS] {
+        [
+            a.position_m / b.position_m.max(1e-9),
+            a.velocity_m_s / b.velocity_m_s.max(1e-9),
+            a.attitude_rad / b.attitude_rad.max(1e-9),
+            a.rate_rad_s / b.rate_rad_s.max(1e-9),
+        ]
+    })
+}
