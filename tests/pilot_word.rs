@@ -74,6 +74,22 @@ fn in_silence_nothing_is_commanded_for_the_mode_is_not_known() {
 }
 
 #[test]
+fn a_last_frame_that_is_younger_than_the_state_is_no_word_of_the_mode() {
+    let mut flight = in_track(EngagePolicy::Command);
+    flight.hears = |_| false;
+    // What was under way before the cut comes a little later than the state.
+    for _ in 0..10 {
+        flight.run(0.01);
+        let message = Inbound::Battery(Battery::default());
+        let host = flight.vehicle.now();
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+    }
+    flight.run(2.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Land);
+    assert!(flight.actions.is_empty(), "over the vehicle's own failsafe: {:?}", flight.actions);
+}
+
+#[test]
 fn after_silence_the_landing_is_commanded_once_the_mode_is_told_again() {
     let mut flight = in_track(EngagePolicy::Command);
     flight.hears = |_| false;
