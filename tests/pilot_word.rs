@@ -335,6 +335,28 @@ fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
 }
 
 #[test]
+fn a_position_that_the_vehicle_no_longer_vouches_for_is_not_followed() {
+    let heard = |flight: &mut Flight, health: u32| {
+        let message = Inbound::SysStatus { unhealthy: 0, health };
+        let host = flight.vehicle.now();
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+    };
+    let mut flight = in_track(EngagePolicy::Command);
+    // A vehicle that never said so is not judged by it.
+    heard(&mut flight, 0);
+    flight.run(1.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+    heard(&mut flight, 0x4000);
+    flight.run(0.2);
+    heard(&mut flight, 0);
+    flight.run(0.3);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Track, "one report may be wrong");
+    flight.run(0.4);
+    assert_eq!(flight.actions, [Action::SetModeLand]);
+    assert!(told(&flight, "position estimate unhealthy"), "{:#?}", flight.events);
+}
+
+#[test]
 fn what_the_vehicle_reports_as_unhealthy_is_named_once() {
     let mut flight = in_track(EngagePolicy::Command);
     for _ in 0..3 {
