@@ -52,6 +52,10 @@ use crate::telemetry::VehicleStatus;
 /// Time for CURRENT_MODE, which is asked for twice a second, after the first HEARTBEAT, s.
 const INTENDED_MODE_WAIT_S: f64 = 3.0;
 
+/// A state that is older has stopped coming, and so did the setpoints, s: as soon an autopilot's own
+/// failsafe may act.
+const STATE_STOPPED_S: f64 = 0.2;
+
 /// Who decides that the daemon takes control.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -254,7 +258,7 @@ impl Supervisor {
         self.tell_takeover(now, seen.status);
         self.tell_unhealthy(now, seen.status);
         self.react(now, seen);
-        self.request(now, seen.status);
+        self.request(now, seen);
     }
 
     /// Looks only at whether the pilot has taken over: for what was heard while nobody listened.
@@ -475,8 +479,14 @@ impl Supervisor {
     }
 
     /// What the present state asks of the vehicle, repeated while it has no effect.
-    fn request(&mut self, now: HostTime, status: &VehicleStatus) {
-        if !status.knows_mode(now) {
+    fn request(&mut self, now: HostTime, seen: &Observation) {
+        let status = seen.status;
+        // Where the state stopped, the vehicle's own failsafe may have acted since: a mode that was
+        // told as the silence began says nothing of it, and another frame that came later neither.
+        let stopped_s = seen.condition.sample_age_s;
+        let mode_s = status.mode_heard.map_or(f64::INFINITY, |at| now.since(at).as_secs_f64());
+        let is_told = stopped_s <= STATE_STOPPED_S || mode_s + STATE_STOPPED_S <= stopped_s;
+        if !status.knows_mode(now) || !is_told {
             return;
         }
         let arms = self.policy == EngagePolicy::Command;

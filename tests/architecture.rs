@@ -13,6 +13,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("setpoint", &[]),
         ("parameters", &[]),
         ("vehicle_init", &["parameters"]),
+        ("vehicle_check", &["learn", "log", "parameters", "vehicle_init"]),
         ("guard", &["clock", "control", "setpoint"]),
         ("link", &["clock", "guard", "setpoint"]),
         ("telemetry", &["clock", "setpoint", "link"]),

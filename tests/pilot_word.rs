@@ -74,6 +74,22 @@ fn in_silence_nothing_is_commanded_for_the_mode_is_not_known() {
 }
 
 #[test]
+fn a_last_frame_that_is_younger_than_the_state_is_no_word_of_the_mode() {
+    let mut flight = in_track(EngagePolicy::Command);
+    flight.hears = |_| false;
+    // What was under way before the cut comes a little later than the state.
+    for _ in 0..10 {
+        flight.run(0.01);
+        let message = Inbound::Battery(Battery::default());
+        let host = flight.vehicle.now();
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+    }
+    flight.run(2.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Land);
+    assert!(flight.actions.is_empty(), "over the vehicle's own failsafe: {:?}", flight.actions);
+}
+
+#[test]
 fn after_silence_the_landing_is_commanded_once_the_mode_is_told_again() {
     let mut flight = in_track(EngagePolicy::Command);
     flight.hears = |_| false;
@@ -316,6 +332,28 @@ fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
         assert_eq!(flight.actions, [Action::SetModeLand]);
         assert!(told(&flight, words), "{:#?}", flight.events);
     }
+}
+
+#[test]
+fn a_position_that_the_vehicle_no_longer_vouches_for_is_not_followed() {
+    let heard = |flight: &mut Flight, health: u32| {
+        let message = Inbound::SysStatus { unhealthy: 0, health };
+        let host = flight.vehicle.now();
+        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+    };
+    let mut flight = in_track(EngagePolicy::Command);
+    // A vehicle that never said so is not judged by it.
+    heard(&mut flight, 0);
+    flight.run(1.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+    heard(&mut flight, 0x4000);
+    flight.run(0.2);
+    heard(&mut flight, 0);
+    flight.run(0.3);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Track, "one report may be wrong");
+    flight.run(0.4);
+    assert_eq!(flight.actions, [Action::SetModeLand]);
+    assert!(told(&flight, "position estimate unhealthy"), "{:#?}", flight.events);
 }
 
 #[test]

@@ -16,10 +16,15 @@ pub enum VehicleCommand {
     },
     /// Says which numbers of a vehicle file do not fit each other, and what is expected of them.
     ///
-    /// Ends with exit code 10 if there are any.
+    /// With `--log` also what the file predicts of a flight, each number with what the log shows of
+    /// it: the hover, the range of the outputs, how quickly the on-board loop follows, its gains.
+    /// Ends with exit code 10 if anything does not fit.
     Check {
         /// Vehicle file, or the name of a shipped one.
         file: PathBuf,
+        /// A flight of the vehicle to hold the file against: .mcap, .ulg, .bin, .tlog.
+        #[arg(long)]
+        log: Option<PathBuf>,
         /// Prints one JSON object.
         #[arg(long)]
         json: bool,

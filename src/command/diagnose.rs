@@ -11,10 +11,9 @@ use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
 
 use super::improved::{Additions, Form};
-use super::logs::open_for;
+use super::logs::{listed, open_for};
 use super::output::{create_report_folder, refuse_input};
 use super::setup::capability;
-use super::train::listed;
 use super::vehicle_file::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
 use crate::audit::{Audit, UnusableSpan};

@@ -163,3 +163,14 @@ fn observe(
     observed.check_vehicle(vehicle, onboard)?;
     Ok(observed)
 }
+
+/// Files for an error: the first few, and how many more.
+pub(super) fn listed(files: &[PathBuf]) -> String {
+    const NAMED: usize = 3;
+    let named: Vec<String> =
+        files.iter().take(NAMED).map(|file| file.display().to_string()).collect();
+    match files.len().saturating_sub(NAMED) {
+        0 => named.join(", "),
+        more => format!("{} and {more} more", named.join(", ")),
+    }
+}

@@ -33,6 +33,7 @@ mod progress;
 mod reference;
 mod replay;
 mod rows;
+mod scene;
 mod schema;
 mod screen;
 mod screen_layout;

@@ -10,10 +10,9 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 
-use super::logs::Logs;
+use super::logs::{Logs, listed};
 use super::output::{Output, refuse_input};
 use super::progress::StageBar;
-use super::train::listed;
 use super::{Exit, ExitContext, print_json, print_text, say, write_file};
 use crate::cli::ModelCommand;
 use crate::learn::commands::Onboard;

@@ -7,8 +7,8 @@ use serde::Serialize;
 use vehicle::VehicleParams;
 
 use super::diagnose::audited;
+use super::logs::listed;
 use super::output::create_report_folder;
-use super::train::listed;
 use super::vehicle_file::warn;
 use super::{Exit, ExitContext, in_words, print_json, print_text, say, write_file};
 use crate::cli::OnsetArgs;

@@ -1,27 +1,13 @@
 //! What stands where on the terminal view.
 
-use std::collections::VecDeque;
-
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Gauge, Paragraph};
 
-use crate::log::record::{LinkStats, Tick};
+use super::scene::Seen;
 use crate::station::Status;
-
-/// What the screen shows beside the status.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Seen {
-    pub tick: Option<Tick>,
-    pub link: Option<LinkStats>,
-    /// V and A.
-    pub battery: (Option<f64>, Option<f64>),
-    pub messages: VecDeque<String>,
-    /// How many of the newest messages are scrolled past.
-    pub scrolled: usize,
-}
 
 const GOOD: Color = Color::Green;
 const BAD: Color = Color::Red;

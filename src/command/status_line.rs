@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::screen::Scene;
+use super::scene::Scene;
 use crate::station::Status;
 
 /// What is shown all the time.

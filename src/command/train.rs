@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Context, anyhow};
 use vehicle::VehicleParams;
 
-use super::logs::Logs;
+use super::logs::{Logs, listed};
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
 use super::vehicle_file::warn;
@@ -277,17 +277,6 @@ fn train_with(
     train(&set, &settings, windows, logs.refused.clone(), own, bar)
         .with_context(|| names)
         .or_exit(Exit::Usage)
-}
-
-/// Files for an error: the first few, and how many more.
-pub(super) fn listed(files: &[PathBuf]) -> String {
-    const NAMED: usize = 3;
-    let named: Vec<String> =
-        files.iter().take(NAMED).map(|file| file.display().to_string()).collect();
-    match files.len().saturating_sub(NAMED) {
-        0 => named.join(", "),
-        more => format!("{} and {more} more", named.join(", ")),
-    }
 }
 
 /// Where an interrupted training of a model file is kept.

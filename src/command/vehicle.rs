@@ -18,6 +18,7 @@ use crate::cli::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
 use crate::log::import;
 use crate::parameters::{self, Parameters};
 use crate::plan::SHIPPED_TRAJECTORIES;
+use crate::vehicle_check::{self, Held, Verdict};
 use crate::vehicle_init::{Draft, Layout, Measured, Wanting};
 
 /// An inch in m.
@@ -28,7 +29,7 @@ const PARAMETER_FILE_MAX: u64 = 1 << 20;
 pub(super) fn run(command: VehicleCommand) -> anyhow::Result<Exit> {
     match command {
         VehicleCommand::List { json } => list(json),
-        VehicleCommand::Check { file, json } => check(&file, json),
+        VehicleCommand::Check { file, log, json } => check(&file, log.as_deref(), json),
         VehicleCommand::Init(args) => init(&args),
         VehicleCommand::Export { file, to, out, force } => export(&file, to, out.as_deref(), force),
     }
@@ -103,11 +104,18 @@ pub(super) struct Checked<'a> {
     vehicle: &'a str,
     #[schemars(with = "Vec<serde_json::Value>")]
     remarks: &'a [Remark],
+    /// What a log says of what the file predicts; none without `--log`.
+    held: &'a [Held],
 }
 
-fn check(file: &Path, json: bool) -> anyhow::Result<Exit> {
+fn check(file: &Path, log: Option<&Path>, json: bool) -> anyhow::Result<Exit> {
     let vehicle = VehicleParams::load(file).or_exit(Exit::Usage)?;
     let remarks = vehicle.remarks();
+    let held = match log {
+        Some(log) => against(log, &vehicle).with_context(|| log.display().to_string())?,
+        None => Vec::new(),
+    };
+    let fits = remarks.is_empty() && held.iter().all(|held| held.verdict != Verdict::Differs);
     if json {
         print_json(&Checked {
             schema: "downwash.vehicle.check",
@@ -115,14 +123,28 @@ fn check(file: &Path, json: bool) -> anyhow::Result<Exit> {
             file: file.display().to_string(),
             vehicle: &vehicle.name,
             remarks: &remarks,
+            held: &held,
         })?;
-    } else if remarks.is_empty() {
-        print_text(&format!("{}: the numbers fit each other\n", file.display()))?;
     } else {
-        let line = |remark: &Remark| format!("{}: {}\n", file.display(), told(remark));
-        print_text(&remarks.iter().map(line).collect::<String>())?;
+        let file = file.display();
+        let mut lines: Vec<String> = remarks.iter().map(told).collect();
+        if lines.is_empty() {
+            lines.push("the numbers fit each other".to_owned());
+        }
+        lines.extend(held.iter().map(|held| match held.verdict {
+            Verdict::Fits => format!("fits: {}", held.what),
+            Verdict::Differs => format!("differs: {}", held.what),
+            Verdict::NotShown => held.what.clone(),
+        }));
+        print_text(&lines.iter().map(|line| format!("{file}: {line}\n")).collect::<String>())?;
     }
-    Ok(if remarks.is_empty() { Exit::Ok } else { Exit::Check })
+    Ok(if fits { Exit::Ok } else { Exit::Check })
+}
+
+/// What the log says of what the file predicts.
+fn against(log: &Path, vehicle: &VehicleParams) -> anyhow::Result<Vec<Held>> {
+    let flight = import::open(log, None).or_exit(Exit::Usage)?;
+    vehicle_check::held(&flight, vehicle).or_exit(Exit::Usage)
 }
 
 /// A new vehicle file, and what it lacks: the JSON of `vehicle init`.

@@ -249,7 +249,7 @@ fn merged(mut spans: Vec<Range<f64>>) -> Vec<Range<f64>> {
 
 /// When the vehicle flew, without the edges. What it says itself wins; else a mean output above
 /// `lifts` does, where outputs are logged.
-fn in_air(flight: &Flight, lifts: f64) -> Vec<Range<f64>> {
+pub(crate) fn in_air(flight: &Flight, lifts: f64) -> Vec<Range<f64>> {
     let mut said: Vec<(f64, bool)> = flight.in_air.iter().map(|(t, air)| (t, *air)).collect();
     let mut edge = EDGE_S;
     if said.is_empty() {

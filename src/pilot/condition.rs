@@ -90,6 +90,7 @@ impl Pilot {
                 battery: status.battery.remaining,
                 battery_critical: status.battery.charge == ChargeState::Critical,
                 failsafe: None,
+                position_lost: status.position_healthy == Some(false),
             },
         };
         self.supervisor.observe(now, &observation);

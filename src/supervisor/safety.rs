@@ -51,10 +51,12 @@ pub enum Fault {
     Battery,
     /// The vehicle declares a failsafe, and goes on obeying setpoints.
     Failsafe,
+    /// The vehicle no longer vouches for its position, and goes on telling one.
+    PositionLost,
 }
 
 /// Every fault.
-pub(super) const FAULTS: [Fault; 8] = [
+pub(super) const FAULTS: [Fault; 9] = [
     Fault::StaleTelemetry,
     Fault::TelemetryJump,
     Fault::SlowLink,
@@ -63,6 +65,7 @@ pub(super) const FAULTS: [Fault; 8] = [
     Fault::Geofence,
     Fault::Battery,
     Fault::Failsafe,
+    Fault::PositionLost,
 ];
 
 /// When a fault is one, and the reaction to each. Link loss has no setting: the stream stops.
@@ -110,6 +113,11 @@ pub struct SafetySettings {
     pub failsafe_for_s: f64,
     /// Reaction.
     pub on_failsafe: Reaction,
+    /// Time for which the vehicle calls its position estimate unhealthy that it called healthy
+    /// before, s. What it tells then drifts away by metres, and feedback would follow.
+    pub position_lost_for_s: f64,
+    /// Reaction.
+    pub on_position_lost: Reaction,
 }
 
 impl Default for SafetySettings {
@@ -135,6 +143,8 @@ impl Default for SafetySettings {
             on_battery: Reaction::Land,
             failsafe_for_s: 1.5,
             on_failsafe: Reaction::Land,
+            position_lost_for_s: 0.5,
+            on_position_lost: Reaction::Land,
         }
     }
 }
@@ -164,6 +174,8 @@ pub struct FlightCondition<'a> {
     pub battery_critical: bool,
     /// The failsafe that the vehicle declared since control began.
     pub failsafe: Option<&'a str>,
+    /// Whether the vehicle calls its position estimate unhealthy that it called healthy before.
+    pub position_lost: bool,
 }
 
 impl SafetySettings {
@@ -183,6 +195,7 @@ impl SafetySettings {
                 c.battery.is_some_and(|left| left < self.battery_min) || c.battery_critical
             }
             Fault::Failsafe => c.failsafe.is_some(),
+            Fault::PositionLost => c.position_lost,
         }
     }
 
@@ -194,6 +207,7 @@ impl SafetySettings {
             Fault::Tilt => self.tilt_for_s,
             Fault::Battery => self.battery_for_s,
             Fault::Failsafe => self.failsafe_for_s,
+            Fault::PositionLost => self.position_lost_for_s,
             Fault::StaleTelemetry | Fault::TelemetryJump | Fault::Geofence => 0.0,
         }
     }
@@ -209,6 +223,7 @@ impl SafetySettings {
             Fault::Geofence => self.on_geofence,
             Fault::Battery => self.on_battery,
             Fault::Failsafe => self.on_failsafe,
+            Fault::PositionLost => self.on_position_lost,
         }
     }
 
@@ -242,6 +257,9 @@ impl SafetySettings {
             }
             Fault::Failsafe => {
                 format!("the vehicle declares a failsafe: {}", c.failsafe.unwrap_or_default())
+            }
+            Fault::PositionLost => {
+                "the vehicle calls its position estimate unhealthy: GPS may be lost".to_owned()
             }
             Fault::Battery => format!(
                 "battery at {:.0} %, limit {:.0} %",

@@ -33,6 +33,9 @@ pub struct VehicleStatus {
     pub battery: Battery,
     /// MAV_SYS_STATUS_SENSOR bits that are enabled but not healthy.
     pub unhealthy: u32,
+    /// Whether the vehicle calls its position estimate healthy, by SYS_STATUS; `None` where it never
+    /// did, as vehicles that do not say it.
+    pub position_healthy: Option<bool>,
     /// What HEARTBEAT says of the vehicle as a whole.
     pub system: SystemState,
     /// The newest text by which the vehicle declares a failsafe that it has not cleared since, and
@@ -61,6 +64,7 @@ impl Default for VehicleStatus {
             landed: LandedState::Undefined,
             battery: Battery::default(),
             unhealthy: 0,
+            position_healthy: None,
             system: SystemState::Unknown,
             failsafe: None,
             parameters: Parameters::new(),
@@ -79,6 +83,10 @@ const MODE_AGE_MAX: Duration = Duration::from_millis(2500);
 const RETURN_AHEAD: Duration = Duration::from_secs(2);
 /// Where HEARTBEAT comes first, CURRENT_MODE follows with the vehicle's next word of it.
 const RETURN_AFTER: Duration = Duration::from_millis(800);
+
+/// MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL: PX4's local position estimate; ArduCopter has it set
+/// wherever it obeys setpoints, and leaves Guided itself.
+const POSITION: u32 = 0x4000;
 
 /// MAV_SEVERITY_WARNING; smaller numbers are worse.
 const WARNING: u8 = 4;
@@ -114,7 +122,13 @@ impl VehicleStatus {
             }
             Inbound::LandedState(landed) => self.landed = *landed,
             Inbound::Battery(battery) => self.battery = *battery,
-            Inbound::SysStatus { unhealthy, .. } => self.unhealthy = *unhealthy,
+            Inbound::SysStatus { unhealthy, health } => {
+                self.unhealthy = *unhealthy;
+                let is_healthy = health & POSITION != 0;
+                if is_healthy || self.position_healthy.is_some() {
+                    self.position_healthy = Some(is_healthy);
+                }
+            }
             Inbound::Parameter { name, value } => {
                 self.parameters.insert(name.clone(), *value);
             }

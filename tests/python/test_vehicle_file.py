@@ -161,3 +161,21 @@ def test_shipped_vehicles_and_trajectories_go_by_their_names_from_any_folder(tmp
     assert done.returncode == 2 and "figure-8" in done.stderr
     done = downwash(tmp_path, "plan", "hover", "--vehicle", "crazyfly")
     assert done.returncode == 2 and "crazyflie, quad1200" in done.stderr
+
+
+def test_a_file_is_held_against_a_flight(tmp_path):
+    done = downwash(tmp_path, "collect", "--out", "flights", "--seconds", "40", "--vehicle", "crazyflie", timeout=300)
+    assert done.returncode == 0, done.stderr
+    (flight,) = (tmp_path / "flights").glob("*unstructured*.mcap")
+    done = downwash(tmp_path, "vehicle", "check", "crazyflie", "--log", str(flight), "--json")
+    assert done.returncode == 0, done.stdout
+    verdicts = {held["check"]: held["verdict"] for held in json.loads(done.stdout)["held"]}
+    # The flight turns to no other heading.
+    assert verdicts == {"hover": "fits", "outputs": "fits", "roll": "fits", "pitch": "fits", "yaw": "not_shown"}
+
+    text = CRAZYFLIE.read_text().replace("mass = 0.030", "mass = 0.045")
+    (tmp_path / "heavy.toml").write_text(text)
+    done = downwash(tmp_path, "vehicle", "check", "heavy.toml", "--log", str(flight))
+    assert done.returncode == 10
+    assert "differs: hover: by the outputs the rotors carry 0.294 N" in done.stdout
+    assert "expected 0.441 N for 0.0450 kg" in done.stdout

@@ -1,0 +1,230 @@
+//! A vehicle file held against a flight: what it predicts of the hover, of the outputs and of the
+//! on-board loop, and what the log shows of each.
+
+mod gains;
+mod hover;
+mod outputs;
+mod response;
+
+use std::ops::Range;
+
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::VehicleParams;
+
+use crate::learn::segments::in_air;
+use crate::log::import::Flight;
+
+/// A mean output of this share of the hover's carries the vehicle.
+const LIFTS: f64 = 0.5;
+
+/// What a log says of a number that the file predicts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// What was found is what the file predicts, to the tolerance of the check and the chance of
+    /// the log.
+    Fits,
+    /// It is not.
+    Differs,
+    /// The log does not show it.
+    NotShown,
+}
+
+/// One number of the file held against the log.
+#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
+pub struct Held {
+    /// What was looked at: `hover`, `outputs`, `roll`, `pitch`, `yaw`, `gains`.
+    pub check: &'static str,
+    /// The field of the file to look at first.
+    pub field: &'static str,
+    /// What the log says.
+    pub verdict: Verdict,
+    /// What the file predicts.
+    pub expected: f64,
+    /// What the log shows.
+    pub found: Option<f64>,
+    /// Half of the 95 % interval of `found`, where it has one.
+    pub half_width: Option<f64>,
+    /// Unit of all three; empty for shares.
+    pub unit: &'static str,
+    /// All of it as a sentence.
+    pub what: String,
+}
+
+/// Why nothing can be said.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NotHeld {
+    /// The vehicle was not in the air, by the log.
+    #[error("the log shows no flight of more than {needed_s} s in the air")]
+    NoFlight {
+        /// Needed, s.
+        needed_s: f64,
+    },
+    /// Outputs without a unit.
+    #[error(transparent)]
+    Unit(#[from] crate::log::import::UnitUnknown),
+}
+
+/// The shortest flight that is looked at, s.
+const FLIGHT_MIN_S: f64 = 5.0;
+/// Length of a block, of which chance is told, s.
+const BLOCK_S: f64 = 4.0;
+
+/// Holds `vehicle` against `flight`, one sentence each.
+///
+/// # Errors
+/// [`NotHeld`] where the log shows no flight, or its outputs have no unit.
+pub fn held(flight: &Flight, vehicle: &VehicleParams) -> Result<Vec<Held>, NotHeld> {
+    let mut shares = flight.clone();
+    shares.normalise_outputs(vehicle)?;
+    let spans = in_air(&shares, LIFTS * vehicle.hover_share());
+    if spans.iter().map(|span| span.end - span.start).sum::<f64>() < FLIGHT_MIN_S {
+        return Err(NotHeld::NoFlight { needed_s: FLIGHT_MIN_S });
+    }
+    let mut all = vec![hover::held(&shares, &spans, vehicle)];
+    all.push(outputs::held(flight, &shares, &spans, vehicle));
+    all.extend(response::held(&shares, &spans, vehicle));
+    all.extend(gains::held(flight, vehicle));
+    Ok(all)
+}
+
+/// Spans as blocks of [`BLOCK_S`]; what is left of a span at its end is in none.
+fn blocks(spans: &[Range<f64>]) -> Vec<Range<f64>> {
+    let of = |span: &Range<f64>| {
+        let (start, count) = (span.start, ((span.end - span.start) / BLOCK_S).floor() as u32);
+        (0..count).map(move |k| {
+            let from = start + f64::from(k) * BLOCK_S;
+            from..from + BLOCK_S
+        })
+    };
+    spans.iter().flat_map(of).collect()
+}
+
+/// A number for a person: three digits.
+fn brief(value: f64) -> String {
+    let decimals = (2 - value.abs().max(1e-3).log10().floor() as i32).max(0) as usize;
+    format!("{value:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use vehicle::frame::{Euler, Frd, Ned};
+
+    use super::*;
+    use crate::log::import::{AttitudeSetpoint, Clock, Origin, SetpointSource};
+
+    fn file() -> VehicleParams {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/config/vehicles/quad1200.toml");
+        VehicleParams::load(file).expect("a vehicle")
+    }
+
+    /// A flight of `vehicle` whose setpoints turn by `size` rad at random, once a second; its
+    /// equations are written anew.
+    fn flown(vehicle: &VehicleParams, size: f64) -> Flight {
+        let origin = Origin {
+            path: "a.mcap".into(),
+            run: "a".into(),
+            sha256: String::new(),
+            format: "mcap",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        let pd = vehicle.attitude_pd.expect("a PD");
+        let (mut angle, mut rate, mut moment) = ([0.0_f64; 3], [0.0_f64; 3], [0.0_f64; 3]);
+        let (mut wanted, mut seed) = ([0.0_f64; 3], 1_u64);
+        flight.setpoint_source = SetpointSource::Onboard;
+        flight.in_air.push(-1.0, true);
+        for k in 0..40_000_u32 {
+            let time = f64::from(k) * 1e-3;
+            if k.is_multiple_of(1000) {
+                wanted = std::array::from_fn(|_| {
+                    seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                    size * ((seed >> 40) as f64 / f64::from(1 << 23) - 1.0)
+                });
+            }
+            if k.is_multiple_of(10) {
+                let attitude = Euler::new(wanted[0], wanted[1], wanted[2]).attitude();
+                let setpoint =
+                    AttitudeSetpoint { attitude: Some(attitude), body_rate: None, thrust: None };
+                flight.setpoint.push(time, setpoint);
+            }
+            if k.is_multiple_of(4) {
+                flight.attitude.push(time, Euler::new(angle[0], angle[1], angle[2]).attitude());
+                flight.velocity.push(time, Ned::zero());
+                flight.body_rate.push(time, Frd::new(rate[0], rate[1], rate[2]));
+                let share = vehicle.hover_share() / (angle[0].cos() * angle[1].cos());
+                flight.outputs.push(time, [share; 4]);
+            }
+            for axis in 0..3 {
+                let asked = pd.kp[axis] * (wanted[axis] - angle[axis]) - pd.kd[axis] * rate[axis];
+                moment[axis] += 1e-3 * (asked - moment[axis]) / vehicle.motor_time_constant_s;
+                rate[axis] += 1e-3 * moment[axis] / vehicle.inertia[axis];
+                angle[axis] += 1e-3 * rate[axis];
+            }
+        }
+        flight
+    }
+
+    fn verdicts(flight: &Flight, vehicle: &VehicleParams) -> Vec<(&'static str, Verdict)> {
+        let held = held(flight, vehicle).expect("a flight");
+        held.iter().map(|held| (held.check, held.verdict)).collect()
+    }
+
+    #[test]
+    fn the_file_of_the_vehicle_that_flew_fits() {
+        let vehicle = file();
+        let expected = ["hover", "outputs", "roll", "pitch", "yaw"].map(|of| (of, Verdict::Fits));
+        assert_eq!(verdicts(&flown(&vehicle, 0.15), &vehicle), expected);
+    }
+
+    #[test]
+    fn what_differs_is_told_with_both_numbers() {
+        let (vehicle, mut heavy) = (file(), file());
+        let flight = flown(&vehicle, 0.15);
+        heavy.mass *= 1.3;
+        let [hover, ..] = &held(&flight, &heavy).expect("a flight")[..] else { panic!("none") };
+        assert_eq!(hover.verdict, Verdict::Differs, "{}", hover.what);
+        let found = hover.found.expect("found");
+        assert!((found / vehicle.hover_share() - 1.0).abs() < 0.01, "{}", hover.what);
+
+        let mut slow = file();
+        slow.inertia[0] *= 4.0;
+        let all = held(&flight, &slow).expect("a flight");
+        let roll = all.iter().find(|held| held.check == "roll").expect("roll");
+        assert_eq!(roll.verdict, Verdict::Differs, "{}", roll.what);
+        assert!(roll.found.expect("found") < roll.expected, "{}", roll.what);
+        assert!(roll.what.contains("expected"), "{}", roll.what);
+        let pitch = all.iter().find(|held| held.check == "pitch").expect("pitch");
+        assert_eq!(pitch.verdict, Verdict::Fits, "{}", pitch.what);
+    }
+
+    #[test]
+    fn a_still_hover_shows_no_loop() {
+        let vehicle = file();
+        let all = verdicts(&flown(&vehicle, 0.005), &vehicle);
+        assert_eq!(all[0], ("hover", Verdict::Fits));
+        assert_eq!(all[2..], ["roll", "pitch", "yaw"].map(|of| (of, Verdict::NotShown)));
+    }
+
+    #[test]
+    fn outputs_of_another_range_than_the_parameters_say_are_told() {
+        let mut vehicle = file();
+        let mut flight = flown(&vehicle, 0.15);
+        for outputs in flight.outputs.values_mut() {
+            *outputs = outputs.map(|u| 1000.0 + 1000.0 * u);
+        }
+        flight.motor_unit = crate::log::import::MotorUnit::VehicleFile;
+        let range = crate::log::import::OutputRange { zero: 1000.0, one: 2000.0 };
+        flight.facts.output_ranges = Some([range; 4]);
+        vehicle.motor_output = None;
+        assert_eq!(verdicts(&flight, &vehicle)[1], ("outputs", Verdict::Fits));
+        vehicle.motor_output = Some(vehicle::MotorOutput {
+            message: "SERVO_OUTPUT_RAW".to_owned(),
+            fields: Vec::new(),
+            zero: 1100.0,
+            one: 1900.0,
+            disarmed: 900.0,
+        });
+        assert_eq!(verdicts(&flight, &vehicle)[1], ("outputs", Verdict::Differs));
+    }
+}
