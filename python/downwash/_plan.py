@@ -52,6 +52,8 @@ class Plan:
     __slots__ = ("_native",)
 
     def __init__(self, native: _native.Plan) -> None:
+        if not isinstance(native, _native.Plan):
+            raise TypeError("a Plan is made by plan() or Plan.load()")
         self._native = native
 
     @classmethod

@@ -256,7 +256,8 @@ def test_any_arguments_of_any_function_give_a_result_or_an_exception(
         function, parameters = function.fset, [inspect.Parameter("state", inspect.Parameter.POSITIONAL_ONLY)]
     else:
         parameters = list(inspect.signature(function).parameters.values())[len(before) :]
-    for _ in range(60):
+    # What takes no argument has only one answer.
+    for _ in range(40 if parameters else 1):
         positional, named = [], {}
         for parameter in parameters:
             if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
