@@ -4,10 +4,13 @@
 //! nominal vehicle is a rigid body with thrust along -z body at each rotor and drag torques, and
 //! has neither aerodynamics nor a dependence on voltage unless an effect brings them.
 
+mod body_laws;
 mod constants;
 mod loads;
 mod wiring;
 
+pub use body_laws::BodyLaws;
+pub(crate) use body_laws::Lawless;
 pub use constants::{Constants, RotorConstants};
 pub use loads::{Environment, Loads};
 
@@ -36,55 +39,6 @@ struct Aerodynamics {
 impl Aerodynamics {
     fn is_empty(&self) -> bool {
         self.effects.is_empty() && self.linear_drag.is_none() && self.angular_damping.is_none()
-    }
-}
-
-/// Laws that act on the body beside the catalogue's effects.
-pub trait BodyLaws {
-    /// Adds their forces and moments.
-    fn add<T: Scalar>(
-        &self,
-        state: &State<T>,
-        loads: &Loads<T>,
-        env: &Environment,
-        wrench: &mut Wrench<T>,
-    );
-}
-
-impl BodyLaws for Option<Laws> {
-    #[inline(always)]
-    fn add<T: Scalar>(
-        &self,
-        state: &State<T>,
-        loads: &Loads<T>,
-        env: &Environment,
-        wrench: &mut Wrench<T>,
-    ) {
-        if let Some(laws) = self {
-            laws.add(state, &loads.as_quantities(), env, wrench);
-        }
-    }
-}
-
-/// None, as a compiler sees: physics without laws are plain numbers, and a loop over them is vectorised.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Lawless;
-
-impl BodyLaws for Lawless {
-    #[inline(always)]
-    fn add<T: Scalar>(&self, _: &State<T>, _: &Loads<T>, _: &Environment, _: &mut Wrench<T>) {}
-}
-
-impl BodyLaws for &Laws {
-    #[inline(always)]
-    fn add<T: Scalar>(
-        &self,
-        state: &State<T>,
-        loads: &Loads<T>,
-        env: &Environment,
-        wrench: &mut Wrench<T>,
-    ) {
-        Laws::add(self, state, &loads.as_quantities(), env, wrench);
     }
 }
 
