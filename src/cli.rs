@@ -244,7 +244,7 @@ pub struct OnsetArgs {
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
     /// Mean time between false alarms that the bound on the evidence is for, h of flight.
-    #[arg(long, value_name = "H", default_value_t = 1000.0)]
+    #[arg(long, value_name = "H", default_value_t = FALSE_ALARM_H)]
     pub false_alarm_h: f64,
     /// Folder for report.html and report.json; made if missing.
     #[arg(long, value_name = "DIR")]
@@ -256,6 +256,24 @@ pub struct OnsetArgs {
     #[arg(long)]
     pub json: bool,
 }
+
+impl OnsetArgs {
+    /// What changed in `logs` of the vehicle at `vehicle`, as without another flag.
+    pub fn new(logs: Vec<PathBuf>, vehicle: PathBuf) -> Self {
+        Self {
+            logs,
+            vehicle,
+            mapping: None,
+            false_alarm_h: FALSE_ALARM_H,
+            report: None,
+            fail_on_change: false,
+            json: false,
+        }
+    }
+}
+
+/// Mean time between false alarms of `onset`, h of flight.
+const FALSE_ALARM_H: f64 = 1000.0;
 
 /// Flags of `exam`.
 #[derive(Debug, Args)]
@@ -391,6 +409,19 @@ mod tests {
     #[test]
     fn flags_of_no_command_are_in_each_others_way() {
         Cli::command().debug_assert();
+    }
+
+    #[derive(Parser)]
+    struct Onset {
+        #[command(flatten)]
+        args: OnsetArgs,
+    }
+
+    #[test]
+    fn a_search_for_changes_without_flags_is_the_one_of_the_command_line() {
+        let typed = Onset::try_parse_from(["onset", "a.mcap", "--vehicle", "v.toml"]);
+        let made = OnsetArgs::new(vec!["a.mcap".into()], "v.toml".into());
+        assert_eq!(format!("{:?}", typed.expect("arguments").args), format!("{made:?}"));
     }
 
     #[test]

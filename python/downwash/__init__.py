@@ -12,6 +12,7 @@ from ._fleet import Fleet
 from ._flight import fly
 from ._log import Log, Stream, audit, read
 from ._model import ACCELERATIONS, INPUT, MOTION, Learner, Model
+from ._onset import Changes, onset
 from ._plan import PLAN_INPUT, PLAN_STATE, Plan, plan
 from ._plant import REST, STATE, Plant, rollouts
 from ._rows import Rows
@@ -28,6 +29,7 @@ __all__ = [
     "POINT",
     "REST",
     "STATE",
+    "Changes",
     "Comparison",
     "Diagnosis",
     "DownwashError",
@@ -47,6 +49,7 @@ __all__ = [
     "diagnose",
     "effects",
     "fly",
+    "onset",
     "plan",
     "read",
     "rollouts",

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import islice
 from os import PathLike
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+_T = TypeVar("_T")
+# Items of a list, such as seeds or logs.
+_MOST = 1_000_000
 
 Array: TypeAlias = NDArray[np.float64]
 Path: TypeAlias = "str | PathLike[str]"
@@ -46,6 +51,16 @@ def count(what: str, value: int, least: int, most: int) -> int:
     return int(value)
 
 
+def listed(what: str, given: Iterable[_T]) -> list[_T]:
+    """The items of a list that is not beyond reason: of an array that is broadcast there is no end."""
+    if isinstance(given, (str, bytes)):
+        raise TypeError(f"{what}: expected a list, found one word")
+    found = list(islice(iter(given), _MOST + 1))
+    if len(found) > _MOST:
+        raise ValueError(f"{what}: expected at most {_MOST} items")
+    return found
+
+
 def seed_of(value: int) -> int:
     """A seed."""
     return count("seed", value, 0, 2**64 - 1)
@@ -56,6 +71,8 @@ def to_json(what: str, value: Any) -> str:
 
     def plain(other: Any) -> Any:
         if isinstance(other, (np.ndarray, np.generic)):
+            if other.size > _MOST:
+                raise ValueError(f"{what}: expected at most {_MOST} numbers, found {other.size}")
             return other.tolist()
         if isinstance(other, Mapping):
             return dict(other)
@@ -84,7 +101,7 @@ def paths(what: str, given: Path | Sequence[Path]) -> list[Path]:
 
     if isinstance(given, (str, os.PathLike)):
         return [given]
-    found = list(given)
+    found = listed(what, given)
     if not found:
         raise ValueError(f"{what}: expected at least one path")
     return found

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from . import _downwash as _native
-from ._arguments import Path, count, paths, seed_of
+from ._arguments import Path, count, listed, paths, seed_of
 from ._page import framed
 from ._progress import Progress, teller
 from ._vehicle import Vehicle
@@ -29,6 +29,8 @@ class Diagnosis:
     """The answer in words."""
     vehicle: Vehicle = field(repr=False)
     """The vehicle with the effects that were found."""
+    law_file: str | None = field(default=None, repr=False)
+    """With ``discover``, where a law is named: the text of an effects file with it."""
 
     @property
     def verdict(self) -> str:
@@ -61,19 +63,29 @@ class Diagnosis:
         return found
 
     @property
+    def law(self) -> dict[str, Any] | None:
+        """With ``discover``: the law that explains what no effect does, where the search found one, with
+        its formulas, and whether it is ``named``."""
+        found: dict[str, Any] | None = self.answer.get("law")
+        return found
+
+    @property
     def not_testable(self) -> list[dict[str, Any]]:
         """Effects that these logs cannot show, and why."""
         found: list[dict[str, Any]] = self.answer["not_testable"]
         return found
 
     def save(self, folder: Path) -> None:
-        """Writes report.html, report.json and the vehicle file improved.toml into a folder."""
+        """Writes report.html, report.json and the vehicle file improved.toml into a folder, and law.toml
+        where a law is named."""
         out = _FilePath(folder)
         out.mkdir(parents=True, exist_ok=True)
         (out / "report.html").write_text(self.html, encoding="utf-8")
         text = json.dumps(self.answer, indent=2) + "\n"
         (out / "report.json").write_text(text, encoding="utf-8")
         self.vehicle.save(out / "improved.toml")
+        if self.law_file is not None:
+            (out / "law.toml").write_text(self.law_file, encoding="utf-8")
 
     def __str__(self) -> str:
         return self.text
@@ -92,18 +104,18 @@ def diagnose(
     twins: int | None = None,
     seed: int = 1,
     without: Sequence[str] = (),
+    discover: bool = False,
     next_flight: Path | None = None,
     progress: Progress = None,
 ) -> Diagnosis:
     """Diagnoses flight logs against a vehicle file, as ``downwash diagnose`` does.
 
     The last of the logs is held out from the fit, of a single one its second half, unless ``holdout``
-    names others. ``twins`` flights without an effect say how large chance makes the evidence. The
-    trajectory file of the flight that would tell most next is written to ``next_flight``. Ctrl-C
-    returns at once.
+    names others. ``twins`` flights without an effect say how large chance makes the evidence. With
+    ``discover`` it also looks for a law, a formula that explains what no effect of the catalogue does.
+    The trajectory file of the flight that would tell most next is written to ``next_flight``. Ctrl-C
+    returns at once, and the work ends soon after.
     """
-    if isinstance(without, str):
-        raise TypeError("without: expected a list of effects, found one word")
     with TemporaryDirectory() as folder:
         if isinstance(vehicle, Vehicle):
             file: Path = _FilePath(folder, "vehicle.toml")
@@ -113,15 +125,17 @@ def diagnose(
         native = _native.diagnose(
             file,
             paths("logs", logs),
-            list(holdout),
-            list(new),
+            listed("holdout", holdout),
+            listed("new", new),
             mapping,
             None if twins is None else count("twins", twins, 0, 100_000),
             seed_of(seed),
-            list(without),
+            listed("without", without),
+            bool(discover),
             next_flight,
             teller(progress),
         )
         improved = Vehicle.parse(native.improved("improved.toml"), "improved.toml")
+        law = native.law()
     answer: dict[str, Any] = json.loads(native.to_json())
-    return Diagnosis(answer, native.to_html(), native.to_text(), improved)
+    return Diagnosis(answer, native.to_html(), native.to_text(), improved, law)

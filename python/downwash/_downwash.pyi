@@ -13,6 +13,7 @@ _Floats: TypeAlias = NDArray[np.floating[Any]]
 _Progress: TypeAlias = Callable[[str, int, int], object]
 
 __all__ = [
+    "Changes",
     "Diagnosis",
     "DownwashError",
     "Fleet",
@@ -22,6 +23,7 @@ __all__ = [
     "Plant",
     "Trajectory",
     "Vehicle",
+    "Wish",
     "__version__",
     "audit",
     "compare",
@@ -30,6 +32,7 @@ __all__ = [
     "evaluate",
     "fly",
     "main",
+    "onset",
     "plan",
     "rollouts",
     "sweep",
@@ -128,6 +131,13 @@ class Trajectory:
     def sample(self, times: _Array, points: _Array) -> None: ...
 
 @final
+class Wish:
+    @staticmethod
+    def load(path: _Path) -> Wish: ...
+    @staticmethod
+    def parse(keys: str, name: _Path) -> Wish: ...
+
+@final
 class Plan:
     @staticmethod
     def load(path: _Path) -> Plan: ...
@@ -138,6 +148,8 @@ class Plan:
     def status(self) -> str: ...
     @property
     def cost(self) -> float: ...
+    @property
+    def passed_s(self) -> list[float] | None: ...
     @property
     def period_s(self) -> float: ...
     @property
@@ -151,6 +163,7 @@ class Model:
     @staticmethod
     def load(path: _Path) -> Model: ...
     def info(self) -> str: ...
+    def to_onnx(self, kind: str) -> bytes: ...
     @property
     def preferred(self) -> str: ...
     def accelerations(
@@ -167,7 +180,14 @@ class Diagnosis:
     def to_json(self) -> str: ...
     def to_html(self) -> str: ...
     def to_text(self) -> str: ...
+    def law(self) -> str | None: ...
     def improved(self, name: _Path) -> str: ...
+
+@final
+class Changes:
+    def to_json(self) -> str: ...
+    def to_html(self) -> str: ...
+    def to_text(self) -> str: ...
 
 def main(program: _Path, args: Sequence[str]) -> int: ...
 def effects() -> str: ...
@@ -189,6 +209,7 @@ def fly(
     vehicle: Vehicle,
     trajectory: Trajectory | Plan,
     effects: str,
+    onsets: str,
     settings: str,
     config: _Path | None,
     sitl_config: str | None,
@@ -203,10 +224,11 @@ def sweep(
     index: int,
     count: int,
     jobs: int | None,
+    program: _Path,
     progress: _Progress | None,
 ) -> str: ...
 def plan(
-    trajectory: Trajectory,
+    wish: Trajectory | Wish,
     vehicle: Vehicle,
     model: Model | None,
     kind: str | None,
@@ -218,6 +240,9 @@ def train(
     logs: list[_Path], vehicle: _Path, out: _Path, mapping: _Path | None, settings: str
 ) -> str: ...
 def evaluate(model: _Path, logs: list[_Path], mapping: _Path | None) -> str: ...
+def onset(
+    vehicle: _Path, logs: list[_Path], mapping: _Path | None, false_alarm_h: float | None
+) -> Changes: ...
 def diagnose(
     vehicle: _Path,
     logs: list[_Path],
@@ -227,6 +252,7 @@ def diagnose(
     twins: int | None,
     seed: int,
     without: list[str],
+    discover: bool,
     next_flight: _Path | None,
     progress: _Progress | None,
 ) -> Diagnosis: ...

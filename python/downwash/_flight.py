@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import _downwash as _native
-from ._arguments import Effects, Path, count, effects_json, seed_of, to_json
+from ._arguments import Effects, Path, count, effects_json, listed, seed_of, to_json
 from ._plan import Plan
 from ._progress import Progress, teller
 from ._rows import Rows
@@ -31,6 +31,14 @@ def settings_of(
     return to_json("settings", found)
 
 
+def _onsets_json(onsets: Sequence[tuple[float, Effects]]) -> str:
+    try:
+        pairs = [(float(at_s), effects) for at_s, effects in listed("onsets", onsets)]
+    except (TypeError, ValueError):
+        raise TypeError("onsets: expected pairs of a time in s and effects") from None
+    return to_json("onsets", pairs)
+
+
 def fly(
     vehicle: Vehicle | Path = "crazyflie",
     trajectory: Trajectory | Plan | Mapping[str, Any] | Path = "sinusoid-yaw",
@@ -38,6 +46,7 @@ def fly(
     controller: str | Mapping[str, Any] | None = None,
     seeds: int | Sequence[int] = 1,
     *,
+    onsets: Sequence[tuple[float, Effects]] = (),
     settings: Mapping[str, Any] | None = None,
     config: Path | None = None,
     simulation: Mapping[str, Any] | None = None,
@@ -47,20 +56,22 @@ def fly(
 ) -> Rows:
     """Flies the simulated vehicle in lockstep, once for each seed, and gives a row for each flight.
 
-    The controller knows the vehicle's file; the vehicle also has ``effects``. ``controller`` is the
+    The controller knows the vehicle's file; the vehicle also has ``effects``, and from an instant of its
+    clock on those of ``onsets``, pairs of a time in s and effects. ``controller`` is the
     name of a law, or settings of ``control``; ``settings`` are any others by their dotted paths, over
     the configuration file ``config``. ``simulation`` are keys of the simulated vehicle's own
     configuration. With ``logs``, each flight's log goes into the folder ``seed-N`` there. ``jobs``
     flights are flown at once, one for each core without a number. The rows are those of
     ``downwash simulate --json``, in the order of the seeds, and depend on nothing else.
     """
-    of = [seeds] if isinstance(seeds, (int, np.integer)) else list(seeds)
+    of = [seeds] if isinstance(seeds, (int, np.integer)) else listed("seeds", seeds)
     if jobs is not None:
         jobs = count("jobs", jobs, 1, 1024)
     rows = _native.fly(
         vehicle_of(vehicle)._native,
         trajectory._native if isinstance(trajectory, Plan) else trajectory_of(trajectory)._native,
         effects_json(effects),
+        _onsets_json(onsets),
         settings_of(settings, controller),
         config,
         None if simulation is None else to_json("simulation", dict(simulation)),

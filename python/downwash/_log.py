@@ -46,6 +46,8 @@ class Log(Mapping[str, Stream]):
     """A flight: streams by name (``log["position"]``), and what the log says of itself."""
 
     def __init__(self, native: _native.Log) -> None:
+        if not isinstance(native, _native.Log):
+            raise TypeError("a Log is made by read()")
         self._native = native
         self._columns = {name: tuple(columns) for name, columns in native.streams}
 

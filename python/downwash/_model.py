@@ -60,6 +60,11 @@ class Model:
         """Writes the model file."""
         _FilePath(path).write_bytes(self._bytes)
 
+    def to_onnx(self, path: Path, kind: Literal["net", "hybrid"] = "net") -> None:
+        """Writes the networks as an ONNX file: those of the net, or what those of the hybrid add to the
+        physics."""
+        _FilePath(path).write_bytes(self._native.to_onnx(kind))
+
     @property
     def preferred(self) -> str:
         """Which of its models did best on validation: net, physics or hybrid."""

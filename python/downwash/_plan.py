@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path as _FilePath
 from typing import TYPE_CHECKING, Any, Final
@@ -11,7 +12,7 @@ import numpy as np
 from . import _downwash as _native
 from ._arguments import Array, Path, to_json
 from ._progress import Progress, teller
-from ._trajectory import Trajectory, trajectory_of
+from ._trajectory import Trajectory
 from ._vehicle import Vehicle, vehicle_of
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class Plan:
     __slots__ = ("_native",)
 
     def __init__(self, native: _native.Plan) -> None:
+        if not isinstance(native, _native.Plan):
+            raise TypeError("a Plan is made by plan() or Plan.load()")
         self._native = native
 
     @classmethod
@@ -73,8 +76,18 @@ class Plan:
         return self._native.not_flyable
 
     @property
+    def duration_s(self) -> float:
+        """Time from the first state to the last, s."""
+        return self.period_s * len(self.inputs)
+
+    @property
+    def passed_s(self) -> list[float] | None:
+        """When each passage of a course is passed, s; None of another plan, and of one from a file."""
+        return self._native.passed_s
+
+    @property
     def cost_m(self) -> float:
-        """Sum of the distances from the desired states."""
+        """Sum of the distances from the desired states; of the fastest way its time, s."""
         return self._native.cost
 
     @property
@@ -106,6 +119,17 @@ class Plan:
         return f"<downwash.Plan along {self._native.trajectory!r}: {self.status}>"
 
 
+def _wish(given: Trajectory | Mapping[str, Any] | Path) -> _native.Trajectory | _native.Wish:
+    if isinstance(given, Trajectory):
+        return given._native
+    if isinstance(given, Mapping):
+        return _native.Wish.parse(to_json("trajectory", given), "trajectory")
+    if isinstance(given, (str, os.PathLike)):
+        return _native.Wish.load(given)
+    found = type(given).__name__
+    raise TypeError(f"trajectory: expected a Trajectory, a path, a name or a table, found {found}")
+
+
 def plan(
     trajectory: Trajectory | Mapping[str, Any] | Path,
     vehicle: Vehicle | Path = "crazyflie",
@@ -117,10 +141,17 @@ def plan(
     progress: Progress = None,
 ) -> Plan:
     """Plans a feasible reference near a trajectory, through the vehicle's own physics or one of a
-    model's ``kind`` (net, physics, hybrid; the one that did best without a name)."""
+    model's ``kind`` (net, physics, hybrid; the one that did best without a name).
+
+    Of the family ``time-optimal``, which says where to fly and not when, as the shipped ``race``, it
+    plans the fastest way."""
+    from ._model import Model
+
+    if not (model is None or isinstance(model, Model)):
+        raise TypeError(f"model: expected a Model, found {type(model).__name__}")
     return Plan(
         _native.plan(
-            trajectory_of(trajectory)._native,
+            _wish(trajectory),
             vehicle_of(vehicle)._native,
             None if model is None else model._native,
             kind,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _downwash as _native
-from ._arguments import Array, Effects, Path, count, effects_json, flat, numbers, seed_of
+from ._arguments import Array, Effects, Path, count, effects_json, flat, listed, numbers, seed_of
 from ._vehicle import Vehicle, vehicle_of
 
 STATE: Final = (
@@ -162,7 +162,7 @@ def rollouts(
         one = numbers("start", starts, len(STATE))
         starts = np.broadcast_to(one, (vehicles, len(STATE)))
     starts = numbers("start", starts, vehicles, len(STATE))
-    sets = [effects] if effects is None or isinstance(effects, Mapping) else list(effects)
+    sets = [effects] if effects is None or isinstance(effects, Mapping) else listed("effects", effects)
     if len(sets) not in (1, vehicles):
         raise ValueError(f"effects: expected one set, or {vehicles}, found {len(sets)}")
     texts = [effects_json(each) for each in sets]

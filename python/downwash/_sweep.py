@@ -1,9 +1,10 @@
-"""Many simulated flights, on any number of workers, into one table."""
+"""Many flights, diagnoses or cases of an exam, on any number of workers, into one table."""
 
 from __future__ import annotations
 
 import csv
 import json
+import sysconfig
 from pathlib import Path as _FilePath
 from typing import Any
 
@@ -21,9 +22,10 @@ def sweep(
     jobs: int | None = None,
     progress: Progress = None,
 ) -> dict[str, Any]:
-    """Flies one worker's share of a sweep, as ``downwash sweep`` does: of n workers on one folder
-    ``out`` the i-th has ``shard=(i, n)``, i from 1. Rows that are there are not flown again. Whichever
-    worker finds every row there writes the table.
+    """Does one worker's share of a sweep, as ``downwash sweep`` does: of n workers on one folder
+    ``out`` the i-th has ``shard=(i, n)``, i from 1. A point is a flight, a diagnosis or a case of an
+    exam, as the manifest says. Rows that are there are not made again. Whichever worker finds every row
+    there writes the table.
 
     Gives the summary: ``points``, ``done``, ``failures``, ``ended_early``, and ``table``, its path once
     it is whole.
@@ -35,6 +37,7 @@ def sweep(
         count("shard", index, 1, 2**31),
         count("shard", of, 1, 2**31),
         None if jobs is None else count("jobs", jobs, 1, 1024),
+        _FilePath(sysconfig.get_path("scripts"), "downwash"),
         teller(progress),
     )
     found: dict[str, Any] = json.loads(text)

@@ -9,7 +9,7 @@ from pathlib import Path as _FilePath
 from typing import Any
 
 from . import _downwash as _native
-from ._arguments import Effects, Path, effects_json, to_json
+from ._arguments import Effects, Path, effects_json, listed, to_json
 from ._rows import Rows
 
 
@@ -59,7 +59,7 @@ class Vehicle:
         measured = {
             "name": name,
             "mass_kg": mass_kg,
-            "inertia_kg_m2": list(inertia_kg_m2),
+            "inertia_kg_m2": listed("inertia_kg_m2", inertia_kg_m2),
             "arm_m": arm_m,
             "layout": layout,
             "thrust_n": thrust_n,

@@ -31,6 +31,11 @@ impl Diagnosis {
         self.finding.to_text()
     }
 
+    /// The text of an effects file with the law that was named and what acts beside it.
+    fn law(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        self.finding.law().map_err(|error| exception(py, &error))
+    }
+
     /// The text of the vehicle file with the effects that were found.
     fn improved(&self, py: Python<'_>, name: PathBuf) -> PyResult<String> {
         self.finding.improved(Path::new(&name)).map_err(|error| exception(py, &error))
@@ -50,6 +55,7 @@ pub fn diagnose(
     twins: Option<u32>,
     seed: u64,
     without: Vec<String>,
+    discover: bool,
     next_flight: Option<PathBuf>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Diagnosis> {
@@ -57,9 +63,9 @@ pub fn diagnose(
     let without = without.collect::<Result<Vec<_>, _>>().map_err(|e| wrong(e.to_string()))?;
     let mut args = DiagnoseArgs::new(logs, vehicle);
     args.twins = twins.unwrap_or(args.twins);
-    let args = DiagnoseArgs { holdout, new, mapping, seed, without, next_flight, ..args };
+    let args = DiagnoseArgs { holdout, new, mapping, seed, without, discover, next_flight, ..args };
     let finding = watched(py, None, progress.as_ref(), move |watch| {
-        find(&args, &|stage| watch.stage(stage))
+        find(&args, watch.stop(), &|stage| watch.tell(stage, 0, 0))
     })?;
     Ok(Diagnosis { finding })
 }

@@ -6,10 +6,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use downwash::command::{Course, Simulation, Truth, configuration};
+use downwash::plan::TrajectoryFile;
 use numpy::{PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 use sitl::config::SitlConfig;
+use vehicle::effects::{EffectSet, Onset, Schedule};
 
 use crate::errors::{exception, read, unread, wrong};
 use crate::plan::Plan;
@@ -25,6 +27,32 @@ pub struct Trajectory {
     pub trajectory: downwash::plan::Trajectory,
 }
 
+/// What is planned: a trajectory, or places to be passed as fast as it goes.
+#[pyclass(frozen, module = "downwash._downwash")]
+pub struct Wish {
+    pub file: TrajectoryFile,
+}
+
+#[pymethods]
+impl Wish {
+    #[staticmethod]
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        Ok(Self { file: read(py, TrajectoryFile::load(&path))? })
+    }
+
+    /// From the keys of a trajectory file, as JSON.
+    #[staticmethod]
+    fn parse(py: Python<'_>, keys: &str, name: PathBuf) -> PyResult<Self> {
+        let file = TrajectoryFile::parse(&keys_of(keys)?.to_string(), &name);
+        Ok(Self { file: read(py, file)? })
+    }
+}
+
+/// The keys of a trajectory file from their JSON.
+fn keys_of(text: &str) -> PyResult<toml::Table> {
+    serde_json::from_str(text).map_err(|error| unread("trajectory", &error))
+}
+
 #[pymethods]
 impl Trajectory {
     #[staticmethod]
@@ -36,9 +64,7 @@ impl Trajectory {
     /// From the keys of a trajectory file, as JSON.
     #[staticmethod]
     fn parse(py: Python<'_>, keys: &str, name: PathBuf) -> PyResult<Self> {
-        let keys: toml::Table =
-            serde_json::from_str(keys).map_err(|error| unread("trajectory", &error))?;
-        let trajectory = downwash::plan::Trajectory::parse(&keys.to_string(), &name);
+        let trajectory = downwash::plan::Trajectory::parse(&keys_of(keys)?.to_string(), &name);
         Ok(Self { trajectory: read(py, trajectory)? })
     }
 
@@ -79,6 +105,18 @@ pub fn settings_of(text: &str) -> PyResult<BTreeMap<String, toml::Value>> {
     serde_json::from_str(text).map_err(|error| unread("settings", &error))
 }
 
+/// Effects that set in, from their JSON: pairs of a time and a set.
+fn onsets_of(text: &str) -> PyResult<Vec<Onset>> {
+    let pairs: Vec<(f64, EffectSet)> =
+        serde_json::from_str(text).map_err(|error| unread("onsets", &error))?;
+    let mut schedule = Schedule::default();
+    for (at_s, effects) in pairs {
+        let added = schedule.add(effects, at_s);
+        added.map_err(|error| wrong(format!("onsets: {error}")))?;
+    }
+    Ok(schedule.onsets)
+}
+
 /// A trajectory or a plan as what is flown.
 fn course(given: &Bound<'_, PyAny>) -> PyResult<Course> {
     if let Ok(plan) = given.cast::<Plan>() {
@@ -97,6 +135,7 @@ pub fn fly(
     vehicle: &Vehicle,
     trajectory: &Bound<'_, PyAny>,
     effects: &str,
+    onsets: &str,
     settings: &str,
     config: Option<PathBuf>,
     sitl_config: Option<&str>,
@@ -108,7 +147,7 @@ pub fn fly(
     let settings = settings_of(settings)?;
     let truth = Truth {
         effects: effects_of(effects)?,
-        onsets: Vec::new(),
+        onsets: onsets_of(onsets)?,
         config: match sitl_config {
             Some(text) => serde_json::from_str::<SitlConfig>(text)
                 .map_err(|error| unread("simulation", &error))?,

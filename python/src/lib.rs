@@ -12,6 +12,7 @@ mod fleet;
 mod flight;
 mod log;
 mod model;
+mod onset;
 mod plan;
 mod plant;
 mod sweep;
@@ -41,7 +42,9 @@ fn _downwash(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<fleet::Fleet>()?;
     module.add_class::<log::Log>()?;
     module.add_class::<flight::Trajectory>()?;
+    module.add_class::<flight::Wish>()?;
     module.add_class::<plan::Plan>()?;
+    module.add_class::<onset::Changes>()?;
     module.add_class::<model::Model>()?;
     module.add_class::<diagnosis::Diagnosis>()?;
     module.add_function(wrap_pyfunction!(main, module)?)?;
@@ -55,5 +58,6 @@ fn _downwash(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(model::train, module)?)?;
     module.add_function(wrap_pyfunction!(model::evaluate, module)?)?;
     module.add_function(wrap_pyfunction!(diagnosis::diagnose, module)?)?;
+    module.add_function(wrap_pyfunction!(onset::onset, module)?)?;
     Ok(())
 }

@@ -7,9 +7,11 @@ use clap::ValueEnum;
 use downwash::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use downwash::command::{self, Learning, ModelInfo, PlanModel, Resume, evaluated, learn};
 use downwash::model::file::{ModelFile, ModelKind};
+use downwash::model::onnx::{self, Networks};
 use downwash::model::{ACCELERATIONS, Point, VARIABLES};
 use numpy::{PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 use serde::Deserialize;
 
 use crate::errors::{exception, read, unread, wrong};
@@ -54,6 +56,12 @@ impl Model {
 
     fn info(&self) -> PyResult<String> {
         serde_json::to_string(&ModelInfo::of(&self.file)).map_err(|e| wrong(e.to_string()))
+    }
+
+    /// The bytes of an ONNX file of the networks: of the net's, or of what the hybrid adds.
+    fn to_onnx<'py>(&self, py: Python<'py>, kind: &str) -> PyResult<Bound<'py, PyBytes>> {
+        let kind = named::<Networks>("kind", kind)?;
+        Ok(PyBytes::new(py, &onnx::encode(&self.file, kind)))
     }
 
     #[getter]

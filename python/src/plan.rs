@@ -4,13 +4,17 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use downwash::command::{PlanModel, configuration, plan_trajectory};
-use downwash::plan::{TimeLimit, planned};
+use downwash::command::{
+    CLOSING_SHARE, PlanModel, SEARCH_SHARE, configuration, plan_fastest, plan_trajectory,
+};
+use downwash::plan::scp::Record;
+use downwash::plan::time_optimal::Stop;
+use downwash::plan::{TimeLimit, TrajectoryFile, planned};
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 
 use crate::errors::{exception, read, wrong};
-use crate::flight::{Trajectory, settings_of};
+use crate::flight::{Trajectory, Wish, settings_of};
 use crate::model::Model;
 use crate::vehicle::Vehicle;
 use crate::watch::watched;
@@ -19,6 +23,8 @@ use crate::watch::watched;
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Plan {
     pub plan: Arc<planned::Plan>,
+    /// When each passage of a course is passed, s.
+    passed_s: Option<Vec<f64>>,
 }
 
 #[pymethods]
@@ -26,7 +32,7 @@ impl Plan {
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let plan = read(py, py.detach(|| planned::Plan::load(&path)))?;
-        Ok(Self { plan: Arc::new(plan) })
+        Ok(Self { plan: Arc::new(plan), passed_s: None })
     }
 
     fn to_json(&self) -> PyResult<String> {
@@ -46,6 +52,11 @@ impl Plan {
     #[getter]
     fn cost(&self) -> f64 {
         self.plan.cost
+    }
+
+    #[getter]
+    fn passed_s(&self) -> Option<Vec<f64>> {
+        self.passed_s.clone()
     }
 
     #[getter]
@@ -77,7 +88,7 @@ impl Plan {
 #[allow(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
 pub fn plan(
     py: Python<'_>,
-    trajectory: &Trajectory,
+    wish: &Bound<'_, PyAny>,
     vehicle: &Vehicle,
     model: Option<&Model>,
     kind: Option<&str>,
@@ -88,19 +99,44 @@ pub fn plan(
     let settings = settings_of(settings)?;
     let config =
         configuration(config.as_deref(), &settings).map_err(|error| exception(py, &error))?;
-    let (trajectory, vehicle) = (trajectory.trajectory.clone(), vehicle.file.params.clone());
+    let vehicle = vehicle.file.params.clone();
+    let wish = match wish.cast::<Trajectory>() {
+        Ok(trajectory) => TrajectoryFile::Desired(trajectory.get().trajectory.clone()),
+        Err(_) => wish.cast::<Wish>()?.get().file.clone(),
+    };
     let through = match model {
+        Some(_) if matches!(wish, TrajectoryFile::Task(_)) => {
+            return Err(wrong(
+                "model: expected None, as the fastest way is planned through the vehicle's own physics",
+            ));
+        }
         Some(model) => model.plan_model(kind),
         None => PlanModel::nominal(&vehicle),
     };
     let through = through.map_err(|error| exception(py, &error))?;
-    let plan = watched(py, None, progress.as_ref(), move |watch| {
+    let (plan, fastest) = watched(py, None, progress.as_ref(), move |watch| {
         let began = Instant::now();
         let limit = TimeLimit::new(config.settings.plan.time_limit_s);
-        plan_trajectory(&trajectory, &vehicle, &through, &config, &|records| {
+        let ends = |records: &[Record], share: f64| {
             watch.tell("subproblems", records.len() as u64, 0);
-            watch.is_stopped() || limit.is_over(began.elapsed())
-        })
+            watch.is_stopped() || limit.is_over(began.elapsed().div_f64(share))
+        };
+        match &wish {
+            TrajectoryFile::Desired(trajectory) => {
+                let ends = |records: &[Record]| ends(records, 1.0);
+                let plan = plan_trajectory(trajectory, &vehicle, &through, &config, &ends)?;
+                Ok((plan, None))
+            }
+            TrajectoryFile::Task(task) => {
+                let stop = Stop {
+                    search: &|records| ends(records, SEARCH_SHARE),
+                    closing: &|records| ends(records, CLOSING_SHARE),
+                };
+                let (plan, fastest) = plan_fastest(task, &vehicle, &config, stop)?;
+                Ok((plan, Some(fastest)))
+            }
+        }
     })?;
-    Ok(Plan { plan: Arc::new(plan) })
+    let passed_s = fastest.map(|fastest| fastest.passed_s().to_vec());
+    Ok(Plan { plan: Arc::new(plan), passed_s })
 }

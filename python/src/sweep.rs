@@ -1,16 +1,17 @@
-//! Many simulated flights, one worker's share of them.
+//! Many simulated flights, diagnoses or cases of an exam, one worker's share of them.
 
 use std::path::PathBuf;
 
 use downwash::cli::Shard;
-use downwash::command::Sweep;
+use downwash::command::{Sweep, set_program};
 use pyo3::prelude::*;
 
 use crate::errors::wrong;
 use crate::watch::watched;
 
-/// Flies what is missing of shard `index` of `count`: the JSON of `sweep`.
+/// Does what is missing of shard `index` of `count`: the JSON of `sweep`.
 #[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
 pub fn sweep(
     py: Python<'_>,
     manifest: PathBuf,
@@ -18,6 +19,7 @@ pub fn sweep(
     index: usize,
     count: usize,
     jobs: Option<usize>,
+    program: PathBuf,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
     if !(1..=count).contains(&index) {
@@ -25,6 +27,8 @@ pub fn sweep(
             "shard: expected (i, n) with i from 1 to n, found {index}/{count}"
         )));
     }
+    // An exam diagnoses in processes of their own.
+    set_program(program);
     watched(py, jobs, progress.as_ref(), move |watch| {
         let shard = Shard { index, count };
         let sweep = Sweep { manifest: &manifest, out: &out, shard };

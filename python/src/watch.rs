@@ -1,6 +1,6 @@
 //! Work beside the interpreter: without its lock, in threads of this process, ended by Ctrl-C.
 
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -31,9 +31,6 @@ struct News {
     of: u64,
 }
 
-/// Unwinds work that was stopped at a stage; no panic.
-struct Stopped;
-
 impl Watch {
     /// Set by Ctrl-C.
     pub fn stop(&self) -> &Arc<AtomicBool> {
@@ -48,14 +45,6 @@ impl Watch {
     pub fn tell(&self, stage: &str, done: u64, of: u64) {
         // Nobody to tell after Ctrl-C.
         let _ = self.news.send(News { stage: stage.to_owned(), done, of });
-    }
-
-    /// A stage begins of work that cannot be told to stop otherwise.
-    pub fn stage(&self, name: &str) {
-        if self.is_stopped() {
-            resume_unwind(Box::new(Stopped));
-        }
-        self.tell(name, 0, 0);
     }
 }
 

@@ -1,8 +1,10 @@
-"""Whatever an argument is, the answer is an exception of Python's kinds, never a panic."""
+"""Whatever an argument is, the answer is an exception of Python's kinds, never a panic and never a hang."""
 
+import inspect
 import math
 import random
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import downwash as dw
@@ -34,6 +36,14 @@ def arrays(rng: random.Random) -> Any:
             lambda: np.asfortranarray(np.full(shape, 0.5)),
             lambda: np.full(shape, rng.choice([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324])),
             lambda: np.broadcast_to(0.5, (2**40, 4)),
+            lambda: np.full(shape, 0.5, dtype=">f8"),
+            lambda: np.full(shape, 0.5, dtype=np.dtype("f4").newbyteorder()),
+            lambda: np.zeros(shape, dtype=[("a", "f8"), ("b", "i4")]),
+            lambda: np.full((*shape, 0), 0.5),
+            lambda: np.full((7, 13), 0.5)[::-2, ::-1],
+            lambda: np.ma.masked_invalid(np.full(shape, math.nan)),
+            lambda: memoryview(b"12345678"),
+            lambda: np.float64(0.5),
             lambda: [[1, 2], [3]],
             lambda: None,
             lambda: "text",
@@ -79,7 +89,8 @@ def tables(rng: random.Random) -> Any:
 
 
 def paths(rng: random.Random) -> Any:
-    return rng.choice(["", "\0", "nowhere", ".", "/", b"bytes", 3, None, [], ["nowhere"], "\ud800", "x" * 10_000])
+    wrong = ["", "\0", "nowhere", ".", "/proc/nowhere", b"bytes", 3, None, [], ["nowhere"], [3], "\ud800", "x" * 10_000]
+    return rng.choice(wrong)
 
 
 PLANT = dw.Plant()
@@ -140,6 +151,128 @@ def test_any_argument_gives_a_result_or_an_exception(
             CALLS[call](rng)
         except REFUSED as refused:
             assert "internal error" not in str(refused)
+
+
+ARRAYS = {"outputs", "start", "state", "rotor_states", "x", "u", "X", "time_s", "inertia_kg_m2"}
+TABLES = {"effects", "onsets", "settings", "controller", "simulation", "params"}
+PATHS = {"path", "logs", "vehicle", "trajectory", "manifest", "out", "mapping", "config", "folder", "file"}
+PATHS |= {"a", "b", "holdout", "new", "next_flight", "parameters", "without", "source", "model"}
+# What gets past the first look, so that the next ones are reached; and what takes long, kept short.
+GOOD: dict[str, Any] = {
+    "outputs": np.full((2, 3, 4), 0.5),
+    "x": np.zeros((2, 9)),
+    "u": np.zeros((2, 4)),
+    "X": np.zeros((2, 13)),
+    "time_s": np.arange(3.0),
+    "state": dw.REST,
+    "vehicle": "crazyflie",
+    "vehicles": 3,
+    "trajectory": SHORT,
+    "source": SHORT,
+    "effects": {"wind": {"north_m_s": 1.0}},
+    "onsets": [(1.0, {"wind": {"north_m_s": 1.0}})],
+    "text": "{}",
+    "to": "mujoco",
+    "twins": 0,
+    "passes": 1,
+    "jobs": 1,
+}
+FEW = {"passes": [0, -1, 1.5, "1"], "twins": [0, -1, 1.5, 2**70, "1"], "steps": [0, -1, 1, 2**70, 1.5, None, "1"]}
+
+
+def public() -> dict[str, tuple[type | None, Any]]:
+    """Every function of the package and every method of its classes, by name."""
+    found: dict[str, tuple[type | None, Any]] = {}
+    for name in dw.__all__:
+        member = getattr(dw, name)
+        if not callable(member) or member is dw.DownwashError:
+            continue
+        found[name] = (None, member)
+        if inspect.isclass(member):
+            for inner, method in vars(member).items():
+                if inner.startswith("_") and inner not in ("__getitem__", "__len__", "__repr__", "__copy__"):
+                    continue
+                if isinstance(method, (classmethod, staticmethod)):
+                    found[f"{name}.{inner}"] = (None, getattr(member, inner))
+                elif callable(method) or isinstance(method, property):
+                    found[f"{name}.{inner}"] = (member, method)
+    return found
+
+
+@pytest.fixture(scope="module")
+def instances(logs: list[Path]) -> dict[type, Any]:
+    """One of each class."""
+    log = dw.read(logs[0])
+    learner = dw.Learner(hidden=8, passes=1).fit(logs)
+    return {
+        dw.Changes: dw.Changes({"flights": [], "steps": []}, "<p>", "text"),
+        dw.Comparison: dw.compare(logs[0], logs[1]),
+        dw.Diagnosis: dw.Diagnosis(
+            {"verdict": "none", "finding": {"sentence": ""}, "effects": [], "gap": None}
+            | {"attribution": [], "not_testable": []},
+            "<p>",
+            "text",
+            dw.Vehicle(),
+        ),
+        dw.Fleet: dw.Fleet(3),
+        dw.Learner: learner,
+        dw.Log: log,
+        dw.Model: learner.model_,
+        dw.Plan: dw.plan(SHORT),
+        dw.Plant: dw.Plant(),
+        dw.Rows: dw.Rows([{"a": {"b": 1}}]),
+        dw.Stream: log["position"],
+        dw.Trajectory: dw.Trajectory(SHORT),
+        dw.Vehicle: dw.Vehicle(),
+    }
+
+
+def drawn(name: str, rng: random.Random) -> Any:
+    """An argument of this name, mostly wrong."""
+    if name in FEW and rng.random() < 0.9:
+        return rng.choice(FEW[name])
+    if name in GOOD and rng.random() < 0.5:
+        return GOOD[name]
+    pools = [arrays, scalars, tables, paths]
+    for names, pool in [(ARRAYS, arrays), (TABLES, tables), (PATHS, paths)]:
+        if name in names and rng.random() < 0.7:
+            return pool(rng)
+    return rng.choice(pools)(rng)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("name", sorted(public()))
+def test_any_arguments_of_any_function_give_a_result_or_an_exception(
+    name: str, instances: dict[type, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    owner, function = public()[name]
+    rng = random.Random(name)
+    before = [] if owner is None else [instances[owner]]
+    if isinstance(function, property):
+        function.fget and function.fget(*before)
+        if function.fset is None:
+            return
+        function, parameters = function.fset, [inspect.Parameter("state", inspect.Parameter.POSITIONAL_ONLY)]
+    else:
+        parameters = list(inspect.signature(function).parameters.values())[len(before) :]
+    # What takes no argument has only one answer.
+    for _ in range(40 if parameters else 1):
+        positional, named = [], {}
+        for parameter in parameters:
+            if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+                continue
+            if parameter.default is not parameter.empty and rng.random() < 0.6:
+                continue
+            value = drawn(parameter.name, rng)
+            if parameter.kind is parameter.POSITIONAL_ONLY:
+                positional.append(value)
+            else:
+                named[parameter.name] = value
+        try:
+            function(*before, *positional, **named)
+        except REFUSED as refused:
+            assert "internal error" not in str(refused), named
 
 
 def test_results_are_finite_where_arguments_are() -> None:

@@ -1,4 +1,4 @@
-"""The notebooks of the documentation run from their first cell to their last."""
+"""The notebooks of the documentation run from their first cell to their last, and show what they drew."""
 
 from pathlib import Path
 
@@ -10,8 +10,16 @@ NOTEBOOKS = sorted((ROOT / "docs/notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path: Path) -> None:
+def test_a_notebook_runs(path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     nbformat = pytest.importorskip("nbformat")
     client = pytest.importorskip("nbclient").NotebookClient
+    pytest.importorskip("matplotlib")
+    if path.stem == "diagnose-px4":
+        monkeypatch.setenv("DOWNWASH_PRACTICE", str(request.getfixturevalue("practice")))
     notebook = nbformat.read(path, as_version=4)
+    shown = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert any("image/png" in output.get("data", {}) for output in shown), "run docs/notebooks/execute.py"
+    assert path.with_suffix(".png").exists()
     client(notebook, timeout=300, kernel_name="python3").execute()
+    drawn = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert any("image/png" in output.get("data", {}) for output in drawn)

@@ -9,19 +9,19 @@ use clap::Args;
 /// Flags of `sweep`.
 #[derive(Debug, Args)]
 pub struct SweepArgs {
-    /// What is flown (TOML): inputs of `simulate`, some of them on a grid, a list, or drawn.
+    /// What is done (TOML): inputs of `simulate`, `diagnose` or `exam`, some of them on a grid, a list, or drawn.
     pub manifest: PathBuf,
-    /// Folder for the rows and table.csv; made if missing. Rows that are there are not flown again.
+    /// Folder for the rows and table.csv; made if missing. Rows that are there are not made again.
     #[arg(long, value_name = "DIR", default_value = "sweep-out")]
     pub out: PathBuf,
-    /// Flies only every N-th point, from the I-th: one of N workers on one folder. Whichever finds
+    /// Does only every N-th point, from the I-th: one of N workers on one folder. Whichever finds
     /// every row there writes the table.
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     pub shard: Shard,
-    /// Flights at once [default: one for each core]. The rows do not depend on it.
+    /// Points at once [default: one for each core]. The rows do not depend on it.
     #[arg(long, value_name = "COUNT")]
     pub jobs: Option<NonZeroUsize>,
-    /// Shows the points and flies nothing.
+    /// Shows the points and does nothing.
     #[arg(long)]
     pub list: bool,
     /// Prints the summary as JSON; of --list the points, one object a line.

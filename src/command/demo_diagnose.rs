@@ -268,6 +268,7 @@ impl Loop<'_> {
             held_out: &held_out,
             blocked: false,
             without: &[],
+            stop: &self.interrupted,
         };
         let settings = Settings {
             seed: self.args.seed,

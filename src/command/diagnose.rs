@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, anyhow};
 use rayon::prelude::*;
@@ -57,15 +59,22 @@ pub struct Finding {
 const GUARD_S: f64 = 2.0;
 
 pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
-    find(args, &|stage| say(format_args!("... {stage}")))?.tell()
+    // An interruption ends the whole process.
+    let never = Arc::default();
+    find(args, &never, &|stage| say(format_args!("... {stage}")))?.tell()
 }
 
 /// Diagnoses, and writes what does not hang on the answer's form: the next flight and the evidence.
-/// `progress` is shown the name of each stage as it begins.
+/// `progress` is shown the name of each stage as it begins. Where `stop` is set, the work ends soon,
+/// without a finding.
 ///
 /// # Errors
 /// Files that cannot be read, or logs that hold nothing to compare with.
-pub fn find(args: &DiagnoseArgs, progress: &dyn Fn(&str)) -> anyhow::Result<Finding> {
+pub fn find(
+    args: &DiagnoseArgs,
+    stop: &Arc<AtomicBool>,
+    progress: &dyn Fn(&str),
+) -> anyhow::Result<Finding> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     if let Some(out) = &args.out {
         let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
@@ -137,6 +146,7 @@ pub fn find(args: &DiagnoseArgs, progress: &dyn Fn(&str)) -> anyhow::Result<Find
         held_out: &held_out,
         blocked,
         without: &args.without,
+        stop,
     };
     let settings = Settings { seed: args.seed, twins: args.twins, discover: args.discover };
     let mut diagnosis = diagnose(&case, &settings, progress)
@@ -181,6 +191,15 @@ impl Finding {
         report(&self.answer)
     }
 
+    /// An effects file of the law and what acts beside it, where a law is named.
+    ///
+    /// # Errors
+    /// None that is known: of writing TOML.
+    pub fn law(&self) -> anyhow::Result<Option<String>> {
+        let is_named = self.answer.law.as_ref().is_some_and(|law| law.named);
+        is_named.then(|| toml::to_string(&self.effects).context("the law")).transpose()
+    }
+
     /// The vehicle file with the effects that were found, in the form of a file named `out`.
     ///
     /// # Errors
@@ -204,7 +223,7 @@ impl Finding {
 
     /// Writes what was asked for, and prints the answer.
     fn tell(&self) -> anyhow::Result<Exit> {
-        let Self { args, answer, effects, .. } = self;
+        let Self { args, answer, .. } = self;
         if let Some(folder) = &args.report {
             write_file(&folder.join("report.html"), self.to_html().as_bytes())?;
             write_file(&folder.join("report.json"), self.to_json()?.as_bytes())?;
@@ -213,9 +232,9 @@ impl Finding {
             write_file(out, self.improved(out)?.as_bytes())?;
         }
         if let Some(path) = &args.law {
-            match answer.law.as_ref().is_some_and(|law| law.named) {
-                true => write_file(path, toml::to_string(effects).context("the law")?.as_bytes())?,
-                false => say(format_args!("{}: not written: no law is named", path.display())),
+            match self.law()? {
+                Some(law) => write_file(path, law.as_bytes())?,
+                None => say(format_args!("{}: not written: no law is named", path.display())),
             }
         }
         if args.json {

@@ -73,7 +73,10 @@ pub use exit::Exit;
 use interruption::Interruption;
 use messages::Messages;
 pub use model::{EvaluationSummary, Info as ModelInfo, evaluated};
-pub use plan::{PlanModel, plan_trajectory, sha256_of};
+pub use onset::{Changes, changed};
+pub use plan::{
+    CLOSING_SHARE, Fastest, PlanModel, SEARCH_SHARE, plan_fastest, plan_trajectory, sha256_of,
+};
 pub use simulate::{Inputs, Row, Simulation, configuration};
 pub use simulation::Truth;
 pub use sweep::{Sweep, SweepSummary};
@@ -83,6 +86,11 @@ pub use vehicle_file::VehicleFile;
 
 /// Where this program lies, where that is not its process's own file.
 static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+
+/// Says which file starts this program, where another program uses its functions; the first word counts.
+pub fn set_program(program: PathBuf) {
+    PROGRAM.get_or_init(|| program);
+}
 
 /// The file that starts this program.
 fn program() -> anyhow::Result<PathBuf> {
@@ -96,7 +104,7 @@ fn program() -> anyhow::Result<PathBuf> {
 /// flags end the process. `program` is the file to start it by, where another program runs it.
 pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) -> Exit {
     if let Some(program) = program {
-        PROGRAM.get_or_init(|| program);
+        set_program(program);
     }
     let cli = Cli::parse_from(args);
     let messages = match Messages::start() {

@@ -43,7 +43,37 @@ pub(super) struct FlightAnswer {
     changes: Vec<Change>,
 }
 
+/// What changed, with what it was seen by.
+pub struct Changes {
+    answer: OnsetAnswer,
+    seen: Vec<Seen>,
+    bound: f64,
+}
+
 pub(super) fn run(args: &OnsetArgs) -> anyhow::Result<Exit> {
+    create_report_folder(args.report.as_deref())?;
+    let found = changed(args)?;
+    if let Some(folder) = &args.report {
+        write_file(&folder.join("report.html"), found.to_html().as_bytes())?;
+        let json = serde_json::to_vec_pretty(&found.answer).context("report.json")?;
+        write_file(&folder.join("report.json"), &json)?;
+    }
+    let answer = &found.answer;
+    if args.json {
+        print_json(answer)?;
+    } else {
+        print_text(&found.to_text())?;
+    }
+    let has_changed =
+        !answer.steps.is_empty() || answer.flights.iter().any(|flight| !flight.changes.is_empty());
+    Ok(if args.fail_on_change && has_changed { Exit::Check } else { Exit::Ok })
+}
+
+/// When something of the vehicle changed, within flights and between them.
+///
+/// # Errors
+/// Files that cannot be read, or logs that hold nothing to compare with.
+pub fn changed(args: &OnsetArgs) -> anyhow::Result<Changes> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     warn(&args.vehicle, &vehicle);
     let settings = Settings { false_alarm_h: args.false_alarm_h, ..Settings::LOG };
@@ -68,13 +98,6 @@ pub(super) fn run(args: &OnsetArgs) -> anyhow::Result<Exit> {
     let values: Vec<_> = told.into_iter().flatten().collect();
     let mut steps = steps(&values);
     steps.iter_mut().for_each(|step| step.from = known[step.from]);
-    if let Some(folder) = &args.report {
-        create_report_folder(Some(folder))?;
-        let shown: Vec<SeenFlight<'_>> =
-            flights.iter().zip(&seen).map(|((log, _), seen)| SeenFlight { log, seen }).collect();
-        let page = crate::report::onset::html(&vehicle.name, settings.bound(), &shown, &steps);
-        write_file(&folder.join("report.html"), page.as_bytes())?;
-    }
     let answer = OnsetAnswer {
         steps,
         schema: "downwash.onset",
@@ -91,18 +114,31 @@ pub(super) fn run(args: &OnsetArgs) -> anyhow::Result<Exit> {
             })
             .collect(),
     };
-    if let Some(folder) = &args.report {
-        let json = serde_json::to_vec_pretty(&answer).context("report.json")?;
-        write_file(&folder.join("report.json"), &json)?;
+    Ok(Changes { answer, seen, bound: settings.bound() })
+}
+
+impl Changes {
+    /// The answer as `--json` prints it.
+    ///
+    /// # Errors
+    /// None that is known: of writing JSON.
+    pub fn to_json(&self) -> anyhow::Result<String> {
+        serde_json::to_string(&self.answer).context("the answer")
     }
-    if args.json {
-        print_json(&answer)?;
-    } else {
-        print_text(&text(&answer))?;
+
+    /// The report, one page.
+    pub fn to_html(&self) -> String {
+        let Self { answer, seen, bound } = self;
+        let logs = answer.flights.iter().map(|flight| &flight.log);
+        let shown: Vec<SeenFlight<'_>> =
+            logs.zip(seen).map(|(log, seen)| SeenFlight { log, seen }).collect();
+        crate::report::onset::html(&answer.vehicle, *bound, &shown, &answer.steps)
     }
-    let has_changed =
-        !answer.steps.is_empty() || answer.flights.iter().any(|flight| !flight.changes.is_empty());
-    Ok(if args.fail_on_change && has_changed { Exit::Check } else { Exit::Ok })
+
+    /// The answer in words.
+    pub fn to_text(&self) -> String {
+        text(&self.answer)
+    }
 }
 
 fn text(answer: &OnsetAnswer) -> String {

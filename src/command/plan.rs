@@ -16,7 +16,7 @@ use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::BatterySag;
 
-use self::fastest::Fastest;
+pub use self::fastest::Fastest;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::vehicle_file::VehicleFile;
@@ -32,7 +32,7 @@ use crate::plan::iterate::Violation;
 use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
 use crate::plan::planner::{PlannedVehicle, Planner};
 use crate::plan::scp::{Record, Status};
-use crate::plan::time_optimal::Stop;
+use crate::plan::time_optimal::{Stop, Task};
 use crate::plan::{Feasibility, TimeLimit, Trajectory, TrajectoryFile};
 use crate::report::plan as page;
 
@@ -172,6 +172,19 @@ pub fn plan_trajectory(
     Ok(Plan::new(found, outcome))
 }
 
+/// Plans the fastest way through a course for a vehicle, by its own physics.
+///
+/// # Errors
+/// A vehicle without an on-board loop, or a course that no way leads through.
+pub fn plan_fastest(
+    task: &Task,
+    vehicle: &VehicleParams,
+    config: &Config,
+    stop: Stop<'_>,
+) -> anyhow::Result<(Plan, Fastest)> {
+    fastest::plan(task, vehicle, config, stop)
+}
+
 /// The JSON of `plan`.
 #[derive(JsonSchema, Serialize)]
 pub(super) struct PlanSummary<'a> {
@@ -228,8 +241,9 @@ impl PlanSummary<'_> {
 }
 
 /// Shares of the time limit after which the search for the fastest way ends, and what closes it.
-const SEARCH_SHARE: f64 = 0.6;
-const CLOSING_SHARE: f64 = 0.9;
+pub const SEARCH_SHARE: f64 = 0.6;
+/// The latter.
+pub const CLOSING_SHARE: f64 = 0.9;
 
 /// Looks at the clock and at Ctrl-C between subproblems, and shows how far a search is.
 struct Watch {

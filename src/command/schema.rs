@@ -29,7 +29,7 @@ pub(super) struct Output {
 }
 
 /// All of them, in the order of a table.
-pub(super) const OUTPUTS: [Output; 34] = [
+pub(super) const OUTPUTS: [Output; 37] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -41,8 +41,13 @@ pub(super) const OUTPUTS: [Output; 34] = [
     Output::new::<demo::DemoSummary>("downwash.demo", "demo --json"),
     Output::new::<demo_diagnose::RepairSummary>("downwash.demo.diagnose", "demo --diagnose --json"),
     Output::new::<diagnose::Told<'_>>("downwash.diagnose", "diagnose --json"),
+    Output::new::<sweep::DiagnosisRow>(
+        "downwash.diagnose.row",
+        "sweep of diagnose, the row of each point",
+    ),
     Output::new::<doctor::Answer<'_>>("downwash.doctor", "doctor --json"),
     Output::new::<exam::ExamSummary<'_>>("downwash.exam", "exam --json"),
+    Output::new::<sweep::ExamRow>("downwash.exam.case", "sweep of exam, the row of each case"),
     Output::new::<exam::LawsSummary<'_>>("downwash.exam.laws", "exam --laws COUNT --json"),
     Output::new::<exam::OnsetsSummary<'_>>("downwash.exam.onsets", "exam --onsets COUNT --json"),
     Output::new::<exam::PracticeSummary<'_>>(
@@ -69,6 +74,7 @@ pub(super) const OUTPUTS: [Output; 34] = [
         "downwash.status",
         "fly --metrics and daemon --metrics at GET /status",
     ),
+    Output::new::<sweep::ExamSweepSummary>("downwash.sweep.exam", "sweep of exam, summary.json"),
     Output::new::<sweep::SweepSummary>("downwash.sweep.summary", "sweep --json"),
     Output::new::<sweep::Listed>(
         "downwash.sweep.point",

@@ -1,24 +1,35 @@
-//! `downwash sweep`: many simulated flights, on any number of workers, into one table.
+//! `downwash sweep`: many flights, diagnoses or cases of an exam, on any number of workers, into one
+//! table.
 
+mod axis;
+mod diagnosis;
+mod examination;
 mod line;
 mod manifest;
+mod pattern;
+mod simulation;
+mod subject;
 mod table;
 
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
 use std::time::Instant;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
+use serde_json::Value;
 
+pub(super) use self::diagnosis::DiagnosisRow;
+pub(super) use self::examination::{ExamRow, ExamSweepSummary};
 pub(super) use self::line::Line;
 use self::manifest::{Manifest, Point};
+use self::subject::Subject;
 use super::progress::count_bar;
 use super::rows::{Folder, Header, Rows, interrupted};
-use super::simulate::{Row, Simulation};
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say};
 use crate::cli::{Shard, SweepArgs};
 
@@ -34,7 +45,7 @@ pub struct SweepSummary {
     points: usize,
     /// Points whose rows are there, of all shards.
     done: usize,
-    /// Of these, points that could not be flown.
+    /// Of these, points that could not be flown or diagnosed.
     failures: usize,
     /// Of these, flights that did not end as planned.
     ended_early: usize,
@@ -47,6 +58,8 @@ pub struct SweepSummary {
 pub(super) struct Listed {
     point: usize,
     seed: u64,
+    /// Of an exam, which of the seed's cases; else 0.
+    case: usize,
     #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
     inputs: std::collections::BTreeMap<String, toml::Value>,
 }
@@ -83,7 +96,7 @@ pub(super) fn run(args: &SweepArgs, interruption: &Interruption) -> anyhow::Resu
     if args.json {
         print_json(&summary)?;
     } else {
-        print_text(&text(&summary))?;
+        print_text(&text(&summary, manifest.subject()))?;
     }
     if stop.load(Ordering::Relaxed) {
         return Ok(interrupted(&args.out));
@@ -92,14 +105,14 @@ pub(super) fn run(args: &SweepArgs, interruption: &Interruption) -> anyhow::Resu
 }
 
 impl Sweep<'_> {
-    /// Flies what of the shard is missing, in this thread pool, and writes the table where every row
+    /// Does what of the shard is missing, in this thread pool, and writes the table where every row
     /// is there. `progress` is shown the shard's points that are done, and how many it has.
     ///
     /// # Errors
     /// A manifest that is refused, or a folder that cannot be written to, or is another sweep's.
     pub fn run(
         &self,
-        stop: &AtomicBool,
+        stop: &Arc<AtomicBool>,
         progress: &(dyn Fn(u64, u64) + Sync),
     ) -> anyhow::Result<SweepSummary> {
         let manifest = Manifest::load(self.manifest).or_exit(Exit::Usage)?;
@@ -121,7 +134,11 @@ impl Sweep<'_> {
             if stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            let line = fly(&manifest, *index);
+            let line = done_at(&manifest, *index, stop);
+            // What was broken off says nothing of its point.
+            if line.failure.is_some() && stop.load(Ordering::Relaxed) {
+                return Ok(());
+            }
             let mut rows = rows.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
             let (file, flown): &mut (Rows<Line>, u64) = &mut rows;
             *flown += 1;
@@ -133,12 +150,10 @@ impl Sweep<'_> {
 }
 
 /// The row of a point.
-fn fly(manifest: &Manifest, index: usize) -> Line {
+fn done_at(manifest: &Manifest, index: usize, stop: &Arc<AtomicBool>) -> Line {
     let point = manifest.point(index);
-    let flown = row(manifest, &point).map(serde_json::to_value);
-    let (row, failure) = match flown {
-        Ok(Ok(row)) => (Some(row), None),
-        Ok(Err(error)) => (None, Some(error.to_string())),
+    let (row, failure) = match row(manifest, index, &point, stop) {
+        Ok(row) => (Some(row), None),
         Err(error) => (None, Some(in_words(&error))),
     };
     let inputs = point.varied.into_iter();
@@ -147,9 +162,35 @@ fn fly(manifest: &Manifest, index: usize) -> Line {
     Line { index, inputs: inputs.collect(), failure, row }
 }
 
-fn row(manifest: &Manifest, point: &Point) -> anyhow::Result<Row> {
-    let simulation = Simulation::load(&manifest.inputs(point)?)?;
-    Ok(simulation.fly(|_| {})?.0)
+fn row(
+    manifest: &Manifest,
+    index: usize,
+    point: &Point,
+    stop: &Arc<AtomicBool>,
+) -> anyhow::Result<Value> {
+    Ok(match manifest.subject() {
+        Subject::Simulate => serde_json::to_value(simulation::row(manifest, point)?)?,
+        Subject::Diagnose => {
+            serde_json::to_value(alone(|| diagnosis::row(manifest, point, stop))?)?
+        }
+        Subject::Exam => {
+            serde_json::to_value(alone(|| examination::row(manifest, (index, point), stop))?)?
+        }
+    })
+}
+
+/// Stack of a thread that diagnoses, bytes: that of a main thread.
+const STACK: usize = 8 << 20;
+
+/// Works in a thread of its own, which its parallel parts stay in: a worker that waited for them would
+/// begin another point meanwhile, inside of this one.
+fn alone<T: Send>(work: impl FnOnce() -> anyhow::Result<T> + Send) -> anyhow::Result<T> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).stack_size(STACK);
+    let pool = pool.build().context("threads")?;
+    thread::scope(|scope| {
+        let done = scope.spawn(|| pool.install(work)).join();
+        done.unwrap_or_else(|_| Err(anyhow!("internal error, please report it")))
+    })
 }
 
 /// Counts the rows, and writes the table where all are there.
@@ -167,6 +208,12 @@ fn conclude(
     if rows.len() == manifest.points {
         Folder::<Line>::replace(csv, &table::csv(&rows)?)?;
         table = Some(csv.to_owned());
+        if manifest.subject() == Subject::Exam {
+            let scored = rows.values().filter_map(|line| line.row.as_ref());
+            let summary = examination::summary(manifest, scored)?;
+            let text = serde_json::to_vec_pretty(&summary).context("summary.json")?;
+            Folder::<Line>::replace(&csv.with_file_name("summary.json"), &text)?;
+        }
     }
     Ok(SweepSummary {
         schema: "downwash.sweep.summary",
@@ -184,22 +231,34 @@ fn conclude(
 /// Prints the points of the shard.
 fn list(manifest: &Manifest, args: &SweepArgs) -> anyhow::Result<Exit> {
     for point in (0..manifest.points).filter(|point| args.shard.has(*point)) {
-        let Point { varied, seed } = manifest.point(point);
+        let Point { varied, seed, case } = manifest.point(point);
         if args.json {
-            print_json(&Listed { point, seed, inputs: varied })?;
+            print_json(&Listed { point, seed, case, inputs: varied })?;
         } else {
             let inputs = varied.iter().map(|(path, value)| format!("  {path} = {value}"));
-            print_text(&format!("{point}  seed {seed}{}\n", inputs.collect::<String>()))?;
+            let inputs: String = inputs.collect();
+            let case = match manifest.subject() {
+                Subject::Exam => format!("  case {case}"),
+                Subject::Simulate | Subject::Diagnose => String::new(),
+            };
+            print_text(&format!("{point}  seed {seed}{case}{inputs}\n"))?;
         }
     }
     Ok(Exit::Ok)
 }
 
-fn text(summary: &SweepSummary) -> String {
+fn text(summary: &SweepSummary, subject: Subject) -> String {
     let SweepSummary { points, done, failures, ended_early, table, .. } = summary;
-    let mut text = format!(
-        "{done} of {points} points: {failures} could not be flown, {ended_early} flights ended early\n"
-    );
+    let mut text = match subject {
+        Subject::Simulate => format!(
+            "{done} of {points} points: {failures} could not be flown, {ended_early} flights ended \
+             early\n"
+        ),
+        Subject::Diagnose => {
+            format!("{done} of {points} points: {failures} could not be diagnosed\n")
+        }
+        Subject::Exam => format!("{done} of {points} cases: {failures} could not be flown\n"),
+    };
     if let Some(table) = table {
         text += &format!("table   {}\n", table.display());
     }

@@ -12,6 +12,9 @@ pub enum DiagnoseError {
     /// The law that was found is refused.
     #[error(transparent)]
     Law(#[from] LawError),
+    /// The answer is no longer wanted.
+    #[error("interrupted")]
+    Stopped,
     /// Nothing can be fitted.
     #[error("the flights hold nothing that a model could be compared with")]
     Nothing,

@@ -1,5 +1,7 @@
 //! From flights to an answer.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use vehicle::effects::{EffectId, EffectSet};
 
 use crate::diagnose::answer::Answer;
@@ -60,7 +62,8 @@ pub fn diagnose(
     settings: &Settings,
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
-    let evaluator = Evaluator::new(case.vehicle).observing(case.fitted);
+    let stages = Stages { progress, stop: case.stop };
+    let evaluator = Evaluator::new(case.vehicle).observing(case.fitted).until(case.stop);
     let is_led = |flight: &PreparedFlight| flight.channels.setpoint;
     let leg = case.fitted.iter().chain(case.held_out).all(is_led);
     let onboard = evaluator.onboard().filter(|_| leg);
@@ -78,7 +81,7 @@ pub fn diagnose(
         }
     };
     let parts = Parts::of(case);
-    progress("how good the vehicle file is");
+    stages.begin("how good the vehicle file is")?;
     let first = at_scale(1.0);
     first.candidate(&first.references())?;
     let look = |flights, unused: &[usize]| Observed::without(flights, &evaluator, &first, unused);
@@ -109,18 +112,18 @@ pub fn diagnose(
         reported: look(case.held_out),
         metric: metric(leg, &turning),
     };
-    let found = inquiry.explanations(progress)?;
-    progress("how far");
+    let found = inquiry.explanations(&stages)?;
+    stages.begin("how far")?;
     let evidence = inquiry.evidence(&found, (turning, scale, scales))?;
     let decision = decide(&evidence);
     let discovered = match settings.discover {
         true => {
-            progress("which law");
+            stages.begin("which law")?;
             inquiry.discover(&found, &evidence, &decision)?
         }
         false => None,
     };
-    let mut diagnosis = inquiry.diagnosis(found, evidence, decision, progress)?;
+    let mut diagnosis = inquiry.diagnosis(found, evidence, decision, &stages)?;
     if let Some(Discovered { answer, effects }) = discovered {
         if answer.named {
             diagnosis.effects = effects;
@@ -128,6 +131,24 @@ pub fn diagnose(
         diagnosis.answer.take_up_law(answer);
     }
     Ok(diagnosis)
+}
+
+/// The stages of a diagnosis, as they begin.
+struct Stages<'a> {
+    /// Told the name of each.
+    progress: &'a dyn Fn(&str),
+    stop: &'a AtomicBool,
+}
+
+impl Stages<'_> {
+    /// Begins one, if the answer is still wanted.
+    fn begin(&self, stage: &str) -> Result<(), DiagnoseError> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(DiagnoseError::Stopped);
+        }
+        (self.progress)(stage);
+        Ok(())
+    }
 }
 
 /// What predictions are compared by.
@@ -141,25 +162,25 @@ fn metric(leg: bool, turning: &[Turning; 3]) -> Metric {
 
 impl Inquiry<'_> {
     /// Chance, and every explanation that is worth a fit.
-    fn explanations(&self, progress: &dyn Fn(&str)) -> Result<Explanations, DiagnoseError> {
+    fn explanations(&self, stages: &Stages<'_>) -> Result<Explanations, DiagnoseError> {
         let mut search = Search {
             fitted: &self.fitted,
             choosing: &self.choosing,
             catalogue: self.catalogue,
             chance: Vec::new(),
         };
-        progress("what the vehicle file's numbers explain");
+        stages.begin("what the vehicle file's numbers explain")?;
         let (file, about) = search.file().ok_or(DiagnoseError::Nothing)?;
         let counts = self.fitted.counts();
         let noise = report_noise(self.fitted.flights, &file.fit.power, counts);
         let mut twins = None;
         if self.settings.twins > 0 {
-            progress("twins without an effect");
+            stages.begin("twins without an effect")?;
             let found = self.chance(&search, &file, &about, &noise)?;
             search.chance.clone_from(&found.chance);
             twins = Some(found);
         }
-        progress("which effect");
+        stages.begin("which effect")?;
         let sets = search.explanations(&file, &about);
         Ok(Explanations { file, sets, noise, twins })
     }
@@ -179,6 +200,9 @@ impl Inquiry<'_> {
             return Ok(screened(search, file, &about, &twins, self.settings.seed));
         };
         let twins = TwinFits::of_null(&self.fitted, about, law, noise, draws)?;
+        if self.fitted.is_stopped() {
+            return Err(DiagnoseError::Stopped);
+        }
         Ok(screened(search, file, about, &twins, self.settings.seed))
     }
 
@@ -230,9 +254,9 @@ impl Inquiry<'_> {
         found: Explanations,
         evidence: Evidence,
         decision: Decision,
-        progress: &dyn Fn(&str),
+        stages: &Stages<'_>,
     ) -> Result<Diagnosis, DiagnoseError> {
-        progress("the numbers of what was found");
+        stages.begin("the numbers of what was found")?;
         let chosen = match decision.explanation {
             0 => found.file.clone(),
             rank => found.sets[rank - 1].clone(),
@@ -245,7 +269,7 @@ impl Inquiry<'_> {
             evidence: &evidence,
             decision: &decision,
         };
-        progress("flown again");
+        stages.begin("flown again")?;
         let (answer, effects) = assembly.answer()?;
         let open = open_questions(self.catalogue, &found.sets, &answer);
         Ok(Diagnosis {

@@ -1,13 +1,15 @@
 //! How an answer stands to the key, in a word.
 
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::key::KeyEntry;
 use super::order::Kind;
 
 /// How an answer stands to the key.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum Grade {
     /// What it is to say. Of a size below the practical one, also `none`.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::answer::{Given, NAMED, class_of};
 use super::condition::Condition;
@@ -16,7 +16,9 @@ use super::world::{FileKind, LoopKind};
 /// A wrong name beyond this probability does harm, whatever stands beside it.
 const CONFIDENT: f64 = 0.8;
 /// By which law the truth of a case acts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum Law {
     /// There is none.
@@ -51,7 +53,7 @@ impl Law {
 }
 
 /// How one case went.
-#[derive(Clone, Debug, JsonSchema, Serialize)]
+#[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 pub struct Row {
     /// Its name.
     pub case: String,

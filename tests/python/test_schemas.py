@@ -80,6 +80,22 @@ def test_vehicles_and_settings(schemas, vehicle):
     check(schemas, "downwash.config", run("config", "--json"))
 
 
+def test_sweeps_of_diagnoses_and_exams(schemas, flights, vehicle, tmp_path):
+    (logs, _) = flights
+    diagnoses, exam = tmp_path / "diagnoses.toml", tmp_path / "exam.toml"
+    names = json.dumps([str(log) for log in logs])
+    diagnoses.write_text(f'schema_version = 1\nof = "diagnose"\ntwins = 0\nvehicle = "{vehicle}"\nlogs = {names}\n')
+    exam.write_text('schema_version = 1\nof = "exam"\ntwins = 0\ncases = 1\nnulls = 1\n')
+    for manifest, row_schema in [(diagnoses, "downwash.diagnose.row"), (exam, "downwash.exam.case")]:
+        out = tmp_path / manifest.stem
+        check(schemas, "downwash.sweep.summary", run("sweep", manifest, "--out", out, "--json"))
+        for line in next(out.glob("rows-*.jsonl")).read_text().splitlines():
+            assert json.loads(line)["failure"] is None, line
+            check(schemas, "downwash.sweep.row", line)
+            check(schemas, row_schema, json.dumps(json.loads(line)["row"]))
+    check(schemas, "downwash.sweep.exam", (tmp_path / "exam/summary.json").read_text())
+
+
 def test_simulate_and_sweep(schemas, tmp_path):
     check(schemas, "downwash.simulate", run("simulate", "hover", "--out", tmp_path / "s", "--json", *DRAG))
     manifest = tmp_path / "sweep.toml"

@@ -15,8 +15,7 @@ use rand_pcg::Pcg64Mcg;
 use self::lane::Lane;
 pub use self::lane::Real;
 use self::motion::{Held, LANES, Model, Motion};
-pub use self::width::Precision;
-use self::width::Width;
+pub use self::width::{Precision, Width};
 use crate::battery::{Battery, PowerModel};
 use crate::contact::Floor;
 use crate::effects::{EffectSet, Gusts, Turbulence};
@@ -122,6 +121,12 @@ impl<F: Precision> Batch<F> {
     /// The vehicles without a floor to touch, as [`Plant::airborne`].
     pub fn airborne(mut self) -> Self {
         self.model.floor = self.model.floor.out_of_reach();
+        self
+    }
+
+    /// The same, by no wider vector instructions than these.
+    pub fn at_most(mut self, width: Width) -> Self {
+        self.width = self.width.min(width);
         self
     }
 

@@ -4,10 +4,13 @@
 //! nominal vehicle is a rigid body with thrust along -z body at each rotor and drag torques, and
 //! has neither aerodynamics nor a dependence on voltage unless an effect brings them.
 
+mod body_laws;
 mod constants;
 mod loads;
 mod wiring;
 
+pub use body_laws::BodyLaws;
+pub(crate) use body_laws::Lawless;
 pub use constants::{Constants, RotorConstants};
 pub use loads::{Environment, Loads};
 
@@ -40,8 +43,8 @@ impl Aerodynamics {
 }
 
 /// A vehicle with effects, ready to be evaluated.
-#[derive(Clone, Debug)]
-pub struct Physics {
+#[derive(Clone, Copy, Debug)]
+pub struct Physics<L = Option<Laws>> {
     body: RigidBody,
     constants: Constants,
     allocation: Allocation,
@@ -49,7 +52,7 @@ pub struct Physics {
     sag: Option<BatterySag>,
     wind: Ned,
     aerodynamics: Option<Aerodynamics>,
-    laws: Option<Laws>,
+    laws: L,
     /// Angular momentum along down of rotor i at full speed, N m s, if it acts.
     spin_momentum_max: Option<[f64; ROTORS]>,
     needs_rotor_speed: bool,
@@ -169,53 +172,67 @@ impl Physics {
             && self.curve.is_none()
     }
 
+    /// The same with other laws.
+    #[inline(always)]
+    fn under<M>(&self, laws: M) -> Physics<M> {
+        Physics {
+            laws,
+            body: self.body,
+            constants: self.constants,
+            allocation: self.allocation,
+            curve: self.curve,
+            sag: self.sag,
+            wind: self.wind,
+            aerodynamics: self.aerodynamics,
+            spin_momentum_max: self.spin_momentum_max,
+            needs_rotor_speed: self.needs_rotor_speed,
+            speed_ratio_scale: self.speed_ratio_scale,
+            air_density: self.air_density,
+            inverse_induced_velocity: self.inverse_induced_velocity,
+            full_voltage: self.full_voltage,
+        }
+    }
+
     /// The physics of a vehicle that [is bare](Self::is_bare), which a compiler sees.
     #[inline(always)]
-    pub(crate) fn bare(&self) -> Self {
-        Self {
+    pub(crate) fn bare(&self) -> Physics<Lawless> {
+        Physics {
             aerodynamics: None,
-            laws: None,
             spin_momentum_max: None,
             needs_rotor_speed: false,
             curve: None,
-            ..self.clone()
+            ..self.under(Lawless)
         }
     }
 
     /// The same physics but laws with every effect in its place, those that do not act with neutral numbers:
     /// without a branch on which ones act, which would keep a loop from being vectorised.
     #[inline(always)]
-    pub(crate) fn dense(&self) -> Self {
+    pub(crate) fn dense(&self) -> Physics<Lawless> {
+        self.dense_under(Lawless)
+    }
+
+    #[inline(always)]
+    fn dense_under<M>(&self, laws: M) -> Physics<M> {
         let some = self.aerodynamics.unwrap_or_default();
         let aerodynamics = Aerodynamics {
             effects: some.effects.dense(),
             linear_drag: Some(some.linear_drag.unwrap_or_default()),
             angular_damping: Some(some.angular_damping.unwrap_or_default()),
         };
-        Self {
+        Physics {
             aerodynamics: Some(aerodynamics),
             spin_momentum_max: Some(self.spin_momentum_max.unwrap_or_default()),
             needs_rotor_speed: true,
             curve: Some(self.curve.unwrap_or(Effect::neutral())),
-            laws: None,
-            ..self.clone()
+            ..self.under(laws)
         }
     }
 
-    /// [Dense](Self::dense) physics with the laws, each of which is a program of its own.
+    /// [Dense](Self::dense) physics with the laws, each of which is a program of its own; `None` without one.
     #[inline(always)]
-    pub(crate) fn lawful(&self) -> Self {
-        Self { laws: self.laws.clone(), ..self.dense() }
-    }
-
-    /// Whether laws act on the body.
-    pub(crate) fn has_laws(&self) -> bool {
-        self.laws.is_some()
-    }
-
-    /// Whether the rotors' angular momentum acts on the body.
-    pub fn has_spin_momentum(&self) -> bool {
-        self.spin_momentum_max.is_some()
+    pub(crate) fn lawful(&self) -> Option<Physics<&Laws>> {
+        Some(self.dense_under(self.laws.as_ref()?))
     }
 
     /// Steady wind and `gust` [m/s], the pack at terminal voltage `voltage` (V), the floor at 0.
@@ -237,6 +254,81 @@ impl Physics {
     /// Factor of the terminal voltage (V) on thrust and squared rotor speed.
     pub fn voltage_factor(&self, voltage: f64) -> f64 {
         self.sag.map_or(1.0, |sag| sag.factor(voltage / self.full_voltage))
+    }
+
+    /// The quantities that laws name.
+    pub fn quantities(
+        &self,
+        needed: Needed,
+        state: &State,
+        loads: &Loads<f64>,
+        env: &Environment,
+    ) -> [f64; QUANTITIES] {
+        let rotors = loads.as_quantities();
+        crate::law::values(needed, state, &rotors, env, self.full_voltage)
+    }
+
+    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] with
+    /// the rotors in states s_i, held there.
+    #[inline(always)]
+    pub fn accelerations<T: Scalar>(
+        &self,
+        state: &State<T>,
+        rotors: &[T; ROTORS],
+        env: &Environment,
+    ) -> (Ned<T>, Frd<T>) {
+        self.accelerations_under(state, &self.loads(rotors, env), env)
+    }
+
+    /// As [`Physics::accelerations`], once the rotors have followed the outputs that the firmware
+    /// gives for a commanded collective (N) and moments [N m], unclipped above. A model for
+    /// control about hover: it has neither lag nor saturation.
+    pub fn accelerations_for_wrench<T: Scalar>(
+        &self,
+        state: &State<T>,
+        wrench: &[T; 4],
+        env: &Environment,
+    ) -> (Ned<T>, Frd<T>) {
+        self.accelerations(state, &self.rotors_for_wrench(wrench), env)
+    }
+
+    /// The rotor states for a commanded collective and moments; not below 0, unclipped above.
+    pub fn rotors_for_wrench<T: Scalar>(&self, wrench: &[T; 4]) -> [T; ROTORS] {
+        let inverse = self.allocation.inverse();
+        std::array::from_fn(|i| {
+            let [a, b, c, d] = inverse[i];
+            let thrust = wrench[0] * a + wrench[1] * b + wrench[2] * c + wrench[3] * d;
+            (thrust * (1.0 / self.allocation.thrust_max()[i])).max(T::default())
+        })
+    }
+
+    /// The commanded collective (N) that, shared evenly, lifts the weight at rest in calm air far
+    /// from the floor: m g of the nominal vehicle, another number with effects on the thrust.
+    ///
+    /// Returns `None` where full output does not lift it.
+    pub fn hover_collective(&self, env: &Environment) -> Option<f64> {
+        let wanted = self.body.mass() * self.body.gravity();
+        let even = |collective: f64| -> f64 {
+            self.thrusts(&self.rotors_for_wrench(&[collective, 0.0, 0.0, 0.0]), env).iter().sum()
+        };
+        let (mut low, mut high) = (0.0, self.allocation.collective_max());
+        if even(high) < wanted {
+            return None;
+        }
+        // Thrust grows with the collective for every accepted curve; bisection to rounding.
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if even(middle) < wanted { low = middle } else { high = middle }
+        }
+        Some(0.5 * (low + high))
+    }
+}
+
+/// What follows from the numbers, whatever the laws.
+impl<L: BodyLaws> Physics<L> {
+    /// Whether the rotors' angular momentum acts on the body.
+    pub fn has_spin_momentum(&self) -> bool {
+        self.spin_momentum_max.is_some()
     }
 
     /// Thrust of a rotor over `thrust_max`, also its squared speed over the squared maximum, at
@@ -334,9 +426,7 @@ impl Physics {
         if let Some(aerodynamics) = &self.aerodynamics {
             self.add_aerodynamics(aerodynamics, state, loads, env, &mut wrench);
         }
-        if let Some(laws) = &self.laws {
-            laws.add(state, &loads.as_quantities(), env, &mut wrench);
-        }
+        self.laws.add(state, loads, env, &mut wrench);
         if self.spin_momentum_max.is_some() {
             let [p, q, _] = state.body_rate.to_array();
             let h = loads.spin_momentum;
@@ -381,18 +471,6 @@ impl Physics {
         }
     }
 
-    /// The quantities that laws name.
-    pub fn quantities(
-        &self,
-        needed: Needed,
-        state: &State,
-        loads: &Loads<f64>,
-        env: &Environment,
-    ) -> [f64; QUANTITIES] {
-        let rotors = loads.as_quantities();
-        crate::law::values(needed, state, &rotors, env, self.full_voltage)
-    }
-
     /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] under
     /// given loads.
     #[inline(always)]
@@ -404,61 +482,6 @@ impl Physics {
     ) -> (Ned<T>, Frd<T>) {
         let wrench = self.wrench(state, loads, env);
         self.body.accelerations(state, wrench.force, wrench.moment)
-    }
-
-    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] with
-    /// the rotors in states s_i, held there.
-    #[inline(always)]
-    pub fn accelerations<T: Scalar>(
-        &self,
-        state: &State<T>,
-        rotors: &[T; ROTORS],
-        env: &Environment,
-    ) -> (Ned<T>, Frd<T>) {
-        self.accelerations_under(state, &self.loads(rotors, env), env)
-    }
-
-    /// As [`Physics::accelerations`], once the rotors have followed the outputs that the firmware
-    /// gives for a commanded collective (N) and moments [N m], unclipped above. A model for
-    /// control about hover: it has neither lag nor saturation.
-    pub fn accelerations_for_wrench<T: Scalar>(
-        &self,
-        state: &State<T>,
-        wrench: &[T; 4],
-        env: &Environment,
-    ) -> (Ned<T>, Frd<T>) {
-        self.accelerations(state, &self.rotors_for_wrench(wrench), env)
-    }
-
-    /// The rotor states for a commanded collective and moments; not below 0, unclipped above.
-    pub fn rotors_for_wrench<T: Scalar>(&self, wrench: &[T; 4]) -> [T; ROTORS] {
-        let inverse = self.allocation.inverse();
-        std::array::from_fn(|i| {
-            let [a, b, c, d] = inverse[i];
-            let thrust = wrench[0] * a + wrench[1] * b + wrench[2] * c + wrench[3] * d;
-            (thrust * (1.0 / self.allocation.thrust_max()[i])).max(T::default())
-        })
-    }
-
-    /// The commanded collective (N) that, shared evenly, lifts the weight at rest in calm air far
-    /// from the floor: m g of the nominal vehicle, another number with effects on the thrust.
-    ///
-    /// Returns `None` where full output does not lift it.
-    pub fn hover_collective(&self, env: &Environment) -> Option<f64> {
-        let wanted = self.body.mass() * self.body.gravity();
-        let even = |collective: f64| -> f64 {
-            self.thrusts(&self.rotors_for_wrench(&[collective, 0.0, 0.0, 0.0]), env).iter().sum()
-        };
-        let (mut low, mut high) = (0.0, self.allocation.collective_max());
-        if even(high) < wanted {
-            return None;
-        }
-        // Thrust grows with the collective for every accepted curve; bisection to rounding.
-        for _ in 0..60 {
-            let middle = 0.5 * (low + high);
-            if even(middle) < wanted { low = middle } else { high = middle }
-        }
-        Some(0.5 * (low + high))
     }
 }
 

@@ -1,7 +1,7 @@
 //! A batch flies as as many plants do, whatever acts.
 
 use vehicle::VehicleParams;
-use vehicle::batch::{Batch, Precision};
+use vehicle::batch::{Batch, Precision, Width};
 use vehicle::effects::EffectSet;
 use vehicle::frame::{Euler, Frd, Ned};
 use vehicle::plant::{Plant, Setup};
@@ -103,6 +103,25 @@ fn a_batch_flies_as_plants_do_with_every_effect_alone_and_together() {
         assert!(distance < 1e-8 && angle < 1e-8, "{set:?}: {distance} m, {angle} rad");
         let (distance, angle) = apart::<f32>(&vehicle, &set, 1.2);
         assert!(distance < 1e-4 && angle < 1e-4, "{set:?}: {distance} m, {angle} rad");
+    }
+}
+
+#[test]
+fn every_set_of_instructions_gives_the_same_bits() {
+    let vehicle = quad();
+    let flown = |width: Width, set: &EffectSet| {
+        let batch = Batch::<f32>::new(&vehicle, set, &Setup::default(), 3, COUNT).unwrap();
+        let mut batch = batch.airborne().at_most(width);
+        assert_eq!(batch.instructions(), width.name());
+        (0..COUNT).for_each(|index| batch.set(index, start(index, 5.0), [0.5; 4]));
+        batch.step(&[[0.5, 0.49, 0.5, 0.51]; COUNT], 300);
+        (0..COUNT).map(|index| batch.state(index).unwrap()).collect::<Vec<State>>()
+    };
+    for set in [EffectSet::new(), effects(&EVERY_EFFECT)] {
+        let narrowest = flown(Width::Baseline, &set);
+        for width in Width::available() {
+            assert_eq!(flown(width, &set), narrowest, "{}", width.name());
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! `downwash exam --laws COUNT`: how well laws are found that the catalogue does not have.
 
 use std::fs;
+use std::sync::Arc;
 
 use anyhow::Context;
 use schemars::JsonSchema;
@@ -10,7 +11,8 @@ use vehicle::effects::EffectSet;
 use super::super::diagnose::find;
 use super::super::logs::open_for;
 use super::super::{Exit, ExitContext, in_words, say, write_file};
-use super::{Hall, log_names};
+use super::Hall;
+use super::candidate::log_names;
 use crate::cli::ExamArgs;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::exam::closure::closure;
@@ -122,7 +124,7 @@ impl Hall<'_> {
         let mut diagnose = crate::cli::DiagnoseArgs::new(paths, vehicle);
         diagnose.discover = true;
         diagnose.twins = self.args.twins.unwrap_or(diagnose.twins);
-        let finding = find(&diagnose, &|_| {})?;
+        let finding = find(&diagnose, &Arc::default(), &|_| {})?;
         let law = finding.answer.law.as_ref();
         let named = law.is_some_and(|law| law.named);
         let found = law.map_or(Vec::new(), |law| variables(law.depends_on.iter().copied()));

@@ -15,7 +15,7 @@ use crate::plan::time_optimal::{FlightPlanner, Limits, Margin, Stop, Task};
 
 /// What is said of the fastest way.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
-pub(in crate::command) struct Fastest {
+pub struct Fastest {
     /// Time from start to finish, s.
     duration_s: f64,
     /// When each passage is passed, s.
@@ -40,8 +40,13 @@ struct KeptBack {
 }
 
 impl Fastest {
+    /// When each passage is passed, s.
+    pub fn passed_s(&self) -> &[f64] {
+        &self.passed_s
+    }
+
     /// For people, in whole lines.
-    pub fn in_words(&self) -> String {
+    pub(in crate::command) fn in_words(&self) -> String {
         let percent = |share: f64| 100.0 * share;
         let times: Vec<String> = self.passed_s.iter().map(|t| format!("{t:.2}")).collect();
         format!(

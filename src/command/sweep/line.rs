@@ -15,9 +15,9 @@ pub struct Line {
     pub index: usize,
     /// What varies, by its path.
     pub inputs: BTreeMap<String, Value>,
-    /// Why it could not be flown.
+    /// Why it could not be done.
     pub failure: Option<String>,
-    /// The row of `simulate`.
+    /// The row of `simulate`, of a diagnosis, or of an exam's case.
     pub row: Option<Value>,
 }
 

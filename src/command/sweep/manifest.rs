@@ -1,42 +1,31 @@
-//! The manifest: inputs of `simulate`, and which of them vary.
+//! The manifest: what a point is, its inputs, and which of them vary.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
-use rand::{Rng, SeedableRng};
-use rand_distr::{Distribution, Normal};
+use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 use toml::{Table, Value};
-use vehicle::effects::EffectSet;
 
-use crate::command::simulate::Inputs;
+use super::axis::{Axis, Drawn, POINTS_MAX, Seeds};
+use super::examination;
+use super::subject::Subject;
 use crate::log::descriptor::hex;
 
 /// Version of the manifest's form.
 const VERSION: u32 = 1;
-/// Most points of a sweep.
-const POINTS_MAX: usize = 10_000_000;
-/// Inputs that are files or the names of shipped ones.
-const FILES: [&str; 4] = ["vehicle", "trajectory", "config", "sitl_config"];
 
 /// As it is written.
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
 struct Written {
     schema_version: u32,
-    vehicle: Option<String>,
-    trajectory: Option<String>,
-    config: Option<String>,
-    sitl_config: Option<String>,
-    /// Effects of every flight, as of an effects file.
+    /// What is done at each point.
     #[serde(default)]
-    effects: Table,
-    /// Settings of every flight, by their dotted paths.
-    #[serde(default)]
-    set: Table,
+    of: Subject,
     /// Inputs that are crossed with one another.
     #[serde(default)]
     grid: BTreeMap<String, Axis>,
@@ -55,6 +44,9 @@ struct Written {
     /// Seeds of each point: so many from 1 on, or these.
     #[serde(default)]
     seeds: Seeds,
+    /// Inputs that are the same at each point.
+    #[serde(flatten)]
+    fixed: Table,
 }
 
 fn one() -> usize {
@@ -65,54 +57,7 @@ fn one_seed() -> u64 {
     1
 }
 
-/// Values on a grid.
-#[derive(Debug, Deserialize)]
-#[serde(untagged)]
-enum Axis {
-    Values(Vec<Value>),
-    Range(Range),
-}
-
-/// Evenly spaced values, both ends among them.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Range {
-    from: f64,
-    to: f64,
-    count: usize,
-    /// Evenly spaced in their logarithm.
-    #[serde(default)]
-    log: bool,
-}
-
-/// A distribution.
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum Drawn {
-    /// Between two numbers.
-    Uniform([f64; 2]),
-    /// Between two numbers, evenly in the logarithm.
-    LogUniform([f64; 2]),
-    /// Mean and standard deviation.
-    Normal([f64; 2]),
-    /// One of these.
-    Choice(Vec<Value>),
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(untagged)]
-enum Seeds {
-    Count(u64),
-    These(Vec<u64>),
-}
-
-impl Default for Seeds {
-    fn default() -> Self {
-        Self::Count(1)
-    }
-}
-
-/// What is flown, point by point.
+/// What is done, point by point.
 #[derive(Debug)]
 pub struct Manifest {
     folder: PathBuf,
@@ -120,19 +65,23 @@ pub struct Manifest {
     grid: Vec<(String, Vec<Value>)>,
     rows: usize,
     seeds: Vec<u64>,
+    /// Points of each seed: the cases of an exam.
+    cases: usize,
     /// Number of points.
     pub points: usize,
     /// Of its text and of the files that it names.
     pub sha256: String,
 }
 
-/// One flight of a sweep.
+/// One flight of a sweep, one diagnosis, or one case of an exam.
 #[derive(Clone, Debug)]
 pub struct Point {
     /// What varies, by its path.
     pub varied: BTreeMap<String, Value>,
-    /// Seed of the flight.
+    /// Its seed.
     pub seed: u64,
+    /// Which case of the exam that the seed draws.
+    pub case: usize,
 }
 
 impl Manifest {
@@ -146,41 +95,58 @@ impl Manifest {
 
     /// A manifest's text; its paths begin in `folder`.
     pub fn parse(text: &str, folder: PathBuf) -> anyhow::Result<Self> {
-        let written: Written = toml::from_str(text)?;
+        let mut written: Written = toml::from_str(text)?;
         if written.schema_version != VERSION {
             bail!("schema_version: expected {VERSION}, found {}", written.schema_version);
         }
+        written.check_paths()?;
+        if let Some(Value::Table(set)) = written.fixed.get_mut("set") {
+            *set = dotted("", set);
+        }
         let grid = written.grid.iter().map(|(path, axis)| {
-            let values = axis.values().with_context(|| format!("grid.{path:?}"))?;
+            if matches!(axis, Axis::Pattern(_)) && !written.of.files().contains(&path.as_str()) {
+                bail!("grid.{path:?}: expected a list of values");
+            }
+            let values = axis.values(&folder).with_context(|| format!("grid.{path:?}"))?;
             Ok((path.clone(), values))
         });
         let grid = grid.collect::<anyhow::Result<Vec<_>>>()?;
         let rows = written.rows()?;
-        written.check_paths()?;
         for (path, drawn) in &written.draw {
             drawn.check().with_context(|| format!("draw.{path:?}"))?;
         }
         if written.draw.is_empty() && written.samples != 1 {
             bail!("samples: expected 1, as nothing is drawn, found {}", written.samples);
         }
-        let seeds = match &written.seeds {
-            Seeds::Count(count) => (1..=*count.min(&(POINTS_MAX as u64 + 1))).collect(),
-            Seeds::These(seeds) => seeds.clone(),
+        let seeds = written.seeds.each();
+        let cases = match written.of {
+            Subject::Exam => examination::cases(&written.fixed)?,
+            Subject::Simulate | Subject::Diagnose => 1,
         };
         let lengths = grid.iter().map(|(_, values)| values.len());
-        let lengths = lengths.chain([rows, written.samples, seeds.len()]);
+        let lengths = lengths.chain([rows, written.samples, seeds.len(), cases]);
         let points = lengths.fold(1_usize, usize::saturating_mul);
         if !(1..=POINTS_MAX).contains(&points) {
             bail!("expected 1 to {POINTS_MAX} points, found {points}");
         }
         let mut manifest =
-            Self { folder, written, grid, rows, seeds, points, sha256: String::new() };
+            Self { folder, written, grid, rows, seeds, cases, points, sha256: String::new() };
         manifest.sha256 = manifest.hash(text);
         Ok(manifest)
     }
 
-    /// The flight of this number: seeds vary first, then draws, rows of the list, and the grid, the
-    /// last of its inputs first.
+    /// Where its paths begin.
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// What is done at each point.
+    pub(super) fn subject(&self) -> Subject {
+        self.written.of
+    }
+
+    /// The point of this number: the cases of an exam vary first, then seeds, draws, rows of the list,
+    /// and the grid, the last of its inputs first.
     pub fn point(&self, index: usize) -> Point {
         let mut left = index;
         let mut next = |length: usize| {
@@ -188,6 +154,7 @@ impl Manifest {
             left /= length;
             at
         };
+        let case = next(self.cases);
         let seed = self.seeds[next(self.seeds.len())];
         let sample = next(self.written.samples);
         let row = next(self.rows);
@@ -207,48 +174,30 @@ impl Manifest {
                 varied.insert(path.clone(), drawn.draw(&mut rng));
             }
         }
-        Point { varied, seed }
+        Point { varied, seed, case }
     }
 
-    /// What `simulate` is given at a point.
-    pub fn inputs(&self, point: &Point) -> anyhow::Result<Inputs> {
-        let written = &self.written;
-        let mut files: BTreeMap<&str, String> = BTreeMap::new();
-        let fixed = [&written.vehicle, &written.trajectory, &written.config, &written.sitl_config];
-        for (name, file) in FILES.into_iter().zip(fixed) {
-            files.extend(file.clone().map(|file| (name, file)));
-        }
-        let mut effects = written.effects.clone();
-        let mut settings = dotted("", &written.set);
+    /// The inputs at a point, as their subject reads them.
+    ///
+    /// # Errors
+    /// An input of another kind than its own.
+    pub fn inputs<T: DeserializeOwned>(&self, point: &Point) -> anyhow::Result<T> {
+        let mut inputs = self.written.fixed.clone();
         for (path, value) in &point.varied {
-            match (path.split_once('.'), path.as_str()) {
-                (Some(("effects", inner)), _) => insert(&mut effects, inner, value)?,
-                (Some(("set", key)), _) => {
-                    settings.insert(key.to_owned(), value.clone());
+            match path.split_once('.') {
+                Some(("set", setting)) => {
+                    let set = inputs.entry("set").or_insert_with(|| Value::Table(Table::new()));
+                    let set = set.as_table_mut().context("set is no table")?;
+                    set.insert(setting.to_owned(), value.clone());
                 }
-                (_, name) => {
-                    let name = FILES.into_iter().find(|file| *file == name);
-                    let text = value.as_str().context("expected a file or a name")?;
-                    files.extend(name.map(|name| (name, text.to_owned())));
-                }
+                _ => insert(&mut inputs, path, value)?,
             }
         }
-        let file = |name: &str| files.get(name).map(|file| self.resolved(file));
-        let effects = EffectSet::deserialize(Value::Table(effects)).context("effects")?;
-        Ok(Inputs {
-            vehicle: file("vehicle"),
-            trajectory: file("trajectory"),
-            effects,
-            onsets: Vec::new(),
-            sitl_config: file("sitl_config"),
-            config: file("config"),
-            settings,
-            seed: point.seed,
-        })
+        Ok(Value::Table(inputs).try_into()?)
     }
 
     /// A file beside the manifest, else what it is called.
-    fn resolved(&self, file: &str) -> PathBuf {
+    pub fn resolved(&self, file: &str) -> PathBuf {
         let beside = self.folder.join(file);
         if beside.exists() { beside } else { PathBuf::from(file) }
     }
@@ -258,23 +207,30 @@ impl Manifest {
         let mut hash = Sha256::new();
         hash.update(text);
         let written = &self.written;
-        let fixed = [&written.vehicle, &written.trajectory, &written.config, &written.sitl_config];
-        let mut files: Vec<&str> = fixed.into_iter().flatten().map(String::as_str).collect();
-        let varied = self.grid.iter().map(|(path, values)| (path, values));
-        let varied = varied.chain(&written.list);
+        let is_file = |path: &str| written.of.files().contains(&path);
+        let fixed = written.fixed.iter().map(|(path, value)| (path, std::slice::from_ref(value)));
+        let varied = self.grid.iter().map(|(path, values)| (path, values.as_slice()));
+        let listed = written.list.iter().map(|(path, values)| (path, values.as_slice()));
         let chosen = written.draw.iter().filter_map(|(path, drawn)| match drawn {
-            Drawn::Choice(values) => Some((path, values)),
+            Drawn::Choice(values) => Some((path, values.as_slice())),
             _ => None,
         });
-        for (_, values) in varied.chain(chosen).filter(|(path, _)| FILES.contains(&path.as_str())) {
-            files.extend(values.iter().filter_map(Value::as_str));
-        }
-        for file in files {
-            hash.update(file);
-            hash.update(std::fs::read(self.resolved(file)).unwrap_or_default());
+        let all = fixed.chain(varied).chain(listed).chain(chosen);
+        for (input, values) in all.filter(|(path, _)| is_file(path)) {
+            for name in values.iter().flat_map(names) {
+                hash.update(name);
+                written.of.hash(input, name, self, &mut hash);
+            }
         }
         hex(&hash.finalize())
     }
+}
+
+/// A word, or the words of a list.
+fn names(value: &Value) -> Vec<&str> {
+    let one = value.as_str();
+    let many = value.as_array().into_iter().flatten().filter_map(Value::as_str);
+    one.into_iter().chain(many).collect()
 }
 
 impl Written {
@@ -291,89 +247,20 @@ impl Written {
     /// Refuses what is no input, and an input that varies in two ways.
     fn check_paths(&self) -> anyhow::Result<()> {
         let paths = || self.grid.keys().chain(self.list.keys()).chain(self.draw.keys());
+        for path in self.fixed.keys() {
+            if !self.of.is_fixed_input(path) {
+                return Err(anyhow!("{path:?}: expected {}", self.of.fixed_in_words()));
+            }
+        }
         for path in paths() {
-            let inner = path.split_once('.').map(|(head, _)| head);
-            let is_known =
-                matches!(inner, Some("effects" | "set")) || FILES.contains(&path.as_str());
-            if !is_known {
-                bail!(
-                    "{path:?}: expected {}, effects.ID.PARAMETER or set.SETTING; seeds vary by `seeds`",
-                    FILES.join(", ")
-                );
+            if !self.of.is_input(path) {
+                return Err(anyhow!("{path:?}: expected {}", self.of.inputs_in_words()));
             }
             if paths().filter(|other| *other == path).count() > 1 {
                 bail!("{path:?} varies in two ways");
             }
         }
         Ok(())
-    }
-}
-
-impl Axis {
-    fn values(&self) -> anyhow::Result<Vec<Value>> {
-        match self {
-            Self::Values(values) => Ok(values.clone()),
-            Self::Range(Range { from, to, count, log }) => {
-                let is_possible = from.is_finite() && to.is_finite() && *count > 0;
-                if !is_possible || *log && !(*from > 0.0 && *to > 0.0) || *count > POINTS_MAX {
-                    bail!(
-                        "expected finite numbers, above 0 with log, and a count, found {from}, {to} \
-                         and {count}"
-                    );
-                }
-                let share = |k: usize| k as f64 / (*count - 1).max(1) as f64;
-                let value = |k: usize| match (k, *log) {
-                    (0, _) => *from,
-                    (k, _) if k == count - 1 => *to,
-                    (k, true) => from * (to / from).powf(share(k)),
-                    (k, false) => from + (to - from) * share(k),
-                };
-                Ok((0..*count).map(|k| Value::Float(value(k))).collect())
-            }
-        }
-    }
-}
-
-impl Drawn {
-    fn check(&self) -> anyhow::Result<()> {
-        match self {
-            Self::Uniform([low, high]) if low.is_finite() && high.is_finite() && low <= high => {
-                Ok(())
-            }
-            Self::LogUniform([low, high]) if *low > 0.0 && high.is_finite() && low <= high => {
-                Ok(())
-            }
-            Self::Normal([mean, deviation])
-                if mean.is_finite() && deviation.is_finite() && *deviation >= 0.0 =>
-            {
-                Ok(())
-            }
-            Self::Choice(values) if !values.is_empty() => Ok(()),
-            other => Err(anyhow!(
-                "expected finite bounds in their order, above 0 for log_uniform, a deviation of at \
-                 least 0, or something to choose from, found {other:?}"
-            )),
-        }
-    }
-
-    fn draw(&self, rng: &mut impl Rng) -> Value {
-        let between = |rng: &mut dyn rand::RngCore, low: f64, high: f64| {
-            low + (high - low) * rng.random::<f64>()
-        };
-        match self {
-            Self::Uniform([low, high]) => Value::Float(between(rng, *low, *high)),
-            Self::LogUniform([low, high]) => {
-                Value::Float(between(rng, low.ln(), high.ln()).exp().clamp(*low, *high))
-            }
-            Self::Normal([mean, deviation]) => {
-                let drawn = Normal::new(*mean, *deviation).map(|normal| normal.sample(rng));
-                Value::Float(drawn.unwrap_or(*mean))
-            }
-            Self::Choice(values) => values
-                .get(rng.random_range(0..values.len()))
-                .cloned()
-                .unwrap_or(Value::Boolean(true)),
-        }
     }
 }
 
@@ -388,8 +275,8 @@ fn insert(table: &mut Table, path: &str, value: &Value) -> anyhow::Result<()> {
 }
 
 /// Leaves of a table of tables by their dotted paths.
-fn dotted(prefix: &str, table: &Table) -> BTreeMap<String, Value> {
-    let mut found = BTreeMap::new();
+fn dotted(prefix: &str, table: &Table) -> Table {
+    let mut found = Table::new();
     for (key, value) in table {
         let path = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
         match value {
@@ -424,7 +311,7 @@ mod tests {
         let distinct: BTreeSet<String> = points.iter().map(|point| format!("{point:?}")).collect();
         assert_eq!(distinct.len(), manifest.points);
         for point in &points {
-            let inputs = manifest.inputs(point)?;
+            let inputs = crate::command::sweep::simulation::inputs(&manifest, point)?;
             let wind = inputs.effects.value(vehicle::effects::EffectId::Wind, "north_m_s", 0);
             let thrust = inputs.settings["control.thrust"].as_float();
             // Of the list, row by row.

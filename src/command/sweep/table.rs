@@ -7,8 +7,8 @@ use serde_json::Value;
 
 use super::Line;
 
-/// Of a row, what is the same in each or names files.
-const LEFT_OUT: [&str; 4] = ["schema", "schema_version", "log", "report"];
+/// Of a row, what is the same in each, names files, or is another at each try.
+const LEFT_OUT: [&str; 5] = ["schema", "schema_version", "log", "report", "seconds"];
 
 /// The table as CSV. Its columns are the point's number, the failure, what varies (`input.`), and what
 /// the flights gave, tables inside with a dot.

@@ -1,5 +1,8 @@
 //! A case: the flights, their vehicle, and how to diagnose them.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
 use vehicle::VehicleParams;
 use vehicle::effects::EffectId;
 
@@ -18,6 +21,8 @@ pub struct Case<'a> {
     pub blocked: bool,
     /// Effects that are not to be considered.
     pub without: &'a [EffectId],
+    /// Set where the answer is no longer wanted: the diagnosis then ends soon, without one.
+    pub stop: &'a Arc<AtomicBool>,
 }
 
 /// How.

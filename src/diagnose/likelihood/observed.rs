@@ -160,12 +160,21 @@ impl<'a> Observed<'a> {
         &self.counts
     }
 
-    /// What `values` leave unexplained; `None` for a vehicle that the physics refuses.
+    /// Whether nothing is looked at any more.
+    pub(in crate::diagnose) fn is_stopped(&self) -> bool {
+        self.evaluator.is_stopped()
+    }
+
+    /// What `values` leave unexplained; `None` for a vehicle that the physics refuses, and where
+    /// nothing is looked at any more.
     pub fn residuals(&self, values: &[f64]) -> Option<Residuals> {
         self.residuals_in(values, Groups::ALL)
     }
 
     fn residuals_in(&self, values: &[f64], groups: Groups) -> Option<Residuals> {
+        if self.is_stopped() {
+            return None;
+        }
         let candidate = self.catalogue.candidate(values).ok()?;
         Some(
             self.flights

@@ -13,6 +13,9 @@
 //!
 //! The accelerometer's and the gyro's constant biases fall out with the blocks' means.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use vehicle::effects::EffectId;
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::physics::{Environment, Loads, Physics};
@@ -79,6 +82,7 @@ pub struct Evaluator {
     vehicle: VehicleParams,
     onboard: Option<OnboardLaw>,
     transform: CosineTransform,
+    stop: Arc<AtomicBool>,
 }
 
 /// Motion over a block as the candidate takes it to have been.
@@ -99,7 +103,18 @@ impl Evaluator {
             vehicle: vehicle.clone(),
             onboard: OnboardLaw::new(vehicle),
             transform: CosineTransform::default(),
+            stop: Arc::default(),
         }
+    }
+
+    /// The same, until `stop` is set: from then on nothing is looked at any more.
+    pub fn until(self, stop: &Arc<AtomicBool>) -> Self {
+        Self { stop: Arc::clone(stop), ..self }
+    }
+
+    /// Whether nothing is looked at any more.
+    pub fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
     }
 
     /// The same, with outputs reported as `flights` report them.

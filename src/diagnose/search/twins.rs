@@ -142,7 +142,7 @@ impl<'a> Analysis<'a> {
         let noisy = shares.into_iter().filter(|(_, share)| *share > NOISY);
         analysis.noisy = noisy.map(|(number, _)| number).collect();
         let probes = probes.par_iter().filter_map(|flights| analysis.twin(flights));
-        let others = (PROBES..count).into_par_iter();
+        let others = (PROBES..count).into_par_iter().filter(|_| !observed.is_stopped());
         let others = others.filter_map(|p| analysis.twin(&analysis.flown(&replica, seed, p)));
         let pilots = probes.chain(others).collect();
         Ok((analysis, pilots))
@@ -178,7 +178,7 @@ impl<'a> Analysis<'a> {
         (count, seed): (u32, u64),
     ) -> Result<Vec<Twin>, VehicleError> {
         let replica = self.replica(truth, noise)?;
-        let twins = (0..count).into_par_iter();
+        let twins = (0..count).into_par_iter().filter(|_| !self.observed.is_stopped());
         Ok(twins.filter_map(|twin| self.twin(&self.flown(&replica, seed, twin))).collect())
     }
 

@@ -3,12 +3,12 @@
 use super::lane::{Lane, Real};
 use super::motion::{Held, LANES, Model, Motion};
 use crate::frame::{Frd, Ned};
-use crate::physics::{Environment, Loads, Physics};
+use crate::physics::{BodyLaws, Environment, Loads, Physics};
 use crate::plant::Plant;
 use crate::rigid_body::{RightHandSide, Stage, State, rk4};
 
 /// Sets of vector instructions that the step is compiled for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Width {
     /// Those that every processor of the target has.
     Baseline,
@@ -39,6 +39,19 @@ impl Width {
         Self::Baseline
     }
 
+    /// Those that this processor has, the narrowest first.
+    pub fn available() -> Vec<Self> {
+        let all = [
+            Self::Baseline,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512,
+        ];
+        all.into_iter().filter(|width| *width <= Self::of_this_processor()).collect()
+    }
+
+    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Baseline => "baseline",
@@ -94,8 +107,8 @@ precisions! {
 fn step<F: Real>(motion: &mut Motion<F>, held: &Held<F>, model: &Model) {
     if model.physics.is_bare() {
         step_lanes(motion, held, model, &model.physics.bare());
-    } else if model.physics.has_laws() {
-        step_lanes(motion, held, model, &model.physics.lawful());
+    } else if let Some(physics) = model.physics.lawful() {
+        step_lanes(motion, held, model, &physics);
     } else {
         step_lanes(motion, held, model, &model.physics.dense());
     }
@@ -104,7 +117,12 @@ fn step<F: Real>(motion: &mut Motion<F>, held: &Held<F>, model: &Model) {
 /// `physics` is the model's, without what a bare vehicle does not have, and the loop would else
 /// compute and drop.
 #[inline(always)]
-fn step_lanes<F: Real>(motion: &mut Motion<F>, held: &Held<F>, model: &Model, physics: &Physics) {
+fn step_lanes<F: Real, L: BodyLaws>(
+    motion: &mut Motion<F>,
+    held: &Held<F>,
+    model: &Model,
+    physics: &Physics<L>,
+) {
     let is_sudden = model.lag.is_none();
     for lane in 0..LANES {
         let environment = Environment {
@@ -133,13 +151,13 @@ fn step_lanes<F: Real>(motion: &mut Motion<F>, held: &Held<F>, model: &Model, ph
 }
 
 /// A vehicle in the air, through a step.
-struct Flight<'a, F> {
-    physics: &'a Physics,
+struct Flight<'a, F, L> {
+    physics: &'a Physics<L>,
     loads: [Loads<Lane<F>>; 3],
     environment: Environment,
 }
 
-impl<F: Real> RightHandSide<Lane<F>> for Flight<'_, F> {
+impl<F: Real, L: BodyLaws> RightHandSide<Lane<F>> for Flight<'_, F, L> {
     #[inline(always)]
     fn at(&mut self, state: &State<Lane<F>>, stage: Stage) -> (Ned<Lane<F>>, Frd<Lane<F>>) {
         let loads = &self.loads[stage.index()];

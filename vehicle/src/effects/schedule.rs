@@ -72,12 +72,22 @@ impl Schedule {
     /// # Errors
     /// What is no effect, cannot set in, or is no time.
     pub fn insert(&mut self, effect: &str, at: &str) -> Result<(), EffectError> {
-        let at_s = at.trim().parse().ok().filter(|at: &f64| at.is_finite() && *at >= 0.0);
-        let at_s = at_s.ok_or_else(|| OnsetError::Time(at.to_owned()))?;
+        let at_s = at.trim().parse().map_err(|_| OnsetError::Time(at.to_owned()))?;
         let mut effects = EffectSet::new();
         effects.insert_argument(effect)?;
+        Ok(self.add(effects, at_s)?)
+    }
+
+    /// Lets effects set in at a time in s.
+    ///
+    /// # Errors
+    /// What cannot set in, or no time.
+    pub fn add(&mut self, effects: EffectSet, at_s: f64) -> Result<(), OnsetError> {
+        if !(at_s.is_finite() && at_s >= 0.0) {
+            return Err(OnsetError::Time(at_s.to_string()));
+        }
         if let Some(fixed) = FIXED.into_iter().find(|id| effects.contains(*id)) {
-            return Err(OnsetError::Fixed(fixed).into());
+            return Err(OnsetError::Fixed(fixed));
         }
         let place = self.onsets.partition_point(|onset| onset.at_s <= at_s);
         self.onsets.insert(place, Onset { at_s, effects });

@@ -303,7 +303,7 @@ impl Law {
 
 /// Laws that act on a vehicle.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Laws {
+pub struct Laws {
     laws: Arc<[Law]>,
     needed: Needed,
     /// Bounds of a force (N) and a moment (N m) where a law states none.

@@ -1,0 +1,77 @@
+"""Changes: when something of a vehicle changed, in a flight or between flights."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as _FilePath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from . import _downwash as _native
+from ._arguments import Path, paths
+from ._page import framed
+from ._rows import Rows
+from ._vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What changed. Every field of the JSON of ``downwash onset`` is in `answer`, by its name. In a
+    notebook it shows its report."""
+
+    answer: dict[str, Any]
+    """The answer's JSON."""
+    html: str = field(repr=False)
+    """The report: a page that stands by itself."""
+    text: str = field(repr=False)
+    """The answer in words."""
+
+    @property
+    def rows(self) -> Rows:
+        """A row for each change within a flight: its ``log``, and what the JSON says of it."""
+        flights = self.answer["flights"]
+        return Rows({"log": of["log"]} | change for of in flights for change in of["changes"])
+
+    @property
+    def steps(self) -> list[dict[str, Any]]:
+        """What changed between flights."""
+        found: list[dict[str, Any]] = self.answer["steps"]
+        return found
+
+    def save(self, folder: Path) -> None:
+        """Writes report.html and report.json into a folder."""
+        out = _FilePath(folder)
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "report.html").write_text(self.html, encoding="utf-8")
+        text = json.dumps(self.answer, indent=2) + "\n"
+        (out / "report.json").write_text(text, encoding="utf-8")
+
+    def __str__(self) -> str:
+        return self.text
+
+    def _repr_html_(self) -> str:
+        return framed(self.html)
+
+
+def onset(
+    vehicle: Vehicle | Path,
+    logs: Path | Sequence[Path],
+    *,
+    mapping: Path | None = None,
+    false_alarm_h: float | None = None,
+) -> Changes:
+    """Says when something of the vehicle changed, what, and by how much, as ``downwash onset`` does:
+    within each of the logs, and between them, in the order of their dates. ``false_alarm_h`` is the mean
+    time between false alarms that the bound on the evidence is for, in h of flight."""
+    with TemporaryDirectory() as folder:
+        if isinstance(vehicle, Vehicle):
+            file: Path = _FilePath(folder, "vehicle.toml")
+            vehicle.save(file)
+        else:
+            file = vehicle
+        hours = None if false_alarm_h is None else float(false_alarm_h)
+        native = _native.onset(file, paths("logs", logs), mapping, hours)
+    answer: dict[str, Any] = json.loads(native.to_json())
+    return Changes(answer, native.to_html(), native.to_text())

@@ -1,0 +1,175 @@
+//! A point that is a case of an exam.
+//!
+//! Each is flown, diagnosed by a process that sees nothing but its files, and scored, by itself. The
+//! key is what the seed draws, so that there is none to commit to beforehand.
+
+use std::fs;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use super::manifest::{Manifest, Point};
+use crate::command::exam::{Candidate, Flown, Questions, Sheet, settings};
+use crate::command::in_words;
+use crate::exam::answer::Given as GivenAnswer;
+use crate::exam::case::Case;
+use crate::exam::order::Kind;
+use crate::exam::score;
+use crate::exam::summary::Summary;
+
+/// As the manifest has them: flags of `exam`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Given {
+    cases: Option<usize>,
+    #[serde(default = "nulls")]
+    nulls: usize,
+    #[serde(default)]
+    kinds: Vec<Kind>,
+    #[serde(default)]
+    round_trip: bool,
+    #[serde(default = "seconds")]
+    seconds: f64,
+    #[serde(default = "strengths")]
+    strengths: [f64; 2],
+    #[serde(default)]
+    exact: bool,
+    twins: Option<u32>,
+}
+
+fn nulls() -> usize {
+    20
+}
+
+fn seconds() -> f64 {
+    22.5
+}
+
+fn strengths() -> [f64; 2] {
+    [0.3, 30.0]
+}
+
+/// A case of an exam, with how it went.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct ExamRow {
+    /// `downwash.exam.case`.
+    schema: &'static str,
+    /// Version of this JSON.
+    schema_version: u32,
+    /// Version of the program.
+    version: &'static str,
+    /// Seed of the exam that it is of.
+    seed: u64,
+    #[serde(flatten)]
+    row: score::Row,
+}
+
+/// How all cases went together: the file summary.json of a sweep of an exam.
+#[derive(JsonSchema, Serialize)]
+pub struct ExamSweepSummary {
+    schema: &'static str,
+    schema_version: u32,
+    version: &'static str,
+    manifest_sha256: String,
+    /// Cases that were flown and scored.
+    cases: usize,
+    #[serde(flatten)]
+    summary: Summary,
+}
+
+impl Given {
+    fn questions(&self) -> Questions {
+        let Self { cases, nulls, kinds, round_trip, .. } = self;
+        Questions { cases: *cases, nulls: *nulls, kinds: kinds.clone(), round_trip: *round_trip }
+    }
+}
+
+/// How many cases each seed draws.
+///
+/// # Errors
+/// Inputs of another kind than their own.
+pub(super) fn cases(fixed: &Table) -> anyhow::Result<usize> {
+    let given: Given = Value::Table(fixed.clone()).try_into()?;
+    Ok(given.questions().orders(0)?.len())
+}
+
+/// A folder that goes when it is left.
+struct Desk(PathBuf);
+
+impl Drop for Desk {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Flies and diagnoses a case, and scores the answer.
+pub(super) fn row(
+    manifest: &Manifest,
+    (index, point): (usize, &Point),
+    stop: &Arc<AtomicBool>,
+) -> anyhow::Result<ExamRow> {
+    let given: Given = manifest.inputs(point)?;
+    let settings = settings(given.seconds, &given.strengths, given.exact)?;
+    let orders = given.questions().orders(point.seed)?;
+    let order = orders.get(point.case).context("a case beyond the last")?;
+    let name = format!("case_{:03}", point.case);
+    let case = Case::fly(&settings, point.seed, point.case as u64, &name, order)?;
+    let unique = format!("downwash-exam-{}-{index}", std::process::id());
+    let desk = Desk(std::env::temp_dir().join(unique));
+    let flown = Flown::write(&name, case, &desk.0)?;
+    let candidate = Candidate { twins: given.twins, threads: 1, interrupted: stop };
+    let logs = flown.logs();
+    let sheet = Sheet {
+        folder: &desk.0,
+        logs: &logs,
+        holdout: &[],
+        without: &flown.key.without,
+        evidence: false,
+    };
+    let began = Instant::now();
+    let answer = candidate.answer(&sheet);
+    let seconds = began.elapsed().as_secs_f64();
+    // No answer is an answer: it counts as wrong.
+    let given = match answer {
+        Ok(None) => bail!("interrupted"),
+        Ok(Some(bytes)) => serde_json::from_slice::<GivenAnswer>(&bytes).context("its answer"),
+        Err(error) => Err(error),
+    };
+    let closed = given.as_ref().ok().and_then(|given| flown.closed(&desk.0, given));
+    let given = given.as_ref().map_err(in_words);
+    let given = given.as_ref().map(|given| *given).map_err(String::as_str);
+    Ok(ExamRow {
+        schema: "downwash.exam.case",
+        schema_version: 1,
+        version: env!("CARGO_PKG_VERSION"),
+        seed: point.seed,
+        row: score::Row::new(&name, &flown.key, given, closed, seconds),
+    })
+}
+
+/// How all cases went together.
+///
+/// # Errors
+/// A row that is none.
+pub(super) fn summary<'a>(
+    manifest: &Manifest,
+    rows: impl Iterator<Item = &'a serde_json::Value>,
+) -> anyhow::Result<ExamSweepSummary> {
+    let rows: Result<Vec<score::Row>, _> = rows.map(score::Row::deserialize).collect();
+    let rows = rows.context("the rows")?;
+    Ok(ExamSweepSummary {
+        schema: "downwash.sweep.exam",
+        schema_version: 1,
+        version: env!("CARGO_PKG_VERSION"),
+        manifest_sha256: manifest.sha256.clone(),
+        cases: rows.len(),
+        // Time is another on each machine.
+        summary: Summary { seconds: None, ..Summary::new(&rows) },
+    })
+}

@@ -1,0 +1,145 @@
+//! What is done at each point of a sweep.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+
+use super::manifest::Manifest;
+use super::{diagnosis, pattern};
+
+/// One of the commands that a sweep repeats.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Subject {
+    /// A flight, as `simulate` flies it.
+    #[default]
+    Simulate,
+    /// A diagnosis of logs, as of `diagnose`.
+    Diagnose,
+    /// A case of an exam, as of `exam`.
+    Exam,
+}
+
+/// Of a log beyond so many bytes the hash takes its length, and so many of either end.
+const WHOLE: u64 = 1 << 20;
+const END: u64 = 1 << 16;
+
+impl Subject {
+    /// Inputs that may vary.
+    fn inputs(self) -> &'static [&'static str] {
+        match self {
+            Self::Simulate => &["vehicle", "trajectory", "config", "sitl_config", "onsets"],
+            Self::Diagnose => {
+                &["case", "vehicle", "logs", "holdout", "mapping", "twins", "without", "discover"]
+            }
+            Self::Exam => &["seconds", "strengths", "exact", "twins"],
+        }
+    }
+
+    /// Inputs that are the same at each point, as they decide how many points there are.
+    fn constants(self) -> &'static [&'static str] {
+        match self {
+            Self::Simulate | Self::Diagnose => &[],
+            Self::Exam => &["cases", "nulls", "kinds", "round_trip"],
+        }
+    }
+
+    /// Tables of which each key is an input.
+    fn tables(self) -> &'static [&'static str] {
+        match self {
+            Self::Simulate => &["effects", "set"],
+            Self::Diagnose | Self::Exam => &[],
+        }
+    }
+
+    /// Inputs that name files.
+    pub fn files(self) -> &'static [&'static str] {
+        match self {
+            Self::Simulate => &["vehicle", "trajectory", "config", "sitl_config"],
+            Self::Diagnose => &["case", "vehicle", "logs", "holdout", "mapping"],
+            Self::Exam => &[],
+        }
+    }
+
+    /// Whether it may vary.
+    pub fn is_input(self, path: &str) -> bool {
+        let of_table = path.split_once('.').is_some_and(|(head, _)| self.tables().contains(&head));
+        of_table || self.inputs().contains(&path)
+    }
+
+    /// Whether it may be given for every point.
+    pub fn is_fixed_input(self, key: &str) -> bool {
+        let mut all = self.inputs().iter().chain(self.constants()).chain(self.tables());
+        all.any(|known| *known == key)
+    }
+
+    /// What may vary, for people.
+    pub fn inputs_in_words(self) -> String {
+        let inputs = self.inputs().join(", ");
+        match self {
+            Self::Simulate => {
+                format!("{inputs}, effects.ID.PARAMETER or set.SETTING; seeds vary by `seeds`")
+            }
+            Self::Diagnose | Self::Exam => format!("one of {inputs}; seeds vary by `seeds`"),
+        }
+    }
+
+    /// What may be given for every point, for people.
+    pub fn fixed_in_words(self) -> String {
+        let all = self.inputs().iter().chain(self.constants()).chain(self.tables());
+        let all: Vec<&str> = all.copied().collect();
+        format!("one of {}, or of, grid, list, draw, samples, draw_seed and seeds", all.join(", "))
+    }
+
+    /// Puts the files that an input names into a hash.
+    pub fn hash(self, input: &str, name: &str, manifest: &Manifest, hash: &mut Sha256) {
+        let path = manifest.resolved(name);
+        // What cannot be read is a failure of its points.
+        let _ = match input {
+            "logs" | "holdout" => manifest.files(name).iter().try_for_each(|log| ends(log, hash)),
+            "case" => diagnosis::files(&path).and_then(|files| {
+                whole(&files.vehicle, hash)?;
+                files.logs.iter().try_for_each(|log| ends(log, hash))
+            }),
+            _ => whole(&path, hash),
+        };
+    }
+}
+
+impl Manifest {
+    /// The files that a name with `*` in it fits, else the one that it names.
+    pub(super) fn files(&self, name: &str) -> Vec<PathBuf> {
+        match name.contains('*') {
+            true => pattern::fitting(self.folder(), name)
+                .map(|found| found.iter().map(|name| self.resolved(name)).collect())
+                .unwrap_or_default(),
+            false => vec![self.resolved(name)],
+        }
+    }
+}
+
+fn whole(path: &Path, hash: &mut Sha256) -> io::Result<()> {
+    hash.update(fs::read(path)?);
+    Ok(())
+}
+
+/// A log's name with its bytes, or its length and its ends.
+fn ends(path: &Path, hash: &mut Sha256) -> io::Result<()> {
+    hash.update(path.file_name().unwrap_or_default().as_encoded_bytes());
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    if length <= WHOLE {
+        return whole(path, hash);
+    }
+    hash.update(length.to_le_bytes());
+    let mut bytes = vec![0; END as usize];
+    for from in [0, length - END] {
+        file.seek(SeekFrom::Start(from))?;
+        file.read_exact(&mut bytes)?;
+        hash.update(&bytes);
+    }
+    Ok(())
+}

@@ -1,0 +1,108 @@
+//! Vehicle steps per second of a batch on one core, for `benches/peers/run plant`.
+//!
+//! `taskset -c 1 cargo bench -p downwash-vehicle --bench batch -- [VEHICLES]` prints one JSON object a line: of
+//! each set of vector instructions that this processor has, in single and double precision, without an effect,
+//! with a lag of the rotors, with every effect but gusts, and with every effect. The figure is the best of
+//! several short runs: others on the machine only ever take time away.
+
+use std::hint::black_box;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use vehicle::VehicleParams;
+use vehicle::batch::{Batch, Precision, Width};
+use vehicle::effects::EffectSet;
+use vehicle::frame::Frd;
+use vehicle::plant::Setup;
+use vehicle::rigid_body::State;
+
+/// Every effect that acts in the plant, at values that keep it flying.
+const EVERY_EFFECT: [&str; 19] = [
+    "thrust_scale:scale=1.02",
+    "mass:mass_kg=1.25",
+    "thrust_curve:a=0.2",
+    "battery_sag:exponent=1",
+    "rotor_loss:rotor=1,scale=0.98",
+    "motor_lag:tau_s=0.03",
+    "rotor_drag:d_xy=0.3,d_z=0.1",
+    "parasitic_drag:cda_m2=0.01",
+    "wind:north_m_s=2,east_m_s=-1",
+    "gusts:sigma_m_s=0.5",
+    "ground_effect:r_eff_m=0.3",
+    "translational_lift:k_s2_m2=0.002",
+    "blade_flapping:moment_Nms_m=0.01,tilt_rad_s_m=0.002",
+    "vortex_ring:loss_max=0.2",
+    "inertia:scale=[1.1,1.1,1.1]",
+    "com_offset:x_m=0.002,y_m=-0.001",
+    "rotor_gyroscopic:rotor_inertia_kgm2=4e-5",
+    "yaw_torque:scale=1.1",
+    "attitude_trim:roll_rad=0.01",
+];
+/// Vehicles, where no other number is given.
+const VEHICLES: usize = 1024;
+/// Runs of which the best counts, and how long each is.
+const RUNS: usize = 15;
+const RUN: Duration = Duration::from_millis(30);
+
+fn main() {
+    // Cargo passes a flag of its own.
+    let count = std::env::args().skip(1).find_map(|word| word.parse().ok()).unwrap_or(VEHICLES);
+    for width in Width::available() {
+        measure::<f32>(width, "f32", count);
+        measure::<f64>(width, "f64", count);
+    }
+}
+
+fn measure<F: Precision>(width: Width, precision: &str, count: usize) {
+    let but_gusts: Vec<&str> =
+        EVERY_EFFECT.into_iter().filter(|effect| !effect.starts_with("gusts")).collect();
+    for (what, lag, effects) in [
+        ("no effects", 0.0, &[][..]),
+        ("motor lag", 0.03, &[]),
+        ("every effect but gusts", 0.03, &but_gusts),
+        ("every effect", 0.03, &EVERY_EFFECT),
+    ] {
+        let rate = steps_per_second(&mut batch::<F>(width, lag, effects, count), count);
+        println!(
+            "{{\"tool\": \"downwash\", \"precision\": \"{precision}\", \"instructions\": \"{}\", \
+             \"what\": \"{what}\", \"vehicles\": {count}, \"steps_per_s\": {rate:.0}}}",
+            width.name()
+        );
+    }
+}
+
+fn batch<F: Precision>(width: Width, lag: f64, effects: &[&str], count: usize) -> Batch<F> {
+    let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../config/vehicles/quad1200.toml");
+    let mut vehicle = VehicleParams::load(file).expect("the shipped vehicle file is valid");
+    vehicle.modelled_effects = EffectSet::new();
+    vehicle.motor_time_constant_s = lag;
+    let mut set = EffectSet::new();
+    for effect in effects {
+        set.insert_argument(effect).expect("the effects above are valid");
+    }
+    let setup = Setup { floor_down_m: 1e9, ..Setup::default() };
+    let batch = Batch::<F>::new(&vehicle, &set, &setup, 1, count).expect("a valid vehicle");
+    batch.at_most(width)
+}
+
+/// RK4 vehicle steps per second, each with a row of outputs of its own as a controller gives it.
+fn steps_per_second<F: Precision>(batch: &mut Batch<F>, count: usize) -> f64 {
+    let start = State {
+        velocity: [1.0, -2.0, 3.0].into(),
+        body_rate: Frd::new(0.3, -0.2, 0.5),
+        ..State::default()
+    };
+    let outputs = vec![[0.5, 0.49, 0.5, 0.51].map(F::from_f64); count];
+    let mut best: f64 = 0.0;
+    for _ in 0..RUNS {
+        // Sinking and turning again, so that every effect is at work.
+        (0..count).for_each(|index| batch.set(index, start, [0.5; 4]));
+        let (began, mut steps) = (Instant::now(), 0);
+        while began.elapsed() < RUN {
+            (0..16).for_each(|_| batch.step(black_box(&outputs), 1));
+            steps += 16 * count;
+        }
+        best = best.max(steps as f64 / began.elapsed().as_secs_f64());
+    }
+    best
+}

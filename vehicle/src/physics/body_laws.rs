@@ -1,0 +1,56 @@
+//! How laws enter the physics: a list of them, one list by reference, or none at all.
+
+use super::{Environment, Loads};
+use crate::effects::Wrench;
+use crate::law::Laws;
+use crate::rigid_body::State;
+use crate::scalar::Scalar;
+
+/// Laws that act on the body beside the catalogue's effects.
+pub trait BodyLaws {
+    /// Adds their forces and moments.
+    fn add<T: Scalar>(
+        &self,
+        state: &State<T>,
+        loads: &Loads<T>,
+        env: &Environment,
+        wrench: &mut Wrench<T>,
+    );
+}
+
+impl BodyLaws for Option<Laws> {
+    #[inline(always)]
+    fn add<T: Scalar>(
+        &self,
+        state: &State<T>,
+        loads: &Loads<T>,
+        env: &Environment,
+        wrench: &mut Wrench<T>,
+    ) {
+        if let Some(laws) = self {
+            laws.add(state, &loads.as_quantities(), env, wrench);
+        }
+    }
+}
+
+/// None, as a compiler sees: physics without laws are plain numbers, and a loop over them is vectorised.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Lawless;
+
+impl BodyLaws for Lawless {
+    #[inline(always)]
+    fn add<T: Scalar>(&self, _: &State<T>, _: &Loads<T>, _: &Environment, _: &mut Wrench<T>) {}
+}
+
+impl BodyLaws for &Laws {
+    #[inline(always)]
+    fn add<T: Scalar>(
+        &self,
+        state: &State<T>,
+        loads: &Loads<T>,
+        env: &Environment,
+        wrench: &mut Wrench<T>,
+    ) {
+        Laws::add(self, state, &loads.as_quantities(), env, wrench);
+    }
+}
