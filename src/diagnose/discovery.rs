@@ -1,13 +1,13 @@
 //! Discovery: which formula explains what the catalogue leaves.
 //!
-//! Terms of the [grammar](crate::diagnose::discovery::terms) are numbers of the catalogue like any other: free beside the
+//! Terms of the [grammar](mod@terms) are numbers of the catalogue like any other: free beside the
 //! vehicle file's numbers, in the same equations in weak form, with the same evidence. They join one
 //! at a time, each at the price of having been chosen among all; then each is exchanged for what does
 //! better, and powers and lengths are refined. What comes of it is one more explanation, and the
 //! verdict decides on it as on the others.
 
 pub mod law;
-pub(super) mod terms;
+pub mod terms;
 
 mod weighed;
 mod written;

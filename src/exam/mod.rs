@@ -3,7 +3,7 @@
 
 pub mod airframe;
 pub mod answer;
-mod attempts;
+pub mod attempts;
 mod bench;
 pub mod calibrate;
 pub mod case;
