@@ -21,7 +21,7 @@ use crate::station::{End, PAUSE, Station, Status};
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
 /// The watchdog of systemd is fed this often, by the control loop.
 const WATCHDOG_PERIOD: Duration = Duration::from_millis(500);
-/// After a request to stop, the flight has this long to end by itself.
+/// A request to stop ends the process after this time, if the flight has not landed before.
 const STOP_LIMIT: Duration = Duration::from_secs(90);
 /// Longest datagram, and most bytes taken from a stream at once.
 const BUFFER_LEN: usize = 65_536;

@@ -129,9 +129,7 @@ const TOKIO: [&str; 11] = [
 
 /// Where files still know each other in circles: a step of a circle is let pass between two files
 /// that both begin with one of these.
-const CIRCLES: [&[&str]; 3] = [
-    // A manifest asks what it repeats for the number of points, and that reads the manifest.
-    &["src/command/sweep"],
+const CIRCLES: [&[&str]; 2] = [
     // A personality acts on the commander that asks it.
     &["sitl/src/autopilot/commander.rs", "sitl/src/autopilot/personality.rs"],
     // The vehicle file holds effects, and effects act on the vehicle.

@@ -2,10 +2,13 @@
 //! table.
 
 mod axis;
+mod case_files;
 mod diagnosis;
+mod exam_inputs;
 mod examination;
 mod line;
 mod manifest;
+mod named_files;
 mod pattern;
 mod simulation;
 mod subject;

@@ -15,8 +15,8 @@
 //!
 //! s: share of thrust over mass beyond the believed one (a payload, a sagging pack, a weak rotor:
 //! no flight tells them apart by it alone); k: bend of the thrust map; c: drag; w: a push fixed in
-//! the world; b: one that turns with the vehicle; a: attitude beside the one sent, which the loop
-//! gives way by to a moment. `T` is the thrust that was sent, within limits, behind delay and lag.
+//! the world; b: one that turns with the vehicle; a: by how much the attitude that a moment
+//! holds the loop at differs from the one sent. `T` is the thrust that was sent, within limits, behind delay and lag.
 //!
 //! Data flow of a tick: state and sent setpoint -> prediction (observer) -> [`Watch`] (is this to be
 //! believed?) -> [`Recursion`] and the attitude's trims -> [`Parameters`] -> the observer's shift of

@@ -1,5 +1,5 @@
 //! Control: laws from state and reference to a setpoint, what is common to them, and the limits of
-//! what is asked of the vehicle.
+//! setpoints.
 
 mod actuation;
 mod adaptation;

@@ -1,9 +1,7 @@
 //! A point that is a diagnosis.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -13,17 +11,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::effects::EffectId;
 
+use super::case_files::CaseFiles;
 use super::manifest::{Manifest, Point};
 use crate::cli::DiagnoseArgs;
 use crate::command::diagnose::find;
 use crate::diagnose::answer::{Answer, FullVerdict};
 use crate::diagnose::verdict::Verdict;
 use crate::diagnose::verdict::parameter::Parameter;
-
-/// Extensions of the logs in a case's folder.
-const LOGS: [&str; 4] = ["tlog", "mcap", "ulg", "bin"];
-/// Names of the vehicle file there.
-const VEHICLES: [&str; 2] = ["vehicle.toml", "vehicle.json"];
 
 /// As the manifest has them: flags of `diagnose`.
 #[derive(Deserialize)]
@@ -50,12 +44,6 @@ enum Names {
     Several(Vec<String>),
 }
 
-/// What lies in the folder of a case.
-pub(super) struct CaseFiles {
-    pub vehicle: PathBuf,
-    pub logs: Vec<PathBuf>,
-}
-
 /// A diagnosis as one row.
 #[derive(Debug, JsonSchema, Serialize)]
 pub struct DiagnosisRow {
@@ -65,7 +53,7 @@ pub struct DiagnosisRow {
     schema_version: u32,
     /// Version of the program.
     version: &'static str,
-    /// Flights that were looked at.
+    /// Flights of the diagnosis.
     flights: usize,
     /// Logs whose data are at fault.
     faulty_logs: usize,
@@ -98,32 +86,12 @@ struct NamedEffect {
     parameters: BTreeMap<&'static str, Parameter>,
 }
 
-/// The files of a case's folder.
-///
-/// # Errors
-/// A folder that cannot be read.
-pub(super) fn files(folder: &Path) -> io::Result<CaseFiles> {
-    let mut logs = Vec::new();
-    for entry in fs::read_dir(folder)? {
-        let path = entry?.path();
-        let extension = path.extension().and_then(|extension| extension.to_str());
-        if extension.is_some_and(|extension| LOGS.contains(&extension)) {
-            logs.push(path);
-        }
-    }
-    logs.sort();
-    let vehicles = VEHICLES.map(|name| folder.join(name));
-    let [usual, _] = &vehicles;
-    let vehicle = vehicles.iter().find(|path| path.exists()).unwrap_or(usual).clone();
-    Ok(CaseFiles { vehicle, logs })
-}
-
 /// What `diagnose` is given at a point.
 fn arguments(manifest: &Manifest, point: &Point) -> anyhow::Result<DiagnoseArgs> {
     let given: Given = manifest.inputs(point)?;
     let case = given.case.as_ref().map(|case| {
-        let folder = manifest.resolved(case);
-        files(&folder).with_context(|| folder.display().to_string())
+        let folder = manifest.files().resolved(case);
+        CaseFiles::in_folder(&folder).with_context(|| folder.display().to_string())
     });
     let case = case.transpose()?;
     let named = |names: Names| {
@@ -131,9 +99,9 @@ fn arguments(manifest: &Manifest, point: &Point) -> anyhow::Result<DiagnoseArgs>
             Names::One(name) => vec![name],
             Names::Several(names) => names,
         };
-        names.iter().flat_map(|name| manifest.files(name)).collect::<Vec<PathBuf>>()
+        names.iter().flat_map(|name| manifest.files().fitting(name)).collect::<Vec<PathBuf>>()
     };
-    let vehicle = given.vehicle.map(|file| manifest.resolved(&file));
+    let vehicle = given.vehicle.map(|file| manifest.files().resolved(&file));
     let Some(vehicle) = vehicle.or_else(|| case.as_ref().map(|case| case.vehicle.clone())) else {
         bail!("expected a case, or a vehicle and logs");
     };
@@ -143,7 +111,7 @@ fn arguments(manifest: &Manifest, point: &Point) -> anyhow::Result<DiagnoseArgs>
     }
     let mut args = DiagnoseArgs::new(logs, vehicle);
     args.holdout = given.holdout.map(named).unwrap_or_default();
-    args.mapping = given.mapping.map(|file| manifest.resolved(&file));
+    args.mapping = given.mapping.map(|file| manifest.files().resolved(&file));
     args.twins = given.twins.unwrap_or(args.twins);
     let without = given.without.iter().map(|id| EffectId::from_str(id));
     args.without = without.collect::<Result<_, _>>().context("without")?;

@@ -1,7 +1,7 @@
 //! A point that is a case of an exam.
 //!
-//! Each is flown, diagnosed by a process that sees nothing but its files, and scored, by itself. The
-//! key is what the seed draws, so that there is none to commit to beforehand.
+//! A worker flies each case, lets a process diagnose it that gets its files alone, and scores the answer.
+//! The seed draws the key, so that the worker need not commit to one beforehand.
 
 use std::fs;
 use std::path::PathBuf;
@@ -12,48 +12,15 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use toml::{Table, Value};
 
+use super::exam_inputs::Given;
 use super::manifest::{Manifest, Point};
-use crate::command::exam::{Candidate, Flown, Questions, Sheet, settings};
+use crate::command::exam::{Candidate, Flown, Sheet, settings};
 use crate::command::in_words;
 use crate::exam::answer::Given as GivenAnswer;
 use crate::exam::case::Case;
-use crate::exam::order::Kind;
 use crate::exam::score;
 use crate::exam::summary::Summary;
-
-/// As the manifest has them: flags of `exam`.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Given {
-    cases: Option<usize>,
-    #[serde(default = "nulls")]
-    nulls: usize,
-    #[serde(default)]
-    kinds: Vec<Kind>,
-    #[serde(default)]
-    round_trip: bool,
-    #[serde(default = "seconds")]
-    seconds: f64,
-    #[serde(default = "strengths")]
-    strengths: [f64; 2],
-    #[serde(default)]
-    exact: bool,
-    twins: Option<u32>,
-}
-
-fn nulls() -> usize {
-    20
-}
-
-fn seconds() -> f64 {
-    22.5
-}
-
-fn strengths() -> [f64; 2] {
-    [0.3, 30.0]
-}
 
 /// A case of an exam, with how it went.
 #[derive(Debug, JsonSchema, Serialize)]
@@ -81,22 +48,6 @@ pub struct ExamSweepSummary {
     cases: usize,
     #[serde(flatten)]
     summary: Summary,
-}
-
-impl Given {
-    fn questions(&self) -> Questions {
-        let Self { cases, nulls, kinds, round_trip, .. } = self;
-        Questions { cases: *cases, nulls: *nulls, kinds: kinds.clone(), round_trip: *round_trip }
-    }
-}
-
-/// How many cases each seed draws.
-///
-/// # Errors
-/// Inputs of another kind than their own.
-pub(super) fn cases(fixed: &Table) -> anyhow::Result<usize> {
-    let given: Given = Value::Table(fixed.clone()).try_into()?;
-    Ok(given.questions().orders(0)?.len())
 }
 
 /// A folder that goes when it is left.

@@ -12,7 +12,8 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::axis::{Axis, Drawn, POINTS_MAX, Seeds};
-use super::examination;
+use super::exam_inputs;
+use super::named_files::NamedFiles;
 use super::subject::Subject;
 use crate::log::descriptor::hex;
 
@@ -60,7 +61,7 @@ fn one_seed() -> u64 {
 /// What is done, point by point.
 #[derive(Debug)]
 pub struct Manifest {
-    folder: PathBuf,
+    files: NamedFiles,
     written: Written,
     grid: Vec<(String, Vec<Value>)>,
     rows: usize,
@@ -95,6 +96,7 @@ impl Manifest {
 
     /// A manifest's text; its paths begin in `folder`.
     pub fn parse(text: &str, folder: PathBuf) -> anyhow::Result<Self> {
+        let files = NamedFiles::of(folder);
         let mut written: Written = toml::from_str(text)?;
         if written.schema_version != VERSION {
             bail!("schema_version: expected {VERSION}, found {}", written.schema_version);
@@ -107,7 +109,7 @@ impl Manifest {
             if matches!(axis, Axis::Pattern(_)) && !written.of.files().contains(&path.as_str()) {
                 bail!("grid.{path:?}: expected a list of values");
             }
-            let values = axis.values(&folder).with_context(|| format!("grid.{path:?}"))?;
+            let values = axis.values(files.folder()).with_context(|| format!("grid.{path:?}"))?;
             Ok((path.clone(), values))
         });
         let grid = grid.collect::<anyhow::Result<Vec<_>>>()?;
@@ -120,7 +122,7 @@ impl Manifest {
         }
         let seeds = written.seeds.each();
         let cases = match written.of {
-            Subject::Exam => examination::cases(&written.fixed)?,
+            Subject::Exam => exam_inputs::cases(&written.fixed)?,
             Subject::Simulate | Subject::Diagnose => 1,
         };
         let lengths = grid.iter().map(|(_, values)| values.len());
@@ -130,14 +132,14 @@ impl Manifest {
             bail!("expected 1 to {POINTS_MAX} points, found {points}");
         }
         let mut manifest =
-            Self { folder, written, grid, rows, seeds, cases, points, sha256: String::new() };
+            Self { files, written, grid, rows, seeds, cases, points, sha256: String::new() };
         manifest.sha256 = manifest.hash(text);
         Ok(manifest)
     }
 
-    /// Where its paths begin.
-    pub(super) fn folder(&self) -> &Path {
-        &self.folder
+    /// The files that its inputs name.
+    pub(super) fn files(&self) -> &NamedFiles {
+        &self.files
     }
 
     /// What is done at each point.
@@ -196,12 +198,6 @@ impl Manifest {
         Ok(Value::Table(inputs).try_into()?)
     }
 
-    /// A file beside the manifest, else what it is called.
-    pub fn resolved(&self, file: &str) -> PathBuf {
-        let beside = self.folder.join(file);
-        if beside.exists() { beside } else { PathBuf::from(file) }
-    }
-
     /// Hash of the text and of every file that a point may name.
     fn hash(&self, text: &str) -> String {
         let mut hash = Sha256::new();
@@ -219,7 +215,7 @@ impl Manifest {
         for (input, values) in all.filter(|(path, _)| is_file(path)) {
             for name in values.iter().flat_map(names) {
                 hash.update(name);
-                written.of.hash(input, name, self, &mut hash);
+                written.of.hash(input, name, &self.files, &mut hash);
             }
         }
         hex(&hash.finalize())

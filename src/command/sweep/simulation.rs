@@ -36,7 +36,7 @@ pub(super) fn inputs(manifest: &Manifest, point: &Point) -> anyhow::Result<Input
     if !later.effects.is_empty() {
         bail!("onsets: expected effects that set in, such as rotor_loss:rotor=2,scale=0.9@22");
     }
-    let file = |file: Option<String>| file.map(|file| manifest.resolved(&file));
+    let file = |file: Option<String>| file.map(|file| manifest.files().resolved(&file));
     Ok(Inputs {
         vehicle: file(given.vehicle),
         trajectory: file(given.trajectory),

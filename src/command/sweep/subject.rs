@@ -2,13 +2,13 @@
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-use super::manifest::Manifest;
-use super::{diagnosis, pattern};
+use super::case_files::CaseFiles;
+use super::named_files::NamedFiles;
 
 /// One of the commands that a sweep repeats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -95,29 +95,17 @@ impl Subject {
     }
 
     /// Puts the files that an input names into a hash.
-    pub fn hash(self, input: &str, name: &str, manifest: &Manifest, hash: &mut Sha256) {
-        let path = manifest.resolved(name);
+    pub fn hash(self, input: &str, name: &str, files: &NamedFiles, hash: &mut Sha256) {
+        let path = files.resolved(name);
         // What cannot be read is a failure of its points.
         let _ = match input {
-            "logs" | "holdout" => manifest.files(name).iter().try_for_each(|log| ends(log, hash)),
-            "case" => diagnosis::files(&path).and_then(|files| {
-                whole(&files.vehicle, hash)?;
-                files.logs.iter().try_for_each(|log| ends(log, hash))
+            "logs" | "holdout" => files.fitting(name).iter().try_for_each(|log| ends(log, hash)),
+            "case" => CaseFiles::in_folder(&path).and_then(|case| {
+                whole(&case.vehicle, hash)?;
+                case.logs.iter().try_for_each(|log| ends(log, hash))
             }),
             _ => whole(&path, hash),
         };
-    }
-}
-
-impl Manifest {
-    /// The files that a name with `*` in it fits, else the one that it names.
-    pub(super) fn files(&self, name: &str) -> Vec<PathBuf> {
-        match name.contains('*') {
-            true => pattern::fitting(self.folder(), name)
-                .map(|found| found.iter().map(|name| self.resolved(name)).collect())
-                .unwrap_or_default(),
-            false => vec![self.resolved(name)],
-        }
     }
 }
 

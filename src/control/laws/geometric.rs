@@ -50,8 +50,8 @@ const LIFT_MIN: f64 = 0.1;
 /// ask of `R_d` is left to the attitude loop: it takes a derivative of the measured velocity.
 ///
 /// Thrust is that part of the force which the body's axis can give now: upside down it is none,
-/// where the LQR goes on pushing its hover thrust into the ground. Where the wanted force is beyond the tilt limit, its
-/// horizontal part gives way, so that height is held.
+/// where the LQR goes on pushing its hover thrust into the ground. Where the wanted force is beyond the tilt limit, the
+/// law shortens its horizontal part, and so holds the height.
 ///
 /// The gains are those of the LQR for the same vehicle ([`Lqr::translational`]) unless set: the same
 /// bandwidth near hover, and what is known of lag and delay is in them.
@@ -120,7 +120,7 @@ impl Geometric {
         reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -specific))
     }
 
-    /// The law, wanting `more` force over mass (world axes, m/s^2) than it does by itself.
+    /// The command of the law with `more` force over mass (world axes, m/s^2) added to its own.
     pub(super) fn pushing(&self, state: &State, reference: &Reference, more: Ned) -> Command {
         let Reference { attitude: wanted, feedforward, .. } = *reference;
         let (error, is_cut) = self.reach.bounded(state.position - reference.position);
