@@ -11,7 +11,7 @@ from typing import Any
 
 from . import _downwash as _native
 from ._arguments import Path, count, listed, paths, seed_of
-from ._page import framed
+from ._page import framed, save_report
 from ._progress import Progress, teller
 from ._vehicle import Vehicle
 
@@ -79,10 +79,7 @@ class Diagnosis:
         """Writes report.html, report.json and the vehicle file improved.toml into a folder, and law.toml
         where a law is named."""
         out = _FilePath(folder)
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "report.html").write_text(self.html, encoding="utf-8")
-        text = json.dumps(self.answer, indent=2) + "\n"
-        (out / "report.json").write_text(text, encoding="utf-8")
+        save_report(out, self.html, self.answer)
         self.vehicle.save(out / "improved.toml")
         if self.law_file is not None:
             (out / "law.toml").write_text(self.law_file, encoding="utf-8")

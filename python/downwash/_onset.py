@@ -11,7 +11,7 @@ from typing import Any
 
 from . import _downwash as _native
 from ._arguments import Path, paths
-from ._page import framed
+from ._page import framed, save_report
 from ._rows import Rows
 from ._vehicle import Vehicle
 
@@ -42,11 +42,7 @@ class Changes:
 
     def save(self, folder: Path) -> None:
         """Writes report.html and report.json into a folder."""
-        out = _FilePath(folder)
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "report.html").write_text(self.html, encoding="utf-8")
-        text = json.dumps(self.answer, indent=2) + "\n"
-        (out / "report.json").write_text(text, encoding="utf-8")
+        save_report(_FilePath(folder), self.html, self.answer)
 
     def __str__(self) -> str:
         return self.text

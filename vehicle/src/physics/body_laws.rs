@@ -18,31 +18,7 @@ pub trait BodyLaws {
     );
 }
 
-impl BodyLaws for Option<Laws> {
-    #[inline(always)]
-    fn add<T: Scalar>(
-        &self,
-        state: &State<T>,
-        loads: &Loads<T>,
-        env: &Environment,
-        wrench: &mut Wrench<T>,
-    ) {
-        if let Some(laws) = self {
-            laws.add(state, &loads.as_quantities(), env, wrench);
-        }
-    }
-}
-
-/// None, as a compiler sees: physics without laws are plain numbers, and a loop over them is vectorised.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Lawless;
-
-impl BodyLaws for Lawless {
-    #[inline(always)]
-    fn add<T: Scalar>(&self, _: &State<T>, _: &Loads<T>, _: &Environment, _: &mut Wrench<T>) {}
-}
-
-impl BodyLaws for &Laws {
+impl BodyLaws for Laws {
     #[inline(always)]
     fn add<T: Scalar>(
         &self,
@@ -52,5 +28,42 @@ impl BodyLaws for &Laws {
         wrench: &mut Wrench<T>,
     ) {
         Laws::add(self, state, &loads.as_quantities(), env, wrench);
+    }
+}
+
+impl<L: BodyLaws> BodyLaws for Option<L> {
+    #[inline(always)]
+    fn add<T: Scalar>(
+        &self,
+        state: &State<T>,
+        loads: &Loads<T>,
+        env: &Environment,
+        wrench: &mut Wrench<T>,
+    ) {
+        if let Some(laws) = self {
+            laws.add(state, loads, env, wrench);
+        }
+    }
+}
+
+/// No law, known when compiled: physics without laws are plain numbers, and the compiler vectorises a loop over them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Lawless;
+
+impl BodyLaws for Lawless {
+    #[inline(always)]
+    fn add<T: Scalar>(&self, _: &State<T>, _: &Loads<T>, _: &Environment, _: &mut Wrench<T>) {}
+}
+
+impl<L: BodyLaws> BodyLaws for &L {
+    #[inline(always)]
+    fn add<T: Scalar>(
+        &self,
+        state: &State<T>,
+        loads: &Loads<T>,
+        env: &Environment,
+        wrench: &mut Wrench<T>,
+    ) {
+        (**self).add(state, loads, env, wrench);
     }
 }
