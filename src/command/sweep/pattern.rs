@@ -43,7 +43,8 @@ pub(super) fn fitting(folder: &Path, pattern: &str) -> anyhow::Result<Vec<String
     }
     found.sort();
     if found.is_empty() {
-        bail!("{pattern:?}: expected at least one file in {}", folder.display());
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        bail!("{pattern:?}: expected at least one file in {}, found none", folder.display());
     }
     Ok(found)
 }
