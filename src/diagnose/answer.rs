@@ -24,6 +24,7 @@ use crate::diagnose::simulate::gap::{Errors, OverNoise};
 use crate::diagnose::simulate::reflight::ClosedLoop;
 use crate::diagnose::verdict::Unexplained;
 use crate::diagnose::verdict::attribution::Share;
+use crate::diagnose::verdict::evidence::FileNumber;
 use crate::diagnose::verdict::parameter::Parameter;
 use crate::diagnose::verdict::untestable::{self, Untestable};
 use crate::diagnose::verdict::{NAMED, Verdict};
@@ -126,7 +127,8 @@ pub struct Gap {
     pub before: f64,
     /// With the named effects.
     pub after: f64,
-    /// What noise alone leaves: 1, the unit of all gaps here.
+    /// What noise alone leaves. 1, the unit of all gaps here, is what the sensors' noise leaves in
+    /// simulation; the floor is higher where a flexible learner finds no way to predict more.
     pub floor: f64,
     /// By how much noise alone scatters what it leaves.
     pub scatter: f64,
@@ -145,10 +147,15 @@ pub struct Gap {
 }
 
 impl Gap {
+    /// A gap in units of what noise alone leaves.
+    pub fn times(&self, gap: f64) -> f64 {
+        gap / self.floor.max(f64::MIN_POSITIVE)
+    }
+
     /// What stays open with the named effects, with or without nuisances, in units of the noise.
     pub fn open(&self) -> f64 {
         let left = self.with_nuisances.map_or(self.after, |with| with.min(self.after));
-        left / self.floor.max(f64::MIN_POSITIVE)
+        self.times(left)
     }
 }
 
@@ -229,6 +236,9 @@ pub struct Answer {
     pub attribution: Vec<Share>,
     /// How good the vehicle file is: the scale of the tolerances that it does not state.
     pub file_scale: f64,
+    /// Numbers of the vehicle file that are off by one tolerance or more where the file alone
+    /// explains the flights best, the furthest off first.
+    pub file_numbers: Vec<FileNumber>,
     /// Flights simulated without an effect.
     pub twins: Option<Twins>,
     /// What was fitted, the best first.
@@ -292,6 +302,7 @@ impl Answer {
             unmodelled_force: None,
             attribution: Vec::new(),
             file_scale: 1.0,
+            file_numbers: Vec::new(),
             twins: None,
             explanations: Vec::new(),
             flights: Vec::new(),

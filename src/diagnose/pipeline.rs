@@ -182,7 +182,12 @@ impl Inquiry<'_> {
         }
         stages.begin("which effect")?;
         let sets = search.explanations(&file, &about);
-        Ok(Explanations { file, sets, noise, twins })
+        let mut found = Explanations { file, sets, noise, twins };
+        // What an effect does is no noise: of the file alone and the best explanation, the lesser.
+        let power = found.file.fit.power.iter().zip(&found.best().fit.power);
+        let power: Vec<f64> = power.map(|(file, best)| file.min(*best)).collect();
+        found.noise = report_noise(self.fitted.flights, &power, counts);
+        Ok(found)
     }
 
     /// What chance gives the hypotheses.

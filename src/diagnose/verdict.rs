@@ -84,6 +84,9 @@ pub struct Decision {
     pub signs: [f64; SIGNS],
     /// Probability that it is not.
     pub outside: f64,
+    /// The gap that noise leaves on the flights reported on, in units of what the sensors' noise
+    /// leaves: more than 1 where a flexible learner finds no way to predict the rest.
+    pub noise: f64,
 }
 
 /// The price of an effect, nats: about forty may act, and one does in half of the cases.
@@ -245,9 +248,7 @@ impl Posterior<'_> {
                     effects.iter().filter(|other| *other != effect).map(|e| class(e)).collect();
                 let less = self.of(&rest)?;
                 let share = self.share(best, less);
-                let carries = share > -CHANGES
-                    && self.explained(best).is_remarkable(effect)
-                    && self.evidence_share(best, less) > CARRIES;
+                let carries = share > -CHANGES && self.evidence_share(best, less) > CARRIES;
                 Some((if carries { share.max(CHANGES) } else { share }, less))
             };
             let least = effects.iter().filter_map(without).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -302,8 +303,13 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
         masses: posterior.masses.clone(),
         signs: [1.0, 0.0],
         outside: calibration.discrepancy(&[1.0, 0.0]),
+        noise: 1.0,
     };
     let Some(explained) = evidence.explanations.get(best) else { return decision };
+    let practical: Vec<&String> =
+        explained.effects.iter().filter(|effect| explained.is_practical(effect)).collect();
+    // What is within the file's tolerances is the file's to explain.
+    let is_files = practical.is_empty() && !explained.effects.is_empty();
     let mut rivals: Vec<String> = {
         let own: BTreeSet<&str> = explained.effects.iter().map(|effect| class(effect)).collect();
         let others = inclusion.iter().filter(|(effect, mass)| {
@@ -321,12 +327,12 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
     rivals.sort_unstable();
     rivals.dedup();
     let weighed = |outside: f64| -> Vec<(String, f64)> {
-        let own = explained.effects.iter();
-        let mut own: Vec<(String, f64)> = own
+        let mut own: Vec<(String, f64)> = practical
+            .iter()
             .map(|effect| {
                 let mass = inclusion.get(class(effect)).copied().unwrap_or(0.0);
                 let told = if untold.contains(&class(effect)) { UNTOLD } else { 1.0 };
-                (effect.clone(), told * (1.0 - outside) * mass.min(1.0))
+                ((*effect).clone(), told * (1.0 - outside) * mass.min(1.0))
             })
             .collect();
         own.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
@@ -339,15 +345,19 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
         if surest >= NAMED {
             decision.verdict = Verdict::Effect;
             decision.ambiguous_with = rivals;
-        } else if posterior.masses.first().is_some_and(|file| *file < NAMED) {
+        } else if !is_files && posterior.masses.first().is_some_and(|file| *file < NAMED) {
             decision.verdict = Verdict::Unknown;
             decision.because = Some(Unexplained::Doubt);
         }
         return decision;
     };
     let after = posterior.reported(best).unwrap_or(file);
+    let file = if is_files { file.min(after) } else { file };
     let is_forced = evidence.force.is_some_and(ForceLeft::is_practical);
     let noise = evidence.noise(after, is_forced);
+    if evidence.learned.is_some() {
+        decision.noise = noise.sqrt();
+    }
     let open = (OPEN + 4.0 * evidence.scatter).powi(2);
     let closable = (file - noise).max(f64::MIN_POSITIVE);
     let closed = file - after;
@@ -359,7 +369,7 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
         && closed > 0.1 + 4.0 * evidence.scatter;
     let file_gaps = evidence.explanations.first().and_then(|file| file.reported);
     let is_worse = evidence.is_worse([file_gaps, explained.reported], 1);
-    if !explained.effects.is_empty() && is_substantial && !is_worse {
+    if !practical.is_empty() && is_substantial && !is_worse {
         decision.effects = weighed(decision.outside);
         let surest = decision.effects.first().map_or(0.0, |(_, probability)| *probability);
         if surest >= NAMED || remainder < 0.5 {
@@ -402,7 +412,7 @@ mod tests {
     /// A set of effects with evidence over the file's in each of four blocks, and the gap with its
     /// effects and with the file's numbers as well.
     fn explained(effects: &[&str], nats: f64, [of_effects, both]: [f64; 2]) -> Explained {
-        let gaps = Gaps { effects: of_effects, file: both, both };
+        let gaps = Gaps { effects: of_effects, file: both, both, ..Gaps::default() };
         let number = |effect: &&str| Found {
             effect: (*effect).to_owned(),
             name: "number".to_owned(),
@@ -490,6 +500,21 @@ mod tests {
         let less = explained(&["rotor_drag"], 300.0, [4.0, 4.0]);
         let sets = vec![file, beside, less];
         assert_eq!(named(&decide(&evidence(8.0, sets))), ["motor_lag", "rotor_drag"]);
+    }
+
+    #[test]
+    fn what_lies_within_the_files_tolerances_is_not_named() {
+        let file = explained(&[], 0.0, [8.0, 6.0]);
+        let mut both = explained(&["command_delay", "wind"], 400.0, [1.1, 1.05]);
+        both.numbers[0].unremarkable = 0.5;
+        let mut delay = explained(&["command_delay"], 300.0, [3.1, 3.05]);
+        delay.numbers[0].unremarkable = 0.5;
+        let sets = vec![file.clone(), both, delay.clone()];
+        assert_eq!(named(&decide(&evidence(8.0, sets))), ["wind"]);
+        // A fit of the file that did not get there leaves no gap open that its numbers close.
+        delay.reported = Some(Gaps { effects: 1.1, file: 8.0, both: 1.05, ..Gaps::default() });
+        let decision = decide(&evidence(8.0, vec![file, delay]));
+        assert_eq!((decision.verdict, decision.explanation), (Verdict::None, 0));
     }
 
     #[test]

@@ -53,6 +53,29 @@ impl Direction {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnose::catalogue::hypothesis::Catalogue;
+
+    #[test]
+    fn what_is_drawn_lies_within_what_the_diagnosis_allows() {
+        let mut draw = Draw::new(5, 0);
+        for kind in ["nano", "quad"] {
+            let vehicle = super::super::airframe::vehicle(&mut draw, kind);
+            let catalogue = Catalogue::new(&vehicle, true);
+            for effect in EffectId::ALL.into_iter().cycle().take(20 * EffectId::ALL.len()) {
+                let set = Direction::draw(&mut draw, &vehicle, effect).at(1.0);
+                let Some(slots) = set.slots(effect) else { continue };
+                let drawn = effect.spec().slots().filter_map(|slot| {
+                    let number = &catalogue.numbers[catalogue.number_of(effect, slot.index)?];
+                    Some((slots[slot.index], number.bounds))
+                });
+                for (value, [low, high]) in drawn {
+                    let near = 1e-3 * (high - low);
+                    let is_inside = (low..=high - near).contains(&value);
+                    assert!(is_inside, "{effect} {value} of {low} .. {high}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn every_effect_grows_from_nothing() {

@@ -91,9 +91,9 @@ fn verdict(answer: &Answer, page: &mut Page) {
     page.verdict(mood, &answer.finding.sentence, &reasons);
     if let Some(gap) = &answer.gap {
         let mut figures = vec![
-            ("gap before, times the floor", significant(gap.before), Mood::Plain),
-            ("gap after, times the floor", significant(gap.after), Mood::Plain),
-            ("noise alone, times the floor", significant(gap.floor), Mood::Plain),
+            ("gap before, times the floor", significant(gap.times(gap.before)), Mood::Plain),
+            ("gap after, times the floor", significant(gap.times(gap.after)), Mood::Plain),
+            ("the floor, times the sensors' noise", significant(gap.floor), Mood::Plain),
         ];
         if let Some(closure) = gap.closure {
             let mood = if closure >= CLOSED { Mood::Good } else { Mood::Plain };
@@ -230,7 +230,11 @@ fn how_far(answer: &Answer, gap: &Gap) -> String {
         rows.insert(rows.len() - 1, ("with a learner".to_owned(), learner, floor_mark));
     }
     let mut html = String::new();
-    let _ = write!(html, "<h3>{}, in units of the noise</h3>", metric_in_words(gap.metric));
+    let _ = write!(
+        html,
+        "<h3>{}, in units of what the sensors' noise leaves</h3>",
+        metric_in_words(gap.metric)
+    );
     html += &bars(&rows);
     let mut table = Table::new(&[
         ("quantity", false),

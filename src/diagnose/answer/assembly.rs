@@ -28,6 +28,8 @@ use crate::diagnose::verdict::parameter::parameters;
 
 /// Beyond the floor by less, in units of it, there is no gap that could be closed.
 const GAP_MIN: f64 = 0.05;
+/// Least distance from the file of a number of it that the answer mentions, in tolerances.
+const FILE_NUMBER_MIN: f64 = 1.0;
 /// Least probability of an effect that the answer mentions.
 const MENTIONED: f64 = 0.01;
 /// Share of a typical magnitude that a number must be known to for its effect to be testable.
@@ -85,6 +87,12 @@ impl Assembly<'_> {
             attribution: self.attribution(gap.as_ref(), &named)?,
             gap,
             file_scale: evidence.scale,
+            file_numbers: evidence
+                .file_numbers
+                .iter()
+                .filter(|number| number.tolerances.abs() >= FILE_NUMBER_MIN)
+                .cloned()
+                .collect(),
             twins: self.found.twins.clone(),
             explanations: explanations
                 .map(|(explained, mass)| ExplanationAnswer {
@@ -173,13 +181,14 @@ impl Assembly<'_> {
         let over = |errors: &Errors| errors.over(&floor, inquiry.metric);
         let gap = |simulator: Simulator| simulator.errors(held_out).map(|errors| over(&errors));
         let [b, a, f] = [before, after, floor].map(|errors| over(&errors));
+        let f = f.max(self.decision.noise);
         Ok(Some(Gap {
             metric: inquiry.metric.name(),
             before: b,
             after: a,
             floor: f,
             scatter,
-            closure: (b - f > GAP_MIN).then(|| (b - a) / (b - f)),
+            closure: (b - f > GAP_MIN * f).then(|| (b - a) / (b - f)),
             nuisances_only: gap(with_all(&found.file)?),
             with_nuisances: gap(with_all(best)?),
             with_learner: self.evidence.learned,

@@ -8,6 +8,7 @@ use crate::diagnose::next_flight::NextFlight;
 use crate::diagnose::simulate::reflight::ClosedLoop;
 use crate::diagnose::verdict::Unexplained;
 use crate::diagnose::verdict::Verdict;
+use crate::diagnose::verdict::evidence::FileNumber;
 use crate::diagnose::verdict::parameter::Parameter;
 
 /// The full verdict of an answer, in a sentence or two.
@@ -19,16 +20,48 @@ pub fn finding(answer: &Answer) -> String {
     }
 }
 
-/// That nothing stands out, how well the simulator predicts, and what leaves a trace all the same.
+/// Beyond this many times the noise there is a gap, and the file's numbers close it or do not.
+const WIDE: f64 = 1.5;
+/// Numbers of the vehicle file that are listed.
+const LISTED: usize = 3;
+
+/// That nothing stands out, how well the simulator predicts, and what the file's numbers have to do
+/// with it.
 fn none(answer: &Answer) -> String {
-    match &answer.gap {
-        Some(gap) => format!(
-            "No effect stands out: the simulator predicts the flights held out to {:.2} times \
-             what noise alone leaves.",
-            gap.before / gap.floor.max(f64::MIN_POSITIVE)
-        ),
-        None => "No effect stands out in what these logs can show.".to_owned(),
+    let Some(gap) = &answer.gap else {
+        return "No effect stands out in what these logs can show.".to_owned();
+    };
+    let before = gap.times(gap.before);
+    let after = gap.nuisances_only.map(|after| gap.times(after));
+    let Some(after) = after.filter(|after| before > WIDE && 2.0 * after < before) else {
+        let mut text = format!(
+            "No effect stands out: the simulator predicts the flights held out to {before:.2} \
+             times what noise alone leaves."
+        );
+        if before > WIDE && gap.with_learner.is_none() {
+            text += " That is the sensors' noise; how much an estimate that wanders adds, so little \
+                     flight does not tell.";
+        }
+        return text;
+    };
+    let mut text = format!(
+        "No effect stands out: within their tolerances the vehicle file's numbers bring predictions \
+         of the flights held out from {before:.2} to {after:.2} times what noise alone leaves."
+    );
+    if !answer.file_numbers.is_empty() {
+        text += &format!(" Furthest off: {}.", furthest_off(&answer.file_numbers));
     }
+    text
+}
+
+/// The numbers of the vehicle file that are furthest off.
+fn furthest_off(numbers: &[FileNumber]) -> String {
+    let one = |number: &FileNumber| {
+        let FileNumber { name, value, expected, tolerances } = number;
+        let [value, expected] = [*value, *expected].map(short);
+        format!("{name} {value} for {expected} ({tolerances:+.1} tolerances)")
+    };
+    numbers.iter().take(LISTED).map(one).collect::<Vec<_>>().join(", ")
 }
 
 /// Why what was seen counts as unexplained.
@@ -46,15 +79,16 @@ fn unknown(answer: &Answer) -> String {
             format!(
                 "the nearest brings predictions from {:.2} to {:.2} times what noise alone leaves, \
                  and is less likely than not to be the cause",
-                gap.before, gap.after
+                gap.times(gap.before),
+                gap.times(gap.after)
             )
         }),
         Some(Unexplained::Remainder) => gap.map(|gap| {
             format!(
                 "the flights held out are predicted to {:.2} times what noise alone leaves, and to \
                  {:.2} with what comes nearest",
-                gap.before,
-                gap.with_nuisances.unwrap_or(gap.after)
+                gap.times(gap.before),
+                gap.times(gap.with_nuisances.unwrap_or(gap.after))
             )
         }),
         None => None,
@@ -75,7 +109,7 @@ fn effect(answer: &Answer) -> String {
         format!("Found: {}.", named.join(", and "))
     };
     if let Some(gap) = &answer.gap {
-        text += &shrinks([gap.before, gap.after], gap.closure);
+        text += &shrinks([gap.before, gap.after].map(|value| gap.times(value)), gap.closure);
     }
     if answer.finding.verdict == FullVerdict::OtherLaw {
         text += " Its equation is not quite the catalogue's: a part of the gap stays open.";
@@ -270,6 +304,9 @@ pub fn report(answer: &Answer) -> String {
             shares.map(|share| format!("{} {:.0} %", share.of, 100.0 * share.share)).collect();
         text += &format!("shares     of the squared gap: {}\n", shares.join(", "));
     }
+    if !answer.file_numbers.is_empty() {
+        text += &format!("file       {}\n", furthest_off(&answer.file_numbers));
+    }
     let with = explanation(answer.finding.verdict);
     if let Some(gap) = &answer.gap {
         text += &format!("how far    gap held out {:.2}", gap.before);
@@ -330,6 +367,38 @@ pub fn report(answer: &Answer) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnose::answer::Gap;
+    use crate::diagnose::likelihood::noise::ReportNoise;
+    use crate::diagnose::simulate::gap::Errors;
+
+    #[test]
+    fn a_gap_that_the_files_numbers_close_is_said_with_those_furthest_off() {
+        let mut answer = Answer::data_fault(Vec::new());
+        answer.verdict = Verdict::None;
+        let gap = Gap {
+            metric: "mean",
+            before: 8.0,
+            after: 8.0,
+            floor: 1.0,
+            scatter: 0.02,
+            closure: Some(0.0),
+            nuisances_only: Some(1.2),
+            with_nuisances: None,
+            with_learner: None,
+            errors: [Errors([[0.0; 4]; 3]); 3],
+            noise: ReportNoise::default(),
+        };
+        answer.gap = Some(gap);
+        let name = "inertia scale[0]".to_owned();
+        answer.file_numbers =
+            vec![FileNumber { name, value: 1.12, expected: 1.0, tolerances: 1.6 }];
+        let text = finding(&answer);
+        assert!(text.contains("from 8.00 to 1.20 times"), "{text}");
+        assert!(text.contains("inertia scale[0] 1.120 for 1.000 (+1.6 tolerances)"), "{text}");
+        // What those numbers leave open is not said to be closed.
+        answer.gap.as_mut().unwrap().nuisances_only = Some(7.0);
+        assert!(finding(&answer).contains("to 8.00 times"));
+    }
 
     #[test]
     fn a_gap_that_grows_is_not_said_to_shrink() {

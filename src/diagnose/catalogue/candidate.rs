@@ -7,7 +7,7 @@ use vehicle::law::{Law, LawText};
 use vehicle::physics::Physics;
 use vehicle::{VehicleError, VehicleParams};
 
-use crate::diagnose::catalogue::hypothesis::{Catalogue, Target, reference};
+use crate::diagnose::catalogue::hypothesis::{CONTRASTS, Catalogue, Target, reference};
 use crate::diagnose::catalogue::term::{law_of, name_of};
 
 /// A vehicle to explain flights with.
@@ -86,7 +86,11 @@ impl Catalogue {
         let mut vehicle = self.vehicle.clone();
         for (number, value) in self.numbers.iter().zip(values) {
             match number.target {
-                Target::RotorGain(rotor) => vehicle.rotors[rotor].thrust_max_n *= value,
+                Target::Imbalance(contrast) => {
+                    for (rotor, share) in vehicle.rotors.iter_mut().zip(CONTRASTS[contrast]) {
+                        rotor.thrust_max_n *= 1.0 + share * value;
+                    }
+                }
                 Target::Damping(axis) if *value != 0.0 => {
                     vehicle.angular_damping_nms.get_or_insert_default()[axis] += value;
                 }

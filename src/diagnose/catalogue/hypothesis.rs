@@ -5,6 +5,8 @@
 //! every hypothesis and held by a prior of that width. An effect is named when its numbers must
 //! lie further off; its hypothesis takes them out of the tolerance and gives them a wide prior.
 
+use std::fmt::{self, Display};
+
 use vehicle::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
 use vehicle::{ROTORS, VehicleParams};
 
@@ -15,7 +17,12 @@ use crate::diagnose::catalogue::tolerances::{
 use crate::diagnose::flights::arrival::Delay;
 
 /// A nuisance stays within so many tolerances: what asks for more is an effect.
-const TOLERANCES_MAX: f64 = 3.0;
+pub const TOLERANCES_MAX: f64 = 3.0;
+
+/// Orthonormal contrasts between four rotors. Independent errors of each rotor's thrust are
+/// independent errors along these, with the same deviation, and an error of the mean with half of it.
+pub const CONTRASTS: [[f64; ROTORS]; 3] =
+    [[0.5, 0.5, -0.5, -0.5], [0.5, -0.5, 0.5, -0.5], [0.5, -0.5, -0.5, 0.5]];
 
 /// A term of a law lies within this many of its magnitudes.
 const TERM_MAGNITUDES_MAX: f64 = 50.0;
@@ -40,9 +47,6 @@ const GROUND_RADII: [f64; 3] = [2.0, 4.0, 8.0];
 /// Winds that a fit starts from, north and east, m/s: where drag grows with the square of the
 /// airspeed, a hover has no slope in still air.
 const WINDS_M_S: [f64; 8] = [1.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, -1.0];
-/// A delay that was read off the outputs is the reference's within this: the clocks are tied by the
-/// least delay of the downlink, and the link's jitter may or may not be counted, s.
-const DELAY_READ_MAX_S: f64 = 0.0016;
 /// Where the delay from a logged output to its thrust may lie, s.
 const OUTPUT_DELAYS_S: [f64; 2] = [-0.03, 0.15];
 
@@ -53,8 +57,9 @@ pub enum Target {
     Effect(EffectId, usize),
     /// Scale of one rotor, in rotor_loss.
     RotorScale(usize),
-    /// Factor on one rotor's thrust within its tolerance.
-    RotorGain(usize),
+    /// How unequal the rotors' thrusts are, along one of three [contrasts](CONTRASTS): what all have
+    /// in common is the thrust's scale.
+    Imbalance(usize),
     /// Moment against the body rate about one axis beyond the vehicle file's, N m s. Air does it,
     /// and so do outputs that are logged less often than the loop ticks: between two of them the
     /// desired attitude moves on, and the logged moment is off by kp times that.
@@ -80,8 +85,20 @@ impl Target {
             Self::RotorScale(_) => "scale".to_owned(),
             Self::OutputDelay => "delay_s".to_owned(),
             Self::Term(index) => format!("term {index}"),
-            Self::RotorGain(rotor) => format!("thrust of rotor {rotor}"),
+            Self::Imbalance(contrast) => format!("imbalance of the thrusts[{contrast}]"),
             Self::Damping(axis) => format!("damping of the rate[{axis}]"),
+        }
+    }
+}
+
+impl Display for Target {
+    /// With the effect that the number is one of.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Effect(id, _) => write!(f, "{id} {}", self.name()),
+            Self::RotorScale(rotor) => write!(f, "{} {rotor}", EffectId::RotorLoss),
+            Self::OutputDelay => f.write_str("delay of the outputs"),
+            Self::Imbalance(_) | Self::Damping(_) | Self::Term(_) => f.write_str(&self.name()),
         }
     }
 }
@@ -214,7 +231,7 @@ impl Catalogue {
             catalogue.add_output_delay(&known);
         }
         catalogue.add_dampings();
-        catalogue.add_rotor_gains(&known);
+        catalogue.add_imbalances(&known);
         catalogue
     }
 
@@ -288,10 +305,10 @@ impl Catalogue {
         }
     }
 
-    fn add_rotor_gains(&mut self, known: &Tolerances) {
-        for rotor in 0..ROTORS {
-            let widths = [known.rotor(), 0.1];
-            self.add(Number::nuisance(Target::RotorGain(rotor), 1.0, widths, [0.5, 2.0]));
+    fn add_imbalances(&mut self, known: &Tolerances) {
+        for contrast in 0..CONTRASTS.len() {
+            let widths = [known.rotor(), 0.2];
+            self.add(Number::nuisance(Target::Imbalance(contrast), 0.0, widths, [-0.9, 0.9]));
         }
     }
 
@@ -377,7 +394,8 @@ impl Catalogue {
         }
         if let Some(index) = index {
             let number = &mut self.numbers[index];
-            if (delay.mean - number.reference).abs() < DELAY_READ_MAX_S {
+            let off = (delay.mean - number.reference).abs();
+            if off < TOLERANCES_MAX * number.unremarkable {
                 number.expected = delay.mean;
                 number.tolerance = number.tolerance.min(delay.by_stamps);
             } else {
@@ -502,6 +520,27 @@ mod tests {
     }
 
     #[test]
+    fn imbalances_leave_the_mean_thrust_as_it_is() {
+        let vehicle = vehicle();
+        let catalogue = Catalogue::new(&vehicle, true);
+        let thrust = |vehicle: &VehicleParams| -> f64 {
+            vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum()
+        };
+        for (index, number) in catalogue.numbers.iter().enumerate() {
+            let Target::Imbalance(contrast) = number.target else { continue };
+            let mut values = catalogue.references();
+            values[index] = 0.03;
+            let (moved, _) = catalogue.vehicle_of(&values);
+            assert!((thrust(&moved) - thrust(&vehicle)).abs() < 1e-12);
+            assert_ne!(moved.rotors[0].thrust_max_n, vehicle.rotors[0].thrust_max_n);
+            for (other, shares) in CONTRASTS.iter().enumerate() {
+                let product: f64 = CONTRASTS[contrast].iter().zip(shares).map(|(a, b)| a * b).sum();
+                assert_eq!(product, f64::from(u8::from(other == contrast)));
+            }
+        }
+    }
+
+    #[test]
     fn references_stand_for_the_vehicle_file() {
         let catalogue = Catalogue::new(&vehicle(), true);
         let references = catalogue.references();
@@ -524,8 +563,10 @@ mod tests {
         };
         let [off, width] = with(0.001);
         assert!((off - 0.001).abs() < 1e-12 && width < tolerance);
-        // What is known to be off is no nuisance.
-        assert_eq!(with(0.002), [0.0, 0.0]);
+        let [off, width] = with(0.005);
+        assert!((off - 0.005).abs() < 1e-12 && width < tolerance);
+        // What is known to be off by more than the file's error is no nuisance.
+        assert_eq!(with(0.008), [0.0, 0.0]);
     }
 
     #[test]

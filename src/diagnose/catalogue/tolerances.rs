@@ -34,6 +34,9 @@ const LAG_S: f64 = 0.001;
 const DELAY_S: f64 = 0.0015;
 const LATENCY_S: f64 = 0.0007;
 const OUTPUT_DELAY_S: f64 = 0.002;
+/// How well a delay can be read off the outputs: the clocks are tied by the least delay of the
+/// downlink, and the link's jitter may or may not be counted, s.
+const DELAY_READ_S: f64 = 5.3e-4;
 /// Air of which a file says nothing, m/s.
 const STILL_AIR_M_S: f64 = 0.03;
 /// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
@@ -75,6 +78,11 @@ impl Tolerances {
     /// Of the thrust to mass, a share: which of the two is off, flights do not tell.
     pub fn thrust_to_mass(&self) -> f64 {
         self.thrust_common.hypot(self.mass)
+    }
+
+    /// The same with the mean of what each rotor's thrust is off by.
+    fn level(&self) -> f64 {
+        self.thrust_to_mass().hypot(0.5 * self.thrust_each)
     }
 
     /// Of each rotor's thrust, a share.
@@ -171,7 +179,7 @@ impl<'a> Scales<'a> {
         // A file that models no drag leaves a small one out; three deviations reach its limit.
         let left_out = if self.models_drag { 0.0 } else { known.small_drag / 3.0 * magnitude };
         let tolerance = match (effect, slot) {
-            (ThrustScale, 0) => known.thrust_to_mass(),
+            (ThrustScale, 0) => known.level(),
             (ThrustCurve | BatterySag, 0) => modelled(self.modelled(effect, 0)),
             (MotorLag, 0) => LAG_S.hypot(known.lag_s),
             (CommandDelay, 0) => DELAY_S.hypot(known.delay_s),
@@ -191,6 +199,8 @@ impl<'a> Scales<'a> {
             _ => 0.0,
         };
         let unremarkable = match effect {
+            ThrustScale => known.thrust_to_mass(),
+            CommandDelay => DELAY_READ_S.hypot(known.delay_s),
             Mass => known.thrust_to_mass() * self.vehicle.mass,
             _ => tolerance,
         };

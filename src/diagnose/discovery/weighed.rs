@@ -128,8 +128,7 @@ impl Inquiry<'_> {
         let flights = look.flights;
         let Some(floor) = floor else { return Ok(None) };
         let alone = self.simulator(&self.set_of(&catalogue, draft, &draft.fit.values))?;
-        let over = |errors: Errors| errors.over(floor, self.metric);
-        let Some(effects) = alone.errors(flights).map(over) else { return Ok(None) };
+        let Some(effects) = alone.errors(flights) else { return Ok(None) };
         let values = self.adapted_to(&catalogue, draft, look);
         let (vehicle, all) = catalogue.vehicle_of(&values);
         let own: Vec<_> =
@@ -139,12 +138,11 @@ impl Inquiry<'_> {
             // It was accepted before.
             let _ = file.insert(id, *slots);
         }
-        let gap = |effects: &EffectSet| -> Result<Option<f64>, VehicleError> {
-            let simulator = self.simulator(effects)?.flying(&vehicle, effects)?;
-            Ok(simulator.errors(flights).map(over))
+        let errors = |effects: &EffectSet| -> Result<Option<Errors>, VehicleError> {
+            Ok(self.simulator(effects)?.flying(&vehicle, effects)?.errors(flights))
         };
-        let both = gap(&all)?.zip(gap(&file)?);
-        Ok(both.map(|(both, file)| Gaps { effects, file, both }))
+        let both = errors(&all)?.zip(errors(&file)?);
+        Ok(both.map(|(both, file)| Gaps::over([effects, file, both], floor, self.metric)))
     }
 
     /// The values of a draft with the file's numbers as some flights have them.

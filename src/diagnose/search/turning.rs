@@ -14,6 +14,9 @@ use crate::diagnose::search::explanation::Explanation;
 /// Highest frequency at which the body's turning is compared, Hz.
 const MAX_HZ: f64 = 6.0;
 
+/// Beyond this nothing is known of an axis.
+const UNEXPLAINED_MAX: f64 = 0.95;
+
 /// How well moments by the motor outputs predict the turning about one axis: mean squares of the
 /// angular acceleration, rad^2/s^4.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
@@ -26,6 +29,22 @@ pub struct Turning {
     pub noise: f64,
     /// Whether moments about the axis are used.
     pub is_usable: bool,
+}
+
+impl Turning {
+    /// Share of the turning that the best explanation leaves, beyond the gyro's noise.
+    pub fn unexplained(&self) -> f64 {
+        let beyond = |power: f64| (power - self.noise).max(0.0);
+        let measured = beyond(self.measured).max(f64::MIN_POSITIVE);
+        (beyond(self.left) / measured).min(UNEXPLAINED_MAX)
+    }
+
+    /// By how much the moment of inertia about the axis may look larger than it is, as a share: where
+    /// a share s of a regressor's power is error, least squares shrink its coefficient by 1 - s.
+    pub fn inflation(&self) -> f64 {
+        let share = self.unexplained();
+        share / (1.0 - share)
+    }
 }
 
 /// How well moments predict the body's turning about each axis, and the channels of the axes that
@@ -75,4 +94,20 @@ pub fn turning(
     let turning = [0, 1, 2].map(of_axis);
     let unused = (0..3).filter(|axis| !turning[*axis].is_usable).map(|axis| RATE + axis);
     (turning, unused.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_regressor_that_is_half_error_doubles_an_inertia() {
+        let half = Turning { measured: 1.1, left: 0.6, noise: 0.1, is_usable: true };
+        assert!((half.unexplained() - 0.5).abs() < 1e-12 && (half.inflation() - 1.0).abs() < 1e-12);
+        let exact = Turning { left: 0.1, ..half };
+        assert_eq!((exact.unexplained(), exact.inflation()), (0.0, 0.0));
+        // Where nothing turns, nothing is known.
+        let still = Turning { measured: 0.1, ..half };
+        assert_eq!(still.unexplained(), UNEXPLAINED_MAX);
+    }
 }

@@ -12,7 +12,7 @@ use vehicle::rigid_body::State;
 
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::noise::ReportNoise;
-use crate::diagnose::simulate::metric::Metric;
+use crate::diagnose::simulate::metric::{Metric, PARTS_MAX};
 use crate::diagnose::simulate::open_loop::{HORIZONS_S, LoopNoise, MARGIN_S, NoiseDraw, Simulator};
 
 /// Quantities with their units, each by the norm of its error.
@@ -31,9 +31,17 @@ pub struct Errors(pub Window);
 impl Errors {
     /// The mean of what `metric` looks at, each over its noise.
     pub fn over(&self, noise: &Errors, metric: Metric) -> f64 {
-        let parts = metric.parts();
-        let ratio = |(h, q): &(usize, usize)| self.0[*h][*q] / noise.0[*h][*q].max(1e-12);
-        parts.iter().map(ratio).sum::<f64>() / parts.len() as f64
+        let parts = metric.parts().len();
+        self.parts_over(noise, metric)[..parts].iter().sum::<f64>() / parts as f64
+    }
+
+    /// What `metric` looks at, each over its noise; 0 beyond its parts.
+    pub fn parts_over(&self, noise: &Errors, metric: Metric) -> [f64; PARTS_MAX] {
+        let mut over = [0.0; PARTS_MAX];
+        for (over, (h, q)) in over.iter_mut().zip(metric.parts()) {
+            *over = self.0[*h][*q] / noise.0[*h][*q].max(1e-12);
+        }
+        over
     }
 
     /// The metric `mean`.

@@ -17,6 +17,9 @@ pub enum Metric {
     Forces,
 }
 
+/// The most parts that a metric is the mean over.
+pub const PARTS_MAX: usize = 6;
+
 impl Metric {
     /// Its name.
     pub fn name(self) -> &'static str {

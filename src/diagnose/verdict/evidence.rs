@@ -9,7 +9,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::effects::ParameterValue;
 
+use crate::diagnose::catalogue::hypothesis::TOLERANCES_MAX;
 use crate::diagnose::search::turning::Turning;
+use crate::diagnose::simulate::gap::Errors;
+use crate::diagnose::simulate::metric::{Metric, PARTS_MAX};
 
 /// Share of what the file's numbers close of a squared gap that effects by themselves may add to it:
 /// the true ones of a file that is off do, for what is off may cancel.
@@ -36,6 +39,10 @@ pub struct Evidence {
     /// The explanations that were fitted: first the vehicle file within its tolerances, then sets
     /// of effects, the best first.
     pub explanations: Vec<Explained>,
+    /// The numbers of the vehicle file that the file alone moves to explain the flights for fitting,
+    /// the furthest off first.
+    #[serde(default)]
+    pub file_numbers: Vec<FileNumber>,
     /// The gap as shipped, on the flights for choosing and on those reported on, in units of what
     /// noise alone leaves.
     pub shipped: [Option<f64>; 2],
@@ -149,11 +156,13 @@ impl Explained {
         furthest.is_some_and(|number| number.is_at_bound)
     }
 
-    /// Whether a number of an effect is further off the file's than the file's errors bring about:
-    /// more than three tolerances.
-    pub fn is_remarkable(&self, effect: &str) -> bool {
+    /// Whether an effect is of practical size: a number of it is further off the file's than the
+    /// file's errors bring about, more than three tolerances. What is not is the file's.
+    pub fn is_practical(&self, effect: &str) -> bool {
         let mut own = self.numbers.iter().filter(|number| number.effect == effect);
-        own.any(|number| (number.value - number.reference).abs() > 3.0 * number.unremarkable)
+        own.any(|number| {
+            (number.value - number.reference).abs() > TOLERANCES_MAX * number.unremarkable
+        })
     }
 
     /// The squared gap on the flights reported on, 1 at least.
@@ -176,9 +185,22 @@ pub struct Gaps {
     pub file: f64,
     /// With both.
     pub both: f64,
+    /// The same of each part of the metric: the gap is their mean.
+    #[serde(default)]
+    pub parts: [f64; PARTS_MAX],
 }
 
 impl Gaps {
+    /// Of the errors with the effects alone, the file's numbers alone, and both.
+    pub(in crate::diagnose) fn over(
+        [effects, file, both]: [Errors; 3],
+        floor: &Errors,
+        metric: Metric,
+    ) -> Self {
+        let [effects, file, gap] = [effects, file, both].map(|errors| errors.over(floor, metric));
+        Self { effects, file, both: gap, parts: both.parts_over(floor, metric) }
+    }
+
     /// Whether the effects by themselves make a gap of `shipped` worse, by more than the vehicle
     /// file's numbers, which are off too, could make up for: `file` are the gaps with those alone.
     pub fn is_worse(self, shipped: f64, file: Gaps) -> bool {
@@ -212,6 +234,19 @@ pub struct Found {
     pub magnitude: f64,
     /// Whether the fit holds it at the end of its range.
     pub is_at_bound: bool,
+}
+
+/// A number of the vehicle file within its tolerance.
+#[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct FileNumber {
+    /// Its name.
+    pub name: String,
+    /// As fitted.
+    pub value: f64,
+    /// As the file has it, or the logs say directly.
+    pub expected: f64,
+    /// By how many tolerances these differ.
+    pub tolerances: f64,
 }
 
 /// Force per mass that nothing explains.

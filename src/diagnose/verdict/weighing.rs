@@ -4,6 +4,7 @@
 use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
 
+use crate::diagnose::catalogue::hypothesis::{Number, TOLERANCES_MAX, Target};
 use crate::diagnose::error::DiagnoseError;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::inquiry::Inquiry;
@@ -19,7 +20,7 @@ use crate::diagnose::search::turning::Turning;
 use crate::diagnose::search::twins::Twins;
 use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::simulate::open_loop::Simulator;
-use crate::diagnose::verdict::evidence::{Evidence, Explained, ForceLeft, Found, Gaps};
+use crate::diagnose::verdict::evidence::{Evidence, Explained, FileNumber, ForceLeft, Found, Gaps};
 use crate::diagnose::verdict::parameter::parameters;
 use crate::diagnose::verdict::untestable::{is_flat, voltage_range};
 
@@ -64,17 +65,33 @@ impl Inquiry<'_> {
         floor: &Errors,
     ) -> Result<Option<Gaps>, VehicleError> {
         let which = self.effects_of(explanation);
-        let gap = |which: &[EffectId], file: bool| -> Result<Option<f64>, VehicleError> {
-            let errors = self.simulator_of(explanation, which, file)?.errors(flights);
-            Ok(errors.map(|errors| errors.over(floor, self.metric)))
+        let errors = |which: &[EffectId], file: bool| -> Result<Option<Errors>, VehicleError> {
+            Ok(self.simulator_of(explanation, which, file)?.errors(flights))
         };
-        let [effects, file, both] = [gap(&which, false)?, gap(&[], true)?, gap(&which, true)?];
-        let gaps = effects.zip(file).zip(both);
-        Ok(gaps.map(|((effects, file), both)| Gaps { effects, file, both }))
+        let all = [errors(&which, false)?, errors(&[], true)?, errors(&which, true)?];
+        let [Some(effects), Some(file), Some(both)] = all else { return Ok(None) };
+        Ok(Some(Gaps::over([effects, file, both], floor, self.metric)))
+    }
+
+    /// What the file's errors bring about of a number, one standard deviation, and where the on-board
+    /// loop is not known so that no twin tells, a third of what the error of the logged moments does.
+    fn unremarkable(&self, number: &Number, turning: &[Turning; 3]) -> f64 {
+        let by_moments = match number.target {
+            _ if self.leg() => 0.0,
+            Target::Effect(EffectId::Inertia, axis) => turning[axis].inflation(),
+            Target::Effect(EffectId::YawTorque, _) => turning[2].unexplained(),
+            _ => 0.0,
+        };
+        number.unremarkable.hypot(by_moments / TOLERANCES_MAX)
     }
 
     /// An explanation in plain numbers.
-    fn explained(&self, explanation: &Explanation, twins: Option<&Twins>) -> Explained {
+    fn explained(
+        &self,
+        explanation: &Explanation,
+        twins: Option<&Twins>,
+        turning: &[Turning; 3],
+    ) -> Explained {
         let fit = &explanation.fit;
         let hypotheses = fit.hypotheses.iter().map(|h| &self.catalogue.hypotheses[*h]);
         let numbers = hypotheses.clone().flat_map(|hypothesis| {
@@ -90,7 +107,7 @@ impl Inquiry<'_> {
                     value,
                     deviation: fit.deviation[*index],
                     reference: number.reference,
-                    unremarkable: number.unremarkable,
+                    unremarkable: self.unremarkable(number, turning),
                     magnitude: number.magnitude,
                     is_at_bound: off && (value - low < near || high - value < near),
                 }
@@ -114,6 +131,23 @@ impl Inquiry<'_> {
             choosing: None,
             reported: None,
         }
+    }
+
+    /// What the vehicle file alone moves of its numbers, the furthest off first.
+    fn file_numbers(&self, file: &Explanation) -> Vec<FileNumber> {
+        let of_number = |index: usize| {
+            let Number { target, expected, tolerance, .. } = self.catalogue.numbers[index];
+            let value = file.fit.values[index];
+            FileNumber {
+                name: target.to_string(),
+                value,
+                expected,
+                tolerances: (value - expected) / tolerance,
+            }
+        };
+        let mut numbers: Vec<FileNumber> = self.catalogue.nuisances().map(of_number).collect();
+        numbers.sort_by(|a, b| b.tolerances.abs().total_cmp(&a.tolerances.abs()));
+        numbers
     }
 
     /// Everything that a verdict rests on. `turning`: what motor outputs tell; `scale` and `scales`: how
@@ -145,7 +179,7 @@ impl Inquiry<'_> {
         };
         let mut explanations = Vec::new();
         for one in std::iter::once(&found.file).chain(&found.sets) {
-            let mut explained = self.explained(one, found.twins.as_ref());
+            let mut explained = self.explained(one, found.twins.as_ref(), &turning);
             explained.choosing = gaps(one, 0)?;
             explanations.push(explained);
         }
@@ -160,6 +194,7 @@ impl Inquiry<'_> {
             fitted_blocks: self.fitted.flights.iter().map(|flight| flight.blocks.len()).sum(),
             chosen_s,
             explanations,
+            file_numbers: self.file_numbers(&found.file),
             shipped: shipped_gaps,
             scatter: floors[1].map_or(0.0, |floor| floor.scatter),
             learned: None,

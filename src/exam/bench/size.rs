@@ -2,12 +2,13 @@
 //! numbers of the vehicle file have moved within their tolerances to explain it.
 
 use sitl::autopilot::VehicleRefused;
+use vehicle::VehicleParams;
 use vehicle::effects::{AttitudeTrim, EffectId, EffectSet, RotorDrag, Slots};
 use vehicle::foreign::Foreign;
 use vehicle::frame::{Attitude, Euler};
-use vehicle::{ROTORS, VehicleParams};
 
 use super::{Bench, Truth, ids};
+use crate::diagnose::catalogue::hypothesis::CONTRASTS;
 use crate::exam::draw::Draw;
 use crate::exam::flight::FlightError;
 use crate::exam::magnitude::Direction;
@@ -102,9 +103,11 @@ impl Bench {
         moved.push(by(most, &|body, _| {
             body.rotors.iter_mut().for_each(|rotor| rotor.thrust_max_n *= 1.0 + level);
         })?);
-        for number in 0..ROTORS {
+        for contrast in CONTRASTS {
             moved.push(by(most, &|body, _| {
-                body.rotors[number].thrust_max_n *= 1.0 + sigma.thrust_each;
+                for (rotor, share) in body.rotors.iter_mut().zip(contrast) {
+                    rotor.thrust_max_n *= 1.0 + sigma.thrust_each * share;
+                }
             })?);
         }
         for axis in 0..3 {

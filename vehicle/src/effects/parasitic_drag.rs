@@ -16,8 +16,8 @@ impl Effect for ParasiticDrag {
         id: "parasitic_drag",
         parameters: &[Parameter::scalar("cda_m2", "m^2", 0.0, [0.0, 10.0])],
         needs: &[Need::Pose, Need::Input],
-        // A tenth of the weight at 8 m/s.
-        typical: |vehicle| slots([0.1 * vehicle.weight_n() / (0.5 * vehicle.air_density * 64.0)]),
+        // A seventh of the weight at 8 m/s.
+        typical: |vehicle| slots([0.15 * vehicle.weight_n() / (0.5 * vehicle.air_density * 64.0)]),
         strong: |vehicle, _, growth| {
             growth.by[0] = 0.6 * vehicle.weight_n() / (0.5 * vehicle.air_density * 64.0);
         },

@@ -17,7 +17,7 @@ impl Effect for TranslationalLift {
         parameters: &[Parameter::scalar("k_s2_m2", "s^2/m^2", 0.0, [0.0, 1.0])],
         needs: &[Need::Pose, Need::Input],
         typical: |_| slots([0.005]),
-        strong: |_, _, growth| growth.by[0] = 0.03,
+        strong: |_, _, growth| growth.by[0] = 0.02,
         ..Spec::PLAIN
     };
 
