@@ -331,3 +331,25 @@ fn another_flight_begins_without_the_last_ones_plans() {
     again.follow(&reference, 3.0);
     assert!(again.state[0].abs() < 0.03, "{:?}", again.state);
 }
+
+/// The vehicle is where it is to be, and its estimate says that it falls: a first plan, which has none
+/// before it, gives all the thrust there is to be rid of that, unless it is cautious.
+#[test]
+fn a_first_cautious_plan_leaves_what_is_near_to_feedback() {
+    let most = |receding: RecedingSettings| {
+        let (planner, answer) = planner(physics());
+        let hover_n = planner.hover_thrust_n();
+        let reference = RecedingReference::inline(hover_at(0.0), planner, answer, receding);
+        let mut seen = [0.0; 12];
+        (seen[2], seen[5]) = (-1.03, 0.25);
+        reference.observe(0.0, &state_of(&seen));
+        let excess = |k: u32| {
+            let sent = reference.sample(f64::from(k) * PERIOD_S).feedforward;
+            (sent.thrust_n / hover_n - 1.0).abs()
+        };
+        (5..50).map(excess).fold(0.0, f64::max)
+    };
+    let plain = most(RecedingSettings::default());
+    let cautious = most(RecedingSettings::default().for_loop(true));
+    assert!(plain > 0.1 && cautious < 0.01, "{plain} and {cautious} of the weight");
+}

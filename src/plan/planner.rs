@@ -453,12 +453,13 @@ impl Planner {
         stop: &dyn Fn(&[Record]) -> bool,
     ) -> Outcome<7> {
         let mut problem = self.problem(desire, start);
-        if let (Some(guess), Some(preference)) = (&guess, &mut problem.preference) {
+        let mut guess = guess.unwrap_or_else(|| self.guess(desire, &problem));
+        // A first plan has none before it: what few subproblems leave of it must be flyable too.
+        if let Some(preference) = &mut problem.preference {
             preference.pull_to(&guess.inputs, self.change_weight);
         }
         let dynamics =
             CommandedDynamics::new(self.model(), self.vehicle.attitude_pd, self.period_s());
-        let mut guess = guess.unwrap_or_else(|| self.guess(desire, &problem));
         guess.states[0] = start;
         for input in &mut guess.inputs {
             *input = problem.inputs.clamp(*input);

@@ -169,9 +169,16 @@ impl Replanner {
 
         let before = self.board.at(from_s);
         let mut start = self.foreseen(seen, lead, &desire.states[0]);
-        if let (Some(stretch), Some((knee, _))) = (&before, self.settings.caution()) {
-            let first = ((from_s - stretch.from_s) / period).round() as usize;
-            if let Some(planned) = stretch.iterate.states.get(first) {
+        if let Some((knee, _)) = self.settings.caution() {
+            // The first plan goes on from where the vehicle is to be.
+            let planned = match &before {
+                None => desire.states.first(),
+                Some(stretch) => {
+                    let first = ((from_s - stretch.from_s) / period).round() as usize;
+                    stretch.iterate.states.get(first)
+                }
+            };
+            if let Some(planned) = planned {
                 start = self.planner.beyond(planned, &start, knee);
             }
         }
