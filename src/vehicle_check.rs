@@ -109,6 +109,7 @@ fn brief(value: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use vehicle::AttitudeCascade;
     use vehicle::frame::{Euler, Frd, Ned};
 
     use super::*;
@@ -119,9 +120,21 @@ mod tests {
         VehicleParams::load(file).expect("a vehicle")
     }
 
-    /// A flight of `vehicle` whose setpoints turn by `size` rad at random, once a second; its
-    /// equations are written anew.
+    /// A flight of `vehicle` with its PD; its equations are written anew.
     fn flown(vehicle: &VehicleParams, size: f64) -> Flight {
+        let pd = vehicle.attitude_pd.expect("a PD");
+        flown_by(vehicle, size, |axis, wanted, angle, rate| {
+            (wanted, pd.kp[axis] * (wanted - angle) - pd.kd[axis] * rate)
+        })
+    }
+
+    /// A flight of `vehicle` whose setpoints turn by `size` rad at random, once a second, by a loop:
+    /// from axis, desired angle, angle and rate to what the log has as the setpoint, and the moment.
+    fn flown_by(
+        vehicle: &VehicleParams,
+        size: f64,
+        mut law: impl FnMut(usize, f64, f64, f64) -> (f64, f64),
+    ) -> Flight {
         let origin = Origin {
             path: "a.mcap".into(),
             run: "a".into(),
@@ -129,7 +142,6 @@ mod tests {
             format: "mcap",
         };
         let mut flight = Flight::empty(origin, Clock::Single);
-        let pd = vehicle.attitude_pd.expect("a PD");
         let (mut angle, mut rate, mut moment) = ([0.0_f64; 3], [0.0_f64; 3], [0.0_f64; 3]);
         let (mut wanted, mut seed) = ([0.0_f64; 3], 1_u64);
         flight.setpoint_source = SetpointSource::Onboard;
@@ -142,8 +154,13 @@ mod tests {
                     size * ((seed >> 40) as f64 / f64::from(1 << 23) - 1.0)
                 });
             }
+            let mut logged = [0.0; 3];
+            let mut asked = [0.0; 3];
+            for axis in 0..3 {
+                (logged[axis], asked[axis]) = law(axis, wanted[axis], angle[axis], rate[axis]);
+            }
             if k.is_multiple_of(10) {
-                let attitude = Euler::new(wanted[0], wanted[1], wanted[2]).attitude();
+                let attitude = Euler::new(logged[0], logged[1], logged[2]).attitude();
                 let setpoint =
                     AttitudeSetpoint { attitude: Some(attitude), body_rate: None, thrust: None };
                 flight.setpoint.push(time, setpoint);
@@ -156,8 +173,8 @@ mod tests {
                 flight.outputs.push(time, [share; 4]);
             }
             for axis in 0..3 {
-                let asked = pd.kp[axis] * (wanted[axis] - angle[axis]) - pd.kd[axis] * rate[axis];
-                moment[axis] += 1e-3 * (asked - moment[axis]) / vehicle.motor_time_constant_s;
+                let lag = vehicle.motor_time_constant_s;
+                moment[axis] += 1e-3 * (asked[axis] - moment[axis]) / lag;
                 rate[axis] += 1e-3 * moment[axis] / vehicle.inertia[axis];
                 angle[axis] += 1e-3 * rate[axis];
             }
@@ -175,6 +192,45 @@ mod tests {
         let vehicle = file();
         let expected = ["hover", "outputs", "roll", "pitch", "yaw"].map(|of| (of, Verdict::Fits));
         assert_eq!(verdicts(&flown(&vehicle, 0.15), &vehicle), expected);
+    }
+
+    /// ArduCopter's log has the target that it shaped of what it was sent: the file's loop follows that
+    /// without shaping it again, and its rate is fed forward.
+    #[test]
+    fn a_target_that_was_shaped_on_board_is_not_shaped_again() {
+        let mut vehicle = file();
+        let inertia = vehicle.inertia;
+        vehicle.attitude_pd = None;
+        let cascade = AttitudeCascade {
+            rate_hz: 400.0,
+            angle_p_per_s: [4.5; 3],
+            rate_max_rad_s: [100.0; 3],
+            rate_p_nms: inertia.map(|inertia| 12.0 * inertia),
+            rate_i_nm: [0.0; 3],
+            rate_d_nms2: [0.0; 3],
+            rate_ff_nms: [0.0; 3],
+            integral_max_nm: [0.0; 3],
+            gyro_cutoff_hz: 100.0,
+            derivative_cutoff_hz: 20.0,
+            input_time_constant_s: Some(0.25),
+        };
+        vehicle.attitude_cascade = Some(cascade);
+        let mut target = [0.0; 3];
+        let flight = flown_by(&vehicle, 0.15, |axis, wanted, angle, rate| {
+            let forward = (wanted - target[axis]) / 0.25;
+            target[axis] += 1e-3 * forward;
+            let desired = 4.5 * (target[axis] - angle) + forward;
+            (target[axis], 12.0 * inertia[axis] * (desired - rate))
+        });
+        let mut axes = 0;
+        for held in held(&flight, &vehicle).expect("a flight") {
+            if ["roll", "pitch", "yaw"].contains(&held.check) {
+                assert_eq!(held.verdict, Verdict::Fits, "{}", held.what);
+                assert!(held.found.expect("found") / held.expected < 1.15, "{}", held.what);
+                axes += 1;
+            }
+        }
+        assert_eq!(axes, 3);
     }
 
     #[test]

@@ -53,16 +53,27 @@ struct Answer {
 }
 
 impl Answer {
-    fn of(vehicle: &VehicleParams, axis: usize) -> Option<Self> {
-        let law = match (&vehicle.attitude_pd, &vehicle.attitude_cascade) {
-            (Some(pd), _) => Loop::Pd(pd),
-            (None, Some(cascade)) => Loop::Cascade(cascade),
-            (None, None) => return None,
+    /// `is_shaped` says that the setpoints of the log are what an autopilot shaped of those that it
+    /// was sent, as ArduCopter's own log has them: it follows them without shaping them again, and
+    /// feeds their rate forward.
+    fn of(vehicle: &VehicleParams, axis: usize, is_shaped: bool) -> Option<Self> {
+        let unshaped = vehicle
+            .attitude_cascade
+            .filter(|_| is_shaped)
+            .map(|cascade| AttitudeCascade { input_time_constant_s: None, ..cascade });
+        let law = match (&vehicle.attitude_pd, &unshaped, &vehicle.attitude_cascade) {
+            (Some(pd), _, _) => Loop::Pd(pd),
+            (None, Some(cascade), _) | (None, None, Some(cascade)) => Loop::Cascade(cascade),
+            (None, None, None) => return None,
         };
-        let attitude = simulated(law, vehicle, axis, 1.0, 0.0);
+        let mut attitude = simulated(law, vehicle, axis, 1.0, 0.0);
         // The answer to a step of the rate, by its differences.
         let ramp = simulated(law, vehicle, axis, 0.0, 1.0);
-        let rate = ramp.windows(2).map(|pair| (pair[1] - pair[0]) / FINE_S).collect();
+        let rate: Vec<f64> = ramp.windows(2).map(|pair| (pair[1] - pair[0]) / FINE_S).collect();
+        if unshaped.is_some() {
+            // The rate of a step is an impulse.
+            attitude.iter_mut().zip(&rate).for_each(|(angle, forward)| *angle += forward);
+        }
         attitude.iter().all(|angle| angle.is_finite()).then_some(Self { attitude, rate })
     }
 
@@ -135,9 +146,13 @@ pub(super) fn held(flight: &Flight, spans: &[Range<f64>], vehicle: &VehicleParam
         SetpointSource::Onboard => (0.0, 0.0),
     };
     let takes_rates = vehicle.attitude_pd.is_some();
+    let shapes = vehicle
+        .attitude_cascade
+        .is_some_and(|cascade| cascade.input_time_constant_s.is_some_and(|time_s| time_s > 0.0));
+    let is_shaped = shapes && flight.setpoint_source == SetpointSource::Onboard;
     (0..3)
         .filter_map(|axis| {
-            let answer = Answer::of(vehicle, axis)?;
+            let answer = Answer::of(vehicle, axis, is_shaped)?;
             let of = |span| tracks(flight, span, axis, delay, takes_rates);
             let tracks: Vec<Track> = spans.iter().flat_map(of).collect();
             Some(of_axis(axis, &answer, &tracks, (delay, known), vehicle))
@@ -216,8 +231,9 @@ fn of_axis(
     let quickest = delay + predicted / (1.0 + TOLERANCE) - known;
     let slowest = delay + predicted * (1.0 + TOLERANCE) + known;
     let differs = high < quickest || low > slowest;
+    let strength = if axis == 2 { "drag torque" } else { "thrust" };
     let advice = if differs {
-        format!(": {field}, inertia or the rotors' thrust are not this vehicle's")
+        format!(": {field}, inertia or the rotors' {strength} are not this vehicle's")
     } else {
         String::new()
     };
