@@ -68,8 +68,11 @@ pub struct EstimatorConfig {
     /// GPS that is wrong for a while.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gps_glitch: Option<GpsGlitch>,
-    /// How long GPS that contradicts the estimate is rejected before the estimate jumps to it, s.
+    /// How long GPS that contradicts the estimate is rejected before the estimate goes over to it, s.
     pub reset_after_s: f64,
+    /// Time constant with which the estimate slides over to GPS that is right again, without a word
+    /// of it in its velocity, as ArduCopter's was seen to, s; 0 is a jump there too.
+    pub slide_time_s: f64,
 }
 
 impl Default for EstimatorConfig {
@@ -82,6 +85,7 @@ impl Default for EstimatorConfig {
             ready_after_s: 0.0,
             gps_glitch: None,
             reset_after_s: 9.0,
+            slide_time_s: 0.0,
         }
     }
 }
@@ -314,6 +318,7 @@ impl SitlConfig {
             ready_after_s,
             gps_glitch,
             reset_after_s,
+            slide_time_s,
         } = self.estimator;
         for (field, deviation) in [
             ("estimator.wander_m", wander_m),
@@ -328,9 +333,11 @@ impl SitlConfig {
         ] {
             require(field, time, time > 0.01, expected)?;
         }
-        for (field, time) in
-            [("estimator.ready_after_s", ready_after_s), ("estimator.reset_after_s", reset_after_s)]
-        {
+        for (field, time) in [
+            ("estimator.ready_after_s", ready_after_s),
+            ("estimator.reset_after_s", reset_after_s),
+            ("estimator.slide_time_s", slide_time_s),
+        ] {
             require(field, time, time >= 0.0, "0 or more s")?;
         }
         if let Some(GpsGlitch { at_s, for_s, offset_m }) = gps_glitch {

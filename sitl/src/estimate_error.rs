@@ -94,7 +94,7 @@ impl ErrorModel {
             self.velocity.advance(velocity_wander_m_s, velocity_wander_time_s, elapsed, rng);
         }
         if let Some(glitch) = gps_glitch {
-            self.follow_gps(&glitch, now_us);
+            self.follow_gps(&glitch, now_us, elapsed);
         }
         EstimateError {
             position: std::array::from_fn(|axis| self.position.value[axis] + self.taken[axis]),
@@ -104,11 +104,19 @@ impl ErrorModel {
         }
     }
 
-    /// GPS that contradicts the estimate is rejected for a time; then the estimate jumps to it.
-    fn follow_gps(&mut self, glitch: &GpsGlitch, now_us: u64) {
+    /// GPS that contradicts the estimate is rejected for a time; then the estimate jumps to it. An
+    /// estimate that slides does so at once to GPS that is right again after such a jump.
+    fn follow_gps(&mut self, glitch: &GpsGlitch, now_us: u64, elapsed: f64) {
         let now_s = now_us as f64 * 1e-6;
         let is_wrong = (glitch.at_s..glitch.at_s + glitch.for_s).contains(&now_s);
         let gps = if is_wrong { glitch.offset_m } else { [0.0; 3] };
+        let slide_s = self.config.slide_time_s;
+        if !is_wrong && slide_s > 0.0 {
+            self.taken = self.taken.map(|error| error * (-elapsed / slide_s).exp());
+            self.status.rejects_gps = false;
+            self.contradicts_since_us = None;
+            return;
+        }
         self.status.rejects_gps = gps != self.taken;
         if !self.status.rejects_gps {
             self.contradicts_since_us = None;

@@ -101,7 +101,11 @@ impl FlightControl {
             guidance: Guidance::default(),
             position_controller: PositionController::new(vehicle.gravity),
             attitude_loop,
-            detector: LandDetector::new(!airborne, !config.landing_goes_unnoticed),
+            detector: LandDetector::new(
+                !airborne,
+                !config.landing_goes_unnoticed,
+                personality.landed_lean_max(),
+            ),
             sticks: None,
             ground_station_us: None,
             ready_us: (config.estimator.ready_after_s * 1e6) as u64,
@@ -346,12 +350,14 @@ impl FlightControl {
 
     fn watch(&mut self, now_us: u64) {
         let thrust = self.setpoint.map_or(0.0, |setpoint| setpoint.thrust);
+        let attitude = self.setpoint.and_then(|setpoint| setpoint.attitude);
         self.detector.update(
             now_us,
             &Motion {
                 velocity: self.perception.velocity,
                 body_rate: self.perception.body_rate,
                 thrust_over_hover: thrust / self.parameters.get(Key::MpcThrHover),
+                lean_asked: attitude.map_or(0.0, |asked| asked.attitude().tilt()),
             },
         );
         let sticks = self.live_sticks(now_us);

@@ -16,6 +16,8 @@ pub struct Motion {
     pub body_rate: Frd,
     /// Collective output over hover's; 0 while disarmed.
     pub thrust_over_hover: f64,
+    /// Tilt that the attitude loop is to hold, rad.
+    pub lean_asked: f64,
 }
 
 /// Landed or not, with hysteresis.
@@ -23,15 +25,17 @@ pub struct Motion {
 pub struct LandDetector {
     /// Whether a landing is ever noticed.
     works: bool,
+    /// A vehicle that is to lean by more than this is none that has landed, rad.
+    lean_max: f64,
     landed: bool,
     since_us: Option<u64>,
 }
 
 impl LandDetector {
     /// A vehicle that stands on the ground, or one that starts in the air; one that does not work
-    /// never notices a landing.
-    pub fn new(landed: bool, works: bool) -> Self {
-        Self { works, landed, since_us: None }
+    /// never notices a landing, and none does while it is to lean by more than `lean_max`, rad.
+    pub fn new(landed: bool, works: bool, lean_max: f64) -> Self {
+        Self { works, lean_max, landed, since_us: None }
     }
 
     /// Whether the vehicle stands on the ground.
@@ -55,6 +59,7 @@ impl LandDetector {
                 && speed < 0.25
                 && motion.body_rate.norm() < 0.7
                 && motion.thrust_over_hover < 0.4
+                && motion.lean_asked <= self.lean_max
         };
         let hold_us = if self.landed { LIFTING_US } else { STILL_US };
         if !suspected {
@@ -76,12 +81,13 @@ mod tests {
     use super::*;
 
     fn motion(down: f64, thrust_over_hover: f64) -> Motion {
-        Motion { velocity: Ned::new(0.0, 0.0, down), body_rate: Frd::zero(), thrust_over_hover }
+        let velocity = Ned::new(0.0, 0.0, down);
+        Motion { velocity, body_rate: Frd::zero(), thrust_over_hover, lean_asked: 0.0 }
     }
 
     #[test]
     fn rising_is_flight_and_stillness_without_thrust_is_landed() {
-        let mut detector = LandDetector::new(true, true);
+        let mut detector = LandDetector::new(true, true, 0.3);
         assert!(!detector.update(0, &motion(0.0, 0.9)));
         assert!(detector.update(4000, &motion(-0.3, 1.1)));
         assert!(!detector.landed());
@@ -93,7 +99,7 @@ mod tests {
 
     #[test]
     fn hover_and_free_fall_are_not_landed() {
-        let mut detector = LandDetector::new(false, true);
+        let mut detector = LandDetector::new(false, true, 0.3);
         for tick in 0..1000 {
             assert!(!detector.update(tick * 4000, &motion(0.0, 1.0)));
         }
@@ -101,5 +107,16 @@ mod tests {
             let now = 4_000_000 + tick * 4000;
             assert!(!detector.update(now, &motion(9.81 * tick as f64 * 0.004, 0.0)));
         }
+    }
+
+    #[test]
+    fn a_vehicle_that_is_to_lean_on_the_ground_has_not_landed() {
+        let mut detector = LandDetector::new(false, true, 0.3);
+        let leaning = Motion { lean_asked: 0.4, ..motion(0.0, 0.1) };
+        for tick in 0..1000 {
+            assert!(!detector.update(tick * 4000, &leaning));
+        }
+        assert!(!detector.update(4_000_000, &motion(0.0, 0.1)));
+        assert!(detector.update(4_000_000 + STILL_US, &motion(0.0, 0.1)));
     }
 }

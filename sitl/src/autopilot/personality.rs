@@ -257,6 +257,17 @@ pub(super) trait Personality: fmt::Debug + Sync {
         1.0
     }
 
+    /// Whether SYS_STATUS has the position control enabled and healthy in `mode`, while the position
+    /// is known.
+    fn controls_position(&self, _mode: Mode) -> bool {
+        true
+    }
+
+    /// A vehicle that is to lean by more than this is none that has landed, rad.
+    fn landed_lean_max(&self) -> f64 {
+        f64::INFINITY
+    }
+
     /// Sticks where none are heard.
     fn sticks_without_radio(&self) -> Option<Sticks> {
         None

@@ -279,9 +279,15 @@ impl Snapshot<'_> {
         health.set(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_GPS, gps);
         let charged = self.charge == MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK;
         health.set(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_BATTERY, charged);
+        let position = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL;
+        let mut enabled = present;
+        if !self.personality.controls_position(self.mode) {
+            enabled.remove(position);
+            health.remove(position);
+        }
         SYS_STATUS_DATA {
             onboard_control_sensors_present: present,
-            onboard_control_sensors_enabled: present,
+            onboard_control_sensors_enabled: enabled,
             onboard_control_sensors_health: health,
             load: 100,
             voltage_battery: (self.battery.voltage * 1e3).round() as u16,

@@ -49,6 +49,8 @@ const NORM_TOLERANCE: f64 = 1e-3;
 const THRUST_AS_THRUST: i32 = 8;
 /// The motors stand still for this long after arming, s.
 const ARMING_DELAY_S: f64 = 2.0;
+/// `LAND_CHECK_LARGE_ANGLE_CD`: 15 degrees.
+const LANDED_LEAN_MAX: f64 = 0.262;
 /// Version that the vehicle reports: 4.7.0, a development build.
 const VERSION: u32 = u32::from_be_bytes([4, 7, 0, 0]);
 
@@ -202,6 +204,15 @@ impl Personality for Arducopter {
     fn thrust_limit(&self, armed_s: f64, parameters: &Parameters) -> f64 {
         let spool_s = parameters.get(Key::MotSpoolTime).max(1e-3);
         ((armed_s - ARMING_DELAY_S) / spool_s).clamp(0.0, 1.0)
+    }
+
+    /// Its position controller stands still where Guided takes attitudes.
+    fn controls_position(&self, mode: Mode) -> bool {
+        !matches!(mode, Mode::Offboard | Mode::Altitude | Mode::Stabilized)
+    }
+
+    fn landed_lean_max(&self) -> f64 {
+        LANDED_LEAN_MAX
     }
 
     /// The throttle stick lies at its low end.
