@@ -81,6 +81,8 @@ pub struct Station {
     waiting: Waiting,
     is_version_known: bool,
     is_signing_told: bool,
+    /// Whether the vehicle answered a TIMESYNC since it was found.
+    is_answered: bool,
     /// No other flight begins: the station ends as soon as it does not fly.
     is_stopping: bool,
     end: Option<End>,
@@ -116,6 +118,7 @@ impl Station {
             waiting: Waiting::new(now),
             is_version_known: false,
             is_signing_told: false,
+            is_answered: false,
             is_stopping: false,
             end: None,
         }

@@ -98,6 +98,16 @@ impl LineBudget {
         self.share <= LINE_SHARE_MAX
     }
 
+    /// Bytes a second that the line carries.
+    pub fn bytes_per_s(&self) -> f64 {
+        f64::from(self.baud) / BITS_PER_BYTE
+    }
+
+    /// The rate at which the messages tell the state, Hz.
+    pub fn state_hz(&self) -> f64 {
+        self.hz(ODOMETRY).max(self.hz(ATTITUDE_QUATERNION).min(self.hz(LOCAL_POSITION_NED)))
+    }
+
     fn hz(&self, id: u32) -> f64 {
         self.messages.iter().find(|rate| rate.id == id).map_or(0.0, |rate| rate.hz)
     }
@@ -122,6 +132,11 @@ impl fmt::Display for LineBudget {
     }
 }
 
+/// Bytes a second that attitude and position take, each at `hz`.
+pub fn state_bytes_per_s(hz: f64) -> f64 {
+    (frame_len(ATTITUDE_QUATERNION) + frame_len(LOCAL_POSITION_NED)) as f64 * hz
+}
+
 /// The share of a serial line that messages at these rates take up, frames included.
 fn line_share(messages: &[MessageRate], baud: u32) -> f64 {
     let bits: f64 = messages
@@ -132,7 +147,7 @@ fn line_share(messages: &[MessageRate], baud: u32) -> f64 {
 }
 
 /// Length of a message's frame with a full payload.
-fn frame_len(id: u32) -> usize {
+pub(super) fn frame_len(id: u32) -> usize {
     let mut payload = [0; 255];
     // MAVLink 1 does not cut trailing zeros.
     let payload_len = MavMessage::default_message_from_id(id)

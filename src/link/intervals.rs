@@ -127,6 +127,11 @@ impl Intervals {
         self.wanted.clear();
     }
 
+    /// Whether a message is wanted.
+    pub fn wants(&self, id: u32) -> bool {
+        self.wanted.iter().any(|wanted| wanted.id == id)
+    }
+
     /// The next message to ask for, if it is time. One at a time: an ACK does not say for which.
     pub fn next_request(&mut self, now: HostTime) -> Option<MessageRate> {
         if self.awaiting.is_some_and(|(_, until)| now < until) {

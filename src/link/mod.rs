@@ -44,6 +44,7 @@ pub mod codec;
 pub mod connection;
 pub mod counters;
 pub mod intervals;
+pub mod load;
 pub mod loss_reaction;
 pub mod message;
 mod mode_words;

@@ -169,6 +169,8 @@ pub struct Profile {
     pub motor_outputs: MotorSource,
     /// How it sends integer parameters.
     pub parameter_cast: ParameterCast,
+    /// The parameters by which it sends less unasked over a serial line, in words.
+    pub stream_parameters: &'static str,
     /// The messages that serve control best, at the rates to ask for.
     pub telemetry: &'static [MessageRate],
 }
@@ -293,6 +295,7 @@ impl Profile {
         required: &[],
         motor_outputs: MotorSource::ActuatorOutputStatus,
         parameter_cast: ParameterCast::Bytes,
+        stream_parameters: "MAV_n_MODE and MAV_n_RATE",
         telemetry: PX4_TELEMETRY,
     };
 
@@ -338,6 +341,7 @@ impl Profile {
         ],
         motor_outputs: MotorSource::ServoOutputRaw,
         parameter_cast: ParameterCast::Value,
+        stream_parameters: "SRn_* (from 4.7 on MAVn_*)",
         telemetry: COPTER_TELEMETRY,
     };
 
@@ -355,6 +359,7 @@ impl Profile {
         required: &[],
         motor_outputs: MotorSource::ServoOutputRaw,
         parameter_cast: ParameterCast::Value,
+        stream_parameters: "its stream rates",
         telemetry: SAFE_TELEMETRY,
     };
 

@@ -11,7 +11,10 @@ use std::fmt;
 use std::time::Duration;
 
 use mavlink::{MavlinkVersion, MessageData};
-use wire::dialect::SET_ATTITUDE_TARGET_DATA;
+use wire::dialect::{
+    AUTOPILOT_VERSION_DATA, COMMAND_ACK_DATA, PARAM_ERROR_DATA, PARAM_VALUE_DATA,
+    SET_ATTITUDE_TARGET_DATA, TIMESYNC_DATA,
+};
 use wire::signing::{Key, Refused, Stamp};
 use wire::transport::{PEERS_MAX, Peer};
 use wire::{Decoder, DecoderStats};
@@ -21,6 +24,7 @@ use super::attitude_target::{EncodeError, ThrustMap};
 use super::budget::LineBudget;
 use super::counters::{LinkState, LinkStats, RefusalCount, Sender};
 use super::intervals::IntervalEvent;
+use super::load::LinkLoad;
 use super::message::Received;
 use super::profile::{FormChoice, MessageRate, Profile};
 use super::request::{Outcome, Request, RequestId};
@@ -31,6 +35,14 @@ use crate::guard::Cleared;
 
 /// Message id of the frames that carry setpoints.
 pub const SETPOINT_ID: u32 = SET_ATTITUDE_TARGET_DATA::ID;
+/// Messages that answer what was asked.
+const ANSWERS: [u32; 5] = [
+    TIMESYNC_DATA::ID,
+    COMMAND_ACK_DATA::ID,
+    PARAM_VALUE_DATA::ID,
+    PARAM_ERROR_DATA::ID,
+    AUTOPILOT_VERSION_DATA::ID,
+];
 
 /// Settings of a session.
 #[derive(Clone, Debug, PartialEq)]
@@ -405,6 +417,24 @@ impl Session {
     /// Whether the vehicle signs its messages.
     pub fn is_signed(&self) -> bool {
         self.core.vehicle.as_ref().is_some_and(|vehicle| vehicle.is_signed)
+    }
+
+    /// Whether the vehicle has answered what was sent to it, signed or not: a TIMESYNC comes back with
+    /// the stamp that it went with.
+    pub fn is_answered(&self) -> bool {
+        self.core.clock.round_trip().is_some()
+    }
+
+    /// What is asked for over a serial line; `None` over another, and before the vehicle is known.
+    pub fn budget(&self) -> Option<&LineBudget> {
+        self.core.budget.as_ref()
+    }
+
+    /// What arrives of the vehicle, and what of it was not asked for.
+    pub fn load(&self) -> LinkLoad {
+        let Core { counters, intervals, .. } = &self.core;
+        let is_asked = |id| intervals.wants(id) || ANSWERS.contains(&id);
+        LinkLoad::of(&counters.messages(), self.is_signed(), is_asked)
     }
 
     /// Whether this session signs, and believes only what is signed.

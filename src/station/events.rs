@@ -29,12 +29,12 @@ impl Station {
             Event::VehicleFound(id) => {
                 self.found = Some(now);
                 self.tell(now, Severity::Info, format!("heard {id}"));
-                self.is_signing_told = false;
+                (self.is_signing_told, self.is_answered) = (false, false);
             }
             Event::AnotherAutopilot { vehicle, other } => self.choose(now, vehicle, other),
             Event::VehicleReplaced(id) => {
                 self.found = Some(now);
-                self.is_signing_told = false;
+                (self.is_signing_told, self.is_answered) = (false, false);
                 self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
                 self.end_flight_of_another(now);
             }
@@ -48,6 +48,10 @@ impl Station {
                 self.tell(now, severity, budget.to_string());
             }
             Event::RoundTrip(time) => {
+                // The first answer tells that what is not signed is taken.
+                if !std::mem::replace(&mut self.is_answered, true) {
+                    self.check_standing(now);
+                }
                 if let Some(pilot) = &mut self.pilot {
                     pilot.link_event(now, LinkEvent::RoundTrip(time));
                 }

@@ -6,6 +6,7 @@ use super::feedback::{Feedback, feedback};
 use super::{End, Station};
 use crate::clock::HostTime;
 use crate::control::DesignError;
+use crate::link::budget::{LINE_SHARE_MAX, LineBudget, state_bytes_per_s};
 use crate::link::loss_reaction::{LossLaw, LossReaction};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
@@ -151,14 +152,18 @@ impl Station {
                 })
             })
             .collect();
-        // One that answers takes what is not signed.
-        if self.session.is_signed() && !self.session.signs() && !self.is_version_known {
+        // One that answers takes what is not signed: what else does not come has another reason.
+        let is_deaf = !self.is_version_known && !self.is_answered;
+        if self.session.is_signed() && !self.session.signs() && is_deaf {
             failed.push(PreflightCheck {
                 subject: "signing".to_owned(),
                 expected: "none on this link, or its key in link.signing".to_owned(),
                 found: "signed messages, and no answer to what is not signed".to_owned(),
             });
         }
+        let preflight = &self.settings.pilot.preflight;
+        let needed_hz = preflight.tick_rate_min * self.settings.pilot.telemetry.rate_hz;
+        failed.extend(self.session.budget().and_then(|budget| line_check(budget, needed_hz)));
         if let Some(other) = self.session.others().first() {
             failed.push(PreflightCheck {
                 subject: "vehicles".to_owned(),
@@ -183,6 +188,31 @@ impl Station {
             self.tell(now, Severity::Info, text);
         }
     }
+}
+
+/// The preflight check that a serial line has room for the state at `needed_hz`.
+fn line_check(budget: &LineBudget, needed_hz: f64) -> Option<PreflightCheck> {
+    let state_hz = budget.state_hz();
+    if state_hz >= needed_hz && budget.fits() {
+        return None;
+    }
+    let (baud, carried, share) = (budget.baud, budget.bytes_per_s(), 100.0 * LINE_SHARE_MAX);
+    let cure = if budget.fits() {
+        format!("set control.rate_hz to {state_hz:.0} or less, or raise the baud rate")
+    } else {
+        "raise the baud rate".to_owned()
+    };
+    Some(PreflightCheck {
+        subject: "serial line".to_owned(),
+        expected: format!(
+            "room for {needed_hz:.0} Hz of attitude and position, {:.0} bytes/s; {cure}",
+            state_bytes_per_s(needed_hz)
+        ),
+        found: format!(
+            "{baud} baud, which carry {carried:.0} bytes/s, {share:.0} % of them for telemetry: room \
+             for {state_hz:.0} Hz"
+        ),
+    })
 }
 
 /// The preflight check that something acts when this program vanishes. PX4 acts whatever its

@@ -184,6 +184,25 @@ impl Station {
         }
     }
 
+    /// What the link carries, and what could be spared of it.
+    fn load(&self) -> String {
+        let load = self.session.load();
+        let stats = self.session.stats();
+        let lost = stats.lost as f64 / (stats.lost + stats.heard).max(1) as f64;
+        let mut text = format!("; {load}");
+        if lost > self.settings.pilot.preflight.link_loss_max {
+            text += &format!("; {:.0} % of the frames are lost on the way", 100.0 * lost);
+        }
+        if let Some(budget) = self.session.budget() {
+            text += &format!("; the line carries {:.0} bytes/s", budget.bytes_per_s());
+        }
+        if let Some(profile) = self.profile.as_ref().filter(|_| !load.unasked.is_empty()) {
+            text += "; what comes unasked is lowered at the vehicle by ";
+            text += profile.stream_parameters;
+        }
+        text
+    }
+
     fn telemetry_reasons(&self, now: HostTime, pilot: &Pilot) -> Vec<Reason> {
         let telemetry = pilot.telemetry();
         let [odometry, attitude, position] = telemetry.rates_hz();
@@ -201,11 +220,13 @@ impl Station {
         } else {
             "; they do not come steadily"
         };
+        let is_slow = telemetry.tick_rate_hz() < needed && !is_refused;
+        let load = if is_slow { self.load() } else { String::new() };
         let late = telemetry.late();
         let late = if late.count > 0 { format!("; {late}") } else { String::new() };
         let rates = format!(
             "at least {needed:.0} Hz of ODOMETRY, or of attitude and position; found ODOMETRY at \
-             {odometry:.0} Hz, attitude at {attitude:.0} Hz, position at {position:.0} Hz{cure}{late}"
+             {odometry:.0} Hz, attitude at {attitude:.0} Hz, position at {position:.0} Hz{cure}{load}{late}"
         );
         let subject = format!("rates{cure}");
         let status = telemetry.status();

@@ -87,7 +87,11 @@ impl Findings {
         if !report.others.is_empty() && listener.session.wanted_system().is_none() {
             self.refuses("vehicles", "several autopilots are on the link; choose with --system");
         }
-        if report.is_signed && !listener.session.signs() && observed.version.is_none() {
+        if report.is_signed
+            && !listener.session.signs()
+            && observed.version.is_none()
+            && !listener.session.is_answered()
+        {
             self.refuses(
                 "signing",
                 "it signs its messages and answers none that is not signed; give its key in \

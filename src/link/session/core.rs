@@ -89,6 +89,8 @@ pub(super) struct Core {
     sent: Option<(HostTime, Peer, MavMessage)>,
     pub(super) clock: VehicleClock,
     pub(super) intervals: Intervals,
+    /// What is asked for over a serial line.
+    pub(super) budget: Option<LineBudget>,
     pub(super) requests: Requests,
     pub(super) attitude: Option<(HostTime, AttitudeSource, Attitude)>,
     pub(super) heartbeat_due: HostTime,
@@ -131,6 +133,7 @@ impl Core {
             sent: None,
             clock: VehicleClock::default(),
             intervals: Intervals::default(),
+            budget: None,
             requests: Requests::default(),
             attitude: None,
             heartbeat_due: now,
@@ -332,8 +335,10 @@ impl Core {
         let usual = self.settings.telemetry.as_deref().unwrap_or(profile.telemetry);
         let messages = budget.as_ref().map_or(usual, |budget| &budget.messages);
         self.intervals.start(now, messages);
-        let news = budget.filter(|budget| !budget.lowered.is_empty() || !budget.fits());
-        self.events.extend(news.map(|budget| Event::LineBudget(Box::new(budget))));
+        let is_news = |budget: &&LineBudget| !budget.lowered.is_empty() || !budget.fits();
+        let news = budget.as_ref().filter(is_news);
+        self.events.extend(news.map(|budget| Event::LineBudget(Box::new(budget.clone()))));
+        self.budget = budget;
         let is_version_known = version.is_some();
         let event = Event::Identified { profile: Box::new(profile.clone()), is_version_known };
         self.events.push_back(event);

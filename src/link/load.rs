@@ -1,0 +1,72 @@
+//! What fills a link: which messages take how many bytes a second of it.
+
+use std::fmt;
+
+use super::budget::{frame_len, message_name};
+use super::counters::MessageCount;
+
+/// Bytes of a signature at the end of a frame.
+const SIGNATURE_LEN: usize = 13;
+/// As many of the messages that take most are named.
+const NAMED: usize = 4;
+/// What takes less is not worth naming, bytes/s.
+const WORTH_NAMING: f64 = 50.0;
+
+/// What arrives, in bytes a second, with full payloads: MAVLink 2 leaves out zeros at their end.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LinkLoad {
+    /// All messages of the vehicle.
+    pub bytes_per_s: f64,
+    /// Those that nobody here asked for, by message id, those that take most first.
+    pub unasked: Vec<(u32, f64)>,
+}
+
+impl LinkLoad {
+    /// Of the messages that arrive. `is_asked` tells those that were asked for.
+    pub fn of(messages: &[MessageCount], is_signed: bool, is_asked: impl Fn(u32) -> bool) -> Self {
+        let signature = if is_signed { SIGNATURE_LEN } else { 0 };
+        let load = |count: &MessageCount| {
+            (count.id, (frame_len(count.id) + signature) as f64 * count.rate_hz)
+        };
+        let loads: Vec<_> = messages.iter().map(load).collect();
+        let bytes_per_s = loads.iter().map(|(_, bytes_per_s)| bytes_per_s).sum();
+        let mut unasked: Vec<_> = loads
+            .into_iter()
+            .filter(|(id, bytes_per_s)| !is_asked(*id) && *bytes_per_s > WORTH_NAMING)
+            .collect();
+        unasked.sort_by(|a, b| b.1.total_cmp(&a.1));
+        Self { bytes_per_s, unasked }
+    }
+}
+
+impl fmt::Display for LinkLoad {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "about {:.0} bytes/s arrive", self.bytes_per_s)?;
+        for (k, (id, bytes_per_s)) in self.unasked.iter().take(NAMED).enumerate() {
+            let before = if k == 0 { ", unasked among them " } else { ", " };
+            write!(f, "{before}{} {bytes_per_s:.0}", message_name(*id))?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nobody_asked_for_is_named_with_its_bytes() {
+        let count = |id, rate_hz| MessageCount { id, total: 1, rate_hz };
+        // ATTITUDE_QUATERNION of 48 bytes, HIGHRES_IMU of 63, VFR_HUD of 20, HEARTBEAT of 9.
+        let messages = [count(31, 10.0), count(105, 10.0), count(74, 20.0), count(0, 1.0)];
+        let load = LinkLoad::of(&messages, false, |id| id == 31);
+        let expected = 10.0 * 60.0 + 10.0 * 75.0 + 20.0 * 32.0 + 21.0;
+        assert!((load.bytes_per_s - expected).abs() < 1e-9, "{}", load.bytes_per_s);
+        assert_eq!(
+            load.to_string(),
+            "about 2011 bytes/s arrive, unasked among them HIGHRES_IMU 750, VFR_HUD 640"
+        );
+        let signed = LinkLoad::of(&messages, true, |id| id == 31);
+        assert!((signed.bytes_per_s - expected - 41.0 * 13.0).abs() < 1e-9);
+    }
+}
