@@ -336,19 +336,27 @@ fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
 
 #[test]
 fn a_position_that_the_vehicle_no_longer_vouches_for_is_not_followed() {
-    let heard = |flight: &mut Flight, health: u32| {
-        let message = Inbound::SysStatus { unhealthy: 0, health };
+    let heard = |flight: &mut Flight, health: u32, enabled: u32| {
+        let message = Inbound::SysStatus { unhealthy: 0, health, enabled };
         let host = flight.vehicle.now();
         flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
     };
     let mut flight = in_track(EngagePolicy::Command);
     // A vehicle that never said so is not judged by it.
-    heard(&mut flight, 0);
+    heard(&mut flight, 0, 0x4000);
     flight.run(1.0);
     assert_eq!(flight.pilot.flight_state(), FlightState::Track);
-    heard(&mut flight, 0x4000);
+    // Nor is one that does not use it any more, as ArduCopter, which told it in LAND, in Guided.
+    heard(&mut flight, 0x4000, 0x4000);
+    heard(&mut flight, 0, 0);
+    flight.run(1.0);
+    heard(&mut flight, 0, 0x4000);
+    flight.run(1.0);
+    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+    // PX4 may not have it enabled while it is healthy.
+    heard(&mut flight, 0x4000, 0);
     flight.run(0.2);
-    heard(&mut flight, 0);
+    heard(&mut flight, 0, 0x4000);
     flight.run(0.3);
     assert_eq!(flight.pilot.flight_state(), FlightState::Track, "one report may be wrong");
     flight.run(0.4);
@@ -360,7 +368,7 @@ fn a_position_that_the_vehicle_no_longer_vouches_for_is_not_followed() {
 fn what_the_vehicle_reports_as_unhealthy_is_named_once() {
     let mut flight = in_track(EngagePolicy::Command);
     for _ in 0..3 {
-        let message = Inbound::SysStatus { unhealthy: 0x20 | 0x0020_0000, health: 0 };
+        let message = Inbound::SysStatus { unhealthy: 0x20 | 0x0020_0000, health: 0, enabled: 0 };
         let host = flight.vehicle.now();
         flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
         flight.run(0.5);

@@ -349,9 +349,9 @@ fn attitude_target(data: &ATTITUDE_TARGET_DATA) -> Result<Inbound, Refusal> {
 
 fn sys_status(data: &SYS_STATUS_DATA) -> Inbound {
     let health = data.onboard_control_sensors_health.bits();
-    let in_use =
-        data.onboard_control_sensors_present.bits() & data.onboard_control_sensors_enabled.bits();
-    Inbound::SysStatus { unhealthy: in_use & !health, health }
+    let enabled = data.onboard_control_sensors_enabled.bits();
+    let in_use = data.onboard_control_sensors_present.bits() & enabled;
+    Inbound::SysStatus { unhealthy: in_use & !health, health, enabled }
 }
 
 fn landed_state(data: &EXTENDED_SYS_STATE_DATA) -> Inbound {

@@ -107,6 +107,8 @@ pub enum Inbound {
         unhealthy: u32,
         /// Health bits.
         health: u32,
+        /// Bits of what is enabled: what is not in use need not be healthy.
+        enabled: u32,
     },
     /// EXTENDED_SYS_STATE.
     LandedState(LandedState),

@@ -33,8 +33,8 @@ pub struct VehicleStatus {
     pub battery: Battery,
     /// MAV_SYS_STATUS_SENSOR bits that are enabled but not healthy.
     pub unhealthy: u32,
-    /// Whether the vehicle calls its position estimate healthy, by SYS_STATUS; `None` where it never
-    /// did, as vehicles that do not say it.
+    /// Whether the vehicle calls its position estimate healthy, by SYS_STATUS; `None` where it has not
+    /// since it was not in use, or never.
     pub position_healthy: Option<bool>,
     /// What HEARTBEAT says of the vehicle as a whole.
     pub system: SystemState,
@@ -84,8 +84,9 @@ const RETURN_AHEAD: Duration = Duration::from_secs(2);
 /// Where HEARTBEAT comes first, CURRENT_MODE follows with the vehicle's next word of it.
 const RETURN_AFTER: Duration = Duration::from_millis(800);
 
-/// MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL: PX4's local position estimate; ArduCopter has it set
-/// wherever it obeys setpoints, and leaves Guided itself.
+/// MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL: PX4's local position estimate, enabled wherever it is not
+/// healthy. ArduCopter's position controller: healthy and enabled where it runs, neither where Guided
+/// obeys setpoints, which says nothing of the position. ArduCopter leaves Guided itself.
 const POSITION: u32 = 0x4000;
 
 /// MAV_SEVERITY_WARNING; smaller numbers are worse.
@@ -122,12 +123,13 @@ impl VehicleStatus {
             }
             Inbound::LandedState(landed) => self.landed = *landed,
             Inbound::Battery(battery) => self.battery = *battery,
-            Inbound::SysStatus { unhealthy, health } => {
+            Inbound::SysStatus { unhealthy, health, enabled } => {
                 self.unhealthy = *unhealthy;
-                let is_healthy = health & POSITION != 0;
-                if is_healthy || self.position_healthy.is_some() {
-                    self.position_healthy = Some(is_healthy);
-                }
+                self.position_healthy = match (health & POSITION != 0, enabled & POSITION != 0) {
+                    (true, _) => Some(true),
+                    (false, true) => self.position_healthy.map(|_| false),
+                    (false, false) => None,
+                };
             }
             Inbound::Parameter { name, value } => {
                 self.parameters.insert(name.clone(), *value);
