@@ -105,6 +105,8 @@ pub struct Pilot {
     round_trip: Option<(HostTime, Duration)>,
     tracking_error: f64,
     jumped: bool,
+    /// When a slide of the estimate was last told.
+    slide_told: Option<HostTime>,
     /// How long this process was paused before the next look, s.
     paused_s: f64,
 }
@@ -140,6 +142,7 @@ impl Pilot {
             round_trip: None,
             tracking_error: 0.0,
             jumped: false,
+            slide_told: None,
             paused_s: 0.0,
         }
     }
@@ -165,7 +168,7 @@ impl Pilot {
         }
         if !(phase.is_flying() && guided.feedback) {
             self.controller.reset();
-        } else if guided.aloft {
+        } else if guided.aloft && !self.may_be_unheard(now) {
             let thrust_gain = self.voltage_gain();
             // The same before the trajectory as along it, or what was learned on the way there would
             // count twice.
@@ -361,11 +364,25 @@ impl Pilot {
             Err(fault) if fault.is_jump() => {
                 self.jumped = true;
                 self.controller.jumped();
-                self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
+                if !self.is_slide_told(received.host, &fault) {
+                    self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
+                }
                 None
             }
             Err(_) => None,
         }
+    }
+
+    /// A slide is found again and again while it goes on, and told once a second.
+    fn is_slide_told(&mut self, now: HostTime, fault: &TelemetryFault) -> bool {
+        if !matches!(fault, TelemetryFault::PositionSlide { .. }) {
+            return false;
+        }
+        let is_told = self.slide_told.is_some_and(|told| now.since(told) < SLIDE_TOLD);
+        if !is_told {
+            self.slide_told = Some(now);
+        }
+        is_told
     }
 
     fn lose_link(&mut self, now: HostTime, why: &str) {
@@ -389,6 +406,9 @@ fn answered(sample: &Sample) -> Answered {
         yaw: sample.state.attitude.yaw(),
     }
 }
+
+/// An event reports a slide of the estimate at most this often.
+const SLIDE_TOLD: Duration = Duration::from_secs(1);
 
 /// An event reports a stall of this process at most this often.
 const STALL_TOLD: Duration = Duration::from_secs(2);

@@ -56,6 +56,9 @@ const INTENDED_MODE_WAIT_S: f64 = 3.0;
 /// failsafe may act.
 const STATE_STOPPED_S: f64 = 0.2;
 
+/// A vehicle that goes no faster, m/s, stops within a hand's breadth.
+const BRAKED_M_S: f64 = 0.3;
+
 /// Who decides that the daemon takes control.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -76,6 +79,8 @@ pub struct Observation<'a> {
     pub airborne: Option<bool>,
     /// Whether it lies still at the height of the ground, by its own estimate.
     pub at_rest: bool,
+    /// Horizontal speed of the newest sample, m/s.
+    pub speed_m_s: f64,
     /// Whether samples are fresh and quick enough.
     pub telemetry_ready: bool,
     /// The preflight checks that fail, in words; empty when all pass.
@@ -104,6 +109,10 @@ pub struct Supervisor {
     was_offboard: bool,
     other_mode_since: Option<HostTime>,
     asked: Option<HostTime>,
+    /// When landing was first asked for in the present state.
+    land_asked: Option<HostTime>,
+    /// Whether a fault landed the vehicle that feedback must not be trusted in.
+    lands_at_once: bool,
     refusal: Option<String>,
     /// Since when each fault's condition has held, and whether it was reacted to.
     faults: BTreeMap<Fault, (HostTime, bool)>,
@@ -142,6 +151,8 @@ impl Supervisor {
             was_offboard: false,
             other_mode_since: None,
             asked: None,
+            land_asked: None,
+            lands_at_once: false,
             refusal: None,
             faults: BTreeMap::new(),
             control_since: now,
@@ -214,7 +225,7 @@ impl Supervisor {
         } else if next != FlightState::Connect && next != FlightState::Standby {
             self.preparing_since = None;
         }
-        self.asked = None;
+        (self.asked, self.land_asked, self.lands_at_once) = (None, None, false);
         self.mode_at_entry = None;
         self.was_offboard = false;
         self.streamed = false;
@@ -299,7 +310,11 @@ impl Supervisor {
         };
         match self.state {
             FlightState::Standby | FlightState::Engage => Stance::Offer,
-            FlightState::Land if self.seconds_in_state(now) >= handover_s => Stance::Silent,
+            FlightState::Land
+                if now.since(self.land_asked.unwrap_or(self.since)).as_secs_f64() >= handover_s =>
+            {
+                Stance::Silent
+            }
             state if state.may_stream() => Stance::Control,
             _ => Stance::Silent,
         }
@@ -472,9 +487,14 @@ impl Supervisor {
             if let Some(next) = next {
                 let aborts = next == FlightState::Abort;
                 let severity = if aborts { Severity::Error } else { Severity::Warning };
-                return self.enter(now, next, severity, &why);
+                self.enter(now, next, severity, &why);
+                self.lands_at_once = SafetySettings::lands_at_once(fault);
+                return;
             }
-            self.tell(now, Severity::Warning, why);
+            // A jump was told in more words where it was found.
+            if fault != Fault::TelemetryJump {
+                self.tell(now, Severity::Warning, why);
+            }
         }
     }
 
@@ -503,7 +523,10 @@ impl Supervisor {
             }
             FlightState::Engage => Action::SetModeOffboard,
             FlightState::Arm if arms && status.armed != Some(true) => Action::Arm,
-            FlightState::Land if status.mode == offboard => Action::SetModeLand,
+            FlightState::Land if status.mode == offboard && !self.brakes(now, seen) => {
+                self.land_asked.get_or_insert(now);
+                Action::SetModeLand
+            }
             FlightState::Disarm if self.seconds_in_state(now) >= self.settings.disarm_after_s => {
                 Action::Disarm
             }
@@ -514,5 +537,14 @@ impl Supervisor {
             self.asked = Some(now);
             self.actions.push(action);
         }
+    }
+
+    /// Whether a vehicle that is to land is brought to rest first.
+    fn brakes(&self, now: HostTime, seen: &Observation) -> bool {
+        !self.lands_at_once
+            && self.land_asked.is_none()
+            && seen.condition.sample_age_s <= STATE_STOPPED_S
+            && seen.speed_m_s > BRAKED_M_S
+            && self.seconds_in_state(now) < self.settings.land_brake_s
     }
 }

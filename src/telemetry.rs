@@ -3,6 +3,7 @@
 
 mod fault;
 mod lateness;
+mod motion;
 mod rate;
 mod status;
 
@@ -14,6 +15,7 @@ use vehicle::rigid_body::State;
 pub use self::fault::TelemetryFault;
 pub use self::lateness::LateMessages;
 use self::lateness::Lateness;
+use self::motion::{Pose, Slide, Turn, carried};
 use self::rate::RateMeter;
 pub use self::status::VehicleStatus;
 use crate::clock::{HostTime, VehicleTime};
@@ -32,6 +34,9 @@ pub struct TelemetrySettings {
     pub late_after_s: f64,
     /// A position this far from where velocity leads is a jump, m.
     pub position_jump_m: f64,
+    /// A position that goes beside its velocity at this speed for half a second, however small its
+    /// steps, is a jump too, m/s.
+    pub position_slide_m_s: f64,
     /// A change of velocity by this much at once is a jump, m/s.
     pub velocity_jump_m_s: f64,
     /// An attitude this far from where the body rate leads is a jump, rad.
@@ -46,6 +51,7 @@ impl Default for TelemetrySettings {
             rate_hz: 100.0,
             late_after_s: 0.2,
             position_jump_m: 0.4,
+            position_slide_m_s: 2.0,
             velocity_jump_m_s: 2.0,
             attitude_jump_rad: 0.4,
             clock_jump_s: 1.0,
@@ -53,9 +59,6 @@ impl Default for TelemetrySettings {
     }
 }
 
-/// Largest acceleration that a jump is not, m/s^2, and angular acceleration, rad/s^2.
-const ACCELERATION_MAX: f64 = 40.0;
-const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
 /// A source keeps to a rate while it comes at this share of it.
 const KEEPS_TO: f64 = 0.9;
 /// Samples are thinned where they come at more than this many times the control rate.
@@ -92,34 +95,6 @@ pub enum SampleSource {
     Pair(AttitudeSource),
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Pose {
-    stamp: VehicleTime,
-    position: Ned,
-    velocity: Ned,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Turn {
-    stamp: VehicleTime,
-    attitude: Attitude,
-    body_rate: Frd,
-}
-
-impl Pose {
-    /// Whether all but the stamps is the same.
-    fn is_like(&self, other: &Self) -> bool {
-        (self.position, self.velocity) == (other.position, other.velocity)
-    }
-}
-
-impl Turn {
-    /// Whether all but the stamps is the same.
-    fn is_like(&self, other: &Self) -> bool {
-        (self.attitude, self.body_rate) == (other.attitude, other.body_rate)
-    }
-}
-
 /// One kind of message: its newest value, whether that was used, its rate.
 #[derive(Clone, Debug)]
 struct Stream<T> {
@@ -142,10 +117,12 @@ pub struct Telemetry {
     settings: TelemetrySettings,
     status: VehicleStatus,
     position: Stream<Pose>,
+    position_slide: Slide,
     quaternion: Stream<Turn>,
     euler: Stream<Turn>,
     attitude_source: Option<AttitudeSource>,
     odometry: Stream<(Pose, Turn)>,
+    odometry_slide: Slide,
     reset_counter: Option<u8>,
     newest_stamp: Option<VehicleTime>,
     lateness: Lateness,
@@ -160,10 +137,12 @@ impl Telemetry {
             settings,
             status: VehicleStatus::default(),
             position: Stream::default(),
+            position_slide: Slide::default(),
             quaternion: Stream::default(),
             euler: Stream::default(),
             attitude_source: None,
             odometry: Stream::default(),
+            odometry_slide: Slide::default(),
             reset_counter: None,
             newest_stamp: None,
             lateness: Lateness::default(),
@@ -244,7 +223,7 @@ impl Telemetry {
                     stamp,
                     |t| t.stamp,
                     |before| before.is_like(&turn),
-                    |before| turn_jump(before, &turn, limit),
+                    |before| before.jump(&turn, limit),
                 )?;
                 let same_since = stream.same_since;
                 self.not_frozen(same_since, stamp, body_rate.norm())?;
@@ -257,12 +236,13 @@ impl Telemetry {
                 finite(position, velocity, Attitude::default(), Frd::zero())?;
                 let delay = self.advance_clock(received, stamp)?;
                 let settings = self.settings;
+                let slide = &mut self.position_slide;
                 self.position.accept(
                     pose,
                     stamp,
                     |p| p.stamp,
                     |p| p.is_like(&pose),
-                    |p| pose_jump(p, &pose, &settings),
+                    |p| p.jump(&pose, &settings).and_then(|()| slide.advance(p, &pose, &settings)),
                 )?;
                 self.not_frozen(self.position.same_since, stamp, velocity.norm())?;
                 self.not_late(delay)?;
@@ -275,6 +255,7 @@ impl Telemetry {
                 let delay = self.advance_clock(received, stamp)?;
                 let reset = self.reset_counter.replace(reset_counter);
                 let settings = self.settings;
+                let slide = &mut self.odometry_slide;
                 self.odometry.accept(
                     both,
                     stamp,
@@ -284,8 +265,9 @@ impl Telemetry {
                         if reset.is_some_and(|before| before != reset_counter) {
                             return Err(TelemetryFault::EstimateReset);
                         }
-                        pose_jump(pose, &both.0, &settings)?;
-                        turn_jump(turn, &both.1, settings.attitude_jump_rad)
+                        pose.jump(&both.0, &settings)?;
+                        slide.advance(pose, &both.0, &settings)?;
+                        turn.jump(&both.1, settings.attitude_jump_rad)
                     },
                 )?;
                 let speed = velocity.norm().max(body_rate.norm());
@@ -469,7 +451,7 @@ impl<T: Copy> Stream<T> {
         stamp: VehicleTime,
         stamp_of: impl Fn(&T) -> VehicleTime,
         is_same: impl Fn(&T) -> bool,
-        check: impl Fn(&T) -> Result<(), TelemetryFault>,
+        check: impl FnOnce(&T) -> Result<(), TelemetryFault>,
     ) -> Result<(), TelemetryFault> {
         let before = self.newest;
         if before.is_some_and(|before| stamp <= stamp_of(&before)) {
@@ -489,38 +471,4 @@ fn finite(p: Ned, v: Ned, q: Attitude, rate: Frd) -> Result<(), TelemetryFault> 
     let norm = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
     let sound = p.is_finite() && v.is_finite() && rate.is_finite() && (norm - 1.0).abs() < 0.02;
     if sound { Ok(()) } else { Err(TelemetryFault::NotFinite) }
-}
-
-fn pose_jump(before: &Pose, now: &Pose, limits: &TelemetrySettings) -> Result<(), TelemetryFault> {
-    let dt = now.stamp.seconds_since(before.stamp);
-    let mean = (before.velocity + now.velocity) * 0.5;
-    let metres = (now.position - before.position - mean * dt).norm();
-    let metres_per_s = (now.velocity - before.velocity).norm();
-    if metres > limits.position_jump_m + 0.5 * ACCELERATION_MAX * dt * dt
-        || metres_per_s > limits.velocity_jump_m_s + ACCELERATION_MAX * dt
-    {
-        return Err(TelemetryFault::PositionJump { metres, metres_per_s });
-    }
-    Ok(())
-}
-
-fn turn_jump(before: &Turn, now: &Turn, limit: f64) -> Result<(), TelemetryFault> {
-    let dt = now.stamp.seconds_since(before.stamp);
-    let mean = (before.body_rate + now.body_rate) * 0.5;
-    let radians = carried(before.attitude, mean, dt).angle_to(now.attitude);
-    if radians > limit + 0.5 * ANGULAR_ACCELERATION_MAX * dt * dt {
-        return Err(TelemetryFault::AttitudeJump { radians });
-    }
-    Ok(())
-}
-
-/// `attitude` after turning at a constant `body_rate` for `dt` seconds.
-fn carried(attitude: Attitude, body_rate: Frd, dt: f64) -> Attitude {
-    let angle = body_rate.norm() * dt;
-    if angle == 0.0 {
-        return attitude;
-    }
-    let (sin, cos) = (0.5 * angle).sin_cos();
-    let [x, y, z] = (body_rate * (dt * sin / angle)).to_array();
-    attitude.compose(Attitude { w: cos, x, y, z }).normalized()
 }

@@ -3,11 +3,15 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
+use crate::lockstep;
 use crate::lockstep::{Bench, QUAD, errors, fly, hover, masks, params, settings, tracked};
 use downwash::campaign::bench;
+use downwash::control::Use;
 use downwash::log::record::Record;
 use downwash::station::End;
-use sitl::config::{Autopilot, SitlConfig, Stall};
+use downwash::supervisor::FlightState;
+use sitl::autopilot::Mode;
+use sitl::config::{Autopilot, GpsGlitch, SitlConfig, Stall};
 
 /// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust and a
 /// failsafe that listens to the station.
@@ -78,4 +82,110 @@ fn a_slipping_clock_shows_in_timesync_and_a_stall_in_what_arrives() {
     let longest = arrivals.borrow().windows(2).map(|pair| pair[1] - pair[0]).max();
     let longest_s = longest.expect("frames") as f64 * 1e-6;
     assert!((0.4..0.45).contains(&longest_s), "nothing arrives for {longest_s} s");
+}
+
+/// ArduCopter's estimate after GPS that was wrong by 5.5 m for ten seconds: it jumps there at the
+/// end, and slides back within half a second while its velocity reads zero.
+#[test]
+fn an_estimate_that_slides_in_small_steps_is_not_flown_after() {
+    let params = params(QUAD);
+    let mut config = set_up(Autopilot::Arducopter);
+    config.estimator.gps_glitch =
+        Some(GpsGlitch { at_s: 12.0, for_s: 10.3, offset_m: [5.5, 0.0, 0.0] });
+    config.estimator.reset_after_s = 10.0;
+    config.estimator.slide_time_s = 0.23;
+    let mut bench = Bench::with(settings(&params, hover(40.0)), &params, &[], config);
+    bench.until(FlightState::Hold, 60.0);
+    assert!(bench.told("position estimate jumped by 5.5"), "{:?}", bench.texts());
+    let held = bench.position();
+    let mut farthest: f64 = 0.0;
+    while bench.phase() == Some(FlightState::Hold) {
+        bench.run(0.05);
+        farthest = farthest.max((bench.position() - held).norm());
+    }
+    assert!(bench.told("position estimate slid by"), "{:?}", bench.texts());
+    assert!(!bench.told("from the reference"), "{:?}", bench.texts());
+    // What is no slide yet, 1 m, and what is left of one.
+    assert!(farthest < 1.2, "{farthest} m in truth");
+    bench.until(FlightState::Done, 30.0);
+}
+
+/// ArduCopter in LAND means to stop ahead of where it moves. Where the ground stops it before, it leans
+/// towards that place for ever and refuses to disarm: so it is brought to rest first.
+#[test]
+fn a_vehicle_that_is_to_land_while_it_moves_is_brought_to_rest_before() {
+    let speed_into_landing = |land_brake_s: f64| {
+        let params = params(QUAD);
+        let mut settings = settings(&params, lockstep::trajectory("sinusoid-yaw.toml"));
+        settings.pilot.supervisor.land_brake_s = land_brake_s;
+        let mut bench = Bench::with(settings, &params, &[], set_up(Autopilot::Arducopter));
+        bench.until(FlightState::Track, 60.0);
+        bench.run(4.0);
+        let now = bench.now();
+        bench.station.land(now);
+        let mut speed = f64::NAN;
+        while bench.vehicle.flight().mode() != Mode::Land {
+            let before = bench.position();
+            bench.run(0.02);
+            let moved = bench.position() - before;
+            speed = moved.north().hypot(moved.east()) / 0.02;
+        }
+        bench.until(FlightState::Done, 30.0);
+        speed
+    };
+    let (braked, at_once) = (speed_into_landing(1.0), speed_into_landing(0.0));
+    assert!(braked < 0.5 && at_once > 0.8, "{braked} and {at_once} m/s");
+}
+
+/// Commands and setpoints do not arrive for two seconds, telemetry does: what the vehicle does
+/// meanwhile is no disturbance, and it is not thrown against one afterwards.
+#[test]
+fn nothing_is_learned_of_a_vehicle_that_does_not_hear() {
+    let farthest_after = |observer: Use| {
+        let params = params(QUAD);
+        let mut settings = settings(&params, lockstep::trajectory("sinusoid-yaw.toml"));
+        settings.pilot.offset_free.observer = observer;
+        settings.pilot.safety.tracking_error_max_m = 20.0;
+        let mut bench = Bench::with(settings, &params, &[], set_up(Autopilot::Arducopter));
+        bench.until(FlightState::Track, 60.0);
+        bench.run(4.0);
+        bench.uplink = false;
+        bench.run(2.0);
+        bench.uplink = true;
+        let healed = *tracked(&bench.records).last().expect("a tick");
+        bench.run(6.0);
+        let back = tracked(&bench.records).into_iter().filter(|row| row.t > healed.t);
+        back.map(|row| row.error_m).fold(0.0, f64::max)
+    };
+    let (observed, alone) = (farthest_after(Use::On), farthest_after(Use::Off));
+    assert!(observed < 1.1 * alone, "{observed} m, {alone} m without an observer");
+}
+
+/// ArduCopter's position control, which is at work in LAND and stands still in Guided, says nothing of
+/// its position estimate.
+#[test]
+fn a_vehicle_that_stands_in_the_mode_that_landed_it_flies_again() {
+    let params = params(QUAD);
+    let flight = || settings(&params, hover(2.0));
+    let mut bench = Bench::with(flight(), &params, &[], set_up(Autopilot::Arducopter));
+    bench.until(FlightState::Done, 60.0);
+    bench.restart(flight());
+    bench.until(FlightState::Done, 60.0);
+    assert_eq!(bench.station.end(), Some(&End::Done), "{:?}", bench.texts());
+}
+
+#[test]
+fn a_serial_line_without_room_for_the_state_is_told_with_the_rate_that_fits() {
+    for autopilot in [Autopilot::Px4, Autopilot::Arducopter] {
+        let params = params(QUAD);
+        let mut settings = settings(&params, hover(1.0));
+        settings.session.baud = Some(57_600);
+        let mut bench = Bench::with(settings, &params, &[], set_up(autopilot));
+        bench.run(8.0);
+        let line = "serial line: expected room for 80 Hz of attitude and position";
+        assert!(bench.told(line), "{:?}", bench.texts());
+        assert!(bench.told("set control.rate_hz to 25 or less"), "{:?}", bench.texts());
+        assert!(bench.told("57600 baud, which carry 5760 bytes/s"), "{:?}", bench.texts());
+        assert_eq!(bench.setpoints_after(0), 0);
+    }
 }

@@ -127,6 +127,7 @@ fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
         take_over: _,
         take_off_timeout_s,
         land_timeout_s,
+        land_brake_s,
         land_handover_s,
         hold_s,
         disarm_after_s,
@@ -142,6 +143,7 @@ fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
     time(&["pilot.supervisor.pilot_arm_timeout_s"], pilot_arm_timeout_s)?;
     time(&["pilot.supervisor.take_off_timeout_s"], take_off_timeout_s)?;
     time(&["pilot.supervisor.land_timeout_s"], land_timeout_s)?;
+    time(&["pilot.supervisor.land_brake_s"], land_brake_s)?;
     time(&["pilot.supervisor.land_handover_s"], land_handover_s)?;
     time(&["pilot.supervisor.hold_s"], hold_s)?;
     time(&["pilot.supervisor.disarm_after_s"], disarm_after_s)?;

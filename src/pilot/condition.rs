@@ -22,6 +22,8 @@ const RESTING_SPEED_M_S: f64 = 0.15;
 /// Height above the ground that counts as flight where the vehicle does not say, m.
 const AIRBORNE_HEIGHT_M: f64 = 0.3;
 
+/// After this long without an answer to TIMESYNC, asked ten times a second, setpoints may not arrive.
+const UNANSWERED: Duration = Duration::from_millis(250);
 /// An answer older than this says nothing of the link as it is.
 const ANSWER_FRESH: Duration = Duration::from_millis(500);
 
@@ -73,6 +75,7 @@ impl Pilot {
             status,
             airborne,
             at_rest: self.is_at_rest(),
+            speed_m_s: here.map_or(0.0, |s| s.velocity.north().hypot(s.velocity.east())),
             telemetry_ready: airborne.is_some()
                 && status.armed.is_some()
                 && age_s < self.settings.safety.stale_after_s
@@ -102,7 +105,11 @@ impl Pilot {
         // What led here was a reaction: stay where the vehicle is, not where it should be.
         let stopped = after != before && before != FlightState::Hold;
         if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {
-            self.guidance.hold_here();
+            if jumped {
+                self.guidance.hold_here();
+            } else {
+                self.guidance.stop_ahead();
+            }
         }
         let silence_s = self.telemetry.status().silence_s(now);
         if silence_s.is_finite() && silence_s > self.settings.supervisor.link_lost_after_s {
@@ -117,6 +124,12 @@ impl Pilot {
             let ratio = voltage / self.airframe.battery_full_v;
             ratio.powf(-self.guidance.voltage_exponent()).clamp(1.0, VOLTAGE_GAIN_MAX)
         })
+    }
+
+    /// Whether what is sent may not arrive: the vehicle, which used to answer, has not answered for as
+    /// long as several answers take. What it does then is not what it was asked for.
+    pub(super) fn may_be_unheard(&self, now: HostTime) -> bool {
+        self.round_trip.is_some_and(|(at, time)| now.since(at) > UNANSWERED + time)
     }
 
     /// How long the link took for the newest answer, s, if one came lately.

@@ -227,6 +227,19 @@ impl SafetySettings {
         }
     }
 
+    /// Whether the vehicle is not to be brought to rest by feedback first, when the fault lands it:
+    /// the state, the attitude or the way to the vehicle is in doubt.
+    pub(super) fn lands_at_once(fault: Fault) -> bool {
+        match fault {
+            Fault::StaleTelemetry
+            | Fault::TelemetryJump
+            | Fault::SlowLink
+            | Fault::Tilt
+            | Fault::PositionLost => true,
+            Fault::TrackingError | Fault::Geofence | Fault::Battery | Fault::Failsafe => false,
+        }
+    }
+
     pub(super) fn describe(&self, fault: Fault, c: &FlightCondition) -> String {
         match fault {
             Fault::StaleTelemetry if c.late.count > 0 => {

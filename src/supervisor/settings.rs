@@ -29,6 +29,11 @@ pub struct SupervisorSettings {
     pub take_off_timeout_s: f64,
     /// Time for landing, s.
     pub land_timeout_s: f64,
+    /// Longest time for which a vehicle that moves is brought to rest before it is asked to land, s.
+    /// One that lands while it moves means to stop further on; where the ground stops it before,
+    /// ArduCopter leans towards that place, and never takes itself for landed. Where a fault says
+    /// that feedback must not be trusted, landing is asked for at once.
+    pub land_brake_s: f64,
     /// Time that control goes on after asking for landing, until the vehicle has taken over, s.
     pub land_handover_s: f64,
     /// Hold after the trajectory or after a fault, s.
@@ -55,6 +60,7 @@ impl Default for SupervisorSettings {
             take_over: false,
             take_off_timeout_s: 30.0,
             land_timeout_s: 60.0,
+            land_brake_s: 1.0,
             land_handover_s: 2.0,
             hold_s: 2.0,
             disarm_after_s: 4.0,

@@ -23,6 +23,12 @@ pub enum TelemetryFault {
         /// Step of the velocity.
         metres_per_s: f64,
     },
+    /// The position goes elsewhere than its velocity, step by step.
+    #[error("position estimate slid by {metres:.2} m beside its velocity")]
+    PositionSlide {
+        /// Of late, beyond what velocity explains.
+        metres: f64,
+    },
     /// The attitude is not where it was turning to.
     #[error("attitude estimate jumped by {radians:.2} rad")]
     AttitudeJump {
