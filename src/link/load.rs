@@ -12,7 +12,8 @@ const NAMED: usize = 4;
 /// What takes less is not worth naming, bytes/s.
 const WORTH_NAMING: f64 = 50.0;
 
-/// What arrives, in bytes a second, with full payloads: MAVLink 2 leaves out zeros at their end.
+/// What arrives, in bytes a second, with full payloads but no extensions: MAVLink 2 leaves out zeros
+/// at their end.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinkLoad {
     /// All messages of the vehicle.
@@ -57,14 +58,14 @@ mod tests {
     #[test]
     fn what_nobody_asked_for_is_named_with_its_bytes() {
         let count = |id, rate_hz| MessageCount { id, total: 1, rate_hz };
-        // ATTITUDE_QUATERNION of 48 bytes, HIGHRES_IMU of 63, VFR_HUD of 20, HEARTBEAT of 9.
+        // Payloads: ATTITUDE_QUATERNION 32 bytes, HIGHRES_IMU 62, VFR_HUD 20, HEARTBEAT 9.
         let messages = [count(31, 10.0), count(105, 10.0), count(74, 20.0), count(0, 1.0)];
         let load = LinkLoad::of(&messages, false, |id| id == 31);
-        let expected = 10.0 * 60.0 + 10.0 * 75.0 + 20.0 * 32.0 + 21.0;
+        let expected = 10.0 * 44.0 + 10.0 * 74.0 + 20.0 * 32.0 + 21.0;
         assert!((load.bytes_per_s - expected).abs() < 1e-9, "{}", load.bytes_per_s);
         assert_eq!(
             load.to_string(),
-            "about 2011 bytes/s arrive, unasked among them HIGHRES_IMU 750, VFR_HUD 640"
+            "about 1841 bytes/s arrive, unasked among them HIGHRES_IMU 740, VFR_HUD 640"
         );
         let signed = LinkLoad::of(&messages, true, |id| id == 31);
         assert!((signed.bytes_per_s - expected - 41.0 * 13.0).abs() < 1e-9);
