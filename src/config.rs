@@ -10,6 +10,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
+use vehicle::bounded;
 
 use self::check::{check_adaptation, check_numbers, check_pilot};
 pub use self::settings::{FormSetting, LinkSettings, Settings, SigningSettings};
@@ -211,7 +212,7 @@ impl Config {
     }
 
     fn merge_file(&mut self, path: &Path) -> Result<(), ConfigError> {
-        let text = std::fs::read_to_string(path)
+        let text = bounded::read_to_string(path, bounded::WRITTEN_MAX)
             .map_err(|source| ConfigError::Read { path: path.into(), source })?;
         let origin = Origin::File(path.into());
         // Read as settings first: its errors show the place in the text.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use vehicle::bounded;
 use vehicle::plant::Setup;
 
 pub use vehicle::battery::BatteryConfig;
@@ -256,7 +257,7 @@ impl SitlConfig {
     /// A file that cannot be read, does not follow the schema, or holds impossible values.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path)
+        let text = bounded::read_to_string(path, bounded::WRITTEN_MAX)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         Self::from_toml_str(&text).map_err(|error| match error {
             ConfigError::Syntax { message, .. } => {

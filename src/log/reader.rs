@@ -16,6 +16,9 @@ use crate::clock::HostTime;
 /// No record of a flight log is longer, compressed or not; keeps a damaged length from asking for
 /// all of the memory.
 const RECORD_LEN_MAX: u64 = 64 << 20;
+/// Bytes that are packed in one, at most, beside one chunk of the largest size: logs of flights have
+/// two to twenty.
+const PACKED_MAX: u64 = 200;
 /// Damages that are described; the rest are counted.
 const DAMAGES_DESCRIBED: usize = 16;
 /// Opcode and length.
@@ -133,6 +136,8 @@ pub struct LogReader<R> {
     run: BTreeMap<String, String>,
     attachments: Vec<LogAttachment>,
     ending: Ending,
+    /// Bytes that were packed in the chunks until now, as they say.
+    unpacked: u64,
     done: bool,
 }
 
@@ -184,6 +189,7 @@ impl<R: Read> LogReader<R> {
             run: BTreeMap::new(),
             attachments: Vec::new(),
             ending: Ending::default(),
+            unpacked: 0,
             done: false,
         };
         let mut magic = [0; mcap::MAGIC.len()];
@@ -285,11 +291,11 @@ impl<R: Read> LogReader<R> {
             return Ok(None);
         }
         match opcode {
-            op::CHUNK if !self.chunk_fits() => {
-                self.ending.damage(format!("chunk at byte {offset}: its records do not fill it"));
-                Ok(None)
-            }
             op::CHUNK => {
+                if let Err(why) = self.check_chunk() {
+                    self.ending.damage(format!("chunk at byte {offset}: {why}"));
+                    return Ok(None);
+                }
                 let options = LinearReaderOptions::default()
                     .with_skip_start_magic(true)
                     .with_skip_end_magic(true)
@@ -313,14 +319,23 @@ impl<R: Read> LogReader<R> {
         }
     }
 
-    /// Whether the chunk in `record` can be handed on: a compressed one's records come in time.
-    fn chunk_fits(&self) -> bool {
-        match mcap::parse_record(op::CHUNK, &self.record[RECORD_HEAD..]) {
-            Ok(Record::Chunk { header, data }) if header.compression.is_empty() => {
-                lengths::records_fill(&data)
-            }
-            _ => true,
+    /// Why the chunk in `record` cannot be handed on. A compressed one's records come in time, as
+    /// many bytes as it says; so that a file costs no more than its length may, it must not say too
+    /// many.
+    fn check_chunk(&mut self) -> Result<(), &'static str> {
+        let chunk = mcap::parse_record(op::CHUNK, &self.record[RECORD_HEAD..]);
+        let Ok(Record::Chunk { header, data }) = chunk else { return Ok(()) };
+        if header.compression.is_empty() {
+            let fills = lengths::records_fill(&data);
+            return fills.then_some(()).ok_or("its records do not fill it");
         }
+        let unpacked = self.unpacked.saturating_add(header.uncompressed_size);
+        let most = RECORD_LEN_MAX + self.offset.saturating_mul(PACKED_MAX);
+        if header.uncompressed_size > RECORD_LEN_MAX || unpacked > most {
+            return Err("too much is packed in it");
+        }
+        self.unpacked = unpacked;
+        Ok(())
     }
 
     /// Reads past the summary, which repeats what was read, to see whether the file is complete.

@@ -8,6 +8,7 @@ use safetensors::{SafeTensorError, SafeTensors};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use vehicle::bounded;
 use vehicle::{Difference, VehicleError, VehicleParams};
 
 use super::actuation::Actuation;
@@ -24,6 +25,8 @@ const FORMAT: &str = "downwash.model";
 const VERSION: u32 = 1;
 /// The one key of the metadata: a JSON object.
 const KEY: &str = "downwash";
+/// Most bytes of a file: networks of the most hidden units, and what of their training is kept.
+const SIZE_MAX: u64 = 64 << 20;
 /// Most hidden units.
 const HIDDEN_MAX: usize = 4096;
 
@@ -286,7 +289,7 @@ impl ModelFile {
     /// # Errors
     /// [`ModelFileError`].
     pub fn load(path: &Path) -> Result<Self, ModelFileError> {
-        let bytes = std::fs::read(path)
+        let bytes = bounded::read(path, SIZE_MAX)
             .map_err(|source| ModelFileError::Io { path: path.to_owned(), source })?;
         Self::from_bytes(&bytes, path)
     }

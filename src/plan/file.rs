@@ -8,6 +8,7 @@ mod multisine;
 use std::path::{Path, PathBuf};
 
 use schemars::{Schema, schema_for};
+use vehicle::bounded;
 
 use self::builder::Builder;
 use self::family::Family;
@@ -19,6 +20,9 @@ use super::trajectory::{Shape, Trajectory};
 
 /// The longest trajectory, s: what checks one looks at every moment of it.
 const DURATION_MAX_S: f64 = 86_400.0;
+
+/// Most bytes of a file: a table of a day is no larger at 30 rows a second.
+const SIZE_MAX: u64 = 256 << 20;
 
 /// Why a trajectory file is refused.
 #[derive(Debug, thiserror::Error)]
@@ -135,7 +139,7 @@ fn load(path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
     if let Some(shipped) = shipped(path) {
         return parse(shipped.text, path);
     }
-    let text = std::fs::read_to_string(path)
+    let text = bounded::read_to_string(path, SIZE_MAX)
         .map_err(|source| TrajectoryError::Read { path: path.into(), source })?;
     if path.extension().is_some_and(|extension| extension == "csv") {
         let table = Table::parse(&text)

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::AttitudePd;
+use vehicle::bounded;
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
 use super::flyable::{NotFlyable, check_led, check_violation};
@@ -20,6 +21,9 @@ const SCHEMA: &str = "downwash.plan";
 const VERSION: u32 = 2;
 /// Longest plan that is read, in periods: three hours at 100 Hz.
 const PERIODS_MAX: usize = 1_080_000;
+
+/// Most bytes of a file: that many periods.
+const SIZE_MAX: u64 = 512 << 20;
 
 /// A commanded input `u_hat = (u1, zeta_des, omega_des)` in N, rad and rad/s.
 pub type CommandedInput = [f64; 7];
@@ -171,7 +175,7 @@ impl Plan {
     /// [`PlanError`] where the file is none, of another version, or holds numbers that no plan
     /// has.
     pub fn load(path: &Path) -> Result<Self, PlanError> {
-        let text = std::fs::read_to_string(path)
+        let text = bounded::read_to_string(path, SIZE_MAX)
             .map_err(|source| PlanError::Io { path: path.to_owned(), source })?;
         let damaged = |reason: String| PlanError::Damaged { path: path.to_owned(), reason };
         let plan: Self = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;

@@ -26,6 +26,7 @@
 
 pub mod batch;
 pub mod battery;
+pub mod bounded;
 mod contact;
 pub mod effects;
 pub mod export;

@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 use toml::{Table, Value};
+use vehicle::bounded;
 
 use super::axis::{Axis, Drawn, POINTS_MAX, Seeds};
 use super::exam_inputs;
@@ -88,7 +89,7 @@ pub struct Point {
 impl Manifest {
     /// Reads a manifest.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
-        let text = std::fs::read_to_string(path)
+        let text = bounded::read_to_string(path, bounded::WRITTEN_MAX)
             .with_context(|| format!("cannot read the manifest {}", path.display()))?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
         Self::parse(&text, folder).with_context(|| format!("manifest {}", path.display()))

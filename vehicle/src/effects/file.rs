@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{EffectError, EffectSet};
+use crate::bounded;
 
 /// Why effects that were asked for are refused.
 #[derive(Debug, thiserror::Error)]
@@ -60,7 +61,7 @@ impl EffectSet {
     }
 
     fn load(path: &Path) -> Result<Self, EffectsRefused> {
-        let text = std::fs::read_to_string(path)
+        let text = bounded::read_to_string(path, bounded::WRITTEN_MAX)
             .map_err(|source| EffectsRefused::Read { path: path.to_owned(), source })?;
         toml::from_str(&text).map_err(|error| EffectsRefused::Syntax {
             path: path.to_owned(),

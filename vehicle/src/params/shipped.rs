@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use crate::bounded;
+
 /// A vehicle file by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shipped {
@@ -40,7 +42,7 @@ pub fn shipped(path: &Path) -> Option<&'static Shipped> {
 pub fn read(path: &Path) -> std::io::Result<String> {
     match shipped(path) {
         Some(shipped) => Ok(shipped.text.to_owned()),
-        None => std::fs::read_to_string(path),
+        None => bounded::read_to_string(path, bounded::WRITTEN_MAX),
     }
 }
 

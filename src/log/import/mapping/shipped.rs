@@ -1,9 +1,10 @@
 //! Mapping files that come with the program.
 
 use std::borrow::Cow;
-use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
+
+use vehicle::bounded;
 
 use super::ImportError;
 
@@ -19,7 +20,7 @@ pub const SHIPPED: [(&str, &str); 2] = [
 /// A file that cannot be read and a name that no shipped mapping has.
 pub(super) fn text(path: &Path) -> Result<Cow<'static, str>, ImportError> {
     let shipped = SHIPPED.iter().find(|(name, _)| Path::new(name) == path);
-    match (fs::read_to_string(path), shipped) {
+    match (bounded::read_to_string(path, bounded::WRITTEN_MAX), shipped) {
         (Ok(text), _) => Ok(text.into()),
         (Err(error), Some((_, text))) if error.kind() == ErrorKind::NotFound => Ok((*text).into()),
         (Err(error), _) if error.kind() == ErrorKind::NotFound => {

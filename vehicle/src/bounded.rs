@@ -1,0 +1,51 @@
+//! Files that are read whole, and so must not be larger than what they are for.
+
+use std::fs::File;
+use std::io::{self, ErrorKind, Read};
+use std::path::Path;
+
+/// Most bytes of a file that people write, such as a vehicle's: its values take a hundred times as
+/// much in memory.
+pub const WRITTEN_MAX: u64 = 4 << 20;
+
+/// A file's bytes, of which there are at most `most`.
+///
+/// # Errors
+/// A file that cannot be read, or is larger: also one that has no end.
+pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        let message = format!("the file is larger than {} MiB", most >> 20);
+        return Err(io::Error::new(ErrorKind::FileTooLarge, message));
+    }
+    Ok(bytes)
+}
+
+/// As [`read`], a text's.
+///
+/// # Errors
+/// As [`read`]; bytes that are no UTF-8.
+pub fn read_to_string(path: &Path, most: u64) -> io::Result<String> {
+    String::from_utf8(read(path, most)?)
+        .map_err(|_| io::Error::new(ErrorKind::InvalidData, "stream did not contain valid UTF-8"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_without_an_end_is_refused_and_one_of_the_limit_is_read() {
+        let path = std::env::temp_dir().join(format!("bounded-{}", std::process::id()));
+        std::fs::write(&path, vec![b'a'; 2 << 20]).expect("a file");
+        assert_eq!(read(&path, 2 << 20).expect("its bytes").len(), 2 << 20);
+        let error = read_to_string(&path, (2 << 20) - 1).expect_err("too large");
+        assert_eq!(error.kind(), ErrorKind::FileTooLarge);
+        std::fs::remove_file(&path).expect("it was there");
+        if cfg!(target_os = "linux") {
+            let error = read(Path::new("/dev/zero"), 1 << 20).expect_err("it has no end");
+            assert_eq!(error.to_string(), "the file is larger than 1 MiB");
+        }
+    }
+}
