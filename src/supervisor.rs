@@ -477,7 +477,7 @@ impl Supervisor {
                 continue;
             }
             let (since, reacted) = self.faults.entry(fault).or_insert((now, false));
-            if *reacted || now.since(*since).as_secs_f64() < self.safety.dwell_s(fault) {
+            if *reacted || now.since(*since).as_secs_f64() < self.safety.dwell_s(fault, condition) {
                 continue;
             }
             *reacted = true;

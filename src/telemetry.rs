@@ -63,8 +63,8 @@ impl Default for TelemetrySettings {
 const KEEPS_TO: f64 = 0.9;
 /// Samples are thinned where they come at more than this many times the control rate.
 const THIN_ABOVE: f64 = 1.25;
-/// A vehicle in the air does not report one state, unchanged, for this long, s, unless its estimator
-/// is frozen.
+/// A vehicle whose motors turn does not report one state, unchanged, for this long, s, unless its
+/// estimator is frozen.
 const FROZEN_S: f64 = 0.2;
 /// What says that it moves by less than this meanwhile may be still, m or rad.
 const STILL: f64 = 1e-4;
@@ -308,8 +308,9 @@ impl Telemetry {
         Ok(delay)
     }
 
-    /// On the ground, and where nobody says where it is, a vehicle may well lie still; and so may one
-    /// that a simulation without noise hovers. `speed`, m/s or rad/s, is by its own word.
+    /// With its motors off a vehicle may well lie still; and so may one that a simulation without
+    /// noise hovers. Not so one whose motors turn, be it that it has just lifted off and its word of
+    /// that was lost. `speed`, m/s or rad/s, is by its own word.
     fn not_frozen(
         &self,
         same_since: Option<VehicleTime>,
@@ -320,8 +321,9 @@ impl Telemetry {
             self.status.landed,
             LandedState::InAir | LandedState::TakingOff | LandedState::Landing
         );
+        let may_move = is_aloft || self.status.armed == Some(true);
         let seconds = same_since.map_or(0.0, |since| stamp.seconds_since(since));
-        if is_aloft && seconds > FROZEN_S && speed * seconds > STILL {
+        if may_move && seconds > FROZEN_S && speed * seconds > STILL {
             return Err(TelemetryFault::Frozen { seconds });
         }
         Ok(())

@@ -68,6 +68,10 @@ pub(super) const FAULTS: [Fault; 9] = [
     Fault::PositionLost,
 ];
 
+/// Share of the largest distance from the reference by which it is exceeded where nothing is waited
+/// for any more.
+const PATIENCE_ENDS: f64 = 0.5;
+
 /// When a fault is one, and the reaction to each. Link loss has no setting: the stream stops.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -87,7 +91,7 @@ pub struct SafetySettings {
     pub on_slow_link: Reaction,
     /// Distance from the reference, m.
     pub tracking_error_max_m: f64,
-    /// Time beyond that distance, s.
+    /// Time beyond that distance, s; less the further beyond, and none at half as much again.
     pub tracking_error_for_s: f64,
     /// Reaction.
     pub on_tracking_error: Reaction,
@@ -200,16 +204,23 @@ impl SafetySettings {
     }
 
     /// Seconds for which the condition must hold.
-    pub(super) fn dwell_s(&self, fault: Fault) -> f64 {
+    pub(super) fn dwell_s(&self, fault: Fault, c: &FlightCondition) -> f64 {
         match fault {
             Fault::SlowLink => self.round_trip_for_s,
-            Fault::TrackingError => self.tracking_error_for_s,
+            Fault::TrackingError => self.tracking_error_for_s * self.patience(c.tracking_error_m),
             Fault::Tilt => self.tilt_for_s,
             Fault::Battery => self.battery_for_s,
             Fault::Failsafe => self.failsafe_for_s,
             Fault::PositionLost => self.position_lost_for_s,
             Fault::StaleTelemetry | Fault::TelemetryJump | Fault::Geofence => 0.0,
         }
+    }
+
+    /// Share of its time that a distance from the reference is waited for: all of it at the limit,
+    /// none at half as much again. What is swept away by metres a second is not coming back.
+    fn patience(&self, tracking_error_m: f64) -> f64 {
+        let beyond = tracking_error_m / self.tracking_error_max_m - 1.0;
+        if beyond.is_nan() { 1.0 } else { (1.0 - beyond / PATIENCE_ENDS).clamp(0.0, 1.0) }
     }
 
     /// The reaction to the fault.
@@ -280,5 +291,25 @@ impl SafetySettings {
                 self.battery_min * 100.0
             ),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_further_from_the_reference_the_less_is_waited() {
+        let settings = SafetySettings::default();
+        let waits = |tracking_error_m| {
+            let condition = FlightCondition { tracking_error_m, ..FlightCondition::default() };
+            settings.dwell_s(Fault::TrackingError, &condition)
+        };
+        let [limit, whole] = [settings.tracking_error_max_m, settings.tracking_error_for_s];
+        assert_eq!(
+            [limit, 1.25 * limit, 1.5 * limit, 9.0 * limit].map(waits),
+            [whole, 0.5 * whole, 0.0, 0.0]
+        );
+        assert_eq!(waits(f64::NAN), whole);
     }
 }
