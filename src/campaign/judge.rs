@@ -6,6 +6,8 @@
 
 use wire::dialect::*;
 
+pub use super::bounds::Bounds;
+use super::bounds::Sent;
 use super::channel::{Origin, Passing};
 pub use super::rule::{Rule, Violation};
 use super::script::Script;
@@ -29,25 +31,10 @@ const RELEASE_S: f64 = 1.0;
 const LATE_S: f64 = 0.2;
 /// The station checks its deadlines at intervals of up to this, s.
 const LOOK_S: f64 = 0.03;
-
-/// Bounds that were promised to the operator.
-#[derive(Clone, Copy, Debug)]
-pub struct Bounds {
-    /// Least and largest thrust field.
-    pub thrust: [f64; 2],
-    /// rad
-    pub tilt_rad: f64,
-    /// rad/s
-    pub body_rate_rad_s: f64,
-    /// Thrust field in a second.
-    pub thrust_change_per_s: f64,
-    /// rad/s^2
-    pub body_rate_change_rad_s2: f64,
-    /// The word of the mode in which setpoints are obeyed, and of the one that lands.
-    pub obeys: u32,
-    /// That of landing.
-    pub lands: u32,
-}
+/// What lay unread in a stall is read within this of its end, and nothing answered, s.
+const DRAIN_S: f64 = 0.01;
+/// On sockets, an answer may be this long on its way, s: the stall that is none, and the calls.
+pub(super) const ON_ITS_WAY_S: f64 = STALL_S + 0.01;
 
 /// A word of the mode, and of the motors.
 #[derive(Clone, Copy, Debug)]
@@ -63,13 +50,6 @@ struct State {
     said_us: u64,
     heard_us: u64,
     due_us: u64,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Sent {
-    at_us: u64,
-    thrust: f64,
-    body_rate: [f64; 3],
 }
 
 /// Judges one flight.
@@ -89,7 +69,7 @@ pub struct Judge {
     rebooted_us: Option<u64>,
     /// Setpoints left while the vehicle said that it obeys.
     flew: bool,
-    disarmed: bool,
+    disarmed_us: Option<u64>,
     land_us: Option<u64>,
     states: Vec<State>,
     quickest_us: u64,
@@ -97,6 +77,8 @@ pub struct Judge {
     reached_us: Option<u64>,
     ran_us: u64,
     woke_us: u64,
+    /// How long an answer may be on its way, s; in lockstep it leaves in the instant of what it answers.
+    on_its_way_s: f64,
     last: Option<Sent>,
     /// Setpoints that left.
     pub setpoints: u64,
@@ -117,16 +99,22 @@ impl Judge {
             armed: None,
             rebooted_us: None,
             flew: false,
-            disarmed: false,
+            disarmed_us: None,
             land_us: None,
             states: Vec::new(),
             quickest_us: u64::MAX,
             reached_us: None,
             ran_us: 0,
             woke_us: 0,
+            on_its_way_s: 0.0,
             last: None,
             setpoints: 0,
         }
+    }
+
+    /// A judge of a process on sockets, whose answers may be on their way for `seconds`.
+    pub(super) fn patient(self, seconds: f64) -> Self {
+        Self { on_its_way_s: seconds, ..self }
     }
 
     /// What did not hold, in the order of time.
@@ -144,16 +132,21 @@ impl Judge {
     /// The station's process runs at `now_us`, whatever it does.
     pub fn runs(&mut self, now_us: u64) {
         if seconds(self.ran_us, now_us) > STALL_S {
-            self.woke_us = now_us;
+            self.woke(now_us);
         }
         self.ran_us = now_us;
         self.states.retain(|state| state.due_us + 1_000_000 > now_us);
     }
 
+    /// The station's process runs again after a stall.
+    pub(super) fn woke(&mut self, now_us: u64) {
+        self.woke_us = now_us;
+    }
+
     /// Another process of the station begins, which knows nothing.
     pub fn restarted(&mut self, now_us: u64) {
         (self.mode, self.left_us, self.heard_us, self.armed) = (None, None, None, None);
-        (self.flew, self.disarmed, self.land_us, self.last) = (false, false, None, None);
+        (self.flew, self.disarmed_us, self.land_us, self.last) = (false, None, None, None);
         (self.silent_us, self.woke_us, self.ran_us) = (now_us, now_us, now_us);
         self.states.clear();
         self.reached_us = None;
@@ -180,7 +173,10 @@ impl Judge {
             if self.rebooted_us.is_some_and(|rebooted| said_us >= rebooted) {
                 (self.mode, self.rebooted_us) = (None, None);
             }
-            if self.heard_us.is_none_or(|heard| seconds(heard, now_us) > SILENCE_S + LOOK_S) {
+            if self
+                .heard_us
+                .is_none_or(|heard| seconds(heard, now_us) > SILENCE_S + LOOK_S + self.on_its_way_s)
+            {
                 self.silent_us = self.heard_us.unwrap_or(now_us);
             }
             self.heard_us = Some(now_us);
@@ -194,7 +190,9 @@ impl Judge {
         self.mode = Some(Mode { word, said_us, heard_us: now_us });
         self.left_us = if word == self.bounds.obeys { None } else { self.left_us.or(Some(now_us)) };
         if let Some(armed) = armed {
-            self.disarmed |= self.flew && self.armed == Some(true) && !armed;
+            if self.flew && self.armed == Some(true) && !armed {
+                self.disarmed_us = self.disarmed_us.or(Some(now_us));
+            }
             self.armed = Some(armed);
         }
     }
@@ -214,49 +212,37 @@ impl Judge {
     }
 
     fn check_limits(&mut self, now_us: u64, target: &SET_ATTITUDE_TARGET_DATA) {
-        let bounds = self.bounds;
-        let q = target.q.map(f64::from);
-        let body_rate = [target.body_roll_rate, target.body_pitch_rate, target.body_yaw_rate];
-        let body_rate = body_rate.map(f64::from);
-        let thrust = f64::from(target.thrust);
-        let norm: f64 = q.iter().map(|c| c * c).sum();
-        // The third column's last entry of the rotation that q is.
-        let tilt_rad =
-            (q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3]).clamp(-1.0, 1.0).acos();
-        let is_within = (norm - 1.0).abs() < 1e-4
-            && tilt_rad <= bounds.tilt_rad + 1e-3
-            && body_rate.iter().all(|rate| rate.abs() <= bounds.body_rate_rad_s + 1e-4)
-            && (bounds.thrust[0] - 1e-4..=bounds.thrust[1] + 1e-4).contains(&thrust)
-            && target.target_system == sitl::autopilot::SYSTEM_ID;
-        if !is_within {
+        let sent = Sent::new(now_us, target);
+        if !self.bounds.admit(&sent, target) {
             self.violated(Rule::Limits, now_us, format!("{target:?}"));
         }
         if let Some(last) = self.last.filter(|last| seconds(last.at_us, now_us) < 0.49) {
-            let dt_s = seconds(last.at_us, now_us).max(0.005);
-            let is_slow = (thrust - last.thrust).abs() <= bounds.thrust_change_per_s * dt_s + 1e-4
-                && body_rate.iter().zip(last.body_rate).all(|(rate, was)| {
-                    (rate - was).abs() <= bounds.body_rate_change_rad_s2 * dt_s + 1e-3
-                });
-            if !is_slow {
-                let what = format!("{last:?}, then thrust {thrust}, rates {body_rate:?}");
-                self.violated(Rule::Changes, now_us, what);
+            let dt_s = seconds(last.at_us, now_us).max(0.005) + self.on_its_way_s;
+            if !self.bounds.admit_change(&last, &sent, dt_s) {
+                self.violated(Rule::Changes, now_us, format!("{last:?}, then {sent:?}"));
             }
         }
-        self.last = Some(Sent { at_us: now_us, thrust, body_rate });
+        self.last = Some(sent);
     }
 
-    /// Answers to states: the newest that was heard in this instant, and no other.
+    /// Answers to states: the newest that was heard in this instant, and no other. On sockets, one
+    /// that was heard just before; each state is answered once.
     fn check_fresh(&mut self, now_us: u64) {
-        let now = self.states.iter().filter(|state| state.heard_us == now_us);
-        let newest = now.max_by_key(|state| (state.due_us, state.said_us)).copied();
-        self.states.clear();
+        let on_its_way_s = self.on_its_way_s;
+        let is_now = |state: &State| seconds(state.heard_us, now_us).abs() <= on_its_way_s;
+        let newest = self.states.iter().copied().filter(is_now);
+        // A copy of an old one that came last on a socket need not be what is answered.
+        let came_us = |state: &State| if on_its_way_s > 0.0 { 0 } else { state.due_us };
+        let newest = newest.max_by_key(|state| (came_us(state), state.said_us));
+        let answered = self.states.iter().position(is_now).filter(|_| on_its_way_s > 0.0);
+        self.states.drain(..answered.map_or(self.states.len(), |first| first + 1));
         let Some(state) = newest else {
             return self.violated(Rule::Fresh, now_us, "it answers no state that came just now");
         };
         // Without a common clock nobody can tell a delay that the link always had.
         let base_s = self.quickest_us as f64 * 1e-6;
         let age_s = seconds(state.said_us, now_us);
-        if age_s > LATE_S + LOOK_S + STALL_S + 3.0 * base_s {
+        if age_s > LATE_S + LOOK_S + STALL_S + 3.0 * base_s + on_its_way_s {
             let what = format!("the newest state is {age_s:.3} s old, the quickest {base_s:.3} s");
             self.violated(Rule::Fresh, now_us, what);
         }
@@ -265,15 +251,21 @@ impl Judge {
             let what = format!("the newest state came {early_s:.3} s before the stall's end");
             self.violated(Rule::Stalled, now_us, what);
         }
+        let since_s = seconds(self.woke_us, now_us);
+        if self.woke_us > 0 && (0.0..DRAIN_S).contains(&since_s) {
+            let what = format!("{since_s:.3} s after a stall, while what lay unread is read");
+            self.violated(Rule::Stalled, now_us, what);
+        }
     }
 
     fn check_mode(&mut self, now_us: u64) {
         self.notice_release(now_us);
-        if self.disarmed && self.policy == EngagePolicy::Command {
+        let is_stopped = self.disarmed_us.is_some_and(|at| self.is_known_since(at, now_us));
+        if is_stopped && self.policy == EngagePolicy::Command {
             self.violated(Rule::AfterDisarming, now_us, "the vehicle told that its motors stopped");
         }
         if let Some(land_us) = self.land_us
-            && seconds(land_us, now_us) > HANDOVER_S + LOOK_S
+            && seconds(land_us, now_us) > HANDOVER_S + LOOK_S + self.on_its_way_s
         {
             let what = format!("{:.2} s after landing was asked for", seconds(land_us, now_us));
             self.violated(Rule::AfterLanding, now_us, what);
@@ -288,7 +280,7 @@ impl Judge {
             // Under the pilot's switch a hold is offered on the ground, whatever the mode.
             self.flew |= self.policy == EngagePolicy::Command || self.armed == Some(true);
             let known_s = seconds(mode.heard_us, now_us);
-            if known_s > MODE_KNOWN_S + LOOK_S {
+            if known_s > MODE_KNOWN_S + LOOK_S + self.on_its_way_s {
                 let what = format!("the mode was told {known_s:.2} s ago");
                 self.violated(Rule::OldMode, now_us, what);
             }
@@ -296,20 +288,25 @@ impl Judge {
                 let what = "the mode was told before the link fell silent, and not since";
                 self.violated(Rule::OldMode, now_us, what);
             }
-        } else if self.flew {
+        } else if self.flew && self.left_us.is_none_or(|left| self.is_known_since(left, now_us)) {
             let left_s = self.left_us.map_or(0.0, |left| seconds(left, now_us));
             let what = format!("{left_s:.3} s after the vehicle told mode {:#x}", mode.word);
             self.violated(Rule::AgainstThePilot, now_us, what);
         }
     }
 
+    /// Whether what was told at `at_us` must be known: what leaves now may have been on its way then.
+    fn is_known_since(&self, at_us: u64, now_us: u64) -> bool {
+        seconds(at_us, now_us) >= self.on_its_way_s
+    }
+
     /// Under the pilot's switch another flight may begin once the vehicle was in another mode for a
     /// while: what leaves then is an offer.
     fn notice_release(&mut self, now_us: u64) {
-        let is_released =
-            self.left_us.is_some_and(|left| seconds(left, now_us) >= RELEASE_S - LOOK_S);
+        let least_s = RELEASE_S - LOOK_S - self.on_its_way_s;
+        let is_released = self.left_us.is_some_and(|left| seconds(left, now_us) >= least_s);
         if self.policy == EngagePolicy::PilotSwitch && is_released {
-            (self.flew, self.disarmed, self.land_us) = (false, false, None);
+            (self.flew, self.disarmed_us, self.land_us) = (false, None, None);
         }
     }
 
@@ -329,7 +326,10 @@ impl Judge {
             self.land_us = self.land_us.or(Some(now_us));
         }
         let led = self.mode.filter(|mode| {
-            self.flew && mode.word != self.bounds.obeys && mode.word != self.bounds.lands
+            self.flew
+                && mode.word != self.bounds.obeys
+                && mode.word != self.bounds.lands
+                && self.left_us.is_none_or(|left| self.is_known_since(left, now_us))
         });
         if let Some(mode) = led.filter(|_| self.policy == EngagePolicy::Command) {
             let what = format!("{:?} while the vehicle told mode {:#x}", data.command, mode.word);
@@ -369,3 +369,6 @@ impl Judge {
 fn seconds(from_us: u64, to_us: u64) -> f64 {
     (to_us as f64 - from_us as f64) * 1e-6
 }
+
+#[cfg(test)]
+mod tests;

@@ -323,6 +323,12 @@ impl Script {
         Ok(script)
     }
 
+    /// When the next fault begins or ends after `now_us`, us.
+    pub(super) fn next_change_us(&self, now_us: u64) -> u64 {
+        let times = self.faults.iter().flat_map(|timed| [timed.at_us(), timed.end_us()]);
+        times.filter(|at| *at > now_us).min().unwrap_or(u64::MAX)
+    }
+
     fn check(&self) -> Result<(), ScriptError> {
         let refuse = |field, expected, found: String| ScriptError::Value { field, expected, found };
         if self.schema_version != VERSION {

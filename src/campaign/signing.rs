@@ -1,4 +1,4 @@
-//! The key of flights that are signed, and the stamps of simulated time.
+//! The key of flights that are signed, and their stamps.
 
 use std::time::Duration;
 
@@ -6,20 +6,20 @@ use wire::Encoder;
 use wire::signing::{Key, Signer, Stamp};
 
 use super::script::Script;
+use crate::clock::HostTime;
 use crate::link::signing::{Ledger, Remembered, SigningSettings};
-use crate::lockstep;
 
 /// Others than vehicle and station sign on links with this number.
 const LINK: u8 = 200;
 
 /// The key that station, vehicle and pilot share.
-pub(super) fn key() -> Key {
+pub fn key() -> Key {
     Key::new([0x5A; wire::signing::KEY_LEN])
 }
 
-/// The stamp of a simulated time.
-pub(super) fn stamp(now_us: u64) -> Stamp {
-    Stamp::from_unix_ns(lockstep::host_time(now_us).as_ns())
+/// The stamp of a time.
+pub(super) fn stamp(now: HostTime) -> Stamp {
+    Stamp::from_unix_ns(now.as_ns())
 }
 
 /// The station's settings.
@@ -35,13 +35,13 @@ pub(super) fn settings() -> SigningSettings {
 }
 
 /// A sender that signs where the script says so.
-pub(super) fn encoder(script: &Script, system: u8, component: u8, now_us: u64) -> Encoder {
+pub(super) fn encoder(script: &Script, system: u8, component: u8, now: HostTime) -> Encoder {
     let mut encoder = Encoder::new(system, component);
-    encoder.set_signer(script.signed.then(|| Signer::new(key(), LINK, stamp(now_us))));
+    encoder.set_signer(script.signed.then(|| Signer::new(key(), LINK, stamp(now))));
     encoder
 }
 
 /// Advances a sender's time.
-pub(super) fn turn(encoder: &mut Encoder, now_us: u64) {
-    encoder.signer().into_iter().for_each(|signer| signer.turn(stamp(now_us)));
+pub(super) fn turn(encoder: &mut Encoder, now: HostTime) {
+    encoder.signer().into_iter().for_each(|signer| signer.turn(stamp(now)));
 }

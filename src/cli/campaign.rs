@@ -23,7 +23,11 @@ pub struct CampaignArgs {
     /// are there are not flown again.
     #[arg(long, value_name = "DIR", default_value = "campaign-out")]
     pub out: PathBuf,
-    /// Flights at once [default: one for each core]. The rows do not depend on it.
+    /// In real time: a process of this program on a socket, which is stopped and killed as the scripts
+    /// say, the simulated vehicle and the link's faults on the other side.
+    #[arg(long)]
+    pub real_time: bool,
+    /// Flights at once [default: one for each core; 10 in real time]. The rows do not depend on it.
     #[arg(long, value_name = "COUNT")]
     pub jobs: Option<NonZeroUsize>,
     /// Instead: flies this fault script, JSON or TOML.

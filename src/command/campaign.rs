@@ -1,11 +1,11 @@
 //! `downwash campaign`: many simulated flights under drawn faults, and what did not hold in them.
 
 mod kit;
+mod real_time;
 #[cfg(test)]
 mod tests;
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -15,6 +15,7 @@ use anyhow::Context;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use vehicle::bounded;
 
 use self::kit::kit;
 use super::progress::count_bar;
@@ -24,10 +25,13 @@ use crate::campaign::bench;
 use crate::campaign::coverage::Coverage;
 use crate::campaign::draw;
 use crate::campaign::judge::{Ending, Violation};
+use crate::campaign::kit::Flown;
 use crate::campaign::script::Script;
 use crate::campaign::shrink::shrunk;
 use crate::cli::CampaignArgs;
 
+/// In real time a flight waits more than it computes: so many at once.
+const REAL_TIME_JOBS: usize = 10;
 /// So many failing flights are shrunk; the others wait for the next run.
 const SHRUNK_MAX: usize = 10;
 
@@ -48,10 +52,42 @@ pub struct CampaignFlight {
     pub setpoints: u64,
     /// Simulated time, s.
     pub simulated_s: f64,
-    /// CRC-32 of every byte in both directions: the same script gives the same.
+    /// CRC-32 of every byte in both directions: the same script gives the same. 0 in real time.
     pub digest: u32,
     /// States of the flight, each with a fault that acted in it.
     pub coverage: Vec<(String, String)>,
+}
+
+impl CampaignFlight {
+    fn of(index: usize, flown: Flown) -> Self {
+        let pairs = flown.coverage.pairs();
+        Self {
+            index,
+            failure: None,
+            end: flown.end,
+            ending: flown.ending,
+            violations: flown.violations,
+            setpoints: flown.setpoints,
+            simulated_s: flown.simulated_s,
+            digest: flown.digest,
+            coverage: pairs.map(|(state, fault, _)| (state.to_owned(), fault.to_owned())).collect(),
+        }
+    }
+
+    /// One that could not be flown.
+    fn not_flown(index: usize, error: &anyhow::Error) -> Self {
+        Self {
+            index,
+            failure: Some(in_words(error)),
+            end: String::new(),
+            ending: None,
+            violations: Vec::new(),
+            setpoints: 0,
+            simulated_s: 0.0,
+            digest: 0,
+            coverage: Vec::new(),
+        }
+    }
 }
 
 impl Numbered for CampaignFlight {
@@ -92,6 +128,8 @@ pub struct CampaignSummary {
     version: &'static str,
     /// Seed of the campaign.
     seed: u64,
+    /// Whether the station was a process on a socket, in real time.
+    real_time: bool,
     /// Flights of the whole campaign.
     flights: usize,
     /// Flights that were flown, by all shards.
@@ -116,15 +154,16 @@ pub(super) fn run(args: &CampaignArgs, interruption: &Interruption) -> anyhow::R
         print_text(&(script_text(&draw::script(args.seed, number))? + "\n"))?;
         return Ok(Exit::Ok);
     }
+    let stop = interruption.flag();
     if let Some(path) = &args.script {
-        return replay(path, args.json);
+        return replay(path, args, &stop);
     }
-    if let Some(jobs) = args.jobs {
-        let builder = rayon::ThreadPoolBuilder::new().num_threads(jobs.into());
+    let jobs = args.jobs.map(usize::from).or(args.real_time.then_some(REAL_TIME_JOBS));
+    if let Some(jobs) = jobs {
+        let builder = rayon::ThreadPoolBuilder::new().num_threads(jobs);
         builder.build_global().context("threads")?;
     }
     let began = Instant::now();
-    let stop = interruption.flag();
     let campaign = Campaign { args, folder: open(args).or_exit(Exit::Usage)? };
     let flown = campaign.fly(&stop)?;
     let summary = campaign.summary(&stop)?;
@@ -145,14 +184,18 @@ fn script_text(script: &Script) -> anyhow::Result<String> {
     serde_json::to_string_pretty(script).context("the script")
 }
 
-fn replay(path: &Path, json: bool) -> anyhow::Result<Exit> {
-    let text = fs::read_to_string(path)
+fn replay(path: &Path, args: &CampaignArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
+    let text = bounded::read_to_string(path, bounded::WRITTEN_MAX)
         .with_context(|| format!("cannot read the fault script {}", path.display()))
         .or_exit(Exit::Usage)?;
     let script =
         Script::parse(&text).with_context(|| path.display().to_string()).or_exit(Exit::Usage)?;
-    let flight = flown(0, &script).or_exit(Exit::Usage)?;
-    if json {
+    let flight = if args.real_time {
+        CampaignFlight::of(0, real_time::flown(&script, &args.out.join("script"), stop)?)
+    } else {
+        flown(0, &script).or_exit(Exit::Usage)?
+    };
+    if args.json {
         print_json(&flight)?;
     } else {
         let ending = flight.ending.map_or("none".to_owned(), ending_name);
@@ -171,27 +214,19 @@ fn open(args: &CampaignArgs) -> anyhow::Result<Folder<CampaignFlight>> {
         schema: "downwash.campaign".to_owned(),
         schema_version: 1,
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        manifest_sha256: format!("seed {}", args.seed),
+        manifest_sha256: format!(
+            "seed {}{}",
+            args.seed,
+            if args.real_time { " in real time" } else { "" }
+        ),
         points: args.flights,
     };
     Folder::open(&args.out, "campaign.json", &header)
 }
 
-/// Flies one script.
+/// Flies one script in lockstep.
 fn flown(index: usize, script: &Script) -> anyhow::Result<CampaignFlight> {
-    let flown = bench::fly(script, &kit(script)?)?;
-    let pairs = flown.coverage.pairs();
-    Ok(CampaignFlight {
-        index,
-        failure: None,
-        end: flown.end,
-        ending: flown.ending,
-        violations: flown.violations,
-        setpoints: flown.setpoints,
-        simulated_s: flown.simulated_s,
-        digest: flown.digest,
-        coverage: pairs.map(|(state, fault, _)| (state.to_owned(), fault.to_owned())).collect(),
-    })
+    Ok(CampaignFlight::of(index, bench::fly(script, &kit(script)?)?))
 }
 
 struct Campaign<'a> {
@@ -200,19 +235,19 @@ struct Campaign<'a> {
 }
 
 impl Campaign<'_> {
-    fn flight(&self, index: usize) -> CampaignFlight {
+    /// A flight; `None` where it was interrupted.
+    fn flight(&self, index: usize, stop: &AtomicBool) -> Option<CampaignFlight> {
         let script = draw::script(self.args.seed, index as u64);
-        flown(index, &script).unwrap_or_else(|error| CampaignFlight {
-            index,
-            failure: Some(in_words(&error)),
-            end: String::new(),
-            ending: None,
-            violations: Vec::new(),
-            setpoints: 0,
-            simulated_s: 0.0,
-            digest: 0,
-            coverage: Vec::new(),
-        })
+        let flight = if self.args.real_time {
+            let folder = self.args.out.join(format!("flight-{index}"));
+            real_time::flown(&script, &folder, stop).map(|flown| CampaignFlight::of(index, flown))
+        } else {
+            flown(index, &script)
+        };
+        if flight.is_err() && stop.load(Ordering::Relaxed) {
+            return None;
+        }
+        Some(flight.unwrap_or_else(|error| CampaignFlight::not_flown(index, &error)))
     }
 
     /// Flies what of the shard is missing; how many that were.
@@ -226,7 +261,7 @@ impl Campaign<'_> {
             if stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            let flight = self.flight(*index);
+            let Some(flight) = self.flight(*index, stop) else { return Ok(()) };
             let mut rows = rows.lock().unwrap_or_else(PoisonError::into_inner);
             let (file, flown): &mut (Rows<CampaignFlight>, usize) = &mut rows;
             *flown += 1;
@@ -269,6 +304,7 @@ impl Campaign<'_> {
             schema_version: 1,
             version: env!("CARGO_PKG_VERSION"),
             seed: self.args.seed,
+            real_time: self.args.real_time,
             flights: self.args.flights,
             done: rows.len(),
             setpoints: rows.values().map(|row| row.setpoints).sum(),
@@ -282,7 +318,9 @@ impl Campaign<'_> {
 
     /// The shortest script that fails as this flight did, in a file.
     fn shrunk(&self, row: &CampaignFlight) -> anyhow::Result<Option<PathBuf>> {
-        let Some(first) = row.violations.first() else { return Ok(None) };
+        let Some(first) = row.violations.first().filter(|_| !self.args.real_time) else {
+            return Ok(None);
+        };
         let path = self.args.out.join(format!("failed-{}.json", row.index));
         if !path.exists() {
             let drawn = draw::script(self.args.seed, row.index as u64);
@@ -311,6 +349,7 @@ fn violations_text(violations: &[Violation]) -> String {
 /// What stdout shows.
 fn text(summary: &CampaignSummary) -> String {
     let CampaignSummary { seed, flights, done, setpoints, simulated_h, failed, .. } = summary;
+    let is_real_time = &summary.real_time;
     let mut text = format!(
         "{done} of {flights} flights of seed {seed}, {simulated_h:.1} h, {setpoints} setpoints: \
          {} failed\n",
@@ -333,7 +372,8 @@ fn text(summary: &CampaignSummary) -> String {
         let index = flight.index;
         text += &format!(
             "again   downwash campaign --seed {seed} --draw {index} > script.json && downwash \
-             campaign --script script.json\n"
+             campaign --script script.json{}\n",
+            if *is_real_time { " --real-time" } else { "" }
         );
     }
     text

@@ -6,8 +6,8 @@ use std::path::Path;
 use sitl::config::Autopilot;
 use toml::Value;
 
-use crate::campaign::bench::Kit;
 use crate::campaign::judge::Bounds;
+use crate::campaign::kit::Kit;
 use crate::campaign::script::Script;
 use crate::command::setup::station_settings;
 use crate::command::vehicle_file::VehicleFile;

@@ -1,0 +1,152 @@
+//! The judge on words and setpoints at given times, as on sockets.
+
+use super::*;
+use crate::campaign::draw;
+use crate::campaign::script::Script;
+use wire::Encoder;
+
+const OBEYS: u32 = 6 << 16;
+const POSITION: u32 = 3 << 16;
+
+/// A judge, and the vehicle's and the station's words.
+struct Court {
+    judge: Judge,
+    vehicle: Encoder,
+    station: Encoder,
+}
+
+impl Court {
+    fn new(on_its_way_s: f64) -> Self {
+        let bounds = Bounds {
+            thrust: [0.0, 1.0],
+            tilt_rad: 1.0,
+            body_rate_rad_s: 5.0,
+            thrust_change_per_s: 100.0,
+            body_rate_change_rad_s2: 1000.0,
+            obeys: OBEYS,
+            lands: 4 << 16 | 6 << 24,
+        };
+        let script = Script { policy: EngagePolicy::Command, ..draw::script(1, 1) };
+        let judge = Judge::new(&script, bounds, &[[0.0; 3]]).patient(on_its_way_s);
+        Self { judge, vehicle: Encoder::new(1, 1), station: Encoder::new(254, 191) }
+    }
+
+    fn encoded(&mut self, message: &MavMessage) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        self.vehicle.encode(message, &mut bytes);
+        bytes
+    }
+
+    fn hears(&mut self, ms: u64, message: &MavMessage) {
+        let bytes = self.encoded(message);
+        let now_us = ms * 1000;
+        let passing = Passing { due_us: now_us, said_us: now_us, origin: Origin::Vehicle, bytes };
+        self.judge.heard(now_us, &passing);
+    }
+
+    fn mode(&mut self, ms: u64, custom_mode: u32) {
+        let base_mode = MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED;
+        let data = HEARTBEAT_DATA { custom_mode, base_mode, ..Default::default() };
+        self.hears(ms, &MavMessage::HEARTBEAT(data));
+    }
+
+    fn state(&mut self, ms: u64) {
+        self.hears(ms, &MavMessage::ODOMETRY(ODOMETRY_DATA::default()));
+    }
+
+    fn setpoint(&mut self, ms: u64) {
+        let data = SET_ATTITUDE_TARGET_DATA {
+            q: [1.0, 0.0, 0.0, 0.0],
+            thrust: 0.5,
+            target_system: 1,
+            ..Default::default()
+        };
+        let mut bytes = Vec::new();
+        self.station.encode(&MavMessage::SET_ATTITUDE_TARGET(data), &mut bytes);
+        self.judge.said(ms * 1000, &bytes);
+    }
+
+    fn rules(&self) -> Vec<Rule> {
+        self.judge.violations().iter().map(|violation| violation.rule).collect()
+    }
+}
+
+/// In flight, all well, until 1000 ms.
+fn in_flight(on_its_way_s: f64) -> Court {
+    let mut court = Court::new(on_its_way_s);
+    court.mode(990, OBEYS);
+    court.state(1000);
+    court.setpoint(1000);
+    assert_eq!(court.rules(), []);
+    court
+}
+
+#[test]
+fn in_lockstep_an_answer_leaves_in_the_instant_of_its_state() {
+    let mut court = in_flight(0.0);
+    court.state(1010);
+    court.setpoint(1011);
+    assert_eq!(court.rules(), [Rule::Fresh]);
+}
+
+#[test]
+fn on_sockets_an_answer_may_be_on_its_way_and_each_state_has_one() {
+    let mut court = in_flight(ON_ITS_WAY_S);
+    court.state(1010);
+    court.state(1020);
+    court.setpoint(1022);
+    court.setpoint(1023);
+    assert_eq!(court.rules(), []);
+    court.setpoint(1024);
+    assert_eq!(court.rules(), [Rule::Fresh], "a third answer to two states");
+    let mut court = in_flight(ON_ITS_WAY_S);
+    court.state(1010);
+    court.setpoint(1075);
+    assert_eq!(court.rules(), [Rule::Fresh], "65 ms are no way");
+}
+
+#[test]
+fn a_copy_that_comes_last_on_a_socket_is_not_what_is_answered() {
+    let mut court = in_flight(ON_ITS_WAY_S);
+    court.state(1010);
+    let copy = Passing {
+        due_us: 1_011_000,
+        said_us: 20_000,
+        origin: Origin::Copy,
+        bytes: court.encoded(&MavMessage::ODOMETRY(ODOMETRY_DATA::default())),
+    };
+    court.judge.heard(1_011_000, &copy);
+    court.setpoint(1012);
+    assert_eq!(court.rules(), []);
+    court.judge.heard(1_100_000, &Passing { due_us: 1_100_000, ..copy });
+    court.setpoint(1101);
+    assert_eq!(court.rules(), [Rule::Fresh], "it alone is too old to be answered");
+}
+
+#[test]
+fn what_crosses_the_pilots_word_is_no_answer_over_it_and_what_follows_is() {
+    let mut court = in_flight(ON_ITS_WAY_S);
+    court.mode(1005, POSITION);
+    court.state(1010);
+    court.setpoint(1012);
+    assert_eq!(court.rules(), [], "it was on its way");
+    court.state(1070);
+    court.setpoint(1071);
+    assert_eq!(court.rules(), [Rule::AgainstThePilot]);
+    let mut court = in_flight(0.0);
+    court.mode(1010, POSITION);
+    court.state(1010);
+    court.setpoint(1010);
+    assert_eq!(court.rules(), [Rule::AgainstThePilot], "in lockstep it was read before");
+}
+
+#[test]
+fn nothing_is_answered_while_what_lay_unread_is_read() {
+    for (ms, rules) in [(1205, &[Rule::Stalled][..]), (1215, &[])] {
+        let mut court = in_flight(ON_ITS_WAY_S);
+        court.judge.woke(1_200_000);
+        court.state(ms - 1);
+        court.setpoint(ms);
+        assert_eq!(court.rules(), rules, "{ms}");
+    }
+}

@@ -1,0 +1,64 @@
+"""Drawn fault scripts in real time: a process on a socket, stopped and killed as the scripts say."""
+
+import json
+import os
+
+import pytest
+
+# A commit passes or fails alike everywhere; other seeds by this variable.
+SEED = os.environ.get("DOWNWASH_CAMPAIGN_SEED", "1")
+
+
+def fly(program, folder, flights, seed=SEED):
+    one = program("campaign", "--real-time", "--flights", flights, "--seed", seed, "--out", folder, "--json")
+    code, out = one.finish(60 * (2 + flights // 5))
+    summary = json.loads(out)
+    assert summary["real_time"] and summary["done"] == flights
+    assert summary["failed"] == [], f"seed {seed}: {json.dumps(summary['failed'], indent=2)}\n{one.err}"
+    assert code == 0, one.err
+    return summary
+
+
+def test_ten_scripts_at_once(program, tmp_path):
+    summary = fly(program, tmp_path / "out", 10)
+    assert summary["setpoints"] > 1000
+    # Nothing is left of flights in which every rule held but their rows.
+    assert sorted(path.suffix for path in (tmp_path / "out").iterdir()) == [".json", ".jsonl"]
+
+
+@pytest.mark.long
+@pytest.mark.computes
+def test_two_hundred_scripts(program, tmp_path):
+    fly(program, tmp_path / "out", 200)
+
+
+def test_stopped_killed_and_taken_over(program, tmp_path):
+    """One script with what only a process can be done to, and a pilot."""
+
+    def at(at_s, for_s, **fault):
+        return {"at_s": at_s, "for_s": for_s, "fault": fault}
+
+    script = {
+        "schema_version": 1,
+        "seed": 7,
+        "vehicle": "quad1200",
+        "autopilot": "px4",
+        "law": "lqr",
+        "policy": "command",
+        "clock_rate": 1.0,
+        "signed": True,
+        "trajectory": "family = 'hover'\naltitude_m = 1.0\nduration_s = 4.0\n",
+        "faults": [
+            at(1.0, 0.2, kind="restart"),
+            at(8.0, 0.15, kind="pause"),
+            at(9.0, 2.0, kind="delay", way="both", least_s=0.01, jitter_s=0.03),
+            at(11.0, 0.0, kind="pilot", act="position"),
+        ],
+    }
+    path = tmp_path / "script.json"
+    path.write_text(json.dumps(script))
+    one = program("campaign", "--real-time", "--script", path, "--out", tmp_path / "out", "--json")
+    code, out = one.finish(120)
+    flight = json.loads(out)
+    assert code == 0 and flight["violations"] == [], one.err
+    assert flight["ending"] == "pilot" and flight["setpoints"] > 300
