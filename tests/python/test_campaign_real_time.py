@@ -61,4 +61,4 @@ def test_stopped_killed_and_taken_over(program, tmp_path):
     code, out = one.finish(120)
     flight = json.loads(out)
     assert code == 0 and flight["violations"] == [], one.err
-    assert flight["ending"] == "pilot" and flight["setpoints"] > 300
+    assert flight["ending"] == "pilot" and flight["setpoints"] > 100
