@@ -74,7 +74,8 @@ impl Inquiry<'_> {
     }
 
     /// What the file's errors bring about of a number, one standard deviation, and where the on-board
-    /// loop is not known so that no twin tells, a third of what the error of the logged moments does.
+    /// loop is not known so that no twin tells, as much of what the error of the logged moments does
+    /// that [`TOLERANCES_MAX`] of these are all of it.
     fn unremarkable(&self, number: &Number, turning: &[Turning; 3]) -> f64 {
         let by_moments = match number.target {
             _ if self.leg() => 0.0,
@@ -82,7 +83,7 @@ impl Inquiry<'_> {
             Target::Effect(EffectId::YawTorque, _) => turning[2].unexplained(),
             _ => 0.0,
         };
-        number.unremarkable.hypot(by_moments / TOLERANCES_MAX)
+        number.unremarkable + by_moments / TOLERANCES_MAX
     }
 
     /// An explanation in plain numbers.
