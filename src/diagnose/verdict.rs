@@ -394,7 +394,9 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
         decision.explanation = 0;
         return decision;
     }
-    let is_left = file > noise * open && file - noise > SUBSTANTIAL * (shipped.powi(2) - noise);
+    // However much of a gap the file's numbers close, what is twice the noise is open.
+    let is_much = file - noise > SUBSTANTIAL * (shipped.powi(2) - noise) || file > 4.0 * noise;
+    let is_left = file > noise * open && is_much;
     if is_open && is_left {
         decision.verdict = Verdict::Unknown;
         decision.because = Some(Unexplained::Remainder);
@@ -500,6 +502,16 @@ mod tests {
         let less = explained(&["rotor_drag"], 300.0, [4.0, 4.0]);
         let sets = vec![file, beside, less];
         assert_eq!(named(&decide(&evidence(8.0, sets))), ["motor_lag", "rotor_drag"]);
+    }
+
+    #[test]
+    fn what_the_files_numbers_leave_at_twice_the_noise_is_open() {
+        let leaves = |gap: f64| {
+            let file = explained(&[], 0.0, [24.0, gap]);
+            let wind = explained(&["wind"], -2.0, [24.0, gap]);
+            decide(&Evidence { learned: Some(1.0), ..evidence(24.0, vec![file, wind]) }).verdict
+        };
+        assert_eq!([1.9, 2.4].map(leaves), [Verdict::None, Verdict::Unknown]);
     }
 
     #[test]

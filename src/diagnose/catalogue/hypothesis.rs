@@ -91,6 +91,18 @@ impl Target {
     }
 }
 
+impl Target {
+    /// What it is of a vehicle without its effect, where that is one value.
+    pub fn absent(self) -> Option<f64> {
+        let Self::Effect(id, slot) = self else { return None };
+        let found = id.spec().slots().find(|s| s.index == slot)?;
+        match found.parameter.neutral {
+            Neutral::Value(value) => Some(value),
+            _ => None,
+        }
+    }
+}
+
 impl Display for Target {
     /// With the effect that the number is one of.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

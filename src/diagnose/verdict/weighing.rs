@@ -102,6 +102,9 @@ impl Inquiry<'_> {
                 let value = fit.values[*index];
                 let near = 1e-3 * number.magnitude;
                 let off = (value - number.reference).abs() > near;
+                // That an effect of the file is not there is no end of what occurs.
+                let is_absent =
+                    number.target.absent().is_some_and(|absent| (value - absent).abs() < near);
                 Found {
                     effect: hypothesis.effect.name().to_owned(),
                     name: number.target.name(),
@@ -110,7 +113,7 @@ impl Inquiry<'_> {
                     reference: number.reference,
                     unremarkable: self.unremarkable(number, turning),
                     magnitude: number.magnitude,
-                    is_at_bound: off && (value - low < near || high - value < near),
+                    is_at_bound: off && !is_absent && (value - low < near || high - value < near),
                 }
             })
         });
