@@ -111,8 +111,8 @@ pub struct Supervisor {
     asked: Option<HostTime>,
     /// When landing was first asked for in the present state.
     land_asked: Option<HostTime>,
-    /// Whether a fault landed the vehicle that feedback must not be trusted in.
-    lands_at_once: bool,
+    /// Share of its time that a vehicle which is to land is brought to rest for, by what lands it.
+    brake_share: f64,
     refusal: Option<String>,
     /// Since when each fault's condition has held, and whether it was reacted to.
     faults: BTreeMap<Fault, (HostTime, bool)>,
@@ -152,7 +152,7 @@ impl Supervisor {
             other_mode_since: None,
             asked: None,
             land_asked: None,
-            lands_at_once: false,
+            brake_share: 1.0,
             refusal: None,
             faults: BTreeMap::new(),
             control_since: now,
@@ -225,7 +225,7 @@ impl Supervisor {
         } else if next != FlightState::Connect && next != FlightState::Standby {
             self.preparing_since = None;
         }
-        (self.asked, self.land_asked, self.lands_at_once) = (None, None, false);
+        (self.asked, self.land_asked, self.brake_share) = (None, None, 1.0);
         self.mode_at_entry = None;
         self.was_offboard = false;
         self.streamed = false;
@@ -488,7 +488,7 @@ impl Supervisor {
                 let aborts = next == FlightState::Abort;
                 let severity = if aborts { Severity::Error } else { Severity::Warning };
                 self.enter(now, next, severity, &why);
-                self.lands_at_once = SafetySettings::lands_at_once(fault);
+                self.brake_share = self.safety.brake_share(fault, condition);
                 return;
             }
             // A jump was told in more words where it was found.
@@ -541,10 +541,9 @@ impl Supervisor {
 
     /// Whether a vehicle that is to land is brought to rest first.
     fn brakes(&self, now: HostTime, seen: &Observation) -> bool {
-        !self.lands_at_once
-            && self.land_asked.is_none()
+        self.land_asked.is_none()
             && seen.condition.sample_age_s <= STATE_STOPPED_S
             && seen.speed_m_s > BRAKED_M_S
-            && self.seconds_in_state(now) < self.settings.land_brake_s
+            && self.seconds_in_state(now) < self.brake_share * self.settings.land_brake_s
     }
 }

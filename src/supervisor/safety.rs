@@ -238,16 +238,18 @@ impl SafetySettings {
         }
     }
 
-    /// Whether the vehicle is not to be brought to rest by feedback first, when the fault lands it:
-    /// the state, the attitude or the way to the vehicle is in doubt.
-    pub(super) fn lands_at_once(fault: Fault) -> bool {
+    /// Share of its time that a vehicle which the fault lands is brought to rest for by feedback: none
+    /// where the state, the attitude or the way to the vehicle is in doubt, and the less the further it
+    /// has been swept away from its reference.
+    pub(super) fn brake_share(&self, fault: Fault, c: &FlightCondition) -> f64 {
         match fault {
             Fault::StaleTelemetry
             | Fault::TelemetryJump
             | Fault::SlowLink
             | Fault::Tilt
-            | Fault::PositionLost => true,
-            Fault::TrackingError | Fault::Geofence | Fault::Battery | Fault::Failsafe => false,
+            | Fault::PositionLost => 0.0,
+            Fault::TrackingError => self.patience(c.tracking_error_m),
+            Fault::Geofence | Fault::Battery | Fault::Failsafe => 1.0,
         }
     }
 
