@@ -156,10 +156,8 @@ fn masses(evidence: &Evidence, calibration: &Calibration, scores: &[f64]) -> Vec
         blocks.map(|(own, file)| own - file).collect()
     };
     let gains: Vec<Vec<f64>> = explanations.iter().map(fitted).collect();
-    let is_implausible = |explained: &Explained| {
-        explained.is_at_bound() || evidence.is_worse([file.choosing, explained.choosing], 0)
-    };
-    let implausible: Vec<bool> = explanations.iter().map(is_implausible).collect();
+    let implausible: Vec<bool> =
+        explanations.iter().map(|explained| evidence.is_implausible(explained)).collect();
     let mut rng = Pcg64Mcg::seed_from_u64(0);
     let mut masses = vec![0.0; explanations.len()];
     for _ in 0..DRAWS {
@@ -240,7 +238,32 @@ impl Posterior<'_> {
     /// The explanation of the most mass without effects that change no prediction.
     fn best(&self) -> usize {
         let by_mass = |a: &usize, b: &usize| self.masses[*a].total_cmp(&self.masses[*b]);
-        let mut best = (0..self.masses.len()).max_by(by_mass).unwrap_or(0);
+        let likeliest = (0..self.masses.len()).max_by(by_mass).unwrap_or(0);
+        let best = self.without_idle(likeliest);
+        if best == likeliest { best } else { self.best_part(likeliest, best) }
+    }
+
+    /// Of the parts of an explanation with as many effects as `best` the one that predicts the flights
+    /// for choosing best.
+    fn best_part(&self, whole: usize, best: usize) -> usize {
+        let own: BTreeSet<&str> = self.explained(whole).effects.iter().map(|e| class(e)).collect();
+        let count = self.explained(best).effects.len();
+        let is_part = |index: &usize| {
+            let explained = self.explained(*index);
+            let is_predicted = explained.reported.is_some() || self.evidence.shipped[1].is_none();
+            count > 0
+                && explained.effects.len() == count
+                && explained.effects.iter().all(|effect| own.contains(class(effect)))
+                && is_predicted
+                && !self.evidence.is_implausible(explained)
+        };
+        let parts = (0..self.masses.len()).filter(is_part);
+        let left = parts.filter_map(|index| Some((index, self.chosen(index)?)));
+        left.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(best, |(index, _)| index)
+    }
+
+    /// An explanation without effects that change no prediction.
+    fn without_idle(&self, mut best: usize) -> usize {
         loop {
             let effects = &self.explained(best).effects;
             let without = |effect: &String| {
@@ -527,6 +550,28 @@ mod tests {
         delay.reported = Some(Gaps { effects: 1.1, file: 8.0, both: 1.05, ..Gaps::default() });
         let decision = decide(&evidence(8.0, vec![file, delay]));
         assert_eq!((decision.verdict, decision.explanation), (Verdict::None, 0));
+    }
+
+    #[test]
+    fn what_is_no_further_off_than_its_own_error_is_not_named() {
+        let file = explained(&[], 0.0, [8.0, 6.0]);
+        let mut both = explained(&["command_delay", "wind"], 400.0, [1.1, 1.05]);
+        both.numbers[0].deviation = 3.0;
+        let wind = explained(&["wind"], 300.0, [3.1, 3.05]);
+        assert_eq!(named(&decide(&evidence(8.0, vec![file, both, wind]))), ["wind"]);
+    }
+
+    #[test]
+    fn of_the_parts_of_an_explanation_the_one_that_predicts_best_is_named() {
+        let file = explained(&[], 0.0, [40.0, 30.0]);
+        let both = explained(&["battery_sag", "thrust_scale"], 400.0, [4.0, 4.0]);
+        let sag = explained(&["battery_sag"], 320.0, [6.0, 6.0]);
+        let level = explained(&["thrust_scale"], 340.0, [7.0, 7.0]);
+        // One that acts like a part, and was not predicted on the flights reported on.
+        let mut mass = explained(&["mass"], 330.0, [2.0, 2.0]);
+        mass.reported = None;
+        let sets = vec![file, both, level, sag, mass];
+        assert_eq!(named(&decide(&evidence(40.0, sets))), ["battery_sag"]);
     }
 
     #[test]

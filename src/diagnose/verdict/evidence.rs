@@ -101,6 +101,13 @@ impl Evidence {
         all.is_some_and(|((shipped, file), own)| own.is_worse(shipped, file))
     }
 
+    /// Whether an explanation is none: its number that counts most lies at the end of what occurs, or its
+    /// effects make the predictions of the flights for choosing worse.
+    pub fn is_implausible(&self, explained: &Explained) -> bool {
+        let file = self.explanations.first().and_then(|file| file.choosing);
+        explained.is_at_bound() || self.is_worse([file, explained.choosing], 0)
+    }
+
     /// The squared gap that noise leaves on the flights reported on, where the best explanation
     /// leaves `after`.
     ///
@@ -157,11 +164,13 @@ impl Explained {
     }
 
     /// Whether an effect is of practical size: a number of it is further off the file's than the
-    /// file's errors bring about, more than three tolerances. What is not is the file's.
+    /// file's errors bring about, more than three tolerances, and than its own error. What is not is the
+    /// file's.
     pub fn is_practical(&self, effect: &str) -> bool {
         let mut own = self.numbers.iter().filter(|number| number.effect == effect);
         own.any(|number| {
-            (number.value - number.reference).abs() > TOLERANCES_MAX * number.unremarkable
+            let least = (TOLERANCES_MAX * number.unremarkable).max(number.deviation);
+            (number.value - number.reference).abs() > least
         })
     }
 
