@@ -105,6 +105,8 @@ pub struct Pilot {
     round_trip: Option<(HostTime, Duration)>,
     tracking_error: f64,
     jumped: bool,
+    /// When setpoints may last not have reached the vehicle.
+    unheard: Option<HostTime>,
     /// When a slide of the estimate was last told.
     slide_told: Option<HostTime>,
     /// How long this process was paused before the next look, s.
@@ -142,6 +144,7 @@ impl Pilot {
             round_trip: None,
             tracking_error: 0.0,
             jumped: false,
+            unheard: None,
             slide_told: None,
             paused_s: 0.0,
         }
@@ -393,7 +396,7 @@ impl Pilot {
     fn forget(&mut self) {
         self.telemetry.forget();
         self.guard.forget();
-        self.round_trip = None;
+        (self.round_trip, self.unheard) = (None, None);
     }
 }
 

@@ -24,6 +24,8 @@ const AIRBORNE_HEIGHT_M: f64 = 0.3;
 
 /// After this long without an answer to TIMESYNC, asked ten times a second, setpoints may not arrive.
 const UNANSWERED: Duration = Duration::from_millis(250);
+/// For this long after that a vehicle may be where no setpoint sent it.
+const UNHEARD_LATELY: Duration = Duration::from_secs(2);
 /// An answer older than this says nothing of the link as it is.
 const ANSWER_FRESH: Duration = Duration::from_millis(500);
 
@@ -67,6 +69,9 @@ impl Pilot {
             _ => Ned::zero(),
         };
         let jumped = std::mem::take(&mut self.jumped);
+        if self.may_be_unheard(now) {
+            self.unheard = Some(now);
+        }
         let status = self.telemetry.status();
         let tick_rate_min = self.settings.preflight.tick_rate_min
             * if before.precedes_stream() { 1.0 } else { STREAMING_RATE_SHARE };
@@ -86,6 +91,7 @@ impl Pilot {
                 late: self.telemetry.late(),
                 jumped,
                 round_trip_s: self.round_trip_s(now),
+                was_unheard: self.unheard.is_some_and(|at| now.since(at) < UNHEARD_LATELY),
                 tracking_error_m: self.tracking_error,
                 tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
                 radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),

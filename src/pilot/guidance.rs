@@ -98,8 +98,8 @@ pub(super) struct Guidance {
     entered: VehicleTime,
     segment: Segment,
     held: Option<Reference>,
-    /// Whether the next sample is to be held.
-    latch: Option<f64>,
+    /// How the next sample is to be held, if it is.
+    latch: Option<Latch>,
     last: Option<Reference>,
     settled_since: Option<VehicleTime>,
 }
@@ -194,13 +194,13 @@ impl Guidance {
     /// From the next sample on, hold where that shows the vehicle: the estimate jumped, and the old
     /// place is no longer where it was.
     pub fn hold_here(&mut self) {
-        self.latch = Some(0.0);
+        self.latch = Some(Latch::Here);
     }
 
     /// From the next sample on, hold where the vehicle can come to rest: the flight is to stop. A place
     /// that it has left by the time it stops would call it back as quickly as it came.
     pub fn stop_ahead(&mut self) {
-        self.latch = Some(STOPPING_S);
+        self.latch = Some(Latch::Ahead);
     }
 
     fn enter(&mut self, state: FlightState, sample: &Sample) {
@@ -245,7 +245,8 @@ impl Guidance {
     }
 
     fn hold(&mut self, here: &State) -> Reference {
-        if let Some(ahead_s) = self.latch.take() {
+        if let Some(latch) = self.latch.take() {
+            let ahead_s = if latch == Latch::Ahead { STOPPING_S } else { 0.0 };
             let [north, east, _] = (here.velocity * ahead_s).to_array();
             let share = (STOPPING_MAX_M / north.hypot(east)).min(1.0);
             let position = here.position + Ned::new(north, east, 0.0) * share;
@@ -390,12 +391,19 @@ struct Segment {
     duration_s: f64,
 }
 
+/// Where the next sample holds the vehicle: where it is, or where it can come to rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Latch {
+    Here,
+    Ahead,
+}
+
 /// Below the take-off point by no more than this the floor is where it was, m.
 const FLOOR_NOISE_M: f64 = 0.05;
 /// A vehicle that is to stop does so about this far ahead, in seconds of its velocity: at 3 m/s by a tilt
 /// of 0.4 rad that takes a quarter of a second to come about.
 const STOPPING_S: f64 = 0.6;
-/// And no further than this, m, whatever velocity is told.
+/// Greatest such distance, m, whatever velocity the vehicle reports.
 const STOPPING_MAX_M: f64 = 2.0;
 /// Thrust beyond weight, over it, at which a vehicle is taken to have left the ground.
 const LIFTING_EXCESS: f64 = 0.1;

@@ -164,6 +164,8 @@ pub struct FlightCondition<'a> {
     pub jumped: bool,
     /// Round trip of the newest answer, s; `None` where none came lately.
     pub round_trip_s: Option<f64>,
+    /// Whether setpoints lately may not have reached the vehicle.
+    pub was_unheard: bool,
     /// Distance from the reference, m.
     pub tracking_error_m: f64,
     /// rad
@@ -239,8 +241,8 @@ impl SafetySettings {
     }
 
     /// Share of its time that a vehicle which the fault lands is brought to rest for by feedback: none
-    /// where the state, the attitude or the way to the vehicle is in doubt, and the less the further it
-    /// has been swept away from its reference.
+    /// where the state, the attitude or the way to the vehicle is in doubt, or where feedback has not kept
+    /// the vehicle near its reference although the vehicle heard it.
     pub(super) fn brake_share(&self, fault: Fault, c: &FlightCondition) -> f64 {
         match fault {
             Fault::StaleTelemetry
@@ -248,6 +250,7 @@ impl SafetySettings {
             | Fault::SlowLink
             | Fault::Tilt
             | Fault::PositionLost => 0.0,
+            Fault::TrackingError if !c.was_unheard => 0.0,
             Fault::TrackingError => self.patience(c.tracking_error_m),
             Fault::Geofence | Fault::Battery | Fault::Failsafe => 1.0,
         }
@@ -299,6 +302,22 @@ impl SafetySettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn feedback_that_lost_a_vehicle_which_heard_it_does_not_brake_it() {
+        let settings = SafetySettings::default();
+        let share = |was_unheard, tracking_error_m| {
+            let condition =
+                FlightCondition { was_unheard, tracking_error_m, ..FlightCondition::default() };
+            settings.brake_share(Fault::TrackingError, &condition)
+        };
+        let limit = settings.tracking_error_max_m;
+        assert_eq!(
+            [share(false, limit), share(true, limit), share(true, 2.0 * limit)],
+            [0.0, 1.0, 0.0]
+        );
+        assert_eq!(settings.brake_share(Fault::Battery, &FlightCondition::default()), 1.0);
+    }
 
     #[test]
     fn the_further_from_the_reference_the_less_is_waited() {
