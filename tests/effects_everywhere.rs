@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::lockstep::{NANO, config_file, fly, ideal, params, settings, toml_trajectory};
-use downwash::diagnose::catalogue::hypothesis::{Catalogue, Target};
+use downwash::diagnose::catalogue::hypothesis::Catalogue;
+use downwash::diagnose::catalogue::number::Target;
 use downwash::diagnose::flights::preparation::PreparedFlight;
 use downwash::diagnose::likelihood::observed::{Observed, Residuals};
 use downwash::diagnose::likelihood::residuals::Evaluator;

@@ -3,5 +3,6 @@
 
 pub mod candidate;
 pub mod hypothesis;
+pub mod number;
 pub(super) mod term;
 pub(super) mod tolerances;

@@ -29,9 +29,10 @@ use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::search::explanations::Explanations;
 use crate::diagnose::simulate::gap::Errors;
+use crate::diagnose::verdict::Decision;
 use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::evidence::Evidence;
-use crate::diagnose::verdict::{CARRIES, CHANGES, Decision, OPEN};
+use crate::diagnose::verdict::posterior::{CARRIES, CHANGES, OPEN};
 
 /// Most terms of a law.
 const TERMS_MAX: usize = 5;

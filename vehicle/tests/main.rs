@@ -1,6 +1,8 @@
 //! Integration tests of the vehicle model in one binary. `common` is what several tests share.
 
 mod common;
+#[path = "../benches/every_effect/mod.rs"]
+mod every_effect;
 
 mod batch;
 mod closed_forms;

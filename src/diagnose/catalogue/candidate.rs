@@ -7,7 +7,8 @@ use vehicle::law::{Law, LawText};
 use vehicle::physics::Physics;
 use vehicle::{VehicleError, VehicleParams};
 
-use crate::diagnose::catalogue::hypothesis::{CONTRASTS, Catalogue, Target, reference};
+use crate::diagnose::catalogue::hypothesis::{Catalogue, reference};
+use crate::diagnose::catalogue::number::{CONTRASTS, Target};
 use crate::diagnose::catalogue::term::{law_of, name_of};
 
 /// A vehicle to explain flights with.

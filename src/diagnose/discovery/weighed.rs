@@ -15,8 +15,9 @@ use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::verdict::Verdict;
+use crate::diagnose::verdict::decide;
 use crate::diagnose::verdict::evidence::{Evidence, Explained, Found, Gaps};
-use crate::diagnose::verdict::{OPEN, decide};
+use crate::diagnose::verdict::posterior::OPEN;
 
 /// So many explanations of the catalogue stand beside a law, the nearest ones.
 const NEAREST: usize = 3;

@@ -160,13 +160,13 @@ impl<'a> Observed<'a> {
         &self.counts
     }
 
-    /// Whether nothing is looked at any more.
+    /// Whether the caller has stopped the diagnosis: nothing is evaluated any more.
     pub(in crate::diagnose) fn is_stopped(&self) -> bool {
         self.evaluator.is_stopped()
     }
 
-    /// What `values` leave unexplained; `None` for a vehicle that the physics refuses, and where
-    /// nothing is looked at any more.
+    /// What `values` leave unexplained; `None` for a vehicle that the physics refuses, and after
+    /// the caller has stopped the diagnosis.
     pub fn residuals(&self, values: &[f64]) -> Option<Residuals> {
         self.residuals_in(values, Groups::ALL)
     }

@@ -24,7 +24,7 @@ use vehicle::rotor::Lag;
 use vehicle::{ROTORS, VehicleParams};
 
 use crate::diagnose::catalogue::candidate::Candidate;
-use crate::diagnose::catalogue::hypothesis::Target;
+use crate::diagnose::catalogue::number::Target;
 use crate::diagnose::flights::arrival::Delay;
 use crate::diagnose::flights::onboard::{OnboardLaw, Timing};
 use crate::diagnose::flights::preparation::{Block, PreparedFlight};
@@ -107,12 +107,12 @@ impl Evaluator {
         }
     }
 
-    /// The same, until `stop` is set: from then on nothing is looked at any more.
+    /// The same, until the caller sets `stop`: from then on it evaluates nothing.
     pub fn until(self, stop: &Arc<AtomicBool>) -> Self {
         Self { stop: Arc::clone(stop), ..self }
     }
 
-    /// Whether nothing is looked at any more.
+    /// Whether the caller has set `stop`.
     pub fn is_stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }

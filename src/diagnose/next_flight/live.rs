@@ -2,7 +2,8 @@
 
 use vehicle::effects::{EffectId, EffectSet};
 
-use crate::diagnose::catalogue::hypothesis::{Catalogue, Target};
+use crate::diagnose::catalogue::hypothesis::Catalogue;
+use crate::diagnose::catalogue::number::Target;
 
 /// An explanation that may be true: effects with their numbers.
 #[derive(Clone, Debug)]

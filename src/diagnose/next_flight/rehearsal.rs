@@ -6,7 +6,8 @@ use vehicle::physics::Physics;
 use vehicle::rigid_body::State;
 
 use super::{Live, Proposal};
-use crate::diagnose::catalogue::hypothesis::{Catalogue, Target};
+use crate::diagnose::catalogue::hypothesis::Catalogue;
+use crate::diagnose::catalogue::number::Target;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::fit::fit;
 use crate::diagnose::likelihood::linearised::Linearised;

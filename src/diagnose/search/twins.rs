@@ -15,7 +15,8 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleError;
 
-use crate::diagnose::catalogue::hypothesis::{Number, Values};
+use crate::diagnose::catalogue::hypothesis::Values;
+use crate::diagnose::catalogue::number::Number;
 use crate::diagnose::flights::onboard::OnboardLaw;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::fit::Z90;

@@ -4,7 +4,8 @@
 use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
 
-use crate::diagnose::catalogue::hypothesis::{Number, TOLERANCES_MAX, Target};
+use crate::diagnose::catalogue::hypothesis::TOLERANCES_MAX;
+use crate::diagnose::catalogue::number::{Number, Target};
 use crate::diagnose::error::DiagnoseError;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::inquiry::Inquiry;

@@ -8,7 +8,7 @@ use vehicle::foreign::Foreign;
 use vehicle::frame::{Attitude, Euler};
 
 use super::{Bench, Truth, ids};
-use crate::diagnose::catalogue::hypothesis::CONTRASTS;
+use crate::diagnose::catalogue::number::CONTRASTS;
 use crate::exam::draw::Draw;
 use crate::exam::flight::FlightError;
 use crate::exam::magnitude::Direction;

@@ -1,4 +1,4 @@
-//! What the benches of the plant fly with.
+//! What benches and tests of the plant fly with.
 
 /// Every effect that acts in the plant, at values that keep it flying.
 pub const EVERY_EFFECT: [&str; 19] = [
