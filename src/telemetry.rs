@@ -309,8 +309,8 @@ impl Telemetry {
     }
 
     /// With its motors off a vehicle may well lie still; and so may one that a simulation without
-    /// noise hovers. Not so one whose motors turn, be it that it has just lifted off and its word of
-    /// that was lost. `speed`, m/s or rad/s, is by its own word.
+    /// noise hovers. One whose motors turn may not:
+    /// it may have lifted off, and the message that says so been lost. `speed`, m/s or rad/s, is by its own word.
     fn not_frozen(
         &self,
         same_since: Option<VehicleTime>,

@@ -33,7 +33,7 @@ const LATE_S: f64 = 0.2;
 const LOOK_S: f64 = 0.03;
 /// What lay unread in a stall is read within this of its end, and nothing answered, s.
 const DRAIN_S: f64 = 0.01;
-/// On sockets, an answer may be this long on its way, s: the stall that is none, and the calls.
+/// Time that an answer may take on sockets, s: a stall too short for the guard, and the system calls.
 pub(super) const ON_ITS_WAY_S: f64 = STALL_S + 0.01;
 
 /// A word of the mode, and of the motors.

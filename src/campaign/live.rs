@@ -22,17 +22,17 @@ use crate::supervisor::EngagePolicy;
 
 /// The judge sees the true state this often, us.
 const SEEN_US: u64 = 10_000;
-/// The socket is looked at this often, us.
+/// The stage reads the socket at least this often, us.
 const LOOK_US: u64 = 2_000;
-/// A commanded flight ends within this; where the pilot switches, the station is asked to land then,
-/// us.
+/// The judge calls a commanded flight endless after this, us.
 const LIMIT_US: u64 = 200_000_000;
+/// Where the pilot switches, the stage asks the station to land at this time, us.
 const SWITCHED_US: u64 = 26_000_000;
 /// Without setpoints, the vehicle's failsafe acts within this time, us.
 const ADRIFT_US: u64 = 15_000_000;
-/// A shorter stop than this need not be one to the process, us.
+/// The process may not notice a shorter stop than this, us.
 const STALL_US: u64 = 60_000;
-/// A process listens within this.
+/// A process that does not listen after this has failed.
 const START_LIMIT: Duration = Duration::from_secs(30);
 /// The exit code of a program that panicked.
 const PANICKED: i32 = 101;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-/// Whether the station listens is asked this often.
+/// The relay probes this often whether the station listens.
 const LOOK: Duration = Duration::from_millis(5);
 /// Longest datagram.
 const DATAGRAM_MAX: usize = 65_536;

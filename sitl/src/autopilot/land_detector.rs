@@ -25,7 +25,7 @@ pub struct Motion {
 pub struct LandDetector {
     /// Whether a landing is ever noticed.
     works: bool,
-    /// A vehicle that is to lean by more than this is none that has landed, rad.
+    /// Largest tilt that the attitude loop may ask for of a vehicle that has landed, rad.
     lean_max: f64,
     landed: bool,
     since_us: Option<u64>,
@@ -33,7 +33,7 @@ pub struct LandDetector {
 
 impl LandDetector {
     /// A vehicle that stands on the ground, or one that starts in the air; one that does not work
-    /// never notices a landing, and none does while it is to lean by more than `lean_max`, rad.
+    /// never notices a landing, and none does while the loop asks for more tilt than `lean_max`, rad.
     pub fn new(landed: bool, works: bool, lean_max: f64) -> Self {
         Self { works, lean_max, landed, since_us: None }
     }

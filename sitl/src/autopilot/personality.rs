@@ -263,7 +263,8 @@ pub(super) trait Personality: fmt::Debug + Sync {
         true
     }
 
-    /// A vehicle that is to lean by more than this is none that has landed, rad.
+    /// Largest tilt that the attitude loop may ask for while the detector takes the vehicle for landed,
+    /// rad.
     fn landed_lean_max(&self) -> f64 {
         f64::INFINITY
     }

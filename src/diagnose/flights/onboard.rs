@@ -17,7 +17,8 @@ use crate::log::import::{AttitudeSetpoint, Stream};
 pub const AGE_MAX_S: f64 = SETPOINT_AGE_MAX;
 /// Stamps are whole microseconds: to so much of a tick they are at the tick, s.
 pub(in crate::diagnose) const TICK_TOLERANCE_S: f64 = 1e-6;
-/// Ratio of the outputs' unexplained changes below which one order of reports is told from another.
+/// One order of reports fits better than another where the ratio of the outputs' unexplained changes is
+/// below this.
 const TOLD: f64 = 0.8;
 /// The same of the medians.
 const TIED: f64 = 0.9;

@@ -17,9 +17,9 @@ use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
 
 /// Setpoints this far apart tell nothing of what was between, s.
 const APART_MAX_S: f64 = 0.1;
-/// Where a tick was, the earliest of so many setpoints before it tells.
+/// The earliest of this many setpoints before a tick gives its time.
 const PHASE: usize = 25;
-/// Quantiles by which lateness is told.
+/// Quantiles that the distribution of lateness is stored as.
 const LATENESS: usize = 16;
 /// Two setpoints are apart by so much of the period at least: they keep their order.
 const APART_MIN: f64 = 0.1;

@@ -1,5 +1,5 @@
-//! Residuals by frequency: cosine modulating functions over blocks of a flight, and the bands in
-//! which their power is told.
+//! Residuals by frequency: cosine modulating functions over blocks of a flight, and the bands
+//! that their power is summed in.
 //!
 //! A block's residual is multiplied with cosines and summed (DCT-II, orthonormal). For a residual
 //! of increments, `(y(t + h) - y(t)) / h - f`, the sum telescopes: the derivative falls on the

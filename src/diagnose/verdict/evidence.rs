@@ -101,8 +101,8 @@ impl Evidence {
         all.is_some_and(|((shipped, file), own)| own.is_worse(shipped, file))
     }
 
-    /// Whether an explanation is none: its number that counts most lies at the end of what occurs, or its
-    /// effects make the predictions of the flights for choosing worse.
+    /// Whether an explanation is ruled out: the number that it is surest of lies at the end of its range,
+    /// or its effects worsen the predictions of the flights for choosing.
     pub fn is_implausible(&self, explained: &Explained) -> bool {
         let file = self.explanations.first().and_then(|file| file.choosing);
         explained.is_at_bound() || self.is_worse([file, explained.choosing], 0)
