@@ -247,6 +247,31 @@ proptest! {
         compare(&subproblem::<7>(kind, seed))?;
     }
 
+    /// Bounds that are out of reach cost no iterations, and those that are not are found.
+    #[test]
+    fn what_no_bound_acts_on_takes_one_sweep(kind in kinds(), seed in any::<u64>()) {
+        let kind = Kind { growth: kind.growth.min(1.0), curvature: 0.1 + kind.curvature, ..kind };
+        let mut problem = subproblem::<7>(kind, seed);
+        for stage in &mut problem.stages {
+            (stage.lower, stage.upper) = ([-1e6; 7], [1e6; 7]);
+            stage.rows.iter_mut().for_each(|row| row.excess = -1e6);
+        }
+        let (mut solver, mut solution) = (InteriorPoint::default(), Solution::default());
+        solver.solve(&problem, &mut solution).expect("a solution");
+        prop_assert_eq!(solution.iterations, 1);
+        compare(&problem)?;
+        // The same solver, of a problem whose bounds are nearer than that solution.
+        let most = solution.inputs.iter().flatten().fold(0.0_f64, |most, w| most.max(w.abs()));
+        for stage in &mut problem.stages {
+            (stage.lower, stage.upper) = ([-0.5 * most; 7], [0.5 * most; 7]);
+        }
+        solver.solve(&problem, &mut solution).expect("a solution");
+        prop_assert!(solution.iterations > 1);
+        compare(&problem)?;
+        let within = |w: &f64| w.abs() <= 0.5 * most + 2e-9;
+        prop_assert!(solution.inputs.iter().flatten().all(within));
+    }
+
     /// Where the step is small against the errors, the norm and its second order are one.
     #[test]
     fn agrees_with_the_cones_where_steps_are_small(kind in kinds(), seed in any::<u64>()) {

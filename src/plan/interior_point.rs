@@ -5,6 +5,10 @@
 //! back and one forth, and the work grows with the horizon as that of no general factorisation
 //! does (Rao, Wright and Rawlings 1998, "Application of interior-point methods to model
 //! predictive control"). Predictor and corrector are Mehrotra's (1992).
+//!
+//! Where no bound acts, one such sweep without them is the solution. It is tried first where the last
+//! subproblem's solution lay clear of its bounds: a search near its end, and a plan that goes on from
+//! the one before, are of that kind.
 
 // Matrix algebra reads by its indices.
 #![allow(clippy::needless_range_loop)]
@@ -25,6 +29,8 @@ const ITERATIONS_MAX: usize = 60;
 const TO_BOUNDARY: f64 = 0.995;
 /// Distance between the bounds of an input, at least.
 const LEAST_ROOM: f64 = 1e-9;
+/// Share of the way to a bound up to which it does not act: an interior point ends this side of it.
+const CLEAR: f64 = 0.9;
 /// Curvature that each scaled input has at least.
 const LEAST_INPUT_CURVATURE: f64 = 1e-9;
 
@@ -32,6 +38,8 @@ const LEAST_INPUT_CURVATURE: f64 = 1e-9;
 #[derive(Clone, Debug, Default)]
 pub struct InteriorPoint<const INPUTS: usize> {
     work: Vec<Work<INPUTS>>,
+    /// Whether a bound acted on the last solution.
+    is_bound: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -92,8 +100,13 @@ impl<const INPUTS: usize> SubproblemSolver<INPUTS> for InteriorPoint<INPUTS> {
             return Err(SubproblemError::Form);
         }
         self.work.resize_with(problem.stages.len(), Work::default);
-        let iterations = iterate(&mut self.work, problem)?;
-        solution.iterations = iterations;
+        let tried = if self.is_bound { 0 } else { 1 };
+        solution.iterations = if tried > 0 && without_bounds(&mut self.work, problem) {
+            tried
+        } else {
+            tried + iterate(&mut self.work, problem)?
+        };
+        self.is_bound = !self.work.iter().zip(&problem.stages).all(Work::is_clear);
         solution.states.clear();
         solution.inputs.clear();
         solution.gains.clear();
@@ -109,6 +122,48 @@ impl<const INPUTS: usize> SubproblemSolver<INPUTS> for InteriorPoint<INPUTS> {
             Err(SubproblemError::NotFinite)
         }
     }
+}
+
+/// Solves the problem as if it had no bounds; false where the solution breaks one.
+fn without_bounds<const INPUTS: usize>(
+    work: &mut [Work<INPUTS>],
+    problem: &Subproblem<INPUTS>,
+) -> bool {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        // SAFETY: the machine has the instructions, as just asked.
+        return unsafe { without_bounds_avx2(work, problem) };
+    }
+    without_bounds_with::<false, INPUTS>(work, problem)
+}
+
+/// [`without_bounds`] for machines with AVX2 and FMA.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn without_bounds_avx2<const INPUTS: usize>(
+    work: &mut [Work<INPUTS>],
+    problem: &Subproblem<INPUTS>,
+) -> bool {
+    without_bounds_with::<true, INPUTS>(work, problem)
+}
+
+#[inline(always)]
+fn without_bounds_with<const FUSED: bool, const INPUTS: usize>(
+    work: &mut [Work<INPUTS>],
+    problem: &Subproblem<INPUTS>,
+) -> bool {
+    let stages = &problem.stages;
+    work.iter_mut().zip(stages).for_each(|(work, stage)| work.free(stage, problem));
+    if factorise::<FUSED, INPUTS>(work, stages).is_err() {
+        return false;
+    }
+    solve::<FUSED, INPUTS>(work, stages);
+    work.iter_mut().zip(stages).all(|(work, stage)| {
+        (work.state, work.input) = (work.next_state, work.next_input);
+        let inputs = work.input.iter().zip(stage.lower.iter().zip(&stage.upper));
+        inputs.into_iter().all(|(w, (lower, upper))| (*lower..=*upper).contains(w))
+            && stage.rows.iter().all(|row| row.excess + dot(&row.gradient, &work.state) <= 0.0)
+    })
 }
 
 /// Solves the problem in `work`; returns the number of iterations.
@@ -179,6 +234,26 @@ fn reach<const INPUTS: usize>(work: &[Work<INPUTS>]) -> f64 {
 }
 
 impl<const INPUTS: usize> Work<INPUTS> {
+    /// Forgets the bounds.
+    #[inline(always)]
+    fn free(&mut self, stage: &Stage<INPUTS>, problem: &Subproblem<INPUTS>) {
+        self.cost = QuadraticNorm::new(&stage.error, &problem.state_weight, problem.knee);
+        (self.state, self.input) = ([0.0; STATES], [0.0; INPUTS]);
+        // A slack whose multiplier is 0 pushes nowhere.
+        let idle = Pair { slack: 1.0, ..Pair::default() };
+        (self.lower, self.upper) = ([idle; INPUTS], [idle; INPUTS]);
+        (self.lower_target, self.upper_target) = ([0.0; INPUTS], [0.0; INPUTS]);
+        self.rows.clear();
+    }
+
+    /// Whether the point is clear of the bounds: within [`CLEAR`] of the way to each.
+    fn is_clear((work, stage): (&Self, &Stage<INPUTS>)) -> bool {
+        let inputs = work.input.iter().zip(stage.lower.iter().zip(&stage.upper));
+        let mut inputs = inputs.into_iter();
+        inputs.all(|(w, (lower, upper))| ((CLEAR * lower)..=(CLEAR * upper)).contains(w))
+            && stage.rows.iter().all(|row| row.excess + dot(&row.gradient, &work.state) < 0.0)
+    }
+
     /// Puts the point inside the bounds.
     #[inline(always)]
     fn start(&mut self, stage: &Stage<INPUTS>, problem: &Subproblem<INPUTS>) {

@@ -76,8 +76,13 @@ pub struct RecedingSettings {
     /// Weight of the inputs' distance to those of the plan before: what one plan alone asks for,
     /// which the next will not, is hardly flown.
     pub change_weight: f64,
-    /// Most subproblems of a plan.
+    /// Most subproblems of a plan. Of the first plan as many as of one before the flight, where steps
+    /// are damped.
     pub subproblems_max: usize,
+    /// Cost of the square of a subproblem's step in the inputs, each over its typical size. Above 0 it
+    /// keeps steps small in place of the trust region, so that one sweep solves most subproblems, and
+    /// one subproblem of this kind makes a plan that goes on from one a few milliseconds older.
+    pub damping: f64,
 }
 
 impl Default for RecedingSettings {
@@ -90,6 +95,7 @@ impl Default for RecedingSettings {
             knee: 0.2,
             change_weight: 1.0,
             subproblems_max: 6,
+            damping: 0.0,
         }
     }
 }
@@ -236,7 +242,13 @@ pub struct Planner {
     /// As of [`RecedingSettings`]; 0 for plans that follow none.
     knee: f64,
     change_weight: f64,
+    damping: f64,
 }
+
+/// First trust region of a plan that goes on from another.
+const NEAR: f64 = 0.1;
+/// Trust region where steps are damped: it bounds nothing that the inputs' own bounds do not.
+const TRUST_FREE: f64 = 1e2;
 
 /// Most periods of a plan: whatever time there is for the search, and with all the time.
 const PERIODS_MAX: [f64; 2] = [10_000.0, 60_000.0];
@@ -257,7 +269,7 @@ impl Planner {
         settings: PlanSettings,
     ) -> Result<Self, PlannerError> {
         settings.check()?;
-        Ok(Self { model, vehicle, settings, knee: 0.0, change_weight: 0.0 })
+        Ok(Self { model, vehicle, settings, knee: 0.0, change_weight: 0.0, damping: 0.0 })
     }
 
     /// The same with the knee of these settings, where they are cautious.
@@ -271,10 +283,22 @@ impl Planner {
     /// near already, and an end where little is gained.
     pub fn replanning(mut self, receding: &RecedingSettings) -> Self {
         self.settings.subproblems_max = receding.subproblems_max;
-        self.settings.trust = self.settings.trust.min(0.1);
+        self.settings.trust =
+            if receding.damping > 0.0 { TRUST_FREE } else { self.settings.trust.min(NEAR) };
         self.settings.progress = self.settings.progress.max(1e-2);
         (self.knee, self.change_weight) = receding.caution().unwrap_or_default();
+        self.damping = receding.damping;
         self
+    }
+
+    /// The same for the first of such plans. Where one subproblem makes a plan, the first, which has
+    /// none to go on from, is searched to its end.
+    pub fn first_of_replanning(self, receding: &RecedingSettings) -> Self {
+        if receding.damping <= 0.0 {
+            return self.replanning(receding);
+        }
+        let subproblems_max = self.settings.subproblems_max;
+        self.replanning(&RecedingSettings { subproblems_max, damping: 0.0, ..*receding })
     }
 
     /// `seen` less what of its weighted distance to `planned` is within `knee`.
@@ -469,7 +493,8 @@ impl Planner {
             SolverChoice::Clarabel => Box::new(Conic::equations()),
             SolverChoice::Penalty => Box::new(Conic::penalised()),
         };
-        search(&problem, &dynamics, solver.as_mut(), &self.settings.search(), guess, stop)
+        let settings = ScpSettings { damping: self.damping, ..self.settings.search() };
+        search(&problem, &dynamics, solver.as_mut(), &settings, guess, stop)
     }
 }
 
@@ -515,12 +540,14 @@ impl PlanSettings {
             knee,
             change_weight,
             subproblems_max,
+            damping,
         } = self.receding;
         within("receding.period_s", period_s, 1e-3, 10.0, "1 ms to 10 s")?;
         within("receding.horizon_s", horizon_s, 0.05, 60.0, "0.05 to 60 s")?;
         within("receding.lead_s", lead_s, 0.0, 0.5 * horizon_s, "at most half the horizon")?;
         within("receding.knee", knee, 0.0, 1e3, "a distance of at least 0")?;
         within("receding.change_weight", change_weight, 0.0, 1e9, "a weight of at least 0")?;
+        within("receding.damping", damping, 0.0, 1e9, "a weight of at least 0")?;
         within("receding.subproblems_max", subproblems_max as f64, 1.0, 1e4, "1 or more")?;
         within("subproblems_max", self.subproblems_max as f64, 1.0, 1e6, "1 or more")?;
         within("time_limit_s", self.time_limit_s, 0.0, 1e9, "a time of at least 0")?;

@@ -13,6 +13,7 @@ use std::thread;
 use vehicle::frame::Ned;
 use vehicle::rigid_body::State;
 
+use super::desire::Desire;
 use super::discretisation::{CommandedDynamics, Dynamics};
 use super::flyable::{NotFlyable, check_in_flight};
 use super::iterate::Iterate;
@@ -39,10 +40,48 @@ impl Stretch {
     fn reaches(&self, t: f64) -> bool {
         (self.from_s..self.from_s + self.reference.duration()).contains(&t)
     }
+
+    /// The plan at a time, between its states on a line.
+    fn state(&self, t: f64, period: f64) -> Option<StateVector> {
+        let (first, share) = self.place(t, period);
+        let (before, after) = (self.iterate.states.get(first)?, self.iterate.states.get(first + 1));
+        Some(between(before, after.unwrap_or(before), share))
+    }
+
+    /// `of` from a time on, where this plan reaches to; a plan that is made more often than it has
+    /// states begins between two of the one before.
+    fn carried_into(&self, of: &Desire, from_s: f64, period: f64) -> Iterate<7> {
+        let mut guess = Iterate { states: of.states.clone(), inputs: of.inputs.clone() };
+        let at = |n: usize| from_s + n as f64 * period;
+        for (n, state) in guess.states.iter_mut().enumerate() {
+            *state = self.state(at(n), period).unwrap_or(*state);
+        }
+        for (n, input) in guess.inputs.iter_mut().enumerate() {
+            let (first, share) = self.place(at(n), period);
+            let Some(before) = self.iterate.inputs.get(first) else { break };
+            let after = self.iterate.inputs.get(first + 1).unwrap_or(before);
+            *input = between(before, after, share);
+        }
+        guess
+    }
+
+    /// The state before a time, and how much of the way to the next is gone.
+    fn place(&self, t: f64, period: f64) -> (usize, f64) {
+        let periods = ((t - self.from_s) / period).max(0.0) + ON_THE_GRID;
+        (periods as usize, (periods.fract() - ON_THE_GRID).max(0.0))
+    }
+}
+
+/// A time on a state is a rounding error before or after it, in periods.
+const ON_THE_GRID: f64 = 1e-6;
+
+/// `share` of the way from `a` to `b`.
+fn between<const N: usize>(a: &[f64; N], b: &[f64; N], share: f64) -> [f64; N] {
+    std::array::from_fn(|i| a[i] + share * (b[i] - a[i]))
 }
 
 /// Stretches that are kept.
-const SLOTS: usize = 4;
+const SLOTS: usize = 8;
 
 /// What is to be followed, and the stretches that were planned.
 struct Board {
@@ -63,6 +102,18 @@ impl Board {
             let stretch = slot.try_lock().ok()?.clone()?;
             stretch.reaches(t).then_some(stretch)
         })
+    }
+
+    /// The newest stretch that reaches to `t`, of those that have a state there the newest: plans that
+    /// are made more often than they have states take turns, each going on from one on its own states.
+    fn going_on(&self, t: f64, period: f64) -> Option<Arc<Stretch>> {
+        let newest = self.newest.load(Ordering::Acquire);
+        let reaching = |back: usize| {
+            let slot = &self.slots[(newest + SLOTS - back) % SLOTS];
+            slot.try_lock().ok()?.clone().filter(|stretch| stretch.reaches(t))
+        };
+        let is_on_a_state = |stretch: &Arc<Stretch>| stretch.place(t, period).1 < 2.0 * ON_THE_GRID;
+        (0..SLOTS).filter_map(reaching).find(is_on_a_state).or_else(|| self.at(t))
     }
 
     /// The reference at `t`, and the setpoint that acts `delay_s` later.
@@ -99,6 +150,8 @@ impl Board {
 /// Makes plans from states; the work behind a [`RecedingReference`].
 struct Replanner {
     planner: Planner,
+    /// For a plan that follows none.
+    first: Planner,
     answer: Answer,
     settings: RecedingSettings,
     board: Arc<Board>,
@@ -110,6 +163,17 @@ struct Sighting {
     /// Seconds into the trajectory.
     t: f64,
     state: StateVector,
+}
+
+/// A plan to be searched.
+#[derive(Clone, Debug)]
+struct Task {
+    /// Seconds into the trajectory at which it begins.
+    from_s: f64,
+    desire: Desire,
+    start: StateVector,
+    /// The plan before, as far as it reaches into this one.
+    guess: Option<Iterate<7>>,
 }
 
 /// When the next plan is due.
@@ -153,74 +217,88 @@ impl Replanner {
             slots: std::array::from_fn(|_| Mutex::new(None)),
             newest: AtomicUsize::new(0),
         });
+        let first = planner.clone().first_of_replanning(&settings);
         let planner = planner.replanning(&settings);
-        Self { planner, answer, settings, board }
+        Self { planner, first, answer, settings, board }
+    }
+
+    /// What is to be planned from a state.
+    fn task(&self, seen: &Sighting) -> Result<Task, ReplanError> {
+        let goal = self.board.goal().ok_or(ReplanError::NoGoal)?;
+        let period = self.planner.period_s();
+        let from_s = self.beginning(seen.t);
+        let periods = (self.settings.horizon_s / period).round().max(1.0) as usize;
+        let desire = self.planner.desire_from(&goal, from_s, periods)?;
+
+        let before = self.board.going_on(from_s, period);
+        let mut start = self.foreseen(seen, from_s, &desire.states[0]);
+        if let Some((knee, _)) = self.settings.caution() {
+            // The first plan goes on from where the vehicle is to be.
+            let planned = match &before {
+                None => desire.states.first().copied(),
+                Some(stretch) => stretch.state(from_s, period),
+            };
+            if let Some(planned) = planned {
+                start = self.planner.beyond(&planned, &start, knee);
+            }
+        }
+        let guess = before.map(|stretch| stretch.carried_into(&desire, from_s, period));
+        Ok(Task { from_s, desire, start, guess })
     }
 
     /// Plans from a state, and publishes the plan if it holds.
     fn replan(&self, seen: &Sighting) -> Result<(), ReplanError> {
-        let goal = self.board.goal().ok_or(ReplanError::NoGoal)?;
-        let period = self.planner.period_s();
-        // Until then acts what the last plan has sent.
-        let lead = ((self.settings.lead_s + self.answer.delay_s) / period).round() as usize;
-        let from_s = seen.t + lead as f64 * period;
-        let periods = (self.settings.horizon_s / period).round().max(1.0) as usize;
-        let desire = self.planner.desire_from(&goal, from_s, periods)?;
-
-        let before = self.board.at(from_s);
-        let mut start = self.foreseen(seen, lead, &desire.states[0]);
-        if let Some((knee, _)) = self.settings.caution() {
-            // The first plan goes on from where the vehicle is to be.
-            let planned = match &before {
-                None => desire.states.first(),
-                Some(stretch) => {
-                    let first = ((from_s - stretch.from_s) / period).round() as usize;
-                    stretch.iterate.states.get(first)
-                }
-            };
-            if let Some(planned) = planned {
-                start = self.planner.beyond(planned, &start, knee);
-            }
-        }
-        // The last plan, as far as it reaches into this one.
-        let guess = before.map(|stretch| {
-            let mut guess =
-                Iterate { states: desire.states.clone(), inputs: desire.inputs.clone() };
-            let skipped = ((from_s - stretch.from_s) / period).round() as usize;
-            let old = &stretch.iterate;
-            for (input, old) in guess.inputs.iter_mut().zip(old.inputs.iter().skip(skipped)) {
-                *input = *old;
-            }
-            for (state, old) in guess.states.iter_mut().zip(old.states.iter().skip(skipped)) {
-                *state = *old;
-            }
-            guess
-        });
-        let outcome: Outcome<7> = self.planner.plan(&desire, start, guess, &|_| false);
+        let Task { from_s, desire, start, guess } = self.task(seen)?;
+        // The first has none to go on from: it is searched to its end.
+        let planner = if guess.is_some() { &self.planner } else { &self.first };
+        let outcome = planner.plan(&desire, start, guess, &|_| false);
         check_in_flight(&outcome, self.planner.keep_out())?;
         let Outcome { iterate, .. } = outcome;
-        let Iterate { states, inputs } = &iterate;
+        let (Iterate { states, inputs }, period) = (&iterate, self.planner.period_s());
         let body = self.planner.body();
         let reference = PlannedReference::of(states, inputs, period, &self.answer, body);
         self.board.publish(Stretch { from_s, reference, iterate });
         Ok(())
     }
 
-    /// The state some periods after it was seen, by the model and the inputs that act until then.
-    /// Yaw is brought to the turn of the desired one.
-    fn foreseen(&self, seen: &Sighting, periods: usize, desired: &StateVector) -> StateVector {
+    /// When a plan from a state that was seen at `t` begins: until then acts what the last plan has sent.
+    /// The beginnings lie on one grid of times, so that each plan's states are those of the one that it
+    /// goes on from.
+    fn beginning(&self, t: f64) -> f64 {
+        let period = self.planner.period_s();
+        let grid = period / (period / self.settings.period_s).round().max(1.0);
+        let lead = self.settings.lead_s + self.answer.delay_s;
+        let earliest = (t / grid - ON_THE_GRID).ceil();
+        ((t + lead) / grid).round().max(earliest) * grid
+    }
+
+    /// The state at `from_s`, by the model and the inputs that act until then. Yaw is brought to the
+    /// turn of the desired one.
+    fn foreseen(&self, seen: &Sighting, from_s: f64, desired: &StateVector) -> StateVector {
         let mut state = seen.state;
         let turn = std::f64::consts::TAU;
         state[YAW] += ((desired[YAW] - state[YAW]) / turn).round() * turn;
         let period = self.planner.period_s();
-        let dynamics =
-            CommandedDynamics::new(self.planner.model(), self.answer.attitude_pd, period);
-        for n in 0..periods {
-            let middle = seen.t + (n as f64 + 0.5) * period;
-            let Some(stretch) = self.board.at(middle) else { return state };
-            let index = ((middle - stretch.from_s) / period) as usize;
-            let Some(input) = stretch.iterate.inputs.get(index) else { return state };
-            state = dynamics.step(&state, input);
+        let periods = ((from_s - seen.t) / period).max(0.0);
+        let whole = (periods + ON_THE_GRID).floor();
+        let part = (periods - whole) * period;
+        let mut t = seen.t;
+        let mut step = |length: f64| {
+            let stretch = self.board.at(t + 0.5 * length)?;
+            let index = ((t + 0.5 * length - stretch.from_s) / period) as usize;
+            let input = stretch.iterate.inputs.get(index)?;
+            let model = self.planner.model();
+            let dynamics = CommandedDynamics::new(model, self.answer.attitude_pd, length);
+            (state, t) = (dynamics.step(&state, input), t + length);
+            Some(())
+        };
+        if part > ON_THE_GRID * period && step(part).is_none() {
+            return state;
+        }
+        for _ in 0..whole as usize {
+            if step(period).is_none() {
+                break;
+            }
         }
         state
     }
@@ -376,4 +454,92 @@ fn state_vector(state: &State) -> StateVector {
     vector[6..9].copy_from_slice(&[angles.roll, angles.pitch, angles.yaw]);
     vector[9..].copy_from_slice(&state.body_rate.to_array());
     vector
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+    use vehicle::VehicleParams;
+
+    use super::*;
+    use crate::control::Limits;
+    use crate::model::physics::{PhysicsModel, PhysicsParameters};
+    use crate::plan::planned::PlannedBody;
+    use crate::plan::planner::{PlanSettings, PlannedVehicle};
+
+    /// Plans at 200 Hz, of one damped subproblem each.
+    fn quick() -> Replanner {
+        let vehicle = VehicleParams::load("crazyflie").expect("a vehicle");
+        let attitude_pd = vehicle.attitude_pd.expect("a loop");
+        let planned = PlannedVehicle {
+            body: PlannedBody {
+                mass_kg: vehicle.mass,
+                inertia: vehicle.inertia,
+                gravity: vehicle.gravity,
+                thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+            },
+            attitude_pd,
+            limits: Limits::default(),
+        };
+        let settings = RecedingSettings {
+            period_s: 0.005,
+            lead_s: 0.0,
+            subproblems_max: 1,
+            damping: 0.5,
+            ..RecedingSettings::default()
+        };
+        let model = PhysicsModel::new(&vehicle, &PhysicsParameters::default()).expect("physics");
+        let planner = Planner::new(Arc::new(model), planned, PlanSettings::default());
+        let text = "family = 'sinusoid-yaw'\naltitude_m = 1\nduration_s = 20\namplitude_m = 1\n\
+                    period_s = 5\nyaw_period_s = 10\nramp_s = 0.5";
+        let goal = Trajectory::parse(text, Path::new("sinusoid")).expect("a trajectory");
+        let answer = Answer { delay_s: 0.0, lag_s: 0.0, voltage_exponent: 0.0, attitude_pd };
+        Replanner::new(goal, planner.expect("a planner"), answer, settings)
+    }
+
+    /// What one subproblem leaves undone the next plan does, while the vehicle is shaken.
+    #[test]
+    fn one_subproblem_a_plan_stays_near_the_plan_that_is_searched_to_its_end() {
+        let replanner = quick();
+        let mut random = Pcg64Mcg::seed_from_u64(1);
+        let mut state = [0.0; STATES];
+        state[2] = -1.0;
+        let mut ratios = Vec::new();
+        for tick in 0..160 {
+            let t = f64::from(tick) * 0.005;
+            let seen = Sighting { t, state };
+            replanner.replan(&seen).expect("a plan");
+            if tick > 20 && tick % 5 == 0 {
+                let Task { desire, start, guess, .. } = replanner.task(&seen).expect("a task");
+                let near = replanner.planner.plan(&desire, start, guess, &|_| false);
+                let whole = Some(near.iterate.clone());
+                let whole = replanner.first.plan(&desire, start, whole, &|_| false);
+                ratios.push(near.cost / whole.cost);
+            }
+            state = replanner.foreseen(&seen, t + 0.005, &state);
+            for value in &mut state[3..6] {
+                *value += random.random_range(-0.005..0.005);
+            }
+            for value in &mut state[9..] {
+                *value += random.random_range(-0.025..0.025);
+            }
+        }
+        ratios.sort_by(f64::total_cmp);
+        let (median, most) = (ratios[ratios.len() / 2], ratios[ratios.len() - 1]);
+        assert!(median < 1.01 && most < 1.03, "{median} {most}");
+    }
+
+    #[test]
+    fn plans_begin_on_one_grid_however_the_vehicle_is_seen() {
+        let replanner = quick();
+        for t in [0.0, 0.0021, 0.005, 1.2349, 3.0 - 1e-9] {
+            let from_s = replanner.beginning(t);
+            assert!(from_s > t - 1e-6 && from_s <= t + 0.0051, "{t} {from_s}");
+            let on_the_grid = from_s / 0.005;
+            assert!((on_the_grid - on_the_grid.round()).abs() < 1e-6, "{t} {from_s}");
+        }
+    }
 }

@@ -28,6 +28,9 @@ pub struct ScpSettings {
     pub subproblems_max: usize,
     /// Size of the first trust region, in scaled inputs.
     pub trust: f64,
+    /// Cost of the square of a scaled input's step, which keeps steps small where the trust region does
+    /// not: a solution that no bound acts on takes one sweep.
+    pub damping: f64,
     /// The search ends where a subproblem promises less than this share of the cost,
     pub tolerance: f64,
     /// or where four subproblems together improve by less than this share.
@@ -43,6 +46,7 @@ impl Default for ScpSettings {
         Self {
             subproblems_max: 60,
             trust: 0.5,
+            damping: 0.0,
             tolerance: 1e-6,
             progress: 1e-3,
             defect_max: 1e-6,
@@ -181,7 +185,7 @@ pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
             break;
         }
         if moved {
-            search.linearize(&mut subproblem, memory);
+            search.linearize(&mut subproblem, memory, settings.damping);
         }
         let last = records.last().map_or(0.0, |record| record.found);
         search.bound(&mut subproblem, trust, solver, settings.tolerance, last);
@@ -289,7 +293,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
 
     /// Puts the subproblem around the iterate. `memory` is the share of the last slopes that is
     /// kept.
-    fn linearize(&self, subproblem: &mut Subproblem<INPUTS>, memory: f64) {
+    fn linearize(&self, subproblem: &mut Subproblem<INPUTS>, memory: f64, damping: f64) {
         let Iterate { states, inputs } = &self.iterate;
         let scale = &self.problem.inputs.scale;
         for (n, stage) in subproblem.stages.iter_mut().enumerate() {
@@ -310,12 +314,14 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
             let desired = &self.problem.desired[n];
             stage.error =
                 std::array::from_fn(|i| self.problem.state_weight[i] * (end[i] - desired[i]));
+            stage.input_curvature = 0.0;
             if let Some(preference) = &self.problem.preference {
                 stage.input_curvature = preference.weight;
                 stage.input_gradient = std::array::from_fn(|i| {
                     preference.weight * (inputs[n][i] - preference.inputs[n][i]) / scale[i]
                 });
             }
+            stage.input_curvature += damping;
             self.problem.rows_near(n, end, &mut stage.rows);
         }
     }
