@@ -33,7 +33,7 @@
 //! | `/log` | `foxglove.Log` | every event | |
 //!
 //! `log_time` is the host time of a record, `publish_time` the vehicle's time of the sample mapped
-//! to the host clock. A component that is not known is NaN.
+//! to the host clock; it stands still where the clock's estimate would turn it back. A component that is not known is NaN.
 
 pub mod descriptor;
 pub mod encoder;

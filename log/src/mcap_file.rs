@@ -19,9 +19,17 @@ const COMPRESSION_LEVEL: u32 = 1;
 /// Writes an MCAP file. After an error it is of no more use; what was written can be read.
 pub(super) struct McapFile<W: Write> {
     writer: Writer<NoSeek<W>>,
-    /// The number of each channel's next message.
-    sequences: BTreeMap<u16, u32>,
+    channels: BTreeMap<u16, Written>,
     body: Vec<u8>,
+}
+
+/// What was written to a channel.
+#[derive(Clone, Copy, Debug, Default)]
+struct Written {
+    /// Messages, by which the next is numbered.
+    messages: u32,
+    /// The latest `publish_time`, ns.
+    published: u64,
 }
 
 impl<W: Write> McapFile<W> {
@@ -37,7 +45,7 @@ impl<W: Write> McapFile<W> {
             .disable_seeking(true)
             .create(NoSeek::new(out))
             .map_err(as_io)?;
-        Ok(Self { writer, sequences: BTreeMap::new(), body: Vec::new() })
+        Ok(Self { writer, channels: BTreeMap::new(), body: Vec::new() })
     }
 
     /// Adds a channel of protobuf messages, and returns its number.
@@ -72,6 +80,10 @@ impl<W: Write> McapFile<W> {
     }
 
     /// Adds a message, whose body `encode` appends. Its sequence number is that of the channel.
+    ///
+    /// The vehicle's clock is estimated anew while it is flown, so that a later sample may map to an
+    /// earlier time. Readers (Rerun) take times that go back for damage: there `publish_time` stands
+    /// still, and the message bears the vehicle's own time.
     pub fn put(
         &mut self,
         channel: u16,
@@ -80,14 +92,15 @@ impl<W: Write> McapFile<W> {
     ) -> io::Result<()> {
         self.body.clear();
         encode(&mut self.body);
-        let next = self.sequences.entry(channel).or_default();
+        let written = self.channels.entry(channel).or_default();
+        written.published = written.published.max(times.publish.as_ns());
         let header = MessageHeader {
             channel_id: channel,
-            sequence: *next,
+            sequence: written.messages,
             log_time: times.log.as_ns(),
-            publish_time: times.publish.as_ns(),
+            publish_time: written.published,
         };
-        *next = next.wrapping_add(1);
+        written.messages = written.messages.wrapping_add(1);
         self.writer.write_to_known_channel(&header, &self.body).map_err(as_io)
     }
 
@@ -178,5 +191,20 @@ mod tests {
         let mut out = Vec::new();
         McapFile::new(&mut out, "test").unwrap().finish().unwrap();
         assert_eq!(mcap::Summary::read(&out).unwrap().unwrap().stats.unwrap().message_count, 0);
+    }
+
+    #[test]
+    fn the_time_of_publishing_never_goes_back_on_a_channel() {
+        let mut out = Vec::new();
+        let mut file = McapFile::new(&mut out, "test").unwrap();
+        let channels = ["/a", "/b"].map(|topic| file.add_channel(topic, "p.M", b"d").unwrap());
+        for (channel, publish) in [(0, 10), (0, 30), (1, 5), (0, 20), (0, 40)] {
+            let times = Times { log: HostTime::from_ns(50), publish: HostTime::from_ns(publish) };
+            file.put(channels[channel], times, |_| {}).unwrap();
+        }
+        file.finish().unwrap();
+        let messages = mcap::MessageStream::new(&out).unwrap();
+        let times: Vec<_> = messages.map(|message| message.unwrap().publish_time).collect();
+        assert_eq!(times, [10, 30, 5, 30, 40]);
     }
 }
