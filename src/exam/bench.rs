@@ -1,7 +1,8 @@
 //! What a case is flown on: a vehicle, its sensors, its link and the motions. `truth` is what the vehicle
-//! has beyond its file, `size` how strongly that shows, `answer_key` what a right answer says of it.
+//! has beyond its file, `drawn` how it is chosen, `size` how strongly that shows, `answer_key` what a right answer says of it.
 
 mod answer_key;
+mod drawn;
 mod size;
 mod truth;
 

@@ -6,8 +6,9 @@ use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet, Slots};
 
 use super::Bench;
+use super::drawn::Drawn;
 use super::size::Shown;
-use super::truth::{Drawn, ids};
+use super::truth::ids;
 use crate::diagnose::catalogue::hypothesis::reference;
 use crate::diagnose::verdict::Verdict;
 use crate::diagnose::verdict::parameter::parameters;
