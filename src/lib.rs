@@ -3,9 +3,8 @@
 
 #![warn(missing_docs)]
 
-pub mod clock;
-pub mod parameters;
-pub mod setpoint;
+pub use log;
+pub use message::{clock, parameters, setpoint};
 
 pub mod audit;
 pub mod campaign;
@@ -15,7 +14,6 @@ pub mod exam;
 pub mod guard;
 pub mod learn;
 pub mod link;
-pub mod log;
 pub mod model;
 pub mod onset;
 pub mod pilot;

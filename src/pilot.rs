@@ -8,6 +8,7 @@ mod tick;
 
 use std::time::Duration;
 
+use message::Inbound;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -21,7 +22,7 @@ use crate::control::{
     AdaptationNotice, Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation,
 };
 use crate::guard::{Answered, Cleared, Guard, Order, Proposal, Withheld};
-use crate::link::message::{Inbound, Received};
+use crate::link::received::Received;
 use crate::plan::reference::ReferenceSource;
 use crate::supervisor::{
     Action, EngagePolicy, Event, FlightState, ModeMap, PreflightCheck, PreflightSettings,

@@ -16,6 +16,7 @@ mod waiting;
 
 use std::time::Duration;
 
+use message::Inbound;
 use wire::transport::Peer;
 
 use self::aftermath::Aftermath;
@@ -27,8 +28,8 @@ pub use self::status::Status;
 use self::waiting::Waiting;
 use crate::clock::HostTime;
 use crate::link::counters::LinkState;
-use crate::link::message::{Inbound, Received};
 use crate::link::profile::Profile;
+use crate::link::received::Received;
 use crate::link::session::{Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::pilot::{LinkEvent, Pilot, Tick};

@@ -7,6 +7,7 @@ mod motion;
 mod rate;
 mod status;
 
+use message::{AttitudeSource, Inbound, LandedState};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Attitude, Frd, Ned};
@@ -19,7 +20,7 @@ use self::motion::{Pose, Slide, Turn, carried};
 use self::rate::RateMeter;
 pub use self::status::VehicleStatus;
 use crate::clock::{HostTime, VehicleTime};
-use crate::link::message::{AttitudeSource, Inbound, LandedState, Received};
+use crate::link::received::Received;
 use crate::link::vehicle_clock::Delay;
 
 /// When a control tick fires, and what telemetry is refused.

@@ -275,7 +275,14 @@ mod tests {
     use vehicle::VehicleParams;
 
     use super::*;
-    use crate::parameters::tests::{COPTER, SIH, parameters};
+    use crate::parameters::parse;
+
+    const SIH: &str = include_str!("../message/tests/parameters/px4_sih.params");
+    const COPTER: &str = include_str!("../message/tests/parameters/arducopter.parm");
+
+    fn parameters(text: &str) -> Parameters {
+        parse(text.as_bytes()).expect("parameters")
+    }
 
     fn draft(text: &str, measured: Measured) -> Draft {
         Draft::new("a test", &parameters(text), &measured).expect("a quadrotor")

@@ -4,11 +4,11 @@ use std::time::Duration;
 
 use downwash::link::counters::LinkState;
 use downwash::link::intervals::IntervalEvent;
-use downwash::link::message::Inbound;
 use downwash::link::profile::Profile;
 use downwash::link::request::{FlightMode, Outcome, Request};
 use downwash::link::session::{Event, Heard, Session, SetpointError, Settings};
 use downwash::link::vehicle_clock::ClockSource;
+use message::Inbound;
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
 

@@ -1,9 +1,10 @@
 //! Control ends when it must, and does not come back by itself.
 
+use message::{Battery, Inbound};
+
 use crate::pilot_world::{
     Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight,
 };
-use downwash::link::message::{Battery, Inbound};
 use downwash::pilot::{LinkEvent, PilotSettings, Tick};
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
 use vehicle::frame::{Frd, Ned};
@@ -162,7 +163,7 @@ fn refused_arming_ends_the_flight_with_the_vehicles_reason() {
     flight.run(0.1);
     let host = flight.vehicle.now();
     let message = Inbound::StatusText { severity: 2, text: "Arming denied: compass\t".into() };
-    let received = downwash::link::message::Received { host, vehicle: None, delay: None, message };
+    let received = downwash::link::received::Received { host, vehicle: None, delay: None, message };
     flight.pilot.handle(&received);
     flight.run(6.0);
     assert_eq!(flight.pilot.flight_state(), FlightState::Abort);
@@ -212,7 +213,7 @@ fn not_a_number_is_never_flown_on() {
     };
     let (host, ms) = (flight.vehicle.now(), flight.vehicle.ms as u32 + 9);
     let vehicle = Some(downwash::clock::VehicleTime::from_ms(ms));
-    let received = downwash::link::message::Received { host, vehicle, delay: None, message };
+    let received = downwash::link::received::Received { host, vehicle, delay: None, message };
     assert!(flight.pilot.handle(&received).is_none());
     flight.run(1.0);
     assert_eq!(flight.pilot.flight_state(), FlightState::Track);
@@ -226,7 +227,7 @@ fn low_battery_and_a_left_fence_land_the_vehicle() {
     low.until(FlightState::Track, 30.0);
     let message = Inbound::Battery(Battery { remaining: Some(0.1), ..Battery::default() });
     let host = low.vehicle.now();
-    low.pilot.handle(&downwash::link::message::Received {
+    low.pilot.handle(&downwash::link::received::Received {
         host,
         vehicle: None,
         delay: None,

@@ -1,7 +1,9 @@
 //! What a flight waits for before it begins, and for how long.
 
+use message::{Battery, Inbound};
+
 use crate::pilot_world::{Curve, Flight, Hovering, QUAD, Vehicle, weight};
-use downwash::link::message::{Battery, Inbound, Received};
+use downwash::link::received::Received;
 use downwash::pilot::PilotSettings;
 use downwash::supervisor::{EngagePolicy, FlightState};
 use vehicle::frame::Ned;

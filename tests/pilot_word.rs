@@ -3,10 +3,12 @@
 
 use std::time::Duration;
 
+use message::{Battery, ChargeState, Inbound, LandedState, SystemState};
+
 use crate::pilot_world::{
     Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight,
 };
-use downwash::link::message::{Battery, ChargeState, Inbound, LandedState, Received, SystemState};
+use downwash::link::received::Received;
 use downwash::pilot::PilotSettings;
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Takeover};
 use vehicle::frame::Ned;

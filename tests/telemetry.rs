@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 use downwash::clock::{HostTime, VehicleTime};
-use downwash::link::message::{AttitudeSource, Inbound, Received};
+use downwash::link::received::Received;
 use downwash::link::vehicle_clock::VehicleClock;
 use downwash::telemetry::{Sample, SampleSource, Telemetry, TelemetryFault, TelemetrySettings};
+use message::{AttitudeSource, Inbound};
 use proptest::prelude::*;
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 

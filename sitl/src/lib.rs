@@ -1,5 +1,24 @@
 //! A simulated quadrotor and its autopilot: physics, effects, sensors, and a vehicle that behaves
 //! on the MAVLink wire as PX4 does. It knows nothing of the daemon.
+//!
+//! [`autopilot::Vehicle`] is the whole vehicle, sans I/O: bytes in, bytes out, on a clock that its owner
+//! advances. `server` (feature `server`) puts it on sockets in real time.
+//!
+//! ```
+//! use sitl::autopilot::{LinkKind, Peer, Vehicle};
+//! use sitl::config::SitlConfig;
+//! use vehicle::VehicleParams;
+//! use vehicle::effects::EffectSet;
+//!
+//! let quad = VehicleParams::load("quad1200")?;
+//! let mut vehicle = Vehicle::new(quad, EffectSet::default(), SitlConfig::default(), 1)?;
+//! vehicle.connect(Peer(0), LinkKind::Datagrams);
+//! vehicle.advance_to(3_000_000);
+//! let mut heard = 0;
+//! vehicle.take_output(|_peer, _datagram| heard += 1);
+//! assert!(heard >= 3, "a HEARTBEAT each second");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]

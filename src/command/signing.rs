@@ -6,6 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
+use message::Inbound;
 use wire::signing::{KEY_LEN, Key, Stamp};
 
 use super::listen::Listener;
@@ -13,7 +14,6 @@ use super::signing_state::SigningState;
 use super::{Exit, ExitContext, print_text, say};
 use crate::cli::{ListenArgs, SetupArgs, SigningCommand};
 use crate::config::SIGNING_KEY_VARIABLE;
-use crate::link::message::Inbound;
 use crate::link::session::Heard;
 use crate::link::signing::{Ledger, Remembered, SigningSettings};
 use crate::link::silence::Silence;

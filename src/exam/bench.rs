@@ -1,71 +1,38 @@
-//! What a case is flown on: a vehicle, its sensors, its link and the motions, and how a truth is
-//! given the size at which it shows as strongly as wanted.
+//! What a case is flown on: a vehicle, its sensors, its link and the motions. `truth` is what the vehicle
+//! has beyond its file, `drawn` how it is chosen, `size` how strongly that shows, `answer_key` what a right answer says of it.
 
+mod answer_key;
+mod drawn;
 mod size;
-
-use std::collections::BTreeMap;
+mod truth;
 
 use sitl::config::{EstimatorConfig, ImuNoise, SensorConfig, SitlConfig, Vibration};
-use vehicle::effects::{EffectId, EffectSet, ParameterValue, Slots};
+use vehicle::effects::{EffectId, EffectSet};
 use vehicle::foreign::Foreign;
 use vehicle::{VehicleError, VehicleParams};
 
-use self::size::{Shown, Wanted};
+pub(super) use self::truth::Truth;
 use super::airframe;
 use super::case::Case;
 use super::condition::Condition;
-use super::deviations::{Deviation, Deviations};
-use super::draw::{Draw, rounded};
+use super::deviations::Deviations;
+use super::draw::Draw;
 use super::flight::{FlightError, Link, Sortie, Track};
 use super::ground::Rates;
-use super::key::{KeyEntry, TrueEffect};
 use super::magnitude::Direction;
 use super::motion::Motion;
 use super::order::{Kind, Order, Settings};
 use super::programme::{Restriction, Vigour, programme};
-use super::stranger::Stranger;
-use super::strength::Strength;
 use super::trap::{STEADY_PACK, TRAPS, Trap};
 use super::world::{self, FileKind, Setting, World};
-use crate::diagnose::catalogue::hypothesis::reference;
 use crate::diagnose::likelihood::noise::ReportNoise;
-use crate::diagnose::verdict::Verdict;
-use crate::diagnose::verdict::parameter::{Parameter, parameters};
 
-/// A pair's effects show at least and at most so strongly by themselves.
-const PAIR_RATIOS: [f64; 2] = [2.0, 10.0];
-/// The same of an effect that the catalogue is to lack: what hardly shows is not missed.
-const LEFT_OUT_RATIOS: [f64; 2] = [1.0, 10.0];
-/// The same of a disturbance from outside.
-const FOREIGN_RATIOS: [f64; 2] = [1.0, 10.0];
-/// And of what a trap hides, on flights that would show it.
-const TRAP_RATIOS: [f64; 2] = [3.0, 12.0];
-/// Sizes of a pair's effects and of what a trap hides, and of what is not in the catalogue.
-const PAIR_SIZES: [f64; 2] = [1.15, 4.0];
-const UNKNOWN_SIZES: [f64; 2] = [1.3, 4.0];
 /// Turns of a rotor at full speed where the file does not say, Hz.
 const ROTOR_MAX_HZ: f64 = 150.0;
 /// Effects that act on the velocity relative to the air.
 const DRAGS: [EffectId; 2] = [EffectId::RotorDrag, EffectId::ParasiticDrag];
 /// And those that act through them.
 const NEED_DRAG: [EffectId; 2] = [EffectId::Wind, EffectId::Gusts];
-
-/// What the vehicle has as an effect.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Truth {
-    pub effects: EffectSet,
-    pub foreign: Option<Foreign>,
-    /// The causes of what the catalogue does not have.
-    pub causes: &'static [EffectId],
-    /// The rotor that this acts on.
-    pub rotor: Option<usize>,
-}
-
-impl From<EffectSet> for Truth {
-    fn from(effects: EffectSet) -> Self {
-        Self { effects, ..Self::default() }
-    }
-}
 
 /// A truth on the vehicle that is really there.
 struct Real {
@@ -301,205 +268,22 @@ impl Bench {
     }
 
     /// Flies the case with a truth that `order` asks for.
-    pub(super) fn case(mut self, draw: &mut Draw, order: &Order) -> Result<Case, FlightError> {
-        let kind = order.kind;
-        let mut truth = Truth::default();
-        let mut sizes: Vec<(EffectId, Option<Shown>)> = Vec::new();
-        let mut candidates = Vec::new();
-        let mut whole = None;
-        if kind != Kind::Null {
-            let baseline = self.baseline()?;
-            match kind {
-                Kind::Foreign | Kind::OtherLaw => {
-                    let (stranger, wanted) = match kind {
-                        Kind::Foreign => {
-                            let stranger = Stranger::disturbance(draw, &self.nominal);
-                            (stranger, self.measure(FOREIGN_RATIOS, UNKNOWN_SIZES))
-                        }
-                        _ => {
-                            let stranger = Stranger::law(draw, &self.nominal, self.has_drag());
-                            (stranger, self.single(draw))
-                        }
-                    };
-                    let (sized, shown) = self.sized_stranger(draw, &baseline, &stranger, wanted)?;
-                    (truth, whole) = (sized, Some(shown));
-                }
-                Kind::Trap => {
-                    let effect = self.trap.map_or(EffectId::GroundEffect, |trap| trap.effect);
-                    candidates = self.trap.map_or(&[][..], |trap| trap.candidates).to_vec();
-                    let (sized, shown) = if candidates.is_empty() {
-                        // As much as other flights would show plainly.
-                        (Direction::draw(draw, &self.nominal, effect).at(0.5), None)
-                    } else {
-                        let wanted = self.measure(TRAP_RATIOS, PAIR_SIZES);
-                        let (sized, shown) = self.sized_effect(draw, &baseline, effect, wanted)?;
-                        (sized, Some(shown))
-                    };
-                    truth.effects = sized;
-                    sizes.push((effect, shown));
-                }
-                _ => {
-                    for (effect, wanted) in self.wanted(draw, order) {
-                        let (sized, shown) = self.sized_effect(draw, &baseline, effect, wanted)?;
-                        truth.effects = truth.effects.overlay(&sized);
-                        sizes.push((effect, Some(shown)));
-                    }
-                }
-            }
-            if whole.is_none() {
-                whole = match sizes.as_mut_slice() {
-                    [(_, Some(one))] => Some(one.clone()),
-                    _ => Some(self.shown(&baseline, &truth)?),
-                };
-            }
-        }
+    pub(super) fn case(self, draw: &mut Draw, order: &Order) -> Result<Case, FlightError> {
+        let drawn = self.truth(draw, order)?;
         let condition = order.round_trip.as_ref().map_or(Condition::Plain, |trip| trip.condition);
-        let logs = self.logs_in(&truth, condition)?;
-        let verdict = match kind {
-            Kind::Null => Verdict::None,
-            Kind::Trap if candidates.is_empty() => Verdict::None,
-            Kind::LeftOut | Kind::Foreign => Verdict::Unknown,
-            _ => Verdict::Effect,
+        let logs = self.logs_in(&drawn.truth, condition)?;
+        let key = self.key(order.kind, condition, &drawn);
+        let (noise, known) = (self.noise(), self.known(&drawn.truth));
+        let truth = match drawn.truth.foreign {
+            Some(_) => EffectSet::new(),
+            None => drawn.truth.effects,
         };
-        let shown_as = |shown: &Option<Shown>| shown.as_ref().map_or(0.0, |s| s.strength.ratio);
-        let mut effects: Vec<TrueEffect> = sizes
-            .iter()
-            .map(|(effect, shown)| {
-                true_effect(&self.nominal, &truth.effects, *effect, shown_as(shown))
-            })
-            .collect();
-        let is_other_law = kind == Kind::OtherLaw;
-        effects.extend(truth.causes.first().map(|cause| TrueEffect {
-            id: cause.name().to_owned(),
-            parameters: BTreeMap::new(),
-            neutral: BTreeMap::new(),
-            ratio: rounded(shown_as(&whole)),
-        }));
-        let is_practical = match whole.as_ref() {
-            None => false,
-            Some(whole) if sizes.is_empty() => self.is_practical(whole),
-            Some(_) => sizes.iter().all(|(_, s)| s.as_ref().is_some_and(|s| self.is_practical(s))),
-        };
-        let beside = self.deviations_beside(&truth);
-        let names = |ids: &[EffectId]| ids.iter().map(|id| id.name().to_owned()).collect();
-        let strength = whole.as_ref().map_or_else(Strength::none, |whole| whole.strength.clone());
-        let file_numbers = whole.filter(|_| self.world == World::Builders);
-        let mut deviations = beside.listed(&self.nominal);
-        if is_other_law {
-            deviations.extend(payload(&self.nominal, &truth.effects));
-        }
-        let key = KeyEntry {
-            kind,
-            condition,
-            file: self.setting.file,
-            on_board: self.setting.on_board,
-            outputs_hz: self.setting.outputs_hz,
-            verdict: verdict.name().to_owned(),
-            effects,
-            also_right: names(truth.causes.get(1..).unwrap_or_default()),
-            candidates: names(&candidates),
-            foreign: truth.foreign.clone(),
-            without: if kind == Kind::LeftOut { names(&ids(&truth.effects)) } else { Vec::new() },
-            deviations,
-            beyond_tolerances: file_numbers.as_ref().map_or_else(Vec::new, |shown| {
-                shown.tolerances.iter().map(|off| off.map(rounded)).collect()
-            }),
-            ratio_beyond_file: file_numbers.map(|shown| rounded(shown.beyond.ratio)),
-            is_practical,
-            is_weak: strength.ratio < 1.0,
-            snr: strength,
-            nominal_mass_kg: self.nominal.mass,
-            tags: std::mem::take(&mut self.notes),
-        };
-        let (noise, known) = (self.noise(), self.known(&truth));
-        let truth = if truth.foreign.is_some() { EffectSet::new() } else { truth.effects };
         Ok(Case { nominal: self.nominal, known, logs, truth, noise, key })
-    }
-
-    /// The effects of a case, and how strongly each is to show.
-    fn wanted(&self, draw: &mut Draw, order: &Order) -> Vec<(EffectId, Wanted)> {
-        if let Some(trip) = &order.round_trip {
-            return vec![(trip.effect, Wanted::Ratio([trip.ratio; 2]))];
-        }
-        let first = self.effect(draw, |_| true);
-        match order.kind {
-            Kind::LeftOut => vec![(first, self.measure(LEFT_OUT_RATIOS, UNKNOWN_SIZES))],
-            Kind::Pair => {
-                let second = self.effect(draw, |other| other.class() != first.class());
-                let wanted = self.measure(PAIR_RATIOS, PAIR_SIZES);
-                vec![(first, wanted), (second, wanted)]
-            }
-            Kind::Modelled => {
-                let modelled = ids(&self.nominal.modelled_effects).first().copied();
-                let effect = modelled.filter(|_| draw.chance(0.5)).unwrap_or(EffectId::Wind);
-                vec![(effect, self.single(draw))]
-            }
-            _ => vec![(first, self.single(draw))],
-        }
     }
 
     pub(super) fn has_drag(&self) -> bool {
         DRAGS.iter().any(|drag| self.nominal.modelled_effects.contains(*drag))
     }
-
-    /// An effect that this vehicle may have.
-    fn effect(&self, draw: &mut Draw, wanted: impl Fn(EffectId) -> bool) -> EffectId {
-        let has_drag = self.has_drag();
-        loop {
-            let effect = EffectId::ALL[draw.below(EffectId::ALL.len())];
-            let possible = match effect {
-                _ if NEED_DRAG.contains(&effect) => has_drag,
-                EffectId::RotorGyroscopic => self.nominal.rotor_max_rpm.is_some(),
-                // Between setpoints and outputs nothing is known.
-                EffectId::PdGain | EffectId::CommandDelay => self.setting.on_board.is_known(),
-                _ => !self.nominal.modelled_effects.contains(effect),
-            };
-            if possible && wanted(effect) {
-                return effect;
-            }
-        }
-    }
-}
-
-pub(super) fn ids(effects: &EffectSet) -> Vec<EffectId> {
-    effects.iter().map(|(effect, _)| effect).collect()
-}
-
-fn true_effect(
-    nominal: &VehicleParams,
-    effects: &EffectSet,
-    effect: EffectId,
-    ratio: f64,
-) -> TrueEffect {
-    let values = |set: &EffectSet| {
-        let all = parameters(set, effect);
-        all.iter().map(|(name, value)| ((*name).to_owned(), value_of(value))).collect()
-    };
-    let mut neutral = EffectSet::new();
-    let mut slots = Slots::default();
-    for slot in effect.spec().slots() {
-        slots[slot.index] = reference(nominal, effect, slot.index);
-    }
-    let _ = neutral.insert(effect, slots);
-    TrueEffect {
-        id: effect.name().to_owned(),
-        parameters: values(effects),
-        neutral: values(&neutral),
-        ratio: rounded(ratio),
-    }
-}
-
-/// The inertia of a payload, which is no effect of its own.
-fn payload(nominal: &VehicleParams, effects: &EffectSet) -> Option<Deviation> {
-    effects.contains(EffectId::Inertia).then(|| {
-        let TrueEffect { id, parameters, neutral, .. } =
-            true_effect(nominal, effects, EffectId::Inertia, 0.0);
-        Deviation { id, parameters, neutral, alternatives: Vec::new(), tolerances: None }
-    })
-}
-
-fn value_of(parameter: &Parameter) -> ParameterValue {
-    parameter.into()
 }
 
 /// The same sensors with so many times the noise.
@@ -520,7 +304,9 @@ mod tests {
     use super::super::world::LoopKind;
     use super::*;
     use crate::exam::condition::rewritten;
+    use crate::exam::draw::rounded;
     use mavlink::MessageData;
+    use vehicle::effects::ParameterValue;
     use vehicle::plant::Plant;
     use wire::dialect::SET_ATTITUDE_TARGET_DATA;
 

@@ -1,10 +1,8 @@
 //! Setpoint to SET_ATTITUDE_TARGET: intent in, the profile's message out.
 
 use vehicle::frame::{Attitude, Frd};
-use wire::Frame;
-use wire::dialect::{AttitudeTargetTypemask, MavMessage, SET_ATTITUDE_TARGET_DATA};
+use wire::dialect::{AttitudeTargetTypemask, SET_ATTITUDE_TARGET_DATA};
 
-use super::codec::Refusal;
 use super::profile::{AttitudeTargetForm, Profile, RateFrame};
 use crate::guard::Cleared;
 use crate::setpoint::Setpoint;
@@ -133,55 +131,11 @@ fn encode_bounded(
     })
 }
 
-/// What a SET_ATTITUDE_TARGET asks for, each part where its mask keeps it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AttitudeTarget {
-    /// The sender's clock, ms; 0 where it has none.
-    pub time_boot_ms: u32,
-    /// System that it is for, 0 for all.
-    pub target_system: u8,
-    /// Desired body to world.
-    pub attitude: Option<Attitude>,
-    /// Desired body rate, rad/s; none unless all three components are kept.
-    pub body_rate: Option<Frd>,
-    /// Thrust field.
-    pub thrust: Option<f64>,
-}
-
-/// Reads back what [`encode`] or another ground station wrote; `None` for any other message.
-///
-/// # Errors
-/// [`Refusal`] if a part that the mask keeps cannot be true.
-pub fn decode(frame: &Frame) -> Result<Option<AttitudeTarget>, Refusal> {
-    if frame.id() != <SET_ATTITUDE_TARGET_DATA as mavlink::MessageData>::ID {
-        return Ok(None);
-    }
-    let MavMessage::SET_ATTITUDE_TARGET(data) = frame.message().map_err(|_| Refusal::Malformed)?
-    else {
-        return Ok(None);
-    };
-    const RATES_IGNORED: u8 = 0x07;
-    const THRUST_IGNORED: u8 = 0x40;
-    const ATTITUDE_IGNORED: u8 = 0x80;
-    let mask = data.type_mask.bits();
-    let finite = |value: f64| value.is_finite().then_some(value).ok_or(Refusal::OutOfRange);
-    let attitude = (mask & ATTITUDE_IGNORED == 0)
-        .then(|| Attitude::from_wire(data.q).ok_or(Refusal::Quaternion))
-        .transpose()?;
-    let rates = [data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate].map(f64::from);
-    let body_rate = (mask & RATES_IGNORED == 0)
-        .then(|| rates.iter().try_for_each(|rate| finite(*rate).map(drop)).map(|()| rates.into()))
-        .transpose()?;
-    let thrust =
-        (mask & THRUST_IGNORED == 0).then(|| finite(f64::from(data.thrust))).transpose()?;
-    let SET_ATTITUDE_TARGET_DATA { time_boot_ms, target_system, .. } = data;
-    Ok(Some(AttitudeTarget { time_boot_ms, target_system, attitude, body_rate, thrust }))
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
     use vehicle::frame::Euler;
+    use wire::dialect::MavMessage;
 
     use super::*;
     use crate::link::profile::FormChoice;
@@ -229,7 +183,7 @@ mod tests {
             let mut bytes = Vec::new();
             let message = MavMessage::SET_ATTITUDE_TARGET(data);
             wire::Encoder::new(255, 190).encode(&message, &mut bytes);
-            decode(&Frame::parse(&bytes).unwrap()).unwrap().unwrap()
+            message::attitude_target::decode(&wire::Frame::parse(&bytes).unwrap()).unwrap().unwrap()
         };
         let target = sent(&Profile::BUNDLED);
         assert!(target.attitude.unwrap().angle_to(setpoint().attitude.attitude()) < 1e-6);

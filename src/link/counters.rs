@@ -3,10 +3,10 @@
 use std::fmt;
 use std::time::Duration;
 
+use message::Inbound;
+use message::codec::{self, Refusal};
 use wire::{DecoderStats, Frame};
 
-use super::codec::{self, Refusal};
-use super::message::Inbound;
 use super::vehicle_clock::ClockEstimate;
 use crate::clock::HostTime;
 

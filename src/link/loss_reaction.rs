@@ -1,6 +1,6 @@
 //! What a vehicle does by itself when setpoints stop or this program vanishes, by its parameters.
 
-use super::parameter::Parameters;
+use message::parameters::Parameters;
 
 /// By which parameters an autopilot reacts to a loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,9 +8,10 @@
 
 use std::fmt;
 
+use message::MotorSource;
+use message::parameter_value::ParameterCast;
+
 use super::loss_reaction::LossLaw;
-use super::message::MotorSource;
-use super::parameter::ParameterCast;
 
 /// MAV_AUTOPILOT_ARDUPILOTMEGA.
 const ARDUPILOT: u8 = 3;

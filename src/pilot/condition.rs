@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
+use message::{ChargeState, LandedState};
 use vehicle::frame::Ned;
 
 use super::Pilot;
 use crate::clock::HostTime;
-use crate::link::message::{ChargeState, LandedState};
 use crate::supervisor::{FlightCondition, FlightState, Observation, Severity, Standing, preflight};
 
 /// Share of the tick rate asked for at first that must be kept while a hold is streamed, so that a

@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
+use message::LandedState;
+
 use crate::clock::HostTime;
-use crate::link::message::LandedState;
 use crate::telemetry::VehicleStatus;
 
 /// The longest that is recorded after a flight's early end.

@@ -1,8 +1,10 @@
 //! What the log records of messages, ticks and the link.
 
+use message::{Battery, Inbound, MotorSource};
+
 use crate::clock::HostTime;
 use crate::link::counters;
-use crate::link::message::{Battery, Inbound, MotorSource, Received};
+use crate::link::received::Received;
 use crate::log::record::{self, LinkStats, Record, Severity, Source, Stamp};
 use crate::pilot::Tick;
 

@@ -2,11 +2,12 @@
 
 use std::time::Duration;
 
+use message::LandedState;
+
 use super::Station;
 use crate::clock::HostTime;
 use crate::link::budget::message_name;
 use crate::link::counters::LinkState;
-use crate::link::message::LandedState;
 use crate::link::silence::Silence;
 use crate::log::record::Severity;
 use crate::pilot::Pilot;

@@ -2,9 +2,11 @@
 
 use std::time::Duration;
 
+use message::{Battery, Inbound, LandedState, SystemState};
+
 use crate::clock::HostTime;
-use crate::link::message::{Battery, Inbound, LandedState, Received, SystemState};
-use crate::link::parameter::Parameters;
+use crate::link::received::Received;
+use crate::parameters::Parameters;
 
 /// The newest of each of the vehicle's slow messages.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,7 +69,7 @@ impl Default for VehicleStatus {
             position_healthy: None,
             system: SystemState::Unknown,
             failsafe: None,
-            parameters: Parameters::new(),
+            parameters: Parameters::default(),
             warning: None,
             silence_ended: None,
         }
@@ -132,7 +134,7 @@ impl VehicleStatus {
                 };
             }
             Inbound::Parameter { name, value } => {
-                self.parameters.insert(name.clone(), *value);
+                self.parameters.set(name.clone(), *value);
             }
             Inbound::StatusText { severity, text } => {
                 let text = text.trim();

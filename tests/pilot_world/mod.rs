@@ -6,11 +6,12 @@ use std::time::Duration;
 
 use downwash::clock::{HostTime, VehicleTime};
 use downwash::control::{AttitudeLoop, ControlSettings, HoverVehicle, Lqr};
-use downwash::link::message::{Inbound, LandedState, Received, SystemState};
+use downwash::link::received::Received;
 use downwash::pilot::{Airframe, Pilot, PilotSettings, Tick};
 use downwash::plan::reference::ReferenceSource;
 use downwash::setpoint::{Reference, Setpoint, State};
 use downwash::supervisor::{Action, EngagePolicy, Event, FlightState, ModeMap};
+use message::{Inbound, LandedState, SystemState};
 use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 
 pub const MODES: ModeMap = ModeMap {

@@ -1,9 +1,22 @@
 //! The MAVLink wire, shared by both of its ends: the daemon and the simulated vehicle.
 //!
 //! [`framing`] turns bytes into checked frames and messages into bytes, sans I/O. [`tlog`] is the
-//! ground-station log of such frames. [`signing`] tells
-//! whose they are. [`endpoint`] names where bytes come from, and `transport`
-//! (feature `transport`) opens it.
+//! ground station's log of such frames. [`signing`] signs and checks them. [`endpoint`] names where
+//! bytes come from, and `transport` (feature `transport`) opens it.
+//!
+//! ```
+//! use wire::dialect::{HEARTBEAT_DATA, MavMessage};
+//! use wire::{Decoder, Encoder};
+//!
+//! let mut bytes = b"noise".to_vec();
+//! Encoder::new(1, 1).encode(&MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()), &mut bytes);
+//!
+//! let mut decoder = Decoder::default();
+//! decoder.push(&bytes);
+//! let frame = decoder.next_frame().expect("the frame behind the noise");
+//! assert!(matches!(frame.message()?, MavMessage::HEARTBEAT(_)));
+//! # Ok::<(), mavlink::error::ParserError>(())
+//! ```
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]

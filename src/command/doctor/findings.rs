@@ -146,7 +146,7 @@ impl Findings {
         }
         let settings = &listener.config.settings;
         if let LossReaction::Nothing { why, cure } =
-            profile.loss.reaction(&report.parameters, settings.link.system)
+            profile.loss.reaction(&report.parameters.clone().into(), settings.link.system)
         {
             let text = format!("should downwash vanish, nothing acts: {why}; {cure}");
             match settings.pilot.preflight.needs_loss_reaction {

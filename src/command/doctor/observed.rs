@@ -1,8 +1,9 @@
 //! What came while listening, as numbers and as text.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+use message::{Inbound, LandedState};
 use schemars::JsonSchema;
 use serde::Serialize;
 
@@ -10,8 +11,6 @@ use crate::command::listen::Listener;
 use crate::config::Config;
 use crate::link::budget::{LineBudget, message_name};
 use crate::link::loss_reaction::LossReaction;
-use crate::link::message::{Inbound, LandedState};
-use crate::link::parameter::Parameters;
 use crate::link::profile::Profile;
 use crate::link::request::Request;
 use crate::link::session::Heard;
@@ -250,7 +249,7 @@ pub(super) struct Report {
     budget: Option<String>,
     pub serial_latency_timer_ms: Option<u32>,
     loss_reaction: Option<String>,
-    pub parameters: Parameters,
+    pub parameters: BTreeMap<String, f64>,
     messages: Vec<MessageRow>,
     texts: Vec<String>,
 }

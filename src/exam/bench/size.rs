@@ -7,7 +7,8 @@ use vehicle::effects::{AttitudeTrim, EffectId, EffectSet, RotorDrag, Slots};
 use vehicle::foreign::Foreign;
 use vehicle::frame::{Attitude, Euler};
 
-use super::{Bench, Truth, ids};
+use super::truth::ids;
+use super::{Bench, Truth};
 use crate::diagnose::catalogue::number::CONTRASTS;
 use crate::exam::draw::Draw;
 use crate::exam::flight::FlightError;

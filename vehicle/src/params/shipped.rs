@@ -20,12 +20,12 @@ pub const SHIPPED: [Shipped; 2] = [
     Shipped {
         name: "crazyflie",
         about: "a nano quadrotor of 30 g, X layout",
-        text: include_str!("../../../config/vehicles/crazyflie.toml"),
+        text: include_str!("../../vehicles/crazyflie.toml"),
     },
     Shipped {
         name: "quad1200",
         about: "a quadrotor of 1.2 kg with 10 inch propellers, X layout",
-        text: include_str!("../../../config/vehicles/quad1200.toml"),
+        text: include_str!("../../vehicles/quad1200.toml"),
     },
 ];
 

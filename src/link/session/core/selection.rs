@@ -1,14 +1,14 @@
 //! Which of those that are heard is the vehicle, and where it went.
 
 use mavlink::MavlinkVersion;
+use message::Inbound;
+use message::codec::{self, Codec};
 use wire::Frame;
 use wire::transport::Peer;
 
 use super::{Core, Vehicle};
 use crate::clock::HostTime;
-use crate::link::codec::{self, Codec};
 use crate::link::counters::LinkState;
-use crate::link::message::Inbound;
 use crate::link::session::{Event, VehicleId};
 use crate::link::vehicle_clock::VehicleClock;
 

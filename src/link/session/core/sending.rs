@@ -3,6 +3,7 @@
 #[cfg(test)]
 use std::time::Duration;
 
+use message::parameter_value;
 use wire::dialect::*;
 use wire::signing::{Key, Stamp};
 
@@ -11,7 +12,6 @@ use crate::clock::HostTime;
 use crate::guard::Cleared;
 use crate::link::attitude_target;
 use crate::link::counters::LinkState;
-use crate::link::parameter;
 use crate::link::request::Action;
 use crate::link::session::outbox::command_long;
 use crate::link::session::{Event, SetpointError};
@@ -88,7 +88,7 @@ impl Core {
                 }
                 Action::SetParameter { name, value } => codec.parameter_type(name).map(|kind| {
                     MavMessage::PARAM_SET(PARAM_SET_DATA {
-                        param_value: parameter::encode(value, kind, cast),
+                        param_value: parameter_value::encode(value, kind, cast),
                         target_system: id.system,
                         target_component: id.component,
                         param_id: name.into(),

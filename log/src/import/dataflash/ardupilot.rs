@@ -1,0 +1,352 @@
+//! Messages of ArduCopter as the streams of a flight.
+
+mod outputs;
+
+use message::parameters::{Parameters, is_of_vehicle};
+use vehicle::frame::{Attitude, Euler, Frd, Ned};
+
+use super::layout::{Access, Layout, RPM};
+use super::{Contents, Source};
+use crate::import::facts::VehicleFacts;
+use crate::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
+use crate::import::kind::{self, StatedKind};
+use crate::import::onboard::{Row, Sample, Topic, Wanted};
+use crate::import::tally::Tally;
+
+/// Of two messages of one quantity the second is taken only where it is this much more frequent.
+const CLEARLY_MORE: f64 = 1.05;
+/// Outputs of RCOU.
+const CHANNELS: [&str; 14] =
+    ["C1", "C2", "C3", "C4", "C5", "C6", "C7", "C8", "C9", "C10", "C11", "C12", "C13", "C14"];
+/// What they were called before, in the same order.
+const CHANNELS_BEFORE: [[&str; 2]; 14] = [
+    ["Ch1", "Chan1"],
+    ["Ch2", "Chan2"],
+    ["Ch3", "Chan3"],
+    ["Ch4", "Chan4"],
+    ["Ch5", "Chan5"],
+    ["Ch6", "Chan6"],
+    ["Ch7", "Chan7"],
+    ["Ch8", "Chan8"],
+    ["Ch9", "Chan9"],
+    ["Ch10", "Chan10"],
+    ["Ch11", "Chan11"],
+    ["Ch12", "Chan12"],
+    ["Ch13", "Chan13"],
+    ["Ch14", "Chan14"],
+];
+/// V in one of the whole numbers that a voltage was before ArduPilot 3.4.
+const CENTIVOLT: f64 = 0.01;
+/// Degrees in SI.
+const DEG: f64 = std::f64::consts::PI / 180.0;
+
+macro_rules! sources {
+    ($($topic:literal $has_instances:ident: [$($field:literal = $unsaid:expr),* $(,)?]),* $(,)?) => {
+        /// What is read of a log.
+        pub(super) const SOURCES: &[Source] = &[$(Source {
+            wanted: Wanted { topic: $topic, fields: &["TimeUS", $($field),*] },
+            unsaid: &[1e-6, $($unsaid),*],
+            has_instances: $has_instances,
+        }),*];
+    };
+}
+
+sources! {
+    "ATT" false: ["Roll" = DEG, "Pitch" = DEG, "Yaw" = DEG, "DesRoll" = DEG, "DesPitch" = DEG, "DesYaw" = DEG],
+    "ANG" false: ["Roll" = DEG, "Pitch" = DEG, "Yaw" = DEG, "DesRoll" = DEG, "DesPitch" = DEG, "DesYaw" = DEG],
+    "RATE" false: ["R" = DEG, "P" = DEG, "Y" = DEG, "AOut" = 1.0],
+    "IMU" true: ["GyrX" = 1.0, "GyrY" = 1.0, "GyrZ" = 1.0, "AccX" = 1.0, "AccY" = 1.0, "AccZ" = 1.0],
+    "GYR" true: ["SampleUS" = 1e-6, "GyrX" = 1.0, "GyrY" = 1.0, "GyrZ" = 1.0],
+    "ACC" true: ["SampleUS" = 1e-6, "AccX" = 1.0, "AccY" = 1.0, "AccZ" = 1.0],
+    "XKQ" true: ["Q1" = 1.0, "Q2" = 1.0, "Q3" = 1.0, "Q4" = 1.0],
+    "NKQ" true: ["Q1" = 1.0, "Q2" = 1.0, "Q3" = 1.0, "Q4" = 1.0],
+    "XKF1" true: ["VN" = 1.0, "VE" = 1.0, "VD" = 1.0, "PN" = 1.0, "PE" = 1.0, "PD" = 1.0],
+    "NKF1" true: ["VN" = 1.0, "VE" = 1.0, "VD" = 1.0, "PN" = 1.0, "PE" = 1.0, "PD" = 1.0],
+    "EKF1" true: ["VN" = 1.0, "VE" = 1.0, "VD" = 1.0, "PN" = 1.0, "PE" = 1.0, "PD" = 1.0],
+    "XKF4" true: ["PI" = 1.0],
+    "NKF4" true: ["PI" = 1.0],
+    "RCOU" false: ["C1" = 1.0, "C2" = 1.0, "C3" = 1.0, "C4" = 1.0, "C5" = 1.0, "C6" = 1.0, "C7" = 1.0,
+        "C8" = 1.0, "C9" = 1.0, "C10" = 1.0, "C11" = 1.0, "C12" = 1.0, "C13" = 1.0, "C14" = 1.0],
+    "ESC" true: ["RPM" = RPM],
+    "BAT" true: ["Volt" = 1.0],
+    "CURR" true: ["Volt" = 1.0],
+    "EV" false: ["Id" = 1.0],
+    "MODE" false: ["ModeNum" = 1.0, "Mode" = 1.0],
+    "GUIA" false: ["Roll" = DEG, "Pitch" = DEG, "Yaw" = DEG, "RollRt" = DEG, "PitchRt" = DEG, "YawRt" = DEG,
+        "Thrust" = 1.0, "ClimbRt" = 1.0],
+}
+
+/// All names that a field had over the years.
+pub(super) fn names(field: &'static str) -> Vec<&'static str> {
+    let channel = CHANNELS.iter().position(|channel| *channel == field);
+    let before = channel.into_iter().flat_map(|channel| CHANNELS_BEFORE[channel]);
+    std::iter::once(field).chain(before).collect()
+}
+
+/// What a number of a field is in SI where its format tells that it is an old one.
+pub(super) fn older_unit(layout: &Layout, access: Access) -> Option<f64> {
+    (layout.name == "CURR" && access.is_whole()).then_some(CENTIVOLT)
+}
+
+fn stamp(row: &Row<'_>) -> f64 {
+    row.get("TimeUS")
+}
+
+/// When a raw sample was taken, s.
+fn sampled(row: &Row<'_>) -> f64 {
+    let sampled = row.get("SampleUS");
+    if sampled > 0.0 { sampled } else { stamp(row) }
+}
+
+fn euler(row: &Row<'_>, fields: [&str; 3]) -> Option<Attitude> {
+    row.finite(fields).map(|[roll, pitch, yaw]| Euler::new(roll, pitch, yaw).attitude())
+}
+
+impl Contents {
+    /// Fills the streams of `flight`.
+    pub(super) fn fill(mut self, flight: &mut Flight) {
+        let mut tally = std::mem::take(&mut self.tally);
+        let mut facts = self.facts();
+        flight.clock = Clock::Single;
+        let core = self.core();
+        self.fill_attitude(core, flight, &mut facts, &mut tally);
+        self.fill_sensors(flight, &mut facts, &mut tally);
+        self.fill_position(core, flight, &mut facts, &mut tally);
+        self.fill_setpoint(flight, &mut facts, &mut tally);
+        self.fill_outputs(flight, &mut facts, &mut tally);
+        self.fill_rotor_speed(flight, &mut tally);
+        self.fill_states(flight, &mut facts, &mut tally);
+        facts.texts = std::mem::take(&mut self.texts);
+        flight.facts = facts;
+        tally.give(flight);
+    }
+
+    fn parameter(&self, name: &str) -> Option<f64> {
+        self.parameters.get(name).copied()
+    }
+
+    fn facts(&self) -> VehicleFacts {
+        let said = |words: &str| {
+            self.texts.iter().find_map(|text| Some(text[text.find(words)?..].to_owned()))
+        };
+        let firmwares = [
+            "ArduCopter",
+            "APM:Copter",
+            "ArduPlane",
+            "APM:Plane",
+            "ArduRover",
+            "APM:Rover",
+            "ArduSub",
+            "Blimp",
+        ];
+        let of_text = self.texts.iter().find_map(|text| {
+            let name = text.split_once(" s: ").map_or(text.as_str(), |(_, text)| text);
+            StatedKind::new(kind::of_firmware(text), || format!("the firmware is {name}"))
+        });
+        let of_build = self.build.and_then(|build| {
+            StatedKind::new(kind::of_build(build), || format!("BU of VER is {build}"))
+        });
+        let of_parameters = kind::of_parameters(&self.parameters);
+        let kinds = of_text.into_iter().chain(of_build).chain(of_parameters).collect();
+        let stated = Parameters::from(self.parameters.clone());
+        let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
+        VehicleFacts {
+            autopilot: firmwares.iter().find_map(|name| said(name)),
+            frame: said("Frame: ").map(|text| text["Frame: ".len()..].to_owned()),
+            kinds,
+            motors: stated.motor_count(),
+            rotors: stated.rotors(),
+            parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
+            ..VehicleFacts::default()
+        }
+    }
+
+    /// The core of the estimator that flies.
+    fn core(&self) -> u8 {
+        let said = ["XKF4", "NKF4"].into_iter().find_map(|name| {
+            let (_, topic) = self.topics.instances(name).next()?;
+            topic.most_frequent("PI")
+        });
+        said.or(self.parameter("EK3_PRIMARY")).map_or(0, |core| core as u8)
+    }
+
+    fn fill_attitude(
+        &self,
+        core: u8,
+        flight: &mut Flight,
+        facts: &mut VehicleFacts,
+        tally: &mut Tally,
+    ) {
+        let mut chosen = ("", Stream::default());
+        for name in ["XKQ", "NKQ", "ATT", "ANG"] {
+            let Some(topic) = self.topics.primary(name, core, tally) else { continue };
+            let stream = self.topics.stream(topic, tally, |row| {
+                let quaternion = row.finite(["Q1", "Q2", "Q3", "Q4"]);
+                let attitude = match quaternion {
+                    Some(q) => Attitude::from_wire(q.map(|c| c as f32)),
+                    None => euler(&row, ["Roll", "Pitch", "Yaw"]),
+                };
+                Sample::of(stamp(&row), attitude)
+            });
+            if stream.rate() > CLEARLY_MORE * chosen.1.rate() || chosen.1.is_empty() {
+                chosen = (name, stream);
+            }
+        }
+        let (name, stream) = chosen;
+        if !stream.is_empty() {
+            let of_core =
+                if name.ends_with('Q') { format!(" of core {core}") } else { String::new() };
+            facts.notes.push(format!("attitude from {name}{of_core}"));
+        }
+        flight.attitude = stream;
+    }
+
+    /// Body rate and specific force, of the most frequent message that has each.
+    fn fill_sensors(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
+        const GYRO: [&str; 3] = ["GyrX", "GyrY", "GyrZ"];
+        const ACCELEROMETER: [&str; 3] = ["AccX", "AccY", "AccZ"];
+        const RATE: [&str; 3] = ["R", "P", "Y"];
+        let mut most =
+            |of: &str, sources: &[(&'static str, [&'static str; 3])], tally: &mut Tally| {
+                let mut chosen = ("", Stream::default());
+                for (name, fields) in sources {
+                    let Some(topic) = self.topics.primary(name, 0, tally) else { continue };
+                    let stream = self.topics.stream(topic, tally, |row| {
+                        Sample::of(sampled(&row), row.finite(*fields).map(Frd::from))
+                    });
+                    if stream.rate() > CLEARLY_MORE * chosen.1.rate() || chosen.1.is_empty() {
+                        chosen = (*name, stream);
+                    }
+                }
+                if !chosen.1.is_empty() {
+                    facts.notes.push(format!("{of} from {}", chosen.0));
+                }
+                chosen.1
+            };
+        flight.body_rate =
+            most("body rate", &[("IMU", GYRO), ("GYR", GYRO), ("RATE", RATE)], tally);
+        // Counted once: the same instances were left out above.
+        let mut again = Tally::default();
+        flight.specific_force =
+            most("specific force", &[("IMU", ACCELEROMETER), ("ACC", ACCELEROMETER)], &mut again);
+    }
+
+    fn fill_position(
+        &self,
+        core: u8,
+        flight: &mut Flight,
+        facts: &mut VehicleFacts,
+        tally: &mut Tally,
+    ) {
+        for name in ["XKF1", "NKF1", "EKF1"] {
+            let Some(topic) = self.topics.primary(name, core, tally) else { continue };
+            let vector = |fields: [&'static str; 3], tally: &mut Tally| {
+                self.topics.stream(topic, tally, |row| {
+                    Sample::of(stamp(&row), row.finite(fields).map(Ned::from))
+                })
+            };
+            flight.position = vector(["PN", "PE", "PD"], tally);
+            flight.velocity = vector(["VN", "VE", "VD"], &mut Tally::default());
+            facts.notes.push(format!("position and velocity from {name} of core {core}"));
+            return;
+        }
+    }
+
+    /// What the attitude loop was to follow: the ground's own where GUIDED logs it, else the
+    /// autopilot's target, which it shapes from that.
+    fn fill_setpoint(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
+        if let Some(topic) = self.topics.primary("GUIA", 0, tally) {
+            flight.setpoint = self.topics.stream(topic, tally, |row| {
+                let thrust = row.get("Thrust");
+                let setpoint = AttitudeSetpoint {
+                    attitude: euler(&row, ["Roll", "Pitch", "Yaw"]),
+                    body_rate: row.finite(["RollRt", "PitchRt", "YawRt"]).map(Frd::from),
+                    thrust: thrust.is_finite().then_some(thrust),
+                };
+                Sample::of(stamp(&row), setpoint.attitude.map(|_| setpoint))
+            });
+            flight.setpoint_source = SetpointSource::Ground;
+            facts.notes.push("setpoints from GUIA".to_owned());
+            return;
+        }
+        let more = |name: &'static str| self.topics.instance(name, 0).map_or(0, Topic::len);
+        let name = if more("ANG") > more("ATT") { "ANG" } else { "ATT" };
+        let Some(topic) = self.topics.instance(name, 0) else { return };
+        let throttle: Stream<f64> = match self.topics.instance("RATE", 0) {
+            Some(topic) => self.topics.stream(topic, &mut Tally::default(), |row| {
+                let throttle = row.get("AOut");
+                Sample::of(stamp(&row), throttle.is_finite().then_some(throttle))
+            }),
+            None => Stream::default(),
+        };
+        flight.setpoint = self.topics.stream(topic, &mut Tally::default(), |row| {
+            let attitude = euler(&row, ["DesRoll", "DesPitch", "DesYaw"]);
+            let thrust = throttle.held_at(stamp(&row)).copied();
+            let setpoint = AttitudeSetpoint { attitude, body_rate: None, thrust };
+            Sample::of(stamp(&row), attitude.map(|_| setpoint))
+        });
+        flight.setpoint_source = SetpointSource::Onboard;
+        facts
+            .notes
+            .push(format!("setpoints are the target that the autopilot shaped, from {name}"));
+    }
+
+    fn fill_states(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
+        for name in ["BAT", "CURR"] {
+            let Some(topic) = self.topics.primary(name, 0, tally) else { continue };
+            flight.voltage = self.topics.stream(topic, tally, |row| {
+                let voltage = row.get("Volt");
+                if voltage == 0.0 {
+                    return Sample::Skip;
+                }
+                Sample::of(stamp(&row), (voltage > 0.0 && voltage < 1e3).then_some(voltage))
+            });
+            break;
+        }
+        if let Some(topic) = self.topics.instance("EV", 0) {
+            flight.in_air = self.topics.stream(topic, tally, |row| {
+                let in_air = match row.get("Id") {
+                    // Not landed.
+                    28.0 => true,
+                    // Disarmed, perhaps landed, landed.
+                    11.0 | 17.0 | 18.0 => false,
+                    _ => return Sample::Skip,
+                };
+                Sample::Keep(stamp(&row), in_air)
+            });
+        }
+        if let Some(topic) = self.topics.instance("MODE", 0) {
+            let mut last = f64::NAN;
+            for row in topic.rows() {
+                let number = row.get("ModeNum");
+                let number = if number.is_finite() { number } else { row.get("Mode") };
+                if number != last && facts.notes.len() < NOTES_MAX {
+                    facts.notes.push(format!("mode {} from {:.2} s", mode(number), stamp(&row)));
+                }
+                last = number;
+            }
+        }
+    }
+}
+
+/// A damaged log may state any number of modes.
+const NOTES_MAX: usize = 60;
+
+/// Name of a mode of ArduCopter.
+fn mode(number: f64) -> String {
+    let name = match number {
+        0.0 => "STABILIZE",
+        1.0 => "ACRO",
+        2.0 => "ALT_HOLD",
+        3.0 => "AUTO",
+        4.0 => "GUIDED",
+        5.0 => "LOITER",
+        6.0 => "RTL",
+        9.0 => "LAND",
+        16.0 => "POSHOLD",
+        17.0 => "BRAKE",
+        20.0 => "GUIDED_NOGPS",
+        number => return format!("{number}"),
+    };
+    name.to_owned()
+}

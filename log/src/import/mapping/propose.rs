@@ -1,0 +1,425 @@
+//! A mapping file to start from, by the names of a table's columns and its first rows.
+
+use super::super::table::{Numbers, Sheet};
+use super::Cell;
+
+/// Separators between the words of a name; all are one.
+const UNDERSCORE: char = '_';
+const XYZ: [&[&str]; 3] = [&["x", "y", "z"], &["0", "1", "2"], &["1", "2", "3"]];
+const NED: &[&str] = &["n", "e", "d"];
+
+/// A column's name in lower case, its words joined, and its unit where the name says one.
+#[derive(Debug)]
+struct Named {
+    words: String,
+    unit: Option<&'static str>,
+}
+
+/// Endings of names that say a unit, and the unit as a mapping file writes it.
+const UNITS: [(&str, &str); 34] = [
+    ("m_s2", "m/s2"),
+    ("m_s_2", "m/s2"),
+    ("m_s_s", "m/s2"),
+    ("mps2", "m/s2"),
+    ("ms2", "m/s2"),
+    ("rad_s", "rad/s"),
+    ("radps", "rad/s"),
+    ("rad_sec", "rad/s"),
+    ("deg_s", "deg/s"),
+    ("degps", "deg/s"),
+    ("dps", "deg/s"),
+    ("cm_s", "cm/s"),
+    ("mm_s", "mm/s"),
+    ("m_s", "m/s"),
+    ("mps", "m/s"),
+    ("seconds", "s"),
+    ("sec", "s"),
+    ("secs", "s"),
+    ("us", "us"),
+    ("usec", "us"),
+    ("ns", "ns"),
+    ("nsec", "ns"),
+    ("ms", "ms"),
+    ("msec", "ms"),
+    ("s", "s"),
+    ("rad", "rad"),
+    ("deg", "deg"),
+    ("degrees", "deg"),
+    ("rpm", "rpm"),
+    ("mv", "mV"),
+    ("v", "V"),
+    ("mm", "mm"),
+    ("cm", "cm"),
+    ("m", "m"),
+];
+
+impl Named {
+    fn new(name: &str) -> Self {
+        let mut words = String::new();
+        // What is in brackets is a unit, and a word for what follows.
+        for c in name.chars() {
+            if c.is_alphanumeric() {
+                words.extend(c.to_lowercase());
+            } else if c == '²' {
+                words.push('2');
+            } else if !words.ends_with(UNDERSCORE) {
+                words.push(UNDERSCORE);
+            }
+        }
+        let words = words.trim_matches(UNDERSCORE).to_owned();
+        let ending = UNITS.iter().find_map(|(ending, unit)| {
+            let stem = words.strip_suffix(ending)?.strip_suffix(UNDERSCORE)?;
+            Some((stem.trim_end_matches(UNDERSCORE).to_owned(), *unit))
+        });
+        match ending {
+            Some((stem, unit)) if !stem.is_empty() => Self { words: stem, unit: Some(unit) },
+            _ => Self { words, unit: None },
+        }
+    }
+
+    /// Whether the name is this, or ends with it as words of its own.
+    fn is(&self, words: &str) -> bool {
+        self.words.strip_suffix(words).is_some_and(|before| {
+            before.is_empty() || before.ends_with(UNDERSCORE) && words.len() > 1
+        })
+    }
+}
+
+/// Columns that belong together.
+struct Group {
+    at: Vec<usize>,
+    unit: Option<&'static str>,
+}
+
+struct Proposal<'a> {
+    sheet: &'a Sheet,
+    names: Vec<Named>,
+    used: Vec<bool>,
+    text: String,
+}
+
+/// The text of a mapping file for a table. What is not said by its names is marked `CHECK`, and
+/// what is nowhere to be found is left out as a comment.
+pub(in crate::import) fn propose(sheet: &Sheet) -> String {
+    let names: Vec<Named> = sheet.names.iter().map(|name| Named::new(name)).collect();
+    let used = vec![false; names.len()];
+    let mut proposal = Proposal { sheet, names, used, text: String::new() };
+    proposal.write();
+    proposal.text
+}
+
+impl Proposal<'_> {
+    fn line(&mut self, text: &str) {
+        self.text.push_str(text);
+        self.text.push('\n');
+    }
+
+    /// The columns with the first of these names that are all there and not taken.
+    fn find(&mut self, stems: &[&str], axes: &[&[&str]]) -> Option<Group> {
+        for axes in axes {
+            for stem in stems {
+                let of = |axis: &str| {
+                    let forms = match *stem {
+                        "" => vec![axis.to_owned()],
+                        stem => vec![format!("{stem}{axis}"), format!("{stem}_{axis}")],
+                    };
+                    let is_free = |at: &usize| !self.used[*at];
+                    let exact = |at: &usize| forms.contains(&self.names[*at].words);
+                    let ends = |at: &usize| forms.iter().any(|form| self.names[*at].is(form));
+                    let all = 0..self.names.len();
+                    all.clone().filter(is_free).find(exact).or(all.filter(is_free).find(ends))
+                };
+                let at: Option<Vec<usize>> = axes.iter().map(|axis| of(axis)).collect();
+                if let Some(at) = at {
+                    return Some(self.take(at));
+                }
+            }
+        }
+        None
+    }
+
+    fn take(&mut self, at: Vec<usize>) -> Group {
+        at.iter().for_each(|at| self.used[*at] = true);
+        let unit = at.first().and_then(|first| self.names[*first].unit);
+        Group { at, unit }
+    }
+
+    /// A column as the mapping names it: by number where its name is there twice.
+    fn column(&self, at: usize) -> String {
+        let name = &self.sheet.names[at];
+        let count = self.sheet.names.iter().filter(|known| *known == name).count();
+        if count == 1 {
+            toml::Value::String(name.clone()).to_string()
+        } else {
+            (at + 1).to_string()
+        }
+    }
+
+    fn columns(&self, group: &Group) -> String {
+        let columns: Vec<String> = group.at.iter().map(|at| self.column(*at)).collect();
+        format!("[{}]", columns.join(", "))
+    }
+
+    /// A line `unit = ...`: what the names say if it is one of these, else the first, to be checked.
+    fn unit(&mut self, said: Option<&'static str>, units: &[&str]) {
+        match said.filter(|said| units.contains(said)) {
+            Some(unit) => self.line(&format!("unit = {unit:?}")),
+            None => {
+                let others: Vec<String> = units.iter().map(|unit| format!("{unit:?}")).collect();
+                let first = units.first().copied().unwrap_or_default();
+                self.line(&format!("unit = {first:?}  # CHECK: {}", others.join(", ")));
+            }
+        }
+    }
+
+    fn write(&mut self) {
+        let time = self
+            .find(&["t", "time", "timestamp", "stamp", "time_boot", "sec", "seconds"], &[&[""]]);
+        let time = time.or_else(|| {
+            let at = self.names.iter().position(|name| name.words.contains("time"))?;
+            Some(self.take(vec![at]))
+        });
+        let north = self.find(&["p", "pos", "position", ""], &[NED, &["north", "east", "down"]]);
+        let is_ned = north.is_some();
+        let quaternion = self.find(
+            &["q", "quat", "quaternion", "orientation", "rotation", "attitude", "rot"],
+            &[&["w", "x", "y", "z"], &["0", "1", "2", "3"], &["1", "2", "3", "4"]],
+        );
+        let velocity = self.find(
+            &["v", "vel", "velocity", "linear_velocity", "twist_linear", "linear"],
+            &[NED, XYZ[0], XYZ[1]],
+        );
+        let rate = self.find(
+            &[
+                "w",
+                "omega",
+                "gyro",
+                "gyr",
+                "rate",
+                "body_rate",
+                "angular_velocity",
+                "angular",
+                "gyro_rad",
+                "ang_vel",
+            ],
+            &XYZ,
+        );
+        let rate = rate.or_else(|| self.find(&[""], &[&["p", "q", "r"]]));
+        let force = self.find(
+            &[
+                "a",
+                "acc",
+                "accel",
+                "acceleration",
+                "linear_acceleration",
+                "accelerometer",
+                "f",
+                "specific_force",
+                "imu_acc",
+            ],
+            &XYZ,
+        );
+        let position = north.or_else(|| {
+            self.find(&["p", "pos", "position", "translation", "pose_position", ""], &XYZ[..1])
+        });
+        let euler = match quaternion {
+            Some(_) => None,
+            None => self.find(
+                &["", "att", "attitude", "euler", "rpy"],
+                &[&["roll", "pitch", "yaw"], &["phi", "theta", "psi"]],
+            ),
+        };
+        let four: [&[&str]; 2] = [&["1", "2", "3", "4"], &["0", "1", "2", "3"]];
+        let speed =
+            self.find(&["rpm", "erpm", "rotor_speed", "motor_speed", "rotor", "motor_rpm"], &four);
+        let motors = self.find(
+            &[
+                "m", "motor", "motors", "u", "pwm", "output", "outputs", "cmd", "throttle",
+                "thrust", "esc", "control",
+            ],
+            &four,
+        );
+        let voltage = self.find(
+            &[
+                "vbat",
+                "voltage",
+                "battery_voltage",
+                "bat_voltage",
+                "batt_v",
+                "battery",
+                "v_bat",
+                "volt",
+            ],
+            &[&[""]],
+        );
+
+        self.line("# Proposed from the names of the table's columns. Check what is marked CHECK: nothing of it");
+        self.line(
+            "# can be seen in the table; config/mappings/motion-capture.toml explains every key.",
+        );
+        if self.sheet.separator != b',' {
+            let separator = char::from(self.sheet.separator).to_string();
+            let separator = toml::Value::String(separator).to_string();
+            self.line(&format!("separator = {separator}"));
+        }
+        let is_any_axis =
+            position.is_some() || velocity.is_some() || quaternion.is_some() || euler.is_some();
+        if is_any_axis {
+            match is_ned {
+                true => self.line("world_frame = \"ned\""),
+                false => self.line("world_frame = \"nwu\"  # CHECK: \"ned\", \"enu\", \"nwu\" or where x, y and z point, as [\"north\", \"up\", \"east\"]"),
+            }
+        }
+        if quaternion.is_some() || euler.is_some() || rate.is_some() || force.is_some() {
+            let body = if is_ned { "frd" } else { "flu" };
+            self.line(&format!("body_frame = {body:?}  # CHECK: \"frd\", \"flu\" or where x, y and z point, as [\"front\", \"up\", \"right\"]"));
+        }
+        self.line("\n[time]");
+        match &time {
+            Some(group) => {
+                let at = group.at.first().copied().unwrap_or(0);
+                let column = self.column(at);
+                self.line(&format!("column = {column}"));
+                let unit = group.unit.filter(|unit| ["s", "ms", "us", "ns"].contains(unit));
+                match unit {
+                    Some(unit) => self.line(&format!("unit = {unit:?}")),
+                    None => {
+                        let (unit, step) = self.time_unit(at);
+                        self.line(&format!("unit = {unit:?}  # CHECK: \"s\", \"ms\", \"us\" or \"ns\"; it rises by {step} a row"));
+                    }
+                }
+            }
+            None => self.line(
+                "rate_hz = 100.0  # CHECK: no column looks like a time; the rate of the rows",
+            ),
+        }
+        if let Some(group) = &position {
+            let columns = self.columns(group);
+            self.line(&format!("\n[position]\ncolumns = {columns}"));
+            self.unit(group.unit, &["m", "cm", "mm"]);
+        }
+        if let Some(group) = &velocity {
+            let columns = self.columns(group);
+            self.line(&format!("\n[velocity]\ncolumns = {columns}"));
+            self.unit(group.unit, &["m/s", "cm/s", "mm/s"]);
+            self.line("axes = \"world\"  # CHECK: \"world\" or \"body\"");
+        }
+        if let Some(group) = &quaternion {
+            let columns = self.columns(group);
+            let is_named = group.at.first().is_some_and(|at| self.names[*at].words.ends_with('w'));
+            self.line(&format!("\n[attitude]\nquaternion = {columns}"));
+            self.line(match is_named {
+                true => "order = \"wxyz\"",
+                false => {
+                    "order = \"wxyz\"  # CHECK: \"wxyz\" or \"xyzw\", the order of these columns"
+                }
+            });
+            self.line("rotates = \"body_to_world\"  # CHECK: or \"world_to_body\"");
+        } else if let Some(group) = &euler {
+            let columns = self.columns(group);
+            let unit = group.unit.or_else(|| self.angle_unit(group));
+            self.line(&format!("\n[attitude]\neuler = {columns}"));
+            self.unit(unit, &["rad", "deg"]);
+        }
+        if let Some(group) = &rate {
+            let columns = self.columns(group);
+            self.line(&format!("\n[body_rate]\ncolumns = {columns}"));
+            self.unit(group.unit, &["rad/s", "deg/s"]);
+            self.line("axes = \"body\"  # CHECK: \"body\" or \"world\"");
+        }
+        if let Some(group) = &force {
+            let columns = self.columns(group);
+            self.line(&format!("\n[specific_force]\ncolumns = {columns}"));
+            self.unit(group.unit, &["m/s2", "g"]);
+            // An acceleration is turned by an attitude.
+            let has_attitude = quaternion.is_some() || euler.is_some();
+            let meaning = if has_attitude { self.force_meaning(group) } else { "specific_force" };
+            self.line(&format!("meaning = {meaning:?}  # CHECK: \"specific_force\" (1 g upwards at rest) or \"acceleration\" (nothing at rest)"));
+            self.line("axes = \"body\"  # CHECK: \"body\" or \"world\"");
+        }
+        if let Some(group) = &motors {
+            let columns = self.columns(group);
+            self.line(&format!("\n[motors]\ncolumns = {columns}  # CHECK: in the order of the vehicle file's rotors"));
+            let most = self.largest(group);
+            match most > 2.0 {
+                true => self.line(&format!("meaning = \"pwm\"  # CHECK: or \"thrust_N\", \"rotor_speed\"\nrange = [1000.0, 2000.0]  # CHECK: at no and at full thrust; the largest here is {most}")),
+                false => self.line("meaning = \"thrust_fraction\"  # CHECK: or \"thrust_N\", \"pwm\", \"rotor_speed\""),
+            }
+        }
+        if let Some(group) = &speed {
+            let columns = self.columns(group);
+            self.line(&format!("\n[rotor_speed]\ncolumns = {columns}  # CHECK: in the order of the vehicle file's rotors"));
+            let is_rpm = group
+                .at
+                .first()
+                .is_some_and(|at| self.sheet.names[*at].to_lowercase().contains("rpm"));
+            self.unit(if is_rpm { Some("rpm") } else { group.unit }, &["rpm", "rad/s"]);
+        }
+        if let Some(group) = &voltage {
+            let column = self.column(group.at.first().copied().unwrap_or(0));
+            self.line(&format!("\n[voltage]\ncolumn = {column}"));
+            self.unit(group.unit, &["V", "mV"]);
+        }
+        let found = [
+            ("position", position.is_some()),
+            ("attitude", quaternion.is_some() || euler.is_some()),
+        ];
+        for (what, _) in found.into_iter().filter(|(_, is_found)| !is_found) {
+            self.line(&format!("\n# EDIT: no columns look like [{what}]"));
+        }
+        let free: Vec<&str> = (self.sheet.names.iter().zip(&self.used))
+            .filter(|(name, used)| !**used && !name.is_empty())
+            .map(|(name, _)| name.as_str())
+            .collect();
+        if !free.is_empty() {
+            let free = free.join(", ").replace(char::is_control, " ");
+            self.line(&format!("\n# Not used: {free}"));
+        }
+    }
+
+    /// The numbers of a column in the first rows.
+    fn numbers(&self, at: usize) -> Vec<f64> {
+        let mut numbers = Numbers::new(None, self.sheet.separator);
+        let read = |row: &Vec<String>| match numbers.read(row.get(at)?.as_bytes()) {
+            Cell::Number(number) => Some(number),
+            _ => None,
+        };
+        self.sheet.rows.iter().filter_map(read).collect()
+    }
+
+    /// The unit in which the rows are from 1 Hz to some kHz, and the step.
+    fn time_unit(&self, at: usize) -> (&'static str, f64) {
+        let times = self.numbers(at);
+        let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        steps.sort_by(f64::total_cmp);
+        let step = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+        let unit = match step {
+            step if step < 1.0 => "s",
+            step if step < 250.0 => "ms",
+            step if step < 250_000.0 => "us",
+            _ => "ns",
+        };
+        (unit, (step * 1e9).round() * 1e-9)
+    }
+
+    fn largest(&self, group: &Group) -> f64 {
+        let sizes = group.at.iter().flat_map(|at| self.numbers(*at)).map(f64::abs);
+        sizes.fold(0.0, f64::max)
+    }
+
+    /// Angles beyond a turn are no radians.
+    fn angle_unit(&self, group: &Group) -> Option<&'static str> {
+        (self.largest(group) > std::f64::consts::TAU).then_some("deg")
+    }
+
+    /// At rest an accelerometer shows gravity, an acceleration nothing.
+    fn force_meaning(&self, group: &Group) -> &'static str {
+        let columns: Vec<Vec<f64>> = group.at.iter().map(|at| self.numbers(*at)).collect();
+        let count = columns.iter().map(Vec::len).min().unwrap_or(0);
+        let sizes = (0..count)
+            .map(|row| columns.iter().map(|column| column[row].powi(2)).sum::<f64>().sqrt());
+        let mean = sizes.sum::<f64>() / count.max(1) as f64;
+        let is_gravity = (mean - 9.8).abs() < 2.0 || (mean - 1.0).abs() < 0.2;
+        if is_gravity { "specific_force" } else { "acceleration" }
+    }
+}

@@ -1,0 +1,96 @@
+//! Own logs (.mcap) into flights: those of flights, which hold every raw frame, and those of
+//! imported flights, which hold flat channels.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
+
+use wire::Frame;
+
+use super::flat::{self, Taken};
+use super::flight::Flight;
+use super::frames::Frames;
+use super::references::References;
+use super::tally::Tally;
+use super::{Contents, LogFault};
+use crate::reader::{Channel, LogReader};
+use crate::record::PARAMETER_FACT;
+use crate::schema::{Flat, MavlinkFrameMessage};
+
+/// Name of the attachment that is not the vehicle file.
+const CONFIG: &str = "config.toml";
+/// Topics of others that are remembered.
+const TOPICS_MAX: usize = 64;
+
+/// The vehicle's parameters that the daemon read before the flight.
+fn stated_parameters(run: &BTreeMap<String, String>) -> BTreeMap<String, f64> {
+    let stated = |(key, value): (&String, &String)| {
+        let name = key.strip_prefix(PARAMETER_FACT)?;
+        Some((name.to_owned(), value.parse().ok().filter(|value: &f64| value.is_finite())?))
+    };
+    run.iter().filter_map(stated).collect()
+}
+
+/// Reads the rest of `reader` into `flight`. Returns which topics of others it holds.
+///
+/// # Errors
+/// Those of the source, and a boot that the log does not have.
+pub(super) fn read(
+    reader: &mut LogReader<impl Read>,
+    boot: Option<usize>,
+    flight: &mut Flight,
+) -> Result<Contents, LogFault> {
+    let mut frames: Option<Frames> = None;
+    let mut references = References::default();
+    let mut tally = Tally::default();
+    let mut others = BTreeSet::new();
+    while let Some(message) = reader.next_message()? {
+        if message.channel.schema == MavlinkFrameMessage::NAME {
+            let frame = message.decode::<MavlinkFrameMessage>();
+            match frame.as_ref().and_then(|message| Frame::parse(&message.frame)) {
+                Some(frame) => {
+                    let frames = frames.get_or_insert_default();
+                    frames.add(Some(message.log_time.as_ns()), &frame);
+                }
+                None => tally.add("frame that is damaged or unknown to the dialect", 1),
+            }
+        } else if references.take(&message, &mut flight.reference) {
+            // One of the messages of a control tick.
+        } else {
+            let channel = &message.channel;
+            match flat::take(&message, flight) {
+                Taken::Kept => {}
+                Taken::Refused => {
+                    tally.add(&format!("{}: not finite or out of order", channel.topic), 1);
+                }
+                Taken::Other if others.len() < TOPICS_MAX => {
+                    let Channel { topic, schema, message_encoding, .. } = &**channel;
+                    others.insert(format!("{topic} ({schema} in {message_encoding})"));
+                }
+                Taken::Other => {}
+            }
+        }
+    }
+    let ending = reader.ending();
+    tally.add("damaged part of the file", ending.damaged);
+    tally.add("end of the file (it was cut short)", u64::from(!ending.finished));
+    if ending.damaged > 0 {
+        tally.lose(format!("{} damaged parts were passed over", ending.damaged));
+    }
+    if !ending.finished {
+        tally.lose("it has no end: it was cut short, or is still written".to_owned());
+    }
+    if !flat::take_facts(reader.run(), flight)
+        && let Some(frames) = frames
+    {
+        flight.facts.parameters = stated_parameters(reader.run());
+        frames.finish(boot, flight)?;
+    } else if let Some(boot) = boot.filter(|boot| *boot != 1) {
+        return Err(LogFault::NoBoot { boot, boots: 1 });
+    }
+    let vehicle = reader.attachments().iter().find(|attachment| attachment.name != CONFIG);
+    flight.vehicle_file =
+        vehicle.and_then(|attachment| String::from_utf8(attachment.data.clone()).ok());
+    tally.give(flight);
+    let names = others.into_iter().collect();
+    Ok(Contents { part: "topic", names, reason: None })
+}

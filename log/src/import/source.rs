@@ -1,0 +1,122 @@
+//! What a file is, by its content.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+use sha2::{Digest, Sha256};
+use wire::tlog::Reader;
+
+use super::error::ImportError;
+use super::flight::Origin;
+use super::{dataflash, foreign, table, ulog};
+use crate::descriptor::hex;
+
+/// How much of a file tells what it is.
+const HEAD: u64 = 256 * 1024;
+
+/// What can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Format {
+    Mcap,
+    Tlog,
+    Ulog,
+    DataFlash,
+    Csv,
+}
+
+impl Format {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mcap => "mcap",
+            Self::Tlog => "tlog",
+            Self::Ulog => "ulog",
+            Self::DataFlash => "dataflash",
+            Self::Csv => "csv",
+        }
+    }
+}
+
+/// Tells what the file is.
+///
+/// # Errors
+/// A file that cannot be read, or is none of those that can be imported.
+pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
+    let fail = |source| ImportError::Read { path: path.to_owned(), source };
+    let mut head = Vec::new();
+    File::open(path).map_err(fail)?.take(HEAD).read_to_end(&mut head).map_err(fail)?;
+    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    let extension = extension.as_deref();
+    if let Some(found) = foreign::known(&head, extension) {
+        return Err(ImportError::not_a_log(path, found.to_owned()));
+    }
+    let magic = ::mcap::MAGIC;
+    if head.starts_with(magic) || magic.starts_with(&head) {
+        return Ok(Format::Mcap);
+    }
+    if head.starts_with(&ulog::MAGIC) {
+        return Ok(Format::Ulog);
+    }
+    if dataflash::begins(&head) {
+        return Ok(Format::DataFlash);
+    }
+    let mut entries = Reader::new(head.as_slice());
+    while let Ok(Some(entry)) = entries.read() {
+        if entry.time_us.is_some() {
+            return Ok(Format::Tlog);
+        }
+    }
+    let found = match text(&head) {
+        Some(text) => match foreign::known_text(&text) {
+            None if table::looks_like_one(&text) => return Ok(Format::Csv),
+            None => "text without a line of numbers",
+            Some(found) => found,
+        },
+        None => "data of another kind: no log's first bytes, and no frames of MAVLink with stamps",
+    };
+    Err(ImportError::not_a_log(path, found.to_owned()))
+}
+
+/// The text that the bytes are, in whatever encoding tables come in: control characters and bytes
+/// of no encoding are in none.
+fn text(head: &[u8]) -> Option<String> {
+    let mut bytes = Vec::new();
+    table::decoded(head).ok()?.read_to_end(&mut bytes).ok()?;
+    let text = match std::str::from_utf8(&bytes) {
+        Ok(text) => text.to_owned(),
+        // The head may end within a character.
+        Err(error) if error.valid_up_to() + 4 > bytes.len() => {
+            String::from_utf8_lossy(bytes.get(..error.valid_up_to())?).into_owned()
+        }
+        // Names with an umlaut or a degree sign in an encoding of before Unicode.
+        Err(_) => bytes.iter().map(|byte| char::from(*byte)).collect(),
+    };
+    let is_plain = |c: char| !c.is_control() || matches!(c, '\t' | '\r' | '\n');
+    let strange = text.chars().filter(|c| !c.is_ascii()).count();
+    (text.chars().all(is_plain) && 10 * strange <= text.chars().count()).then_some(text)
+}
+
+/// Where a flight comes from: its path, name and hash.
+///
+/// # Errors
+/// A file that cannot be read.
+pub(super) fn origin(path: &Path, format: Format) -> Result<Origin, ImportError> {
+    let sha256 =
+        hash(path).map_err(|source| ImportError::Read { path: path.to_owned(), source })?;
+    let run = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    Ok(Origin { path: path.to_owned(), run, sha256, format: format.name() })
+}
+
+fn hash(path: &Path) -> io::Result<String> {
+    let mut file = File::open(path)?;
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match file.read(&mut buffer) {
+            Ok(0) => return Ok(hex(&hasher.finalize())),
+            Ok(count) => hasher.update(&buffer[..count]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! Cells as numbers.
+
+use super::super::mapping::{Cell, DecimalMark};
+
+/// Words for nothing.
+const NOTHING: [&str; 7] = ["", "-", "nan", "na", "n/a", "null", "none"];
+
+/// Reads numbers with the stated mark of decimals, or with either, which must not change.
+#[derive(Clone, Debug, Default)]
+pub(in crate::import) struct Numbers {
+    stated: Option<DecimalMark>,
+    /// Whether a comma may stand in a cell: it does not separate them.
+    commas_allowed: bool,
+    /// The first number with a point and the first with a comma.
+    point: Option<String>,
+    comma: Option<String>,
+}
+
+impl Numbers {
+    pub fn new(stated: Option<DecimalMark>, separator: u8) -> Self {
+        Self { stated, commas_allowed: separator != b',', ..Self::default() }
+    }
+
+    pub fn read(&mut self, cell: &[u8]) -> Cell {
+        let Ok(text) = std::str::from_utf8(cell) else { return Cell::Other };
+        let text = text.trim().trim_matches('"').trim();
+        if NOTHING.iter().any(|word| text.eq_ignore_ascii_case(word)) {
+            return Cell::Empty;
+        }
+        let has_comma = text.contains(',');
+        let number = if has_comma {
+            let is_mark = self.stated == Some(DecimalMark::Comma)
+                || self.stated.is_none() && self.commas_allowed;
+            let is_one = text.bytes().filter(|byte| matches!(byte, b',' | b'.')).count() == 1;
+            (is_mark && is_one).then(|| text.replace(',', ".").parse::<f64>().ok()).flatten()
+        } else {
+            let is_wrong = self.stated == Some(DecimalMark::Comma) && text.contains('.');
+            if is_wrong { None } else { text.parse::<f64>().ok() }
+        };
+        let Some(number) = number.filter(|number| number.is_finite()) else { return Cell::Other };
+        let seen = match (has_comma, text.contains('.')) {
+            (true, _) => &mut self.comma,
+            (false, true) => &mut self.point,
+            (false, false) => return Cell::Number(number),
+        };
+        if seen.is_none() {
+            *seen = Some(text.to_owned());
+        }
+        Cell::Number(number)
+    }
+
+    /// Why the numbers cannot be told from their marks, if that is so.
+    pub fn doubt(&self) -> Option<String> {
+        let (None, Some(point), Some(comma)) = (self.stated, &self.point, &self.comma) else {
+            return None;
+        };
+        Some(format!(
+            "decimal is not said, and cells have both marks, as {point:?} and {comma:?}: write \
+             decimal = \".\" or decimal = \",\""
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn either_mark_is_read_and_both_are_a_doubt() {
+        let mut numbers = Numbers::new(None, b';');
+        assert_eq!(numbers.read(b" \"-0,25\" "), Cell::Number(-0.25));
+        assert_eq!(numbers.read(b"NaN"), Cell::Empty);
+        assert_eq!(numbers.read(b"inf"), Cell::Other);
+        assert_eq!(numbers.read(b"1.234,5"), Cell::Other);
+        assert_eq!(numbers.read(b"3"), Cell::Number(3.0));
+        assert_eq!(numbers.doubt(), None);
+        assert_eq!(numbers.read(b"0.5"), Cell::Number(0.5));
+        assert!(numbers.doubt().is_some_and(|doubt| doubt.contains("\"0.5\" and \"-0,25\"")));
+    }
+
+    #[test]
+    fn a_stated_mark_is_kept_to() {
+        let mut numbers = Numbers::new(Some(DecimalMark::Comma), b';');
+        assert_eq!(numbers.read(b"0,5"), Cell::Number(0.5));
+        assert_eq!(numbers.read(b"0.5"), Cell::Other);
+        let mut numbers = Numbers::new(Some(DecimalMark::Point), b';');
+        assert_eq!(numbers.read(b"0,5"), Cell::Other);
+        assert_eq!(Numbers::new(None, b',').read(b"0,5"), Cell::Other);
+    }
+}

@@ -1,0 +1,165 @@
+//! What a PX4 log says of the motors: which topic their commands are from, and what they mean.
+
+use super::stamp;
+use crate::import::facts::VehicleFacts;
+use crate::import::flight::{Flight, MotorSource, MotorUnit};
+use crate::import::functions::{Movement, OUTPUTS, PX4_MOTOR_1, numbered, px4_drive};
+use crate::import::onboard::{Sample, Topic};
+use crate::import::ranges;
+use crate::import::tally::Tally;
+use crate::import::ulog::Contents;
+
+/// Outputs beyond this are no fractions.
+const FRACTION_MAX: f64 = 2.0;
+/// Radians per second in one revolution per minute.
+const RPM: f64 = std::f64::consts::TAU / 60.0;
+const OUTPUT_FIELDS: [&str; OUTPUTS] = [
+    "output[0]",
+    "output[1]",
+    "output[2]",
+    "output[3]",
+    "output[4]",
+    "output[5]",
+    "output[6]",
+    "output[7]",
+    "output[8]",
+    "output[9]",
+    "output[10]",
+    "output[11]",
+    "output[12]",
+    "output[13]",
+    "output[14]",
+    "output[15]",
+];
+
+/// Which outputs of an instance move.
+fn movement(topic: &Topic) -> Movement {
+    let count = topic.most_frequent("noutputs").unwrap_or(OUTPUTS as f64);
+    let mut movement = Movement::of(count as usize);
+    topic.rows().for_each(|row| movement.add(row.all(OUTPUT_FIELDS)));
+    movement
+}
+
+/// PX4's signal to a motor whose thrust, of the full one, is to be `thrust`:
+/// `thrust = bend signal^2 + (1 - bend) signal`.
+fn signal(thrust: f64, bend: f64) -> f64 {
+    let half = (1.0 - bend) / (2.0 * bend);
+    thrust.signum() * ((half * half + thrust.abs() / bend).sqrt() - half)
+}
+
+impl Contents {
+    /// Motor commands, of the topic that says what they mean before the one that does not.
+    pub(super) fn fill_outputs(
+        &self,
+        flight: &mut Flight,
+        facts: &mut VehicleFacts,
+        tally: &mut Tally,
+    ) {
+        if let Some(topic) = self.topics.primary("actuator_motors", 0, tally) {
+            flight.outputs = self.topics.stream(topic, tally, |row| {
+                let controls = row.all(["control[0]", "control[1]", "control[2]", "control[3]"]);
+                // A motor that is switched off has none.
+                let outputs = controls.map(|u| if u.is_nan() { 0.0 } else { u });
+                Sample::of(stamp(&row), outputs.iter().all(|u| u.is_finite()).then_some(outputs))
+            });
+            if topic.has("control[4]") {
+                let count = facts.motors.map_or("more than 4".to_owned(), |n| n.to_string());
+                facts
+                    .notes
+                    .push(format!("the vehicle has {count} motors; outputs are its first 4"));
+            }
+            flight.motor_source = MotorSource::ActuatorMotors;
+            flight.motor_unit = MotorUnit::ThrustFraction;
+            let bend = self.parameters.get("THR_MDL_FAC").copied();
+            if let Some(bend) = bend.filter(|bend| *bend > 0.0 && *bend <= 1.0) {
+                flight.outputs = flight.outputs.map(|thrusts| thrusts.map(|t| signal(t, bend)));
+                facts.notes.push(format!(
+                    "actuator_motors are thrusts: outputs are the signals that THR_MDL_FAC {bend} \
+                     makes of them"
+                ));
+            }
+        } else {
+            self.fill_driver_outputs(flight, facts, tally);
+        }
+        self.fill_rotor_speed(flight, tally);
+    }
+
+    /// What was sent to the drivers: pulses or fractions, by the parameters of the outputs.
+    fn fill_driver_outputs(
+        &self,
+        flight: &mut Flight,
+        facts: &mut VehicleFacts,
+        tally: &mut Tally,
+    ) {
+        let (instances, logged): (Vec<u8>, Vec<Movement>) = self
+            .topics
+            .instances("actuator_outputs")
+            .map(|(instance, topic)| (instance, movement(topic)))
+            .unzip();
+        if instances.is_empty() {
+            return;
+        }
+        let drive = match px4_drive(&self.parameters, &logged) {
+            Ok(drive) => drive,
+            Err(reason) => {
+                facts.notes.push(format!("no motor outputs: {reason}"));
+                return;
+            }
+        };
+        let instance = instances.get(drive.index).copied().unwrap_or(0);
+        let Some(topic) = self.topics.primary("actuator_outputs", instance, tally) else { return };
+        let names = drive.channels.map(|channel| OUTPUT_FIELDS[channel]);
+        flight.outputs =
+            self.topics.stream(topic, tally, |row| Sample::of(stamp(&row), row.finite(names)));
+        flight.motor_source = MotorSource::ActuatorOutputs;
+        facts.notes.push(format!(
+            "motors 1 to 4 are outputs {} of actuator_outputs, instance {instance}, {}",
+            numbered(&drive.channels),
+            drive.reason()
+        ));
+        let is_fraction = |u: &&[f64; 4]| u.iter().all(|u| (0.0..=FRACTION_MAX).contains(u));
+        let fractions = flight.outputs.values().iter().filter(is_fraction).count();
+        if 2 * fractions > flight.outputs.len() {
+            flight.motor_unit = MotorUnit::ThrustFraction;
+            return;
+        }
+        let most = flight.outputs.values().iter().flatten().copied().fold(0.0, f64::max);
+        match ranges::px4(&self.parameters, &drive, most) {
+            Some((ranges, said)) => {
+                flight.outputs = flight
+                    .outputs
+                    .map(|outputs| std::array::from_fn(|i| ranges[i].fraction(outputs[i])));
+                flight.motor_unit = MotorUnit::ThrustFraction;
+                facts.notes.push(format!("outputs over the range {said}"));
+            }
+            None => flight.motor_unit = MotorUnit::VehicleFile,
+        }
+    }
+
+    fn fill_rotor_speed(&self, flight: &mut Flight, tally: &mut Tally) {
+        let Some(topic) = self.topics.primary("esc_status", 0, tally) else { return };
+        flight.rotor_speed = self.topics.stream(topic, tally, |row| {
+            if row.get("esc_count") < 4.0 {
+                return Sample::Skip;
+            }
+            let rpm = row.finite([
+                "esc[0].esc_rpm",
+                "esc[1].esc_rpm",
+                "esc[2].esc_rpm",
+                "esc[3].esc_rpm",
+            ]);
+            // The function of each controller tells its motor, where it is logged.
+            let functions = row.all([
+                "esc[0].actuator_function",
+                "esc[1].actuator_function",
+                "esc[2].actuator_function",
+                "esc[3].actuator_function",
+            ]);
+            let of_motor = |motor: usize| {
+                functions.iter().position(|f| *f == PX4_MOTOR_1 + motor as f64).unwrap_or(motor)
+            };
+            let speeds = rpm.map(|rpm| std::array::from_fn(|i| rpm[of_motor(i)].abs() * RPM));
+            Sample::of(stamp(&row), speeds)
+        });
+    }
+}

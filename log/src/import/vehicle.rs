@@ -1,0 +1,487 @@
+//! One vehicle's messages, gathered on its own clock.
+//!
+//! Each message is kept by its source, so that estimates are never mixed; which source becomes
+//! which stream is decided when all have been seen. Where the vehicle's clock jumps, as after a
+//! reboot, a new epoch begins; the flight is the epoch that flew longest.
+
+mod boots;
+mod facts;
+
+use std::collections::BTreeMap;
+
+use mavlink::MessageData;
+use message::Codec;
+use message::parameter_value::ParameterCast;
+use message::{AttitudeSource, Battery, Inbound, LandedState};
+use vehicle::frame::Frd;
+use wire::Frame;
+use wire::dialect::*;
+
+use super::LogFault;
+use super::clocks::{Arrival, ClockMap, Exchange, Heard};
+use super::epoch::{Epoch, IMUS, ImuSample, PoseSample, Source};
+use super::flight::{Clock, Flight, Stream};
+use super::setpoints::{Sent, steadied};
+use super::tally::Tally;
+
+/// MAV_AUTOPILOT.
+const PX4: u8 = MavAutopilot::MAV_AUTOPILOT_PX4 as u8;
+const ARDUPILOT: u8 = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA as u8;
+/// What autopilots and MAVLink mean by G, m/s^2.
+const STANDARD_GRAVITY: f64 = 9.806_65;
+/// Texts that are kept.
+const TEXTS_MAX: usize = 40;
+/// Boots that are named; a damaged log may have any number.
+const BOOTS_NAMED: usize = 20;
+/// Place of RAW_IMU among [`IMUS`].
+const RAW_IMU: usize = 1;
+/// Messages in a row that must agree on a jump of the vehicle's clock.
+const JUMP_MESSAGES: u32 = 8;
+/// Least downlink delay where nothing measures it and setpoints are to be placed, s.
+const ASSUMED_DELAY: f64 = 1.5e-3;
+
+/// Everything that one system and component sent.
+#[derive(Debug, Default)]
+pub(super) struct VehicleLog {
+    codec: Codec,
+    /// MAV_AUTOPILOT of its heartbeats.
+    autopilot: Option<u8>,
+    /// Heartbeats by MAV_TYPE.
+    types: BTreeMap<u8, u64>,
+    /// Last value of each parameter.
+    parameters: BTreeMap<String, f64>,
+    texts: Vec<String>,
+    /// Latest stamp, us: short counters are extended to it.
+    latest_us: u64,
+    epochs: Vec<Epoch>,
+    current: usize,
+    /// Number of the frame from which on each epoch was the current one.
+    switches: Vec<(u32, usize)>,
+    /// Messages in a row that do not follow the clock.
+    jumped: u32,
+    battery: Vec<(Heard, f64)>,
+    /// By SYS_STATUS.
+    system_voltage: Vec<(Heard, f64)>,
+    armed: Vec<(Heard, bool)>,
+    landed: Vec<(Heard, bool)>,
+    exchanges: Vec<Exchange>,
+    messages: u64,
+    tally: Tally,
+}
+
+impl VehicleLog {
+    /// Whether a HEARTBEAT of an autopilot came from here.
+    pub fn is_autopilot(&self) -> bool {
+        self.autopilot.is_some()
+    }
+
+    /// Messages that were understood.
+    pub fn messages(&self) -> u64 {
+        self.messages
+    }
+
+    /// Messages with an attitude.
+    pub fn attitudes(&self) -> usize {
+        self.epochs.iter().map(Epoch::attitudes).sum()
+    }
+
+    /// Adds an exchange of TIMESYNC.
+    pub fn synchronise(&mut self, exchange: Exchange) {
+        self.exchanges.push(exchange);
+    }
+
+    /// Takes in a frame of this vehicle.
+    pub fn add(&mut self, heard: Heard, frame: &Frame) {
+        if let Some(raw) = Raw::of(frame.id()) {
+            self.add_raw(raw, heard, frame);
+            return;
+        }
+        if !is_kept(frame.id()) {
+            return;
+        }
+        let (time, message) = match self.codec.decode(frame) {
+            Ok(Some(decoded)) => decoded,
+            Ok(None) => return,
+            Err(refusal) => {
+                self.tally.add(&format!("{}: {refusal}", name_of(frame.id())), 1);
+                return;
+            }
+        };
+        self.messages += 1;
+        self.latest_us = self.latest_us.max(time.map_or(0, |time| time.as_us()));
+        let vehicle = time.map(|time| time.as_us() as f64 * 1e-6);
+        match message {
+            Inbound::Heartbeat { autopilot, vehicle_type, armed, .. }
+                if autopilot != MavAutopilot::MAV_AUTOPILOT_INVALID as u8 =>
+            {
+                self.autopilot = Some(autopilot);
+                *self.types.entry(vehicle_type).or_default() += 1;
+                self.armed.push((heard, armed));
+                if autopilot == PX4 {
+                    self.codec.set_parameter_cast(ParameterCast::Bytes);
+                }
+            }
+            Inbound::Parameter { name, value } => {
+                self.parameters.insert(name, value);
+            }
+            Inbound::StatusText { text, .. } if self.texts.len() < TEXTS_MAX => {
+                self.texts.push(text);
+            }
+            Inbound::Attitude { source, attitude, body_rate } => {
+                let source = match source {
+                    AttitudeSource::Quaternion => Source::Quaternion,
+                    AttitudeSource::Euler => Source::Euler,
+                };
+                self.keep(source, heard, vehicle, |epoch, time| {
+                    match source {
+                        Source::Quaternion => &mut epoch.quaternion,
+                        _ => &mut epoch.euler,
+                    }
+                    .push(time, (attitude, body_rate))
+                });
+            }
+            Inbound::LocalPosition { position, velocity } => {
+                self.keep(Source::LocalPosition, heard, vehicle, |epoch, time| {
+                    epoch.local_position.push(time, (position, velocity))
+                });
+            }
+            Inbound::Odometry { position, velocity, attitude, body_rate, .. } => {
+                let pose = PoseSample { position, velocity, attitude, body_rate };
+                self.keep(Source::Odometry, heard, vehicle, |epoch, time| {
+                    epoch.odometry.push(time, pose)
+                });
+            }
+            Inbound::Imu { specific_force, body_rate } => {
+                let (force, rate) = updated_sensors(frame.payload());
+                if !force && !rate {
+                    return;
+                }
+                let sample = (force.then_some(specific_force), rate.then_some(body_rate));
+                self.keep_imu(Source::Imu, heard, vehicle, sample);
+            }
+            Inbound::MotorOutputs { outputs, .. } => {
+                let outputs = outputs.map(f64::from);
+                self.keep(Source::ActuatorOutputs, heard, vehicle, |epoch, time| {
+                    epoch.actuator_outputs.push(time, outputs)
+                });
+            }
+            Inbound::Battery(Battery { voltage: Some(voltage), .. }) => {
+                self.battery.push((heard, voltage));
+            }
+            Inbound::LandedState(state) => match state {
+                LandedState::Undefined => {}
+                // On the way up or down the ground may still be touched.
+                LandedState::OnGround | LandedState::TakingOff | LandedState::Landing => {
+                    self.landed.push((heard, false));
+                }
+                LandedState::InAir => self.landed.push((heard, true)),
+            },
+            _ => {}
+        }
+    }
+
+    /// Takes in a message that only logs need, and the link does not.
+    fn add_raw(&mut self, raw: Raw, heard: Heard, frame: &Frame) {
+        let Ok(message) = frame.message() else {
+            self.tally.add(&format!("{}: payload does not fit its message", raw.name()), 1);
+            return;
+        };
+        self.messages += 1;
+        let ms = |ms: u32| Some(f64::from(ms) * 1e-3);
+        let imu = |force: [i16; 3], rate: [i16; 3]| {
+            let force = force.map(|mg| f64::from(mg) * 1e-3 * STANDARD_GRAVITY);
+            let rate = rate.map(|mrad| f64::from(mrad) * 1e-3);
+            (Some(Frd::from(force)), Some(Frd::from(rate)))
+        };
+        match message {
+            // The first of a group of four; others drive no rotor of a quadrotor.
+            MavMessage::ESC_STATUS(data) if data.index == 0 => {
+                let rpm = data.rpm.map(|rpm| f64::from(rpm).abs());
+                let time = Some(data.time_usec as f64 * 1e-6);
+                self.keep(Source::EscStatus, heard, time, |e, time| e.rpm.push(time, rpm));
+            }
+            MavMessage::RAW_IMU(d) => {
+                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
+                let time = Some(d.time_usec as f64 * 1e-6);
+                self.keep_imu(Source::RawImu, heard, time, sample);
+            }
+            MavMessage::SCALED_IMU(d) => {
+                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
+                self.keep_imu(Source::ScaledImu, heard, ms(d.time_boot_ms), sample);
+            }
+            MavMessage::SCALED_IMU2(d) => {
+                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
+                self.keep_imu(Source::ScaledImu2, heard, ms(d.time_boot_ms), sample);
+            }
+            MavMessage::SCALED_IMU3(d) => {
+                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
+                self.keep_imu(Source::ScaledImu3, heard, ms(d.time_boot_ms), sample);
+            }
+            MavMessage::SERVO_OUTPUT_RAW(d) => {
+                let first = [d.servo1_raw, d.servo2_raw, d.servo3_raw, d.servo4_raw];
+                let next = [d.servo5_raw, d.servo6_raw, d.servo7_raw, d.servo8_raw];
+                let third = [d.servo9_raw, d.servo10_raw, d.servo11_raw, d.servo12_raw];
+                let last = [d.servo13_raw, d.servo14_raw, d.servo15_raw, d.servo16_raw];
+                let groups = [first, next, third, last];
+                let outputs = std::array::from_fn(|at| f64::from(groups[at / 4][at % 4]));
+                let (source, port) = match d.port {
+                    0 => (Source::ServoOutputs, 0),
+                    1 => (Source::ServoOutputsAux, 1),
+                    _ => return,
+                };
+                let ahead = d.time_usec.wrapping_sub(self.latest_us as u32) as i32;
+                let us = self.latest_us.saturating_add_signed(ahead.into());
+                self.latest_us = self.latest_us.max(us);
+                self.keep(source, heard, Some(us as f64 * 1e-6), |epoch, time| {
+                    epoch.servo_outputs[port].push(time, outputs)
+                });
+            }
+            // 0 and the greatest number stand for none.
+            MavMessage::SYS_STATUS(d) if !matches!(d.voltage_battery, 0 | u16::MAX) => {
+                let voltage = f64::from(d.voltage_battery) * 1e-3;
+                self.system_voltage.push((heard, voltage));
+            }
+            _ => {}
+        }
+    }
+
+    fn keep_imu(&mut self, source: Source, heard: Heard, time: Option<f64>, sample: ImuSample) {
+        let Some(at) = IMUS.iter().position(|imu| *imu == source) else { return };
+        self.keep(source, heard, time, |epoch, time| epoch.imus[at].push(time, sample));
+    }
+
+    /// Keeps a sample in the epoch that its stamp belongs to.
+    fn keep(
+        &mut self,
+        source: Source,
+        heard: Heard,
+        vehicle: Option<f64>,
+        push: impl FnOnce(&mut Epoch, f64) -> bool,
+    ) {
+        let Some(vehicle) = vehicle else { return };
+        let arrival = Arrival { index: heard.index, ground: heard.ground, vehicle };
+        if self.epochs.is_empty() {
+            self.begin_epoch(heard.index);
+        }
+        let epoch = &self.epochs[self.current];
+        let is_new = epoch.tracks[source as usize].is_none();
+        if is_new && self.jumped > 0 || !is_new && !epoch.follows(source, &arrival) {
+            self.jumped += 1;
+            if self.jumped < JUMP_MESSAGES {
+                self.tally.add("message at a jump of the vehicle's clock", 1);
+                return;
+            }
+            // An epoch that the clock has come back to goes on.
+            match self.epochs.iter().position(|epoch| epoch.follows(source, &arrival)) {
+                Some(epoch) => {
+                    self.current = epoch;
+                    self.switches.push((heard.index, epoch));
+                }
+                None => self.begin_epoch(heard.index),
+            }
+        }
+        self.jumped = 0;
+        let epoch = &mut self.epochs[self.current];
+        let kept = push(epoch, vehicle);
+        epoch.take(source, arrival, kept);
+    }
+
+    fn begin_epoch(&mut self, index: u32) {
+        self.current = self.epochs.len();
+        self.epochs.push(Epoch::default());
+        self.switches.push((index, self.current));
+    }
+
+    /// The epoch that was current at a frame.
+    fn epoch_at(&self, index: u32) -> Option<usize> {
+        let next = self.switches.partition_point(|(from, _)| *from <= index);
+        self.switches.get(next.saturating_sub(1)).map(|(_, epoch)| *epoch)
+    }
+
+    /// Fills `flight` with one epoch and with the setpoints sent in it. Returns what was left out.
+    ///
+    /// # Errors
+    /// A boot that there is not.
+    pub fn finish(
+        mut self,
+        setpoints: Vec<Sent>,
+        boot: Option<usize>,
+        flight: &mut Flight,
+    ) -> Result<Tally, LogFault> {
+        let mut tally = std::mem::take(&mut self.tally);
+        // What the log's own metadata state, and over it what was heard.
+        let mut stated = std::mem::take(&mut flight.facts.parameters);
+        stated.append(&mut self.parameters);
+        self.parameters = stated;
+        flight.facts = self.facts();
+        let flown = self.flown();
+        let Some(chosen) = self.chosen(boot, &flown)? else { return Ok(tally) };
+        let boots = self.epochs.len();
+        for (at, epoch) in self.epochs.iter().enumerate() {
+            let (from, to) = epoch.span();
+            if boots > 1 && (at < BOOTS_NAMED || at == chosen) {
+                let taken = if at == chosen { ", taken" } else { "" };
+                let (boot, flown) = (at + 1, flown[at]);
+                flight.facts.notes.push(format!(
+                    "boot {boot} of {boots} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s of them \
+                     flown{taken}"
+                ));
+            }
+            if at != chosen {
+                let reason = format!(
+                    "message of another run of the vehicle's clock ({from:.2} to {to:.2} s)"
+                );
+                tally.add(&reason, epoch.messages() as u64);
+            }
+        }
+        let in_epoch = |heard: &Heard| self.epoch_at(heard.index) == Some(chosen);
+        let of_epoch = |all: &[(Heard, f64)]| -> Vec<(Heard, f64)> {
+            all.iter().filter(|(heard, _)| in_epoch(heard)).copied().collect()
+        };
+        let (mut battery, mut voltage_source) = (of_epoch(&self.battery), "BATTERY_STATUS");
+        if battery.is_empty() {
+            (battery, voltage_source) = (of_epoch(&self.system_voltage), "SYS_STATUS");
+        }
+        if !battery.is_empty() {
+            flight.facts.notes.push(format!("voltage from {voltage_source}"));
+        }
+        let landed: Vec<_> = self.landed.iter().filter(|(h, _)| in_epoch(h)).copied().collect();
+        let exchanges: Vec<_> =
+            self.exchanges.iter().filter(|e| in_epoch(&e.answered)).copied().collect();
+        let all = setpoints.len();
+        let setpoints: Vec<_> =
+            setpoints.into_iter().filter(|sent| in_epoch(&sent.heard)).collect();
+        let other = (all - setpoints.len()) as u64;
+        tally.add("setpoint during another run of the vehicle's clock", other);
+        let mut epoch = self.epochs.swap_remove(chosen);
+        if self.autopilot != Some(ARDUPILOT) {
+            // Only ArduPilot's are in mG and mrad/s.
+            let raw = std::mem::take(&mut epoch.imus[RAW_IMU]);
+            tally.add("RAW_IMU: in units that only the autopilot knows", raw.len() as u64);
+        }
+        for source in Source::ALL {
+            let reason = format!("{}: sent again or out of order", source.name());
+            tally.add(&reason, epoch.unordered[source as usize]);
+        }
+        let shifts = epoch.shifts();
+        let assumed = if setpoints.is_empty() { 0.0 } else { ASSUMED_DELAY };
+        let envelopes =
+            Source::ALL.map(|source| (&epoch.envelopes[source as usize], shifts[source as usize]));
+        let mut map = ClockMap::new(envelopes.into_iter(), assumed);
+        flight.clock = if map.synchronise(&exchanges) {
+            Clock::Synchronised
+        } else {
+            Clock::LeastDelay { assumed_s: assumed }
+        };
+        flight.ground_skew = map.skew();
+        tally.add("step of the ground's clock (its stamps were tied anew)", map.steps());
+        place(&map, battery, &mut flight.voltage, voltage_source, &mut tally);
+        place(&map, landed, &mut flight.in_air, "EXTENDED_SYS_STATE", &mut tally);
+        let setpoints = steadied(setpoints).into_iter();
+        let setpoints = setpoints.map(|sent| (sent.heard, (sent.setpoint, sent.missing))).collect();
+        let mut placed = Stream::default();
+        place(&map, setpoints, &mut placed, "SET_ATTITUDE_TARGET", &mut tally);
+        flight.setpoint = placed.map(|(setpoint, _)| *setpoint);
+        flight.setpoints_missing = placed.filter_map(|(_, n)| (*n > 0).then_some(*n));
+        epoch.fill(shifts, &self.parameters, flight);
+        Ok(tally)
+    }
+}
+
+/// Puts samples that only the ground stamped onto the vehicle's clock.
+fn place<T>(
+    map: &ClockMap,
+    samples: Vec<(Heard, T)>,
+    stream: &mut Stream<T>,
+    name: &str,
+    tally: &mut Tally,
+) {
+    let (mut far, mut unordered) = (0, 0);
+    for (heard, value) in samples {
+        match map.vehicle_time(heard) {
+            Some(time) => unordered += u64::from(!stream.push(time, value)),
+            None => far += 1,
+        }
+    }
+    tally.add(&format!("{name}: no stamp of the vehicle near it"), far);
+    tally.add(&format!("{name}: sent again or out of order"), unordered);
+}
+
+fn is_kept(id: u32) -> bool {
+    matches!(
+        id,
+        HEARTBEAT_DATA::ID
+            | ODOMETRY_DATA::ID
+            | ATTITUDE_QUATERNION_DATA::ID
+            | ATTITUDE_DATA::ID
+            | LOCAL_POSITION_NED_DATA::ID
+            | HIGHRES_IMU_DATA::ID
+            | ACTUATOR_OUTPUT_STATUS_DATA::ID
+            | BATTERY_STATUS_DATA::ID
+            | EXTENDED_SYS_STATE_DATA::ID
+            | PARAM_VALUE_DATA::ID
+            | STATUSTEXT_DATA::ID
+    )
+}
+
+/// Messages that only logs need.
+#[derive(Clone, Copy, Debug)]
+struct Raw(u32);
+
+impl Raw {
+    fn of(id: u32) -> Option<Self> {
+        let known = matches!(
+            id,
+            ESC_STATUS_DATA::ID
+                | RAW_IMU_DATA::ID
+                | SCALED_IMU_DATA::ID
+                | SCALED_IMU2_DATA::ID
+                | SCALED_IMU3_DATA::ID
+                | SERVO_OUTPUT_RAW_DATA::ID
+                | SYS_STATUS_DATA::ID
+        );
+        known.then_some(Self(id))
+    }
+
+    fn name(self) -> String {
+        name_of(self.0)
+    }
+}
+
+/// Whether a HIGHRES_IMU has a new accelerometer and a new gyro sample, by its `fields_updated`;
+/// flags that are all unset were never filled in.
+fn updated_sensors(payload: &[u8]) -> (bool, bool) {
+    /// Behind the time and thirteen floats.
+    const FIELDS_UPDATED: usize = 60;
+    const ACCELEROMETER: u16 = 0x007;
+    const GYRO: u16 = 0x038;
+    // MAVLink 2 cuts trailing zeros.
+    let byte = |at: usize| payload.get(at).copied().unwrap_or(0);
+    let flags = u16::from_le_bytes([byte(FIELDS_UPDATED), byte(FIELDS_UPDATED + 1)]);
+    let has = |mask: u16| flags == 0 || flags & mask == mask;
+    (has(ACCELEROMETER), has(GYRO))
+}
+
+/// Name of a message that may be refused.
+fn name_of(id: u32) -> String {
+    match id {
+        ODOMETRY_DATA::ID => "ODOMETRY".into(),
+        ATTITUDE_QUATERNION_DATA::ID => "ATTITUDE_QUATERNION".into(),
+        ATTITUDE_DATA::ID => "ATTITUDE".into(),
+        LOCAL_POSITION_NED_DATA::ID => "LOCAL_POSITION_NED".into(),
+        HIGHRES_IMU_DATA::ID => "HIGHRES_IMU".into(),
+        ACTUATOR_OUTPUT_STATUS_DATA::ID => "ACTUATOR_OUTPUT_STATUS".into(),
+        SERVO_OUTPUT_RAW_DATA::ID => "SERVO_OUTPUT_RAW".into(),
+        BATTERY_STATUS_DATA::ID => "BATTERY_STATUS".into(),
+        EXTENDED_SYS_STATE_DATA::ID => "EXTENDED_SYS_STATE".into(),
+        ESC_STATUS_DATA::ID => "ESC_STATUS".into(),
+        RAW_IMU_DATA::ID => "RAW_IMU".into(),
+        SCALED_IMU_DATA::ID => "SCALED_IMU".into(),
+        SCALED_IMU2_DATA::ID => "SCALED_IMU2".into(),
+        SCALED_IMU3_DATA::ID => "SCALED_IMU3".into(),
+        SYS_STATUS_DATA::ID => "SYS_STATUS".into(),
+        PARAM_VALUE_DATA::ID => "PARAM_VALUE".into(),
+        STATUSTEXT_DATA::ID => "STATUSTEXT".into(),
+        id => format!("message {id}"),
+    }
+}

@@ -1,0 +1,49 @@
+//! Which of a vehicle's starts is the flight.
+
+use super::VehicleLog;
+use crate::import::LogFault;
+use crate::import::epoch::Epoch;
+
+/// A state is not held for longer without being said again, s.
+const STATE_LASTS: f64 = 10.0;
+
+impl VehicleLog {
+    /// How long the vehicle was in the air in each epoch, s of the ground's clock: by its own word,
+    /// or where it says nothing of it, how long it was armed.
+    pub(super) fn flown(&self) -> Vec<f64> {
+        let states = if self.landed.is_empty() { &self.armed } else { &self.landed };
+        let mut flown = vec![0.0; self.epochs.len()];
+        let mut last: Option<(usize, f64)> = None;
+        for (heard, flying) in states {
+            let Some(epoch) = self.epoch_at(heard.index) else { continue };
+            if let Some((before, since)) = last.take()
+                && before == epoch
+            {
+                flown[epoch] += (heard.ground - since).clamp(0.0, STATE_LASTS);
+            }
+            last = flying.then_some((epoch, heard.ground));
+        }
+        flown
+    }
+
+    /// The epoch that is the flight: the one that was asked for, counted from 1 in their order, else
+    /// the one that flew longest.
+    pub(super) fn chosen(
+        &self,
+        boot: Option<usize>,
+        flown: &[f64],
+    ) -> Result<Option<usize>, LogFault> {
+        let boots = self.epochs.len();
+        if let Some(boot) = boot {
+            let at = boot.checked_sub(1).filter(|at| *at < boots);
+            return at.map(Some).ok_or(LogFault::NoBoot { boot, boots });
+        }
+        let weight = |epoch: &Epoch, flown: f64| {
+            // In steps of the states' rate.
+            (epoch.attitudes() > 0, flown as u64, epoch.attitudes(), epoch.messages())
+        };
+        let epochs = self.epochs.iter().zip(flown).enumerate().rev();
+        let most = epochs.max_by_key(|(_, (epoch, flown))| weight(epoch, **flown));
+        Ok(most.map(|(at, _)| at))
+    }
+}

@@ -1,0 +1,55 @@
+//! Names of log files.
+
+use message::clock::HostTime;
+
+/// `YYYY-MM-DDTHH-MM-SSZ_<vehicle>_<run>`, UTC, with only letters, digits, `-` and `.` from the
+/// two names.
+pub(super) fn stem(start: HostTime, vehicle: &str, run: &str) -> String {
+    let seconds = start.as_ns() / 1_000_000_000;
+    let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
+    format!(
+        "{}T{hour:02}-{minute:02}-{second:02}Z_{}_{}",
+        date(seconds),
+        sanitised(vehicle),
+        sanitised(run)
+    )
+}
+
+/// `YYYY-MM-DD`, UTC, from seconds since 1970.
+pub fn date(seconds: u64) -> String {
+    let (year, month, day) = civil_from_days(seconds / 86_400);
+    format!("{year:04}-{month:02}-{day:02}")
+}
+
+/// `name` with every character that a file system or a shell could stumble over replaced.
+pub(super) fn sanitised(name: &str) -> String {
+    let kept = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '.');
+    let name: String = name.chars().map(|c| if kept(c) { c } else { '-' }).take(64).collect();
+    let name = name.trim_matches(['.', '-']);
+    if name.is_empty() { "unnamed".into() } else { name.into() }
+}
+
+/// Year, month and day of the proleptic Gregorian calendar, from days since 1970-01-01
+/// (H. Hinnant, "chrono-compatible low-level date algorithms", civil_from_days).
+fn civil_from_days(days: u64) -> (u64, u64, u64) {
+    let z = days + 719_468;
+    let (era, doe) = (z / 146_097, z % 146_097);
+    let yoe = (doe - doe / 1460 + doe / 36_524 - doe / 146_096) / 365;
+    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
+    let mp = (5 * doy + 2) / 153;
+    let month = if mp < 10 { mp + 3 } else { mp - 9 };
+    (yoe + era * 400 + u64::from(month <= 2), month, doy - (153 * mp + 2) / 5 + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_carry_utc_and_no_separators() {
+        let at = |seconds: u64| HostTime::from_ns(seconds * 1_000_000_000);
+        assert_eq!(stem(at(0), "x", "y"), "1970-01-01T00-00-00Z_x_y");
+        assert_eq!(stem(at(1_709_210_096), "../quad 1", ""), "2024-02-29T12-34-56Z_quad-1_unnamed");
+        assert_eq!(stem(at(4_102_444_799), "a", "b"), "2099-12-31T23-59-59Z_a_b");
+    }
+}

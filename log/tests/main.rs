@@ -1,0 +1,7 @@
+//! The package's integration tests in one binary.
+
+mod onboard_log;
+
+mod foreign;
+mod onboard;
+mod table;

@@ -1,0 +1,564 @@
+//! The codec: frames of the vehicle's autopilot into [`Inbound`] messages.
+//!
+//! This is where units, frames and unset markers of MAVLink end. Whatever is not finite or cannot
+//! be true is refused here, so that nothing behind it has to ask.
+
+use std::collections::BTreeMap;
+
+use mavlink::MessageData;
+use vehicle::frame::{Attitude, Euler, Ned};
+use wire::Frame;
+use wire::dialect::*;
+
+use crate::clock::VehicleTime;
+use crate::inbound::{
+    AttitudeSource, Battery, ChargeState, Inbound, LandedState, MotorSource, SystemState,
+};
+use crate::parameter_value::{self, ParameterCast};
+use crate::text::TextAssembler;
+
+/// Furthest position from the origin, m; beyond it the estimate has diverged.
+const POSITION_MAX: f64 = 1e6;
+/// Highest speed, m/s.
+const SPEED_MAX: f64 = 1e3;
+/// Highest body rate, rad/s; gyros saturate at 35.
+const RATE_MAX: f64 = 200.0;
+/// Highest specific force, m/s^2; accelerometers saturate at a tenth of it.
+const SPECIFIC_FORCE_MAX: f64 = 3e3;
+/// Largest Euler angle: autopilots send (-pi, pi] or [0, 2 pi).
+const ANGLE_MAX: f64 = 2.0 * std::f64::consts::PI + 0.01;
+/// A stamp this far behind the newest is not late: the vehicle was started since, s.
+const LATE_MAX_S: f64 = 10.0;
+/// Most parameters whose type is remembered; autopilots have some two thousand.
+const PARAMETERS_MAX: usize = 8192;
+
+/// Why a frame with a right checksum was not believed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// The payload does not fit its message, such as an enum value that the dialect lacks.
+    #[error("payload does not fit its message")]
+    Malformed,
+    /// A number is NaN, infinite, or larger than physics allows.
+    #[error("number out of range")]
+    OutOfRange,
+    /// A quaternion is not of unit length.
+    #[error("quaternion is not of unit length")]
+    Quaternion,
+    /// ODOMETRY in frames other than LOCAL_NED with LOCAL_NED or BODY_FRD.
+    #[error(
+        "frame {frame:?} with child frame {child:?}, expected MAV_FRAME_LOCAL_NED with \
+             MAV_FRAME_LOCAL_NED or MAV_FRAME_BODY_FRD; have the vehicle send the estimate of its \
+             autopilot, or ATTITUDE_QUATERNION and LOCAL_POSITION_NED"
+    )]
+    OdometryFrame {
+        /// Of the pose.
+        frame: MavFrame,
+        /// Of the velocity.
+        child: MavFrame,
+    },
+}
+
+/// A message and the vehicle time of its sample, where it has one.
+pub type Decoded = (Option<VehicleTime>, Inbound);
+
+/// Decodes the frames of one autopilot. Keeps what spans several frames.
+#[derive(Debug, Default)]
+pub struct Codec {
+    text: TextAssembler,
+    cast: ParameterCast,
+    /// Types of the parameters seen, which setting them needs.
+    parameter_types: BTreeMap<String, MavParamType>,
+    latest: VehicleTime,
+}
+
+impl Codec {
+    /// Tells how this autopilot sends integer parameters.
+    pub fn set_parameter_cast(&mut self, cast: ParameterCast) {
+        self.cast = cast;
+    }
+
+    /// The type of a parameter that was seen.
+    pub fn parameter_type(&self, name: &str) -> Option<MavParamType> {
+        self.parameter_types.get(name).copied()
+    }
+
+    /// The message of a frame; `None` if it is not one of those understood, or only a part.
+    ///
+    /// # Errors
+    /// [`Refusal`] if the content cannot be true.
+    pub fn decode(&mut self, frame: &Frame) -> Result<Option<Decoded>, Refusal> {
+        if frame.id() == HEARTBEAT_DATA::ID {
+            return Ok(Some((None, heartbeat(frame.payload()))));
+        }
+        if !is_understood(frame.id()) {
+            return Ok(None);
+        }
+        let message = frame.message().map_err(|_| Refusal::Malformed)?;
+        let decoded = self.message(&message)?;
+        if let Some((Some(time), _)) = decoded {
+            // Late frames change nothing; a clock that is far back began anew.
+            let is_late = time < self.latest && self.latest.seconds_since(time) < LATE_MAX_S;
+            if !is_late {
+                self.latest = time;
+            }
+        }
+        Ok(decoded)
+    }
+
+    fn message(&mut self, message: &MavMessage) -> Result<Option<Decoded>, Refusal> {
+        use MavMessage as M;
+        Ok(Some(match message {
+            M::ODOMETRY(data) => odometry(data)?,
+            M::ATTITUDE_QUATERNION(data) => {
+                (Some(self.unwrap_ms(data.time_boot_ms)), attitude_quaternion(data)?)
+            }
+            M::ATTITUDE(data) => (Some(self.unwrap_ms(data.time_boot_ms)), attitude_euler(data)?),
+            M::LOCAL_POSITION_NED(data) => {
+                (Some(self.unwrap_ms(data.time_boot_ms)), local_position(data)?)
+            }
+            M::HIGHRES_IMU(data) => imu(data)?,
+            M::ACTUATOR_OUTPUT_STATUS(data) => {
+                let [a, b, c, d, ..] = data.actuator;
+                let time = VehicleTime::from_us(data.time_usec);
+                outputs(MotorSource::ActuatorOutputStatus, time, [a, b, c, d])?
+            }
+            M::SERVO_OUTPUT_RAW(data) if data.port == 0 => {
+                let raw = [data.servo1_raw, data.servo2_raw, data.servo3_raw, data.servo4_raw];
+                let time = self.unwrap_us(data.time_usec);
+                outputs(MotorSource::ServoOutputRaw, time, raw.map(f32::from))?
+            }
+            M::BATTERY_STATUS(data) if data.id == 0 => (None, battery(data)),
+            M::ATTITUDE_TARGET(data) => {
+                (Some(self.unwrap_ms(data.time_boot_ms)), attitude_target(data)?)
+            }
+            M::SYS_STATUS(data) => (None, sys_status(data)),
+            M::EXTENDED_SYS_STATE(data) => (None, landed_state(data)),
+            M::AUTOPILOT_VERSION(data) => {
+                let message = Inbound::AutopilotVersion {
+                    vendor_id: data.vendor_id,
+                    product_id: data.product_id,
+                    flight_sw_version: data.flight_sw_version,
+                };
+                (None, message)
+            }
+            M::CURRENT_MODE(data) => {
+                let message = Inbound::CurrentMode {
+                    custom_mode: data.custom_mode,
+                    intended_custom_mode: data.intended_custom_mode,
+                };
+                (None, message)
+            }
+            M::COMMAND_ACK(data) => {
+                let message =
+                    Inbound::CommandAck { command: data.command as u16, result: data.result as u8 };
+                (None, message)
+            }
+            M::PARAM_VALUE(data) => {
+                let value = parameter_value::decode(data.param_value, data.param_type, self.cast);
+                if !value.is_finite() {
+                    return Err(Refusal::OutOfRange);
+                }
+                let name = parameter_value::name(&data.param_id);
+                if self.parameter_types.len() < PARAMETERS_MAX {
+                    self.parameter_types.insert(name.clone(), data.param_type);
+                }
+                (None, Inbound::Parameter { name, value })
+            }
+            M::STATUSTEXT(data) => match self.text.push(data) {
+                Some(text) => (None, Inbound::StatusText { severity: data.severity as u8, text }),
+                None => return Ok(None),
+            },
+            _ => return Ok(None),
+        }))
+    }
+
+    /// Extends a 32-bit counter of microseconds, which wraps every 71.6 minutes.
+    fn unwrap_us(&self, low: u32) -> VehicleTime {
+        VehicleTime::from_us(unwrap(self.latest.as_us(), low, LATE_MAX_S * 1e6))
+    }
+
+    /// Extends a 32-bit counter of milliseconds, which wraps every 49.7 days.
+    fn unwrap_ms(&self, low: u32) -> VehicleTime {
+        let ms = unwrap(self.latest.as_us() / 1000, low, LATE_MAX_S * 1e3);
+        VehicleTime::from_us(ms.saturating_mul(1000))
+    }
+}
+
+/// The value nearest to `latest` whose lower half is `low`. One that is back by more than
+/// `late_max` is no late one: the vehicle was started since, and counts from zero.
+fn unwrap(latest: u64, low: u32, late_max: f64) -> u64 {
+    let ahead = i64::from(low.wrapping_sub(latest as u32) as i32);
+    match latest.checked_add_signed(ahead) {
+        Some(value) if ahead as f64 >= -late_max => value,
+        _ => low.into(),
+    }
+}
+
+/// Whether a message holds the time of its sample, so that none is like another.
+pub fn is_stamped(id: u32) -> bool {
+    matches!(
+        id,
+        ODOMETRY_DATA::ID
+            | ATTITUDE_QUATERNION_DATA::ID
+            | ATTITUDE_DATA::ID
+            | LOCAL_POSITION_NED_DATA::ID
+            | HIGHRES_IMU_DATA::ID
+            | ACTUATOR_OUTPUT_STATUS_DATA::ID
+            | SERVO_OUTPUT_RAW_DATA::ID
+            | ATTITUDE_TARGET_DATA::ID
+    )
+}
+
+fn is_understood(id: u32) -> bool {
+    is_stamped(id)
+        || matches!(
+            id,
+            BATTERY_STATUS_DATA::ID
+                | SYS_STATUS_DATA::ID
+                | EXTENDED_SYS_STATE_DATA::ID
+                | AUTOPILOT_VERSION_DATA::ID
+                | CURRENT_MODE_DATA::ID
+                | COMMAND_ACK_DATA::ID
+                | PARAM_VALUE_DATA::ID
+                | STATUSTEXT_DATA::ID
+        )
+}
+
+/// HEARTBEAT, read byte by byte: a vehicle type that the dialect lacks must not hide the vehicle.
+pub fn heartbeat(payload: &[u8]) -> Inbound {
+    let byte = |index: usize| payload.get(index).copied().unwrap_or(0);
+    Inbound::Heartbeat {
+        custom_mode: u32::from_le_bytes([byte(0), byte(1), byte(2), byte(3)]),
+        vehicle_type: byte(4),
+        autopilot: byte(5),
+        armed: byte(6) & MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED.bits() != 0,
+        system: SystemState::from(byte(7)),
+    }
+}
+
+fn odometry(data: &ODOMETRY_DATA) -> Result<Decoded, Refusal> {
+    let (frame, child) = (data.frame_id, data.child_frame_id);
+    if frame != MavFrame::MAV_FRAME_LOCAL_NED {
+        return Err(Refusal::OdometryFrame { frame, child });
+    }
+    let attitude = unit(data.q)?;
+    let velocity = bounded([data.vx, data.vy, data.vz], SPEED_MAX)?;
+    let velocity: Ned = match data.child_frame_id {
+        MavFrame::MAV_FRAME_LOCAL_NED => velocity.into(),
+        MavFrame::MAV_FRAME_BODY_FRD => attitude.to_world(velocity.into()),
+        _ => return Err(Refusal::OdometryFrame { frame, child }),
+    };
+    let message = Inbound::Odometry {
+        position: bounded([data.x, data.y, data.z], POSITION_MAX)?.into(),
+        velocity,
+        attitude,
+        body_rate: bounded([data.rollspeed, data.pitchspeed, data.yawspeed], RATE_MAX)?.into(),
+        reset_counter: data.reset_counter,
+    };
+    Ok((Some(VehicleTime::from_us(data.time_usec)), message))
+}
+
+fn attitude_quaternion(data: &ATTITUDE_QUATERNION_DATA) -> Result<Inbound, Refusal> {
+    let message = Inbound::Attitude {
+        source: AttitudeSource::Quaternion,
+        attitude: unit([data.q1, data.q2, data.q3, data.q4])?,
+        body_rate: bounded([data.rollspeed, data.pitchspeed, data.yawspeed], RATE_MAX)?.into(),
+    };
+    Ok(message)
+}
+
+fn attitude_euler(data: &ATTITUDE_DATA) -> Result<Inbound, Refusal> {
+    let [roll, pitch, yaw] = bounded([data.roll, data.pitch, data.yaw], ANGLE_MAX)?;
+    let message = Inbound::Attitude {
+        source: AttitudeSource::Euler,
+        attitude: Euler::new(roll, pitch, yaw).attitude(),
+        body_rate: bounded([data.rollspeed, data.pitchspeed, data.yawspeed], RATE_MAX)?.into(),
+    };
+    Ok(message)
+}
+
+fn local_position(data: &LOCAL_POSITION_NED_DATA) -> Result<Inbound, Refusal> {
+    let message = Inbound::LocalPosition {
+        position: bounded([data.x, data.y, data.z], POSITION_MAX)?.into(),
+        velocity: bounded([data.vx, data.vy, data.vz], SPEED_MAX)?.into(),
+    };
+    Ok(message)
+}
+
+fn imu(data: &HIGHRES_IMU_DATA) -> Result<Decoded, Refusal> {
+    let message = Inbound::Imu {
+        specific_force: bounded([data.xacc, data.yacc, data.zacc], SPECIFIC_FORCE_MAX)?.into(),
+        body_rate: bounded([data.xgyro, data.ygyro, data.zgyro], RATE_MAX)?.into(),
+    };
+    Ok((Some(VehicleTime::from_us(data.time_usec)), message))
+}
+
+fn outputs(source: MotorSource, time: VehicleTime, outputs: [f32; 4]) -> Result<Decoded, Refusal> {
+    if outputs.iter().all(|output| output.is_finite()) {
+        Ok((Some(time), Inbound::MotorOutputs { source, outputs }))
+    } else {
+        Err(Refusal::OutOfRange)
+    }
+}
+
+/// Cells are in mV and 65535 where unused. Autopilots that know only the pack put it in the first
+/// cell, and what does not fit there in the next: the sum is right for both.
+fn battery(data: &BATTERY_STATUS_DATA) -> Inbound {
+    let cells = data.voltages.iter().filter(|&&cell| cell != u16::MAX);
+    let further = data.voltages_ext.iter().filter(|&&cell| cell != 0 && cell != u16::MAX);
+    let (count, sum_mv) = cells
+        .chain(further)
+        .fold((0, 0.0), |(count, sum), &cell| (count + 1, sum + f64::from(cell)));
+    Inbound::Battery(Battery {
+        voltage: (count > 0).then_some(sum_mv / 1000.0),
+        current: (data.current_battery >= 0).then(|| f64::from(data.current_battery) / 100.0),
+        remaining: (0..=100)
+            .contains(&data.battery_remaining)
+            .then(|| f64::from(data.battery_remaining) / 100.0),
+        charge: charge_state(data.charge_state),
+    })
+}
+
+fn charge_state(state: MavBatteryChargeState) -> ChargeState {
+    use MavBatteryChargeState as M;
+    match state {
+        M::MAV_BATTERY_CHARGE_STATE_OK | M::MAV_BATTERY_CHARGE_STATE_CHARGING => ChargeState::Ok,
+        M::MAV_BATTERY_CHARGE_STATE_LOW => ChargeState::Low,
+        M::MAV_BATTERY_CHARGE_STATE_CRITICAL
+        | M::MAV_BATTERY_CHARGE_STATE_EMERGENCY
+        | M::MAV_BATTERY_CHARGE_STATE_FAILED
+        | M::MAV_BATTERY_CHARGE_STATE_UNHEALTHY => ChargeState::Critical,
+        _ => ChargeState::Unknown,
+    }
+}
+
+fn attitude_target(data: &ATTITUDE_TARGET_DATA) -> Result<Inbound, Refusal> {
+    let ignored = AttitudeTargetTypemask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE;
+    let rates = [data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate];
+    let [thrust] = bounded([data.thrust], 10.0)?;
+    let attitude =
+        if data.type_mask.contains(ignored) { None } else { Attitude::from_wire(data.q) };
+    let message = Inbound::AttitudeTarget {
+        attitude,
+        body_rate: bounded(rates, RATE_MAX)?.into(),
+        thrust,
+        type_mask: data.type_mask.bits(),
+    };
+    Ok(message)
+}
+
+fn sys_status(data: &SYS_STATUS_DATA) -> Inbound {
+    let health = data.onboard_control_sensors_health.bits();
+    let enabled = data.onboard_control_sensors_enabled.bits();
+    let in_use = data.onboard_control_sensors_present.bits() & enabled;
+    Inbound::SysStatus { unhealthy: in_use & !health, health, enabled }
+}
+
+fn landed_state(data: &EXTENDED_SYS_STATE_DATA) -> Inbound {
+    Inbound::LandedState(match data.landed_state {
+        MavLandedState::MAV_LANDED_STATE_ON_GROUND => LandedState::OnGround,
+        MavLandedState::MAV_LANDED_STATE_IN_AIR => LandedState::InAir,
+        MavLandedState::MAV_LANDED_STATE_TAKEOFF => LandedState::TakingOff,
+        MavLandedState::MAV_LANDED_STATE_LANDING => LandedState::Landing,
+        MavLandedState::MAV_LANDED_STATE_UNDEFINED => LandedState::Undefined,
+    })
+}
+
+fn unit(q: [f32; 4]) -> Result<Attitude, Refusal> {
+    Attitude::from_wire(q).ok_or(Refusal::Quaternion)
+}
+
+/// The numbers in f64, all of them finite and within `limit` of zero.
+fn bounded<const N: usize>(values: [f32; N], limit: f64) -> Result<[f64; N], Refusal> {
+    let values = values.map(f64::from);
+    // NaN is not within any limit.
+    if values.iter().all(|value| value.abs() <= limit) {
+        Ok(values)
+    } else {
+        Err(Refusal::OutOfRange)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use wire::{Decoder, Encoder};
+
+    use super::*;
+
+    fn decode_with(codec: &mut Codec, message: &MavMessage) -> Result<Option<Decoded>, Refusal> {
+        let mut bytes = Vec::new();
+        Encoder::new(1, 1).encode(message, &mut bytes);
+        let mut decoder = Decoder::new();
+        decoder.push(&bytes);
+        codec.decode(&decoder.next_frame().expect("a whole frame"))
+    }
+
+    fn decode(message: &MavMessage) -> Result<Option<Decoded>, Refusal> {
+        decode_with(&mut Codec::default(), message)
+    }
+
+    fn odometry_in(child_frame_id: MavFrame) -> ODOMETRY_DATA {
+        let quarter = std::f32::consts::FRAC_1_SQRT_2;
+        ODOMETRY_DATA {
+            time_usec: 5_000_000,
+            // Facing east.
+            q: [quarter, 0.0, 0.0, quarter],
+            vx: 2.0,
+            frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
+            child_frame_id,
+            reset_counter: 3,
+            ..Default::default()
+        }
+    }
+
+    #[test]
+    fn odometry_velocity_is_in_the_world_whatever_its_child_frame() {
+        let velocity = |child| {
+            let data = odometry_in(child);
+            match decode(&MavMessage::ODOMETRY(data)).unwrap().unwrap() {
+                (Some(time), Inbound::Odometry { velocity, reset_counter: 3, .. }) => {
+                    assert_eq!(time, VehicleTime::from_us(5_000_000));
+                    velocity
+                }
+                other => panic!("{other:?}"),
+            }
+        };
+        let world = velocity(MavFrame::MAV_FRAME_LOCAL_NED);
+        assert!((world.north() - 2.0).abs() < 1e-6, "{world:?}");
+        let body = velocity(MavFrame::MAV_FRAME_BODY_FRD);
+        assert!((body.east() - 2.0).abs() < 1e-6, "forward is east: {body:?}");
+        let refused = decode(&MavMessage::ODOMETRY(odometry_in(MavFrame::MAV_FRAME_LOCAL_ENU)));
+        let refused = refused.expect_err("refused").to_string();
+        assert!(refused.contains("MAV_FRAME_LOCAL_ENU"), "{refused}");
+    }
+
+    #[test]
+    fn what_cannot_be_true_is_refused() {
+        let mut data = odometry_in(MavFrame::MAV_FRAME_LOCAL_NED);
+        data.x = f32::NAN;
+        assert_eq!(decode(&MavMessage::ODOMETRY(data)), Err(Refusal::OutOfRange));
+        let zero = ATTITUDE_QUATERNION_DATA::default();
+        assert_eq!(decode(&MavMessage::ATTITUDE_QUATERNION(zero)), Err(Refusal::Quaternion));
+        let spin = ATTITUDE_DATA { rollspeed: 1e9, ..Default::default() };
+        assert_eq!(decode(&MavMessage::ATTITUDE(spin)), Err(Refusal::OutOfRange));
+        let far = LOCAL_POSITION_NED_DATA { vz: f32::INFINITY, ..Default::default() };
+        assert_eq!(decode(&MavMessage::LOCAL_POSITION_NED(far)), Err(Refusal::OutOfRange));
+    }
+
+    #[test]
+    fn battery_voltage_of_cells_and_of_a_pack() {
+        let voltage = |voltages, voltages_ext| {
+            let data = BATTERY_STATUS_DATA {
+                voltages,
+                voltages_ext,
+                current_battery: -1,
+                battery_remaining: -1,
+                ..Default::default()
+            };
+            match decode(&MavMessage::BATTERY_STATUS(data)).unwrap().unwrap().1 {
+                Inbound::Battery(Battery { voltage, current: None, remaining: None, .. }) => {
+                    voltage
+                }
+                other => panic!("{other:?}"),
+            }
+        };
+        let unused = u16::MAX;
+        let mut pack = [unused; 10];
+        pack[0] = 16_200;
+        assert_eq!(voltage(pack, [0; 4]), Some(16.2));
+        let cells = [4_050, 4_050, 4_050, 4_050, unused, unused, unused, unused, unused, unused];
+        assert_eq!(voltage(cells, [0; 4]), Some(16.2));
+        assert_eq!(voltage([unused; 10], [0; 4]), None);
+    }
+
+    #[test]
+    fn a_vehicle_type_of_the_future_is_still_a_vehicle() {
+        let payload = [0x00, 0x00, 0x06, 0x00, 250, 12, 0x81, 4, 3];
+        let expected = Inbound::Heartbeat {
+            autopilot: 12,
+            vehicle_type: 250,
+            armed: true,
+            custom_mode: 0x0006_0000,
+            system: SystemState::Active,
+        };
+        assert_eq!(heartbeat(&payload), expected);
+    }
+
+    #[test]
+    fn servo_time_is_carried_over_its_wrap() {
+        let mut codec = Codec::default();
+        let hour_and_more = (1u64 << 32) + 1_000;
+        let attitude = HIGHRES_IMU_DATA { time_usec: hour_and_more, ..Default::default() };
+        decode_with(&mut codec, &MavMessage::HIGHRES_IMU(attitude)).unwrap();
+        let mut time = |time_usec| {
+            let data = SERVO_OUTPUT_RAW_DATA { time_usec, servo1_raw: 1500, ..Default::default() };
+            decode_with(&mut codec, &MavMessage::SERVO_OUTPUT_RAW(data)).unwrap().unwrap().0
+        };
+        assert_eq!(time(2_000), Some(VehicleTime::from_us((1 << 32) + 2_000)));
+        assert_eq!(time(u32::MAX), Some(VehicleTime::from_us((1 << 32) - 1)));
+    }
+
+    #[test]
+    fn milliseconds_go_on_past_their_wrap_and_a_restart_begins_anew() {
+        let mut codec = Codec::default();
+        let mut time = |ms: u64| {
+            let time_boot_ms = ms as u32;
+            let data = ATTITUDE_QUATERNION_DATA { time_boot_ms, q1: 1.0, ..Default::default() };
+            let message = MavMessage::ATTITUDE_QUATERNION(data);
+            decode_with(&mut codec, &message).unwrap().unwrap().0.unwrap().as_us() / 1000
+        };
+        let wrap = 1u64 << 32;
+        for ms in [wrap - 20, wrap - 10, wrap, wrap + 10, wrap - 5, wrap + 60_000] {
+            assert_eq!(time(ms), ms);
+        }
+        assert_eq!(time(3_000), 3_000, "started since");
+        assert_eq!(time(3_010), 3_010);
+    }
+
+    #[test]
+    fn a_vehicle_that_is_heard_after_its_wrap_has_one_clock() {
+        let mut codec = Codec::default();
+        let us = 60 * 86_400 * 1_000_000;
+        let imu = HIGHRES_IMU_DATA { time_usec: us, ..Default::default() };
+        decode_with(&mut codec, &MavMessage::HIGHRES_IMU(imu)).unwrap();
+        let low = ((us + 20_000) / 1000) as u32;
+        let data = LOCAL_POSITION_NED_DATA { time_boot_ms: low, ..Default::default() };
+        let message = MavMessage::LOCAL_POSITION_NED(data);
+        let time = decode_with(&mut codec, &message).unwrap().unwrap().0;
+        assert_eq!(time, Some(VehicleTime::from_us(us + 20_000)));
+    }
+
+    proptest! {
+        #[test]
+        fn attitudes_keep_their_rotation(
+            w in -1f32..1.0, x in -1f32..1.0, y in -1f32..1.0, z in -1f32..1.0,
+        ) {
+            let norm = (w * w + x * x + y * y + z * z).sqrt();
+            prop_assume!(norm > 0.1);
+            let q = [w / norm, x / norm, y / norm, z / norm];
+            let data = ATTITUDE_QUATERNION_DATA {
+                q1: q[0], q2: q[1], q3: q[2], q4: q[3], ..Default::default()
+            };
+            let decoded = decode(&MavMessage::ATTITUDE_QUATERNION(data)).unwrap().unwrap().1;
+            let Inbound::Attitude { attitude, .. } = decoded else { panic!("{decoded:?}") };
+            let sent = Attitude::from_wire(q).unwrap();
+            prop_assert!(attitude.angle_to(sent) < 1e-6);
+        }
+
+        #[test]
+        fn no_payload_panics(
+            id in prop::sample::select(vec![
+                0u32, 1, 22, 30, 31, 32, 36, 77, 83, 105, 147, 148, 245, 253, 331, 375, 436,
+            ]),
+            payload in prop::collection::vec(any::<u8>(), 0..255),
+        ) {
+            if let Ok(message) = <MavMessage as mavlink::Message>::parse(
+                mavlink::MavlinkVersion::V2, id, &payload,
+            ) {
+                let _ = Codec::default().message(&message);
+            }
+            heartbeat(&payload);
+        }
+    }
+}
