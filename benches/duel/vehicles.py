@@ -154,10 +154,10 @@ def within(drawn: Drawn) -> bool:
     mass = effects.get("mass", {}).get("mass_kg", file["mass"])
     scale = effects.get("thrust_scale", {}).get("scale", 1.0)
     thrust = scale * file["rotors"][0]["thrust_max_N"]
-    # Of both horizontal axes, the one that turns more easily and the one that does not.
+    # As its training has it: two of four rotors at full thrust, on arms at 45 degrees.
     side = file["rotors"][0]["position_m"][0]
     factors = effects.get("inertia", {}).get("scale", [1.0, 1.0, 1.0])
-    turns = [2 * side * thrust / (file["inertia"][i] * factors[i]) for i in (0, 1)]
+    turns = [np.sqrt(2) * side * thrust / (file["inertia"][i] * factors[i]) for i in (0, 1)]
     low, high = TORQUE_TO_INERTIA_RAD_S2
     return (
         LIGHTEST_KG <= mass <= HEAVIEST_KG
