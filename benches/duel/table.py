@@ -35,8 +35,10 @@ def errors(flown: list[dict[str, Any]], mission: str, who: str) -> np.ndarray:
 
 
 def quantile(values: np.ndarray, share: float) -> float:
-    # Between infinities there is nothing to interpolate.
-    return float(np.quantile(values, share, method="nearest"))
+    # Towards an infinity there is nothing to interpolate.
+    if np.isinf(high := np.quantile(values, share, method="higher")):
+        return float(high)
+    return float(np.quantile(np.where(np.isinf(values), high, values), share))
 
 
 def length(value: float) -> str:
