@@ -1,0 +1,127 @@
+"""downwash and the paper's LQR: from the ground, over the wire, through noisy telemetry."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import downwash as dw
+import numpy as np
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from missions import RATE_HZ, Array, desired, error_m, trajectory
+from vehicles import Drawn
+
+OWN_FLIGHT_S = 60
+# Searches end by their number of subproblems and not by the clock, so that a busy machine plans alike.
+PLANNING = {"plan.time_limit_s": 600.0, "plan.subproblems_max": 12}
+REGULARIZATION = 1e-5
+FLYING: dict[str, Any] = {"control.adaptive": True}
+UNPLANNED: dict[str, Any] = {"pilot.offset_free.feed_forward": "on"}
+
+
+def flown(log: str, points: Array) -> tuple[float | None, float | None]:
+    """The true error along the desired points, m, and when they began by the vehicle's clock, s;
+    nothing where they were never followed, no error where the log ends before they do."""
+    decoders = [DecoderFactory()]
+    with Path(log).open("rb") as file:
+        reader = make_reader(file, decoder_factories=decoders)
+        for _, _, message, tick in reader.iter_decoded_messages(topics=["/control"]):
+            if np.isfinite(tick.trajectory_time_s):
+                begin_ns = message.log_time - round(1e9 * tick.trajectory_time_s)
+                break
+        else:
+            return None, None
+        margin_ns = 20_000_000
+        end_ns = begin_ns + round(1e9 * (len(points) - 1) / RATE_HZ)
+        rows = [
+            (message.log_time - begin_ns, true.vehicle_time_us, true.p_n_m, true.p_e_m, true.p_d_m)
+            for _, _, message, true in reader.iter_decoded_messages(
+                topics=["/sim/truth"],
+                start_time=begin_ns - margin_ns,
+                end_time=end_ns + margin_ns,
+            )
+        ]
+    truth = np.array(rows, dtype=float)
+    at = truth[:, 0] * 1e-9
+    begin = float(np.interp(0.0, at, truth[:, 1])) * 1e-6
+    times = np.arange(len(points)) / RATE_HZ
+    if at[-1] < times[-1]:
+        return None, begin
+    positions = np.array([np.interp(times, at, truth[:, i]) for i in (2, 3, 4)]).T
+    return error_m(positions, points), begin
+
+
+def _fly(
+    drawn: Drawn, course: Any, mission: str, seed: int, folder: Path, settings: dict[str, Any]
+) -> dict[str, Any]:
+    row = dw.fly(
+        drawn.vehicle(), course, drawn.effects, settings=settings, seeds=seed, logs=folder, jobs=1
+    )[0]
+    error, begin = flown(row["log"], desired(mission))
+    os.remove(row["log"])
+    # Ended before the mission's end: lost, or landed early by its own supervisor.
+    crashed = row["end"] != "done" or error is None
+    return {
+        "crashed": crashed,
+        "error_m": None if crashed else error,
+        "end": row["end"],
+        "begin_s": begin,
+    }
+
+
+def model_free(drawn: Drawn, mission: str, seed: int, folder: Path) -> dict[str, Any]:
+    """The paper's LQR along the trajectory, with nothing learned and nothing estimated."""
+    return _fly(drawn, trajectory(mission), mission, seed, folder / "lqr", {})
+
+
+def _own_flight(drawn: Drawn, seed: int, folder: Path) -> list[Path]:
+    """Logs of a minute along the programme that `downwash collect` flies."""
+    vehicle, effects = folder / "vehicle.json", folder / "effects.toml"
+    drawn.vehicle().save(vehicle)
+    lines = []
+    for name, values in drawn.effects.items():
+        lines += [f"[{name}]", *(f"{key} = {value}" for key, value in values.items())]
+    effects.write_text("\n".join(lines) + "\n")
+    command = [sys.executable, "-m", "downwash", "collect", "--out", str(folder / "own")]
+    command += ["--vehicle", str(vehicle), "--effects", str(effects)]
+    command += ["--seconds", str(OWN_FLIGHT_S), "--seed", str(seed), "--jobs", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    logs = sorted((folder / "own").glob("*.mcap"))
+    if not logs:
+        raise RuntimeError(f"no own flight: {done.stderr[-500:]}")
+    return logs
+
+
+def learned_from_own_flight(
+    drawn: Drawn, seed: int, folder: Path
+) -> tuple[dw.Model, dict[str, Any]]:
+    """The model, and what it was learned from. A file and a minute of logs are all that it sees."""
+    logs = _own_flight(drawn, seed, folder)
+    model = dw.Learner(drawn.vehicle(), regularization=(REGULARIZATION,)).fit(logs).model_
+    return model, {"logs": len(logs), "kind": model.preferred}
+
+
+def planned(
+    drawn: Drawn, model: dw.Model, mission: str, seed: int, folder: Path
+) -> dict[str, Any]:
+    """Plans through the learned model, and flies the plan."""
+    began = time.monotonic()
+    # Within the thrust that the configuration's envelope lets a trajectory ask for, 1.6 g.
+    bound = {"pilot.limits.thrust_max": min(0.9, 1.5 * drawn.file["hover_thrust"])}
+    plan = dw.plan(trajectory(mission), drawn.vehicle(), model, settings=PLANNING | bound)
+    planned_s = round(time.monotonic() - began, 2)
+    told = {"plan": plan.status, "not_flyable": plan.not_flyable, "plan_s": planned_s}
+    if plan.not_flyable is None:
+        try:
+            return _fly(drawn, plan, mission, seed, folder / "plan", FLYING) | told
+        except dw.DownwashError as refusal:
+            told["not_flyable"] = str(refusal)
+    # Without a plan that it may fly, the trajectory itself is flown.
+    course = trajectory(mission)
+    return _fly(drawn, course, mission, seed, folder / "plan", FLYING | UNPLANNED) | told
