@@ -16,6 +16,7 @@ pub mod guard;
 pub mod learn;
 pub mod link;
 pub mod log;
+pub mod mocap;
 pub mod model;
 pub mod onset;
 pub mod pilot;

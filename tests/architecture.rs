@@ -87,10 +87,14 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("lockstep", &["clock", "link", "log", "station"]),
         ("daemon", &["clock", "forward", "guard", "link", "log", "station", "supervisor"]),
         ("forward", &["log"]),
+        ("mocap", &["clock", "link"]),
         ("http", &[]),
         ("service", &["clock", "health", "http", "station", "supervisor"]),
         ("view", &["clock", "http", "log", "station"]),
-        ("config", &["control", "link", "log", "pilot", "plan", "supervisor", "telemetry"]),
+        (
+            "config",
+            &["control", "link", "log", "mocap", "pilot", "plan", "supervisor", "telemetry"],
+        ),
     ])
 }
 

@@ -43,6 +43,7 @@ mod clock_estimate;
 pub mod codec;
 pub mod connection;
 pub mod counters;
+pub mod external_pose;
 pub mod intervals;
 pub mod load;
 pub mod loss_reaction;
