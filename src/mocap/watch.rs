@@ -14,6 +14,8 @@ use super::settings::WatchSettings;
 
 /// Time constant of the velocity that a body is taken to have, s.
 const VELOCITY_TIME_S: f64 = 0.05;
+/// How fast a body may be of which one pose is known, m/s.
+const FIRST_SPEED: f64 = 5.0;
 /// For how long a body that is not seen is taken to go on as it went, s.
 const COAST_S: f64 = 0.5;
 /// While the vehicle is armed, a body that was lost for longer is not taken back, s.
@@ -48,24 +50,27 @@ pub struct Believed {
 /// Poses that follow each other.
 #[derive(Clone, Copy, Debug)]
 struct Run {
-    began_s: f64,
+    first: Seen,
     latest: Seen,
-    velocity: Ned,
+    /// `None` of a single pose.
+    velocity: Option<Ned>,
 }
 
 impl Run {
     fn new(seen: Seen) -> Self {
-        Self { began_s: seen.at_s, latest: seen, velocity: Ned::zero() }
+        Self { first: seen, latest: seen, velocity: None }
     }
 
     /// Where the body is to be at `at_s`.
     fn expected(&self, at_s: f64) -> Ned {
-        self.latest.position + self.velocity * (at_s - self.latest.at_s).clamp(0.0, COAST_S)
+        let velocity = self.velocity.unwrap_or_else(Ned::zero);
+        self.latest.position + velocity * (at_s - self.latest.at_s).clamp(0.0, COAST_S)
     }
 
     fn goes_on_with(&self, seen: &Seen, settings: &WatchSettings) -> bool {
         let dt = seen.at_s - self.latest.at_s;
-        let far = settings.jump_m + 0.5 * settings.acceleration_max_m_s2 * dt * dt;
+        let unknown = if self.velocity.is_none() { FIRST_SPEED * dt } else { 0.0 };
+        let far = settings.jump_m + unknown + 0.5 * settings.acceleration_max_m_s2 * dt * dt;
         let turn = settings.turn_rad + settings.turn_max_rad_s * dt;
         dt <= settings.gap_s
             && (seen.position - self.expected(seen.at_s)).norm() <= far
@@ -76,13 +81,14 @@ impl Run {
         let dt = seen.at_s - self.latest.at_s;
         if dt > 0.0 {
             let slope = (seen.position - self.latest.position) * (1.0 / dt);
-            self.velocity += (slope - self.velocity) * (dt / (dt + VELOCITY_TIME_S));
+            let known = self.velocity.unwrap_or(slope);
+            self.velocity = Some(known + (slope - known) * (dt / (dt + VELOCITY_TIME_S)));
         }
         self.latest = seen;
     }
 
     fn length_s(&self) -> f64 {
-        self.latest.at_s - self.began_s
+        self.latest.at_s - self.first.at_s
     }
 }
 
@@ -221,9 +227,15 @@ impl Watch {
             None => run.length_s() >= settings.settle_anew_s,
             Some((lost, why)) => {
                 let dt = seen.at_s - lost.latest.at_s;
-                let off = (seen.position - lost.expected(seen.at_s)).norm();
-                let reach = settings.jump_m + 0.5 * settings.acceleration_max_m_s2 * dt * dt;
-                let is_back = off <= reach.min(settings.return_m)
+                // It comes back where it was to be; another body may pass there on its way.
+                let is_near = |seen: &Seen| {
+                    let dt = seen.at_s - lost.latest.at_s;
+                    let off = (seen.position - lost.expected(seen.at_s)).norm();
+                    let reach = settings.jump_m + 0.5 * settings.acceleration_max_m_s2 * dt * dt;
+                    off <= reach.min(settings.return_m)
+                };
+                let is_back = is_near(&run.first)
+                    && is_near(&seen)
                     && lost.latest.attitude.angle_to(seen.attitude) <= RETURN_TURN
                     && (dt <= LOST_MAX_S || !is_armed)
                     && run.length_s() >= settings.settle_s;

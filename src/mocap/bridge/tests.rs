@@ -35,8 +35,7 @@ impl Room {
 
     /// What a body at rest at (1, 2, 3) is seen as at `t`, with noise.
     fn sample(&mut self, t: f64) -> Sample {
-        let noise = || 1e-4 * (self.rng.random::<f64>() - 0.5);
-        let [x, y, z] = std::array::from_fn(|_| 0.0).map(|_: f64| noise());
+        let [x, y, z]: [f64; 3] = std::array::from_fn(|_| 1e-4 * (self.rng.random::<f64>() - 0.5));
         Sample {
             body: "quad".to_owned(),
             captured_s: t + APART_S,
