@@ -95,13 +95,13 @@ pub struct Bridge {
     clock: RoomClock,
     watch: Watch,
     started: HostTime,
-    /// Stamp of the newest sample of the body, s of the room's clock.
-    newest_s: Option<f64>,
+    /// Stamp of the newest sample of the body, s of the room's clock, and when it came.
+    newest: Option<(f64, HostTime)>,
     /// Since when every stamp has been wrong.
     wrong_since: Option<HostTime>,
     heard: Option<HostTime>,
     anything: Option<HostTime>,
-    /// The earliest capture that is forwarded next, s.
+    /// The earliest capture that is forwarded next, s of the room's clock.
     next_s: f64,
     names: BTreeSet<String>,
     said: BTreeMap<Fault, HostTime>,
@@ -125,7 +125,7 @@ impl Bridge {
             frame,
             clock: RoomClock::default(),
             started: now,
-            newest_s: None,
+            newest: None,
             wrong_since: None,
             heard: None,
             anything: None,
@@ -143,7 +143,7 @@ impl Bridge {
     pub fn take(&mut self, now: HostTime, sample: &Sample, is_armed: bool) -> Option<Pose> {
         self.anything = Some(now);
         if sample.body != self.body {
-            self.take_other(now, sample);
+            self.take_other(sample);
             return None;
         }
         self.tally.heard += 1;
@@ -219,6 +219,8 @@ impl Bridge {
     ) -> Result<Option<Pose>, Fault> {
         let seen = self.placed(now, sample)?;
         let now_s = self.seconds(now);
+        let host_s = self.clock.host_s(now_s, seen.at_s).unwrap_or(now_s);
+        let at_s = host_s.min(now_s) - self.settings.latency_s;
         let believed = self.watch.see(seen, is_armed)?;
         if believed.is_anew {
             self.tally.resets += 1;
@@ -227,7 +229,7 @@ impl Bridge {
             self.was_held = true;
             self.tell(News::Believed);
         }
-        let age_s = now_s - seen.at_s;
+        let age_s = now_s - at_s;
         if age_s > self.settings.age_max_s {
             return Err(Fault::Old);
         }
@@ -243,7 +245,7 @@ impl Bridge {
         self.tally.age_mean_s += age_s;
         self.tally.age_max_s = self.tally.age_max_s.max(age_s);
         Ok(Some(Pose {
-            at: self.started + Duration::from_secs_f64(seen.at_s.max(0.0)),
+            at: self.started + Duration::from_secs_f64(at_s.max(0.0)),
             position: seen.position,
             attitude: seen.attitude,
             reset_count: self.tally.resets as u8,
@@ -263,47 +265,49 @@ impl Bridge {
             return Err(Fault::NotANumber);
         }
         let rotation = unit(sample.rotation).ok_or(Fault::NotAUnit)?;
-        if self.newest_s.is_some_and(|newest| sample.captured_s <= newest) {
-            self.doubt_clock(now);
+        if self.newest.is_some_and(|(newest, _)| sample.captured_s <= newest) {
+            self.doubt_clock(now, sample.captured_s);
             return Err(Fault::OutOfOrder);
         }
         let now_s = self.seconds(now);
         if self.clock.observe(now_s, sample.sent_s.unwrap_or(sample.captured_s)).is_err() {
-            self.doubt_clock(now);
+            self.doubt_clock(now, sample.captured_s);
             return Err(Fault::Ahead);
         }
         self.wrong_since = None;
-        self.newest_s = Some(sample.captured_s);
-        let host_s = self.clock.host_s(now_s, sample.captured_s).unwrap_or(now_s);
+        self.newest = Some((sample.captured_s, now));
         Ok(Seen {
-            at_s: host_s.min(now_s) - self.settings.latency_s,
+            at_s: sample.captured_s,
             position: self.frame.position(sample.position_m),
             attitude: self.frame.attitude(rotation),
         })
     }
 
-    fn take_other(&mut self, now: HostTime, sample: &Sample) {
+    fn take_other(&mut self, sample: &Sample) {
         self.tally.others += 1;
         if self.names.len() < NAMES_MAX && !self.names.contains(&sample.body) {
             self.names.insert(sample.body.clone());
         }
-        let is_finite = sample.position_m.iter().all(|number| number.is_finite());
-        if sample.is_tracked && is_finite {
+        let mut numbers = sample.position_m.iter().chain([&sample.captured_s]);
+        if sample.is_tracked && numbers.all(|number| number.is_finite()) {
             let position = self.frame.position(sample.position_m);
-            let at_s = self.seconds(now);
+            let at_s = sample.captured_s;
             let attitude = Attitude::default();
             self.watch.see_other(&sample.body, Seen { at_s, position, attitude });
         }
     }
 
     /// Stamps that stay wrong are of a clock that was set.
-    fn doubt_clock(&mut self, now: HostTime) {
+    fn doubt_clock(&mut self, now: HostTime, stamp_s: f64) {
         let since = *self.wrong_since.get_or_insert(now);
         if now.since(since).as_secs_f64() >= CLOCK_SET_S {
             self.clock = RoomClock::default();
-            (self.newest_s, self.wrong_since) = (None, None);
-            let now_s = self.seconds(now);
-            self.watch.forget_times(now_s);
+            self.wrong_since = None;
+            if let Some((newest_s, at)) = self.newest.take() {
+                let by_s = stamp_s - (newest_s + now.since(at).as_secs_f64());
+                self.watch.shift(by_s);
+                self.next_s = f64::NEG_INFINITY;
+            }
             self.tell(News::ClockSet);
         }
     }
@@ -317,7 +321,7 @@ impl Bridge {
         let is_told = match fault {
             // What else is wrong has been said, or nothing is.
             Fault::Settling => false,
-            Fault::Frozen => self.watch.is_frozen(self.seconds(now)),
+            Fault::Frozen => self.newest.is_some_and(|(at_s, _)| self.watch.is_frozen(at_s)),
             _ => true,
         };
         let is_new = self.said.get(&fault).is_none_or(|at| now.since(*at) > SAID_AGAIN);

@@ -52,7 +52,8 @@ faults! {
     Ahead, ahead: "Poses with a stamp from the future.",
         "the room's clock was set forward; it is taken anew once it has run steadily";
     Old, old: "Poses that are too old.",
-        "frames come late; check the network (cable, no Wi-Fi) and the room computer's load";
+        "frames come late; check the network (cable, no Wi-Fi) and the room computer's load; where its \
+         clock was set back, start this again";
     Frozen, frozen: "The same pose again, under a new stamp.",
         "the room repeats one pose: the tracker hangs, or rounds; restart it, and have it send every digit";
     Jumped, jumped: "Poses where the body cannot be so soon.",

@@ -29,7 +29,7 @@ const OTHER_AGE_MAX_S: f64 = 0.5;
 /// Within this of another body's place a jump is a swap, m: what a body moves meanwhile.
 const OTHER_WITHIN_M: f64 = 0.15;
 
-/// A pose with its time, s on the host's clock.
+/// A pose with its time, s on the room's clock: what the host makes of that shifts as it learns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen {
     /// When.
@@ -170,13 +170,14 @@ impl Watch {
         }
     }
 
-    /// Forgets the body: its clock is another one. Where it was stays known.
-    pub fn forget_times(&mut self, now_s: f64) {
+    /// The room's clock was set, ahead by `by_s`: the body is lost, and where and when it was stays known.
+    pub fn shift(&mut self, by_s: f64) {
         self.lose(Fault::Ahead);
         if let Track::Lost { last, coming } = &mut self.track {
             *coming = None;
             if let Some((run, _)) = last {
-                run.latest.at_s = run.latest.at_s.min(now_s);
+                run.latest.at_s += by_s;
+                run.first.at_s += by_s;
             }
         }
         self.newest = None;
@@ -223,8 +224,8 @@ impl Watch {
             }
             _ => Run::new(seen),
         };
-        let is_believed = match last {
-            None => run.length_s() >= settings.settle_anew_s,
+        let (is_believed, is_anew) = match last {
+            None => (run.length_s() >= settings.settle_anew_s, false),
             Some((lost, why)) => {
                 let dt = seen.at_s - lost.latest.at_s;
                 // It comes back where it was to be; another body may pass there on its way.
@@ -241,16 +242,14 @@ impl Watch {
                     && run.length_s() >= settings.settle_s;
                 let is_moved =
                     !is_armed && why != Fault::Swapped && run.length_s() >= settings.settle_anew_s;
-                is_back || is_moved
+                // What the vehicle's filter can take in is no new beginning.
+                (is_back || is_moved, !is_back)
             }
         };
         if !is_believed {
             self.track = Track::Lost { last, coming: Some(run) };
             return Err(Fault::Settling);
         }
-        let is_anew = last.is_some_and(|(lost, _)| {
-            (seen.position - lost.expected(seen.at_s)).norm() > self.settings.jump_m
-        });
         self.track = Track::Held(run);
         Ok(Believed { is_anew })
     }
