@@ -76,6 +76,7 @@ def test_a_hover_is_flown_on_the_room(program, vehicle, tmp_path):
 
 
 @bounds_time
+@pytest.mark.long
 @pytest.mark.parametrize("fault, words", [("freeze", "the tracker hangs"), ("swap", "swapped the two")])
 def test_a_room_that_lies_in_flight_ends_it(program, vehicle, tmp_path, fault, words):
     port = free_port()
