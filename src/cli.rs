@@ -5,6 +5,7 @@ mod compare;
 mod demo;
 mod flight;
 mod log;
+mod mocap;
 mod model;
 mod reference;
 mod replay;
@@ -27,6 +28,7 @@ pub use self::compare::{AlignChoice, CompareArgs, PairChoice};
 pub use self::demo::{Contestant, DemoArgs};
 pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
+pub use self::mocap::{MocapArgs, UpChoice};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
 pub use self::reference::{PageChoice, ReferenceArgs};
 pub use self::replay::ReplayArgs;
@@ -93,6 +95,12 @@ pub enum Command {
     Doctor(DoctorArgs),
     /// Shows the messages on a link, with rate, size, age and last value.
     Inspect(ListenArgs),
+    /// Bridges poses of a rigid body from a motion-capture room to a vehicle.
+    ///
+    /// Only poses go to the vehicle, and only those that are believed: a room that swaps bodies, freezes,
+    /// jumps or is late is told of, with what to do, and nothing is forwarded. It runs beside `fly`, on an
+    /// endpoint of its own.
+    Mocap(MocapArgs),
     /// Runs the bundled vehicle on MAVLink links.
     Sitl(SimulatorArgs),
     /// Makes, checks and lists vehicle files.

@@ -14,6 +14,7 @@ pub mod exam;
 pub mod guard;
 pub mod learn;
 pub mod link;
+pub mod mocap;
 pub mod model;
 pub mod onset;
 pub mod pilot;

@@ -31,10 +31,11 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("lockstep", &["link", "station"]),
         ("daemon", &["forward", "guard", "link", "station", "supervisor"]),
         ("forward", &[]),
+        ("mocap", &["link"]),
         ("http", &[]),
         ("service", &["health", "http", "station", "supervisor"]),
         ("view", &["http", "station"]),
-        ("config", &["control", "link", "pilot", "plan", "supervisor", "telemetry"]),
+        ("config", &["control", "link", "mocap", "pilot", "plan", "supervisor", "telemetry"]),
     ])
 }
 

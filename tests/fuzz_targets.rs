@@ -221,6 +221,29 @@ proptest! {
     }
 
     #[test]
+    fn no_bytes_break_the_bridge(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+        fuzz::mocap(&bytes);
+    }
+
+    #[test]
+    fn no_line_of_a_room_breaks_the_bridge(
+        lines in prop::collection::vec(
+            (
+                prop::sample::select(vec!["1", "2", ""]),
+                prop_oneof![0.0..1.0f64, any::<f64>()],
+                prop::array::uniform3(prop_oneof![3 => -1.0..1.0f64, 1 => any::<f64>()]),
+                prop::array::uniform4(prop_oneof![3 => Just(0.5), 1 => any::<f64>()]),
+            ),
+            0..40,
+        ),
+    ) {
+        let line = |(body, t, p, q): &(&str, f64, [f64; 3], [f64; 4])| {
+            format!("{{\"body\":\"{body}\",\"t\":{t:e},\"p\":{p:?},\"q\":{q:?}}}\n")
+        };
+        fuzz::mocap(lines.iter().map(line).collect::<String>().as_bytes());
+    }
+
+    #[test]
     fn no_bytes_break_the_endpoint(input in "(udpin|tcp|serial|udp)?:?(//)?[ -~]{0,20}") {
         fuzz::endpoint(input.as_bytes());
     }

@@ -2,13 +2,16 @@
 
 use std::time::Duration;
 
+use downwash::clock::VehicleTime;
 use downwash::link::counters::LinkState;
+use downwash::link::external_pose::{ExternalPose, PoseForm};
 use downwash::link::intervals::IntervalEvent;
 use downwash::link::profile::Profile;
 use downwash::link::request::{FlightMode, Outcome, Request};
 use downwash::link::session::{Event, Heard, Session, SetpointError, Settings};
 use downwash::link::vehicle_clock::ClockSource;
 use message::Inbound;
+use vehicle::frame::{Attitude, Ned};
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
 
@@ -289,6 +292,57 @@ fn the_vehicles_timesync_is_answered_from_the_host_clock() {
         target_component: 1,
     };
     assert_eq!(answers, [(Some(VEHICLE), MavMessage::TIMESYNC(expected))]);
+}
+
+/// What a session sends now.
+fn sent(world: &mut World) -> Vec<MavMessage> {
+    let mut sent = Vec::new();
+    world.session.transmit(|_, bytes| {
+        let mut decoder = Decoder::new();
+        decoder.push(bytes);
+        sent.push(decoder.next_frame().expect("whole").message().expect("valid"));
+        true
+    });
+    sent
+}
+
+/// A bridge of poses answers with the vehicle's own time, so that stamps of that need no conversion.
+#[test]
+fn a_pose_goes_out_in_the_vehicles_time_which_timesync_tells_it_too() {
+    let settings = Settings { answers_in_vehicle_time: true, ..settings() };
+    let (mut world, mut vehicle) = (World::new(settings), Vehicle::new(1));
+    let pose = |time| ExternalPose {
+        time,
+        position: Ned::new(1.0, 2.0, -3.0),
+        attitude: Attitude::default(),
+        position_deviation_m: 0.01,
+        attitude_deviation_rad: 0.01,
+        reset_count: 0,
+    };
+    assert!(
+        !world.session.send_pose(&pose(VehicleTime::from_us(1)), PoseForm::Vision),
+        "nobody is there"
+    );
+    world.run(&mut vehicle, seconds(2.0));
+    sent(&mut world);
+    let boot_us = vehicle.boot(world.now).as_micros() as i64;
+    let request = TIMESYNC_DATA { tc1: 0, ts1: 12_345, ..Default::default() };
+    let bytes = vehicle.encode(&MavMessage::TIMESYNC(request));
+    world.deliver(VEHICLE, &bytes);
+    let clock = world.session.clock().expect("it answers TIMESYNC");
+    assert!(world.session.send_pose(&pose(clock.to_vehicle(world.now)), PoseForm::Vision));
+    let (mut told, mut posed) = (None, None);
+    for message in sent(&mut world) {
+        match message {
+            MavMessage::TIMESYNC(answer) if answer.ts1 == 12_345 => told = Some(answer.tc1 / 1000),
+            MavMessage::VISION_POSITION_ESTIMATE(pose) => posed = Some(pose.usec as i64),
+            _ => {}
+        }
+    }
+    for found_us in [told, posed] {
+        let off_us = found_us.expect("it is sent") - boot_us;
+        assert!(off_us.abs() < 1000, "{off_us} us off");
+    }
 }
 
 #[test]

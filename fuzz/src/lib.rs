@@ -17,6 +17,10 @@ use downwash::log::export::{Format, export_topic};
 use downwash::log::import::mapping::{Mapping, SHIPPED};
 use downwash::log::import::{Flight, Stream, propose_bytes, read_bytes};
 use downwash::log::info::LogInfo;
+use downwash::mocap::bridge::Bridge;
+use downwash::mocap::natnet::{self, Packet, Version};
+use downwash::mocap::settings::MocapSettings;
+use downwash::mocap::stream;
 use downwash::report::FlightReport;
 use downwash::setpoint::Setpoint;
 use downwash::vehicle_init::{Draft, Measured};
@@ -209,4 +213,35 @@ pub fn parameters(data: &[u8]) -> Option<String> {
     let found = downwash::parameters::parse(data).ok()?;
     let measured = Measured { mass_kg: Some(1.0), arm_m: Some(0.2), ..Measured::default() };
     Some(Draft::new("a file", &found, &measured).ok()?.to_toml())
+}
+
+/// Datagrams of a motion-capture room, 1 ms after each other: as lines, and as NatNet of every layout. What is
+/// forwarded is finite.
+pub fn mocap(data: &[u8]) {
+    let start = HostTime::from_ns(1_700_000_000_000_000_000);
+    let mut bridge = Bridge::new("1".to_owned(), MocapSettings::default(), start);
+    let mut decoders = [(3, 0), (4, 0), (4, 1)]
+        .map(|(major, minor)| natnet::Decoder::new(Version { major, minor }));
+    let mut now = start;
+    for datagram in data.chunks(512).chain([data]) {
+        now = now + Duration::from_millis(1);
+        let mut samples = Vec::new();
+        stream::decode(datagram, |line| samples.extend(line.ok()));
+        for decoder in &mut decoders {
+            for message in [1u16, 7] {
+                let length = datagram.len().min(usize::from(u16::MAX));
+                let head = [message.to_le_bytes(), (length as u16).to_le_bytes()].concat();
+                if let Ok(Packet::Frame(found)) = decoder.datagram(&[&head, datagram].concat()) {
+                    samples.extend(found);
+                }
+            }
+        }
+        for sample in &samples {
+            if let Some(pose) = bridge.take(now, sample, false) {
+                assert!(pose.position.is_finite() && pose.attitude.tilt().is_finite());
+            }
+        }
+        bridge.tick(now);
+        while bridge.next_news().is_some() {}
+    }
 }

@@ -12,6 +12,8 @@ use wire::transport::OpenError;
 
 use crate::autopilot::{Vehicle, VehicleRefused};
 use crate::config::{Autopilot, ConfigError, SitlConfig};
+use crate::room::{Room, RoomConfig, RoomFault, RoomUp};
+use crate::room_sockets::RoomSockets;
 use crate::server::Server;
 use vehicle::effects::{EffectsRefused, Schedule};
 use vehicle::{VehicleError, VehicleParams};
@@ -51,6 +53,55 @@ pub struct SitlArgs {
     /// 41.2 s of the vehicle's clock
     #[arg(long, value_name = "ID:KEY=VALUE,...[@S]")]
     pub effect: Vec<String>,
+    /// The room.
+    #[command(flatten)]
+    pub room: RoomArgs,
+}
+
+/// The motion-capture room around the vehicle: it tells of `quad`, the vehicle, and of `cart`, which stands on
+/// the floor. In it the vehicle knows its position by VISION_POSITION_ESTIMATE or ODOMETRY alone.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct RoomArgs {
+    /// Where the room sends its poses to, as lines of JSON (docs/mocap.md)
+    #[arg(long, value_name = "HOST:PORT")]
+    pub mocap: Option<String>,
+    /// Where the room serves its poses as NatNet 4.1 to whoever asks (unicast)
+    #[arg(long, value_name = "HOST:PORT")]
+    pub mocap_natnet: Option<String>,
+    /// Frames a second
+    #[arg(long, value_name = "HZ", default_value_t = 100.0)]
+    pub mocap_rate: f64,
+    /// The room's axis that points up
+    #[arg(long, value_name = "AXIS", default_value = "z")]
+    pub mocap_up: RoomUp,
+    /// Heading of the room's x axis, clockwise from north, degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_hyphen_values = true)]
+    pub mocap_x_heading: f64,
+    /// What goes wrong in the room, in seconds after arming: swap, freeze or drop-out, such as freeze@8, or
+    /// swap@8+2 for two seconds; may be given several times
+    #[arg(long, value_name = "FAULT@S[+S]")]
+    pub mocap_fault: Vec<RoomFault>,
+}
+
+impl RoomArgs {
+    fn is_there(&self) -> bool {
+        self.mocap.is_some() || self.mocap_natnet.is_some()
+    }
+
+    fn open(&self, seed: u64) -> Result<Option<RoomSockets>, SitlError> {
+        if !self.is_there() {
+            return Ok(None);
+        }
+        let config = RoomConfig {
+            rate_hz: self.mocap_rate,
+            up: self.mocap_up,
+            x_heading_deg: self.mocap_x_heading,
+            faults: self.mocap_fault.clone(),
+        };
+        let room = Room::new(config, seed);
+        let (lines, natnet) = (self.mocap.as_deref(), self.mocap_natnet.as_deref());
+        RoomSockets::open(room, lines, natnet).map(Some).map_err(SitlError::RoomSocket)
+    }
 }
 
 /// Vehicle seconds per second, 0.01 to 1000.
@@ -96,6 +147,12 @@ pub enum SitlError {
     /// A link.
     #[error("--link: {0}")]
     Link(#[from] OpenError),
+    /// The room cannot be.
+    #[error("--mocap-rate: expected 1 to 1000 Hz, found {0}")]
+    RoomRate(f64),
+    /// A socket of the room.
+    #[error("--mocap, --mocap-natnet: {0}; expected HOST:PORT")]
+    RoomSocket(std::io::Error),
     /// The runtime or its signal handlers.
     #[error("cannot start: {0}")]
     Runtime(#[from] std::io::Error),
@@ -109,7 +166,9 @@ impl SitlError {
             | Self::Refused(_)
             | Self::Config(_)
             | Self::Effects(_)
-            | Self::Key(_) => 2,
+            | Self::Key(_)
+            | Self::RoomRate(_)
+            | Self::RoomSocket(_) => 2,
             Self::Link(_) => 3,
             Self::Runtime(_) => 1,
         })
@@ -145,6 +204,11 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
         Some(path) => SitlConfig::load(path)?,
         None => SitlConfig::default(),
     };
+    let rate_hz = args.room.mocap_rate;
+    if !(1.0..=1000.0).contains(&rate_hz) {
+        return Err(SitlError::RoomRate(rate_hz));
+    }
+    config.estimator.from_vision |= args.room.is_there();
     config.autopilot = args.autopilot.unwrap_or(config.autopilot);
     let schedule = Schedule::requested(args.effects.as_deref(), &args.effect)?;
     let effects = schedule.effects.clone();
@@ -176,9 +240,11 @@ pub fn run_watched(args: &SitlArgs, watch: impl FnMut(&Vehicle)) -> Result<Stop,
     let vehicle = vehicle(args)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        let mut server = Server::open(vehicle, &args.links).await?;
+        let room = args.room.open(args.seed)?;
+        let told: Vec<_> = room.iter().flat_map(RoomSockets::describe).collect();
+        let mut server = Server::open(vehicle, &args.links).await?.inside(room);
         let stop = signals()?;
-        for line in server.describe() {
+        for line in server.describe().chain(told) {
             eprintln!("{line}");
         }
         Ok(server.run(args.speed.0, stop, watch).await)

@@ -66,6 +66,9 @@ pub struct EstimatorConfig {
     pub velocity_wander_time_s: f64,
     /// Time after switching on from which the position is known, s.
     pub ready_after_s: f64,
+    /// The position comes from VISION_POSITION_ESTIMATE or ODOMETRY alone: none is known before the
+    /// first, nor long after the last.
+    pub from_vision: bool,
     /// GPS that is wrong for a while.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gps_glitch: Option<GpsGlitch>,
@@ -84,6 +87,7 @@ impl Default for EstimatorConfig {
             velocity_wander_m_s: 0.0,
             velocity_wander_time_s: 3.0,
             ready_after_s: 0.0,
+            from_vision: false,
             gps_glitch: None,
             reset_after_s: 9.0,
             slide_time_s: 0.0,
@@ -317,6 +321,7 @@ impl SitlConfig {
             velocity_wander_m_s,
             velocity_wander_time_s,
             ready_after_s,
+            from_vision: _,
             gps_glitch,
             reset_after_s,
             slide_time_s,

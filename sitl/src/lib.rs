@@ -29,6 +29,9 @@ pub mod cli;
 pub mod clock;
 pub mod config;
 mod estimate_error;
+pub mod room;
+#[cfg(feature = "server")]
+mod room_sockets;
 pub mod sensors;
 #[cfg(feature = "server")]
 pub mod server;

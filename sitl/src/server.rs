@@ -14,6 +14,7 @@ use wire::endpoint::Endpoint;
 use wire::transport::{self, Incoming, OpenError, RECEIVE_LEN, Transport};
 
 use crate::autopilot::{LinkKind, Peer, Vehicle};
+use crate::room_sockets::RoomSockets;
 
 /// A lost link is opened again after this long.
 const REOPEN_AFTER: Duration = Duration::from_millis(500);
@@ -27,6 +28,7 @@ const LAG_MAX: Duration = Duration::from_secs(1);
 /// Links that are open and peers that are served.
 pub struct Server {
     vehicle: Vehicle,
+    room: Option<RoomSockets>,
     links: Vec<Link>,
     peers: Vec<Route>,
     next_peer: u32,
@@ -71,12 +73,23 @@ impl Server {
             let transport = Transport::open(endpoint).await?;
             links.push(Link { endpoint: endpoint.clone(), state: LinkState::Open(transport) });
         }
-        let mut server =
-            Self { vehicle, links, peers: Vec::new(), next_peer: 0, buffer: vec![0; RECEIVE_LEN] };
+        let mut server = Self {
+            vehicle,
+            room: None,
+            links,
+            peers: Vec::new(),
+            next_peer: 0,
+            buffer: vec![0; RECEIVE_LEN],
+        };
         for link in 0..server.links.len() {
             server.greet(link);
         }
         Ok(server)
+    }
+
+    /// The same vehicle in a motion-capture room.
+    pub(crate) fn inside(self, room: Option<RoomSockets>) -> Self {
+        Self { room, ..self }
     }
 
     /// One line for each link: what it listens on or talks to.
@@ -94,6 +107,12 @@ impl Server {
         })
     }
 
+    /// When the vehicle or the room has something to do next, us.
+    fn next_event_us(&self) -> u64 {
+        let room_us = self.room.as_ref().map_or(u64::MAX, RoomSockets::next_us);
+        self.vehicle.next_event_us().min(room_us.max(self.vehicle.now_us() + 1))
+    }
+
     /// Serves until `stop` is ready. `speed` is vehicle seconds per host second; `watch` sees the
     /// vehicle whenever its time has gone on, and must not wait.
     pub async fn run<S: Future>(
@@ -107,14 +126,20 @@ impl Server {
         loop {
             let now = Instant::now();
             let wanted_us = self.vehicle_us(&mut pacer, now);
-            let reached_us = wanted_us.min(self.vehicle.now_us() + ADVANCE_MAX_US);
-            self.vehicle.advance_to(reached_us);
+            let mut reached_us = wanted_us.min(self.vehicle.now_us() + ADVANCE_MAX_US);
+            if let Some(room) = &mut self.room {
+                reached_us = reached_us.min(room.next_us().max(self.vehicle.now_us()));
+                self.vehicle.advance_to(reached_us);
+                room.serve(&self.vehicle);
+            } else {
+                self.vehicle.advance_to(reached_us);
+            }
             self.flush();
             watch(&self.vehicle);
             let due = if reached_us < wanted_us {
                 now
             } else {
-                pacer.host_time(self.vehicle.clock().host_us(self.vehicle.next_event_us()))
+                pacer.host_time(self.vehicle.clock().host_us(self.next_event_us()))
             };
             tokio::select! {
                 biased;

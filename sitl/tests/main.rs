@@ -10,4 +10,5 @@ mod autopilot_robustness;
 mod personality_arducopter;
 mod personality_health;
 mod personality_px4;
+mod personality_vision;
 mod sensors;

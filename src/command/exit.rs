@@ -28,7 +28,8 @@ exits! {
     /// No vehicle was heard, or the link was lost.
     Link = 3,
     /// The vehicle may not or would not be flown (`fly --check` and `doctor`: would not be):
-    /// preflight, mode or arming refused; two autopilots on the link.
+    /// preflight, mode or arming refused; two autopilots on the link; a form of poses that it does not
+    /// take (`mocap`).
     Refused = 4,
     /// The flight was ended early: a safety reaction, or the pilot took over.
     Aborted = 5,
@@ -39,7 +40,7 @@ exits! {
     Check = 10,
     /// Interrupted by Ctrl-C or SIGTERM: a command that flies no vehicle ends within two seconds and
     /// keeps what is done; one that flies lands first. A link that was lost, a pilot who took over or
-    /// a safety reaction meanwhile has its own code. SIGTERM ends `daemon` and `sitl` with 0.
+    /// a safety reaction meanwhile has its own code. SIGTERM ends `daemon`, `mocap` and `sitl` with 0.
     Interrupted = 130,
 }
 

@@ -1,10 +1,11 @@
 //! Listens on a link for a while: what `doctor` and `inspect` have in common.
 
+use std::future::Future;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use tokio::runtime::{Builder, Runtime};
-use tokio::time::timeout;
+use tokio::time::sleep;
 use wire::Endpoint;
 use wire::transport::RECEIVE_LEN;
 
@@ -46,6 +47,19 @@ impl Listener {
         Ok(Self { _signing: state, ..listener })
     }
 
+    /// One that asks for nothing, as another system than the one that flies, and tells the vehicle that
+    /// asks for the time its own.
+    pub fn beside(args: &ListenArgs, system: u8, component: u8) -> anyhow::Result<Self> {
+        let state = SigningState::open(&Self::config(args)?.settings.link.signing)?;
+        let signing = state.as_ref().map(SigningState::settings);
+        let change = |settings: &mut Settings| {
+            (settings.system, settings.component) = (system, component);
+            settings.answers_in_vehicle_time = true;
+        };
+        let listener = Self::changed(args, false, signing, change)?;
+        Ok(Self { _signing: state, ..listener })
+    }
+
     /// The configuration with the flags.
     pub fn config(args: &ListenArgs) -> anyhow::Result<Config> {
         let mut flags = Vec::new();
@@ -62,6 +76,15 @@ impl Listener {
         is_asking: bool,
         signing: Option<SigningSettings>,
     ) -> anyhow::Result<Self> {
+        Self::changed(args, is_asking, signing, |_| {})
+    }
+
+    fn changed(
+        args: &ListenArgs,
+        is_asking: bool,
+        signing: Option<SigningSettings>,
+        change: impl FnOnce(&mut Settings),
+    ) -> anyhow::Result<Self> {
         let config = Self::config(args)?;
         let settings = &config.settings;
         let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
@@ -72,7 +95,7 @@ impl Listener {
             Endpoint::Serial { baud, .. } => Some(*baud),
             _ => None,
         };
-        let session = Settings {
+        let mut session = Settings {
             system: link.system,
             component: link.component,
             vehicle_system: link.vehicle_system,
@@ -83,6 +106,7 @@ impl Listener {
             signing,
             ..Settings::new(thrust)
         };
+        change(&mut session);
         let clock = HostClock::start();
         let runtime = Builder::new_current_thread().enable_all().build();
         Ok(Self {
@@ -101,37 +125,66 @@ impl Listener {
     /// Listens for a while; every frame and message goes to `on`.
     pub fn listen(&mut self, duration: Duration, mut on: impl FnMut(HostTime, Heard<'_>)) {
         let end = Instant::now() + duration;
-        let Self { session, connection, runtime, buffer, clock, failure, .. } = self;
         loop {
             let left = end.saturating_duration_since(Instant::now());
             if left.is_zero() {
                 return;
             }
-            let wait = session.next_deadline().since(clock.now()).min(left);
-            let input = runtime.block_on(async { timeout(wait, connection.recv(buffer)).await });
-            let now = clock.now();
-            match input {
-                Ok(Input::Bytes { peer, len }) => {
-                    let bytes = buffer.get(..len).unwrap_or_default();
-                    let is_datagram = connection.is_datagram();
-                    session.receive(now, peer, bytes, is_datagram, &mut |heard| on(now, heard));
-                }
-                Ok(Input::PeerClosed(peer)) => {
-                    session.peer_closed(peer);
-                }
-                Ok(Input::Lost(_)) => session.transport_closed(),
-                Ok(Input::Failed { error, .. }) => {
-                    let text = error.to_string();
-                    if failure.as_ref() != Some(&text) {
-                        say(format_args!("{text}; trying again until it opens"));
-                        *failure = Some(text);
-                    }
-                }
-                Ok(Input::Opened | Input::PeerOpened(_)) | Err(_) => {}
-            }
-            session.poll(now);
-            session.transmit(|to, frame| connection.send(to, frame));
-            while session.next_event().is_some() {}
+            self.look(left, std::future::pending::<()>(), &mut on);
         }
+    }
+
+    /// Waits once, for at most `limit`: for the vehicle, or for `other`, whose output it gives.
+    pub fn look<T>(
+        &mut self,
+        limit: Duration,
+        other: impl Future<Output = T>,
+        mut on: impl FnMut(HostTime, Heard<'_>),
+    ) -> Option<T> {
+        let Self { session, connection, runtime, buffer, clock, failure, .. } = self;
+        let wait = session.next_deadline().since(clock.now()).min(limit);
+        let (input, output) = runtime.block_on(async {
+            tokio::select! {
+                input = connection.recv(buffer) => (Some(input), None),
+                output = other => (None, Some(output)),
+                () = sleep(wait) => (None, None),
+            }
+        });
+        let now = clock.now();
+        match input {
+            Some(Input::Bytes { peer, len }) => {
+                let bytes = buffer.get(..len).unwrap_or_default();
+                let is_datagram = connection.is_datagram();
+                session.receive(now, peer, bytes, is_datagram, &mut |heard| on(now, heard));
+            }
+            Some(Input::PeerClosed(peer)) => {
+                session.peer_closed(peer);
+            }
+            Some(Input::Lost(_)) => session.transport_closed(),
+            Some(Input::Failed { error, .. }) => {
+                let text = error.to_string();
+                if failure.as_ref() != Some(&text) {
+                    say(format_args!("{text}; trying again until it opens"));
+                    *failure = Some(text);
+                }
+            }
+            Some(Input::Opened | Input::PeerOpened(_)) | None => {}
+        }
+        session.poll(now);
+        self.flush();
+        while self.session.next_event().is_some() {}
+        output
+    }
+
+    /// Sends what the session has for the vehicle.
+    pub fn flush(&mut self) {
+        let Self { session, connection, .. } = self;
+        session.transmit(|to, frame| connection.send(to, frame));
+    }
+
+    /// Does what needs the runtime of the link around it, such as opening a socket.
+    pub fn inside<T>(&self, work: impl FnOnce() -> T) -> T {
+        let _inside = self.runtime.enter();
+        work()
     }
 }

@@ -25,6 +25,7 @@ mod listen;
 mod log;
 mod logs;
 mod messages;
+mod mocap;
 mod model;
 mod onset;
 mod output;
@@ -164,6 +165,7 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
             end_on_broken_pipe();
             inspect::run(&args)
         }
+        Command::Mocap(args) => mocap::run(&args, Interruption::watch()?),
         Command::Sitl(args) => sitl::run(&args),
         Command::Replay(args) => replay::run(&args, Interruption::watch()?),
         Command::Demo(args) => demo::run(&args, &Interruption::watch()?),

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::{
     Exit, ExitContext, audit, campaign, collect, config, demo, demo_diagnose, diagnose, doctor,
 };
-use super::{exam, fly, import, inspect, model, onset, plan, simulate, sweep, vehicle};
+use super::{exam, fly, import, inspect, mocap, model, onset, plan, simulate, sweep, vehicle};
 use super::{print_json, print_text};
 use crate::cli::SchemaArgs;
 use crate::learn::summary::TrainingSummary;
@@ -29,7 +29,7 @@ pub(super) struct Output {
 }
 
 /// All of them, in the order of a table.
-pub(super) const OUTPUTS: [Output; 37] = [
+pub(super) const OUTPUTS: [Output; 38] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -65,6 +65,7 @@ pub(super) const OUTPUTS: [Output; 37] = [
         "downwash.report.recording",
         "log report --json, of a log of another program",
     ),
+    Output::new::<mocap::MocapSummary>("downwash.mocap", "mocap --json"),
     Output::new::<model::EvaluationSummary>("downwash.model_eval", "model eval --json"),
     Output::new::<model::Info<'_>>("downwash.model_info", "model info --json"),
     Output::new::<plan::PlanSummary<'_>>("downwash.plan.summary", "plan --json"),

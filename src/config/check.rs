@@ -9,7 +9,13 @@ use crate::pilot::{GuidanceSettings, PilotSettings};
 use crate::supervisor::SupervisorSettings;
 
 /// Numbers that may be negative: down is negative in flight, and a heading may be to the west.
-const SIGNED: [&str; 3] = ["plan.box_m", "plan.keep_out", "collect.headings_deg"];
+const SIGNED: [&str; 5] = [
+    "plan.box_m",
+    "plan.keep_out",
+    "collect.headings_deg",
+    "mocap.x_heading_deg",
+    "mocap.nose_deg",
+];
 
 /// The longest time that a state of the flight may last.
 const TIME_MAX: Duration = Duration::from_secs(24 * 60 * 60);

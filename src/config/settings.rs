@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SCHEMA_VERSION;
 use crate::control::ControlSettings;
+use crate::mocap::settings::MocapSettings;
 use crate::pilot::PilotSettings;
 use crate::plan::FlightEnvelope;
 use crate::plan::planner::PlanSettings;
@@ -30,6 +31,8 @@ pub struct Settings {
     pub link: LinkSettings,
     /// Ground stations beside this one.
     pub forward: ForwardSettings,
+    /// The bridge from a motion-capture room.
+    pub mocap: MocapSettings,
     /// Whether the vehicle changes in flight.
     pub health: HealthSettings,
     /// What a trajectory may ask for.
@@ -165,6 +168,7 @@ impl Default for Settings {
             log_dir: None,
             link: LinkSettings::default(),
             forward: ForwardSettings::default(),
+            mocap: MocapSettings::default(),
             health: HealthSettings::default(),
             envelope: FlightEnvelope::default(),
             collect: ProgrammeSettings::default(),

@@ -40,6 +40,15 @@ impl ClockEstimate {
         u64::try_from(self.host_ns(time)).ok().map(HostTime::from_ns)
     }
 
+    /// What the vehicle's clock reads at `host`; zero before it was switched on.
+    pub fn to_vehicle(&self, host: HostTime) -> VehicleTime {
+        let since = ns_between(self.at, host);
+        let ns = (host.as_ns() as i64)
+            .saturating_add(self.offset_ns)
+            .saturating_add((since * self.skew) as i64);
+        VehicleTime::from_us(u64::try_from(ns).unwrap_or(0) / 1000)
+    }
+
     pub(super) fn host_ns(&self, time: VehicleTime) -> i64 {
         let unskewed = nanoseconds(time).saturating_sub(self.offset_ns);
         let since = unskewed.saturating_sub(self.at.as_ns() as i64) as f64;
@@ -54,4 +63,30 @@ pub(super) fn nanoseconds(time: VehicleTime) -> i64 {
 /// Nanoseconds from `earlier` to `later`, negative if it is the other way round.
 pub(super) fn ns_between(earlier: HostTime, later: HostTime) -> f64 {
     (later.as_ns() as i64).saturating_sub(earlier.as_ns() as i64) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn the_two_ways_are_each_others_inverse(
+            offset_s in -1.6e9..-1.0e9f64, skew in -0.05..0.05f64, since_ms in 0..600_000u64,
+        ) {
+            let at = HostTime::from_ns(1_700_000_000_000_000_000);
+            let line = ClockEstimate {
+                offset_ns: (offset_s * 1e9) as i64,
+                at,
+                skew,
+                error_ns: None,
+                source: ClockSource::Arrival,
+            };
+            let host = HostTime::from_ns(at.as_ns() + since_ms * 1_000_000);
+            let back = line.to_host(line.to_vehicle(host)).expect("after the epoch");
+            prop_assert!(ns_between(back, host).abs() < 2000.0);
+        }
+    }
 }

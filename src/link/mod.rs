@@ -42,6 +42,7 @@ pub mod budget;
 mod clock_estimate;
 pub mod connection;
 pub mod counters;
+pub mod external_pose;
 pub mod intervals;
 pub mod load;
 pub mod loss_reaction;

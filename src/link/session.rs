@@ -23,6 +23,7 @@ use self::core::Core;
 use super::attitude_target::{EncodeError, ThrustMap};
 use super::budget::LineBudget;
 use super::counters::{LinkState, LinkStats, RefusalCount, Sender};
+use super::external_pose::{ExternalPose, PoseForm};
 use super::intervals::IntervalEvent;
 use super::load::LinkLoad;
 use super::profile::{FormChoice, MessageRate, Profile};
@@ -64,6 +65,9 @@ pub struct Settings {
     pub telemetry: Option<Vec<MessageRate>>,
     /// Whether the vehicle's TIMESYNC requests are answered. Two that answer confuse it.
     pub answer_timesync: bool,
+    /// Whether these answers tell the vehicle its own clock, as it is known here: then it takes stamps of its
+    /// clock for what they are.
+    pub answers_in_vehicle_time: bool,
     /// Silence after which the link is stale.
     pub stale_after: Duration,
     /// Silence after which the vehicle is lost.
@@ -88,6 +92,7 @@ impl Settings {
             thrust,
             telemetry: None,
             answer_timesync: true,
+            answers_in_vehicle_time: false,
             stale_after: Duration::from_millis(2500),
             lost_after: Duration::from_secs(5),
             endpoint: None,
@@ -323,6 +328,15 @@ impl Session {
         setpoint: &Cleared,
     ) -> Result<(), SetpointError> {
         self.core.send_setpoint(now, setpoint)
+    }
+
+    /// Queues a pose for the vehicle, stamped by its own clock; whether there is a vehicle to take it.
+    pub fn send_pose(&mut self, pose: &ExternalPose, form: PoseForm) -> bool {
+        let is_there = self.core.state == LinkState::Connected && self.vehicle_peer().is_some();
+        if is_there {
+            self.core.send(&pose.message(form));
+        }
+        is_there
     }
 
     /// Asks something of the vehicle. [`Event::Request`] tells how it ended.

@@ -288,7 +288,7 @@ impl SafetySettings {
                 format!("the vehicle declares a failsafe: {}", c.failsafe.unwrap_or_default())
             }
             Fault::PositionLost => {
-                "the vehicle calls its position estimate unhealthy: GPS may be lost".to_owned()
+                "the vehicle calls its position estimate unhealthy: GPS or the motion-capture room may be lost".to_owned()
             }
             Fault::Battery => format!(
                 "battery at {:.0} %, limit {:.0} %",

@@ -22,6 +22,7 @@ use super::personality::{
     LoopInput, Onboard, OnboardLoop, Personality, Pursuit, Reception, StreamState,
 };
 use super::position::{PositionController, PositionTarget};
+use super::vision::{OutsidePose, Vision};
 
 /// A ground station is lost when its last heartbeat is older than this, us.
 const GROUND_STATION_LOST_US: u64 = 10_000_000;
@@ -70,6 +71,8 @@ pub struct FlightControl {
     ground_station_us: Option<u64>,
     /// When the position becomes known, us.
     ready_us: u64,
+    /// The position, where it comes from outside.
+    vision: Option<Vision>,
     home: Ned,
     take_off_height: Option<f64>,
     perception: Perception,
@@ -91,7 +94,12 @@ impl FlightControl {
         config: &SitlConfig,
         perception: Perception,
         airborne: bool,
+        seed: u64,
     ) -> Self {
+        let vision = config
+            .estimator
+            .from_vision
+            .then(|| Vision::new(personality.vision_lost_after_s(), seed));
         let Onboard { parameters, attitude_loop, rate_hz } = onboard;
         Self {
             personality,
@@ -109,6 +117,7 @@ impl FlightControl {
             sticks: None,
             ground_station_us: None,
             ready_us: (config.estimator.ready_after_s * 1e6) as u64,
+            vision,
             home: perception.position,
             take_off_height: None,
             perception,
@@ -146,7 +155,34 @@ impl FlightControl {
 
     /// Whether the estimator knows where the vehicle is.
     pub(super) fn position_known(&self, now_us: u64) -> bool {
-        now_us >= self.ready_us
+        now_us >= self.ready_us && self.vision.as_ref().is_none_or(|vision| vision.is_known(now_us))
+    }
+
+    /// Whether the position comes from outside, and is not known.
+    pub(super) fn lacks_vision(&self, now_us: u64) -> bool {
+        self.vision.as_ref().is_some_and(|vision| !vision.is_known(now_us))
+    }
+
+    /// Takes a pose from outside, where the position comes from there.
+    pub(super) fn take_outside_pose(&mut self, now_us: u64, pose: &OutsidePose) {
+        if let Some(vision) = &mut self.vision {
+            vision.take(now_us, pose);
+        }
+    }
+
+    /// Makes what is sensed of the position what is estimated, where it comes from outside.
+    pub(super) fn correct(
+        &self,
+        position: &mut Ned,
+        velocity: &mut Ned,
+        estimator: &mut EstimatorStatus,
+    ) {
+        if let Some(vision) = &self.vision {
+            let [offset, drift] = vision.error();
+            *position += offset;
+            *velocity += drift;
+            estimator.reset_count = estimator.reset_count.wrapping_add(vision.resets());
+        }
     }
 
     /// How the autopilot judges the pack.
@@ -317,7 +353,12 @@ impl FlightControl {
     }
 
     /// One tick of the on-board loop.
-    pub fn tick(&mut self, now_us: u64, perception: Perception) {
+    pub fn tick(&mut self, now_us: u64, mut perception: Perception) {
+        if let Some(vision) = &mut self.vision {
+            vision.advance(now_us, perception.position);
+        }
+        let Perception { position, velocity, estimator, .. } = &mut perception;
+        self.correct(position, velocity, estimator);
         let before = std::mem::replace(&mut self.perception, perception);
         self.tell_estimator(before.estimator);
         self.watch(now_us);
@@ -374,6 +415,15 @@ impl FlightControl {
             voltage: self.perception.voltage,
         };
         self.commander.update(&situation, &self.parameters);
+        let mode = self.commander.mode();
+        if self.commander.armed()
+            && self.lacks_vision(now_us)
+            && self.personality.lands_without_position(mode)
+        {
+            self.commander.fail_over(Mode::Land);
+            let text = self.personality.failsafe_text(Mode::Land, "No valid position estimate");
+            self.commander.notify(MavSeverity::MAV_SEVERITY_CRITICAL, text);
+        }
     }
 
     fn choose_setpoint(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
@@ -451,6 +501,9 @@ impl FlightControl {
         if matches!(mode, Mode::Altitude | Mode::Stabilized) {
             return Some(self.by_hand(mode, sticks.unwrap_or_default()));
         }
+        if self.lacks_vision(now_us) {
+            return Some(self.blind_descent());
+        }
         let height =
             self.take_off_height.unwrap_or_else(|| self.parameters.get(Key::MisTakeoffAlt));
         let plan = Plan { home: self.home, take_off_down: self.home.down() - height };
@@ -469,6 +522,18 @@ impl FlightControl {
             thrust: command.thrust,
             type_mask: AttitudeTargetTypemask::empty(),
         })
+    }
+
+    /// Level, and down at the speed of a landing: all that can be flown without a position.
+    fn blind_descent(&mut self) -> AttitudeSetpoint {
+        self.guidance.leave();
+        let level = AttitudeSetpoint {
+            attitude: Some(Euler::new(0.0, 0.0, self.perception.attitude.yaw())),
+            body_rate: Frd::zero(),
+            thrust: 0.0,
+            type_mask: AttitudeTargetTypemask::empty(),
+        };
+        self.climbing(level, -self.parameters.get(Key::MpcLandSpeed))
     }
 
     /// The sticks tilt the vehicle, and set its climb rate or its thrust.

@@ -30,6 +30,7 @@ pub mod streams;
 pub mod telemetry;
 #[cfg(test)]
 pub(crate) mod testing;
+pub mod vision;
 
 pub use link::{LinkKind, Peer};
 pub use modes::Mode;
@@ -177,6 +178,7 @@ impl Vehicle {
             &config,
             perception,
             airborne,
+            seed,
         );
         let rng = Pcg64Mcg::seed_from_u64(seed);
         let motor_output = params.motor_output.filter(|_| personality.heeds_motor_output());
@@ -271,7 +273,13 @@ impl Vehicle {
     fn serve(&mut self) {
         self.protocol.set_now(self.now_us);
         if self.protocol.next_us() <= self.now_us {
-            self.protocol.set_report(self.airframe.report());
+            let mut report = self.airframe.report();
+            self.protocol.flight.correct(
+                &mut report.position,
+                &mut report.velocity,
+                &mut report.estimator,
+            );
+            self.protocol.set_report(report);
             self.protocol.stream();
         }
         // Tick k is due at k / loop_hz, on the plant's grid.

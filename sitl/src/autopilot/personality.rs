@@ -13,8 +13,8 @@ mod rate_loop;
 use std::fmt;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, MavAutopilot, MavBatteryChargeState, MavModeFlag, MavResult,
-    MavStandardMode, MavType, SET_ATTITUDE_TARGET_DATA,
+    AUTOPILOT_VERSION_DATA, MavAutopilot, MavBatteryChargeState, MavEstimatorType, MavFrame,
+    MavModeFlag, MavResult, MavStandardMode, MavType, ODOMETRY_DATA, SET_ATTITUDE_TARGET_DATA,
 };
 
 use super::Mode;
@@ -261,6 +261,34 @@ pub(super) trait Personality: fmt::Debug + Sync {
     /// is known.
     fn controls_position(&self, _mode: Mode) -> bool {
         true
+    }
+
+    /// How long after the last pose from outside the position is no longer vouched for, s: PX4's simulation
+    /// was measured to say so 5.8 s after its last fix.
+    fn vision_lost_after_s(&self) -> f64 {
+        5.8
+    }
+
+    /// Whether an ODOMETRY is taken for a pose from outside: one in front, right, down or north, east, down,
+    /// of an estimator that may be believed.
+    fn takes_odometry(&self, message: &ODOMETRY_DATA) -> bool {
+        let frame = message.frame_id;
+        let is_frame =
+            [MavFrame::MAV_FRAME_LOCAL_FRD, MavFrame::MAV_FRAME_LOCAL_NED].contains(&frame);
+        is_frame
+            && !matches!(
+                message.estimator_type,
+                MavEstimatorType::MAV_ESTIMATOR_TYPE_AUTOPILOT
+                    | MavEstimatorType::MAV_ESTIMATOR_TYPE_GPS
+                    | MavEstimatorType::MAV_ESTIMATOR_TYPE_LIDAR
+                    | MavEstimatorType::MAV_ESTIMATOR_TYPE_MOCAP
+            )
+    }
+
+    /// Whether a vehicle that has lost its position leaves `mode` to land. PX4's OFFBOARD with attitudes needs
+    /// none.
+    fn lands_without_position(&self, mode: Mode) -> bool {
+        matches!(mode, Mode::Hold | Mode::Position | Mode::Takeoff | Mode::Return)
     }
 
     /// Largest tilt that the attitude loop may ask for while the detector takes the vehicle for landed,

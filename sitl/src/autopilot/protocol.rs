@@ -22,6 +22,7 @@ use super::link::{Link, Outbox, Peer};
 use super::signing::{self, Signing};
 use super::streams::Stream;
 use super::telemetry::{Battery, Snapshot};
+use super::vision::OutsidePose;
 use super::{COMPONENT_ID, Mode, SYSTEM_ID, ftp, status_text};
 
 /// Most peers that are served at once; further ones are not heard.
@@ -212,6 +213,7 @@ impl Protocol {
             charge: flight.charge_state(),
             estimator: report.estimator,
             position_known: flight.position_known(self.now_us),
+            lacks_vision: flight.lacks_vision(self.now_us),
             armed: commander.armed(),
             mode: commander.mode(),
             intended: commander.intended(),
@@ -265,6 +267,14 @@ impl Protocol {
         match message {
             MavMessage::SET_ATTITUDE_TARGET(target) => {
                 self.flight.receive(self.now_us, target, &mut self.rng);
+            }
+            MavMessage::VISION_POSITION_ESTIMATE(pose) => {
+                let position = Ned::new(pose.x.into(), pose.y.into(), pose.z.into());
+                self.take_outside_pose(pose.usec, position, pose.reset_counter);
+            }
+            MavMessage::ODOMETRY(pose) if self.flight.personality.takes_odometry(pose) => {
+                let position = Ned::new(pose.x.into(), pose.y.into(), pose.z.into());
+                self.take_outside_pose(pose.time_usec, position, pose.reset_counter);
             }
             MavMessage::TIMESYNC(request) if request.tc1 == 0 => {
                 self.reply(sender, &self.timesync_answer(sender, request.ts1));
@@ -330,6 +340,11 @@ impl Protocol {
             }
             _ => {}
         }
+    }
+
+    fn take_outside_pose(&mut self, stamp_us: u64, position: Ned, reset_count: u8) {
+        let pose = OutsidePose { stamp_us, position, reset_count };
+        self.flight.take_outside_pose(self.now_us, &pose);
     }
 
     fn timesync_answer(&self, sender: Sender, ts1: i64) -> MavMessage {

@@ -67,6 +67,8 @@ pub struct Snapshot<'a> {
     pub estimator: EstimatorStatus,
     /// Whether the estimator knows where the vehicle is.
     pub position_known: bool,
+    /// Whether the position comes from outside, and is not known.
+    pub lacks_vision: bool,
     /// Whether the motors are armed.
     pub armed: bool,
     /// Mode in force.
@@ -281,6 +283,7 @@ impl Snapshot<'_> {
         health.set(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_BATTERY, charged);
         let position = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL;
         let mut enabled = present;
+        health.set(position, !self.lacks_vision);
         if !self.personality.controls_position(self.mode) {
             enabled.remove(position);
             health.remove(position);

@@ -353,9 +353,14 @@ impl Core {
             return;
         };
         if data.tc1 == 0 {
-            if self.settings.answer_timesync {
+            let clock = self.clock.estimate();
+            let told_ns = match self.settings.answers_in_vehicle_time {
+                false => Some(now.as_ns()),
+                true => clock.map(|clock| clock.to_vehicle(now).as_us().saturating_mul(1000)),
+            };
+            if let Some(told_ns) = told_ns.filter(|_| self.settings.answer_timesync) {
                 let answer = TIMESYNC_DATA {
-                    tc1: i64::try_from(now.as_ns()).unwrap_or(i64::MAX),
+                    tc1: i64::try_from(told_ns).unwrap_or(i64::MAX),
                     ts1: data.ts1,
                     target_system: frame.system() as u8,
                     target_component: frame.component(),

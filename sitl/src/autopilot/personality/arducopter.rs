@@ -4,8 +4,9 @@ mod attitude_loop;
 mod parameters;
 
 use wire::dialect::{
-    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavAutopilot, MavBatteryChargeState,
-    MavModeFlag, MavProtocolCapability, MavResult, MavSeverity, MavType, SET_ATTITUDE_TARGET_DATA,
+    AUTOPILOT_VERSION_DATA, AttitudeTargetTypemask, MavAutopilot, MavBatteryChargeState, MavFrame,
+    MavModeFlag, MavProtocolCapability, MavResult, MavSeverity, MavType, ODOMETRY_DATA,
+    SET_ATTITUDE_TARGET_DATA,
 };
 
 use self::attitude_loop::ArducopterLoop;
@@ -209,6 +210,20 @@ impl Personality for Arducopter {
     /// Its position controller stands still where Guided takes attitudes.
     fn controls_position(&self, mode: Mode) -> bool {
         !matches!(mode, Mode::Offboard | Mode::Altitude | Mode::Stabilized)
+    }
+
+    fn vision_lost_after_s(&self) -> f64 {
+        // Measured: its own EKF failsafe acted 8 s after the last fix, in Guided too.
+        8.0
+    }
+
+    fn takes_odometry(&self, message: &ODOMETRY_DATA) -> bool {
+        (message.frame_id, message.child_frame_id)
+            == (MavFrame::MAV_FRAME_LOCAL_FRD, MavFrame::MAV_FRAME_BODY_FRD)
+    }
+
+    fn lands_without_position(&self, mode: Mode) -> bool {
+        matches!(mode, Mode::Offboard | Mode::Hold | Mode::Position | Mode::Return)
     }
 
     fn landed_lean_max(&self) -> f64 {

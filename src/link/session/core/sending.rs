@@ -129,7 +129,7 @@ impl Core {
     }
 
     /// Queues a message for the vehicle.
-    pub(super) fn send(&mut self, message: &MavMessage) {
+    pub(in crate::link::session) fn send(&mut self, message: &MavMessage) {
         let to = self.vehicle.as_ref().and_then(|vehicle| vehicle.peer);
         self.outbox.push(to, message);
     }

@@ -1,0 +1,114 @@
+//! A vehicle that knows where it is by poses from outside alone, on the wire.
+
+use crate::bench::Bench;
+use sitl::autopilot::Mode;
+use sitl::config::{Autopilot, SitlConfig};
+use wire::dialect::*;
+
+const ACCEPTED: MavResult = MavResult::MAV_RESULT_ACCEPTED;
+const ALL: [Autopilot; 3] = [Autopilot::Bundled, Autopilot::Px4, Autopilot::Arducopter];
+
+fn bench(autopilot: Autopilot) -> Bench {
+    let mut config = SitlConfig { autopilot, ..SitlConfig::default() };
+    config.estimator.from_vision = true;
+    let mut bench = Bench::with(config, 1);
+    if autopilot == Autopilot::Arducopter {
+        bench.set_mode_number(4);
+    }
+    bench.request(32, 100.0);
+    bench
+}
+
+/// Sends where the vehicle truly is, at 50 Hz.
+fn see(bench: &mut Bench, seconds: f64, is_odometry: bool) {
+    for _ in 0..(50.0 * seconds) as u32 {
+        let [x, y, z] = bench.vehicle.plant().state().position.to_array().map(|value| value as f32);
+        let now_us = bench.vehicle.now_us();
+        bench.send(&if is_odometry {
+            MavMessage::ODOMETRY(ODOMETRY_DATA {
+                time_usec: now_us,
+                x,
+                y,
+                z,
+                q: [1.0, 0.0, 0.0, 0.0],
+                frame_id: MavFrame::MAV_FRAME_LOCAL_FRD,
+                child_frame_id: MavFrame::MAV_FRAME_BODY_FRD,
+                estimator_type: MavEstimatorType::MAV_ESTIMATOR_TYPE_VISION,
+                ..Default::default()
+            })
+        } else {
+            MavMessage::VISION_POSITION_ESTIMATE(VISION_POSITION_ESTIMATE_DATA {
+                usec: now_us,
+                x,
+                y,
+                z,
+                ..Default::default()
+            })
+        });
+        bench.run(0.02);
+    }
+}
+
+/// Whether SYS_STATUS calls the position healthy, by the latest.
+fn is_healthy(bench: &mut Bench) -> Option<bool> {
+    let position = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL;
+    bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+        MavMessage::SYS_STATUS(status) => {
+            Some(status.onboard_control_sensors_health.contains(position))
+        }
+        _ => None,
+    })
+}
+
+#[test]
+fn without_poses_there_is_no_position_and_no_arming() {
+    for autopilot in ALL {
+        let mut bench = bench(autopilot);
+        assert_eq!(bench.rate_of(32), 0.0, "{autopilot:?}");
+        assert_ne!(bench.arm(), ACCEPTED, "{autopilot:?}");
+        for is_odometry in [false, true] {
+            see(&mut bench, 1.0, is_odometry);
+            assert!(bench.rate_of(32) > 90.0, "{autopilot:?}");
+        }
+        see(&mut bench, 0.5, false);
+        assert_eq!(bench.arm(), ACCEPTED, "{autopilot:?}");
+    }
+}
+
+#[test]
+fn where_it_does_not_come_from_outside_poses_change_nothing() {
+    let mut bench = Bench::with(SitlConfig::default(), 1);
+    bench.run(0.5);
+    bench.send(&MavMessage::VISION_POSITION_ESTIMATE(VISION_POSITION_ESTIMATE_DATA {
+        x: 5.0,
+        ..Default::default()
+    }));
+    bench.run(0.5);
+    let place = bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+        MavMessage::LOCAL_POSITION_NED(place) => Some(place.x),
+        _ => None,
+    });
+    assert!(place.expect("it has a position").abs() < 0.1);
+}
+
+/// In the air the poses end: the position is vouched for a while longer, then no more, and the vehicle comes
+/// down.
+#[test]
+fn a_vehicle_that_is_no_longer_seen_says_so_and_lands() {
+    for (autopilot, after_s) in [(Autopilot::Px4, 5.8), (Autopilot::Bundled, 5.8)] {
+        let mut bench = bench(autopilot);
+        see(&mut bench, 1.0, false);
+        assert_eq!(bench.set_mode(Mode::Takeoff), ACCEPTED);
+        assert_eq!(bench.arm(), ACCEPTED);
+        see(&mut bench, 8.0, false);
+        assert!(bench.height() > 1.5, "{autopilot:?}: {} m", bench.height());
+        assert_eq!(is_healthy(&mut bench), Some(true));
+        bench.run(after_s - 0.5);
+        assert_eq!(is_healthy(&mut bench), Some(true), "{autopilot:?}");
+        bench.run(2.0);
+        assert_eq!(is_healthy(&mut bench), Some(false), "{autopilot:?}");
+        assert_eq!(bench.mode(), Mode::Land, "{autopilot:?}");
+        assert!(bench.run_until(20.0, |bench| !bench.armed()), "{autopilot:?}: it has landed");
+        assert!(bench.height() < 0.1);
+    }
+}

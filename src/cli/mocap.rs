@@ -1,0 +1,59 @@
+//! Flags of `mocap`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use crate::link::external_pose::PoseForm;
+
+/// Flags of `mocap`.
+#[derive(Debug, Args)]
+pub struct MocapArgs {
+    /// Where the room is. stream:HOST:PORT listens there for lines of JSON; natnet:SERVER[:PORT] asks
+    /// Motive for its frames (unicast); natnet-multicast:GROUP:PORT listens to them.
+    #[arg(long, value_name = "ROOM")]
+    pub room: String,
+    /// The rigid body to bridge: its name in the stream, its streaming id in Motive.
+    #[arg(long, value_name = "BODY")]
+    pub body: String,
+    /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD; an endpoint of
+    /// its own beside that of `fly`.
+    #[arg(long, value_name = "URL")]
+    pub connect: Option<String>,
+    /// System id of the vehicle, where several are on the link.
+    #[arg(long, value_name = "ID")]
+    pub system: Option<u8>,
+    /// What poses are sent as [default: vision, which PX4 and ArduPilot both fuse].
+    #[arg(long = "as", value_name = "MESSAGE")]
+    pub form: Option<PoseForm>,
+    /// Poses a second at most [default: 50].
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
+    /// The room's axis that points up [default: z].
+    #[arg(long, value_name = "AXIS")]
+    pub up: Option<UpChoice>,
+    /// Heading of the room's x axis, clockwise from the vehicle's north, degrees [default: 0].
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
+    pub x_heading: Option<f64>,
+    /// Where the vehicle's nose points in the body's axes, clockwise from x, degrees [default: 0].
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
+    pub nose: Option<f64>,
+    /// Ends after this long, s [default: with Ctrl-C].
+    #[arg(long, value_name = "SECONDS")]
+    pub seconds: Option<f64>,
+    /// Configuration file; its `mocap` has all the rest.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Prints a summary as JSON at the end.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Which of a room's axes points up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum UpChoice {
+    /// z.
+    Z,
+    /// y.
+    Y,
+}

@@ -1,0 +1,366 @@
+//! `downwash mocap`: poses of a rigid body from a motion-capture room to a vehicle.
+
+mod room;
+mod summary;
+
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, bail, ensure};
+use tokio::net::UdpSocket;
+use toml::Value;
+use wire::transport::RECEIVE_LEN;
+
+use self::room::Room;
+pub(super) use self::summary::MocapSummary;
+use super::fly::system_flag;
+use super::listen::Listener;
+use super::stop::{Stop, StopSignals};
+use super::{Exit, ExitContext, Interruption, config, print_json, say};
+use crate::cli::{ListenArgs, MocapArgs, UpChoice};
+use crate::clock::HostTime;
+use crate::config::Config;
+use crate::link::external_pose::{ExternalPose, PoseForm};
+use crate::link::message::Inbound;
+use crate::link::session::{Heard, Session};
+use crate::link::silence::Silence;
+use crate::mocap::bridge::{Bridge, Pose};
+use crate::mocap::natnet::{self, Packet, Version};
+use crate::mocap::settings::MocapSettings;
+use crate::mocap::stream;
+
+/// One look at all there is takes this long at most.
+const LOOK: Duration = Duration::from_millis(20);
+/// What is waited for is said after this long, and then every so often.
+const FIRST_WORD: Duration = Duration::from_secs(2);
+const NEXT_WORD: Duration = Duration::from_secs(10);
+/// A server of NatNet is asked, or told to go on, this often.
+const KEEP_ALIVE: Duration = Duration::from_secs(1);
+/// A vehicle that has said nothing of its motors for this long may be armed.
+const ARMED_KNOWN: Duration = Duration::from_secs(3);
+/// MAV_AUTOPILOT_ARDUPILOTMEGA.
+const ARDUPILOT: u8 = 3;
+
+pub(super) fn run(args: &MocapArgs, preparation: Interruption) -> anyhow::Result<Exit> {
+    let room: Room = args.room.parse::<Room>().or_exit(Exit::Usage)?;
+    let config = config::load(args.config.as_deref(), flags(args))?;
+    check(args, &config).or_exit(Exit::Usage)?;
+    let listen = ListenArgs {
+        connect: args.connect.clone(),
+        system: args.system,
+        seconds: None,
+        config: args.config.clone(),
+        json: args.json,
+    };
+    let MocapSettings { system, component, .. } = config.settings.mocap;
+    let listener = Listener::beside(&listen, system, component)?;
+    let mut signals = StopSignals::after(Some(preparation))?;
+    let mut line = Line::open(room, args, config.settings.mocap, listener)?;
+    let end = args.seconds.map(Duration::from_secs_f64);
+    let mut failed = None;
+    let stopped = loop {
+        if let Some(stop) = signals.wait(Duration::ZERO) {
+            break Some(stop);
+        }
+        if end.is_some_and(|end| line.now().since(line.started) >= end) {
+            break None;
+        }
+        if let Err(error) = line.turn() {
+            failed = Some(error);
+            break None;
+        }
+    };
+    let summary = line.summary();
+    if args.json {
+        print_json(&summary)?;
+    } else {
+        say(format_args!("{summary}"));
+    }
+    match (failed, stopped) {
+        (Some(error), _) => Err(error),
+        (None, Some(Stop::Interrupt)) => Ok(Exit::Interrupted),
+        (None, Some(Stop::Terminate)) => Ok(Exit::Ok),
+        (None, None) if !summary.was_vehicle_heard() => {
+            Err(anyhow!("no vehicle was heard")).or_exit(Exit::Link)
+        }
+        (None, None) if summary.sent() == 0 => bail!("no pose was sent to the vehicle"),
+        (None, None) => Ok(Exit::Ok),
+    }
+}
+
+/// Flags as a layer of the configuration.
+fn flags(args: &MocapArgs) -> Vec<(&'static str, &'static str, Value)> {
+    let mut flags = Vec::new();
+    if let Some(url) = &args.connect {
+        flags.push(("--connect", "connect", Value::String(url.clone())));
+    }
+    flags.extend(system_flag(args.system));
+    let word = |word: &str| Value::String(word.to_owned());
+    flags.extend(args.form.map(|form| {
+        let form = match form {
+            PoseForm::Vision => word("vision"),
+            PoseForm::Odometry => word("odometry"),
+        };
+        ("--as", "mocap.as", form)
+    }));
+    flags.extend(args.rate.map(|hz| ("--rate", "mocap.rate_hz", Value::Float(hz))));
+    flags.extend(args.up.map(|up| {
+        let up = if up == UpChoice::Z { word("z") } else { word("y") };
+        ("--up", "mocap.up", up)
+    }));
+    let degrees = Value::Float;
+    flags.extend(args.x_heading.map(|at| ("--x-heading", "mocap.x_heading_deg", degrees(at))));
+    flags.extend(args.nose.map(|at| ("--nose", "mocap.nose_deg", degrees(at))));
+    flags
+}
+
+fn check(args: &MocapArgs, config: &Config) -> anyhow::Result<()> {
+    let MocapSettings { rate_hz, position_deviation_m, system, .. } = config.settings.mocap;
+    ensure!((1.0..=500.0).contains(&rate_hz), "mocap.rate_hz: expected 1 to 500, found {rate_hz}");
+    ensure!(
+        position_deviation_m > 0.0,
+        "mocap.position_deviation_m: expected more than 0, found {position_deviation_m}"
+    );
+    ensure!(
+        system > 0 && system != config.settings.link.system,
+        "mocap.system: expected another than 0 and than link.system ({}), which flies",
+        config.settings.link.system
+    );
+    let seconds = args.seconds.unwrap_or(1.0);
+    ensure!((0.1..=1e6).contains(&seconds), "--seconds: expected 0.1 to 1000000, found {seconds}");
+    Ok(())
+}
+
+/// The bridge between its two sockets.
+struct Line {
+    room: Room,
+    form: PoseForm,
+    settings: MocapSettings,
+    listener: Listener,
+    socket: UdpSocket,
+    server: Option<SocketAddr>,
+    natnet: natnet::Decoder,
+    bridge: Bridge,
+    buffer: Vec<u8>,
+    started: HostTime,
+    asked: Option<HostTime>,
+    /// What the last HEARTBEAT said of the motors.
+    armed: Option<(HostTime, bool)>,
+    /// What is waited for, since when, and when it was said.
+    waiting: Option<(String, HostTime, Option<HostTime>)>,
+    sent: u64,
+    /// Poses that no vehicle was there to take, or whose clock is not known.
+    unsent: u64,
+    is_vehicle_known: bool,
+}
+
+impl Line {
+    fn open(
+        room: Room,
+        args: &MocapArgs,
+        settings: MocapSettings,
+        listener: Listener,
+    ) -> anyhow::Result<Self> {
+        let open = || -> io::Result<_> { Ok((room.open()?, room.server()?)) };
+        let (socket, server) = listener
+            .inside(open)
+            .with_context(|| format!("--room {room}: cannot open it"))
+            .or_exit(Exit::Usage)?;
+        let local = socket.local_addr().context("the room's socket")?;
+        match &room {
+            Room::Stream(_) => say(format_args!("listening to the room on stream:{local}")),
+            _ => say(format_args!("listening to the room on {room} (port {})", local.port())),
+        }
+        let [major, minor] = settings.natnet_version;
+        let started = listener.clock.now();
+        Ok(Self {
+            form: settings.form,
+            natnet: natnet::Decoder::new(Version { major, minor }),
+            bridge: Bridge::new(args.body.clone(), settings.clone(), started),
+            settings,
+            room,
+            listener,
+            socket,
+            server,
+            buffer: vec![0; RECEIVE_LEN],
+            started,
+            asked: None,
+            armed: None,
+            waiting: None,
+            sent: 0,
+            unsent: 0,
+            is_vehicle_known: false,
+        })
+    }
+
+    fn now(&self) -> HostTime {
+        self.listener.clock.now()
+    }
+
+    /// Waits for what comes next, from either side, and does what follows from it.
+    fn turn(&mut self) -> anyhow::Result<()> {
+        self.ask_server();
+        let Self { listener, socket, buffer, armed, .. } = self;
+        let heard = listener.look(LOOK, receive(socket, buffer), |now, heard| {
+            if let Heard::Message(message) = heard
+                && let Inbound::Heartbeat { armed: is_armed, .. } = message.message
+            {
+                *armed = Some((now, is_armed));
+            }
+        });
+        let now = self.now();
+        if let Some(length) = heard {
+            self.take(now, length);
+        }
+        self.bridge.tick(now);
+        while let Some(news) = self.bridge.next_news() {
+            say(format_args!("{news}"));
+        }
+        self.look_at_vehicle()?;
+        self.say_what_is_waited_for(now);
+        Ok(())
+    }
+
+    fn take(&mut self, now: HostTime, length: usize) {
+        let datagram = self.buffer.get(..length).unwrap_or_default();
+        // A vehicle of which nothing is known counts as armed: less is believed then.
+        let is_armed =
+            self.armed.is_none_or(|(at, is_armed)| is_armed || now.since(at) > ARMED_KNOWN);
+        let mut poses = Vec::new();
+        match &self.room {
+            Room::Stream(_) => stream::decode(datagram, |line| match line {
+                Ok(sample) => poses.extend(self.bridge.take(now, &sample, is_armed)),
+                Err(error) => self.bridge.malformed(now, error.to_string()),
+            }),
+            Room::NatNet(_) | Room::NatNetMulticast(_) => match self.natnet.datagram(datagram) {
+                Ok(Packet::Frame(samples)) => {
+                    for sample in &samples {
+                        poses.extend(self.bridge.take(now, sample, is_armed));
+                    }
+                }
+                Ok(Packet::Server { version: Version { major, minor } }) => {
+                    tracing::debug!("the room speaks NatNet {major}.{minor}");
+                }
+                Ok(Packet::Other) => {}
+                Err(error) => self.bridge.malformed(now, error.to_string()),
+            },
+        }
+        for pose in poses {
+            self.send(&pose);
+        }
+    }
+
+    fn send(&mut self, pose: &Pose) {
+        let session = &mut self.listener.session;
+        let Some(clock) = session.clock() else {
+            self.unsent += 1;
+            return;
+        };
+        let pose = ExternalPose {
+            time: clock.to_vehicle(pose.at),
+            position: pose.position,
+            attitude: pose.attitude,
+            position_deviation_m: self.settings.position_deviation_m,
+            attitude_deviation_rad: self.settings.attitude_deviation_rad,
+            reset_count: pose.reset_count,
+        };
+        if session.send_pose(&pose, self.form) {
+            self.sent += 1;
+            self.listener.flush();
+        } else {
+            self.unsent += 1;
+        }
+    }
+
+    /// Says whom it found, and refuses what that vehicle does not take.
+    fn look_at_vehicle(&mut self) -> anyhow::Result<()> {
+        let Some(vehicle) = self.listener.session.vehicle() else { return Ok(()) };
+        if self.is_vehicle_known {
+            return Ok(());
+        }
+        self.is_vehicle_known = true;
+        say(format_args!("heard {vehicle} on {}", self.listener.endpoint));
+        if self.form == PoseForm::Odometry && vehicle.autopilot == ARDUPILOT {
+            let error = anyhow!(
+                "--as odometry: ArduPilot fuses the velocity in ODOMETRY, which a room does not measure; use \
+                 --as vision"
+            );
+            return Err(error).or_exit(Exit::Refused);
+        }
+        Ok(())
+    }
+
+    fn ask_server(&mut self) {
+        let now = self.now();
+        let Some(server) = self.server else { return };
+        if self.asked.is_none_or(|at| now.since(at) >= KEEP_ALIVE) {
+            // Whoever does not answer is asked again.
+            let _ = self.socket.try_send_to(&natnet::connect(), server);
+            let _ = self.socket.try_send_to(&natnet::keep_alive(), server);
+            self.asked = Some(now);
+        }
+    }
+
+    /// What keeps poses from the vehicle now.
+    fn waits_for(&self, now: HostTime) -> Option<String> {
+        let session = &self.listener.session;
+        let is_heard = session.last_heard().is_some_and(|at| now.since(at) < FIRST_WORD);
+        if session.vehicle().is_none() || !is_heard {
+            return Some(format!("waiting for the vehicle: {}", Silence::of(session, now).line));
+        }
+        if session.clock().is_none() {
+            return Some(
+                "waiting for the vehicle's clock: it answers no TIMESYNC and sends nothing with a stamp"
+                    .to_owned(),
+            );
+        }
+        self.bridge.waits_for(now)
+    }
+
+    fn say_what_is_waited_for(&mut self, now: HostTime) {
+        let Some(words) = self.waits_for(now) else {
+            self.waiting = None;
+            return;
+        };
+        let (_, since, said) = self.waiting.get_or_insert_with(|| (words.clone(), now, None));
+        let is_due = match said {
+            None => now.since(*since) >= FIRST_WORD,
+            Some(at) => now.since(*at) >= NEXT_WORD,
+        };
+        if is_due {
+            say(format_args!("{words}"));
+            *said = Some(now);
+        }
+    }
+
+    fn summary(&self) -> MocapSummary {
+        let session: &Session = &self.listener.session;
+        MocapSummary::new(summary::Ended {
+            room: self.room.to_string(),
+            vehicle: session.vehicle().filter(|_| self.is_vehicle_known).map(|id| id.to_string()),
+            form: self.form,
+            seconds: self.now().since(self.started).as_secs_f64(),
+            sent: self.sent,
+            unsent: self.unsent,
+            clock: session.clock(),
+            tally: self.bridge.tally(),
+        })
+    }
+}
+
+/// The length of the next datagram, into `buffer`.
+fn receive<'a>(
+    socket: &'a UdpSocket,
+    buffer: &'a mut [u8],
+) -> impl Future<Output = usize> + use<'a> {
+    async move {
+        loop {
+            // An error is of an earlier datagram that nobody took.
+            if let Ok((length, _)) = socket.recv_from(buffer).await {
+                return length;
+            }
+        }
+    }
+}

@@ -1,0 +1,356 @@
+//! The bridge for one body: samples of a room in, poses that may be forwarded out, with what there is to say.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::fmt;
+use std::time::Duration;
+
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::frame::{Attitude, Ned};
+
+use super::fault::{Fault, FaultCounts};
+use super::room_clock::RoomClock;
+use super::room_frame::RoomFrame;
+use super::sample::Sample;
+use super::settings::MocapSettings;
+use super::watch::{Seen, Watch};
+use crate::clock::HostTime;
+
+/// A quaternion's length may be off by this: what a sender rounds.
+const UNIT_TOLERANCE: f64 = 0.01;
+/// Names of other bodies that are kept for words.
+const NAMES_MAX: usize = 8;
+/// A fault that comes again is said again after this long.
+const SAID_AGAIN: Duration = Duration::from_secs(10);
+/// Poses that are refused for their order or for being ahead, for this long and with none between: the
+/// room's clock was set.
+const CLOCK_SET_S: f64 = 1.0;
+/// News that wait to be taken.
+const NEWS_MAX: usize = 32;
+
+/// A pose to forward.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// When the cameras saw it.
+    pub at: HostTime,
+    /// Position, m.
+    pub position: Ned,
+    /// Attitude.
+    pub attitude: Attitude,
+    /// How often the poses have begun anew, modulo 256.
+    pub reset_count: u8,
+}
+
+/// What there is to say.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum News {
+    /// The body is believed, for the first time or again.
+    Believed,
+    /// Nothing is forwarded any more, or a datagram was not.
+    Fault(Fault, Option<String>),
+    /// The room's clock was set, and is taken anew.
+    ClockSet,
+}
+
+impl fmt::Display for News {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Believed => f.write_str("the body is seen: its poses are forwarded"),
+            Self::Fault(fault, None) => write!(f, "not forwarded: {fault}"),
+            Self::Fault(fault, Some(why)) => write!(f, "not forwarded: {fault} ({why})"),
+            Self::ClockSet => f.write_str("the room's clock was set; it is taken anew"),
+        }
+    }
+}
+
+/// What came and what became of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
+pub struct Tally {
+    /// Poses of the body that came.
+    pub heard: u64,
+    /// Poses of other bodies.
+    pub others: u64,
+    /// Poses that were believed and young enough.
+    pub good: u64,
+    /// Poses that were forwarded, at `rate_hz` at most.
+    pub forwarded: u64,
+    /// Age of the forwarded ones when they came, the mean, s.
+    pub age_mean_s: f64,
+    /// The same, the largest, s.
+    pub age_max_s: f64,
+    /// How often the poses began anew at another place.
+    pub resets: u64,
+    /// How often the body was lost after it was believed.
+    pub losses: u64,
+    /// What was not forwarded, by why.
+    pub faults: FaultCounts,
+}
+
+/// The bridge of one body.
+#[derive(Debug)]
+pub struct Bridge {
+    settings: MocapSettings,
+    body: String,
+    frame: RoomFrame,
+    clock: RoomClock,
+    watch: Watch,
+    started: HostTime,
+    /// Stamp of the newest sample of the body, s of the room's clock, and when it came.
+    newest: Option<(f64, HostTime)>,
+    /// Since when every stamp has been wrong.
+    wrong_since: Option<HostTime>,
+    heard: Option<HostTime>,
+    anything: Option<HostTime>,
+    /// The earliest capture that is forwarded next, s of the room's clock.
+    next_s: f64,
+    names: BTreeSet<String>,
+    said: BTreeMap<Fault, HostTime>,
+    news: VecDeque<News>,
+    tally: Tally,
+    was_held: bool,
+}
+
+impl Bridge {
+    /// A bridge of `body` that begins at `now`.
+    pub fn new(body: String, settings: MocapSettings, now: HostTime) -> Self {
+        let frame = RoomFrame::new(
+            settings.up,
+            settings.x_heading_deg.to_radians(),
+            settings.nose_deg.to_radians(),
+        );
+        Self {
+            watch: Watch::new(settings.watch),
+            settings,
+            body,
+            frame,
+            clock: RoomClock::default(),
+            started: now,
+            newest: None,
+            wrong_since: None,
+            heard: None,
+            anything: None,
+            next_s: f64::NEG_INFINITY,
+            names: BTreeSet::new(),
+            said: BTreeMap::new(),
+            news: VecDeque::new(),
+            tally: Tally::default(),
+            was_held: false,
+        }
+    }
+
+    /// Takes a sample that arrived at `now`; the pose to forward, if it is one. A vehicle that may be armed
+    /// counts as armed.
+    pub fn take(&mut self, now: HostTime, sample: &Sample, is_armed: bool) -> Option<Pose> {
+        self.anything = Some(now);
+        if sample.body != self.body {
+            self.take_other(sample);
+            return None;
+        }
+        self.tally.heard += 1;
+        self.heard = Some(now);
+        match self.judge(now, sample, is_armed) {
+            Ok(pose) => pose,
+            Err(fault) => {
+                self.fault(now, fault, None);
+                None
+            }
+        }
+    }
+
+    /// Notes a datagram that is not as its protocol says.
+    pub fn malformed(&mut self, now: HostTime, why: String) {
+        self.anything = Some(now);
+        self.fault(now, Fault::Malformed, Some(why));
+    }
+
+    /// Looks at the time: a body that is no longer heard is lost.
+    pub fn tick(&mut self, now: HostTime) {
+        let gap = Duration::from_secs_f64(self.settings.watch.gap_s);
+        if self.watch.holds() && self.heard.is_some_and(|heard| now.since(heard) > gap) {
+            self.watch.lose(Fault::Silent);
+            self.fault(now, Fault::Silent, None);
+        }
+    }
+
+    /// The next of the news, oldest first.
+    pub fn next_news(&mut self) -> Option<News> {
+        self.news.pop_front()
+    }
+
+    /// What came so far.
+    pub fn tally(&self) -> Tally {
+        let mut tally = self.tally;
+        // It is a sum until now.
+        tally.age_mean_s /= tally.forwarded.max(1) as f64;
+        tally
+    }
+
+    /// Whether the body is believed where it is.
+    pub fn holds(&self) -> bool {
+        self.watch.holds()
+    }
+
+    /// What of the room is waited for, where something is.
+    pub fn waits_for(&self, now: HostTime) -> Option<String> {
+        if self.holds() {
+            return None;
+        }
+        let body = &self.body;
+        let recent = |at: Option<HostTime>| at.filter(|at| now.since(*at) < Duration::from_secs(2));
+        Some(if recent(self.heard).is_some() {
+            format!("waiting for {body:?} to be seen steadily where it can be")
+        } else if recent(self.anything).is_some() && !self.names.is_empty() {
+            let names: Vec<_> = self.names.iter().map(|name| format!("{name:?}")).collect();
+            format!("waiting for {body:?}: the room tells of {} (--body)", names.join(", "))
+        } else if recent(self.anything).is_some() {
+            "waiting for the room: what comes is not as its protocol says".to_owned()
+        } else {
+            "waiting for the room: nothing comes; check that it streams, to this address and port, and \
+             that no firewall is between"
+                .to_owned()
+        })
+    }
+
+    fn judge(
+        &mut self,
+        now: HostTime,
+        sample: &Sample,
+        is_armed: bool,
+    ) -> Result<Option<Pose>, Fault> {
+        let seen = self.placed(now, sample)?;
+        let now_s = self.seconds(now);
+        let host_s = self.clock.host_s(now_s, seen.at_s).unwrap_or(now_s);
+        let at_s = host_s.min(now_s) - self.settings.latency_s;
+        let believed = self.watch.see(seen, is_armed)?;
+        if believed.is_anew {
+            self.tally.resets += 1;
+        }
+        if !self.was_held {
+            self.was_held = true;
+            self.tell(News::Believed);
+        }
+        let age_s = now_s - at_s;
+        if age_s > self.settings.age_max_s {
+            return Err(Fault::Old);
+        }
+        self.tally.good += 1;
+        let period = 1.0 / self.settings.rate_hz;
+        // A thousandth of the period makes up for the stamps' rounding.
+        if seen.at_s < self.next_s - 1e-3 * period {
+            return Ok(None);
+        }
+        let is_regular = seen.at_s < self.next_s + period;
+        self.next_s = if is_regular { self.next_s } else { seen.at_s } + period;
+        self.tally.forwarded += 1;
+        self.tally.age_mean_s += age_s;
+        self.tally.age_max_s = self.tally.age_max_s.max(age_s);
+        Ok(Some(Pose {
+            at: self.started + Duration::from_secs_f64(at_s.max(0.0)),
+            position: seen.position,
+            attitude: seen.attitude,
+            reset_count: self.tally.resets as u8,
+        }))
+    }
+
+    /// A sample as a pose in the vehicle's world, at the host's time.
+    fn placed(&mut self, now: HostTime, sample: &Sample) -> Result<Seen, Fault> {
+        let numbers = sample.position_m.iter().chain(&sample.rotation);
+        let stamps = [sample.captured_s, sample.sent_s.unwrap_or(0.0)];
+        if !sample.is_tracked {
+            self.watch.lose(Fault::NotTracked);
+            return Err(Fault::NotTracked);
+        }
+        // Beyond this a stamp has no milliseconds.
+        if !numbers.chain(&stamps).all(|number| number.is_finite() && number.abs() < 1e12) {
+            return Err(Fault::NotANumber);
+        }
+        let rotation = unit(sample.rotation).ok_or(Fault::NotAUnit)?;
+        if self.newest.is_some_and(|(newest, _)| sample.captured_s <= newest) {
+            self.doubt_clock(now, sample.captured_s);
+            return Err(Fault::OutOfOrder);
+        }
+        let now_s = self.seconds(now);
+        if self.clock.observe(now_s, sample.sent_s.unwrap_or(sample.captured_s)).is_err() {
+            self.doubt_clock(now, sample.captured_s);
+            return Err(Fault::Ahead);
+        }
+        self.wrong_since = None;
+        self.newest = Some((sample.captured_s, now));
+        Ok(Seen {
+            at_s: sample.captured_s,
+            position: self.frame.position(sample.position_m),
+            attitude: self.frame.attitude(rotation),
+        })
+    }
+
+    fn take_other(&mut self, sample: &Sample) {
+        self.tally.others += 1;
+        if self.names.len() < NAMES_MAX && !self.names.contains(&sample.body) {
+            self.names.insert(sample.body.clone());
+        }
+        let mut numbers = sample.position_m.iter().chain([&sample.captured_s]);
+        if sample.is_tracked && numbers.all(|number| number.is_finite()) {
+            let position = self.frame.position(sample.position_m);
+            let at_s = sample.captured_s;
+            let attitude = Attitude::default();
+            self.watch.see_other(&sample.body, Seen { at_s, position, attitude });
+        }
+    }
+
+    /// Stamps that stay wrong are of a clock that was set.
+    fn doubt_clock(&mut self, now: HostTime, stamp_s: f64) {
+        let since = *self.wrong_since.get_or_insert(now);
+        if now.since(since).as_secs_f64() >= CLOCK_SET_S {
+            self.clock = RoomClock::default();
+            self.wrong_since = None;
+            if let Some((newest_s, at)) = self.newest.take() {
+                let by_s = stamp_s - (newest_s + now.since(at).as_secs_f64());
+                self.watch.shift(by_s);
+                self.next_s = f64::NEG_INFINITY;
+            }
+            self.tell(News::ClockSet);
+        }
+    }
+
+    fn fault(&mut self, now: HostTime, fault: Fault, why: Option<String>) {
+        self.tally.faults.count(fault);
+        if self.was_held && !self.watch.holds() {
+            self.was_held = false;
+            self.tally.losses += 1;
+        }
+        let is_told = match fault {
+            // What else is wrong has been said, or nothing is.
+            Fault::Settling => false,
+            Fault::Frozen => self.newest.is_some_and(|(at_s, _)| self.watch.is_frozen(at_s)),
+            _ => true,
+        };
+        let is_new = self.said.get(&fault).is_none_or(|at| now.since(*at) > SAID_AGAIN);
+        if is_told {
+            // As long as it goes on it is not said again.
+            self.said.insert(fault, now);
+        }
+        if is_told && is_new {
+            self.tell(News::Fault(fault, why));
+        }
+    }
+
+    fn tell(&mut self, news: News) {
+        if self.news.len() < NEWS_MAX {
+            self.news.push_back(news);
+        }
+    }
+
+    /// s since the bridge began.
+    fn seconds(&self, now: HostTime) -> f64 {
+        now.since(self.started).as_secs_f64()
+    }
+}
+
+/// A quaternion of length 1, of one that is nearly.
+fn unit(q: [f64; 4]) -> Option<[f64; 4]> {
+    let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+    ((norm - 1.0).abs() <= UNIT_TOLERANCE).then(|| q.map(|c| c / norm))
+}
+
+#[cfg(test)]
+mod tests;

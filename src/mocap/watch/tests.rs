@@ -1,0 +1,237 @@
+//! What the watch believes of bodies that fly, and of rooms that lie.
+
+use proptest::prelude::*;
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64Mcg;
+use vehicle::frame::{Attitude, Euler, Ned};
+
+use super::{Believed, Seen, Watch};
+use crate::mocap::fault::Fault;
+use crate::mocap::settings::WatchSettings;
+
+/// A body that flies about at up to `speed`, seen with a room's noise.
+struct Flight {
+    rng: Pcg64Mcg,
+    phases: [f64; 3],
+    centre: Ned,
+    speed: f64,
+}
+
+impl Flight {
+    fn new(seed: u64, centre: Ned, speed: f64) -> Self {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let phases = std::array::from_fn(|_| rng.random_range(0.0..6.0));
+        Self { rng, phases, centre, speed }
+    }
+
+    /// Circles of 0.7 m with a weave up and down, the tilt that they take, and 0.3 mm and 0.2 degrees of
+    /// noise.
+    fn at(&mut self, t: f64) -> Seen {
+        let turn = self.speed / 0.7;
+        let [a, b, c] = self.phases;
+        let noise: [f64; 3] =
+            std::array::from_fn(|_| 3e-4 * self.rng.sample::<f64, _>(StandardNormal));
+        let way = Ned::new(
+            0.7 * (turn * t + a).sin(),
+            0.7 * (turn * t + b).cos(),
+            0.3 * (0.7 * turn * t + c).sin(),
+        );
+        let tilt = (turn * turn * 0.7 / 9.81).atan();
+        let shake: f64 = 3e-3 * self.rng.sample::<f64, _>(StandardNormal);
+        let attitude =
+            Euler::new(-tilt * (turn * t + a).sin() + shake, tilt * (turn * t + b).cos(), 0.3 * t);
+        Seen {
+            at_s: t,
+            position: self.centre + way + Ned::from(noise),
+            attitude: attitude.attitude(),
+        }
+    }
+}
+
+fn watch() -> Watch {
+    Watch::new(WatchSettings::default())
+}
+
+/// Shows `flight` to `watch` at `rate` from `from` to `to`; the verdicts.
+fn show(
+    watch: &mut Watch,
+    flight: &mut Flight,
+    rate: f64,
+    (from, to): (f64, f64),
+) -> Vec<Result<Believed, Fault>> {
+    let count = ((to - from) * rate) as usize;
+    (0..count).map(|k| watch.see(flight.at(from + k as f64 / rate), true)).collect()
+}
+
+fn believed(verdicts: &[Result<Believed, Fault>]) -> usize {
+    verdicts.iter().filter(|verdict| verdict.is_ok()).count()
+}
+
+const HERE: Ned = Ned::new(0.0, 0.0, -1.0);
+const ELSEWHERE: Ned = Ned::new(2.5, 0.5, -1.0);
+
+/// Of honest rooms nothing is refused after the start, whatever they see: 200 flights of 20 s at 60 to
+/// 240 Hz and up to 3 m/s, a second and a half of standing still among them, are 600,000 poses.
+#[test]
+fn an_honest_room_is_believed() {
+    let mut poses = 0;
+    for seed in 0..200 {
+        let rate = [60.0, 100.0, 120.0, 240.0][seed as usize % 4];
+        let mut flight = Flight::new(seed, HERE, 0.2 + 0.014 * seed as f64);
+        let mut watch = watch();
+        let settling = show(&mut watch, &mut flight, rate, (0.0, 1.1));
+        assert!(settling.iter().any(Result::is_ok), "seed {seed} never begins");
+        let verdicts = show(&mut watch, &mut flight, rate, (1.1, 20.0));
+        poses += verdicts.len();
+        let refused = verdicts.len() - believed(&verdicts);
+        assert_eq!(refused, 0, "seed {seed}: {:?}", verdicts.iter().find(|v| v.is_err()));
+    }
+    assert!(poses > 400_000, "{poses}");
+}
+
+/// Two bodies swap for a while: from the first wrong pose on none is believed, and the right ones are
+/// again once they have come back in time. Both fly; where they are within the watch's reach of each
+/// other the swap is not one that poses can show, and such a seed is passed over.
+#[test]
+fn a_swap_is_seen_at_its_first_pose_and_forgiven_at_its_end() {
+    let (mut swaps, mut named) = (0, 0);
+    for seed in 0..300u64 {
+        let (mut own, mut other) =
+            (Flight::new(seed, HERE, 1.0), Flight::new(seed + 1000, HERE, 0.8));
+        let mut watch = watch();
+        let begins = 3.0 + 0.01 * (seed % 50) as f64;
+        let lasts = 0.25;
+        let mut back = false;
+        let apart = (own.at(begins).position - other.at(begins).position).norm();
+        if apart < 0.4 {
+            continue;
+        }
+        swaps += 1;
+        for k in 0..600 {
+            let t = 0.01 * f64::from(k);
+            let (mut first, mut second) = (own.at(t), other.at(t));
+            let is_swapped = t >= begins && t < begins + lasts;
+            if is_swapped {
+                std::mem::swap(&mut first, &mut second);
+            }
+            let verdict = watch.see(first, true);
+            watch.see_other("other", second);
+            if is_swapped {
+                assert!(verdict.is_err(), "seed {seed} at {t}: {apart} m apart");
+                named += usize::from(verdict == Err(Fault::Swapped));
+            }
+            back |= t > begins + lasts && verdict.is_ok();
+        }
+        // At 1 m/s on a circle of 0.7 m it is within 0.3 m of where it was to be after that time.
+        assert!(back, "seed {seed} is not taken back");
+    }
+    assert!(swaps > 200 && named == swaps, "{swaps} swaps, {named} named");
+}
+
+/// A swap that lasts is never believed while the vehicle is armed; on the ground neither.
+#[test]
+fn a_swap_that_lasts_is_never_believed() {
+    for is_armed in [true, false] {
+        let (mut own, mut other) = (Flight::new(1, HERE, 0.5), Flight::new(2, ELSEWHERE, 0.5));
+        let mut watch = watch();
+        for k in 0..2000 {
+            let t = 0.01 * f64::from(k);
+            let (mut first, mut second) = (own.at(t), other.at(t));
+            if t >= 3.0 {
+                std::mem::swap(&mut first, &mut second);
+            }
+            let verdict = watch.see(first, is_armed);
+            watch.see_other("other", second);
+            assert!(t < 3.0 || verdict.is_err(), "{t}");
+        }
+    }
+}
+
+#[test]
+fn a_room_that_freezes_is_not_believed_from_the_first_repetition_on() {
+    for seed in 0..100 {
+        let mut flight = Flight::new(seed, HERE, 1.0);
+        let mut watch = watch();
+        show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
+        let frozen = flight.at(3.0);
+        assert!(watch.see(frozen, true).is_ok());
+        for k in 1..200 {
+            let at_s = 3.0 + 0.01 * f64::from(k);
+            assert_eq!(watch.see(Seen { at_s, ..frozen }, true), Err(Fault::Frozen));
+            assert_eq!(watch.is_frozen(at_s), k >= 10);
+        }
+        assert!(!watch.holds());
+        // It went on by 2 m meanwhile: too far and too long ago to be sure of.
+        let after = show(&mut watch, &mut flight, 100.0, (5.0, 9.0));
+        assert_eq!(believed(&after), 0, "seed {seed}");
+    }
+}
+
+/// A body that was hidden comes back where it was to be within half a second, or stays away for good.
+#[test]
+fn a_body_that_was_hidden_is_taken_back_where_it_was_to_be() {
+    let (mut back, mut wrong) = (0, 0);
+    for seed in 0..200 {
+        let mut flight = Flight::new(seed, HERE, 0.5);
+        let mut watch = watch();
+        show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
+        watch.lose(Fault::Silent);
+        let after = show(&mut watch, &mut flight, 100.0, (3.4, 5.0));
+        back += usize::from(believed(&after) > 50);
+        // The other body's label came up in its place.
+        let mut flight = Flight::new(seed, HERE, 0.5);
+        let mut watch = self::watch();
+        show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
+        watch.lose(Fault::Silent);
+        let mut other = Flight::new(seed, ELSEWHERE, 0.5);
+        wrong += believed(&show(&mut watch, &mut other, 100.0, (3.4, 9.0)));
+    }
+    assert_eq!((back, wrong), (200, 0));
+}
+
+/// Carried elsewhere by hand while disarmed it is taken where it now is, and the vehicle is told that it
+/// is a new beginning.
+#[test]
+fn a_body_that_was_carried_is_taken_anew_while_disarmed() {
+    let mut flight = Flight::new(1, HERE, 0.2);
+    let mut watch = watch();
+    show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
+    let mut carried = Flight::new(1, ELSEWHERE, 0.2);
+    assert_eq!(watch.see(carried.at(3.0), false), Err(Fault::Jumped));
+    let verdicts: Vec<_> =
+        (1..150).map(|k| watch.see(carried.at(3.0 + 0.01 * f64::from(k)), false)).collect();
+    let first = verdicts.iter().position(Result::is_ok).expect("it is taken");
+    assert!((99..=102).contains(&first), "{first}");
+    assert_eq!(verdicts[first], Ok(Believed { is_anew: true }));
+    assert_eq!(verdicts[first + 1], Ok(Believed { is_anew: false }));
+}
+
+#[test]
+fn a_body_that_turns_over_at_once_jumped() {
+    let mut flight = Flight::new(3, HERE, 0.5);
+    let mut watch = watch();
+    show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
+    let seen = flight.at(3.0);
+    let over = Attitude { w: 0.0, x: 1.0, y: 0.0, z: 0.0 };
+    let turned = Seen { attitude: seen.attitude.compose(over), ..seen };
+    assert_eq!(watch.see(turned, true), Err(Fault::Jumped));
+}
+
+proptest! {
+    /// A jump by more than the reach is seen at the first pose, whichever way it goes.
+    #[test]
+    fn a_jump_is_seen_at_once(
+        seed in 0..1000u64, north in -1.0..1.0f64, east in -1.0..1.0f64, down in -1.0..1.0f64,
+        by in 0.1..5.0f64,
+    ) {
+        let way = Ned::new(north, east, down);
+        prop_assume!(way.norm() > 0.1);
+        let mut flight = Flight::new(seed, HERE, 1.5);
+        let mut watch = watch();
+        show(&mut watch, &mut flight, 100.0, (0.0, 2.0));
+        let seen = flight.at(2.0);
+        let jumped = Seen { position: seen.position + way * (by / way.norm()), ..seen };
+        prop_assert_eq!(watch.see(jumped, true), Err(Fault::Jumped));
+    }
+}

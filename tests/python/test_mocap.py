@@ -1,0 +1,183 @@
+"""`downwash mocap` between a simulated room and a simulated vehicle, over real sockets, with `downwash fly` beside it."""
+
+import json
+import math
+import signal
+import socket
+import struct
+import threading
+import time
+
+import pytest
+
+from conftest import CRAZYFLIE, Sitl, bounds_time, free_port
+
+HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 20.0\n"
+
+
+def room_in(sitl_options, autopilot="bundled", links=2):
+    """A vehicle in a room, with a link for `fly` and one for `mocap`."""
+    options = ["--autopilot", autopilot, "--seed", "3", *map(str, sitl_options)]
+    return Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"] * links, options)
+
+
+@pytest.fixture
+def vehicle():
+    running = []
+
+    def start(*options, **named):
+        running.append(room_in(options, **named))
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.stop()
+
+
+def bridge(program, vehicle, room, body="quad", *options):
+    return program("mocap", "--room", room, "--body", body, "--connect", vehicle.peer_url(1), "--json", *options)
+
+
+def fly(program, vehicle, folder):
+    trajectory = folder / "hover.toml"
+    trajectory.write_text(HOVER)
+    url = vehicle.peer_url(0)
+    return program("fly", trajectory, "--connect", url, "--vehicle", CRAZYFLIE, "--log-dir", folder, "--json")
+
+
+def summary(one, number=signal.SIGINT, code=130):
+    began = time.monotonic()
+    one.signal(number)
+    got, out = one.finish(10)
+    assert got == code, one.err
+    assert time.monotonic() - began < 2.0, "it ends within two seconds"
+    said = json.loads(out)
+    assert said["schema"] == "downwash.mocap"
+    return said
+
+
+@bounds_time
+def test_a_hover_is_flown_on_the_room(program, vehicle, tmp_path):
+    port = free_port()
+    quad = vehicle("--mocap", f"127.0.0.1:{port}", "--mocap-x-heading", "30")
+    one = bridge(program, quad, f"stream:127.0.0.1:{port}", "quad", "--x-heading", "30")
+    one.says("the body is seen", timeout=20)
+    flight = fly(program, quad, tmp_path)
+    code, out = flight.finish(90)
+    assert code == 0, f"{flight.err}\n{one.err}"
+    assert json.loads(out)["flight"]["tracking"]["rmse_3d_m"] < 0.1
+    said = summary(one)
+    assert said["sent"] > 500 and said["clock"] == "TIMESYNC", said
+    assert said["poses"]["losses"] == 0 and said["poses"]["resets"] == 0, said
+    assert said["poses"]["forwarded"] <= 51 * said["seconds"]
+    # A busy machine may make frames late; nothing else is wrong with this room.
+    wrong = {name: count for name, count in said["poses"]["faults"].items() if count}
+    assert set(wrong) <= {"old", "settling"}, one.err
+
+
+@bounds_time
+@pytest.mark.long
+@pytest.mark.parametrize("fault, words", [("freeze", "the tracker hangs"), ("swap", "swapped the two")])
+def test_a_room_that_lies_in_flight_ends_it(program, vehicle, tmp_path, fault, words):
+    port = free_port()
+    quad = vehicle("--mocap", f"127.0.0.1:{port}", "--mocap-fault", f"{fault}@5")
+    one = bridge(program, quad, f"stream:127.0.0.1:{port}")
+    one.says("the body is seen", timeout=20)
+    flight = fly(program, quad, tmp_path)
+    # The bridge says it, once; the vehicle coasts, then no longer vouches for its position; `fly` lands it.
+    one.says(words, timeout=60)
+    code, out = flight.finish(60)
+    assert code == 5, flight.err
+    flight.says("calls its position estimate unhealthy")
+    said = summary(one)
+    assert sum("not forwarded" in line for line in one.lines) == 1, one.err
+    key = {"freeze": "frozen", "swap": "swapped"}[fault]
+    faults = said["poses"]["faults"]
+    assert faults[key] >= 1 and said["poses"]["losses"] == 1, said
+    # Nothing was forwarded after it: the counters account for every pose that was heard.
+    told = said["poses"]
+    refused = sum(count for name, count in faults.items() if name not in ("malformed", "silent"))
+    assert told["good"] + refused == told["heard"], said
+
+
+@bounds_time
+def test_motive_is_understood_as_the_simulated_room_speaks_it(program, vehicle, pilot):
+    port = free_port()
+    quad = vehicle("--mocap-natnet", f"127.0.0.1:{port}", "--mocap-up", "y", autopilot="px4")
+    watcher = pilot(quad.peer_url(0))
+    # Without a pose there is no position, and no arming.
+    with pytest.raises(AssertionError):
+        watcher.wait("LOCAL_POSITION_NED", timeout=1.5)
+    assert watcher.arm() != 0
+    one = bridge(program, quad, f"natnet:127.0.0.1:{port}", "1", "--up", "y", "--as", "odometry")
+    one.says("the body is seen", timeout=20)
+    place = watcher.wait("LOCAL_POSITION_NED", timeout=5)
+    assert math.dist((place.x, place.y, place.z), (0, 0, 0)) < 0.05
+    # When it dies, the vehicle notices within its own time.
+    said = summary(one, signal.SIGTERM, 0)
+    assert said["as"] == "odometry" and said["sent"] > 0
+    gone = time.monotonic()
+    health = watcher.mav.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL
+    watcher.wait("SYS_STATUS", lambda status: not status.onboard_control_sensors_health & health, 15)
+    assert 4.0 < time.monotonic() - gone < 9.0
+
+
+def sender(port, stop, body="quad"):
+    """The ten-line script of docs/mocap.md."""
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    count = 0
+    while not stop.wait(0.01):
+        count += 1
+        pose = {"body": body, "t": time.monotonic(), "p": [1.0 + 1e-6 * count, 2.0, 0.5], "q": [1.0, 0.0, 0.0, 0.0]}
+        out.sendto(json.dumps(pose).encode(), ("127.0.0.1", port))
+
+
+@bounds_time
+def test_each_wait_is_said(program, vehicle, tmp_path):
+    port = free_port()
+    quad = vehicle("--mocap", f"127.0.0.1:{free_port()}")
+    nobody = program("mocap", "--room", f"stream:127.0.0.1:{port}", "--body", "quad", "--connect", f"udpin:127.0.0.1:{free_port()}")
+    began = time.monotonic()
+    nobody.says("waiting for the vehicle: nothing heard", timeout=5)
+    assert time.monotonic() - began < 3.5
+    nobody.signal(signal.SIGINT)
+    assert nobody.finish(5)[0] == 130
+
+    one = bridge(program, quad, f"stream:127.0.0.1:{port}")
+    one.says("waiting for the room: nothing comes", timeout=5)
+    stop = threading.Event()
+    thread = threading.Thread(target=sender, args=(port, stop))
+    thread.start()
+    try:
+        one.says("the body is seen", timeout=10)
+        out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        for bad in [b"\xff\xfe", b'{"body":"quad"}', struct.pack("<HH", 7, 900), b'{"body":"quad","t":NaN}']:
+            out.sendto(bad, ("127.0.0.1", port))
+        one.says("not as its protocol says", timeout=5)
+    finally:
+        stop.set()
+        thread.join()
+    one.says("nothing is heard of the body", timeout=5)
+    said = summary(one)
+    assert said["poses"]["faults"]["malformed"] == 4 and said["poses"]["losses"] == 1, said
+
+
+@pytest.mark.parametrize(
+    "options, code, words",
+    [
+        (["--room", "vrpn:host"], 2, "expected stream:"),
+        (["--room", "stream:127.0.0.1:0", "--rate", "0"], 2, "mocap.rate_hz"),
+        (["--room", "stream:198.51.100.1:5005"], 2, "cannot open"),
+    ],
+)
+def test_what_cannot_be_is_refused(program, options, code, words):
+    one = program("mocap", "--body", "quad", "--connect", f"udpin:127.0.0.1:{free_port()}", *options)
+    assert one.finish(10)[0] == code
+    assert words in one.err
+
+
+def test_odometry_is_refused_to_arducopter(program, vehicle):
+    quad = vehicle("--mocap", f"127.0.0.1:{free_port()}", autopilot="arducopter")
+    one = bridge(program, quad, "stream:127.0.0.1:0", "quad", "--as", "odometry")
+    assert one.finish(20)[0] == 4, one.err
+    assert "--as vision" in one.err
