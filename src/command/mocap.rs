@@ -23,7 +23,7 @@ use crate::cli::{ListenArgs, MocapArgs, UpChoice};
 use crate::clock::HostTime;
 use crate::config::Config;
 use crate::link::external_pose::{ExternalPose, PoseForm};
-use crate::link::message::Inbound;
+use message::Inbound;
 use crate::link::session::{Heard, Session};
 use crate::link::silence::Silence;
 use crate::mocap::bridge::{Bridge, Pose};

@@ -83,18 +83,25 @@ pub struct FlightControl {
     tick_s: f64,
 }
 
+/// How a flight begins.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Beginning {
+    pub perception: Perception,
+    /// In the air there, or on the ground.
+    pub airborne: bool,
+    /// Of the errors of a position from outside.
+    pub seed: u64,
+}
+
 impl FlightControl {
-    /// Flight control of `vehicle` by `personality` with its `onboard` loop, on the ground at
-    /// `perception` or already in the air there.
+    /// Flight control of `vehicle` by `personality` with its `onboard` loop.
     pub(super) fn new(
         vehicle: &VehicleParams,
         personality: &'static dyn Personality,
         onboard: Onboard,
         command_delay_s: f64,
         config: &SitlConfig,
-        perception: Perception,
-        airborne: bool,
-        seed: u64,
+        Beginning { perception, airborne, seed }: Beginning,
     ) -> Self {
         let vision = config
             .estimator

@@ -39,7 +39,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use self::airframe::Airframe;
-use self::flight::FlightControl;
+use self::flight::{Beginning, FlightControl};
 use self::link::Receiver;
 use self::parameters::SetError;
 use self::personality::NoLoop;
@@ -176,9 +176,7 @@ impl Vehicle {
             onboard,
             delay_s,
             &config,
-            perception,
-            airborne,
-            seed,
+            Beginning { perception, airborne, seed },
         );
         let rng = Pcg64Mcg::seed_from_u64(seed);
         let motor_output = params.motor_output.filter(|_| personality.heeds_motor_output());
