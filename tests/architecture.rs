@@ -95,7 +95,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
 }
 
 /// The folders and files of the diagnosis, from the lowest on.
-const DIAGNOSIS: [&str; 14] = [
+const DIAGNOSIS: [&str; 15] = [
     "error",
     "flights",
     "onset",
@@ -110,6 +110,7 @@ const DIAGNOSIS: [&str; 14] = [
     "next_flight",
     "answer",
     "pipeline",
+    "fleet",
 ];
 
 /// Only here may the asynchronous runtime be named.

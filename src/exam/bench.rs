@@ -1,6 +1,7 @@
 //! What a case is flown on: a vehicle, its sensors, its link and the motions, and how a truth is
 //! given the size at which it shows as strongly as wanted.
 
+mod sibling;
 mod size;
 
 use std::collections::BTreeMap;
@@ -443,7 +444,7 @@ impl Bench {
     }
 
     /// An effect that this vehicle may have.
-    fn effect(&self, draw: &mut Draw, wanted: impl Fn(EffectId) -> bool) -> EffectId {
+    pub(super) fn effect(&self, draw: &mut Draw, wanted: impl Fn(EffectId) -> bool) -> EffectId {
         let has_drag = self.has_drag();
         loop {
             let effect = EffectId::ALL[draw.below(EffectId::ALL.len())];
