@@ -28,7 +28,9 @@ fn fly(folder: &Path, name: &str, seed: u32, effects: &[&str]) {
     let mut command = downwash(folder);
     command.args(["collect", "--seconds", "60", "--vehicle", VEHICLE, "--seed"]);
     command.arg(seed.to_string()).arg("--out").arg(folder.join("fleet").join(name));
-    effects.iter().for_each(|effect| drop(command.args(["--effect", effect])));
+    for effect in effects {
+        command.args(["--effect", effect]);
+    }
     let output = command.output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

@@ -31,7 +31,7 @@ use crate::diagnose::answer::LogAnswer;
 use crate::diagnose::fleet::answer::{FleetAnswer, State, VehicleAnswer, effects_of};
 use crate::diagnose::fleet::shared::Fleet;
 use crate::diagnose::fleet::survey::{Beside, Survey, scales, survey};
-use crate::diagnose::fleet::words::report;
+use crate::diagnose::fleet::words::{report, sentence};
 use crate::diagnose::flights::case::{Case, Settings};
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::pipeline::diagnose;
@@ -204,16 +204,18 @@ impl Work<'_> {
         }
         let Some(scale) = self.scale(&usable)? else { return Ok(None) };
         let mut fleet = Fleet::default();
-        let mut surveys: Vec<(usize, Survey)>;
+        let mut surveys: Vec<(usize, Survey)> = Vec::new();
         let mut round = 0;
         loop {
             let shared = fleet.shared.iter().map(|cause| (cause.key.clone(), cause.values()));
             let beside = Beside { scale, shared: shared.collect() };
             let what = format!("look {}", round + 1);
+            let earlier = std::mem::take(&mut surveys);
             let Some(done) = self.stage(SURVEYS + round, &what, &usable, |vehicle| {
                 let case = self.case(self.vehicle, &self.read[vehicle].flights, &[]);
-                let settings = self.settings();
-                Ok(Done::Survey(Box::new(survey(&case, &settings, &beside)?)))
+                let known = earlier.iter().find(|(of, _)| *of == vehicle);
+                let chance = known.map(|(_, survey)| survey.chance.as_slice());
+                Ok(Done::Survey(Box::new(survey(&case, &self.settings(), &beside, chance)?)))
             })?
             else {
                 return Ok(None);
@@ -240,7 +242,8 @@ impl Work<'_> {
             .iter()
             .map(|(vehicle, survey)| (self.read[*vehicle].given.name.as_str(), survey))
             .collect();
-        let answer = FleetAnswer::new(&fleet, self.vehicle, &names, scale, own);
+        let mut answer = FleetAnswer::new(&fleet, self.vehicle, &names, scale, own);
+        answer.sentence = sentence(&answer);
         Ok(Some(FleetFinding { answer, vehicle: self.vehicle.clone(), fleet }))
     }
 

@@ -26,7 +26,7 @@ const SURVIVORS_BESIDE: usize = 4;
 /// Single hypotheses whose pairs are all fitted.
 const PAIRED: usize = 5;
 /// Least gain of evidence that is worth a fit, nats.
-pub(in crate::diagnose) const GAIN_MIN: f64 = 1.0;
+const GAIN_MIN: f64 = 1.0;
 /// The file's numbers are fitted again, with derivatives where they ended, at most so often.
 const REFITS: usize = 3;
 

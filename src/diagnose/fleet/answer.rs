@@ -319,7 +319,7 @@ fn file_numbers(surveys: &[&Survey]) -> Vec<CommonNumber> {
 
 impl FleetAnswer {
     /// Of what was decided; `looked_at` are the vehicles that the fleet's causes are told by, by name and
-    /// last survey, and `vehicles` all of them.
+    /// last survey, and `vehicles` all of them. The sentence is still to be written.
     pub fn new(
         fleet: &Fleet,
         vehicle: &VehicleParams,
@@ -343,7 +343,7 @@ impl FleetAnswer {
                 vehicle.state = State::Group;
             }
         }
-        let mut answer = Self {
+        Self {
             sentence: String::new(),
             looked_at: looked_at.len(),
             shared: told(&fleet.shared),
@@ -352,9 +352,7 @@ impl FleetAnswer {
             file_numbers: file_numbers(&surveys),
             file_scale: scale,
             vehicles,
-        };
-        answer.sentence = super::words::sentence(&answer);
-        answer
+        }
     }
 
     /// How many vehicles are in a state.

@@ -101,7 +101,7 @@ pub fn alone(survey: &Survey, base: &Normal) -> [f64; 2] {
 pub struct Width {
     /// The file's tolerance.
     pub tolerance: f64,
-    /// How many of the set's numbers are the base's.
+    /// Whether it is a number of the base, which the newest effect is beside.
     pub is_base: bool,
 }
 
@@ -300,6 +300,7 @@ mod tests {
         Survey {
             base,
             beside: vec![set],
+            chance: Vec::new(),
             file: Vec::new(),
             seconds: 60.0,
             voltage_differs: true,

@@ -111,13 +111,12 @@ impl Fleet {
 
     /// The type's numbers as they are beside an effect that was found last.
     fn refresh(&mut self, fitted: &Fitted) {
-        let mut at = 0;
-        for number in self.shared.iter_mut().flat_map(|cause| &mut cause.numbers) {
+        let numbers = self.shared.iter_mut().flat_map(|cause| &mut cause.numbers);
+        for (at, number) in numbers.enumerate() {
             let magnitude = number.number.magnitude;
             number.value = number.number.reference + magnitude * fitted.of_type.mean[at];
             number.deviation = magnitude * fitted.error[at];
             number.spread = magnitude * fitted.of_type.deviation[at];
-            at += 1;
         }
     }
 

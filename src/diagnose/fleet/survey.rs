@@ -12,11 +12,12 @@ use crate::diagnose::inquiry::Premises;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::noise::report_noise;
 use crate::diagnose::likelihood::observed::Observed;
+use crate::diagnose::search::Search;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::search::scale::scale;
 use crate::diagnose::search::turning::{Turning, turning};
 use crate::diagnose::search::twins::{TwinFits, screened};
-use crate::diagnose::search::{GAIN_MIN, Search};
+use crate::diagnose::verdict::posterior::PRICE;
 use crate::diagnose::verdict::weighing::{unremarkable, voltages_differ};
 
 /// A number of a set of effects.
@@ -78,6 +79,8 @@ pub struct Survey {
     pub base: Surveyed,
     /// These with one more.
     pub beside: Vec<Surveyed>,
+    /// Evidence that chance gives each hypothesis of its catalogue without any effect, nats.
+    pub chance: Vec<f64>,
     /// The vehicle file's numbers with the base.
     pub file: Vec<OwnNumber>,
     /// Airborne time, s.
@@ -96,6 +99,9 @@ pub struct Beside {
     /// The effects that the type has, with their numbers' values.
     pub shared: Vec<(String, Vec<f64>)>,
 }
+
+/// Gains of evidence below this are worth no fit, nats: an effect costs more.
+const WORTH_A_FIT: f64 = PRICE;
 
 /// The name of a hypothesis over all vehicles: its effect, and for a rotor's loss which.
 pub fn key_of(catalogue: &Catalogue, hypothesis: &Hypothesis) -> String {
@@ -137,7 +143,8 @@ fn unused(
     Ok(turning(&search, (&file, &about), premises.leg))
 }
 
-/// What the flights of a case say of every effect beside those that the type has.
+/// What the flights of a case say of every effect beside those that the type has. `chance`: what an
+/// earlier survey of them found it to give, which no effect of the type changes.
 ///
 /// # Errors
 /// [`DiagnoseError`].
@@ -145,6 +152,7 @@ pub fn survey(
     case: &Case<'_>,
     settings: &Settings,
     beside: &Beside,
+    chance: Option<&[f64]>,
 ) -> Result<Survey, DiagnoseError> {
     let premises = Premises::of(case);
     let catalogue = premises.catalogue(case, beside.scale);
@@ -153,11 +161,15 @@ pub fn survey(
     let observed = Observed::without(case.fitted, &premises.evaluator, &catalogue, &unused);
     let search = Search::without_chance(&observed, &catalogue);
     let (file, about) = search.file().ok_or(DiagnoseError::Nothing)?;
-    let chance = chance(&search, (&file, &about), &premises, settings)?;
+    let chance = match chance {
+        Some(known) => known.to_vec(),
+        None => by_chance(&search, (&file, &about), &premises, settings)?,
+    };
     let look = Look { search: &search, turning: &turning, leg: premises.leg, chance: &chance };
     let told = |base: Surveyed, beside: Vec<Surveyed>, file: Vec<OwnNumber>| Survey {
         base,
         beside,
+        chance: chance.clone(),
         file,
         seconds: case.fitted.iter().map(|flight| flight.seconds()).sum(),
         voltage_differs: voltages_differ(case.fitted),
@@ -201,7 +213,7 @@ pub fn survey(
 }
 
 /// Evidence that chance gives each hypothesis, nats.
-fn chance(
+fn by_chance(
     search: &Search<'_>,
     (file, about): (&Explanation, &Linearised),
     premises: &Premises,
@@ -273,7 +285,7 @@ impl Look<'_> {
                 || self.surveyed(&joint, solution.evidence, &solution.values, &solution.joint);
             // What the linearisation may not see at all is fitted as well.
             let is_blind = catalogue.hypotheses[h].starts.len() > 1;
-            if solution.evidence - base.evidence < GAIN_MIN && !is_blind {
+            if solution.evidence - base.evidence < WORTH_A_FIT && !is_blind {
                 return of_solution();
             }
             match self.search.fitted_from(about, &joint, from) {

@@ -42,7 +42,15 @@ pub fn sentence(answer: &FleetAnswer) -> String {
             values(open)
         );
     }
-    let own = answer.count(State::Own) + answer.count(State::Ambiguous);
+    // Those of which only that is known have been named.
+    let is_open = |vehicle: &VehicleAnswer, effect: &OwnEffect| {
+        answer.open.iter().any(|o| o.id == effect.id && o.vehicles.contains(&vehicle.name))
+    };
+    let has_own = |vehicle: &&VehicleAnswer| {
+        matches!(vehicle.state, State::Own | State::Ambiguous)
+            && !vehicle.effects.iter().all(|effect| is_open(vehicle, effect))
+    };
+    let own = answer.vehicles.iter().filter(has_own).count();
     text += &match own {
         0 => " No vehicle has anything of its own.".to_owned(),
         1 => " One has something of its own.".to_owned(),
