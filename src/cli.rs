@@ -154,11 +154,23 @@ pub struct SimulatorArgs {
 #[derive(Clone, Debug, Args)]
 pub struct DiagnoseArgs {
     /// Flight logs of the real vehicle.
-    #[arg(required = true)]
+    #[arg(required_unless_present = "fleet")]
     pub logs: Vec<PathBuf>,
     /// The simulator's vehicle file.
     #[arg(long)]
     pub vehicle: PathBuf,
+    /// Instead of logs of one vehicle: many vehicles of the type. A folder with a folder of logs for each,
+    /// or a TOML file with a table `[vehicles]` of names with their logs, files or folders. What all share
+    /// is told apart from what single ones have.
+    #[arg(
+        long,
+        value_name = "DIR|FILE",
+        conflicts_with_all = ["logs", "holdout", "new", "next_flight", "config", "evidence", "discover"]
+    )]
+    pub fleet: Option<PathBuf>,
+    /// Folder for what is done of each vehicle of a fleet; the same command goes on with it.
+    #[arg(long, value_name = "DIR", default_value = "fleet-rows")]
+    pub rows: PathBuf,
     /// A log to keep from the fit and to report the gap on; may be given again [default: the last
     /// of the logs; of a single one its second half].
     #[arg(long, value_name = "FILE")]
@@ -220,6 +232,8 @@ impl DiagnoseArgs {
         Self {
             logs,
             vehicle,
+            fleet: None,
+            rows: PathBuf::from("fleet-rows"),
             holdout: Vec::new(),
             new: Vec::new(),
             out: None,
@@ -338,6 +352,22 @@ pub struct ExamArgs {
         conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "decide", "evidence", "laws"]
     )]
     pub onsets: Option<usize>,
+    /// Instead: this many fleets of --vehicles each with an effect that all share, and --nulls without one;
+    /// some vehicles have an effect of their own. Prints how often what is shared is named, and what single
+    /// vehicles have.
+    #[arg(
+        long,
+        value_name = "COUNT",
+        conflicts_with_all =
+            ["cases", "kinds", "round_trip", "practice", "decide", "evidence", "laws", "onsets"]
+    )]
+    pub fleet: Option<usize>,
+    /// Vehicles of a fleet.
+    #[arg(long, value_name = "COUNT", default_value_t = 50, requires = "fleet")]
+    pub vehicles: usize,
+    /// Share of a fleet's vehicles that have an effect of their own.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.2, requires = "fleet")]
+    pub damaged: f64,
     /// Folder for each case's key, answer and the evidence that its verdict rests on; made if missing.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["practice", "decide"])]
     pub evidence: Option<PathBuf>,
@@ -379,10 +409,12 @@ pub struct ExamArgs {
 /// Verdicts that a command may fail on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum FailOnVerdict {
-    /// An effect was named.
+    /// An effect was named; of a fleet, of the type or of any vehicle.
     Effect,
-    /// There is a gap, explained or not.
+    /// There is a gap, explained or not; of a fleet, in any vehicle.
     Gap,
+    /// The type of a fleet has an effect.
+    Shared,
 }
 
 /// Flags of `config`.

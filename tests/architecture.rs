@@ -40,7 +40,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
 }
 
 /// The folders and files of the diagnosis, from the lowest on.
-const DIAGNOSIS: [&str; 14] = [
+const DIAGNOSIS: [&str; 15] = [
     "error",
     "flights",
     "onset",
@@ -55,6 +55,7 @@ const DIAGNOSIS: [&str; 14] = [
     "next_flight",
     "answer",
     "pipeline",
+    "fleet",
 ];
 
 /// Where the crates' sources are.

@@ -59,6 +59,9 @@ pub struct Finding {
 const GUARD_S: f64 = 2.0;
 
 pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
+    if args.fail_on == Some(FailOnVerdict::Shared) {
+        return Err(anyhow!("--fail-on shared: expected --fleet")).or_exit(Exit::Usage);
+    }
     // An interruption ends the whole process.
     let never = Arc::default();
     find(args, &never, &|stage| say(format_args!("... {stage}")))?.tell()
@@ -132,12 +135,13 @@ pub fn find(
     if fitted.is_empty() {
         fitted = std::mem::take(&mut held_out);
     }
-    if held_out.is_empty() && fitted.len() > 1 {
-        held_out.extend(fitted.pop());
-    } else if held_out.is_empty() {
-        (fitted, held_out) =
-            halves(&fitted[0]).with_context(|| listed(&paths)).or_exit(Exit::Usage)?;
-        say(format_args!("one flight: its second part is held out, {GUARD_S} s after the first"));
+    if held_out.is_empty() {
+        if blocked {
+            say(format_args!(
+                "one flight: its second part is held out, {GUARD_S} s after the first"
+            ));
+        }
+        (fitted, held_out) = parted(fitted).with_context(|| listed(&paths)).or_exit(Exit::Usage)?;
     }
     fitted.append(&mut new);
     let case = Case {
@@ -273,7 +277,7 @@ fn propose(
 pub(super) struct AuditedLog {
     /// Ready for the diagnosis, or why not.
     pub flight: anyhow::Result<PreparedFlight>,
-    audit: Option<LogAnswer>,
+    pub audit: Option<LogAnswer>,
 }
 
 /// Reads logs and audits them together. A log at fault is left out, and of others the times that
@@ -333,6 +337,22 @@ fn prepare(
     let times = audit.unusable.iter().filter(concerns).map(|span| span.from_s..span.to_s);
     let times: Vec<_> = times.collect();
     Ok(flight.excluding(&times)?)
+}
+
+/// Flights to fit and one held out: the last, or the second part of a single one.
+///
+/// # Errors
+/// A single flight that is too short for two parts, or none.
+pub(super) fn parted(
+    mut flights: Vec<PreparedFlight>,
+) -> anyhow::Result<(Vec<PreparedFlight>, Vec<PreparedFlight>)> {
+    match flights.as_slice() {
+        [only] => halves(only),
+        _ => {
+            let last = flights.pop().context("no flight")?;
+            Ok((flights, vec![last]))
+        }
+    }
 }
 
 /// The first and the last part of one flight, with a guard between.

@@ -6,6 +6,7 @@
 
 mod candidate;
 mod decided;
+mod fleets;
 mod laws;
 mod onsets;
 mod practice;
@@ -28,6 +29,7 @@ use serde::Serialize;
 
 use self::candidate::EVIDENCE;
 pub(super) use self::candidate::{Candidate, Flown, Sheet};
+pub(super) use self::fleets::FleetsSummary;
 pub(super) use self::laws::LawsSummary;
 pub(super) use self::onsets::OnsetsSummary;
 pub(super) use self::practice::PracticeSummary;
@@ -76,6 +78,9 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
     if let Some(set) = &args.practice {
         return practice::run(set, &hall);
+    }
+    if let Some(count) = args.fleet {
+        return fleets::run(args, count, &hall);
     }
     if let Some(count) = args.laws {
         return laws::run(args, count, &hall);

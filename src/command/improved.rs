@@ -56,18 +56,34 @@ impl Additions {
 
     /// The named effects of an answer that was found now from `logs`, by their names.
     pub fn new(effects: &EffectSet, answer: &Answer, logs: &[String]) -> anyhow::Result<Self> {
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-        let Self { effects, .. } = Self::of_effects(effects)?;
-        let named = answer.named().filter(|effect| effects.contains_key(effect.id.name()));
-        let provenance = named.map(|effect| {
-            let source = json!({
-                "by": concat!("downwash ", env!("CARGO_PKG_VERSION"), " diagnose"),
-                "date": date(now),
+        let named = answer.named().map(|effect| {
+            let about = json!({
                 "logs": logs,
                 "probability": effect.probability,
                 "intervals_90": effect.intervals,
             });
-            (format!("{EFFECTS}.{}", effect.id.name()), source)
+            (effect.id.name().to_owned(), about)
+        });
+        Self::found(effects, named)
+    }
+
+    /// Effects that were found now, with what is to be said of each, by its id.
+    pub fn found(
+        effects: &EffectSet,
+        about: impl Iterator<Item = (String, Value)>,
+    ) -> anyhow::Result<Self> {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+        let Self { effects, .. } = Self::of_effects(effects)?;
+        let found = about.filter(|(id, _)| effects.contains_key(id));
+        let provenance = found.map(|(id, about)| {
+            let mut source = Map::new();
+            source.insert(
+                "by".to_owned(),
+                concat!("downwash ", env!("CARGO_PKG_VERSION"), " diagnose").into(),
+            );
+            source.insert("date".to_owned(), date(now).into());
+            source.extend(about.as_object().cloned().unwrap_or_default());
+            (format!("{EFFECTS}.{id}"), Value::Object(source))
         });
         let provenance = provenance.collect();
         Ok(Self { effects, provenance })

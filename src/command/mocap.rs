@@ -23,13 +23,13 @@ use crate::cli::{ListenArgs, MocapArgs, UpChoice};
 use crate::clock::HostTime;
 use crate::config::Config;
 use crate::link::external_pose::{ExternalPose, PoseForm};
-use message::Inbound;
 use crate::link::session::{Heard, Session};
 use crate::link::silence::Silence;
 use crate::mocap::bridge::{Bridge, Pose};
 use crate::mocap::natnet::{self, Packet, Version};
 use crate::mocap::settings::MocapSettings;
 use crate::mocap::stream;
+use message::Inbound;
 
 /// One look at all there is takes this long at most.
 const LOOK: Duration = Duration::from_millis(20);

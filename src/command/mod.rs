@@ -14,6 +14,7 @@ mod diagnose;
 mod doctor;
 mod exam;
 mod exit;
+mod fleet;
 mod fly;
 mod goal_file;
 mod import;
@@ -183,8 +184,11 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
             onset::run(&args)
         }
         Command::Diagnose(args) => {
-            Interruption::watch()?;
-            diagnose::run(&args)
+            let interruption = Interruption::watch()?;
+            match &args.fleet {
+                Some(source) => fleet::run(&args, source, &interruption),
+                None => diagnose::run(&args),
+            }
         }
         Command::Log(command) => {
             Interruption::watch()?;

@@ -9,7 +9,9 @@ use serde_json::{Value, json};
 use super::{
     Exit, ExitContext, audit, campaign, collect, config, demo, demo_diagnose, diagnose, doctor,
 };
-use super::{exam, fly, import, inspect, mocap, model, onset, plan, simulate, sweep, vehicle};
+use super::{
+    exam, fleet, fly, import, inspect, mocap, model, onset, plan, simulate, sweep, vehicle,
+};
 use super::{print_json, print_text};
 use crate::cli::SchemaArgs;
 use crate::learn::summary::TrainingSummary;
@@ -29,7 +31,7 @@ pub(super) struct Output {
 }
 
 /// All of them, in the order of a table.
-pub(super) const OUTPUTS: [Output; 38] = [
+pub(super) const OUTPUTS: [Output; 40] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -41,6 +43,7 @@ pub(super) const OUTPUTS: [Output; 38] = [
     Output::new::<demo::DemoSummary>("downwash.demo", "demo --json"),
     Output::new::<demo_diagnose::RepairSummary>("downwash.demo.diagnose", "demo --diagnose --json"),
     Output::new::<diagnose::Told<'_>>("downwash.diagnose", "diagnose --json"),
+    Output::new::<fleet::Told<'_>>("downwash.diagnose.fleet", "diagnose --fleet --json"),
     Output::new::<sweep::DiagnosisRow>(
         "downwash.diagnose.row",
         "sweep of diagnose, the row of each point",
@@ -48,6 +51,7 @@ pub(super) const OUTPUTS: [Output; 38] = [
     Output::new::<doctor::Answer<'_>>("downwash.doctor", "doctor --json"),
     Output::new::<exam::ExamSummary<'_>>("downwash.exam", "exam --json"),
     Output::new::<sweep::ExamRow>("downwash.exam.case", "sweep of exam, the row of each case"),
+    Output::new::<exam::FleetsSummary<'_>>("downwash.exam.fleets", "exam --fleet COUNT --json"),
     Output::new::<exam::LawsSummary<'_>>("downwash.exam.laws", "exam --laws COUNT --json"),
     Output::new::<exam::OnsetsSummary<'_>>("downwash.exam.onsets", "exam --onsets COUNT --json"),
     Output::new::<exam::PracticeSummary<'_>>(

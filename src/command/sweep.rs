@@ -187,7 +187,7 @@ const STACK: usize = 8 << 20;
 
 /// Works in a thread of its own, which its parallel parts stay in: a worker that waited for them would
 /// begin another point meanwhile, inside of this one.
-fn alone<T: Send>(work: impl FnOnce() -> anyhow::Result<T> + Send) -> anyhow::Result<T> {
+pub(super) fn alone<T: Send>(work: impl FnOnce() -> anyhow::Result<T> + Send) -> anyhow::Result<T> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).stack_size(STACK);
     let pool = pool.build().context("threads")?;
     thread::scope(|scope| {

@@ -8,11 +8,54 @@ use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::flights::arrival::Delay;
 use crate::diagnose::flights::case::{Case, Settings};
 use crate::diagnose::flights::onboard::OnboardLaw;
+use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::likelihood::residuals::Evaluator;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::simulate::metric::Metric;
 use crate::diagnose::simulate::open_loop::Simulator;
+
+/// What a case's flights and vehicle file settle before anything is fitted.
+pub(super) struct Premises {
+    pub evaluator: Evaluator,
+    /// Whether the leg from setpoints to outputs is used.
+    pub leg: bool,
+    /// The setpoints' delay as read off the outputs.
+    pub arrival: Option<Delay>,
+    /// Half a period of the outputs' reports, s.
+    held: f64,
+}
+
+impl Premises {
+    /// Of a case.
+    pub fn of(case: &Case<'_>) -> Self {
+        let evaluator = Evaluator::new(case.vehicle).observing(case.fitted).until(case.stop);
+        let is_led = |flight: &PreparedFlight| flight.channels.setpoint;
+        let leg = case.fitted.iter().chain(case.held_out).all(is_led);
+        let onboard = evaluator.onboard().filter(|_| leg);
+        let arrival = onboard.and_then(|law| Delay::of(case.fitted, law));
+        // A report of an output says when it was in force to within half a period of the reports.
+        let rates = case.fitted.iter().map(|flight| flight.outputs.rate());
+        let held = 0.5 / rates.fold(f64::INFINITY, f64::min);
+        Self { evaluator, leg, arrival, held }
+    }
+
+    /// The law that made outputs of setpoints, where both were logged.
+    pub fn onboard(&self) -> Option<&OnboardLaw> {
+        self.evaluator.onboard().filter(|_| self.leg)
+    }
+
+    /// The catalogue, with the tolerances that the vehicle file does not state times `scale`.
+    pub fn catalogue(&self, case: &Case<'_>, scale: f64) -> Catalogue {
+        let catalogue = Catalogue::at_scale(case.vehicle, self.leg, scale)
+            .without(case.without)
+            .with_outputs_held(self.held);
+        match &self.arrival {
+            Some(delay) => catalogue.with_delay(delay),
+            None => catalogue,
+        }
+    }
+}
 
 /// What a diagnosis looks at.
 pub(super) struct Inquiry<'a> {

@@ -5,6 +5,7 @@ pub mod answer;
 pub mod catalogue;
 pub mod discovery;
 pub mod error;
+pub mod fleet;
 pub mod flights;
 mod inquiry;
 pub mod likelihood;

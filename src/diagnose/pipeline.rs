@@ -7,19 +7,15 @@ use vehicle::effects::{EffectId, EffectSet};
 use crate::diagnose::answer::Answer;
 use crate::diagnose::answer::assembly::Assembly;
 use crate::diagnose::answer::open_questions::open_questions;
-use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::discovery::Discovered;
 use crate::diagnose::error::DiagnoseError;
-use crate::diagnose::flights::arrival::Delay;
 use crate::diagnose::flights::case::{Case, Settings};
 use crate::diagnose::flights::parts::Parts;
-use crate::diagnose::flights::preparation::PreparedFlight;
-use crate::diagnose::inquiry::Inquiry;
+use crate::diagnose::inquiry::{Inquiry, Premises};
 use crate::diagnose::likelihood::fit::fit;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::noise::{ReportNoise, report_noise};
 use crate::diagnose::likelihood::observed::Observed;
-use crate::diagnose::likelihood::residuals::Evaluator;
 use crate::diagnose::next_flight::OpenQuestions;
 use crate::diagnose::search::Search;
 use crate::diagnose::search::explanation::Explanation;
@@ -63,28 +59,15 @@ pub fn diagnose(
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
     let stages = Stages { progress, stop: case.stop };
-    let evaluator = Evaluator::new(case.vehicle).observing(case.fitted).until(case.stop);
-    let is_led = |flight: &PreparedFlight| flight.channels.setpoint;
-    let leg = case.fitted.iter().chain(case.held_out).all(is_led);
-    let onboard = evaluator.onboard().filter(|_| leg);
-    let arrival = onboard.and_then(|law| Delay::of(case.fitted, law));
-    // A report of an output says when it was in force to within half a period of the reports.
-    let rates = case.fitted.iter().map(|flight| flight.outputs.rate());
-    let held = 0.5 / rates.fold(f64::INFINITY, f64::min);
-    let at_scale = |scale: f64| {
-        let catalogue = Catalogue::at_scale(case.vehicle, leg, scale)
-            .without(case.without)
-            .with_outputs_held(held);
-        match &arrival {
-            Some(delay) => catalogue.with_delay(delay),
-            None => catalogue,
-        }
-    };
+    let premises = Premises::of(case);
+    let Premises { evaluator, leg, arrival, .. } = &premises;
+    let (leg, onboard) = (*leg, premises.onboard());
+    let at_scale = |scale: f64| premises.catalogue(case, scale);
     let parts = Parts::of(case);
     stages.begin("how good the vehicle file is")?;
     let first = at_scale(1.0);
     first.candidate(&first.references())?;
-    let look = |flights, unused: &[usize]| Observed::without(flights, &evaluator, &first, unused);
+    let look = |flights, unused: &[usize]| Observed::without(flights, evaluator, &first, unused);
     let fitted = look(&parts.fitted, &[]);
     let search = Search::without_chance(&fitted, &first);
     let (file, about) = search.file().ok_or(DiagnoseError::Nothing)?;
@@ -98,14 +81,14 @@ pub fn diagnose(
         scale(&search, &about, at_scale)
     };
     let catalogue = at_scale(scale);
-    let look = |flights| Observed::without(flights, &evaluator, &catalogue, &unused);
+    let look = |flights| Observed::without(flights, evaluator, &catalogue, &unused);
     let inquiry = Inquiry {
         case,
         settings,
-        evaluator: &evaluator,
+        evaluator,
         catalogue: &catalogue,
         onboard,
-        arrival,
+        arrival: *arrival,
         fitted: look(&parts.fitted),
         choosing: look(&parts.choosing),
         all: look(case.fitted),

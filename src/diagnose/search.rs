@@ -49,7 +49,7 @@ impl<'a> Search<'a> {
         Self { fitted, choosing: fitted, catalogue, chance: Vec::new() }
     }
 
-    fn numbers(&self) -> Vec<usize> {
+    pub(in crate::diagnose) fn numbers(&self) -> Vec<usize> {
         (0..self.catalogue.numbers.len()).collect()
     }
 
@@ -116,19 +116,28 @@ impl<'a> Search<'a> {
     }
 
     /// Whether a hypothesis can join a set: each effect once, and one of mass and thrust_scale.
-    fn joins(&self, hypothesis: usize, set: &[usize]) -> bool {
+    pub(in crate::diagnose) fn joins(&self, hypothesis: usize, set: &[usize]) -> bool {
         let class = |h: usize| self.hypothesis(h).effect.class();
         set.iter().all(|h| class(*h) != class(hypothesis))
     }
 
-    /// Fits a set. The active numbers start where `from` has them, and the newest hypothesis also
-    /// at its own starts.
     fn fit_of(
         &self,
         about: &Linearised,
         set: &[usize],
         from: &[(usize, f64)],
     ) -> Option<Explanation> {
+        self.explanation(self.fitted_from(about, set, from)?)
+    }
+
+    /// Fits a set. The active numbers start where `from` has them, and the newest hypothesis also
+    /// at its own starts.
+    pub(in crate::diagnose) fn fitted_from(
+        &self,
+        about: &Linearised,
+        set: &[usize],
+        from: &[(usize, f64)],
+    ) -> Option<Fit> {
         let newest = self.hypothesis(*set.last()?);
         let starts: Vec<Vec<(usize, f64)>> = newest
             .starts
@@ -140,7 +149,7 @@ impl<'a> Search<'a> {
                 start
             })
             .collect();
-        self.explanation(fit(self.fitted, about, set, &starts)?)
+        fit(self.fitted, about, set, &starts)
     }
 
     fn numbers_of(&self, explanation: &Explanation) -> Vec<(usize, f64)> {

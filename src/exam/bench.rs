@@ -1,8 +1,10 @@
 //! What a case is flown on: a vehicle, its sensors, its link and the motions. `truth` is what the vehicle
-//! has beyond its file, `drawn` how it is chosen, `size` how strongly that shows, `answer_key` what a right answer says of it.
+//! has beyond its file, `drawn` how it is chosen, `size` how strongly that shows, `answer_key` what a right
+//! answer says of it; a `sibling` is another vehicle of the type.
 
 mod answer_key;
 mod drawn;
+mod sibling;
 mod size;
 mod truth;
 

@@ -113,6 +113,21 @@ impl Deviations {
         Self { pose_s, drag, ..drawn }
     }
 
+    /// Those of another vehicle of the type: what one measurement for all of them is off by stays, and
+    /// what each build differs by is drawn.
+    pub fn of_sibling(&self, draw: &mut Draw) -> Self {
+        let sigma = self.tolerances;
+        let mut off = |sigma: f64| rounded(sigma * draw.normal());
+        Self {
+            thrust_each: std::array::from_fn(|_| off(sigma.thrust_each)),
+            mass: off(sigma.mass),
+            inertia: std::array::from_fn(|_| off(sigma.inertia)),
+            centre_m: std::array::from_fn(|_| off(sigma.centre_m)),
+            trim_rad: std::array::from_fn(|_| off(sigma.trim_rad)),
+            ..self.clone()
+        }
+    }
+
     /// The same except for what `effects`, or another law for one of `causes`, say themselves: an
     /// effect's numbers are the vehicle's, whatever the builder measured.
     pub fn beside(&self, effects: &EffectSet, causes: &[EffectId], rotor: Option<usize>) -> Self {

@@ -12,6 +12,7 @@ pub mod condition;
 pub mod deviations;
 pub mod draw;
 mod estimate;
+pub mod fleet;
 pub mod flight;
 pub mod grade;
 pub mod ground;

@@ -8,6 +8,7 @@ pub mod comparison;
 pub mod diagnosis;
 pub mod exam;
 pub mod experiment;
+pub mod fleet;
 pub mod flight;
 mod flight_page;
 mod frame;

@@ -102,6 +102,7 @@ mod tests {
                 hypotheses: vec![hypothesis],
                 deviation: vec![0.0; values.len()],
                 values,
+                joint: nalgebra::DMatrix::default(),
                 evidence: 0.0,
                 cost: 0.0,
                 power: Vec::new(),

@@ -6,6 +6,7 @@
 //! whose weights n/Q are iterated to a fixed point. The evidence is Laplace's approximation: the
 //! cost of a number is the ratio of its prior's width to its posterior's.
 
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::diagnose::catalogue::hypothesis::{Catalogue, Values};
@@ -36,6 +37,8 @@ pub struct Fit {
     pub values: Values,
     /// Standard deviations of those that were free.
     pub deviation: Vec<f64>,
+    /// Covariance of the numbers of its hypotheses; empty where one of them has no derivative.
+    pub joint: DMatrix<f64>,
     /// Log evidence.
     pub evidence: f64,
     /// Cost, nats.
@@ -184,6 +187,7 @@ fn descend(
         // The curvature there with the cost as it is.
         evidence: solution.evidence + solution.cost - cost,
         deviation: solution.deviation,
+        joint: solution.joint,
         values,
         cost,
     })

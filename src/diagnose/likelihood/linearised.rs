@@ -281,7 +281,12 @@ impl Linearised {
             values[number] += delta[a];
             deviation[number] = covariance[(a, a)].max(0.0).sqrt();
         }
-        Some(Solution { values, deviation, cost, evidence, power: current })
+        let row = |number: &usize| used.iter().position(|i| self.numbers[*i] == *number);
+        let rows: Option<Vec<usize>> = active.iter().map(row).collect();
+        let joint = rows.map_or_else(DMatrix::default, |rows| {
+            DMatrix::from_fn(rows.len(), rows.len(), |a, b| covariance[(rows[a], rows[b])])
+        });
+        Some(Solution { values, deviation, joint, cost, evidence, power: current })
     }
 
     /// The products of the numbers `used` alone, where there is anything to look at.
@@ -454,6 +459,8 @@ pub struct Solution {
     pub values: Values,
     /// Standard deviations of those that were free.
     pub deviation: Vec<f64>,
+    /// Covariance of the active numbers; empty where one of them has no derivative.
+    pub joint: DMatrix<f64>,
     /// Cost, nats.
     pub cost: f64,
     /// Log evidence.

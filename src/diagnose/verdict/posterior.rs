@@ -11,7 +11,7 @@ use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::evidence::{Evidence, Explained};
 
 /// The price of an effect, nats: about forty may act, and one does in half of the cases.
-const PRICE: f64 = 3.7;
+pub(in crate::diagnose) const PRICE: f64 = 3.7;
 /// Draws of the flights (Bayesian bootstrap over blocks) that masses are the mean over.
 const DRAWS: usize = 400;
 /// Share of what the file leaves open that an effect must close to change predictions.

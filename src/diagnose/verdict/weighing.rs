@@ -34,6 +34,19 @@ const FORCE_MIN_WEIGHTS: f64 = 0.01;
 /// Quantile of the normal distribution for one in a hundred.
 const Z99: f64 = 2.326;
 
+/// What the file's errors bring about of a number, one standard deviation, and where the on-board
+/// loop is not known (`leg`) so that no twin tells, as much of what the error of the logged moments does
+/// that [`TOLERANCES_MAX`] of these are all of it.
+pub(in crate::diagnose) fn unremarkable(number: &Number, turning: &[Turning; 3], leg: bool) -> f64 {
+    let by_moments = match number.target {
+        _ if leg => 0.0,
+        Target::Effect(EffectId::Inertia, axis) => turning[axis].inflation(),
+        Target::Effect(EffectId::YawTorque, _) => turning[2].unexplained(),
+        _ => 0.0,
+    };
+    number.unremarkable + by_moments / TOLERANCES_MAX
+}
+
 impl Inquiry<'_> {
     /// An explanation with the vehicle file's numbers as other flights have them, within their
     /// tolerances: a trim, the balance of the torques and the level of the thrust differ from
@@ -74,19 +87,6 @@ impl Inquiry<'_> {
         Ok(Some(Gaps::over([effects, file, both], floor, self.metric)))
     }
 
-    /// What the file's errors bring about of a number, one standard deviation, and where the on-board
-    /// loop is not known so that no twin tells, as much of what the error of the logged moments does
-    /// that [`TOLERANCES_MAX`] of these are all of it.
-    fn unremarkable(&self, number: &Number, turning: &[Turning; 3]) -> f64 {
-        let by_moments = match number.target {
-            _ if self.leg() => 0.0,
-            Target::Effect(EffectId::Inertia, axis) => turning[axis].inflation(),
-            Target::Effect(EffectId::YawTorque, _) => turning[2].unexplained(),
-            _ => 0.0,
-        };
-        number.unremarkable + by_moments / TOLERANCES_MAX
-    }
-
     /// An explanation in plain numbers.
     fn explained(
         &self,
@@ -112,7 +112,7 @@ impl Inquiry<'_> {
                     value,
                     deviation: fit.deviation[*index],
                     reference: number.reference,
-                    unremarkable: self.unremarkable(number, turning),
+                    unremarkable: unremarkable(number, turning, self.leg()),
                     magnitude: number.magnitude,
                     is_at_bound: off && !is_absent && (value - low < near || high - value < near),
                 }
@@ -277,7 +277,7 @@ impl Inquiry<'_> {
 
 /// Whether the pack's voltage varies enough, within flights or from one to the next, to tell a sag
 /// from another level of the thrust.
-fn voltages_differ(flights: &[PreparedFlight]) -> bool {
+pub(in crate::diagnose) fn voltages_differ(flights: &[PreparedFlight]) -> bool {
     let all = flights.iter().flat_map(|flight| flight.voltage.values().iter().map(|[v]| *v));
     flights.iter().all(|flight| flight.channels.voltage) && !is_flat(voltage_range(all))
 }

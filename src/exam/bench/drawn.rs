@@ -112,7 +112,11 @@ impl Bench {
     }
 
     /// An effect that this vehicle may have.
-    fn effect(&self, draw: &mut Draw, wanted: impl Fn(EffectId) -> bool) -> EffectId {
+    pub(in crate::exam) fn effect(
+        &self,
+        draw: &mut Draw,
+        wanted: impl Fn(EffectId) -> bool,
+    ) -> EffectId {
         let has_drag = self.has_drag();
         loop {
             let effect = EffectId::ALL[draw.below(EffectId::ALL.len())];

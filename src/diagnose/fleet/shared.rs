@@ -1,0 +1,290 @@
+//! Which effects the type has: sets of effects weighed on the whole fleet, a vehicle as a block.
+
+use std::collections::BTreeSet;
+
+use crate::diagnose::fleet::mixture::{
+    Fitted, Member, Normal, Quadratic, Width, alone, fit, values_of, without,
+};
+use crate::diagnose::fleet::survey::{Survey, Surveyed, SurveyedNumber};
+use crate::diagnose::verdict::evidence::{Evidence, Explained, Found};
+use crate::diagnose::verdict::{NAMED, decide};
+
+/// From this probability on an effect is the type's and no group's.
+const WHOLE: f64 = 0.75;
+/// A vehicle is as its type, or one of a group, from this probability on.
+const IS: f64 = 0.5;
+/// Most effects of a type, and most groups.
+const EFFECTS_MAX: usize = 3;
+const GROUPS_MAX: usize = 4;
+/// Two vehicles are no group: they may as well be damaged alike.
+const GROUP_MIN: usize = 3;
+
+/// An effect over the fleet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cause {
+    /// Its hypothesis: the effect, and for the loss of a rotor which.
+    pub key: String,
+    /// Probability that it acts.
+    pub probability: f64,
+    /// Probability that it is the type's, if it acts.
+    pub whole: f64,
+    /// Its numbers.
+    pub numbers: Vec<CauseNumber>,
+    /// Of each vehicle the probability that it has the cause as the others do.
+    pub has: Vec<f64>,
+    /// Of each vehicle the numbers by its own flights, with standard deviations.
+    pub own: Vec<Option<Vec<[f64; 2]>>>,
+    /// Effects that would do as well in its place.
+    pub ambiguous_with: Vec<String>,
+}
+
+/// A number of a cause.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CauseNumber {
+    /// What it is.
+    pub number: SurveyedNumber,
+    /// The fleet's value, in the number's unit.
+    pub value: f64,
+    /// Its standard deviation.
+    pub deviation: f64,
+    /// Standard deviation of the vehicles about it.
+    pub spread: f64,
+}
+
+impl Cause {
+    /// The effect's id.
+    pub fn effect(&self) -> &str {
+        self.numbers.first().map_or(self.key.as_str(), |of| of.number.effect.as_str())
+    }
+
+    /// The values of its numbers.
+    pub fn values(&self) -> Vec<f64> {
+        self.numbers.iter().map(|number| number.value).collect()
+    }
+}
+
+/// What is decided of a fleet so far.
+#[derive(Clone, Debug, Default)]
+pub struct Fleet {
+    /// Effects of the type.
+    pub shared: Vec<Cause>,
+    /// Effects of a part of the vehicles.
+    pub groups: Vec<Cause>,
+    /// Effects of which the fleet is too small to say whose they are.
+    pub open: Vec<Cause>,
+    /// The type's values.
+    base: Option<Fitted>,
+}
+
+impl Fleet {
+    /// Takes up what every vehicle's flights say beside the effects of the type so far. Returns whether
+    /// another effect was found, beside which the vehicles are to be looked at again.
+    pub fn take_up(&mut self, surveys: &[&Survey]) -> bool {
+        (self.groups, self.open) = (Vec::new(), Vec::new());
+        let base = self.base.as_ref().map_or_else(
+            || Normal { mean: Vec::new(), deviation: Vec::new() },
+            |fitted| fitted.of_type.clone(),
+        );
+        let alone: Vec<[f64; 2]> = surveys.iter().map(|survey| alone(survey, &base)).collect();
+        let mut kept: BTreeSet<usize> = (0..surveys.len()).collect();
+        while kept.len() > 1 && self.groups.len() < GROUPS_MAX {
+            let Some((set, cause)) = self.best(surveys, &alone, &kept) else { break };
+            let members: Vec<usize> = kept.iter().copied().filter(|v| cause.has[*v] > IS).collect();
+            if cause.whole >= WHOLE {
+                self.shared.push(cause);
+                self.refresh(&set.fitted);
+                self.base = Some(set.fitted);
+                return self.shared.len() < EFFECTS_MAX;
+            }
+            if members.is_empty() {
+                break;
+            }
+            kept.retain(|vehicle| !members.contains(vehicle));
+            if members.len() >= GROUP_MIN {
+                self.groups.push(cause);
+            } else {
+                self.open.push(cause);
+            }
+        }
+        false
+    }
+
+    /// The type's numbers as they are beside an effect that was found last.
+    fn refresh(&mut self, fitted: &Fitted) {
+        let numbers = self.shared.iter_mut().flat_map(|cause| &mut cause.numbers);
+        for (at, number) in numbers.enumerate() {
+            let magnitude = number.number.magnitude;
+            number.value = number.number.reference + magnitude * fitted.of_type.mean[at];
+            number.deviation = magnitude * fitted.error[at];
+            number.spread = magnitude * fitted.of_type.deviation[at];
+        }
+    }
+
+    /// The effect beside the type's so far that the verdict rests on, looked for among the vehicles
+    /// `kept`.
+    fn best(
+        &self,
+        surveys: &[&Survey],
+        alone: &[[f64; 2]],
+        kept: &BTreeSet<usize>,
+    ) -> Option<(Set, Cause)> {
+        let prefix: Vec<&str> = self.shared.iter().map(|cause| cause.key.as_str()).collect();
+        let keys: BTreeSet<&str> = surveys
+            .iter()
+            .flat_map(|survey| &survey.beside)
+            .filter_map(|set| set.keys.last().map(String::as_str))
+            .collect();
+        let sets: Vec<Set> = keys
+            .into_iter()
+            .filter_map(|key| self.set(surveys, alone, kept, (&prefix, key)))
+            .collect();
+        // Beside what the type has: that is the file of this round.
+        let nothing = kept.iter().map(|v| without(alone[*v])).collect();
+        let nothing = Explained { blocks: nothing, ..Explained::default() };
+        let explanations: Vec<Explained> =
+            std::iter::once(nothing).chain(sets.iter().map(|set| set.explained.clone())).collect();
+        let most = |is: &dyn Fn(&Survey) -> bool| {
+            2 * kept.iter().filter(|v| is(surveys[**v])).count() >= kept.len()
+        };
+        let evidence = Evidence {
+            scale: 1.0,
+            fitted_blocks: kept.len(),
+            explanations,
+            voltage_differs: most(&|survey| survey.voltage_differs),
+            outputs_logged: most(&|survey| survey.outputs_logged),
+            ..Evidence::default()
+        };
+        let decision = decide(&evidence);
+        let index = decision.explanation.checked_sub(1)?;
+        let set = sets.into_iter().nth(index)?;
+        let key = set.key.clone();
+        let effect = set.numbers.first()?.effect.clone();
+        let (_, probability) = *decision
+            .effects
+            .iter()
+            .find(|(id, probability)| *id == effect && *probability >= NAMED)?;
+        let count = set.numbers.len();
+        let first = count - set.newest;
+        let number = |i: usize| CauseNumber {
+            number: set.numbers[i].clone(),
+            value: set.value(i),
+            deviation: set.numbers[i].magnitude * set.fitted.error[i],
+            spread: set.numbers[i].magnitude * set.fitted.of_type.deviation[i],
+        };
+        let mut has = vec![0.0; surveys.len()];
+        for (vehicle, states) in kept.iter().zip(&set.fitted.states) {
+            has[*vehicle] = states[0];
+        }
+        let own = surveys.iter().map(|survey| {
+            let own = newest(survey, &prefix, &key)?;
+            let values = values_of(own).into_iter().zip(&own.numbers).skip(first);
+            Some(
+                values
+                    .map(|([m, d], n)| [n.reference + n.magnitude * m, n.magnitude * d])
+                    .collect(),
+            )
+        });
+        let cause = Cause {
+            probability,
+            whole: set.fitted.whole,
+            numbers: (first..count).map(number).collect(),
+            has,
+            own: own.collect(),
+            ambiguous_with: decision.ambiguous_with,
+            key,
+        };
+        Some((set, cause))
+    }
+
+    /// The type's effects with one more, fitted over the fleet.
+    fn set(
+        &self,
+        surveys: &[&Survey],
+        alone: &[[f64; 2]],
+        kept: &BTreeSet<usize>,
+        (prefix, key): (&[&str], &str),
+    ) -> Option<Set> {
+        let looked = |v: &usize| newest(surveys[*v], prefix, key);
+        let mut numbers = kept.iter().find_map(looked)?.numbers.clone();
+        for (i, number) in numbers.iter_mut().enumerate() {
+            // What a log's channels add to a tolerance differs from vehicle to vehicle.
+            let all = kept.iter().filter_map(|v| looked(v)?.numbers.get(i));
+            let (sum, count) =
+                all.fold((0.0, 0.0), |(sum, n), other| (sum + other.unremarkable, n + 1.0));
+            number.unremarkable = sum / f64::max(count, 1.0);
+        }
+        let newest = numbers.iter().filter(|number| number.key == key).count();
+        let first = numbers.len() - newest;
+        let widths: Vec<Width> = numbers
+            .iter()
+            .enumerate()
+            .map(|(i, n)| Width { tolerance: n.unremarkable / n.magnitude, is_base: i < first })
+            .collect();
+        let members: Vec<Member> = kept
+            .iter()
+            .map(|v| {
+                let set = looked(v).filter(|set| set.mean.len() == numbers.len());
+                let [file, own] = alone[*v];
+                Member { set: set.and_then(Quadratic::of), file, own }
+            })
+            .collect();
+        let starts: Vec<Vec<f64>> =
+            kept.iter().filter_map(looked).map(|s| s.mean.clone()).collect();
+        let fitted = fit(&members, &widths, &starts)?;
+        let found = numbers.iter().enumerate().skip(first).map(|(i, number)| {
+            let value = number.reference + number.magnitude * fitted.of_type.mean[i];
+            let near = 1e-3 * number.magnitude;
+            let [low, high] = number.bounds;
+            let is_absent = number.absent.is_some_and(|absent| (value - absent).abs() < near);
+            let off = (value - number.reference).abs() > near;
+            Found {
+                effect: number.effect.clone(),
+                name: number.name.clone(),
+                value,
+                deviation: number.magnitude * fitted.error[i],
+                reference: number.reference,
+                unremarkable: number.unremarkable,
+                magnitude: number.magnitude,
+                is_at_bound: off && !is_absent && (value - low < near || high - value < near),
+            }
+        });
+        let explained = Explained {
+            effects: vec![effect_of(key).to_owned()],
+            numbers: found.collect(),
+            blocks: fitted.blocks.clone(),
+            ..Explained::default()
+        };
+        Some(Set { key: key.to_owned(), numbers, newest, fitted, explained })
+    }
+}
+
+/// A set of effects, fitted over the fleet.
+struct Set {
+    key: String,
+    numbers: Vec<SurveyedNumber>,
+    /// How many of the numbers are the newest effect's.
+    newest: usize,
+    fitted: Fitted,
+    explained: Explained,
+}
+
+impl Set {
+    /// The fleet's value of a number.
+    fn value(&self, number: usize) -> f64 {
+        let of = &self.numbers[number];
+        of.reference + of.magnitude * self.fitted.of_type.mean[number]
+    }
+}
+
+/// The effect of a hypothesis' key.
+pub fn effect_of(key: &str) -> &str {
+    key.split(' ').next().unwrap_or(key)
+}
+
+/// What a vehicle's flights say of the effects of the type with `key` beside them.
+fn newest<'a>(survey: &'a Survey, prefix: &[&str], key: &str) -> Option<&'a Surveyed> {
+    survey.beside.iter().find(|set| {
+        let whole = set.keys.iter().map(String::as_str);
+        whole.eq(prefix.iter().copied().chain(std::iter::once(key)))
+    })
+}

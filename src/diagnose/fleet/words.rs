@@ -1,0 +1,150 @@
+//! The answer on a fleet as text.
+
+use crate::diagnose::fleet::answer::{CauseAnswer, FleetAnswer, OwnEffect, State, VehicleAnswer};
+
+/// A number to four digits.
+pub fn four(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let decimals = (3 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    format!("{value:.decimals$}")
+}
+
+fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
+fn values(cause: &CauseAnswer) -> String {
+    let numbers =
+        cause.numbers.iter().map(|number| format!("{} {}", number.name, four(number.value)));
+    format!("{} ({})", cause.id, numbers.collect::<Vec<_>>().join(", "))
+}
+
+fn list(causes: &[CauseAnswer]) -> String {
+    causes.iter().map(values).collect::<Vec<_>>().join(" and ")
+}
+
+/// The finding in a sentence or two.
+pub fn sentence(answer: &FleetAnswer) -> String {
+    let of = counted(answer.looked_at, "vehicle");
+    let mut text = match answer.shared.as_slice() {
+        [] => format!("The {of} share nothing that the vehicle file lacks."),
+        shared => format!("The type has {}, by {of}.", list(shared)),
+    };
+    for group in &answer.groups {
+        text += &format!(" {} have {}.", counted(group.vehicles.len(), "vehicle"), values(group));
+    }
+    for open in &answer.open {
+        text += &format!(
+            " {} have {}: too few to tell whether it is the type's or theirs alone.",
+            counted(open.vehicles.len(), "vehicle"),
+            values(open)
+        );
+    }
+    // Those of which only that is known have been named.
+    let is_open = |vehicle: &VehicleAnswer, effect: &OwnEffect| {
+        answer.open.iter().any(|o| o.id == effect.id && o.vehicles.contains(&vehicle.name))
+    };
+    let has_own = |vehicle: &&VehicleAnswer| {
+        matches!(vehicle.state, State::Own | State::Ambiguous)
+            && !vehicle.effects.iter().all(|effect| is_open(vehicle, effect))
+    };
+    let own = answer.vehicles.iter().filter(has_own).count();
+    text += &match own {
+        0 => " No vehicle has anything of its own.".to_owned(),
+        1 => " One has something of its own.".to_owned(),
+        own => format!(" {own} have something of their own."),
+    };
+    text
+}
+
+fn cause_lines(title: &str, cause: &CauseAnswer) -> String {
+    let percent = |p: f64| format!("{:.0} %", 100.0 * p);
+    let mut text = format!(
+        "{title:10} {:18} {:>5}  of the type {:>5}  {} vehicles have it\n",
+        cause.id,
+        percent(cause.probability),
+        percent(cause.of_type),
+        cause.vehicles.len()
+    );
+    for number in &cause.numbers {
+        let [low, high] = number.interval.map(four);
+        text += &format!(
+            "           {:18} {} ({low} .. {high}), file {}, spread between vehicles {}\n",
+            number.name,
+            four(number.value),
+            four(number.file),
+            four(number.spread)
+        );
+    }
+    if !cause.ambiguous_with.is_empty() {
+        text += &format!("           or {}\n", cause.ambiguous_with.join(", "));
+    }
+    text
+}
+
+fn effect(effect: &OwnEffect) -> String {
+    let numbers = effect
+        .intervals
+        .iter()
+        .map(|(name, [low, high])| format!("{name} {} .. {}", four(*low), four(*high)));
+    let numbers: Vec<String> = numbers.collect();
+    format!("{} {:.0} %  {}", effect.id, 100.0 * effect.probability, numbers.join("  "))
+}
+
+/// What is told of a vehicle.
+pub fn told(vehicle: &VehicleAnswer) -> String {
+    let effects: Vec<String> = vehicle.effects.iter().map(effect).collect();
+    let effects = effects.join("; ");
+    match vehicle.state {
+        State::AsType => "as its type".to_owned(),
+        State::Group => format!("as its group: {effects}"),
+        State::Own => effects,
+        State::Ambiguous => format!("{effects}; or {}", vehicle.ambiguous_with.join(", ")),
+        State::Unknown => format!("unknown: {}", vehicle.sentence),
+        State::Faulty => format!("logs at fault: {}", vehicle.faults.join("; ")),
+        State::Unusable => format!("left out: {}", vehicle.sentence),
+    }
+}
+
+/// The answer for the terminal: what the type has, what groups have, then every vehicle that is not as
+/// its type.
+pub fn report(answer: &FleetAnswer) -> String {
+    let mut text = answer.sentence.clone() + "\n\n";
+    for (title, causes) in
+        [("type", &answer.shared), ("group", &answer.groups), ("open", &answer.open)]
+    {
+        for cause in causes {
+            text += &cause_lines(title, cause);
+            if title != "type" {
+                text += &format!("           {}\n", cause.vehicles.join(" "));
+            }
+        }
+    }
+    for number in &answer.file_numbers {
+        text += &format!(
+            "file       {:18} {} for {} in the mean ({:+.1} tolerances), spread {}\n",
+            number.name,
+            four(number.mean),
+            four(number.expected),
+            number.tolerances,
+            four(number.spread)
+        );
+    }
+    for vehicle in answer.vehicles.iter().filter(|vehicle| vehicle.state != State::AsType) {
+        text += &format!("vehicle    {:18} {}\n", vehicle.name, told(vehicle));
+    }
+    text += &format!(
+        "vehicles   {} as the type, {} of a group, {} with something of their own, {} ambiguous, {} \
+         unknown, {} with faulty logs, {} left out\n",
+        answer.count(State::AsType),
+        answer.count(State::Group),
+        answer.count(State::Own),
+        answer.count(State::Ambiguous),
+        answer.count(State::Unknown),
+        answer.count(State::Faulty),
+        answer.count(State::Unusable)
+    );
+    text
+}
