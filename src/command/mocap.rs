@@ -3,7 +3,6 @@
 mod room;
 mod summary;
 
-use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -351,16 +350,11 @@ impl Line {
 }
 
 /// The length of the next datagram, into `buffer`.
-fn receive<'a>(
-    socket: &'a UdpSocket,
-    buffer: &'a mut [u8],
-) -> impl Future<Output = usize> + use<'a> {
-    async move {
-        loop {
-            // An error is of an earlier datagram that nobody took.
-            if let Ok((length, _)) = socket.recv_from(buffer).await {
-                return length;
-            }
+async fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> usize {
+    loop {
+        // An error is of an earlier datagram that nobody took.
+        if let Ok((length, _)) = socket.recv_from(buffer).await {
+            return length;
         }
     }
 }

@@ -239,7 +239,7 @@ impl<'a> Reader<'a> {
     /// A count, and as many items of `length` bytes.
     fn items(&mut self, length: usize) -> Result<(), Malformed> {
         let count = self.count()?;
-        let bytes = count.checked_mul(length).unwrap_or(usize::MAX);
+        let bytes = count.saturating_mul(length);
         self.take(bytes).map(drop)
     }
 

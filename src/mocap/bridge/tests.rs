@@ -127,7 +127,8 @@ fn nothing_wrong_is_forwarded_and_each_is_said_once() {
         let after = room.run(2.05, 3.0).len();
         (news, room.bridge.tally().faults, after)
     };
-    let cases: [(Fault, fn(&mut Sample)); 8] = [
+    type Spoil = fn(&mut Sample);
+    let cases: [(Fault, Spoil); 8] = [
         (Fault::NotANumber, |s| s.position_m[1] = f64::NAN),
         (Fault::NotANumber, |s| s.captured_s = f64::INFINITY),
         (Fault::NotAUnit, |s| s.rotation = [0.0; 4]),
