@@ -113,7 +113,14 @@ pub struct Watch {
     track: Track,
     /// The newest pose, and since when it has been the same.
     newest: Option<(Seen, f64)>,
-    others: BTreeMap<String, Seen>,
+    others: BTreeMap<String, Other>,
+}
+
+/// Where another body was in the two newest frames that had it.
+#[derive(Clone, Copy, Debug)]
+struct Other {
+    latest: Seen,
+    before: Option<Seen>,
 }
 
 impl Watch {
@@ -131,9 +138,9 @@ impl Watch {
     /// Takes a pose of another body.
     pub fn see_other(&mut self, body: &str, seen: Seen) {
         if let Some(known) = self.others.get_mut(body) {
-            *known = seen;
+            *known = Other { latest: seen, before: Some(known.latest) };
         } else if self.others.len() < OTHERS_MAX {
-            self.others.insert(body.to_owned(), seen);
+            self.others.insert(body.to_owned(), Other { latest: seen, before: None });
         }
     }
 
@@ -255,7 +262,9 @@ impl Watch {
     }
 
     fn is_anothers(&self, seen: &Seen) -> bool {
-        self.others.values().any(|other| {
+        // A tracker may tell of the other body first: where that was before is then what tells a swap.
+        let places = self.others.values().flat_map(|other| [Some(other.latest), other.before]);
+        places.flatten().any(|other| {
             (seen.at_s - other.at_s).abs() <= OTHER_AGE_MAX_S
                 && (seen.position - other.position).norm() <= OTHER_WITHIN_M
         })
