@@ -9,8 +9,8 @@ use crate::link::external_pose::PoseForm;
 /// Flags of `mocap`.
 #[derive(Debug, Args)]
 pub struct MocapArgs {
-    /// Where the room is. stream:HOST:PORT listens there for lines of JSON; natnet:SERVER[:PORT] asks
-    /// Motive for its frames (unicast); natnet-multicast:GROUP:PORT listens to them.
+    /// Where the room is. stream:HOST:PORT listens there for lines of JSON; natnet:SERVER or
+    /// natnet:SERVER:PORT asks Motive for its frames (unicast); natnet-multicast:GROUP:PORT listens to them.
     #[arg(long, value_name = "ROOM")]
     pub room: String,
     /// The rigid body to bridge: its name in the stream, its streaming id in Motive.
