@@ -97,9 +97,8 @@ pub enum Command {
     Inspect(ListenArgs),
     /// Bridges poses of a rigid body from a motion-capture room to a vehicle.
     ///
-    /// Only poses go to the vehicle, and only those that are believed: a room that swaps bodies, freezes,
-    /// jumps or is late is told of, with what to do, and nothing is forwarded. It runs beside `fly`, on an
-    /// endpoint of its own.
+    /// It forwards only poses that it believes. Where the room swaps bodies, freezes, jumps or is late, it
+    /// forwards nothing, and says why and what to do. It runs beside `fly`, on an endpoint of its own.
     Mocap(MocapArgs),
     /// Runs the bundled vehicle on MAVLink links.
     Sitl(SimulatorArgs),

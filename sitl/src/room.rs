@@ -320,7 +320,7 @@ mod tests {
         Room::new(config, 1)
     }
 
-    /// Where `quad` is told to be, frame by frame, of a vehicle that climbs at 1 m/s and is armed at 0.
+    /// Where the room says `quad` is, frame by frame, while it climbs at 1 m/s, armed at 0.
     fn told(room: &mut Room, seconds: f64) -> Vec<[f64; 3]> {
         let mut told = Vec::new();
         for ms in 0..(seconds * 1e3) as u64 {

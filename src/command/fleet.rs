@@ -41,7 +41,7 @@ use crate::report::fleet::html;
 const SAMPLE: usize = 6;
 /// Twins of a vehicle, at most: over the fleet there are many.
 const TWINS_MAX: u32 = 8;
-/// Stages: the scale, looks beside more and more effects of the type, and each vehicle by itself.
+/// Stages: the scale of the tolerances, surveys beside ever more effects of the type, the vehicles' diagnoses.
 const SCALES: usize = 0;
 const SURVEYS: usize = 1;
 const OWN: usize = 5;
@@ -200,7 +200,11 @@ impl Work<'_> {
         let usable: Vec<usize> =
             (0..self.read.len()).filter(|v| !self.read[*v].flights.is_empty()).collect();
         if usable.is_empty() {
-            return Err(anyhow!("no vehicle has a log that can be used")).or_exit(Exit::Usage);
+            // Of many, a few say what is wrong.
+            let reasons = self.read.iter().flat_map(|read| &read.reasons).map(String::as_str);
+            let reasons: Vec<&str> = reasons.take(3).collect();
+            return Err(anyhow!("no vehicle has a log that can be used: {}", reasons.join("; ")))
+                .or_exit(Exit::Usage);
         }
         let Some(scale) = self.scale(&usable)? else { return Ok(None) };
         let mut fleet = Fleet::default();

@@ -1,4 +1,4 @@
-//! `downwash exam --fleet COUNT`: how well what a type has is told from what single vehicles have.
+//! `downwash exam --fleet COUNT`: how well the diagnosis tells what a type has from what single vehicles have.
 
 use std::fs;
 use std::sync::Arc;
@@ -100,7 +100,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
         world,
         ..Settings::default()
     };
-    // A fleet takes all cores by itself.
+    // The diagnosis of one fleet uses all cores.
     let alone = Hall { jobs: 1, ..*hall };
     let rows = alone.each(count + args.nulls, "diagnosing fleets of", |number| {
         let shape =

@@ -156,7 +156,7 @@ pub struct FleetNumber {
     pub spread: f64,
     /// As the vehicle file has it.
     pub file: f64,
-    /// Each vehicle by itself.
+    /// The values that the vehicles' own flights give.
     pub vehicles: Vec<OwnValue>,
 }
 
