@@ -11,7 +11,7 @@ use downwash::link::attitude_target::ThrustMap;
 use downwash::link::session;
 use downwash::lockstep;
 use downwash::log::record::Record;
-use downwash::pilot::PilotSettings;
+use downwash::offboard::OffboardSettings;
 use downwash::plan::{ModelFreeReference, Trajectory};
 use downwash::station::{End, Station, StationSettings};
 use downwash::supervisor::EngagePolicy;
@@ -44,7 +44,7 @@ pub fn fly(effect: &str, law: Law) -> anyhow::Result<(End, f64)> {
             vehicle_has_attitude_pd: params.attitude_pd.is_some(),
             ..session::Settings::new(thrust)
         },
-        pilot: PilotSettings::default(),
+        offboard: OffboardSettings::default(),
         control: ControlSettings { law, ..ControlSettings::default() },
         policy: EngagePolicy::Command,
         hover,

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 use vehicle::bounded;
 
-use self::check::{check_adaptation, check_numbers, check_pilot};
+use self::check::{check_adaptation, check_numbers, check_offboard};
 pub use self::settings::{FormSetting, LinkSettings, Settings, SigningSettings};
 
 /// Version of the configuration's schema.
@@ -101,6 +101,9 @@ pub struct Config {
     merged: Table,
     origins: BTreeMap<String, Origin>,
 }
+
+/// What `[offboard]` was called before: layers of that name are still read.
+const OFFBOARD_ONCE: &str = "pilot";
 
 /// Prefix of the environment variables: `DOWNWASH_CONTROL__RATE_HZ` sets `control.rate_hz`.
 const ENVIRONMENT_PREFIX: &str = "DOWNWASH_";
@@ -196,7 +199,7 @@ impl Config {
 
     fn check(&self) -> Result<(), ConfigError> {
         let settings = &self.settings;
-        let checked = check_pilot(&settings.pilot);
+        let checked = check_offboard(&settings.offboard);
         checked.and_then(|()| check_adaptation(&settings.control.adaptation)).map_err(
             |impossible| {
                 let origins = impossible.settings.iter().filter_map(|path| self.origins.get(*path));
@@ -240,7 +243,10 @@ impl Config {
         self.merge(table, &origin)
     }
 
-    fn merge(&mut self, layer: Table, origin: &Origin) -> Result<(), ConfigError> {
+    fn merge(&mut self, mut layer: Table, origin: &Origin) -> Result<(), ConfigError> {
+        if let Some(older) = layer.remove(OFFBOARD_ONCE) {
+            layer.insert("offboard".to_owned(), older);
+        }
         for (path, value) in leaves("", &layer) {
             check_numbers(&path, value)
                 .map_err(|message| ConfigError::Schema { origin: origin.clone(), message })?;
@@ -311,6 +317,21 @@ mod tests {
     }
 
     #[test]
+    fn the_older_name_of_the_controllers_settings_is_read() {
+        let environment = [("DOWNWASH_PILOT__SUPERVISOR__HOLD_S", "0.5")];
+        let config = load(None, &environment).expect("a configuration");
+        assert_eq!(config.settings.offboard.supervisor.hold_s, 0.5);
+        let origin = origin_of(&config, "offboard.supervisor.hold_s");
+        assert_eq!(origin, "$DOWNWASH_PILOT__SUPERVISOR__HOLD_S");
+        let read = |text: &str| toml::from_str::<Settings>(text);
+        let settings = read("[pilot.supervisor]\nhold_s = 0.5").expect("settings");
+        assert_eq!(settings, config.settings);
+        assert!(
+            read("[pilot.supervisor]\nhold_s = 0.5\n[offboard.supervisor]\nrest_s = 1.0").is_err()
+        );
+    }
+
+    #[test]
     fn later_layers_win_and_the_origin_is_known() {
         let folder = std::env::temp_dir().join(format!("downwash-config-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a folder");
@@ -347,7 +368,7 @@ mod tests {
     #[test]
     fn numbers_that_would_limit_nothing_are_refused() {
         for (name, text) in [
-            ("DOWNWASH_PILOT__SAFETY__TILT_MAX_RAD", "nan"),
+            ("DOWNWASH_OFFBOARD__SAFETY__TILT_MAX_RAD", "nan"),
             ("DOWNWASH_CONTROL__RATE_HZ", "-100"),
             ("DOWNWASH_CONTROL__POSITION_M", "[0.4, inf, 0.3]"),
         ] {
@@ -370,16 +391,16 @@ mod tests {
     #[test]
     fn impossible_values_are_refused_with_their_layer() {
         for (name, text, setting) in [
-            ("DOWNWASH_PILOT__LIMITS__THRUST_MIN", "5.0", "pilot.limits.thrust_min"),
-            ("DOWNWASH_PILOT__LIMITS__THRUST_MAX", "0.03", "pilot.limits.thrust_min"),
-            ("DOWNWASH_PILOT__SUPERVISOR__RETRY_S", "1e300", "pilot.supervisor.retry_s"),
+            ("DOWNWASH_OFFBOARD__LIMITS__THRUST_MIN", "5.0", "offboard.limits.thrust_min"),
+            ("DOWNWASH_OFFBOARD__LIMITS__THRUST_MAX", "0.03", "offboard.limits.thrust_min"),
+            ("DOWNWASH_OFFBOARD__SUPERVISOR__RETRY_S", "1e300", "offboard.supervisor.retry_s"),
         ] {
             let message = load(None, &[(name, text)]).expect_err("refused").to_string();
             assert!(message.contains(name) && message.contains(setting), "{message}");
         }
         let both = [
-            ("DOWNWASH_PILOT__LIMITS__THRUST_MIN", "0.95"),
-            ("DOWNWASH_PILOT__LIMITS__THRUST_MAX", "0.99"),
+            ("DOWNWASH_OFFBOARD__LIMITS__THRUST_MIN", "0.95"),
+            ("DOWNWASH_OFFBOARD__LIMITS__THRUST_MAX", "0.99"),
         ];
         load(None, &both).expect("the later limit fits the earlier");
     }

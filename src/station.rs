@@ -1,4 +1,4 @@
-//! The ground station, sans I/O: a session with one vehicle, the pilot that flies it, and what the
+//! The ground station, sans I/O: a session with one vehicle, the offboard controller that flies it, and what the
 //! flight's log is told. A driver moves the bytes and the clock.
 
 mod aftermath;
@@ -32,7 +32,7 @@ use crate::link::profile::Profile;
 use crate::link::received::Received;
 use crate::link::session::{Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
-use crate::pilot::{LinkEvent, Pilot, Tick};
+use crate::offboard::{LinkEvent, OffboardController, Tick};
 use crate::supervisor::FlightState;
 
 /// A process whose control line runs again after longer than this was paused: by a signal, a swap, a
@@ -43,13 +43,13 @@ pub const PAUSE: Duration = Duration::from_millis(300);
 /// Period of the link's counters in the log.
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
-/// A session, a pilot, and the records of both.
+/// A session, an offboard controller, and the records of both.
 pub struct Station {
     settings: StationSettings,
     session: Session,
     /// There is none before the vehicle is identified, whose profile decides the design, and none
     /// for a vehicle that is not flown.
-    pilot: Option<Pilot>,
+    offboard: Option<OffboardController>,
     profile: Option<Profile>,
     records: Vec<Record>,
     ticks: Vec<Tick>,
@@ -95,7 +95,7 @@ impl Station {
         Self {
             session: Session::new(settings.session.clone(), now),
             settings,
-            pilot: None,
+            offboard: None,
             profile: None,
             records: Vec::new(),
             ticks: Vec::new(),
@@ -130,20 +130,20 @@ impl Station {
         Self { is_check: true, ..self }
     }
 
-    /// Takes bytes that arrived. The line: each message to the pilot, and the setpoint that it
+    /// Takes bytes that arrived. The line: each message to the controller, and the setpoint that it
     /// answers with, if any, to the vehicle. What else follows waits for
     /// [`Station::transmit`], which sends the setpoint first.
     pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
         let first_tick = self.ticks.len();
-        self.hear(now, peer, bytes, is_datagram, Pilot::handle);
+        self.hear(now, peer, bytes, is_datagram, OffboardController::handle);
         self.answer(now, first_tick);
     }
 
     /// Takes bytes that lay unread while this process was paused: nothing answers them.
     /// [`Station::resumed`] follows the last of them.
     pub fn catch_up(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
-        self.hear(now, peer, bytes, is_datagram, |pilot, received| {
-            pilot.catch_up(received);
+        self.hear(now, peer, bytes, is_datagram, |offboard, received| {
+            offboard.catch_up(received);
             None
         });
     }
@@ -157,41 +157,41 @@ impl Station {
         );
         self.tell(now, Severity::Warning, text);
         self.session.withdraw_commands();
-        if let Some(pilot) = &mut self.pilot {
-            pilot.resumed(now, paused_s);
+        if let Some(offboard) = &mut self.offboard {
+            offboard.resumed(now, paused_s);
         }
         self.follow_up(now);
     }
 
-    /// Each message to the pilot, by `take`, and to the log.
+    /// Each message to the controller, by `take`, and to the log.
     fn hear(
         &mut self,
         now: HostTime,
         peer: Peer,
         bytes: &[u8],
         is_datagram: bool,
-        mut take: impl FnMut(&mut Pilot, &Received) -> Option<Tick>,
+        mut take: impl FnMut(&mut OffboardController, &Received) -> Option<Tick>,
     ) {
-        let Self { session, pilot, profile, records, ticks, .. } = self;
+        let Self { session, offboard, profile, records, ticks, .. } = self;
         let motors = profile.as_ref().map(|profile| profile.motor_outputs);
         let first = records.len();
-        if let Some(pilot) = pilot {
-            pilot.turn(now);
+        if let Some(offboard) = offboard {
+            offboard.turn(now);
         }
         session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
             Heard::Frame { bytes, .. } => {
                 records
                     .extend(FrameRecord::from_bytes(Direction::Rx, now, bytes).map(Record::Frame));
             }
-            // Before the pilot takes the mode of that vehicle for a word of the one that it flies.
+            // Before the controller takes the mode of that vehicle for a word of the one that it flies.
             Heard::Replaced => {
-                if let Some(pilot) = pilot {
-                    pilot.link_event(now, LinkEvent::Replaced);
+                if let Some(offboard) = offboard {
+                    offboard.link_event(now, LinkEvent::Replaced);
                 }
             }
             Heard::Message(received) => {
-                if let Some(pilot) = pilot {
-                    ticks.extend(take(pilot, &received));
+                if let Some(offboard) = offboard {
+                    ticks.extend(take(offboard, &received));
                 }
                 if let Inbound::StatusText { severity, text } = &received.message {
                     show(Severity::from(*severity), &format!("vehicle: {text}"));
@@ -215,11 +215,11 @@ impl Station {
         // The log has what was sent; what of this does not leave is withheld then.
         let withheld = self.ticks.len() - usize::from(is_sent);
         self.ticks[first_tick..withheld].iter_mut().for_each(Tick::withhold);
-        if let Some(pilot) = &mut self.pilot
+        if let Some(offboard) = &mut self.offboard
             && !is_sent
             && first_tick < self.ticks.len()
         {
-            pilot.sent(false);
+            offboard.sent(false);
         }
     }
 
@@ -236,9 +236,9 @@ impl Station {
     /// Does what is due by the clock. Never makes a setpoint.
     pub fn poll(&mut self, now: HostTime) {
         self.session.poll(now);
-        if let Some(pilot) = &mut self.pilot {
-            pilot.poll(now);
-            if !pilot.telemetry().status().is_heard(now) {
+        if let Some(offboard) = &mut self.offboard {
+            offboard.poll(now);
+            if !offboard.telemetry().status().is_heard(now) {
                 // The pilot may have taken over meanwhile: what was commanded is not repeated.
                 self.session.withdraw_commands();
             }
@@ -284,8 +284,8 @@ impl Station {
     pub fn closed(&mut self, now: HostTime, why: &str) {
         self.session.transport_closed();
         self.tell(now, Severity::Warning, format!("link closed: {why}"));
-        if let Some(pilot) = &mut self.pilot {
-            pilot.link_event(now, LinkEvent::Lost);
+        if let Some(offboard) = &mut self.offboard {
+            offboard.link_event(now, LinkEvent::Lost);
         }
         self.follow_up(now);
     }
@@ -304,13 +304,13 @@ impl Station {
     pub fn land(&mut self, now: HostTime) {
         self.is_stopping = true;
         self.end_aftermath();
-        let Some(pilot) = &mut self.pilot else {
+        let Some(offboard) = &mut self.offboard else {
             self.end.get_or_insert(End::Stopped);
             return;
         };
-        let state = pilot.flight_state();
+        let state = offboard.flight_state();
         if state.is_flying() {
-            pilot.land(now);
+            offboard.land(now);
         }
         // What became of an earlier flight is no news: but one that has not been left yet, because
         // the link is silent since, is not over for whoever stops now.
@@ -331,7 +331,7 @@ impl Station {
         self.end.is_some() && self.aftermath.is_none()
     }
 
-    /// After the pilot has acted: the session's news to the pilot, the pilot's requests to the
+    /// After the controller has acted: the session's news to the controller, its requests to the
     /// vehicle.
     fn follow_up(&mut self, now: HostTime) {
         while let Some(event) = self.session.next_event() {
@@ -340,12 +340,12 @@ impl Station {
         self.follow_pilot(now);
     }
 
-    /// The pilot's requests to the vehicle, its events to the log, and what they make of the
+    /// The controller's requests to the vehicle, its events to the log, and what they make of the
     /// flight.
     fn follow_pilot(&mut self, now: HostTime) {
-        let Some(pilot) = &mut self.pilot else { return };
-        let (actions, events) = (pilot.take_actions(), pilot.take_events());
-        let state = pilot.flight_state();
+        let Some(offboard) = &mut self.offboard else { return };
+        let (actions, events) = (offboard.take_actions(), offboard.take_events());
+        let state = offboard.flight_state();
         for action in actions.into_iter().filter(|_| !self.is_check) {
             self.session.request(now, request_of(action));
         }
@@ -392,8 +392,8 @@ impl Station {
             let text =
                 format!("recording goes on until the vehicle is down, for at most {limit_s} s");
             self.tell(now, Severity::Notice, text);
-        } else if let (Some(aftermath), Some(pilot)) = (&mut self.aftermath, &self.pilot)
-            && aftermath.is_over(now, pilot.telemetry().status())
+        } else if let (Some(aftermath), Some(offboard)) = (&mut self.aftermath, &self.offboard)
+            && aftermath.is_over(now, offboard.telemetry().status())
         {
             self.end_aftermath();
         }
@@ -412,8 +412,8 @@ impl Station {
 
     fn record_stats(&mut self, now: HostTime) {
         let counted = self.session.stats();
-        if let (Some(loss), Some(pilot)) = (self.meter.loss(&counted), &mut self.pilot) {
-            pilot.link_event(now, LinkEvent::Quality { loss });
+        if let (Some(loss), Some(offboard)) = (self.meter.loss(&counted), &mut self.offboard) {
+            offboard.link_event(now, LinkEvent::Quality { loss });
         }
         let stats = self.meter.read(now, &counted);
         // The first period has what came before the intervals were asked for.

@@ -67,7 +67,7 @@ fn ticks(
         ..settings(&golden.vehicle, toml_trajectory(&flight.trajectory))
     };
     // What take-off left has died away when the trajectory begins.
-    settings.pilot.guidance.settle_s = 20.0;
+    settings.offboard.guidance.settle_s = 20.0;
     let (end, records) = fly(settings, &golden.vehicle, effects, ideal(), 1);
     assert_eq!(end, End::Done);
     let ticks = records.into_iter().filter_map(|record| match record {

@@ -107,7 +107,7 @@ fn small_steps_are_answered_as_the_sampled_linear_loop_says() {
             let mut settings = settings(&params, toml_trajectory(&text));
             settings.actuation = Actuation::IMMEDIATE;
             // What take-off left has died away when the trajectory begins.
-            settings.pilot.guidance.settle_s = 20.0;
+            settings.offboard.guidance.settle_s = 20.0;
             let (end, records) = fly(settings.clone(), &params, effects, ideal(), 1);
             assert_eq!(end, End::Done);
             let ticks: Vec<Tick> = records

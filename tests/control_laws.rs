@@ -75,7 +75,7 @@ fn under_every_law_the_observer_takes_out_a_weight_that_is_not_known() {
         let flown = |observer| {
             let mut settings = settings(&params, hover(15.0));
             settings.control.law = Law::new(spec);
-            settings.pilot.offset_free.observer = observer;
+            settings.offboard.offset_free.observer = observer;
             let mass = ["mass:mass_kg=0.033"];
             let (end, records) = fly(settings, &params, &mass, ideal(), 1);
             assert_eq!(end, End::Done, "{}", spec.id);

@@ -117,7 +117,7 @@ fn switched_off_its_settings_change_no_byte() {
 fn estimate_that_jumps_ends_the_flight_as_without_adaptation() {
     let flown = |adaptive: bool, observer: Use| {
         let mut settings = with(Law::LQR, adaptive, 20.0);
-        settings.pilot.offset_free.observer = observer;
+        settings.offboard.offset_free.observer = observer;
         let mut config = SitlConfig::default();
         config.estimator.gps_glitch =
             Some(GpsGlitch { at_s: 14.0, for_s: 30.0, offset_m: [1.0, -1.0, 0.0] });

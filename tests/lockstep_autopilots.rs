@@ -117,7 +117,7 @@ fn a_vehicle_that_is_to_land_while_it_moves_is_brought_to_rest_before() {
     let speed_into_landing = |land_brake_s: f64| {
         let params = params(QUAD);
         let mut settings = settings(&params, lockstep::trajectory("sinusoid-yaw.toml"));
-        settings.pilot.supervisor.land_brake_s = land_brake_s;
+        settings.offboard.supervisor.land_brake_s = land_brake_s;
         let mut bench = Bench::with(settings, &params, &[], set_up(Autopilot::Arducopter));
         bench.until(FlightState::Track, 60.0);
         bench.run(4.0);
@@ -144,8 +144,8 @@ fn nothing_is_learned_of_a_vehicle_that_does_not_hear() {
     let farthest_after = |observer: Use| {
         let params = params(QUAD);
         let mut settings = settings(&params, lockstep::trajectory("sinusoid-yaw.toml"));
-        settings.pilot.offset_free.observer = observer;
-        settings.pilot.safety.tracking_error_max_m = 20.0;
+        settings.offboard.offset_free.observer = observer;
+        settings.offboard.safety.tracking_error_max_m = 20.0;
         let mut bench = Bench::with(settings, &params, &[], set_up(Autopilot::Arducopter));
         bench.until(FlightState::Track, 60.0);
         bench.run(4.0);

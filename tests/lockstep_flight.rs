@@ -189,7 +189,7 @@ fn steady_climb_needs_the_weight_only_and_has_no_lasting_error() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(1.0));
     let weight = settings.hover.hover_thrust_n();
-    settings.pilot.supervisor.hold_s = 0.5;
+    settings.offboard.supervisor.hold_s = 0.5;
     settings.reference = Arc::new(Curve(8.0, move |t| {
         let velocity = Ned::new(0.0, 0.0, -0.5);
         level(Ned::new(0.0, 0.0, -1.0) + velocity * t, velocity, weight)

@@ -25,8 +25,8 @@ use vehicle::VehicleParams;
 fn with(offset_free: Use, params: &VehicleParams, trajectory: Trajectory) -> StationSettings {
     let mut settings = settings(params, trajectory);
     settings.session.vehicle_has_attitude_pd = false;
-    settings.pilot.offset_free.observer = offset_free;
-    settings.pilot.offset_free.feed_forward = offset_free;
+    settings.offboard.offset_free.observer = offset_free;
+    settings.offboard.offset_free.feed_forward = offset_free;
     settings
 }
 
@@ -125,8 +125,8 @@ fn bundled_vehicle_is_flown_as_in_the_paper_unless_it_is_set_otherwise() {
     let params = params(NANO);
     let flown = |offset_free: Use| {
         let mut settings = settings(&params, hover(2.0));
-        settings.pilot.offset_free.observer = offset_free;
-        settings.pilot.offset_free.feed_forward = offset_free;
+        settings.offboard.offset_free.observer = offset_free;
+        settings.offboard.offset_free.feed_forward = offset_free;
         sent(settings, &params)
     };
     let by_default = flown(Use::Auto);
@@ -151,7 +151,7 @@ fn thrust_at_its_limit_winds_nothing_up() {
     );
     let params = params(QUAD);
     let mut settings = with(Use::On, &params, steps);
-    settings.pilot.limits.thrust_max = 0.6;
+    settings.offboard.limits.thrust_max = 0.6;
     let (end, records) =
         fly(settings, &params, &["thrust_scale:scale=0.9"], SitlConfig::default(), 1);
     assert_eq!(end, End::Done);

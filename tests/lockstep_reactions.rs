@@ -149,7 +149,7 @@ fn telemetry_that_is_not_a_number_is_passed_over() {
 fn vehicle_blown_away_lands() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(30.0));
-    settings.pilot.safety.tracking_error_max_m = 0.3;
+    settings.offboard.safety.tracking_error_max_m = 0.3;
     let wind = ["rotor_drag:d_xy=0.02,d_z=0.005", "wind:north_m_s=5"];
     let mut bench = Bench::with(settings, &params, &wind, SitlConfig::default());
     let limit = 60.0;
@@ -163,7 +163,7 @@ fn vehicle_blown_away_lands() {
 fn left_fence_and_tilt_end_the_flight() {
     let params = params(NANO);
     let mut fenced = settings(&params, lockstep::trajectory("sinusoid-xy.toml"));
-    fenced.pilot.safety.fence_radius_m = 0.6;
+    fenced.offboard.safety.fence_radius_m = 0.6;
     let mut bench = Bench::new(fenced, &params);
     bench.until(FlightState::Land, 60.0);
     assert!(bench.told("outside the fence"), "{:?}", bench.texts());
@@ -230,8 +230,8 @@ fn refused_arming_is_told_and_nothing_flies() {
     let empty = BatteryConfig { charge: 0.01, ..Default::default() };
     let config = SitlConfig { battery: empty, ..SitlConfig::default() };
     let mut settings = settings(&params, hover(5.0));
-    settings.pilot.preflight.battery_min = 0.0;
-    settings.pilot.safety.battery_min = 0.0;
+    settings.offboard.preflight.battery_min = 0.0;
+    settings.offboard.safety.battery_min = 0.0;
     let mut bench = Bench::with(settings, &params, &[], config);
     bench.until(FlightState::Abort, 30.0);
     let Some(End::Refused(reason)) = bench.station.end() else {
@@ -245,7 +245,7 @@ fn refused_arming_is_told_and_nothing_flies() {
 fn refused_offboard_is_told_and_nothing_flies() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(5.0));
-    settings.pilot.supervisor.engage_timeout_s = 3.0;
+    settings.offboard.supervisor.engage_timeout_s = 3.0;
     let mut bench = Bench::new(settings, &params);
     bench.until(FlightState::Standby, 10.0);
     // The request is lost on its way, the setpoints too, and the answer is a refusal.
@@ -265,7 +265,7 @@ fn low_battery_keeps_a_commanded_flight_on_the_ground() {
     let low = BatteryConfig { charge: 0.2, ..Default::default() };
     let config = SitlConfig { battery: low, ..SitlConfig::default() };
     let mut settings = settings(&params, hover(5.0));
-    settings.pilot.supervisor.ready_timeout_s = 5.0;
+    settings.offboard.supervisor.ready_timeout_s = 5.0;
     let mut bench = Bench::with(settings, &params, &[], config);
     bench.until(FlightState::Abort, 30.0);
     let Some(End::Refused(reason)) = bench.station.end() else {
@@ -314,7 +314,7 @@ fn a_link_that_falls_silent_is_told_before_the_request_to_stop() {
 fn a_link_that_counts_as_silent_early_is_lost() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(30.0));
-    settings.pilot.supervisor.link_lost_after_s = 1.0;
+    settings.offboard.supervisor.link_lost_after_s = 1.0;
     let mut bench = in_track(Bench::new(settings, &params));
     cut(&mut bench);
     bench.until(FlightState::Abort, 1.5);
@@ -338,9 +338,9 @@ fn recorded_after(bench: &Bench, us: u64) -> (usize, usize, f64) {
 fn stopped_in_flight() -> Bench {
     let params = params(NANO);
     let mut settings = settings(&params, lockstep::trajectory("steps.toml"));
-    settings.pilot.safety.tilt_max_rad = 0.1;
-    settings.pilot.safety.tilt_for_s = 0.05;
-    settings.pilot.safety.on_tilt = Reaction::Stop;
+    settings.offboard.safety.tilt_max_rad = 0.1;
+    settings.offboard.safety.tilt_for_s = 0.05;
+    settings.offboard.safety.on_tilt = Reaction::Stop;
     let mut bench = Bench::new(settings, &params);
     bench.until(FlightState::Abort, 60.0);
     bench
@@ -433,7 +433,7 @@ fn a_closed_connection_is_told_if_it_was_the_vehicles() {
 fn a_link_that_loses_too_much_keeps_the_vehicle_on_the_ground() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(5.0));
-    settings.pilot.supervisor.ready_timeout_s = 5.0;
+    settings.offboard.supervisor.ready_timeout_s = 5.0;
     let mut bench = Bench::new(settings, &params);
     let mut count = 0_u32;
     bench.downlink = Box::new(move |_, frame| {

@@ -81,8 +81,8 @@ fn unknown_loop(vehicle: &str, on_board: Option<f64>, setting: Option<[f64; 3]>)
     let mut settings = sending(0x07, &params, trajectory("sinusoid-yaw.toml"));
     settings.attitude_pd = None;
     // The regulator alone.
-    settings.pilot.offset_free.observer = Use::Off;
-    settings.pilot.offset_free.feed_forward = Use::Off;
+    settings.offboard.offset_free.observer = Use::Off;
+    settings.offboard.offset_free.feed_forward = Use::Off;
     settings.control.attitude_response_rad_s = setting;
     let (end, records) = fly(settings, &params, &[], SitlConfig::default(), 1);
     assert_eq!((end, masks(&records)), (End::Done, vec![0x07]), "{vehicle}");

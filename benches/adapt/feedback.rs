@@ -43,7 +43,7 @@ impl Feedback {
         settings.control.law =
             Law::named(self.law).unwrap_or_else(|| panic!("no law {}", self.law));
         settings.control.adaptive = self.adaptive;
-        settings.pilot.offset_free.observer = self.observer;
-        settings.pilot.offset_free.feed_forward = Use::On;
+        settings.offboard.offset_free.observer = self.observer;
+        settings.offboard.offset_free.feed_forward = Use::On;
     }
 }

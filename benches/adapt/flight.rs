@@ -7,7 +7,7 @@ use downwash::control::ControlSettings;
 use downwash::link::session;
 use downwash::lockstep;
 use downwash::log::record::{Record, Source};
-use downwash::pilot::{EffectiveVehicle, PilotSettings};
+use downwash::offboard::{EffectiveVehicle, OffboardSettings};
 use downwash::plan::{ModelFreeReference, Trajectory};
 use downwash::station::{End, Station, StationSettings};
 use downwash::supervisor::EngagePolicy;
@@ -109,7 +109,7 @@ fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettings {
             vehicle_has_attitude_pd: params.attitude_pd.is_some(),
             ..session::Settings::new(effective.thrust)
         },
-        pilot: PilotSettings::default(),
+        pilot: OffboardSettings::default(),
         control: ControlSettings::default(),
         policy: EngagePolicy::Command,
         hover: effective.hover,

@@ -22,7 +22,7 @@ OWN_FLIGHT_S = 60
 PLANNING = {"plan.time_limit_s": 600.0, "plan.subproblems_max": 12}
 REGULARIZATION = 1e-5
 FLYING: dict[str, Any] = {"control.adaptive": True}
-UNPLANNED: dict[str, Any] = {"pilot.offset_free.feed_forward": "on"}
+UNPLANNED: dict[str, Any] = {"offboard.offset_free.feed_forward": "on"}
 
 
 def flown(log: str, points: Array) -> tuple[float | None, float | None]:
@@ -113,7 +113,7 @@ def planned(
     """Plans through the learned model, and flies the plan."""
     began = time.monotonic()
     # Within the thrust that the configuration's envelope lets a trajectory ask for, 1.6 g.
-    bound = {"pilot.limits.thrust_max": min(0.9, 1.5 * drawn.file["hover_thrust"])}
+    bound = {"offboard.limits.thrust_max": min(0.9, 1.5 * drawn.file["hover_thrust"])}
     plan = dw.plan(trajectory(mission), drawn.vehicle(), model, settings=PLANNING | bound)
     planned_s = round(time.monotonic() - began, 2)
     told = {"plan": plan.status, "not_flyable": plan.not_flyable, "plan_s": planned_s}

@@ -1,4 +1,4 @@
-//! Flights under drawn faults, and a judge that knows nothing of the pilot but what it says on the
+//! Flights under drawn faults, and a judge that knows nothing of the controller but what it says on the
 //! wire and what becomes of the vehicle.
 
 mod aircraft;

@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow};
 use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext};
 use crate::config::Config;
-use crate::pilot::EffectiveVehicle;
+use crate::offboard::EffectiveVehicle;
 use crate::plan::planned::{Plan, PlannedReference};
 use crate::plan::receding::RecedingReference;
 use crate::plan::reference::ReferenceSource;
@@ -115,7 +115,7 @@ impl Course {
         }
     }
 
-    /// What the pilot follows. `hover_thrust_n` is the vehicle's effective weight.
+    /// What the controller follows. `hover_thrust_n` is the vehicle's effective weight.
     pub fn reference(&self, hover_thrust_n: f64) -> Arc<dyn ReferenceSource + Send + Sync> {
         match self {
             Self::Desired(trajectory) => {

@@ -40,7 +40,7 @@ use crate::diagnose::next_flight::typical;
 use crate::diagnose::pipeline::{Diagnosis, diagnose};
 use crate::diagnose::simulate::gap::Floor;
 use crate::diagnose::simulate::open_loop::Simulator;
-use crate::pilot::EffectiveVehicle;
+use crate::offboard::EffectiveVehicle;
 use crate::plan::Trajectory;
 use crate::report::comparison::{Contender, Track};
 use crate::report::repair::{self, Repair};

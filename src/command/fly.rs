@@ -53,7 +53,7 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
     flags.extend(path_flag("--log-dir", "log_dir", &args.log_dir));
     flags.extend(args.law.map(law_flag));
     if args.take_over {
-        let key = "pilot.supervisor.take_over";
+        let key = "offboard.supervisor.take_over";
         flags.push(("--take-over", key, toml::Value::Boolean(true)));
     }
     if let Some(url) = &args.connect {
@@ -131,7 +131,7 @@ fn check(
     mut signals: StopSignals,
     json: bool,
 ) -> anyhow::Result<Exit> {
-    settings.pilot.supervisor.ready_timeout_s = CHECK_LIMIT_S;
+    settings.offboard.supervisor.ready_timeout_s = CHECK_LIMIT_S;
     let clock = HostClock::start();
     // A log begins with a flight, and there is none.
     let none = |_| {

@@ -27,7 +27,7 @@ use crate::config::Config;
 use crate::model::Model;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
-use crate::pilot::EffectiveVehicle;
+use crate::offboard::EffectiveVehicle;
 use crate::plan::iterate::Violation;
 use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
 use crate::plan::planner::{PlannedVehicle, Planner};
@@ -126,7 +126,7 @@ pub(super) fn planner(
     let planned = PlannedVehicle {
         body: effective.body(),
         attitude_pd,
-        limits: config.settings.pilot.limits,
+        limits: config.settings.offboard.limits,
     };
     let settings = config.settings.plan.clone();
     let receding = settings.receding.for_loop(!effective.is_pd);
@@ -381,7 +381,7 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         plan: &args.out,
     };
     if let Some(folder) = &args.report {
-        let limits = &config.settings.pilot.limits;
+        let limits = &config.settings.offboard.limits;
         let html = page::html(&plan, summary.not_flyable.as_deref(), limits);
         write_file(&folder.join("report.html"), html.as_bytes())?;
         let json = serde_json::to_vec_pretty(&summary).context("report.json")?;

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use crate::link::attitude_target::ThrustMap;
 use crate::model::{ACCELERATIONS, Jacobian, Model, Point};
-use crate::pilot::{EffectiveVehicle, Uncontrollable};
+use crate::offboard::{EffectiveVehicle, Uncontrollable};
 use vehicle::effects::ThrustCurve;
 use vehicle::rotor::Allocation;
 use vehicle::{ROTORS, VehicleParams};

@@ -17,7 +17,7 @@ use crate::control::{Actuation, AttitudeLoop, ControlProblem, ControlSettings, C
 use crate::link::profile::FormChoice;
 use crate::link::session;
 use crate::log::RunInfo;
-use crate::pilot::EffectiveVehicle;
+use crate::offboard::EffectiveVehicle;
 use crate::plan::Trajectory;
 use crate::plan::programme::Capability;
 use crate::station::StationSettings;
@@ -71,7 +71,7 @@ pub(super) fn station_settings(
         vehicle: &effective.hover,
         actuation: &Actuation::IMMEDIATE,
         attitude_loop: &AttitudeLoop::PX4,
-        limits: &settings.pilot.limits,
+        limits: &settings.offboard.limits,
         settings: &settings.control,
     })
     .or_exit(Exit::Usage)?;
@@ -90,11 +90,11 @@ pub(super) fn station_settings(
         endpoint: endpoint.map(ToString::to_string),
         ..session::Settings::new(effective.thrust)
     };
-    let mut pilot = settings.pilot.clone();
-    pilot.telemetry.rate_hz = settings.control.rate_hz;
+    let mut offboard = settings.offboard.clone();
+    offboard.telemetry.rate_hz = settings.control.rate_hz;
     Ok(StationSettings {
         session,
-        pilot,
+        offboard,
         control: settings.control.for_loop(vehicle.params.attitude_cascade.is_some()),
         policy,
         hover: effective.hover,

@@ -5,7 +5,7 @@ use std::time::Duration;
 use toml::Value;
 
 use crate::control::{AdaptationSettings, Limits, OffsetFreeSettings};
-use crate::pilot::{GuidanceSettings, PilotSettings};
+use crate::offboard::{GuidanceSettings, OffboardSettings};
 use crate::supervisor::SupervisorSettings;
 
 /// Numbers that may be negative: down is negative in flight, and a heading may be to the west.
@@ -58,8 +58,8 @@ pub(super) struct Impossible {
     pub found: f64,
 }
 
-/// Whether the pilot's limits can be kept, and its times be counted.
-pub(super) fn check_pilot(settings: &PilotSettings) -> Result<(), Impossible> {
+/// Whether the limits of setpoints can be kept, and the offboard controller's times counted.
+pub(super) fn check_offboard(settings: &OffboardSettings) -> Result<(), Impossible> {
     check_limits(&settings.limits)?;
     let GuidanceSettings {
         climb_speed_m_s,
@@ -68,14 +68,14 @@ pub(super) fn check_pilot(settings: &PilotSettings) -> Result<(), Impossible> {
         settle_speed_m_s,
         ..
     } = settings.guidance;
-    positive(&["pilot.guidance.climb_speed_m_s"], climb_speed_m_s)?;
-    positive(&["pilot.guidance.approach_speed_m_s"], approach_speed_m_s)?;
-    positive(&["pilot.guidance.approach_yaw_rate_rad_s"], approach_yaw_rate_rad_s)?;
-    positive(&["pilot.guidance.settle_speed_m_s"], settle_speed_m_s)?;
-    positive(&["pilot.safety.tilt_max_rad"], settings.safety.tilt_max_rad)?;
+    positive(&["offboard.guidance.climb_speed_m_s"], climb_speed_m_s)?;
+    positive(&["offboard.guidance.approach_speed_m_s"], approach_speed_m_s)?;
+    positive(&["offboard.guidance.approach_yaw_rate_rad_s"], approach_yaw_rate_rad_s)?;
+    positive(&["offboard.guidance.settle_speed_m_s"], settle_speed_m_s)?;
+    positive(&["offboard.safety.tilt_max_rad"], settings.safety.tilt_max_rad)?;
     let OffsetFreeSettings { time_constant_s, velocity_time_constant_s, .. } = settings.offset_free;
-    positive(&["pilot.offset_free.time_constant_s"], time_constant_s)?;
-    positive(&["pilot.offset_free.velocity_time_constant_s"], velocity_time_constant_s)?;
+    positive(&["offboard.offset_free.time_constant_s"], time_constant_s)?;
+    positive(&["offboard.offset_free.velocity_time_constant_s"], velocity_time_constant_s)?;
     check_times(&settings.supervisor)
 }
 
@@ -103,21 +103,21 @@ fn check_limits(limits: &Limits) -> Result<(), Impossible> {
         body_rate_change_max_rad_s2,
     } = *limits;
     require(thrust_max > 0.0 && thrust_max <= 1.0, || Impossible {
-        settings: &["pilot.limits.thrust_max"],
+        settings: &["offboard.limits.thrust_max"],
         expected: "a share above 0 and at most 1".to_owned(),
         found: thrust_max,
     })?;
     require(thrust_min >= 0.0 && thrust_min < thrust_max, || Impossible {
-        settings: &["pilot.limits.thrust_min", "pilot.limits.thrust_max"],
-        expected: format!("at least 0 and less than pilot.limits.thrust_max, {thrust_max}"),
+        settings: &["offboard.limits.thrust_min", "offboard.limits.thrust_max"],
+        expected: format!("at least 0 and less than offboard.limits.thrust_max, {thrust_max}"),
         found: thrust_min,
     })?;
-    positive(&["pilot.limits.tilt_max_rad"], tilt_max_rad)?;
-    positive(&["pilot.limits.body_rate_max_rad_s"], body_rate_max_rad_s)?;
-    positive(&["pilot.limits.yaw_error_max_rad"], yaw_error_max_rad)?;
-    positive(&["pilot.limits.thrust_change_max_per_s"], thrust_change_max_per_s)?;
-    positive(&["pilot.limits.attitude_change_max_rad_s"], attitude_change_max_rad_s)?;
-    positive(&["pilot.limits.body_rate_change_max_rad_s2"], body_rate_change_max_rad_s2)
+    positive(&["offboard.limits.tilt_max_rad"], tilt_max_rad)?;
+    positive(&["offboard.limits.body_rate_max_rad_s"], body_rate_max_rad_s)?;
+    positive(&["offboard.limits.yaw_error_max_rad"], yaw_error_max_rad)?;
+    positive(&["offboard.limits.thrust_change_max_per_s"], thrust_change_max_per_s)?;
+    positive(&["offboard.limits.attitude_change_max_rad_s"], attitude_change_max_rad_s)?;
+    positive(&["offboard.limits.body_rate_change_max_rad_s2"], body_rate_change_max_rad_s2)
 }
 
 fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
@@ -140,21 +140,21 @@ fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
         rest_s,
         retry_s,
     } = *times;
-    time(&["pilot.supervisor.link_lost_after_s"], link_lost_after_s)?;
-    time(&["pilot.supervisor.release_s"], release_s)?;
-    time(&["pilot.supervisor.ready_timeout_s"], ready_timeout_s)?;
-    time(&["pilot.supervisor.stream_before_engage_s"], stream_before_engage_s)?;
-    time(&["pilot.supervisor.engage_timeout_s"], engage_timeout_s)?;
-    time(&["pilot.supervisor.arm_timeout_s"], arm_timeout_s)?;
-    time(&["pilot.supervisor.pilot_arm_timeout_s"], pilot_arm_timeout_s)?;
-    time(&["pilot.supervisor.take_off_timeout_s"], take_off_timeout_s)?;
-    time(&["pilot.supervisor.land_timeout_s"], land_timeout_s)?;
-    time(&["pilot.supervisor.land_brake_s"], land_brake_s)?;
-    time(&["pilot.supervisor.land_handover_s"], land_handover_s)?;
-    time(&["pilot.supervisor.hold_s"], hold_s)?;
-    time(&["pilot.supervisor.disarm_after_s"], disarm_after_s)?;
-    time(&["pilot.supervisor.rest_s"], rest_s)?;
-    time(&["pilot.supervisor.retry_s"], retry_s)
+    time(&["offboard.supervisor.link_lost_after_s"], link_lost_after_s)?;
+    time(&["offboard.supervisor.release_s"], release_s)?;
+    time(&["offboard.supervisor.ready_timeout_s"], ready_timeout_s)?;
+    time(&["offboard.supervisor.stream_before_engage_s"], stream_before_engage_s)?;
+    time(&["offboard.supervisor.engage_timeout_s"], engage_timeout_s)?;
+    time(&["offboard.supervisor.arm_timeout_s"], arm_timeout_s)?;
+    time(&["offboard.supervisor.pilot_arm_timeout_s"], pilot_arm_timeout_s)?;
+    time(&["offboard.supervisor.take_off_timeout_s"], take_off_timeout_s)?;
+    time(&["offboard.supervisor.land_timeout_s"], land_timeout_s)?;
+    time(&["offboard.supervisor.land_brake_s"], land_brake_s)?;
+    time(&["offboard.supervisor.land_handover_s"], land_handover_s)?;
+    time(&["offboard.supervisor.hold_s"], hold_s)?;
+    time(&["offboard.supervisor.disarm_after_s"], disarm_after_s)?;
+    time(&["offboard.supervisor.rest_s"], rest_s)?;
+    time(&["offboard.supervisor.retry_s"], retry_s)
 }
 
 fn positive(settings: &'static [&'static str], found: f64) -> Result<(), Impossible> {
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn what_is_built_in_is_possible() {
-        assert_eq!(check_pilot(&PilotSettings::default()), Ok(()));
+        assert_eq!(check_offboard(&OffboardSettings::default()), Ok(()));
     }
 
     #[test]
@@ -187,7 +187,7 @@ mod tests {
             ("plan.box_m", "[[-2.0, -2.0, -3.0], [2.0, 2.0, -0.3]]"),
             ("plan.keep_out", "[{ sphere = { centre_m = [1.0, 0.0, -1.0], radius_m = 0.3 } }]"),
             ("collect.headings_deg", "[-90, 0.0, 90.0]"),
-            ("pilot.preflight.parameters", "[{ name = 'A', value = -1.0, reason = 'b' }]"),
+            ("offboard.preflight.parameters", "[{ name = 'A', value = -1.0, reason = 'b' }]"),
         ] {
             assert_eq!(check(path, text), Ok(()), "{path}");
         }
@@ -209,18 +209,18 @@ mod tests {
     #[test]
     fn limits_that_contradict_each_other_are_refused() {
         let refused = |limits: Limits| {
-            let settings = PilotSettings { limits, ..PilotSettings::default() };
-            check_pilot(&settings).expect_err("refused").settings[0]
+            let settings = OffboardSettings { limits, ..OffboardSettings::default() };
+            check_offboard(&settings).expect_err("refused").settings[0]
         };
         let limits = Limits::default();
         for thrust_min in [5.0, 0.9, -0.1, f64::NAN] {
-            assert_eq!(refused(Limits { thrust_min, ..limits }), "pilot.limits.thrust_min");
+            assert_eq!(refused(Limits { thrust_min, ..limits }), "offboard.limits.thrust_min");
         }
         for thrust_max in [0.0, 1.1, f64::NAN] {
-            assert_eq!(refused(Limits { thrust_max, ..limits }), "pilot.limits.thrust_max");
+            assert_eq!(refused(Limits { thrust_max, ..limits }), "offboard.limits.thrust_max");
         }
         let flat = Limits { tilt_max_rad: 0.0, ..limits };
-        assert_eq!(refused(flat), "pilot.limits.tilt_max_rad");
+        assert_eq!(refused(flat), "offboard.limits.tilt_max_rad");
     }
 
     #[test]
@@ -236,22 +236,22 @@ mod tests {
 
     #[test]
     fn speeds_of_zero_are_refused() {
-        let mut settings = PilotSettings::default();
+        let mut settings = OffboardSettings::default();
         settings.guidance.climb_speed_m_s = 0.0;
-        let impossible = check_pilot(&settings).expect_err("refused");
-        assert_eq!(impossible.settings, ["pilot.guidance.climb_speed_m_s"]);
+        let impossible = check_offboard(&settings).expect_err("refused");
+        assert_eq!(impossible.settings, ["offboard.guidance.climb_speed_m_s"]);
     }
 
     #[test]
     fn times_that_cannot_be_counted_are_refused() {
         for retry_s in [1e300, 86_401.0, -1.0, f64::NAN, f64::INFINITY] {
-            let mut settings = PilotSettings::default();
+            let mut settings = OffboardSettings::default();
             settings.supervisor.retry_s = retry_s;
-            let impossible = check_pilot(&settings).expect_err("refused");
-            assert_eq!(impossible.settings, ["pilot.supervisor.retry_s"]);
+            let impossible = check_offboard(&settings).expect_err("refused");
+            assert_eq!(impossible.settings, ["offboard.supervisor.retry_s"]);
         }
-        let mut settings = PilotSettings::default();
+        let mut settings = OffboardSettings::default();
         settings.supervisor.hold_s = 86_400.0;
-        assert_eq!(check_pilot(&settings), Ok(()));
+        assert_eq!(check_offboard(&settings), Ok(()));
     }
 }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::SCHEMA_VERSION;
 use crate::control::ControlSettings;
 use crate::mocap::settings::MocapSettings;
-use crate::pilot::PilotSettings;
+use crate::offboard::OffboardSettings;
 use crate::plan::FlightEnvelope;
 use crate::plan::planner::PlanSettings;
 use crate::plan::programme::ProgrammeSettings;
@@ -44,7 +44,8 @@ pub struct Settings {
     /// The control law and its gains. Its rate is that of the control ticks.
     pub control: ControlSettings,
     /// Telemetry, flight states, reactions to faults, take-off, limits of the setpoint.
-    pub pilot: PilotSettings,
+    #[serde(alias = "pilot")]
+    pub offboard: OffboardSettings,
 }
 
 /// Settings of `--forward`.
@@ -174,7 +175,7 @@ impl Default for Settings {
             collect: ProgrammeSettings::default(),
             plan: PlanSettings::default(),
             control: ControlSettings::default(),
-            pilot: PilotSettings::default(),
+            offboard: OffboardSettings::default(),
         }
     }
 }

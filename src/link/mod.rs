@@ -19,8 +19,8 @@
 //!             let is_datagram = connection.is_datagram();
 //!             session.receive(now, peer, &buffer[..len], is_datagram, &mut |heard| match heard {
 //!                 Heard::Frame { .. } => {} // to the log
-//!                 Heard::Replaced => {} // to the pilot, whose flight is over
-//!                 Heard::Message(_) => {} // kept for the pilot, whose setpoint goes out below
+//!                 Heard::Replaced => {} // to the controller, whose flight is over
+//!                 Heard::Message(_) => {} // kept for the controller, whose setpoint goes out below
 //!             });
 //!         }
 //!         Ok(Input::PeerClosed(peer)) => {

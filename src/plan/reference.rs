@@ -1,4 +1,4 @@
-//! What the pilot follows: a state and its input, over time.
+//! What the controller follows: a state and its input, over time.
 
 use std::sync::Arc;
 

@@ -60,7 +60,7 @@ impl LimitedTicks {
             format!(
                 "{} of the setpoints along the trajectory: feedback swings from limit to limit where \
                  the vehicle file is not of this vehicle (its mass, inertia, thrust or attitude \
-                 loop), or the trajectory asks for more than [pilot.limits] allow",
+                 loop), or the trajectory asks for more than [offboard.limits] allow",
                 met.join(", ")
             )
         })

@@ -3,7 +3,7 @@
 use super::Station;
 use crate::clock::HostTime;
 use crate::link::counters::LinkState;
-use crate::pilot::Pilot;
+use crate::offboard::OffboardController;
 use crate::supervisor::{EngagePolicy, FlightState, Takeover};
 
 /// Why a station stopped.
@@ -53,7 +53,7 @@ impl Station {
         let trouble = || self.last_trouble.clone().unwrap_or_else(|| "no reason given".to_owned());
         match self.over_in {
             // Who it was shows within a second or so.
-            Some(FlightState::PilotControl) => match self.pilot.as_ref()?.takeover()? {
+            Some(FlightState::PilotControl) => match self.offboard.as_ref()?.takeover()? {
                 Takeover::Pilot { .. } => Some(End::PilotTookOver),
                 Takeover::Failsafe(words) => Some(End::Aborted(words.clone())),
             },
@@ -71,8 +71,9 @@ impl Station {
     }
 
     pub(super) fn is_link_silent(&self, now: HostTime) -> bool {
-        let limit_s = self.settings.pilot.supervisor.link_lost_after_s;
-        let is_silent = |pilot: &Pilot| pilot.telemetry().status().silence_s(now) >= limit_s;
-        self.session.state() != LinkState::Connected || self.pilot.as_ref().is_none_or(is_silent)
+        let limit_s = self.settings.offboard.supervisor.link_lost_after_s;
+        let is_silent =
+            |offboard: &OffboardController| offboard.telemetry().status().silence_s(now) >= limit_s;
+        self.session.state() != LinkState::Connected || self.offboard.as_ref().is_none_or(is_silent)
     }
 }

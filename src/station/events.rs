@@ -5,7 +5,7 @@ use crate::clock::HostTime;
 use crate::link::counters::LinkState;
 use crate::link::session::{Event, VehicleId};
 use crate::log::record::Severity;
-use crate::pilot::LinkEvent;
+use crate::offboard::LinkEvent;
 use crate::supervisor::{EngagePolicy, FlightState};
 
 /// Steps of the vehicle's clock from here on are a warning, ns.
@@ -21,9 +21,9 @@ impl Station {
                 };
                 self.tell(now, severity, format!("link {from:?} -> {to:?}"));
                 if to == LinkState::Lost
-                    && let Some(pilot) = &mut self.pilot
+                    && let Some(offboard) = &mut self.offboard
                 {
-                    pilot.link_event(now, LinkEvent::Lost);
+                    offboard.link_event(now, LinkEvent::Lost);
                 }
             }
             Event::VehicleFound(id) => {
@@ -52,8 +52,8 @@ impl Station {
                 if !std::mem::replace(&mut self.is_answered, true) {
                     self.check_standing(now);
                 }
-                if let Some(pilot) = &mut self.pilot {
-                    pilot.link_event(now, LinkEvent::RoundTrip(time));
+                if let Some(offboard) = &mut self.offboard {
+                    offboard.link_event(now, LinkEvent::RoundTrip(time));
                 }
             }
             Event::Disbelieved(why) => self.tell(now, Severity::Warning, why.to_string()),
@@ -87,8 +87,8 @@ impl Station {
              {} or --system {} (link.vehicle_system in the configuration)",
             vehicle.system, other.system
         );
-        let is_flown = self.pilot.as_ref().is_some_and(|pilot| {
-            let state = pilot.flight_state();
+        let is_flown = self.offboard.as_ref().is_some_and(|offboard| {
+            let state = offboard.flight_state();
             state.is_in_control() || matches!(state, FlightState::Land | FlightState::Disarm)
         });
         if is_flown {

@@ -25,7 +25,7 @@ pub(super) fn feedback(
     profile: &Profile,
     settings: &StationSettings,
 ) -> Result<Feedback, DesignError> {
-    let StationSettings { actuation, hover, control, attitude_pd, pilot, .. } = settings;
+    let StationSettings { actuation, hover, control, attitude_pd, offboard, .. } = settings;
     let is_own_loop = profile.name != Profile::BUNDLED.name;
     let error =
         if profile.compares_angles { AttitudeError::Angles } else { AttitudeError::Rotation };
@@ -36,27 +36,33 @@ pub(super) fn feedback(
         vehicle: hover,
         actuation,
         attitude_loop: &attitude_loop,
-        limits: &pilot.limits,
+        limits: &offboard.limits,
         settings: control,
     })?;
-    let observes = pilot.offset_free.observer.applies(is_own_loop);
+    let observes = offboard.offset_free.observer.applies(is_own_loop);
     let observer = (observes || control.adaptive).then(|| {
-        let observer =
-            DisturbanceObserver::new(pilot.offset_free, *hover, attitude_loop, error, *actuation);
+        let observer = DisturbanceObserver::new(
+            offboard.offset_free,
+            *hover,
+            attitude_loop,
+            error,
+            *actuation,
+        );
         if control.adaptive {
             observer.adapting(Adaptation::new(control.adaptation), observes)
         } else {
             observer
         }
     });
-    let feed_forward = pilot.offset_free.feed_forward.applies(is_own_loop).then(|| FeedForward {
-        mass_kg: hover.mass_kg,
-        gravity: hover.gravity,
-        drag_kg_s: settings.drag_kg_s,
-        tilt_max_rad: pilot.limits.tilt_max_rad,
-        attitude_delay_s: actuation.attitude_delay_s(&attitude_loop),
-        thrust_delay_s: actuation.thrust_delay_s(),
-    });
+    let feed_forward =
+        offboard.offset_free.feed_forward.applies(is_own_loop).then(|| FeedForward {
+            mass_kg: hover.mass_kg,
+            gravity: hover.gravity,
+            drag_kg_s: settings.drag_kg_s,
+            tilt_max_rad: offboard.limits.tilt_max_rad,
+            attitude_delay_s: actuation.attitude_delay_s(&attitude_loop),
+            thrust_delay_s: actuation.thrust_delay_s(),
+        });
     let fed_forward = feed_forward.and_then(|with| settings.reference.with_feed_forward(&with));
     Ok(Feedback {
         controller: controller.addressing(error, is_known).observing(observer),

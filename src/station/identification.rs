@@ -11,8 +11,8 @@ use crate::link::loss_reaction::{LossLaw, LossReaction};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
 use crate::log::record::{Record, Severity};
+use crate::offboard::{Airframe, LinkEvent, OffboardController};
 use crate::parameters::Autopilot;
-use crate::pilot::{Airframe, LinkEvent, Pilot};
 use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
 
 /// The parameters that say what the vehicle's motor outputs are and mean: for its logs.
@@ -33,7 +33,7 @@ impl Station {
         self.tell(now, Severity::Info, text.clone());
         self.is_version_known = is_version_known;
         let known = self.profile.replace(profile.clone());
-        let is_known = self.pilot.is_some() && known.as_ref() == Some(&profile);
+        let is_known = self.offboard.is_some() && known.as_ref() == Some(&profile);
         if !is_known {
             self.replace_pilot(now);
         }
@@ -51,7 +51,7 @@ impl Station {
         for name in profile.loss.parameters() {
             self.session.request(now, Request::ReadParameter((*name).to_owned()));
         }
-        for parameter in &self.settings.pilot.preflight.parameters {
+        for parameter in &self.settings.offboard.preflight.parameters {
             self.session.request(now, Request::ReadParameter(parameter.name.clone()));
         }
         if !is_known {
@@ -66,8 +66,8 @@ impl Station {
         if let Some(assumed) = assumption(&profile, self.settings.attitude_pd, response) {
             self.tell(now, Severity::Notice, assumed);
         }
-        match self.make_pilot(now, &profile) {
-            Ok(Some(pilot)) => self.pilot = Some(pilot),
+        match self.make_offboard(now, &profile) {
+            Ok(Some(offboard)) => self.offboard = Some(offboard),
             Ok(None) => {
                 let why = format!("the modes of autopilot {:?} are not known", profile.name);
                 self.refuse(now, why);
@@ -80,7 +80,7 @@ impl Station {
     /// The vehicle is not flown. A flight by command is over with that; under the pilot's switch
     /// another vehicle may answer yet.
     fn refuse(&mut self, now: HostTime, why: String) {
-        self.pilot = None;
+        self.offboard = None;
         self.tell(now, Severity::Error, why.clone());
         if self.settings.policy == EngagePolicy::Command {
             self.end.get_or_insert(End::Refused(why));
@@ -89,10 +89,10 @@ impl Station {
 
     /// What flies, or streams, is designed for what another vehicle honours: that is over.
     fn replace_pilot(&mut self, now: HostTime) {
-        let Some(pilot) = &mut self.pilot else { return };
-        let state = pilot.flight_state();
+        let Some(offboard) = &mut self.offboard else { return };
+        let state = offboard.flight_state();
         if !state.precedes_stream() && !state.is_over() {
-            pilot.link_event(now, LinkEvent::Replaced);
+            offboard.link_event(now, LinkEvent::Replaced);
         }
         self.end_flight_of_another(now);
     }
@@ -105,7 +105,11 @@ impl Station {
         self.end_aftermath();
     }
 
-    fn make_pilot(&self, now: HostTime, profile: &Profile) -> Result<Option<Pilot>, DesignError> {
+    fn make_offboard(
+        &self,
+        now: HostTime,
+        profile: &Profile,
+    ) -> Result<Option<OffboardController>, DesignError> {
         let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
         let modes = (word(profile.modes.offboard), word(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
@@ -123,8 +127,8 @@ impl Station {
                 reports_intended: profile.reports_intended_mode,
             },
         };
-        Ok(Some(Pilot::new(
-            self.settings.pilot.clone(),
+        Ok(Some(OffboardController::new(
+            self.settings.offboard.clone(),
             self.settings.policy,
             airframe,
             controller,
@@ -137,8 +141,8 @@ impl Station {
     /// What is wrong with the vehicle for this daemon, as preflight checks: its profile's rules about
     /// its parameters, signing, another autopilot beside it.
     pub(super) fn check_standing(&mut self, now: HostTime) {
-        let (Some(profile), Some(pilot)) = (&self.profile, &mut self.pilot) else { return };
-        let known = &pilot.telemetry().status().parameters;
+        let (Some(profile), Some(offboard)) = (&self.profile, &mut self.offboard) else { return };
+        let known = &offboard.telemetry().status().parameters;
         let reaction = profile.loss.reaction(known, self.settings.session.system);
         let mut failed: Vec<PreflightCheck> = profile
             .required
@@ -161,8 +165,8 @@ impl Station {
                 found: "signed messages, and no answer to what is not signed".to_owned(),
             });
         }
-        let preflight = &self.settings.pilot.preflight;
-        let needed_hz = preflight.tick_rate_min * self.settings.pilot.telemetry.rate_hz;
+        let preflight = &self.settings.offboard.preflight;
+        let needed_hz = preflight.tick_rate_min * self.settings.offboard.telemetry.rate_hz;
         failed.extend(self.session.budget().and_then(|budget| line_check(budget, needed_hz)));
         if let Some(other) = self.session.others().first() {
             failed.push(PreflightCheck {
@@ -171,10 +175,10 @@ impl Station {
                 found: format!("another: {other}"),
             });
         }
-        if self.settings.pilot.preflight.needs_loss_reaction {
+        if self.settings.offboard.preflight.needs_loss_reaction {
             failed.extend(loss_check(profile.loss, &reaction));
         }
-        pilot.set_standing_checks(failed);
+        offboard.set_standing_checks(failed);
         let text = match &reaction {
             LossReaction::Acts(text) => format!("should this program vanish: {text}"),
             LossReaction::Nothing { why, .. } => {
@@ -228,7 +232,7 @@ fn loss_check(law: LossLaw, reaction: &LossReaction) -> Option<PreflightCheck> {
     Some(PreflightCheck {
         subject: "reaction of the vehicle when this program vanishes".to_owned(),
         expected: format!(
-            "one; {cure}, or fly without by pilot.preflight.needs_loss_reaction = false"
+            "one; {cure}, or fly without by offboard.preflight.needs_loss_reaction = false"
         ),
         found,
     })

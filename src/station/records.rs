@@ -6,7 +6,7 @@ use crate::clock::HostTime;
 use crate::link::counters;
 use crate::link::received::Received;
 use crate::log::record::{self, LinkStats, Record, Severity, Source, Stamp};
-use crate::pilot::Tick;
+use crate::offboard::Tick;
 
 /// What the log keeps of a message beside its frame; of motor outputs, one source.
 pub(super) fn record_of(received: &Received, motors: Option<MotorSource>) -> Option<Record> {

@@ -1,14 +1,14 @@
-//! What the pilot asks of the vehicle as the link's requests, and what becomes of these.
+//! The offboard controller's actions as requests on the link, and their answers.
 
 use super::Station;
 use super::identification::log_parameters;
 use crate::clock::HostTime;
 use crate::link::request::{FlightMode, Outcome, Request};
 use crate::log::record::{PARAMETER_FACT, Record, Severity};
-use crate::pilot::LinkEvent;
+use crate::offboard::LinkEvent;
 use crate::supervisor::Action;
 
-/// The request to the vehicle that an action of the pilot's is.
+/// The request to the vehicle that an action of the offboard controller makes.
 pub(super) fn request_of(action: Action) -> Request {
     match action {
         Action::SetModeOffboard => Request::SetMode(FlightMode::Offboard),
@@ -28,7 +28,7 @@ const ACTIONS: [Action; 5] = [
     Action::Disarm,
 ];
 
-/// The action that a request comes from, if it is the pilot's.
+/// The action that a request comes from, if the offboard controller made it.
 fn action_of(request: &Request) -> Option<Action> {
     ACTIONS.into_iter().find(|action| request_of(*action) == *request)
 }
@@ -67,8 +67,8 @@ impl Station {
         {
             return;
         }
-        let warning = self.pilot.as_ref().and_then(|pilot| {
-            let (at, text) = pilot.telemetry().status().warning.as_ref()?;
+        let warning = self.offboard.as_ref().and_then(|offboard| {
+            let (at, text) = offboard.telemetry().status().warning.as_ref()?;
             (now.since(*at).as_secs_f64() < 3.0).then(|| text.clone())
         });
         let text = match warning {
@@ -76,9 +76,9 @@ impl Station {
             None => outcome.to_string(),
         };
         let action = action_of(request);
-        match (action, &mut self.pilot) {
-            (Some(action), Some(pilot)) => {
-                pilot.link_event(now, LinkEvent::Refused { action, text });
+        match (action, &mut self.offboard) {
+            (Some(action), Some(offboard)) => {
+                offboard.link_event(now, LinkEvent::Refused { action, text });
             }
             _ => self.tell(now, Severity::Notice, format!("{request:?}: {text}")),
         }

@@ -6,7 +6,7 @@ use vehicle::AttitudePd;
 
 use crate::control::{Actuation, ControlSettings, HoverVehicle};
 use crate::link::session;
-use crate::pilot::PilotSettings;
+use crate::offboard::OffboardSettings;
 use crate::plan::reference::ReferenceSource;
 use crate::supervisor::EngagePolicy;
 
@@ -15,8 +15,8 @@ use crate::supervisor::EngagePolicy;
 pub struct StationSettings {
     /// The session.
     pub session: session::Settings,
-    /// The pilot's parts.
-    pub pilot: PilotSettings,
+    /// Settings of the offboard controller's parts.
+    pub offboard: OffboardSettings,
     /// The control law and its settings.
     pub control: ControlSettings,
     /// Who decides that a flight begins.

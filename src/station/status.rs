@@ -102,9 +102,9 @@ impl Station {
             round_trip_s: stats.round_trip.map(|rtt| rtt.as_secs_f64()),
             ..Status::default()
         };
-        if let Some(pilot) = &self.pilot {
-            let telemetry = pilot.telemetry();
-            status.phase = Some(pilot.flight_state());
+        if let Some(offboard) = &self.offboard {
+            let telemetry = offboard.telemetry();
+            status.phase = Some(offboard.flight_state());
             status.mode = telemetry.status().mode;
             status.mode_name = telemetry.status().mode.and_then(|word| self.mode_name(word));
             status.armed = telemetry.status().armed;

@@ -11,12 +11,12 @@ use crate::log::record::{Direction, FrameRecord, Record, Severity};
 
 impl Station {
     /// The answer to a sample, if it may leave now that the rest of the read is known: what was
-    /// heard after the sample may have ended control, or may come from a vehicle that the pilot is
-    /// not made for. And whatever the pilot makes of what is heard after the end: nothing is sent.
+    /// heard after the sample may have ended control, or may come from a vehicle that the controller is
+    /// not made for. And whatever the controller makes of what is heard after the end: nothing is sent.
     pub(super) fn cleared(&mut self, now: HostTime) -> Option<Cleared> {
         let is_another = self.session.profile().is_some_and(|it| self.profile.as_ref() != Some(it));
         let is_over = self.end.is_some() || is_another || self.is_check;
-        if is_over { None } else { self.pilot.as_mut()?.clear(now) }
+        if is_over { None } else { self.offboard.as_mut()?.clear(now) }
     }
 
     /// Gives whether it is on its way.
@@ -44,7 +44,7 @@ impl Station {
     }
 
     fn send_queued(&mut self, now: HostTime, send: &mut impl FnMut(Option<Peer>, &[u8]) -> bool) {
-        let Self { session, pilot, records, ticks, setpoints, .. } = self;
+        let Self { session, offboard, records, ticks, setpoints, .. } = self;
         // Each setpoint's frame answers one of these, in their order.
         let mut answered = ticks.iter_mut().filter(|tick| tick.setpoint.is_some());
         session.transmit(|peer, frame| {
@@ -52,8 +52,8 @@ impl Station {
             let record = FrameRecord::from_bytes(Direction::Tx, now, frame);
             if record.as_ref().is_some_and(|record| record.message_id == session::SETPOINT_ID) {
                 let tick = answered.next();
-                if let Some(pilot) = pilot {
-                    pilot.sent(is_sent);
+                if let Some(offboard) = offboard {
+                    offboard.sent(is_sent);
                 }
                 if is_sent {
                     *setpoints += 1;

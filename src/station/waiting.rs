@@ -10,7 +10,7 @@ use crate::link::budget::message_name;
 use crate::link::counters::LinkState;
 use crate::link::silence::Silence;
 use crate::log::record::Severity;
-use crate::pilot::Pilot;
+use crate::offboard::OffboardController;
 use crate::supervisor::{EngagePolicy, FlightState, PreflightCheck};
 
 /// How often it is checked.
@@ -36,7 +36,7 @@ enum Wait {
     /// Checks that fail.
     Checks,
     /// The pilot's switch, or their arming.
-    Pilot,
+    OffboardController,
 }
 
 impl Wait {
@@ -130,31 +130,33 @@ impl Station {
         }
         if self.session.state() != LinkState::Connected {
             // In flight the loss of the link has its own words.
-            let is_prepared = self.pilot.as_ref().is_some_and(|pilot| {
-                let state = pilot.flight_state();
+            let is_prepared = self.offboard.as_ref().is_some_and(|offboard| {
+                let state = offboard.flight_state();
                 !state.precedes_stream() && !state.is_over()
             });
             return (!is_prepared)
                 .then(|| (Wait::Vehicle, vec![Silence::of(&self.session, now).into()]));
         }
-        // Who was just heard has no pilot yet: the wait goes on.
-        let Some(pilot) = self.pilot.as_ref() else { return Some((Wait::Telemetry, Vec::new())) };
+        // A vehicle that was just heard has no controller yet: the wait goes on.
+        let Some(offboard) = self.offboard.as_ref() else {
+            return Some((Wait::Telemetry, Vec::new()));
+        };
         let by_pilot = self.settings.policy == EngagePolicy::PilotSwitch;
         let reason = |subject: &str, line: &str| {
             vec![Reason { subject: subject.to_owned(), line: line.to_owned() }]
         };
-        match pilot.flight_state() {
+        match offboard.flight_state() {
             FlightState::AwaitRelease => {
-                let mut reasons = reason("mode", &self.release(pilot));
-                reasons.extend(checks(pilot, |subject| !is_of_the_state(subject)));
+                let mut reasons = reason("mode", &self.release(offboard));
+                reasons.extend(checks(offboard, |subject| !is_of_the_state(subject)));
                 Some((Wait::Release, reasons))
             }
             FlightState::Connect | FlightState::AwaitTelemetry => {
-                let mut reasons = self.telemetry_reasons(now, pilot);
-                reasons.extend(checks(pilot, |subject| !is_of_the_state(subject)));
+                let mut reasons = self.telemetry_reasons(now, offboard);
+                reasons.extend(checks(offboard, |subject| !is_of_the_state(subject)));
                 Some((Wait::Telemetry, reasons))
             }
-            FlightState::Preflight => Some((Wait::Checks, checks(pilot, |_| true))),
+            FlightState::Preflight => Some((Wait::Checks, checks(offboard, |_| true))),
             FlightState::Standby if by_pilot => {
                 let line = "ready; the pilot switches to OFFBOARD (ArduCopter: GUIDED) to fly";
                 Some((Wait::Pilot, reason("switch", line)))
@@ -166,8 +168,8 @@ impl Station {
         }
     }
 
-    fn release(&self, pilot: &Pilot) -> String {
-        let status = pilot.telemetry().status();
+    fn release(&self, offboard: &OffboardController) -> String {
+        let status = offboard.telemetry().status();
         let offboard = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
         let offboard = offboard.map(|mode| mode.custom_mode);
         match (status.mode, status.intended_mode) {
@@ -191,7 +193,7 @@ impl Station {
         let stats = self.session.stats();
         let lost = stats.lost as f64 / (stats.lost + stats.heard).max(1) as f64;
         let mut text = format!("; {load}");
-        if lost > self.settings.pilot.preflight.link_loss_max {
+        if lost > self.settings.offboard.preflight.link_loss_max {
             text += &format!("; {:.0} % of the frames are lost on the way", 100.0 * lost);
         }
         if let Some(budget) = self.session.budget() {
@@ -204,11 +206,11 @@ impl Station {
         text
     }
 
-    fn telemetry_reasons(&self, now: HostTime, pilot: &Pilot) -> Vec<Reason> {
-        let telemetry = pilot.telemetry();
+    fn telemetry_reasons(&self, now: HostTime, offboard: &OffboardController) -> Vec<Reason> {
+        let telemetry = offboard.telemetry();
         let [odometry, attitude, position] = telemetry.rates_hz();
-        let needed =
-            self.settings.pilot.preflight.tick_rate_min * self.settings.pilot.telemetry.rate_hz;
+        let needed = self.settings.offboard.preflight.tick_rate_min
+            * self.settings.offboard.telemetry.rate_hz;
         let is_refused = !self.session.refusals().is_empty();
         let cure = if is_refused {
             ""
@@ -245,7 +247,7 @@ impl Station {
             let line = format!("{} {name} not believed: {}", refused.count, refused.refusal);
             Reason { subject: format!("refused {name}"), line }
         });
-        let stale_s = self.settings.pilot.safety.stale_after_s;
+        let stale_s = self.settings.offboard.safety.stale_after_s;
         let is_short = telemetry.tick_rate_hz() < needed || telemetry.age_s(now) > stale_s;
         let rates = is_short.then_some(Reason { subject, line: rates });
         unknown.into_iter().chain(refused).chain(rates).collect()
@@ -253,8 +255,8 @@ impl Station {
 }
 
 /// The checks that fail, of the subjects wanted.
-fn checks(pilot: &Pilot, is_wanted: impl Fn(&str) -> bool) -> Vec<Reason> {
-    let wanted = pilot.failed_checks().iter().filter(|check| is_wanted(&check.subject));
+fn checks(offboard: &OffboardController, is_wanted: impl Fn(&str) -> bool) -> Vec<Reason> {
+    let wanted = offboard.failed_checks().iter().filter(|check| is_wanted(&check.subject));
     let reason = |check: &PreflightCheck| Reason {
         subject: check.subject.clone(),
         line: format!("{check}{}", cure(&check.subject)),
@@ -270,9 +272,9 @@ fn is_of_the_state(subject: &str) -> bool {
 fn cure(subject: &str) -> &'static str {
     match subject {
         "telemetry rate" => "; lower control.rate_hz, or use a quicker link",
-        "battery" => "; charge it, or lower pilot.preflight.battery_min",
+        "battery" => "; charge it, or lower offboard.preflight.battery_min",
         "signing" => "; turn it off, or connect by USB, where unsigned messages are taken",
-        "link" => "; bring the antennas closer, or raise pilot.preflight.link_loss_max",
+        "link" => "; bring the antennas closer, or raise offboard.preflight.link_loss_max",
         "trajectory start" => "; carry the vehicle there, or move the trajectory",
         subject if subject.starts_with("parameter ") => "; set it with your ground station",
         _ => "",

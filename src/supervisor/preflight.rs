@@ -187,7 +187,7 @@ pub fn preflight(
             standing.take_over || standing.ground_seen || standing.airborne != Some(true),
             "ground",
             "seen below the vehicle since this program runs, because heights count from it; land \
-             once, or set pilot.supervisor.take_over"
+             once, or set offboard.supervisor.take_over"
                 .to_owned(),
             whereabouts(is_armed, standing.airborne),
         ),

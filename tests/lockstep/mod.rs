@@ -11,7 +11,7 @@ use downwash::link::attitude_target::ThrustMap;
 use downwash::link::session;
 use downwash::lockstep;
 use downwash::log::record::Record;
-use downwash::pilot::PilotSettings;
+use downwash::offboard::OffboardSettings;
 use downwash::plan::{ModelFreeReference, Trajectory};
 use downwash::setpoint::State;
 use downwash::station::{End, Station, StationSettings};
@@ -84,7 +84,7 @@ pub fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettin
             vehicle_has_attitude_pd: params.attitude_pd.is_some(),
             ..session::Settings::new(ThrustMap::linear(thrust_full_n).expect("a thrust"))
         },
-        pilot: PilotSettings::default(),
+        pilot: OffboardSettings::default(),
         control: ControlSettings::default(),
         policy: EngagePolicy::Command,
         hover,

@@ -77,7 +77,7 @@ def test_trajectory_files(program, hover, tmp_path, text, code, words):
         ("trajektory = 'a.toml'\n", ["trajektory"]),
         ("[control]\nrate_hz = nan\n", ["rate_hz"]),
         ("[control]\nrate_hz = -100.0\n", ["rate_hz"]),
-        ("[pilot.safety]\ntilt_max_rad = nan\n", ["tilt_max_rad"]),
+        ("[offboard.safety]\ntilt_max_rad = nan\n", ["tilt_max_rad"]),
         ("[link]\nlost_after_s = -1.0\n", ["lost_after_s"]),
         ("schema_version = 99\n", ["99"]),
     ],

@@ -12,7 +12,7 @@ from conftest import CRAZYFLIE, bounds_time, free_port
 from hand_made_vehicle import HOLD, LAND, OFFBOARD, HandMadeVehicle
 from serial_cable import SerialCable
 
-QUICK = "[pilot.supervisor]\nhold_s = 0.5\n"
+QUICK = "[offboard.supervisor]\nhold_s = 0.5\n"
 
 
 def configuration(folder, connect, hover):

@@ -5,7 +5,7 @@ import signal
 
 from conftest import CRAZYFLIE
 
-QUICK = "[pilot.supervisor]\nhold_s = 0.5\n"
+QUICK = "[offboard.supervisor]\nhold_s = 0.5\n"
 
 
 def test_a_second_flight_frees_the_vehicle_from_offboard(program, hover, sitl, pilot, tmp_path):

@@ -80,7 +80,7 @@ def from_the_daemon(folder):
     port = free_port()
     settings.write_text(
         f"vehicle = '{CRAZYFLIE}'\ntrajectory = '{trajectory}'\nconnect = 'udpin:127.0.0.1:{port}'\n"
-        f"log_dir = '{folder}'\n[pilot.supervisor]\nhold_s = 0.5\n"
+        f"log_dir = '{folder}'\n[offboard.supervisor]\nhold_s = 0.5\n"
     )
     vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
     daemon = Program("daemon", "--config", settings)

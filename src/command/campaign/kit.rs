@@ -27,7 +27,7 @@ pub fn kit(script: &Script) -> anyhow::Result<Kit> {
     let course = Course::Desired(trajectory);
     course.check(&vehicle, &config)?;
     let settings = station_settings(&config, &vehicle, &course, script.policy, None)?;
-    let limits = settings.pilot.limits;
+    let limits = settings.offboard.limits;
     let thrust = settings.session.thrust;
     let field = |share: f64| thrust.fraction(share * settings.thrust_full_n);
     let (obeys, lands) = match script.autopilot {

@@ -15,7 +15,7 @@ use crate::command::progress::flight_bar;
 use crate::command::simulation::{Simulated, SimulatedFlight};
 use crate::command::{Exit, ExitContext, say, summary};
 use crate::config::Config;
-use crate::pilot::EffectiveVehicle;
+use crate::offboard::EffectiveVehicle;
 use crate::report::comparison::{Contender, Track};
 use crate::report::flight::FlightReport;
 use crate::station::End;

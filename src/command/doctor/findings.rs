@@ -149,7 +149,7 @@ impl Findings {
             profile.loss.reaction(&report.parameters.clone().into(), settings.link.system)
         {
             let text = format!("should downwash vanish, nothing acts: {why}; {cure}");
-            match settings.pilot.preflight.needs_loss_reaction {
+            match settings.offboard.preflight.needs_loss_reaction {
                 true => self.refuses("loss", text),
                 false => self.warns("loss", text),
             }
@@ -158,7 +158,7 @@ impl Findings {
 
     fn state(&mut self, report: &Report, listener: &Listener, is_asking: bool) {
         let settings = &listener.config.settings;
-        let needed = settings.pilot.preflight.tick_rate_min * settings.control.rate_hz;
+        let needed = settings.offboard.preflight.tick_rate_min * settings.control.rate_hz;
         let comes = report.odometry_hz.max(report.attitude_hz.min(report.position_hz));
         if comes < needed {
             let text = format!(
@@ -203,7 +203,7 @@ impl Findings {
         {
             self.warns("mode", "it is in OFFBOARD, or intends to; switch it to another mode");
         }
-        let least = listener.config.settings.pilot.preflight.battery_min;
+        let least = listener.config.settings.offboard.preflight.battery_min;
         if let Some(left) = report.battery_share.filter(|left| *left < least) {
             let text = format!("{:.0} %, at least {:.0} % are needed", 100.0 * left, 100.0 * least);
             self.refuses("battery", text);
@@ -211,7 +211,7 @@ impl Findings {
     }
 
     fn link(&mut self, report: &Report, listener: &Listener) {
-        let most = listener.config.settings.pilot.preflight.link_loss_max;
+        let most = listener.config.settings.offboard.preflight.link_loss_max;
         if report.lost_share > most {
             let (lost, most) = (100.0 * report.lost_share, 100.0 * most);
             self.refuses("link", format!("loses {lost:.0} % of the frames, at most {most:.0} %"));

@@ -39,7 +39,7 @@ pub(super) struct Observed {
 
 impl Observed {
     pub(super) fn new(config: &Config) -> Self {
-        let mut settings = config.settings.pilot.telemetry;
+        let mut settings = config.settings.offboard.telemetry;
         settings.rate_hz = config.settings.control.rate_hz;
         Self {
             telemetry: Telemetry::new(settings),

@@ -9,7 +9,7 @@ use vehicle::physics::Physics;
 use super::{PlanModel, planner};
 use crate::command::{Exit, ExitContext};
 use crate::config::Config;
-use crate::pilot::EffectiveVehicle;
+use crate::offboard::EffectiveVehicle;
 use crate::plan::planned::{Found, Plan};
 use crate::plan::time_optimal::{FlightPlanner, Limits, Margin, Stop, Task};
 
@@ -79,7 +79,7 @@ pub(super) fn plan(
         physics: Physics::new(vehicle, &EffectSet::new()).or_exit(Exit::Usage)?,
         attitude_pd: answer.attitude_pd,
         lag_s: answer.lag_s,
-        limits: config.settings.pilot.limits,
+        limits: config.settings.offboard.limits,
         envelope: config.settings.envelope,
         settings: config.settings.plan.clone(),
     };

@@ -296,7 +296,7 @@ pub struct ControlSettings {
     /// The same for height, m.
     pub vertical_error_max_m: f64,
     /// Whether the physics' parameters are adapted in flight, around whichever law flies. Off, the
-    /// feedback is that of the law, and of `pilot.offset_free.observer` where that is on.
+    /// feedback is that of the law, and of `offboard.offset_free.observer` where that is on.
     pub adaptive: bool,
     /// How.
     pub adaptation: AdaptationSettings,

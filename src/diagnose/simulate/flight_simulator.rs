@@ -21,7 +21,7 @@ use crate::control::{
 };
 use crate::diagnose::flights::series::Series;
 use crate::log::import::{AttitudeSetpoint, Clock, Flight, Origin};
-use crate::pilot::{EffectiveVehicle, Uncontrollable};
+use crate::offboard::{EffectiveVehicle, Uncontrollable};
 use crate::setpoint::Reference;
 
 /// Rates of the streams in the daemon's logs of the bundled vehicle, Hz.

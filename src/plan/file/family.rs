@@ -218,7 +218,7 @@ pub(super) struct TimeOptimal {
     pub passages: Vec<PassageFields>,
     /// Where it ends.
     pub finish: FinishFields,
-    /// Narrower limits than those of the vehicle, of `[pilot.limits]` and of `[envelope]`.
+    /// Narrower limits than those of the vehicle, of `[offboard.limits]` and of `[envelope]`.
     #[serde(default)]
     pub limits: LimitFields,
     /// What of the limits is kept back for feedback.

@@ -36,7 +36,7 @@ pub struct FlightPlanner {
     pub attitude_pd: AttitudePd,
     /// Time constant of the rotors, s: thrusts are held as long.
     pub lag_s: f64,
-    /// The pilot's limits.
+    /// The limits of setpoints, `[offboard.limits]`.
     pub limits: control::Limits,
     /// The flight's.
     pub envelope: FlightEnvelope,
@@ -45,20 +45,20 @@ pub struct FlightPlanner {
 }
 
 impl FlightPlanner {
-    /// The limits that hold for a task: its own, the pilot's and the envelope's, whichever are
+    /// The limits that hold for a task: its own, those of setpoints and the envelope's, whichever are
     /// narrower, less a margin.
     pub fn limits(&self, task: &Task, margin: &Margin) -> Limits {
-        let pilot = &self.limits;
+        let setpoint = &self.limits;
         let full: f64 = self.physics.allocation().thrust_max().iter().sum();
         let hover = self.physics.body().mass() * self.physics.body().gravity() / full;
         let [least, most] = task.wishes.rotor.unwrap_or([0.0, 1.0]);
-        let rate = [pilot.body_rate_max_rad_s; 3];
+        let rate = [setpoint.body_rate_max_rad_s; 3];
         let wished = task.wishes.body_rate_rad_s.unwrap_or(rate);
         let envelope = &self.envelope;
-        let tilt = [pilot.tilt_max_rad, envelope.tilt_max_deg.to_radians(), TILT_MAX_RAD];
-        let most = most.min(pilot.thrust_max);
+        let tilt = [setpoint.tilt_max_rad, envelope.tilt_max_deg.to_radians(), TILT_MAX_RAD];
+        let most = most.min(setpoint.thrust_max);
         let limits = Limits {
-            rotor: [least.max(pilot.thrust_min), most],
+            rotor: [least.max(setpoint.thrust_min), most],
             body_rate_rad_s: std::array::from_fn(|i| rate[i].min(wished[i])),
             yaw_rate_rad_s: Some(ENVELOPE_SHARE * envelope.yaw_rate_max_deg_s.to_radians()),
             tilt_rad: Some(tilt.into_iter().chain(task.wishes.tilt_rad).fold(f64::MAX, f64::min)),

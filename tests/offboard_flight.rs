@@ -1,9 +1,9 @@
-//! The pilot flies: whole flights, with transport delay and rotor lag that its model lacks.
+//! The offboard controller flies: whole flights, with transport delay and rotor lag that its model lacks.
 
 use std::f64::consts::TAU;
 
-use crate::pilot_world::{Curve, Flight, Hovering, NANO, Numbers, QUAD, Vehicle, weight};
-use downwash::pilot::PilotSettings;
+use crate::offboard_world::{Curve, Flight, Hovering, NANO, Numbers, QUAD, Vehicle, weight};
+use downwash::offboard::OffboardSettings;
 use downwash::supervisor::{EngagePolicy, FlightState};
 use vehicle::frame::Ned;
 
@@ -18,7 +18,7 @@ fn command(
 ) -> Flight {
     let source = Hovering(Curve(seconds, path), weight(&numbers));
     let vehicle = Vehicle::new(numbers, 0.04, 20);
-    Flight::new(vehicle, EngagePolicy::Command, source, PilotSettings::default())
+    Flight::new(vehicle, EngagePolicy::Command, source, OffboardSettings::default())
 }
 
 #[test]
@@ -78,7 +78,7 @@ fn step_is_answered_without_much_overshoot_at_every_heading() {
         flight.until(FlightState::Hold, 60.0);
         let tracked: Vec<_> =
             flight.ticks.iter().filter(|t| t.phase == FlightState::Track).collect();
-        let north = |t: &downwash::pilot::Tick| t.state.position.north();
+        let north = |t: &downwash::offboard::Tick| t.state.position.north();
         let highest = tracked.iter().map(|t| north(t)).fold(0.0, f64::max);
         assert!(highest < 1.2, "overshoot to {highest}");
         let last = tracked.last().expect("tracked");
@@ -100,7 +100,7 @@ fn vehicle_that_is_a_fifth_heavier_still_flies() {
         Vehicle::new(heavy, 0.04, 20),
         EngagePolicy::Command,
         source,
-        PilotSettings::default(),
+        OffboardSettings::default(),
     );
     flight.until(FlightState::Done, 60.0);
 }

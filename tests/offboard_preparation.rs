@@ -2,9 +2,9 @@
 
 use message::{Battery, Inbound};
 
-use crate::pilot_world::{Curve, Flight, Hovering, QUAD, Vehicle, weight};
+use crate::offboard_world::{Curve, Flight, Hovering, QUAD, Vehicle, weight};
 use downwash::link::received::Received;
-use downwash::pilot::PilotSettings;
+use downwash::offboard::OffboardSettings;
 use downwash::supervisor::{EngagePolicy, FlightState};
 use vehicle::frame::Ned;
 
@@ -12,7 +12,7 @@ fn flight() -> Flight {
     let hover = |_: f64| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);
     let source = Hovering(Curve(5.0, hover), weight(&QUAD));
     let vehicle = Vehicle::new(QUAD, 0.04, 10);
-    Flight::new(vehicle, EngagePolicy::Command, source, PilotSettings::default())
+    Flight::new(vehicle, EngagePolicy::Command, source, OffboardSettings::default())
 }
 
 fn is_no_odometry(message: &Inbound) -> bool {
@@ -38,13 +38,13 @@ fn a_vehicle_with_current_mode_is_not_said_to_have_none() {
 #[test]
 fn telemetry_that_comes_and_goes_does_not_start_the_wait_anew() {
     let mut flight = flight();
-    let limit_s = PilotSettings::default().supervisor.ready_timeout_s;
+    let limit_s = OffboardSettings::default().supervisor.ready_timeout_s;
     let mut waited_s = 0.0;
     // A pack that is too low holds the flight in its checks while telemetry is there.
-    while flight.pilot.flight_state() != FlightState::Abort && waited_s < 2.0 * limit_s {
+    while flight.offboard.flight_state() != FlightState::Abort && waited_s < 2.0 * limit_s {
         let message = Inbound::Battery(Battery { remaining: Some(0.2), ..Battery::default() });
         let host = flight.vehicle.now();
-        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
         flight.hears = |_| true;
         flight.run(2.0);
         flight.hears = is_no_odometry;

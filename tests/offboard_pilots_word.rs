@@ -5,24 +5,24 @@ use std::time::Duration;
 
 use message::{Battery, ChargeState, Inbound, LandedState, SystemState};
 
-use crate::pilot_world::{
+use crate::offboard_world::{
     Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight,
 };
 use downwash::link::received::Received;
-use downwash::pilot::PilotSettings;
+use downwash::offboard::OffboardSettings;
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Takeover};
 use vehicle::frame::Ned;
 
 const RETURN_MODE: u32 = 0x0504_0000;
 
-fn flight_of(policy: EngagePolicy, settings: PilotSettings) -> Flight {
+fn flight_of(policy: EngagePolicy, settings: OffboardSettings) -> Flight {
     let path = |_| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);
     let source = Hovering(Curve(30.0, path), weight(&QUAD));
     Flight::new(Vehicle::new(QUAD, 0.04, 10), policy, source, settings)
 }
 
 fn flight(policy: EngagePolicy) -> Flight {
-    flight_of(policy, PilotSettings::default())
+    flight_of(policy, OffboardSettings::default())
 }
 
 fn in_track(policy: EngagePolicy) -> Flight {
@@ -65,13 +65,13 @@ fn in_silence_nothing_is_commanded_for_the_mode_is_not_known() {
     let mut flight = in_track(EngagePolicy::Command);
     flight.hears = |_| false;
     flight.run(2.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Land);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Land);
     assert!(flight.actions.is_empty(), "{:?}", flight.actions);
     // The pilot took over meanwhile, and the link is back.
     flight.vehicle.mode = POSITION_MODE;
     flight.hears = |_| true;
     flight.run(0.5);
-    assert_eq!(flight.pilot.flight_state(), FlightState::PilotControl);
+    assert_eq!(flight.offboard.flight_state(), FlightState::PilotControl);
     assert!(flight.actions.is_empty(), "{:?}", flight.actions);
 }
 
@@ -84,10 +84,10 @@ fn a_last_frame_that_is_younger_than_the_state_is_no_word_of_the_mode() {
         flight.run(0.01);
         let message = Inbound::Battery(Battery::default());
         let host = flight.vehicle.now();
-        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
     }
     flight.run(2.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Land);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Land);
     assert!(flight.actions.is_empty(), "over the vehicle's own failsafe: {:?}", flight.actions);
 }
 
@@ -112,13 +112,13 @@ fn a_mode_that_lay_unread_during_a_pause_is_the_pilots_word() {
     // What the socket kept: the mode before, then the pilot's.
     for mode in [MODES.offboard, HOLD_MODE] {
         let unread = heartbeat(&flight, mode);
-        flight.pilot.catch_up(&unread);
+        flight.offboard.catch_up(&unread);
     }
     let now = flight.vehicle.now();
     flight.vehicle.mode = HOLD_MODE;
-    flight.pilot.resumed(now, 2.4);
+    flight.offboard.resumed(now, 2.4);
     flight.run(3.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::PilotControl);
+    assert_eq!(flight.offboard.flight_state(), FlightState::PilotControl);
     assert!(flight.actions.is_empty(), "{:?}", flight.actions);
     assert_eq!(flight.streamed_since(now), 0);
 }
@@ -130,9 +130,9 @@ fn after_a_pause_the_mode_is_not_known_until_it_is_told_again() {
         let mut flight = in_track(EngagePolicy::Command);
         pause(&mut flight, 2.4);
         let unread = heartbeat(&flight, MODES.offboard);
-        flight.pilot.catch_up(&unread);
+        flight.offboard.catch_up(&unread);
         let now = flight.vehicle.now();
-        flight.pilot.resumed(now, 2.4);
+        flight.offboard.resumed(now, 2.4);
         flight.hears =
             |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::CurrentMode { .. });
         flight.run(0.5);
@@ -145,7 +145,7 @@ fn after_a_pause_the_mode_is_not_known_until_it_is_told_again() {
     taken.switch(POSITION_MODE);
     taken.run(3.0);
     assert!(taken.actions.is_empty(), "{:?}", taken.actions);
-    assert_eq!(taken.pilot.takeover(), Some(&Takeover::Pilot { mode: "Position".to_owned() }));
+    assert_eq!(taken.offboard.takeover(), Some(&Takeover::Pilot { mode: "Position".to_owned() }));
 
     let mut left = paused();
     left.hears = |_| true;
@@ -175,24 +175,24 @@ fn a_mode_that_returns_with_the_disarming_is_no_switch_of_the_pilot() {
         if heartbeat_first {
             flight.vehicle.armed = false;
             let message = heartbeat(&flight, POSITION_MODE);
-            flight.pilot.handle(&message);
+            flight.offboard.handle(&message);
         }
         flight.vehicle.mode = MODES.offboard;
         let message = Inbound::CurrentMode {
             custom_mode: MODES.offboard,
             intended_custom_mode: MODES.offboard,
         };
-        flight.pilot.handle(&Received { host: at, vehicle: None, delay: None, message });
+        flight.offboard.handle(&Received { host: at, vehicle: None, delay: None, message });
         flight.vehicle.armed = false;
         flight.run(3.0);
-        assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease, "{heartbeat_first}");
+        assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease, "{heartbeat_first}");
         assert!(told(&flight, "no switch of the pilot's"), "{:#?}", flight.events);
         // The next arming, by anyone, takes off nowhere.
         let now = flight.vehicle.now();
         flight.vehicle.armed = true;
         flight.run(3.0);
         assert_eq!(flight.streamed_since(now), 0);
-        assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
+        assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease);
     }
 }
 
@@ -203,9 +203,9 @@ fn a_switch_on_the_ground_lapses_where_the_pilot_does_not_arm() {
     flight.run(0.2);
     flight.switch(MODES.offboard);
     flight.run(29.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Arm);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Arm);
     flight.run(2.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
+    assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease);
     assert!(told(&flight, "did not arm within 30 s"), "{:#?}", flight.events);
 }
 
@@ -219,7 +219,7 @@ fn an_offer_ends_when_the_pilot_leaves_again_before_it_was_taken_for_his_word() 
         flight.vehicle.mode = mode;
         let message = Inbound::CurrentMode { custom_mode: mode, intended_custom_mode: mode };
         let host = flight.vehicle.now();
-        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
         flight.run(0.05);
     }
     assert!(told(&flight, "OFFBOARD was left again: the mode is Position"), "{:#?}", flight.events);
@@ -231,7 +231,7 @@ fn an_offer_ends_when_the_pilot_leaves_again_before_it_was_taken_for_his_word() 
     flight.run(0.2);
     flight.switch(MODES.offboard);
     flight.run(0.2);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Arm);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Arm);
 }
 
 #[test]
@@ -248,11 +248,11 @@ fn nothing_is_offered_where_the_mode_was_not_told_lately() {
     flight.hears = |_| true;
     flight.run(0.5);
     assert!(flight.streamed_since(old) > 0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Standby);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Standby);
 }
 
 /// Someone flies the vehicle at four metres when this program starts.
-fn flown_by_others(policy: EngagePolicy, settings: PilotSettings) -> Flight {
+fn flown_by_others(policy: EngagePolicy, settings: OffboardSettings) -> Flight {
     let mut flight = flight_of(policy, settings);
     flight.vehicle.state.position = Ned::new(0.0, 0.0, -4.0);
     flight.vehicle.armed = true;
@@ -262,14 +262,14 @@ fn flown_by_others(policy: EngagePolicy, settings: PilotSettings) -> Flight {
 
 #[test]
 fn a_vehicle_that_others_fly_is_not_taken_over_unasked() {
-    let mut command = flown_by_others(EngagePolicy::Command, PilotSettings::default());
+    let mut command = flown_by_others(EngagePolicy::Command, OffboardSettings::default());
     command.run(70.0);
-    assert_eq!(command.pilot.flight_state(), FlightState::Abort);
+    assert_eq!(command.offboard.flight_state(), FlightState::Abort);
     assert!(command.actions.is_empty(), "{:?}", command.actions);
     assert!(told(&command, "found armed, in the air"), "{:#?}", command.events);
     assert!(command.ticks.iter().all(|tick| tick.setpoint.is_none()));
 
-    let mut switched = flown_by_others(EngagePolicy::PilotSwitch, PilotSettings::default());
+    let mut switched = flown_by_others(EngagePolicy::PilotSwitch, OffboardSettings::default());
     switched.run(5.0);
     switched.switch(MODES.offboard);
     switched.run(5.0);
@@ -278,7 +278,7 @@ fn a_vehicle_that_others_fly_is_not_taken_over_unasked() {
 
 #[test]
 fn a_takeover_in_the_air_that_is_asked_for_flies_by_the_local_frames_height() {
-    let mut settings = PilotSettings::default();
+    let mut settings = OffboardSettings::default();
     settings.supervisor.take_over = true;
     let mut flight = flown_by_others(EngagePolicy::Command, settings);
     flight.until(FlightState::Track, 60.0);
@@ -290,11 +290,11 @@ fn a_takeover_in_the_air_that_is_asked_for_flies_by_the_local_frames_height() {
 
 #[test]
 fn where_the_vehicle_does_not_tell_whether_it_is_armed_nothing_is_streamed() {
-    let mut flight = flown_by_others(EngagePolicy::PilotSwitch, PilotSettings::default());
+    let mut flight = flown_by_others(EngagePolicy::PilotSwitch, OffboardSettings::default());
     flight.hears =
         |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::LandedState(_));
     flight.run(10.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::AwaitTelemetry);
+    assert_eq!(flight.offboard.flight_state(), FlightState::AwaitTelemetry);
     assert!(flight.ticks.iter().all(|tick| tick.setpoint.is_none()));
 }
 
@@ -304,16 +304,16 @@ fn a_failsafe_is_called_one_and_not_the_pilot() {
     // CURRENT_MODE comes first; HEARTBEAT and the text say why within a second.
     flight.vehicle.mode = RETURN_MODE;
     flight.run(0.2);
-    assert_eq!(flight.pilot.flight_state(), FlightState::PilotControl);
-    assert_eq!(flight.pilot.takeover(), None, "not known yet");
+    assert_eq!(flight.offboard.flight_state(), FlightState::PilotControl);
+    assert_eq!(flight.offboard.takeover(), None, "not known yet");
     let message =
         Inbound::StatusText { severity: 2, text: "Failsafe activated: no manual control".into() };
     let host = flight.vehicle.now();
     flight.vehicle.system = SystemState::Failsafe;
-    flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+    flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
     flight.run(1.5);
     let words = "PX4 failsafe: Return; vehicle: Failsafe activated: no manual control";
-    assert_eq!(flight.pilot.takeover(), Some(&Takeover::Failsafe(words.to_owned())));
+    assert_eq!(flight.offboard.takeover(), Some(&Takeover::Failsafe(words.to_owned())));
     assert!(!told(&flight, "the pilot has control"), "{:#?}", flight.events);
 }
 
@@ -327,9 +327,9 @@ fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
     ] {
         let mut flight = in_track(EngagePolicy::Command);
         let host = flight.vehicle.now();
-        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
         flight.run(1.0);
-        assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+        assert_eq!(flight.offboard.flight_state(), FlightState::Track);
         flight.run(2.5);
         assert_eq!(flight.actions, [Action::SetModeLand]);
         assert!(told(&flight, words), "{:#?}", flight.events);
@@ -341,26 +341,26 @@ fn a_position_that_the_vehicle_no_longer_vouches_for_is_not_followed() {
     let heard = |flight: &mut Flight, health: u32, enabled: u32| {
         let message = Inbound::SysStatus { unhealthy: 0, health, enabled };
         let host = flight.vehicle.now();
-        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
     };
     let mut flight = in_track(EngagePolicy::Command);
     // A vehicle that never said so is not judged by it.
     heard(&mut flight, 0, 0x4000);
     flight.run(1.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Track);
     // Nor is one that does not use it any more, as ArduCopter, which told it in LAND, in Guided.
     heard(&mut flight, 0x4000, 0x4000);
     heard(&mut flight, 0, 0);
     flight.run(1.0);
     heard(&mut flight, 0, 0x4000);
     flight.run(1.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Track);
     // PX4 may not have it enabled while it is healthy.
     heard(&mut flight, 0x4000, 0);
     flight.run(0.2);
     heard(&mut flight, 0, 0x4000);
     flight.run(0.3);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Track, "one report may be wrong");
+    assert_eq!(flight.offboard.flight_state(), FlightState::Track, "one report may be wrong");
     flight.run(0.4);
     assert_eq!(flight.actions, [Action::SetModeLand]);
     assert!(told(&flight, "position estimate unhealthy"), "{:#?}", flight.events);
@@ -372,24 +372,24 @@ fn what_the_vehicle_reports_as_unhealthy_is_named_once() {
     for _ in 0..3 {
         let message = Inbound::SysStatus { unhealthy: 0x20 | 0x0020_0000, health: 0, enabled: 0 };
         let host = flight.vehicle.now();
-        flight.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
         flight.run(0.5);
     }
     let words = "unhealthy: GPS, attitude estimate";
     assert_eq!(flight.events.iter().filter(|event| event.text.contains(words)).count(), 1);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Track);
 }
 
 #[test]
 fn a_landing_that_the_vehicle_does_not_report_ends_in_a_request_to_disarm() {
     let mut flight = in_track(EngagePolicy::Command);
     let now = flight.vehicle.now();
-    flight.pilot.land(now);
+    flight.offboard.land(now);
     // The vehicle comes down and goes on saying that it flies, with its motors on.
     flight.hears = |message| !matches!(message, Inbound::LandedState(_));
     flight.vehicle.stays_armed = true;
     let message = Inbound::LandedState(LandedState::InAir);
-    flight.pilot.handle(&Received { host: now, vehicle: None, delay: None, message });
+    flight.offboard.handle(&Received { host: now, vehicle: None, delay: None, message });
     flight.obeys = |action| action != Action::Disarm;
     flight.until(FlightState::Disarm, 30.0);
     assert!(told(&flight, "reports no landing"), "{:#?}", flight.events);

@@ -1,4 +1,4 @@
-//! A vehicle for the pilot to fly: rigid body, PD on board, first-order rotors, transport delay,
+//! A vehicle for the offboard controller to fly: rigid body, PD on board, first-order rotors, transport delay,
 //! modes and arming. Equations of its own, so that it shares no mistake with the model.
 
 use std::collections::VecDeque;
@@ -7,7 +7,7 @@ use std::time::Duration;
 use downwash::clock::{HostTime, VehicleTime};
 use downwash::control::{AttitudeLoop, ControlSettings, HoverVehicle, Lqr};
 use downwash::link::received::Received;
-use downwash::pilot::{Airframe, Pilot, PilotSettings, Tick};
+use downwash::offboard::{Airframe, OffboardController, OffboardSettings, Tick};
 use downwash::plan::reference::ReferenceSource;
 use downwash::setpoint::{Reference, Setpoint, State};
 use downwash::supervisor::{Action, EngagePolicy, Event, FlightState, ModeMap};
@@ -235,16 +235,16 @@ impl Vehicle {
     }
 }
 
-/// A pilot and a vehicle, in step.
+/// An offboard controller and a vehicle, in step.
 pub struct Flight {
-    pub pilot: Pilot,
+    pub offboard: OffboardController,
     pub vehicle: Vehicle,
     pub ticks: Vec<Tick>,
     pub events: Vec<Event>,
     pub actions: Vec<Action>,
-    /// Whether the vehicle's messages reach the pilot, and of which kind.
+    /// Whether the vehicle's messages reach the controller, and of which kind.
     pub hears: fn(&Inbound) -> bool,
-    /// Whether the pilot's requests have an effect.
+    /// Whether the controller's requests have an effect.
     pub obeys: fn(Action) -> bool,
 }
 
@@ -253,11 +253,11 @@ impl Flight {
         vehicle: Vehicle,
         policy: EngagePolicy,
         source: impl ReferenceSource + Send + 'static,
-        settings: PilotSettings,
+        settings: OffboardSettings,
     ) -> Self {
         let airframe = airframe(&vehicle.numbers);
         let lqr = lqr(&vehicle.numbers);
-        let pilot = Pilot::new(
+        let offboard = OffboardController::new(
             settings,
             policy,
             airframe,
@@ -267,7 +267,7 @@ impl Flight {
             vehicle.now(),
         );
         let (ticks, events, actions) = Default::default();
-        Self { pilot, vehicle, ticks, events, actions, hears: |_| true, obeys: |_| true }
+        Self { offboard, vehicle, ticks, events, actions, hears: |_| true, obeys: |_| true }
     }
 
     pub fn run(&mut self, seconds: f64) {
@@ -277,10 +277,10 @@ impl Flight {
                 if !(self.hears)(&message.message) {
                     continue;
                 }
-                if let Some(tick) = self.pilot.handle(&message) {
-                    let cleared = self.pilot.clear(message.host);
+                if let Some(tick) = self.offboard.handle(&message) {
+                    let cleared = self.offboard.clear(message.host);
                     assert_eq!(cleared.as_ref().map(|it| *it.setpoint()), tick.setpoint);
-                    self.pilot.sent(cleared.is_some());
+                    self.offboard.sent(cleared.is_some());
                     if let Some(cleared) = cleared {
                         self.vehicle.send(*cleared.setpoint());
                     }
@@ -288,23 +288,23 @@ impl Flight {
                 }
             }
             if self.vehicle.ms.is_multiple_of(20) {
-                self.pilot.poll(self.vehicle.now());
+                self.offboard.poll(self.vehicle.now());
             }
-            for action in self.pilot.take_actions() {
+            for action in self.offboard.take_actions() {
                 self.actions.push(action);
                 if (self.obeys)(action) {
                     self.vehicle.obey(action);
                     self.heartbeat();
                 }
             }
-            self.events.extend(self.pilot.take_events());
+            self.events.extend(self.offboard.take_events());
         }
     }
 
     /// Runs until the state is reached, at most `seconds`.
     pub fn until(&mut self, state: FlightState, seconds: f64) {
         for _ in 0..(seconds * 100.0) as u64 {
-            if self.pilot.flight_state() == state {
+            if self.offboard.flight_state() == state {
                 return;
             }
             self.run(0.01);
@@ -323,7 +323,7 @@ impl Flight {
         };
         if (self.hears)(&message) {
             let host = self.vehicle.now();
-            self.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+            self.offboard.handle(&Received { host, vehicle: None, delay: None, message });
         }
     }
 
@@ -332,7 +332,7 @@ impl Flight {
         self.heartbeat();
         let message = Inbound::CurrentMode { custom_mode: mode, intended_custom_mode: mode };
         let host = self.vehicle.now();
-        self.pilot.handle(&Received { host, vehicle: None, delay: None, message });
+        self.offboard.handle(&Received { host, vehicle: None, delay: None, message });
     }
 
     pub fn streamed_since(&self, host: HostTime) -> usize {

@@ -2,17 +2,17 @@
 
 use message::{Battery, Inbound};
 
-use crate::pilot_world::{
+use crate::offboard_world::{
     Curve, Flight, HOLD_MODE, Hovering, MODES, POSITION_MODE, QUAD, Vehicle, weight,
 };
-use downwash::pilot::{LinkEvent, PilotSettings, Tick};
+use downwash::offboard::{LinkEvent, OffboardSettings, Tick};
 use downwash::supervisor::{Action, EngagePolicy, FlightState, Severity};
 use vehicle::frame::{Frd, Ned};
 
 fn flight(policy: EngagePolicy) -> Flight {
     let path = |_| (Ned::new(0.0, 0.0, -1.0), Ned::zero(), 0.0, 0.0);
     let source = Hovering(Curve(30.0, path), weight(&QUAD));
-    Flight::new(Vehicle::new(QUAD, 0.04, 10), policy, source, PilotSettings::default())
+    Flight::new(Vehicle::new(QUAD, 0.04, 10), policy, source, OffboardSettings::default())
 }
 
 #[test]
@@ -24,7 +24,7 @@ fn pilots_mode_change_ends_a_commanded_flight_for_good() {
     flight.run(3.0);
     flight.switch(MODES.offboard);
     flight.run(3.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::PilotControl);
+    assert_eq!(flight.offboard.flight_state(), FlightState::PilotControl);
     assert_eq!(flight.streamed_since(at), 0);
     assert!(flight.events.iter().any(|e| e.severity == Severity::Warning));
 }
@@ -34,11 +34,11 @@ fn pilots_switch_engages_only_while_the_hold_is_streamed() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.until(FlightState::Standby, 10.0);
     flight.run(5.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Standby);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Standby);
     assert!(flight.actions.is_empty(), "a daemon that waits asks for nothing");
     flight.switch(MODES.offboard);
     flight.run(0.1);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Arm);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Arm);
     flight.run(2.0);
     assert!(flight.actions.is_empty(), "the pilot arms");
     flight.vehicle.armed = true;
@@ -54,7 +54,7 @@ fn pilots_switch_engages_only_while_the_hold_is_streamed() {
     assert!(flight.streamed_since(at) > 0);
     flight.switch(MODES.offboard);
     flight.run(0.05);
-    assert!(flight.pilot.flight_state().is_in_control());
+    assert!(flight.offboard.flight_state().is_in_control());
 }
 
 #[test]
@@ -71,7 +71,7 @@ fn quick_flick_back_to_offboard_after_a_takeover_does_not_engage() {
     let at = flight.vehicle.now();
     flight.run(5.0);
     assert_eq!(flight.streamed_since(at), 0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
+    assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease);
 }
 
 #[test]
@@ -81,7 +81,7 @@ fn daemon_that_starts_beside_a_vehicle_in_offboard_stays_silent() {
     flight.run(10.0);
     assert_eq!(flight.streamed_since(flight.ticks[0].host), 0);
     assert!(flight.actions.is_empty(), "the mode is the pilot's");
-    assert_eq!(flight.pilot.flight_state(), FlightState::AwaitRelease);
+    assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease);
     flight.switch(HOLD_MODE);
     flight.until(FlightState::Standby, 3.0);
 }
@@ -121,7 +121,7 @@ fn link_loss_in_flight_ends_control_until_the_mode_reads_otherwise() {
     flight.obeys = |_| false;
     let at = flight.vehicle.now();
     flight.run(4.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Abort);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Abort);
     flight.hears = |_| true;
     flight.run(5.0);
     assert_eq!(flight.streamed_since(at), 0, "the mode still reads OFFBOARD");
@@ -134,9 +134,9 @@ fn without_fresh_state_nothing_is_sent_and_the_vehicle_is_asked_to_land() {
     flight.hears = |message| !matches!(message, Inbound::Odometry { .. });
     let at = flight.vehicle.now();
     flight.run(0.45);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Track, "a short silence is waited out");
+    assert_eq!(flight.offboard.flight_state(), FlightState::Track, "a short silence is waited out");
     flight.run(0.2);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Land);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Land);
     assert_eq!(flight.streamed_since(at), 0);
     assert_eq!(flight.actions.last(), Some(&Action::SetModeLand));
 }
@@ -147,7 +147,7 @@ fn jump_of_the_estimate_is_held_where_it_shows_the_vehicle() {
     flight.until(FlightState::Track, 30.0);
     flight.vehicle.state.position += Ned::new(3.0, 0.0, 0.0);
     flight.run(0.05);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Hold);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Hold);
     flight.run(0.5);
     let last = flight.ticks.last().expect("ticks");
     assert!(last.tracking_error < 0.2, "{} m", last.tracking_error);
@@ -164,9 +164,9 @@ fn refused_arming_ends_the_flight_with_the_vehicles_reason() {
     let host = flight.vehicle.now();
     let message = Inbound::StatusText { severity: 2, text: "Arming denied: compass\t".into() };
     let received = downwash::link::received::Received { host, vehicle: None, delay: None, message };
-    flight.pilot.handle(&received);
+    flight.offboard.handle(&received);
     flight.run(6.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Abort);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Abort);
     let reason = &flight.events.last().expect("an event").text;
     assert!(reason.contains("Arming denied: compass"), "{reason}");
 }
@@ -177,7 +177,7 @@ fn a_refusal_that_repeats_is_told_once() {
     flight.until(FlightState::Track, 30.0);
     for text in ["failed", "failed", "failed", "denied"] {
         let refused = LinkEvent::Refused { action: Action::Disarm, text: text.into() };
-        flight.pilot.link_event(flight.vehicle.now(), refused);
+        flight.offboard.link_event(flight.vehicle.now(), refused);
         flight.run(0.1);
     }
     let told = flight.events.iter().filter(|event| event.text.contains("refuses to disarm"));
@@ -192,7 +192,7 @@ fn landing_on_request_hands_over_to_the_vehicle() {
     let mut flight = flight(EngagePolicy::Command);
     flight.until(FlightState::Track, 30.0);
     let now = flight.vehicle.now();
-    flight.pilot.land(now);
+    flight.offboard.land(now);
     flight.run(0.3);
     let handed_over = flight.vehicle.now();
     flight.until(FlightState::Done, 30.0);
@@ -214,9 +214,9 @@ fn not_a_number_is_never_flown_on() {
     let (host, ms) = (flight.vehicle.now(), flight.vehicle.ms as u32 + 9);
     let vehicle = Some(downwash::clock::VehicleTime::from_ms(ms));
     let received = downwash::link::received::Received { host, vehicle, delay: None, message };
-    assert!(flight.pilot.handle(&received).is_none());
+    assert!(flight.offboard.handle(&received).is_none());
     flight.run(1.0);
-    assert_eq!(flight.pilot.flight_state(), FlightState::Track);
+    assert_eq!(flight.offboard.flight_state(), FlightState::Track);
     let sent: Vec<_> = flight.ticks.iter().filter_map(|tick| tick.setpoint).collect();
     assert!(sent.iter().all(|setpoint| setpoint.is_finite()));
 }
@@ -227,18 +227,18 @@ fn low_battery_and_a_left_fence_land_the_vehicle() {
     low.until(FlightState::Track, 30.0);
     let message = Inbound::Battery(Battery { remaining: Some(0.1), ..Battery::default() });
     let host = low.vehicle.now();
-    low.pilot.handle(&downwash::link::received::Received {
+    low.offboard.handle(&downwash::link::received::Received {
         host,
         vehicle: None,
         delay: None,
         message,
     });
     low.run(2.9);
-    assert_eq!(low.pilot.flight_state(), FlightState::Track);
+    assert_eq!(low.offboard.flight_state(), FlightState::Track);
     low.run(0.3);
-    assert_eq!(low.pilot.flight_state(), FlightState::Land);
+    assert_eq!(low.offboard.flight_state(), FlightState::Land);
 
-    let mut settings = PilotSettings::default();
+    let mut settings = OffboardSettings::default();
     settings.safety.fence_radius_m = 1.0;
     let path = |t: f64| (Ned::new(0.5 * t, 0.0, -1.0), Ned::new(0.5, 0.0, 0.0), 0.0, 0.0);
     let source = Hovering(Curve(30.0, path), weight(&QUAD));

@@ -5,7 +5,7 @@ use std::time::Duration;
 use message::{ChargeState, LandedState};
 use vehicle::frame::Ned;
 
-use super::Pilot;
+use super::OffboardController;
 use crate::clock::HostTime;
 use crate::supervisor::{FlightCondition, FlightState, Observation, Severity, Standing, preflight};
 
@@ -29,14 +29,14 @@ const UNHEARD_LATELY: Duration = Duration::from_secs(2);
 /// An answer older than this says nothing of the link as it is.
 const ANSWER_FRESH: Duration = Duration::from_millis(500);
 
-impl Pilot {
+impl OffboardController {
     /// Looks at the vehicle and the clock, and lets the supervisor decide.
     pub(super) fn observe(&mut self, now: HostTime) {
         let before = self.supervisor.state();
         if let Some(late) = self.telemetry.take_late(now) {
             let limit_s = self.settings.telemetry.late_after_s;
             let text = format!(
-                "{late}, and were not acted upon (pilot.telemetry.late_after_s is {limit_s}); \
+                "{late}, and were not acted upon (offboard.telemetry.late_after_s is {limit_s}); \
                  the link is congested, or this machine is busy"
             );
             self.supervisor.tell(now, Severity::Warning, text);

@@ -33,7 +33,7 @@ use crate::telemetry::{Sample, Telemetry, TelemetryFault, TelemetrySettings};
 /// The settings of the line's parts.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct PilotSettings {
+pub struct OffboardSettings {
     /// Ticks and what of telemetry is believed.
     pub telemetry: TelemetrySettings,
     /// Times of the flight's states.
@@ -50,7 +50,7 @@ pub struct PilotSettings {
     pub offset_free: OffsetFreeSettings,
 }
 
-/// What the pilot must know of the vehicle.
+/// What the controller must know of the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Airframe {
     /// Effective mass, inertia and gravity.
@@ -87,8 +87,8 @@ pub enum LinkEvent {
 }
 
 /// Flies one vehicle along one trajectory, or holds until it is asked to.
-pub struct Pilot {
-    settings: PilotSettings,
+pub struct OffboardController {
+    settings: OffboardSettings,
     policy: EngagePolicy,
     airframe: Airframe,
     controller: Controller,
@@ -114,11 +114,11 @@ pub struct Pilot {
     paused_s: f64,
 }
 
-impl Pilot {
-    /// A pilot at `now`, before the first message. `standing_checks` are preflight checks that
+impl OffboardController {
+    /// A controller at `now`, before the first message. `standing_checks` are preflight checks that
     /// failed already, such as a trajectory outside of the flight envelope.
     pub fn new(
-        settings: PilotSettings,
+        settings: OffboardSettings,
         policy: EngagePolicy,
         airframe: Airframe,
         controller: impl Into<Controller>,
