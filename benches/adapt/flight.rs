@@ -109,7 +109,7 @@ fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettings {
             vehicle_has_attitude_pd: params.attitude_pd.is_some(),
             ..session::Settings::new(effective.thrust)
         },
-        pilot: OffboardSettings::default(),
+        offboard: OffboardSettings::default(),
         control: ControlSettings::default(),
         policy: EngagePolicy::Command,
         hover: effective.hover,

@@ -36,7 +36,7 @@ enum Wait {
     /// Checks that fail.
     Checks,
     /// The pilot's switch, or their arming.
-    OffboardController,
+    Pilot,
 }
 
 impl Wait {

@@ -84,7 +84,7 @@ pub fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettin
             vehicle_has_attitude_pd: params.attitude_pd.is_some(),
             ..session::Settings::new(ThrustMap::linear(thrust_full_n).expect("a thrust"))
         },
-        pilot: OffboardSettings::default(),
+        offboard: OffboardSettings::default(),
         control: ControlSettings::default(),
         policy: EngagePolicy::Command,
         hover,
