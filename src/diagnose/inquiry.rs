@@ -74,6 +74,8 @@ pub(super) struct Inquiry<'a> {
     pub reported: Observed<'a>,
     /// What predictions are compared by.
     pub metric: Metric,
+    /// The axes about which the body's turning is compared: front, right, down.
+    pub axes: [bool; 3],
 }
 
 impl Inquiry<'_> {
@@ -85,7 +87,7 @@ impl Inquiry<'_> {
     /// The vehicle of the file with `effects` over it.
     pub fn simulator(&self, effects: &EffectSet) -> Result<Simulator, VehicleError> {
         let simulator = Simulator::new(self.case.vehicle, effects, self.leg())?;
-        Ok(simulator.compared_by(self.metric))
+        Ok(simulator.compared_by(self.metric, self.axes))
     }
 
     /// The vehicle by some of an explanation's numbers: those of the effects `which`, and with

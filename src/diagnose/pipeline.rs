@@ -94,6 +94,7 @@ pub fn diagnose(
         all: look(case.fitted),
         reported: look(case.held_out),
         metric: metric(leg, &turning),
+        axes: turning.map(|axis| axis.is_usable),
     };
     let found = inquiry.explanations(&stages)?;
     stages.begin("how far")?;
@@ -138,7 +139,7 @@ impl Stages<'_> {
 fn metric(leg: bool, turning: &[Turning; 3]) -> Metric {
     match leg {
         true => Metric::Mean,
-        false if turning.iter().all(|axis| axis.is_usable) => Metric::Guided,
+        false if turning.iter().any(|axis| axis.is_usable) => Metric::Guided,
         false => Metric::Forces,
     }
 }

@@ -25,7 +25,7 @@ pub struct Linearised {
     gram: Vec<Vec<f64>>,
     /// Products of the columns with the residuals, at each place.
     cross: Vec<Vec<f64>>,
-    /// Squares of the residuals at each place.
+    /// Squares of the residuals at each place, of each by itself: [pools](pools) come after.
     square: Vec<f64>,
 }
 
@@ -73,7 +73,7 @@ impl Linearised {
         Self {
             values: values.to_vec(),
             cross: crosses(observed, &columns, base),
-            square: observed.power(base),
+            square: observed.squares(base),
             numbers,
             columns,
             gram,
@@ -93,7 +93,7 @@ impl Linearised {
             columns: Vec::new(),
             gram: self.gram.clone(),
             cross: crosses(observed, &self.columns, base),
-            square: observed.power(base),
+            square: observed.squares(base),
         }
     }
 
@@ -106,8 +106,8 @@ impl Linearised {
     pub fn noise_shares(&self, [one, other]: [&Observed<'_>; 2]) -> Vec<(usize, f64)> {
         let residuals = [one, other].map(|observed| observed.residuals(&self.values));
         let [Some(of_one), Some(of_other)] = residuals else { return Vec::new() };
-        let weights: Vec<f64> = self
-            .square
+        let weights: Vec<f64> = one
+            .levelled(self.square.clone())
             .iter()
             .zip(&one.counts)
             .map(|(q, n)| n / q.max(f64::MIN_POSITIVE))
@@ -195,7 +195,7 @@ impl Linearised {
             })
             .collect();
         let cross = crosses(observed, &columns, base);
-        let square = observed.power(base);
+        let square = observed.squares(base);
         Self { values: values.to_vec(), numbers, columns: Vec::new(), gram, cross, square }
     }
 
@@ -246,12 +246,11 @@ impl Linearised {
         });
         let mut current = quadratic.power(&delta);
         let mut cost = cost_of(&current, &delta);
-        let mut held = vec![false; n];
         let mut normal = DMatrix::zeros(n, n);
         for _ in 0..WEIGHT_ROUNDS {
             let gradient;
             (normal, gradient) = quadratic.normal_equations(&prior, &off, counts, &current);
-            let target = bounded_minimum(&normal, &gradient, &limits, &mut held)?;
+            let target = bounded_minimum(&normal, &gradient, &limits, &delta)?;
             // Halved until the cost falls: far from the fixed point the weights may overshoot.
             let mut share = 1.0;
             let mut moved = false;
@@ -384,37 +383,57 @@ impl Quadratic {
     }
 }
 
-/// The minimum of a quadratic within limits: numbers that would leave theirs are held there.
-/// `held` carries over which.
+/// A quadratic's descent within limits ends where one more step would lower it by less, nats.
+const DESCENT_MIN: f64 = 1e-9;
+
+/// The minimum within limits of x' N x / 2 + g' x, `normal` being N and `gradient` g.
+///
+/// An active-set method: from the feasible point `start` it goes to the minimum over the numbers that
+/// no limit holds, up to the first limit on the way, and then lets go the number that its limit holds
+/// back most. So no step raises the cost, which the reweighting above relies on.
 fn bounded_minimum(
     normal: &DMatrix<f64>,
     gradient: &DVector<f64>,
     limits: &[[f64; 2]],
-    held: &mut [bool],
+    start: &DVector<f64>,
 ) -> Option<DVector<f64>> {
     let n = gradient.len();
-    held.fill(false);
-    let mut at = DVector::zeros(n);
-    for _ in 0..n {
+    let mut at = start.clone();
+    let mut held: Vec<bool> =
+        (0..n).map(|i| at[i] <= limits[i][0] || at[i] >= limits[i][1]).collect();
+    // Each number is held or let go a few times at most.
+    for _ in 0..8 * n + 8 {
+        let slope = gradient + normal * &at;
         let free: Vec<usize> = (0..n).filter(|i| !held[*i]).collect();
-        let matrix = DMatrix::from_fn(free.len(), free.len(), |a, b| normal[(free[a], free[b])]);
-        let right = DVector::from_fn(free.len(), |a, _| {
-            let i = free[a];
-            let fixed: f64 = (0..n).filter(|j| held[*j]).map(|j| normal[(i, j)] * at[j]).sum();
-            -gradient[i] - fixed
-        });
-        let solution = scaled_cholesky(&matrix)?.solve(&right);
-        let mut left = false;
-        for (a, i) in free.iter().enumerate() {
-            let [low, high] = limits[*i];
-            at[*i] = solution[a].clamp(low, high);
-            if solution[a] < low || solution[a] > high {
-                held[*i] = true;
-                left = true;
+        if !free.is_empty() {
+            let matrix =
+                DMatrix::from_fn(free.len(), free.len(), |a, b| normal[(free[a], free[b])]);
+            let right = DVector::from_fn(free.len(), |a, _| -slope[free[a]]);
+            let step = scaled_cholesky(&matrix)?.solve(&right);
+            let reach = |(a, i): (usize, &usize)| {
+                let limit = limits[*i][usize::from(step[a] > 0.0)];
+                let share = (limit - at[*i]) / step[a];
+                (share < 1.0).then_some((share.max(0.0), *i, limit))
+            };
+            let blocked = free.iter().enumerate().filter_map(reach);
+            let first = blocked.min_by(|a, b| a.0.total_cmp(&b.0));
+            let share = first.map_or(1.0, |(share, ..)| share);
+            free.iter().enumerate().for_each(|(a, i)| at[*i] += share * step[a]);
+            if let Some((_, i, limit)) = first {
+                (at[i], held[i]) = (limit, true);
+                continue;
             }
         }
-        if !left {
-            break;
+        let slope = gradient + normal * &at;
+        let descent = |i: usize| {
+            let [low, high] = limits[i];
+            let inwards = (slope[i] < 0.0 && at[i] < high) || (slope[i] > 0.0 && at[i] > low);
+            if inwards { slope[i].powi(2) / normal[(i, i)] } else { 0.0 }
+        };
+        let held_back = (0..n).filter(|i| held[*i]).map(|i| (i, descent(i)));
+        match held_back.max_by(|a, b| a.1.total_cmp(&b.1)) {
+            Some((i, gain)) if gain > DESCENT_MIN => held[i] = false,
+            _ => return Some(at),
         }
     }
     Some(at)
@@ -467,4 +486,47 @@ pub struct Solution {
     pub evidence: f64,
     /// Sum of squares left at each place.
     pub power: Vec<f64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn cost(normal: &DMatrix<f64>, gradient: &DVector<f64>, at: &DVector<f64>) -> f64 {
+        0.5 * at.dot(&(normal * at)) + gradient.dot(at)
+    }
+
+    proptest! {
+        #[test]
+        fn no_number_within_its_limits_lowers_the_minimum(
+            entries in prop::collection::vec(-1.0_f64..1.0, 36),
+            slopes in prop::collection::vec(-5.0_f64..5.0, 6),
+            lows in prop::collection::vec(-1.0_f64..0.0, 6),
+            highs in prop::collection::vec(0.0_f64..1.0, 6),
+            share in prop::collection::vec(0.0_f64..1.0, 6),
+        ) {
+            let root = DMatrix::from_vec(6, 6, entries);
+            let normal = root.transpose() * &root + DMatrix::identity(6, 6) * 1e-3;
+            let gradient = DVector::from_vec(slopes);
+            let limits: Vec<[f64; 2]> = lows.into_iter().zip(highs).map(|(a, b)| [a, b]).collect();
+            let start = DVector::from_fn(6, |i, _| {
+                limits[i][0] + share[i] * (limits[i][1] - limits[i][0])
+            });
+            let least = bounded_minimum(&normal, &gradient, &limits, &start).expect("a minimum");
+            let at_least = cost(&normal, &gradient, &least);
+            prop_assert!(at_least <= cost(&normal, &gradient, &start) + 1e-9);
+            // The cost is convex: where no single number leads down, nothing does.
+            for i in 0..6 {
+                for to in limits[i] {
+                    for share in [1e-3, 0.1, 1.0] {
+                        let mut moved = least.clone();
+                        moved[i] += share * (to - least[i]);
+                        prop_assert!(cost(&normal, &gradient, &moved) >= at_least - 1e-7);
+                    }
+                }
+            }
+        }
+    }
 }

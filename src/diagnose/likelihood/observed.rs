@@ -187,12 +187,21 @@ impl<'a> Observed<'a> {
         )
     }
 
-    /// Sum of squares at each place, with the least that is left.
+    /// Sum of squares at each place, with the least that is left; places of a pool share theirs.
     pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
+        self.levelled(self.squares(residuals))
+    }
+
+    /// Sum of squares at each place by itself, with the least that is left.
+    pub(in crate::diagnose) fn squares(&self, residuals: &Residuals) -> Vec<f64> {
         let least = self.least.iter().zip(self.power_of(residuals));
-        let mut power: Vec<f64> = least.map(|(least, q)| least + q).collect();
-        self.pools.iter().for_each(|pool| level(&mut power, &self.counts, pool));
-        power
+        least.map(|(least, q)| least + q).collect()
+    }
+
+    /// The same with one variance for the places of each pool.
+    pub(in crate::diagnose) fn levelled(&self, mut squares: Vec<f64>) -> Vec<f64> {
+        self.pools.iter().for_each(|pool| level(&mut squares, &self.counts, pool));
+        squares
     }
 
     /// Sum of squares at each place.

@@ -90,7 +90,7 @@ impl Simulator {
             let predicted = self.predict(flight, start, &from, None)?;
             Some(std::array::from_fn(|h| {
                 let there = reported(flight, start + HORIZONS_S[h], self.latency());
-                distance(&there, &predicted[h])
+                self.distance(&there, &predicted[h])
             }))
         })
     }
@@ -145,8 +145,28 @@ impl Simulator {
         };
         let predicted = self.predict(flight, start, &report(start, &truth), None)?;
         Some(std::array::from_fn(|h| {
-            distance(&report(start + HORIZONS_S[h], &ends[h]), &predicted[h])
+            self.distance(&report(start + HORIZONS_S[h], &ends[h]), &predicted[h])
         }))
+    }
+
+    /// By [`QUANTITIES`]. Turning counts about the axes that the comparison looks at.
+    fn distance(&self, a: &State, b: &State) -> [f64; 4] {
+        let axes = self.turning_axes();
+        let of_axes = |vector: [f64; 3]| -> f64 {
+            let squares = vector.into_iter().zip(axes).filter(|(_, is_used)| *is_used);
+            squares.map(|(along, _)| along * along).sum::<f64>().sqrt()
+        };
+        let angle = a.attitude.angle_to(b.attitude);
+        let turn = a.attitude.inverse().compose(b.attitude);
+        let axis = [turn.x, turn.y, turn.z];
+        let norm = axis.iter().map(|along| along * along).sum::<f64>().sqrt();
+        let share = if axes == [true; 3] { 1.0 } else { of_axes(axis) / norm.max(1e-300) };
+        [
+            (a.position - b.position).norm(),
+            (a.velocity - b.velocity).norm(),
+            share * angle,
+            of_axes((a.body_rate - b.body_rate).to_array()),
+        ]
     }
 
     /// The metric `mean` on one flight; `None` without a window.
@@ -175,15 +195,6 @@ fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
 /// `state` with a body rate that is larger by `rate`.
 fn turning_faster(rate: Frd, state: State) -> State {
     State { body_rate: state.body_rate + rate, ..state }
-}
-
-fn distance(a: &State, b: &State) -> [f64; 4] {
-    [
-        (a.position - b.position).norm(),
-        (a.velocity - b.velocity).norm(),
-        a.attitude.angle_to(b.attitude),
-        (a.body_rate - b.body_rate).norm(),
-    ]
 }
 
 /// Starts of the windows of a flight.

@@ -10,10 +10,10 @@ pub enum Metric {
     /// Position, velocity and attitude at 0.5 and 1 s.
     Mean,
     /// For want of a known on-board loop: position and velocity at 0.5 and 1 s with the body
-    /// turning as reported, attitude and body rate at 0.1 s. A small moment that nothing
-    /// counteracts turns a body far within a second.
+    /// turning as reported, attitude and body rate at 0.1 s about the axes whose turning the motor
+    /// outputs explain. A small moment that nothing counteracts turns a body far within a second.
     Guided,
-    /// The same without the body's turning, where motor outputs do not tell it.
+    /// Position and velocity alone, where the motor outputs explain the turning about no axis.
     Forces,
 }
 

@@ -49,6 +49,8 @@ pub struct Simulator {
     /// What its predictions are compared by; but for the mean, position and velocity are predicted
     /// with the body turning as reported.
     metric: Metric,
+    /// The axes about which the body's turning is compared: front, right, down.
+    axes: [bool; 3],
     /// What is added to the plant's accelerations.
     learner: Option<Learner>,
 }
@@ -82,6 +84,7 @@ impl Simulator {
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
             command_delay: all.get::<CommandDelay>().map_or(vehicle.command_delay_s, |e| e.delay_s),
             metric: Metric::Mean,
+            axes: [true; 3],
             learner: None,
         })
     }
@@ -102,9 +105,10 @@ impl Simulator {
         Ok(Self { plant, ..self })
     }
 
-    /// The same simulator with predictions compared by `metric`.
-    pub fn compared_by(self, metric: Metric) -> Self {
-        Self { metric, ..self }
+    /// The same simulator with predictions compared by `metric`, their turning about `axes` (front,
+    /// right, down).
+    pub fn compared_by(self, metric: Metric, axes: [bool; 3]) -> Self {
+        Self { metric, axes, ..self }
     }
 
     /// The same simulator with what a learner adds to its accelerations.
@@ -115,6 +119,11 @@ impl Simulator {
     /// What its predictions are compared by.
     pub fn metric(&self) -> Metric {
         self.metric
+    }
+
+    /// The axes about which the body's turning is compared: front, right, down.
+    pub(in crate::diagnose) fn turning_axes(&self) -> [bool; 3] {
+        self.axes
     }
 
     /// How late the vehicle reports its attitude, s.
