@@ -27,6 +27,7 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
+#[ignore = "long: tests/run --all"]
 fn drag_is_found_and_the_flight_planned_with_it_is_closer() {
     let (folder, summary) = run("drag", &["--hidden", "rotor_drag:d_xy=0.012,d_z=0.006"]);
     assert_eq!(summary["end"], "done");

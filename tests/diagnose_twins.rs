@@ -150,6 +150,7 @@ fn twins_leave_what_the_flights_leave() {
 /// Half of the setpoints that the vehicle followed are in no log: twins that held the others for
 /// longer would leave a third of the moments.
 #[test]
+#[ignore = "long: tests/run --all"]
 fn twins_of_a_thinned_log_leave_what_it_leaves() {
     let settings = Settings { flights: 2, ..Settings::default() };
     let case = Case::fly(&settings, 5, 0, "thinned", &Order::from(Kind::Null)).expect("a case");

@@ -19,6 +19,7 @@ def fly(program, folder, flights, seed=SEED):
     return summary
 
 
+@pytest.mark.long
 def test_ten_scripts_at_once(program, tmp_path):
     summary = fly(program, tmp_path / "out", 10)
     assert summary["setpoints"] > 1000

@@ -53,18 +53,18 @@ def plan(tmp_path_factory):
     return out
 
 
-def test_a_plan_is_flown_closer_than_its_trajectory_without_one(program, plan, tmp_path):
-    errors = {}
+def test_a_plan_is_flown_closer_than_its_trajectory_without_one(program, plan, sitl, tmp_path):
+    # Side by side, each with a vehicle of its own.
+    flights = {}
     for name, trajectory in (("plan", plan), ("desired", plan.parent / "turn.toml")):
-        vehicle = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
-        try:
-            flown = program(
-                "fly", trajectory, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE,
-                "--log-dir", tmp_path / name, "--json",
-            )
-            code, out = flown.finish()
-        finally:
-            vehicle.stop()
+        vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
+        flights[name] = program(
+            "fly", trajectory, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE,
+            "--log-dir", tmp_path / name, "--json",
+        )
+    errors = {}
+    for name, flown in flights.items():
+        code, out = flown.finish()
         assert code == 0, flown.err
         errors[name] = json.loads(out)["flight"]["tracking"]["rmse_3d_m"]
     assert errors["plan"] < 0.5 * errors["desired"], errors

@@ -6,6 +6,7 @@
 import signal
 import struct
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from mcap.exceptions import EndOfFile
@@ -115,9 +116,11 @@ def logs(tmp_path_factory):
     run(*DOWNWASH, "demo", "--fly", "model-free", "--out", folder["demo"])
     run(*DOWNWASH, "collect", "--out", folder["collect"], "--seconds", 40)
     logs = {kind: sorted(folder[kind].glob("**/*.mcap"))[0] for kind in ("demo", "collect")}
-    logs["fly"] = flown(folder["fly"], kill=False)
-    logs["killed"] = flown(folder["killed"], kill=True)
-    logs["daemon"] = from_the_daemon(folder["daemon"])
+    with ThreadPoolExecutor() as at_once:
+        whole = at_once.submit(flown, folder["fly"], kill=False)
+        killed = at_once.submit(flown, folder["killed"], kill=True)
+        daemon = at_once.submit(from_the_daemon, folder["daemon"])
+    logs |= {"fly": whole.result(), "killed": killed.result(), "daemon": daemon.result()}
     logs["import"] = folder["import"] / "flight.mcap"
     run(*DOWNWASH, "log", "import", logs["demo"], "-o", logs["import"])
     logs["table"] = from_a_table(folder["table"])

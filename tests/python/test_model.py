@@ -308,7 +308,7 @@ def test_logs_of_another_vehicle_are_refused(flights, tmp_path):
 
 
 def test_an_interrupted_training_goes_on_to_the_same_file(program, flights, tmp_path):
-    long = ["--passes", "400", "--hidden", "60", "--regularization", "1e-5"]
+    long = ["--passes", "120", "--hidden", "40", "--regularization", "1e-5"]
     whole, model = tmp_path / "whole.safetensors", tmp_path / "model.safetensors"
     run("train", "--vehicle", CRAZYFLIE, *flights, "-o", whole, *long)
     checkpoint = tmp_path / "model.safetensors.checkpoint"

@@ -80,6 +80,7 @@ def test_vehicles_and_settings(schemas, vehicle):
     check(schemas, "downwash.config", run("config", "--json"))
 
 
+@pytest.mark.computes
 def test_sweeps_of_diagnoses_and_exams(schemas, flights, vehicle, tmp_path):
     (logs, _) = flights
     diagnoses, exam = tmp_path / "diagnoses.toml", tmp_path / "exam.toml"
@@ -120,6 +121,7 @@ def test_logs(schemas, flights, tmp_path):
     check(schemas, "downwash.report.flight", run("log", "report", logs[0], "-o", tmp_path / "r.html", "--json"))
 
 
+@pytest.mark.computes
 def test_models_and_plans(schemas, flights, vehicle, tmp_path):
     logs, _ = flights
     model = tmp_path / "m.safetensors"

@@ -43,8 +43,9 @@ def hover(folder):
     return path
 
 
-def fly(folder, url, *options):
-    return run("fly", hover(folder), "--vehicle", CRAZYFLIE, "--connect", url, "--log-dir", folder, "--json", *options)
+def fly(folder, url, *options, **process):
+    arguments = ["--vehicle", CRAZYFLIE, "--connect", url, "--log-dir", folder, "--json", *options]
+    return run("fly", hover(folder), *arguments, **process)
 
 
 def test_a_key_is_the_owners_and_never_shown(tmp_path, key_file, config):
@@ -64,7 +65,8 @@ def test_a_signed_flight_of_the_bundled_vehicle_leaves_no_key_in_its_log(tmp_pat
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file)])
     try:
         # Without the key only unsigned frames are readable, and the vehicle obeys none.
-        blind = fly(tmp_path, sitl.peer_url())
+        waits = {"DOWNWASH_LINK__SEARCH_TIMEOUT_S": "4.0", "DOWNWASH_OFFBOARD__SUPERVISOR__READY_TIMEOUT_S": "6.0"}
+        blind = fly(tmp_path, sitl.peer_url(), env={**os.environ, **waits})
         assert blind.returncode != 0 and "sign" in blind.stderr
         flown = fly(tmp_path, sitl.peer_url(), "--config", str(config))
         assert flown.returncode == 0, flown.stderr
