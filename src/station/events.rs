@@ -67,8 +67,8 @@ impl Station {
         }
     }
 
-    /// Warns that the vehicle signs and this link does not: many such vehicles accept no unsigned
-    /// frames.
+    /// Warns that the vehicle signs and this link does not. Such a vehicle may reject unsigned
+    /// frames, though some accept them.
     pub(super) fn tell_signing(&mut self, now: HostTime) {
         if self.session.is_signed() && !self.session.signs() && !self.is_signing_told {
             self.is_signing_told = true;
@@ -81,7 +81,8 @@ impl Station {
         }
     }
 
-    /// Refuses to fly while two autopilots answer, until the user chooses one.
+    /// Two autopilots answer: before a flight, nothing flies until the user chooses one; in flight,
+    /// warns.
     pub(super) fn choose(&mut self, now: HostTime, vehicle: VehicleId, other: VehicleId) {
         let why = format!(
             "two autopilots are on this link, {vehicle} and {other}; choose one with --system \
