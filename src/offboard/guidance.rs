@@ -19,8 +19,8 @@ pub struct GuidanceSettings {
     pub idle_thrust: f64,
     /// Time over which thrust rises before the climb, s.
     pub spool_s: f64,
-    /// Thrust at the end of that, as a fraction of hover thrust: too little to lift off even if the
-    /// rotors give a third more than the model says.
+    /// Thrust at the end of the spool time, as a fraction of hover thrust: too little to lift off
+    /// even if the rotors give a third more than the model says.
     pub spool_thrust: f64,
     /// Fastest climb, m/s.
     pub climb_speed_m_s: f64,
@@ -31,11 +31,11 @@ pub struct GuidanceSettings {
     /// Height over which horizontal feedback fades in, m. On the ground it would only tip the
     /// vehicle over.
     pub feedback_height_m: f64,
-    /// The start counts as reached within this distance, m.
+    /// Distance within which the start counts as reached, m.
     pub settle_radius_m: f64,
-    /// And below this speed, m/s.
+    /// Speed below which the start counts as reached, m/s.
     pub settle_speed_m_s: f64,
-    /// For this long, s.
+    /// Time for which both must hold, s.
     pub settle_s: f64,
     /// Time after which a steady offset is accepted, s. Without it, a vehicle heavier than its
     /// model would never start.

@@ -78,7 +78,8 @@ const PATIENCE_ENDS: f64 = 0.5;
 pub struct SafetySettings {
     /// Age of the state that is a fault, s. No setpoint leaves without a fresh sample anyway.
     pub stale_after_s: f64,
-    /// Reaction: the vehicle lands itself, because the controller does not know where it is.
+    /// Reaction to a stale state: the vehicle lands itself, because the controller does not know
+    /// where it is.
     pub on_stale: Reaction,
     /// Reaction to a jump of the estimate: the new position is held.
     pub on_jump: Reaction,
@@ -87,41 +88,41 @@ pub struct SafetySettings {
     pub round_trip_max_s: f64,
     /// Time above that round trip, s.
     pub round_trip_for_s: f64,
-    /// Reaction: the vehicle lands itself.
+    /// Reaction to a slow link: the vehicle lands itself.
     pub on_slow_link: Reaction,
-    /// Distance from the reference, m.
+    /// Largest distance from the reference, m.
     pub tracking_error_max_m: f64,
     /// Time beyond that distance, s. It shrinks with the excess and is zero at 1.5 times the
     /// distance.
     pub tracking_error_for_s: f64,
-    /// Reaction.
+    /// Reaction to a distance beyond the limit.
     pub on_tracking_error: Reaction,
-    /// Tilt, rad.
+    /// Largest tilt, rad.
     pub tilt_max_rad: f64,
     /// Time beyond that tilt, s.
     pub tilt_for_s: f64,
-    /// Reaction.
+    /// Reaction to a tilt beyond the limit.
     pub on_tilt: Reaction,
-    /// Horizontal distance from the anchor, m.
+    /// Largest horizontal distance from the anchor, m.
     pub fence_radius_m: f64,
-    /// Height above the anchor, m.
+    /// Largest height above the anchor, m.
     pub fence_height_m: f64,
-    /// Reaction.
+    /// Reaction outside the fence.
     pub on_geofence: Reaction,
-    /// Remaining charge, 0..1.
+    /// Least remaining charge, 0..1.
     pub battery_min: f64,
     /// Time below that charge, s. A single report can be wrong.
     pub battery_for_s: f64,
-    /// Reaction, also where the vehicle calls its battery critical.
+    /// Reaction to a low charge, also where the vehicle calls its battery critical.
     pub on_battery: Reaction,
     /// Time for which the vehicle stays in OFFBOARD after it declares a failsafe, s.
     pub failsafe_for_s: f64,
-    /// Reaction.
+    /// Reaction to a declared failsafe.
     pub on_failsafe: Reaction,
     /// Time for which the vehicle calls a position estimate unhealthy that it called healthy
     /// before, s. Such an estimate drifts by metres, and feedback would follow it.
     pub position_lost_for_s: f64,
-    /// Reaction.
+    /// Reaction to an unhealthy position estimate.
     pub on_position_lost: Reaction,
 }
 
