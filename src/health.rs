@@ -68,7 +68,8 @@ pub struct Monitor {
 impl Monitor {
     /// A monitor for a vehicle with these parameters.
     ///
-    /// # Errors The physics model rejects the parameters.
+    /// # Errors
+    /// The physics model rejects the parameters.
     pub fn new(vehicle: &VehicleParams, settings: Settings) -> Result<Self, VehicleError> {
         let view = HealthView::default();
         view.lock().bound = settings.bound();

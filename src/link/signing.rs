@@ -147,7 +147,8 @@ impl Signing {
 
     /// Checks a frame's signature.
     ///
-    /// # Errors Why the frame is rejected; `None` where this reason was already reported.
+    /// # Errors
+    /// Why the frame is rejected; `None` where this reason was already reported.
     pub(super) fn check(
         &mut self,
         frame: &Frame,

@@ -45,7 +45,8 @@ impl Pose {
 
     /// Checks the step to `now`.
     ///
-    /// # Errors A step that no acceleration of a quadrotor explains.
+    /// # Errors
+    /// A step that no acceleration of a quadrotor explains.
     pub fn jump(&self, now: &Self, limits: &TelemetrySettings) -> Result<(), TelemetryFault> {
         let dt = now.stamp.seconds_since(self.stamp);
         let metres = self.beside(now).norm();
@@ -67,8 +68,8 @@ impl Turn {
 
     /// Checks the rotation to `now`.
     ///
-    /// # Errors A step of more than `limit` rad that no angular acceleration of a quadrotor
-    /// explains.
+    /// # Errors
+    /// A step of more than `limit` rad that no angular acceleration of a quadrotor explains.
     pub fn jump(&self, now: &Self, limit: f64) -> Result<(), TelemetryFault> {
         let dt = now.stamp.seconds_since(self.stamp);
         let mean = (self.body_rate + now.body_rate) * 0.5;
@@ -105,7 +106,8 @@ pub(super) struct Slide {
 impl Slide {
     /// Adds the step from `before` to `now`.
     ///
-    /// # Errors A slide faster than `limits` allow; the sum then restarts at zero.
+    /// # Errors
+    /// A slide faster than `limits` allow; the sum then restarts at zero.
     pub fn advance(
         &mut self,
         before: &Pose,
