@@ -82,7 +82,7 @@ pub enum ConfigError {
     /// A value that makes a flight impossible.
     #[error("configuration from {origin}: {setting}: expected {expected}, found {found:?}")]
     Impossible {
-        /// The first layer that set this value or the one that it contradicts; else the defaults.
+        /// The layer that set it; where that is the default, the one that set what it contradicts.
         origin: Origin,
         /// The setting.
         setting: &'static str,

@@ -34,8 +34,9 @@ impl ThrustMap {
         Self::curve(full_scale_n, 0.0)
     }
 
-    /// Thrust of a vehicle that does not linearise its motors: `T = full_scale_n * ((1 - s) u + s
-    /// u^2)`, with s = `square_share` (PX4's THR_MDL_FAC, which is then 0 on board).
+    /// Thrust of a vehicle that does not linearise its motors:
+    /// `T = full_scale_n * ((1 - s) u + s u^2)`, with s = `square_share` (PX4's THR_MDL_FAC, which
+    /// is then 0 on board).
     ///
     /// # Errors
     /// [`ThrustMapError`] unless the full scale is finite and positive, and the share in 0..1.

@@ -28,9 +28,9 @@ pub enum AttitudeTargetForm {
     AttitudeRatesThrust,
     /// Mask 0x07: attitude and thrust.
     AttitudeThrust,
-    /// Mask 0x80: rates and thrust. The attitude loop is closed here: `omega = omega_des + gain *
-    /// e`, where e is the rotation vector from the vehicle's attitude to the desired one, in body
-    /// axes.
+    /// Mask 0x80: rates and thrust. The attitude loop is closed here:
+    /// `omega = omega_des + gain * e`, where e is the rotation vector from the vehicle's attitude
+    /// to the desired one, in body axes.
     RatesThrust {
         /// Gain per body axis, 1/s: Kp/Kd of the on-board PD law that it replaces.
         gain: [f64; 3],

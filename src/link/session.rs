@@ -189,8 +189,8 @@ pub struct VehicleId {
 }
 
 impl VehicleId {
-    /// Whether its autopilot is one that can be flown. An unknown autopilot never replaces a known
-    /// one.
+    /// Whether its autopilot is one that can be flown. An unknown autopilot replaces a known one
+    /// only under the same ids, once that one is lost.
     pub fn is_known(&self) -> bool {
         matches!(self.autopilot, 3 | 12)
     }

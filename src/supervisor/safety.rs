@@ -170,7 +170,7 @@ pub struct FlightCondition<'a> {
     pub was_unheard: bool,
     /// Distance from the reference, m.
     pub tracking_error_m: f64,
-    /// Tilt from the horizontal, rad.
+    /// Tilt from level, rad.
     pub tilt_rad: f64,
     /// Horizontal distance from the anchor, m.
     pub radius_m: f64,

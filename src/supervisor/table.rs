@@ -33,7 +33,7 @@ pub enum FlightState {
     Hold,
     /// The vehicle lands itself.
     Land,
-    /// On the ground; waits for the motors to stop, then requests it.
+    /// On the ground; waits for the motors to stop, and after a while requests it.
     Disarm,
     /// The flight is over as planned.
     Done,

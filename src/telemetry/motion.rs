@@ -93,9 +93,9 @@ pub(super) fn carried(attitude: Attitude, body_rate: Frd, dt: f64) -> Attitude {
 }
 
 /// Recent departure of the position from its own velocity, m: the sum of the steps that velocity
-/// does not explain, each decaying with [`SLIDE_TIME_S`]. A velocity error `e` adds up to `e *
-/// SLIDE_TIME_S`. So does an estimate that slides to another place at `e`, in steps too small for a
-/// jump.
+/// does not explain, each decaying with [`SLIDE_TIME_S`]. A velocity error `e` adds up to
+/// `e * SLIDE_TIME_S`. So does an estimate that slides to another place at `e`, in steps too small
+/// for a jump.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Slide {
     beside: Ned,

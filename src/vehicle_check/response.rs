@@ -277,8 +277,8 @@ struct Costs {
 }
 
 impl Costs {
-    /// The residuals of the file's response stretched in time by `scale`: `theta = sum of
-    /// S(t/scale)'s steps times the asked`.
+    /// The residuals of the file's response S stretched in time by `scale`: theta is the desired
+    /// angle convolved with the steps of S(t/scale).
     fn at(scale: f64, answer: &Answer, tracks: &[Track]) -> Self {
         let taps = (MEMORY_S / STEP_S) as usize;
         let step = |k: usize| Answer::at(&answer.attitude, k as f64 * STEP_S / scale);

@@ -214,7 +214,7 @@ impl Core {
         }
     }
 
-    /// Whether the frame is signed with the key, where one is set.
+    /// Whether signing admits the frame; true where no key is set.
     fn is_believed(&mut self, now: HostTime, frame: &Frame) -> bool {
         self.turn(now);
         let Self { signing: Some(signing), outbox, events, .. } = self else { return true };
