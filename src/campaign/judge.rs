@@ -1,5 +1,5 @@
-//! The judge: compares the station's frames with the frames that it received, and watches the
-//! vehicle.
+//! The judge: compares the frames that the station sends with those that it receives, and watches
+//! the vehicle.
 //!
 //! It knows the frames in both directions with their true times, the vehicle's true state, and the
 //! bounds that the operator was promised. It knows nothing of supervisor, telemetry or guard, and

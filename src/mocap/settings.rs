@@ -62,8 +62,8 @@ pub struct WatchSettings {
     pub return_m: f64,
     /// Time for which a returning body must be seen steadily, s.
     pub settle_s: f64,
-    /// The same time at the start, and for a body at a different place while the vehicle is
-    /// disarmed, s.
+    /// Time for which the body must be seen steadily at the start, and at a different place while
+    /// the vehicle is disarmed, s.
     pub settle_anew_s: f64,
 }
 
